@@ -1,0 +1,41 @@
+# make demo   sets everything up and lets six robots work a real field (about a minute)
+# make test   sets everything up, checks style and types, runs the tests
+# make check  style and types only      make bench  every figure our documents claim, quickly
+# make clean  removes what the others made
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+
+.PHONY: demo test check bench setup clean
+.DEFAULT_GOAL := demo
+
+setup: $(VENV)/installed
+$(VENV)/installed: pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo "headland: Python 3.11 or newer is needed; try: make PYTHON=python3.11"; exit 1; }
+	@$(PYTHON) -m venv $(VENV) 2>/dev/null || { rm -rf $(VENV); \
+	  if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+	    apt-get update -qq && apt-get install -y -qq python3-venv >/dev/null; \
+	  else echo "headland: Python has no venv; install it with: apt-get install python3-venv"; exit 1; fi; \
+	  $(PYTHON) -m venv $(VENV); }
+	@echo "installing into $(VENV) ..."
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --config-settings editable_mode=compat -e '.[dev]'
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps pyrvo || \
+	  echo "pyrvo is not to be had here: the comparison with RVO2 will be skipped"
+	@touch $@
+
+demo: setup
+	$(BIN)/headland run
+
+check: setup
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+
+test: check
+	$(BIN)/python -m pytest -n 2
+
+bench: setup
+	$(BIN)/headland bench all --quick
+
+clean:
+	rm -rf $(VENV) runs build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -1,0 +1,69 @@
+"""Every number of a peer, with its unit, its reason, and the relations between them asserted.
+
+Times are integer microseconds. Sources: `DESIGN` decisions, ISO 11783-5/-7, J1939-21, and the
+response-time analysis of Davis, Burns, Bril, Lukkien (2007) for 250 kbit/s.
+"""
+
+from typing import NamedTuple
+
+MS = 1_000  # microseconds in a millisecond
+S = 1_000_000  # microseconds in a second
+
+BITRATE = 250_000  # bit/s, ISO 11783-2
+FRAME_US_MAX = 640  # 8 data bytes, 29-bit identifier, worst stuffing: 160 bits
+
+PEERS_MAX = 108  # self-configurable addresses of industry group 2: 128 to 235 (ISO 11783-5)
+ADDRESS_FIRST, ADDRESS_LAST = 128, 235
+assert ADDRESS_LAST - ADDRESS_FIRST + 1 == PEERS_MAX
+OPERATOR_SLOT_FIRST = 128  # slots below are robots; operator devices have 128 to 254
+assert PEERS_MAX <= OPERATOR_SLOT_FIRST
+
+ACTUATOR_TTL_US = 100 * MS  # a drive command is void after two missed control periods
+CONTROL_PERIOD_US = 50 * MS  # sense, decide, drive
+assert ACTUATOR_TTL_US >= 2 * CONTROL_PERIOD_US
+
+STOP_REPEAT_US = 5 * MS  # the source repeats a stop until all live members echoed: 13 % of the bus
+STOP_SPACING_US = 100 * MS  # new stop dots of one source are at least this far apart
+CONTENTION_US = 250 * MS  # a claim is contested this long; also ISO 11783-5 address contention
+CLAIM_AHEAD = 1  # sections claimed beyond the one being worked; the rest of a plan stays soft
+MEMBERSHIP_STABLE_US = 2 * S  # a protective stop ends only after this long without a change
+LEASE_US = 20 * S  # a silent owner keeps its sections this long; others do their own work first
+SYNC_TIMEOUT_US = 2 * S  # SYNCHRONIZING ends when digests agree, or after this without an answer
+
+
+class Beat(NamedTuple):
+    """How often a peer speaks, and how long silence is tolerated, for a fleet of some size."""
+
+    peers_max: int
+    pose_us: int  # POSE, the beat
+    heartbeat_us: int
+    silence_us: int  # silence of a member that did not leave is a protective stop
+
+
+# Faster beats would not fit the bus: at these, worst-case stuffing, 30/50/108 peers take 45/37/42 %.
+BEATS = (
+    Beat(30, 50 * MS, 500 * MS, 300 * MS),
+    Beat(50, 100 * MS, 1 * S, 500 * MS),
+    Beat(PEERS_MAX, 200 * MS, 1 * S, 1 * S),
+)
+for _beat in BEATS:
+    assert 5 <= _beat.silence_us / _beat.pose_us <= 6, "five or six beats may be lost before a stop"
+    assert _beat.heartbeat_us % _beat.pose_us == 0, "a heartbeat rides on a beat"
+    _share = _beat.peers_max * FRAME_US_MAX * (1 / _beat.pose_us + 1 / _beat.heartbeat_us)
+    assert _share <= 0.45, "the beats of a full fleet leave more than half of the bus for the rest"
+assert BEATS[0].silence_us <= 300 * MS, "the only bus-native figure for silence: ISO 11783-7 heartbeat"
+
+
+def beat_of(peers: int) -> Beat:
+    """The beat for a fleet of this many configured members.
+
+    >>> beat_of(6).pose_us
+    50000
+    """
+    return next(beat for beat in BEATS if peers <= beat.peers_max)
+
+
+SPEED_MAX_M_S = 12.7  # what POSE can say: 8 bits of 0.05 m/s
+EXTENT_MAX_M = 3_276.0  # what POSE can say: 17 bits of 0.05 m around the origin
+NEIGHBOURS_MAX = 10  # ORCA half-planes of robots, nearest first (van den Berg et al. 2011, section 6)
+NEIGHBOUR_RANGE_M = 5.0  # the danger bubble of the warehouse document

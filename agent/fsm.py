@@ -1,0 +1,45 @@
+"""State machines as data: one total table per machine, and one way to move.
+
+A table is drawn as rows, one per state, with one column per event; `None` means: seen, and
+deliberately ignored. Guards stay outside: the caller decides which event happened, the table
+decides what it means (after python-hyper/h11, `_state.py`).
+"""
+
+from collections.abc import Mapping
+from enum import Enum
+from typing import Generic, TypeVar
+
+S = TypeVar("S", bound=Enum)
+E = TypeVar("E", bound=Enum)
+
+
+def matrix(events: type[E], *rows: tuple[S | None, ...]) -> dict[tuple[S, E], S]:
+    """Read rows of (source, target on 1st event, target on 2nd event, ...) into a total table."""
+    table: dict[tuple[S, E], S] = {}
+    for source, *targets in rows:
+        assert source is not None
+        assert len(targets) == len(events), f"{source.name}: {len(targets)} of {len(events)} events"
+        for event, target in zip(events, targets, strict=True):
+            table[source, event] = target if target is not None else source
+    states = {source for source, _ in table}
+    assert states == set(type(next(iter(states)))), "a state has no row"
+    return table
+
+
+class Machine(Generic[S, E]):
+    """A current state and the table it moves by."""
+
+    def __init__(self, name: str, table: Mapping[tuple[S, E], S], start: S) -> None:
+        self.name, self.table, self.state = name, table, start
+
+    def fire(self, event: E) -> tuple[S, S]:
+        """Move, and return (source, target); they are equal where the event is ignored."""
+        source = self.state
+        self.state = self.table[source, event]
+        return source, self.state
+
+
+def to_mermaid(table: Mapping[tuple[S, E], S], start: S) -> str:
+    """The diagram for documents and for `headland inspect --mermaid`; ignored events are left out."""
+    edges = [f"    {a.name} --> {b.name}: {e.name.lower()}" for (a, e), b in table.items() if a is not b]
+    return "\n".join(["stateDiagram-v2", f"    [*] --> {start.name}", *edges])

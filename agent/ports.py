@@ -1,0 +1,49 @@
+"""What a peer's shell needs from outside, and the facts that come in. SI units, field frame."""
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import NamedTuple, Protocol
+
+from agent.effects import Drive, Persist
+from protocol.frame import Frame
+
+
+class Observation(NamedTuple):
+    """What the robot's own sensors say now. Field frame: x east, y north, metres."""
+
+    x_m: float
+    y_m: float
+    heading_rad: float  # counter-clockwise from east
+    vx_m_s: float
+    vy_m_s: float
+    ranges_m: tuple[float, ...] = ()  # one per ray, counter-clockwise from the heading; inf: nothing
+    battery: float = 1.0  # share of a full charge
+
+
+class Bus(Protocol):
+    """A CAN interface. Frames a node sends are not delivered to itself."""
+
+    def send(self, frame: Frame) -> bool:
+        """Queue a frame; False when the queue is full or the node is off the bus."""
+        ...
+
+    def subscribe(self, callback: Callable[[Frame], None]) -> None:
+        """Call back for every frame received, in order, in the event loop's thread."""
+        ...
+
+    def close(self) -> None: ...
+
+
+class Body(Protocol):
+    """Sensors and actuators of one robot."""
+
+    def sense(self, now_us: int) -> Observation: ...
+    def drive(self, command: Drive, now_us: int) -> None: ...
+
+
+class Journal(Protocol):
+    """Durable memory of one robot: the newest value of each key."""
+
+    def load(self) -> Mapping[str, bytes]: ...
+    def write(self, records: Iterable[Persist]) -> None:
+        """Return only when the records survive a power cut; raise OSError when they may not."""
+        ...

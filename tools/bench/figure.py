@@ -1,0 +1,17 @@
+"""One measured figure, as `headland bench` prints it: one JSON object a line."""
+
+import json
+from typing import NamedTuple
+
+
+class Figure(NamedTuple):
+    figure: str
+    value: float
+    unit: str
+    target: str  # as the documents state it, for example "<= 0.30"
+    holds: bool | None  # None: no target
+    against: str  # what it is compared with, and its version
+    scope: str  # what is and is not inside the measurement, equal on both sides
+
+    def to_json(self) -> str:
+        return json.dumps(self._asdict(), ensure_ascii=False)
