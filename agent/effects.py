@@ -11,10 +11,11 @@ from protocol.messages import Message
 
 
 class Send(NamedTuple):
-    """Put one message on the bus; the shell adds the source address."""
+    """Put one message on the bus."""
 
     message: Message
     destination: int = 255
+    source: int | None = None  # None: the peer's address at the time of sending
 
 
 class Drive(NamedTuple):

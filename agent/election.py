@@ -1,0 +1,70 @@
+"""Elections for conveniences: who answers the operator, who streams a batch plan.
+
+Never for stopping, claims or maps. A vote is fixed once cast: one vote per voter, election and
+term, remembered durably. A candidate leads when it holds the votes of a majority of the live view;
+a later term fences an earlier one. Two sides of a split have a leader each, and the higher term
+(then the lower slot) remains when they meet.
+"""
+
+from typing import NamedTuple
+
+from protocol.fleet_frames import LeaderElectionVote
+
+OPERATOR_GATEWAY = 1  # who speaks for the fleet to an operator
+PLAN_STREAMER = 2  # who streams a batch plan
+TERM_MAX = 0xFFFF  # u16 on the wire; at one term a second it lasts 18 hours without a restart
+ELECTIONS_MAX = 32  # purposes tracked at a time; a hostile stream of ids must not grow memory
+
+
+class Leader(NamedTuple):
+    term: int
+    slot: int
+
+
+class Election:
+    """One peer's view of one election."""
+
+    def __init__(self, election: int, slot: int, name_hash: int, term: int = 0) -> None:
+        self.election, self.slot, self.name_hash = election, slot, name_hash
+        self.term = term  # the highest term seen
+        self.votes: dict[int, int] = {}  # voter -> candidate, of this term
+        self.leader: Leader | None = None
+
+    def call(self, live: frozenset[int]) -> LeaderElectionVote | None:
+        """Vote in the current term, or open a new one where the leader is gone. None: nothing to do."""
+        if self.leader is not None and self.leader.slot in live:
+            return None
+        if self.leader is not None or self.slot in self.votes:
+            voted_for = self.votes.get(self.slot)
+            if self.leader is None and voted_for in live:
+                return None  # our vote stands; the rest have not voted yet
+            self._open(self.term + 1)
+        return self._vote(live)
+
+    def receive(self, voter: int, vote: LeaderElectionVote, live: frozenset[int]) -> LeaderElectionVote | None:
+        """Count a vote; answer with ours where its term is new to us."""
+        if vote.term < self.term:
+            return None  # fenced
+        answer = None
+        if vote.term > self.term:
+            self._open(vote.term)
+        self.votes.setdefault(voter, vote.candidate)
+        if self.slot not in self.votes:
+            answer = self._vote(live)
+        self._count(live)
+        return answer
+
+    def _vote(self, live: frozenset[int]) -> LeaderElectionVote:
+        # Everybody prefers the lowest live slot, so one round settles it where views are equal.
+        candidate = self.votes.setdefault(self.slot, min(live))
+        self._count(live)
+        return LeaderElectionVote(self.election, self.term, candidate, 0, self.name_hash)
+
+    def _open(self, term: int) -> None:
+        self.term, self.votes, self.leader = min(term, TERM_MAX), {}, None
+
+    def _count(self, live: frozenset[int]) -> None:
+        heard = [candidate for voter, candidate in self.votes.items() if voter in live]
+        for candidate in sorted(set(heard)):
+            if 2 * heard.count(candidate) > len(live):
+                self.leader = Leader(self.term, candidate)

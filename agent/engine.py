@@ -1,0 +1,246 @@
+"""`FleetCoordinationEngine`: the asyncio face of one peer, with the API of the protocol document.
+
+    engine = FleetCoordinationEngine("tractor_001", open_bus("socketcan", "can0", 250_000))
+    await engine.start()
+    if await engine.claim_section("S7"):
+        ...
+        await engine.release_section("S7")
+
+Everything it says and decides is said and decided by `agent/core.py`; nothing here but names, waiting
+and callbacks.
+"""
+
+import asyncio
+import inspect
+import logging
+from collections.abc import Awaitable, Callable, Mapping
+from random import Random
+from typing import Any
+
+from agent.config import CONTENTION_US, S
+from agent.core import Identity, Peer
+from agent.effects import Effect, Trace
+from agent.lifecycle import State
+from agent.ports import Bus, Journal
+from agent.safety import SilencePolicy
+from agent.section_names import SectionNames
+from agent.shell import Shell
+from crdt import FieldAllocationCRDT
+from protocol.name import fleet_name
+from protocol.safety_frames import Reason
+
+log = logging.getLogger(__name__)
+
+JOIN_TIMEOUT_S = 5.0  # address claim 0.4 s, a first sync 2 s; beyond it something is wrong
+
+
+class FleetCoordinationEngine:
+    """Orchestrates fleet coordination using the specified protocol.
+
+    `tractor_id` ends in the fleet slot ("tractor_001" is slot 1). `isobus_interface` is a
+    `protocol.bus.CanBus` over any python-can interface, or anything with the same three methods.
+    """
+
+    def __init__(
+        self,
+        tractor_id: str,
+        isobus_interface: Bus,
+        *,
+        fleet: str = "headland",
+        members: int = 30,
+        journal: Journal | None = None,
+        silence: SilencePolicy = SilencePolicy.STOP,
+        seed: int | None = None,
+    ) -> None:
+        self.tractor_id, self.bus, self.journal = tractor_id, isobus_interface, journal
+        self.fleet, self.members = fleet, members
+        digits = tractor_id[len(tractor_id.rstrip("0123456789")) :]
+        if not digits or not 0 <= int(digits) < members:
+            raise ValueError(
+                f"tractor id {tractor_id!r} must end in a slot number below {members}, "
+                "for example 'tractor_001'"
+            )
+        self.prefix, self.width = tractor_id[: -len(digits)], len(digits)
+        self.slot, self.silence = int(digits), silence
+        self.sections = SectionNames()
+        self._rng = Random(self.slot if seed is None else seed)
+        self._shell: Shell | None = None
+        self._task: asyncio.Task[None] | None = None
+        self._changed = asyncio.Event()
+        self._on_state: list[Callable[[str], Any]] = []
+        self._on_emergency: list[Callable[[dict[str, Any]], Any]] = []
+        self._background: set[asyncio.Task[None]] = set()
+
+    # ---------------------------------------------------------------- lifecycle
+
+    async def start(self) -> None:
+        """Start the engine and join the fleet network. TimeoutError where no address is to be had."""
+        if self._task is not None:
+            return
+        recalled: Mapping[str, bytes] = self.journal.load() if self.journal else {}
+        identity = Identity(
+            slot=self.slot,
+            members=frozenset(range(self.members)),
+            name=fleet_name(self.fleet, self.slot),
+            field_hash=FieldAllocationCRDT.hash_of(self.fleet),
+            silence=self.silence,
+            started=True,
+        )
+        peer = Peer(identity, self._rng, Shell.now_us(), recalled)
+        self._shell = Shell(peer, self.bus, None, self.journal, self._effect)
+        self._task = asyncio.create_task(self._shell.run(), name=f"peer {self.tractor_id}")
+        try:
+            await self._wait(lambda: peer.lifecycle.state is not State.DISCONNECTED, JOIN_TIMEOUT_S)
+        except TimeoutError:
+            await self._cancel()
+            raise
+
+    async def stop(self) -> None:
+        """Stop the engine and gracefully leave the fleet. A latched stop stays latched (durably)."""
+        if self._shell is None:
+            return
+        self._shell.operate(lambda peer, now: peer.leave(now))
+        await asyncio.sleep(0)
+        await self._cancel()
+
+    async def _cancel(self) -> None:
+        if self._task is not None:
+            self._task.cancel()
+            await asyncio.gather(self._task, return_exceptions=True)
+        self._task = self._shell = None
+
+    # ---------------------------------------------------------------- tasks
+
+    async def claim_section(self, section_id: str) -> bool:
+        """Claim a section; True once the contention window has passed and the claim still wins."""
+        peer, section = self._peer, self.sections.number(section_id)
+        if peer.lifecycle.state not in (State.IDLE, State.WORKING):
+            return False
+        self._operate(lambda p, now: p.claim(section, 0, now))
+        if peer.allocation.owner_of(section) != self.slot:
+            return False
+        settled_s = 2.0 * CONTENTION_US / S
+        if peer.claims.current is None:
+            await self._wait(lambda: section not in peer.claims.contested_until_us, settled_s + 1.0)
+        else:  # claimed ahead: it is held, not yet started
+            await asyncio.sleep(CONTENTION_US / S)
+        return peer.allocation.owner_of(section) == self.slot
+
+    async def release_section(self, section_id: str) -> None:
+        """Release a completed section: it is DONE for good. One that was not started is given back."""
+        section = self.sections.number(section_id)
+        if self._peer.claims.current == section:
+            self._operate(lambda p, now: p.finish(section, now))
+        else:
+            self._operate(lambda p, now: p.release(section, now))
+
+    # ---------------------------------------------------------------- emergency
+
+    async def broadcast_emergency_stop(self, reason_code: str) -> None:
+        """Stop the whole fleet. ValueError names the reasons there are."""
+        try:
+            reason = Reason[reason_code]
+        except KeyError:
+            known = ", ".join(r.name for r in Reason)
+            raise ValueError(f"unknown reason {reason_code!r}; one of {known}") from None
+        self._operate(lambda p, now: p.press(reason, now))
+
+    async def manual_reset(self) -> bool:
+        """A person at this machine. False while a stop is not cleared."""
+        self._operate(lambda p, now: p.manual_reset(now))
+        return self._peer.lifecycle.state is not State.EMERGENCY_STOP
+
+    # ---------------------------------------------------------------- queries
+
+    def get_fleet_status(self) -> dict[str, dict[str, Any]]:
+        """The last known status of every member heard, ourselves included, by tractor id."""
+        peer, now_us = self._peer, Shell.now_us()
+        status: dict[str, dict[str, Any]] = {}
+        for slot, standing in sorted(peer.membership.standing.items()):
+            neighbour = peer.membership.neighbours.get(slot)
+            if neighbour is None:
+                continue
+            pose = neighbour.pose
+            status[self._name(slot)] = {
+                "status": State(pose.state).name,
+                "standing": standing.name,
+                "position": {"x_m": pose.x_m, "y_m": pose.y_m},
+                "speed_m_s": pose.speed_m_s,
+                "age_s": (now_us - neighbour.heard_us) / 1e6,
+                "operations": peer.clock[slot],
+                "sections": [self.sections.name(s) for s in peer.allocation.assigned_sections(slot)],
+            }
+        status[self.tractor_id] = {
+            "status": peer.lifecycle.state.name,
+            "standing": "SELF",
+            "operations": peer.clock[self.slot],
+            "sections": [self.sections.name(s) for s in peer.allocation.assigned_sections(self.slot)],
+            "age_s": 0.0,
+        }
+        return status
+
+    def get_field_allocation_state(self) -> FieldAllocationCRDT:
+        """The current, merged view of the field allocation."""
+        return self._peer.allocation
+
+    def get_current_state(self) -> str:
+        return State.DISCONNECTED.name if self._shell is None else self._peer.lifecycle.state.name
+
+    # ---------------------------------------------------------------- events
+
+    def on_state_change(self, callback: Callable[[str], Awaitable[None] | None]) -> None:
+        self._on_state.append(callback)
+
+    def on_emergency(self, callback: Callable[[dict[str, Any]], Awaitable[None] | None]) -> None:
+        self._on_emergency.append(callback)
+
+    # ---------------------------------------------------------------- inside
+
+    @property
+    def _peer(self) -> Peer:
+        if self._shell is None:
+            raise RuntimeError("the engine is not started: await engine.start() first")
+        return self._shell.peer
+
+    def _operate(self, act: Callable[[Peer, int], Any]) -> None:
+        _ = self._peer
+        assert self._shell is not None
+        self._shell.operate(act)
+
+    def _name(self, slot: int) -> str:
+        return f"{self.prefix}{slot:0{self.width}d}"
+
+    def _effect(self, now_us: int, effect: Effect) -> None:
+        if not isinstance(effect, Trace):
+            return
+        if effect.machine == "lifecycle":
+            if effect.target == State.EMERGENCY_STOP.name:
+                for stop in self._on_emergency:
+                    self._call(stop, {"why": effect.why, "from_state": effect.source})
+            for changed in self._on_state:
+                self._call(changed, effect.target)
+        self._changed.set()
+
+    def _call(self, callback: Callable[[Any], Any], argument: Any) -> None:
+        """Plain or async; what it raises is its own affair, and is logged."""
+        try:
+            result = callback(argument)
+        except Exception:
+            log.exception("a callback of %s failed", self.tractor_id)
+            return
+        if inspect.isawaitable(result):
+            task = asyncio.ensure_future(self._contain(result))
+            self._background.add(task)
+            task.add_done_callback(self._background.discard)
+
+    async def _contain(self, awaitable: Awaitable[Any]) -> None:
+        try:
+            await awaitable
+        except Exception:
+            log.exception("an async callback of %s failed", self.tractor_id)
+
+    async def _wait(self, condition: Callable[[], bool], timeout_s: float) -> None:
+        async with asyncio.timeout(timeout_s):
+            while not condition():
+                self._changed.clear()
+                await self._changed.wait()

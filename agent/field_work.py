@@ -1,0 +1,229 @@
+"""The field mission: cover every unit of every section with an implement, together.
+
+A section is worked as legs: swath legs with the implement down, transit legs with it up. A unit
+counts as covered when the robot has passed from its one end to its other with the implement down
+and never further from the line than the overlap allows; what was missed is worked again.
+"""
+
+from collections.abc import Mapping
+from math import hypot
+from typing import NamedTuple
+
+from agent.allocator import Job, Point, shares
+from agent.config import LEASE_US
+from agent.field import Field, Section
+from agent.mission import STILL, Choice, FleetView, Wish
+from agent.route import Route
+from agent.tracker import Tracker
+from crdt import Phase
+
+TRANSIT_COST = 1.0  # a metre of transit against a metre of work, at equal speed
+NEAR_END_S = 5.0  # claim the next section when this much work is left
+
+
+class Leg(NamedTuple):
+    """A polyline to drive; `units` are passed in this order, and none means transit."""
+
+    points: tuple[Point, ...]
+    units: tuple[int, ...] = ()
+
+
+class FieldWork:
+    def __init__(self, field: Field, route: Route, speed_m_s: float, deceleration_m_s2: float) -> None:
+        self.field, self.route = field, route
+        self.speed_m_s, self.deceleration_m_s2 = speed_m_s, deceleration_m_s2
+        self.tolerance_m = field.tracking_tolerance_m
+        self.reserved: dict[int, list[int]] = {}  # silent member -> its sections, in its order
+        self.section: Section | None = None
+        self.legs: list[Leg] = []
+        self.tracker: Tracker | None = None
+        self.leg = Leg(())
+        self.unit = 0  # index into the leg's units
+        self.worst_m = 0.0  # largest cross-track error inside the current unit
+        self.heading_to: int | None = None  # the section an approach path leads to
+        self._plan: dict[int, list[Job]] = {}
+
+    @property
+    def section_units(self) -> Mapping[int, int]:
+        return {section.id: section.units for section in self.field.sections}
+
+    # ---------------------------------------------------------------- choosing
+
+    def choose(self, view: FleetView) -> Choice | None:
+        self._reserve(view)
+        taken = {s for sections in self.reserved.values() for s in sections}
+        free = [j for j in self._jobs(view) if j.section not in taken]
+        if free:
+            self._plan = shares(free, self._anchors(view), self.speed_m_s)
+            mine = self._plan.get(view.slot) or self._spare(view, free)
+            if mine:
+                return self._bid(view, mine[0])
+            return None
+        return self._orphan(view)
+
+    def _spare(self, view: FleetView, free: list[Job]) -> list[Job]:
+        """More robots than runs: nothing for us now."""
+        return []
+
+    def _jobs(self, view: FleetView) -> list[Job]:
+        jobs = []
+        for section in self.field.sections:
+            if view.allocation.phase_of(section.id) is Phase.FREE:
+                left = 1.0 - view.progress.covered(section.id) / section.units
+                work_s = section.length_m * left / self.speed_m_s
+                jobs.append(Job(section.id, work_s, section.ends))
+        return jobs
+
+    def _anchors(self, view: FleetView) -> dict[int, Point]:
+        """Where each live member will be free: the end of what it works, or where it stands."""
+        anchors: dict[int, Point] = {}
+        for slot in sorted(view.live):
+            owned = view.allocation.assigned_sections(slot)
+            if slot == view.slot:
+                anchors[slot] = (view.here.x_m, view.here.y_m)
+            elif slot in view.neighbours:
+                pose = view.neighbours[slot].pose
+                anchors[slot] = (pose.x_m, pose.y_m)
+            if owned:
+                anchors[slot] = self.field.section(max(owned)).ends[-1]
+        return anchors
+
+    def _reserve(self, view: FleetView) -> None:
+        """Keep a silent member's run for it; forget reservations of those that are back."""
+        silent = view.silent_since_us
+        for slot in [s for s in self.reserved if s not in silent]:
+            del self.reserved[slot]
+        for slot in silent:
+            if slot not in self.reserved:
+                self.reserved[slot] = [job.section for job in self._plan.get(slot, [])]
+
+    def _orphan(self, view: FleetView) -> Choice | None:
+        """Nothing is left but what silent members own or were going to do."""
+        for slot in sorted(view.silent_since_us, key=lambda s: view.silent_since_us[s]):
+            if view.now_us - view.silent_since_us[slot] < LEASE_US:
+                continue
+            for section in reversed(self.reserved.get(slot, [])):
+                if view.allocation.phase_of(section) is Phase.FREE:
+                    return self._bid(view, self._job(view, section))
+            for section in reversed(sorted(view.allocation.assigned_sections(slot))):
+                return self._bid(view, self._job(view, section))._replace(takeover=True)
+        return None
+
+    def _job(self, view: FleetView, section: int) -> Job:
+        return Job(section, 0.0, self.field.section(section).ends)
+
+    def _bid(self, view: FleetView, job: Job) -> Choice:
+        """The private cost: metres to the nearer end, in 31 steps of a geometric scale."""
+        way_m = min(hypot(x - view.here.x_m, y - view.here.y_m) for x, y in job.ends)
+        bid = 0
+        while bid < 31 and way_m > 1.25**bid:
+            bid += 1
+        return Choice(job.section, bid)
+
+    # ---------------------------------------------------------------- working
+
+    def approach(self, section: int, view: FleetView) -> Wish:
+        if self.heading_to != section:
+            self.heading_to = section
+            legs = self._legs(self.field.section(section), view)
+            self.legs, self.tracker = [legs[0]] if legs and not legs[0].units else [], None
+        return self._drive(view)[0]
+
+    def begin(self, section: int, view: FleetView) -> None:
+        self.section, self.heading_to = self.field.section(section), None
+        self.legs, self.tracker = self._legs(self.section, view), None
+
+    def abandon(self) -> None:
+        self.section, self.heading_to = None, None
+        self.legs, self.tracker = [], None
+
+    def rest(self, view: FleetView) -> Wish:
+        self.heading_to = None
+        return STILL
+
+    def work(self, view: FleetView) -> Wish:
+        if self.section is None:  # resumed after a stop or a sync that forgot the geometry
+            (section,) = view.allocation.assigned_sections(view.slot)[:1]
+            self.begin(section, view)
+        assert self.section is not None
+        wish, covered = self._drive(view)
+        missing = self._missing(view, covered)
+        if not missing:
+            self.section = None
+            return wish._replace(covered=tuple(covered), finished=True, near_end=True)
+        if self.tracker is None and not self.legs:
+            self.legs = self._legs(self.section, view, frozenset(covered))
+        left_s = missing * self.field.unit_m / self.speed_m_s
+        return wish._replace(covered=tuple(covered), near_end=left_s < NEAR_END_S)
+
+    def _missing(self, view: FleetView, covered: list[int]) -> int:
+        assert self.section is not None
+        return self.section.units - view.progress.covered(self.section.id) - len(covered)
+
+    def _drive(self, view: FleetView) -> tuple[Wish, list[int]]:
+        here, covered = view.here, []
+        while True:
+            if self.tracker is None:
+                if not self.legs:
+                    return STILL, covered
+                self.leg = self.legs.pop(0)
+                self.tracker = Tracker(list(self.leg.points), self.speed_m_s, self.deceleration_m_s2)
+                self.unit, self.worst_m = 0, 0.0
+            self.tracker.locate(here.x_m, here.y_m)
+            covered += self._passed(view)
+            if not self.tracker.arrived:
+                break
+            self.tracker = None
+        vx_m_s, vy_m_s = self.tracker.velocity(here.x_m, here.y_m)
+        on_line = abs(self.tracker.off_m) <= 1.0
+        return Wish(vx_m_s, vy_m_s, 0.0, bool(self.leg.units) and on_line), covered
+
+    def _passed(self, view: FleetView) -> list[int]:
+        """Units of the current leg whose end we have passed cleanly."""
+        assert self.tracker is not None
+        if not self.leg.units:
+            return []
+        passed = []
+        self.worst_m = max(self.worst_m, abs(self.tracker.off_m))
+        piece_m = self.tracker.total_m / len(self.leg.units)
+        while self.unit < len(self.leg.units):
+            end_m = (self.unit + 1) * piece_m
+            at_end = self.tracker.along_m >= end_m - 1e-6 or (
+                self.unit == len(self.leg.units) - 1 and self.tracker.arrived
+            )
+            if not at_end:
+                break
+            if self.worst_m <= self.tolerance_m:
+                passed.append(self.leg.units[self.unit])
+            self.unit, self.worst_m = self.unit + 1, abs(self.tracker.off_m)
+        return passed
+
+    def _legs(
+        self, section: Section, view: FleetView, also: frozenset[int] = frozenset()
+    ) -> list[Leg]:
+        """From here: the uncovered stretches of the section, nearest end first, joined by transits."""
+        stretches = [
+            Leg(points, units)
+            for points, units in section.stretches(
+                lambda unit: unit not in also and not view.progress.has(section.id, unit)
+            )
+        ]
+        if not stretches:
+            return []
+        at: Point = (view.here.x_m, view.here.y_m)
+        if _distance(at, stretches[-1].points[-1]) < _distance(at, stretches[0].points[0]):
+            stretches = [Leg(leg.points[::-1], leg.units[::-1]) for leg in reversed(stretches)]
+        legs: list[Leg] = []
+        for leg in stretches:
+            first, last = leg.points[0], leg.points[-1]
+            if _distance(at, last) + 1e-6 < _distance(at, first):
+                leg = Leg(leg.points[::-1], leg.units[::-1])
+            if _distance(at, leg.points[0]) > self.tolerance_m:
+                legs.append(Leg(self.route.path(at, leg.points[0])))
+            legs.append(leg)
+            at = leg.points[-1]
+        return legs
+
+
+def _distance(a: Point, b: Point) -> float:
+    return hypot(a[0] - b[0], a[1] - b[1])

@@ -1,0 +1,129 @@
+"""Who is in the fleet, as far as this peer hears: a fault detector over signs of life.
+
+Any frame of a member is a sign of life. A member that stops giving signs without having said that
+it leaves is *silent* after `beat.silence_us`; what silence means is decided elsewhere (safety:
+brake; allocation: wait for the lease). There is no suspicion level and no vote: on one bus segment
+everybody hears everybody, so a second opinion would carry no information.
+
+Members are kept in order of their last sign of life, so that the oldest is found at once: the cost
+of a tick does not grow with the fleet.
+"""
+
+from collections import OrderedDict
+from enum import Enum, auto
+from typing import NamedTuple
+
+from protocol.fleet_frames import Pose
+
+
+class Standing(Enum):
+    ABSENT = auto()  # configured, never heard since we booted
+    LIVE = auto()
+    SILENT = auto()  # was live, stopped without leaving
+    LEFT = auto()  # said that it leaves
+    WAIVED = auto()  # silent, and an operator said by name to go on without it
+
+
+class Neighbour(NamedTuple):
+    """The newest pose of another member and when it was heard."""
+
+    pose: Pose
+    heard_us: int
+
+
+class Membership:
+    def __init__(self, slot: int, configured: frozenset[int], silence_us: int, now_us: int) -> None:
+        assert slot in configured
+        self.slot, self.silence_us = slot, silence_us
+        self.standing = {member: Standing.ABSENT for member in sorted(configured) if member != slot}
+        self.incarnation: dict[int, int] = {}
+        self.neighbours: dict[int, Neighbour] = {}
+        self.silent_since_us: dict[int, int] = {}
+        self.changed_us = now_us  # when live or silent last changed
+        self.live: frozenset[int] = frozenset({slot})
+        self.silent: frozenset[int] = frozenset()
+        self.slot_of: dict[int, int] = {}  # source address -> slot, from MEMBER frames
+        self.strangers = 0  # frames of addresses that have not said which member they are
+        self._heard_us: OrderedDict[int, int] = OrderedDict()  # live others, oldest sign first
+
+    def bind(self, source: int, slot: int, incarnation: int, now_us: int) -> bool:
+        """A MEMBER frame: this address now speaks for that slot. False: not of this fleet."""
+        if slot not in self.standing:
+            return False
+        for address in [a for a, s in self.slot_of.items() if s == slot and a != source]:
+            del self.slot_of[address]  # the member has moved to another address
+        self.slot_of[source] = slot
+        self.incarnation[slot] = incarnation
+        self.heard(slot, now_us)
+        return True
+
+    def unbind(self, source: int) -> None:
+        """The address has changed hands: believe nothing from it until it says who it is."""
+        self.slot_of.pop(source, None)
+
+    def heard(self, slot: int, now_us: int) -> bool:
+        """A sign of life. True when this changed the membership."""
+        heard = self._heard_us
+        if slot in heard:
+            heard[slot] = now_us
+            heard.move_to_end(slot)
+            return False
+        if self.standing[slot] is Standing.LEFT:
+            return False  # the tail of a farewell; a new MEMBER frame brings it back
+        heard[slot] = now_us
+        self._stand(slot, Standing.LIVE, now_us)
+        return True
+
+    def returned(self, slot: int, now_us: int) -> None:
+        """A member that had left announces itself again."""
+        if self.standing[slot] is Standing.LEFT:
+            self.standing[slot] = Standing.ABSENT
+            self.heard(slot, now_us)
+
+    def pose(self, slot: int, pose: Pose, now_us: int) -> None:
+        self.neighbours[slot] = Neighbour(pose, now_us)
+
+    def leave(self, slot: int, now_us: int) -> None:
+        self._heard_us.pop(slot, None)
+        self.neighbours.pop(slot, None)
+        self._stand(slot, Standing.LEFT, now_us)
+
+    def waive(self, slot: int, now_us: int) -> bool:
+        """An operator accounts for a silent member by name."""
+        if self.standing.get(slot) is not Standing.SILENT:
+            return False
+        self._stand(slot, Standing.WAIVED, now_us)
+        return True
+
+    @property
+    def deadline_us(self) -> int | None:
+        """When the oldest sign of life becomes silence, if nothing arrives before."""
+        for heard_us in self._heard_us.values():
+            return heard_us + self.silence_us
+        return None
+
+    def tick(self, now_us: int) -> list[int]:
+        """The members that have just fallen silent."""
+        fallen: list[int] = []
+        while (deadline := self.deadline_us) is not None and deadline <= now_us:
+            slot, _ = self._heard_us.popitem(last=False)
+            self._stand(slot, Standing.SILENT, now_us)
+            fallen.append(slot)
+        return fallen
+
+    def forget_all(self, now_us: int) -> None:
+        """We left the fleet ourselves: nobody's silence means anything to us now."""
+        self._heard_us.clear()
+        for slot in self.standing:
+            self._stand(slot, Standing.ABSENT, now_us)
+
+    def _stand(self, slot: int, standing: Standing, now_us: int) -> None:
+        self.standing[slot] = standing
+        self.changed_us = now_us
+        if standing is Standing.SILENT:
+            self.silent_since_us[slot] = now_us
+        elif standing is not Standing.WAIVED:
+            self.silent_since_us.pop(slot, None)
+        states = self.standing.items()
+        self.live = frozenset({self.slot, *(s for s, st in states if st is Standing.LIVE)})
+        self.silent = frozenset(s for s, st in states if st is Standing.SILENT)

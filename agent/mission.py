@@ -1,0 +1,65 @@
+"""What a mission is to a peer: it names the next section to claim, and works the one it is given.
+
+The peer owns claims, time and safety; a mission owns geometry. A mission never sends: what it has
+done comes back as units covered, which the peer records and announces.
+"""
+
+from collections.abc import Mapping
+from typing import NamedTuple, Protocol
+
+from agent.membership import Neighbour
+from agent.ports import Observation
+from crdt import FieldAllocationCRDT, Progress
+
+
+class FleetView(NamedTuple):
+    """What a peer knows of the fleet when it decides. Read only."""
+
+    slot: int
+    now_us: int
+    here: Observation
+    allocation: FieldAllocationCRDT
+    progress: Progress
+    live: frozenset[int]  # includes ourselves
+    silent_since_us: Mapping[int, int]  # members that fell silent and are not back
+    neighbours: Mapping[int, Neighbour]
+
+
+class Choice(NamedTuple):
+    section: int
+    bid: int  # 0 to 31, the private cost of reaching it; less is better
+    takeover: bool = False  # the owner is silent and its lease is over
+
+
+class Wish(NamedTuple):
+    """What the mission wants of the drive now, before anybody else's rights and safety."""
+
+    vx_m_s: float
+    vy_m_s: float
+    turn_rad_s: float = 0.0
+    tool_on: bool = False
+    covered: tuple[int, ...] = ()  # units of the current section completed since the last call
+    finished: bool = False  # every unit of the section is covered
+    near_end: bool = False  # claim the next section now, so that no time is lost
+
+
+STILL = Wish(0.0, 0.0)
+
+
+class Mission(Protocol):
+    @property
+    def section_units(self) -> Mapping[int, int]:
+        """How many units each section has; the work there is."""
+        ...
+
+    def choose(self, view: FleetView) -> Choice | None: ...
+    def approach(self, section: int, view: FleetView) -> Wish:
+        """Go towards a section whose claim is still contested."""
+        ...
+
+    def begin(self, section: int, view: FleetView) -> None: ...
+    def work(self, view: FleetView) -> Wish: ...
+    def abandon(self) -> None: ...
+    def rest(self, view: FleetView) -> Wish:
+        """No section: stand, or get out of the way."""
+        ...

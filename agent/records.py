@@ -1,0 +1,55 @@
+"""What one peer remembers over a restart: which keys there are and what they hold.
+
+Own operations are numbered before they are revealed; registers and progress are kept so that a
+fleet that loses power as a whole loses no work. The stop records belong to `agent/safety.py`.
+"""
+
+from collections.abc import Mapping
+from struct import Struct
+
+from crdt import FieldAllocationCRDT, Progress
+
+U16, U32, U64 = Struct("<H"), Struct("<I"), Struct("<Q")
+VOTE = Struct("<HB")
+
+INCARNATION = "incarnation"
+OPERATIONS = "operations"
+ELECTION = "election"
+REGISTER = "register/"
+PROGRESS = "progress/"
+
+
+class Records:
+    def __init__(self, recalled: Mapping[str, bytes]) -> None:
+        self.recalled = recalled
+        self.incarnation = self._number(INCARNATION, U16, 1)
+        self.operations = self._number(OPERATIONS, U32, 0)
+        raw = recalled.get(ELECTION, b"")
+        self.term = VOTE.unpack(raw)[0] + 1 if len(raw) == VOTE.size else 0
+
+    def _number(self, key: str, layout: Struct, default: int) -> int:
+        raw = self.recalled.get(key, b"")
+        return int(layout.unpack(raw)[0]) if len(raw) == layout.size else default
+
+    def restore(self, allocation: FieldAllocationCRDT, progress: Progress) -> None:
+        """Put back what was known. A record that does not parse is left out: peers have it too."""
+        for key, raw in sorted(self.recalled.items()):
+            if key.startswith(REGISTER) and len(raw) == U64.size:
+                allocation.apply(int(key.removeprefix(REGISTER)), U64.unpack(raw)[0])
+            elif key.startswith(PROGRESS) and len(raw) == U64.size:
+                section, block = key.removeprefix(PROGRESS).split("/")
+                progress.apply(int(section), int(block), U64.unpack(raw)[0])
+
+    @staticmethod
+    def operation(count: int, section: int, key: int) -> tuple[str, bytes]:
+        """The register as this operation left it; the count is implied by the newest one."""
+        del count
+        return f"{REGISTER}{section}", U64.pack(key)
+
+    @staticmethod
+    def progress(section: int, block: int, bits: int) -> tuple[str, bytes]:
+        return f"{PROGRESS}{section}/{block}", U64.pack(bits)
+
+    @staticmethod
+    def vote(term: int, candidate: int) -> tuple[str, bytes]:
+        return ELECTION, VOTE.pack(term, candidate)

@@ -1,0 +1,70 @@
+"""Ways through a field or a building in metres: the any-angle planner behind a grid."""
+
+from math import hypot
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.theta_star import Planner
+
+Point = tuple[float, float]
+OPEN_SEARCH_CELLS = 12  # how far a start or goal on a blocked cell is moved to an open one
+
+
+class Route:
+    """Paths over a blocked grid (row, column) whose cell (0, 0) has its corner at the origin."""
+
+    def __init__(
+        self, blocked: NDArray[np.bool_], origin_x_m: float, origin_y_m: float, cell_m: float
+    ) -> None:
+        self.blocked, self.cell_m = blocked, cell_m
+        self.origin_x_m, self.origin_y_m = origin_x_m, origin_y_m
+        self.planner = Planner(blocked)
+
+    def path(self, start: Point, goal: Point) -> tuple[Point, ...]:
+        """Waypoints from start to goal, both included exactly; the straight line where none is found.
+
+        Start and goal may lie on blocked cells (a robot at the fence): the way begins and ends at
+        the nearest open cell.
+        """
+        a, b = self._open(self._cell(start)), self._open(self._cell(goal))
+        if a is None or b is None:
+            return (start, goal)
+        cells = self.planner.plan(a, b)
+        if cells is None:
+            return (start, goal)
+        inner = [self._point(cell) for cell in cells[1:-1]]
+        # A start moved to an open cell must be visited, or the first leg could cut a corner.
+        if a != self._cell(start):
+            inner.insert(0, self._point(a))
+        if b != self._cell(goal):
+            inner.append(self._point(b))
+        return (start, *inner, goal)
+
+    def length_m(self, start: Point, goal: Point) -> float:
+        points = self.path(start, goal)
+        return sum(hypot(b[0] - a[0], b[1] - a[1]) for a, b in zip(points, points[1:], strict=False))
+
+    def _cell(self, point: Point) -> tuple[int, int]:
+        row = int((point[1] - self.origin_y_m) // self.cell_m)
+        column = int((point[0] - self.origin_x_m) // self.cell_m)
+        rows, columns = self.blocked.shape
+        return min(max(row, 0), rows - 1), min(max(column, 0), columns - 1)
+
+    def _point(self, cell: tuple[float, float]) -> Point:
+        return (
+            self.origin_x_m + (cell[1] + 0.5) * self.cell_m,
+            self.origin_y_m + (cell[0] + 0.5) * self.cell_m,
+        )
+
+    def _open(self, cell: tuple[int, int]) -> tuple[int, int] | None:
+        if not self.blocked[cell]:
+            return cell
+        row, column = cell
+        r = OPEN_SEARCH_CELLS
+        top, left = max(row - r, 0), max(column - r, 0)
+        rows, columns = np.nonzero(~self.blocked[top : row + r + 1, left : column + r + 1])
+        if rows.size == 0:
+            return None
+        nearest = np.argmin((rows + top - row) ** 2 + (columns + left - column) ** 2)
+        return int(rows[nearest] + top), int(columns[nearest] + left)

@@ -1,0 +1,32 @@
+"""Section names of the engine's API (strings) and section numbers of the wire (u16).
+
+`S7`, `section_7` and `7` are section 7, so names with a number agree between peers that share only
+the convention. Any other name is hashed into the upper half, and two names that meet there are
+refused: silently sharing one register would be worse.
+"""
+
+from zlib import crc32
+
+NAMED_FIRST = 0x8000  # numbers below are what digits say
+
+
+class SectionNames:
+    def __init__(self) -> None:
+        self.by_number: dict[int, str] = {}
+
+    def number(self, name: str) -> int:
+        """Raises ValueError where the name cannot be a section."""
+        digits = name[len(name.rstrip("0123456789")) :]
+        if digits and int(digits) < NAMED_FIRST:
+            number = int(digits)
+        elif name:
+            number = NAMED_FIRST | crc32(name.encode()) & 0x7FFF
+        else:
+            raise ValueError("a section needs a name")
+        known = self.by_number.setdefault(number, name)
+        if number >= NAMED_FIRST and known != name:
+            raise ValueError(f"section names {known!r} and {name!r} collide; rename one")
+        return number
+
+    def name(self, number: int) -> str:
+        return self.by_number.get(number, f"S{number}")

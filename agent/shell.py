@@ -1,0 +1,112 @@
+"""The only code that waits: it carries frames, observations and time into a peer, and effects out.
+
+The same shell runs on a robot (real time) and in `headland run` (virtual time); it knows neither.
+Within one instant frames come before the tick, whatever order the loop's timers have.
+"""
+
+import asyncio
+import logging
+from collections import deque
+from collections.abc import Callable, Sequence
+
+from agent.core import Peer
+from agent.effects import Drive, Effect, Persist, Send, Trace
+from agent.ports import Body, Bus, Journal
+from protocol.codec import encode
+from protocol.frame import Frame
+
+log = logging.getLogger(__name__)
+
+INBOX_MAX = 4096  # frames; two seconds of a full bus. A peer that far behind had better drop the rest
+
+
+class Shell:
+    def __init__(
+        self,
+        peer: Peer,
+        bus: Bus,
+        body: Body | None,
+        journal: Journal | None,
+        on_effect: Callable[[int, Effect], None] | None = None,
+    ) -> None:
+        self.peer, self.bus, self.body, self.journal = peer, bus, body, journal
+        self.on_effect = on_effect
+        self.dropped = 0  # frames that found the inbox full
+        self._inbox: deque[Frame] = deque()
+        self._wake: asyncio.Future[None] | None = None
+
+    @staticmethod
+    def now_us() -> int:
+        return round(asyncio.get_running_loop().time() * 1e6)
+
+    def perform(self, effects: Sequence[Effect]) -> None:
+        """In order, without waiting: all of one input's effects, then the next input."""
+        now_us, records = self.now_us(), []
+        for effect in effects:
+            kind = type(effect)
+            if kind is Persist:
+                records.append(effect)
+                continue
+            if records:
+                self._persist(records)
+                records = []
+            if isinstance(effect, Send):
+                source = self.peer.address if effect.source is None else effect.source
+                if source is not None:
+                    self.bus.send(encode(effect.message, source, effect.destination))
+            elif isinstance(effect, Drive):
+                if self.body is not None:
+                    self.body.drive(effect, now_us)
+            elif isinstance(effect, Trace) and log.isEnabledFor(logging.INFO):
+                log.info("%.3f robot %d: %s", now_us / 1e6, self.peer.slot, " ".join(effect))
+            if self.on_effect is not None:
+                self.on_effect(now_us, effect)
+        if records:
+            self._persist(records)
+
+    def _persist(self, records: list[Effect]) -> None:
+        if self.journal is None:
+            return
+        try:
+            self.journal.write(records)  # type: ignore[arg-type]
+        except OSError as problem:
+            log.error("robot %d: the journal failed: %s", self.peer.slot, problem)
+            self.perform(self.peer.disk_failed(self.now_us()))
+
+    def operate(self, act: Callable[[Peer, int], Sequence[Effect]]) -> None:
+        """An operator call between two inputs: `shell.operate(lambda peer, now: peer.start(now))`."""
+        self.perform(act(self.peer, self.now_us()))
+        self._nudge()
+
+    def _arrive(self, frame: Frame) -> None:
+        if len(self._inbox) >= INBOX_MAX:
+            self.dropped += 1
+            return
+        self._inbox.append(frame)
+        self._nudge()
+
+    def _nudge(self) -> None:
+        if self._wake is not None and not self._wake.done():
+            self._wake.set_result(None)
+
+    async def run(self) -> None:
+        loop = asyncio.get_running_loop()
+        peer, inbox = self.peer, self._inbox
+        self.bus.subscribe(self._arrive)
+        while True:
+            self._wake = loop.create_future()
+            timer = loop.call_at(peer.deadline_us / 1e6, self._nudge)
+            try:
+                if not inbox:
+                    await self._wake
+            finally:
+                timer.cancel()
+            while inbox:
+                effects = peer.receive(inbox.popleft(), self.now_us())
+                if effects:
+                    self.perform(effects)
+            now_us = self.now_us()
+            if now_us >= peer.deadline_us:
+                if self.body is not None and peer.control_due(now_us):
+                    peer.observe(self.body.sense(now_us), now_us)
+                self.perform(peer.tick(now_us))

@@ -1,0 +1,132 @@
+"""What a peer says by itself, and when: the beat, the heartbeat, and what rides on them.
+
+Beats are spread over the period by slot, so that a fleet booted together does not speak at once.
+Deadlines advance from the deadline, not from now: no drift.
+"""
+
+from collections.abc import Iterable
+from math import atan2, hypot
+from typing import TYPE_CHECKING
+
+from agent.config import CONTROL_PERIOD_US, S, Beat
+from agent.effects import Effect, Persist, Send
+from agent.lifecycle import State
+from protocol.fleet_frames import Heartbeat, Member, Pose, VectorSlice
+from protocol.work_frames import WorkProgress
+
+if TYPE_CHECKING:
+    from agent.core import Peer
+
+MEMBER_EVERY = 10  # heartbeats between two announcements of who we are, for those that missed it
+SLICE_SHARE = 1  # vector slices a heartbeat at most; a slice has 7 entries
+FIRST_COUNTER, LAST_COUNTER, LEAVING_COUNTER = 251, 250, 255  # ISO 11783-7 heartbeat
+PROGRESS_PERIOD_US = 1 * S  # covered units are announced together, at most this often
+
+
+class Voice:
+    def __init__(self, slot: int, members: int, beat: Beat, now_us: int) -> None:
+        phase_us = beat.pose_us * slot // max(members, slot + 1)
+        self.slot, self.beat = slot, beat
+        self.next_pose_us = now_us + phase_us
+        self.next_control_us = now_us + phase_us % CONTROL_PERIOD_US
+        self.beats_a_heartbeat = beat.heartbeat_us // beat.pose_us
+        # A large fleet says its progress less often: the bus is shared by all of them.
+        self.progress_us = PROGRESS_PERIOD_US * max(1, beat.pose_us // (50_000))
+        self.next_progress_us = now_us + self.progress_us
+        self.beats = slot % self.beats_a_heartbeat  # heartbeats are spread over the beats
+        self.heartbeats = 0
+        self.counter = FIRST_COUNTER
+        self.pending: dict[tuple[int, int], int] = {}  # (section, block) -> bits to announce
+
+    @property
+    def deadline_us(self) -> int:
+        return min(self.next_pose_us, self.next_control_us)
+
+    def control_due(self, now_us: int) -> bool:
+        if now_us < self.next_control_us:
+            return False
+        behind = (now_us - self.next_control_us) // CONTROL_PERIOD_US
+        self.next_control_us += (behind + 1) * CONTROL_PERIOD_US
+        return True
+
+    def pose_due(self, now_us: int) -> bool:
+        if now_us < self.next_pose_us:
+            return False
+        behind = (now_us - self.next_pose_us) // self.beat.pose_us
+        self.next_pose_us += (behind + 1) * self.beat.pose_us
+        return True
+
+    def speak(self, peer: "Peer", now_us: int) -> Iterable[Effect]:
+        if not self.pose_due(now_us):
+            return ()
+        effects: list[Effect] = [Send(self._pose(peer))]
+        self.beats += 1
+        if self.beats % self.beats_a_heartbeat == 0:
+            effects += self._heartbeat(peer)
+        if self.pending and now_us >= self.next_progress_us:
+            effects += self.flush(peer, now_us)
+        return effects
+
+    def cover(self, peer: "Peer", section: int, units: Iterable[int], now_us: int) -> list[Effect]:
+        """Record covered units now; announce them with the next progress frames."""
+        effects: list[Effect] = []
+        for unit in units:
+            block, bits = peer.progress.cover(section, unit)
+            self.pending[section, block] = bits
+        return effects
+
+    def flush(self, peer: "Peer", now_us: int) -> list[Effect]:
+        effects: list[Effect] = []
+        for (section, block), bits in sorted(self.pending.items()):
+            effects.append(Persist(*peer.records.progress(section, block, bits)))
+            effects.append(Send(WorkProgress(section, block, bits)))
+        self.pending.clear()
+        self.next_progress_us = now_us + self.progress_us
+        return effects
+
+    def farewell(self, peer: "Peer") -> Heartbeat:
+        return self._beat(peer, LEAVING_COUNTER)
+
+    def member(self, peer: "Peer") -> Member:
+        return Member(self.slot, peer.records.incarnation, peer.identity.field_hash, 0)
+
+    def _pose(self, peer: "Peer") -> Pose:
+        here, state = peer.here, peer.lifecycle.state
+        stopped = state is State.EMERGENCY_STOP
+        tick = self.beats & 0xFF
+        if here is None:
+            return Pose(0.0, 0.0, 0.0, 0.0, state, stopped, tick)
+        speed_m_s = hypot(here.vx_m_s, here.vy_m_s)
+        moving = speed_m_s > 0.02  # below the resolution of POSE the course is noise: send the heading
+        course_rad = atan2(here.vy_m_s, here.vx_m_s) if moving else here.heading_rad
+        return Pose(here.x_m, here.y_m, course_rad, speed_m_s, state, stopped, tick)
+
+    def _heartbeat(self, peer: "Peer") -> list[Effect]:
+        self.heartbeats += 1
+        effects: list[Effect] = [Send(self._beat(peer, self.counter))]
+        self.counter = 0 if self.counter >= LAST_COUNTER else self.counter + 1
+        turn = self.heartbeats + self.slot  # not everybody in the same second
+        if turn % MEMBER_EVERY == 0:
+            effects.append(Send(self.member(peer)))
+        if turn % MEMBER_EVERY == MEMBER_EVERY // 2:
+            members = len(peer.identity.members)
+            slices = (members + 6) // 7
+            base = 7 * (turn // MEMBER_EVERY % slices)
+            counts = tuple(peer.clock[base + k] & 0xFF for k in range(7))
+            effects.append(Send(VectorSlice(base, counts)))
+        return effects
+
+    def _beat(self, peer: "Peer", counter: int) -> Heartbeat:
+        state, safety = peer.lifecycle.state, peer.safety
+        battery = 1.0 if peer.here is None else peer.here.battery
+        return Heartbeat(
+            counter=counter,
+            state=state,
+            stopped=state is State.EMERGENCY_STOP,
+            held=not safety.may_move,
+            started=safety.started,
+            leaving=counter == LEAVING_COUNTER,
+            health=battery,
+            operations=peer.clock[self.slot] & 0xFFFF,
+            digest=peer.sync.digest,
+        )

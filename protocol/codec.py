@@ -1,0 +1,59 @@
+"""Between frames and messages. Decoding never raises: what cannot be read is a counted value."""
+
+from functools import lru_cache
+from struct import error as StructError
+from typing import NamedTuple
+
+from protocol.frame import Frame
+from protocol.identifier import Identifier
+from protocol.messages import GROUP_OF, GROUPS, Message
+
+DECODED_MAX = 8192  # frames remembered; a simulator decodes each frame once for all its receivers
+
+
+class Malformed(NamedTuple):
+    """A frame we could not read. The reasons are few, so that they can be counted."""
+
+    reason: str
+
+
+UNKNOWN, LENGTH, RANGE = Malformed("unknown PGN"), Malformed("length"), Malformed("range")
+
+# Addressed groups (PF < 240) carry the destination in the low byte: every value of it leads there.
+_READERS = {
+    group.pgn | low: (group.kind.unpack, group.length)
+    for group in GROUPS
+    for low in (range(256) if group.pgn >> 8 & 0xFF < 240 else (0,))
+}
+_HEADS = {
+    kind: (group.priority << 26 | group.pgn << 8, group.pgn >> 8 & 0xFF < 240)
+    for kind, group in GROUP_OF.items()
+}
+
+
+def encode(message: Message, source: int, destination: int = 255) -> Frame:
+    head, addressed = _HEADS[type(message)]
+    assert 0 <= source <= 255 and 0 <= destination <= 255
+    return Frame(head | (destination << 8 if addressed else 0) | source, message.pack())
+
+
+def decode(frame: Frame) -> tuple[int, Message | Malformed]:
+    """(source address, message or Malformed) of any identifier and any bytes."""
+    identifier, data = frame
+    reader = _READERS.get(identifier >> 8 & 0x3FFFF)
+    if reader is None:
+        return identifier & 0xFF, UNKNOWN
+    unpack, length = reader
+    if len(data) != length:
+        return identifier & 0xFF, LENGTH
+    try:
+        return identifier & 0xFF, unpack(data)
+    except (ValueError, StructError):
+        return identifier & 0xFF, RANGE
+
+
+decode_once = lru_cache(maxsize=DECODED_MAX)(decode)
+
+
+def destination_of(frame: Frame) -> int:
+    return Identifier.unpack(frame.identifier).destination

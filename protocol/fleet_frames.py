@@ -1,0 +1,173 @@
+"""Frames by which members know each other: who, where, how, and who leads."""
+
+from math import pi
+from struct import Struct
+from typing import NamedTuple
+
+STATES = 5  # values of agent.lifecycle.State
+LENGTH_M = 0.05  # unit of x and y in POSE
+SPEED_M_S = 0.05  # unit of the speed in POSE
+COURSES = 512  # steps of a full turn in POSE
+_COURSE_RAD = 2 * pi / COURSES
+_HALF = 1 << 16  # offset of the 17-bit coordinates
+
+HEARTBEAT = Struct("<BBBHHB")
+MEMBER = Struct("<BHHBBB")
+VOTE = Struct("<HHBBH")
+assert HEARTBEAT.size == MEMBER.size == VOTE.size == 8
+
+
+class Pose(NamedTuple):
+    """The beat: where I am, where I am going, whether I stand stopped. Priority 5.
+
+    bits    field      unit, meaning
+    0..16   x_m        0.05 m, offset 2^16: -3276.8 to 3276.75 east of the field origin
+    17..33  y_m        the same, north
+    34..42  course     1/512 turn, counter-clockwise from east: direction of motion, or the heading
+    43..50  speed      0.05 m/s, 0 to 12.75
+    51..53  state      lifecycle state
+    54      stopped    latched emergency stop
+    55..62  tick       count of beats, modulo 256
+    63      reserved   0
+    """
+
+    x_m: float
+    y_m: float
+    course_rad: float  # 0 to 2 pi
+    speed_m_s: float
+    state: int
+    stopped: bool
+    tick: int
+
+    def pack(self) -> bytes:
+        x, y = round(self.x_m / LENGTH_M) + _HALF, round(self.y_m / LENGTH_M) + _HALF
+        assert 0 <= x < 2 * _HALF and 0 <= y < 2 * _HALF, "outside of what POSE can say"
+        course = round(self.course_rad / _COURSE_RAD) % COURSES
+        speed = min(round(self.speed_m_s / SPEED_M_S), 255)
+        word = x | y << 17 | course << 34 | speed << 43 | self.state << 51
+        return (word | self.stopped << 54 | self.tick << 55).to_bytes(8, "little")
+
+    @classmethod
+    def unpack(cls, data: bytes) -> "Pose":
+        word = int.from_bytes(data, "little")
+        state = word >> 51 & 7
+        if state >= STATES or word >> 63:
+            raise ValueError("range")
+        return cls(
+            ((word & 0x1FFFF) - _HALF) * LENGTH_M,
+            ((word >> 17 & 0x1FFFF) - _HALF) * LENGTH_M,
+            (word >> 34 & 0x1FF) * _COURSE_RAD,
+            (word >> 43 & 0xFF) * SPEED_M_S,
+            state,
+            word >> 54 & 1 == 1,
+            word >> 55 & 0xFF,
+        )
+
+
+class Heartbeat(NamedTuple):
+    """I am here, and this is how far my replica has got. Priority 6.
+
+    byte  field       type  meaning
+    0     counter     u8    0..250, 251 the first after power up, 255 leaving (ISO 11783-7 SPN 7345)
+    1     state       bits  lifecycle state in bits 0-2; 3 stopped; 4 held; 5 started; 6 leaving
+    2     health      u8    0.4 %
+    3..4  operations  u16   own component of the vector clock, modulo 2^16
+    5..7  digest      u24   of registers and progress
+    """
+
+    counter: int
+    state: int
+    stopped: bool
+    held: bool  # something other than a latch keeps it from moving
+    started: bool  # an operator has given the start
+    leaving: bool
+    health: float  # 0.0 failed to 1.0 healthy
+    operations: int
+    digest: int
+
+    def pack(self) -> bytes:
+        flags = self.state | self.stopped << 3 | self.held << 4 | self.started << 5 | self.leaving << 6
+        health = min(max(round(self.health * 250), 0), 250)
+        low, high = self.digest & 0xFFFF, self.digest >> 16
+        return HEARTBEAT.pack(self.counter, flags, health, self.operations, low, high)
+
+    @classmethod
+    def unpack(cls, data: bytes) -> "Heartbeat":
+        counter, flags, health, operations, low, high = HEARTBEAT.unpack(data)
+        if flags & 7 >= STATES or health > 250:
+            raise ValueError("range")
+        return cls(
+            counter, flags & 7, bool(flags & 8), bool(flags & 16), bool(flags & 32),
+            bool(flags & 64), health / 250, operations, low | high << 16,
+        )  # fmt: skip
+
+
+class Member(NamedTuple):
+    """Binds a fleet slot to this source address; its NAME was in the address claim. Priority 6.
+
+    byte  field        type  meaning
+    0     slot         u8
+    1..2  incarnation  u16   raised whenever durable memory was lost
+    3..5  config_hash  u24   of the field description; another hash is another fleet
+    6     flags        u8    reserved, 0
+    7     reserved     u8    0xFF
+    """
+
+    slot: int
+    incarnation: int
+    config_hash: int
+    flags: int = 0
+
+    def pack(self) -> bytes:
+        low, high = self.config_hash & 0xFFFF, self.config_hash >> 16
+        return MEMBER.pack(self.slot, self.incarnation, low, high, self.flags, 0xFF)
+
+    @classmethod
+    def unpack(cls, data: bytes) -> "Member":
+        slot, incarnation, low, high, flags, _ = MEMBER.unpack(data)
+        return cls(slot, incarnation, low | high << 16, flags)
+
+
+class LeaderElectionVote(NamedTuple):
+    """One vote, fixed for its voter, election and term. Priority 3.
+
+    byte  field      type  meaning
+    0..1  election   u16   which convenience is elected
+    2..3  term       u16   a later term fences an earlier one
+    4     candidate  u8    slot
+    5     flags      u8    reserved, 0
+    6..7  name_hash  u16   of the voter's NAME
+    """
+
+    election: int
+    term: int
+    candidate: int
+    flags: int = 0
+    name_hash: int = 0
+
+    def pack(self) -> bytes:
+        return VOTE.pack(*self)
+
+    @classmethod
+    def unpack(cls, data: bytes) -> "LeaderElectionVote":
+        return cls._make(VOTE.unpack(data))
+
+
+class VectorSlice(NamedTuple):
+    """Seven components of the sender's vector clock. Priority 7, slow rotation.
+
+    byte  field   type  meaning
+    0     base    u8    slot of the first component
+    1..7  counts  7 u8  low bytes of the components of base .. base+6
+    """
+
+    base: int
+    counts: tuple[int, ...]
+
+    def pack(self) -> bytes:
+        assert len(self.counts) == 7
+        return bytes((self.base, *self.counts))
+
+    @classmethod
+    def unpack(cls, data: bytes) -> "VectorSlice":
+        return cls(data[0], tuple(data[1:]))

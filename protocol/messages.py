@@ -1,0 +1,54 @@
+"""Every frame kind with its parameter group, priority and length: one table."""
+
+from typing import NamedTuple
+
+from protocol.fleet_frames import Heartbeat, LeaderElectionVote, Member, Pose, VectorSlice
+from protocol.network_frames import (
+    Acknowledgment, AddressClaimed, Request, TransportData, TransportManagement,
+)  # fmt: skip
+from protocol.safety_frames import (
+    AllImplementsStop, EmergencyReset, EmergencyStop, OperatorCommand,
+)  # fmt: skip
+from protocol.work_frames import (
+    Digests, StateSyncRequest, StateSyncResponse, TaskClaim, WorkProgress,
+)  # fmt: skip
+
+Message = (
+    EmergencyStop | EmergencyReset | OperatorCommand | AllImplementsStop
+    | LeaderElectionVote | TaskClaim | Pose | Heartbeat | Member
+    | StateSyncRequest | StateSyncResponse | Digests | VectorSlice | WorkProgress
+    | AddressClaimed | Request | Acknowledgment | TransportManagement | TransportData
+)  # fmt: skip
+
+
+class Group(NamedTuple):
+    kind: type[Message]
+    pgn: int
+    priority: int
+    length: int  # data bytes
+    name: str  # as the mission and the standards write it
+
+
+GROUPS = (
+    Group(EmergencyStop, 0xFF00, 0, 8, "EMERGENCY_STOP"),
+    Group(EmergencyReset, 0xFF01, 1, 8, "EMERGENCY_RESET"),
+    Group(OperatorCommand, 0xFF02, 2, 8, "OPERATOR_COMMAND"),
+    Group(AllImplementsStop, 0xFD02, 3, 8, "ALL_IMPLEMENTS_STOP"),
+    Group(LeaderElectionVote, 0xFF04, 3, 8, "LEADER_ELECTION_VOTE"),
+    Group(TaskClaim, 0xFF08, 4, 8, "TASK_CLAIM"),
+    Group(Pose, 0xFF10, 5, 8, "POSE"),
+    Group(Heartbeat, 0xFF11, 6, 8, "HEARTBEAT"),
+    Group(Member, 0xFF14, 6, 8, "MEMBER"),
+    Group(StateSyncRequest, 0xFF0C, 6, 8, "STATE_SYNC_REQUEST"),
+    Group(WorkProgress, 0xFF13, 6, 8, "WORK_PROGRESS"),
+    Group(StateSyncResponse, 0xFF0D, 7, 8, "STATE_SYNC_RESPONSE"),
+    Group(Digests, 0xFF0E, 7, 8, "DIGESTS"),
+    Group(VectorSlice, 0xFF12, 7, 8, "VECTOR_SLICE"),
+    Group(AddressClaimed, 0xEE00, 6, 8, "ADDRESS_CLAIMED"),
+    Group(Request, 0xEA00, 6, 3, "REQUEST"),
+    Group(Acknowledgment, 0xE800, 6, 8, "ACKNOWLEDGMENT"),
+    Group(TransportManagement, 0xEC00, 7, 8, "TP_CM"),
+    Group(TransportData, 0xEB00, 7, 8, "TP_DT"),
+)
+GROUP_OF = {group.kind: group for group in GROUPS}
+assert len({group.pgn for group in GROUPS}) == len(GROUPS)

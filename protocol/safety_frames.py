@@ -1,0 +1,144 @@
+"""Frames that stop a fleet and let it go again. Highest priorities; see `docs/stopping.md`."""
+
+from enum import IntEnum
+from typing import NamedTuple
+
+
+class Reason(IntEnum):
+    """Why a stop was pressed: four bits. The first three are the mission's."""
+
+    OBSTACLE_DETECTED = 0
+    OPERATOR_INTERVENTION = 1
+    SYSTEM_FAULT = 2
+    COLLISION_DETECTED = 3
+    PERSON_IN_FIELD = 4
+    EQUIPMENT_MALFUNCTION = 5
+    MAINTENANCE_REQUIRED = 6
+
+
+class Command(IntEnum):
+    MANUAL_RESET = 0
+    START = 1
+    HOLD = 2
+    WAIVE = 3  # argument: the silent member to go on without
+    GO_HOME = 4
+    CONTINUE = 5
+    REPLAN = 6
+    WAIT = 7
+
+
+class Switch(IntEnum):
+    """SPN 5140."""
+
+    STOP = 0
+    PERMIT = 1
+    ERROR = 2
+    NOT_AVAILABLE = 3
+
+
+class EmergencyStop(NamedTuple):
+    """Everybody stops. Priority 0.
+
+    byte  field        type  meaning
+    0     slot         u8    who pressed: robot slot, or 128.. for an operator device
+    1     incarnation  u8    low byte of the presser's incarnation
+    2     counter      u8    the presser's stop counter: (slot, incarnation, counter) is the dot
+    3     reason, echo bits  reason in bits 0-3, bit 4: this is an echo by the frame's source
+    4     freshness    u8    low byte of the sender's freshness counter
+    5..7  tag          u24   AES-CMAC, little-endian; 0 in a fleet without keys
+    """
+
+    slot: int
+    incarnation: int
+    counter: int
+    reason: int
+    echo: bool = False
+    freshness: int = 0
+    tag: int = 0
+
+    def pack(self) -> bytes:
+        flags = self.reason | self.echo << 4
+        head = (self.slot, self.incarnation, self.counter, flags, self.freshness)
+        return bytes(head) + self.tag.to_bytes(3, "little")
+
+    @classmethod
+    def unpack(cls, data: bytes) -> "EmergencyStop":
+        slot, incarnation, counter, flags, freshness = data[:5]
+        tag = int.from_bytes(data[5:], "little")
+        return cls(slot, incarnation, counter, flags & 15, bool(flags & 16), freshness, tag)
+
+
+class EmergencyReset(NamedTuple):
+    """Clears the one stop dot it names. Priority 1.
+
+    byte  field        type  meaning
+    0..2  dot          3 u8  slot, incarnation, counter of the stop it clears
+    3     operator     u8    operator device (128..254)
+    4     freshness    u8    low byte of the operator's freshness counter
+    5..7  tag          u24   AES-CMAC with the operator's key
+    """
+
+    slot: int
+    incarnation: int
+    counter: int
+    operator: int
+    freshness: int = 0
+    tag: int = 0
+
+    def pack(self) -> bytes:
+        head = (self.slot, self.incarnation, self.counter, self.operator, self.freshness)
+        return bytes(head) + self.tag.to_bytes(3, "little")
+
+    @classmethod
+    def unpack(cls, data: bytes) -> "EmergencyReset":
+        return cls(*data[:5], int.from_bytes(data[5:], "little"))
+
+
+class OperatorCommand(NamedTuple):
+    """What a person asks of one machine or of all. Priority 2.
+
+    byte  field      type  meaning
+    0     command    u8    Command
+    1     target     u8    slot, 255: every robot
+    2     operator   u8    operator device (128..254)
+    3     argument   u8    by command
+    4     freshness  u8    low byte of the operator's freshness counter
+    5..7  tag        u24   AES-CMAC with the operator's key
+    """
+
+    command: int
+    target: int
+    operator: int
+    argument: int = 0
+    freshness: int = 0
+    tag: int = 0
+
+    def pack(self) -> bytes:
+        head = (self.command, self.target, self.operator, self.argument, self.freshness)
+        return bytes(head) + self.tag.to_bytes(3, "little")
+
+    @classmethod
+    def unpack(cls, data: bytes) -> "OperatorCommand":
+        if data[0] > max(Command):
+            raise ValueError("command")
+        return cls(*data[:5], int.from_bytes(data[5:], "little"))
+
+
+class AllImplementsStop(NamedTuple):
+    """ISO 11783-7: all implements stop operations switch state, PGN 64770. From any device.
+
+    byte  field       type  meaning
+    0..5  reserved    0xFF
+    6     transition  u8    SPN 7443, number of stop transitions since power up
+    7     switch      bits  SPN 5140 in bits 0-1: 0 stop, 1 permit, 2 error, 3 not available
+    """
+
+    transition: int
+    switch: int
+
+    def pack(self) -> bytes:
+        return b"\xff" * 6 + bytes((self.transition, 0xFC | self.switch))
+
+    @classmethod
+    def unpack(cls, data: bytes) -> "AllImplementsStop":
+        return cls(data[6], data[7] & 3)

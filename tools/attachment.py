@@ -1,0 +1,40 @@
+"""Attaching to a bus as a device that is not a robot: the options of can_logger, one-line errors."""
+
+import json
+from pathlib import Path
+
+from protocol.bus import CanBus, open_bus
+
+LAUNCH = Path("runs/launch/bus.json")  # where a launch leaves the address of its bus
+TOOL_ADDRESS = 249  # off-board service tool (J1939 preferred addresses, industry group 0)
+
+
+class AttachError(Exception):
+    """One line for the person: what is wrong and what to do."""
+
+
+def address_of_launch() -> tuple[str, int, str]:
+    """Host, port and channel of the newest launch in this folder."""
+    try:
+        where = json.loads(LAUNCH.read_text())
+        return str(where["host"]), int(where["port"]), str(where["channel"])
+    except (OSError, ValueError, KeyError):
+        raise AttachError(
+            f"no bus given and no launch found in {LAUNCH.parent}: "
+            "start one with 'headland launch', or name a bus with -i and -c"
+        ) from None
+
+
+def attach(interface: str, channel: str, bitrate: int, host: str, port: int) -> CanBus:
+    """Open the bus. Raises AttachError. Needs a running event loop."""
+    options: dict[str, object] = {}
+    if interface == "socketcand":
+        if port == 0:
+            host, port, channel = address_of_launch()
+        options = {"host": host, "port": port}
+    try:
+        return open_bus(interface, channel, bitrate, **options)
+    except Exception as problem:  # python-can interfaces raise what they like
+        where = f"{host}:{port}" if interface == "socketcand" else channel
+        reason = str(problem).splitlines()[0] if str(problem) else type(problem).__name__
+        raise AttachError(f"cannot open {interface} at {where}: {reason}") from None

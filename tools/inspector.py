@@ -1,0 +1,190 @@
+"""What a listener can know of a fleet from its frames alone. Live bus, log or replay: the same.
+
+Nothing here asks a robot anything: states, sections and clocks are what the robots have said, with
+the time at which they said it.
+"""
+
+from collections import Counter, deque
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+from agent.lifecycle import State
+from crdt import FieldAllocationCRDT, Phase, Progress
+from protocol.codec import Malformed, decode
+from protocol.fleet_frames import Heartbeat, LeaderElectionVote, Member, Pose, VectorSlice
+from protocol.frame import Frame
+from protocol.safety_frames import AllImplementsStop, EmergencyReset, EmergencyStop, OperatorCommand
+from protocol.work_frames import StateSyncResponse, TaskClaim, WorkProgress
+
+TRANSITIONS_MAX = 64  # newest kept a robot; a path longer than that is not read by anybody
+CHAIN_MAX = 4096  # frames kept that wrote a register, newest first, over all sections
+SILENT_S = 1.0  # a robot not heard for longer is shown as silent
+
+
+@dataclass
+class Transition:
+    t_s: float
+    source: str
+    target: str
+    heard_by: str  # which kind of frame showed it
+
+
+@dataclass
+class Seen:
+    """One robot, as heard."""
+
+    slot: int
+    address: int
+    state: str = "?"
+    first_s: float = 0.0
+    last_s: float = 0.0
+    x_m: float = 0.0
+    y_m: float = 0.0
+    speed_m_s: float = 0.0
+    stopped: bool = False
+    left: bool = False
+    incarnation: int = 0
+    health: float = 1.0
+    operations: int = 0
+    digest: int = 0
+    clock: dict[int, int] = field(default_factory=dict)  # low bytes of its vector clock, as sliced
+    transitions: deque[Transition] = field(default_factory=lambda: deque(maxlen=TRANSITIONS_MAX))
+    frames: Counter[str] = field(default_factory=Counter)
+
+
+class Inspector:
+    def __init__(self) -> None:
+        self.robots: dict[int, Seen] = {}
+        self.slot_of: dict[int, int] = {}
+        self.allocation = FieldAllocationCRDT()
+        self.progress = Progress({})
+        self.kinds: Counter[str] = Counter()
+        self.malformed: Counter[str] = Counter()
+        self.stops: dict[tuple[int, int, int], float] = {}
+        self.cleared: dict[tuple[int, int, int], float] = {}
+        self.votes: dict[tuple[int, int], dict[int, int]] = {}
+        self.implements_stop: float | None = None
+        self.bits = 0
+        self.first_s: float | None = None
+        self.now_s = 0.0
+        self._chain: deque[tuple[float, int, str, TaskClaim | StateSyncResponse]] = deque(maxlen=CHAIN_MAX)
+
+    def hear(self, t_s: float, frame: Frame) -> None:
+        self.first_s = t_s if self.first_s is None else self.first_s
+        self.now_s = t_s
+        self.bits += 80 + 10 * len(frame.data)  # worst-case stuffing (Davis et al. 2007)
+        source, message = decode(frame)
+        if isinstance(message, Malformed):
+            self.malformed[message.reason] += 1
+            return
+        kind = type(message).__name__
+        self.kinds[kind] += 1
+        if isinstance(message, Member):
+            self._member(t_s, source, message)
+        slot = self.slot_of.get(source)
+        if isinstance(message, EmergencyStop):
+            self.stops.setdefault(message[:3], t_s)
+        elif isinstance(message, EmergencyReset):
+            self.cleared.setdefault(message[:3], t_s)
+        elif isinstance(message, AllImplementsStop):
+            self.implements_stop = t_s if message.switch == 0 else None
+        if slot is None:
+            return
+        robot = self.robots[slot]
+        robot.last_s = t_s
+        robot.frames[kind] += 1
+        self._robot(t_s, robot, kind, message)
+
+    def _member(self, t_s: float, source: int, message: Member) -> None:
+        self.slot_of = {a: s for a, s in self.slot_of.items() if s != message.slot}
+        self.slot_of[source] = message.slot
+        robot = self.robots.setdefault(message.slot, Seen(message.slot, source, first_s=t_s))
+        robot.address, robot.incarnation, robot.left = source, message.incarnation, False
+
+    def _robot(self, t_s: float, robot: Seen, kind: str, message: Any) -> None:
+        match message:
+            case Pose():
+                robot.x_m, robot.y_m, robot.speed_m_s = message.x_m, message.y_m, message.speed_m_s
+                robot.stopped = message.stopped
+                self._state(t_s, robot, message.state, kind)
+            case Heartbeat():
+                robot.health, robot.operations = message.health, message.operations
+                robot.digest, robot.left = message.digest, message.leaving
+                robot.clock[robot.slot] = message.operations
+                self._state(t_s, robot, message.state, kind)
+            case VectorSlice():
+                for offset, count in enumerate(message.counts):
+                    if message.base + offset != robot.slot and count:
+                        robot.clock[message.base + offset] = count
+            case TaskClaim() | StateSyncResponse():
+                if self.allocation.apply_message(message):
+                    self._chain.append((t_s, robot.slot, kind, message))
+            case WorkProgress():
+                self.progress.apply(message.section, message.block, message.bits)
+            case LeaderElectionVote():
+                votes = self.votes.setdefault((message.election, message.term), {})
+                votes.setdefault(robot.slot, message.candidate)
+            case OperatorCommand():
+                pass
+
+    def _state(self, t_s: float, robot: Seen, state: int, kind: str) -> None:
+        name = State(state).name
+        if name != robot.state:
+            robot.transitions.append(Transition(t_s, robot.state, name, kind))
+            robot.state = name
+
+    # ---------------------------------------------------------------- what people ask
+
+    @property
+    def latched(self) -> list[tuple[int, int, int]]:
+        return sorted(set(self.stops) - set(self.cleared))
+
+    def why(self, section: int) -> Iterator[dict[str, Any]]:
+        """The frames by which a section came to its owner, oldest first."""
+        for t_s, slot, kind, message in self._chain:
+            if message.section == section:
+                yield {
+                    "t_s": round(t_s, 6), "said_by": slot, "frame": kind,
+                    "phase": Phase(message.phase).name, "epoch": message.epoch,
+                    "bid": message.bid, "lamport": message.lamport, "owner": message.owner,
+                }  # fmt: skip
+
+    def to_dict(self) -> dict[str, Any]:
+        span_s = max(self.now_s - (self.first_s or 0.0), 1e-9)
+        return {
+            "robots": [self._robot_dict(self.robots[slot]) for slot in sorted(self.robots)],
+            "sections": {
+                f"S{section}": {
+                    "phase": self.allocation.phase_of(section).name,
+                    "owner": self.allocation.owner_of(section),
+                    "units": self.progress.covered(section),
+                }
+                for section in self.allocation.sections()
+            },
+            "frames": dict(self.kinds.most_common()),
+            "malformed": dict(self.malformed),
+            "latched": [".".join(map(str, dot)) for dot in self.latched],
+            "leaders": {
+                f"{election}/{term}": dict(sorted(votes.items()))
+                for (election, term), votes in sorted(self.votes.items())
+            },
+            "bus_load_worst_case": round(self.bits / (span_s * 250_000), 4),
+            "seconds": round(span_s, 3),
+        }
+
+    def _robot_dict(self, robot: Seen) -> dict[str, Any]:
+        peers = sorted(s for s in robot.clock if s != robot.slot)
+        return {
+            "slot": robot.slot, "address": robot.address, "state": robot.state,
+            "silent": self.now_s - robot.last_s > SILENT_S and not robot.left, "left": robot.left,
+            "x_m": round(robot.x_m, 2), "y_m": round(robot.y_m, 2),
+            "speed_m_s": round(robot.speed_m_s, 2), "stopped": robot.stopped,
+            "incarnation": robot.incarnation, "digest": f"{robot.digest:06x}",
+            "peers": peers, "clock": {str(s): robot.clock[s] for s in sorted(robot.clock)},
+            "sections": [f"S{s}" for s in self.allocation.assigned_sections(robot.slot)],
+            "transitions": [
+                {"t_s": round(t.t_s, 3), "from": t.source, "to": t.target, "by": t.heard_by}
+                for t in robot.transitions
+            ],
+        }  # fmt: skip
