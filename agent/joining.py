@@ -1,0 +1,81 @@
+"""Becoming a member: claim an address, then say which member speaks from it."""
+
+from collections.abc import Sequence
+from random import Random
+from typing import TYPE_CHECKING
+
+from agent.config import ADDRESS_FIRST, S
+from agent.effects import Effect, Send
+from protocol.address import AddressClaim, Claiming
+from protocol.fleet_frames import Member
+from protocol.messages import GROUP_OF
+from protocol.network_frames import AddressClaimed, Request
+
+if TYPE_CHECKING:
+    from agent.core import Identity
+
+MEMBER_PGN = GROUP_OF[Member].pgn
+CLAIM_PGN = GROUP_OF[AddressClaimed].pgn
+ASK_SPACING_US = 1 * S  # an unknown address is asked who it is at most this often
+ASKED_MAX = 256  # addresses there are
+
+
+class Joining:
+    def __init__(self, identity: "Identity", incarnation: int, rng: Random, now_us: int) -> None:
+        self.identity, self.incarnation = identity, incarnation
+        self.machine = AddressClaim(identity.name, ADDRESS_FIRST + identity.slot, rng, now_us)
+        self.joined = False
+        self.lost_address = False
+        self.away = False  # left on purpose: claim nothing until told to
+        self._asked_us: dict[int, int] = {}
+
+    @property
+    def address(self) -> int | None:
+        return self.machine.address
+
+    @property
+    def deadline_us(self) -> int | None:
+        return None if self.away else self.machine.deadline_us
+
+    def tick(self, now_us: int) -> Sequence[Effect]:
+        if self.away:
+            return ()
+        effects = self._sends(self.machine.tick(now_us))
+        if self.machine.address is not None and not self.joined:
+            self.joined = True
+            effects += [Send(self.announcement), Send(Request(MEMBER_PGN)), Send(Request(CLAIM_PGN))]
+        return effects
+
+    def receive(self, source: int, message: AddressClaimed | Request, now_us: int) -> Sequence[Effect]:
+        if isinstance(message, Request) and message.pgn == MEMBER_PGN:
+            return [Send(self.announcement)] if self.joined else ()
+        effects = self._sends(self.machine.receive(source, message, now_us))
+        if self.joined and self.machine.address is None:
+            self.joined, self.lost_address = False, True
+        return effects
+
+    def changed_hands(self, source: int, message: AddressClaimed) -> bool:
+        """Another NAME than before claims this address."""
+        return self.machine.names.get(source, message.name) != message.name
+
+    def ask_who(self, source: int, now_us: int) -> Sequence[Effect]:
+        """A frame of an address that has not said which member it is."""
+        if not self.joined or now_us - self._asked_us.get(source, -ASK_SPACING_US) < ASK_SPACING_US:
+            return ()
+        self._asked_us[source] = now_us
+        return [Send(Request(MEMBER_PGN), source)]
+
+    def rejoin(self, now_us: int) -> None:
+        self.joined = self.lost_address = self.away = False
+        self.machine.restart(now_us)
+
+    def leave(self) -> None:
+        self.joined, self.away = False, True
+
+    @property
+    def announcement(self) -> Member:
+        return Member(self.identity.slot, self.incarnation, self.identity.field_hash)
+
+    @staticmethod
+    def _sends(claims: list[Claiming]) -> list[Effect]:
+        return [Send(c.message, c.destination, c.source) for c in claims]

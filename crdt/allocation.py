@@ -1,0 +1,200 @@
+"""Who works which section: a map of registers, each joined by maximum, and a Lamport clock.
+
+Local operations write and return the key to broadcast, or None where the rules do not allow them.
+Whether an operation is wise is policy and lives elsewhere.
+"""
+
+from collections.abc import Iterator, Mapping
+from struct import Struct
+from zlib import crc32
+
+from crdt.digest import MASK, entry_hash, short
+from crdt.register import EPOCH_MAX, LAMPORT_MAX, Claim, Phase, lamport_of, owner_of, pack, phase_of
+
+KIND = 1  # of an allocation entry in digests
+SECTION_MAX = 0xFFFF
+ENTRY = Struct("<HBBHBB")  # 8 bytes, as TASK_CLAIM
+HEADER = Struct("<I")
+
+
+class FieldAllocationCRDT:
+    def __init__(self, field_hash: int = 0) -> None:
+        self.field_hash = field_hash
+        self.lamport = 0  # the greatest Lamport time seen or written
+        self._keys: dict[int, int] = {}
+        self._total = 0  # sum of the entry hashes of `_hashed`
+        self._dirty: dict[int, int | None] = {}  # section -> key whose hash is still in the sum
+        self._done = 0
+
+    @staticmethod
+    def hash_of(description: str) -> int:
+        """24 bits of a field or fleet description: replicas of different ones never merge."""
+        return crc32(description.encode()) & 0xFFFFFF
+
+    # ---------------------------------------------------------------- local operations
+
+    def claim(self, section: int, owner: int, bid: int = 0) -> int | None:
+        """Want a free section. None where somebody has it, or it is done."""
+        key = self._keys.get(section)
+        if key is None:
+            return self._write(section, 0, Phase.CLAIMED, bid, owner)
+        if phase_of(key) != Phase.FREE:
+            return None
+        return self._write(section, key >> 40 & 0xFF, Phase.CLAIMED, bid, owner)
+
+    def start(self, section: int, owner: int) -> int | None:
+        """Begin what is claimed: from now on no cheaper claim of this epoch takes it away."""
+        key = self._keys.get(section)
+        if key is None or phase_of(key) != Phase.CLAIMED or owner_of(key) != owner:
+            return None
+        return self._write(section, key >> 40 & 0xFF, Phase.STARTED, 31 - (key >> 32 & 31), owner)
+
+    def done(self, section: int, owner: int) -> int | None:
+        """Finished. Absorbs everything, from whoever finished it; None where it was done already."""
+        key = self._keys.get(section, 0)
+        if phase_of(key) == Phase.DONE:
+            return None
+        return self._write(section, key >> 40 & 0xFF, Phase.DONE, 0, owner)
+
+    def release(self, section: int, owner: int) -> int | None:
+        """Give an own section back. None for a section that is not ours."""
+        key = self._keys.get(section)
+        if key is None or owner_of(key) != owner or phase_of(key) not in (Phase.CLAIMED, Phase.STARTED):
+            return None
+        return self._raise(section, key, Phase.FREE, 0, owner)
+
+    def takeover(self, section: int, owner: int, bid: int = 0) -> int | None:
+        """Take a section from an owner that is gone; the raised epoch fences it off."""
+        key = self._keys.get(section)
+        if key is None or phase_of(key) not in (Phase.CLAIMED, Phase.STARTED) or owner_of(key) == owner:
+            return None
+        return self._raise(section, key, Phase.CLAIMED, bid, owner)
+
+    def _raise(self, section: int, key: int, phase: Phase, bid: int, owner: int) -> int | None:
+        epoch = key >> 40 & 0xFF
+        if epoch == EPOCH_MAX:
+            return None  # the stated limit: 255 hand-overs; the section stays with its owner
+        return self._write(section, epoch + 1, phase, bid, owner)
+
+    def _write(self, section: int, epoch: int, phase: Phase, bid: int, owner: int) -> int:
+        assert 0 <= section <= SECTION_MAX
+        assert self.lamport < LAMPORT_MAX, "the Lamport clock of this field is used up"
+        self.lamport += 1
+        key = pack(epoch, phase, bid, self.lamport, owner)
+        changed = self.apply(section, key)
+        assert changed, "an own operation must be greater than what it has seen"
+        return key
+
+    # ---------------------------------------------------------------- joining
+
+    def apply(self, section: int, key: int) -> bool:
+        """Join one register; True where it changed."""
+        lamport = lamport_of(key)
+        if lamport > self.lamport:
+            self.lamport = lamport
+        known = self._keys.get(section)
+        if known is not None and key <= known:
+            return False
+        self._dirty.setdefault(section, known)
+        self._keys[section] = key
+        if key >> 48 and not (known is not None and known >> 48):
+            self._done += 1
+        return True
+
+    def merge(self, other: "FieldAllocationCRDT") -> set[int]:
+        """Join a whole replica; returns the sections that changed. ValueError: another field."""
+        if other.field_hash != self.field_hash:
+            raise ValueError(
+                f"replicas of different fields: {self.field_hash:06x} and {other.field_hash:06x}"
+            )
+        get, changed = self._keys.get, set()
+        for section, key in other._keys.items():
+            if key > get(section, -1):
+                self.apply(section, key)
+                changed.add(section)
+        self.lamport = max(self.lamport, other.lamport)
+        return changed
+
+    def delta(self, cut: int) -> Iterator[tuple[int, int]]:
+        """(section, key) written after Lamport time `cut`, in section order."""
+        for section in sorted(self._keys):
+            key = self._keys[section]
+            if lamport_of(key) > cut:
+                yield section, key
+
+    # ---------------------------------------------------------------- reading
+
+    def key(self, section: int) -> int | None:
+        return self._keys.get(section)
+
+    def entry(self, section: int) -> Claim:
+        """The register taken apart; a section nobody wrote is FREE at epoch 0."""
+        return Claim.unpack(self._keys.get(section, pack(0, Phase.FREE, 0, 0, 0)))
+
+    def phase_of(self, section: int) -> Phase:
+        return Phase(phase_of(self._keys.get(section, 0)))
+
+    def owner_of(self, section: int) -> int | None:
+        """The slot that holds or finished a section; None where it is free."""
+        key = self._keys.get(section)
+        return None if key is None or phase_of(key) == Phase.FREE else owner_of(key)
+
+    def assigned_sections(self, owner: int) -> list[int]:
+        """Sections claimed or started by a slot, not the finished ones."""
+        held = (Phase.CLAIMED, Phase.STARTED)
+        return sorted(s for s, k in self._keys.items() if owner_of(k) == owner and phase_of(k) in held)
+
+    def done_count(self) -> int:
+        return self._done
+
+    def sections(self) -> list[int]:
+        return sorted(self._keys)
+
+    def entries(self) -> Mapping[int, int]:
+        return self._keys
+
+    def __len__(self) -> int:
+        return len(self._keys)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, FieldAllocationCRDT) and self._keys == other._keys
+
+    __hash__ = None  # type: ignore[assignment]  # mutable
+
+    @property
+    def total(self) -> int:
+        """Sum of the entry hashes: the part of a replica's digest that is the allocation."""
+        if self._dirty:
+            for section, old in self._dirty.items():
+                if old is not None:
+                    self._total -= entry_hash(KIND, section, old)
+                self._total += entry_hash(KIND, section, self._keys[section])
+            self._total &= MASK
+            self._dirty.clear()
+        return self._total
+
+    @property
+    def digest(self) -> int:
+        return short(self.total)
+
+    # ---------------------------------------------------------------- bytes
+
+    def serialize(self) -> bytes:
+        """4 bytes, then 8 an entry, in section order."""
+        parts = [HEADER.pack(self.field_hash)]
+        for section in sorted(self._keys):
+            epoch, phase, bid, lamport, owner = Claim.unpack(self._keys[section])
+            low, high = lamport & 0xFFFF, lamport >> 16
+            parts.append(ENTRY.pack(section, epoch, phase | bid << 3, low, high, owner))
+        return b"".join(parts)
+
+    @classmethod
+    def deserialize(cls, data: bytes) -> "FieldAllocationCRDT":
+        """ValueError where the bytes are not a serialized allocation."""
+        if (len(data) - HEADER.size) % ENTRY.size or len(data) < HEADER.size:
+            raise ValueError(f"an allocation does not have {len(data)} bytes")
+        replica = cls(HEADER.unpack_from(data)[0])
+        for section, epoch, mixed, low, high, owner in ENTRY.iter_unpack(data[HEADER.size :]):
+            phase = Phase(mixed & 7)  # ValueError for a phase that does not exist
+            replica.apply(section, pack(epoch, phase, mixed >> 3, low | high << 16, owner))
+        return replica

@@ -1,0 +1,78 @@
+"""The register of one section: everything that is known of who works it, as one integer.
+
+The join of two registers is the greater integer. The order, most significant first:
+
+    done      1 bit   finished work is never undone, whatever the epoch
+    epoch     8 bits  fencing token: release and takeover raise it
+    phase     3 bits  started work is not robbed by a late cheaper bid
+    31 - bid  5 bits  among claims of one epoch the cheaper wins
+    ~lamport 24 bits  then the earlier
+    ~owner    8 bits  then the lower slot
+
+One total order, so the join is commutative, associative and idempotent by construction; and every
+write is greater than what its writer had seen, so it extends causality. No wall clock takes part.
+"""
+
+from enum import IntEnum
+from typing import NamedTuple
+
+EPOCH_MAX = 0xFF
+BID_MAX = 31
+LAMPORT_MAX = 0xFFFFFF  # at ten operations a second for the whole fleet: 19 days of a season
+OWNER_MAX = 0xFF
+KEY_BITS = 49
+
+
+class Phase(IntEnum):
+    """FREE also means released. The gap is room for phases between."""
+
+    FREE = 0
+    CLAIMED = 1
+    STARTED = 2
+    DONE = 7
+
+
+class Claim(NamedTuple):
+    """One register, taken apart."""
+
+    epoch: int
+    phase: Phase
+    bid: int
+    lamport: int
+    owner: int  # of a FREE register: who released it
+
+    def pack(self) -> int:
+        """The key: what is stored, compared and joined."""
+        assert 0 <= self.epoch <= EPOCH_MAX and 0 <= self.bid <= BID_MAX
+        assert 0 <= self.lamport <= LAMPORT_MAX and 0 <= self.owner <= OWNER_MAX
+        return pack(*self)
+
+    @classmethod
+    def unpack(cls, key: int) -> "Claim":
+        return cls(
+            key >> 40 & 0xFF,
+            Phase(key >> 37 & 7),
+            BID_MAX - (key >> 32 & 31),
+            LAMPORT_MAX - (key >> 8 & LAMPORT_MAX),
+            OWNER_MAX - (key & 0xFF),
+        )
+
+
+def pack(epoch: int, phase: int, bid: int, lamport: int, owner: int) -> int:
+    """The key of a register from its fields; the fields of a frame are in range by their widths."""
+    return (
+        (phase == Phase.DONE) << 48 | epoch << 40 | phase << 37 | (BID_MAX - bid) << 32
+        | (LAMPORT_MAX - lamport) << 8 | (OWNER_MAX - owner)
+    )  # fmt: skip
+
+
+def lamport_of(key: int) -> int:
+    return LAMPORT_MAX - (key >> 8 & LAMPORT_MAX)
+
+
+def owner_of(key: int) -> int:
+    return OWNER_MAX - (key & 0xFF)
+
+
+def phase_of(key: int) -> int:
+    return key >> 37 & 7

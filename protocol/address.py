@@ -1,0 +1,136 @@
+"""Address claim: how a device comes to a source address and keeps it (ISO 11783-5, J1939-81).
+
+One device's machine, sans I/O. Outputs are `Claiming` values: a message and the source address it
+must leave with, because a claim is sent from the address it claims.
+
+    state      what it is doing
+    WAITING    random delay of 0 to 153 ms, so that devices powered up together do not collide
+    CONTENDING our claim is on the bus; for 250 ms anybody with a lower NAME may object
+    HELD       the address is ours; a claim by a higher NAME is answered with ours
+    CANNOT     no address is left; silent but for "cannot claim" answers from address 254
+"""
+
+from collections.abc import Mapping
+from enum import Enum, auto
+from random import Random
+from typing import NamedTuple
+
+from protocol.identifier import GLOBAL_ADDRESS, NULL_ADDRESS
+from protocol.name import Name
+from protocol.network_frames import AddressClaimed, Request
+
+MS = 1_000
+FIRST, LAST = 128, 235  # self-configurable addresses of industry group 2
+CONTENTION_US = 250 * MS
+DELAY_STEP_US = 600  # RTxD = rand(0..255) * 0.6 ms
+CLAIM_PGN = 0xEE00
+DEFENCES_MAX = 5  # in a second: two devices with one NAME would answer each other for ever
+S = 1_000_000
+
+
+class State(Enum):
+    WAITING = auto()
+    CONTENDING = auto()
+    HELD = auto()
+    CANNOT = auto()
+
+
+class Claiming(NamedTuple):
+    message: AddressClaimed | Request
+    source: int
+    destination: int = GLOBAL_ADDRESS
+
+
+class AddressClaim:
+    def __init__(self, name: Name, preferred: int, rng: Random, now_us: int) -> None:
+        assert FIRST <= preferred <= LAST
+        self.name, self.number, self._rng = name, name.pack(), rng
+        self.preferred = self.candidate = preferred
+        self.names: dict[int, int] = {}  # address -> NAME, of others
+        self.state = State.WAITING
+        self.duplicates = 0  # claims with our own NAME by somebody else: a configuration error
+        self.losses = 0
+        self.refused = 0  # answers not given, beyond the limit
+        self._next_us: int | None = None
+        self._defences: list[int] = []
+        self.restart(now_us)
+
+    @property
+    def address(self) -> int | None:
+        """Ours to use, once nobody has objected for the contention time."""
+        return self.candidate if self.state is State.HELD else None
+
+    @property
+    def deadline_us(self) -> int | None:
+        return self._next_us
+
+    def restart(self, now_us: int) -> None:
+        """Power up, or back on the bus."""
+        self.state = State.WAITING
+        self._next_us = now_us + self._rng.randrange(256) * DELAY_STEP_US
+
+    def tick(self, now_us: int) -> list[Claiming]:
+        if self._next_us is None or now_us < self._next_us:
+            return []
+        if self.state is State.WAITING:
+            return self._claim(now_us)
+        self._next_us = None
+        if self.state is State.CONTENDING:
+            self.state = State.HELD
+        return []
+
+    def receive(self, source: int, message: AddressClaimed | Request, now_us: int) -> list[Claiming]:
+        if isinstance(message, Request):
+            return self._asked(message)
+        if source == NULL_ADDRESS:
+            return []
+        if message.name == self.number and source != self.candidate:
+            self.duplicates += 1
+            return []
+        self.names[source] = message.name
+        if source != self.candidate or self.state in (State.WAITING, State.CANNOT):
+            return []
+        if message.name == self.number:
+            self.duplicates += 1
+            return []
+        if message.name > self.number:
+            return self._defend(now_us)
+        self.losses += 1
+        return self._move(now_us)
+
+    def _asked(self, message: Request) -> list[Claiming]:
+        if message.pgn != CLAIM_PGN or self.state is State.WAITING:
+            return []
+        source = NULL_ADDRESS if self.state is State.CANNOT else self.candidate
+        return [Claiming(AddressClaimed(self.number), source)]
+
+    def _claim(self, now_us: int) -> list[Claiming]:
+        if self.names.get(self.candidate, self.number) < self.number:
+            return self._move(now_us)
+        self.state, self._next_us = State.CONTENDING, now_us + CONTENTION_US
+        return [Claiming(AddressClaimed(self.number), self.candidate)]
+
+    def _defend(self, now_us: int) -> list[Claiming]:
+        self._defences = [t for t in self._defences if t > now_us - S]
+        if len(self._defences) >= DEFENCES_MAX:
+            self.refused += 1
+            return []
+        self._defences.append(now_us)
+        return [Claiming(AddressClaimed(self.number), self.candidate)]
+
+    def _move(self, now_us: int) -> list[Claiming]:
+        """Take the next address that nobody with a lower NAME holds."""
+        width = LAST - FIRST + 1
+        for step in range(1, width):
+            address = FIRST + (self.candidate - FIRST + step) % width
+            if self.names.get(address) is None:
+                self.candidate = address
+                self.state, self._next_us = State.CONTENDING, now_us + CONTENTION_US
+                return [Claiming(AddressClaimed(self.number), address)]
+        self.state, self._next_us = State.CANNOT, None
+        return [Claiming(AddressClaimed(self.number), NULL_ADDRESS)]
+
+
+def holders(claim: AddressClaim) -> Mapping[int, Name]:
+    """Who holds which address, as far as this device has heard."""
+    return {address: Name.unpack(number) for address, number in sorted(claim.names.items())}

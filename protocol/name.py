@@ -1,0 +1,60 @@
+"""The 64-bit NAME by which a device is known, whatever its address (ISO 11783-5, SAE J1939-81).
+
+    bits   0..20   identity number        40..47  function
+          21..31   manufacturer code      48      reserved, 0
+          32..34   ECU instance           49..55  device class
+          35..39   function instance      56..59  device class instance
+                                          60..62  industry group
+                                          63      arbitrary address capable
+
+The numerically lower NAME wins a contended address.
+"""
+
+from typing import NamedTuple
+from zlib import crc32
+
+AGRICULTURE = 2  # industry group
+MANUFACTURER = 1407  # open to non-commercial projects
+FUNCTION = 128  # first function that depends on industry group and device class
+DEVICE_CLASS = 1  # tractor
+IDENTITY_MAX = (1 << 21) - 1
+
+_FIELDS = (  # name, shift, bits
+    ("identity", 0, 21), ("manufacturer", 21, 11), ("ecu_instance", 32, 3),
+    ("function_instance", 35, 5), ("function", 40, 8), ("device_class", 49, 7),
+    ("device_class_instance", 56, 4), ("industry_group", 60, 3), ("arbitrary_address", 63, 1),
+)  # fmt: skip
+
+
+class Name(NamedTuple):
+    identity: int
+    manufacturer: int = MANUFACTURER
+    ecu_instance: int = 0
+    function_instance: int = 0
+    function: int = FUNCTION
+    device_class: int = DEVICE_CLASS
+    device_class_instance: int = 0
+    industry_group: int = AGRICULTURE
+    arbitrary_address: int = 1
+
+    def pack(self) -> int:
+        """The NAME as a number; on the wire it is little-endian."""
+        number = 0
+        for value, (field, shift, bits) in zip(self, _FIELDS, strict=True):
+            assert 0 <= value < 1 << bits, f"{field} has {bits} bits"
+            number |= value << shift
+        return number
+
+    @classmethod
+    def unpack(cls, number: int) -> "Name":
+        return cls(*((number >> shift) & ((1 << bits) - 1) for _, shift, bits in _FIELDS))
+
+    @property
+    def hash16(self) -> int:
+        return crc32(self.pack().to_bytes(8, "little")) & 0xFFFF
+
+
+def fleet_name(fleet: str, slot: int) -> Name:
+    """The NAME of a slot of a fleet: the fleet in 14 bits of the identity number, the slot in 7."""
+    assert 0 <= slot < 128
+    return Name(identity=(crc32(fleet.encode()) & 0x3FFF) << 7 | slot)
