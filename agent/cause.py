@@ -1,0 +1,63 @@
+"""Why a robot may not move as it wishes: each cause with its severity and what clears it.
+
+After PX4's failsafe framework: severities are ordered, the worst active one wins, and the clear
+condition is declared beside the cause, not in the code that happens to run.
+"""
+
+from enum import Enum, IntEnum
+from typing import NamedTuple
+
+
+class Severity(IntEnum):
+    CLEAR = 0
+    SLOW = 1  # creep
+    PAUSE = 2  # stand, by decision of a person or for one
+    PROTECTIVE = 3  # stand; ends by itself when the cause is gone
+    LATCHED = 4  # stand until a person at this machine resets it
+
+
+class Clears(Enum):
+    BY_START = "an operator's start"
+    BY_ANSWER = "an operator's answer"
+    BY_POLICY = "the silent member is heard again and the membership is stable for 2 s; or as the policy says"
+    WHEN_GONE = "the cause is gone"
+    BY_TIMEOUT = "it is not repeated for its time"
+    BY_RESET = "every stop dot is cleared by an operator's reset, then a person resets this machine"
+    NEVER = "never by itself: repair and restart"
+
+
+class _Rule(NamedTuple):
+    severity: Severity
+    clears: Clears
+    why: str
+
+
+class Cause(Enum):
+    NOT_STARTED = _Rule(Severity.PAUSE, Clears.BY_START, "no start was given since boot or reset")
+    OBSTACLE_AHEAD = _Rule(Severity.PAUSE, Clears.BY_ANSWER, "something that is not a robot blocks the way")
+    CREEP = _Rule(Severity.SLOW, Clears.BY_POLICY, "a member is silent and the policy is slow")
+    MEMBER_SILENT = _Rule(Severity.PROTECTIVE, Clears.BY_POLICY, "a member stopped speaking without leaving")
+    BUS_OFF = _Rule(Severity.PROTECTIVE, Clears.WHEN_GONE, "the controller left the bus")
+    UNHEARD = _Rule(Severity.PROTECTIVE, Clears.WHEN_GONE, "own frames do not leave")
+    ADDRESS_LOST = _Rule(Severity.PROTECTIVE, Clears.WHEN_GONE, "another device took the source address")
+    CONFIG_MISMATCH = _Rule(Severity.PROTECTIVE, Clears.NEVER, "a member has another field description")
+    LATE_TICK = _Rule(Severity.PROTECTIVE, Clears.BY_TIMEOUT, "this robot was frozen")
+    UNAUTHENTICATED_STOP = _Rule(Severity.PROTECTIVE, Clears.BY_TIMEOUT, "a stop without a valid tag")
+    IMPLEMENTS_STOP = _Rule(Severity.PROTECTIVE, Clears.BY_TIMEOUT, "ISO 11783-7 all implements stop")
+    DISK_ERROR = _Rule(Severity.LATCHED, Clears.NEVER, "durable memory failed")
+    STOP_DOT = _Rule(Severity.LATCHED, Clears.BY_RESET, "an emergency stop")
+    BOOT_UNCONFIRMED = _Rule(Severity.LATCHED, Clears.BY_RESET, "durable memory was lost or is unreadable")
+
+    @property
+    def severity(self) -> Severity:
+        return self.value.severity
+
+    @property
+    def clears(self) -> Clears:
+        return self.value.clears
+
+
+def cause_table() -> str:
+    """The table in the documents."""
+    rows = [f"| {c.name} | {c.severity.name} | {c.value.why} | {c.clears.value} |" for c in Cause]
+    return "\n".join(["| cause | severity | why | what clears it |", "|---|---|---|---|", *rows])

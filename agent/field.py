@@ -1,0 +1,154 @@
+"""A field and its division into sections: pure data, metres in a local east-north frame.
+
+A section is the unit of claiming, a unit (about 5 m of swath) the unit of progress. Everything here is
+computed from the field description alone, so that every peer has the same sections and units.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from math import hypot
+from zlib import crc32
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from shapely.geometry import LineString, Point, Polygon
+from shapely.ops import substring
+
+XY = tuple[float, float]
+Polyline = tuple[XY, ...]
+UNITS_MAX = 10_240  # a section: 256 blocks of 40, as WORK_PROGRESS carries them
+
+
+@dataclass(frozen=True)
+class Section:
+    """Neighbouring swaths worked in one go, each driven against the direction of the one before."""
+
+    id: int
+    swaths: tuple[Polyline, ...]
+    units_of: tuple[int, ...]  # units of each swath; units are numbered through the section
+
+    @property
+    def name(self) -> str:
+        return f"S{self.id}"
+
+    @cached_property
+    def units(self) -> int:
+        return sum(self.units_of)
+
+    @cached_property
+    def length_m(self) -> float:
+        return sum(_length(swath) for swath in self.swaths)
+
+    @property
+    def ends(self) -> tuple[XY, XY]:
+        return self.swaths[0][0], self.swaths[-1][-1]
+
+    def stretches(self, wanted: Callable[[int], bool]) -> Iterator[tuple[Polyline, tuple[int, ...]]]:
+        """(polyline, units passed in its order) of each longest run of wanted units of one swath."""
+        first = 0
+        for swath, count in zip(self.swaths, self.units_of, strict=True):
+            run: list[int] = []
+            for unit in range(first, first + count + 1):
+                if unit < first + count and wanted(unit):
+                    run.append(unit)
+                elif run:
+                    yield _piece(swath, run[0] - first, run[-1] + 1 - first, count), tuple(run)
+                    run = []
+            first += count
+
+    def unit_lines(self) -> Iterator[Polyline]:
+        """The polyline of each unit, in the order of their numbers."""
+        for swath, count in zip(self.swaths, self.units_of, strict=True):
+            for unit in range(count):
+                yield _piece(swath, unit, unit + 1, count)
+
+
+@dataclass(frozen=True)
+class Field:
+    name: str
+    exterior: Polyline
+    holes: tuple[Polyline, ...]
+    origin: tuple[float, float]  # latitude, longitude of (0, 0)
+    gate: XY
+    implement_width_m: float
+    overlap_m: float
+    unit_m: float
+    sections: tuple[Section, ...]
+
+    @property
+    def tracking_tolerance_m(self) -> float:
+        """How far from its line a robot may be for the unit to count: half the overlap."""
+        return self.overlap_m / 2
+
+    def section(self, number: int) -> Section:
+        return self.sections[number]
+
+    @cached_property
+    def polygon(self) -> Polygon:
+        return Polygon(self.exterior, self.holes)
+
+    @cached_property
+    def work_m(self) -> float:
+        return sum(section.length_m for section in self.sections)
+
+    @cached_property
+    def config_hash(self) -> int:
+        """24 bits of everything peers must agree on; coordinates in millimetres."""
+        mm = [
+            round(v * 1000)
+            for section in self.sections
+            for swath in section.swaths
+            for point in swath
+            for v in point
+        ]
+        counts = [n for section in self.sections for n in section.units_of]
+        text = f"{self.name}|{self.implement_width_m}|{self.unit_m}|{mm}|{counts}"
+        return crc32(text.encode()) & 0xFFFFFF
+
+
+def rasterise(
+    field: Field, cell_m: float, clearance_m: float
+) -> tuple[NDArray[np.bool_], float, float, float]:
+    """(blocked, origin x, origin y, cell) of a path grid: blocked where a robot's centre may not be.
+
+    `blocked[row, column]`, row 0 in the south. A border of two cells is blocked all round.
+    """
+    free = field.polygon.buffer(-clearance_m)
+    west, south, east, north = field.polygon.bounds
+    origin_x_m, origin_y_m = west - 2 * cell_m, south - 2 * cell_m
+    columns = int(np.ceil((east - origin_x_m) / cell_m)) + 2
+    rows = int(np.ceil((north - origin_y_m) / cell_m)) + 2
+    x_m = origin_x_m + (np.arange(columns) + 0.5) * cell_m
+    y_m = origin_y_m + (np.arange(rows) + 0.5) * cell_m
+    grid_x, grid_y = np.meshgrid(x_m, y_m)
+    shapely.prepare(free)
+    return ~shapely.contains_xy(free, grid_x, grid_y), origin_x_m, origin_y_m, cell_m
+
+
+def start_poses(field: Field, count: int, spacing_m: float, clearance_m: float) -> list[XY]:
+    """Places for robots side by side, as near to the gate as spacing and fences allow."""
+    free = field.polygon.buffer(-clearance_m)
+    shapely.prepare(free)
+    reach = 2
+    while True:
+        steps = range(-reach, reach + 1)
+        spots = [(field.gate[0] + i * spacing_m, field.gate[1] + j * spacing_m) for i in steps for j in steps]
+        inside = [spot for spot in spots if free.contains(Point(spot))]
+        if len(inside) >= count:
+            inside.sort(key=lambda s: (hypot(s[0] - field.gate[0], s[1] - field.gate[1]), s))
+            return inside[:count]
+        if reach > 200:
+            raise ValueError(f"no room for {count} robots near the gate of {field.name}")
+        reach *= 2
+
+
+def _length(line: Polyline) -> float:
+    return sum(hypot(b[0] - a[0], b[1] - a[1]) for a, b in zip(line, line[1:], strict=False))
+
+
+def _piece(swath: Polyline, first: int, last: int, count: int) -> Polyline:
+    line = LineString(swath)
+    piece = substring(line, first / count, last / count, normalized=True)
+    return tuple((float(x), float(y)) for x, y in piece.coords)

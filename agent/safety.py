@@ -1,0 +1,284 @@
+"""Whether this robot may move: the stop set, every other cause, and the gate before the drive.
+
+Small and separate on purpose. Causes are raised and cleared here and nowhere else; the worst active
+one decides. The gate is the last function before `Drive`. What each cause means and what clears it
+is declared in `agent/cause.py`; the bounds are in `docs/stopping.md`.
+"""
+
+from collections.abc import Mapping, Sequence
+from enum import Enum
+from math import hypot
+
+from agent.cause import Cause, Severity
+from agent.config import MEMBERSHIP_STABLE_US, MS, STOP_REPEAT_US, STOP_SPACING_US, S
+from agent.effects import HALT, Drive, Effect, Persist, Send, Trace
+from crdt.stops import StopDot, StopSet
+from protocol.authentication import OPERATOR_FIRST, Keyring
+from protocol.safety_frames import (
+    AllImplementsStop, EmergencyReset, EmergencyStop, OperatorCommand, Reason, Switch,
+)  # fmt: skip
+
+STOPS_KEY, COUNTER_KEY = "stops", "stop_counter"
+CREEP_M_S = 0.5
+UNAUTHENTICATED_HOLD_US = 1 * S  # a stop without a valid tag holds this long after its last frame
+IMPLEMENTS_HOLD_US = 3 * S  # the standard frame comes every second; three are missing
+LATE_HOLD_US = 1 * S  # a robot that was frozen looks around before it moves
+REPEATS_MAX = 400  # 2 s of repetition; then the heartbeats' stopped bit carries the latch
+ANSWER_SPACING_US = 100 * MS  # a member that beats unlatched is told again at most this often
+FOREVER = 1 << 62
+
+
+class SilencePolicy(Enum):
+    """Silence always brakes; the policy says how the protective stop ends."""
+
+    STOP = "until the member is back, or an operator waives it by name"
+    SLOW = "after 2 s of stable membership go on at creep speed"
+    CONTINUE = "after 2 s of stable membership go on without it"
+
+
+class Safety:
+    def __init__(
+        self,
+        slot: int,
+        incarnation: int,
+        policy: SilencePolicy,
+        keyring: Keyring | None,
+        recalled: Mapping[str, bytes],
+        now_us: int,
+    ) -> None:
+        self.slot, self.incarnation = slot, incarnation & 0xFF
+        self.policy, self.keyring = policy, keyring
+        self.stops = StopSet()
+        self.counter = int.from_bytes(recalled.get(COUNTER_KEY, b""), "little")
+        self.refused = 0  # stop, reset and command frames without authority
+        self._causes: dict[Cause, str] = {Cause.NOT_STARTED: "boot"}
+        self._expires_us: dict[Cause, int] = {}
+        self._live: frozenset[int] = frozenset({slot})
+        self._silent: frozenset[int] = frozenset()
+        self._stable_us = now_us
+        self._echoes: dict[StopDot, set[int]] = {}
+        self._own: dict[StopDot, int] = {}  # dots we repeat as their source -> repeats left
+        self._repeat_us = FOREVER
+        self._pressed_us = -STOP_SPACING_US
+        self._answered_us = -ANSWER_SPACING_US
+        self._recall(recalled)
+
+    def _recall(self, recalled: Mapping[str, bytes]) -> None:
+        try:
+            if STOPS_KEY in recalled:
+                self.stops = StopSet.deserialize(recalled[STOPS_KEY])
+        except ValueError:
+            self._causes[Cause.BOOT_UNCONFIRMED] = "the stop set on disk is unreadable"
+        if self.stops.latched:
+            self._causes[Cause.STOP_DOT] = "latched before the restart"
+
+    # ---------------------------------------------------------------- state
+
+    @property
+    def latched(self) -> bool:
+        return self.severity is Severity.LATCHED
+
+    @property
+    def severity(self) -> Severity:
+        return max((cause.severity for cause in self._causes), default=Severity.CLEAR)
+
+    @property
+    def causes(self) -> tuple[tuple[Cause, str], ...]:
+        return tuple(sorted(self._causes.items(), key=lambda item: (-item[0].severity, item[0].name)))
+
+    @property
+    def started(self) -> bool:
+        return Cause.NOT_STARTED not in self._causes
+
+    @property
+    def may_move(self) -> bool:
+        return self.severity <= Severity.SLOW
+
+    may_work = may_move
+
+    def echoed(self, dot: StopDot) -> frozenset[int]:
+        return frozenset(self._echoes.get(dot, ()))
+
+    def raise_cause(self, cause: Cause, now_us: int, detail: str = "", for_us: int = 0) -> None:
+        self._causes[cause] = detail
+        if for_us:
+            self._expires_us[cause] = now_us + for_us
+
+    def clear_cause(self, cause: Cause, now_us: int) -> None:
+        self._causes.pop(cause, None)
+        self._expires_us.pop(cause, None)
+
+    # ---------------------------------------------------------------- stops
+
+    def press(self, reason: Reason, now_us: int) -> Sequence[Effect]:
+        """Emergency stop here: brake, send, then remember. Braking waits for nobody."""
+        if now_us - self._pressed_us < STOP_SPACING_US:
+            return [HALT]  # the same hand on the same button
+        self._pressed_us = now_us
+        self.counter += 1
+        dot = StopDot(self.slot, self.incarnation, self.counter & 0xFF)
+        while self.stops.is_cleared(dot):  # 256 presses ago the counter was here: never reuse a dot
+            self.counter += 1
+            dot = dot._replace(counter=self.counter & 0xFF)
+        self.stops.press(dot)
+        self._causes[Cause.STOP_DOT] = f"pressed here: {reason.name}"
+        self._own[dot], self._repeat_us = REPEATS_MAX, now_us + STOP_REPEAT_US
+        return [HALT, Send(self._stop(dot, reason)), Send(AllImplementsStop(self.counter & 0xFF, Switch.STOP)),
+                *self._remember(), Trace("safety", "", "PRESSED", "LATCHED", reason.name)]  # fmt: skip
+
+    def receive_stop(self, m: EmergencyStop, source_slot: int | None, now_us: int) -> Sequence[Effect]:
+        """First reception: brake, echo once, remember. Later ones count echoes."""
+        dot = StopDot(m.slot, m.incarnation, m.counter)
+        signer = source_slot if m.echo else m.slot
+        if source_slot is not None and (m.echo or m.slot == source_slot):
+            self._echoes.setdefault(dot, set()).add(source_slot)
+        if dot in self.stops.active:
+            return ()
+        if self.keyring is not None and (signer is None or not self.keyring.verify(m, signer, now_us)):
+            self.refused += 1
+            self.raise_cause(Cause.UNAUTHENTICATED_STOP, now_us, f"dot {dot}", UNAUTHENTICATED_HOLD_US)
+            return [HALT]
+        if not self.stops.press(dot):
+            return ()  # an operator has cleared exactly this one
+        self._causes[Cause.STOP_DOT] = f"{dot.slot}.{dot.incarnation}.{dot.counter}"
+        self._echoes.setdefault(dot, set()).add(self.slot)
+        return [HALT, Send(self._stop(dot, Reason(min(m.reason, max(Reason))), echo=True)),
+                *self._remember(), Trace("safety", "", "HEARD_STOP", "LATCHED", f"dot {dot}")]  # fmt: skip
+
+    def beat(self, slot: int, stopped: bool, now_us: int) -> Sequence[Effect]:
+        """A member's beat: its stopped bit is an echo of every stop; one without it has not heard."""
+        active = self.stops.active
+        if stopped:
+            for dot in active:
+                self._echoes.setdefault(dot, set()).add(slot)
+            return ()
+        if not active or now_us - self._answered_us < ANSWER_SPACING_US:
+            return ()
+        self._answered_us = now_us
+        return [Send(self._stop(dot, Reason.OPERATOR_INTERVENTION, echo=True)) for dot in sorted(active)[:4]]
+
+    def receive_reset(self, m: EmergencyReset, now_us: int) -> Sequence[Effect]:
+        """Clears exactly the dot it names, pressed here or not yet heard of."""
+        if self.keyring is not None and not (
+            m.operator >= OPERATOR_FIRST and self.keyring.verify(m, m.operator, now_us)
+        ):
+            self.refused += 1
+            return ()
+        dot = StopDot(m.slot, m.incarnation, m.counter)
+        if not self.stops.clear(dot):
+            return ()
+        self._own.pop(dot, None)
+        self._echoes.pop(dot, None)
+        return [*self._remember(), Trace("safety", "", "CLEARED", "", f"dot {dot} by {m.operator}")]
+
+    def receive_implements_stop(self, source: int, m: AllImplementsStop, now_us: int) -> Sequence[Effect]:
+        """The standard frame, from any device: a level that holds while it is repeated."""
+        if m.switch in (Switch.STOP, Switch.ERROR):
+            self.raise_cause(Cause.IMPLEMENTS_STOP, now_us, f"address {source}", IMPLEMENTS_HOLD_US)
+            return [HALT]
+        if m.switch == Switch.PERMIT:
+            self.clear_cause(Cause.IMPLEMENTS_STOP, now_us)
+        return ()
+
+    def accept_command(self, m: OperatorCommand, now_us: int) -> bool:
+        if self.keyring is None:
+            return True
+        if m.operator >= OPERATOR_FIRST and self.keyring.verify(m, m.operator, now_us):
+            return True
+        self.refused += 1
+        return False
+
+    # ---------------------------------------------------------------- people at this machine
+
+    def manual_reset(self, now_us: int) -> bool:
+        """Unlatch. Refused while a dot is not cleared or a cause that never clears is there."""
+        if self.stops.latched or Cause.DISK_ERROR in self._causes:
+            return False
+        for cause in (Cause.STOP_DOT, Cause.BOOT_UNCONFIRMED):
+            self._causes.pop(cause, None)
+        return True
+
+    def start(self, now_us: int) -> None:
+        self.clear_cause(Cause.NOT_STARTED, now_us)
+
+    def hold(self, now_us: int) -> None:
+        self.raise_cause(Cause.NOT_STARTED, now_us, "held by an operator")
+
+    # ---------------------------------------------------------------- members and time
+
+    def members(self, live: frozenset[int], silent: frozenset[int], now_us: int) -> Sequence[Effect]:
+        """The membership changed. Silence brakes at once; the policy ends it later."""
+        brake = bool(silent - self._silent)
+        self._live, self._silent, self._stable_us = live, silent, now_us
+        if brake:
+            self.clear_cause(Cause.CREEP, now_us)
+            self.raise_cause(Cause.MEMBER_SILENT, now_us, f"silent {sorted(silent)}")
+            return [HALT, Trace("safety", "", "SILENCE", "PROTECTIVE", f"{sorted(silent)}")]
+        return ()
+
+    @property
+    def deadline_us(self) -> int:
+        deadline = self._repeat_us
+        if Cause.MEMBER_SILENT in self._causes:
+            settled_us = self._stable_us + MEMBERSHIP_STABLE_US
+            if not self._silent or self.policy is not SilencePolicy.STOP:
+                deadline = min(deadline, settled_us)
+        for expires_us in self._expires_us.values():
+            deadline = min(deadline, expires_us)
+        return deadline
+
+    def tick(self, now_us: int) -> Sequence[Effect]:
+        if now_us < self.deadline_us:
+            return ()
+        for cause in [c for c, expires_us in self._expires_us.items() if expires_us <= now_us]:
+            self.clear_cause(cause, now_us)
+        self._end_silence(now_us)
+        return self._repeat(now_us) if now_us >= self._repeat_us else ()
+
+    def _end_silence(self, now_us: int) -> None:
+        if Cause.MEMBER_SILENT not in self._causes or now_us < self._stable_us + MEMBERSHIP_STABLE_US:
+            return
+        if self._silent and self.policy is SilencePolicy.STOP:
+            return
+        self.clear_cause(Cause.MEMBER_SILENT, now_us)
+        if self._silent and self.policy is SilencePolicy.SLOW:
+            self.raise_cause(Cause.CREEP, now_us, f"silent {sorted(self._silent)}")
+
+    def _repeat(self, now_us: int) -> Sequence[Effect]:
+        """As the source: every 5 ms until every live member has echoed."""
+        sends: list[Effect] = []
+        others = self._live - {self.slot}
+        for dot, left in sorted(self._own.items()):
+            if left <= 0 or others <= self._echoes.get(dot, set()):
+                del self._own[dot]
+                continue
+            self._own[dot] = left - 1
+            sends.append(Send(self._stop(dot, Reason.OPERATOR_INTERVENTION)))
+        self._repeat_us = now_us + STOP_REPEAT_US if self._own else FOREVER
+        return sends
+
+    # ---------------------------------------------------------------- the gate
+
+    def gate(self, wanted: Drive, now_us: int) -> Drive:
+        """The last function before the actuator."""
+        severity = self.severity
+        if severity >= Severity.PAUSE:
+            return HALT
+        if severity is Severity.SLOW:
+            speed_m_s = hypot(wanted.vx_m_s, wanted.vy_m_s)
+            if speed_m_s > CREEP_M_S:
+                share = CREEP_M_S / speed_m_s
+                return wanted._replace(vx_m_s=wanted.vx_m_s * share, vy_m_s=wanted.vy_m_s * share)
+        return wanted
+
+    # ---------------------------------------------------------------- inside
+
+    def _stop(self, dot: StopDot, reason: Reason, echo: bool = False) -> EmergencyStop:
+        message = EmergencyStop(dot.slot, dot.incarnation, dot.counter, reason, echo)
+        return message if self.keyring is None else self.keyring.sign(message)
+
+    def _remember(self) -> list[Effect]:
+        return [
+            Persist(STOPS_KEY, self.stops.serialize()),
+            Persist(COUNTER_KEY, self.counter.to_bytes(4, "little")),
+        ]

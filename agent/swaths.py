@@ -1,0 +1,166 @@
+"""Dividing a field: headland rings along the fences, parallel swaths inside, bundled to sections.
+
+With implement width w and overlap v, the ring runs w/2 inside the fence and serves everything up to
+w - v from it. What is deeper is cut into strips not wider than w - v at the best angle; each strip's
+swath is as long as the strip is deep inside. A robot on a swath is therefore never nearer to a
+fence than (w - v) / 2, and ring and strips together leave nothing out (`tests/agent/test_swaths.py`).
+"""
+
+from collections.abc import Iterator, Sequence
+from math import atan2, ceil, degrees
+
+from shapely import affinity
+from shapely.geometry import LineString, MultiPolygon, Polygon, box
+from shapely.geometry.base import BaseGeometry
+from shapely.ops import substring
+
+from agent.field import UNITS_MAX, XY, Field, Polyline, Section
+
+SWEEP_DEG = 10.0  # angles tried besides the directions of the edges
+EDGE_SHARE_MIN = 0.05  # edges shorter than this share of the outline propose no angle
+PIECE_MIN_M = 0.05  # strips that touch the deep part by less are served by the ring
+
+
+def divide(
+    name: str,
+    polygon: Polygon,
+    origin: tuple[float, float],
+    gate: XY,
+    implement_width_m: float,
+    overlap_m: float = 0.2,
+    section_length_m: float = 250.0,
+    unit_m: float = 5.0,
+) -> Field:
+    """The field with its sections. ValueError where nothing of it can be worked."""
+    width_m, strip_m = implement_width_m, implement_width_m - overlap_m
+    assert 0.0 < overlap_m < implement_width_m / 2
+    rings = list(_rings(polygon.buffer(-width_m / 2)))
+    if not rings:
+        raise ValueError(f"{name} is nowhere as wide as the implement ({width_m} m)")
+    deep = polygon.buffer(-(width_m - overlap_m))
+    bundles = [*_ring_bundles(rings, section_length_m)]
+    if not deep.is_empty:
+        bundles += _strip_bundles(deep, _best_angle(polygon, deep, strip_m), strip_m, section_length_m)
+    sections = tuple(
+        Section(number, tuple(swaths), tuple(max(1, round(_length(s) / unit_m)) for s in swaths))
+        for number, swaths in enumerate(bundles)
+    )
+    assert len(sections) <= 0xFFFF and all(s.units <= UNITS_MAX for s in sections)
+    return Field(
+        name=name,
+        exterior=_points(polygon.exterior.coords[:-1]),
+        holes=tuple(_points(hole.coords[:-1]) for hole in polygon.interiors),
+        origin=origin,
+        gate=gate,
+        implement_width_m=implement_width_m,
+        overlap_m=overlap_m,
+        unit_m=unit_m,
+        sections=sections,
+    )
+
+
+def _points(coordinates: Sequence[tuple[float, ...]]) -> Polyline:
+    return tuple((float(p[0]), float(p[1])) for p in coordinates)
+
+
+def _length(swath: Polyline) -> float:
+    return float(LineString(swath).length)
+
+
+def _parts(shape: BaseGeometry) -> list[Polygon]:
+    if isinstance(shape, Polygon):
+        return [] if shape.is_empty else [shape]
+    if isinstance(shape, MultiPolygon):
+        return sorted(shape.geoms, key=lambda part: part.bounds)
+    return [part for part in getattr(shape, "geoms", []) if isinstance(part, Polygon)]
+
+
+def _rings(inset: BaseGeometry) -> Iterator[LineString]:
+    for part in _parts(inset):
+        for ring in (part.exterior, *part.interiors):
+            yield LineString(ring.coords)
+
+
+def _ring_bundles(rings: list[LineString], section_length_m: float) -> Iterator[list[Polyline]]:
+    """Each ring in equal pieces of about the wanted length; a ring is worked once round."""
+    for ring in rings:
+        pieces = max(1, round(ring.length / section_length_m))
+        for k in range(pieces):
+            piece = substring(ring, k / pieces, (k + 1) / pieces, normalized=True)
+            yield [_points(piece.coords)]
+
+
+def _best_angle(polygon: Polygon, deep: BaseGeometry, strip_m: float) -> float:
+    """The direction with the fewest swaths; among equals the shortest way in all."""
+    edges = list(zip(polygon.exterior.coords, polygon.exterior.coords[1:], strict=False))
+    long_enough = EDGE_SHARE_MIN * polygon.exterior.length
+    angles = {
+        round(degrees(atan2(b[1] - a[1], b[0] - a[0])) % 180.0, 3)
+        for a, b in edges
+        if LineString((a, b)).length >= long_enough
+    }
+    angles |= {k * SWEEP_DEG for k in range(round(180.0 / SWEEP_DEG))}
+
+    def cost(angle: float) -> tuple[int, float, float]:
+        strips = list(_strips(deep, angle, strip_m))
+        total_m = sum(_length(swath) for row in strips for swath in row)
+        return sum(len(row) for row in strips), round(total_m, 3), angle
+
+    return min(angles, key=cost)
+
+
+def _strips(deep: BaseGeometry, angle_deg: float, strip_m: float) -> Iterator[list[Polyline]]:
+    """Rows of swaths from one side of the field to the other, each row from left to right."""
+    turned = affinity.rotate(deep, -angle_deg, origin=(0.0, 0.0))
+    west, south, east, north = turned.bounds
+    rows = max(1, ceil((north - south) / strip_m - 1e-9))
+    height_m = (north - south) / rows
+    for row in range(rows):
+        low_m = south + row * height_m
+        strip = turned.intersection(box(west - 1, low_m, east + 1, low_m + height_m))
+        middle_m = low_m + height_m / 2
+        swaths = []
+        for part in sorted(_parts(strip), key=lambda p: p.bounds):
+            left_m, _, right_m, _ = part.bounds
+            if part.area <= PIECE_MIN_M**2:
+                continue
+            if right_m - left_m < PIECE_MIN_M:
+                left_m, right_m = left_m - PIECE_MIN_M, right_m + PIECE_MIN_M
+            line = LineString([(left_m, middle_m), (right_m, middle_m)])
+            back = affinity.rotate(line, angle_deg, origin=(0.0, 0.0))
+            swaths.append(_points(back.coords))
+        yield swaths
+
+
+def _strip_bundles(
+    deep: BaseGeometry, angle_deg: float, strip_m: float, section_length_m: float
+) -> list[list[Polyline]]:
+    """Swaths that lie side by side, bundled until a section is long enough (boustrophedon cells)."""
+    rows = list(_strips(deep, angle_deg, strip_m))
+    bundles: list[list[Polyline]] = []
+    open_bundles: list[list[Polyline]] = []
+    for row in rows:
+        following: list[list[Polyline]] = []
+        for swath in row:
+            bundle = next((b for b in open_bundles if _side_by_side(b[-1], swath, strip_m)), None)
+            if bundle is not None and all(f is not bundle for f in following):
+                open_bundles = [b for b in open_bundles if b is not bundle]
+            else:
+                bundle = []
+                bundles.append(bundle)
+            previous = bundle[-1] if bundle else None
+            if previous is not None and _far(previous[-1], swath[0]) > _far(previous[-1], swath[-1]):
+                swath = swath[::-1]
+            bundle.append(swath)
+            if sum(_length(s) for s in bundle) < section_length_m * 0.75:
+                following.append(bundle)
+        open_bundles = following
+    return bundles
+
+
+def _side_by_side(a: Polyline, b: Polyline, strip_m: float) -> bool:
+    return LineString(a).distance(LineString(b)) <= 1.5 * strip_m
+
+
+def _far(a: XY, b: XY) -> float:
+    return (a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2

@@ -1,0 +1,65 @@
+"""The one place of the core that knows python-can: a `can.BusABC` as the `Bus` a shell needs."""
+
+import asyncio
+from collections.abc import Callable
+from typing import Any
+
+import can
+
+from protocol.frame import Frame
+
+
+class CanBus:
+    """Any python-can bus. What cannot be used is counted, and nothing here raises while running."""
+
+    def __init__(self, bus: can.BusABC) -> None:
+        self.bus = bus
+        self.ignored = 0  # error, remote and 11-bit frames
+        self.refused = 0  # frames the driver did not take
+        self._notifier: can.Notifier | None = None
+        self._submit: Callable[[Frame], bool] | None = getattr(bus, "submit", None)
+
+    def send(self, frame: Frame) -> bool:
+        if self._submit is not None:
+            taken = self._submit(frame)
+        else:
+            message = can.Message(
+                arbitration_id=frame.identifier, data=frame.data, is_extended_id=True, check=False
+            )
+            try:
+                self.bus.send(message, timeout=0)
+                taken = True
+            except (can.CanError, OSError, ValueError):
+                taken = False
+        self.refused += not taken
+        return taken
+
+    def subscribe(self, callback: Callable[[Frame], None]) -> None:
+        """Give every data frame to the callback, in the running loop's thread."""
+        direct = getattr(self.bus, "subscribe", None)
+        if direct is not None:
+            direct(callback)
+            return
+
+        def heard(message: can.Message) -> None:
+            if message.is_extended_id and not (message.is_error_frame or message.is_remote_frame):
+                callback(Frame(message.arbitration_id, bytes(message.data)))
+            else:
+                self.ignored += 1
+
+        self._notifier = can.Notifier(self.bus, [heard], loop=asyncio.get_running_loop())
+
+    def close(self) -> None:
+        if self._notifier is not None:
+            self._notifier.stop()
+            self._notifier = None
+        self.bus.shutdown()
+
+
+def open_bus(interface: str, channel: str, bitrate: int = 250_000, **options: Any) -> CanBus:
+    """Open by python-can's own options; raises what the interface raises."""
+    if interface == "socketcand":
+        bus = can.Bus(interface=interface, channel=channel, **options)
+    else:
+        bus = can.Bus(interface=interface, channel=channel, bitrate=bitrate, **options)
+    return CanBus(bus)

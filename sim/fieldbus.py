@@ -1,0 +1,214 @@
+"""`can.Bus(interface="fieldbus", channel="...")`: the simulated wire as a python-can interface.
+
+All buses of one channel name in a process share one segment. In an asyncio loop the segment is
+driven by the loop's timers, in virtual or in real time alike; without a loop, `recv` and `send`
+drive it by the wall clock. No threads, and no copy per receiver.
+"""
+
+import asyncio
+import contextlib
+import os
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+import can
+from can import BusABC, CanOperationError, CanProtocol, Message
+
+from protocol.frame import Frame
+from sim.wire import Wire
+
+RX_QUEUE_MAX = 8192  # frames kept for a program that does not read; then the newest are dropped
+POLL_S = 0.002  # how often a program without an event loop looks at the wire
+
+Tap = Callable[[int, Frame], None]  # microseconds, frame
+
+
+class Segment:
+    """One channel: the wire, the buses on it, and what drives its time."""
+
+    def __init__(self, channel: str, bitrate: int, seed: int | str) -> None:
+        assert 1_000_000 % bitrate == 0, "the bit time is a whole number of microseconds"
+        self.channel, self.bitrate = channel, bitrate
+        self.wire = Wire(seed, 1_000_000 // bitrate)
+        self.buses: dict[int, FieldBus] = {}
+        self.taps: list[Tap] = []
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._timer: asyncio.TimerHandle | None = None
+        self._timer_us = 0
+
+    def now_us(self) -> int:
+        try:
+            return round(asyncio.get_running_loop().time() * 1_000_000)
+        except RuntimeError:
+            return time.monotonic_ns() // 1000
+
+    def submit(self, node: int, frame: Frame) -> bool:
+        accepted = self.wire.submit(node, frame, self.now_us())
+        self.arm()
+        return accepted
+
+    def arm(self) -> None:
+        """See to it that somebody looks when the wire does something next."""
+        try:
+            loop = asyncio.get_running_loop()
+        except RuntimeError:
+            return
+        next_us = self.wire.next_us
+        if next_us is None:
+            return
+        if self._loop is not loop:
+            self._loop, self._timer = loop, None
+        if self._timer is not None:
+            if self._timer_us <= next_us:
+                return
+            self._timer.cancel()
+        self._timer_us = next_us
+        self._timer = loop.call_at(next_us / 1_000_000, self._fire)
+
+    def _fire(self) -> None:
+        self._timer = None
+        self.pump()
+        self.arm()
+
+    def pump(self) -> None:
+        """Deliver everything that has ended by now."""
+        for t_us, frame, _, receivers in self.wire.advance(self.now_us()):
+            for tap in self.taps:
+                tap(t_us, frame)
+            buses = self.buses
+            for node in receivers:
+                bus = buses.get(node)
+                if bus is not None:
+                    bus._deliver(t_us, frame)
+
+
+_segments: dict[str, Segment] = {}
+
+
+def segment(channel: str, bitrate: int = 250_000, seed: int | str = 0) -> Segment:
+    """The segment of a channel name, made at first use."""
+    found = _segments.get(channel)
+    if found is None:
+        found = _segments[channel] = Segment(channel, bitrate, seed)
+    return found
+
+
+def forget(channel: str) -> None:
+    """The next bus of this name is on a new wire."""
+    _segments.pop(channel, None)
+
+
+class FieldBus(BusABC):
+    """A node on a simulated segment."""
+
+    def __init__(
+        self,
+        channel: Any = "fieldbus",
+        bitrate: int = 250_000,
+        receive_own_messages: bool = False,
+        rx_queue_size: int = RX_QUEUE_MAX,
+        seed: int | str = 0,
+        **kwargs: Any,
+    ) -> None:
+        super().__init__(channel=channel, **kwargs)
+        self._can_protocol = CanProtocol.CAN_20
+        self.segment = segment(str(channel), bitrate, seed)
+        self.channel_info = f"fieldbus {channel} at {self.segment.bitrate} bit/s"
+        self.node = self.segment.wire.attach(str(channel))
+        self.segment.buses[self.node] = self
+        self.dropped = 0
+        self._own = receive_own_messages
+        self._inbox: deque[Message] = deque()
+        self._inbox_max = rx_queue_size
+        self._callback: Callable[[Frame], None] | None = None
+        self._fd: int | None = None
+        self._open = True
+
+    # ---------------------------------------------------------------- the fast way
+
+    def subscribe(self, callback: Callable[[Frame], None]) -> None:
+        """Every frame is given to this callback in the loop's thread, and no longer queued."""
+        self._callback = callback
+
+    def submit(self, frame: Frame) -> bool:
+        """Queue a frame without a `can.Message`; False where the node cannot take it."""
+        if not self._open:
+            return False
+        if self._own:
+            self._deliver(self.segment.now_us(), frame)
+        return self.segment.submit(self.node, frame)
+
+    def _deliver(self, t_us: int, frame: Frame) -> None:
+        if self._callback is not None:
+            self._callback(frame)
+            return
+        if len(self._inbox) >= self._inbox_max:
+            self.dropped += 1
+            return
+        self._inbox.append(
+            Message(t_us / 1_000_000, frame.identifier, is_extended_id=True, data=frame.data,
+                    channel=self.segment.channel, check=False)
+        )  # fmt: skip
+        if self._fd is not None:
+            os.eventfd_write(self._fd, 1)
+
+    # ---------------------------------------------------------------- python-can
+
+    def send(self, msg: Message, timeout: float | None = None) -> None:
+        if not msg.is_extended_id or msg.is_remote_frame or msg.is_fd or msg.is_error_frame:
+            raise CanOperationError("fieldbus carries classic data frames with 29-bit identifiers")
+        if not self.submit(Frame(msg.arbitration_id, bytes(msg.data))):
+            raise CanOperationError("transmit queue full or node off the bus")
+
+    def _recv_internal(self, timeout: float | None) -> tuple[Message | None, bool]:
+        deadline = None if timeout is None else time.monotonic() + timeout
+        while True:
+            if not self._looped():
+                self.segment.pump()
+            if self._inbox:
+                if self._fd is not None:
+                    with contextlib.suppress(BlockingIOError):
+                        os.eventfd_read(self._fd)
+                return self._inbox.popleft(), False
+            if self._looped() or (deadline is not None and time.monotonic() >= deadline):
+                return None, False
+            time.sleep(POLL_S)
+
+    @staticmethod
+    def _looped() -> bool:
+        try:
+            asyncio.get_running_loop()
+        except RuntimeError:
+            return False
+        return True
+
+    def fileno(self) -> int:
+        """Readable while frames wait (Linux); -1 elsewhere, and outside of an event loop."""
+        if not hasattr(os, "eventfd") or not self._looped():
+            return -1
+        if self._fd is None:
+            self._fd = os.eventfd(len(self._inbox), os.EFD_NONBLOCK | os.EFD_SEMAPHORE)
+        return self._fd
+
+    @property
+    def state(self) -> can.BusState:
+        node = self.segment.wire.nodes.get(self.node)
+        if node is None or node.off_until_us is not None:
+            return can.BusState.ERROR
+        return can.BusState.PASSIVE if node.tec > 127 else can.BusState.ACTIVE
+
+    def shutdown(self) -> None:
+        if self._open:
+            self._open = False
+            self.segment.wire.detach(self.node)
+            self.segment.buses.pop(self.node, None)
+            if self._fd is not None:
+                os.close(self._fd)
+                self._fd = None
+        super().shutdown()
+
+    @staticmethod
+    def _detect_available_configs() -> list[Any]:
+        return [{"interface": "fieldbus", "channel": name} for name in sorted(_segments)]

@@ -1,0 +1,228 @@
+"""One CAN segment, sans I/O: who may speak, for how long, and who hears it.
+
+Frames submitted at one instant all enter the arbitration that starts at the next bit boundary, so
+the order of submissions inside an instant does not matter. The lowest identifier among the heads of
+the nodes' transmit queues goes first; it is not interrupted. An idle wire schedules nothing.
+
+Faults: islands (a cut bus), one-way links, loss, duplicates, bus errors with retransmission, error
+counters through error passive to bus-off and back, inconsistent omission. Chance comes from one
+generator per kind of fault, so that removing one fault does not reshuffle the others.
+"""
+
+from collections import Counter
+from dataclasses import dataclass, field
+from heapq import heappop, heappush
+from random import Random
+from typing import NamedTuple
+
+from protocol.frame import Frame
+from sim.bits import BIT_US, frame_bits, worst_bits
+
+QUEUE_MAX = 256  # frames a node may have waiting: 0.15 s of a whole bus for itself
+ERROR_US = 31 * BIT_US  # error flag, its superposition and delimiter, interframe space
+BUS_OFF_TEC = 256
+RECOVERY_US = 128 * 11 * BIT_US  # 128 times 11 recessive bits
+
+
+class Delivery(NamedTuple):
+    """A frame that has reached its end, with the nodes that accepted it."""
+
+    t_us: int
+    frame: Frame
+    sender: int
+    receivers: tuple[int, ...]
+
+
+@dataclass(slots=True)
+class Node:
+    name: str
+    island: int = 0
+    queue: list[tuple[int, int, Frame]] = field(default_factory=list)
+    tec: int = 0  # transmit error counter
+    rec: int = 0
+    off_until_us: int | None = None  # bus-off until then
+    refused: int = 0  # frames that found the queue full or the node off the bus
+    sent: int = 0
+
+
+@dataclass
+class Faults:
+    """Rates are odds a frame, per receiver where a receiver can differ."""
+
+    loss: float = 0.0  # a receiver misses a frame, and nobody notices
+    omission: float = 0.0  # inconsistent omission: some receivers miss it (Rufino et al. 1998)
+    duplicate: float = 0.0  # the frame is repeated although all had it
+    error: float = 0.0  # a bit error: error frame and retransmission
+    deaf: set[tuple[int, int]] = field(default_factory=set)  # (sender, receiver) links that are cut
+
+
+class Wire:
+    def __init__(self, seed: int | str = 0, bit_us: int = BIT_US) -> None:
+        self.bit_us = bit_us
+        self.nodes: dict[int, Node] = {}
+        self.faults = Faults()
+        self.frames = self.errors = 0
+        self.busy_us = 0
+        self.worst_us = 0  # the same frames at worst-case stuffing
+        self.by_group: Counter[int] = Counter()
+        self._rng = {k: Random(f"{seed}/wire/{k}") for k in ("loss", "omission", "duplicate", "error")}
+        self._order = 0
+        self._free_us: dict[int, int] = {}  # island -> when its bus is free
+        self._sending: dict[int, tuple[int, int, Frame, bool]] = {}  # island -> end, node, frame, broken
+        self._start_us: dict[int, int] = {}  # island -> when arbitration is due
+        self._audience: dict[int, tuple[int, ...]] = {}
+        self._next_node = 0
+
+    # ---------------------------------------------------------------- nodes
+
+    def attach(self, name: str = "") -> int:
+        number = self._next_node
+        self._next_node += 1
+        self.nodes[number] = Node(name or f"node {number}")
+        self._audience.clear()
+        return number
+
+    def detach(self, number: int) -> None:
+        self.nodes.pop(number, None)
+        for island, (_, node, _, _) in list(self._sending.items()):
+            if node == number:
+                del self._sending[island]
+        self._audience.clear()
+
+    def partition(self, *islands: set[int]) -> None:
+        """Cut the bus: the named nodes fall into these islands, the others stay in the first."""
+        for number, node in self.nodes.items():
+            node.island = next((i for i, names in enumerate(islands) if number in names), 0)
+        self._audience.clear()
+
+    def heal(self) -> None:
+        self.partition()
+        self.faults.deaf.clear()
+
+    # ---------------------------------------------------------------- sending
+
+    def submit(self, number: int, frame: Frame, now_us: int) -> bool:
+        """Queue a frame; False where the queue is full or the node is off the bus."""
+        node = self.nodes.get(number)
+        if node is None:
+            return False
+        if node.off_until_us is not None or len(node.queue) >= QUEUE_MAX:
+            node.refused += 1
+            return False
+        self._order += 1
+        heappush(node.queue, (frame.identifier, self._order, frame))
+        self._wish(node.island, now_us)
+        return True
+
+    def _wish(self, island: int, now_us: int) -> None:
+        if island in self._sending:
+            return
+        start_us = max((now_us // self.bit_us + 1) * self.bit_us, self._free_us.get(island, 0))
+        known = self._start_us.get(island)
+        if known is None or start_us < known:
+            self._start_us[island] = start_us
+
+    @property
+    def next_us(self) -> int | None:
+        """When something happens next by itself."""
+        candidates = [end for end, _, _, _ in self._sending.values()]
+        candidates += [start for island, start in self._start_us.items() if island not in self._sending]
+        candidates += [n.off_until_us for n in self.nodes.values() if n.off_until_us is not None]
+        return min(candidates) if candidates else None
+
+    def advance(self, now_us: int) -> list[Delivery]:
+        """Everything that ends until now, in order."""
+        deliveries: list[Delivery] = []
+        while (t_us := self.next_us) is not None and t_us <= now_us:
+            for island in sorted(self._sending):
+                if self._sending[island][0] <= t_us:
+                    deliveries += self._end(island, t_us)
+            for node in self.nodes.values():
+                if node.off_until_us is not None and node.off_until_us <= t_us:
+                    node.off_until_us, node.tec, node.rec = None, 0, 0
+            for island in sorted(self._start_us):
+                if self._start_us[island] <= t_us and island not in self._sending:
+                    self._arbitrate(island, t_us)
+        return deliveries
+
+    def _arbitrate(self, island: int, t_us: int) -> None:
+        del self._start_us[island]
+        best: tuple[int, int, int] | None = None
+        for number, node in self.nodes.items():
+            if node.island == island and node.queue and node.off_until_us is None:
+                identifier, order, _ = node.queue[0]
+                if best is None or (identifier, order) < best[:2]:
+                    best = (identifier, order, number)
+        if best is None:
+            return
+        frame = self.nodes[best[2]].queue[0][2]
+        bits = frame_bits(frame.identifier, frame.data)
+        self.worst_us += worst_bits(len(frame.data)) * self.bit_us
+        broken = self.faults.error > 0.0 and self._rng["error"].random() < self.faults.error
+        if broken:  # somewhere inside the frame, then everybody shouts
+            length_us = self._rng["error"].randrange(1, bits) * self.bit_us + ERROR_US
+        else:
+            length_us = bits * self.bit_us
+        self.busy_us += length_us
+        self._sending[island] = (t_us + length_us, best[2], frame, broken)
+
+    def _end(self, island: int, t_us: int) -> list[Delivery]:
+        _, number, frame, broken = self._sending.pop(island)
+        self._free_us[island] = t_us
+        node = self.nodes[number]
+        deliveries: list[Delivery] = []
+        if broken:
+            self.errors += 1
+            self._punish(node, t_us)
+        else:
+            node.tec = max(0, node.tec - 1)
+            node.sent += 1
+            self.frames += 1
+            self.by_group[frame.identifier >> 8 & 0x3FFFF] += 1
+            repeated = self.faults.duplicate > 0 and self._rng["duplicate"].random() < self.faults.duplicate
+            if not repeated and node.queue:
+                self._drop_head(node, frame)
+            deliveries.append(Delivery(t_us, frame, number, self._hearers(number)))
+        if any(n.queue and n.island == island and n.off_until_us is None for n in self.nodes.values()):
+            self._start_us[island] = t_us
+        return deliveries
+
+    @staticmethod
+    def _drop_head(node: Node, frame: Frame) -> None:
+        """Take the sent frame off the queue; a more urgent one may have been queued meanwhile."""
+        if node.queue[0][2] is frame:
+            heappop(node.queue)
+            return
+        held = []
+        while node.queue[0][2] is not frame:
+            held.append(heappop(node.queue))
+        heappop(node.queue)
+        for entry in held:
+            heappush(node.queue, entry)
+
+    def _punish(self, node: Node, t_us: int) -> None:
+        node.tec += 8
+        if node.tec >= BUS_OFF_TEC:
+            node.off_until_us = t_us + RECOVERY_US
+            node.queue.clear()
+
+    def bus_off(self, number: int, until_us: int) -> None:
+        """Force a node off the bus."""
+        node = self.nodes[number]
+        node.tec, node.off_until_us = BUS_OFF_TEC, until_us
+        node.queue.clear()
+
+    def _hearers(self, sender: int) -> tuple[int, ...]:
+        audience = self._audience.get(sender)
+        if audience is None:
+            island = self.nodes[sender].island
+            audience = tuple(n for n, node in self.nodes.items() if n != sender and node.island == island)
+            self._audience[sender] = audience
+        faults = self.faults
+        if faults.deaf:
+            audience = tuple(n for n in audience if (sender, n) not in faults.deaf)
+        for rate, kind in ((faults.loss, "loss"), (faults.omission, "omission")):
+            if rate > 0.0:
+                chance = self._rng[kind].random
+                audience = tuple(n for n in audience if chance() >= rate)
+        return audience
