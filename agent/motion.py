@@ -2,27 +2,29 @@
 
 The pipeline of one control period ends here, except for the safety gate, which comes after and is
 the last word. Neighbours are believed where their last beat puts them, moved on by its age, with a
-margin for what the wire rounds off.
+margin for what the wire rounds off. A neighbour that stands takes no share: we avoid it alone.
 """
 
 from collections.abc import Mapping
 from math import cos, hypot, sin
 from typing import NamedTuple
 
-from agent.config import CONTROL_PERIOD_US, NEIGHBOUR_RANGE_M
+from agent.config import CONTROL_PERIOD_US, NEIGHBOURS_MAX, S
 from agent.effects import Drive
 from agent.membership import Neighbour
 from agent.mission import Wish
 from agent.orca import Avoidance
 from agent.ports import Observation
 
-ROUNDING_M = 0.05  # POSE carries 0.05 m; half of it each way, twice
-AGE_MAX_US = 1_000_000  # an older pose is taken as standing still where it was last seen
-COAST_RANGE_M = NEIGHBOUR_RANGE_M  # beyond, nobody is a danger within the horizon at our speeds
+MARGIN_M = 0.15  # POSE rounds to 0.05 m, a drive takes a period to act, wheels slip
+HORIZON_S = 4.0  # how far ahead two moving robots agree to be clear of each other
+STANDING_M_S = 0.05  # slower than this a neighbour cannot be relied on to give way
+AGE_MAX_US = 1 * S  # an older pose is not moved on: the robot may have stopped
+BIAS_RAD = 0.03  # everybody keeps a little right: two that meet head on do not mirror each other
 
 
 class Limits(NamedTuple):
-    """What the body can do, with its safety margin inside `radius_m`."""
+    """What the body is and can do."""
 
     radius_m: float
     speed_m_s: float
@@ -32,34 +34,48 @@ class Limits(NamedTuple):
 class Motion:
     def __init__(self, slot: int, limits: Limits) -> None:
         self.slot, self.limits = slot, limits
-        self.avoidance = Avoidance(limits.radius_m + ROUNDING_M, limits.speed_m_s)
+        self.avoidance = Avoidance(limits.speed_m_s, HORIZON_S, CONTROL_PERIOD_US / S)
+        # Nobody further away can be met within the horizon, both at full speed.
+        self.reach_m = 2 * limits.speed_m_s * HORIZON_S + 2 * limits.radius_m
 
     def drive(
         self, here: Observation, wish: Wish, neighbours: Mapping[int, Neighbour], now_us: int
     ) -> Drive:
-        reach_m = max(COAST_RANGE_M, 3.0 * self.limits.speed_m_s)
-        rows = []
-        for slot, (pose, heard_us) in neighbours.items():
-            dx_m, dy_m = pose.x_m - here.x_m, pose.y_m - here.y_m
-            if dx_m * dx_m + dy_m * dy_m > reach_m * reach_m:
-                continue
-            rows.append(self._row(slot, pose, now_us - heard_us))
-        vx_m_s, vy_m_s = self._limited(here, wish)
+        vx_m_s, vy_m_s = self._limited(wish)
+        rows = self._rows(here, neighbours, now_us)
         if rows:
-            vx_m_s, vy_m_s = self.avoidance.velocity(here, (vx_m_s, vy_m_s), rows)
+            # Only while somebody is near: on an open field a bias would be an error of tracking.
+            c, s = cos(BIAS_RAD), -sin(BIAS_RAD)
+            wanted = (c * vx_m_s - s * vy_m_s, s * vx_m_s + c * vy_m_s)
+            free = self.avoidance.velocity((here.vx_m_s, here.vy_m_s), (vx_m_s, vy_m_s), rows)
+            if hypot(free[0] - vx_m_s, free[1] - vy_m_s) > 1e-6:
+                free = self.avoidance.velocity((here.vx_m_s, here.vy_m_s), wanted, rows)
+            vx_m_s, vy_m_s = free
         return Drive(vx_m_s, vy_m_s, wish.turn_rad_s, wish.tool_on)
 
-    def _row(self, slot: int, pose: object, age_us: int) -> tuple[float, ...]:
-        raise NotImplementedError
+    def _rows(
+        self, here: Observation, neighbours: Mapping[int, Neighbour], now_us: int
+    ) -> list[tuple[float, ...]]:
+        near: list[tuple[float, ...]] = []
+        combined_m = 2 * self.limits.radius_m + MARGIN_M
+        for pose, heard_us in neighbours.values():
+            dx_m, dy_m = pose.x_m - here.x_m, pose.y_m - here.y_m
+            if abs(dx_m) > self.reach_m or abs(dy_m) > self.reach_m:
+                continue
+            speed_m_s, share = pose.speed_m_s, 1.0
+            vx_m_s = vy_m_s = 0.0
+            age_us = now_us - heard_us
+            if speed_m_s > STANDING_M_S and age_us < AGE_MAX_US and not pose.stopped:
+                vx_m_s, vy_m_s = speed_m_s * cos(pose.course_rad), speed_m_s * sin(pose.course_rad)
+                dx_m, dy_m = dx_m + vx_m_s * age_us / S, dy_m + vy_m_s * age_us / S
+                share = 0.5
+            near.append((dx_m, dy_m, vx_m_s, vy_m_s, combined_m, share))
+        near.sort(key=lambda row: row[0] * row[0] + row[1] * row[1])
+        return near[:NEIGHBOURS_MAX]
 
-    def _limited(self, here: Observation, wish: Wish) -> tuple[float, float]:
-        """The wish within what the body can reach in one period."""
-        vx_m_s, vy_m_s = wish.vx_m_s, wish.vy_m_s
-        speed_m_s = hypot(vx_m_s, vy_m_s)
-        if speed_m_s > self.limits.speed_m_s:
-            vx_m_s *= self.limits.speed_m_s / speed_m_s
-            vy_m_s *= self.limits.speed_m_s / speed_m_s
-        return vx_m_s, vy_m_s
-
-
-_ = (cos, sin, CONTROL_PERIOD_US)
+    def _limited(self, wish: Wish) -> tuple[float, float]:
+        speed_m_s = hypot(wish.vx_m_s, wish.vy_m_s)
+        if speed_m_s <= self.limits.speed_m_s:
+            return wish.vx_m_s, wish.vy_m_s
+        scale = self.limits.speed_m_s / speed_m_s
+        return wish.vx_m_s * scale, wish.vy_m_s * scale
