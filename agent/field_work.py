@@ -40,6 +40,7 @@ class FieldWork:
         self.leg = Leg(())
         self.unit = 0  # index into the leg's units
         self.worst_m = 0.0  # largest cross-track error inside the current unit
+        self.worked: set[int] = set()  # units of the current section done since it was begun
         self.heading_to: int | None = None  # the section an approach path leads to
         self._plan: dict[int, list[Job]] = {}
 
@@ -131,6 +132,7 @@ class FieldWork:
 
     def begin(self, section: int, view: FleetView) -> None:
         self.section, self.heading_to = self.field.section(section), None
+        self.worked.clear()
         self.legs, self.tracker = self._legs(self.section, view), None
 
     def abandon(self) -> None:
@@ -147,18 +149,21 @@ class FieldWork:
             self.begin(section, view)
         assert self.section is not None
         wish, covered = self._drive(view)
-        missing = self._missing(view, covered)
+        self.worked.update(covered)
+        missing = self._missing(view)
         if not missing:
             self.section = None
             return wish._replace(covered=tuple(covered), finished=True, near_end=True)
         if self.tracker is None and not self.legs:
-            self.legs = self._legs(self.section, view, frozenset(covered))
+            self.legs = self._legs(self.section, view)
         left_s = missing * self.field.unit_m / self.speed_m_s
         return wish._replace(covered=tuple(covered), near_end=left_s < NEAR_END_S)
 
-    def _missing(self, view: FleetView, covered: list[int]) -> int:
+    def _missing(self, view: FleetView) -> int:
         assert self.section is not None
-        return self.section.units - view.progress.covered(self.section.id) - len(covered)
+        section = self.section
+        told = sum(1 for unit in self.worked if not view.progress.has(section.id, unit))
+        return section.units - view.progress.covered(section.id) - told
 
     def _drive(self, view: FleetView) -> tuple[Wish, list[int]]:
         here, covered = view.here, []
@@ -198,14 +203,13 @@ class FieldWork:
             self.unit, self.worst_m = self.unit + 1, abs(self.tracker.off_m)
         return passed
 
-    def _legs(
-        self, section: Section, view: FleetView, also: frozenset[int] = frozenset()
-    ) -> list[Leg]:
+    def _legs(self, section: Section, view: FleetView) -> list[Leg]:
         """From here: the uncovered stretches of the section, nearest end first, joined by transits."""
+        mine = self.worked if self.section is section else frozenset[int]()
         stretches = [
             Leg(points, units)
             for points, units in section.stretches(
-                lambda unit: unit not in also and not view.progress.has(section.id, unit)
+                lambda unit: unit not in mine and not view.progress.has(section.id, unit)
             )
         ]
         if not stretches:

@@ -41,10 +41,9 @@ class Records:
                 progress.apply(int(section), int(block), U64.unpack(raw)[0])
 
     @staticmethod
-    def operation(count: int, section: int, key: int) -> tuple[str, bytes]:
-        """The register as this operation left it; the count is implied by the newest one."""
-        del count
-        return f"{REGISTER}{section}", U64.pack(key)
+    def operation(count: int, section: int, key: int) -> tuple[tuple[str, bytes], ...]:
+        """The register as this operation left it, and how many operations there have been."""
+        return (f"{REGISTER}{section}", U64.pack(key)), (OPERATIONS, U32.pack(count))
 
     @staticmethod
     def progress(section: int, block: int, bits: int) -> tuple[str, bytes]:

@@ -107,6 +107,6 @@ class Shell:
                     self.perform(effects)
             now_us = self.now_us()
             if now_us >= peer.deadline_us:
-                if self.body is not None and peer.control_due(now_us):
+                if self.body is not None and peer.wants_observation(now_us):
                     peer.observe(self.body.sense(now_us), now_us)
                 self.perform(peer.tick(now_us))

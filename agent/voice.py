@@ -8,9 +8,10 @@ from collections.abc import Iterable
 from math import atan2, hypot
 from typing import TYPE_CHECKING
 
-from agent.config import CONTROL_PERIOD_US, S, Beat
+from agent.config import BEATS, CONTROL_PERIOD_US, S, Beat
 from agent.effects import Effect, Persist, Send
 from agent.lifecycle import State
+from crdt.progress import BLOCK_UNITS
 from protocol.fleet_frames import Heartbeat, Member, Pose, VectorSlice
 from protocol.work_frames import WorkProgress
 
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
     from agent.core import Peer
 
 MEMBER_EVERY = 10  # heartbeats between two announcements of who we are, for those that missed it
-SLICE_SHARE = 1  # vector slices a heartbeat at most; a slice has 7 entries
 FIRST_COUNTER, LAST_COUNTER, LEAVING_COUNTER = 251, 250, 255  # ISO 11783-7 heartbeat
 PROGRESS_PERIOD_US = 1 * S  # covered units are announced together, at most this often
 
@@ -31,7 +31,7 @@ class Voice:
         self.next_control_us = now_us + phase_us % CONTROL_PERIOD_US
         self.beats_a_heartbeat = beat.heartbeat_us // beat.pose_us
         # A large fleet says its progress less often: the bus is shared by all of them.
-        self.progress_us = PROGRESS_PERIOD_US * max(1, beat.pose_us // (50_000))
+        self.progress_us = PROGRESS_PERIOD_US * beat.pose_us // BEATS[0].pose_us
         self.next_progress_us = now_us + self.progress_us
         self.beats = slot % self.beats_a_heartbeat  # heartbeats are spread over the beats
         self.heartbeats = 0
@@ -68,16 +68,20 @@ class Voice:
         return effects
 
     def cover(self, peer: "Peer", section: int, units: Iterable[int], now_us: int) -> list[Effect]:
-        """Record covered units now; announce them with the next progress frames."""
-        effects: list[Effect] = []
+        """Units were covered. They join our replica when they are announced, not before: a digest
+        with entries that nobody was told of would look like a difference to repair."""
         for unit in units:
-            block, bits = peer.progress.cover(section, unit)
-            self.pending[section, block] = bits
-        return effects
+            block, bit = divmod(unit, BLOCK_UNITS)
+            self.pending[section, block] = self.pending.get((section, block), 0) | 1 << bit
+        return self.flush(peer, now_us) if now_us >= self.next_progress_us else []
 
     def flush(self, peer: "Peer", now_us: int) -> list[Effect]:
+        """Durable, then announced, then part of the replica that the digest speaks of."""
         effects: list[Effect] = []
-        for (section, block), bits in sorted(self.pending.items()):
+        for (section, block), new in sorted(self.pending.items()):
+            bits = peer.progress.bits(section, block) | new
+            peer.progress.apply(section, block, bits)
+            peer.sync.changed_here(section, block)
             effects.append(Persist(*peer.records.progress(section, block, bits)))
             effects.append(Send(WorkProgress(section, block, bits)))
         self.pending.clear()

@@ -45,7 +45,7 @@ class Robot:
 def make_peer(setting: Setting, slot: int, now_us: int, recalled: dict[str, bytes]) -> Peer:
     """The peer of one slot for a scenario; the same on a virtual clock and in a process of its own."""
     fleet = setting.scenario.fleet
-    work = FieldWork(setting.field, setting.route(), fleet.speed_m_s, fleet.deceleration_m_s2)
+    work = FieldWork(setting.field, setting.route, fleet.speed_m_s, 0.7 * fleet.acceleration_m_s2)
     motion = Motion(slot, Limits(fleet.radius_m, fleet.speed_m_s, fleet.acceleration_m_s2))
     identity = Identity(
         slot=slot,

@@ -5,33 +5,87 @@ gives nobody knowledge that it would not have computed alike.
 """
 
 from functools import cached_property
+from pathlib import Path
 
-from agent.field import Field, rasterise
+import numpy as np
+from numpy.typing import NDArray
+from shapely.geometry import Point
+
+from agent.field import XY, Field, rasterise, start_poses
 from agent.route import Route
 from agent.safety import SilencePolicy
+from agent.swaths import divide
 from protocol.authentication import Keyring
-from sim.scenario import Scenario
+from sim.field_file import FieldFileError, read_boundary
+from sim.mecanum import Chassis
+from sim.scenario import Scenario, ScenarioError
 from sim.world import World
 
-ROUTE_CELL_M = 0.5  # a cell of the path grid; a fifth of the narrowest gap the default robots may use
-CLEARANCE_M = 0.2  # paths keep this much more than the radius from fences and holes
+ROUTE_CELLS_MAX = 1_500_000  # of the path grid; larger fields get coarser cells
+ROUTE_CELL_M = 0.5
+CLEARANCE_M = 0.3  # paths keep this much more than the radius from fences and holes
+SPACING_RADII = 3.0  # between robots at the gate
 
 
 class Setting:
     def __init__(self, scenario: Scenario) -> None:
+        """Raises ScenarioError where the field cannot be used."""
         self.scenario = scenario
-        self.field: Field = scenario.make_field()
+        self.field = self._field()
         self.silence = SilencePolicy[scenario.fleet.silence.upper()]
+        spacing_m = SPACING_RADII * scenario.fleet.radius_m
+        try:
+            self.starts: list[XY] = start_poses(
+                self.field, scenario.fleet.robots, spacing_m, scenario.fleet.radius_m + CLEARANCE_M
+            )
+        except ValueError as problem:
+            raise ScenarioError(f"{scenario.name}: fleet.robots: {problem}") from None
+
+    def _field(self) -> Field:
+        table = self.scenario.field
+        path = Path(table.file) if Path(table.file).is_absolute() else self.scenario.folder / table.file
+        try:
+            boundary = read_boundary(path, table.feature)
+            gate = table.gate or self._corner(boundary.polygon.exterior.coords)
+            if not boundary.polygon.buffer(0.5).contains(Point(gate)):
+                raise ScenarioError(f"{self.scenario.name}: field.gate: {gate} is not in the field")
+            return divide(
+                boundary.name, boundary.polygon, boundary.origin, gate, table.implement_width_m,
+                table.overlap_m, table.section_length_m, table.unit_m,
+            )  # fmt: skip
+        except FieldFileError as problem:
+            raise ScenarioError(f"{self.scenario.name}: field.file: {problem}") from None
+        except ValueError as problem:
+            raise ScenarioError(f"{self.scenario.name}: field.implement_width_m: {problem}") from None
+
+    @staticmethod
+    def _corner(outline: object) -> XY:
+        """Without a gate in the scenario: the south-western corner of the outline."""
+        points = [(float(p[0]), float(p[1])) for p in outline]  # type: ignore[attr-defined]
+        return min(points, key=lambda p: (p[0] + p[1], p))
 
     @cached_property
-    def _grid(self) -> tuple[object, float, float, float]:
-        return rasterise(self.field, ROUTE_CELL_M, self.scenario.fleet.radius_m + CLEARANCE_M)
+    def _grid(self) -> tuple[NDArray[np.bool_], float, float, float]:
+        west, south, east, north = self.field.polygon.bounds
+        cell_m = ROUTE_CELL_M
+        while (east - west) * (north - south) / cell_m**2 > ROUTE_CELLS_MAX:
+            cell_m *= 2
+        return rasterise(self.field, cell_m, self.scenario.fleet.radius_m + CLEARANCE_M)
 
+    @cached_property
     def route(self) -> Route:
-        return Route(*self._grid)  # type: ignore[arg-type]
+        return Route(*self._grid)
 
     def world(self) -> World:
-        raise NotImplementedError
+        """A fresh world with every robot at its place near the gate."""
+        fleet = self.scenario.fleet
+        world = World([self.field.exterior, *self.field.holes], self.scenario.run.seed)
+        chassis = Chassis(
+            speed_m_s=fleet.speed_m_s, acceleration_m_s2=fleet.acceleration_m_s2, slip=fleet.slip
+        )
+        for slot, at in enumerate(self.starts):
+            world.add_robot(slot, at, fleet.radius_m, chassis)
+        return world
 
     def keyring(self, slot: int) -> Keyring | None:
         return None

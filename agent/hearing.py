@@ -1,0 +1,172 @@
+"""What each frame kind does to a peer: one short handler a kind, none of which can raise.
+
+Handlers take (source address, slot of that address or None, message, now) and return effects.
+Nothing but a stop is believed from an address that has not said which member it is.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+from agent.cause import Cause
+from agent.effects import HALT, Effect, Trace
+from agent.membership import Neighbour
+from protocol.codec import Malformed
+from protocol.fleet_frames import Heartbeat, LeaderElectionVote, Member, Pose, VectorSlice
+from protocol.messages import Message
+from protocol.network_frames import AddressClaimed, Request
+from protocol.safety_frames import (
+    AllImplementsStop, Command, EmergencyReset, EmergencyStop, OperatorCommand,
+)  # fmt: skip
+from protocol.work_frames import (
+    Digests, StateSyncRequest, StateSyncResponse, TaskClaim, WorkProgress,
+)  # fmt: skip
+
+if TYPE_CHECKING:
+    from agent.core import Peer
+
+EVERYBODY = 0xFF  # target of an operator's command
+Handler = Callable[[int, int | None, Any, int], Sequence[Effect]]
+
+
+class Hearing:
+    def __init__(self, peer: "Peer") -> None:
+        self.peer = peer
+        self._handlers: dict[type[Any], Handler] = {
+            EmergencyReset: self._reset,
+            AllImplementsStop: self._implements_stop,
+            OperatorCommand: self._command,
+            Pose: self._pose,
+            Heartbeat: self._heartbeat,
+            Member: self._member,
+            TaskClaim: self._work,
+            StateSyncResponse: self._work,
+            WorkProgress: self._work,
+            StateSyncRequest: self._work,
+            Digests: self._work,
+            LeaderElectionVote: self._vote,
+            VectorSlice: self._slice,
+            AddressClaimed: self._address,
+            Request: self._address,
+            Malformed: self._malformed,
+        }
+
+    def dispatch(
+        self, source: int, slot: int | None, message: Message | Malformed, now_us: int
+    ) -> Sequence[Effect]:
+        handler = self._handlers.get(type(message))
+        return () if handler is None else handler(source, slot, message, now_us)
+
+    def stop(self, source: int, message: EmergencyStop, now_us: int) -> Sequence[Effect]:
+        peer = self.peer
+        slot = peer.membership.slot_of.get(source)
+        effects = peer.safety.receive_stop(message, slot, now_us)
+        if slot is not None and peer.membership.heard(slot, now_us):
+            effects = [*effects, *peer.membership_changed(now_us)]
+        dot = f"{message.slot}.{message.incarnation}.{message.counter}"
+        return [*effects, *peer.latch(f"stop {dot} from address {source}")]
+
+    # ---------------------------------------------------------------- safety
+
+    def _reset(self, source: int, slot: int | None, m: EmergencyReset, now_us: int) -> Sequence[Effect]:
+        return self.peer.safety.receive_reset(m, now_us)
+
+    def _implements_stop(
+        self, source: int, slot: int | None, m: AllImplementsStop, now_us: int
+    ) -> Sequence[Effect]:
+        return self.peer.safety.receive_implements_stop(source, m, now_us)
+
+    def _command(self, source: int, slot: int | None, m: OperatorCommand, now_us: int) -> Sequence[Effect]:
+        peer = self.peer
+        if m.target not in (peer.slot, EVERYBODY) or not peer.safety.accept_command(m, now_us):
+            return ()
+        match m.command:
+            case Command.MANUAL_RESET:
+                return peer.manual_reset(now_us)
+            case Command.START:
+                return peer.start(now_us)
+            case Command.HOLD:
+                peer.safety.hold(now_us)
+                return [HALT]
+            case Command.WAIVE if peer.membership.waive(m.argument, now_us):
+                return peer.membership_changed(now_us)
+        return ()
+
+    # ---------------------------------------------------------------- members
+
+    def _stranger(self, source: int, now_us: int) -> Sequence[Effect]:
+        self.peer.membership.strangers += 1
+        return self.peer.joining.ask_who(source, now_us)
+
+    def _pose(self, source: int, slot: int | None, m: Pose, now_us: int) -> Sequence[Effect]:
+        """A pose that the fast path in `Peer.hear` did not take: a stranger's, or a returning one's."""
+        if slot is None:
+            return self._stranger(source, now_us)
+        self.peer.membership.neighbours[slot] = Neighbour(m, now_us)
+        return self.peer.safety.beat(slot, m.stopped, now_us)
+
+    def _heartbeat(self, source: int, slot: int | None, m: Heartbeat, now_us: int) -> Sequence[Effect]:
+        peer = self.peer
+        if slot is None:
+            return () if m.leaving else self._stranger(source, now_us)
+        if m.leaving:
+            peer.membership.leave(slot, now_us)
+            return peer.membership_changed(now_us)
+        peer.clock.witness(slot, m.operations)
+        peer.sync.heard_digest(slot, m.digest, now_us)
+        if m.stopped or peer.safety.latched:
+            return peer.safety.beat(slot, m.stopped, now_us)
+        return ()
+
+    def _member(self, source: int, slot: int | None, m: Member, now_us: int) -> Sequence[Effect]:
+        peer = self.peer
+        if m.config_hash != peer.identity.field_hash:
+            peer.safety.raise_cause(Cause.CONFIG_MISMATCH, now_us, f"address {source}")
+            return [HALT]
+        live = peer.membership.live
+        if m.slot not in peer.membership.standing:
+            return [Trace("membership", "", "REFUSED", "", f"slot {m.slot} at address {source}")]
+        peer.membership.returned(m.slot, now_us)
+        peer.membership.bind(source, m.slot, m.incarnation, now_us)
+        return () if live == peer.membership.live else peer.membership_changed(now_us)
+
+    def _vote(self, source: int, slot: int | None, m: LeaderElectionVote, now_us: int) -> Sequence[Effect]:
+        peer = self.peer
+        if slot is None or m.election != peer.election.election:
+            return ()
+        before = peer.election.leader
+        return peer.voted(peer.election.receive(slot, m, peer.membership.live), before)
+
+    def _slice(self, source: int, slot: int | None, m: VectorSlice, now_us: int) -> Sequence[Effect]:
+        for offset, low in enumerate(m.counts):
+            member = m.base + offset
+            if member != self.peer.slot:  # nobody knows our own counter better than we do
+                self.peer.clock.witness(member, low, bits=8)
+        return ()
+
+    def _address(self, source: int, slot: int | None, m: Any, now_us: int) -> Sequence[Effect]:
+        peer = self.peer
+        if isinstance(m, AddressClaimed) and slot is not None and peer.joining.changed_hands(source, m):
+            peer.membership.unbind(source)
+        return peer.joining.receive(source, m, now_us)
+
+    # ---------------------------------------------------------------- work
+
+    def _work(self, source: int, slot: int | None, m: Any, now_us: int) -> Sequence[Effect]:
+        peer = self.peer
+        if slot is None:
+            return self._stranger(source, now_us)
+        changed = peer.sync.receive(slot, m, now_us)
+        effects: list[Effect] = []
+        for section in peer.claims.recheck(changed):
+            effects.append(Trace("claim", f"S{section}", "LOST", "", f"told by {slot}"))
+            if peer.mission is not None and peer.claims.current is None:
+                peer.mission.abandon()
+            effects += peer.idle_if_free(f"lost S{section}")
+        if isinstance(m, StateSyncRequest | Digests | StateSyncResponse):
+            effects.append(Trace("sync", "", type(m).__name__, "", f"from {slot}"))
+        return effects
+
+    def _malformed(self, source: int, slot: int | None, m: Malformed, now_us: int) -> Sequence[Effect]:
+        counted = self.peer.malformed
+        counted[m.reason] = counted.get(m.reason, 0) + 1
+        return ()

@@ -1,0 +1,73 @@
+"""What a control period does: decide, claim, work, drive. Sense came before; the gate comes last."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from agent.effects import Effect, Trace
+from agent.lifecycle import Event, State
+from agent.mission import STILL, FleetView, Wish
+
+if TYPE_CHECKING:
+    from agent.core import Peer
+
+
+class Working:
+    def __init__(self, peer: "Peer") -> None:
+        self.peer = peer
+
+    def start_due(self, now_us: int) -> Sequence[Effect]:
+        """A claim whose contention window has passed becomes work."""
+        peer = self.peer
+        if peer.lifecycle.state is not State.IDLE or not peer.safety.may_move:
+            return ()
+        if peer.claims.current is not None:  # kept through a stop and its reset
+            return peer.fire(Event.CLAIMED, f"resumes S{peer.claims.current}")
+        section = peer.claims.start_due(now_us)
+        if section is None:
+            return ()
+        key = peer.claims.start(section)
+        if key is None:
+            return [Trace("claim", f"S{section}", "LOST", "", "at the start")]
+        if peer.mission is not None and peer.here is not None:
+            peer.mission.begin(section, peer.view(now_us))
+        return [
+            *peer.announce(section, key, "start"),
+            *peer.fire(Event.CLAIMED, f"holds S{section}"),
+        ]
+
+    def control(self, now_us: int) -> Sequence[Effect]:
+        """Sense to drive, once a control period. The gate is the last function before `Drive`."""
+        peer = self.peer
+        if peer.mission is None or peer.motion is None or peer.here is None:
+            return ()
+        effects: list[Effect] = []
+        peer.wish = self._wish(peer.view(now_us), effects)
+        wanted = peer.motion.drive(peer.here, peer.wish, peer.membership.neighbours, now_us)
+        return [peer.safety.gate(wanted, now_us), *effects]
+
+    def _wish(self, view: FleetView, effects: list[Effect]) -> Wish:
+        peer, now_us = self.peer, view.now_us
+        assert peer.mission is not None
+        state, claims = peer.lifecycle.state, peer.claims
+        if state not in (State.IDLE, State.WORKING) or not peer.safety.may_move:
+            return STILL
+        if claims.room and (claims.current is None or peer.wish.near_end) and peer.sync.ready(now_us):
+            choice = peer.mission.choose(view)
+            if choice is not None:
+                effects += peer.claim(choice.section, choice.bid, now_us, choice.takeover)
+        if state is State.WORKING and claims.current is not None:
+            return self._work(view, claims.current, effects)
+        if claims.next is not None:
+            return peer.mission.approach(claims.next, view)
+        return peer.mission.rest(view)
+
+    def _work(self, view: FleetView, section: int, effects: list[Effect]) -> Wish:
+        peer = self.peer
+        assert peer.mission is not None
+        wish = peer.mission.work(view)
+        if wish.covered:
+            effects += peer.voice.cover(peer, section, wish.covered, view.now_us)
+        if wish.finished:
+            effects += peer.voice.flush(peer, view.now_us)
+            effects += peer.finish(section, view.now_us)
+        return wish

@@ -1,0 +1,241 @@
+"""Scenario files: TOML, validated; a wrong one gets one line that says which key and why."""
+
+import tomllib
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from agent.config import PEERS_MAX, SPEED_MAX_M_S
+
+SHIPPED = Path(__file__).parent / "scenarios"
+
+
+class ScenarioError(Exception):
+    """One line for the person who wrote the file."""
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class FieldTable(_Table):
+    file: str
+    feature: str | None = None
+    implement_width_m: float = Field(4.0, gt=0.2, le=60.0)
+    overlap_m: float = Field(0.2, gt=0.01, le=2.0)
+    section_length_m: float = Field(250.0, ge=10.0, le=50_000.0)
+    unit_m: float = Field(5.0, ge=0.5, le=100.0)
+    gate: tuple[float, float] | None = None  # metres east and north of the middle; none: a corner
+
+
+class FleetTable(_Table):
+    robots: int = Field(6, ge=1, le=PEERS_MAX)
+    radius_m: float = Field(0.8, gt=0.05, le=5.0)
+    speed_m_s: float = Field(2.5, gt=0.05, le=SPEED_MAX_M_S)
+    acceleration_m_s2: float = Field(1.5, gt=0.05, le=10.0)
+    slip: float = Field(0.02, ge=0.0, le=0.3)
+    silence: Literal["stop", "slow", "continue"] = "stop"
+    keys: str | None = None  # key file, made by `headland keys make`
+
+
+class BusTable(_Table):
+    bitrate: Literal[125_000, 250_000, 500_000, 1_000_000] = 250_000
+    loss: float = Field(0.0, ge=0.0, le=0.9)
+    error_rate: float = Field(0.0, ge=0.0, le=0.5)
+    omission: float = Field(0.0, ge=0.0, le=0.9)
+    duplicate: float = Field(0.0, ge=0.0, le=0.9)
+
+
+class RunTable(_Table):
+    seed: int = Field(1, ge=0)
+    time_limit_s: float = Field(3600.0, gt=0.0, le=86_400.0)
+
+
+class _Fault(_Table):
+    at_s: float = Field(ge=0.0)
+
+
+Slot = Annotated[int, Field(ge=0, lt=PEERS_MAX)]
+
+
+class Partition(_Fault):
+    kind: Literal["partition"]
+    islands: list[list[Slot]]
+
+
+class Heal(_Fault):
+    kind: Literal["heal"]
+
+
+class OneWay(_Fault):
+    kind: Literal["one_way"]
+    sender: Slot
+    receiver: Slot
+
+
+class Crash(_Fault):
+    kind: Literal["crash"]
+    robot: Slot
+
+
+class Restart(_Fault):
+    kind: Literal["restart"]
+    robot: Slot
+    disk: Literal["kept", "lost"] = "kept"
+
+
+class Freeze(_Fault):
+    kind: Literal["freeze"]
+    robot: Slot
+    for_s: float = Field(gt=0.0)
+
+
+class Loss(_Fault):
+    kind: Literal["loss"]
+    rate: float = Field(ge=0.0, le=1.0)
+
+
+class Omission(_Fault):
+    kind: Literal["omission"]
+    rate: float = Field(ge=0.0, le=1.0)
+
+
+class Duplicate(_Fault):
+    kind: Literal["duplicate"]
+    rate: float = Field(ge=0.0, le=1.0)
+
+
+class Errors(_Fault):
+    kind: Literal["errors"]
+    rate: float = Field(ge=0.0, le=0.5)
+
+
+class BusOff(_Fault):
+    kind: Literal["bus_off"]
+    robot: Slot
+    for_s: float = Field(gt=0.0)
+
+
+class Estop(_Fault):
+    kind: Literal["estop"]
+    robot: Slot
+    reason: str = "OPERATOR_INTERVENTION"
+
+
+class Reset(_Fault):
+    kind: Literal["reset"]  # clear every stop, reset every machine, and start again
+
+
+class Box(_Fault):
+    kind: Literal["box"]
+    x_m: float
+    y_m: float
+    size_m: float = Field(1.0, gt=0.0, le=20.0)
+    for_s: float = Field(gt=0.0)
+
+
+class Pushed(_Fault):
+    kind: Literal["pushed"]
+    robot: Slot
+    dx_m: float
+    dy_m: float
+
+
+class Join(_Fault):
+    kind: Literal["join"]  # this robot is switched on only now
+    robot: Slot
+
+
+Fault = Annotated[
+    Partition | Heal | OneWay | Crash | Restart | Freeze | Loss | Omission | Duplicate | Errors
+    | BusOff | Estop | Reset | Box | Pushed | Join,
+    Field(discriminator="kind"),
+]  # fmt: skip
+
+
+class Scenario(_Table):
+    name: str = Field(min_length=1, max_length=64)
+    mission: Literal["field"] = "field"
+    field: FieldTable
+    fleet: FleetTable = FleetTable()
+    bus: BusTable = BusTable()
+    run: RunTable = RunTable()
+    fault: list[Fault] = []
+    folder: Path = Field(Path(), exclude=True)  # what file names are relative to
+
+    def changed(self, robots: int | None = None, seed: int | None = None) -> "Scenario":
+        """The same with another number of robots or another seed. ScenarioError where out of range."""
+        document = self.model_dump(exclude_unset=True)
+        if robots is not None:
+            document.setdefault("fleet", {})["robots"] = robots
+        if seed is not None:
+            document.setdefault("run", {})["seed"] = seed
+        return _validate(document, self.name, self.folder)
+
+
+def shipped() -> list[str]:
+    return sorted(path.stem for path in SHIPPED.glob("*.toml"))
+
+
+def load(name: str) -> Scenario:
+    """A scenario by file, or by the name of one that ships."""
+    path = Path(name)
+    if not path.suffix and not path.exists() and (SHIPPED / f"{name}.toml").exists():
+        path = SHIPPED / f"{name}.toml"
+    try:
+        document = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        known = ", ".join(shipped())
+        raise ScenarioError(f"{name}: no such file, and no scenario of that name ships ({known})") from None
+    except OSError as problem:
+        raise ScenarioError(f"{name}: cannot be read: {problem.strerror}") from None
+    except UnicodeDecodeError:
+        raise ScenarioError(f"{name}: not a text file") from None
+    except tomllib.TOMLDecodeError as problem:
+        raise ScenarioError(f"{name}: not TOML: {problem}") from None
+    return _validate(document, name, path.parent)
+
+
+def _validate(document: dict[str, Any], name: str, folder: Path) -> Scenario:
+    try:
+        scenario = Scenario(**{**document, "folder": folder})
+    except ValidationError as problem:
+        raise ScenarioError(f"{name}: {_one_line(problem)}") from None
+    except TypeError as problem:
+        raise ScenarioError(f"{name}: {problem}") from None
+    for number, fault in enumerate(scenario.fault):
+        robot = getattr(fault, "robot", 0)
+        if robot >= scenario.fleet.robots:
+            raise ScenarioError(
+                f"{name}: fault.{number}.robot: robot {robot} is not one of {scenario.fleet.robots} "
+                f"(0 to {scenario.fleet.robots - 1})"
+            )
+    return scenario
+
+
+def _one_line(problem: ValidationError) -> str:
+    """The first error: which key, what is wrong, and what was probably meant."""
+    error = problem.errors()[0]
+    path = [str(part) for part in error["loc"]]
+    key = ".".join(path)
+    if error["type"] == "extra_forbidden":
+        meant = get_close_matches(path[-1], _keys_beside(path), n=1)
+        return f"{key}: unknown key" + (f"; did you mean {meant[0]!r}?" if meant else "")
+    if error["type"] == "missing":
+        return f"{key}: is missing"
+    message = error["msg"][0].lower() + error["msg"][1:]
+    more = len(problem.errors()) - 1
+    tail = f" (and {more} more)" if more else ""
+    return f"{key}: {message}, not {error['input']!r}{tail}"
+
+
+def _keys_beside(path: list[str]) -> list[str]:
+    model: Any = Scenario
+    for part in path[:-1]:
+        field = model.model_fields.get(part) if isinstance(model, type) else None
+        if field is None or not isinstance(field.annotation, type):
+            return []
+        model = field.annotation
+    return list(model.model_fields) if isinstance(model, type) and issubclass(model, BaseModel) else []
