@@ -163,8 +163,7 @@ class Peer:
             effects += self._working.start_due(now_us)
         if self.voice.control_due(now_us):
             effects += self._working.control(now_us)
-        if self.joining.joined:
-            effects += self.voice.speak(self, now_us)
+        effects += self.voice.speak(self, now_us)
         return effects
 
     def _join(self, now_us: int) -> Sequence[Effect]:

@@ -189,7 +189,8 @@ class FieldWork:
         if not self.leg.units:
             return []
         passed = []
-        self.worst_m = max(self.worst_m, abs(self.tracker.off_m))
+        if self.tracker.along_m > 0.0:  # before its first point a robot may come from the side
+            self.worst_m = max(self.worst_m, abs(self.tracker.off_m))
         piece_m = self.tracker.total_m / len(self.leg.units)
         while self.unit < len(self.leg.units):
             end_m = (self.unit + 1) * piece_m

@@ -5,13 +5,15 @@ the distance to it, within the speed that still allows to stop at the end. The c
 decides whether a unit counts as worked, so the correction is stiff.
 """
 
-from math import atan2, hypot, sqrt
+from math import atan2, hypot, pi, sin, sqrt
 
 Point = tuple[float, float]
 
 CLOSE_GAIN_1_S = 2.0  # cross-track error is closed with this rate; 20 Hz control is stable below ~10
-ARRIVED_M = 0.15
-BESIDE_M = 0.3  # passing the end further to the side than this is not arriving
+ARRIVED_M = 0.06  # a few centimetres: what a body at creep speed covers in a control period
+ALIGN_M = 0.12  # this far off the line, it does not advance at all before it is back
+BESIDE_M = 0.3  # passing the end further away than this is not arriving
+SWING_M = 0.03  # how far a body may swing out at a corner; a third of the usual tolerance
 CREEP_M_S = 0.1  # approach speed at the very end, so that arrival does not take for ever
 
 
@@ -27,6 +29,7 @@ class Tracker:
         for length_m in self.lengths_m:
             self.starts_m.append(self.starts_m[-1] + length_m)
         self.total_m = self.starts_m[-1]
+        self.passing_m_s = self._passing_speeds()
         self.piece = 0  # the segment we are on; it only grows
         self.along_m = 0.0  # arc length of our projection
         self.off_m = 0.0  # cross-track distance, positive to the left
@@ -49,7 +52,7 @@ class Tracker:
                 continue
             self.along_m = self.starts_m[self.piece] + min(max(t_m, 0.0), length_m)
             at_end = last and self.total_m - self.along_m <= ARRIVED_M
-            self.arrived = at_end and abs(self.off_m) <= BESIDE_M
+            self.arrived = at_end and hypot(x_m - bx, y_m - by) <= BESIDE_M
             return
         x_end, y_end = self.points[-1]  # nothing but a point is left
         self.off_m = hypot(x_m - x_end, y_m - y_end)
@@ -64,28 +67,42 @@ class Tracker:
         length_m = self.lengths_m[self.piece]
         ux, uy = (bx - ax) / length_m, (by - ay) / length_m
         t_m = (x_m - ax) * ux + (y_m - ay) * uy
-        if abs(self.off_m) > 1.0 or t_m < -1.0 or t_m > length_m:  # far from the line: go to where it can be joined
+        if abs(self.off_m) > 1.0 or t_m < -1.0 or t_m > length_m:  # far: go where it can be joined
             join_m = min(max(t_m, 0.0) + 0.5, length_m)
             return self._towards(x_m, y_m, (ax + ux * join_m, ay + uy * join_m))
-        speed_m_s = self._speed(length_m - t_m)
         close_m_s = -CLOSE_GAIN_1_S * self.off_m
-        close_m_s = min(max(close_m_s, -speed_m_s), speed_m_s)
-        forward_m_s = sqrt(max(speed_m_s * speed_m_s - close_m_s * close_m_s, 0.0))
+        close_m_s = min(max(close_m_s, -self.speed_m_s), self.speed_m_s)
+        room_m_s = sqrt(self.speed_m_s**2 - close_m_s**2)
+        aligned = max(0.0, 1.0 - abs(self.off_m) / ALIGN_M)
+        forward_m_s = min(self._speed(length_m - t_m) * aligned, room_m_s)
         return ux * forward_m_s - uy * close_m_s, uy * forward_m_s + ux * close_m_s
 
     def _speed(self, left_m: float) -> float:
-        """Fast enough to waste nothing, slow enough for the corner or the end ahead."""
-        corner_m_s = 0.0
-        if self.piece + 1 < len(self.lengths_m):
-            turn_rad = self._turn(self.piece)
-            corner_m_s = self.speed_m_s * max(0.0, 1.0 - abs(turn_rad) / 1.2)
-        stop_m_s = sqrt(corner_m_s**2 + 2.0 * self.deceleration_m_s2 * max(left_m - 0.02, 0.0))
-        return max(min(self.speed_m_s, stop_m_s), CREEP_M_S)
+        """Fast enough to waste nothing, slow enough for the corners and the end ahead."""
+        pass_m_s = self.passing_m_s[self.piece + 1]
+        brake_m_s = sqrt(pass_m_s**2 + 2.0 * self.deceleration_m_s2 * max(left_m - 0.02, 0.0))
+        return max(min(self.speed_m_s, brake_m_s), CREEP_M_S)
+
+    def _passing_speeds(self) -> list[float]:
+        """Allowed speed at each point: what swings out at a corner stays below `SWING_M`, and the
+        next slower point can be braked for."""
+        count = len(self.points)
+        speeds = [self.speed_m_s] * count
+        speeds[-1] = 0.0
+        for k in range(1, count - 1):
+            turn_rad = abs(self._turn(k - 1))
+            swing_m_s = sqrt(2.0 * self.deceleration_m_s2 * SWING_M)
+            across = sin(min(turn_rad, pi / 2))
+            speeds[k] = min(self.speed_m_s, swing_m_s / across) if across > 1e-6 else self.speed_m_s
+        for k in range(count - 2, -1, -1):
+            reach_m_s = sqrt(speeds[k + 1] ** 2 + 2.0 * self.deceleration_m_s2 * self.lengths_m[k])
+            speeds[k] = min(speeds[k], reach_m_s)
+        return speeds
 
     def _turn(self, piece: int) -> float:
         (ax, ay), (bx, by), (cx, cy) = self.points[piece : piece + 3]
         turn_rad = atan2(cy - by, cx - bx) - atan2(by - ay, bx - ax)
-        return (turn_rad + 3.141592653589793) % 6.283185307179586 - 3.141592653589793
+        return (turn_rad + pi) % (2 * pi) - pi
 
     def _towards(self, x_m: float, y_m: float, target: Point) -> Point:
         dx_m, dy_m = target[0] - x_m, target[1] - y_m

@@ -57,8 +57,8 @@ class Voice:
         return True
 
     def speak(self, peer: "Peer", now_us: int) -> Iterable[Effect]:
-        if not self.pose_due(now_us):
-            return ()
+        if not self.pose_due(now_us) or not peer.joining.joined:
+            return ()  # the beat goes on in silence while we have no address
         effects: list[Effect] = [Send(self._pose(peer))]
         self.beats += 1
         if self.beats % self.beats_a_heartbeat == 0:

@@ -17,7 +17,7 @@ from agent.effects import HALT, Drive
 from agent.ports import Observation
 from sim.mecanum import Chassis, Mecanum
 
-STEP_US = 10_000
+STEP_US = 20_000  # five steps of an actuator's life; two robots close in by 0.1 m at most
 STEP_S = STEP_US / 1_000_000
 TRACK_US = 100_000  # positions are kept this often
 WALL_M = 0.02  # half the thickness of a fence
