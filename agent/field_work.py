@@ -6,18 +6,19 @@ and never further from the line than the overlap allows; what was missed is work
 """
 
 from collections.abc import Mapping
-from math import hypot
+from math import cos, hypot, sin
 from typing import NamedTuple
 
 from agent.allocator import Job, Point, shares
 from agent.config import LEASE_US
 from agent.field import Field, Section
+from agent.lifecycle import State
 from agent.mission import STILL, Choice, FleetView, Wish
 from agent.route import Route
 from agent.tracker import Tracker
 from crdt import Phase
 
-TRANSIT_COST = 1.0  # a metre of transit against a metre of work, at equal speed
+MAKE_WAY_M = 6.0  # an idle robot keeps this far from one that works
 NEAR_END_S = 5.0  # claim the next section when this much work is left
 
 
@@ -56,15 +57,12 @@ class FieldWork:
         free = [j for j in self._jobs(view) if j.section not in taken]
         if free:
             self._plan = shares(free, self._anchors(view), self.speed_m_s)
-            mine = self._plan.get(view.slot) or self._spare(view, free)
-            if mine:
-                return self._bid(view, mine[0])
-            return None
+            mine = self._plan.get(view.slot)
+            if not mine:  # more robots than sections are left
+                return None
+            end = self._own_end(view)
+            return self._bid(view, min(mine, key=lambda job: min(_distance(e, end) for e in job.ends)))
         return self._orphan(view)
-
-    def _spare(self, view: FleetView, free: list[Job]) -> list[Job]:
-        """More robots than runs: nothing for us now."""
-        return []
 
     def _jobs(self, view: FleetView) -> list[Job]:
         jobs = []
@@ -77,17 +75,28 @@ class FieldWork:
 
     def _anchors(self, view: FleetView) -> dict[int, Point]:
         """Where each live member will be free: the end of what it works, or where it stands."""
-        anchors: dict[int, Point] = {}
-        for slot in sorted(view.live):
+        anchors: dict[int, Point] = {view.slot: self._own_end(view)}
+        for slot in sorted(view.live - {view.slot}):
+            neighbour = view.neighbours.get(slot)
             owned = view.allocation.assigned_sections(slot)
-            if slot == view.slot:
-                anchors[slot] = (view.here.x_m, view.here.y_m)
-            elif slot in view.neighbours:
-                pose = view.neighbours[slot].pose
-                anchors[slot] = (pose.x_m, pose.y_m)
-            if owned:
-                anchors[slot] = self.field.section(max(owned)).ends[-1]
+            if neighbour is None:
+                continue
+            pose = neighbour.pose
+            anchors[slot] = (pose.x_m, pose.y_m)
+            if owned:  # it will end where its course leads
+                course = (cos(pose.course_rad), sin(pose.course_rad))
+                anchors[slot] = max(
+                    self.field.section(owned[-1]).ends,
+                    key=lambda end: (end[0] - pose.x_m) * course[0] + (end[1] - pose.y_m) * course[1],
+                )
         return anchors
+
+    def _own_end(self, view: FleetView) -> Point:
+        if self.legs:
+            return self.legs[-1].points[-1]
+        if self.tracker is not None:
+            return self.tracker.points[-1]
+        return view.here.x_m, view.here.y_m
 
     def _reserve(self, view: FleetView) -> None:
         """Keep a silent member's run for it; forget reservations of those that are back."""
@@ -140,7 +149,14 @@ class FieldWork:
         self.legs, self.tracker = [], None
 
     def rest(self, view: FleetView) -> Wish:
+        """No work for us: stand, but not where somebody works."""
         self.heading_to = None
+        here = view.here
+        for neighbour in view.neighbours.values():
+            dx_m, dy_m = here.x_m - neighbour.pose.x_m, here.y_m - neighbour.pose.y_m
+            distance_m = hypot(dx_m, dy_m)
+            if neighbour.pose.state == State.WORKING and 0.0 < distance_m < MAKE_WAY_M:
+                return Wish(dx_m / distance_m * self.speed_m_s, dy_m / distance_m * self.speed_m_s)
         return STILL
 
     def work(self, view: FleetView) -> Wish:

@@ -69,15 +69,16 @@ def _lp2(lines, count, radius, ox, oy, direction):  # type: ignore[no-untyped-de
 
 
 @njit(cache=True)
-def _lp3(lines, count, begin, radius, x, y):  # type: ignore[no-untyped-def]
-    """No velocity satisfies all: minimise the worst violation."""
+def _lp3(lines, count, hard, begin, radius, x, y):  # type: ignore[no-untyped-def]
+    """No velocity satisfies all: minimise the worst violation; the first `hard` lines hold."""
     distance = 0.0
     projected = np.empty((count, 4))
     for i in range(begin, count):
         if lines[i, 2] * (lines[i, 1] - y) - lines[i, 3] * (lines[i, 0] - x) <= distance:
             continue
-        n = 0
-        for j in range(i):
+        n = hard
+        projected[:hard] = lines[:hard]
+        for j in range(hard, i):
             determinant = lines[i, 2] * lines[j, 3] - lines[i, 3] * lines[j, 2]
             if abs(determinant) <= EPSILON:
                 if lines[i, 2] * lines[j, 2] + lines[i, 3] * lines[j, 3] > 0.0:
@@ -102,10 +103,14 @@ def _lp3(lines, count, begin, radius, x, y):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def avoid(vx, vy, wx, wy, speed_max, horizon_s, dt_s, rows, count, lines):  # type: ignore[no-untyped-def]
-    """Own velocity, wanted velocity, neighbour rows (`COLUMNS`): the velocity to take, m/s."""
-    for k in range(count):
-        px, py, ovx, ovy, radius, share = rows[k]
+def avoid(vx, vy, wx, wy, speed_max, horizon_s, dt_s, rows, count, hard, lines):  # type: ignore[no-untyped-def]
+    """Own velocity, wanted velocity, neighbour rows (`COLUMNS`): the velocity to take, m/s.
+
+    The first `hard` lines are there already (fences); the neighbours' come after them.
+    """
+    for i in range(count):
+        k = hard + i
+        px, py, ovx, ovy, radius, share = rows[i]
         rvx, rvy = vx - ovx, vy - ovy
         distance2, radius2 = px * px + py * py, radius * radius
         if distance2 > radius2:
@@ -137,27 +142,70 @@ def avoid(vx, vy, wx, wy, speed_max, horizon_s, dt_s, rows, count, lines):  # ty
             scale = radius / dt_s - w
             ux, uy = scale * ux, scale * uy
         lines[k, 0], lines[k, 1] = vx + share * ux, vy + share * uy
-    failed, x, y = _lp2(lines, count, speed_max, wx, wy, False)
-    if failed < count:
-        x, y = _lp3(lines, count, failed, speed_max, x, y)
+    failed, x, y = _lp2(lines, hard + count, speed_max, wx, wy, False)
+    if failed < hard + count:
+        x, y = _lp3(lines, hard + count, hard, failed, speed_max, x, y)
     return x, y
+
+
+@njit(cache=True)
+def fence_lines(x, y, radius, braking_m_s2, reach, fences, lines):  # type: ignore[no-untyped-def]
+    """Half-planes that keep a body from fences: towards one only as fast as it can still brake.
+
+    `fences`: ax, ay, bx, by a row. Returns how many lines were written.
+    """
+    n = 0
+    for k in range(fences.shape[0]):
+        ax, ay, bx, by = fences[k]
+        ex, ey = bx - ax, by - ay
+        t = ((x - ax) * ex + (y - ay) * ey) / (ex * ex + ey * ey)
+        t = min(max(t, 0.0), 1.0)
+        dx, dy = ax + t * ex - x, ay + t * ey - y
+        distance = sqrt(dx * dx + dy * dy)
+        if distance > reach or distance < 1e-9 or n >= lines.shape[0]:
+            continue
+        nx, ny = dx / distance, dy / distance
+        room = distance - radius
+        limit = sqrt(2.0 * braking_m_s2 * room) if room > 0.0 else max(room, -0.5)
+        lines[n, 0], lines[n, 1] = nx * limit, ny * limit
+        lines[n, 2], lines[n, 3] = -ny, nx
+        n += 1
+    return n
 
 
 class Avoidance:
     """One robot's ORCA with its scratch memory."""
 
-    def __init__(self, speed_max_m_s: float, horizon_s: float, dt_s: float) -> None:
-        self.speed_max_m_s, self.horizon_s, self.dt_s = speed_max_m_s, horizon_s, dt_s
+    def __init__(
+        self,
+        radius_m: float,
+        speed_max_m_s: float,
+        braking_m_s2: float,
+        horizon_s: float,
+        dt_s: float,
+        fences: NDArray[np.float64],
+    ) -> None:
+        self.radius_m, self.speed_max_m_s, self.braking_m_s2 = radius_m, speed_max_m_s, braking_m_s2
+        self.horizon_s, self.dt_s, self.fences = horizon_s, dt_s, fences
+        self.reach_m = radius_m + speed_max_m_s**2 / (2 * braking_m_s2) + speed_max_m_s * dt_s
         self._rows: NDArray[np.float64] = np.zeros((LINES_MAX, COLUMNS))
-        self._lines: NDArray[np.float64] = np.zeros((LINES_MAX, 4))
+        self._lines: NDArray[np.float64] = np.zeros((2 * LINES_MAX, 4))
 
     def velocity(
-        self, own: tuple[float, float], wanted: tuple[float, float], rows: list[tuple[float, ...]]
+        self,
+        at: tuple[float, float],
+        own: tuple[float, float],
+        wanted: tuple[float, float],
+        rows: list[tuple[float, ...]],
     ) -> tuple[float, float]:
         """`rows`: dx, dy, vx, vy, combined radius, share; nearest first, at most `LINES_MAX`."""
         count = min(len(rows), LINES_MAX)
         for k in range(count):
             self._rows[k] = rows[k]
+        hard = fence_lines(at[0], at[1], self.radius_m, self.braking_m_s2, self.reach_m,
+                           self.fences, self._lines[:LINES_MAX])  # fmt: skip
+        if not rows and hard == 0:
+            return wanted
         x, y = avoid(own[0], own[1], wanted[0], wanted[1], self.speed_max_m_s, self.horizon_s,
-                     self.dt_s, self._rows, count, self._lines)  # fmt: skip
+                     self.dt_s, self._rows, count, hard, self._lines)  # fmt: skip
         return float(x), float(y)

@@ -46,7 +46,7 @@ def make_peer(setting: Setting, slot: int, now_us: int, recalled: dict[str, byte
     """The peer of one slot for a scenario; the same on a virtual clock and in a process of its own."""
     fleet = setting.scenario.fleet
     work = FieldWork(setting.field, setting.route, fleet.speed_m_s, 0.7 * fleet.acceleration_m_s2)
-    motion = Motion(slot, Limits(fleet.radius_m, fleet.speed_m_s, fleet.acceleration_m_s2))
+    motion = Motion(slot, Limits(fleet.radius_m, fleet.speed_m_s, fleet.acceleration_m_s2), setting.fences)
     identity = Identity(
         slot=slot,
         members=frozenset(range(fleet.robots)),

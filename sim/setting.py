@@ -76,6 +76,17 @@ class Setting:
     def route(self) -> Route:
         return Route(*self._grid)
 
+    @cached_property
+    def fences(self) -> NDArray[np.float64]:
+        """Every outline as segments (n, 4) in metres."""
+        segments = [
+            (*a, *b)
+            for ring in (self.field.exterior, *self.field.holes)
+            for a, b in zip(ring, [*ring[1:], ring[0]], strict=True)
+            if a != b
+        ]
+        return np.array(segments, dtype=np.float64)
+
     def world(self) -> World:
         """A fresh world with every robot at its place near the gate."""
         fleet = self.scenario.fleet

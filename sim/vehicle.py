@@ -1,0 +1,255 @@
+"""How a drive command becomes motion: wheels with limits and slip, for three kinds of drive train.
+
+Body frame: x forward, y left, turn counter-clockwise. Wheel radius R, half the wheel base L, half
+the track W, metres; wheels in rad/s.
+
+* Mecanum, rollers at 45 degrees (thesis section 5.2); goes anywhere without turning:
+
+      w_fl = (vx - vy - (L + W) turn) / R      w_fr = (vx + vy + (L + W) turn) / R
+      w_rl = (vx + vy - (L + W) turn) / R      w_rr = (vx - vy + (L + W) turn) / R
+
+* Differential: w_left = (vx - W turn) / R, w_right = (vx + W turn) / R. The point `lead_m` ahead
+  of the axle takes the commanded velocity exactly, and the body follows it.
+* Ackermann (a tractor): rear axle driven, front wheels steered, angle = atan(2 L turn / vx). It
+  turns to the commanded course as fast as its steering allows and never on the spot. It backs up
+  only when told to go almost straight back with the implement raised.
+
+Limits belong to the wheels, not to the body: a command that asks too much of one wheel is scaled as
+a whole, which keeps its direction. What the body then does is the inverse of the wheels, with slip:
+the grip of each wheel wanders with a correlation time of `GRIP_S`. Its chance is a hash of (robot's
+key, step, wheel), so it depends on nothing else that happens in the world.
+"""
+
+from enum import IntEnum
+from math import atan, atan2, cos, exp, hypot, pi, sin, sqrt, tan
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+STEP_US = 10_000
+STEP_S = STEP_US / 1_000_000
+GRIP_S = 0.2  # half a metre of ground at field speed
+_KEEP = exp(-STEP_S / GRIP_S)
+_FRESH = sqrt(1.0 - _KEEP * _KEEP)
+MARGIN = 1.5  # wheels can do this much more than straight ahead asks: a diagonal needs 1.41
+BACK_RAD, FORTH_RAD = 2.6, 2.0  # further off its course a tractor backs up; nearer it goes forward
+CREEP = 0.4  # share of the wanted speed a tractor keeps while it turns towards its course
+
+
+class Kind(IntEnum):
+    MECANUM = 0
+    DIFFERENTIAL = 1
+    ACKERMANN = 2
+
+
+class Chassis(NamedTuple):
+    wheel_radius_m: float = 0.10
+    half_base_m: float = 0.30  # L
+    half_track_m: float = 0.25  # W
+    speed_m_s: float = 2.5
+    acceleration_m_s2: float = 2.0
+    slip: float = 0.02  # standard deviation of each wheel's grip
+    braking_m_s2: float = 3.0  # when told to stand still, or when commands cease
+    kind: Kind = Kind.MECANUM
+    lead_m: float = 0.5  # how far ahead of the axle the guided point is; not for mecanum
+    steer_rad: float = 0.7  # Ackermann: full lock
+    steer_rad_s: float = 0.8  # Ackermann: how fast the wheels are turned
+    reverse_m_s: float = 1.0  # Ackermann: backing up
+
+    @property
+    def turn_radius_m(self) -> float:
+        """The tightest circle; 0 for those that turn on the spot."""
+        return 2 * self.half_base_m / tan(self.steer_rad) if self.kind is Kind.ACKERMANN else 0.0
+
+    @property
+    def stopping_s(self) -> float:
+        """From full speed to standing wheels, at the latest, after the command to stand."""
+        margin = 1.0 if self.kind is Kind.ACKERMANN else MARGIN
+        return self.speed_m_s * margin / self.braking_m_s2 + 2 * STEP_S
+
+
+TRACTOR = Chassis(0.4, 0.6, 0.5, 2.5, 1.0, 0.01, 3.0, Kind.ACKERMANN, 1.2)
+
+# One row of floats a robot. What is commanded, what the wheels do, and what they can do.
+WANT_X, WANT_Y, WANT_TURN, WANT_TOOL, GIVEN_US, EXPIRES_US = range(6)
+WHEEL, GRIP = 6, 10  # four each: front left, front right, rear left, rear right; or left, right; or
+# axle, steering angle
+TOOL, BACKING, COMMANDED_US = 14, 15, 16  # implement down; last step told to move
+KIND, R, L, W, LIMIT, GAIN, BRAKE, SLIP, LEAD, STEER, STEER_S, REVERSE = range(17, 29)
+COLUMNS = 29
+# One row of motion: the first six as the physics engine has them.
+X, Y, HEADING, VX, VY, TURN, RADIUS = range(7)
+
+
+def row_of(chassis: Chassis) -> list[float]:
+    """A robot's row before its first command."""
+    margin = 1.0 if chassis.kind is Kind.ACKERMANN else MARGIN
+    row = [0.0] * COLUMNS
+    row[GIVEN_US] = row[EXPIRES_US] = row[COMMANDED_US] = -1.0
+    row[KIND:] = [
+        float(chassis.kind),
+        chassis.wheel_radius_m, chassis.half_base_m, chassis.half_track_m,
+        margin * chassis.speed_m_s / chassis.wheel_radius_m,
+        margin * chassis.acceleration_m_s2 / chassis.wheel_radius_m,
+        margin * chassis.braking_m_s2 / chassis.wheel_radius_m,
+        chassis.slip, chassis.lead_m, chassis.steer_rad, chassis.steer_rad_s, chassis.reverse_m_s,
+    ]  # fmt: skip
+    return row
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def mecanum_wheels(r: float, arm_m: float, vx: float, vy: float, turn: float) -> Any:
+    """Wheel speeds from body velocity; `arm_m` is L + W."""
+    a = arm_m * turn
+    return (vx - vy - a) / r, (vx + vy + a) / r, (vx + vy - a) / r, (vx - vy + a) / r
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def mecanum_body(r: float, arm_m: float, fl: float, fr: float, rl: float, rr: float) -> Any:
+    """Body velocity from wheel speeds: the least-squares inverse."""
+    q = r / 4
+    return q * (fl + fr + rl + rr), q * (-fl + fr + rl - rr), q * (-fl + fr - rl + rr) / arm_m
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def differential_wheels(r: float, half_track_m: float, vx: float, turn: float) -> Any:
+    return (vx - half_track_m * turn) / r, (vx + half_track_m * turn) / r
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def differential_body(r: float, half_track_m: float, left: float, right: float) -> Any:
+    return r * (left + right) / 2, r * (right - left) / (2 * half_track_m)
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def ackermann_wheels(r: float, half_base_m: float, vx: float, turn: float) -> Any:
+    """(axle speed, steering angle); straight ahead where it stands."""
+    steer = atan(2 * half_base_m * turn / vx) if abs(vx) > 1e-9 else 0.0
+    return vx / r, steer
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def ackermann_body(r: float, half_base_m: float, axle: float, steer: float) -> Any:
+    return r * axle, r * axle * tan(steer) / (2 * half_base_m)
+
+
+@njit(cache=True)
+def _noise(key, step, wheel):  # type: ignore[no-untyped-def]
+    """Mean 0, deviation 1, within 3.5: four 16-bit numbers of one splitmix64 hash, added."""
+    z = key + (np.uint64(step) * np.uint64(4) + np.uint64(wheel)) * np.uint64(0x9E3779B97F4A7C15)
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    z = z ^ (z >> np.uint64(31))
+    low = np.uint64(0xFFFF)
+    a, b, c, d = z & low, z >> np.uint64(16) & low, z >> np.uint64(32) & low, z >> np.uint64(48)
+    return (float(a + b + c + d) / 65535.0 - 2.0) * 1.7320508075688772
+
+
+@njit(cache=True)
+def _tractor(row, speed, ahead, left, turn):  # type: ignore[no-untyped-def]
+    """Body velocity (forward, turn) a tractor should have for a commanded course."""
+    off = atan2(left, ahead)
+    if row[BACKING] == 0.0 and abs(off) > BACK_RAD and row[WANT_TOOL] == 0.0:
+        row[BACKING] = 1.0
+    elif row[BACKING] == 1.0 and (abs(off) < FORTH_RAD or row[WANT_TOOL] != 0.0):
+        row[BACKING] = 0.0
+    if row[BACKING] == 1.0:
+        off = off - pi if off > 0.0 else off + pi
+        speed = min(speed, row[REVERSE])
+    along = max(cos(off), CREEP) * speed
+    across = sin(off) if abs(off) < pi / 2 else (1.0 if off > 0.0 else -1.0)
+    turn += speed * across / row[LEAD]
+    return (-along if row[BACKING] == 1.0 else along), turn
+
+
+@njit(cache=True)
+def _wanted(row, ahead, left, turn):  # type: ignore[no-untyped-def]
+    """Four wheel numbers for a body-frame command, within the wheels' limits."""
+    kind = row[KIND]
+    d = 0.0
+    c = 0.0
+    if kind == 0.0:
+        a, b, c, d = mecanum_wheels(row[R], row[L] + row[W], ahead, left, turn)
+    elif kind == 1.0:
+        a, b = differential_wheels(row[R], row[W], ahead, turn + left / row[LEAD])
+    else:
+        speed = hypot(ahead, left)
+        if speed < 1e-9:
+            return 0.0, row[WHEEL + 1], 0.0, 0.0
+        forward, turn = _tractor(row, speed, ahead, left, turn)
+        a, b = ackermann_wheels(row[R], row[L], forward, turn)
+        a = min(max(a, -row[LIMIT]), row[LIMIT])
+        return a, min(max(b, -row[STEER]), row[STEER]), 0.0, 0.0
+    fastest = max(abs(a), abs(b), abs(c), abs(d))
+    scale = row[LIMIT] / fastest if fastest > row[LIMIT] else 1.0
+    return a * scale, b * scale, c * scale, d * scale
+
+
+@njit(cache=True)
+def _turn_wheels(row, a, b, c, d, still):  # type: ignore[no-untyped-def]
+    """The wheels follow what is wanted of them as far as one step's torque goes."""
+    change = (row[BRAKE] if still else row[GAIN]) * STEP_S
+    w = WHEEL
+    if row[KIND] == 2.0:
+        row[w] += min(max(a - row[w], -change), change)
+        most = row[STEER_S] * STEP_S
+        row[w + 1] += min(max(b - row[w + 1], -most), most)
+        return
+    da, db, dc, dd = a - row[w], b - row[w + 1], c - row[w + 2], d - row[w + 3]
+    furthest = max(abs(da), abs(db), abs(dc), abs(dd))
+    if furthest <= change:
+        row[w], row[w + 1], row[w + 2], row[w + 3] = a, b, c, d
+        return
+    part = change / furthest
+    row[w] += da * part
+    row[w + 1] += db * part
+    row[w + 2] += dc * part
+    row[w + 3] += dd * part
+
+
+@njit(cache=True)
+def roll(rows, motion, keys, now_us):  # type: ignore[no-untyped-def]
+    """One step of every robot's wheels, from the commands in force at `now_us`.
+
+    Writes the velocities of `motion` (field frame); returns how many implements went up or down.
+    """
+    step = now_us // STEP_US
+    switched = 0
+    for i in range(rows.shape[0]):
+        row, m = rows[i], motion[i]
+        live = now_us < row[EXPIRES_US]
+        vx, vy, turn = (row[WANT_X], row[WANT_Y], row[WANT_TURN]) if live else (0.0, 0.0, 0.0)
+        tool = row[WANT_TOOL] if live else 0.0
+        if tool != row[TOOL]:
+            row[TOOL] = tool
+            switched += 1
+        still = vx == 0.0 and vy == 0.0 and turn == 0.0
+        if not still:
+            row[COMMANDED_US] = now_us
+        cos_h, sin_h = cos(m[HEADING]), sin(m[HEADING])
+        if still:
+            a, b, c, d = 0.0, row[WHEEL + 1] if row[KIND] == 2.0 else 0.0, 0.0, 0.0
+        else:
+            a, b, c, d = _wanted(row, cos_h * vx + sin_h * vy, cos_h * vy - sin_h * vx, turn)
+        _turn_wheels(row, a, b, c, d, still)
+        slip = row[SLIP]
+        if slip > 0.0:
+            for k in range(4):
+                row[GRIP + k] = _KEEP * row[GRIP + k] + _FRESH * slip * _noise(keys[i], step, k)
+        g = GRIP
+        fl, fr = row[WHEEL] * (1 + row[g]), row[WHEEL + 1] * (1 + row[g + 1])
+        left = 0.0
+        if row[KIND] == 0.0:
+            rl, rr = row[WHEEL + 2] * (1 + row[g + 2]), row[WHEEL + 3] * (1 + row[g + 3])
+            ahead, left, turn = mecanum_body(row[R], row[L] + row[W], fl, fr, rl, rr)
+        elif row[KIND] == 1.0:
+            ahead, turn = differential_body(row[R], row[W], fl, fr)
+        else:
+            ahead, turn = ackermann_body(row[R], row[L], fl, fr)
+        m[VX], m[VY] = cos_h * ahead - sin_h * left, sin_h * ahead + cos_h * left
+        m[TURN] = turn
+    return switched
