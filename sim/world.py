@@ -1,107 +1,42 @@
-"""The ground truth: bodies, fences and obstacles in a pymunk space, stepped in fixed steps.
+"""The ground truth: robots, fences and obstacles, moved in fixed steps.
 
-Nobody but a robot's own `sense` and `drive` reaches into it, and the checkers, which see everything.
-Time is lazy: whoever asks first brings the world to the instant it asks for. The same steps are made
-whoever asks and however often, so a run has one history.
+Nobody but a robot's own `sense` and `drive` reaches into it, and the checkers, who see everything.
+Time is lazy: whoever asks first brings the world to the instant it asks for. The same steps are
+made whoever asks and however often, so a run has one history.
 
-Each step: the wheels answer the commands in force (`sim.vehicle`), pymunk moves the bodies and
-resolves what collides, and touches are judged from the new positions (`sim.proximity`).
+Each step: obstacles come and go, the wheels answer the commands in force (`sim.vehicle`), pymunk
+moves the bodies (`sim.physics`), and touches are judged from the new positions (`sim.proximity`).
 """
 
 from collections.abc import Callable, Sequence
 from hashlib import blake2b
-from math import cos, inf, pi, remainder, sin
+from heapq import heappop, heappush
+from math import cos, inf, sin
 
 import numpy as np
 import pymunk
-import pymunk.batch as batch
+from numpy.typing import NDArray
 
-from agent.config import ACTUATOR_TTL_US
-from agent.effects import HALT, Drive
-from agent.ports import Observation
+from sim.body import RobotBody
 from sim.lidar import Lidar, scan
-from sim.proximity import FENCE, NEAREST_ROBOT, NEAREST_WALL, OBSTACLE, TOUCHES_MAX, crossings, watch
-from sim.truth import Contact, Track
-from sim.vehicle import (
-    COLUMNS, EXPIRES_US, GIVEN_US, HEADING, STEP_S, STEP_US, TOOL, VX, VY, WANT_TOOL, WANT_TURN,
-    WANT_X, WANT_Y, X, Y, Chassis, roll, row_of,
-)  # fmt: skip
+from sim.physics import Physics
+from sim.proximity import (
+    FENCE,
+    NEAREST_ROBOT,
+    NEAREST_WALL,
+    OBSTACLE,
+    TOUCHES_MAX,
+    crossings,
+    watch,
+)
+from sim.truth import Contact
+from sim.vehicle import COLUMNS, STEP_S, STEP_US, TOOL, Chassis, roll, row_of
 from sim.walls import BOX, DISC, FREE, OBSTACLE_COLUMNS, OBSTACLES_MAX, XY, Grid, Walls, ring_edges
 
+__all__ = ["STEP_US", "RobotBody", "World"]
+
 TRACK_US = 100_000  # positions are kept this often
-MASS_KG = 120.0
-SLOP_M = 0.001  # how deep pymunk lets bodies rest in each other; any overlap counts as a contact
-_MOTION = (
-    batch.BodyFields.POSITION | batch.BodyFields.ANGLE
-    | batch.BodyFields.VELOCITY | batch.BodyFields.ANGULAR_VELOCITY
-)  # fmt: skip
-
-
-class RobotBody:
-    """One robot's body: the `Body` port of its peer, and what the checkers look at."""
-
-    def __init__(self, world: "World", slot: int, index: int, radius_m: float, chassis: Chassis) -> None:
-        self.world, self.slot, self.index = world, slot, index
-        self.radius_m, self.chassis = radius_m, chassis
-        self.track = Track()
-        self.frozen = False  # fault: the actuator hears nothing new
-        self.started_inside = True
-        self._ranges = np.empty(world.lidar.rays if world.lidar is not None else 0)
-
-    @property
-    def position(self) -> XY:
-        x_m, y_m = self.world.motion[self.index, :2].tolist()
-        return x_m, y_m
-
-    @property
-    def heading_rad(self) -> float:
-        return remainder(float(self.world.motion[self.index, HEADING]), 2 * pi)
-
-    @property
-    def tool_on(self) -> bool:
-        return bool(self.world.rows[self.index, TOOL])
-
-    def sense(self, now_us: int) -> Observation:
-        world = self.world
-        world.advance(now_us)
-        x_m, y_m, heading, vx_m_s, vy_m_s, _, _ = world.motion[self.index].tolist()
-        ranges_m: tuple[float, ...] = ()
-        if world.lidar is not None:
-            world.scan(self.index, self._ranges)
-            ranges_m = tuple(self._ranges.tolist())
-        return Observation(x_m, y_m, remainder(heading, 2 * pi), vx_m_s, vy_m_s, ranges_m)
-
-    def drive(self, command: Drive, now_us: int) -> None:
-        """In force from the step that `now_us` falls in, until it expires."""
-        self.world.advance(now_us)
-        if self.frozen:
-            return
-        row = self.world.rows[self.index]
-        row[WANT_X], row[WANT_Y], row[WANT_TURN] = command.vx_m_s, command.vy_m_s, command.turn_rad_s
-        row[WANT_TOOL] = command.tool_on
-        row[GIVEN_US], row[EXPIRES_US] = now_us, now_us + ACTUATOR_TTL_US
-
-    def commanded(self, now_us: int) -> Drive:
-        """The command in force: one that is not renewed expires in the actuator."""
-        row = self.world.rows[self.index]
-        if now_us >= row[EXPIRES_US]:
-            return HALT
-        vx_m_s, vy_m_s, turn_rad_s = row[[WANT_X, WANT_Y, WANT_TURN]].tolist()
-        return Drive(vx_m_s, vy_m_s, turn_rad_s, bool(row[WANT_TOOL]))
-
-    def push(self, dx_m: float, dy_m: float) -> None:
-        """Fault: somebody moves the robot."""
-        x_m, y_m = self.position
-        self.teleport(x_m + dx_m, y_m + dy_m)
-
-    def teleport(self, x_m: float, y_m: float, heading_rad: float | None = None) -> None:
-        """Fault: somebody carries the robot there."""
-        world, tool_on = self.world, self.tool_on
-        self.track.add(world.now_us, *self.position, tool_on)
-        world.motion[self.index, :2] = x_m, y_m
-        if heading_rad is not None:
-            world.motion[self.index, HEADING] = heading_rad
-        self.track.add(world.now_us, x_m, y_m, tool_on, carried=True)
+APART_US = 200_000  # a contact is over after this long without overlap
 
 
 class World:
@@ -123,27 +58,29 @@ class World:
         self.moved_us = np.empty(0, dtype=np.int64)  # the last step at whose end each robot moved
         self._seed = seed
         self._keys = np.empty(0, dtype=np.uint64)
+        self._side = np.empty(0, dtype=np.int8)  # of the fences, where each robot was put
+        self._push = np.empty((0, 3))
         self._fences = Walls(ring_edges(rings), grid)
+        self._grid = grid
         edges = [*ring_edges(rings), *(grid.edges() if grid is not None else ())]
         self._solid = Walls(edges) if grid is not None else self._fences
-        self._grid = grid
         self._rays = lidar.table() if lidar is not None else np.empty((1, 2))
         self._nearest = np.array([inf, inf])
         self._touches = np.empty((TOUCHES_MAX, 3))
         self._touching: dict[tuple[int, int], Contact] = {}
         self._obstacles = np.zeros((OBSTACLES_MAX, OBSTACLE_COLUMNS))
         self._standing = self._obstacles[:0]  # up to the last row in use
-        self._shapes: dict[int, tuple[int, pymunk.Shape]] = {}  # number of the obstacle: row, shape
+        self._shapes: dict[int, tuple[int, pymunk.Shape]] = {}  # number: row, shape
         self._numbers = 0
-        self._space = pymunk.Space()
-        self._space.collision_slop = SLOP_M
-        self._got, self._put = batch.Buffer(), batch.Buffer()
-        self._bodies = np.empty((0, 6))
-        self._order = np.empty(0, dtype=np.intp)  # row of `_bodies` of each robot
+        self._due: list[tuple[int, int, Callable[[], None]]] = []  # see `at`
+        self._asked = 0
+        self._outside: set[int] = set()
+        self._physics = Physics()
         for a, b in edges:
-            wall = pymunk.Segment(self._space.static_body, a, b, 0.0)
-            wall.friction = 0.3
-            self._space.add(wall)
+            self._physics.add_wall(a, b)
+
+    def body(self, slot: int) -> RobotBody:
+        return self.robots[slot]
 
     @property
     def closest_m(self) -> float:
@@ -152,7 +89,7 @@ class World:
 
     @property
     def closest_wall_m(self) -> float:
-        """The smallest gap from a robot to anything else so far; inf where none came within 0.5 m."""
+        """The smallest gap from a robot to anything else; inf where none came within 0.5 m."""
         return float(self._nearest[NEAREST_WALL])
 
     def add_robot(
@@ -165,26 +102,133 @@ class World:
         self.rows = np.vstack((self.rows, row_of(chassis)))
         self.motion = np.vstack((self.motion, (*at, heading_rad, 0.0, 0.0, 0.0, radius_m)))
         self.moved_us = np.append(self.moved_us, np.int64(-1))
-        body = pymunk.Body(MASS_KG, pymunk.moment_for_circle(MASS_KG, 0.0, radius_m))
-        shape = pymunk.Circle(body, radius_m)
-        shape.friction = 0.3
-        self._space.add(body, shape)
-        self._list_bodies()
-        robot.started_inside = bool(self._inside()[robot.index])
+        self._side = np.append(self._side, np.int8(0))
+        self._side[-1] = self._sides()[-1]
+        self._physics.add_robot(*at, heading_rad, radius_m)
+        self._push = np.zeros((len(self.motion), 3))
         robot.track.add(self.now_us, *at, False)
         return robot
 
-    def _list_bodies(self) -> None:
-        """In which order pymunk lists bodies; the static one is among them."""
-        buffer = batch.Buffer()
-        batch.get_space_bodies(self._space, batch.BodyFields.BODY_ID, buffer)
-        listed = np.frombuffer(buffer.int_buf(), dtype=np.uintp).tolist()
-        ids = sorted((body for body in self._space.bodies), key=lambda body: int(body.id))
-        del ids
-        self._bodies = np.zeros((len(listed), 6))
-        self._put.set_float_buf(self._bodies)
-        order = {number: row for row, number in enumerate(listed)}
-        self._order = np.array([order[n] for n in self._ids()], dtype=np.intp)
+    def place(self, robot: RobotBody, x_m: float, y_m: float, heading_rad: float) -> None:
+        """Set a robot somewhere else: a fault, not a drive."""
+        self.motion[robot.index, :3] = x_m, y_m, heading_rad
+        self._physics.place(robot.index, x_m, y_m, heading_rad)
 
-    def body(self, slot: int) -> RobotBody:
-        return self.robots[slot]
+    def add_box(
+        self, x_m: float, y_m: float, side_m: float, depth_m: float | None = None,
+        heading_rad: float = 0.0,
+    ) -> int:  # fmt: skip
+        """A box that nobody passes, from now on; returns the number to remove it by."""
+        half_x, half_y = side_m / 2, (side_m if depth_m is None else depth_m) / 2
+        c, s = cos(heading_rad), sin(heading_rad)
+        corners = [
+            (x_m + c * u - s * v, y_m + s * u + c * v)
+            for u, v in ((-half_x, -half_y), (half_x, -half_y), (half_x, half_y), (-half_x, half_y))
+        ]
+        return self._add((BOX, x_m, y_m, half_x, half_y, c, s), self._physics.add_box(corners))
+
+    def add_disc(self, x_m: float, y_m: float, radius_m: float) -> int:
+        row = (DISC, x_m, y_m, radius_m, radius_m, 1.0, 0.0)
+        return self._add(row, self._physics.add_disc(x_m, y_m, radius_m))
+
+    def _add(self, row: tuple[float, ...], shape: pymunk.Shape) -> int:
+        free = next((k for k in range(OBSTACLES_MAX) if self._obstacles[k, 0] == FREE), None)
+        assert free is not None, f"more than {OBSTACLES_MAX} obstacles at once: make them fences"
+        self._obstacles[free] = row
+        self._numbers += 1
+        self._shapes[self._numbers] = (free, shape)
+        self._standing = self._obstacles[: max(k for k, _ in self._shapes.values()) + 1]
+        return self._numbers
+
+    def remove_box(self, number: int) -> None:
+        """Take a box or a disc away; one that is gone already may be removed again."""
+        if number in self._shapes:
+            row, shape = self._shapes.pop(number)
+            self._obstacles[row] = 0.0
+            self._physics.remove(shape)
+
+    def at(self, t_us: int, action: Callable[[], None]) -> None:
+        """Do something at the first step at or after `t_us`; in order of time, then of asking."""
+        heappush(self._due, (t_us, self._asked, action))
+        self._asked += 1
+
+    def advance(self, now_us: int) -> None:
+        """Step to the last whole step before `now_us`."""
+        while self.now_us + STEP_US <= now_us:
+            self._step()
+
+    def _step(self) -> None:
+        while self._due and self._due[0][0] <= self.now_us:
+            heappop(self._due)[2]()
+        if roll(self.rows, self.motion, self._keys, self.now_us, self._push):
+            self._record()
+        self._physics.step(self.motion, self._push, STEP_S)
+        self.now_us += STEP_US
+        found = watch(
+            self.motion, self._solid.floats, self._solid.ints, self._standing, self.moved_us,
+            self.now_us, self._nearest, self._touches,
+        )  # fmt: skip
+        if found or self._touching:
+            self._judge(self._touches[:found].tolist())
+        if self.now_us % TRACK_US == 0:
+            self._judge_sides()
+            self._record()
+        for callback in self.on_step:
+            callback(self)
+
+    def _record(self) -> None:
+        places, tools = self.motion[:, :2].tolist(), self.rows[:, TOOL].tolist()
+        for robot, (x_m, y_m), tool in zip(self.robots.values(), places, tools, strict=True):
+            robot.track.add(self.now_us, x_m, y_m, tool != 0.0)
+
+    def _judge(self, touches: list[list[float]]) -> None:
+        """Begin, deepen and end contacts; bodies that rest on each other stay one contact."""
+        for first, second, depth_m in touches:
+            key = (int(first), int(second))
+            contact = self._touching.get(key) or self._begin(*key)
+            contact.depth_m = max(contact.depth_m, depth_m)
+            contact.until_us = self.now_us
+            self._touching[key] = contact
+        for key, contact in list(self._touching.items()):
+            if contact.until_us + APART_US < self.now_us:
+                del self._touching[key]
+
+    def _begin(self, first: int, second: int) -> Contact:
+        slots = list(self.robots)
+        if second >= 0:
+            against = f"robot {slots[second]}"
+        elif second == FENCE:
+            against = "fence"
+        else:
+            row = OBSTACLE - second
+            against = next(f"box {n}" for n, (k, _) in self._shapes.items() if k == row)
+        x_m, y_m = self.motion[first, :2].tolist()
+        other = slots[second] if second >= 0 else None
+        contact = Contact(self.now_us, slots[first], other, 0.0, against, x_m, y_m)
+        self.contacts.append(contact)
+        return contact
+
+    def _sides(self) -> NDArray[np.int8]:
+        """On which side of all fences, and whether in a blocked cell, each robot's centre is."""
+        side = np.empty(len(self.motion), dtype=np.int8)
+        crossings(self.motion, self._fences.floats, side)
+        if self._grid is not None:
+            side += [2 * self._grid.is_blocked(x, y) for x, y in self.motion[:, :2].tolist()]
+        return side
+
+    def _judge_sides(self) -> None:
+        """A robot that got through a fence, or was carried over it, no longer touches it."""
+        through = set(np.flatnonzero(self._sides() != self._side).tolist())
+        for index in sorted(through - self._outside):
+            robot = next(r for r in self.robots.values() if r.index == index)
+            x_m, y_m = robot.position
+            self.contacts.append(
+                Contact(self.now_us, robot.slot, None, robot.radius_m, "outside", x_m, y_m)
+            )
+        self._outside = through
+
+    def scan(self, index: int, out: NDArray[np.float64]) -> None:
+        """Ranges of the robot in that row, see `sim.lidar`."""
+        fences = self._fences
+        scan(self.motion, index, fences.floats, fences.ints, fences.blocked, self._standing,
+             self._rays, out)  # fmt: skip
