@@ -71,7 +71,8 @@ class Chassis(NamedTuple):
     def stopping_s(self) -> float:
         """From full speed to standing wheels, at the latest, after the command to stand."""
         margin = 1.0 if self.kind is Kind.ACKERMANN else MARGIN
-        return self.speed_m_s * margin / self.braking_m_s2 + 2 * STEP_S
+        braking_m_s2 = min(margin * self.braking_m_s2, TRACTION_M_S2)
+        return margin * self.speed_m_s / braking_m_s2 + 3 * STEP_S
 
 
 TRACTOR = Chassis(0.4, 0.6, 0.5, 2.5, 1.0, 0.01, 3.0, Kind.ACKERMANN, 1.2)

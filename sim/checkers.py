@@ -1,0 +1,174 @@
+"""The rules of the physical world, each judged from true positions and commands alone.
+
+A checker knows nothing of agents: it is told what people did (pressed, released) and what the
+field is, and sees what bodies did. `violations` is empty where the rule held. S1, S7 and S17 are
+names of invariants; ARCHITECTURE.md lists them.
+"""
+
+from collections.abc import Collection, Mapping, Sequence
+from math import inf
+from typing import NamedTuple
+
+import numpy as np
+import shapely
+from shapely.geometry import LineString, MultiLineString, MultiPolygon, Polygon
+
+from sim.coverage_truth import Coverage, Polyline, coverage, sample_points
+from sim.truth import Track
+from sim.vehicle import COMMANDED_US
+from sim.world import STEP_US, World
+
+VIOLATIONS_MAX = 1_000  # a broken rule is broken at every step; the first thousand will do
+
+
+class Violation(NamedTuple):
+    rule: str
+    t_us: int
+    slots: tuple[int, ...]
+    what: str
+
+
+class ContactChecker:
+    """S17: no body touches another, or a fence, or a box. Pushed robots may be excused."""
+
+    def __init__(self, world: World, excused: Collection[int] = ()) -> None:
+        self.world, self.excused = world, frozenset(excused)
+
+    @property
+    def violations(self) -> list[Violation]:
+        found = []
+        for contact in self.world.contacts:
+            slots = (contact.first,) if contact.second is None else (contact.first, contact.second)
+            if not self.excused.intersection(slots):
+                what = f"{contact.depth_m * 1000:.1f} mm into {contact.against}"
+                found.append(Violation("contact", contact.t_us, slots, what))
+        return found[:VIOLATIONS_MAX]
+
+
+class CoverageChecker:
+    """All of the reachable area was worked."""
+
+    def __init__(
+        self,
+        polygon: Polygon | MultiPolygon,
+        width_m: float,
+        overlap_m: float,
+        raster_m: float = 0.25,
+        share_min: float = 1.0,
+    ) -> None:
+        self.width_m, self.share_min = width_m, share_min
+        self.raster = sample_points(polygon, width_m, overlap_m, raster_m)
+
+    def measure(self, tracks: Mapping[int, Track]) -> Coverage:
+        return coverage(self.raster, tracks, self.width_m)
+
+    def violations(self, tracks: Mapping[int, Track]) -> list[Violation]:
+        result = self.measure(tracks)
+        if result.share >= self.share_min:
+            return []
+        x_m, y_m = result.uncovered[0]
+        what = (
+            f"{(1 - result.share) * result.area_m2:.2f} m2 of {result.area_m2:.0f} m2 never "
+            f"worked, first at {x_m:.2f}, {y_m:.2f}"
+        )
+        return [Violation("coverage", result.last_us, (), what)]
+
+
+class _Watch(NamedTuple):
+    slots: frozenset[int]
+    silent_us: int  # from here on no command to move may be in force
+    still_us: int  # from here on no body may move
+
+
+class MotionAfterStopChecker:
+    """S1: between a stop's bound and its release, nobody is told to move and nobody moves.
+
+    Watches every step. A robot that is carried, or shoved by another, is not excused: say so when
+    pressing, by leaving it out of `slots`.
+    """
+
+    def __init__(self, world: World) -> None:
+        self.world = world
+        self.violations: list[Violation] = []
+        self._watches: dict[int, _Watch] = {}
+        self._pressed = 0
+        world.on_step.append(self._step)
+
+    def press(
+        self, t_us: int, bound_us: int, slots: Collection[int], standing_us: int | None = None
+    ) -> int:
+        """A stop pressed at `t_us`; returns the number to release it by.
+
+        All commands to `slots` must be silent within `bound_us`, and all of them standing within
+        `standing_us` more (by default the longest braking time of theirs).
+        """
+        braking_us = [round(self.world.robots[slot].chassis.stopping_s * 1e6) for slot in slots]
+        longest_us = max(braking_us, default=0) if standing_us is None else standing_us
+        self._pressed += 1
+        silent_us = t_us + bound_us
+        self._watches[self._pressed] = _Watch(frozenset(slots), silent_us, silent_us + longest_us)
+        return self._pressed
+
+    def release(self, number: int, slots: Collection[int] | None = None) -> None:
+        """A person released some robots, or all, from that stop."""
+        watch = self._watches.pop(number)
+        if slots is not None and watch.slots - frozenset(slots):
+            self._watches[number] = watch._replace(slots=watch.slots - frozenset(slots))
+
+    def _step(self, world: World) -> None:
+        if not self._watches or len(self.violations) >= VIOLATIONS_MAX:
+            return
+        now_us = world.now_us
+        begun_us = now_us - STEP_US  # commands in force during the step were those at its beginning
+        silent_us: dict[int, float] = {}
+        still_us: dict[int, float] = {}
+        for watch in self._watches.values():
+            for slot in watch.slots:
+                silent_us[slot] = min(silent_us.get(slot, inf), watch.silent_us)
+                still_us[slot] = min(still_us.get(slot, inf), watch.still_us)
+        for slot in sorted(silent_us):
+            index = world.robots[slot].index
+            if begun_us >= silent_us[slot] and world.rows[index, COMMANDED_US] == begun_us:
+                self._add(now_us, slot, "told to move after a stop")
+            if now_us >= still_us[slot] and world.moved_us[index] == now_us:
+                self._add(now_us, slot, "moves after a stop")
+
+    def _add(self, t_us: int, slot: int, what: str) -> None:
+        self.violations.append(Violation("motion after stop", t_us, (slot,), what))
+
+
+class ExclusiveWorkChecker:
+    """S7: at no time do two robots work inside one section's geometry.
+
+    A section's ground is where a working robot's centre can only be on purpose: within a quarter of
+    the width of its lines, so that the neighbour's lines and crossing row ends stay outside.
+    """
+
+    def __init__(self, sections: Mapping[int, Sequence[Polyline]], width_m: float) -> None:
+        self.grounds = {
+            number: MultiLineString([LineString(line) for line in lines]).buffer(
+                width_m / 4, cap_style="flat"
+            )
+            for number, lines in sections.items()
+        }
+
+    def violations(self, tracks: Mapping[int, Track]) -> list[Violation]:
+        at: dict[tuple[int, int], int] = {}  # section, instant: the first robot seen at work there
+        found: list[Violation] = []
+        for slot, track in sorted(tracks.items()):
+            points = track.to_array()
+            points = points[points[:, 3] != 0.0]
+            for number, ground in self.grounds.items():
+                west, south, east, north = ground.bounds
+                near = points[
+                    (points[:, 1] >= west) & (points[:, 1] <= east)
+                    & (points[:, 2] >= south) & (points[:, 2] <= north)
+                ]  # fmt: skip
+                shapely.prepare(ground)
+                inside = shapely.contains_xy(ground, near[:, 1], near[:, 2])
+                for t_us in np.unique(near[inside, 0]).astype(np.int64).tolist():
+                    other = at.setdefault((number, t_us), slot)
+                    if other != slot and len(found) < VIOLATIONS_MAX:
+                        what = f"section {number} worked by both"
+                        found.append(Violation("exclusive work", t_us, (other, slot), what))
+        return found
