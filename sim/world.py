@@ -1,190 +1,194 @@
-"""The ground truth: bodies, fences and obstacles in a pymunk space, stepped in fixed steps.
+"""The ground truth: bodies, fences and boxes in a pymunk space, stepped in fixed steps.
 
 Nobody but a robot's own `sense` and `drive` reaches into it, and the checkers, which see everything.
-Time is lazy: whoever asks first brings the world to the instant it asks for. The same steps are made
-whoever asks and however often, so a run has one history.
-
-Each step: the wheels answer the commands in force (`sim.vehicle`), pymunk moves the bodies and
-resolves what collides, and touches are judged from the new positions (`sim.proximity`).
+Time is lazy: whoever asks first brings the world to the instant it asks for; the same steps are made
+whoever asks, so a run has one history.
 """
 
-from collections.abc import Callable, Sequence
-from hashlib import blake2b
-from math import cos, inf, pi, remainder, sin
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from math import cos, hypot, inf, sin
+from random import Random
 
-import numpy as np
 import pymunk
-import pymunk.batch as batch
 
 from agent.config import ACTUATOR_TTL_US
 from agent.effects import HALT, Drive
 from agent.ports import Observation
-from sim.lidar import Lidar, scan
-from sim.proximity import FENCE, NEAREST_ROBOT, NEAREST_WALL, OBSTACLE, TOUCHES_MAX, crossings, watch
-from sim.truth import Contact, Track
-from sim.vehicle import (
-    COLUMNS, EXPIRES_US, GIVEN_US, HEADING, STEP_S, STEP_US, TOOL, VX, VY, WANT_TOOL, WANT_TURN,
-    WANT_X, WANT_Y, X, Y, Chassis, roll, row_of,
-)  # fmt: skip
-from sim.walls import BOX, DISC, FREE, OBSTACLE_COLUMNS, OBSTACLES_MAX, XY, Grid, Walls, ring_edges
+from sim.mecanum import Chassis, Mecanum
 
+STEP_US = 20_000  # five steps of an actuator's life; two robots close in by 0.1 m at most
+STEP_S = STEP_US / 1_000_000
 TRACK_US = 100_000  # positions are kept this often
+WALL_M = 0.02  # half the thickness of a fence
 MASS_KG = 120.0
-SLOP_M = 0.001  # how deep pymunk lets bodies rest in each other; any overlap counts as a contact
-_MOTION = (
-    batch.BodyFields.POSITION | batch.BodyFields.ANGLE
-    | batch.BodyFields.VELOCITY | batch.BodyFields.ANGULAR_VELOCITY
-)  # fmt: skip
+TOUCH_M = 0.001  # an overlap less than this is the solver's tolerance, not a contact
+
+XY = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Contact:
+    t_us: int
+    first: int  # slot
+    second: int | None  # slot; None: a fence, a hole or a box
+    depth_m: float
+
+
+@dataclass
+class Track:
+    """Where a robot was, every `TRACK_US`: (time, x, y, implement down)."""
+
+    points: list[tuple[int, float, float, bool]] = field(default_factory=list)
+    driven_m: float = 0.0
 
 
 class RobotBody:
     """One robot's body: the `Body` port of its peer, and what the checkers look at."""
 
-    def __init__(self, world: "World", slot: int, index: int, radius_m: float, chassis: Chassis) -> None:
-        self.world, self.slot, self.index = world, slot, index
-        self.radius_m, self.chassis = radius_m, chassis
+    def __init__(self, world: "World", slot: int, at: XY, radius_m: float, wheels: Mecanum) -> None:
+        self.world, self.slot, self.radius_m, self.wheels = world, slot, radius_m, wheels
+        self.body = pymunk.Body(MASS_KG, pymunk.moment_for_circle(MASS_KG, 0.0, radius_m))
+        self.body.position = at
+        self.shape = pymunk.Circle(self.body, radius_m)
+        self.shape.elasticity, self.shape.friction = 0.0, 0.3
+        self.shape.collision_type = 1
+        self.command, self.given_us = HALT, -ACTUATOR_TTL_US
         self.track = Track()
         self.frozen = False  # fault: the actuator hears nothing new
-        self.started_inside = True
-        self._ranges = np.empty(world.lidar.rays if world.lidar is not None else 0)
-
-    @property
-    def position(self) -> XY:
-        x_m, y_m = self.world.motion[self.index, :2].tolist()
-        return x_m, y_m
-
-    @property
-    def heading_rad(self) -> float:
-        return remainder(float(self.world.motion[self.index, HEADING]), 2 * pi)
-
-    @property
-    def tool_on(self) -> bool:
-        return bool(self.world.rows[self.index, TOOL])
 
     def sense(self, now_us: int) -> Observation:
-        world = self.world
-        world.advance(now_us)
-        x_m, y_m, heading, vx_m_s, vy_m_s, _, _ = world.motion[self.index].tolist()
-        ranges_m: tuple[float, ...] = ()
-        if world.lidar is not None:
-            world.scan(self.index, self._ranges)
-            ranges_m = tuple(self._ranges.tolist())
-        return Observation(x_m, y_m, remainder(heading, 2 * pi), vx_m_s, vy_m_s, ranges_m)
+        self.world.advance(now_us)
+        x_m, y_m = self.body.position
+        vx_m_s, vy_m_s = self.body.velocity
+        return Observation(x_m, y_m, self.body.angle, vx_m_s, vy_m_s)
 
     def drive(self, command: Drive, now_us: int) -> None:
-        """In force from the step that `now_us` falls in, until it expires."""
         self.world.advance(now_us)
-        if self.frozen:
-            return
-        row = self.world.rows[self.index]
-        row[WANT_X], row[WANT_Y], row[WANT_TURN] = command.vx_m_s, command.vy_m_s, command.turn_rad_s
-        row[WANT_TOOL] = command.tool_on
-        row[GIVEN_US], row[EXPIRES_US] = now_us, now_us + ACTUATOR_TTL_US
+        self.command, self.given_us = command, now_us
 
     def commanded(self, now_us: int) -> Drive:
-        """The command in force: one that is not renewed expires in the actuator."""
-        row = self.world.rows[self.index]
-        if now_us >= row[EXPIRES_US]:
-            return HALT
-        vx_m_s, vy_m_s, turn_rad_s = row[[WANT_X, WANT_Y, WANT_TURN]].tolist()
-        return Drive(vx_m_s, vy_m_s, turn_rad_s, bool(row[WANT_TOOL]))
+        """The command in force: a command that is not renewed expires in the actuator."""
+        return self.command if now_us - self.given_us < ACTUATOR_TTL_US else HALT
 
     def push(self, dx_m: float, dy_m: float) -> None:
         """Fault: somebody moves the robot."""
-        x_m, y_m = self.position
-        self.teleport(x_m + dx_m, y_m + dy_m)
-
-    def teleport(self, x_m: float, y_m: float, heading_rad: float | None = None) -> None:
-        """Fault: somebody carries the robot there."""
-        world, tool_on = self.world, self.tool_on
-        self.track.add(world.now_us, *self.position, tool_on)
-        world.motion[self.index, :2] = x_m, y_m
-        if heading_rad is not None:
-            world.motion[self.index, HEADING] = heading_rad
-        self.track.add(world.now_us, x_m, y_m, tool_on, carried=True)
+        x_m, y_m = self.body.position
+        self.body.position = (x_m + dx_m, y_m + dy_m)
 
 
 class World:
-    def __init__(
-        self,
-        rings: Sequence[Sequence[XY]],
-        seed: int | str = 0,
-        lidar: Lidar | None = None,
-        grid: Grid | None = None,
-    ) -> None:
+    def __init__(self, rings: Sequence[Sequence[XY]], seed: int | str = 0) -> None:
         """`rings`: closed outlines that nobody passes, fences and holes alike, metres."""
         self.now_us = 0
-        self.lidar = lidar
+        self.space = pymunk.Space()
+        self.space.gravity = (0.0, 0.0)
+        self.space.damping = 1.0
+        self.space.iterations = 10
         self.robots: dict[int, RobotBody] = {}
         self.contacts: list[Contact] = []
-        self.on_step: list[Callable[[World], None]] = []  # checkers that must see every step
-        self.rows = np.empty((0, COLUMNS))  # see sim.vehicle; one row a robot, in order of adding
-        self.motion = np.empty((0, 7))
-        self.moved_us = np.empty(0, dtype=np.int64)  # the last step at whose end each robot moved
+        self.closest_m = inf  # smallest gap between two robots so far
         self._seed = seed
-        self._keys = np.empty(0, dtype=np.uint64)
-        self._fences = Walls(ring_edges(rings), grid)
-        edges = [*ring_edges(rings), *(grid.edges() if grid is not None else ())]
-        self._solid = Walls(edges) if grid is not None else self._fences
-        self._grid = grid
-        self._rays = lidar.table() if lidar is not None else np.empty((1, 2))
-        self._nearest = np.array([inf, inf])
-        self._touches = np.empty((TOUCHES_MAX, 3))
-        self._touching: dict[tuple[int, int], Contact] = {}
-        self._obstacles = np.zeros((OBSTACLES_MAX, OBSTACLE_COLUMNS))
-        self._standing = self._obstacles[:0]  # up to the last row in use
-        self._shapes: dict[int, tuple[int, pymunk.Shape]] = {}  # number of the obstacle: row, shape
-        self._numbers = 0
-        self._space = pymunk.Space()
-        self._space.collision_slop = SLOP_M
-        self._got, self._put = batch.Buffer(), batch.Buffer()
-        self._bodies = np.empty((0, 6))
-        self._order = np.empty(0, dtype=np.intp)  # row of `_bodies` of each robot
-        for a, b in edges:
-            wall = pymunk.Segment(self._space.static_body, a, b, 0.0)
-            wall.friction = 0.3
-            self._space.add(wall)
+        self._touching: set[tuple[int, int | None]] = set()
+        self._fences: list[tuple[float, float, float, float]] = []
+        self._boxes: dict[int, list[pymunk.Shape]] = {}
+        self._next_box = 0
+        for ring in rings:
+            for (ax, ay), (bx, by) in zip(ring, [*ring[1:], ring[0]], strict=True):
+                wall = pymunk.Segment(self.space.static_body, (ax, ay), (bx, by), WALL_M)
+                wall.friction = 0.3
+                self.space.add(wall)
 
-    @property
-    def closest_m(self) -> float:
-        """The smallest gap between two robots so far."""
-        return float(self._nearest[NEAREST_ROBOT])
-
-    @property
-    def closest_wall_m(self) -> float:
-        """The smallest gap from a robot to anything else so far; inf where none came within 0.5 m."""
-        return float(self._nearest[NEAREST_WALL])
-
-    def add_robot(
-        self, slot: int, at: XY, radius_m: float, chassis: Chassis, heading_rad: float = 0.0
-    ) -> RobotBody:
-        assert slot not in self.robots
-        robot = self.robots[slot] = RobotBody(self, slot, len(self.robots), radius_m, chassis)
-        key = blake2b(f"{self._seed}/wheels/{slot}".encode(), digest_size=8).digest()
-        self._keys = np.append(self._keys, np.frombuffer(key, dtype=np.uint64))
-        self.rows = np.vstack((self.rows, row_of(chassis)))
-        self.motion = np.vstack((self.motion, (*at, heading_rad, 0.0, 0.0, 0.0, radius_m)))
-        self.moved_us = np.append(self.moved_us, np.int64(-1))
-        body = pymunk.Body(MASS_KG, pymunk.moment_for_circle(MASS_KG, 0.0, radius_m))
-        shape = pymunk.Circle(body, radius_m)
-        shape.friction = 0.3
-        self._space.add(body, shape)
-        self._list_bodies()
-        robot.started_inside = bool(self._inside()[robot.index])
-        robot.track.add(self.now_us, *at, False)
+    def add_robot(self, slot: int, at: XY, radius_m: float, chassis: Chassis) -> RobotBody:
+        wheels = Mecanum(chassis, Random(f"{self._seed}/wheels/{slot}"))
+        robot = self.robots[slot] = RobotBody(self, slot, at, radius_m, wheels)
+        self.space.add(robot.body, robot.shape)
         return robot
-
-    def _list_bodies(self) -> None:
-        """In which order pymunk lists bodies; the static one is among them."""
-        buffer = batch.Buffer()
-        batch.get_space_bodies(self._space, batch.BodyFields.BODY_ID, buffer)
-        listed = np.frombuffer(buffer.int_buf(), dtype=np.uintp).tolist()
-        ids = sorted((body for body in self._space.bodies), key=lambda body: int(body.id))
-        del ids
-        self._bodies = np.zeros((len(listed), 6))
-        self._put.set_float_buf(self._bodies)
-        order = {number: row for row, number in enumerate(listed)}
-        self._order = np.array([order[n] for n in self._ids()], dtype=np.intp)
 
     def body(self, slot: int) -> RobotBody:
         return self.robots[slot]
+
+    def add_box(self, x_m: float, y_m: float, side_m: float) -> int:
+        half = side_m / 2
+        corners = [(x_m - half, y_m - half), (x_m + half, y_m - half),
+                   (x_m + half, y_m + half), (x_m - half, y_m + half)]  # fmt: skip
+        box = pymunk.Poly(self.space.static_body, corners)
+        self.space.add(box)
+        self._next_box += 1
+        self._boxes[self._next_box] = [box]
+        return self._next_box
+
+    def remove_box(self, number: int) -> None:
+        for shape in self._boxes.pop(number, []):
+            self.space.remove(shape)
+
+    def advance(self, now_us: int) -> None:
+        """Step to the last whole step before `now_us`."""
+        while self.now_us + STEP_US <= now_us:
+            self._step()
+
+    def _step(self) -> None:
+        for robot in self.robots.values():
+            command = robot.commanded(self.now_us)
+            body = robot.body
+            vx_m_s, vy_m_s, turn_rad_s = robot.wheels.step(
+                body.angle, command.vx_m_s, command.vy_m_s, command.turn_rad_s, STEP_S
+            )
+            body.velocity = (vx_m_s, vy_m_s)
+            body.angular_velocity = turn_rad_s
+        self.space.step(STEP_S)
+        self.now_us += STEP_US
+        self._watch()
+        if self.now_us % TRACK_US == 0:
+            self._record()
+
+    def _watch(self) -> None:
+        """Contacts from true positions, robot against robot, and from shapes against fences."""
+        robots = list(self.robots.values())
+        touching: set[tuple[int, int | None]] = set()
+        for i, a in enumerate(robots):
+            ax, ay = a.body.position
+            for b in robots[i + 1 :]:
+                bx, by = b.body.position
+                dx, dy = ax - bx, ay - by
+                if dx * dx + dy * dy > 25.0 and self.closest_m < 3.0:
+                    continue
+                gap_m = hypot(dx, dy) - a.radius_m - b.radius_m
+                self.closest_m = min(self.closest_m, gap_m)
+                if gap_m < -TOUCH_M:
+                    touching.add((a.slot, b.slot))
+                    if (a.slot, b.slot) not in self._touching:
+                        self.contacts.append(Contact(self.now_us, a.slot, b.slot, -gap_m))
+        if self.now_us % TRACK_US == 0:
+            for robot in robots:
+                self._watch_fences(robot, touching)
+        else:
+            touching |= {pair for pair in self._touching if pair[1] is None}
+        self._touching = touching
+
+    def _watch_fences(self, robot: RobotBody, touching: set[tuple[int, int | None]]) -> None:
+        near = self.space.point_query_nearest(
+            robot.body.position, robot.radius_m, pymunk.ShapeFilter(mask=pymunk.ShapeFilter.ALL_MASKS())
+        )
+        if near is None or near.shape is robot.shape or near.shape.body is not self.space.static_body:
+            hits = self.space.point_query(robot.body.position, robot.radius_m, pymunk.ShapeFilter())
+            depths = [robot.radius_m - h.distance for h in hits if h.shape.body is self.space.static_body]
+        else:
+            depths = [robot.radius_m - near.distance]
+        for depth_m in depths:
+            if depth_m > TOUCH_M:
+                touching.add((robot.slot, None))
+                if (robot.slot, None) not in self._touching:
+                    self.contacts.append(Contact(self.now_us, robot.slot, None, depth_m))
+
+    def _record(self) -> None:
+        for robot in self.robots.values():
+            x_m, y_m = robot.body.position
+            points = robot.track.points
+            if points:
+                robot.track.driven_m += hypot(x_m - points[-1][1], y_m - points[-1][2])
+            points.append((self.now_us, x_m, y_m, robot.commanded(self.now_us).tool_on))
+
+    def heading_of(self, slot: int) -> XY:
+        angle = self.robots[slot].body.angle
+        return cos(angle), sin(angle)
