@@ -26,7 +26,7 @@ class Contact:
 
 
 class Track:
-    """A robot's way: 32 bytes a point, ten points a second and one for each switch of the implement.
+    """A robot's way: ten points a second, and one for each switch of the implement; 32 bytes each.
 
     An implement that is down at a point stays down until the next point.
     """

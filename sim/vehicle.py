@@ -36,6 +36,8 @@ GRIP_S = 0.2  # half a metre of ground at field speed
 _KEEP = exp(-STEP_S / GRIP_S)
 _FRESH = sqrt(1.0 - _KEEP * _KEEP)
 MARGIN = 1.5  # wheels can do this much more than straight ahead asks: a diagonal needs 1.41
+TRACTION_M_S2 = 7.0  # 0.7 g, rubber on dry ground: a robot that shoves, shoves with this much
+SPIN_RAD_S2 = 70.0  # the same, with wheels a decimetre from the middle
 BACK_RAD, FORTH_RAD = 2.6, 2.0  # further off its course a tractor backs up; nearer it goes forward
 CREEP = 0.4  # share of the wanted speed a tractor keeps while it turns towards its course
 
@@ -75,12 +77,12 @@ class Chassis(NamedTuple):
 TRACTOR = Chassis(0.4, 0.6, 0.5, 2.5, 1.0, 0.01, 3.0, Kind.ACKERMANN, 1.2)
 
 # One row of floats a robot. What is commanded, what the wheels do, and what they can do.
-WANT_X, WANT_Y, WANT_TURN, WANT_TOOL, GIVEN_US, EXPIRES_US = range(6)
-WHEEL, GRIP = 6, 10  # four each: front left, front right, rear left, rear right; or left, right; or
+WANT_X, WANT_Y, WANT_TURN, WANT_TOOL, EXPIRES_US = range(5)
+WHEEL, GRIP = 5, 9  # four each: front left, front right, rear left, rear right; or left, right; or
 # axle, steering angle
-TOOL, BACKING, COMMANDED_US = 14, 15, 16  # implement down; last step told to move
-KIND, R, L, W, LIMIT, GAIN, BRAKE, SLIP, LEAD, STEER, STEER_S, REVERSE = range(17, 29)
-COLUMNS = 29
+TOOL, BACKING, COMMANDED_US = 13, 14, 15  # implement down; last step told to move
+KIND, R, L, W, LIMIT, GAIN, BRAKE, SLIP, LEAD, STEER, STEER_S, REVERSE = range(16, 28)
+COLUMNS = 28
 # One row of motion: the first six as the physics engine has them.
 X, Y, HEADING, VX, VY, TURN, RADIUS = range(7)
 
@@ -89,7 +91,7 @@ def row_of(chassis: Chassis) -> list[float]:
     """A robot's row before its first command."""
     margin = 1.0 if chassis.kind is Kind.ACKERMANN else MARGIN
     row = [0.0] * COLUMNS
-    row[GIVEN_US] = row[EXPIRES_US] = row[COMMANDED_US] = -1.0
+    row[EXPIRES_US] = row[COMMANDED_US] = -1.0
     row[KIND:] = [
         float(chassis.kind),
         chassis.wheel_radius_m, chassis.half_base_m, chassis.half_track_m,
@@ -212,10 +214,21 @@ def _turn_wheels(row, a, b, c, d, still):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def roll(rows, motion, keys, now_us):  # type: ignore[no-untyped-def]
+def _push(m, vx, vy, turn, push):  # type: ignore[no-untyped-def]
+    """The acceleration towards what the wheels do, as far as tyres grip."""
+    ax, ay, spin = (vx - m[VX]) / STEP_S, (vy - m[VY]) / STEP_S, (turn - m[TURN]) / STEP_S
+    strength = hypot(ax, ay)
+    part = TRACTION_M_S2 / strength if strength > TRACTION_M_S2 else 1.0
+    push[0], push[1] = ax * part, ay * part
+    push[2] = min(max(spin, -SPIN_RAD_S2), SPIN_RAD_S2)
+
+
+@njit(cache=True)
+def roll(rows, motion, keys, now_us, push):  # type: ignore[no-untyped-def]
     """One step of every robot's wheels, from the commands in force at `now_us`.
 
-    Writes the velocities of `motion` (field frame); returns how many implements went up or down.
+    Writes the accelerations that follow (field frame: x, y, turn), one row of `push` a robot;
+    returns how many implements went up or down.
     """
     step = now_us // STEP_US
     switched = 0
@@ -250,6 +263,6 @@ def roll(rows, motion, keys, now_us):  # type: ignore[no-untyped-def]
             ahead, turn = differential_body(row[R], row[W], fl, fr)
         else:
             ahead, turn = ackermann_body(row[R], row[L], fl, fr)
-        m[VX], m[VY] = cos_h * ahead - sin_h * left, sin_h * ahead + cos_h * left
-        m[TURN] = turn
+        vx, vy = cos_h * ahead - sin_h * left, sin_h * ahead + cos_h * left
+        _push(m, vx, vy, turn, push[i])
     return switched

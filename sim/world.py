@@ -1,126 +1,156 @@
-"""The ground truth: bodies, fences and boxes in a pymunk space, stepped in fixed steps.
+"""The ground truth: robots, fences and obstacles, moved in fixed steps.
 
-Nobody but a robot's own `sense` and `drive` reaches into it, and the checkers, which see everything.
-Time is lazy: whoever asks first brings the world to the instant it asks for; the same steps are made
-whoever asks, so a run has one history.
+Nobody but a robot's own `sense` and `drive` reaches into it, and the checkers, who see everything.
+Time is lazy: whoever asks first brings the world to the instant it asks for. The same steps are
+made whoever asks and however often, so a run has one history.
+
+Each step: obstacles come and go, the wheels answer the commands in force (`sim.vehicle`), pymunk
+moves the bodies (`sim.physics`), and touches are judged from the new positions (`sim.proximity`).
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-from math import cos, hypot, inf, sin
-from random import Random
+from collections.abc import Callable, Sequence
+from hashlib import blake2b
+from heapq import heappop, heappush
+from math import cos, inf, sin
 
+import numpy as np
 import pymunk
+from numpy.typing import NDArray
 
-from agent.config import ACTUATOR_TTL_US
-from agent.effects import HALT, Drive
-from agent.ports import Observation
-from sim.mecanum import Chassis, Mecanum
+from sim.body import RobotBody
+from sim.lidar import Lidar, scan
+from sim.physics import Physics
+from sim.proximity import (
+    FENCE,
+    NEAREST_ROBOT,
+    NEAREST_WALL,
+    OBSTACLE,
+    TOUCHES_MAX,
+    crossings,
+    watch,
+)
+from sim.truth import Contact
+from sim.vehicle import COLUMNS, STEP_S, STEP_US, TOOL, Chassis, roll, row_of
+from sim.walls import BOX, DISC, FREE, OBSTACLE_COLUMNS, OBSTACLES_MAX, XY, Grid, Walls, ring_edges
 
-STEP_US = 20_000  # five steps of an actuator's life; two robots close in by 0.1 m at most
-STEP_S = STEP_US / 1_000_000
+__all__ = ["STEP_US", "RobotBody", "World"]
+
 TRACK_US = 100_000  # positions are kept this often
-WALL_M = 0.02  # half the thickness of a fence
-MASS_KG = 120.0
-TOUCH_M = 0.001  # an overlap less than this is the solver's tolerance, not a contact
-
-XY = tuple[float, float]
-
-
-@dataclass(frozen=True)
-class Contact:
-    t_us: int
-    first: int  # slot
-    second: int | None  # slot; None: a fence, a hole or a box
-    depth_m: float
-
-
-@dataclass
-class Track:
-    """Where a robot was, every `TRACK_US`: (time, x, y, implement down)."""
-
-    points: list[tuple[int, float, float, bool]] = field(default_factory=list)
-    driven_m: float = 0.0
-
-
-class RobotBody:
-    """One robot's body: the `Body` port of its peer, and what the checkers look at."""
-
-    def __init__(self, world: "World", slot: int, at: XY, radius_m: float, wheels: Mecanum) -> None:
-        self.world, self.slot, self.radius_m, self.wheels = world, slot, radius_m, wheels
-        self.body = pymunk.Body(MASS_KG, pymunk.moment_for_circle(MASS_KG, 0.0, radius_m))
-        self.body.position = at
-        self.shape = pymunk.Circle(self.body, radius_m)
-        self.shape.elasticity, self.shape.friction = 0.0, 0.3
-        self.shape.collision_type = 1
-        self.command, self.given_us = HALT, -ACTUATOR_TTL_US
-        self.track = Track()
-        self.frozen = False  # fault: the actuator hears nothing new
-
-    def sense(self, now_us: int) -> Observation:
-        self.world.advance(now_us)
-        x_m, y_m = self.body.position
-        vx_m_s, vy_m_s = self.body.velocity
-        return Observation(x_m, y_m, self.body.angle, vx_m_s, vy_m_s)
-
-    def drive(self, command: Drive, now_us: int) -> None:
-        self.world.advance(now_us)
-        self.command, self.given_us = command, now_us
-
-    def commanded(self, now_us: int) -> Drive:
-        """The command in force: a command that is not renewed expires in the actuator."""
-        return self.command if now_us - self.given_us < ACTUATOR_TTL_US else HALT
-
-    def push(self, dx_m: float, dy_m: float) -> None:
-        """Fault: somebody moves the robot."""
-        x_m, y_m = self.body.position
-        self.body.position = (x_m + dx_m, y_m + dy_m)
+APART_US = 200_000  # a contact is over after this long without overlap
 
 
 class World:
-    def __init__(self, rings: Sequence[Sequence[XY]], seed: int | str = 0) -> None:
+    def __init__(
+        self,
+        rings: Sequence[Sequence[XY]],
+        seed: int | str = 0,
+        lidar: Lidar | None = None,
+        grid: Grid | None = None,
+    ) -> None:
         """`rings`: closed outlines that nobody passes, fences and holes alike, metres."""
         self.now_us = 0
-        self.space = pymunk.Space()
-        self.space.gravity = (0.0, 0.0)
-        self.space.damping = 1.0
-        self.space.iterations = 10
+        self.lidar = lidar
         self.robots: dict[int, RobotBody] = {}
         self.contacts: list[Contact] = []
-        self.closest_m = inf  # smallest gap between two robots so far
+        self.on_step: list[Callable[[World], None]] = []  # checkers that must see every step
+        self.rows = np.empty((0, COLUMNS))  # see sim.vehicle; one row a robot, in order of adding
+        self.motion = np.empty((0, 7))
+        self.moved_us = np.empty(0, dtype=np.int64)  # the last step at whose end each robot moved
         self._seed = seed
-        self._touching: set[tuple[int, int | None]] = set()
-        self._fences: list[tuple[float, float, float, float]] = []
-        self._boxes: dict[int, list[pymunk.Shape]] = {}
-        self._next_box = 0
-        for ring in rings:
-            for (ax, ay), (bx, by) in zip(ring, [*ring[1:], ring[0]], strict=True):
-                wall = pymunk.Segment(self.space.static_body, (ax, ay), (bx, by), WALL_M)
-                wall.friction = 0.3
-                self.space.add(wall)
-
-    def add_robot(self, slot: int, at: XY, radius_m: float, chassis: Chassis) -> RobotBody:
-        wheels = Mecanum(chassis, Random(f"{self._seed}/wheels/{slot}"))
-        robot = self.robots[slot] = RobotBody(self, slot, at, radius_m, wheels)
-        self.space.add(robot.body, robot.shape)
-        return robot
+        self._keys = np.empty(0, dtype=np.uint64)
+        self._side = np.empty(0, dtype=np.int8)  # of the fences, where each robot was put
+        self._push = np.empty((0, 3))
+        self._fences = Walls(ring_edges(rings), grid)
+        self._grid = grid
+        edges = [*ring_edges(rings), *(grid.edges() if grid is not None else ())]
+        self._solid = Walls(edges) if grid is not None else self._fences
+        self._rays = lidar.table() if lidar is not None else np.empty((1, 2))
+        self._nearest = np.array([inf, inf])
+        self._touches = np.empty((TOUCHES_MAX, 3))
+        self._touching: dict[tuple[int, int], Contact] = {}
+        self._obstacles = np.zeros((OBSTACLES_MAX, OBSTACLE_COLUMNS))
+        self._standing = self._obstacles[:0]  # up to the last row in use
+        self._shapes: dict[int, tuple[int, pymunk.Shape]] = {}  # number: row, shape
+        self._numbers = 0
+        self._due: list[tuple[int, int, Callable[[], None]]] = []  # see `at`
+        self._asked = 0
+        self._outside: set[int] = set()
+        self._physics = Physics()
+        for a, b in edges:
+            self._physics.add_wall(a, b)
 
     def body(self, slot: int) -> RobotBody:
         return self.robots[slot]
 
-    def add_box(self, x_m: float, y_m: float, side_m: float) -> int:
-        half = side_m / 2
-        corners = [(x_m - half, y_m - half), (x_m + half, y_m - half),
-                   (x_m + half, y_m + half), (x_m - half, y_m + half)]  # fmt: skip
-        box = pymunk.Poly(self.space.static_body, corners)
-        self.space.add(box)
-        self._next_box += 1
-        self._boxes[self._next_box] = [box]
-        return self._next_box
+    @property
+    def closest_m(self) -> float:
+        """The smallest gap between two robots so far."""
+        return float(self._nearest[NEAREST_ROBOT])
+
+    @property
+    def closest_wall_m(self) -> float:
+        """The smallest gap from a robot to anything else; inf where none came within 0.5 m."""
+        return float(self._nearest[NEAREST_WALL])
+
+    def add_robot(
+        self, slot: int, at: XY, radius_m: float, chassis: Chassis, heading_rad: float = 0.0
+    ) -> RobotBody:
+        assert slot not in self.robots
+        robot = self.robots[slot] = RobotBody(self, slot, len(self.robots), radius_m, chassis)
+        key = blake2b(f"{self._seed}/wheels/{slot}".encode(), digest_size=8).digest()
+        self._keys = np.append(self._keys, np.frombuffer(key, dtype=np.uint64))
+        self.rows = np.vstack((self.rows, row_of(chassis)))
+        self.motion = np.vstack((self.motion, (*at, heading_rad, 0.0, 0.0, 0.0, radius_m)))
+        self.moved_us = np.append(self.moved_us, np.int64(-1))
+        self._side = np.append(self._side, np.int8(0))
+        self._side[-1] = self._sides()[-1]
+        self._physics.add_robot(*at, heading_rad, radius_m)
+        self._push = np.zeros((len(self.motion), 3))
+        robot.track.add(self.now_us, *at, False)
+        return robot
+
+    def place(self, robot: RobotBody, x_m: float, y_m: float, heading_rad: float) -> None:
+        """Set a robot somewhere else: a fault, not a drive."""
+        self.motion[robot.index, :3] = x_m, y_m, heading_rad
+        self._physics.place(robot.index, x_m, y_m, heading_rad)
+
+    def add_box(
+        self, x_m: float, y_m: float, side_m: float, depth_m: float | None = None,
+        heading_rad: float = 0.0,
+    ) -> int:  # fmt: skip
+        """A box that nobody passes, from now on; returns the number to remove it by."""
+        half_x, half_y = side_m / 2, (side_m if depth_m is None else depth_m) / 2
+        c, s = cos(heading_rad), sin(heading_rad)
+        corners = [
+            (x_m + c * u - s * v, y_m + s * u + c * v)
+            for u, v in ((-half_x, -half_y), (half_x, -half_y), (half_x, half_y), (-half_x, half_y))
+        ]
+        return self._add((BOX, x_m, y_m, half_x, half_y, c, s), self._physics.add_box(corners))
+
+    def add_disc(self, x_m: float, y_m: float, radius_m: float) -> int:
+        row = (DISC, x_m, y_m, radius_m, radius_m, 1.0, 0.0)
+        return self._add(row, self._physics.add_disc(x_m, y_m, radius_m))
+
+    def _add(self, row: tuple[float, ...], shape: pymunk.Shape) -> int:
+        free = next((k for k in range(OBSTACLES_MAX) if self._obstacles[k, 0] == FREE), None)
+        assert free is not None, f"more than {OBSTACLES_MAX} obstacles at once: make them fences"
+        self._obstacles[free] = row
+        self._numbers += 1
+        self._shapes[self._numbers] = (free, shape)
+        self._standing = self._obstacles[: max(k for k, _ in self._shapes.values()) + 1]
+        return self._numbers
 
     def remove_box(self, number: int) -> None:
-        for shape in self._boxes.pop(number, []):
-            self.space.remove(shape)
+        """Take a box or a disc away; one that is gone already may be removed again."""
+        if number in self._shapes:
+            row, shape = self._shapes.pop(number)
+            self._obstacles[row] = 0.0
+            self._physics.remove(shape)
+
+    def at(self, t_us: int, action: Callable[[], None]) -> None:
+        """Do something at the first step at or after `t_us`; in order of time, then of asking."""
+        heappush(self._due, (t_us, self._asked, action))
+        self._asked += 1
 
     def advance(self, now_us: int) -> None:
         """Step to the last whole step before `now_us`."""
@@ -128,67 +158,77 @@ class World:
             self._step()
 
     def _step(self) -> None:
-        for robot in self.robots.values():
-            command = robot.commanded(self.now_us)
-            body = robot.body
-            vx_m_s, vy_m_s, turn_rad_s = robot.wheels.step(
-                body.angle, command.vx_m_s, command.vy_m_s, command.turn_rad_s, STEP_S
-            )
-            body.velocity = (vx_m_s, vy_m_s)
-            body.angular_velocity = turn_rad_s
-        self.space.step(STEP_S)
-        self.now_us += STEP_US
-        self._watch()
-        if self.now_us % TRACK_US == 0:
+        while self._due and self._due[0][0] <= self.now_us:
+            heappop(self._due)[2]()
+        if roll(self.rows, self.motion, self._keys, self.now_us, self._push):
             self._record()
-
-    def _watch(self) -> None:
-        """Contacts from true positions, robot against robot, and from shapes against fences."""
-        robots = list(self.robots.values())
-        touching: set[tuple[int, int | None]] = set()
-        for i, a in enumerate(robots):
-            ax, ay = a.body.position
-            for b in robots[i + 1 :]:
-                bx, by = b.body.position
-                dx, dy = ax - bx, ay - by
-                if dx * dx + dy * dy > 25.0 and self.closest_m < 3.0:
-                    continue
-                gap_m = hypot(dx, dy) - a.radius_m - b.radius_m
-                self.closest_m = min(self.closest_m, gap_m)
-                if gap_m < -TOUCH_M:
-                    touching.add((a.slot, b.slot))
-                    if (a.slot, b.slot) not in self._touching:
-                        self.contacts.append(Contact(self.now_us, a.slot, b.slot, -gap_m))
+        self._physics.step(self.motion, self._push, STEP_S)
+        self.now_us += STEP_US
+        found = watch(
+            self.motion, self._solid.floats, self._solid.ints, self._standing, self.moved_us,
+            self.now_us, self._nearest, self._touches,
+        )  # fmt: skip
+        if found or self._touching:
+            self._judge(self._touches[:found].tolist())
         if self.now_us % TRACK_US == 0:
-            for robot in robots:
-                self._watch_fences(robot, touching)
-        else:
-            touching |= {pair for pair in self._touching if pair[1] is None}
-        self._touching = touching
-
-    def _watch_fences(self, robot: RobotBody, touching: set[tuple[int, int | None]]) -> None:
-        near = self.space.point_query_nearest(
-            robot.body.position, robot.radius_m, pymunk.ShapeFilter(mask=pymunk.ShapeFilter.ALL_MASKS())
-        )
-        if near is None or near.shape is robot.shape or near.shape.body is not self.space.static_body:
-            hits = self.space.point_query(robot.body.position, robot.radius_m, pymunk.ShapeFilter())
-            depths = [robot.radius_m - h.distance for h in hits if h.shape.body is self.space.static_body]
-        else:
-            depths = [robot.radius_m - near.distance]
-        for depth_m in depths:
-            if depth_m > TOUCH_M:
-                touching.add((robot.slot, None))
-                if (robot.slot, None) not in self._touching:
-                    self.contacts.append(Contact(self.now_us, robot.slot, None, depth_m))
+            self._judge_sides()
+            self._record()
+        for callback in self.on_step:
+            callback(self)
 
     def _record(self) -> None:
-        for robot in self.robots.values():
-            x_m, y_m = robot.body.position
-            points = robot.track.points
-            if points:
-                robot.track.driven_m += hypot(x_m - points[-1][1], y_m - points[-1][2])
-            points.append((self.now_us, x_m, y_m, robot.commanded(self.now_us).tool_on))
+        places, tools = self.motion[:, :2].tolist(), self.rows[:, TOOL].tolist()
+        for robot, (x_m, y_m), tool in zip(self.robots.values(), places, tools, strict=True):
+            robot.track.add(self.now_us, x_m, y_m, tool != 0.0)
 
-    def heading_of(self, slot: int) -> XY:
-        angle = self.robots[slot].body.angle
-        return cos(angle), sin(angle)
+    def _judge(self, touches: list[list[float]]) -> None:
+        """Begin, deepen and end contacts; bodies that rest on each other stay one contact."""
+        for first, second, depth_m in touches:
+            key = (int(first), int(second))
+            contact = self._touching.get(key) or self._begin(*key)
+            contact.depth_m = max(contact.depth_m, depth_m)
+            contact.until_us = self.now_us
+            self._touching[key] = contact
+        for key, contact in list(self._touching.items()):
+            if contact.until_us + APART_US < self.now_us:
+                del self._touching[key]
+
+    def _begin(self, first: int, second: int) -> Contact:
+        slots = list(self.robots)
+        if second >= 0:
+            against = f"robot {slots[second]}"
+        elif second == FENCE:
+            against = "fence"
+        else:
+            row = OBSTACLE - second
+            against = next(f"box {n}" for n, (k, _) in self._shapes.items() if k == row)
+        x_m, y_m = self.motion[first, :2].tolist()
+        other = slots[second] if second >= 0 else None
+        contact = Contact(self.now_us, slots[first], other, 0.0, against, x_m, y_m)
+        self.contacts.append(contact)
+        return contact
+
+    def _sides(self) -> NDArray[np.int8]:
+        """On which side of all fences, and whether in a blocked cell, each robot's centre is."""
+        side = np.empty(len(self.motion), dtype=np.int8)
+        crossings(self.motion, self._fences.floats, side)
+        if self._grid is not None:
+            side += [2 * self._grid.is_blocked(x, y) for x, y in self.motion[:, :2].tolist()]
+        return side
+
+    def _judge_sides(self) -> None:
+        """A robot that got through a fence, or was carried over it, no longer touches it."""
+        through = set(np.flatnonzero(self._sides() != self._side).tolist())
+        for index in sorted(through - self._outside):
+            robot = next(r for r in self.robots.values() if r.index == index)
+            x_m, y_m = robot.position
+            self.contacts.append(
+                Contact(self.now_us, robot.slot, None, robot.radius_m, "outside", x_m, y_m)
+            )
+        self._outside = through
+
+    def scan(self, index: int, out: NDArray[np.float64]) -> None:
+        """Ranges of the robot in that row, see `sim.lidar`."""
+        fences = self._fences
+        scan(self.motion, index, fences.floats, fences.ints, fences.blocked, self._standing,
+             self._rays, out)  # fmt: skip

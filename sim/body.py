@@ -1,0 +1,83 @@
+"""One robot's body: the `Body` port of its peer, the hooks of faults, and what checkers look at."""
+
+from math import pi, remainder
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from agent.config import ACTUATOR_TTL_US
+from agent.effects import HALT, Drive
+from agent.ports import Observation
+from sim.truth import Track
+from sim.vehicle import EXPIRES_US, HEADING, TOOL, WANT_TOOL, WANT_TURN, WANT_X, WANT_Y, Chassis
+
+if TYPE_CHECKING:
+    from sim.world import World
+
+XY = tuple[float, float]
+
+
+class RobotBody:
+    def __init__(
+        self, world: "World", slot: int, index: int, radius_m: float, chassis: Chassis
+    ) -> None:
+        self.world, self.slot, self.index = world, slot, index  # index: row in the world's arrays
+        self.radius_m, self.chassis = radius_m, chassis
+        self.track = Track()
+        self.frozen = False  # fault: the actuator hears nothing new
+        self._ranges = np.empty(0 if world.lidar is None else world.lidar.rays)
+
+    @property
+    def position(self) -> XY:
+        x_m, y_m = self.world.motion[self.index, :2].tolist()
+        return x_m, y_m
+
+    @property
+    def heading_rad(self) -> float:
+        return remainder(float(self.world.motion[self.index, HEADING]), 2 * pi)
+
+    @property
+    def tool_on(self) -> bool:
+        """Whether the implement was down in the last step."""
+        return bool(self.world.rows[self.index, TOOL])
+
+    def sense(self, now_us: int) -> Observation:
+        world = self.world
+        world.advance(now_us)
+        x_m, y_m, heading, vx_m_s, vy_m_s, _, _ = world.motion[self.index].tolist()
+        ranges_m: tuple[float, ...] = ()
+        if world.lidar is not None:
+            world.scan(self.index, self._ranges)
+            ranges_m = tuple(self._ranges.tolist())
+        return Observation(x_m, y_m, remainder(heading, 2 * pi), vx_m_s, vy_m_s, ranges_m)
+
+    def drive(self, command: Drive, now_us: int) -> None:
+        """In force from the step in which `now_us` lies, until it expires."""
+        self.world.advance(now_us)
+        if self.frozen:
+            return
+        row = self.world.rows[self.index]
+        row[WANT_X], row[WANT_Y] = command.vx_m_s, command.vy_m_s
+        row[WANT_TURN] = command.turn_rad_s
+        row[WANT_TOOL] = command.tool_on
+        row[EXPIRES_US] = now_us + ACTUATOR_TTL_US
+
+    def commanded(self, now_us: int) -> Drive:
+        """The command in force: one that is not renewed expires in the actuator."""
+        row = self.world.rows[self.index]
+        if now_us >= row[EXPIRES_US]:
+            return HALT
+        vx_m_s, vy_m_s, turn_rad_s = row[[WANT_X, WANT_Y, WANT_TURN]].tolist()
+        return Drive(vx_m_s, vy_m_s, turn_rad_s, bool(row[WANT_TOOL]))
+
+    def push(self, dx_m: float, dy_m: float) -> None:
+        """Fault: somebody moves the robot."""
+        x_m, y_m = self.position
+        self.teleport(x_m + dx_m, y_m + dy_m)
+
+    def teleport(self, x_m: float, y_m: float, heading_rad: float | None = None) -> None:
+        """Fault: somebody carries the robot there."""
+        world, tool_on = self.world, self.tool_on
+        self.track.add(world.now_us, *self.position, tool_on)
+        world.place(self, x_m, y_m, self.heading_rad if heading_rad is None else heading_rad)
+        self.track.add(world.now_us, x_m, y_m, tool_on, carried=True)

@@ -1,0 +1,91 @@
+"""pymunk, with all bodies read and written at once: wheels push, bodies move, collisions resolve.
+
+Wheels act as forces, never as velocities: pymunk moves bodies before it resolves what collides, so
+a velocity written before a step would carry a body into the wall.
+"""
+
+import numpy as np
+import pymunk
+from numpy.typing import NDArray
+from pymunk import batch
+
+XY = tuple[float, float]
+Floats = NDArray[np.float64]
+
+MASS_KG = 120.0
+SLOP_M = 0.001  # how deep bodies may rest in each other; any overlap at all counts as a contact
+FRICTION = 0.3
+_GOT = (
+    batch.BodyFields.POSITION | batch.BodyFields.ANGLE
+    | batch.BodyFields.VELOCITY | batch.BodyFields.ANGULAR_VELOCITY
+)  # fmt: skip
+_PUT = batch.BodyFields.FORCE | batch.BodyFields.TORQUE
+
+
+class Physics:
+    """Robots are discs, numbered from 0 in order of adding; everything else stands still."""
+
+    def __init__(self) -> None:
+        self.space = pymunk.Space()
+        self.space.collision_slop = SLOP_M
+        self._robots: list[pymunk.Body] = []
+        self._inertia = np.zeros((0, 3))  # kg, kg, kg m2
+        self._got, self._put = batch.Buffer(), batch.Buffer()
+        self._forces = np.zeros((0, 3))
+        self._order = np.zeros(0, dtype=np.intp)  # the row of each robot
+        self._stale = True  # bodies came since the rows were laid out
+
+    def add_robot(self, x_m: float, y_m: float, heading_rad: float, radius_m: float) -> None:
+        moment = pymunk.moment_for_circle(MASS_KG, 0.0, radius_m)
+        body = pymunk.Body(MASS_KG, moment)
+        body.position, body.angle = (x_m, y_m), heading_rad
+        self._robots.append(body)
+        self._inertia = np.vstack((self._inertia, (MASS_KG, MASS_KG, moment)))
+        self._add(pymunk.Circle(body, radius_m), body)
+
+    def add_wall(self, a: XY, b: XY) -> pymunk.Shape:
+        return self._add(pymunk.Segment(self.space.static_body, a, b, 0.0))
+
+    def add_box(self, corners: list[XY]) -> pymunk.Shape:
+        return self._add(pymunk.Poly(self.space.static_body, corners))
+
+    def add_disc(self, x_m: float, y_m: float, radius_m: float) -> pymunk.Shape:
+        return self._add(pymunk.Circle(self.space.static_body, radius_m, (x_m, y_m)))
+
+    def _add(self, shape: pymunk.Shape, *bodies: pymunk.Body) -> pymunk.Shape:
+        shape.friction = FRICTION
+        self.space.add(*bodies, shape)
+        self._stale = True
+        return shape
+
+    def remove(self, shape: pymunk.Shape) -> None:
+        self.space.remove(shape)
+
+    def place(self, robot: int, x_m: float, y_m: float, heading_rad: float) -> None:
+        body = self._robots[robot]
+        body.position, body.angle = (x_m, y_m), heading_rad
+
+    def _lay_out(self) -> None:
+        """pymunk lists the static body among the others: find each robot's row by its number."""
+        buffer = batch.Buffer()
+        batch.get_space_bodies(self.space, batch.BodyFields.BODY_ID, buffer)
+        listed = np.frombuffer(buffer.int_buf(), dtype=np.uintp).tolist()
+        row_of = {number: row for row, number in enumerate(listed)}
+        self._order = np.array([row_of[body.id] for body in self._robots], dtype=np.intp)
+        self._forces = np.zeros((len(listed), 3))
+        self._put.set_float_buf(self._forces)
+        self._stale = False
+
+    def step(self, motion: Floats, push: Floats, dt_s: float) -> None:
+        """One step under accelerations (robots, 3): x, y in m/s2, turn in rad/s2.
+
+        `motion` (robots, at least 6) is written: x, y, heading, velocity x and y, turn rate.
+        """
+        if self._stale:
+            self._lay_out()
+        self._forces[self._order] = push * self._inertia
+        batch.set_space_bodies(self.space, _PUT, self._put)
+        self.space.step(dt_s)
+        self._got.clear()
+        batch.get_space_bodies(self.space, _GOT, self._got)
+        motion[:, :6] = np.frombuffer(self._got.float_buf()).reshape(-1, 6)[self._order]
