@@ -26,7 +26,7 @@ class Coverage(NamedTuple):
 
 def sample_points(polygon: Polygon, width_m: float, overlap_m: float, raster_m: float) -> NDArray[np.float64]:
     """Points of the area that must be worked, on a raster."""
-    reachable = polygon.buffer(-width_m / 2).buffer(width_m / 2 - 1e-6)
+    reachable = polygon.buffer(-width_m / 2).buffer((width_m - overlap_m) / 2)
     required = reachable.intersection(polygon.buffer(-overlap_m / 2))
     west, south, east, north = required.bounds
     x_m, y_m = np.meshgrid(
