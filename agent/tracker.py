@@ -14,6 +14,8 @@ ARRIVED_M = 0.06  # a few centimetres: what a body at creep speed covers in a co
 ALIGN_M = 0.12  # this far off the line, it does not advance at all before it is back
 BESIDE_M = 0.3  # passing the end further away than this is not arriving
 SWING_M = 0.03  # how far a body may swing out at a corner; a third of the usual tolerance
+BEND_M = 2.0  # corners further apart than this do not make a bend
+BEND_SHARE = 0.5  # of the acceleration goes into following a bend, the rest into staying on it
 CREEP_M_S = 0.1  # approach speed at the very end, so that arrival does not take for ever
 
 
@@ -92,8 +94,13 @@ class Tracker:
         for k in range(1, count - 1):
             turn_rad = abs(self._turn(k - 1))
             swing_m_s = sqrt(2.0 * self.deceleration_m_s2 * SWING_M)
-            across = sin(min(turn_rad, pi / 2))
-            speeds[k] = min(self.speed_m_s, swing_m_s / across) if across > 1e-6 else self.speed_m_s
+            if turn_rad < 1e-3:
+                continue
+            # A corner by itself, or one of many that make a bend: the bend's curvature counts then.
+            swing = swing_m_s / sin(min(turn_rad, pi / 2))
+            bend_m = min(self.lengths_m[k - 1] + self.lengths_m[k], BEND_M) / 2
+            bend = sqrt(BEND_SHARE * self.deceleration_m_s2 * bend_m / turn_rad)
+            speeds[k] = min(self.speed_m_s, swing, bend)
         for k in range(count - 2, -1, -1):
             reach_m_s = sqrt(speeds[k + 1] ** 2 + 2.0 * self.deceleration_m_s2 * self.lengths_m[k])
             speeds[k] = min(speeds[k], reach_m_s)

@@ -17,7 +17,7 @@ from agent.safety import SilencePolicy
 from agent.swaths import divide
 from protocol.authentication import Keyring
 from sim.field_file import FieldFileError, read_boundary
-from sim.mecanum import Chassis
+from sim.vehicle import Chassis
 from sim.scenario import Scenario, ScenarioError
 from sim.world import World
 

@@ -1,0 +1,145 @@
+"""Who gives way when robots stand nose to nose, and where to.
+
+ORCA keeps bodies apart; it does not decide who goes first, and two that want the same spot stand
+for ever. A robot that wants to move, does not get on, and has somebody close is stalled. Of two that
+work, the one with the higher slot gives way first: both know both slots, so they agree without a
+message. Who gives way looks for a refuge near by, goes there, and waits until the other is gone or a
+time is up. If the other cannot give way (it stands in a corner), the one with the lower slot does so
+after a longer patience, so a jam of two is resolved from at least one side.
+Somebody that wants nothing (idle, stopped, gone) is gone round the same way: by a point beside it.
+"""
+
+from math import cos, hypot, pi, sin
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.config import MS, S
+from agent.lifecycle import State
+
+Point = tuple[float, float]
+
+WANTS_M_S = 0.1  # a robot that wants less than this is not stalled
+GOT_ON_M = 0.4  # moved this far: no stall
+PATIENCE_US = 1_500 * MS
+LONG_PATIENCE_US = 7 * S  # of the one that is not the first to give way
+NEAR_M = 1.2  # a gap wider than this stalls nobody
+APART_M = 5.0  # a refuge is left when the gap is this wide
+REFUGE_US = 10 * S  # or after this
+ROUND_US = 4 * S  # a detour round somebody that stands
+DIRECTIONS = 16
+RADII_M = (2.5, 4.5, 7.0)
+
+
+class Other(NamedTuple):
+    """A neighbour close by, relative to us."""
+
+    slot: int
+    dx_m: float
+    dy_m: float
+    state: int
+
+    @property
+    def distance_m(self) -> float:
+        return hypot(self.dx_m, self.dy_m)
+
+
+class GivingWay:
+    def __init__(
+        self, slot: int, radius_m: float, speed_m_s: float, fences: NDArray[np.float64]
+    ) -> None:
+        self.slot, self.radius_m, self.speed_m_s, self.fences = slot, radius_m, speed_m_s, fences
+        self.given = 0  # how often we gave way
+        self._anchor: Point = (0.0, 0.0)
+        self._anchor_us = 0
+        self._until_us = 0
+        self._for: int | None = None  # whom we give way to
+        self._refuge: Point = (0.0, 0.0)
+
+    def wish(self, at: Point, wanted: Point, others: list[Other], now_us: int) -> Point | None:
+        """Another velocity to want than the mission's, or None where nobody is in the way."""
+        if now_us < self._until_us:
+            return self._go(at, others)
+        moved_m = hypot(at[0] - self._anchor[0], at[1] - self._anchor[1])
+        if moved_m > GOT_ON_M or hypot(*wanted) < WANTS_M_S:
+            self._anchor, self._anchor_us = at, now_us
+            return None
+        if now_us - self._anchor_us < PATIENCE_US:
+            return None
+        close = [o for o in others if o.distance_m < 2 * self.radius_m + NEAR_M]
+        if not close:
+            return None
+        return self._decide(at, wanted, close, others, now_us)
+
+    def _decide(
+        self, at: Point, wanted: Point, close: list[Other], others: list[Other], now_us: int
+    ) -> Point | None:
+        ahead = [o for o in close if o.dx_m * wanted[0] + o.dy_m * wanted[1] > 0] or close
+        blocker = min(ahead, key=lambda o: (o.state != State.WORKING, o.slot))
+        standing = blocker.state != State.WORKING
+        first = standing or blocker.slot < self.slot
+        if not first and now_us - self._anchor_us < LONG_PATIENCE_US:
+            return None
+        refuge = self._find(at, wanted if standing else (0.0, 0.0), blocker, others)
+        if refuge is None:
+            return None
+        self.given += 1
+        self._for, self._refuge = blocker.slot, refuge
+        self._until_us = now_us + (ROUND_US if standing else REFUGE_US)
+        self._anchor_us = self._until_us
+        return self._go(at, others)
+
+    def _go(self, at: Point, others: list[Other]) -> Point:
+        other = next((o for o in others if o.slot == self._for), None)
+        if other is None or other.distance_m > 2 * self.radius_m + APART_M:
+            self._until_us = 0  # the way is free
+        dx_m, dy_m = self._refuge[0] - at[0], self._refuge[1] - at[1]
+        distance_m = hypot(dx_m, dy_m)
+        if distance_m < 0.3:
+            return 0.0, 0.0
+        speed_m_s = min(0.6 * self.speed_m_s, distance_m)
+        return dx_m / distance_m * speed_m_s, dy_m / distance_m * speed_m_s
+
+    def _find(self, at: Point, wanted: Point, blocker: Other, others: list[Other]) -> Point | None:
+        """A place that can be reached straight, away from fences and everybody, first of all from
+        the one we give way to; round somebody that stands, one that lies towards where we want."""
+        best: tuple[float, Point] | None = None
+        norm = max(hypot(*wanted), 1e-9)
+        for radius_m in RADII_M:
+            for k in range(DIRECTIONS):
+                ux, uy = cos(2 * pi * k / DIRECTIONS), sin(2 * pi * k / DIRECTIONS)
+                if not self._clear(at, (ux, uy), radius_m, others):
+                    continue
+                spot = (at[0] + ux * radius_m, at[1] + uy * radius_m)
+                away_m = hypot(ux * radius_m - blocker.dx_m, uy * radius_m - blocker.dy_m)
+                onward_m = (ux * wanted[0] + uy * wanted[1]) / norm * radius_m
+                score = min(away_m, APART_M) + 0.5 * onward_m - 0.2 * radius_m
+                if best is None or score > best[0] + 1e-9:
+                    best = (score, spot)
+        return None if best is None else best[1]
+
+    def _clear(self, at: Point, direction: Point, length_m: float, others: list[Other]) -> bool:
+        ux, uy = direction
+        for other in others:
+            along_m = min(max(other.dx_m * ux + other.dy_m * uy, 0.0), length_m)
+            gap_m = hypot(other.dx_m - ux * along_m, other.dy_m - uy * along_m)
+            if gap_m < min(2 * self.radius_m + 0.2, other.distance_m - 0.02):
+                return False
+        if self.fences.size == 0:
+            return True
+        steps = np.arange(0.5, length_m + 0.25, 0.5)
+        x, y = at[0] + ux * steps, at[1] + uy * steps
+        return bool(_distances(x, y, self.fences).min() > self.radius_m + 0.15)
+
+
+def _distances(
+    x: NDArray[np.float64], y: NDArray[np.float64], fences: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Distance of each point to each segment, (points, segments)."""
+    ax, ay, bx, by = fences.T
+    ex, ey = bx - ax, by - ay
+    t = ((x[:, None] - ax) * ex + (y[:, None] - ay) * ey) / (ex * ex + ey * ey)
+    t = np.clip(t, 0.0, 1.0)
+    gap: NDArray[np.float64] = np.hypot(ax + t * ex - x[:, None], ay + t * ey - y[:, None])
+    return gap
