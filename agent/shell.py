@@ -34,6 +34,7 @@ class Shell:
         self.dropped = 0  # frames that found the inbox full
         self._inbox: deque[Frame] = deque()
         self._wake: asyncio.Future[None] | None = None
+        self._frozen_until_us = 0
 
     @staticmethod
     def now_us() -> int:
@@ -85,6 +86,10 @@ class Shell:
         self._inbox.append(frame)
         self._nudge()
 
+    def freeze(self, for_s: float) -> None:
+        """Fault: this process hears and does nothing for a while, then goes on as if nothing was."""
+        self._frozen_until_us = self.now_us() + round(for_s * 1e6)
+
     def _nudge(self) -> None:
         if self._wake is not None and not self._wake.done():
             self._wake.set_result(None)
@@ -101,6 +106,8 @@ class Shell:
                     await self._wake
             finally:
                 timer.cancel()
+            if self.now_us() < self._frozen_until_us:
+                await asyncio.sleep((self._frozen_until_us - self.now_us()) / 1e6)
             while inbox:
                 effects = peer.receive(inbox.popleft(), self.now_us())
                 if effects:

@@ -36,6 +36,7 @@ class Voice:
         self.beats = slot % self.beats_a_heartbeat  # heartbeats are spread over the beats
         self.heartbeats = 0
         self.counter = FIRST_COUNTER
+        self.redone = 0  # units that somebody else had announced before us
         self.pending: dict[tuple[int, int], int] = {}  # (section, block) -> bits to announce
 
     @property
@@ -79,7 +80,9 @@ class Voice:
         """Durable, then announced, then part of the replica that the digest speaks of."""
         effects: list[Effect] = []
         for (section, block), new in sorted(self.pending.items()):
-            bits = peer.progress.bits(section, block) | new
+            known = peer.progress.bits(section, block)
+            self.redone += (known & new).bit_count()
+            bits = known | new
             peer.progress.apply(section, block, bits)
             peer.sync.changed_here(section, block)
             effects.append(Persist(*peer.records.progress(section, block, bits)))

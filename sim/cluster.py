@@ -5,7 +5,7 @@ the same run; under a real loop it is a demonstration.
 """
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from random import Random
 
 import can
@@ -14,22 +14,25 @@ from agent.core import Identity, Peer
 from agent.effects import Effect
 from agent.field_work import FieldWork
 from agent.motion import Limits, Motion
-from agent.ports import Journal
-from agent.route import Route
 from agent.shell import Shell
 from protocol.bus import CanBus
+from protocol.codec import encode
+from protocol.messages import Message
 from protocol.name import fleet_name
-from sim.fieldbus import segment
-from sim.scenario import Scenario
+from sim.disk import MemoryJournal
+from sim.fieldbus import FieldBus, forget, segment
+from sim.scenario import Join, Scenario
 from sim.setting import Setting
 
-Recorder = Callable[[int, int, Effect], None]  # slot, time in microseconds, effect
+BRAKING_SHARE = 0.7  # of the acceleration is planned with; the rest is for corrections
+TOOL_ADDRESS = 249  # where scripted operator frames come from
+Record = Callable[[int, int, Effect], None]  # slot, time in microseconds, effect
 
 
 class Robot:
     """One peer with everything around it."""
 
-    def __init__(self, slot: int, shell: Shell, bus: can.BusABC) -> None:
+    def __init__(self, slot: int, shell: Shell, bus: FieldBus) -> None:
         self.slot, self.shell, self.bus = slot, shell, bus
         self.task: asyncio.Task[None] | None = None
 
@@ -42,11 +45,12 @@ class Robot:
         return self.task is not None and not self.task.done()
 
 
-def make_peer(setting: Setting, slot: int, now_us: int, recalled: dict[str, bytes]) -> Peer:
-    """The peer of one slot for a scenario; the same on a virtual clock and in a process of its own."""
+def make_peer(setting: Setting, slot: int, now_us: int, recalled: Mapping[str, bytes]) -> Peer:
+    """The peer of one slot of a scenario; the same on a virtual clock and in a process of its own."""
     fleet = setting.scenario.fleet
-    work = FieldWork(setting.field, setting.route, fleet.speed_m_s, 0.7 * fleet.acceleration_m_s2)
-    motion = Motion(slot, Limits(fleet.radius_m, fleet.speed_m_s, fleet.acceleration_m_s2), setting.fences)
+    braking_m_s2 = BRAKING_SHARE * fleet.acceleration_m_s2
+    work = FieldWork(setting.field, setting.route, fleet.speed_m_s, braking_m_s2)
+    limits = Limits(fleet.radius_m, fleet.speed_m_s, fleet.acceleration_m_s2)
     identity = Identity(
         slot=slot,
         members=frozenset(range(fleet.robots)),
@@ -56,31 +60,45 @@ def make_peer(setting: Setting, slot: int, now_us: int, recalled: dict[str, byte
         started=True,
     )
     rng = Random(f"{setting.scenario.run.seed}/peer/{slot}")
+    motion = Motion(slot, limits, setting.fences)
     return Peer(identity, rng, now_us, recalled, work, motion, setting.keyring(slot))
 
 
 class Cluster:
-    def __init__(self, setting: Setting, channel: str, recorder: Recorder | None = None) -> None:
-        self.setting, self.channel, self.recorder = setting, channel, recorder
+    def __init__(self, setting: Setting, channel: str, record: Record | None = None) -> None:
+        self.setting, self.channel, self.record = setting, channel, record
         self.scenario: Scenario = setting.scenario
         self.world = setting.world()
-        self.segment = segment(channel, bitrate=self.scenario.bus.bitrate, seed=self.scenario.run.seed)
+        bus, seed = self.scenario.bus, self.scenario.run.seed
+        self.segment = segment(channel, bitrate=bus.bitrate, seed=seed)
+        faults = self.segment.wire.faults
+        faults.loss, faults.error = bus.loss, bus.error_rate
+        faults.omission, faults.duplicate = bus.omission, bus.duplicate
         self.robots: dict[int, Robot] = {}
-        self.journals: dict[int, Journal] = {}
+        self.journals: dict[int, MemoryJournal] = {}
+        self.tasks: set[asyncio.Task[None]] = set()
+        self._tool: FieldBus | None = None
+
+    def boot_all(self) -> None:
+        """Everybody but those that join later."""
+        late = {fault.robot for fault in self.scenario.fault if isinstance(fault, Join)}
+        for slot in range(self.scenario.fleet.robots):
+            if slot not in late:
+                self.boot(slot)
 
     def boot(self, slot: int) -> Robot:
         """Power a robot up with what its journal remembers."""
-        journal = self.journals.get(slot)
-        recalled = dict(journal.load()) if journal is not None else {}
-        peer = make_peer(self.setting, slot, Shell.now_us(), recalled)
+        journal = self.journals.setdefault(slot, MemoryJournal())
+        peer = make_peer(self.setting, slot, Shell.now_us(), journal.load())
         bus = can.Bus(interface="fieldbus", channel=self.channel)
-        recorder = self.recorder
+        assert isinstance(bus, FieldBus)
+        record = self.record
 
-        def record(now_us: int, effect: Effect) -> None:
-            if recorder is not None:
-                recorder(slot, now_us, effect)
+        def keep(now_us: int, effect: Effect) -> None:
+            if record is not None:
+                record(slot, now_us, effect)
 
-        shell = Shell(peer, CanBus(bus), self.world.body(slot), journal, record)
+        shell = Shell(peer, CanBus(bus), self.world.body(slot), journal, keep)
         robot = Robot(slot, shell, bus)
         robot.task = asyncio.create_task(shell.run(), name=f"robot {slot}")
         self.robots[slot] = robot
@@ -93,6 +111,25 @@ class Cluster:
             robot.task.cancel()
         robot.shell.bus.close()
 
+    def node_of(self, slot: int) -> int:
+        return self.robots[slot].bus.node
+
+    def partition(self, islands: list[set[int]]) -> None:
+        nodes = [{self.node_of(slot) for slot in island if slot in self.robots} for island in islands]
+        self.segment.wire.partition(*nodes)
+
+    def inject(self, message: Message, source: int = TOOL_ADDRESS) -> None:
+        """A frame of a device that is not a robot, as an operator's tool would send it."""
+        if self._tool is None:
+            self._tool = FieldBus(self.channel)
+        self._tool.submit(encode(message, source))
+
+    def check(self) -> None:
+        """Raise what a robot's task has raised: a broken assertion must not pass for silence."""
+        for robot in self.robots.values():
+            if robot.task is not None and robot.task.done() and not robot.task.cancelled():
+                robot.task.result()
+
     @property
     def running(self) -> list[Robot]:
         return [robot for _, robot in sorted(self.robots.items()) if robot.running]
@@ -100,13 +137,14 @@ class Cluster:
     @property
     def finished(self) -> bool:
         """Every running replica knows every section done."""
+        sections = len(self.setting.field.sections)
         return bool(self.running) and all(
-            robot.peer.allocation.done_count() == len(self.setting.field.sections)
-            for robot in self.running
+            robot.peer.allocation.done_count() == sections for robot in self.running
         )
 
     @property
     def replicas_equal(self) -> bool:
+        """Registers and progress, byte for byte."""
         states = {
             (robot.peer.allocation.serialize(), robot.peer.progress.serialize())
             for robot in self.running
@@ -115,11 +153,12 @@ class Cluster:
 
     async def close(self) -> None:
         tasks = [robot.task for robot in self.robots.values() if robot.task is not None]
+        tasks += list(self.tasks)
         for task in tasks:
             task.cancel()
-        results = await asyncio.gather(*tasks, return_exceptions=True)
+        await asyncio.gather(*tasks, return_exceptions=True)
         for robot in self.robots.values():
             robot.shell.bus.close()
-        for result in results:
-            if isinstance(result, Exception):
-                raise result
+        if self._tool is not None:
+            self._tool.shutdown()
+        forget(self.channel)

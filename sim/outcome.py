@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+COVERAGE_MIN = 0.99995  # 100.00 % as it is printed
+
 
 class Outcome(NamedTuple):
     scenario: str
@@ -10,27 +12,34 @@ class Outcome(NamedTuple):
     seed: int
     silence_policy: str
     authenticated: bool
-    finished: bool  # every section DONE on every running replica
-    coverage: float  # share of the reachable area worked, by the world
-    makespan_s: float  # last unit worked
-    duplicate_share: float  # area worked by more than one robot's intent, over the area
+    finished: bool  # every section DONE on every running replica, and their digests equal
+    coverage: float  # share of the area that can be asked for, swept by the implement
+    makespan_s: float  # when the last of it was worked
+    worked_twice: float  # share swept by two robots: overlaps of neighbours, and real duplicates
+    units_twice: int  # units that two robots announced: duplicate work
     contacts: int
     closest_m: float  # smallest gap between two bodies seen
     replicas_equal: bool
     frames: Mapping[str, int]  # by kind
     bus_load: float  # share of the bus in use, exact bits
-    bus_load_worst_case: float  # the same at worst-case stuffing
+    bus_load_worst_case: float  # the same frames at worst-case stuffing
     claims_lost: int
     malformed: int
     trace_hash: str
     sections: int
     work_m: float  # length of all swaths
     travel_m: float  # what all robots drove
+    simulated_s: float
     wall_s: float
 
     @property
     def success(self) -> bool:
-        return self.finished and self.coverage >= 0.9995 and self.contacts == 0 and self.replicas_equal
+        return (
+            self.finished
+            and self.coverage >= COVERAGE_MIN
+            and self.contacts == 0
+            and self.replicas_equal
+        )
 
     def to_dict(self) -> dict[str, Any]:
         return {**self._asdict(), "frames": dict(self.frames), "success": self.success}

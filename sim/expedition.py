@@ -1,0 +1,139 @@
+"""One run of a scenario from power-up to the end, and what came of it."""
+
+import asyncio
+import itertools
+import time
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+from protocol.codec import Malformed, decode_once
+from protocol.frame import Frame
+from sim.candump import CandumpWriter
+from sim.clock import run_virtual
+from sim.cluster import Cluster
+from sim.coverage_truth import Coverage, coverage, sample_points
+from sim.faults import FaultPlan
+from sim.outcome import Outcome
+from sim.setting import Setting
+from sim.trace import Recorder
+from sim.truth import TrackPoint
+
+LOOK_S = 1.0  # how often the end is looked for and progress is told
+RASTER_M = 0.25  # of the coverage check
+QUIET_S = 2.0  # after the last section: replicas must be equal within this
+
+_numbers = itertools.count()
+Told = Callable[["Moment"], None]
+
+
+class Moment(NamedTuple):
+    """How a run is doing, for whoever watches."""
+
+    simulated_s: float
+    done: int
+    sections: int
+    progress: float
+    states: tuple[str, ...]
+
+
+class Expedition:
+    def __init__(self, setting: Setting, out: Path | None = None, told: Told | None = None) -> None:
+        self.setting, self.out, self.told = setting, out, told
+        self.kinds: Counter[str] = Counter()
+        self.malformed = 0
+        self.tracks: dict[int, list[TrackPoint]] = {}
+        self.truth: Coverage | None = None
+        self.faults: list[tuple[float, str]] = []
+
+    def run(self) -> Outcome:
+        """Virtual time, as fast as it goes."""
+        return run_virtual(self.go())
+
+    async def go(self) -> Outcome:
+        started_s = time.perf_counter()
+        recorder = Recorder(self.out / "trace.jsonl" if self.out else None)
+        cluster = Cluster(self.setting, f"run {next(_numbers)}", recorder)
+        log = CandumpWriter(self.out / "can.log") if self.out else None
+
+        def tap(t_us: int, frame: Frame) -> None:
+            _, message = decode_once(frame)
+            self.kinds[type(message).__name__] += 1
+            self.malformed += isinstance(message, Malformed)
+            if log is not None:
+                log.write(t_us, frame)
+
+        cluster.segment.taps.append(tap)
+        cluster.boot_all()
+        plan = FaultPlan(cluster)
+        script = asyncio.create_task(plan.run())
+        cluster.tasks.add(script)
+        try:
+            await self._until_finished(cluster, script)
+            outcome = self._measure(cluster, recorder, time.perf_counter() - started_s)
+        finally:
+            self.faults = plan.done
+            await cluster.close()
+            recorder.close()
+            if log is not None:
+                log.close()
+        return outcome
+
+    async def _until_finished(self, cluster: Cluster, script: "asyncio.Task[None]") -> None:
+        loop, limit_s = asyncio.get_running_loop(), self.setting.scenario.run.time_limit_s
+        while loop.time() < limit_s:
+            await asyncio.sleep(LOOK_S)
+            cluster.check()
+            if self.told is not None:
+                self.told(self._moment(cluster, loop.time()))
+            if script.done():
+                script.result()
+                if cluster.finished:
+                    break
+        quiet_s = loop.time() + QUIET_S
+        while not cluster.replicas_equal and loop.time() < quiet_s:
+            await asyncio.sleep(0.1)
+
+    def _moment(self, cluster: Cluster, now_s: float) -> Moment:
+        running = cluster.running
+        best = max(running, key=lambda r: r.peer.allocation.done_count(), default=None)
+        done = best.peer.allocation.done_count() if best else 0
+        progress = max((r.peer.progress.fraction() for r in running), default=0.0)
+        states = tuple(r.peer.state.name for r in running)
+        return Moment(now_s, done, len(self.setting.field.sections), progress, states)
+
+    def _measure(self, cluster: Cluster, recorder: Recorder, wall_s: float) -> Outcome:
+        field, scenario, world = self.setting.field, self.setting.scenario, cluster.world
+        now_s = asyncio.get_running_loop().time()
+        world.advance(round(now_s * 1e6))
+        self.tracks = {slot: body.track.points for slot, body in world.robots.items()}
+        raster = sample_points(field.polygon, field.implement_width_m, field.overlap_m, RASTER_M)
+        truth = self.truth = coverage(raster, self.tracks, field.implement_width_m)
+        wire = cluster.segment.wire
+        return Outcome(
+            scenario=scenario.name,
+            robots=scenario.fleet.robots,
+            seed=scenario.run.seed,
+            silence_policy=scenario.fleet.silence,
+            authenticated=self.setting.keyring(0) is not None,
+            finished=cluster.finished,
+            coverage=truth.share,
+            makespan_s=truth.last_us / 1e6,
+            worked_twice=truth.twice,
+            units_twice=sum(r.peer.voice.redone for r in cluster.robots.values()),
+            contacts=len(world.contacts),
+            closest_m=world.closest_m,
+            replicas_equal=cluster.replicas_equal,
+            frames=dict(self.kinds.most_common()),
+            bus_load=wire.busy_us / (now_s * 1e6),
+            bus_load_worst_case=wire.worst_us / (now_s * 1e6),
+            claims_lost=recorder.lost,
+            malformed=self.malformed,
+            trace_hash=recorder.digest,
+            sections=len(field.sections),
+            work_m=field.work_m,
+            travel_m=sum(body.track.driven_m for body in world.robots.values()),
+            simulated_s=now_s,
+            wall_s=wall_s,
+        )
