@@ -22,11 +22,32 @@ MAKE_WAY_M = 6.0  # an idle robot keeps this far from one that works
 NEAR_END_S = 5.0  # claim the next section when this much work is left
 
 
+LEAD_M = 0.3  # a stretch is entered before its first unit and left after its last: arriving at a
+# point within centimetres would leave that much of the work out
+
+
 class Leg(NamedTuple):
-    """A polyline to drive; `units` are passed in this order, and none means transit."""
+    """A polyline to drive; `units` are passed in this order, and none means transit.
+
+    A leg with units is longer than they are by `LEAD_M` at both ends.
+    """
 
     points: tuple[Point, ...]
     units: tuple[int, ...] = ()
+
+
+def working_leg(points: tuple[Point, ...], units: tuple[int, ...]) -> Leg:
+    """A stretch of units with its lead-in and lead-out."""
+    first = _beyond(points[1], points[0])
+    last = _beyond(points[-2], points[-1])
+    return Leg((first, *points[1:-1], last), units)
+
+
+def _beyond(a: Point, b: Point) -> Point:
+    """The point `LEAD_M` further than b, coming from a."""
+    length_m = max(hypot(b[0] - a[0], b[1] - a[1]), 1e-9)
+    share = LEAD_M / length_m
+    return b[0] + (b[0] - a[0]) * share, b[1] + (b[1] - a[1]) * share
 
 
 class FieldWork:
@@ -205,15 +226,11 @@ class FieldWork:
         if not self.leg.units:
             return []
         passed = []
-        if self.tracker.along_m > 0.0:  # before its first point a robot may come from the side
+        if self.tracker.along_m > LEAD_M / 2:  # before that a robot may come from the side
             self.worst_m = max(self.worst_m, abs(self.tracker.off_m))
-        piece_m = self.tracker.total_m / len(self.leg.units)
+        piece_m = (self.tracker.total_m - 2 * LEAD_M) / len(self.leg.units)
         while self.unit < len(self.leg.units):
-            end_m = (self.unit + 1) * piece_m
-            at_end = self.tracker.along_m >= end_m - 1e-6 or (
-                self.unit == len(self.leg.units) - 1 and self.tracker.arrived
-            )
-            if not at_end:
+            if self.tracker.along_m < LEAD_M + (self.unit + 1) * piece_m:
                 break
             if self.worst_m <= self.tolerance_m:
                 passed.append(self.leg.units[self.unit])
@@ -224,7 +241,7 @@ class FieldWork:
         """From here: the uncovered stretches of the section, nearest end first, joined by transits."""
         mine = self.worked if self.section is section else frozenset[int]()
         stretches = [
-            Leg(points, units)
+            working_leg(points, units)
             for points, units in section.stretches(
                 lambda unit: unit not in mine and not view.progress.has(section.id, unit)
             )

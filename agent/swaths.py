@@ -7,7 +7,7 @@ fence than (w - v) / 2, and ring and strips together leave nothing out (`tests/a
 """
 
 from collections.abc import Iterator, Sequence
-from math import atan2, ceil, degrees
+from math import atan2, ceil, degrees, pi
 
 from shapely import affinity
 from shapely.geometry import LineString, MultiPolygon, Polygon, box
@@ -18,6 +18,8 @@ from agent.field import UNITS_MAX, XY, Field, Polyline, Section
 
 SWEEP_DEG = 10.0  # angles tried besides the directions of the edges
 EDGE_SHARE_MIN = 0.05  # edges shorter than this share of the outline propose no angle
+CORNER_RAD = 0.05  # a smaller turn leaves no gap that the overlap would not close
+CUT_STEP_M = 1.0  # how finely a straight place for a cut is looked for
 PIECE_MIN_M = 0.05  # strips that touch the deep part by less are served by the ring
 
 
@@ -38,7 +40,7 @@ def divide(
     if not rings:
         raise ValueError(f"{name} is nowhere as wide as the implement ({width_m} m)")
     deep = polygon.buffer(-(width_m - overlap_m))
-    bundles = [*_ring_bundles(rings, section_length_m)]
+    bundles = [*_ring_bundles(rings, section_length_m, width_m)]
     if not deep.is_empty:
         bundles += _strip_bundles(deep, _best_angle(polygon, deep, strip_m), strip_m, section_length_m)
     sections = tuple(
@@ -81,13 +83,48 @@ def _rings(inset: BaseGeometry) -> Iterator[LineString]:
             yield LineString(ring.coords)
 
 
-def _ring_bundles(rings: list[LineString], section_length_m: float) -> Iterator[list[Polyline]]:
-    """Each ring in equal pieces of about the wanted length; a ring is worked once round."""
+def _ring_bundles(
+    rings: list[LineString], section_length_m: float, width_m: float
+) -> Iterator[list[Polyline]]:
+    """Each ring in pieces of about the wanted length; a ring is worked once round.
+
+    Pieces meet on straight stretches where there are any: an implement that ends in a corner from
+    both sides would leave the outside of the corner out.
+    """
     for ring in rings:
         pieces = max(1, round(ring.length / section_length_m))
-        for k in range(pieces):
-            piece = substring(ring, k / pieces, (k + 1) / pieces, normalized=True)
-            yield [_points(piece.coords)]
+        wanted = [ring.length * k / pieces for k in range(pieces)]
+        cuts = sorted({round(_straight(ring, cut, width_m), 6) for cut in wanted})
+        for start, end in zip(cuts, [*cuts[1:], cuts[0] + ring.length], strict=True):
+            yield [_points(_along(ring, start, end))]
+
+
+def _along(ring: LineString, start: float, end: float) -> list[tuple[float, ...]]:
+    """The ring from one arc length to another, over its closing point where need be."""
+    if end <= ring.length:
+        return list(substring(ring, start, end).coords)
+    first = list(substring(ring, start, ring.length).coords)
+    return first + list(substring(ring, 0.0, end - ring.length).coords)[1:]
+
+
+def _straight(ring: LineString, cut: float, width_m: float) -> float:
+    """The arc length nearest to `cut` that is half a width from every corner; `cut` if there is none."""
+    points = list(ring.coords)
+    corners, along = [], 0.0
+    for k, (a, b) in enumerate(zip(points, points[1:], strict=False)):
+        before = points[k - 1] if k else points[-2]
+        turn = atan2(b[1] - a[1], b[0] - a[0]) - atan2(a[1] - before[1], a[0] - before[0])
+        if abs((turn + pi) % (2 * pi) - pi) > CORNER_RAD:
+            corners.append(along)
+        along += LineString((a, b)).length
+    length = ring.length
+
+    def room(at: float) -> float:
+        return min((abs((at - c + length / 2) % length - length / 2) for c in corners), default=length)
+
+    steps = sorted((k * CUT_STEP_M * sign for k in range(int(length / 2)) for sign in (1, -1)), key=abs)
+    free = (cut + step for step in steps if room((cut + step) % length) >= width_m / 2 + CUT_STEP_M)
+    return next(free, cut) % length
 
 
 def _best_angle(polygon: Polygon, deep: BaseGeometry, strip_m: float) -> float:
