@@ -1,0 +1,92 @@
+"""`headland run`: a scenario to its end in virtual time, a report of what came of it."""
+
+import json
+import sys
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from agent.lifecycle import State
+from sim.expedition import Expedition, Moment
+from sim.outcome import Outcome
+from sim.scenario import ScenarioError, load
+from sim.setting import Setting
+from tools.picture import draw_field
+
+UNFINISHED, WRONG = 1, 2  # exit codes; 0 only for a run without a flaw
+
+
+def run(scenario: str, robots: int | None, seed: int | None, out: Path, as_json: bool) -> int:
+    console = Console(stderr=as_json)
+    try:
+        setting = Setting(load(scenario).changed(robots, seed))
+        out.mkdir(parents=True, exist_ok=True)
+        if not out.is_dir():
+            raise OSError(f"{out} is not a folder")
+    except ScenarioError as problem:
+        print(f"headland: {problem}", file=sys.stderr)
+        return WRONG
+    except OSError as problem:
+        print(f"headland: --out: {problem}", file=sys.stderr)
+        return WRONG
+    outcome, expedition = _watch(console, setting, out)
+    (out / "report.json").write_text(json.dumps(outcome.to_dict(), indent=1) + "\n")
+    tracks = {s: [(x, y, tool) for _, x, y, tool in t] for s, t in expedition.tracks.items()}
+    title = f"{setting.field.name}: {outcome.robots} robots, {outcome.makespan_s:.0f} s"
+    draw_field(setting.field, tracks, title, out / "field.png")
+    if as_json:
+        print(json.dumps(outcome.to_dict()))
+    else:
+        console.print(outcome_table(outcome))
+        console.print(f"report.json, field.png, can.log and trace.jsonl are in {out}")
+    return 0 if outcome.success else UNFINISHED
+
+
+def _watch(console: Console, setting: Setting, out: Path) -> tuple[Outcome, Expedition]:
+    with Progress(
+        TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>5.1f} %"),
+        TextColumn("{task.fields[note]}"), TimeElapsedColumn(), console=console, transient=True,
+    ) as progress:  # fmt: skip
+        bar = progress.add_task(f"{setting.field.name}", total=1.0, note="")
+
+        def told(moment: Moment) -> None:
+            counts = ", ".join(
+                f"{moment.states.count(state.name)} {state.name}"
+                for state in State
+                if state.name in moment.states
+            )
+            note = f"{moment.simulated_s:.0f} s, {moment.done}/{moment.sections} sections, {counts}"
+            progress.update(bar, completed=moment.progress, note=note)
+
+        expedition = Expedition(setting, out, told)
+        return expedition.run(), expedition
+
+
+def outcome_table(outcome: Outcome) -> Table:
+    table = Table(title=f"{outcome.scenario}: {outcome.robots} robots, seed {outcome.seed}", show_header=False)
+    table.add_column(style="bold")
+    table.add_column()
+    verdict = "[green]yes[/green]" if outcome.success else "[red]no[/red]"
+    sections = f"{outcome.sections} sections" + ("" if outcome.finished else ", not all done")
+    rows = [
+        ("without a flaw", verdict),
+        ("coverage", f"{outcome.coverage:.2%} of the area that can be worked ({sections})"),
+        ("makespan", f"{outcome.makespan_s:.1f} s of {outcome.simulated_s:.0f} s simulated"),
+        ("duplicate work", f"{outcome.units_twice} units announced twice; {outcome.worked_twice:.1%} of the area overlaps"),
+        ("contacts", f"{outcome.contacts} (closest {outcome.closest_m:.2f} m)"),
+        ("replicas", "equal" if outcome.replicas_equal else "[red]differ[/red]"),
+        ("driven", f"{outcome.travel_m:.0f} m for {outcome.work_m:.0f} m of swaths"),
+        ("bus load", f"{outcome.bus_load:.1%} ({outcome.bus_load_worst_case:.1%} at worst-case stuffing)"),
+        ("frames", ", ".join(f"{n} {kind}" for kind, n in outcome.frames.items())),
+        ("malformed frames", str(outcome.malformed)),
+        ("claims lost", str(outcome.claims_lost)),
+        ("silence policy", outcome.silence_policy),
+        ("authentication", "keys" if outcome.authenticated else "[yellow]NONE: anybody on the bus can stop and release this fleet[/yellow]"),
+        ("trace hash", outcome.trace_hash),
+        ("computed in", f"{outcome.wall_s:.1f} s"),
+    ]  # fmt: skip
+    for row in rows:
+        table.add_row(*row)
+    return table
