@@ -6,6 +6,7 @@ from pathlib import Path
 from protocol.bus import CanBus, open_bus
 
 LAUNCH = Path("runs/launch/bus.json")  # where a launch leaves the address of its bus
+CHANNEL = "can0"  # of the bus of a launch
 TOOL_ADDRESS = 249  # off-board service tool (J1939 preferred addresses, industry group 0)
 
 

@@ -11,6 +11,7 @@ from typing import Any
 
 from agent.lifecycle import State
 from crdt import FieldAllocationCRDT, Phase, Progress
+from crdt.register import pack
 from protocol.codec import Malformed, decode
 from protocol.fleet_frames import Heartbeat, LeaderElectionVote, Member, Pose, VectorSlice
 from protocol.frame import Frame
@@ -118,7 +119,8 @@ class Inspector:
                     if message.base + offset != robot.slot and count:
                         robot.clock[message.base + offset] = count
             case TaskClaim() | StateSyncResponse():
-                if self.allocation.apply_message(message):
+                key = pack(message.epoch, message.phase, message.bid, message.lamport, message.owner)
+                if self.allocation.apply(message.section, key):
                     self._chain.append((t_s, robot.slot, kind, message))
             case WorkProgress():
                 self.progress.apply(message.section, message.block, message.bits)

@@ -1,0 +1,209 @@
+"""`headland launch`: N robot processes on one simulated bus and world, in real time.
+
+This process owns the wire and the world and starts the robots; it decides nothing for them. Killing
+any robot must not stop the work. Ctrl-C ends all of them; robots end by themselves when this
+process dies, because the pipe on their stdin does.
+"""
+
+import asyncio
+import contextlib
+import fcntl
+import json
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from protocol.frame import Frame
+from sim.body_link import BodyServer
+from sim.candump import CandumpWriter
+from sim.coverage_truth import coverage, sample_points
+from sim.fieldbus import segment
+from sim.hub import Hub
+from sim.scenario import ScenarioError, load
+from sim.setting import Setting
+from tools.attachment import CHANNEL
+from tools.inspector import Inspector
+
+HOST = "127.0.0.1"
+LOOK_S = 0.5
+TELL_S = 5.0  # a status line this often
+QUIET_LOOKS = 6  # all done for this many looks in a row: finished
+GRACE_S = 3.0  # between asking a robot to leave and killing it
+UNFINISHED, WRONG, INTERRUPTED = 1, 2, 130
+
+
+class Launch:
+    def __init__(self, setting: Setting, name: str, out: Path, console: Console) -> None:
+        self.setting, self.name, self.out, self.console = setting, name, out, console
+        self.inspector = Inspector()
+        self.processes: dict[int, asyncio.subprocess.Process] = {}
+        self.world = setting.world()
+        self.gone: set[int] = set()
+
+    async def run(self, port: int, seconds: float | None) -> int:
+        loop = asyncio.get_running_loop()
+        end = asyncio.Event()
+        for number in (signal.SIGINT, signal.SIGTERM):
+            loop.add_signal_handler(number, end.set)
+        wire = segment(f"launch {os.getpid()}", self.setting.scenario.bus.bitrate, self.setting.scenario.run.seed)
+        log = CandumpWriter(self.out / "can.log")
+        wire.taps.append(lambda t_us, frame: self._heard(log, t_us, frame))
+        hub = Hub(wire, CHANNEL)
+        await hub.start(HOST, port)
+        zero_us = round(loop.time() * 1e6)
+        transport, bodies = await loop.create_datagram_endpoint(
+            lambda: BodyServer(self.world, zero_us), local_addr=(HOST, 0)
+        )
+        body_port = transport.get_extra_info("sockname")[1]
+        where = {"host": HOST, "port": hub.port, "channel": CHANNEL, "pid": os.getpid()}
+        (self.out / "bus.json").write_text(json.dumps(where))
+        self.console.print(
+            f"bus: socketcand {HOST}:{hub.port} channel {CHANNEL}   "
+            f"(python -m can.viewer -i socketcand -c {CHANNEL} --host {HOST} --port {hub.port})"
+        )
+        stepping = asyncio.create_task(bodies.run())
+        try:
+            await self._start_all(hub.port, body_port)
+            finished = await self._watch(end, seconds)
+        finally:
+            await self._end_all()
+            stepping.cancel()
+            await hub.stop()
+            transport.close()
+            log.close()
+            (self.out / "bus.json").unlink(missing_ok=True)
+        self._report(bodies.now_us() / 1e6, finished)
+        if end.is_set():
+            return INTERRUPTED
+        return 0 if finished and not self.world.contacts else UNFINISHED
+
+    def _heard(self, log: CandumpWriter, t_us: int, frame: Frame) -> None:
+        self.inspector.hear(t_us / 1e6, frame)
+        log.write(t_us, frame)
+
+    async def _start_all(self, bus_port: int, body_port: int) -> None:
+        for slot in range(self.setting.scenario.fleet.robots):
+            order = {
+                "slot": slot, "scenario": self.name, "robots": self.setting.scenario.fleet.robots,
+                "seed": self.setting.scenario.run.seed, "host": HOST, "channel": CHANNEL,
+                "bus_port": bus_port, "body_port": body_port,
+                "journal": str(self.out / f"robot{slot}.sqlite"),
+            }  # fmt: skip
+            with (self.out / f"robot{slot}.log").open("wb") as errors:
+                process = await asyncio.create_subprocess_exec(
+                    sys.executable, "-m", "tools.robot",
+                    stdin=asyncio.subprocess.PIPE, stdout=errors, stderr=errors,
+                    start_new_session=True,  # the terminal's Ctrl-C is ours to pass on
+                )  # fmt: skip
+            assert process.stdin is not None
+            process.stdin.write(json.dumps(order).encode() + b"\n")
+            self.processes[slot] = process
+            self.console.print(f"robot {slot}: process {process.pid}")
+
+    async def _watch(self, end: asyncio.Event, seconds: float | None) -> bool:
+        loop = asyncio.get_running_loop()
+        begun_s = told_s = loop.time()
+        quiet = 0
+        while not end.is_set() and quiet < QUIET_LOOKS:
+            if seconds is not None and loop.time() - begun_s >= seconds:
+                break
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(LOOK_S):
+                    await end.wait()
+            self._notice_deaths()
+            if len(self.gone) == len(self.processes):
+                self.console.print("every robot process has ended")
+                break
+            done = self.inspector.allocation.done_count()
+            quiet = quiet + 1 if done == len(self.setting.field.sections) else 0
+            if loop.time() - told_s >= TELL_S:
+                told_s = loop.time()
+                self._tell(told_s - begun_s, done)
+        return quiet >= QUIET_LOOKS
+
+    def _notice_deaths(self) -> None:
+        for slot, process in self.processes.items():
+            if process.returncode is not None and slot not in self.gone:
+                self.gone.add(slot)
+                code = process.returncode
+                how = f"signal {-code}" if code < 0 else f"exit code {code}; see robot{slot}.log"
+                self.console.print(f"robot {slot} has ended ({how}); the others go on")
+
+    def _tell(self, elapsed_s: float, done: int) -> None:
+        states = " ".join(f"{slot}:{seen.state}" for slot, seen in sorted(self.inspector.robots.items()))
+        sections = len(self.setting.field.sections)
+        self.console.print(f"{elapsed_s:6.0f} s  {done}/{sections} sections  {states}")
+
+    async def _end_all(self) -> None:
+        running = [p for p in self.processes.values() if p.returncode is None]
+        for process in running:
+            with contextlib.suppress(ProcessLookupError):
+                process.terminate()
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(GRACE_S):
+                await asyncio.gather(*(p.wait() for p in running))
+        for process in running:
+            if process.returncode is None:
+                with contextlib.suppress(ProcessLookupError):
+                    process.kill()
+                await process.wait()
+
+    def _report(self, elapsed_s: float, finished: bool) -> None:
+        field = self.setting.field
+        raster = sample_points(field.polygon, field.implement_width_m, field.overlap_m)
+        tracks = {slot: body.track for slot, body in self.world.robots.items()}
+        truth = coverage(raster, tracks, field.implement_width_m)
+        report: dict[str, Any] = {
+            "finished": finished, "seconds": round(elapsed_s, 1), "coverage": truth.share,
+            "contacts": len(self.world.contacts), "robots_ended": sorted(self.gone),
+            "silence_policy": self.setting.scenario.fleet.silence, "authenticated": False,
+            **self.inspector.to_dict(),
+        }  # fmt: skip
+        (self.out / "report.json").write_text(json.dumps(report, indent=1) + "\n")
+        verdict = "finished" if finished else "not finished"
+        self.console.print(
+            f"{verdict} after {elapsed_s:.0f} s: coverage {truth.share:.2%}, "
+            f"{len(self.world.contacts)} contacts; report.json and can.log are in {self.out}"
+        )
+        self.report = report
+
+
+def launch(
+    scenario: str, robots: int | None, seed: int | None, out: Path, port: int,
+    seconds: float | None, as_json: bool,
+) -> int:  # fmt: skip
+    console = Console(stderr=as_json, highlight=False, soft_wrap=True)
+    try:
+        setting = Setting(load(scenario).changed(robots, seed))
+        out.mkdir(parents=True, exist_ok=True)
+        lock = (out / "lock").open("w")
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except ScenarioError as problem:
+        return _wrong(str(problem))
+    except BlockingIOError:
+        return _wrong(f"another launch is running in {out}: end it, or choose another folder with --out")
+    except OSError as problem:
+        return _wrong(f"--out: {problem}")
+    for old in out.glob("robot*.sqlite*"):
+        old.unlink()  # a launch is a new job; a restart of one robot keeps its journal
+    running = Launch(setting, scenario, out, console)
+    begun = time.monotonic()
+    try:
+        code = asyncio.run(running.run(port, seconds))
+    except OSError as problem:
+        return _wrong(f"--port {port}: {problem.strerror or problem}; choose another or 0 for any free one")
+    finally:
+        lock.close()
+    if as_json:
+        print(json.dumps({**running.report, "wall_s": round(time.monotonic() - begun, 1)}))
+    return code
+
+
+def _wrong(message: str) -> int:
+    print(f"headland: {message}", file=sys.stderr)
+    return WRONG

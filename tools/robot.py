@@ -1,0 +1,62 @@
+"""One robot as a process of its own; started by `headland launch`, one line of JSON on stdin.
+
+It ends when told to (SIGTERM: a graceful leave), and when the launcher is gone, however that died:
+the pipe on its stdin is then at its end.
+"""
+
+import asyncio
+import json
+import signal
+import sys
+from pathlib import Path
+from typing import Any
+
+from agent.shell import Shell
+from agent.sqlite_journal import SqliteJournal
+from protocol.bus import open_bus
+from sim.body_link import RemoteBody
+from sim.cluster import make_peer
+from sim.scenario import load
+from sim.setting import Setting
+
+GOODBYE_S = 0.2  # for the farewell frame to leave
+
+
+async def run(order: dict[str, Any]) -> None:
+    slot = int(order["slot"])
+    setting = Setting(load(order["scenario"]).changed(order["robots"], order["seed"]))
+    journal = SqliteJournal(Path(order["journal"]))
+    loop = asyncio.get_running_loop()
+    end = asyncio.Event()
+    loop.add_signal_handler(signal.SIGTERM, end.set)
+    loop.add_signal_handler(signal.SIGINT, lambda: None)  # the launcher decides
+    loop.add_reader(sys.stdin, lambda: sys.stdin.read(1) or end.set())
+    address = (order["host"], int(order["body_port"]))
+    transport, body = await loop.create_datagram_endpoint(lambda: RemoteBody(slot), remote_addr=address)
+    await body.ready()
+    bus = open_bus("socketcand", order["channel"], host=order["host"], port=int(order["bus_port"]))
+    peer = make_peer(setting, slot, Shell.now_us(), journal.load())
+    shell = Shell(peer, bus, body, journal)
+    task = asyncio.create_task(shell.run())
+    waiting = asyncio.create_task(end.wait())
+    print(f"robot {slot} is up", flush=True)
+    await asyncio.wait({task, waiting}, return_when=asyncio.FIRST_COMPLETED)
+    if not task.done():
+        shell.operate(lambda p, now: p.leave(now))
+        await asyncio.sleep(GOODBYE_S)
+        task.cancel()
+    waiting.cancel()
+    bus.close()
+    transport.close()
+    journal.close()
+    if not task.cancelled() and task.done() and task.exception() is not None:
+        raise task.exception()  # type: ignore[misc]
+
+
+def main() -> None:
+    order = json.loads(sys.stdin.readline())
+    asyncio.run(run(order))
+
+
+if __name__ == "__main__":
+    main()
