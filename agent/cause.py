@@ -34,19 +34,33 @@ class _Rule(NamedTuple):
 
 class Cause(Enum):
     NOT_STARTED = _Rule(Severity.PAUSE, Clears.BY_START, "no start was given since boot or reset")
-    OBSTACLE_AHEAD = _Rule(Severity.PAUSE, Clears.BY_ANSWER, "something that is not a robot blocks the way")
+    OBSTACLE_AHEAD = _Rule(
+        Severity.PAUSE, Clears.BY_ANSWER, "something that is not a robot blocks the way"
+    )
     CREEP = _Rule(Severity.SLOW, Clears.BY_POLICY, "a member is silent and the policy is slow")
-    MEMBER_SILENT = _Rule(Severity.PROTECTIVE, Clears.BY_POLICY, "a member stopped speaking without leaving")
+    MEMBER_SILENT = _Rule(
+        Severity.PROTECTIVE, Clears.BY_POLICY, "a member stopped speaking without leaving"
+    )
     BUS_OFF = _Rule(Severity.PROTECTIVE, Clears.WHEN_GONE, "the controller left the bus")
     UNHEARD = _Rule(Severity.PROTECTIVE, Clears.WHEN_GONE, "own frames do not leave")
-    ADDRESS_LOST = _Rule(Severity.PROTECTIVE, Clears.WHEN_GONE, "another device took the source address")
-    CONFIG_MISMATCH = _Rule(Severity.PROTECTIVE, Clears.NEVER, "a member has another field description")
+    ADDRESS_LOST = _Rule(
+        Severity.PROTECTIVE, Clears.WHEN_GONE, "another device took the source address"
+    )
+    CONFIG_MISMATCH = _Rule(
+        Severity.PROTECTIVE, Clears.NEVER, "a member has another field description"
+    )
     LATE_TICK = _Rule(Severity.PROTECTIVE, Clears.BY_TIMEOUT, "this robot was frozen")
-    UNAUTHENTICATED_STOP = _Rule(Severity.PROTECTIVE, Clears.BY_TIMEOUT, "a stop without a valid tag")
-    IMPLEMENTS_STOP = _Rule(Severity.PROTECTIVE, Clears.BY_TIMEOUT, "ISO 11783-7 all implements stop")
+    UNAUTHENTICATED_STOP = _Rule(
+        Severity.PROTECTIVE, Clears.BY_TIMEOUT, "a stop without a valid tag"
+    )
+    IMPLEMENTS_STOP = _Rule(
+        Severity.PROTECTIVE, Clears.BY_TIMEOUT, "ISO 11783-7 all implements stop"
+    )
     DISK_ERROR = _Rule(Severity.LATCHED, Clears.NEVER, "durable memory failed")
     STOP_DOT = _Rule(Severity.LATCHED, Clears.BY_RESET, "an emergency stop")
-    BOOT_UNCONFIRMED = _Rule(Severity.LATCHED, Clears.BY_RESET, "durable memory was lost or is unreadable")
+    BOOT_UNCONFIRMED = _Rule(
+        Severity.LATCHED, Clears.BY_RESET, "durable memory was lost or is unreadable"
+    )
 
     @property
     def severity(self) -> Severity:

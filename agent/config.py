@@ -51,7 +51,9 @@ for _beat in BEATS:
     assert _beat.heartbeat_us % _beat.pose_us == 0, "a heartbeat rides on a beat"
     _share = _beat.peers_max * FRAME_US_MAX * (1 / _beat.pose_us + 1 / _beat.heartbeat_us)
     assert _share <= 0.45, "the beats of a full fleet leave more than half of the bus for the rest"
-assert BEATS[0].silence_us <= 300 * MS, "the only bus-native figure for silence: ISO 11783-7 heartbeat"
+assert BEATS[0].silence_us <= 300 * MS, (
+    "the only bus-native figure for silence: ISO 11783-7 heartbeat"
+)
 
 
 def beat_of(peers: int) -> Beat:
@@ -65,5 +67,7 @@ def beat_of(peers: int) -> Beat:
 
 SPEED_MAX_M_S = 12.7  # what POSE can say: 8 bits of 0.05 m/s
 EXTENT_MAX_M = 3_276.0  # what POSE can say: 17 bits of 0.05 m around the origin
-NEIGHBOURS_MAX = 10  # ORCA half-planes of robots, nearest first (van den Berg et al. 2011, section 6)
+NEIGHBOURS_MAX = (
+    10  # ORCA half-planes of robots, nearest first (van den Berg et al. 2011, section 6)
+)
 NEIGHBOUR_RANGE_M = 5.0  # the danger bubble of the warehouse document

@@ -78,7 +78,9 @@ class Peer:
         )
         self.joining = Joining(identity, self.records.incarnation, rng, now_us)
         self.sync = Sync(self.slot, self.allocation, self.progress)
-        self.election = Election(OPERATOR_GATEWAY, self.slot, identity.name.hash16, self.records.term)
+        self.election = Election(
+            OPERATOR_GATEWAY, self.slot, identity.name.hash16, self.records.term
+        )
         self.claims = Claims(self.slot, self.allocation)
         self.voice = Voice(self.slot, len(identity.members), self.beat, now_us)
         self.here: Observation | None = None
@@ -212,7 +214,9 @@ class Peer:
         self.safety.start(now_us)
         return [Trace("safety", "HELD", "START", "STARTED", "operator")]
 
-    def claim(self, section: int, bid: int, now_us: int, takeover: bool = False) -> Sequence[Effect]:
+    def claim(
+        self, section: int, bid: int, now_us: int, takeover: bool = False
+    ) -> Sequence[Effect]:
         if self.lifecycle.state not in (State.IDLE, State.WORKING):
             return NOTHING
         key = self.claims.claim(Choice(section, bid, takeover), now_us)
@@ -274,7 +278,9 @@ class Peer:
         live, silent = self.membership.live, self.membership.silent
         self.sync.live(live)
         effects = [*self.safety.members(live, silent, now_us)]
-        effects.append(Trace("membership", "", "VIEW", "", f"live {sorted(live)} silent {sorted(silent)}"))
+        effects.append(
+            Trace("membership", "", "VIEW", "", f"live {sorted(live)} silent {sorted(silent)}")
+        )
         if self.joining.joined:
             before = self.election.leader
             effects += self.voted(self.election.call(live), before)
@@ -294,11 +300,22 @@ class Peer:
         self.clock.increment(self.slot)
         self.sync.changed_here(section)
         claim = self.allocation.entry(section)
-        message = TaskClaim(section, claim.epoch, claim.phase, claim.bid, claim.lamport, claim.owner)
+        message = TaskClaim(
+            section, claim.epoch, claim.phase, claim.bid, claim.lamport, claim.owner
+        )
         return [
-            *(Persist(*record) for record in self.records.operation(self.clock[self.slot], section, key)),
+            *(
+                Persist(*record)
+                for record in self.records.operation(self.clock[self.slot], section, key)
+            ),
             Send(message),
-            Trace("claim", f"S{section}", what.upper(), Phase(claim.phase).name, f"epoch {claim.epoch}"),
+            Trace(
+                "claim",
+                f"S{section}",
+                what.upper(),
+                Phase(claim.phase).name,
+                f"epoch {claim.epoch}",
+            ),
         ]
 
     def latch(self, why: str) -> list[Effect]:

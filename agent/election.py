@@ -41,7 +41,9 @@ class Election:
             self._open(self.term + 1)
         return self._vote(live)
 
-    def receive(self, voter: int, vote: LeaderElectionVote, live: frozenset[int]) -> LeaderElectionVote | None:
+    def receive(
+        self, voter: int, vote: LeaderElectionVote, live: frozenset[int]
+    ) -> LeaderElectionVote | None:
         """Count a vote; answer with ours where its term is new to us."""
         if vote.term < self.term:
             return None  # fenced

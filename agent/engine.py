@@ -168,13 +168,17 @@ class FleetCoordinationEngine:
                 "speed_m_s": pose.speed_m_s,
                 "age_s": (now_us - neighbour.heard_us) / 1e6,
                 "operations": peer.clock[slot],
-                "sections": [self.sections.name(s) for s in peer.allocation.assigned_sections(slot)],
+                "sections": [
+                    self.sections.name(s) for s in peer.allocation.assigned_sections(slot)
+                ],
             }
         status[self.tractor_id] = {
             "status": peer.lifecycle.state.name,
             "standing": "SELF",
             "operations": peer.clock[self.slot],
-            "sections": [self.sections.name(s) for s in peer.allocation.assigned_sections(self.slot)],
+            "sections": [
+                self.sections.name(s) for s in peer.allocation.assigned_sections(self.slot)
+            ],
             "age_s": 0.0,
         }
         return status

@@ -4,6 +4,7 @@ A section is the unit of claiming, a unit (about 5 m of swath) the unit of progr
 computed from the field description alone, so that every peer has the same sections and units.
 """
 
+import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -45,7 +46,9 @@ class Section:
     def ends(self) -> tuple[XY, XY]:
         return self.swaths[0][0], self.swaths[-1][-1]
 
-    def stretches(self, wanted: Callable[[int], bool]) -> Iterator[tuple[Polyline, tuple[int, ...]]]:
+    def stretches(
+        self, wanted: Callable[[int], bool]
+    ) -> Iterator[tuple[Polyline, tuple[int, ...]]]:
         """(polyline, units passed in its order) of each longest run of wanted units of one swath."""
         first = 0
         for swath, count in zip(self.swaths, self.units_of, strict=True):
@@ -134,7 +137,11 @@ def start_poses(field: Field, count: int, spacing_m: float, clearance_m: float) 
     reach = 2
     while True:
         steps = range(-reach, reach + 1)
-        spots = [(field.gate[0] + i * spacing_m, field.gate[1] + j * spacing_m) for i in steps for j in steps]
+        spots = [
+            (field.gate[0] + i * spacing_m, field.gate[1] + j * spacing_m)
+            for i in steps
+            for j in steps
+        ]
         inside = [spot for spot in spots if free.contains(Point(spot))]
         if len(inside) >= count:
             inside.sort(key=lambda s: (hypot(s[0] - field.gate[0], s[1] - field.gate[1]), s))
@@ -145,7 +152,7 @@ def start_poses(field: Field, count: int, spacing_m: float, clearance_m: float) 
 
 
 def _length(line: Polyline) -> float:
-    return sum(hypot(b[0] - a[0], b[1] - a[1]) for a, b in zip(line, line[1:], strict=False))
+    return sum(hypot(b[0] - a[0], b[1] - a[1]) for a, b in itertools.pairwise(line))
 
 
 def _piece(swath: Polyline, first: int, last: int, count: int) -> Polyline:

@@ -51,7 +51,9 @@ def _beyond(a: Point, b: Point) -> Point:
 
 
 class FieldWork:
-    def __init__(self, field: Field, route: Route, speed_m_s: float, deceleration_m_s2: float) -> None:
+    def __init__(
+        self, field: Field, route: Route, speed_m_s: float, deceleration_m_s2: float
+    ) -> None:
         self.field, self.route = field, route
         self.speed_m_s, self.deceleration_m_s2 = speed_m_s, deceleration_m_s2
         self.tolerance_m = field.tracking_tolerance_m
@@ -82,7 +84,9 @@ class FieldWork:
             if not mine:  # more robots than sections are left
                 return None
             end = self._own_end(view)
-            return self._bid(view, min(mine, key=lambda job: min(_distance(e, end) for e in job.ends)))
+            return self._bid(
+                view, min(mine, key=lambda job: min(_distance(e, end) for e in job.ends))
+            )
         return self._orphan(view)
 
     def _jobs(self, view: FleetView) -> list[Job]:
@@ -108,7 +112,9 @@ class FieldWork:
                 course = (cos(pose.course_rad), sin(pose.course_rad))
                 anchors[slot] = max(
                     self.field.section(owned[-1]).ends,
-                    key=lambda end: (end[0] - pose.x_m) * course[0] + (end[1] - pose.y_m) * course[1],
+                    key=lambda end: (
+                        (end[0] - pose.x_m) * course[0] + (end[1] - pose.y_m) * course[1]
+                    ),
                 )
         return anchors
 
@@ -136,7 +142,7 @@ class FieldWork:
             for section in reversed(self.reserved.get(slot, [])):
                 if view.allocation.phase_of(section) is Phase.FREE:
                     return self._bid(view, self._job(view, section))
-            for section in reversed(sorted(view.allocation.assigned_sections(slot))):
+            for section in sorted(view.allocation.assigned_sections(slot), reverse=True):
                 return self._bid(view, self._job(view, section))._replace(takeover=True)
         return None
 
@@ -203,13 +209,16 @@ class FieldWork:
         return section.units - view.progress.covered(section.id) - told
 
     def _drive(self, view: FleetView) -> tuple[Wish, list[int]]:
-        here, covered = view.here, []
+        here = view.here
+        covered: list[int] = []
         while True:
             if self.tracker is None:
                 if not self.legs:
                     return STILL, covered
                 self.leg = self.legs.pop(0)
-                self.tracker = Tracker(list(self.leg.points), self.speed_m_s, self.deceleration_m_s2)
+                self.tracker = Tracker(
+                    list(self.leg.points), self.speed_m_s, self.deceleration_m_s2
+                )
                 self.unit, self.worst_m = 0, 0.0
             self.tracker.locate(here.x_m, here.y_m)
             covered += self._passed(view)

@@ -41,5 +41,7 @@ class Machine(Generic[S, E]):
 
 def to_mermaid(table: Mapping[tuple[S, E], S], start: S) -> str:
     """The diagram for documents and for `headland inspect --mermaid`; ignored events are left out."""
-    edges = [f"    {a.name} --> {b.name}: {e.name.lower()}" for (a, e), b in table.items() if a is not b]
+    edges = [
+        f"    {a.name} --> {b.name}: {e.name.lower()}" for (a, e), b in table.items() if a is not b
+    ]
     return "\n".join(["stateDiagram-v2", f"    [*] --> {start.name}", *edges])

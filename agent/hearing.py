@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from agent.cause import Cause
+from agent.config import S
 from agent.effects import HALT, Effect, Trace
 from agent.membership import Neighbour
 from protocol.codec import Malformed
@@ -15,15 +16,26 @@ from protocol.fleet_frames import Heartbeat, LeaderElectionVote, Member, Pose, V
 from protocol.messages import Message
 from protocol.network_frames import AddressClaimed, Request
 from protocol.safety_frames import (
-    AllImplementsStop, Command, EmergencyReset, EmergencyStop, OperatorCommand,
+    AllImplementsStop,
+    Command,
+    EmergencyReset,
+    EmergencyStop,
+    OperatorCommand,
 )  # fmt: skip
 from protocol.work_frames import (
-    Digests, StateSyncRequest, StateSyncResponse, TaskClaim, WorkProgress,
+    STOPS,
+    Digests,
+    StateSyncRequest,
+    StateSyncResponse,
+    TaskClaim,
+    WorkProgress,
 )  # fmt: skip
 
 if TYPE_CHECKING:
     from agent.core import Peer
 
+OUTSIDER = -1  # a device that is not a member: it has agreed with nobody about anything
+TELL_SPACING_US = 2 * S  # a snapshot of 1,000 entries takes 2.1 s at the share that sync may use
 EVERYBODY = 0xFF  # target of an operator's command
 Handler = Callable[[int, int | None, Any, int], Sequence[Effect]]
 
@@ -31,6 +43,7 @@ Handler = Callable[[int, int | None, Any, int], Sequence[Effect]]
 class Hearing:
     def __init__(self, peer: "Peer") -> None:
         self.peer = peer
+        self._told_us = -TELL_SPACING_US
         self._handlers: dict[type[Any], Handler] = {
             EmergencyReset: self._reset,
             AllImplementsStop: self._implements_stop,
@@ -67,7 +80,9 @@ class Hearing:
 
     # ---------------------------------------------------------------- safety
 
-    def _reset(self, source: int, slot: int | None, m: EmergencyReset, now_us: int) -> Sequence[Effect]:
+    def _reset(
+        self, source: int, slot: int | None, m: EmergencyReset, now_us: int
+    ) -> Sequence[Effect]:
         return self.peer.safety.receive_reset(m, now_us)
 
     def _implements_stop(
@@ -75,7 +90,9 @@ class Hearing:
     ) -> Sequence[Effect]:
         return self.peer.safety.receive_implements_stop(source, m, now_us)
 
-    def _command(self, source: int, slot: int | None, m: OperatorCommand, now_us: int) -> Sequence[Effect]:
+    def _command(
+        self, source: int, slot: int | None, m: OperatorCommand, now_us: int
+    ) -> Sequence[Effect]:
         peer = self.peer
         if m.target not in (peer.slot, EVERYBODY) or not peer.safety.accept_command(m, now_us):
             return ()
@@ -104,7 +121,9 @@ class Hearing:
         self.peer.membership.neighbours[slot] = Neighbour(m, now_us)
         return self.peer.safety.beat(slot, m.stopped, now_us)
 
-    def _heartbeat(self, source: int, slot: int | None, m: Heartbeat, now_us: int) -> Sequence[Effect]:
+    def _heartbeat(
+        self, source: int, slot: int | None, m: Heartbeat, now_us: int
+    ) -> Sequence[Effect]:
         peer = self.peer
         if slot is None:
             return () if m.leaving else self._stranger(source, now_us)
@@ -129,14 +148,18 @@ class Hearing:
         peer.membership.bind(source, m.slot, m.incarnation, now_us)
         return () if live == peer.membership.live else peer.membership_changed(now_us)
 
-    def _vote(self, source: int, slot: int | None, m: LeaderElectionVote, now_us: int) -> Sequence[Effect]:
+    def _vote(
+        self, source: int, slot: int | None, m: LeaderElectionVote, now_us: int
+    ) -> Sequence[Effect]:
         peer = self.peer
         if slot is None or m.election != peer.election.election:
             return ()
         before = peer.election.leader
         return peer.voted(peer.election.receive(slot, m, peer.membership.live), before)
 
-    def _slice(self, source: int, slot: int | None, m: VectorSlice, now_us: int) -> Sequence[Effect]:
+    def _slice(
+        self, source: int, slot: int | None, m: VectorSlice, now_us: int
+    ) -> Sequence[Effect]:
         for offset, low in enumerate(m.counts):
             member = m.base + offset
             if member != self.peer.slot:  # nobody knows our own counter better than we do
@@ -145,7 +168,11 @@ class Hearing:
 
     def _address(self, source: int, slot: int | None, m: Any, now_us: int) -> Sequence[Effect]:
         peer = self.peer
-        if isinstance(m, AddressClaimed) and slot is not None and peer.joining.changed_hands(source, m):
+        if (
+            isinstance(m, AddressClaimed)
+            and slot is not None
+            and peer.joining.changed_hands(source, m)
+        ):
             peer.membership.unbind(source)
         return peer.joining.receive(source, m, now_us)
 
@@ -153,6 +180,15 @@ class Hearing:
 
     def _work(self, source: int, slot: int | None, m: Any, now_us: int) -> Sequence[Effect]:
         peer = self.peer
+        if isinstance(m, StateSyncRequest) and m.scope == STOPS:  # anybody may ask what holds us
+            return peer.safety.tell_stops(now_us)
+        if slot is None and isinstance(
+            m, StateSyncRequest
+        ):  # an inspector's; told at most so often
+            if now_us - self._told_us >= TELL_SPACING_US:
+                self._told_us = now_us
+                peer.sync.receive(OUTSIDER, m, now_us)
+            return ()
         if slot is None:
             return self._stranger(source, now_us)
         changed = peer.sync.receive(slot, m, now_us)
@@ -166,7 +202,9 @@ class Hearing:
             effects.append(Trace("sync", "", type(m).__name__, "", f"from {slot}"))
         return effects
 
-    def _malformed(self, source: int, slot: int | None, m: Malformed, now_us: int) -> Sequence[Effect]:
+    def _malformed(
+        self, source: int, slot: int | None, m: Malformed, now_us: int
+    ) -> Sequence[Effect]:
         counted = self.peer.malformed
         counted[m.reason] = counted.get(m.reason, 0) + 1
         return ()

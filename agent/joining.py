@@ -43,10 +43,16 @@ class Joining:
         effects = self._sends(self.machine.tick(now_us))
         if self.machine.address is not None and not self.joined:
             self.joined = True
-            effects += [Send(self.announcement), Send(Request(MEMBER_PGN)), Send(Request(CLAIM_PGN))]
+            effects += [
+                Send(self.announcement),
+                Send(Request(MEMBER_PGN)),
+                Send(Request(CLAIM_PGN)),
+            ]
         return effects
 
-    def receive(self, source: int, message: AddressClaimed | Request, now_us: int) -> Sequence[Effect]:
+    def receive(
+        self, source: int, message: AddressClaimed | Request, now_us: int
+    ) -> Sequence[Effect]:
         if isinstance(message, Request) and message.pgn == MEMBER_PGN:
             return [Send(self.announcement)] if self.joined else ()
         effects = self._sends(self.machine.receive(source, message, now_us))

@@ -87,7 +87,8 @@ def _lp3(lines, count, hard, begin, radius, x, y):  # type: ignore[no-untyped-de
                 projected[n, 1] = 0.5 * (lines[i, 1] + lines[j, 1])
             else:
                 t = (
-                    lines[j, 2] * (lines[i, 1] - lines[j, 1]) - lines[j, 3] * (lines[i, 0] - lines[j, 0])
+                    lines[j, 2] * (lines[i, 1] - lines[j, 1])
+                    - lines[j, 3] * (lines[i, 0] - lines[j, 0])
                 ) / determinant
                 projected[n, 0] = lines[i, 0] + t * lines[i, 2]
                 projected[n, 1] = lines[i, 1] + t * lines[i, 3]
@@ -126,9 +127,15 @@ def avoid(vx, vy, wx, wy, speed_max, horizon_s, dt_s, rows, count, hard, lines):
             else:  # on a leg
                 leg = sqrt(distance2 - radius2)
                 if px * wy_ - py * wx_ > 0.0:
-                    dx, dy = (px * leg - py * radius) / distance2, (px * radius + py * leg) / distance2
+                    dx, dy = (
+                        (px * leg - py * radius) / distance2,
+                        (px * radius + py * leg) / distance2,
+                    )
                 else:
-                    dx, dy = -(px * leg + py * radius) / distance2, -(-px * radius + py * leg) / distance2
+                    dx, dy = (
+                        -(px * leg + py * radius) / distance2,
+                        -(-px * radius + py * leg) / distance2,
+                    )
                 lines[k, 2], lines[k, 3] = dx, dy
                 along = rvx * dx + rvy * dy
                 ux, uy = along * dx - rvx, along * dy - rvy

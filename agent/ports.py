@@ -15,7 +15,9 @@ class Observation(NamedTuple):
     heading_rad: float  # counter-clockwise from east
     vx_m_s: float
     vy_m_s: float
-    ranges_m: tuple[float, ...] = ()  # one per ray, counter-clockwise from the heading; inf: nothing
+    ranges_m: tuple[
+        float, ...
+    ] = ()  # one per ray, counter-clockwise from the heading; inf: nothing
     battery: float = 1.0  # share of a full charge
 
 

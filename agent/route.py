@@ -1,5 +1,6 @@
 """Ways through a field or a building in metres: the any-angle planner behind a grid."""
 
+import itertools
 from math import hypot
 
 import numpy as np
@@ -43,7 +44,7 @@ class Route:
 
     def length_m(self, start: Point, goal: Point) -> float:
         points = self.path(start, goal)
-        return sum(hypot(b[0] - a[0], b[1] - a[1]) for a, b in zip(points, points[1:], strict=False))
+        return sum(hypot(b[0] - a[0], b[1] - a[1]) for a, b in itertools.pairwise(points))
 
     def _cell(self, point: Point) -> tuple[int, int]:
         row = int((point[1] - self.origin_y_m) // self.cell_m)

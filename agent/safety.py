@@ -15,7 +15,12 @@ from agent.effects import HALT, Drive, Effect, Persist, Send, Trace
 from crdt.stops import StopDot, StopSet
 from protocol.authentication import OPERATOR_FIRST, Keyring
 from protocol.safety_frames import (
-    AllImplementsStop, EmergencyReset, EmergencyStop, OperatorCommand, Reason, Switch,
+    AllImplementsStop,
+    EmergencyReset,
+    EmergencyStop,
+    OperatorCommand,
+    Reason,
+    Switch,
 )  # fmt: skip
 
 STOPS_KEY, COUNTER_KEY = "stops", "stop_counter"
@@ -84,7 +89,9 @@ class Safety:
 
     @property
     def causes(self) -> tuple[tuple[Cause, str], ...]:
-        return tuple(sorted(self._causes.items(), key=lambda item: (-item[0].severity, item[0].name)))
+        return tuple(
+            sorted(self._causes.items(), key=lambda item: (-item[0].severity, item[0].name))
+        )
 
     @property
     def started(self) -> bool:
@@ -123,10 +130,17 @@ class Safety:
         self.stops.press(dot)
         self._causes[Cause.STOP_DOT] = f"pressed here: {reason.name}"
         self._own[dot], self._repeat_us = REPEATS_MAX, now_us + STOP_REPEAT_US
-        return [HALT, Send(self._stop(dot, reason)), Send(AllImplementsStop(self.counter & 0xFF, Switch.STOP)),
-                *self._remember(), Trace("safety", "", "PRESSED", "LATCHED", reason.name)]  # fmt: skip
+        return [
+            HALT,
+            Send(self._stop(dot, reason)),
+            Send(AllImplementsStop(self.counter & 0xFF, Switch.STOP)),
+            *self._remember(),
+            Trace("safety", "", "PRESSED", "LATCHED", reason.name),
+        ]
 
-    def receive_stop(self, m: EmergencyStop, source_slot: int | None, now_us: int) -> Sequence[Effect]:
+    def receive_stop(
+        self, m: EmergencyStop, source_slot: int | None, now_us: int
+    ) -> Sequence[Effect]:
         """First reception: brake, echo once, remember. Later ones count echoes."""
         dot = StopDot(m.slot, m.incarnation, m.counter)
         signer = source_slot if m.echo else m.slot
@@ -134,16 +148,24 @@ class Safety:
             self._echoes.setdefault(dot, set()).add(source_slot)
         if dot in self.stops.active:
             return ()
-        if self.keyring is not None and (signer is None or not self.keyring.verify(m, signer, now_us)):
+        if self.keyring is not None and (
+            signer is None or not self.keyring.verify(m, signer, now_us)
+        ):
             self.refused += 1
-            self.raise_cause(Cause.UNAUTHENTICATED_STOP, now_us, f"dot {dot}", UNAUTHENTICATED_HOLD_US)
+            self.raise_cause(
+                Cause.UNAUTHENTICATED_STOP, now_us, f"dot {dot}", UNAUTHENTICATED_HOLD_US
+            )
             return [HALT]
         if not self.stops.press(dot):
             return ()  # an operator has cleared exactly this one
         self._causes[Cause.STOP_DOT] = f"{dot.slot}.{dot.incarnation}.{dot.counter}"
         self._echoes.setdefault(dot, set()).add(self.slot)
-        return [HALT, Send(self._stop(dot, Reason(min(m.reason, max(Reason))), echo=True)),
-                *self._remember(), Trace("safety", "", "HEARD_STOP", "LATCHED", f"dot {dot}")]  # fmt: skip
+        return [
+            HALT,
+            Send(self._stop(dot, Reason(min(m.reason, max(Reason))), echo=True)),
+            *self._remember(),
+            Trace("safety", "", "HEARD_STOP", "LATCHED", f"dot {dot}"),
+        ]
 
     def beat(self, slot: int, stopped: bool, now_us: int) -> Sequence[Effect]:
         """A member's beat: its stopped bit is an echo of every stop; one without it has not heard."""
@@ -152,10 +174,18 @@ class Safety:
             for dot in active:
                 self._echoes.setdefault(dot, set()).add(slot)
             return ()
-        if not active or now_us - self._answered_us < ANSWER_SPACING_US:
+        return self.tell_stops(now_us) if active else ()
+
+    def tell_stops(self, now_us: int) -> Sequence[Effect]:
+        """The stops we hold, to whoever does not know them; seldom, whoever asks."""
+        active = self.stops.active
+        if now_us - self._answered_us < ANSWER_SPACING_US:
             return ()
         self._answered_us = now_us
-        return [Send(self._stop(dot, Reason.OPERATOR_INTERVENTION, echo=True)) for dot in sorted(active)[:4]]
+        return [
+            Send(self._stop(dot, Reason.OPERATOR_INTERVENTION, echo=True))
+            for dot in sorted(active)[:4]
+        ]
 
     def receive_reset(self, m: EmergencyReset, now_us: int) -> Sequence[Effect]:
         """Clears exactly the dot it names, pressed here or not yet heard of."""
@@ -171,7 +201,9 @@ class Safety:
         self._echoes.pop(dot, None)
         return [*self._remember(), Trace("safety", "", "CLEARED", "", f"dot {dot} by {m.operator}")]
 
-    def receive_implements_stop(self, source: int, m: AllImplementsStop, now_us: int) -> Sequence[Effect]:
+    def receive_implements_stop(
+        self, source: int, m: AllImplementsStop, now_us: int
+    ) -> Sequence[Effect]:
         """The standard frame, from any device: a level that holds while it is repeated."""
         if m.switch in (Switch.STOP, Switch.ERROR):
             self.raise_cause(Cause.IMPLEMENTS_STOP, now_us, f"address {source}", IMPLEMENTS_HOLD_US)
@@ -206,7 +238,9 @@ class Safety:
 
     # ---------------------------------------------------------------- members and time
 
-    def members(self, live: frozenset[int], silent: frozenset[int], now_us: int) -> Sequence[Effect]:
+    def members(
+        self, live: frozenset[int], silent: frozenset[int], now_us: int
+    ) -> Sequence[Effect]:
         """The membership changed. Silence brakes at once; the policy ends it later."""
         brake = bool(silent - self._silent)
         self._live, self._silent, self._stable_us = live, silent, now_us
@@ -236,7 +270,10 @@ class Safety:
         return self._repeat(now_us) if now_us >= self._repeat_us else ()
 
     def _end_silence(self, now_us: int) -> None:
-        if Cause.MEMBER_SILENT not in self._causes or now_us < self._stable_us + MEMBERSHIP_STABLE_US:
+        if (
+            Cause.MEMBER_SILENT not in self._causes
+            or now_us < self._stable_us + MEMBERSHIP_STABLE_US
+        ):
             return
         if self._silent and self.policy is SilencePolicy.STOP:
             return

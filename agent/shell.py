@@ -17,7 +17,9 @@ from protocol.frame import Frame
 
 log = logging.getLogger(__name__)
 
-INBOX_MAX = 4096  # frames; two seconds of a full bus. A peer that far behind had better drop the rest
+INBOX_MAX = (
+    4096  # frames; two seconds of a full bus. A peer that far behind had better drop the rest
+)
 
 
 class Shell:

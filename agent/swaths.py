@@ -6,6 +6,7 @@ swath is as long as the strip is deep inside. A robot on a swath is therefore ne
 fence than (w - v) / 2, and ring and strips together leave nothing out (`tests/agent/test_swaths.py`).
 """
 
+import itertools
 from collections.abc import Iterator, Sequence
 from math import atan2, ceil, degrees, pi
 
@@ -42,7 +43,9 @@ def divide(
     deep = polygon.buffer(-(width_m - overlap_m))
     bundles = [*_ring_bundles(rings, section_length_m, width_m)]
     if not deep.is_empty:
-        bundles += _strip_bundles(deep, _best_angle(polygon, deep, strip_m), strip_m, section_length_m)
+        bundles += _strip_bundles(
+            deep, _best_angle(polygon, deep, strip_m), strip_m, section_length_m
+        )
     sections = tuple(
         Section(number, tuple(swaths), tuple(max(1, round(_length(s) / unit_m)) for s in swaths))
         for number, swaths in enumerate(bundles)
@@ -111,20 +114,24 @@ def _straight(ring: LineString, cut: float, width_m: float) -> float:
     """The arc length nearest to `cut` that is half a width from every corner; `cut` if there is none."""
     points = list(ring.coords)
     corners, along = [], 0.0
-    for k, (a, b) in enumerate(zip(points, points[1:], strict=False)):
+    for k, (a, b) in enumerate(itertools.pairwise(points)):
         before = points[k - 1] if k else points[-2]
         turn = atan2(b[1] - a[1], b[0] - a[0]) - atan2(a[1] - before[1], a[0] - before[0])
         if abs((turn + pi) % (2 * pi) - pi) > CORNER_RAD:
             corners.append(along)
-        along += LineString((a, b)).length
-    length = ring.length
+        along += float(LineString((a, b)).length)
+    length = float(ring.length)
 
     def room(at: float) -> float:
-        return min((abs((at - c + length / 2) % length - length / 2) for c in corners), default=length)
+        return min(
+            (abs((at - c + length / 2) % length - length / 2) for c in corners), default=length
+        )
 
-    steps = sorted((k * CUT_STEP_M * sign for k in range(int(length / 2)) for sign in (1, -1)), key=abs)
+    steps = sorted(
+        (k * CUT_STEP_M * sign for k in range(int(length / 2)) for sign in (1, -1)), key=abs
+    )
     free = (cut + step for step in steps if room((cut + step) % length) >= width_m / 2 + CUT_STEP_M)
-    return next(free, cut) % length
+    return float(next(free, cut) % length)
 
 
 def _best_angle(polygon: Polygon, deep: BaseGeometry, strip_m: float) -> float:
@@ -186,7 +193,9 @@ def _strip_bundles(
                 bundle = []
                 bundles.append(bundle)
             previous = bundle[-1] if bundle else None
-            if previous is not None and _far(previous[-1], swath[0]) > _far(previous[-1], swath[-1]):
+            if previous is not None and _far(previous[-1], swath[0]) > _far(
+                previous[-1], swath[-1]
+            ):
                 swath = swath[::-1]
             bundle.append(swath)
             if sum(_length(s) for s in bundle) < section_length_m * 0.75:
@@ -196,7 +205,7 @@ def _strip_bundles(
 
 
 def _side_by_side(a: Polyline, b: Polyline, strip_m: float) -> bool:
-    return LineString(a).distance(LineString(b)) <= 1.5 * strip_m
+    return bool(LineString(a).distance(LineString(b)) <= 1.5 * strip_m)
 
 
 def _far(a: XY, b: XY) -> float:

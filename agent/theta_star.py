@@ -6,6 +6,7 @@ crossing of four included. So nothing squeezes through a diagonal gap, and a pat
 where 4-connected free cells join start and goal.
 """
 
+import itertools
 from math import hypot
 
 import numpy as np
@@ -184,4 +185,4 @@ def plan(blocked: NDArray[np.bool_], start: Cell, goal: Cell) -> Waypoints | Non
 
 
 def length(path: Waypoints) -> float:
-    return sum(hypot(b[0] - a[0], b[1] - a[1]) for a, b in zip(path, path[1:], strict=False))
+    return sum(hypot(b[0] - a[0], b[1] - a[1]) for a, b in itertools.pairwise(path))

@@ -5,11 +5,14 @@ the distance to it, within the speed that still allows to stop at the end. The c
 decides whether a unit counts as worked, so the correction is stiff.
 """
 
+import itertools
 from math import atan2, hypot, pi, sin, sqrt
 
 Point = tuple[float, float]
 
-CLOSE_GAIN_1_S = 2.0  # cross-track error is closed with this rate; 20 Hz control is stable below ~10
+CLOSE_GAIN_1_S = (
+    2.0  # cross-track error is closed with this rate; 20 Hz control is stable below ~10
+)
 ARRIVED_M = 0.06  # a few centimetres: what a body at creep speed covers in a control period
 ALIGN_M = 0.12  # this far off the line, it does not advance at all before it is back
 BESIDE_M = 0.3  # passing the end further away than this is not arriving
@@ -26,7 +29,7 @@ class Tracker:
         assert len(points) >= 1
         self.points = points
         self.speed_m_s, self.deceleration_m_s2 = speed_m_s, deceleration_m_s2
-        self.lengths_m = [hypot(b[0] - a[0], b[1] - a[1]) for a, b in zip(points, points[1:], strict=False)]
+        self.lengths_m = [hypot(b[0] - a[0], b[1] - a[1]) for a, b in itertools.pairwise(points)]
         self.starts_m = [0.0]
         for length_m in self.lengths_m:
             self.starts_m.append(self.starts_m[-1] + length_m)

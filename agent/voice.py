@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from math import atan2, hypot
 from typing import TYPE_CHECKING
 
-from agent.config import BEATS, CONTROL_PERIOD_US, S, Beat
+from agent.config import BEATS, CONTROL_PERIOD_US, Beat, S
 from agent.effects import Effect, Persist, Send
 from agent.lifecycle import State
 from crdt.progress import BLOCK_UNITS
@@ -104,7 +104,9 @@ class Voice:
         if here is None:
             return Pose(0.0, 0.0, 0.0, 0.0, state, stopped, tick)
         speed_m_s = hypot(here.vx_m_s, here.vy_m_s)
-        moving = speed_m_s > 0.02  # below the resolution of POSE the course is noise: send the heading
+        moving = (
+            speed_m_s > 0.02
+        )  # below the resolution of POSE the course is noise: send the heading
         course_rad = atan2(here.vy_m_s, here.vx_m_s) if moving else here.heading_rad
         return Pose(here.x_m, here.y_m, course_rad, speed_m_s, state, stopped, tick)
 

@@ -51,7 +51,11 @@ class Working:
         state, claims = peer.lifecycle.state, peer.claims
         if state not in (State.IDLE, State.WORKING) or not peer.safety.may_move:
             return STILL
-        if claims.room and (claims.current is None or peer.wish.near_end) and peer.sync.ready(now_us):
+        if (
+            claims.room
+            and (claims.current is None or peer.wish.near_end)
+            and peer.sync.ready(now_us)
+        ):
             choice = peer.mission.choose(view)
             if choice is not None:
                 effects += peer.claim(choice.section, choice.bid, now_us, choice.takeover)

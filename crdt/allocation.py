@@ -59,14 +59,22 @@ class FieldAllocationCRDT:
     def release(self, section: int, owner: int) -> int | None:
         """Give an own section back. None for a section that is not ours."""
         key = self._keys.get(section)
-        if key is None or owner_of(key) != owner or phase_of(key) not in (Phase.CLAIMED, Phase.STARTED):
+        if (
+            key is None
+            or owner_of(key) != owner
+            or phase_of(key) not in (Phase.CLAIMED, Phase.STARTED)
+        ):
             return None
         return self._raise(section, key, Phase.FREE, 0, owner)
 
     def takeover(self, section: int, owner: int, bid: int = 0) -> int | None:
         """Take a section from an owner that is gone; the raised epoch fences it off."""
         key = self._keys.get(section)
-        if key is None or phase_of(key) not in (Phase.CLAIMED, Phase.STARTED) or owner_of(key) == owner:
+        if (
+            key is None
+            or phase_of(key) not in (Phase.CLAIMED, Phase.STARTED)
+            or owner_of(key) == owner
+        ):
             return None
         return self._raise(section, key, Phase.CLAIMED, bid, owner)
 
@@ -142,7 +150,9 @@ class FieldAllocationCRDT:
     def assigned_sections(self, owner: int) -> list[int]:
         """Sections claimed or started by a slot, not the finished ones."""
         held = (Phase.CLAIMED, Phase.STARTED)
-        return sorted(s for s, k in self._keys.items() if owner_of(k) == owner and phase_of(k) in held)
+        return sorted(
+            s for s, k in self._keys.items() if owner_of(k) == owner and phase_of(k) in held
+        )
 
     def done_count(self) -> int:
         return self._done

@@ -79,7 +79,9 @@ class AddressClaim:
             self.state = State.HELD
         return []
 
-    def receive(self, source: int, message: AddressClaimed | Request, now_us: int) -> list[Claiming]:
+    def receive(
+        self, source: int, message: AddressClaimed | Request, now_us: int
+    ) -> list[Claiming]:
         if isinstance(message, Request):
             return self._asked(message)
         if source == NULL_ADDRESS:

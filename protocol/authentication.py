@@ -41,7 +41,9 @@ class Keys(NamedTuple):
 class Keyring:
     """Signs for one sender and verifies for all. Counters of others start at what was recalled."""
 
-    def __init__(self, keys: Keys, sender: int, sent: int = 0, heard: dict[int, int] | None = None) -> None:
+    def __init__(
+        self, keys: Keys, sender: int, sent: int = 0, heard: dict[int, int] | None = None
+    ) -> None:
         self.sender, self.sent = sender, sent
         self.heard = dict(heard or {})
         self.accepted = self.bad = self.stale = self.ignored = 0
@@ -75,7 +77,9 @@ class Keyring:
         self.accepted += 1
         return True
 
-    def _tag(self, sender: int, counter: int, message: EmergencyStop | EmergencyReset | OperatorCommand) -> int:
+    def _tag(
+        self, sender: int, counter: int, message: EmergencyStop | EmergencyReset | OperatorCommand
+    ) -> int:
         mac = self._mac(sender).copy()
         head = _GROUPS[type(message)].to_bytes(3, "little") + bytes((sender,))
         mac.update(head + counter.to_bytes(8, "little") + message.pack()[:-3])

@@ -58,7 +58,9 @@ class CanBus:
 
 def open_bus(interface: str, channel: str, bitrate: int = 250_000, **options: Any) -> CanBus:
     """Open by python-can's own options; raises what the interface raises."""
-    if interface == "socketcand":  # no bit rate of its own; without tcp_tune frames wait for company
+    if (
+        interface == "socketcand"
+    ):  # no bit rate of its own; without tcp_tune frames wait for company
         bus = can.Bus(interface=interface, channel=channel, tcp_tune=True, **options)
     else:
         bus = can.Bus(interface=interface, channel=channel, bitrate=bitrate, **options)

@@ -86,7 +86,9 @@ class Heartbeat(NamedTuple):
     digest: int
 
     def pack(self) -> bytes:
-        flags = self.state | self.stopped << 3 | self.held << 4 | self.started << 5 | self.leaving << 6
+        flags = (
+            self.state | self.stopped << 3 | self.held << 4 | self.started << 5 | self.leaving << 6
+        )
         health = min(max(round(self.health * 250), 0), 250)
         low, high = self.digest & 0xFFFF, self.digest >> 16
         return HEARTBEAT.pack(self.counter, flags, health, self.operations, low, high)

@@ -4,13 +4,24 @@ from typing import NamedTuple
 
 from protocol.fleet_frames import Heartbeat, LeaderElectionVote, Member, Pose, VectorSlice
 from protocol.network_frames import (
-    Acknowledgment, AddressClaimed, Request, TransportData, TransportManagement,
+    Acknowledgment,
+    AddressClaimed,
+    Request,
+    TransportData,
+    TransportManagement,
 )  # fmt: skip
 from protocol.safety_frames import (
-    AllImplementsStop, EmergencyReset, EmergencyStop, OperatorCommand,
+    AllImplementsStop,
+    EmergencyReset,
+    EmergencyStop,
+    OperatorCommand,
 )  # fmt: skip
 from protocol.work_frames import (
-    Digests, StateSyncRequest, StateSyncResponse, TaskClaim, WorkProgress,
+    Digests,
+    StateSyncRequest,
+    StateSyncResponse,
+    TaskClaim,
+    WorkProgress,
 )  # fmt: skip
 
 Message = (

@@ -91,7 +91,9 @@ class EmergencyReset(NamedTuple):
 
     @classmethod
     def unpack(cls, data: bytes) -> "EmergencyReset":
-        return cls(*data[:5], int.from_bytes(data[5:], "little"))
+        slot, incarnation, counter, operator, freshness = data[:5]
+        tag = int.from_bytes(data[5:], "little")
+        return cls(slot, incarnation, counter, operator, freshness, tag)
 
 
 class OperatorCommand(NamedTuple):
@@ -121,7 +123,9 @@ class OperatorCommand(NamedTuple):
     def unpack(cls, data: bytes) -> "OperatorCommand":
         if data[0] > max(Command):
             raise ValueError("command")
-        return cls(*data[:5], int.from_bytes(data[5:], "little"))
+        command, target, operator, argument, freshness = data[:5]
+        tag = int.from_bytes(data[5:], "little")
+        return cls(command, target, operator, argument, freshness, tag)
 
 
 class AllImplementsStop(NamedTuple):

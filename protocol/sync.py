@@ -25,7 +25,11 @@ from crdt.digest import BUCKETS, MASK, bucket_of, entry_hash, mix, short
 from crdt.progress import KIND as BLOCKS
 from crdt.register import LAMPORT_MAX, Claim, pack
 from protocol.work_frames import (
-    Digests, StateSyncRequest, StateSyncResponse, TaskClaim, WorkProgress,
+    Digests,
+    StateSyncRequest,
+    StateSyncResponse,
+    TaskClaim,
+    WorkProgress,
 )  # fmt: skip
 
 MS = 1_000
@@ -40,6 +44,9 @@ BUCKET_ROUND = 3  # from this round on, bucket digests
 HISTORY_MAX = 256  # own digests remembered; at ten changes a second, 25 s
 QUIET_US = 20 * MS  # a speaker for us is silent for this long: our turn
 KEY_MAX = 0xFFFF
+
+
+Said = StateSyncRequest | StateSyncResponse | WorkProgress | Digests
 
 
 class Agreement(NamedTuple):
@@ -209,9 +216,9 @@ class Sync:
     def _buckets(self, m: Digests, now_us: int) -> None:
         ours = self._bucket_digests(m.salt)
         different = {
-            3 * m.index + k
+            3 * m.triple + k
             for k, digest in enumerate((m.first, m.second, m.third))
-            if 3 * m.index + k < BUCKETS and ours[3 * m.index + k] != digest
+            if 3 * m.triple + k < BUCKETS and ours[3 * m.triple + k] != digest
         }
         if not different:
             return
@@ -240,9 +247,9 @@ class Sync:
             return min(self._speak_us, self._request_us or self._speak_us)
         return self._request_us
 
-    def tick(self, now_us: int) -> Iterable[object]:
+    def tick(self, now_us: int) -> Iterable[Said]:
         """What to send now: at most one entry, and a request when its turn has come."""
-        said: list[object] = []
+        said: list[Said] = []
         if self._request_us is not None and now_us >= self._request_us:
             said += self._request(now_us)
         if (self._queue or self._frames) and now_us >= self._speak_us:
@@ -250,15 +257,17 @@ class Sync:
             self._speak_us = now_us + GAP_US
         return said
 
-    def _next_entry(self) -> object:
+    def _next_entry(self) -> Said:
         (kind, name), _ = self._queue.popitem(last=False)
         if kind == REGISTERS:
             claim: Claim = self.allocation.entry(name)
-            return StateSyncResponse(name, claim.epoch, claim.phase, claim.bid, claim.lamport, claim.owner)
+            return StateSyncResponse(
+                name, claim.epoch, claim.phase, claim.bid, claim.lamport, claim.owner
+            )
         section, block = name >> 8, name & 0xFF
         return WorkProgress(section, block, self.progress.bits(section, block))
 
-    def _request(self, now_us: int) -> list[object]:
+    def _request(self, now_us: int) -> list[Said]:
         if not self._differs:
             self._settle()
             return []
@@ -273,7 +282,8 @@ class Sync:
         if self._rounds >= BUCKET_ROUND:
             salt, digests = self._round, self._bucket_digests(self._round)
             self._frames = [
-                Digests(i, salt, *digests[3 * i : 3 * i + 3]) for i in reversed(range((BUCKETS + 2) // 3))
+                Digests(i, salt, *digests[3 * i : 3 * i + 3])
+                for i in reversed(range((BUCKETS + 2) // 3))
             ]
         cut = min((self._agreed.get(s, NEVER).lamport for s in self._differs), default=0)
         return [StateSyncRequest(min(cut, LAMPORT_MAX), self.digest, 0, self._round)]

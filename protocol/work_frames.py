@@ -9,6 +9,7 @@ DIGESTS = Struct("<BBHHH")
 PROGRESS = Struct("<HBIB")
 assert CLAIM.size == REQUEST.size == DIGESTS.size == PROGRESS.size == 8
 
+REGISTERS, BLOCKS, STOPS = 0, 1, 2  # scopes of STATE_SYNC_REQUEST
 PHASES = (0, 1, 2, 7)  # crdt.Phase: FREE, CLAIMED, STARTED, DONE
 
 
@@ -32,7 +33,9 @@ class TaskClaim(NamedTuple):
 
     def pack(self) -> bytes:
         low, high = self.lamport & 0xFFFF, self.lamport >> 16
-        return CLAIM.pack(self.section, self.epoch, self.phase | self.bid << 3, low, high, self.owner)
+        return CLAIM.pack(
+            self.section, self.epoch, self.phase | self.bid << 3, low, high, self.owner
+        )
 
     @classmethod
     def unpack(cls, data: bytes) -> "TaskClaim":
@@ -54,7 +57,9 @@ class StateSyncResponse(NamedTuple):
 
     def pack(self) -> bytes:
         low, high = self.lamport & 0xFFFF, self.lamport >> 16
-        return CLAIM.pack(self.section, self.epoch, self.phase | self.bid << 3, low, high, self.owner)
+        return CLAIM.pack(
+            self.section, self.epoch, self.phase | self.bid << 3, low, high, self.owner
+        )
 
     @classmethod
     def unpack(cls, data: bytes) -> "StateSyncResponse":
@@ -95,12 +100,12 @@ class Digests(NamedTuple):
     """Three bucket digests of the sender's replica, the fall-back of the sync. Priority 7.
 
     byte  field  type  meaning
-    0     index  u8    of the first bucket / 3
+    0     triple u8    of the first bucket / 3
     1     salt   u8    mixed into the digests, so that one collision does not repeat
-    2..7         3 u16 digests of buckets 3*index .. 3*index+2
+    2..7         3 u16 digests of buckets 3*triple .. 3*triple+2
     """
 
-    index: int
+    triple: int
     salt: int
     first: int
     second: int

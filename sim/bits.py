@@ -25,7 +25,7 @@ assert worst_bits(8) == 160 and worst_bits(0) == 80
 
 
 @njit(cache=True)
-def _stuffed(identifier: int, data: np.ndarray, length: int) -> int:  # type: ignore[type-arg]
+def _stuffed(identifier, data, length):  # type: ignore[no-untyped-def]
     bits = np.empty(128, dtype=np.uint8)
     n = 0
     bits[n] = 0
@@ -72,4 +72,7 @@ def _stuffed(identifier: int, data: np.ndarray, length: int) -> int:  # type: ig
 
 def frame_bits(identifier: int, data: bytes) -> int:
     """Bits on the wire from start of frame to the end of the interframe space."""
-    return int(_stuffed(identifier, np.frombuffer(data.ljust(8, b"\0"), np.uint8), len(data))) + TAIL_BITS
+    return (
+        int(_stuffed(identifier, np.frombuffer(data.ljust(8, b"\0"), np.uint8), len(data)))
+        + TAIL_BITS
+    )

@@ -40,7 +40,9 @@ class BodyServer(asyncio.DatagramProtocol):
             self.malformed += 1
             return
         magic, slot, vx_m_s, vy_m_s, turn_rad_s, tool_on = DRIVE.unpack(data)
-        if slot not in self.world.robots or not all(abs(v) < 1e3 for v in (vx_m_s, vy_m_s, turn_rad_s)):
+        if slot not in self.world.robots or not all(
+            abs(v) < 1e3 for v in (vx_m_s, vy_m_s, turn_rad_s)
+        ):
             self.malformed += 1
             return
         self.addresses[slot] = address

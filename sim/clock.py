@@ -52,7 +52,11 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         return self._jump.now_us / 1_000_000
 
     def call_at(  # type: ignore[override]
-        self, when: float, callback: Callable[..., object], *args: Any, context: Context | None = None
+        self,
+        when: float,
+        callback: Callable[..., object],
+        *args: Any,
+        context: Context | None = None,
     ) -> events.TimerHandle:
         self._check_closed()  # type: ignore[attr-defined]
         timer = _OrderedTimer(when, callback, args, self, context)

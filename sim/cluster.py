@@ -115,7 +115,9 @@ class Cluster:
         return self.robots[slot].bus.node
 
     def partition(self, islands: list[set[int]]) -> None:
-        nodes = [{self.node_of(slot) for slot in island if slot in self.robots} for island in islands]
+        nodes = [
+            {self.node_of(slot) for slot in island if slot in self.robots} for island in islands
+        ]
         self.segment.wire.partition(*nodes)
 
     def inject(self, message: Message, source: int = TOOL_ADDRESS) -> None:

@@ -1,7 +1,7 @@
 """A scenario's faults, carried out on a cluster at their times."""
 
 import asyncio
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable, Coroutine
 
 from agent.config import S
 from protocol.safety_frames import Command, EmergencyReset, OperatorCommand, Reason
@@ -30,7 +30,7 @@ class FaultPlan:
                 self.cluster.tasks.add(task)
                 task.add_done_callback(self.cluster.tasks.discard)
 
-    def _carry_out(self, fault: kinds.Fault) -> Callable[[], Awaitable[None]] | None:
+    def _carry_out(self, fault: kinds.Fault) -> Callable[[], Coroutine[None, None, None]] | None:
         cluster, wire = self.cluster, self.cluster.segment.wire
         match fault:
             case kinds.Partition(islands=islands):

@@ -1,4 +1,4 @@
-"""Reading field boundaries: GeoJSON and ISO 11783-10 task data, projected to metres.
+"""Reading field boundaries: GeoJSON, projected to metres.
 
 Latitude and longitude end here. Every bad file is one `FieldFileError` with one line that names the
 file, what is wrong with it, and what to do.
@@ -33,18 +33,15 @@ class Boundary(NamedTuple):
 
 def read_boundary(path: Path, feature: str | None = None) -> Boundary:
     """The named field of a file, or its only one."""
-    if path.suffix.lower() == ".xml" or path.is_dir():
-        from sim.isoxml import read_partfields
-
-        outlines = read_partfields(path)
-    else:
-        outlines = read_geojson(path)
+    outlines = read_geojson(path)
     if not outlines:
         raise FieldFileError(f"{path}: no polygon in it")
     if feature is None:
         if len(outlines) > 1:
             names = ", ".join(sorted(outlines)[:6])
-            raise FieldFileError(f"{path}: {len(outlines)} fields; say which with 'feature' ({names})")
+            raise FieldFileError(
+                f"{path}: {len(outlines)} fields; say which with 'feature' ({names})"
+            )
         feature = next(iter(outlines))
     if feature not in outlines:
         names = ", ".join(sorted(outlines)[:6])
@@ -64,12 +61,15 @@ def read_geojson(path: Path) -> dict[str, list[list[LonLat]]]:
     outlines: dict[str, list[list[LonLat]]] = {}
     for number, feature in enumerate(features):
         geometry = feature.get("geometry", feature) if isinstance(feature, dict) else None
-        if not isinstance(geometry, dict) or geometry.get("type") not in ("Polygon", "MultiPolygon"):
+        if not isinstance(geometry, dict) or geometry.get("type") not in (
+            "Polygon",
+            "MultiPolygon",
+        ):
             continue
         properties = feature.get("properties") or {}
         name = str(properties.get("name", f"field {number}"))
         coordinates = geometry.get("coordinates")
-        parts = [coordinates] if geometry["type"] == "Polygon" else coordinates
+        parts = [coordinates] if geometry["type"] == "Polygon" else coordinates or []
         for k, rings in enumerate(parts if isinstance(parts, list) else [None]):
             label = name if len(parts) == 1 else f"{name} {k}"
             outlines[label] = _rings(path, label, rings)
@@ -104,7 +104,9 @@ def _rings(path: Path, name: str, rings: object) -> list[list[LonLat]]:
         if len(points) < 4:
             raise FieldFileError(f"{path}: {name}: a ring of {len(points)} points; it needs 4")
         if not all(-180 <= x <= 180 and -90 <= y <= 90 for x, y in points):
-            raise FieldFileError(f"{path}: {name}: a point that is not longitude and latitude in degrees")
+            raise FieldFileError(
+                f"{path}: {name}: a point that is not longitude and latitude in degrees"
+            )
         result.append(points)
     return result
 
@@ -113,9 +115,14 @@ def project(path: Path, name: str, rings: list[list[LonLat]]) -> Boundary:
     """Metres east and north of the middle of the outline (azimuthal equidistant, WGS 84)."""
     xs, ys = [p[0] for p in rings[0]], [p[1] for p in rings[0]]
     origin = ((min(ys) + max(ys)) / 2, (min(xs) + max(xs)) / 2)
-    local = CRS.from_proj4(f"+proj=aeqd +lat_0={origin[0]} +lon_0={origin[1]} +datum=WGS84 +units=m")
+    local = CRS.from_proj4(
+        f"+proj=aeqd +lat_0={origin[0]} +lon_0={origin[1]} +datum=WGS84 +units=m"
+    )
     to_metres = Transformer.from_crs("EPSG:4326", local, always_xy=True).transform
-    outline = [list(zip(*to_metres(*zip(*ring, strict=True)), strict=True)) for ring in rings]
+    outline = []
+    for ring in rings:
+        east, north = to_metres([p[0] for p in ring], [p[1] for p in ring])
+        outline.append(list(zip(east, north, strict=True)))
     polygon = Polygon(outline[0], outline[1:])
     if not polygon.is_valid:
         raise FieldFileError(f"{path}: {name}: {explain_validity(polygon)}; repair the outline")

@@ -192,7 +192,7 @@ class FieldBus(BusABC):
             self._fd = os.eventfd(len(self._inbox), os.EFD_NONBLOCK | os.EFD_SEMAPHORE)
         return self._fd
 
-    @property
+    @property  # type: ignore[misc]
     def state(self) -> can.BusState:
         node = self.segment.wire.nodes.get(self.node)
         if node is None or node.off_until_us is not None:

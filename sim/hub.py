@@ -51,7 +51,11 @@ class Client:
     def _send(self, identifier: str, length: str, data: list[str]) -> str | None:
         try:
             frame = Frame(int(identifier, 16), bytes(int(byte, 16) for byte in data))
-            valid = len(identifier) == 8 and frame.identifier < 1 << 29 and len(data) == int(length, 16) <= 8
+            valid = (
+                len(identifier) == 8
+                and frame.identifier < 1 << 29
+                and len(data) == int(length, 16) <= 8
+            )
         except ValueError:
             valid = False
         if not valid:
@@ -60,7 +64,9 @@ class Client:
         if self.bus is not None:
             self.bus.submit(frame)
         else:
-            self.hub.segment.submit(self.hub.spare.node, frame)  # sent before the first frame is heard
+            self.hub.segment.submit(
+                self.hub.spare.node, frame
+            )  # sent before the first frame is heard
         return None
 
     def _attach(self) -> None:

@@ -23,34 +23,34 @@ class _Table(BaseModel):
 class FieldTable(_Table):
     file: str
     feature: str | None = None
-    implement_width_m: float = Field(4.0, gt=0.2, le=60.0)
-    overlap_m: float = Field(0.2, gt=0.01, le=2.0)
-    section_length_m: float = Field(250.0, ge=10.0, le=50_000.0)
-    unit_m: float = Field(5.0, ge=0.5, le=100.0)
+    implement_width_m: float = Field(default=4.0, gt=0.2, le=60.0)
+    overlap_m: float = Field(default=0.2, gt=0.01, le=2.0)
+    section_length_m: float = Field(default=250.0, ge=10.0, le=50_000.0)
+    unit_m: float = Field(default=5.0, ge=0.5, le=100.0)
     gate: tuple[float, float] | None = None  # metres east and north of the middle; none: a corner
 
 
 class FleetTable(_Table):
-    robots: int = Field(6, ge=1, le=PEERS_MAX)
-    radius_m: float = Field(0.8, gt=0.05, le=5.0)
-    speed_m_s: float = Field(2.5, gt=0.05, le=SPEED_MAX_M_S)
-    acceleration_m_s2: float = Field(1.5, gt=0.05, le=10.0)
-    slip: float = Field(0.02, ge=0.0, le=0.3)
+    robots: int = Field(default=6, ge=1, le=PEERS_MAX)
+    radius_m: float = Field(default=0.8, gt=0.05, le=5.0)
+    speed_m_s: float = Field(default=2.5, gt=0.05, le=SPEED_MAX_M_S)
+    acceleration_m_s2: float = Field(default=1.5, gt=0.05, le=10.0)
+    slip: float = Field(default=0.02, ge=0.0, le=0.3)
     silence: Literal["stop", "slow", "continue"] = "stop"
     keys: str | None = None  # key file, made by `headland keys make`
 
 
 class BusTable(_Table):
     bitrate: Literal[125_000, 250_000, 500_000, 1_000_000] = 250_000
-    loss: float = Field(0.0, ge=0.0, le=0.9)
-    error_rate: float = Field(0.0, ge=0.0, le=0.5)
-    omission: float = Field(0.0, ge=0.0, le=0.9)
-    duplicate: float = Field(0.0, ge=0.0, le=0.9)
+    loss: float = Field(default=0.0, ge=0.0, le=0.9)
+    error_rate: float = Field(default=0.0, ge=0.0, le=0.5)
+    omission: float = Field(default=0.0, ge=0.0, le=0.9)
+    duplicate: float = Field(default=0.0, ge=0.0, le=0.9)
 
 
 class RunTable(_Table):
-    seed: int = Field(1, ge=0)
-    time_limit_s: float = Field(3600.0, gt=0.0, le=86_400.0)
+    seed: int = Field(default=1, ge=0)
+    time_limit_s: float = Field(default=3600.0, gt=0.0, le=86_400.0)
 
 
 class _Fault(_Table):
@@ -132,7 +132,7 @@ class Box(_Fault):
     kind: Literal["box"]
     x_m: float
     y_m: float
-    size_m: float = Field(1.0, gt=0.0, le=20.0)
+    size_m: float = Field(default=1.0, gt=0.0, le=20.0)
     for_s: float = Field(gt=0.0)
 
 
@@ -188,7 +188,9 @@ def load(name: str) -> Scenario:
         document = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         known = ", ".join(shipped())
-        raise ScenarioError(f"{name}: no such file, and no scenario of that name ships ({known})") from None
+        raise ScenarioError(
+            f"{name}: no such file, and no scenario of that name ships ({known})"
+        ) from None
     except OSError as problem:
         raise ScenarioError(f"{name}: cannot be read: {problem.strerror}") from None
     except UnicodeDecodeError:
@@ -234,8 +236,10 @@ def _one_line(problem: ValidationError) -> str:
 def _keys_beside(path: list[str]) -> list[str]:
     model: Any = Scenario
     for part in path[:-1]:
-        field = model.model_fields.get(part) if isinstance(model, type) else None
+        field = getattr(model, "model_fields", {}).get(part)
         if field is None or not isinstance(field.annotation, type):
             return []
         model = field.annotation
-    return list(model.model_fields) if isinstance(model, type) and issubclass(model, BaseModel) else []
+    return (
+        list(model.model_fields) if isinstance(model, type) and issubclass(model, BaseModel) else []
+    )

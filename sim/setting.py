@@ -17,8 +17,8 @@ from agent.safety import SilencePolicy
 from agent.swaths import divide
 from protocol.authentication import Keyring
 from sim.field_file import FieldFileError, read_boundary
-from sim.vehicle import Chassis
 from sim.scenario import Scenario, ScenarioError
+from sim.vehicle import Chassis
 from sim.world import World
 
 ROUTE_CELLS_MAX = 1_500_000  # of the path grid; larger fields get coarser cells
@@ -43,7 +43,11 @@ class Setting:
 
     def _field(self) -> Field:
         table = self.scenario.field
-        path = Path(table.file) if Path(table.file).is_absolute() else self.scenario.folder / table.file
+        path = (
+            Path(table.file)
+            if Path(table.file).is_absolute()
+            else self.scenario.folder / table.file
+        )
         try:
             boundary = read_boundary(path, table.feature)
             gate = table.gate or self._corner(boundary.polygon.exterior.coords)
@@ -56,7 +60,9 @@ class Setting:
         except FieldFileError as problem:
             raise ScenarioError(f"{self.scenario.name}: field.file: {problem}") from None
         except ValueError as problem:
-            raise ScenarioError(f"{self.scenario.name}: field.implement_width_m: {problem}") from None
+            raise ScenarioError(
+                f"{self.scenario.name}: field.implement_width_m: {problem}"
+            ) from None
 
     @staticmethod
     def _corner(outline: object) -> XY:

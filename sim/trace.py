@@ -14,7 +14,7 @@ from agent.effects import Drive, Effect, Persist, Send, Trace
 
 class Recorder:
     def __init__(self, path: Path | None = None) -> None:
-        self._hashes: dict[int, "blake2b"] = {}
+        self._hashes: dict[int, blake2b] = {}
         self._file: TextIO | None = path.open("w", encoding="utf-8") if path is not None else None
         self.lost = 0  # claims and sections lost to a better claim
 

@@ -65,10 +65,14 @@ class Wire:
         self.busy_us = 0
         self.worst_us = 0  # the same frames at worst-case stuffing
         self.by_group: Counter[int] = Counter()
-        self._rng = {k: Random(f"{seed}/wire/{k}") for k in ("loss", "omission", "duplicate", "error")}
+        self._rng = {
+            k: Random(f"{seed}/wire/{k}") for k in ("loss", "omission", "duplicate", "error")
+        }
         self._order = 0
         self._free_us: dict[int, int] = {}  # island -> when its bus is free
-        self._sending: dict[int, tuple[int, int, Frame, bool]] = {}  # island -> end, node, frame, broken
+        self._sending: dict[
+            int, tuple[int, int, Frame, bool]
+        ] = {}  # island -> end, node, frame, broken
         self._start_us: dict[int, int] = {}  # island -> when arbitration is due
         self._audience: dict[int, tuple[int, ...]] = {}
         self._next_node = 0
@@ -126,7 +130,9 @@ class Wire:
     def next_us(self) -> int | None:
         """When something happens next by itself."""
         candidates = [end for end, _, _, _ in self._sending.values()]
-        candidates += [start for island, start in self._start_us.items() if island not in self._sending]
+        candidates += [
+            start for island, start in self._start_us.items() if island not in self._sending
+        ]
         candidates += [n.off_until_us for n in self.nodes.values() if n.off_until_us is not None]
         return min(candidates) if candidates else None
 
@@ -179,11 +185,16 @@ class Wire:
             node.sent += 1
             self.frames += 1
             self.by_group[frame.identifier >> 8 & 0x3FFFF] += 1
-            repeated = self.faults.duplicate > 0 and self._rng["duplicate"].random() < self.faults.duplicate
+            repeated = (
+                self.faults.duplicate > 0
+                and self._rng["duplicate"].random() < self.faults.duplicate
+            )
             if not repeated and node.queue:
                 self._drop_head(node, frame)
             deliveries.append(Delivery(t_us, frame, number, self._hearers(number)))
-        if any(n.queue and n.island == island and n.off_until_us is None for n in self.nodes.values()):
+        if any(
+            n.queue and n.island == island and n.off_until_us is None for n in self.nodes.values()
+        ):
             self._start_us[island] = t_us
         return deliveries
 
@@ -216,7 +227,9 @@ class Wire:
         audience = self._audience.get(sender)
         if audience is None:
             island = self.nodes[sender].island
-            audience = tuple(n for n, node in self.nodes.items() if n != sender and node.island == island)
+            audience = tuple(
+                n for n, node in self.nodes.items() if n != sender and node.island == island
+            )
             self._audience[sender] = audience
         faults = self.faults
         if faults.deaf:

@@ -12,7 +12,13 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-LAYERS = ["crdt", "protocol", "agent", "sim", "tools"]  # each imports only those before it, and itself
+LAYERS = [
+    "crdt",
+    "protocol",
+    "agent",
+    "sim",
+    "tools",
+]  # each imports only those before it, and itself
 CORE = LAYERS[:3]
 EDGES = {"agent/shell.py", "agent/engine.py", "agent/sqlite_journal.py", "protocol/bus.py"}
 OUTSIDE = {
@@ -32,7 +38,9 @@ def name_of(path: Path) -> str:
 
 
 def imports(tree: ast.AST) -> set[tuple[str, str]]:
-    plain = {(n.name, "") for node in ast.walk(tree) if isinstance(node, ast.Import) for n in node.names}
+    plain = {
+        (n.name, "") for node in ast.walk(tree) if isinstance(node, ast.Import) for n in node.names
+    }
     return plain | {
         (node.module or "", name.name)
         for node in ast.walk(tree)
@@ -65,9 +73,11 @@ def test_sizes(path: Path) -> None:
 @pytest.mark.parametrize("path", FILES, ids=name_of)
 def test_a_file_is_named_by_its_noun(path: Path) -> None:
     assert path.stem not in BANNED_NAMES
-    assert path.stem == "__init__" or path.stem not in sys.stdlib_module_names or path.parent != ROOT / "tools", (
-        "a tool named like a standard module shadows it when run as a script"
-    )
+    assert (
+        path.stem == "__init__"
+        or path.stem not in sys.stdlib_module_names
+        or path.parent != ROOT / "tools"
+    ), "a tool named like a standard module shadows it when run as a script"
 
 
 @pytest.mark.parametrize("layer", LAYERS)
@@ -80,8 +90,9 @@ def test_no_intruder(layer: str) -> None:
 
 def test_no_unseeded_chance_anywhere() -> None:
     """`random.random()` and friends draw from a global generator: no run could be replayed."""
+    pattern = r"\brandom\.(random|randint|choice|shuffle|uniform|seed)\("
     found = subprocess.run(
-        ["git", "grep", "-nE", r"\brandom\.(random|randint|choice|shuffle|uniform|seed)\(", "--", *LAYERS],
+        ["git", "grep", "-nE", pattern, "--", *LAYERS],
         cwd=ROOT, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert found.stdout == ""

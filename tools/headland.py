@@ -1,20 +1,14 @@
 """The one command. Each sub-command imports what it needs when it is called: `--help` stays quick."""
 
-import sys
-from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Optional
+from typing import Annotated
 
 import typer
 
 HELP = "A leaderless robot fleet on a CAN bus: every robot is a peer, none is in charge."
-app = typer.Typer(help=HELP, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None)
-
-# Groups of commands that live in a file of their own: name -> (module, what it is for).
-GROUPS = {
-    "coverage": ("tools.coverage", "Plan and replay the coverage of a grid map."),
-    "keys": ("tools.keys", "Make, rotate and show a fleet's keys."),
-}
+app = typer.Typer(
+    help=HELP, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None
+)
 
 Interface = Annotated[
     str, typer.Option("-i", "--interface", help="python-can interface, as for can_logger.")
@@ -22,17 +16,23 @@ Interface = Annotated[
 Channel = Annotated[str, typer.Option("-c", "--channel", help="Channel of the interface.")]
 Bitrate = Annotated[int, typer.Option("-b", "--bitrate", help="Bit rate of the bus, bit/s.")]
 Host = Annotated[str, typer.Option("--host", help="Host of a socketcand interface.")]
-Port = Annotated[int, typer.Option("--port", help="Port of a socketcand interface (0: the newest launch).")]
+Port = Annotated[
+    int, typer.Option("--port", help="Port of a socketcand interface (0: the newest launch).")
+]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
-KeyFile = Annotated[Optional[Path], typer.Option("--keys", help="The operator's key file.")]
+KeyFile = Annotated[Path | None, typer.Option("--keys", help="The operator's key file.")]
 
 
 @app.command()
 def run(
-    scenario: Annotated[str, typer.Argument(help="A scenario file, or the name of one that ships.")] = "oxted",
-    robots: Annotated[Optional[int], typer.Option(help="Instead of the scenario's number.")] = None,
-    seed: Annotated[Optional[int], typer.Option(help="Instead of the scenario's seed.")] = None,
-    out: Annotated[Path, typer.Option(help="Folder for report, picture and log.")] = Path("runs/run"),
+    scenario: Annotated[
+        str, typer.Argument(help="A scenario file, or the name of one that ships.")
+    ] = "oxted",
+    robots: Annotated[int | None, typer.Option(help="Instead of the scenario's number.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Instead of the scenario's seed.")] = None,
+    out: Annotated[Path, typer.Option(help="Folder for report, picture and log.")] = Path(
+        "runs/run"
+    ),
     json: Json = False,
 ) -> None:
     """Work a scenario to its end in virtual time, as fast as it can go.
@@ -46,12 +46,14 @@ def run(
 
 @app.command()
 def launch(
-    scenario: Annotated[str, typer.Argument(help="A scenario file, or the name of one that ships.")] = "oxted",
-    robots: Annotated[Optional[int], typer.Option(help="Instead of the scenario's number.")] = None,
-    seed: Annotated[Optional[int], typer.Option(help="Instead of the scenario's seed.")] = None,
+    scenario: Annotated[
+        str, typer.Argument(help="A scenario file, or the name of one that ships.")
+    ] = "oxted",
+    robots: Annotated[int | None, typer.Option(help="Instead of the scenario's number.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Instead of the scenario's seed.")] = None,
     out: Annotated[Path, typer.Option(help="Folder of this launch.")] = Path("runs/launch"),
     port: Annotated[int, typer.Option(help="Port of the bus hub (0: any free one).")] = 0,
-    seconds: Annotated[Optional[float], typer.Option(help="End after this long.")] = None,
+    seconds: Annotated[float | None, typer.Option(help="End after this long.")] = None,
     json: Json = False,
 ) -> None:
     """Run every robot as a process of its own, in real time, on a bus others can attach to.
@@ -78,14 +80,16 @@ def estop(
     """
     from tools.estop import estop as command
 
-    raise SystemExit(command(interface, channel, bitrate, host, port, keys, reason, timeout, watch, json))
+    raise SystemExit(
+        command(interface, channel, bitrate, host, port, keys, reason, timeout, watch, json)
+    )
 
 
 @app.command()
 def reset(
     interface: Interface = "socketcand", channel: Channel = "can0", bitrate: Bitrate = 250_000,
     host: Host = "127.0.0.1", port: Port = 0, keys: KeyFile = None,
-    start: Annotated[bool, typer.Option("--start/--no-start", help="Give the separate start as well.")] = False,
+    start: Annotated[bool, typer.Option("--start/--no-start", help="And start the work.")] = False,
     timeout: Annotated[float, typer.Option(help="Seconds to wait.")] = 5.0,
     json: Json = False,
 ) -> None:  # fmt: skip
@@ -100,12 +104,12 @@ def reset(
 
 @app.command()
 def inspect(
-    source: Annotated[Optional[Path], typer.Argument(help="A run folder or a log; none: a live bus.")] = None,
+    source: Annotated[Path | None, typer.Argument(help="Run folder or log; none: a live bus.")] = None,
     interface: Interface = "socketcand", channel: Channel = "can0", bitrate: Bitrate = 250_000,
     host: Host = "127.0.0.1", port: Port = 0,
     seconds: Annotated[float, typer.Option(help="Listen this long to a live bus.")] = 3.0,
-    mermaid: Annotated[bool, typer.Option("--mermaid", help="Print the state machine from its table.")] = False,
-    why: Annotated[Optional[str], typer.Option(help="Frames by which a section (S7) came to its owner.")] = None,
+    mermaid: Annotated[bool, typer.Option("--mermaid", help="Print the state machine.")] = False,
+    why: Annotated[str | None, typer.Option(help="How a section (S7) came to its owner.")] = None,
     json: Json = False,
 ) -> None:  # fmt: skip
     """Show each robot's state, peers, sections, vector clock, and the path of states that led there.
@@ -120,36 +124,6 @@ def inspect(
 
 
 @app.command()
-def dbc(out: Annotated[Optional[Path], typer.Option(help="Write here instead of printing.")] = None) -> None:
-    """Print a DBC of every frame, so that any CAN tool can decode a log.
-
-    Example: headland dbc --out headland.dbc
-    """
-    from protocol.dbc import dbc as text
-
-    if out is None:
-        print(text())
-    else:
-        out.write_text(text())
-
-
-@app.command()
-def bench(
-    name: Annotated[str, typer.Argument(help="Which benchmark, or all.")] = "all",
-    quick: Annotated[bool, typer.Option("--quick", help="End within 50 s a benchmark.")] = False,
-    seed: Annotated[int, typer.Option(help="Seed of every random choice.")] = 1,
-    json: Json = False,
-) -> None:
-    """Measure the figures our documents claim, beside what we compare with.
-
-    Example: headland bench wire --json
-    """
-    from tools.bench.command import bench as command
-
-    raise SystemExit(command(name, quick, seed, json))
-
-
-@app.command()
 def warmup() -> None:
     """Compile the kernels once, so that no robot waits for it.
 
@@ -160,17 +134,7 @@ def warmup() -> None:
     raise SystemExit(command())
 
 
-def _group(name: str) -> None:
-    module, purpose = GROUPS[name]
-    if sys.argv[1:2] == [name]:
-        app.add_typer(import_module(module).app, name=name, help=purpose)
-    else:
-        app.command(name, help=purpose)(lambda: None)
-
-
 def main() -> None:
-    for name in GROUPS:
-        _group(name)
     try:
         app()
     except KeyboardInterrupt:

@@ -69,7 +69,9 @@ class Inspector:
         self.bits = 0
         self.first_s: float | None = None
         self.now_s = 0.0
-        self._chain: deque[tuple[float, int, str, TaskClaim | StateSyncResponse]] = deque(maxlen=CHAIN_MAX)
+        self._chain: deque[tuple[float, int, str, TaskClaim | StateSyncResponse]] = deque(
+            maxlen=CHAIN_MAX
+        )
 
     def hear(self, t_s: float, frame: Frame) -> None:
         self.first_s = t_s if self.first_s is None else self.first_s
@@ -119,7 +121,9 @@ class Inspector:
                     if message.base + offset != robot.slot and count:
                         robot.clock[message.base + offset] = count
             case TaskClaim() | StateSyncResponse():
-                key = pack(message.epoch, message.phase, message.bid, message.lamport, message.owner)
+                key = pack(
+                    message.epoch, message.phase, message.bid, message.lamport, message.owner
+                )
                 if self.allocation.apply(message.section, key):
                     self._chain.append((t_s, robot.slot, kind, message))
             case WorkProgress():

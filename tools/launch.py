@@ -50,7 +50,11 @@ class Launch:
         end = asyncio.Event()
         for number in (signal.SIGINT, signal.SIGTERM):
             loop.add_signal_handler(number, end.set)
-        wire = segment(f"launch {os.getpid()}", self.setting.scenario.bus.bitrate, self.setting.scenario.run.seed)
+        wire = segment(
+            f"launch {os.getpid()}",
+            self.setting.scenario.bus.bitrate,
+            self.setting.scenario.run.seed,
+        )
         log = CandumpWriter(self.out / "can.log")
         wire.taps.append(lambda t_us, frame: self._heard(log, t_us, frame))
         hub = Hub(wire, CHANNEL)
@@ -135,7 +139,9 @@ class Launch:
                 self.console.print(f"robot {slot} has ended ({how}); the others go on")
 
     def _tell(self, elapsed_s: float, done: int) -> None:
-        states = " ".join(f"{slot}:{seen.state}" for slot, seen in sorted(self.inspector.robots.items()))
+        states = " ".join(
+            f"{slot}:{seen.state}" for slot, seen in sorted(self.inspector.robots.items())
+        )
         sections = len(self.setting.field.sections)
         self.console.print(f"{elapsed_s:6.0f} s  {done}/{sections} sections  {states}")
 
@@ -186,7 +192,9 @@ def launch(
     except ScenarioError as problem:
         return _wrong(str(problem))
     except BlockingIOError:
-        return _wrong(f"another launch is running in {out}: end it, or choose another folder with --out")
+        return _wrong(
+            f"another launch is running in {out}: end it, or choose another folder with --out"
+        )
     except OSError as problem:
         return _wrong(f"--out: {problem}")
     for old in out.glob("robot*.sqlite*"):
@@ -196,7 +204,9 @@ def launch(
     try:
         code = asyncio.run(running.run(port, seconds))
     except OSError as problem:
-        return _wrong(f"--port {port}: {problem.strerror or problem}; choose another or 0 for any free one")
+        return _wrong(
+            f"--port {port}: {problem.strerror or problem}; choose another or 0 for any free one"
+        )
     finally:
         lock.close()
     if as_json:

@@ -1,5 +1,6 @@
 """Pictures of a finished run: the field, its sections, and where each robot drove."""
 
+import itertools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -28,15 +29,24 @@ def draw_field(field: Field, tracks: Mapping[int, Track], title: str, out: Path)
         for tool_on, width, alpha in ((False, 0.6, 0.5), (True, 2.2, 0.75)):
             pieces = [
                 ((a[0], a[1]), (b[0], b[1]))
-                for a, b in zip(track, track[1:], strict=False)
+                for a, b in itertools.pairwise(track)
                 if (a[2] and b[2]) is tool_on
             ]
             style = "solid" if tool_on else "dotted"
             axes.add_collection(
-                LineCollection(pieces, colors=[colour], linewidths=width, alpha=alpha, linestyles=style)
+                LineCollection(
+                    pieces, colors=[colour], linewidths=width, alpha=alpha, linestyles=style
+                )
             )
         if track:
-            axes.plot([track[-1][0]], [track[-1][1]], "o", color=colour, markersize=7, label=f"robot {slot}")
+            axes.plot(
+                [track[-1][0]],
+                [track[-1][1]],
+                "o",
+                color=colour,
+                markersize=7,
+                label=f"robot {slot}",
+            )
     axes.plot([field.gate[0]], [field.gate[1]], "k^", markersize=10, label="gate")
     axes.set_aspect("equal")
     axes.set_xlabel("east, m")

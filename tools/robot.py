@@ -30,9 +30,11 @@ async def run(order: dict[str, Any]) -> None:
     end = asyncio.Event()
     loop.add_signal_handler(signal.SIGTERM, end.set)
     loop.add_signal_handler(signal.SIGINT, lambda: None)  # the launcher decides
-    loop.add_reader(sys.stdin, lambda: sys.stdin.read(1) or end.set())
+    loop.add_reader(sys.stdin, end.set)  # nothing more is ever written: readable means the end
     address = (order["host"], int(order["body_port"]))
-    transport, body = await loop.create_datagram_endpoint(lambda: RemoteBody(slot), remote_addr=address)
+    transport, body = await loop.create_datagram_endpoint(
+        lambda: RemoteBody(slot), remote_addr=address
+    )
     await body.ready()
     bus = open_bus("socketcand", order["channel"], host=order["host"], port=int(order["bus_port"]))
     peer = make_peer(setting, slot, Shell.now_us(), journal.load())

@@ -15,6 +15,7 @@ from sim.scenario import ScenarioError, load
 from sim.setting import Setting
 from tools.picture import draw_field
 
+NO_KEYS = "[yellow]NONE: anybody on the bus can stop and release this fleet[/yellow]"
 UNFINISHED, WRONG = 1, 2  # exit codes; 0 only for a run without a flaw
 
 
@@ -65,25 +66,29 @@ def _watch(console: Console, setting: Setting, out: Path) -> tuple[Outcome, Expe
 
 
 def outcome_table(outcome: Outcome) -> Table:
-    table = Table(title=f"{outcome.scenario}: {outcome.robots} robots, seed {outcome.seed}", show_header=False)
+    table = Table(
+        title=f"{outcome.scenario}: {outcome.robots} robots, seed {outcome.seed}", show_header=False
+    )
     table.add_column(style="bold")
     table.add_column()
     verdict = "[green]yes[/green]" if outcome.success else "[red]no[/red]"
     sections = f"{outcome.sections} sections" + ("" if outcome.finished else ", not all done")
+    overlap = f"{outcome.worked_twice:.1%} of the area overlaps"
+    worst = f"{outcome.bus_load_worst_case:.1%}"
     rows = [
         ("without a flaw", verdict),
         ("coverage", f"{outcome.coverage:.2%} of the area that can be worked ({sections})"),
         ("makespan", f"{outcome.makespan_s:.1f} s of {outcome.simulated_s:.0f} s simulated"),
-        ("duplicate work", f"{outcome.units_twice} units announced twice; {outcome.worked_twice:.1%} of the area overlaps"),
+        ("duplicate work", f"{outcome.units_twice} units announced twice; {overlap}"),
         ("contacts", f"{outcome.contacts} (closest {outcome.closest_m:.2f} m)"),
         ("replicas", "equal" if outcome.replicas_equal else "[red]differ[/red]"),
         ("driven", f"{outcome.travel_m:.0f} m for {outcome.work_m:.0f} m of swaths"),
-        ("bus load", f"{outcome.bus_load:.1%} ({outcome.bus_load_worst_case:.1%} at worst-case stuffing)"),
+        ("bus load", f"{outcome.bus_load:.1%} ({worst} at worst-case stuffing)"),
         ("frames", ", ".join(f"{n} {kind}" for kind, n in outcome.frames.items())),
         ("malformed frames", str(outcome.malformed)),
         ("claims lost", str(outcome.claims_lost)),
         ("silence policy", outcome.silence_policy),
-        ("authentication", "keys" if outcome.authenticated else "[yellow]NONE: anybody on the bus can stop and release this fleet[/yellow]"),
+        ("authentication", "keys" if outcome.authenticated else NO_KEYS),
         ("trace hash", outcome.trace_hash),
         ("computed in", f"{outcome.wall_s:.1f} s"),
     ]  # fmt: skip

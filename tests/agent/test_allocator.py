@@ -26,12 +26,21 @@ def test_no_run_is_longer_than_its_share_and_one_job(jobs: list[Job], parts: int
             assert sum(j.work_s for j in run) <= total_s / parts + longest_s + 1e-6
 
 
-@given(jobs_of, st.dictionaries(st.integers(0, 107), st.tuples(st.floats(-99, 99), st.floats(-99, 99)), min_size=1))
-def test_everybody_gets_the_same_answer(jobs: list[Job], robots: dict[int, tuple[float, float]]) -> None:
+@given(
+    jobs_of,
+    st.dictionaries(
+        st.integers(0, 107), st.tuples(st.floats(-99, 99), st.floats(-99, 99)), min_size=1
+    ),
+)
+def test_everybody_gets_the_same_answer(
+    jobs: list[Job], robots: dict[int, tuple[float, float]]
+) -> None:
     mine = shares(jobs, robots, 2.0)
     theirs = shares(jobs, dict(reversed(robots.items())), 2.0)
     assert mine == theirs
-    assert sorted(job.section for run in mine.values() for job in run) == [job.section for job in jobs]
+    assert sorted(job.section for run in mine.values() for job in run) == [
+        job.section for job in jobs
+    ]
 
 
 def test_runs_go_to_the_robots_that_are_near() -> None:

@@ -40,7 +40,9 @@ def test_an_offset_is_closed() -> None:
 
 @given(st.lists(st.tuples(coordinate, coordinate), min_size=1, max_size=6), coordinate, coordinate)
 @settings(deadline=None)
-def test_it_arrives_from_anywhere(points: list[tuple[float, float]], x_m: float, y_m: float) -> None:
+def test_it_arrives_from_anywhere(
+    points: list[tuple[float, float]], x_m: float, y_m: float
+) -> None:
     tracker = Tracker(points, 2.0, 1.0)
     x_m, y_m, _ = drive(tracker, x_m, y_m, 900.0)
     assert tracker.arrived, f"stands at {x_m:.2f}, {y_m:.2f} of {points}"

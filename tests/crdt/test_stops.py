@@ -1,0 +1,41 @@
+"""The stop set: what is named is cleared, and nothing else, in whatever order things arrive."""
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from crdt.stops import StopDot, StopSet
+
+dots = st.builds(StopDot, st.integers(0, 3), st.integers(0, 1), st.integers(0, 3))
+acts = st.lists(st.tuples(st.booleans(), dots), max_size=30)
+
+
+def make(history: list[tuple[bool, StopDot]]) -> StopSet:
+    stops = StopSet()
+    for press, dot in history:
+        stops.press(dot) if press else stops.clear(dot)
+    return stops
+
+
+@given(acts, st.randoms(use_true_random=False))
+def test_order_does_not_matter(history: list[tuple[bool, StopDot]], rng: object) -> None:
+    shuffled = list(history)
+    rng.shuffle(shuffled)  # type: ignore[attr-defined]
+    assert make(history) == make(shuffled)
+
+
+@given(acts)
+def test_latched_while_a_pressed_dot_is_not_cleared(history: list[tuple[bool, StopDot]]) -> None:
+    pressed = {dot for press, dot in history if press}
+    cleared = {dot for press, dot in history if not press}
+    assert make(history).active == pressed - cleared
+
+
+@given(acts)
+def test_bytes_and_back(history: list[tuple[bool, StopDot]]) -> None:
+    stops = make(history)
+    assert StopSet.deserialize(stops.serialize()) == stops
+
+
+def test_an_old_reset_does_not_mask_a_new_stop() -> None:
+    stops = make([(True, StopDot(1, 0, 1)), (False, StopDot(1, 0, 1)), (True, StopDot(1, 0, 2))])
+    assert stops.latched

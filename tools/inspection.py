@@ -1,0 +1,153 @@
+"""`headland inspect`: what a live bus, a log or a run folder tells of every robot."""
+
+import asyncio
+import json
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import can
+from rich.console import Console
+from rich.table import Table
+
+from agent.fsm import to_mermaid
+from agent.lifecycle import TABLE, State
+from protocol.frame import Frame
+from sim.candump import read_candump
+from tools.attachment import AttachError, attach
+from tools.inspector import Inspector
+
+WRONG = 2
+HEARD_S = 0.3  # by then we are on the bus
+
+
+class SourceError(Exception):
+    """One line for the person."""
+
+
+def inspect(
+    source: Path | None, interface: str, channel: str, bitrate: int, host: str, port: int,
+    seconds: float, mermaid: bool, why: str | None, as_json: bool,
+) -> int:  # fmt: skip
+    if mermaid:
+        print(to_mermaid(TABLE, State.DISCONNECTED))
+        return 0
+    inspector = Inspector()
+    try:
+        section = _section(why)
+        if source is not None:
+            for t_us, frame in frames_of(source):
+                inspector.hear(t_us / 1e6, frame)
+        else:
+            asyncio.run(_listen(inspector, interface, channel, bitrate, host, port, seconds))
+    except (AttachError, SourceError) as problem:
+        print(f"headland: {problem}", file=sys.stderr)
+        return WRONG
+    if section is not None:
+        return _why(inspector, section, as_json)
+    if as_json:
+        print(json.dumps(inspector.to_dict()))
+    else:
+        _show(Console(), inspector.to_dict())
+    return 0
+
+
+def _section(why: str | None) -> int | None:
+    if why is None:
+        return None
+    digits = why.lstrip("Ss")
+    if not digits.isdigit() or int(digits) > 0xFFFF:
+        raise SourceError(f"--why {why}: a section is written S7")
+    return int(digits)
+
+
+def frames_of(source: Path) -> Iterator[tuple[int, Frame]]:
+    """Frames of a run folder, a candump log, or any log python-can reads (.asc .blf .csv .trc)."""
+    path = source / "can.log" if source.is_dir() else source
+    if not path.is_file():
+        raise SourceError(f"{source}: no such log, and no run folder with a can.log in it")
+    if path.suffix == ".log":
+        yield from read_candump(path)
+        return
+    try:
+        for message in can.LogReader(path):
+            if message.is_extended_id and not (message.is_error_frame or message.is_remote_frame):
+                yield (
+                    round(message.timestamp * 1e6),
+                    Frame(message.arbitration_id, bytes(message.data)),
+                )
+    except Exception as problem:  # log readers raise what they like on files that are none
+        raise SourceError(f"{path}: not a CAN log: {str(problem).splitlines()[0]}") from None
+
+
+async def _listen(
+    inspector: Inspector,
+    interface: str,
+    channel: str,
+    bitrate: int,
+    host: str,
+    port: int,
+    seconds: float,
+) -> None:
+    from tools.operator import Operator
+
+    bus = attach(interface, channel, bitrate, host, port)
+    loop = asyncio.get_running_loop()
+    try:
+        bus.subscribe(lambda frame: inspector.hear(loop.time(), frame))
+        operator = Operator(bus, None)
+        loop.call_later(HEARD_S, operator.ask_work)
+        await operator.listen(seconds)
+    finally:
+        bus.close()
+
+
+def _why(inspector: Inspector, section: int, as_json: bool) -> int:
+    chain = list(inspector.why(section))
+    if as_json:
+        print(json.dumps(chain))
+    for step in [] if as_json else chain:
+        print(
+            f"{step['t_s']:12.6f} s  robot {step['said_by']}: {step['frame']} {step['phase']} "
+            f"epoch {step['epoch']} bid {step['bid']} lamport {step['lamport']} owner {step['owner']}"
+        )
+    if not chain:
+        print(f"headland: nothing was heard of S{section}", file=sys.stderr)
+    return 0 if chain else 1
+
+
+def _show(console: Console, seen: dict[str, Any]) -> None:
+    table = Table(title=f"{len(seen['robots'])} robots, {seen['seconds']:.1f} s of the bus")
+    for column in (
+        "robot",
+        "address",
+        "state",
+        "peers",
+        "sections",
+        "vector clock",
+        "digest",
+        "path of states",
+    ):
+        table.add_column(column, overflow="fold")
+    for robot in seen["robots"]:
+        state = (
+            robot["state"]
+            + (" (silent)" if robot["silent"] else "")
+            + (" (left)" if robot["left"] else "")
+        )
+        clock = " ".join(f"{slot}:{count}" for slot, count in robot["clock"].items())
+        path = " > ".join(f"{t['to']}@{t['t_s']:.1f}" for t in robot["transitions"][-6:])
+        table.add_row(
+            str(robot["slot"]), str(robot["address"]), state, " ".join(map(str, robot["peers"])),
+            " ".join(robot["sections"]), clock, robot["digest"], path,
+        )  # fmt: skip
+    console.print(table)
+    done = sum(1 for s in seen["sections"].values() if s["phase"] == "DONE")
+    console.print(f"sections heard of: {len(seen['sections'])}, done: {done}")
+    console.print(f"frames: {', '.join(f'{n} {k}' for k, n in seen['frames'].items())}")
+    console.print(f"bus load at worst-case stuffing: {seen['bus_load_worst_case']:.1%}")
+    if seen["latched"]:
+        console.print(f"[bold red]EMERGENCY STOP latched: {', '.join(seen['latched'])}")
+    if seen["malformed"]:
+        console.print(f"malformed: {seen['malformed']}")

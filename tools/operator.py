@@ -1,0 +1,116 @@
+"""An operator's device on the bus: who is there, who stands stopped, and frames to say.
+
+Sans I/O but for `Bus.send`: the commands below (`estop`, `reset`) own the loop and the clock.
+"""
+
+import asyncio
+from dataclasses import dataclass
+from secrets import randbelow
+
+from agent.lifecycle import State
+from agent.ports import Bus
+from protocol.authentication import Keyring
+from protocol.codec import Malformed, decode, encode
+from protocol.fleet_frames import Heartbeat, Member, Pose
+from protocol.frame import Frame
+from protocol.messages import GROUP_OF, Message
+from protocol.network_frames import Request
+from protocol.safety_frames import Command, EmergencyReset, EmergencyStop, OperatorCommand
+from protocol.work_frames import REGISTERS, STOPS, StateSyncRequest
+from tools.attachment import TOOL_ADDRESS
+
+OPERATOR_SLOT = 249  # an operator device in dots and commands
+LIVE_S = 1.0  # heard within this: it has to stop
+EVERYBODY = 255
+ASK_S = 0.25
+
+
+@dataclass
+class Robot:
+    slot: int
+    address: int
+    heard_s: float
+    state: State = State.DISCONNECTED
+    stopped: bool = False
+    echoed: bool = False
+
+
+class Operator:
+    def __init__(self, bus: Bus, keyring: Keyring | None) -> None:
+        self.bus, self.keyring = bus, keyring
+        self.robots: dict[int, Robot] = {}
+        self.slot_of: dict[int, int] = {}
+        self.unknown: dict[int, float] = {}  # addresses that beat and have not said who they are
+        self.stops: set[tuple[int, int, int]] = set()
+        self.now_s = 0.0
+
+    def hear(self, now_s: float, frame: Frame) -> None:
+        self.now_s = now_s
+        source, message = decode(frame)
+        if isinstance(message, Malformed):
+            return
+        if isinstance(message, Member):
+            self.slot_of[source] = message.slot
+            self.unknown.pop(source, None)
+            self.robots.setdefault(
+                message.slot, Robot(message.slot, source, now_s)
+            ).address = source
+        if isinstance(message, EmergencyStop):
+            self.stops.add(message[:3])
+        slot = self.slot_of.get(source)
+        if slot is None:
+            if isinstance(message, Pose | Heartbeat):
+                self.unknown[source] = now_s
+            return
+        robot = self.robots[slot]
+        robot.heard_s = now_s
+        if isinstance(message, Pose | Heartbeat):
+            robot.state, robot.stopped = State(message.state), message.stopped
+            if isinstance(message, Heartbeat) and message.leaving:
+                del self.robots[slot]
+        elif isinstance(message, EmergencyStop) and message.echo:
+            robot.echoed = True
+
+    @property
+    def live(self) -> list[Robot]:
+        return [r for _, r in sorted(self.robots.items()) if self.now_s - r.heard_s < LIVE_S]
+
+    def send(self, message: Message) -> bool:
+        return self.bus.send(encode(message, TOOL_ADDRESS))
+
+    def ask_who(self) -> None:
+        self.send(Request(GROUP_OF[Member].pgn))
+
+    async def listen(self, seconds: float, stops: bool = False) -> None:
+        """Hear who is there; ask again, because an answer may come before we are on the bus."""
+        loop = asyncio.get_running_loop()
+        end_s = loop.time() + seconds
+        while loop.time() < end_s:
+            self.ask_who()
+            if stops:
+                self.ask_stops()
+            await asyncio.sleep(min(ASK_S, max(end_s - loop.time(), 0.0)))
+        self.now_s = loop.time()
+
+    def ask_work(self) -> None:
+        """Somebody tells the registers and the progress of the fleet."""
+        self.send(StateSyncRequest(0, 0, REGISTERS, 0))
+
+    def ask_stops(self) -> None:
+        """Latched robots answer with the stops they hold."""
+        self.send(StateSyncRequest(0, 0, STOPS, 0))
+
+    def new_stop(self, reason: int) -> EmergencyStop:
+        """A dot nobody has used: two random bytes, tried again by the caller if nobody latches."""
+        return EmergencyStop(OPERATOR_SLOT, randbelow(256), randbelow(256), reason)
+
+    def stop(self, message: EmergencyStop) -> None:
+        self.send(message if self.keyring is None else self.keyring.sign(message))
+
+    def clear(self, dot: tuple[int, int, int]) -> None:
+        message = EmergencyReset(*dot, OPERATOR_SLOT)
+        self.send(message if self.keyring is None else self.keyring.sign(message))
+
+    def command(self, command: Command, target: int = EVERYBODY, argument: int = 0) -> None:
+        message = OperatorCommand(command, target, OPERATOR_SLOT, argument)
+        self.send(message if self.keyring is None else self.keyring.sign(message))

@@ -1,0 +1,77 @@
+"""`headland reset`: clear the stops that are shown, reset each machine, and start only if told to."""
+
+import asyncio
+import json
+import sys
+from pathlib import Path
+
+from agent.lifecycle import State
+from protocol.safety_frames import AllImplementsStop, Command, Switch
+from tools.attachment import AttachError, attach
+from tools.estop import NOT_ALL, WRONG, keyring_of, listen_to
+from tools.operator import Operator
+
+LISTEN_S = 0.7  # latched robots repeat the dots they know to those that beat without being stopped
+STEP_S = 0.1
+
+
+def reset(
+    interface: str, channel: str, bitrate: int, host: str, port: int, keys: Path | None,
+    start: bool, timeout: float, as_json: bool,
+) -> int:  # fmt: skip
+    try:
+        return asyncio.run(
+            _reset(interface, channel, bitrate, host, port, keys, start, timeout, as_json)
+        )
+    except AttachError as problem:
+        print(f"headland: {problem}", file=sys.stderr)
+        return WRONG
+
+
+async def _reset(
+    interface: str, channel: str, bitrate: int, host: str, port: int, keys: Path | None,
+    start: bool, timeout_s: float, as_json: bool,
+) -> int:  # fmt: skip
+    bus = attach(interface, channel, bitrate, host, port)
+    try:
+        operator = Operator(bus, keyring_of(keys))
+        listen_to(bus, operator)
+        await operator.listen(LISTEN_S, stops=True)
+        cleared = sorted(operator.stops)
+        left = await _release(operator, start, timeout_s)
+        if as_json:
+            print(json.dumps({"cleared": [list(dot) for dot in cleared], "not_released": left}))
+        else:
+            shown = ", ".join(".".join(map(str, dot)) for dot in cleared) or "none was shown"
+            print(f"stops cleared: {shown}")
+            for robot in operator.live:
+                print(
+                    f"robot {robot.slot}: {'NOT RELEASED' if robot.slot in left else robot.state.name}"
+                )
+        return 0 if operator.live and not left else NOT_ALL
+    finally:
+        bus.close()
+
+
+async def _release(operator: Operator, start: bool, timeout_s: float) -> list[int]:
+    """Clear, reset machine by machine, and start; returns the robots that still stand latched."""
+    loop = asyncio.get_running_loop()
+    begun_s = loop.time()
+    while True:
+        for dot in sorted(operator.stops):
+            operator.clear(dot)
+        operator.send(AllImplementsStop(0, Switch.PERMIT))
+        await asyncio.sleep(STEP_S)
+        for robot in operator.live:
+            if robot.state is State.EMERGENCY_STOP:
+                operator.command(Command.MANUAL_RESET, robot.slot)
+        await asyncio.sleep(STEP_S)
+        operator.now_s = loop.time()
+        left = [r.slot for r in operator.live if r.stopped or r.state is State.DISCONNECTED]
+        if not left or loop.time() - begun_s >= timeout_s:
+            break
+    if start and not left:
+        for _ in range(3):  # a start that is lost is only an inconvenience, but an annoying one
+            operator.command(Command.START)
+            await asyncio.sleep(STEP_S)
+    return left

@@ -1,0 +1,68 @@
+"""`headland warmup`: compile the kernels once, so that no robot waits for it in the field."""
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+from rich.console import Console
+
+
+def _paths() -> None:
+    from agent.theta_star import plan
+
+    plan(np.zeros((8, 8), dtype=bool), (0, 0), (7, 7))
+
+
+def _avoidance() -> None:
+    from agent.orca import Avoidance
+
+    fences = np.array([[0.0, 0.0, 9.0, 0.0]])
+    robot = Avoidance(0.5, 2.0, 1.0, 4.0, 0.05, fences)
+    rows: list[tuple[float, ...]] = [
+        (1.5, 0.1, -1.0, 0.0, 1.0, 0.5),
+        (0.1, 1.2, 0.0, -1.0, 1.0, 0.5),
+    ]
+    robot.velocity((3.0, 1.0), (1.0, 0.0), (1.5, 0.0), rows)
+
+
+def _wire() -> None:
+    from sim.bits import frame_bits
+
+    frame_bits(0x18FF1080, bytes(8))
+
+
+def _world() -> None:
+    from shapely.geometry import box
+
+    from agent.effects import Drive
+    from sim.coverage_truth import coverage, sample_points
+    from sim.vehicle import Chassis
+    from sim.world import World
+
+    world = World([[(0.0, 0.0), (20.0, 0.0), (20.0, 20.0), (0.0, 20.0)]], 0)
+    world.add_robot(0, (5.0, 5.0), 0.5, Chassis())
+    world.body(0).drive(Drive(1.0, 0.0, 0.0, True), 0)
+    world.advance(1_000_000)
+    raster = sample_points(box(0, 0, 20, 20), 2.0, 0.2)
+    coverage(raster, {0: world.body(0).track}, 2.0)
+
+
+PARTS: tuple[tuple[str, Callable[[], None]], ...] = (
+    ("paths", _paths),
+    ("avoidance", _avoidance),
+    ("wire", _wire),
+    ("world", _world),
+)
+
+
+def main() -> int:
+    console = Console()
+    begun_s = time.perf_counter()
+    for name, part in PARTS:
+        start_s = time.perf_counter()
+        with console.status(f"compiling {name} ..."):
+            part()
+        console.print(f"{name:10} {time.perf_counter() - start_s:6.1f} s")
+    total_s = time.perf_counter() - begun_s
+    console.print(f"ready after {total_s:.1f} s; a first start without this takes that much longer")
+    return 0
