@@ -3,8 +3,6 @@
 from math import pi, remainder
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from agent.config import ACTUATOR_TTL_US
 from agent.effects import HALT, Drive
 from agent.ports import Observation
@@ -25,7 +23,6 @@ class RobotBody:
         self.radius_m, self.chassis = radius_m, chassis
         self.track = Track()
         self.frozen = False  # fault: the actuator hears nothing new
-        self._ranges = np.empty(0 if world.lidar is None else world.lidar.rays)
 
     @property
     def position(self) -> XY:
@@ -45,10 +42,7 @@ class RobotBody:
         world = self.world
         world.advance(now_us)
         x_m, y_m, heading, vx_m_s, vy_m_s, _, _ = world.motion[self.index].tolist()
-        ranges_m: tuple[float, ...] = ()
-        if world.lidar is not None:
-            world.scan(self.index, self._ranges)
-            ranges_m = tuple(self._ranges.tolist())
+        ranges_m = world.ranges(self.index)
         return Observation(x_m, y_m, remainder(heading, 2 * pi), vx_m_s, vy_m_s, ranges_m)
 
     def drive(self, command: Drive, now_us: int) -> None:

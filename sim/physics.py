@@ -32,7 +32,7 @@ class Physics:
         self._inertia = np.zeros((0, 3))  # kg, kg, kg m2
         self._got, self._put = batch.Buffer(), batch.Buffer()
         self._forces = np.zeros((0, 3))
-        self._order = np.zeros(0, dtype=np.intp)  # the row of each robot
+        self._order: slice | NDArray[np.intp] = slice(0)  # the rows of the robots
         self._stale = True  # bodies came since the rows were laid out
 
     def add_robot(self, x_m: float, y_m: float, heading_rad: float, radius_m: float) -> None:
@@ -71,7 +71,9 @@ class Physics:
         batch.get_space_bodies(self.space, batch.BodyFields.BODY_ID, buffer)
         listed = np.frombuffer(buffer.int_buf(), dtype=np.uintp).tolist()
         row_of = {number: row for row, number in enumerate(listed)}
-        self._order = np.array([row_of[body.id] for body in self._robots], dtype=np.intp)
+        rows = [row_of[body.id] for body in self._robots]
+        in_front = rows == list(range(len(rows)))  # and then no copy is needed
+        self._order = slice(len(rows)) if in_front else np.array(rows)
         self._forces = np.zeros((len(listed), 3))
         self._put.set_float_buf(self._forces)
         self._stale = False

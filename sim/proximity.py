@@ -17,7 +17,7 @@ NEAREST_ROBOT, NEAREST_WALL = 0, 1
 STANDING_M_S = 1e-3  # slower than this is standing
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _to_segment(floats, k, x, y):  # type: ignore[no-untyped-def]
     ax, ay, dx, dy = floats[k]
     px, py = x - ax, y - ay
@@ -26,7 +26,7 @@ def _to_segment(floats, k, x, y):  # type: ignore[no-untyped-def]
     return sqrt(px * px + py * py)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _to_walls(floats, ints, x, y, reach):  # type: ignore[no-untyped-def]
     """Distance to the nearest segment; inf where there is none within reach."""
     if ints[0] == 0:
@@ -45,7 +45,7 @@ def _to_walls(floats, ints, x, y, reach):  # type: ignore[no-untyped-def]
     return nearest
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _to_obstacle(row, x, y):  # type: ignore[no-untyped-def]
     """Distance to a box or a disc, negative inside a disc, 0 inside a box."""
     px, py = x - row[AT_X], y - row[AT_Y]
@@ -56,7 +56,7 @@ def _to_obstacle(row, x, y):  # type: ignore[no-untyped-def]
     return sqrt(u * u + v * v)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def watch(motion, floats, ints, obstacles, moved_us, now_us, nearest, touches):  # type: ignore[no-untyped-def]
     """Write overlaps to `touches` (first, second, depth in metres) and return how many there are.
 
@@ -95,7 +95,7 @@ def watch(motion, floats, ints, obstacles, moved_us, now_us, nearest, touches): 
     return found
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def crossings(motion, floats, odd):  # type: ignore[no-untyped-def]
     """Per robot 1 where a line from it to the east crosses the fences an odd number of times."""
     for i in range(motion.shape[0]):

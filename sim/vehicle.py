@@ -104,43 +104,43 @@ def row_of(chassis: Chassis) -> list[float]:
     return row
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def mecanum_wheels(r: float, arm_m: float, vx: float, vy: float, turn: float) -> Any:
     """Wheel speeds from body velocity; `arm_m` is L + W."""
     a = arm_m * turn
     return (vx - vy - a) / r, (vx + vy + a) / r, (vx + vy - a) / r, (vx - vy + a) / r
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def mecanum_body(r: float, arm_m: float, fl: float, fr: float, rl: float, rr: float) -> Any:
     """Body velocity from wheel speeds: the least-squares inverse."""
     q = r / 4
     return q * (fl + fr + rl + rr), q * (-fl + fr + rl - rr), q * (-fl + fr - rl + rr) / arm_m
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def differential_wheels(r: float, half_track_m: float, vx: float, turn: float) -> Any:
     return (vx - half_track_m * turn) / r, (vx + half_track_m * turn) / r
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def differential_body(r: float, half_track_m: float, left: float, right: float) -> Any:
     return r * (left + right) / 2, r * (right - left) / (2 * half_track_m)
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def ackermann_wheels(r: float, half_base_m: float, vx: float, turn: float) -> Any:
     """(axle speed, steering angle); straight ahead where it stands."""
     steer = atan(2 * half_base_m * turn / vx) if abs(vx) > 1e-9 else 0.0
     return vx / r, steer
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def ackermann_body(r: float, half_base_m: float, axle: float, steer: float) -> Any:
     return r * axle, r * axle * tan(steer) / (2 * half_base_m)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _noise(key, step, wheel):  # type: ignore[no-untyped-def]
     """Mean 0, deviation 1, within 3.5: four 16-bit numbers of one splitmix64 hash, added."""
     z = key + (np.uint64(step) * np.uint64(4) + np.uint64(wheel)) * np.uint64(0x9E3779B97F4A7C15)
@@ -152,7 +152,7 @@ def _noise(key, step, wheel):  # type: ignore[no-untyped-def]
     return (float(a + b + c + d) / 65535.0 - 2.0) * 1.7320508075688772
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _tractor(row, speed, ahead, left, turn):  # type: ignore[no-untyped-def]
     """Body velocity (forward, turn) a tractor should have for a commanded course."""
     off = atan2(left, ahead)
@@ -169,7 +169,7 @@ def _tractor(row, speed, ahead, left, turn):  # type: ignore[no-untyped-def]
     return (-along if row[BACKING] == 1.0 else along), turn
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _wanted(row, ahead, left, turn):  # type: ignore[no-untyped-def]
     """Four wheel numbers for a body-frame command, within the wheels' limits."""
     kind = row[KIND]
@@ -192,7 +192,7 @@ def _wanted(row, ahead, left, turn):  # type: ignore[no-untyped-def]
     return a * scale, b * scale, c * scale, d * scale
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _turn_wheels(row, a, b, c, d, still):  # type: ignore[no-untyped-def]
     """The wheels follow what is wanted of them as far as one step's torque goes."""
     change = (row[BRAKE] if still else row[GAIN]) * STEP_S
@@ -214,7 +214,7 @@ def _turn_wheels(row, a, b, c, d, still):  # type: ignore[no-untyped-def]
     row[w + 3] += dd * part
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _push(m, vx, vy, turn, push):  # type: ignore[no-untyped-def]
     """The acceleration towards what the wheels do, as far as tyres grip."""
     ax, ay, spin = (vx - m[VX]) / STEP_S, (vy - m[VY]) / STEP_S, (turn - m[TURN]) / STEP_S
@@ -224,7 +224,7 @@ def _push(m, vx, vy, turn, push):  # type: ignore[no-untyped-def]
     push[2] = min(max(spin, -SPIN_RAD_S2), SPIN_RAD_S2)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def roll(rows, motion, keys, now_us, push):  # type: ignore[no-untyped-def]
     """One step of every robot's wheels, from the commands in force at `now_us`.
 

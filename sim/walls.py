@@ -6,7 +6,8 @@ is packed in two arrays, `floats` and `ints`, because each argument of a compile
     floats[0]    west, south, side of the buckets, -
     floats[1]    west, south, side of the blocked cells, 1 if there are any
     floats[2+k]  segment k: x, y, and from there to its end: dx, dy
-    ints         segments, columns, rows, then where each bucket begins in ..., then ..., the items
+    ints         segments, columns, rows, stamp; then for each bucket where it begins among the
+                 items; the items; and the stamp of the last scan that met each segment
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -22,7 +23,7 @@ Ints = NDArray[np.int32]
 
 BUCKETS_MAX = 250_000  # 1 MB of offsets; larger worlds get larger buckets
 OBSTACLES_MAX = 256  # each is looked at by each ray: more belong in the map
-FIRST, HEAD = 2, 3  # first segment row of `floats`, first offset of `ints`
+FIRST, STAMP, HEAD = 2, 3, 4  # first segment of `floats`; the stamp, the first bucket of `ints`
 FREE, BOX, DISC = 0.0, 1.0, 2.0
 SHAPE, AT_X, AT_Y, HALF_X, HALF_Y, COS, SIN = range(7)  # a row of obstacles
 OBSTACLE_COLUMNS = 7  # the radius of a disc is its HALF_X
@@ -78,7 +79,7 @@ class Walls:
         if grid is not None:
             self.floats[1] = (grid.west_m, grid.south_m, grid.cell_m, 1.0)
             self.blocked = np.ascontiguousarray(grid.blocked)
-        self.ints: Ints = np.array([len(segments), 1, 1, 0, 0], dtype=np.int32)
+        self.ints: Ints = np.array([0, 1, 1, 0, 0, 0], dtype=np.int32)
         if len(segments):
             self._bucket(segments)
 
@@ -97,8 +98,9 @@ class Walls:
         items = np.empty(int(offsets[-1]), dtype=np.int32)
         cursor = offsets.copy()
         _fill(self.floats, columns, rows, cursor, items)
-        head = np.array([len(segments), columns, rows], dtype=np.int32)
-        self.ints = np.concatenate((head, offsets, items))
+        head = np.array([len(segments), columns, rows, 0], dtype=np.int32)
+        stamps = np.zeros(FIRST + len(segments), dtype=np.int32)
+        self.ints = np.concatenate((head, offsets, items, stamps))
 
 
 @njit(cache=True)

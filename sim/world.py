@@ -18,7 +18,7 @@ import pymunk
 from numpy.typing import NDArray
 
 from sim.body import RobotBody
-from sim.lidar import Lidar, scan
+from sim.lidar import RANGE, Lidar, scan
 from sim.physics import Physics
 from sim.proximity import (
     FENCE,
@@ -64,7 +64,7 @@ class World:
         self._grid = grid
         edges = [*ring_edges(rings), *(grid.edges() if grid is not None else ())]
         self._solid = Walls(edges) if grid is not None else self._fences
-        self._rays = lidar.table() if lidar is not None else np.empty((1, 2))
+        self._beams = (lidar or Lidar()).beams()
         self._nearest = np.array([inf, inf])
         self._touches = np.empty((TOUCHES_MAX, 3))
         self._touching: dict[tuple[int, int], Contact] = {}
@@ -227,8 +227,11 @@ class World:
             )
         self._outside = through
 
-    def scan(self, index: int, out: NDArray[np.float64]) -> None:
-        """Ranges of the robot in that row, see `sim.lidar`."""
+    def ranges(self, index: int) -> tuple[float, ...]:
+        """What the range sensors of the robot in that row say now; none without sensors."""
+        if self.lidar is None:
+            return ()
         fences = self._fences
         scan(self.motion, index, fences.floats, fences.ints, fences.blocked, self._standing,
-             self._rays, out)  # fmt: skip
+             self.lidar.range_m, self._beams)  # fmt: skip
+        return tuple(self._beams[RANGE, : self.lidar.rays].tolist())
