@@ -1,0 +1,97 @@
+"""A bus cut in two while robots work, and healed: both sides work on, nothing is lost or redone.
+
+What happened is judged from the frames on the wire and from the world, not from any peer.
+"""
+
+from collections import defaultdict
+
+import pytest
+
+from crdt import Phase
+from protocol.codec import decode_once
+from protocol.frame import Frame
+from protocol.work_frames import TaskClaim
+from sim.cluster import Cluster
+from sim.clock import run_virtual
+from sim.faults import FaultPlan
+from sim.scenario import Heal, Partition, Scenario, load
+from sim.setting import Setting
+
+CUT_S, HEAL_S, END_S = 30.0, 80.0, 600.0
+ISLANDS = ([0, 1], [2, 3])
+
+
+class Watch:
+    """What the wire said: who started and finished which section, and when."""
+
+    def __init__(self) -> None:
+        self.started: dict[int, list[tuple[float, int]]] = defaultdict(list)
+        self.done: dict[int, list[tuple[float, int]]] = defaultdict(list)
+
+    def __call__(self, t_us: int, frame: Frame) -> None:
+        _, message = decode_once(frame)
+        if isinstance(message, TaskClaim):
+            if message.phase == Phase.STARTED:
+                self.started[message.section].append((t_us / 1e6, message.owner))
+            elif message.phase == Phase.DONE:
+                self.done[message.section].append((t_us / 1e6, message.owner))
+
+
+def split(seed: int) -> Scenario:
+    faults = [
+        Partition(at_s=CUT_S, kind="partition", islands=[list(i) for i in ISLANDS]),
+        Heal(at_s=HEAL_S, kind="heal"),
+    ]
+    return load("small").changed(4, seed).model_copy(update={"fault": faults})
+
+
+async def play(setting: Setting, watch: Watch) -> Cluster:
+    import asyncio
+
+    cluster = Cluster(setting, f"partition {setting.scenario.run.seed}")
+    cluster.segment.taps.append(watch)
+    cluster.boot_all()
+    script = asyncio.create_task(FaultPlan(cluster).run())
+    loop = asyncio.get_running_loop()
+    while loop.time() < END_S and not (cluster.finished and loop.time() > HEAL_S + 5):
+        await asyncio.sleep(1.0)
+        cluster.check()
+    script.result()
+    await cluster.close()
+    return cluster
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_cut_and_heal(seed: int) -> None:
+    setting, watch = Setting(split(seed)), Watch()
+    cluster = run_virtual(play(setting, watch))
+    replay = f"seed {seed}"
+
+    for island in ISLANDS:  # both sides kept working while they were apart
+        worked = [
+            owner
+            for events in (*watch.started.values(), *watch.done.values())
+            for t_s, owner in events
+            if CUT_S + 3 < t_s < HEAL_S and owner in island
+        ]
+        assert worked, f"side {island} stood still; {replay}"
+
+    replicas = [robot.peer for robot in cluster.robots.values()]
+    assert len({peer.allocation.serialize() for peer in replicas}) == 1, replay
+    assert len({peer.progress.serialize() for peer in replicas}) == 1, replay
+    assert replicas[0].allocation.done_count() == len(setting.field.sections), replay
+
+    settled_s = HEAL_S + 5.0
+    for section, finishes in watch.done.items():
+        first_s = min(t_s for t_s, _ in finishes)
+        late = [t_s for t_s, _ in watch.started[section] if t_s > max(first_s, settled_s)]
+        assert not late, f"S{section} was finished at {first_s:.1f} and started again; {replay}"
+        after = [t_s for t_s, _ in watch.started[section] if t_s > settled_s]
+        assert len(after) <= 1, f"S{section} was started twice after the heal; {replay}"
+        again = [t_s for t_s, _ in finishes if t_s > settled_s]
+        assert len(again) <= 1, f"S{section} was finished twice after the heal; {replay}"
+
+    units = {s.id: s.units for s in setting.field.sections}
+    assert all(replicas[0].progress.covered(s) == n for s, n in units.items()), replay
+    robots = [c for c in cluster.world.contacts]
+    assert not robots, f"{robots}; {replay}"
