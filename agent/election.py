@@ -29,17 +29,18 @@ class Election:
         self.term = term  # the highest term seen
         self.votes: dict[int, int] = {}  # voter -> candidate, of this term
         self.leader: Leader | None = None
+        self._live: frozenset[int] = frozenset({slot})
 
     def call(self, live: frozenset[int]) -> LeaderElectionVote | None:
-        """Vote in the current term, or open a new one where the leader is gone. None: nothing to do."""
-        if self.leader is not None and self.leader.slot in live:
-            return None
-        if self.leader is not None or self.slot in self.votes:
-            voted_for = self.votes.get(self.slot)
-            if self.leader is None and voted_for in live:
-                return None  # our vote stands; the rest have not voted yet
+        """The live view changed: vote, vote again for those that have just come, or open a new
+        term where the leader is gone or the votes are split. None: nothing to say."""
+        gained, self._live = live - self._live, live
+        if self.leader is not None and self.leader.slot not in live:
             self._open(self.term + 1)
-        return self._vote(live)
+        if self.slot not in self.votes:
+            return self._vote(live)
+        self._count(live)
+        return self._next_term(live) or (self._vote(live) if gained else None)
 
     def receive(
         self, voter: int, vote: LeaderElectionVote, live: frozenset[int]
@@ -54,7 +55,14 @@ class Election:
         if self.slot not in self.votes:
             answer = self._vote(live)
         self._count(live)
-        return answer
+        return self._next_term(live) or answer
+
+    def _next_term(self, live: frozenset[int]) -> LeaderElectionVote | None:
+        """Everybody has voted and nobody has a majority: vote again, with the views of now."""
+        if self.leader is not None or not live <= self.votes.keys():
+            return None
+        self._open(self.term + 1)
+        return self._vote(live)
 
     def _vote(self, live: frozenset[int]) -> LeaderElectionVote:
         # Everybody prefers the lowest live slot, so one round settles it where views are equal.
@@ -67,6 +75,7 @@ class Election:
 
     def _count(self, live: frozenset[int]) -> None:
         heard = [candidate for voter, candidate in self.votes.items() if voter in live]
+        self.leader = None
         for candidate in sorted(set(heard)):
             if 2 * heard.count(candidate) > len(live):
                 self.leader = Leader(self.term, candidate)

@@ -6,8 +6,11 @@ and never further from the line than the overlap allows; what was missed is work
 """
 
 from collections.abc import Mapping
-from math import cos, hypot, sin
+from math import cos, hypot, inf, sin
 from typing import NamedTuple
+
+from shapely.geometry import LineString
+from shapely.geometry import Point as Spot
 
 from agent.allocator import Job, Point, shares
 from agent.config import LEASE_US
@@ -19,6 +22,7 @@ from agent.tracker import Tracker
 from crdt import Phase
 
 MAKE_WAY_M = 6.0  # an idle robot keeps this far from one that works
+BLOCKED_M = 0.4  # margin of ORCA and of tracking, round a body that stands on a swath
 NEAR_END_S = 5.0  # claim the next section when this much work is left
 
 
@@ -52,9 +56,14 @@ def _beyond(a: Point, b: Point) -> Point:
 
 class FieldWork:
     def __init__(
-        self, field: Field, route: Route, speed_m_s: float, deceleration_m_s2: float
+        self,
+        field: Field,
+        route: Route,
+        radius_m: float,
+        speed_m_s: float,
+        deceleration_m_s2: float,
     ) -> None:
-        self.field, self.route = field, route
+        self.field, self.route, self.radius_m = field, route, radius_m
         self.speed_m_s, self.deceleration_m_s2 = speed_m_s, deceleration_m_s2
         self.tolerance_m = field.tracking_tolerance_m
         self.reserved: dict[int, list[int]] = {}  # silent member -> its sections, in its order
@@ -67,6 +76,10 @@ class FieldWork:
         self.worked: set[int] = set()  # units of the current section done since it was begun
         self.heading_to: int | None = None  # the section an approach path leads to
         self._plan: dict[int, list[Job]] = {}
+        self.way = route  # the same with silent bodies in it
+        self._silent: tuple[int, ...] = ()
+        self._blocked_by: tuple[int, tuple[int, ...]] = (-1, ())
+        self._blocked_units: frozenset[int] = frozenset()
 
     @property
     def section_units(self) -> Mapping[int, int]:
@@ -160,6 +173,7 @@ class FieldWork:
     # ---------------------------------------------------------------- working
 
     def approach(self, section: int, view: FleetView) -> Wish:
+        self._look_round(view)
         if self.heading_to != section:
             self.heading_to = section
             legs = self._legs(self.field.section(section), view)
@@ -174,6 +188,10 @@ class FieldWork:
     def abandon(self) -> None:
         self.section, self.heading_to = None, None
         self.legs, self.tracker = [], None
+
+    def interrupted(self) -> None:
+        """The implement is up: the unit under way, if there is one, has to be worked again."""
+        self.worst_m = inf
 
     def rest(self, view: FleetView) -> Wish:
         """No work for us: stand, but not where somebody works."""
@@ -191,6 +209,7 @@ class FieldWork:
             (section,) = view.allocation.assigned_sections(view.slot)[:1]
             self.begin(section, view)
         assert self.section is not None
+        self._look_round(view)
         wish, covered = self._drive(view)
         self.worked.update(covered)
         missing = self._missing(view)
@@ -203,10 +222,50 @@ class FieldWork:
         return wish._replace(covered=tuple(covered), near_end=left_s < NEAR_END_S)
 
     def _missing(self, view: FleetView) -> int:
+        """Units of the section that nobody has covered and that can be."""
         assert self.section is not None
         section = self.section
-        told = sum(1 for unit in self.worked if not view.progress.has(section.id, unit))
-        return section.units - view.progress.covered(section.id) - told
+        known = view.progress.covered(section.id)
+        known += sum(1 for unit in self.worked if not view.progress.has(section.id, unit))
+        if known == section.units:
+            return 0
+        blocked = sum(
+            1
+            for unit in self._blocked(view)
+            if unit not in self.worked and not view.progress.has(section.id, unit)
+        )
+        return section.units - known - blocked
+
+    def _look_round(self, view: FleetView) -> None:
+        """Bodies of silent members are obstacles from now on, or no longer."""
+        silent = tuple(sorted(slot for slot in view.silent_since_us if slot in view.neighbours))
+        if silent == self._silent:
+            return
+        self._silent = silent
+        bodies = [(n.pose.x_m, n.pose.y_m) for n in (view.neighbours[slot] for slot in silent)]
+        reach_m = 2 * self.radius_m + BLOCKED_M
+        self.way = self.route.round(bodies, reach_m) if bodies else self.route
+        self.legs, self.tracker, self.heading_to = [], None, None
+        if self.section is not None:
+            self.legs = self._legs(self.section, view)
+
+    def _blocked(self, view: FleetView) -> frozenset[int]:
+        """Units on which a silent member's body stands: they cannot be worked before it is towed
+        away, and stay uncovered in the progress for everybody to see."""
+        assert self.section is not None
+        silent = tuple(sorted(slot for slot in view.silent_since_us if slot in view.neighbours))
+        if not silent:
+            return frozenset()
+        if self._blocked_by != (self.section.id, silent):
+            reach_m = 2 * self.radius_m + BLOCKED_M
+            bodies = [view.neighbours[slot].pose for slot in silent]
+            self._blocked_by = (self.section.id, silent)
+            self._blocked_units = frozenset(
+                unit
+                for unit, line in enumerate(self.section.unit_lines())
+                if any(LineString(line).distance(Spot(b.x_m, b.y_m)) < reach_m for b in bodies)
+            )
+        return self._blocked_units
 
     def _drive(self, view: FleetView) -> tuple[Wish, list[int]]:
         here = view.here
@@ -243,16 +302,22 @@ class FieldWork:
                 break
             if self.worst_m <= self.tolerance_m:
                 passed.append(self.leg.units[self.unit])
-            self.unit, self.worst_m = self.unit + 1, abs(self.tracker.off_m)
+            self.unit += 1
+            self.worst_m = abs(self.tracker.off_m)
         return passed
 
     def _legs(self, section: Section, view: FleetView) -> list[Leg]:
         """From here: the uncovered stretches of the section, nearest end first, joined by transits."""
         mine = self.worked if self.section is section else frozenset[int]()
+        blocked = self._blocked(view) if self.section is section else frozenset[int]()
         stretches = [
             working_leg(points, units)
             for points, units in section.stretches(
-                lambda unit: unit not in mine and not view.progress.has(section.id, unit)
+                lambda unit: (
+                    unit not in mine
+                    and unit not in blocked
+                    and not view.progress.has(section.id, unit)
+                )
             )
         ]
         if not stretches:
@@ -266,7 +331,7 @@ class FieldWork:
             if _distance(at, last) + 1e-6 < _distance(at, first):
                 leg = Leg(leg.points[::-1], leg.units[::-1])
             if _distance(at, leg.points[0]) > self.tolerance_m:
-                legs.append(Leg(self.route.path(at, leg.points[0])))
+                legs.append(Leg(self.way.path(at, leg.points[0])))
             legs.append(leg)
             at = leg.points[-1]
         return legs

@@ -1,6 +1,7 @@
 """Ways through a field or a building in metres: the any-angle planner behind a grid."""
 
 import itertools
+from collections.abc import Sequence
 from math import hypot
 
 import numpy as np
@@ -21,6 +22,18 @@ class Route:
         self.blocked, self.cell_m = blocked, cell_m
         self.origin_x_m, self.origin_y_m = origin_x_m, origin_y_m
         self.planner = Planner(blocked)
+
+    def round(self, bodies: Sequence[Point], reach_m: float) -> "Route":
+        """The same with a disc blocked round each body that stands: another grid, made when a
+        robot falls silent, not for every path."""
+        rows, columns = self.blocked.shape
+        x_m = self.origin_x_m + (np.arange(columns) + 0.5) * self.cell_m
+        y_m = self.origin_y_m + (np.arange(rows) + 0.5) * self.cell_m
+        blocked = self.blocked.copy()
+        for body_x_m, body_y_m in bodies:
+            gap2 = (x_m[None, :] - body_x_m) ** 2 + (y_m[:, None] - body_y_m) ** 2
+            blocked |= gap2 < reach_m * reach_m
+        return Route(blocked, self.origin_x_m, self.origin_y_m, self.cell_m)
 
     def path(self, start: Point, goal: Point) -> tuple[Point, ...]:
         """Waypoints from start to goal, both included exactly; the straight line where none is found.

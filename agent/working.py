@@ -43,7 +43,10 @@ class Working:
         effects: list[Effect] = []
         peer.wish = self._wish(peer.view(now_us), effects)
         wanted = peer.motion.drive(peer.here, peer.wish, peer.membership.neighbours, now_us)
-        return [peer.safety.gate(wanted, now_us), *effects]
+        drive = peer.safety.gate(wanted, now_us)
+        if not drive.tool_on:
+            peer.mission.interrupted()
+        return [drive, *effects]
 
     def _wish(self, view: FleetView, effects: list[Effect]) -> Wish:
         peer, now_us = self.peer, view.now_us

@@ -181,6 +181,8 @@ class Sync:
     ) -> set[int]:
         """An entry was heard: strike it from what we wanted to say, or correct it."""
         entry = (kind, name)
+        if relayed and self._request_us is not None:
+            self._request_us = max(self._request_us, now_us + ROUND_US)  # we are being told
         if relayed or self.synchronizing:
             self._speak_us = max(self._speak_us, now_us + GAP_US + self._rank() * FRAME_US // 4)
         if stale:

@@ -49,7 +49,7 @@ def make_peer(setting: Setting, slot: int, now_us: int, recalled: Mapping[str, b
     """The peer of one slot of a scenario; the same on a virtual clock and in a process of its own."""
     fleet = setting.scenario.fleet
     braking_m_s2 = BRAKING_SHARE * fleet.acceleration_m_s2
-    work = FieldWork(setting.field, setting.route, fleet.speed_m_s, braking_m_s2)
+    work = FieldWork(setting.field, setting.route, fleet.radius_m, fleet.speed_m_s, braking_m_s2)
     limits = Limits(fleet.radius_m, fleet.speed_m_s, fleet.acceleration_m_s2)
     identity = Identity(
         slot=slot,

@@ -11,8 +11,8 @@ from crdt import Phase
 from protocol.codec import decode_once
 from protocol.frame import Frame
 from protocol.work_frames import TaskClaim
-from sim.cluster import Cluster
 from sim.clock import run_virtual
+from sim.cluster import Cluster
 from sim.faults import FaultPlan
 from sim.scenario import Heal, Partition, Scenario, load
 from sim.setting import Setting
@@ -93,5 +93,4 @@ def test_cut_and_heal(seed: int) -> None:
 
     units = {s.id: s.units for s in setting.field.sections}
     assert all(replicas[0].progress.covered(s) == n for s, n in units.items()), replay
-    robots = [c for c in cluster.world.contacts]
-    assert not robots, f"{robots}; {replay}"
+    assert not cluster.world.contacts, f"{cluster.world.contacts}; {replay}"

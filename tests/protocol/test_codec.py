@@ -11,13 +11,24 @@ from protocol.fleet_frames import Heartbeat, LeaderElectionVote, Member, Pose, V
 from protocol.frame import Frame
 from protocol.messages import GROUPS
 from protocol.network_frames import (
-    Acknowledgment, AddressClaimed, Request, TransportData, TransportManagement,
+    Acknowledgment,
+    AddressClaimed,
+    Request,
+    TransportData,
+    TransportManagement,
 )  # fmt: skip
 from protocol.safety_frames import (
-    AllImplementsStop, EmergencyReset, EmergencyStop, OperatorCommand,
+    AllImplementsStop,
+    EmergencyReset,
+    EmergencyStop,
+    OperatorCommand,
 )  # fmt: skip
 from protocol.work_frames import (
-    Digests, StateSyncRequest, StateSyncResponse, TaskClaim, WorkProgress,
+    Digests,
+    StateSyncRequest,
+    StateSyncResponse,
+    TaskClaim,
+    WorkProgress,
 )  # fmt: skip
 
 u8, u16, u24 = st.integers(0, 0xFF), st.integers(0, 0xFFFF), st.integers(0, 0xFFFFFF)
@@ -40,9 +51,7 @@ KINDS: dict[Any, st.SearchStrategy[Any]] = {
     AddressClaimed: st.builds(AddressClaimed, st.integers(0, (1 << 64) - 1)),
     Request: st.builds(Request, u24),
     Acknowledgment: st.builds(Acknowledgment, st.integers(0, 3), u8, u8, u24),
-    TransportManagement: st.builds(
-        TransportManagement, u8, st.binary(min_size=4, max_size=4), u24
-    ),
+    TransportManagement: st.builds(TransportManagement, u8, st.binary(min_size=4, max_size=4), u24),
     TransportData: st.builds(TransportData, u8, st.binary(min_size=7, max_size=7)),
 }
 

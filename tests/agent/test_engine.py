@@ -1,0 +1,175 @@
+"""`FleetCoordinationEngine`: the API of the protocol document, on real python-can bus objects."""
+
+import asyncio
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
+from itertools import count
+from typing import Any
+
+import can
+import pytest
+
+from agent.engine import FleetCoordinationEngine
+from agent.safety import SilencePolicy
+from protocol.bus import CanBus
+from sim.clock import run_virtual
+from sim.fieldbus import forget, segment
+
+numbers = count()
+Story = Callable[[list[FleetCoordinationEngine]], Awaitable[None]]
+
+
+@asynccontextmanager
+async def fleet(size: int) -> AsyncIterator[list[FleetCoordinationEngine]]:
+    channel = f"engines {next(numbers)}"
+    engines = []
+    for slot in range(size):
+        bus = CanBus(can.Bus(interface="fieldbus", channel=channel))
+        engine = FleetCoordinationEngine(
+            f"tractor_{slot:03d}", bus, members=size, silence=SilencePolicy.CONTINUE
+        )
+        engines.append(engine)
+    await asyncio.gather(*(engine.start() for engine in engines))
+    await asyncio.sleep(2.0)
+    yield engines
+    for engine in engines:
+        await engine.stop()
+        engine.bus.close()
+    forget(channel)
+
+
+def play(size: int, story: Story) -> None:
+    async def main() -> None:
+        async with fleet(size) as engines:
+            await story(engines)
+
+    run_virtual(main())
+
+
+def test_joining_makes_everybody_idle_and_known() -> None:
+    async def story(engines: list[FleetCoordinationEngine]) -> None:
+        assert {e.get_current_state() for e in engines} == {"IDLE"}
+        status = engines[0].get_fleet_status()
+        assert sorted(status) == ["tractor_000", "tractor_001", "tractor_002"]
+        assert status["tractor_001"]["status"] == "IDLE"
+
+    play(3, story)
+
+
+def test_of_two_claims_at_once_one_wins_and_both_know() -> None:
+    async def story(engines: list[FleetCoordinationEngine]) -> None:
+        won = await asyncio.gather(*(e.claim_section("S7") for e in engines))
+        assert sorted(won) == [False, False, True]
+        winner = won.index(True)
+        assert engines[winner].get_current_state() == "WORKING"
+        owners = {e.get_field_allocation_state().owner_of(7) for e in engines}
+        assert owners == {winner}
+
+    play(3, story)
+
+
+def test_a_released_section_is_finished_for_everybody() -> None:
+    async def story(engines: list[FleetCoordinationEngine]) -> None:
+        assert await engines[0].claim_section("north-west corner")
+        await engines[0].release_section("north-west corner")
+        await asyncio.sleep(1.0)
+        assert engines[0].get_current_state() == "IDLE"
+        assert all(e.get_field_allocation_state().done_count() == 1 for e in engines)
+        assert not await engines[1].claim_section("north-west corner")
+
+    play(2, story)
+
+
+def test_a_stop_stops_all_and_is_left_only_by_reset() -> None:
+    async def story(engines: list[FleetCoordinationEngine]) -> None:
+        heard: list[dict[str, Any]] = []
+        engines[1].on_emergency(heard.append)
+        await engines[0].claim_section("S1")
+        await engines[2].broadcast_emergency_stop("OBSTACLE_DETECTED")
+        await asyncio.sleep(0.05)
+        assert {e.get_current_state() for e in engines} == {"EMERGENCY_STOP"}
+        assert heard and "stop" in heard[0]["why"]
+        assert not await engines[0].manual_reset(), "nobody has cleared the stop"
+        assert not await engines[0].claim_section("S2")
+
+    play(3, story)
+
+
+def test_callbacks_may_be_plain_or_async_and_may_fail() -> None:
+    async def story(engines: list[FleetCoordinationEngine]) -> None:
+        seen: list[str] = []
+
+        def broken(state: str) -> None:
+            raise RuntimeError("mine")
+
+        async def later(state: str) -> None:
+            await asyncio.sleep(0)
+            seen.append(state)
+
+        async def broken_later(state: str) -> None:
+            raise RuntimeError("mine, later")
+
+        for callback in (broken, later, broken_later):
+            engines[0].on_state_change(callback)
+        assert await engines[0].claim_section("S3")
+        await asyncio.sleep(0.1)
+        assert seen == ["WORKING"]
+        assert engines[0].get_current_state() == "WORKING"
+
+    play(2, story)
+
+
+def test_a_leader_is_elected_and_replaced() -> None:
+    async def story(engines: list[FleetCoordinationEngine]) -> None:
+        def leaders(of: list[FleetCoordinationEngine]) -> set[Any]:
+            return {e._peer.election.leader for e in of}
+
+        (leader,) = leaders(engines)
+        await engines[leader.slot].stop()
+        await asyncio.sleep(2.0)
+        (follower,) = leaders([e for e in engines if e.slot != leader.slot])
+        assert follower.slot != leader.slot and follower.term > leader.term
+
+    play(3, story)
+
+
+def test_all_six_messages_are_really_sent() -> None:
+    channel = f"engines {next(numbers)}"
+
+    async def main() -> None:
+        kinds: set[int] = set()
+        wire = segment(channel)
+        wire.taps.append(lambda t_us, frame: kinds.add(frame.identifier >> 8 & 0x3FFFF))
+        engines = []
+        for slot in range(3):
+            bus = CanBus(can.Bus(interface="fieldbus", channel=channel))
+            engines.append(
+                FleetCoordinationEngine(f"r{slot}", bus, members=3, silence=SilencePolicy.CONTINUE)
+            )
+        await engines[0].start()
+        await asyncio.sleep(1.5)
+        assert await engines[0].claim_section("S1")
+        await engines[1].start()  # late: it must ask, and be told
+        await engines[2].start()
+        await asyncio.sleep(5.0)
+        assert engines[2].get_field_allocation_state().owner_of(1) == 0
+        await engines[2].broadcast_emergency_stop("SYSTEM_FAULT")
+        await asyncio.sleep(0.2)
+        assert {0xFF00, 0xFF04, 0xFF08, 0xFF11, 0xFF0C, 0xFF0D} <= kinds
+        for engine in engines:
+            await engine.stop()
+            engine.bus.close()
+
+    run_virtual(main())
+    forget(channel)
+
+
+def test_bad_arguments_say_what_to_do() -> None:
+    bus = CanBus(can.Bus(interface="fieldbus", channel=f"engines {next(numbers)}"))
+    with pytest.raises(ValueError, match="must end in a slot number"):
+        FleetCoordinationEngine("tractor", bus)
+    engine = FleetCoordinationEngine("tractor_1", bus)
+    with pytest.raises(RuntimeError, match=r"start\(\) first"):
+        engine.get_fleet_status()
+    assert engine.get_current_state() == "DISCONNECTED"
+    bus.close()
