@@ -1,13 +1,25 @@
 """One robot's body: the `Body` port of its peer, the hooks of faults, and what checkers look at."""
 
-from math import pi, remainder
+from math import hypot, isfinite, pi, remainder
 from typing import TYPE_CHECKING
 
 from agent.config import ACTUATOR_TTL_US
 from agent.effects import HALT, Drive
 from agent.ports import Observation
 from sim.truth import Track
-from sim.vehicle import EXPIRES_US, HEADING, TOOL, WANT_TOOL, WANT_TURN, WANT_X, WANT_Y, Chassis
+from sim.vehicle import (
+    COMMANDED_US,
+    EXPIRES_US,
+    HEADING,
+    TOOL,
+    VX,
+    VY,
+    WANT_TOOL,
+    WANT_TURN,
+    WANT_X,
+    WANT_Y,
+    Chassis,
+)
 
 if TYPE_CHECKING:
     from sim.world import World
@@ -38,6 +50,22 @@ class RobotBody:
         """Whether the implement was down in the last step."""
         return bool(self.world.rows[self.index, TOOL])
 
+    @property
+    def speed_m_s(self) -> float:
+        """What the body really does, whatever the wheels were told."""
+        vx_m_s, vy_m_s = self.world.motion[self.index, VX : VY + 1].tolist()
+        return hypot(vx_m_s, vy_m_s)
+
+    @property
+    def commanded_us(self) -> int:
+        """Beginning of the last step in which a command to move was in force; -1: never."""
+        return int(self.world.rows[self.index, COMMANDED_US])
+
+    @property
+    def moved_us(self) -> int:
+        """End of the last step after which the body moved; -1: never."""
+        return int(self.world.moved_us[self.index])
+
     def sense(self, now_us: int) -> Observation:
         world = self.world
         world.advance(now_us)
@@ -47,6 +75,7 @@ class RobotBody:
 
     def drive(self, command: Drive, now_us: int) -> None:
         """In force from the step in which `now_us` lies, until it expires."""
+        assert isfinite(command.vx_m_s + command.vy_m_s + command.turn_rad_s), command
         self.world.advance(now_us)
         if self.frozen:
             return

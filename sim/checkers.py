@@ -10,12 +10,12 @@ from math import inf
 from typing import NamedTuple
 
 import numpy as np
-import shapely
-from shapely.geometry import LineString, MultiLineString, MultiPolygon, Polygon
+from shapely.geometry import MultiPolygon, Polygon
 
-from sim.coverage_truth import Coverage, Polyline, coverage, sample_points
+from agent.config import S
+from sim.coverage_truth import Coverage, coverage, sample_points
+from sim.line_truth import NEVER_US, LineTruth, Polyline
 from sim.truth import Track
-from sim.vehicle import COMMANDED_US
 from sim.world import STEP_US, World
 
 VIOLATIONS_MAX = 1_000  # a broken rule is broken at every step; the first thousand will do
@@ -127,10 +127,10 @@ class MotionAfterStopChecker:
                 silent_us[slot] = min(silent_us.get(slot, inf), watch.silent_us)
                 still_us[slot] = min(still_us.get(slot, inf), watch.still_us)
         for slot in sorted(silent_us):
-            index = world.robots[slot].index
-            if begun_us >= silent_us[slot] and world.rows[index, COMMANDED_US] == begun_us:
+            body = world.robots[slot]
+            if begun_us >= silent_us[slot] and body.commanded_us == begun_us:
                 self._add(now_us, slot, "told to move after a stop")
-            if now_us >= still_us[slot] and world.moved_us[index] == now_us:
+            if now_us >= still_us[slot] and body.moved_us == now_us:
                 self._add(now_us, slot, "moves after a stop")
 
     def _add(self, t_us: int, slot: int, what: str) -> None:
@@ -138,37 +138,27 @@ class MotionAfterStopChecker:
 
 
 class ExclusiveWorkChecker:
-    """S7: at no time do two robots work inside one section's geometry.
+    """S7: at no time do two robots work in one section.
 
-    A section's ground is where a working robot's centre can only be on purpose: within a quarter of
-    the width of its lines, so that the neighbour's lines and crossing row ends stay outside.
+    To work in a section is to pass along its lines with the implement down; crossing them is not.
     """
 
-    def __init__(self, sections: Mapping[int, Sequence[Polyline]], width_m: float) -> None:
-        self.grounds = {
-            number: MultiLineString([LineString(line) for line in lines]).buffer(
-                width_m / 4, cap_style="flat"
-            )
-            for number, lines in sections.items()
-        }
+    def __init__(self, sections: Mapping[int, Sequence[Polyline]], tolerance_m: float) -> None:
+        lines = [(number, line) for number, group in sorted(sections.items()) for line in group]
+        self.truth = LineTruth([line for _, line in lines], tolerance_m)
+        self.section_of = np.array([number for number, _ in lines], dtype=np.int64)
 
     def violations(self, tracks: Mapping[int, Track]) -> list[Violation]:
-        at: dict[tuple[int, int], int] = {}  # section, instant: the first robot seen at work there
+        at: dict[tuple[int, int], int] = {}  # section, second: the first robot seen at work there
         found: list[Violation] = []
         for slot, track in sorted(tracks.items()):
-            points = track.to_array()
-            points = points[points[:, 3] != 0.0]
-            for number, ground in self.grounds.items():
-                west, south, east, north = ground.bounds
-                near = points[
-                    (points[:, 1] >= west) & (points[:, 1] <= east)
-                    & (points[:, 2] >= south) & (points[:, 2] <= north)
-                ]  # fmt: skip
-                shapely.prepare(ground)
-                inside = shapely.contains_xy(ground, near[:, 1], near[:, 2])
-                for t_us in np.unique(near[inside, 0]).astype(np.int64).tolist():
-                    other = at.setdefault((number, t_us), slot)
-                    if other != slot and len(found) < VIOLATIONS_MAX:
-                        what = f"section {number} worked by both"
-                        found.append(Violation("exclusive work", t_us, (other, slot), what))
+            worked_us = self.truth.worked_us(track)
+            mine = worked_us != NEVER_US
+            sections = self.section_of[self.truth.line_of[mine]]
+            instants = np.unique(np.column_stack((sections, worked_us[mine] // S)), axis=0)
+            for section, second in instants.tolist():
+                other = at.setdefault((section, second), slot)
+                if other != slot and len(found) < VIOLATIONS_MAX:
+                    what = f"section {section} worked by both"
+                    found.append(Violation("exclusive work", second * S, (other, slot), what))
         return found

@@ -10,8 +10,6 @@ fences, less half the overlap, which is the tolerance of driving:
 """
 
 from collections.abc import Mapping, Sequence
-from itertools import pairwise
-from math import ceil, hypot
 from typing import NamedTuple
 
 import numpy as np
@@ -23,16 +21,12 @@ from sim.raster import Raster, rasterise
 from sim.truth import Track, TrackPoint
 
 Floats = NDArray[np.float64]
-Polyline = Sequence[tuple[float, float]]
 Tracks = Mapping[int, Track | Sequence[TrackPoint] | Floats]
 
 MERGE_M = 0.05  # shorter moves have no direction worth a name: slip, and coming to rest
 BACK_COS = -0.985  # a turn by more than 170 degrees is going back: the bar does not swing
 AGAIN_WIDTHS = 2.0  # a robot that drove this many widths since it worked a cell works it again
 NEVER_US = np.iinfo(np.int64).max
-SAMPLE_M = 0.25  # along the units
-ALONG_COS = 0.87  # the implement passed along a line, not across it: within 30 degrees
-AX, AY, BX, BY, T_US, DRIVEN, WAS_X, WAS_Y = range(8)  # one stroke; WAS: its course before
 
 
 class Coverage(NamedTuple):
@@ -63,8 +57,7 @@ def coverage(raster: Raster, tracks: Tracks, width_m: float) -> Coverage:
     place = np.array([raster.west_m, raster.south_m, raster.cell_m])
     for slot, track in sorted(tracks.items()):
         driven = np.full(shape, -1.0, dtype=np.float32)
-        lines = _strokes(_points(track))
-        _sweep(lines, width_m, place, raster.cells, first_us, driven, again)
+        _sweep(strokes_of(track), width_m, place, raster.cells, first_us, driven, again)
         mine = driven >= 0.0
         robots += mine
         worked_m2[slot] = float(np.count_nonzero(mine)) * raster.cell_m**2
@@ -81,47 +74,19 @@ def coverage(raster: Raster, tracks: Tracks, width_m: float) -> Coverage:
     )
 
 
-def units_worked(lines: Sequence[Polyline], tracks: Tracks, tolerance_m: float) -> Floats:
-    """Share of each line that an implement passed along, either way, centre within tolerance."""
-    samples, owners = [], []
-    for owner, line in enumerate(lines):
-        for a, b in pairwise(line):
-            length_m = hypot(b[0] - a[0], b[1] - a[1])
-            count = max(1, ceil(length_m / SAMPLE_M))
-            step = (np.arange(count) + 0.5)[:, None] / count
-            course = np.array([(b[0] - a[0], b[1] - a[1])]) / max(length_m, 1e-12)
-            at = np.array([a]) + step * np.array([(b[0] - a[0], b[1] - a[1])])
-            samples.append(np.hstack((at, np.repeat(course, count, axis=0))))
-            owners.append(np.full(count, owner))
-    if not samples:
-        return np.zeros(len(lines))
-    table, owner_of = np.vstack(samples), np.concatenate(owners)
-    low = table[:, :2].min(axis=0)
-    side_m = max(1.0, 2 * tolerance_m)
-    columns, rows = (int(n) + 1 for n in (table[:, :2].max(axis=0) - low) / side_m)
-    bucket = ((table[:, :2] - low) / side_m).astype(np.int64) @ np.array([1, columns])
-    order = np.argsort(bucket, kind="stable")
-    ordered = table[order]
-    begins = np.searchsorted(bucket[order], np.arange(columns * rows + 1))
-    passed = np.zeros(len(table), dtype=np.bool_)
-    place = np.array([low[0], low[1], side_m])
-    for _, track in sorted(tracks.items()):
-        strokes = _strokes(_points(track))
-        _pass(strokes, tolerance_m, place, (rows, columns), ordered, begins, passed)
-    hits = np.bincount(owner_of[order], weights=passed, minlength=len(lines))
-    return hits / np.maximum(np.bincount(owner_of, minlength=len(lines)), 1)
+def strokes_of(track: Track | Sequence[TrackPoint] | Floats) -> Floats:
+    """(n, 8): the straight pieces worked, short ones merged.
+
+    Each row: from x, y, to x, y, microseconds, metres driven so far, and the course before (0, 0 at
+    the beginning of a run).
+    """
+    points = track.to_array() if isinstance(track, Track) else np.asarray(track, dtype=np.float64)
+    strokes: Floats = _strokes(points.reshape(-1, 4))
+    return strokes
 
 
-def _points(track: Track | Sequence[TrackPoint] | Floats) -> Floats:
-    """(n, 4): microseconds, x, y, implement down."""
-    if isinstance(track, Track):
-        return track.to_array()
-    return np.asarray(track, dtype=np.float64).reshape(-1, 4)
-
-
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _strokes(track):  # type: ignore[no-untyped-def]
-    """The straight pieces driven with the implement down, short ones merged; see `AX`..."""
     out = np.empty((max(track.shape[0] - 1, 0), 8))
     found, working, has_course = 0, False, False
     ax = ay = cx = cy = driven = 0.0
@@ -153,7 +118,7 @@ def _strokes(track):  # type: ignore[no-untyped-def]
     return out[:found]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _swung(rx, ry, was_x, was_y, cx, cy):  # type: ignore[no-untyped-def]
     """Whether the bar passed over a point when its course turned; the shorter way round."""
     left = 1.0 if was_x * cy - was_y * cx > 0.0 else -1.0
@@ -163,7 +128,7 @@ def _swung(rx, ry, was_x, was_y, cx, cy):  # type: ignore[no-untyped-def]
     return (from_old >= 0.0 and to_new >= 0.0) or (from_old <= 0.0 and to_new <= 0.0)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _reach(a, b, margin, origin, side, count):  # type: ignore[no-untyped-def]
     """First and one past the last column, or row, that a stroke comes near to."""
     first = int((min(a, b) - margin - origin) / side)
@@ -171,7 +136,7 @@ def _reach(a, b, margin, origin, side, count):  # type: ignore[no-untyped-def]
     return max(first, 0), min(last, count - 1) + 1
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _sweep(strokes, width, place, cells, first_us, driven, again):  # type: ignore[no-untyped-def]
     """Mark the cells under the bar along each stroke, and under its swing before it."""
     west, south, side = place
@@ -200,24 +165,3 @@ def _sweep(strokes, width, place, cells, first_us, driven, again):  # type: igno
                         again[r, c] = True
                     driven[r, c] = way
                     first_us[r, c] = min(first_us[r, c], np.int64(t_us))
-
-
-@njit(cache=True)
-def _pass(strokes, tolerance, place, shape, samples, begins, passed):  # type: ignore[no-untyped-def]
-    """Flag the samples (x, y, course) that a stroke passed along."""
-    west, south, side = place
-    for k in range(strokes.shape[0]):
-        ax, ay, bx, by = strokes[k, AX], strokes[k, AY], strokes[k, BX], strokes[k, BY]
-        length = np.hypot(bx - ax, by - ay)
-        if length == 0.0:
-            continue
-        cx, cy = (bx - ax) / length, (by - ay) / length
-        for r in range(*_reach(ay, by, tolerance, south, side, shape[0])):
-            for c in range(*_reach(ax, bx, tolerance, west, side, shape[1])):
-                bucket = r * shape[1] + c
-                for n in range(begins[bucket], begins[bucket + 1]):
-                    rx, ry = samples[n, 0] - ax, samples[n, 1] - ay
-                    along, across = rx * cx + ry * cy, abs(rx * cy - ry * cx)
-                    if -1e-9 <= along <= length + 1e-9 and across <= tolerance:
-                        straight = abs(cx * samples[n, 2] + cy * samples[n, 3])
-                        passed[n] = passed[n] or straight >= ALONG_COS

@@ -8,8 +8,9 @@ the track W, metres; wheels in rad/s.
       w_fl = (vx - vy - (L + W) turn) / R      w_fr = (vx + vy + (L + W) turn) / R
       w_rl = (vx + vy - (L + W) turn) / R      w_rr = (vx - vy + (L + W) turn) / R
 
-* Differential: w_left = (vx - W turn) / R, w_right = (vx + W turn) / R. The point `lead_m` ahead
-  of the axle takes the commanded velocity exactly, and the body follows it.
+* Differential: w_left = (vx - W turn) / R, w_right = (vx + W turn) / R. It turns to the commanded
+  course on the spot, front or back foremost, whichever is nearer, and drives as far as it points
+  there: slower than commanded, but never off the course.
 * Ackermann (a tractor): rear axle driven, front wheels steered, angle = atan(2 L turn / vx). It
   turns to the commanded course as fast as its steering allows and never on the spot. It backs up
   only when told to go almost straight back with the implement raised.
@@ -39,6 +40,8 @@ MARGIN = 1.5  # wheels can do this much more than straight ahead asks: a diagona
 TRACTION_M_S2 = 7.0  # 0.7 g, rubber on dry ground: a robot that shoves, shoves with this much
 SPIN_RAD_S2 = 70.0  # the same, with wheels a decimetre from the middle
 BACK_RAD, FORTH_RAD = 2.6, 2.0  # further off its course a tractor backs up; nearer it goes forward
+BACK_FOREMOST_RAD, FRONT_FOREMOST_RAD = 1.8, 1.3  # a differential drive; between them as before
+PIVOT_PER_S = 4.0  # a differential drive turns this share of what it is off its course by
 CREEP = 0.4  # share of the wanted speed a tractor keeps while it turns towards its course
 
 
@@ -57,7 +60,7 @@ class Chassis(NamedTuple):
     slip: float = 0.02  # standard deviation of each wheel's grip
     braking_m_s2: float = 3.0  # when told to stand still, or when commands cease
     kind: Kind = Kind.MECANUM
-    lead_m: float = 0.5  # how far ahead of the axle the guided point is; not for mecanum
+    lead_m: float = 0.5  # Ackermann: how far ahead of the axle the point is that takes the course
     steer_rad: float = 0.7  # Ackermann: full lock
     steer_rad_s: float = 0.8  # Ackermann: how fast the wheels are turned
     reverse_m_s: float = 1.0  # Ackermann: backing up
@@ -170,6 +173,20 @@ def _tractor(row, speed, ahead, left, turn):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
+def _pivot(row, speed, ahead, left, turn):  # type: ignore[no-untyped-def]
+    """Body velocity (forward, turn) of a differential drive for a commanded course."""
+    off = atan2(left, ahead)
+    if row[BACKING] == 0.0 and abs(off) > BACK_FOREMOST_RAD:
+        row[BACKING] = 1.0
+    elif row[BACKING] == 1.0 and abs(off) < FRONT_FOREMOST_RAD:
+        row[BACKING] = 0.0
+    if row[BACKING] == 1.0:
+        off = off - pi if off > 0.0 else off + pi
+    along = speed * cos(2 * off) if abs(off) < pi / 4 else 0.0
+    return (-along if row[BACKING] == 1.0 else along), turn + PIVOT_PER_S * off
+
+
+@njit(cache=True, error_model="numpy")
 def _wanted(row, ahead, left, turn):  # type: ignore[no-untyped-def]
     """Four wheel numbers for a body-frame command, within the wheels' limits."""
     kind = row[KIND]
@@ -178,7 +195,11 @@ def _wanted(row, ahead, left, turn):  # type: ignore[no-untyped-def]
     if kind == 0.0:
         a, b, c, d = mecanum_wheels(row[R], row[L] + row[W], ahead, left, turn)
     elif kind == 1.0:
-        a, b = differential_wheels(row[R], row[W], ahead, turn + left / row[LEAD])
+        speed = hypot(ahead, left)
+        forward = 0.0
+        if speed > 1e-9:
+            forward, turn = _pivot(row, speed, ahead, left, turn)
+        a, b = differential_wheels(row[R], row[W], forward, turn)
     else:
         speed = hypot(ahead, left)
         if speed < 1e-9:

@@ -36,6 +36,7 @@ from sim.walls import BOX, DISC, FREE, OBSTACLE_COLUMNS, OBSTACLES_MAX, XY, Grid
 __all__ = ["STEP_US", "RobotBody", "World"]
 
 TRACK_US = 100_000  # positions are kept this often
+CONTACTS_MAX = 10_000  # a run with more has failed long before; `contacts_lost` counts on
 APART_US = 200_000  # a contact is over after this long without overlap
 
 
@@ -52,6 +53,7 @@ class World:
         self.lidar = lidar
         self.robots: dict[int, RobotBody] = {}
         self.contacts: list[Contact] = []
+        self.contacts_lost = 0
         self.on_step: list[Callable[[World], None]] = []  # checkers that must see every step
         self.rows = np.empty((0, COLUMNS))  # see sim.vehicle; one row a robot, in order of adding
         self.motion = np.empty((0, 7))
@@ -204,8 +206,13 @@ class World:
             against = next(f"box {n}" for n, (k, _) in self._shapes.items() if k == row)
         x_m, y_m = self.motion[first, :2].tolist()
         other = slots[second] if second >= 0 else None
-        contact = Contact(self.now_us, slots[first], other, 0.0, against, x_m, y_m)
-        self.contacts.append(contact)
+        return self._note(Contact(self.now_us, slots[first], other, 0.0, against, x_m, y_m))
+
+    def _note(self, contact: Contact) -> Contact:
+        if len(self.contacts) < CONTACTS_MAX:
+            self.contacts.append(contact)
+        else:
+            self.contacts_lost += 1
         return contact
 
     def _sides(self) -> NDArray[np.int8]:
@@ -222,9 +229,7 @@ class World:
         for index in sorted(through - self._outside):
             robot = next(r for r in self.robots.values() if r.index == index)
             x_m, y_m = robot.position
-            self.contacts.append(
-                Contact(self.now_us, robot.slot, None, robot.radius_m, "outside", x_m, y_m)
-            )
+            self._note(Contact(self.now_us, robot.slot, None, robot.radius_m, "outside", x_m, y_m))
         self._outside = through
 
     def ranges(self, index: int) -> tuple[float, ...]:

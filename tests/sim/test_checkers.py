@@ -114,6 +114,6 @@ def test_two_robots_in_one_section_at_once_are_found() -> None:
                 world.body(slot).drive(Drive(1.0, 0.0, 0.0, True), t_us)
         world.advance(5_000_000)
         tracks = {slot: robot.track for slot, robot in world.robots.items()}
-        found = ExclusiveWorkChecker(sections, 4.0).violations(tracks)
+        found = ExclusiveWorkChecker(sections, 0.2).violations(tracks)
         assert {v.slots for v in found} == expected
         assert all("section 7" in v.what for v in found)

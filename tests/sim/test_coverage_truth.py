@@ -9,7 +9,7 @@ import shapely
 from shapely.geometry import LineString, Polygon, box
 from shapely.ops import unary_union
 
-from sim.coverage_truth import coverage, sample_points, units_worked
+from sim.coverage_truth import coverage, sample_points
 from sim.raster import rasterise
 from sim.truth import Track
 
@@ -148,16 +148,6 @@ def test_a_lap_inside_the_fence_and_swaths_cover_all_that_can_be_asked_for() -> 
     result = coverage(raster, {0: track(points)}, WIDTH_M)
     assert result.share == 1.0, result.uncovered[:5]
     assert result.last_us <= (len(points) - 1) * 100_000
-
-
-def test_units_passed_along() -> None:
-    units = [[(x, 0.0), (x + 5.0, 0.0)] for x in (0.0, 5.0, 10.0, 15.0)]
-    units += [[(2.0, 3.0), (7.0, 3.0)], [(12.0, -4.0), (12.0, 4.0)]]
-    way = line((0, 0.05), (12.5, 0.05)) + line((12.5, 0.05), (20, 0.05), False)
-    shares = units_worked(units, {0: track(way)}, tolerance_m=0.1)
-    assert shares == pytest.approx([1.0, 1.0, 0.5, 0.0, 0.0, 0.0], abs=0.06)
-    assert units_worked(units, {0: track(way)}, tolerance_m=0.04).max() == 0.0
-    assert units_worked([], {}, 0.1).size == 0
 
 
 def test_nothing_driven_is_nothing_worked() -> None:

@@ -8,7 +8,7 @@ import pymunk
 import pytest
 from shapely.geometry import LineString, Point, Polygon, box
 
-from agent.config import ACTUATOR_TTL_US
+from agent.config import ACTUATOR_TTL_US, SPEED_MAX_M_S
 from agent.effects import Drive
 from agent.ports import Body
 from sim.lidar import Lidar
@@ -119,6 +119,20 @@ def test_pushed_against_a_wall_it_touches_and_stays_out(kind: Kind, speed: float
     assert world.contacts[0].until_us == pytest.approx(15_000_000, abs=200_000)
     assert body.position[0] == pytest.approx(19.5, abs=0.003)
     assert world.closest_wall_m < 0.0
+
+
+@pytest.mark.parametrize("radius_m", [0.2, 0.8])
+def test_nobody_gets_through_a_wall_at_the_highest_speed(radius_m: float) -> None:
+    fast = Chassis(speed_m_s=SPEED_MAX_M_S, acceleration_m_s2=20.0, slip=0.05)
+    for course in (0.0, 0.3, pi / 4, 2.0, 4.0):
+        command = Drive(2 * SPEED_MAX_M_S * cos(course), 2 * SPEED_MAX_M_S * sin(course))
+        world = World([ROOM], 1)
+        body = world.add_robot(0, (0.0, 0.0), radius_m, fast)
+        for t_us in range(0, 6_000_000, 50_000):
+            body.drive(command, t_us)
+        world.advance(6_000_000)
+        assert all(abs(v) < 20.0 for v in body.position), f"course {course}"
+        assert {c.against for c in world.contacts} == {"fence"}
 
 
 def test_two_robots_touch_once_and_neither_passes_through() -> None:

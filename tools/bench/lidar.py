@@ -130,7 +130,7 @@ def step(seed: int, robots: int, rounds: int, target_us: float) -> Figure:
         return seconds(lambda: world.advance(world.now_us + steps * STEP_US)) / steps * 1e6
 
     some()
-    cost_us = median(some() for _ in range(rounds))
+    cost_us = median(some() for _ in range(5 * rounds))
     return Figure(
         f"world step, {robots} robots", cost_us, "us", f"<= {target_us:g}", cost_us <= target_us,
         f"pymunk {pymunk.version} inside", "10 ms of wheels, physics, judge of contacts, tracks",
