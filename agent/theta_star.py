@@ -47,30 +47,52 @@ def _sees(blocked, r0, c0, r1, c1):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
+def _push(heap_f, heap_i, size, f, item):  # type: ignore[no-untyped-def]
+    """Into a binary heap of `size` items; the caller counts."""
+    k = size
+    while k > 0:
+        up = (k - 1) // 2
+        if heap_f[up] <= f:
+            break
+        heap_f[k], heap_i[k] = heap_f[up], heap_i[up]
+        k = up
+    heap_f[k], heap_i[k] = f, item
+
+
+@njit(cache=True)
+def _pop(heap_f, heap_i, size):  # type: ignore[no-untyped-def]
+    """The least item of a heap of `size`; the caller counts."""
+    top = heap_i[0]
+    f_last, i_last = heap_f[size - 1], heap_i[size - 1]
+    k = 0
+    while True:
+        child = 2 * k + 1
+        if child >= size - 1:
+            break
+        if child + 1 < size - 1 and heap_f[child + 1] < heap_f[child]:
+            child += 1
+        if heap_f[child] >= f_last:
+            break
+        heap_f[k], heap_i[k] = heap_f[child], heap_i[child]
+        k = child
+    heap_f[k], heap_i[k] = f_last, i_last
+    return top
+
+
+@njit(cache=True)
 def _search(blocked, r0, c0, r1, c1, g, parent, stamp, turn, heap_f, heap_i):  # type: ignore[no-untyped-def]
-    """Theta* with lazy deletion; returns the number of cells expanded, or -1. Stamps, not clearing."""
+    """Theta* with lazy deletion; the number of cells expanded, -1 without a path, -2 without room.
+
+    `stamp` is `turn` for a reached cell and `turn + 1` for a closed one: nothing is cleared.
+    """
     rows, columns = blocked.shape
     start, goal = r0 * columns + c0, r1 * columns + c1
     g[start], parent[start], stamp[start] = 0.0, start, turn
-    size = 1
-    heap_f[0], heap_i[0] = np.hypot(r1 - r0, c1 - c0), start
-    expanded = 0
+    _push(heap_f, heap_i, 0, np.hypot(r1 - r0, c1 - c0), start)
+    size, expanded = 1, 0
     while size > 0:
-        node = heap_i[0]
+        node = _pop(heap_f, heap_i, size)
         size -= 1
-        f_last, i_last = heap_f[size], heap_i[size]
-        k = 0
-        while True:
-            child = 2 * k + 1
-            if child >= size:
-                break
-            if child + 1 < size and heap_f[child + 1] < heap_f[child]:
-                child += 1
-            if heap_f[child] >= f_last:
-                break
-            heap_f[k], heap_i[k] = heap_f[child], heap_i[child]
-            k = child
-        heap_f[k], heap_i[k] = f_last, i_last
         if stamp[node] == turn + 1:
             continue
         stamp[node] = turn + 1
@@ -90,28 +112,18 @@ def _search(blocked, r0, c0, r1, c1, g, parent, stamp, turn, heap_f, heap_i):  #
                 if stamp[other] == turn + 1:
                     continue
                 known = g[other] if stamp[other] == turn else np.inf
-                through = g[parent[node]] + np.hypot(nr - pr, nc - pc)
-                if through >= known:  # by the triangle inequality nothing better comes of this
+                cost, by = g[parent[node]] + np.hypot(nr - pr, nc - pc), parent[node]
+                if cost >= known:  # by the triangle inequality nothing better comes of this
                     continue
-                if _sees(blocked, pr, pc, nr, nc):
-                    cost, by = through, parent[node]
-                else:
+                if not _sees(blocked, pr, pc, nr, nc):
                     cost, by = g[node] + np.hypot(i, j), node
                     if cost >= known:
                         continue
-                g[other], parent[other], stamp[other] = cost, by, turn
-                f = cost + np.hypot(r1 - nr, c1 - nc)
                 if size >= heap_f.size:
                     return -2
-                k = size
+                g[other], parent[other], stamp[other] = cost, by, turn
+                _push(heap_f, heap_i, size, cost + np.hypot(r1 - nr, c1 - nc), other)
                 size += 1
-                while k > 0:
-                    up = (k - 1) // 2
-                    if heap_f[up] <= f:
-                        break
-                    heap_f[k], heap_i[k] = heap_f[up], heap_i[up]
-                    k = up
-                heap_f[k], heap_i[k] = f, other
     return -1
 
 

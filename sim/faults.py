@@ -30,7 +30,14 @@ class FaultPlan:
                 self.cluster.tasks.add(task)
                 task.add_done_callback(self.cluster.tasks.discard)
 
+    def _now_us(self) -> int:
+        """The world is brought to this instant before anything is done to it."""
+        now_us = round(asyncio.get_running_loop().time() * S)
+        self.cluster.world.advance(now_us)
+        return now_us
+
     def _carry_out(self, fault: kinds.Fault) -> Callable[[], Coroutine[None, None, None]] | None:
+        self._now_us()
         cluster, wire = self.cluster, self.cluster.segment.wire
         match fault:
             case kinds.Partition(islands=islands):
@@ -81,6 +88,7 @@ class FaultPlan:
     async def _box(self, x_m: float, y_m: float, size_m: float, for_s: float) -> None:
         box = self.cluster.world.add_box(x_m, y_m, size_m)
         await asyncio.sleep(for_s)
+        self._now_us()
         self.cluster.world.remove_box(box)
 
     async def _reset(self) -> None:

@@ -9,7 +9,7 @@ from protocol.authentication import Keyring
 from protocol.bus import CanBus
 from protocol.safety_frames import AllImplementsStop, Reason, Switch
 from tools.attachment import AttachError, attach
-from tools.operator import Operator, Robot
+from tools.operator_device import Operator, Robot
 
 REPEAT_S = 0.005
 LISTEN_S = 0.5  # long enough for ten beats: who has not been heard by then is not there

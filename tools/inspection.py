@@ -90,7 +90,7 @@ async def _listen(
     port: int,
     seconds: float,
 ) -> None:
-    from tools.operator import Operator
+    from tools.operator_device import Operator
 
     bus = attach(interface, channel, bitrate, host, port)
     loop = asyncio.get_running_loop()

@@ -9,7 +9,7 @@ from agent.lifecycle import State
 from protocol.safety_frames import AllImplementsStop, Command, Switch
 from tools.attachment import AttachError, attach
 from tools.estop import NOT_ALL, WRONG, keyring_of, listen_to
-from tools.operator import Operator
+from tools.operator_device import Operator
 
 LISTEN_S = 0.7  # latched robots repeat the dots they know to those that beat without being stopped
 STEP_S = 0.1

@@ -1,0 +1,116 @@
+"""A launch with real processes: one killed, all stopped from outside, released, and none left over."""
+
+import asyncio
+import json
+import os
+import signal
+import sys
+from asyncio.subprocess import PIPE, STDOUT, Process
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+WAIT_S = 60.0  # for what takes a second on a quiet machine
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
+
+
+async def start(folder: Path, *words: str) -> Process:
+    return await asyncio.create_subprocess_exec(
+        sys.executable, "-m", "tools.headland", *words,
+        cwd=folder, stdout=PIPE, stderr=STDOUT, env=ENVIRONMENT,
+    )  # fmt: skip
+
+
+async def call(folder: Path, *words: str) -> tuple[int, str]:
+    process = await start(folder, *words)
+    async with asyncio.timeout(WAIT_S):
+        out, _ = await process.communicate()
+    assert process.returncode is not None
+    return process.returncode, out.decode()
+
+
+async def robots_up(launch: Process, count: int) -> list[int]:
+    """Process ids of the robots, once all of them are working."""
+    pids: list[int] = []
+    assert launch.stdout is not None
+    async with asyncio.timeout(WAIT_S):
+        async for raw in launch.stdout:
+            line = raw.decode()
+            if line.startswith("robot ") and "process" in line:
+                pids.append(int(line.split()[-1]))
+            if line.count("WORKING") == count:
+                return pids
+    raise AssertionError("the launch ended early")
+
+
+def alive(pid: int) -> bool:
+    try:
+        return (Path("/proc") / str(pid) / "stat").read_text().split()[2] != "Z"
+    except OSError:
+        return False
+
+
+async def gone(pids: list[int]) -> None:
+    async with asyncio.timeout(WAIT_S):
+        while any(alive(pid) for pid in pids):
+            await asyncio.sleep(0.1)  # real processes: there is nothing to be told by
+
+
+async def states(folder: Path) -> dict[int, str]:
+    code, out = await call(folder, "inspect", "--seconds", "1.5", "--json")
+    assert code == 0, out
+    return {r["slot"]: r["state"] for r in json.loads(out)["robots"] if not r["silent"]}
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for orphans in /proc")
+def test_kill_stop_release_and_leave_no_orphans(tmp_path: Path) -> None:
+    async def story() -> None:
+        launch = await start(tmp_path, "launch", "small")
+        pids = await robots_up(launch, 3)
+        try:
+            again, text = await call(tmp_path, "launch", "small")
+            assert again == 2 and "another launch" in text and text.count("\n") == 1
+            os.kill(pids[2], signal.SIGKILL)
+            code, text = await call(tmp_path, "estop", "--json")
+            assert code == 0, text
+            assert set(json.loads(text)["stopped"]) >= {0, 1}
+            after = await states(tmp_path)
+            assert after == {0: "EMERGENCY_STOP", 1: "EMERGENCY_STOP"}
+            code, text = await call(tmp_path, "reset", "--start", "--json")
+            assert code == 0, text
+            assert len(json.loads(text)["cleared"]) >= 1
+            assert set((await states(tmp_path)).values()) <= {"IDLE", "WORKING"}
+            launch.send_signal(signal.SIGINT)
+            async with asyncio.timeout(WAIT_S):
+                await launch.wait()
+            await gone(pids)
+        finally:
+            if launch.returncode is None:
+                launch.kill()
+                await launch.wait()
+
+    asyncio.run(story())
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for orphans in /proc")
+def test_robots_end_when_the_launcher_is_killed(tmp_path: Path) -> None:
+    async def story() -> None:
+        launch = await start(tmp_path, "launch", "small", "--robots", "2")
+        pids = await robots_up(launch, 2)
+        launch.kill()
+        await launch.wait()
+        await gone(pids)
+
+    asyncio.run(story())
+
+
+def test_a_port_in_use_is_one_line(tmp_path: Path) -> None:
+    async def story() -> None:
+        server = await asyncio.start_server(lambda r, w: None, "127.0.0.1", 0)
+        port = str(server.sockets[0].getsockname()[1])
+        code, text = await call(tmp_path, "launch", "small", "--port", port)
+        server.close()
+        assert code == 2 and "--port" in text and "Traceback" not in text, text
+
+    asyncio.run(story())
