@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from agent.orca import Avoidance
 
@@ -13,7 +14,7 @@ NO_FENCES = np.zeros((0, 4))
 DT_S, RADIUS_M, SPEED_M_S, HORIZON_S = 0.05, 0.5, 2.0, 4.0
 
 
-def robot(fences: np.ndarray = NO_FENCES) -> Avoidance:  # type: ignore[type-arg]
+def robot(fences: NDArray[np.float64] = NO_FENCES) -> Avoidance:
     return Avoidance(RADIUS_M, SPEED_M_S, 1.0, HORIZON_S, DT_S, fences)
 
 
@@ -29,7 +30,7 @@ def play(starts: list[tuple[float, float]], goals: list[tuple[float, float]], st
             distance = max(hypot(dx, dy), 1e-9)
             speed = min(SPEED_M_S, distance / DT_S)
             wanted = (dx / distance * speed, dy / distance * speed)
-            rows = [
+            rows: list[tuple[float, ...]] = [
                 (at[j][0] - at[i][0], at[j][1] - at[i][1], *velocity[j], 2 * RADIUS_M, 0.5)
                 for j in range(len(robots))
                 if j != i
