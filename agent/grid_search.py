@@ -1,4 +1,4 @@
-"""Plain and lazy Theta* over the centres of grid cells: what the default planner is measured against.
+"""Plain and lazy Theta* over cell centres: what the default planner is measured against.
 
 A robot may step between neighbouring free cells, diagonally only where both cells beside the
 diagonal are free; a straight line is free where every cell it touches is free, both cells beside

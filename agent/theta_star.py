@@ -6,6 +6,7 @@ free cells join the cells of start and goal.
 """
 
 from collections.abc import Iterable
+from itertools import pairwise
 from math import hypot
 
 import numpy as np
@@ -84,4 +85,4 @@ def plan(blocked: Grid, start: Point, goal: Point) -> Waypoints | None:
 
 def length(path: Waypoints) -> float:
     """In cells."""
-    return sum(hypot(b[0] - a[0], b[1] - a[1]) for a, b in zip(path, path[1:], strict=False))
+    return sum(hypot(b[0] - a[0], b[1] - a[1]) for a, b in pairwise(path))
