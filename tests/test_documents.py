@@ -1,0 +1,25 @@
+"""What the documents print from the code is what the code prints."""
+
+from pathlib import Path
+
+from agent.cause import cause_table
+from agent.fsm import to_mermaid
+from agent.lifecycle import TABLE, State
+from protocol.messages import GROUPS
+
+ROOT = Path(__file__).parents[1]
+
+
+def test_the_table_of_causes() -> None:
+    assert cause_table() in (ROOT / "docs" / "stopping.md").read_text()
+
+
+def test_the_state_diagram() -> None:
+    text = (ROOT / "ARCHITECTURE.md").read_text()
+    assert to_mermaid(TABLE, State.DISCONNECTED) in text
+
+
+def test_every_frame_is_in_the_table() -> None:
+    text = (ROOT / "ARCHITECTURE.md").read_text()
+    for group in GROUPS:
+        assert f"| {group.name} | {group.pgn:#06x} | {group.priority} |" in text, group.name
