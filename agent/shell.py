@@ -1,7 +1,7 @@
 """The only code that waits: it carries frames, observations and time into a peer, and effects out.
 
 The same shell runs on a robot (real time) and in `headland run` (virtual time); it knows neither.
-Within one instant frames come before the tick, whatever order the loop's timers have.
+Frames are heard as they arrive; a tick comes when the peer's deadline does.
 """
 
 import asyncio
@@ -13,10 +13,13 @@ from agent.core import Peer
 from agent.effects import Drive, Effect, Persist, Send, Trace
 from agent.ports import Body, Bus, Journal
 from protocol.codec import encode
+from protocol.fleet_frames import Pose
 from protocol.frame import Frame
+from protocol.messages import GROUP_OF
 
 log = logging.getLogger(__name__)
 
+BEAT_PGN = GROUP_OF[Pose].pgn
 INBOX_MAX = (
     4096  # frames; two seconds of a full bus. A peer that far behind had better drop the rest
 )
@@ -36,7 +39,9 @@ class Shell:
         self.dropped = 0  # frames that found the inbox full
         self._inbox: deque[Frame] = deque()
         self._wake: asyncio.Future[None] | None = None
-        self._frozen_until_us = 0
+        self._armed_us = 0  # when the timer that is set will fire
+        self._failure: Exception | None = None
+        self._frozen_until_us = 0  # 0: not frozen
 
     @staticmethod
     def now_us() -> int:
@@ -82,38 +87,57 @@ class Shell:
         self._nudge()
 
     def _arrive(self, frame: Frame) -> None:
-        if len(self._inbox) >= INBOX_MAX:
-            self.dropped += 1
+        """A frame, in the loop's thread: heard at once, unless this process is frozen."""
+        if self._frozen_until_us or self._wake is None:
+            if len(self._inbox) >= INBOX_MAX:
+                self.dropped += 1
+            else:
+                self._inbox.append(frame)
             return
-        self._inbox.append(frame)
-        self._nudge()
+        try:
+            self._hear(frame)
+        except (
+            Exception
+        ) as problem:  # a broken invariant of ours: it must end the task, not a callback
+            self._failure = problem
+            self._nudge()
+
+    def _hear(self, frame: Frame) -> None:
+        effects = self.peer.receive(frame, self.now_us())
+        if effects:
+            self.perform(effects)
+        elif frame.identifier >> 8 & 0x3FFFF == BEAT_PGN:
+            return  # nine frames in ten; nothing came of it, so the deadline is where it was
+        if self.peer.deadline_us < self._armed_us:
+            self._nudge()
 
     def freeze(self, for_s: float) -> None:
         """Fault: this process hears and does nothing for a while, then goes on as if nothing was."""
         self._frozen_until_us = self.now_us() + round(for_s * 1e6)
+        self._nudge()
 
     def _nudge(self) -> None:
         if self._wake is not None and not self._wake.done():
             self._wake.set_result(None)
 
     async def run(self) -> None:
-        loop = asyncio.get_running_loop()
-        peer, inbox = self.peer, self._inbox
+        loop, peer = asyncio.get_running_loop(), self.peer
         self.bus.subscribe(self._arrive)
         while True:
+            self._armed_us = peer.deadline_us
             self._wake = loop.create_future()
-            timer = loop.call_at(peer.deadline_us / 1e6, self._nudge)
+            timer = loop.call_at(self._armed_us / 1e6, self._nudge)
             try:
-                if not inbox:
-                    await self._wake
+                await self._wake
             finally:
                 timer.cancel()
-            if self.now_us() < self._frozen_until_us:
-                await asyncio.sleep((self._frozen_until_us - self.now_us()) / 1e6)
-            while inbox:
-                effects = peer.receive(inbox.popleft(), self.now_us())
-                if effects:
-                    self.perform(effects)
+            if self._failure is not None:
+                raise self._failure
+            if self._frozen_until_us:
+                await asyncio.sleep(max(0, self._frozen_until_us - self.now_us()) / 1e6)
+                self._frozen_until_us = 0
+                while self._inbox:
+                    self._hear(self._inbox.popleft())
             now_us = self.now_us()
             if now_us >= peer.deadline_us:
                 if self.body is not None and peer.wants_observation(now_us):

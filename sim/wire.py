@@ -75,6 +75,7 @@ class Wire:
         ] = {}  # island -> end, node, frame, broken
         self._start_us: dict[int, int] = {}  # island -> when arbitration is due
         self._audience: dict[int, tuple[int, ...]] = {}
+        self._off: dict[int, int] = {}  # nodes in bus-off -> until when
         self._next_node = 0
 
     # ---------------------------------------------------------------- nodes
@@ -88,6 +89,7 @@ class Wire:
 
     def detach(self, number: int) -> None:
         self.nodes.pop(number, None)
+        self._off.pop(number, None)
         for island, (_, node, _, _) in list(self._sending.items()):
             if node == number:
                 del self._sending[island]
@@ -133,7 +135,7 @@ class Wire:
         candidates += [
             start for island, start in self._start_us.items() if island not in self._sending
         ]
-        candidates += [n.off_until_us for n in self.nodes.values() if n.off_until_us is not None]
+        candidates += self._off.values()
         return min(candidates) if candidates else None
 
     def advance(self, now_us: int) -> list[Delivery]:
@@ -143,9 +145,10 @@ class Wire:
             for island in sorted(self._sending):
                 if self._sending[island][0] <= t_us:
                     deliveries += self._end(island, t_us)
-            for node in self.nodes.values():
-                if node.off_until_us is not None and node.off_until_us <= t_us:
-                    node.off_until_us, node.tec, node.rec = None, 0, 0
+            for number in [n for n, until_us in self._off.items() if until_us <= t_us]:
+                del self._off[number]
+                node = self.nodes[number]
+                node.off_until_us, node.tec, node.rec = None, 0, 0
             for island in sorted(self._start_us):
                 if self._start_us[island] <= t_us and island not in self._sending:
                     self._arbitrate(island, t_us)
@@ -179,7 +182,7 @@ class Wire:
         deliveries: list[Delivery] = []
         if broken:
             self.errors += 1
-            self._punish(node, t_us)
+            self._punish(number, node, t_us)
         else:
             node.tec = max(0, node.tec - 1)
             node.sent += 1
@@ -211,16 +214,16 @@ class Wire:
         for entry in held:
             heappush(node.queue, entry)
 
-    def _punish(self, node: Node, t_us: int) -> None:
+    def _punish(self, number: int, node: Node, t_us: int) -> None:
         node.tec += 8
         if node.tec >= BUS_OFF_TEC:
-            node.off_until_us = t_us + RECOVERY_US
-            node.queue.clear()
+            self.bus_off(number, t_us + RECOVERY_US)
 
     def bus_off(self, number: int, until_us: int) -> None:
         """Force a node off the bus."""
         node = self.nodes[number]
         node.tec, node.off_until_us = BUS_OFF_TEC, until_us
+        self._off[number] = until_us
         node.queue.clear()
 
     def _hearers(self, sender: int) -> tuple[int, ...]:
