@@ -24,7 +24,7 @@ MARGIN_M = 0.15  # POSE rounds to 0.05 m, a drive takes a period to act, wheels 
 HORIZON_S = 4.0  # how far ahead two moving robots agree to be clear of each other
 STANDING_M_S = 0.05  # slower than this a neighbour cannot be relied on to give way
 AGE_MAX_US = 1 * S  # an older pose is not moved on: the robot may have stopped
-FENCE_M = 0.1  # kept from fences and holes
+FENCE_M = 0.2  # kept from fences and holes
 
 
 class Limits(NamedTuple):

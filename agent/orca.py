@@ -15,6 +15,9 @@ from numpy.typing import NDArray
 EPSILON = 1e-5
 COLUMNS = 6  # of a neighbour row: dx, dy, vx, vy, combined radius, share
 LINES_MAX = 32
+FENCE_S = (
+    0.4  # towards a fence at most so fast that it is this far away: two periods, and the wheels
+)
 
 
 @njit(cache=True)
@@ -173,7 +176,9 @@ def fence_lines(x, y, radius, braking_m_s2, reach, fences, lines):  # type: igno
             continue
         nx, ny = dx / distance, dy / distance
         room = distance - radius
-        limit = sqrt(2.0 * braking_m_s2 * room) if room > 0.0 else max(room, -0.5)
+        limit = (
+            min(sqrt(2.0 * braking_m_s2 * room), room / FENCE_S) if room > 0.0 else max(room, -0.5)
+        )
         lines[n, 0], lines[n, 1] = nx * limit, ny * limit
         lines[n, 2], lines[n, 3] = -ny, nx
         n += 1

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from shapely.geometry import Point
 
 from agent.field import XY, Field, rasterise, start_poses
+from agent.motion import FENCE_M
 from agent.route import Route
 from agent.safety import SilencePolicy
 from agent.swaths import divide
@@ -34,6 +35,12 @@ class Setting:
         self.scenario = scenario
         self.field = self._field()
         self.silence = SilencePolicy[scenario.fleet.silence.upper()]
+        beside_m = (self.field.implement_width_m - self.field.overlap_m) / 2
+        if scenario.fleet.radius_m + FENCE_M > beside_m:
+            raise ScenarioError(
+                f"{scenario.name}: fleet.radius_m: {scenario.fleet.radius_m} m is too wide for swaths "
+                f"{beside_m:.2f} m from fences; use {beside_m - FENCE_M:.2f} m at most"
+            )
         spacing_m = SPACING_RADII * scenario.fleet.radius_m
         try:
             self.starts: list[XY] = start_poses(
