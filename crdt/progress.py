@@ -18,7 +18,8 @@ FULL = (1 << BLOCK_UNITS) - 1
 
 class Progress:
     def __init__(self, units: Mapping[int, int] | None = None) -> None:
-        """`units`: how many units each section has; bits beyond are refused. Others: unlimited."""
+        """`units`: how many units each section has; bits beyond are refused.
+        Empty: nothing is known of the field, and every unit is taken."""
         self.units = dict(units or {})
         assert all(0 <= n <= UNITS_MAX for n in self.units.values())
         self._blocks: dict[tuple[int, int], int] = {}
@@ -30,7 +31,7 @@ class Progress:
     def cover(self, section: int, unit: int) -> tuple[int, int]:
         """Add one unit; returns (block, bits of the block now), which is what is announced."""
         block, bit = divmod(unit, BLOCK_UNITS)
-        assert 0 <= unit < self.units.get(section, UNITS_MAX), "no such unit"
+        assert 0 <= unit < UNITS_MAX and self._allowed(section, block) >> bit & 1, "no such unit"
         self.apply(section, block, 1 << bit)
         return block, self._blocks[section, block]
 
@@ -50,9 +51,9 @@ class Progress:
         return True
 
     def _allowed(self, section: int, block: int) -> int:
-        units = self.units.get(section)
-        if units is None:
+        if not self.units:
             return FULL
+        units = self.units.get(section, 0)
         inside = min(max(units - block * BLOCK_UNITS, 0), BLOCK_UNITS)
         return (1 << inside) - 1
 

@@ -17,6 +17,7 @@ from agent.safety import SilencePolicy
 from agent.swaths import divide
 from protocol.authentication import Keyring
 from sim.field_file import FieldFileError, read_boundary
+from sim.lidar import Lidar
 from sim.scenario import Scenario, ScenarioError
 from sim.vehicle import Chassis
 from sim.world import World
@@ -96,7 +97,7 @@ class Setting:
     def world(self) -> World:
         """A fresh world with every robot at its place near the gate."""
         fleet = self.scenario.fleet
-        world = World([self.field.exterior, *self.field.holes], self.scenario.run.seed)
+        world = World([self.field.exterior, *self.field.holes], self.scenario.run.seed, Lidar())
         chassis = Chassis(
             speed_m_s=fleet.speed_m_s, acceleration_m_s2=fleet.acceleration_m_s2, slip=fleet.slip
         )

@@ -138,6 +138,27 @@ def test_ancestor_three_claims_with_skewed_clocks_have_one_winner() -> None:
     assert owners == {2}, "B saw A and took over: nothing concurrent outranks that"
 
 
+def test_ancestor_rule_itself_gives_three_owners_in_six_orders() -> None:
+    """What we do not do: afs_fastapi merged by vector clock, else wall clock, else name. The same
+    three entries, joined in six orders, end with three owners: the rule is not transitive."""
+    entries = {
+        "A": ({"A": 1}, 100.0),  # claimed first, by a robot whose clock is fast
+        "B": ({"A": 1, "B": 1}, 10.0),  # saw A, claimed after it
+        "C": ({"C": 1}, 50.0),  # saw neither
+    }
+
+    def ancestor(first: str, second: str) -> str:
+        (a, a_s), (b, b_s) = entries[first], entries[second]
+        if all(b.get(k, 0) >= v for k, v in a.items()):
+            return second
+        if all(a.get(k, 0) >= v for k, v in b.items()):
+            return first
+        return first if (a_s, first) > (b_s, second) else second
+
+    winners = {ancestor(ancestor(x, y), z) for x, y, z in permutations("ABC")}
+    assert winners == {"A", "B", "C"}
+
+
 def test_ancestor_a_late_claim_does_not_rob_started_work() -> None:
     """In the ancestor the last claim won, whoever was working."""
     worker, late = FieldAllocationCRDT(), FieldAllocationCRDT()
