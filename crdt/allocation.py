@@ -2,19 +2,36 @@
 
 Local operations write and return the key to broadcast, or None where the rules do not allow them.
 Whether an operation is wise is policy and lives elsewhere.
+
+Registers are Python integers in one dict: joining a replica is a comparison an entry, and a register is
+8 bytes on the wire and on disk. Limits: 65,536 sections; 255 hand-overs of a section; 2^24 - 1 operations
+of the whole fleet on one field, after which the Lamport clock stands still and earlier no longer wins.
 """
 
 from collections.abc import Iterator, Mapping
 from struct import Struct
 from zlib import crc32
 
-from crdt.digest import MASK, entry_hash, short
-from crdt.register import EPOCH_MAX, LAMPORT_MAX, Claim, Phase, lamport_of, owner_of, pack, phase_of
+from crdt.digest import Sums, short
+from crdt.register import (
+    DONE_BIT,
+    EPOCH_MAX,
+    LAMPORT_MAX,
+    Claim,
+    Phase,
+    bid_of,
+    epoch_of,
+    lamport_of,
+    owner_of,
+    pack,
+    phase_of,
+)
 
 KIND = 1  # of an allocation entry in digests
 SECTION_MAX = 0xFFFF
 ENTRY = Struct("<HBBHBB")  # 8 bytes, as TASK_CLAIM
 HEADER = Struct("<I")
+HELD = (Phase.CLAIMED, Phase.STARTED)
 
 
 class FieldAllocationCRDT:
@@ -22,8 +39,7 @@ class FieldAllocationCRDT:
         self.field_hash = field_hash
         self.lamport = 0  # the greatest Lamport time seen or written
         self._keys: dict[int, int] = {}
-        self._total = 0  # sum of the entry hashes of `_hashed`
-        self._dirty: dict[int, int | None] = {}  # section -> key whose hash is still in the sum
+        self._sums = Sums(KIND, self._keys)
         self._done = 0
 
     @staticmethod
@@ -40,54 +56,46 @@ class FieldAllocationCRDT:
             return self._write(section, 0, Phase.CLAIMED, bid, owner)
         if phase_of(key) != Phase.FREE:
             return None
-        return self._write(section, key >> 40 & 0xFF, Phase.CLAIMED, bid, owner)
+        return self._write(section, epoch_of(key), Phase.CLAIMED, bid, owner)
 
     def start(self, section: int, owner: int) -> int | None:
         """Begin what is claimed: from now on no cheaper claim of this epoch takes it away."""
         key = self._keys.get(section)
         if key is None or phase_of(key) != Phase.CLAIMED or owner_of(key) != owner:
             return None
-        return self._write(section, key >> 40 & 0xFF, Phase.STARTED, 31 - (key >> 32 & 31), owner)
+        return self._write(section, epoch_of(key), Phase.STARTED, bid_of(key), owner)
 
     def done(self, section: int, owner: int) -> int | None:
         """Finished. Absorbs everything, from whoever finished it; None where it was done already."""
         key = self._keys.get(section, 0)
         if phase_of(key) == Phase.DONE:
             return None
-        return self._write(section, key >> 40 & 0xFF, Phase.DONE, 0, owner)
+        return self._write(section, epoch_of(key), Phase.DONE, 0, owner)
 
     def release(self, section: int, owner: int) -> int | None:
         """Give an own section back. None for a section that is not ours."""
         key = self._keys.get(section)
-        if (
-            key is None
-            or owner_of(key) != owner
-            or phase_of(key) not in (Phase.CLAIMED, Phase.STARTED)
-        ):
+        if key is None or owner_of(key) != owner or phase_of(key) not in HELD:
             return None
         return self._raise(section, key, Phase.FREE, 0, owner)
 
     def takeover(self, section: int, owner: int, bid: int = 0) -> int | None:
         """Take a section from an owner that is gone; the raised epoch fences it off."""
         key = self._keys.get(section)
-        if (
-            key is None
-            or phase_of(key) not in (Phase.CLAIMED, Phase.STARTED)
-            or owner_of(key) == owner
-        ):
+        if key is None or owner_of(key) == owner or phase_of(key) not in HELD:
             return None
         return self._raise(section, key, Phase.CLAIMED, bid, owner)
 
     def _raise(self, section: int, key: int, phase: Phase, bid: int, owner: int) -> int | None:
-        epoch = key >> 40 & 0xFF
+        epoch = epoch_of(key)
         if epoch == EPOCH_MAX:
             return None  # the stated limit: 255 hand-overs; the section stays with its owner
         return self._write(section, epoch + 1, phase, bid, owner)
 
     def _write(self, section: int, epoch: int, phase: Phase, bid: int, owner: int) -> int:
         assert 0 <= section <= SECTION_MAX
-        assert self.lamport < LAMPORT_MAX, "the Lamport clock of this field is used up"
-        self.lamport += 1
+        # One frame from the wire can carry the clock to its end: it then stands still, it never wraps.
+        self.lamport = min(self.lamport + 1, LAMPORT_MAX)
         key = pack(epoch, phase, bid, self.lamport, owner)
         changed = self.apply(section, key)
         assert changed, "an own operation must be greater than what it has seen"
@@ -103,9 +111,9 @@ class FieldAllocationCRDT:
         known = self._keys.get(section)
         if known is not None and key <= known:
             return False
-        self._dirty.setdefault(section, known)
+        self._sums.changing(section, known)
         self._keys[section] = key
-        if key >> 48 and not (known is not None and known >> 48):
+        if key >= DONE_BIT and (known is None or known < DONE_BIT):
             self._done += 1
         return True
 
@@ -115,19 +123,28 @@ class FieldAllocationCRDT:
             raise ValueError(
                 f"replicas of different fields: {self.field_hash:06x} and {other.field_hash:06x}"
             )
-        get, changed = self._keys.get, set()
+        known_of, changing = self._keys.get, self._sums.changing
+        newer: dict[int, int] = {}
         for section, key in other._keys.items():
-            if key > get(section, -1):
-                self.apply(section, key)
-                changed.add(section)
+            known = known_of(section)
+            if known is None or key > known:
+                changing(section, known)
+                newer[section] = key
+                if key >= DONE_BIT and (known is None or known < DONE_BIT):
+                    self._done += 1
+        self._keys.update(newer)
         self.lamport = max(self.lamport, other.lamport)
-        return changed
+        return set(newer)
 
     def delta(self, cut: int) -> Iterator[tuple[int, int]]:
-        """(section, key) written after Lamport time `cut`, in section order."""
+        """(section, key) written after Lamport time `cut`, in section order.
+
+        All that another replica lacks, if nobody wrote who was behind `cut` then. A key at the end of
+        the clock is always news.
+        """
         for section in sorted(self._keys):
             key = self._keys[section]
-            if lamport_of(key) > cut:
+            if lamport_of(key) > cut or lamport_of(key) == LAMPORT_MAX:
                 yield section, key
 
     # ---------------------------------------------------------------- reading
@@ -149,9 +166,8 @@ class FieldAllocationCRDT:
 
     def assigned_sections(self, owner: int) -> list[int]:
         """Sections claimed or started by a slot, not the finished ones."""
-        held = (Phase.CLAIMED, Phase.STARTED)
         return sorted(
-            s for s, k in self._keys.items() if owner_of(k) == owner and phase_of(k) in held
+            s for s, k in self._keys.items() if owner_of(k) == owner and phase_of(k) in HELD
         )
 
     def done_count(self) -> int:
@@ -167,25 +183,20 @@ class FieldAllocationCRDT:
         return len(self._keys)
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, FieldAllocationCRDT) and self._keys == other._keys
+        if not isinstance(other, FieldAllocationCRDT):
+            return NotImplemented
+        return self.field_hash == other.field_hash and self._keys == other._keys
 
     __hash__ = None  # type: ignore[assignment]  # mutable
 
     @property
-    def total(self) -> int:
-        """Sum of the entry hashes: the part of a replica's digest that is the allocation."""
-        if self._dirty:
-            for section, old in self._dirty.items():
-                if old is not None:
-                    self._total -= entry_hash(KIND, section, old)
-                self._total += entry_hash(KIND, section, self._keys[section])
-            self._total &= MASK
-            self._dirty.clear()
-        return self._total
+    def sums(self) -> Sums:
+        """The allocation's part of a replica's digest."""
+        return self._sums
 
     @property
     def digest(self) -> int:
-        return short(self.total)
+        return short(self._sums.total)
 
     # ---------------------------------------------------------------- bytes
 

@@ -1,8 +1,12 @@
 """Dots and vector clocks: which events of which replica have been seen.
 
-A `VectorClock` here is a mutable value owned by one peer: a member updates it at heartbeat rate, and
-copying 108 entries each time would be the most expensive thing it does. `copy()` and `frozen()`
-give values that do not change.
+A `VectorClock` is mutable and owned by one peer: with 108 members it is updated at a hundred heartbeats
+a second, and an immutable one would copy 108 entries each time. `copy()` gives one that stays as it is;
+nothing that comes in or goes out shares a dictionary with the clock.
+
+A component is never taken away. A clock without it would forget which events it covers, and a replica
+that came back would number its events from 1 again: two events under one dot. A replica that leaves for
+ever is retired instead: it keeps its last count and gets no further dot.
 """
 
 from collections.abc import Iterator, Mapping
@@ -24,10 +28,11 @@ class VectorClock:
     (True, True)
     """
 
-    __slots__ = ("_counts",)
+    __slots__ = ("_counts", "_retired")
 
     def __init__(self, counts: Mapping[int, int] | None = None) -> None:
         self._counts: dict[int, int] = {}
+        self._retired: set[int] = set()  # local knowledge, no part of the clock's value
         for replica, count in (counts or {}).items():
             assert count >= 0
             if count:
@@ -44,9 +49,17 @@ class VectorClock:
 
     def increment(self, replica: int) -> Dot:
         """Count one more own event, and name it."""
+        assert replica not in self._retired, "a retired replica writes under a new identity"
         counter = self._counts.get(replica, 0) + 1
         self._counts[replica] = counter
         return Dot(replica, counter)
+
+    def retire(self, replica: int) -> None:
+        """The replica gives no more events: keep what it did, number nothing after it."""
+        self._retired.add(replica)
+
+    def is_retired(self, replica: int) -> bool:
+        return replica in self._retired
 
     def witness(self, replica: int, low: int, bits: int = 16) -> None:
         """Learn a counter of which only the low bits travelled: the nearest value not below ours.
@@ -54,6 +67,7 @@ class VectorClock:
         Right as long as fewer than 2**bits events were missed; at one operation a second a 16-bit
         counter allows 18 hours of silence.
         """
+        assert 0 <= low < 1 << bits
         known, modulus = self._counts.get(replica, 0), 1 << bits
         ahead = (low - known) % modulus
         if 0 < ahead < modulus // 2 or (known == 0 and low):
@@ -79,7 +93,9 @@ class VectorClock:
         return all(count <= counts.get(replica, 0) for replica, count in self._counts.items())
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, VectorClock) and self._counts == other._counts
+        if not isinstance(other, VectorClock):
+            return NotImplemented
+        return self._counts == other._counts
 
     __hash__ = None  # type: ignore[assignment]  # mutable
 
@@ -91,7 +107,9 @@ class VectorClock:
         return not self <= other and not other <= self
 
     def copy(self) -> "VectorClock":
-        return VectorClock(self._counts)
+        clock = VectorClock(self._counts)
+        clock._retired = set(self._retired)
+        return clock
 
     def to_dict(self) -> dict[int, int]:
         return {replica: self._counts[replica] for replica in self}

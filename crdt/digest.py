@@ -1,12 +1,19 @@
 """Digests of replicated state: order-independent, kept up to date entry by entry.
 
-An entry is mixed to 64 bits (splitmix64's finaliser, Steele et al. 2014) and added modulo 2^64; a
-digest is the top 24 bits of the sum. Sums, not XOR: an entry that is wrongly counted twice shows.
+An entry (kind, name, value) is mixed to 64 bits with splitmix64's finaliser (Steele, Lea, Flood 2014)
+and added modulo 2^64 to the sum of its bucket; the digest that travels is the top 24 bits of the sum of
+all buckets. Sums and not XOR: both are incremental, but an entry that is wrongly counted twice vanishes
+from an XOR and shows in a sum. Two different states agree in 24 bits once in 17 million; since the next
+change of either draws again, a collision only hides a difference while nothing happens.
 """
+
+from collections.abc import Mapping
+from functools import lru_cache
 
 MASK = (1 << 64) - 1
 DIGEST_BITS = 24
 BUCKETS = 32  # of the fall-back sync; 11 frames of three digests carry them
+HASHES_MAX = 1 << 14  # remembered: peers in one process hash the same few changes
 
 
 def mix(number: int) -> int:
@@ -17,15 +24,53 @@ def mix(number: int) -> int:
     return number ^ number >> 31
 
 
-def entry_hash(kind: int, key: int, value: int) -> int:
-    """Of one entry: `kind` separates the collections, `key` names it, `value` is its state."""
-    return mix(mix(kind << 32 | key) ^ value)
+@lru_cache(maxsize=HASHES_MAX)
+def place(kind: int, name: int) -> int:
+    """64 bits of a name; `kind` separates the collections."""
+    return mix(kind << 32 | name)
+
+
+@lru_cache(maxsize=HASHES_MAX)
+def entry_hash(kind: int, name: int, value: int) -> int:
+    """Of one entry. Values wider than 64 bits would be cut off; registers have 49, blocks 40."""
+    return mix(place(kind, name) ^ value)
+
+
+def bucket_of(kind: int, name: int) -> int:
+    return place(kind, name) % BUCKETS
 
 
 def short(total: int) -> int:
     """The 24 bits that travel."""
-    return total >> (64 - DIGEST_BITS)
+    return (total & MASK) >> (64 - DIGEST_BITS)
 
 
-def bucket_of(kind: int, key: int) -> int:
-    return mix(kind << 32 | key) % BUCKETS
+class Sums:
+    """The sums of one collection, one a bucket. Reads the collection; never changes it."""
+
+    __slots__ = ("_before", "_sums", "_values", "kind")
+
+    def __init__(self, kind: int, values: Mapping[int, int]) -> None:
+        self.kind, self._values = kind, values
+        self._sums = [0] * BUCKETS
+        self._before: dict[int, int | None] = {}  # name -> the value that is still in the sums
+
+    def changing(self, name: int, before: int | None) -> None:
+        """An entry is about to change. Hashing waits until somebody asks."""
+        self._before.setdefault(name, before)
+
+    def buckets(self) -> list[int]:
+        if self._before:
+            kind, sums = self.kind, self._sums
+            for name, before in self._before.items():
+                bucket = bucket_of(kind, name)
+                change = entry_hash(kind, name, self._values[name])
+                if before is not None:
+                    change -= entry_hash(kind, name, before)
+                sums[bucket] = (sums[bucket] + change) & MASK
+            self._before.clear()
+        return self._sums
+
+    @property
+    def total(self) -> int:
+        return sum(self.buckets()) & MASK

@@ -1,13 +1,14 @@
 """What has been done: for each section a set of units that only grows, joined by union.
 
 Claims are hints, this is the truth: a claim can be lost, a covered unit cannot. Units travel in
-blocks of 40, the bits of one WORK_PROGRESS frame.
+blocks of 40, the bits of one WORK_PROGRESS frame. A block has no Lamport time, because its join needs
+none; what a peer lacks is found by when a block last grew here (`protocol/replica.py`).
 """
 
 from collections.abc import Iterator, Mapping
 from struct import Struct
 
-from crdt.digest import MASK, entry_hash, short
+from crdt.digest import Sums, short
 
 KIND = 2  # of a progress entry in digests
 BLOCK_UNITS = 40
@@ -16,59 +17,65 @@ ENTRY = Struct("<HBIB")
 FULL = (1 << BLOCK_UNITS) - 1
 
 
+def name_of(section: int, block: int) -> int:
+    """A block's name in digests: 24 bits, in the order of sections."""
+    return section << 8 | block
+
+
 class Progress:
     def __init__(self, units: Mapping[int, int] | None = None) -> None:
-        """`units`: how many units each section has; bits beyond are refused.
-        Empty: nothing is known of the field, and every unit is taken."""
+        """`units`: how many units each section has; bits beyond are refused. Others: unlimited."""
         self.units = dict(units or {})
         assert all(0 <= n <= UNITS_MAX for n in self.units.values())
-        self._blocks: dict[tuple[int, int], int] = {}
+        self._blocks: dict[int, int] = {}  # name -> bits
+        self._sums = Sums(KIND, self._blocks)
         self._count: dict[int, int] = {}
-        self._total = 0
-        self._dirty: dict[tuple[int, int], int] = {}
         self.refused = 0  # bits of units that do not exist: a field description that differs
 
     def cover(self, section: int, unit: int) -> tuple[int, int]:
         """Add one unit; returns (block, bits of the block now), which is what is announced."""
         block, bit = divmod(unit, BLOCK_UNITS)
-        assert 0 <= unit < UNITS_MAX and self._allowed(section, block) >> bit & 1, "no such unit"
+        assert 0 <= unit < self.units.get(section, UNITS_MAX), "no such unit"
         self.apply(section, block, 1 << bit)
-        return block, self._blocks[section, block]
+        return block, self._blocks[name_of(section, block)]
 
     def apply(self, section: int, block: int, bits: int) -> bool:
         """Join one block; True where it grew."""
+        name = name_of(section, block)
+        known = self._blocks.get(name, 0)
+        if not bits & ~known:
+            return False
         allowed = self._allowed(section, block)
         if bits & ~allowed:
             self.refused += 1
-            bits &= allowed
-        known = self._blocks.get((section, block), 0)
-        grown = known | bits
+        grown = known | bits & allowed
         if grown == known:
             return False
-        self._dirty.setdefault((section, block), known)
-        self._blocks[section, block] = grown
+        self._sums.changing(name, known or None)
+        self._blocks[name] = grown
         self._count[section] = self._count.get(section, 0) + (grown ^ known).bit_count()
         return True
 
     def _allowed(self, section: int, block: int) -> int:
-        if not self.units:
+        units = self.units.get(section)
+        if units is None:
             return FULL
-        units = self.units.get(section, 0)
         inside = min(max(units - block * BLOCK_UNITS, 0), BLOCK_UNITS)
         return (1 << inside) - 1
 
     def merge(self, other: "Progress") -> set[int]:
         """Join a whole replica; returns the sections that grew."""
-        return {s for (s, b), bits in other._blocks.items() if self.apply(s, b, bits)}
+        return {s for s, b, bits in other.entries() if self.apply(s, b, bits)}
 
     def has(self, section: int, unit: int) -> bool:
         block, bit = divmod(unit, BLOCK_UNITS)
-        return bool(self._blocks.get((section, block), 0) >> bit & 1)
+        return bool(self._blocks.get(name_of(section, block), 0) >> bit & 1)
 
     def bits(self, section: int, block: int) -> int:
-        return self._blocks.get((section, block), 0)
+        return self._blocks.get(name_of(section, block), 0)
 
     def covered(self, section: int) -> int:
+        """How many units of the section are covered."""
         return self._count.get(section, 0)
 
     def complete(self, section: int) -> bool:
@@ -77,12 +84,16 @@ class Progress:
     def fraction(self) -> float:
         """Share of all declared units that is covered."""
         total = sum(self.units.values())
-        return sum(self._count.values()) / total if total else 0.0
+        return sum(self._count.get(s, 0) for s in self.units) / total if total else 0.0
 
     def entries(self) -> Iterator[tuple[int, int, int]]:
         """(section, block, bits) in order."""
-        for section, block in sorted(self._blocks):
-            yield section, block, self._blocks[section, block]
+        for name in sorted(self._blocks):
+            yield name >> 8, name & 0xFF, self._blocks[name]
+
+    def __len__(self) -> int:
+        """How many blocks have a covered unit."""
+        return len(self._blocks)
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Progress) and self._blocks == other._blocks
@@ -90,20 +101,13 @@ class Progress:
     __hash__ = None  # type: ignore[assignment]  # mutable
 
     @property
-    def total(self) -> int:
-        if self._dirty:
-            for (section, block), old in self._dirty.items():
-                name = section << 8 | block
-                if old:
-                    self._total -= entry_hash(KIND, name, old)
-                self._total += entry_hash(KIND, name, self._blocks[section, block])
-            self._total &= MASK
-            self._dirty.clear()
-        return self._total
+    def sums(self) -> Sums:
+        """The progress' part of a replica's digest."""
+        return self._sums
 
     @property
     def digest(self) -> int:
-        return short(self.total)
+        return short(self._sums.total)
 
     def serialize(self) -> bytes:
         """8 bytes a block, in order."""
@@ -114,6 +118,7 @@ class Progress:
 
     @classmethod
     def deserialize(cls, data: bytes, units: Mapping[int, int] | None = None) -> "Progress":
+        """ValueError where the bytes are not serialized progress."""
         if len(data) % ENTRY.size:
             raise ValueError(f"progress does not have {len(data)} bytes")
         progress = cls(units)

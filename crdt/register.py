@@ -18,9 +18,9 @@ from typing import NamedTuple
 
 EPOCH_MAX = 0xFF
 BID_MAX = 31
-LAMPORT_MAX = 0xFFFFFF  # at ten operations a second for the whole fleet: 19 days of a season
+LAMPORT_MAX = 0xFFFFFF  # at ten operations a second of the whole fleet: 19 days on one field
 OWNER_MAX = 0xFF
-KEY_BITS = 49
+DONE_BIT = 1 << 48
 
 
 class Phase(IntEnum):
@@ -49,13 +49,8 @@ class Claim(NamedTuple):
 
     @classmethod
     def unpack(cls, key: int) -> "Claim":
-        return cls(
-            key >> 40 & 0xFF,
-            Phase(key >> 37 & 7),
-            BID_MAX - (key >> 32 & 31),
-            LAMPORT_MAX - (key >> 8 & LAMPORT_MAX),
-            OWNER_MAX - (key & 0xFF),
-        )
+        """ValueError for a phase that does not exist: no frame can carry one, a disk can."""
+        return cls(epoch_of(key), Phase(phase_of(key)), bid_of(key), lamport_of(key), owner_of(key))
 
 
 def pack(epoch: int, phase: int, bid: int, lamport: int, owner: int) -> int:
@@ -64,6 +59,14 @@ def pack(epoch: int, phase: int, bid: int, lamport: int, owner: int) -> int:
         (phase == Phase.DONE) << 48 | epoch << 40 | phase << 37 | (BID_MAX - bid) << 32
         | (LAMPORT_MAX - lamport) << 8 | (OWNER_MAX - owner)
     )  # fmt: skip
+
+
+def epoch_of(key: int) -> int:
+    return key >> 40 & EPOCH_MAX
+
+
+def bid_of(key: int) -> int:
+    return BID_MAX - (key >> 32 & BID_MAX)
 
 
 def lamport_of(key: int) -> int:

@@ -85,7 +85,7 @@ class Sync:
 
     @property
     def digest(self) -> int:
-        return short((self.allocation.total + self.progress.total) & MASK)
+        return short((self.allocation.sums.total + self.progress.sums.total) & MASK)
 
     def _note(self) -> int:
         """Remember the digest our replica has now."""
