@@ -1,192 +1,170 @@
-"""ORCA: the velocity nearest to the wanted one that collides with nobody for a while.
+"""ORCA for one robot: the velocity nearest to the wanted one that collides with nobody for a while.
 
-Optimal Reciprocal Collision Avoidance (van den Berg, Guy, Lin, Manocha 2011): one half-plane of
-permitted velocities a neighbour, then a linear program in two dimensions; where the half-planes
-exclude everything, the velocity that violates them least (their section 5.3). Each half-plane takes
-`share` of the avoidance on us: 0.5 with a peer that does the same, 1.0 with one that does not move.
+Optimal Reciprocal Collision Avoidance (van den Berg, Guy, Lin, Manocha 2011). Each robot near gives
+one half-plane of permitted velocities, of which `share` is ours: 0.5 with a peer that does the
+same, 1.0 with one that stands or is stopped, anything between by right of way where both agree.
+Walls and fences come first and are never traded against robots (the paper's section 5.4).
+
+    orca = Avoidance(radius_m, speed_max_m_s, braking_m_s2, horizon_s, dt_s, fences)
+    orca.know(slot, x_m, y_m, vx_m_s, vy_m_s, radius_m, 0.5, now_s)    on every pose heard
+    orca.among_known((x, y), (vx, vy), (wx, wy), now_s)                every control period
+
+The kernel has one argument, because each array argument costs its dispatcher 0.1 to 0.2 us: a
+float64 buffer of a head, `PEERS_MAX` rows of known peers, `GIVEN_MAX` rows given with a call, and
+`FENCES_MAX` near fences. Positions stay double until they are relative to us; from there on all
+is single precision, bit for bit that of the RVO2 library (see `agent.orca_fleet` for many robots).
+Metres and seconds, x east, y north.
 """
 
-from math import sqrt
+from math import cos, hypot, inf, pi, sin, sqrt
+from struct import Struct
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-EPSILON = 1e-5
-COLUMNS = 6  # of a neighbour row: dx, dy, vx, vy, combined radius, share
-LINES_MAX = 32
+from agent.config import NEIGHBOUR_RANGE_M, NEIGHBOURS_MAX
+from agent.half_planes import beside_agent, beside_wall
+from agent.linear_program import DX, DY, ONE, PX, PY, ZERO, solve, violation
+from agent.obstacle_tree import NO_WALLS, ObstacleTree
+from agent.orca_fleet import WALLS_MAX, near_walls
+
+f32 = np.float32
+XY = tuple[float, float]
+PEERS_MAX = 256  # a row for every slot of a fleet, operators' devices included
+GIVEN_MAX = 32  # rows a caller may give; the nearest `NEIGHBOURS_MAX` of them count
+FENCES_MAX = 64  # fences near a robot; the nearest are kept
+FENCE_SLACK_M = 2.0  # near fences are looked for again after this much travel
+CREEP_M_S = 0.5  # a body inside its margin to a fence leaves it no faster than this
+
+# the head: written at each call, then once
+X, Y, VX, VY, WANT_X, WANT_Y, NOW_S, FIRST_ROW, LAST_ROW, RANGE = range(10)
+RADIUS, SPEED_MAX, HORIZON, WALL_HORIZON, DT, AGE_MAX, COS, SIN = range(10, 18)
+NEIGHBOURS, FENCES, FENCE_RADIUS, FENCE_REACH, BRAKING, HEAD = range(18, 24)
+# a row of a neighbour; the last column pads it to a cache line
+ROW_X, ROW_Y, ROW_VX, ROW_VY, ROW_RADIUS, ROW_SHARE, ROW_HEARD_S, ROW_COLUMNS = *range(7), 8
+UNKNOWN = -1.0  # radius of a row that is free
+ROWS = PEERS_MAX + GIVEN_MAX
+FENCE_AT = HEAD + ROWS * ROW_COLUMNS
+SIZE = FENCE_AT + FENCES_MAX * 4
+LINES_MAX = FENCES_MAX + WALLS_MAX + NEIGHBOURS_MAX
+
+_CALL = Struct("10d")
+_ROW = Struct("7d")
+
+
 FENCE_S = (
     0.4  # towards a fence at most so fast that it is this far away: two periods, and the wheels
 )
 
 
-@njit(cache=True)
-def _lp1(lines, number, radius, ox, oy, direction):  # type: ignore[no-untyped-def]
-    """Best point on one line within the disc and the lines before it: (feasible, x, y)."""
-    px, py, dx, dy = lines[number]
-    dot = px * dx + py * dy
-    disc = dot * dot + radius * radius - px * px - py * py
-    if disc < 0.0:
-        return False, 0.0, 0.0
-    root = sqrt(disc)
-    left, right = -dot - root, -dot + root
-    for i in range(number):
-        denominator = dx * lines[i, 3] - dy * lines[i, 2]
-        numerator = lines[i, 2] * (py - lines[i, 1]) - lines[i, 3] * (px - lines[i, 0])
-        if abs(denominator) <= EPSILON:
-            if numerator < 0.0:
-                return False, 0.0, 0.0
-            continue
-        t = numerator / denominator
-        if denominator >= 0.0:
-            right = min(right, t)
-        else:
-            left = max(left, t)
-        if left > right:
-            return False, 0.0, 0.0
-    if direction:
-        t = right if ox * dx + oy * dy > 0.0 else left
-    else:
-        t = dx * (ox - px) + dy * (oy - py)
-        t = min(max(t, left), right)
-    return True, px + t * dx, py + t * dy
-
-
-@njit(cache=True)
-def _lp2(lines, count, radius, ox, oy, direction):  # type: ignore[no-untyped-def]
-    """(line that failed or count, x, y)."""
-    if direction:
-        x, y = ox * radius, oy * radius
-    elif ox * ox + oy * oy > radius * radius:
-        norm = sqrt(ox * ox + oy * oy)
-        x, y = ox / norm * radius, oy / norm * radius
-    else:
-        x, y = ox, oy
-    for i in range(count):
-        if lines[i, 2] * (lines[i, 1] - y) - lines[i, 3] * (lines[i, 0] - x) > 0.0:
-            found, nx, ny = _lp1(lines, i, radius, ox, oy, direction)
-            if not found:
-                return i, x, y
-            x, y = nx, ny
-    return count, x, y
-
-
-@njit(cache=True)
-def _lp3(lines, count, hard, begin, radius, x, y):  # type: ignore[no-untyped-def]
-    """No velocity satisfies all: minimise the worst violation; the first `hard` lines hold."""
-    distance = 0.0
-    projected = np.empty((count, 4))
-    for i in range(begin, count):
-        if lines[i, 2] * (lines[i, 1] - y) - lines[i, 3] * (lines[i, 0] - x) <= distance:
-            continue
-        n = hard
-        projected[:hard] = lines[:hard]
-        for j in range(hard, i):
-            determinant = lines[i, 2] * lines[j, 3] - lines[i, 3] * lines[j, 2]
-            if abs(determinant) <= EPSILON:
-                if lines[i, 2] * lines[j, 2] + lines[i, 3] * lines[j, 3] > 0.0:
-                    continue
-                projected[n, 0] = 0.5 * (lines[i, 0] + lines[j, 0])
-                projected[n, 1] = 0.5 * (lines[i, 1] + lines[j, 1])
-            else:
-                t = (
-                    lines[j, 2] * (lines[i, 1] - lines[j, 1])
-                    - lines[j, 3] * (lines[i, 0] - lines[j, 0])
-                ) / determinant
-                projected[n, 0] = lines[i, 0] + t * lines[i, 2]
-                projected[n, 1] = lines[i, 1] + t * lines[i, 3]
-            dx, dy = lines[j, 2] - lines[i, 2], lines[j, 3] - lines[i, 3]
-            norm = sqrt(dx * dx + dy * dy)
-            projected[n, 2], projected[n, 3] = dx / norm, dy / norm
-            n += 1
-        failed, nx, ny = _lp2(projected, n, radius, -lines[i, 3], lines[i, 2], True)
-        if failed >= n:
-            x, y = nx, ny  # else floating point broke the theorem: keep the current result
-        distance = lines[i, 2] * (lines[i, 1] - y) - lines[i, 3] * (lines[i, 0] - x)
-    return x, y
-
-
-@njit(cache=True)
-def avoid(vx, vy, wx, wy, speed_max, horizon_s, dt_s, rows, count, hard, lines):  # type: ignore[no-untyped-def]
-    """Own velocity, wanted velocity, neighbour rows (`COLUMNS`): the velocity to take, m/s.
-
-    The first `hard` lines are there already (fences); the neighbours' come after them.
-    """
-    for i in range(count):
-        k = hard + i
-        px, py, ovx, ovy, radius, share = rows[i]
-        rvx, rvy = vx - ovx, vy - ovy
-        distance2, radius2 = px * px + py * py, radius * radius
-        if distance2 > radius2:
-            wx_, wy_ = rvx - px / horizon_s, rvy - py / horizon_s
-            w2 = wx_ * wx_ + wy_ * wy_
-            dot = wx_ * px + wy_ * py
-            if dot < 0.0 and dot * dot > radius2 * w2:  # on the cut-off circle
-                w = sqrt(w2)
-                ux, uy = wx_ / w, wy_ / w
-                lines[k, 2], lines[k, 3] = uy, -ux
-                scale = radius / horizon_s - w
-                ux, uy = scale * ux, scale * uy
-            else:  # on a leg
-                leg = sqrt(distance2 - radius2)
-                if px * wy_ - py * wx_ > 0.0:
-                    dx, dy = (
-                        (px * leg - py * radius) / distance2,
-                        (px * radius + py * leg) / distance2,
-                    )
-                else:
-                    dx, dy = (
-                        -(px * leg + py * radius) / distance2,
-                        -(-px * radius + py * leg) / distance2,
-                    )
-                lines[k, 2], lines[k, 3] = dx, dy
-                along = rvx * dx + rvy * dy
-                ux, uy = along * dx - rvx, along * dy - rvy
-        else:  # touching already: be apart within one period
-            wx_, wy_ = rvx - px / dt_s, rvy - py / dt_s
-            w = sqrt(wx_ * wx_ + wy_ * wy_)
-            if w < EPSILON:
-                wx_, wy_, w = 1.0, 0.0, 1.0
-            ux, uy = wx_ / w, wy_ / w
-            lines[k, 2], lines[k, 3] = uy, -ux
-            scale = radius / dt_s - w
-            ux, uy = scale * ux, scale * uy
-        lines[k, 0], lines[k, 1] = vx + share * ux, vy + share * uy
-    failed, x, y = _lp2(lines, hard + count, speed_max, wx, wy, False)
-    if failed < hard + count:
-        x, y = _lp3(lines, hard + count, hard, failed, speed_max, x, y)
-    return x, y
-
-
-@njit(cache=True)
-def fence_lines(x, y, radius, braking_m_s2, reach, fences, lines):  # type: ignore[no-untyped-def]
-    """Half-planes that keep a body from fences: towards one only as fast as it can still brake.
-
-    `fences`: ax, ay, bx, by a row. Returns how many lines were written.
-    """
+@njit(cache=True, error_model="numpy")
+def _fence_lines(work, lines):  # type: ignore[no-untyped-def]
+    """Half-planes against fences: towards one only as fast as can still be braked from."""
     n = 0
-    for k in range(fences.shape[0]):
-        ax, ay, bx, by = fences[k]
-        ex, ey = bx - ax, by - ay
-        t = ((x - ax) * ex + (y - ay) * ey) / (ex * ex + ey * ey)
-        t = min(max(t, 0.0), 1.0)
-        dx, dy = ax + t * ex - x, ay + t * ey - y
-        distance = sqrt(dx * dx + dy * dy)
-        if distance > reach or distance < 1e-9 or n >= lines.shape[0]:
+    for k in range(int(work[FENCES])):
+        at = FENCE_AT + 4 * k
+        ex, ey = work[at + 2] - work[at], work[at + 3] - work[at + 1]
+        px, py = work[at] - work[X], work[at + 1] - work[Y]
+        square = ex * ex + ey * ey
+        t = min(max(-(px * ex + py * ey) / square, 0.0), 1.0) if square > 0.0 else 0.0
+        px, py = px + t * ex, py + t * ey
+        distance = sqrt(px * px + py * py)
+        if distance > work[FENCE_REACH] or distance < 1e-9:
             continue
-        nx, ny = dx / distance, dy / distance
-        room = distance - radius
-        limit = (
-            min(sqrt(2.0 * braking_m_s2 * room), room / FENCE_S) if room > 0.0 else max(room, -0.5)
-        )
-        lines[n, 0], lines[n, 1] = nx * limit, ny * limit
-        lines[n, 2], lines[n, 3] = -ny, nx
+        px, py, room = px / distance, py / distance, distance - work[FENCE_RADIUS]
+        if room > 0.0:
+            limit = min(sqrt(2.0 * work[BRAKING] * room), room / FENCE_S)
+        else:
+            limit = max(room, -CREEP_M_S)
+        lines[n, PX], lines[n, PY] = f32(px * limit), f32(py * limit)
+        lines[n, DX], lines[n, DY] = f32(-py), f32(px)
         n += 1
     return n
 
 
+@njit(cache=True, error_model="numpy")
+def _nearest(work, near, squares):  # type: ignore[no-untyped-def]
+    """Offsets of the nearest rows in range, nearest first, moved on by their age."""
+    x, y, now = work[X], work[Y], work[NOW_S]
+    reach, most, count = f32(work[RANGE] * work[RANGE]), int(work[NEIGHBOURS]), 0
+    for row in range(int(work[FIRST_ROW]), int(work[LAST_ROW])):
+        at = HEAD + row * ROW_COLUMNS
+        if work[at + ROW_RADIUS] < 0.0:
+            continue
+        age = now - work[at + ROW_HEARD_S]
+        if age > work[AGE_MAX]:  # it may have stopped meanwhile: it is where it was heard
+            age = 0.0
+        dx = f32(work[at + ROW_X] + work[at + ROW_VX] * age - x)
+        dy = f32(work[at + ROW_Y] + work[at + ROW_VY] * age - y)
+        square = dx * dx + dy * dy
+        if square >= reach:
+            continue
+        if count < most:
+            count += 1
+        k = count - 1
+        while k > 0 and square < squares[k - 1]:
+            near[k], squares[k] = near[k - 1], squares[k - 1]
+            k -= 1
+        near[k], squares[k] = at, square
+        if count == most:
+            reach = squares[k] if k == count - 1 else squares[count - 1]
+    return count
+
+
+@njit(cache=True, error_model="numpy")
+def _choose(work, lines, hard, spare, near, squares):  # type: ignore[no-untyped-def]
+    """Half-planes of the neighbours after the `hard` ones, and the velocity of them all."""
+    count = _nearest(work, near, squares)
+    vx, vy, now = f32(work[VX]), f32(work[VY]), work[NOW_S]
+    wx, wy, radius = f32(work[WANT_X]), f32(work[WANT_Y]), f32(work[RADIUS])
+    per_horizon, per_step = ONE / f32(work[HORIZON]), ONE / f32(work[DT])
+    for k in range(count):
+        at = near[k]
+        age, ux, uy = now - work[at + ROW_HEARD_S], work[at + ROW_VX], work[at + ROW_VY]
+        share = f32(work[at + ROW_SHARE])
+        if age > work[AGE_MAX]:
+            age, ux, uy, share = 0.0, 0.0, 0.0, ONE
+        dx = f32(work[at + ROW_X] + ux * age - work[X])
+        dy = f32(work[at + ROW_Y] + uy * age - work[Y])
+        beside_agent(dx, dy, vx, vy, f32(ux), f32(uy), radius + f32(work[at + ROW_RADIUS]), share,
+                     per_horizon, per_step, lines, hard + k)  # fmt: skip
+    if work[SIN] != 0.0:
+        for k in range(hard, hard + count):
+            if violation(lines, k, wx, wy) > ZERO:  # somebody is in the way: keep right of it
+                wx, wy = (f32(work[WANT_X] * work[COS] + work[WANT_Y] * work[SIN]),
+                          f32(work[WANT_Y] * work[COS] - work[WANT_X] * work[SIN]))  # fmt: skip
+                break
+    return solve(lines, hard + count, hard, f32(work[SPEED_MAX]), wx, wy, spare)
+
+
+@njit(cache=True, error_model="numpy")
+def velocity(work):  # type: ignore[no-untyped-def]
+    """The velocity (vx, vy) to take, m/s, from a packed buffer (see the top of this file)."""
+    lines = np.empty((FENCES_MAX + NEIGHBOURS_MAX, 4), f32)
+    spare = np.empty((FENCES_MAX + NEIGHBOURS_MAX, 4), f32)
+    near, squares = np.empty(NEIGHBOURS_MAX, np.int64), np.empty(NEIGHBOURS_MAX, f32)
+    return _choose(work, lines, _fence_lines(work, lines), spare, near, squares)
+
+
+@njit(cache=True, error_model="numpy")
+def velocity_among_walls(work, table, root):  # type: ignore[no-untyped-def]
+    """As `velocity`, with the half-planes of an `ObstacleTree` as well."""
+    lines, spare = np.empty((LINES_MAX, 4), f32), np.empty((LINES_MAX, 4), f32)
+    near, squares = np.empty(WALLS_MAX, np.int64), np.empty(WALLS_MAX, f32)
+    stack = np.empty(2 * table.shape[0] + 8, np.int64)
+    hard = _fence_lines(work, lines)
+    x, y, vx, vy = f32(work[X]), f32(work[Y]), f32(work[VX]), f32(work[VY])
+    horizon, radius = f32(work[WALL_HORIZON]), f32(work[RADIUS])
+    reach = horizon * f32(work[SPEED_MAX]) + radius
+    count = near_walls(table, root, x, y, reach * reach, stack, near, squares)
+    for k in range(count):
+        hard += beside_wall(table, near[k], x, y, vx, vy, radius, ONE / horizon, lines, hard)
+    return _choose(work, lines, hard, spare, near, squares)
+
+
 class Avoidance:
-    """One robot's ORCA with its scratch memory."""
+    """One robot's ORCA: what it knows of its peers, and the memory of its kernel."""
 
     def __init__(
         self,
@@ -196,28 +174,77 @@ class Avoidance:
         horizon_s: float,
         dt_s: float,
         fences: NDArray[np.float64],
+        *,
+        walls: ObstacleTree = NO_WALLS,
+        wall_horizon_s: float = 2.0,
+        range_m: float = NEIGHBOUR_RANGE_M,
+        age_max_s: float = 1.0,
+        keep_right_rad: float = 0.0,
     ) -> None:
-        self.radius_m, self.speed_max_m_s, self.braking_m_s2 = radius_m, speed_max_m_s, braking_m_s2
-        self.horizon_s, self.dt_s, self.fences = horizon_s, dt_s, fences
-        self.reach_m = radius_m + speed_max_m_s**2 / (2 * braking_m_s2) + speed_max_m_s * dt_s
-        self._rows: NDArray[np.float64] = np.zeros((LINES_MAX, COLUMNS))
-        self._lines: NDArray[np.float64] = np.zeros((2 * LINES_MAX, 4))
+        """`radius_m` is kept from `fences` ((n, 4): ax, ay, bx, by) by braking, and from `walls`.
 
-    def velocity(
-        self,
-        at: tuple[float, float],
-        own: tuple[float, float],
-        wanted: tuple[float, float],
-        rows: list[tuple[float, ...]],
-    ) -> tuple[float, float]:
-        """`rows`: dx, dy, vx, vy, combined radius, share; nearest first, at most `LINES_MAX`."""
-        count = min(len(rows), LINES_MAX)
+        A peer not heard for `age_max_s` counts as standing where it was. `keep_right_rad` turns
+        the wanted velocity to the right where a robot is in its way: without it two robots head on
+        stop before each other for ever. A few hundredths will do; it must be equal fleet-wide.
+        """
+        assert radius_m >= 0 and horizon_s > 0 and dt_s > 0 and 0 <= keep_right_rad < pi / 4
+        self.radius_m, self.range_m, self.walls = radius_m, range_m, walls
+        self._fences = np.asarray(fences, dtype=np.float64).reshape(-1, 4)
+        self._work = work = np.zeros(SIZE)
+        work[HEAD:FENCE_AT].reshape(-1, ROW_COLUMNS)[:, ROW_RADIUS] = UNKNOWN
+        work[RADIUS], work[SPEED_MAX], work[HORIZON] = radius_m, speed_max_m_s, horizon_s
+        work[WALL_HORIZON], work[DT], work[AGE_MAX] = wall_horizon_s, dt_s, age_max_s
+        work[COS], work[SIN] = cos(keep_right_rad), sin(keep_right_rad)
+        work[NEIGHBOURS], work[FENCE_RADIUS], work[BRAKING] = NEIGHBOURS_MAX, radius_m, braking_m_s2
+        work[FENCE_REACH] = radius_m + speed_max_m_s**2 / (2 * braking_m_s2) + speed_max_m_s * dt_s
+        self._gathered_at = (inf, inf)
+        self._last = 0
+
+    def know(self, slot: int, x_m: float, y_m: float, vx_m_s: float, vy_m_s: float,
+             radius_m: float, share: float, heard_s: float) -> None:  # fmt: skip
+        """The newest pose of a peer; `share` of the avoidance is ours (1: it will not give way)."""
+        assert 0 <= slot < PEERS_MAX and 0.0 <= share <= 1.0 and radius_m >= 0.0
+        _ROW.pack_into(self._work, 8 * (HEAD + slot * ROW_COLUMNS), x_m, y_m, vx_m_s, vy_m_s,  # type: ignore[arg-type]
+                       radius_m, share, heard_s)  # fmt: skip
+        if slot >= self._last:
+            self._last = slot + 1
+
+    def forget(self, slot: int) -> None:
+        self._work[HEAD + slot * ROW_COLUMNS + ROW_RADIUS] = UNKNOWN
+
+    def among_known(self, at: XY, own: XY, wanted: XY, now_s: float) -> XY:
+        """The velocity to take among the known peers, from place, own and wanted velocity."""
+        _CALL.pack_into(self._work, 0, *at, *own, *wanted, now_s, 0, self._last, self.range_m)  # type: ignore[arg-type]
+        return self._run(at)
+
+    def velocity(self, at: XY, own: XY, wanted: XY, rows: list[tuple[float, ...]]) -> XY:
+        """The same from `rows` alone: dx, dy, vx, vy, combined radius, share; at any distance."""
+        count = min(len(rows), GIVEN_MAX)
         for k in range(count):
-            self._rows[k] = rows[k]
-        hard = fence_lines(at[0], at[1], self.radius_m, self.braking_m_s2, self.reach_m,
-                           self.fences, self._lines[:LINES_MAX])  # fmt: skip
-        if not rows and hard == 0:
-            return wanted
-        x, y = avoid(own[0], own[1], wanted[0], wanted[1], self.speed_max_m_s, self.horizon_s,
-                     self.dt_s, self._rows, count, hard, self._lines)  # fmt: skip
-        return float(x), float(y)
+            dx, dy, vx, vy, combined, share = rows[k]
+            _ROW.pack_into(self._work, 8 * (HEAD + (PEERS_MAX + k) * ROW_COLUMNS), at[0] + dx,  # type: ignore[arg-type]
+                           at[1] + dy, vx, vy, combined - self.radius_m, share, 0.0)  # fmt: skip
+        _CALL.pack_into(self._work, 0, *at, *own, *wanted, 0.0, PEERS_MAX, PEERS_MAX + count,  # type: ignore[arg-type]
+                        inf)  # fmt: skip
+        return self._run(at)
+
+    def _run(self, at: XY) -> XY:
+        if hypot(at[0] - self._gathered_at[0], at[1] - self._gathered_at[1]) > FENCE_SLACK_M:
+            self._gather(at)
+        if self.walls.root < 0:
+            x, y = velocity(self._work)
+        else:
+            x, y = velocity_among_walls(self._work, self.walls.table, self.walls.root)
+        return x, y
+
+    def _gather(self, at: XY) -> None:
+        """Copy the fences that may come into reach before the next time."""
+        self._gathered_at = at
+        a, along = self._fences[:, :2], self._fences[:, 2:] - self._fences[:, :2]
+        square = np.maximum(np.sum(along * along, axis=1), 1e-18)
+        t = np.clip(np.sum((np.asarray(at) - a) * along, axis=1) / square, 0.0, 1.0)
+        distance = np.hypot(*(a + t[:, np.newaxis] * along - np.asarray(at)).T)
+        near = np.argsort(distance, kind="stable")[:FENCES_MAX]
+        near = near[distance[near] <= self._work[FENCE_REACH] + FENCE_SLACK_M]
+        self._work[FENCES] = len(near)
+        self._work[FENCE_AT : FENCE_AT + 4 * len(near)] = self._fences[near].reshape(-1)
