@@ -137,5 +137,5 @@ class Voice:
             leaving=counter == LEAVING_COUNTER,
             health=battery,
             operations=peer.clock[self.slot] & 0xFFFF,
-            digest=peer.sync.digest,
+            digest=peer.sync.tell(),
         )

@@ -65,6 +65,14 @@ class Replica:
         for section, block, _ in self.progress.entries():
             yield entry_of(BLOCKS, section << 8 | block)
 
+    def __contains__(self, entry: int) -> bool:
+        return entry in self._changed
+
+    def owner_of(self, entry: int) -> int | None:
+        """The slot that holds the section an entry belongs to."""
+        kind, name = entry >> NAME_BITS, entry & (1 << NAME_BITS) - 1
+        return self.allocation.owner_of(name if kind == REGISTERS else name >> 8)
+
     # ---------------------------------------------------------------- changes
 
     def note(self, entry: int) -> None:
