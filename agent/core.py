@@ -220,18 +220,18 @@ class Peer:
         if self.lifecycle.state not in (State.IDLE, State.WORKING):
             return NOTHING
         key = self.claims.claim(Choice(section, bid, takeover), now_us)
-        return NOTHING if key is None else self.announce(section, key, "claim")
+        return NOTHING if key is None else self.announce(section, key, "claim", now_us)
 
     def release(self, section: int, now_us: int) -> Sequence[Effect]:
         key = self.claims.drop(section)
-        effects = [] if key is None else [*self.announce(section, key, "release")]
+        effects = [] if key is None else [*self.announce(section, key, "release", now_us)]
         return [*effects, *self.idle_if_free("released")]
 
     def finish(self, section: int, now_us: int) -> Sequence[Effect]:
         if self.claims.current != section:
             return NOTHING
         key = self.claims.finish()
-        effects = [] if key is None else [*self.announce(section, key, "done")]
+        effects = [] if key is None else [*self.announce(section, key, "done", now_us)]
         return [*effects, *self.idle_if_free("finished")]
 
     def leave(self, now_us: int) -> Sequence[Effect]:
@@ -276,7 +276,7 @@ class Peer:
     def membership_changed(self, now_us: int) -> list[Effect]:
         """The live view changed: tell the parts that depend on it."""
         live, silent = self.membership.live, self.membership.silent
-        self.sync.live(live)
+        self.sync.live(live, now_us)
         effects = [*self.safety.members(live, silent, now_us)]
         effects.append(
             Trace("membership", "", "VIEW", "", f"live {sorted(live)} silent {sorted(silent)}")
@@ -295,10 +295,10 @@ class Peer:
             effects.append(Trace("election", "", "LEADER", f"{leader.slot}", f"term {leader.term}"))
         return effects
 
-    def announce(self, section: int, key: int, what: str) -> list[Effect]:
+    def announce(self, section: int, key: int, what: str, now_us: int) -> list[Effect]:
         """An own operation: counted, durable, then revealed."""
         self.clock.increment(self.slot)
-        self.sync.changed_here(section)
+        self.sync.changed_here(section, None, now_us)
         claim = self.allocation.entry(section)
         message = TaskClaim(
             section, claim.epoch, claim.phase, claim.bid, claim.lamport, claim.owner

@@ -84,7 +84,7 @@ class Voice:
             self.redone += (known & new).bit_count()
             bits = known | new
             peer.progress.apply(section, block, bits)
-            peer.sync.changed_here(section, block)
+            peer.sync.changed_here(section, block, now_us)
             effects.append(Persist(*peer.records.progress(section, block, bits)))
             effects.append(Send(WorkProgress(section, block, bits)))
         self.pending.clear()

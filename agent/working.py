@@ -31,7 +31,7 @@ class Working:
         if peer.mission is not None and peer.here is not None:
             peer.mission.begin(section, peer.view(now_us))
         return [
-            *peer.announce(section, key, "start"),
+            *peer.announce(section, key, "start", now_us),
             *peer.fire(Event.CLAIMED, f"holds S{section}"),
         ]
 

@@ -34,12 +34,16 @@ class Divergence:
         self._told: dict[int, int] = {}  # live slot -> digest it told last
         self._own_told: int | None = None  # what our last heartbeat told the others
         self._agreed: dict[int, Moment] = {}  # slot -> our latest moment that it also had
+        self._met: dict[
+            int, int
+        ] = {}  # slot -> sum of our entries when it appeared, until it agrees
 
     def see(self, live: frozenset[int]) -> None:
         """The members we hear now."""
         appeared = live - self.live - {self.slot}
         self.suspects = (self.suspects | appeared) & live
         self.live = live
+        self._met.update(dict.fromkeys(appeared, self.replica.total))
         for slot in appeared | (self._told.keys() - live):
             self._told.pop(slot, None)
         for slot in self.odd.keys() - live:
@@ -61,8 +65,14 @@ class Divergence:
         self._told[slot] = digest
         moment = self.replica.when(digest)
         if moment is not None:
+            self._met.pop(slot, None)
             self._explained(slot, moment)
             return False
+        if slot in self._met:
+            fork = self.replica.fork(digest, self._met[slot], self._agreed.get(slot, NEVER).version)
+            if fork is not None:  # it told us everything; what it lacks it will ask for
+                self._explained(slot, fork)
+                return False
         before = self.odd.get(slot)
         confirmed = slot in self.suspects or any(
             odd.confirmed or odd.digest == digest for s, odd in self.odd.items() if s != slot
@@ -106,6 +116,10 @@ class Divergence:
         """The latest moment of ours that this peer, or one with the same digest, also had."""
         alike = [s for s, told in self._told.items() if told == digest]
         return max((self._agreed.get(s, NEVER) for s in (slot, *alike)), default=NEVER)
+
+    def was_away(self, slot: int) -> bool:
+        """We have not agreed since it appeared."""
+        return slot in self._met
 
     def forget(self, slot: int) -> None:
         """It says that it agrees with nobody: its memory is younger than ours."""

@@ -97,7 +97,6 @@ class Sync:
         self._learned_us = 0
         self._round = 0
         self._ready_us: int | None = None
-        self._now_us = 0
 
     # ---------------------------------------------------------------- state
 
@@ -132,19 +131,19 @@ class Sync:
         """Whether what we know is good enough to choose work by."""
         return self._ready_us is not None and now_us >= self._ready_us and not self.synchronizing
 
-    def live(self, slots: frozenset[int]) -> None:
+    def live(self, slots: frozenset[int], now_us: int) -> None:
         for slot in slots - self.divergence.live:
-            self._live_since_us[slot] = self._now_us
+            self._live_since_us[slot] = now_us
         self.divergence.see(slots)
-        self._judge(self._now_us)
+        self._judge(now_us)
 
-    def changed_here(self, section: int, block: int | None = None) -> None:
+    def changed_here(self, section: int, block: int | None, now_us: int) -> None:
         """An own operation or own progress was written and is being announced."""
         if block is None:
             entry = entry_of(REGISTER, section)
         else:
             entry = entry_of(BLOCK, section << 8 | block)
-        self._aired_us[entry] = self._now_us
+        self._aired_us[entry] = now_us
         self.replica.note(entry)
 
     def _judge(self, now_us: int) -> None:
@@ -163,7 +162,6 @@ class Sync:
 
     def heard_digest(self, slot: int, digest: int, now_us: int) -> None:
         """A peer's heartbeat."""
-        self._now_us = now_us
         divergence = self.divergence
         if slot not in divergence.live:
             return
@@ -186,7 +184,6 @@ class Sync:
 
     def receive(self, slot: int, message: object, now_us: int) -> set[int]:
         """Any work frame; returns the sections whose register changed."""
-        self._now_us = now_us
         if isinstance(message, TaskClaim | StateSyncResponse | WorkProgress):
             return self._entry(slot, message, now_us)
         if isinstance(message, StateSyncRequest):
@@ -288,7 +285,7 @@ class Sync:
             entries = replica.after(m.cut)
         else:
             entries = replica.since(moment.version)
-        if m.scope == REGISTERS and divergence.reunion:
+        if m.scope == REGISTERS and divergence.was_away(slot):
             since_us = self._live_since_us.get(slot, 0)
             entries = [entry for entry in entries if self._aired_us.get(entry, -1) < since_us]
         return entries
@@ -323,7 +320,6 @@ class Sync:
 
     def tick(self, now_us: int) -> Iterable[Said]:
         """What to send now: one frame at most."""
-        self._now_us = now_us
         if self.synchronizing:
             self._judge(now_us)
         if (self._queue or self._digests) and now_us >= self._speak_us:

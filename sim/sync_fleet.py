@@ -76,7 +76,7 @@ class SyncFleet:
     def see(self) -> None:
         for island in self.islands:
             for slot in island:
-                self.members[slot].sync.live(frozenset(island))
+                self.members[slot].sync.live(frozenset(island), self.now_us)
 
     # ---------------------------------------------------------------- operations
 
@@ -85,11 +85,11 @@ class SyncFleet:
         member = self.members[slot]
         key = member.allocation.claim(section, slot, self.rng.randrange(32))
         if key is not None:
-            member.sync.changed_here(section)
+            member.sync.changed_here(section, None, self.now_us)
             self.send(member, TaskClaim(section, *member.allocation.entry(section)))
         if unit is not None:
             block, bits = member.progress.cover(section, unit)
-            member.sync.changed_here(section, block)
+            member.sync.changed_here(section, block, self.now_us)
             self.send(member, WorkProgress(section, block, bits))
 
     def send(self, member: Member, message: Message) -> None:
