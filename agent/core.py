@@ -16,7 +16,8 @@ from agent.effects import HALT, Effect, Persist, Send, Trace
 from agent.election import OPERATOR_GATEWAY, Election, Leader
 from agent.fsm import Machine
 from agent.hearing import Hearing
-from agent.joining import Joining
+from agent.joining import CLAIM_PGN, MEMBER_PGN, Joining
+from agent.letters import Letter, Letters
 from agent.lifecycle import TABLE, Event, State
 from agent.membership import Membership, Neighbour
 from agent.mission import STILL, Choice, FleetView, Mission, Wish
@@ -51,6 +52,11 @@ class Identity(NamedTuple):
     silence: SilencePolicy = SilencePolicy.STOP
     started: bool = False  # permission to move is given at boot, not by a separate start
 
+    @property
+    def component(self) -> str:
+        """Component identification as SAE J1939-71 writes it."""
+        return f"Headland*peer*{self.name.identity:07d}*robot {self.slot}*"
+
 
 class Peer:
     def __init__(
@@ -77,6 +83,7 @@ class Peer:
             self.slot, self.records.incarnation, identity.silence, keyring, recalled, now_us
         )
         self.joining = Joining(identity, self.records.incarnation, rng, now_us)
+        self.letters = Letters(identity.component, frozenset((MEMBER_PGN, CLAIM_PGN)))
         self.sync = Sync(self.slot, self.allocation, self.progress)
         self.election = Election(
             OPERATOR_GATEWAY, self.slot, identity.name.hash16, self.records.term
@@ -105,12 +112,17 @@ class Peer:
     def receive(self, frame: Frame, now_us: int) -> Sequence[Effect]:
         """A frame from the bus. An addressed one that is not for us is not heard."""
         identifier = frame.identifier
-        if identifier >> 16 & 0xFF < 240:
-            destination = identifier >> 8 & 0xFF
-            if destination not in (GLOBAL_ADDRESS, self.joining.address):
-                return NOTHING
+        if identifier >> 16 & 0xFF >= 240:
+            source, message = decode_once(frame)
+            return self.hear(source, message, now_us)
+        destination = identifier >> 8 & 0xFF
+        if destination not in (GLOBAL_ADDRESS, self.joining.address):
+            return NOTHING
         source, message = decode_once(frame)
-        return self.hear(source, message, now_us)
+        effects = self.hear(source, message, now_us)
+        if self.joining.joined and isinstance(message, Letter):
+            effects = [*effects, *self.letters.receive(source, destination, message, now_us)]
+        return effects
 
     def hear(self, source: int, message: Message | Malformed, now_us: int) -> Sequence[Effect]:
         """A decoded frame; simulators decode once for all receivers."""
@@ -148,7 +160,7 @@ class Peer:
         deadline = min(self.voice.deadline_us, self.safety.deadline_us)
         for other in (
             self.membership.deadline_us, self.joining.deadline_us,
-            self.sync.deadline_us, self.claims.deadline_us,
+            self.sync.deadline_us, self.claims.deadline_us, self.letters.deadline_us,
         ):  # fmt: skip
             if other is not None and other < deadline:
                 deadline = other
@@ -162,6 +174,7 @@ class Peer:
         if self.joining.joined:
             effects += [Send(message) for message in self.sync.tick(now_us)]
             effects += self._synchronize(now_us)
+            effects += self.letters.tick(now_us)
             effects += self._working.start_due(now_us)
         if self.voice.control_due(now_us):
             effects += self._working.control(now_us)
