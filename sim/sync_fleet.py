@@ -9,6 +9,7 @@ from collections.abc import Iterable
 from heapq import heappop, heappush
 from random import Random
 
+from agent.config import beat_of
 from crdt import FieldAllocationCRDT, Progress
 from protocol.codec import decode_once, encode
 from protocol.fleet_frames import Heartbeat
@@ -41,7 +42,7 @@ class SyncFleet:
     def __init__(self, size: int, seed: int = 0, heartbeat_us: int | None = None) -> None:
         self.rng = Random(f"{seed}/sync fleet")
         self.wire = Wire(seed)
-        self.heartbeat_us = heartbeat_us or (500_000 if size <= 30 else 1_000_000)
+        self.heartbeat_us = heartbeat_us or beat_of(size).heartbeat_us
         self.members: dict[int, Member] = {}
         self.islands: list[set[int]] = [set()]
         self.now_us = 0
