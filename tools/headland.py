@@ -33,6 +33,9 @@ def run(
     out: Annotated[Path, typer.Option(help="Folder for report, picture and log.")] = Path(
         "runs/run"
     ),
+    log: Annotated[
+        list[Path] | None, typer.Option(help="A further CAN log: .asc .blf .csv .log .trc")
+    ] = None,
     json: Json = False,
 ) -> None:
     """Work a scenario to its end in virtual time, as fast as it can go.
@@ -41,7 +44,7 @@ def run(
     """
     from tools.run import run as command
 
-    raise SystemExit(command(scenario, robots, seed, out, json))
+    raise SystemExit(command(scenario, robots, seed, out, json, log or []))
 
 
 @app.command()
@@ -121,6 +124,57 @@ def inspect(
     raise SystemExit(
         command(source, interface, channel, bitrate, host, port, seconds, mermaid, why, json)
     )
+
+
+@app.command()
+def bench(
+    name: Annotated[str, typer.Argument(help="Which one, or all.")] = "all",
+    quick: Annotated[bool, typer.Option("--quick", help="Less than a minute each.")] = False,
+    seed: Annotated[int, typer.Option(help="Where chance takes part.")] = 1,
+    json: Json = False,
+) -> None:
+    """Measure again what the documents claim. Exit 0 when every target holds.
+
+    Example: headland bench wire --quick --json
+    """
+    from tools.bench.command import bench as command
+
+    raise SystemExit(command(name, quick, seed, json))
+
+
+@app.command()
+def dbc(
+    out: Annotated[
+        Path | None, typer.Argument(help="Where to write; none: to the terminal.")
+    ] = None,
+) -> None:
+    """Write a DBC of every frame, for cantools, SavvyCAN, CANalyzer and the like.
+
+    Example: headland dbc headland.dbc
+    """
+    from tools.dbc import dbc as command
+
+    raise SystemExit(command(out))
+
+
+@app.command()
+def replay(
+    log: Annotated[Path, typer.Argument(help="Run folder, or log: .log .asc .blf .csv .trc")],
+    speed: Annotated[float, typer.Option(help="Times real time; 0: at once.")] = 0.0,
+    interface: Annotated[
+        str, typer.Option("-i", "--interface", help="Also send the frames to this interface.")
+    ] = "",
+    channel: Channel = "can0", bitrate: Bitrate = 250_000,
+    host: Host = "127.0.0.1", port: Port = 0,
+    json: Json = False,
+) -> None:  # fmt: skip
+    """Feed a log to the inspector, at the speed it was recorded or as fast as it goes.
+
+    Example: headland replay runs/run --speed 10
+    """
+    from tools.replay import replay as command
+
+    raise SystemExit(command(log, speed, interface, channel, bitrate, host, port, json))
 
 
 @app.command()

@@ -117,7 +117,8 @@ def _why(inspector: Inspector, section: int, as_json: bool) -> int:
     return 0 if chain else 1
 
 
-def _show(console: Console, seen: dict[str, Any]) -> None:
+def table_of(seen: dict[str, Any]) -> Table:
+    """The robots, a row each."""
     table = Table(title=f"{len(seen['robots'])} robots, {seen['seconds']:.1f} s of the bus")
     for column in (
         "robot",
@@ -142,7 +143,11 @@ def _show(console: Console, seen: dict[str, Any]) -> None:
             str(robot["slot"]), str(robot["address"]), state, " ".join(map(str, robot["peers"])),
             " ".join(robot["sections"]), clock, robot["digest"], path,
         )  # fmt: skip
-    console.print(table)
+    return table
+
+
+def _show(console: Console, seen: dict[str, Any]) -> None:
+    console.print(table_of(seen))
     done = sum(1 for s in seen["sections"].values() if s["phase"] == "DONE")
     console.print(f"sections heard of: {len(seen['sections'])}, done: {done}")
     console.print(f"frames: {', '.join(f'{n} {k}' for k, n in seen['frames'].items())}")

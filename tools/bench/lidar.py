@@ -79,7 +79,7 @@ def seconds(work: Callable[[], object]) -> float:
     return process_time() - start
 
 
-def figures(quick: bool, seed: int) -> Iterator[Figure]:
+def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
     rounds = 7 if quick else 21
     for robots in (10, 100):
         yield from rays(seed, robots, rounds)
