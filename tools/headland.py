@@ -113,6 +113,7 @@ def inspect(
     seconds: Annotated[float, typer.Option(help="Listen this long to a live bus.")] = 3.0,
     mermaid: Annotated[bool, typer.Option("--mermaid", help="Print the state machine.")] = False,
     why: Annotated[str | None, typer.Option(help="How a section (S7) came to its owner.")] = None,
+    traces: Annotated[int | None, typer.Option(help="Ask this robot for its newest traces.")] = None,
     json: Json = False,
 ) -> None:  # fmt: skip
     """Show each robot's state, peers, sections, vector clock, and the path of states that led there.
@@ -122,7 +123,9 @@ def inspect(
     from tools.inspection import inspect as command
 
     raise SystemExit(
-        command(source, interface, channel, bitrate, host, port, seconds, mermaid, why, json)
+        command(
+            source, interface, channel, bitrate, host, port, seconds, mermaid, why, json, traces
+        )
     )
 
 
