@@ -36,7 +36,7 @@ from protocol.messages import Message
 from protocol.name import Name
 from protocol.safety_frames import EmergencyStop, Reason
 from protocol.sync import Sync
-from protocol.work_frames import TaskClaim
+from protocol.work_frames import STOPS, StateSyncRequest, TaskClaim
 
 NOTHING: Sequence[Effect] = ()  # an empty answer promises that `deadline_us` did not move earlier
 
@@ -50,6 +50,7 @@ class Identity(NamedTuple):
     field_hash: int  # u24; peers of another field description are not of this fleet
     silence: SilencePolicy = SilencePolicy.STOP
     started: bool = False  # permission to move is given at boot, not by a separate start
+    first_boot: bool = False  # a new machine: that it remembers nothing is no loss of memory
 
 
 class Peer:
@@ -66,7 +67,7 @@ class Peer:
         self.identity, self.slot = identity, identity.slot
         self.beat = config.beat_of(len(identity.members))
         self.mission, self.motion = mission, motion
-        self.records = Records(recalled)
+        self.records = Records(recalled, identity.first_boot, rng)
         self.allocation = FieldAllocationCRDT(identity.field_hash)
         self.progress = Progress(mission.section_units if mission else {})
         self.records.restore(self.allocation, self.progress)
@@ -87,6 +88,8 @@ class Peer:
         self.wish: Wish = STILL
         self.malformed: dict[str, int] = {}
         self._hearing, self._working = Hearing(self), Working(self)
+        if self.records.lost:
+            self.safety.raise_cause(Cause.BOOT_UNCONFIRMED, now_us, "durable memory was lost")
         if identity.started and not self.safety.latched:
             self.safety.start(now_us)
         if self.safety.latched:
@@ -155,7 +158,7 @@ class Peer:
         return deadline
 
     def tick(self, now_us: int) -> Sequence[Effect]:
-        effects: list[Effect] = [*self.safety.tick(now_us)]
+        effects: list[Effect] = [*self._remember_boot(), *self.safety.tick(now_us)]
         if self.membership.tick(now_us):
             effects += self.membership_changed(now_us)
         effects += self._join(now_us)
@@ -168,6 +171,13 @@ class Peer:
         effects += self.voice.speak(self, now_us)
         return effects
 
+    def _remember_boot(self) -> Sequence[Effect]:
+        """The incarnation is durable before the first frame that could reveal it."""
+        if not self.records.fresh:
+            return NOTHING
+        self.records.fresh = False
+        return [Persist(*self.records.identity())]
+
     def _join(self, now_us: int) -> Sequence[Effect]:
         was_joined = self.joining.joined
         effects = [*self.joining.tick(now_us)]
@@ -179,6 +189,8 @@ class Peer:
             self.safety.clear_cause(Cause.ADDRESS_LOST, now_us)
             self.sync.joined(now_us, self.beat.heartbeat_us)
             effects += self.fire(Event.FLEET_JOINED, f"address {self.joining.address}")
+            if self.safety.unconfirmed:  # what holds the others holds us too
+                effects.append(Send(StateSyncRequest(0, 0, STOPS, 0)))
             effects += self.membership_changed(now_us)
         return effects
 

@@ -15,6 +15,7 @@ import inspect
 import logging
 from collections.abc import Awaitable, Callable, Mapping
 from random import Random
+from secrets import randbits
 from typing import Any
 
 from agent.config import CONTENTION_US, S
@@ -51,7 +52,11 @@ class FleetCoordinationEngine:
         journal: Journal | None = None,
         silence: SilencePolicy = SilencePolicy.STOP,
         seed: int | None = None,
+        first_boot: bool = False,
     ) -> None:
+        """`first_boot`: this machine is new. Without it an empty journal is a lost one, and the
+        robot stays latched until a person resets it. Without a journal nothing can be lost."""
+        self.first_boot = first_boot or journal is None
         self.tractor_id, self.bus, self.journal = tractor_id, isobus_interface, journal
         self.fleet, self.members = fleet, members
         digits = tractor_id[len(tractor_id.rstrip("0123456789")) :]
@@ -85,7 +90,11 @@ class FleetCoordinationEngine:
             field_hash=FieldAllocationCRDT.hash_of(self.fleet),
             silence=self.silence,
             started=True,
+            first_boot=self.first_boot,
         )
+        if not recalled and not self.first_boot:
+            self._rng = Random(randbits(64))  # the next incarnation must not be an earlier one
+        self.first_boot = self.journal is None
         peer = Peer(identity, self._rng, Shell.now_us(), recalled)
         self._shell = Shell(peer, self.bus, None, self.journal, self._effect)
         self._task = asyncio.create_task(self._shell.run(), name=f"peer {self.tractor_id}")

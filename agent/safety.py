@@ -94,6 +94,11 @@ class Safety:
         )
 
     @property
+    def unconfirmed(self) -> bool:
+        """Memory was lost: nobody has yet said that this machine may forget it."""
+        return Cause.BOOT_UNCONFIRMED in self._causes
+
+    @property
     def started(self) -> bool:
         return Cause.NOT_STARTED not in self._causes
 

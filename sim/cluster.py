@@ -5,6 +5,7 @@ the same run; under a real loop it is a demonstration.
 """
 
 import asyncio
+from collections import Counter
 from collections.abc import Callable, Mapping
 from random import Random
 
@@ -14,6 +15,7 @@ from agent.core import Identity, Peer
 from agent.effects import Effect
 from agent.field_work import FieldWork
 from agent.motion import Limits, Motion
+from agent.ports import Journal
 from agent.shell import Shell
 from protocol.bus import CanBus
 from protocol.codec import encode
@@ -45,8 +47,13 @@ class Robot:
         return self.task is not None and not self.task.done()
 
 
-def make_peer(setting: Setting, slot: int, now_us: int, recalled: Mapping[str, bytes]) -> Peer:
-    """The peer of one slot of a scenario; the same on a virtual clock and in a process of its own."""
+def make_peer(
+    setting: Setting, slot: int, now_us: int, recalled: Mapping[str, bytes], boots: int | str = 0
+) -> Peer:
+    """The peer of one slot of a scenario; the same on a virtual clock and in a process of its own.
+
+    `boots`: how often it was switched on before, or anything else that no two boots share.
+    """
     fleet = setting.scenario.fleet
     braking_m_s2 = BRAKING_SHARE * fleet.acceleration_m_s2
     work = FieldWork(setting.field, setting.route, fleet.radius_m, fleet.speed_m_s, braking_m_s2)
@@ -58,8 +65,10 @@ def make_peer(setting: Setting, slot: int, now_us: int, recalled: Mapping[str, b
         field_hash=setting.field.config_hash,
         silence=setting.silence,
         started=True,
+        first_boot=not boots,
     )
-    rng = Random(f"{setting.scenario.run.seed}/peer/{slot}")
+    again = f"/{boots}" if boots else ""  # who has lost its memory must not throw the same dice
+    rng = Random(f"{setting.scenario.run.seed}/peer/{slot}{again}")
     motion = Motion(slot, limits, setting.fences)
     return Peer(identity, rng, now_us, recalled, work, motion, setting.keyring(slot))
 
@@ -75,7 +84,8 @@ class Cluster:
         faults.loss, faults.error = bus.loss, bus.error_rate
         faults.omission, faults.duplicate = bus.omission, bus.duplicate
         self.robots: dict[int, Robot] = {}
-        self.journals: dict[int, MemoryJournal] = {}
+        self.journals: dict[int, Journal] = {}
+        self.boots: Counter[int] = Counter()
         self.tasks: set[asyncio.Task[None]] = set()
         self._tool: FieldBus | None = None
 
@@ -89,7 +99,8 @@ class Cluster:
     def boot(self, slot: int) -> Robot:
         """Power a robot up with what its journal remembers."""
         journal = self.journals.setdefault(slot, MemoryJournal())
-        peer = make_peer(self.setting, slot, Shell.now_us(), journal.load())
+        peer = make_peer(self.setting, slot, Shell.now_us(), journal.load(), self.boots[slot])
+        self.boots[slot] += 1
         bus = can.Bus(interface="fieldbus", channel=self.channel)
         assert isinstance(bus, FieldBus)
         record = self.record

@@ -96,7 +96,7 @@ class Launch:
                 "slot": slot, "scenario": self.name, "robots": self.setting.scenario.fleet.robots,
                 "seed": self.setting.scenario.run.seed, "host": HOST, "channel": CHANNEL,
                 "bus_port": bus_port, "body_port": body_port,
-                "journal": str(self.out / f"robot{slot}.sqlite"),
+                "journal": str(self.out / f"robot{slot}.sqlite"), "first_boot": True,
             }  # fmt: skip
             with (self.out / f"robot{slot}.log").open("wb") as errors:
                 process = await asyncio.create_subprocess_exec(
