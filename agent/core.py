@@ -90,7 +90,7 @@ class Peer:
         self._hearing, self._working = Hearing(self), Working(self)
         if self.records.lost:
             self.safety.raise_cause(Cause.BOOT_UNCONFIRMED, now_us, "durable memory was lost")
-        if identity.started and not self.safety.latched:
+        if identity.started and not self.safety.latched and not self.safety.held:
             self.safety.start(now_us)
         if self.safety.latched:
             self.fire(Event.EMERGENCY, "latched before the restart")
@@ -176,7 +176,7 @@ class Peer:
         if not self.records.fresh:
             return NOTHING
         self.records.fresh = False
-        return [Persist(*self.records.identity())]
+        return [Persist(*self.records.identity()), self.safety.remember_hold()]
 
     def _join(self, now_us: int) -> Sequence[Effect]:
         was_joined = self.joining.joined
@@ -215,16 +215,16 @@ class Peer:
         """A person at this machine. Refused while any stop is not cleared or a cause persists."""
         if self.lifecycle.state is not State.EMERGENCY_STOP or not self.safety.manual_reset(now_us):
             return [Trace("safety", "LATCHED", "MANUAL_RESET", "LATCHED", "refused")]
-        self.safety.hold(now_us)  # reset is not start
+        held = self.safety.hold(now_us)  # reset is not start
         self.joining.rejoin(now_us)
-        return self.fire(Event.MANUAL_RESET, "a person at this machine")
+        return [*held, *self.fire(Event.MANUAL_RESET, "a person at this machine")]
 
     def start(self, now_us: int) -> Sequence[Effect]:
         """Permission to move. A latched robot does not take it: it would start after the reset."""
         if self.safety.latched:
             return [Trace("safety", "LATCHED", "START", "LATCHED", "refused")]
-        self.safety.start(now_us)
-        return [Trace("safety", "HELD", "START", "STARTED", "operator")]
+        started = self.safety.start(now_us)
+        return [*started, Trace("safety", "HELD", "START", "STARTED", "operator")]
 
     def claim(
         self, section: int, bid: int, now_us: int, takeover: bool = False

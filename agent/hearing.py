@@ -102,8 +102,7 @@ class Hearing:
             case Command.START:
                 return peer.start(now_us)
             case Command.HOLD:
-                peer.safety.hold(now_us)
-                return [HALT]
+                return peer.safety.hold(now_us)
             case Command.WAIVE if peer.membership.waive(m.argument, now_us):
                 return peer.membership_changed(now_us)
         return ()

@@ -23,7 +23,12 @@ from protocol.safety_frames import (
     Switch,
 )  # fmt: skip
 
-STOPS_KEY, COUNTER_KEY = "stops", "stop_counter"
+STOPS_KEY, COUNTER_KEY, HOLD_KEY = "stops", "stop_counter", "hold"
+FREE, HELD, LATCHED = (
+    b"\0",
+    b"\1",
+    b"\2",
+)  # what HOLD_KEY remembers: a restart resets and starts nothing
 CREEP_M_S = 0.5
 UNAUTHENTICATED_HOLD_US = 1 * S  # a stop without a valid tag holds this long after its last frame
 IMPLEMENTS_HOLD_US = 3 * S  # the standard frame comes every second; three are missing
@@ -74,8 +79,9 @@ class Safety:
                 self.stops = StopSet.deserialize(recalled[STOPS_KEY])
         except ValueError:
             self._causes[Cause.BOOT_UNCONFIRMED] = "the stop set on disk is unreadable"
-        if self.stops.latched:
+        if self.stops.latched or recalled.get(HOLD_KEY) == LATCHED:
             self._causes[Cause.STOP_DOT] = "latched before the restart"
+        self.held = recalled.get(HOLD_KEY, FREE) != FREE
 
     # ---------------------------------------------------------------- state
 
@@ -235,11 +241,18 @@ class Safety:
             self._causes.pop(cause, None)
         return True
 
-    def start(self, now_us: int) -> None:
+    def start(self, now_us: int) -> Sequence[Effect]:
         self.clear_cause(Cause.NOT_STARTED, now_us)
+        return [self.remember_hold()]
 
-    def hold(self, now_us: int) -> None:
+    def hold(self, now_us: int) -> Sequence[Effect]:
         self.raise_cause(Cause.NOT_STARTED, now_us, "held by an operator")
+        return [HALT, self.remember_hold()]
+
+    def remember_hold(self) -> Persist:
+        """What a person has still to do at this machine, for the time after a restart."""
+        self.held = not self.started
+        return Persist(HOLD_KEY, LATCHED if self.latched else HELD if self.held else FREE)
 
     # ---------------------------------------------------------------- members and time
 
@@ -323,4 +336,5 @@ class Safety:
         return [
             Persist(STOPS_KEY, self.stops.serialize()),
             Persist(COUNTER_KEY, self.counter.to_bytes(4, "little")),
+            self.remember_hold(),
         ]

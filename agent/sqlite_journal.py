@@ -15,7 +15,12 @@ from agent.effects import Persist
 
 CHECK_SIZE = 4  # bytes of CRC-32 before each value
 FULL = 2  # what sqlite calls synchronous FULL
-DAMAGED = (sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_CORRUPT)
+NOT_TO_BE_HAD = {  # errors about getting at the file; any other is about what is in it
+    sqlite3.SQLITE_PERM, sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED, sqlite3.SQLITE_NOMEM,
+    sqlite3.SQLITE_READONLY, sqlite3.SQLITE_INTERRUPT, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_FULL,
+    sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_PROTOCOL, sqlite3.SQLITE_NOLFS, sqlite3.SQLITE_AUTH,
+}  # fmt: skip
+PROBLEMS = (sqlite3.Error, UnicodeDecodeError)  # the second where damaged text is decoded
 
 
 class UnreadableError(OSError):
@@ -27,19 +32,23 @@ class SqliteJournal:
         """UnreadableError where the file is no journal (any more), OSError where it is not to be had."""
         self.path = path
         try:
-            # One writer and nobody else: a second process with this journal is refused.
             self._database = sqlite3.connect(path, isolation_level=None, timeout=0.0)
+        except PROBLEMS as problem:
+            raise self._error(problem) from None
+        try:
+            # One writer and nobody else: a second process with this journal is refused.
             self._database.execute("PRAGMA locking_mode=EXCLUSIVE")
             (mode,) = self._database.execute("PRAGMA journal_mode=WAL").fetchone()
             self._database.execute("PRAGMA synchronous=FULL")
             (synchronous,) = self._database.execute("PRAGMA synchronous").fetchone()
+            if (mode, synchronous) != ("wal", FULL):
+                raise OSError(f"{path}: this file system keeps no durable journal ({mode})")
             self._database.execute(
                 "CREATE TABLE IF NOT EXISTS record (key TEXT PRIMARY KEY, value BLOB NOT NULL)"
             )
-        except sqlite3.Error as problem:
+        except PROBLEMS as problem:
+            self._database.close()
             raise self._error(problem) from None
-        if (mode, synchronous) != ("wal", FULL):
-            raise OSError(f"{path}: this file system keeps no durable journal ({mode})")
 
     @classmethod
     def opened(cls, path: Path) -> tuple["SqliteJournal", Mapping[str, bytes]]:
@@ -57,7 +66,7 @@ class SqliteJournal:
     def load(self) -> Mapping[str, bytes]:
         try:
             rows = self._database.execute("SELECT key, value FROM record").fetchall()
-        except sqlite3.Error as problem:
+        except PROBLEMS as problem:
             raise self._error(problem) from None
         records: dict[str, bytes] = {}
         for key, row in rows:
@@ -77,15 +86,15 @@ class SqliteJournal:
                     "ON CONFLICT (key) DO UPDATE SET value = excluded.value",
                     rows,
                 )
-        except sqlite3.Error as problem:
+        except PROBLEMS as problem:
             raise self._error(problem) from None
 
     def close(self) -> None:
         self._database.close()
 
-    def _error(self, problem: sqlite3.Error) -> OSError:
+    def _error(self, problem: Exception) -> OSError:
         code = getattr(problem, "sqlite_errorcode", 0) & 0xFF
-        kind = UnreadableError if code in DAMAGED else OSError
+        kind = OSError if code in NOT_TO_BE_HAD else UnreadableError
         return kind(f"{self.path}: {problem}")
 
 
