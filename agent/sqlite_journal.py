@@ -64,10 +64,13 @@ class SqliteJournal:
         return cls(path), {}
 
     def load(self) -> Mapping[str, bytes]:
-        try:
+        try:  # the check compares rows with their index, so that a row which is gone is missed
+            ((verdict,), *_) = self._database.execute("PRAGMA integrity_check(1)").fetchall()
             rows = self._database.execute("SELECT key, value FROM record").fetchall()
         except PROBLEMS as problem:
             raise self._error(problem) from None
+        if verdict != "ok":
+            raise UnreadableError(f"{self.path}: {verdict}")
         records: dict[str, bytes] = {}
         for key, row in rows:
             if not isinstance(row, bytes) or row != _checked(key, row[CHECK_SIZE:]):

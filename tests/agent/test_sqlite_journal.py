@@ -57,8 +57,8 @@ def test_the_campaign_finds_a_journal_that_does_not_sync(tape: Tape) -> None:
     assert list(power_cuts.sqlite_states(tape, steps, 100, Random(SEED)))
 
 
-@pytest.mark.parametrize("seed", range(40))
-def test_damage_is_noticed_or_harmless_and_never_a_wrong_value(seed: int, tmp_path: Path) -> None:
+@pytest.mark.parametrize("seed", range(60))
+def test_damage_is_noticed_or_harmless(seed: int, tmp_path: Path) -> None:
     path, rng = tmp_path / "j", Random(f"{SEED}/{seed}")
     filled(path)
     whole = {f"key {number}": number.to_bytes(2, "little") * 40 for number in range(50)}
@@ -67,7 +67,7 @@ def test_damage_is_noticed_or_harmless_and_never_a_wrong_value(seed: int, tmp_pa
         image[rng.randrange(len(image))] ^= 1 << rng.randrange(8)
     path.write_bytes(image)
     journal, recalled = SqliteJournal.opened(path)
-    assert recalled == {} or all(whole.get(key) == value for key, value in recalled.items())
+    assert recalled in ({}, whole)
     journal.write([Persist("after", b"x")])
     journal.close()
 
