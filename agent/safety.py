@@ -34,6 +34,8 @@ UNAUTHENTICATED_HOLD_US = 1 * S  # a stop without a valid tag holds this long af
 IMPLEMENTS_HOLD_US = 3 * S  # the standard frame comes every second; three are missing
 LATE_HOLD_US = 1 * S  # a robot that was frozen looks around before it moves
 REPEATS_MAX = 400  # 2 s of repetition; then the heartbeats' stopped bit carries the latch
+AGAIN_US = 100 * MS  # 20 repeats: who still beats as if nothing was may know our dot as cleared
+AGAIN_MAX = 3  # further dots for one press; beyond it that member cannot hear us at all
 ANSWER_SPACING_US = 100 * MS  # a member that beats unlatched is told again at most this often
 FOREVER = 1 << 62
 
@@ -69,7 +71,7 @@ class Safety:
         self._echoes: dict[StopDot, set[int]] = {}
         self._own: dict[StopDot, int] = {}  # dots we repeat as their source -> repeats left
         self._repeat_us = FOREVER
-        self._pressed_us = -STOP_SPACING_US
+        self._pressed_us, self._again = -STOP_SPACING_US, 0
         self._answered_us = -ANSWER_SPACING_US
         self._recall(recalled)
 
@@ -132,6 +134,10 @@ class Safety:
         """Emergency stop here: brake, send, then remember. Braking waits for nobody."""
         if now_us - self._pressed_us < STOP_SPACING_US:
             return [HALT]  # the same hand on the same button
+        self._again = AGAIN_MAX
+        return self._press(reason, now_us)
+
+    def _press(self, reason: Reason, now_us: int) -> Sequence[Effect]:
         self._pressed_us = now_us
         self.counter += 1
         dot = StopDot(self.slot, self.incarnation, self.counter & 0xFF)
@@ -185,6 +191,9 @@ class Safety:
             for dot in active:
                 self._echoes.setdefault(dot, set()).add(slot)
             return ()
+        if self._own and self._again and now_us - self._pressed_us >= AGAIN_US:
+            self._again -= 1
+            return self._press(Reason.OPERATOR_INTERVENTION, now_us)
         return self.tell_stops(now_us) if active else ()
 
     def tell_stops(self, now_us: int) -> Sequence[Effect]:
