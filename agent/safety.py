@@ -16,8 +16,10 @@ from crdt.stops import StopDot, StopSet
 from protocol.authentication import OPERATOR_FIRST, Keyring
 from protocol.safety_frames import (
     AllImplementsStop,
+    Challenge,
     EmergencyReset,
     EmergencyStop,
+    Freshness,
     OperatorCommand,
     Reason,
     Switch,
@@ -165,14 +167,11 @@ class Safety:
             self._echoes.setdefault(dot, set()).add(source_slot)
         if dot in self.stops.active:
             return ()
-        if self.keyring is not None and (
-            signer is None or not self.keyring.verify(m, signer, now_us)
-        ):
-            self.refused += 1
+        if not self._believed(m, signer, now_us):
             self.raise_cause(
                 Cause.UNAUTHENTICATED_STOP, now_us, f"dot {dot}", UNAUTHENTICATED_HOLD_US
             )
-            return [HALT]
+            return [HALT, *self._ask(signer, now_us)]
         if not self.stops.press(dot):
             return ()  # an operator has cleared exactly this one
         self._causes[Cause.STOP_DOT] = f"{dot.slot}.{dot.incarnation}.{dot.counter}"
@@ -209,11 +208,8 @@ class Safety:
 
     def receive_reset(self, m: EmergencyReset, now_us: int) -> Sequence[Effect]:
         """Clears exactly the dot it names, pressed here or not yet heard of."""
-        if self.keyring is not None and not (
-            m.operator >= OPERATOR_FIRST and self.keyring.verify(m, m.operator, now_us)
-        ):
-            self.refused += 1
-            return ()
+        if not self._believed(m, m.operator, now_us):
+            return self._ask(m.operator, now_us)
         dot = StopDot(m.slot, m.incarnation, m.counter)
         if not self.stops.clear(dot):
             return ()
@@ -232,13 +228,38 @@ class Safety:
             self.clear_cause(Cause.IMPLEMENTS_STOP, now_us)
         return ()
 
-    def accept_command(self, m: OperatorCommand, now_us: int) -> bool:
+    # ---------------------------------------------------------------- authority
+
+    def accept_command(self, m: OperatorCommand, now_us: int) -> Sequence[Effect] | None:
+        """None: it has authority. Otherwise what to do about it."""
+        return None if self._believed(m, m.operator, now_us) else self._ask(m.operator, now_us)
+
+    def _believed(
+        self, m: EmergencyStop | EmergencyReset | OperatorCommand, sender: int | None, now_us: int
+    ) -> bool:
         if self.keyring is None:
             return True
-        if m.operator >= OPERATOR_FIRST and self.keyring.verify(m, m.operator, now_us):
+        may = sender is not None and (isinstance(m, EmergencyStop) or sender >= OPERATOR_FIRST)
+        if may and sender is not None and self.keyring.verify(m, sender, now_us):
             return True
         self.refused += 1
         return False
+
+    def _ask(self, sender: int | None, now_us: int) -> Sequence[Effect]:
+        """Perhaps it is its owner, and we only cannot follow the counter: let it prove that."""
+        question = None
+        if self.keyring is not None and sender is not None and sender != self.slot:
+            question = self.keyring.ask(sender, now_us)
+        return () if question is None else [Send(question)]
+
+    def receive_challenge(self, source: int, m: Challenge, now_us: int) -> Sequence[Effect]:
+        proof = None if self.keyring is None else self.keyring.answer(m, now_us)
+        return () if proof is None else [Send(proof, source)]
+
+    def receive_freshness(self, m: Freshness, now_us: int) -> Sequence[Effect]:
+        if self.keyring is not None and not self.keyring.prove(m, now_us):
+            self.refused += 1
+        return ()
 
     # ---------------------------------------------------------------- people at this machine
 

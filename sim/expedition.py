@@ -116,7 +116,7 @@ class Expedition:
             robots=scenario.fleet.robots,
             seed=scenario.run.seed,
             silence_policy=scenario.fleet.silence,
-            authenticated=self.setting.keyring(0) is not None,
+            authenticated=self.setting.keys is not None,
             finished=cluster.finished,
             coverage=truth.share,
             makespan_s=truth.last_us / 1e6,

@@ -25,9 +25,9 @@ GOODBYE_S = 0.2  # for the farewell frame to leave
 
 async def run(order: dict[str, Any]) -> None:
     slot = int(order["slot"])
-    setting = Setting(load(order["scenario"]).changed(order["robots"], order["seed"]))
+    keys = None if order["keys"] is None else Path(order["keys"])
+    setting = Setting(load(order["scenario"]).changed(order["robots"], order["seed"], keys))
     journal, recalled = SqliteJournal.opened(Path(order["journal"]))
-    boots = 0 if order["first_boot"] else secrets.token_hex(8)
     loop = asyncio.get_running_loop()
     end = asyncio.Event()
     loop.add_signal_handler(signal.SIGTERM, end.set)
@@ -39,7 +39,9 @@ async def run(order: dict[str, Any]) -> None:
     )
     await body.ready()
     bus = open_bus("socketcand", order["channel"], host=order["host"], port=int(order["bus_port"]))
-    peer = make_peer(setting, slot, Shell.now_us(), recalled, boots)
+    peer = make_peer(
+        setting, slot, Shell.now_us(), recalled, order["first_boot"], secrets.token_hex(16)
+    )
     shell = Shell(peer, bus, body, journal)
     task = asyncio.create_task(shell.run())
     waiting = asyncio.create_task(end.wait())

@@ -18,9 +18,8 @@ from protocol.fleet_frames import Heartbeat, Member, Pose
 from protocol.messages import Message
 from protocol.safety_frames import Command, EmergencyReset, EmergencyStop, OperatorCommand, Reason
 from sim.clock import run_virtual
-from sim.cluster import Cluster
+from sim.cluster import OPERATOR, Cluster
 from sim.disk import Disk, LogJournal, MemoryJournal, PowerCut
-from sim.faults import OPERATOR
 from sim.scenario import load
 from sim.setting import Setting
 from sim.tape import lost
