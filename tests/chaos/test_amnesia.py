@@ -20,7 +20,8 @@ from protocol.safety_frames import Command, EmergencyReset, EmergencyStop, Opera
 from sim.clock import run_virtual
 from sim.cluster import OPERATOR, Cluster
 from sim.disk import Disk, LogJournal, MemoryJournal, PowerCut
-from sim.scenario import load
+from sim.expedition import Expedition
+from sim.scenario import Crash, Fault, Reset, Restart, load
 from sim.setting import Setting
 from sim.tape import lost
 
@@ -232,3 +233,15 @@ def test_a_power_cut_in_the_middle_of_a_write_ends_the_robot_and_nobody_else() -
         assert robot.peer.state is State.EMERGENCY_STOP, "told again by those that remember"
 
     play(story)
+
+
+@pytest.mark.parametrize("disk", ["kept", "lost"])
+def test_what_a_robot_held_before_its_restart_is_worked_by_somebody(disk: str) -> None:
+    faults: list[Fault] = [
+        Crash(at_s=10.0, kind="crash", robot=1),
+        Restart.model_validate({"at_s": 26.0, "kind": "restart", "robot": 1, "disk": disk}),
+        Reset(at_s=30.0, kind="reset"),
+    ]
+    scenario = load("small").model_copy(update={"fault": faults})
+    outcome = Expedition(Setting(scenario)).run()
+    assert outcome.success, outcome
