@@ -17,6 +17,7 @@ from protocol.authentication import OPERATOR_FIRST, Keyring
 from protocol.safety_frames import (
     AllImplementsStop,
     Challenge,
+    Command,
     EmergencyReset,
     EmergencyStop,
     Freshness,
@@ -32,6 +33,8 @@ FREE, HELD, LATCHED = (
     b"\2",
 )  # what HOLD_KEY remembers: a restart resets and starts nothing
 CREEP_M_S = 0.5
+AGREE_US = 2 * S  # two frames that say the same, each with its tag: 48 bits to guess, not 24
+AGREED_MAX = 64  # orders of operators that wait for their second frame
 UNAUTHENTICATED_HOLD_US = 1 * S  # a stop without a valid tag holds this long after its last frame
 IMPLEMENTS_HOLD_US = 3 * S  # the standard frame comes every second; three are missing
 LATE_HOLD_US = 1 * S  # a robot that was frozen looks around before it moves
@@ -73,6 +76,7 @@ class Safety:
         self._echoes: dict[StopDot, set[int]] = {}
         self._own: dict[StopDot, int] = {}  # dots we repeat as their source -> repeats left
         self._repeat_us = FOREVER
+        self._orders: dict[tuple[object, ...], int] = {}  # said once -> when
         self._pressed_us, self._again = -STOP_SPACING_US, 0
         self._answered_us = -ANSWER_SPACING_US
         self._recall(recalled)
@@ -210,6 +214,8 @@ class Safety:
         """Clears exactly the dot it names, pressed here or not yet heard of."""
         if not self._believed(m, m.operator, now_us):
             return self._ask(m.operator, now_us)
+        if not self._agreed(m, now_us):
+            return ()
         dot = StopDot(m.slot, m.incarnation, m.counter)
         if not self.stops.clear(dot):
             return ()
@@ -232,18 +238,32 @@ class Safety:
 
     def accept_command(self, m: OperatorCommand, now_us: int) -> Sequence[Effect] | None:
         """None: it has authority. Otherwise what to do about it."""
-        return None if self._believed(m, m.operator, now_us) else self._ask(m.operator, now_us)
+        if not self._believed(m, m.operator, now_us):
+            return self._ask(m.operator, now_us)
+        return None if m.command == Command.HOLD or self._agreed(m, now_us) else ()
 
     def _believed(
         self, m: EmergencyStop | EmergencyReset | OperatorCommand, sender: int | None, now_us: int
     ) -> bool:
         if self.keyring is None:
             return True
-        may = sender is not None and (isinstance(m, EmergencyStop) or sender >= OPERATOR_FIRST)
+        stop = isinstance(m, EmergencyStop)
+        may = sender is not None and (stop or sender >= OPERATOR_FIRST)
         if may and sender is not None and self.keyring.verify(m, sender, now_us):
             return True
         self.refused += 1
         return False
+
+    def _agreed(self, m: EmergencyReset | OperatorCommand, now_us: int) -> bool:
+        """Whether an operator has said this twice. A guess that is right by chance releases nobody."""
+        if self.keyring is None:
+            return True
+        order = (type(m), *m[:-2])  # without freshness and tag
+        said_us = self._orders.pop(order, -AGREE_US - 1)
+        self._orders[order] = now_us
+        if len(self._orders) > AGREED_MAX:
+            del self._orders[next(iter(self._orders))]
+        return now_us - said_us <= AGREE_US
 
     def _ask(self, sender: int | None, now_us: int) -> Sequence[Effect]:
         """Perhaps it is its owner, and we only cannot follow the counter: let it prove that."""

@@ -151,8 +151,12 @@ class Cluster:
         self._tool.submit(encode(message, source))
 
     def order(self, message: Signed) -> None:
-        """The same from the operator's device, with its tag where the fleet has keys."""
-        self.inject(message if self._keyring is None else self._keyring.sign(message))
+        """The same from the operator's device: where the fleet has keys with a tag, and twice."""
+        if self._keyring is None:
+            self.inject(message)
+            return
+        for _ in range(2):
+            self.inject(self._keyring.sign(message))
 
     def _answer(self, frame: Frame) -> None:
         """The operator's device proves where its counter is, when a robot asks it to."""

@@ -18,7 +18,7 @@ FLEET, OPERATOR = "headland fleet keys", "headland operator key"
 PANEL = 140  # sender of a stop panel that holds the fleet's keys
 DEVICE = 249  # operator device, where the file names no other
 DEVICE_MAX = 254
-RESERVE = 4096  # frames; a reset of a hundred machines that takes 5 s sends 3,000
+RESERVE = 8192  # frames; a reset of a hundred machines that takes 5 s sends 6,000
 
 
 class KeyFileError(Exception):

@@ -2,13 +2,15 @@
 
 An attacker hears every frame, keeps those it likes, changes them and sends its own. Twice: as fast as
 a bus can carry frames, where lock-out answers most of them, and slowly enough that every tag is looked
-at. Odds of a guess are 2^-24, so one of a million slow guesses is right in one campaign of seventeen.
+at. Odds of a tag that is right by chance are 2^-24, which a million frames may well meet; a reset needs
+two of them that agree, and that is what is counted as accepted.
 """
 
 from collections import Counter
 from collections.abc import Iterator
 from random import Random
 
+from agent.effects import Persist
 from agent.safety import Safety, SilencePolicy
 from crdt.stops import StopDot, StopSet
 from protocol.authentication import BAD_MAX, BAD_WINDOW_US, KEY_SIZE, SESSION_US, Keyring, Keys
@@ -46,6 +48,7 @@ class Siege:
         self.presses = self.legitimate = 0
         self.tried: Counter[str] = Counter()
         self.accepted: Counter[str] = Counter()
+        self.right_by_chance = 0  # tags
         self.press()
 
     def press(self) -> None:
@@ -68,31 +71,35 @@ class Siege:
             kind = KINDS[self.rng.randrange(len(KINDS))]
             frame = self.attack(kind)
             before = self.keyring.accepted
-            self.safety.receive_reset(frame, self.now_us)
+            effects = self.safety.receive_reset(frame, self.now_us)
             self.tried[kind] += 1
-            self.accepted[kind] += self.keyring.accepted - before
+            self.right_by_chance += self.keyring.accepted - before
+            self.accepted[kind] += any(isinstance(effect, Persist) for effect in effects)
 
     def operate(self) -> None:
         """The operator resets; some of its frames reach the attacker and not the robot."""
         if self.rng.random() < LUNCH:
             self.now_us += SESSION_US + 1
             return
-        for _ in range(2):  # the first may only lead to a question
+        for _ in range(4):  # the first may only lead to a question, two have to agree
             frame = self.operator.sign(EmergencyReset(*self.dot, OPERATOR))
             if self.rng.random() < 0.3:
                 self.held = [*self.held[-KEPT:], (self.operator.sent, frame)]
                 continue
-            before = self.keyring.accepted
+            before, cleared = self.keyring.accepted, False
             for effect in self.safety.receive_reset(frame, self.now_us):
+                cleared = cleared or isinstance(effect, Persist)
                 question = getattr(effect, "message", None)
                 if isinstance(question, Challenge):
                     proof = self.operator.answer(question, self.now_us)
                     if proof is not None:
                         self.safety.receive_freshness(proof, self.now_us)
             if self.keyring.accepted > before:
-                self.legitimate += 1
                 self.heard = [*self.heard[-KEPT:], frame]
+            if cleared:
+                self.legitimate += 1
                 self.press()
+                break
 
     def stale(self) -> EmergencyReset | None:
         """A frame that was held back, and then overtaken by a newer one or by the session's end."""
@@ -132,10 +139,11 @@ def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
         accepted, ring = sum(siege.accepted.values()), siege.keyring
         scope = (
             f"{', '.join(f'{n} {kind}' for kind, n in siege.tried.items())}; beside them "
-            f"{siege.legitimate} of the operator's taken; refused: {ring.bad} bad tags, "
+            f"{siege.legitimate} of the operator's taken; {siege.right_by_chance} tags right by "
+            f"chance, which released nobody; refused: {ring.bad} bad tags, "
             f"{ring.stale} stale, {ring.unproven} without proof, {ring.ignored} locked out"
         )
         yield Figure(
             f"forged, replayed or stale resets accepted, {frames} {name}", accepted, "frames", "0",
-            accepted == 0, f"odds of a guess 2^-24: {frames / 2**24:.3f} expected at most", scope,
+            accepted == 0, "odds of two tags that agree: 2^-48", scope,
         )  # fmt: skip
