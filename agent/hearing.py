@@ -115,12 +115,12 @@ class Hearing:
     def _challenge(
         self, source: int, slot: int | None, m: Challenge, now_us: int
     ) -> Sequence[Effect]:
-        return self.peer.safety.receive_challenge(source, m, now_us)
+        return self.peer.safety.authority.answer(source, m, now_us)
 
     def _freshness(
         self, source: int, slot: int | None, m: Freshness, now_us: int
     ) -> Sequence[Effect]:
-        return self.peer.safety.receive_freshness(m, now_us)
+        return self.peer.safety.authority.prove(m, now_us)
 
     # ---------------------------------------------------------------- members
 

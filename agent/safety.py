@@ -9,18 +9,17 @@ from collections.abc import Mapping, Sequence
 from enum import Enum
 from math import hypot
 
+from agent.authority import Authority
 from agent.cause import Cause, Severity
 from agent.config import MEMBERSHIP_STABLE_US, MS, STOP_REPEAT_US, STOP_SPACING_US, S
 from agent.effects import HALT, Drive, Effect, Persist, Send, Trace
 from crdt.stops import StopDot, StopSet
-from protocol.authentication import OPERATOR_FIRST, Keyring
+from protocol.authentication import Keyring
 from protocol.safety_frames import (
     AllImplementsStop,
-    Challenge,
     Command,
     EmergencyReset,
     EmergencyStop,
-    Freshness,
     OperatorCommand,
     Reason,
     Switch,
@@ -33,8 +32,6 @@ FREE, HELD, LATCHED = (
     b"\2",
 )  # what HOLD_KEY remembers: a restart resets and starts nothing
 CREEP_M_S = 0.5
-AGREE_US = 2 * S  # two frames that say the same, each with its tag: 48 bits to guess, not 24
-AGREED_MAX = 64  # orders of operators that wait for their second frame
 UNAUTHENTICATED_HOLD_US = 1 * S  # a stop without a valid tag holds this long after its last frame
 IMPLEMENTS_HOLD_US = 3 * S  # the standard frame comes every second; three are missing
 LATE_HOLD_US = 1 * S  # a robot that was frozen looks around before it moves
@@ -64,10 +61,9 @@ class Safety:
         now_us: int,
     ) -> None:
         self.slot, self.incarnation = slot, incarnation & 0xFF
-        self.policy, self.keyring = policy, keyring
+        self.policy, self.authority = policy, Authority(slot, keyring)
         self.stops = StopSet()
         self.counter = int.from_bytes(recalled.get(COUNTER_KEY, b""), "little")
-        self.refused = 0  # stop, reset and command frames without authority
         self._causes: dict[Cause, str] = {Cause.NOT_STARTED: "boot"}
         self._expires_us: dict[Cause, int] = {}
         self._live: frozenset[int] = frozenset({slot})
@@ -76,7 +72,6 @@ class Safety:
         self._echoes: dict[StopDot, set[int]] = {}
         self._own: dict[StopDot, int] = {}  # dots we repeat as their source -> repeats left
         self._repeat_us = FOREVER
-        self._orders: dict[tuple[object, ...], int] = {}  # said once -> when
         self._pressed_us, self._again = -STOP_SPACING_US, 0
         self._answered_us = -ANSWER_SPACING_US
         self._recall(recalled)
@@ -171,11 +166,11 @@ class Safety:
             self._echoes.setdefault(dot, set()).add(source_slot)
         if dot in self.stops.active:
             return ()
-        if not self._believed(m, signer, now_us):
+        if not self.authority.believes(m, signer, now_us):
             self.raise_cause(
                 Cause.UNAUTHENTICATED_STOP, now_us, f"dot {dot}", UNAUTHENTICATED_HOLD_US
             )
-            return [HALT, *self._ask(signer, now_us)]
+            return [HALT, *self.authority.ask(signer, now_us)]
         if not self.stops.press(dot):
             return ()  # an operator has cleared exactly this one
         self._causes[Cause.STOP_DOT] = f"{dot.slot}.{dot.incarnation}.{dot.counter}"
@@ -212,9 +207,9 @@ class Safety:
 
     def receive_reset(self, m: EmergencyReset, now_us: int) -> Sequence[Effect]:
         """Clears exactly the dot it names, pressed here or not yet heard of."""
-        if not self._believed(m, m.operator, now_us):
-            return self._ask(m.operator, now_us)
-        if not self._agreed(m, now_us):
+        if not self.authority.believes(m, m.operator, now_us):
+            return self.authority.ask(m.operator, now_us)
+        if not self.authority.agreed(m, now_us):
             return ()
         dot = StopDot(m.slot, m.incarnation, m.counter)
         if not self.stops.clear(dot):
@@ -234,52 +229,11 @@ class Safety:
             self.clear_cause(Cause.IMPLEMENTS_STOP, now_us)
         return ()
 
-    # ---------------------------------------------------------------- authority
-
     def accept_command(self, m: OperatorCommand, now_us: int) -> Sequence[Effect] | None:
         """None: it has authority. Otherwise what to do about it."""
-        if not self._believed(m, m.operator, now_us):
-            return self._ask(m.operator, now_us)
-        return None if m.command == Command.HOLD or self._agreed(m, now_us) else ()
-
-    def _believed(
-        self, m: EmergencyStop | EmergencyReset | OperatorCommand, sender: int | None, now_us: int
-    ) -> bool:
-        if self.keyring is None:
-            return True
-        stop = isinstance(m, EmergencyStop)
-        may = sender is not None and (stop or sender >= OPERATOR_FIRST)
-        if may and sender is not None and self.keyring.verify(m, sender, now_us):
-            return True
-        self.refused += 1
-        return False
-
-    def _agreed(self, m: EmergencyReset | OperatorCommand, now_us: int) -> bool:
-        """Whether an operator has said this twice. A guess that is right by chance releases nobody."""
-        if self.keyring is None:
-            return True
-        order = (type(m), *m[:-2])  # without freshness and tag
-        said_us = self._orders.pop(order, -AGREE_US - 1)
-        self._orders[order] = now_us
-        if len(self._orders) > AGREED_MAX:
-            del self._orders[next(iter(self._orders))]
-        return now_us - said_us <= AGREE_US
-
-    def _ask(self, sender: int | None, now_us: int) -> Sequence[Effect]:
-        """Perhaps it is its owner, and we only cannot follow the counter: let it prove that."""
-        question = None
-        if self.keyring is not None and sender is not None and sender != self.slot:
-            question = self.keyring.ask(sender, now_us)
-        return () if question is None else [Send(question)]
-
-    def receive_challenge(self, source: int, m: Challenge, now_us: int) -> Sequence[Effect]:
-        proof = None if self.keyring is None else self.keyring.answer(m, now_us)
-        return () if proof is None else [Send(proof, source)]
-
-    def receive_freshness(self, m: Freshness, now_us: int) -> Sequence[Effect]:
-        if self.keyring is not None and not self.keyring.prove(m, now_us):
-            self.refused += 1
-        return ()
+        if not self.authority.believes(m, m.operator, now_us):
+            return self.authority.ask(m.operator, now_us)
+        return None if m.command == Command.HOLD or self.authority.agreed(m, now_us) else ()
 
     # ---------------------------------------------------------------- people at this machine
 
@@ -380,7 +334,7 @@ class Safety:
 
     def _stop(self, dot: StopDot, reason: Reason, echo: bool = False) -> EmergencyStop:
         message = EmergencyStop(dot.slot, dot.incarnation, dot.counter, reason, echo)
-        return message if self.keyring is None else self.keyring.sign(message)
+        return self.authority.sign(message)
 
     def _remember(self) -> list[Effect]:
         return [

@@ -42,7 +42,7 @@ COUNTER_MAX = 0xFFFF_FFFF  # what Freshness can say: repeating a stop without pa
 SESSION_US = 10_000_000  # an operator who said nothing for this long proves itself again
 BAD_MAX = 8
 BAD_WINDOW_US = 10_000_000
-ASK_SPACING_US = 20_000  # one sender is asked at most this often: an answer takes under 3 ms
+ASK_SPACING_US = 100_000  # between questions, whomever to: forged frames make no flood of them
 NUMBER_LIFE_US = 1_000_000  # of a number used once: a proof that was held back for longer is void
 ANSWER_SPACING_US = 10_000  # and answers one asker at most this often
 _GROUPS = {EmergencyStop: 0xFF00, EmergencyReset: 0xFF01, OperatorCommand: 0xFF02}
@@ -70,7 +70,7 @@ class Keyring:
         self._macs: dict[int, CMAC] = {}
         self._bad_us: dict[int, deque[int]] = {}
         self._asked: dict[int, bytes] = {}  # sender -> the number that its proof must cover
-        self._asked_us: dict[int, int] = {}
+        self._asked_us = -ASK_SPACING_US
         self._drawn_us: dict[int, int] = {}  # when that number was drawn
         self._proven_us: dict[int, int] = {}  # operator -> when it was last believed
         self._answered_us: dict[int, int] = {}
@@ -111,9 +111,9 @@ class Keyring:
 
     def ask(self, sender: int, now_us: int) -> Challenge | None:
         """To a sender whose frame could not be verified. None: it was asked just now."""
-        if now_us - self._asked_us.get(sender, -ASK_SPACING_US) < ASK_SPACING_US:
+        if now_us - self._asked_us < ASK_SPACING_US:
             return None
-        self._asked_us[sender] = now_us
+        self._asked_us = now_us
         if now_us - self._drawn_us.get(sender, -NUMBER_LIFE_US) >= NUMBER_LIFE_US:
             self._asked.pop(sender, None)
         if sender not in self._asked:

@@ -98,7 +98,7 @@ def test_frames_without_a_tag_brake_for_a_moment_and_release_nothing(keys: Path)
             cluster.inject(OperatorCommand(Command.MANUAL_RESET, 255, OPERATOR))
             await asyncio.sleep(0.1)
         assert states(cluster) == {State.EMERGENCY_STOP}
-        assert all(r.peer.safety.refused >= 20 for r in cluster.running)
+        assert all(r.peer.safety.authority.refused >= 20 for r in cluster.running)
 
     play(keys, story)
 
@@ -139,9 +139,8 @@ def test_proofs_nobody_asked_for_are_refused(keys: Path) -> None:
         for n in range(20):
             cluster.inject(Freshness(OPERATOR, n, n))
         await asyncio.sleep(0.5)
-        assert not any(
-            r.peer.safety.keyring._proven_us for r in cluster.running if r.peer.safety.keyring
-        )
+        rings = [r.peer.safety.authority.keyring for r in cluster.running]
+        assert not any(ring._proven_us for ring in rings if ring is not None)
         assert not any(isinstance(e, Send) and isinstance(e.message, Freshness) for e in seen)
 
     play(keys, story)

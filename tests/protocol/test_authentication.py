@@ -91,12 +91,12 @@ def test_what_was_missed_is_made_up_for_by_a_proof(ahead: int) -> None:
 
 def test_a_robot_may_begin_again_and_an_operator_may_not() -> None:
     receiver = robot()
-    for sender, again, may in (
-        (robot(ROBOT), robot(ROBOT, b"next"), True),
-        (operator(500), operator(3), False),
+    for now_us, sender, again, may in (
+        (0, robot(ROBOT), robot(ROBOT, b"next"), True),
+        (2 * S, operator(500), operator(3), False),
     ):
-        assert introduce(receiver, sender, 0)
-        assert introduce(receiver, again, S) == may
+        assert introduce(receiver, sender, now_us)
+        assert introduce(receiver, again, now_us + S) == may
 
 
 def test_a_panel_and_a_robot_release_nobody() -> None:

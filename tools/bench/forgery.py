@@ -93,7 +93,7 @@ class Siege:
                 if isinstance(question, Challenge):
                     proof = self.operator.answer(question, self.now_us)
                     if proof is not None:
-                        self.safety.receive_freshness(proof, self.now_us)
+                        self.safety.authority.prove(proof, self.now_us)
             if self.keyring.accepted > before:
                 self.heard = [*self.heard[-KEPT:], frame]
             if cleared:
