@@ -130,6 +130,7 @@ class Expedition:
             bus_load_worst_case=wire.worst_us / (now_s * 1e6),
             claims_lost=recorder.lost,
             malformed=self.malformed,
+            refused=sum(r.peer.safety.authority.refused for r in cluster.robots.values()),
             trace_hash=recorder.digest,
             sections=len(field.sections),
             work_m=field.work_m,

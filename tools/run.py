@@ -88,6 +88,7 @@ def outcome_table(outcome: Outcome) -> Table:
         ("bus load", f"{outcome.bus_load:.1%} ({worst} at worst-case stuffing)"),
         ("frames", ", ".join(f"{n} {kind}" for kind, n in outcome.frames.items())),
         ("malformed frames", str(outcome.malformed)),
+        ("refused frames", f"{outcome.refused} without authority, or before their sender's proof"),
         ("claims lost", str(outcome.claims_lost)),
         ("silence policy", outcome.silence_policy),
         ("authentication", "keys" if outcome.authenticated else NO_KEYS),
