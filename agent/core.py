@@ -16,28 +16,32 @@ from agent.effects import HALT, Effect, Persist, Send, Trace
 from agent.election import OPERATOR_GATEWAY, Election, Leader
 from agent.fsm import Machine
 from agent.hearing import Hearing
-from agent.joining import Joining
+from agent.joining import CLAIM_PGN, Joining
+from agent.letters import Letter, Letters
 from agent.lifecycle import TABLE, Event, State
 from agent.membership import Membership, Neighbour
 from agent.mission import STILL, Choice, FleetView, Mission, Wish
 from agent.motion import Motion
 from agent.ports import Observation
 from agent.records import Records
+from agent.roll_call import MEMBER_PGN, MEMBER_REQUEST, RollCall
 from agent.safety import Safety, SilencePolicy
 from agent.voice import Voice
 from agent.working import Working
 from crdt import FieldAllocationCRDT, Phase, Progress, VectorClock
 from protocol.authentication import Keyring
 from protocol.codec import Malformed, decode_once
-from protocol.fleet_frames import LeaderElectionVote, Pose
+from protocol.fleet_frames import Pose
 from protocol.frame import Frame
 from protocol.identifier import GLOBAL_ADDRESS
 from protocol.messages import Message
 from protocol.name import Name
+from protocol.network_frames import Request
 from protocol.safety_frames import EmergencyStop, Reason
 from protocol.sync import Sync
 from protocol.work_frames import STOPS, StateSyncRequest, TaskClaim
 
+REQUEST_PF = 0xEA
 NOTHING: Sequence[Effect] = ()  # an empty answer promises that `deadline_us` did not move earlier
 
 
@@ -51,6 +55,11 @@ class Identity(NamedTuple):
     silence: SilencePolicy = SilencePolicy.STOP
     started: bool = False  # permission to move is given at boot, not by a separate start
     first_boot: bool = False  # a new machine: that it remembers nothing is no loss of memory
+
+    @property
+    def component(self) -> str:
+        """Component identification as SAE J1939-71 writes it."""
+        return f"Headland*peer*{self.name.identity:07d}*robot {self.slot}*"
 
 
 class Peer:
@@ -78,10 +87,13 @@ class Peer:
             self.slot, self.records.incarnation, identity.silence, keyring, recalled, now_us
         )
         self.joining = Joining(identity, self.records.incarnation, rng, now_us)
+        self.roll_call = RollCall(self.slot)
+        self.letters = Letters(identity.component, frozenset((MEMBER_PGN, CLAIM_PGN)))
         self.sync = Sync(self.slot, self.allocation, self.progress)
         self.election = Election(
             OPERATOR_GATEWAY, self.slot, identity.name.hash16, self.records.term
         )
+        self._led: Leader | None = None
         self.claims = Claims(self.slot, self.allocation)
         self.voice = Voice(self.slot, len(identity.members), self.beat, now_us)
         self.here: Observation | None = None
@@ -108,12 +120,31 @@ class Peer:
     def receive(self, frame: Frame, now_us: int) -> Sequence[Effect]:
         """A frame from the bus. An addressed one that is not for us is not heard."""
         identifier = frame.identifier
-        if identifier >> 16 & 0xFF < 240:
-            destination = identifier >> 8 & 0xFF
-            if destination not in (GLOBAL_ADDRESS, self.joining.address):
-                return NOTHING
+        if identifier >> 16 & 0xFF >= 240:
+            source, message = decode_once(frame)
+            return self.hear(source, message, now_us)
+        destination = identifier >> 8 & 0xFF
+        is_request = identifier >> 16 & 0xFF == REQUEST_PF
+        if is_request and frame.data == MEMBER_REQUEST:
+            self.roll_call.overheard(destination, now_us)
+        if destination not in (GLOBAL_ADDRESS, self.joining.address):
+            return NOTHING
         source, message = decode_once(frame)
-        return self.hear(source, message, now_us)
+        effects = self.hear(source, message, now_us)
+        if self.joining.joined and isinstance(message, Letter):
+            effects = [*effects, *self.letters.receive(source, destination, message, now_us)]
+        if is_request and isinstance(message, Request):
+            asked = self._asked(message.pgn, destination == GLOBAL_ADDRESS, now_us)
+            effects = [*effects, *asked]
+        return effects
+
+    def _asked(self, pgn: int, everybody: bool, now_us: int) -> Sequence[Effect]:
+        """Who are you, by NAME or by slot? Texts are asked of `letters`."""
+        if pgn == MEMBER_PGN:
+            self.roll_call.asked(everybody)
+        elif pgn == CLAIM_PGN:
+            return self.joining.asked(everybody, now_us)
+        return NOTHING
 
     def hear(self, source: int, message: Message | Malformed, now_us: int) -> Sequence[Effect]:
         """A decoded frame; simulators decode once for all receivers."""
@@ -149,10 +180,12 @@ class Peer:
     def deadline_us(self) -> int:
         """When `tick` next has something to do, if nothing arrives before."""
         deadline = min(self.voice.deadline_us, self.safety.deadline_us)
-        for other in (
-            self.membership.deadline_us, self.joining.deadline_us,
-            self.sync.deadline_us, self.claims.deadline_us,
-        ):  # fmt: skip
+        others = [self.membership.deadline_us, self.joining.deadline_us]
+        if self.joining.joined:  # what has no address to speak from does not wait for its turn
+            others += [self.sync.deadline_us, self.letters.deadline_us, self.roll_call.deadline_us]
+        if self.lifecycle.state is State.IDLE and self.safety.may_move:
+            others.append(self.claims.deadline_us)  # otherwise a due claim waits for these
+        for other in others:
             if other is not None and other < deadline:
                 deadline = other
         return deadline
@@ -165,6 +198,8 @@ class Peer:
         if self.joining.joined:
             effects += [Send(message) for message in self.sync.tick(now_us)]
             effects += self._synchronize(now_us)
+            effects += self.letters.tick(now_us)
+            effects += self.roll_call.tick(now_us)
             effects += self._working.start_due(now_us)
         if self.voice.control_due(now_us):
             effects += self._working.control(now_us)
@@ -188,6 +223,7 @@ class Peer:
         elif self.joining.joined and not was_joined:
             self.safety.clear_cause(Cause.ADDRESS_LOST, now_us)
             self.sync.joined(now_us, self.beat.heartbeat_us)
+            effects += self.roll_call.joined()
             effects += self.fire(Event.FLEET_JOINED, f"address {self.joining.address}")
             if self.safety.unconfirmed:  # what holds the others holds us too
                 effects.append(Send(StateSyncRequest(0, 0, STOPS, 0)))
@@ -217,6 +253,7 @@ class Peer:
             return [Trace("safety", "LATCHED", "MANUAL_RESET", "LATCHED", "refused")]
         held = self.safety.hold(now_us)  # reset is not start
         self.joining.rejoin(now_us)
+        self.roll_call.power_up()
         return [*held, *self.fire(Event.MANUAL_RESET, "a person at this machine")]
 
     def start(self, now_us: int) -> Sequence[Effect]:
@@ -232,18 +269,18 @@ class Peer:
         if self.lifecycle.state not in (State.IDLE, State.WORKING):
             return NOTHING
         key = self.claims.claim(Choice(section, bid, takeover), now_us)
-        return NOTHING if key is None else self.announce(section, key, "claim")
+        return NOTHING if key is None else self.announce(section, key, "claim", now_us)
 
     def release(self, section: int, now_us: int) -> Sequence[Effect]:
         key = self.claims.drop(section)
-        effects = [] if key is None else [*self.announce(section, key, "release")]
+        effects = [] if key is None else [*self.announce(section, key, "release", now_us)]
         return [*effects, *self.idle_if_free("released")]
 
     def finish(self, section: int, now_us: int) -> Sequence[Effect]:
         if self.claims.current != section:
             return NOTHING
         key = self.claims.finish()
-        effects = [] if key is None else [*self.announce(section, key, "done")]
+        effects = [] if key is None else [*self.announce(section, key, "done", now_us)]
         return [*effects, *self.idle_if_free("finished")]
 
     def leave(self, now_us: int) -> Sequence[Effect]:
@@ -269,6 +306,7 @@ class Peer:
     def bus_back(self, now_us: int) -> Sequence[Effect]:
         self.safety.clear_cause(Cause.BUS_OFF, now_us)
         self.joining.rejoin(now_us)
+        self.roll_call.power_up()
         return NOTHING
 
     def disk_failed(self, now_us: int) -> Sequence[Effect]:
@@ -288,29 +326,32 @@ class Peer:
     def membership_changed(self, now_us: int) -> list[Effect]:
         """The live view changed: tell the parts that depend on it."""
         live, silent = self.membership.live, self.membership.silent
-        self.sync.live(live)
+        self.sync.live(live, now_us)
         effects = [*self.safety.members(live, silent, now_us)]
         effects.append(
             Trace("membership", "", "VIEW", "", f"live {sorted(live)} silent {sorted(silent)}")
         )
-        if self.joining.joined:
-            before = self.election.leader
-            effects += self.voted(self.election.call(live), before)
+        self.election.see(now_us)
         return effects
 
-    def voted(self, vote: LeaderElectionVote | None, before: Leader | None) -> list[Effect]:
+    def elect(self, now_us: int) -> Sequence[Effect]:
+        """With our beat: durable, then said; and who leads now."""
         effects: list[Effect] = []
+        election = self.election
+        election.tick(self.membership.live, now_us)
+        vote = election.speak(now_us)
         if vote is not None:
             effects += [Persist(*self.records.vote(vote.term, vote.candidate)), Send(vote)]
-        leader = self.election.leader
-        if leader != before and leader is not None:
+        leader = election.leader
+        if leader != self._led and leader is not None:
             effects.append(Trace("election", "", "LEADER", f"{leader.slot}", f"term {leader.term}"))
+        self._led = leader
         return effects
 
-    def announce(self, section: int, key: int, what: str) -> list[Effect]:
+    def announce(self, section: int, key: int, what: str, now_us: int) -> list[Effect]:
         """An own operation: counted, durable, then revealed."""
         self.clock.increment(self.slot)
-        self.sync.changed_here(section)
+        self.sync.changed_here(section, None, now_us)
         claim = self.allocation.entry(section)
         message = TaskClaim(
             section, claim.epoch, claim.phase, claim.bid, claim.lamport, claim.owner

@@ -8,12 +8,14 @@ a later term fences an earlier one. Two sides of a split have a leader each, and
 
 from typing import NamedTuple
 
+from agent.config import MS, S
 from protocol.fleet_frames import LeaderElectionVote
 
 OPERATOR_GATEWAY = 1  # who speaks for the fleet to an operator
 PLAN_STREAMER = 2  # who streams a batch plan
 TERM_MAX = 0xFFFF  # u16 on the wire; at one term a second it lasts 18 hours without a restart
-ELECTIONS_MAX = 32  # purposes tracked at a time; a hostile stream of ids must not grow memory
+SETTLE_US = 1 * S  # the live view stands still for so long before it is voted upon
+SPACING_US, SPACING_US_MAX = 500 * MS, 30 * S  # between two votes of one peer
 
 
 class Leader(NamedTuple):
@@ -30,6 +32,47 @@ class Election:
         self.votes: dict[int, int] = {}  # voter -> candidate, of this term
         self.leader: Leader | None = None
         self._live: frozenset[int] = frozenset({slot})
+        self._call_us: int | None = None
+        self._vote_to_say: LeaderElectionVote | None = None
+        self._say_us = 0  # not before
+        self._spacing_us = SPACING_US
+
+    # ---------------------------------------------------------------- when
+
+    @property
+    def deadline_us(self) -> int | None:
+        return self._call_us
+
+    def see(self, now_us: int) -> None:
+        """The live view changed. Nobody votes before it has stood still: a fleet that is switched on
+        changes its view with every robot, and each would be a vote of everybody."""
+        self._call_us = now_us + SETTLE_US
+
+    def tick(self, live: frozenset[int], now_us: int) -> None:
+        if self._call_us is not None and now_us >= self._call_us:
+            self._call_us = None
+            self._say(self.call(live))
+
+    def heard(self, voter: int, vote: LeaderElectionVote, live: frozenset[int]) -> None:
+        self._say(self.receive(voter, vote, live))
+
+    def _say(self, vote: LeaderElectionVote | None) -> None:
+        if vote is not None:
+            self._vote_to_say = vote
+
+    def speak(self, now_us: int) -> LeaderElectionVote | None:
+        """The vote that goes with this beat. Terms without a leader are opened ever more slowly."""
+        vote = self._vote_to_say
+        if vote is None or now_us < self._say_us:
+            return None
+        self._vote_to_say = None
+        if self.leader is not None:
+            self._spacing_us = SPACING_US
+        self._say_us = now_us + self._spacing_us
+        self._spacing_us = min(2 * self._spacing_us, SPACING_US_MAX)
+        return vote
+
+    # ---------------------------------------------------------------- what
 
     def call(self, live: frozenset[int]) -> LeaderElectionVote | None:
         """The live view changed: vote, vote again for those that have just come, or open a new

@@ -14,7 +14,7 @@ from agent.membership import Neighbour
 from protocol.codec import Malformed
 from protocol.fleet_frames import Heartbeat, LeaderElectionVote, Member, Pose, VectorSlice
 from protocol.messages import Message
-from protocol.network_frames import AddressClaimed, Request
+from protocol.network_frames import AddressClaimed
 from protocol.safety_frames import (
     AllImplementsStop,
     Challenge,
@@ -63,7 +63,6 @@ class Hearing:
             LeaderElectionVote: self._vote,
             VectorSlice: self._slice,
             AddressClaimed: self._address,
-            Request: self._address,
             Malformed: self._malformed,
         }
 
@@ -126,7 +125,9 @@ class Hearing:
 
     def _stranger(self, source: int, now_us: int) -> Sequence[Effect]:
         self.peer.membership.strangers += 1
-        return self.peer.joining.ask_who(source, now_us)
+        if self.peer.joining.joined:
+            self.peer.roll_call.stranger(source, now_us)
+        return ()
 
     def _pose(self, source: int, slot: int | None, m: Pose, now_us: int) -> Sequence[Effect]:
         """A pose that the fast path in `Peer.hear` did not take: a stranger's, or a returning one's."""
@@ -155,6 +156,7 @@ class Hearing:
         if m.config_hash != peer.identity.field_hash:
             peer.safety.raise_cause(Cause.CONFIG_MISMATCH, now_us, f"address {source}")
             return [HALT]
+        peer.roll_call.known(source)
         live = peer.membership.live
         if m.slot not in peer.membership.standing:
             return [Trace("membership", "", "REFUSED", "", f"slot {m.slot} at address {source}")]
@@ -168,8 +170,8 @@ class Hearing:
         peer = self.peer
         if slot is None or m.election != peer.election.election:
             return ()
-        before = peer.election.leader
-        return peer.voted(peer.election.receive(slot, m, peer.membership.live), before)
+        peer.election.heard(slot, m, peer.membership.live)
+        return ()
 
     def _slice(
         self, source: int, slot: int | None, m: VectorSlice, now_us: int
@@ -180,13 +182,11 @@ class Hearing:
                 self.peer.clock.witness(member, low, bits=8)
         return ()
 
-    def _address(self, source: int, slot: int | None, m: Any, now_us: int) -> Sequence[Effect]:
+    def _address(
+        self, source: int, slot: int | None, m: AddressClaimed, now_us: int
+    ) -> Sequence[Effect]:
         peer = self.peer
-        if (
-            isinstance(m, AddressClaimed)
-            and slot is not None
-            and peer.joining.changed_hands(source, m)
-        ):
+        if slot is not None and peer.joining.changed_hands(source, m):
             peer.membership.unbind(source)
         return peer.joining.receive(source, m, now_us)
 

@@ -4,20 +4,17 @@ from collections.abc import Sequence
 from random import Random
 from typing import TYPE_CHECKING
 
-from agent.config import ADDRESS_FIRST, S
+from agent.config import ADDRESS_FIRST
 from agent.effects import Effect, Send
 from protocol.address import AddressClaim, Claiming
 from protocol.fleet_frames import Member
 from protocol.messages import GROUP_OF
-from protocol.network_frames import AddressClaimed, Request
+from protocol.network_frames import AddressClaimed
 
 if TYPE_CHECKING:
     from agent.core import Identity
 
-MEMBER_PGN = GROUP_OF[Member].pgn
 CLAIM_PGN = GROUP_OF[AddressClaimed].pgn
-ASK_SPACING_US = 1 * S  # an unknown address is asked who it is at most this often
-ASKED_MAX = 256  # addresses there are
 
 
 class Joining:
@@ -27,7 +24,6 @@ class Joining:
         self.joined = False
         self.lost_address = False
         self.away = False  # left on purpose: claim nothing until told to
-        self._asked_us: dict[int, int] = {}
 
     @property
     def address(self) -> int | None:
@@ -43,18 +39,14 @@ class Joining:
         effects = self._sends(self.machine.tick(now_us))
         if self.machine.address is not None and not self.joined:
             self.joined = True
-            effects += [
-                Send(self.announcement),
-                Send(Request(MEMBER_PGN)),
-                Send(Request(CLAIM_PGN)),
-            ]
+            effects.append(Send(self.announcement))
         return effects
 
-    def receive(
-        self, source: int, message: AddressClaimed | Request, now_us: int
-    ) -> Sequence[Effect]:
-        if isinstance(message, Request) and message.pgn == MEMBER_PGN:
-            return [Send(self.announcement)] if self.joined else ()
+    def asked(self, everybody: bool, now_us: int) -> Sequence[Effect]:
+        """Which NAME has our address?"""
+        return self._sends(self.machine.asked(everybody, now_us))
+
+    def receive(self, source: int, message: AddressClaimed, now_us: int) -> Sequence[Effect]:
         effects = self._sends(self.machine.receive(source, message, now_us))
         if self.joined and self.machine.address is None:
             self.joined, self.lost_address = False, True
@@ -63,13 +55,6 @@ class Joining:
     def changed_hands(self, source: int, message: AddressClaimed) -> bool:
         """Another NAME than before claims this address."""
         return self.machine.names.get(source, message.name) != message.name
-
-    def ask_who(self, source: int, now_us: int) -> Sequence[Effect]:
-        """A frame of an address that has not said which member it is."""
-        if not self.joined or now_us - self._asked_us.get(source, -ASK_SPACING_US) < ASK_SPACING_US:
-            return ()
-        self._asked_us[source] = now_us
-        return [Send(Request(MEMBER_PGN), source)]
 
     def rejoin(self, now_us: int) -> None:
         self.joined = self.lost_address = self.away = False

@@ -72,8 +72,10 @@ class Shell:
             elif isinstance(effect, Drive):
                 if self.body is not None:
                     self.body.drive(effect, now_us)
-            elif isinstance(effect, Trace) and log.isEnabledFor(logging.INFO):
-                log.info("%.3f robot %d: %s", now_us / 1e6, self.peer.slot, " ".join(effect))
+            elif isinstance(effect, Trace):
+                self.peer.letters.note(now_us, effect)
+                if log.isEnabledFor(logging.INFO):
+                    log.info("%.3f robot %d: %s", now_us / 1e6, self.peer.slot, " ".join(effect))
             if self.on_effect is not None:
                 self.on_effect(now_us, effect)
         if records:

@@ -18,9 +18,9 @@ from protocol.work_frames import WorkProgress
 if TYPE_CHECKING:
     from agent.core import Peer
 
-MEMBER_EVERY = 10  # heartbeats between two announcements of who we are, for those that missed it
+MEMBER_EVERY = 20  # heartbeats between two announcements of who we are, for those that missed it
 FIRST_COUNTER, LAST_COUNTER, LEAVING_COUNTER = 251, 250, 255  # ISO 11783-7 heartbeat
-PROGRESS_PERIOD_US = 1 * S  # covered units are announced together, at most this often
+PROGRESS_PERIOD_US = 2 * S  # covered units are announced together, at most this often
 
 
 class Voice:
@@ -64,6 +64,10 @@ class Voice:
         self.beats += 1
         if self.beats % self.beats_a_heartbeat == 0:
             effects += self._heartbeat(peer)
+        effects += peer.elect(now_us)
+        if peer.roll_call.answer_due:
+            peer.roll_call.answer_due = False
+            effects.append(Send(self.member(peer)))
         if self.pending and now_us >= self.next_progress_us:
             effects += self.flush(peer, now_us)
         return effects
@@ -84,7 +88,7 @@ class Voice:
             self.redone += (known & new).bit_count()
             bits = known | new
             peer.progress.apply(section, block, bits)
-            peer.sync.changed_here(section, block)
+            peer.sync.changed_here(section, block, now_us)
             effects.append(Persist(*peer.records.progress(section, block, bits)))
             effects.append(Send(WorkProgress(section, block, bits)))
         self.pending.clear()
@@ -137,5 +141,5 @@ class Voice:
             leaving=counter == LEAVING_COUNTER,
             health=battery,
             operations=peer.clock[self.slot] & 0xFFFF,
-            digest=peer.sync.digest,
+            digest=peer.sync.tell(),
         )

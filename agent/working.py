@@ -31,7 +31,7 @@ class Working:
         if peer.mission is not None and peer.here is not None:
             peer.mission.begin(section, peer.view(now_us))
         return [
-            *peer.announce(section, key, "start"),
+            *peer.announce(section, key, "start", now_us),
             *peer.fire(Event.CLAIMED, f"holds S{section}"),
         ]
 
@@ -59,7 +59,7 @@ class Working:
             and (claims.current is None or peer.wish.near_end)
             and peer.sync.ready(now_us)
         ):
-            effects += self._give_back()
+            effects += self._give_back(now_us)
             choice = peer.mission.choose(view)
             if choice is not None:
                 effects += peer.claim(choice.section, choice.bid, now_us, choice.takeover)
@@ -69,7 +69,7 @@ class Working:
             return peer.mission.approach(claims.next, view)
         return peer.mission.rest(view)
 
-    def _give_back(self) -> list[Effect]:
+    def _give_back(self, now_us: int) -> list[Effect]:
         """Sections that an earlier life of ours held, before a restart: this one has no plan for them.
         Given back they are as free for us as for anybody, and what was covered of them is known."""
         peer, effects = self.peer, list[Effect]()
@@ -77,7 +77,7 @@ class Working:
             for section in peer.allocation.assigned_sections(peer.slot):
                 key = peer.claims.drop(section)
                 if key is not None:
-                    effects += peer.announce(section, key, "release")
+                    effects += peer.announce(section, key, "release", now_us)
         return effects
 
     def _work(self, view: FleetView, section: int, effects: list[Effect]) -> Wish:

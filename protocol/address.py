@@ -17,13 +17,12 @@ from typing import NamedTuple
 
 from protocol.identifier import GLOBAL_ADDRESS, NULL_ADDRESS
 from protocol.name import Name
-from protocol.network_frames import AddressClaimed, Request
+from protocol.network_frames import AddressClaimed
 
 MS = 1_000
 FIRST, LAST = 128, 235  # self-configurable addresses of industry group 2
 CONTENTION_US = 250 * MS
 DELAY_STEP_US = 600  # RTxD = rand(0..255) * 0.6 ms
-CLAIM_PGN = 0xEE00
 DEFENCES_MAX = 5  # in a second: two devices with one NAME would answer each other for ever
 S = 1_000_000
 
@@ -36,7 +35,7 @@ class State(Enum):
 
 
 class Claiming(NamedTuple):
-    message: AddressClaimed | Request
+    message: AddressClaimed
     source: int
     destination: int = GLOBAL_ADDRESS
 
@@ -52,6 +51,7 @@ class AddressClaim:
         self.losses = 0
         self.refused = 0  # answers not given, beyond the limit
         self._next_us: int | None = None
+        self._answer_us: int | None = None  # everybody was asked: our turn
         self._defences: list[int] = []
         self.restart(now_us)
 
@@ -62,28 +62,29 @@ class AddressClaim:
 
     @property
     def deadline_us(self) -> int | None:
-        return self._next_us
+        times = [t for t in (self._next_us, self._answer_us) if t is not None]
+        return min(times, default=None)
 
     def restart(self, now_us: int) -> None:
         """Power up, or back on the bus."""
-        self.state = State.WAITING
+        self.state, self._answer_us = State.WAITING, None
         self._next_us = now_us + self._rng.randrange(256) * DELAY_STEP_US
 
     def tick(self, now_us: int) -> list[Claiming]:
+        claims: list[Claiming] = []
+        if self._answer_us is not None and now_us >= self._answer_us:
+            self._answer_us = None
+            claims.append(self._answer())
         if self._next_us is None or now_us < self._next_us:
-            return []
+            return claims
         if self.state is State.WAITING:
-            return self._claim(now_us)
+            return claims + self._claim(now_us)
         self._next_us = None
         if self.state is State.CONTENDING:
             self.state = State.HELD
-        return []
+        return claims
 
-    def receive(
-        self, source: int, message: AddressClaimed | Request, now_us: int
-    ) -> list[Claiming]:
-        if isinstance(message, Request):
-            return self._asked(message)
+    def receive(self, source: int, message: AddressClaimed, now_us: int) -> list[Claiming]:
         if source == NULL_ADDRESS:
             return []
         if message.name == self.number and source != self.candidate:
@@ -100,11 +101,20 @@ class AddressClaim:
         self.losses += 1
         return self._move(now_us)
 
-    def _asked(self, message: Request) -> list[Claiming]:
-        if message.pgn != CLAIM_PGN or self.state is State.WAITING:
+    def asked(self, everybody: bool, now_us: int) -> list[Claiming]:
+        """A request for address claimed. Where all were asked, each answers after its own random
+        delay, once for all requests that came meanwhile: a fleet that boots together asks often."""
+        if self.state is State.WAITING:
             return []
+        if not everybody:
+            return [self._answer()]
+        if self._answer_us is None:
+            self._answer_us = now_us + self._rng.randrange(256) * DELAY_STEP_US
+        return []
+
+    def _answer(self) -> Claiming:
         source = NULL_ADDRESS if self.state is State.CANNOT else self.candidate
-        return [Claiming(AddressClaimed(self.number), source)]
+        return Claiming(AddressClaimed(self.number), source)
 
     def _claim(self, now_us: int) -> list[Claiming]:
         if self.names.get(self.candidate, self.number) < self.number:

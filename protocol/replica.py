@@ -8,6 +8,7 @@ holds for progress, which has none, and for entries of a third replica that was 
 """
 
 from collections.abc import Iterator
+from itertools import islice
 from typing import NamedTuple
 
 from crdt import FieldAllocationCRDT, Progress
@@ -17,6 +18,7 @@ from crdt.progress import KIND as BLOCKS
 from crdt.register import pack
 from protocol.work_frames import Digests, StateSyncResponse, TaskClaim, WorkProgress
 
+FORKS_MAX = 256  # moments tried as a fork, newest first; a fifth of a millisecond
 HISTORY_MAX = 512  # own digests remembered: 10 s of the busiest fleet, minutes of a small one
 NAME_BITS = 24
 EMPTY = 0  # the digest of a replica that knows nothing; everybody is ahead of it
@@ -24,13 +26,14 @@ GROUPS = (BUCKETS + 2) // 3  # frames of three bucket digests
 
 
 class Moment(NamedTuple):
-    """A state we had: how many changes it had seen, and the greatest Lamport time."""
+    """A state we had: how many changes it had seen, the greatest Lamport time, the sum of entries."""
 
     version: int
     lamport: int
+    total: int
 
 
-NEVER = Moment(0, 0)
+NEVER = Moment(0, 0, 0)
 
 
 class Heard(NamedTuple):
@@ -56,14 +59,27 @@ class Replica:
         self._remember()
 
     @property
+    def total(self) -> int:
+        """Sum of the hashes of all entries, modulo 2**64."""
+        return self.allocation.sums.total + self.progress.sums.total & MASK
+
+    @property
     def digest(self) -> int:
-        return short(self.allocation.sums.total + self.progress.sums.total)
+        return short(self.total)
 
     def entries(self) -> Iterator[int]:
         for section in self.allocation.sections():
             yield entry_of(REGISTERS, section)
         for section, block, _ in self.progress.entries():
             yield entry_of(BLOCKS, section << 8 | block)
+
+    def __contains__(self, entry: int) -> bool:
+        return entry in self._changed
+
+    def owner_of(self, entry: int) -> int | None:
+        """The slot that holds the section an entry belongs to."""
+        kind, name = entry >> NAME_BITS, entry & (1 << NAME_BITS) - 1
+        return self.allocation.owner_of(name if kind == REGISTERS else name >> 8)
 
     # ---------------------------------------------------------------- changes
 
@@ -76,7 +92,8 @@ class Replica:
 
     def _remember(self) -> None:
         history = self._history
-        history[self.digest] = Moment(self.version, self.allocation.lamport)
+        total = self.total
+        history[short(total)] = Moment(self.version, self.allocation.lamport, total)
         if len(history) > HISTORY_MAX:
             del history[next(iter(history))]
 
@@ -85,6 +102,18 @@ class Replica:
         if digest == EMPTY:
             return NEVER
         return self._history.get(digest)
+
+    def fork(self, digest: int, met_total: int, after: int) -> Moment | None:
+        """The moment, later than version `after`, from which a replica went its own way that has told
+        us all it had since, while we have told it nothing: then its entries are ours now, less what
+        was our own news when we met. Sums tell that; None where no moment fits."""
+        learned = self.total - met_total
+        for moment in islice(reversed(self._history.values()), FORKS_MAX):
+            if moment.version < after:
+                return None
+            if short(moment.total + learned & MASK) == digest:
+                return moment
+        return None
 
     def since(self, version: int) -> list[int]:
         """Entries that changed after a version, in order of their codes."""

@@ -9,7 +9,8 @@ DIGESTS = Struct("<BBHHH")
 PROGRESS = Struct("<HBIB")
 assert CLAIM.size == REQUEST.size == DIGESTS.size == PROGRESS.size == 8
 
-REGISTERS, BLOCKS, STOPS = 0, 1, 2  # scopes of STATE_SYNC_REQUEST
+# scopes of STATE_SYNC_REQUEST
+REGISTERS, BLOCKS, STOPS, BUCKETS_SINCE, ALL_BUCKETS = range(5)
 PHASES = (0, 1, 2, 7)  # crdt.Phase: FREE, CLAIMED, STARTED, DONE
 
 
@@ -75,7 +76,8 @@ class StateSyncRequest(NamedTuple):
     byte  field   type  meaning
     0..1  cut     u24   with byte 2: Lamport time of the stable cut T0; 0 for a fresh join
     3..5  digest  u24   of the sender's replica
-    6     scope   u8    0 registers, 1 progress, 2 stops, 0x80 + bucket
+    6     scope   u8    0 registers and progress after the cut; 2 stops; DIGESTS of the sender follow,
+                        tell what is in buckets that differ: 3 after the cut, 4 all; 1 reserved
     7     round   u8    counts the sender's requests
     """
 

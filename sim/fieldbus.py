@@ -8,6 +8,7 @@ drive it by the wall clock. No threads, and no copy per receiver.
 import asyncio
 import contextlib
 import os
+import threading
 import time
 from collections import deque
 from collections.abc import Callable
@@ -17,7 +18,7 @@ import can
 from can import BusABC, CanOperationError, CanProtocol, Message
 
 from protocol.frame import Frame
-from sim.wire import Wire
+from sim.wire import PASSIVE, Wire
 
 RX_QUEUE_MAX = 8192  # frames kept for a program that does not read; then the newest are dropped
 POLL_S = 0.002  # how often a program without an event loop looks at the wire
@@ -34,6 +35,7 @@ class Segment:
         self.wire = Wire(seed, 1_000_000 // bitrate)
         self.buses: dict[int, FieldBus] = {}
         self.taps: list[Tap] = []
+        self.lock = threading.RLock()  # programs without an event loop send and receive in threads
         self._loop: asyncio.AbstractEventLoop | None = None
         self._timer: asyncio.TimerHandle | None = None
         self._timer_us = 0
@@ -45,8 +47,9 @@ class Segment:
             return time.monotonic_ns() // 1000
 
     def submit(self, node: int, frame: Frame) -> bool:
-        accepted = self.wire.submit(node, frame, self.now_us())
-        self.arm()
+        with self.lock:
+            accepted = self.wire.submit(node, frame, self.now_us())
+            self.arm()
         return accepted
 
     def arm(self) -> None:
@@ -166,7 +169,8 @@ class FieldBus(BusABC):
         deadline = None if timeout is None else time.monotonic() + timeout
         while True:
             if not self._looped():
-                self.segment.pump()
+                with self.segment.lock:
+                    self.segment.pump()
             if self._inbox:
                 if self._fd is not None:
                     with contextlib.suppress(BlockingIOError):
@@ -197,7 +201,7 @@ class FieldBus(BusABC):
         node = self.segment.wire.nodes.get(self.node)
         if node is None or node.off_until_us is not None:
             return can.BusState.ERROR
-        return can.BusState.PASSIVE if node.tec > 127 else can.BusState.ACTIVE
+        return can.BusState.PASSIVE if max(node.tec, node.rec) > PASSIVE else can.BusState.ACTIVE
 
     def shutdown(self) -> None:
         if self._open:

@@ -20,7 +20,9 @@ from sim.bits import BIT_US, frame_bits, worst_bits
 
 QUEUE_MAX = 256  # frames a node may have waiting: 0.15 s of a whole bus for itself
 ERROR_US = 31 * BIT_US  # error flag, its superposition and delimiter, interframe space
+PASSIVE = 127  # above this a node is error passive
 BUS_OFF_TEC = 256
+SUSPEND_US = 8 * BIT_US  # an error passive node waits so long after its own frame (ISO 11898-1)
 RECOVERY_US = 128 * 11 * BIT_US  # 128 times 11 recessive bits
 
 
@@ -39,8 +41,9 @@ class Node:
     island: int = 0
     queue: list[tuple[int, int, Frame]] = field(default_factory=list)
     tec: int = 0  # transmit error counter
-    rec: int = 0
+    rec: int = 0  # receive error counter
     off_until_us: int | None = None  # bus-off until then
+    ready_us: int = 0  # error passive: not before this, after a frame of its own
     refused: int = 0  # frames that found the queue full or the node off the bus
     sent: int = 0
 
@@ -76,7 +79,9 @@ class Wire:
         self._start_us: dict[int, int] = {}  # island -> when arbitration is due
         self._audience: dict[int, tuple[int, ...]] = {}
         self._off: dict[int, int] = {}  # nodes in bus-off -> until when
+        self._waiting: set[int] = set()  # nodes with something to send
         self._next_node = 0
+        self._now_us = 0  # the latest time that we were told
 
     # ---------------------------------------------------------------- nodes
 
@@ -90,6 +95,7 @@ class Wire:
     def detach(self, number: int) -> None:
         self.nodes.pop(number, None)
         self._off.pop(number, None)
+        self._waiting.discard(number)
         for island, (_, node, _, _) in list(self._sending.items()):
             if node == number:
                 del self._sending[island]
@@ -100,6 +106,8 @@ class Wire:
         for number, node in self.nodes.items():
             node.island = next((i for i, names in enumerate(islands) if number in names), 0)
         self._audience.clear()
+        for number in self._waiting:  # what waits goes on in the new island
+            self._wish(self.nodes[number].island, self._now_us)
 
     def heal(self) -> None:
         self.partition()
@@ -116,7 +124,9 @@ class Wire:
             node.refused += 1
             return False
         self._order += 1
+        self._now_us = max(self._now_us, now_us)
         heappush(node.queue, (frame.identifier, self._order, frame))
+        self._waiting.add(number)
         self._wish(node.island, now_us)
         return True
 
@@ -141,6 +151,7 @@ class Wire:
     def advance(self, now_us: int) -> list[Delivery]:
         """Everything that ends until now, in order."""
         deliveries: list[Delivery] = []
+        self._now_us = max(self._now_us, now_us)
         while (t_us := self.next_us) is not None and t_us <= now_us:
             for island in sorted(self._sending):
                 if self._sending[island][0] <= t_us:
@@ -157,12 +168,20 @@ class Wire:
     def _arbitrate(self, island: int, t_us: int) -> None:
         del self._start_us[island]
         best: tuple[int, int, int] | None = None
-        for number, node in self.nodes.items():
-            if node.island == island and node.queue and node.off_until_us is None:
-                identifier, order, _ = node.queue[0]
-                if best is None or (identifier, order) < best[:2]:
-                    best = (identifier, order, number)
+        later_us: list[int] = []
+        for number in self._waiting:
+            node = self.nodes[number]
+            if node.island != island:
+                continue
+            if node.ready_us > t_us:
+                later_us.append(node.ready_us)
+                continue
+            identifier, order, _ = node.queue[0]
+            if best is None or (identifier, order) < best[:2]:
+                best = (identifier, order, number)
         if best is None:
+            if later_us:
+                self._start_us[island] = min(later_us)
             return
         frame = self.nodes[best[2]].queue[0][2]
         bits = frame_bits(frame.identifier, frame.data)
@@ -180,11 +199,15 @@ class Wire:
         self._free_us[island] = t_us
         node = self.nodes[number]
         deliveries: list[Delivery] = []
+        if node.tec > PASSIVE:
+            node.ready_us = t_us + SUSPEND_US
         if broken:
             self.errors += 1
             self._punish(number, node, t_us)
         else:
             node.tec = max(0, node.tec - 1)
+            if self.errors:
+                self._heal_receivers(number, node.island)
             node.sent += 1
             self.frames += 1
             self.by_group[frame.identifier >> 8 & 0x3FFFF] += 1
@@ -194,10 +217,10 @@ class Wire:
             )
             if not repeated and node.queue:
                 self._drop_head(node, frame)
+            if not node.queue:
+                self._waiting.discard(number)
             deliveries.append(Delivery(t_us, frame, number, self._hearers(number)))
-        if any(
-            n.queue and n.island == island and n.off_until_us is None for n in self.nodes.values()
-        ):
+        if self._waiting and any(self.nodes[n].island == island for n in self._waiting):
             self._start_us[island] = t_us
         return deliveries
 
@@ -215,9 +238,18 @@ class Wire:
             heappush(node.queue, entry)
 
     def _punish(self, number: int, node: Node, t_us: int) -> None:
+        """A broken frame: ISO 11898-1 fault confinement, 8 for the sender and 1 for who listens."""
+        for other in self.nodes.values():
+            if other is not node and other.island == node.island:
+                other.rec = min(other.rec + 1, PASSIVE + 1)
         node.tec += 8
         if node.tec >= BUS_OFF_TEC:
             self.bus_off(number, t_us + RECOVERY_US)
+
+    def _heal_receivers(self, number: int, island: int) -> None:
+        for other, node in self.nodes.items():
+            if node.rec and other != number and node.island == island:
+                node.rec -= 1
 
     def bus_off(self, number: int, until_us: int) -> None:
         """Force a node off the bus."""
@@ -225,6 +257,7 @@ class Wire:
         node.tec, node.off_until_us = BUS_OFF_TEC, until_us
         self._off[number] = until_us
         node.queue.clear()
+        self._waiting.discard(number)
 
     def _hearers(self, sender: int) -> tuple[int, ...]:
         audience = self._audience.get(sender)

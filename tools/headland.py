@@ -47,7 +47,7 @@ def run(
     """
     from tools.run import run as command
 
-    raise SystemExit(command(scenario, robots, seed, out, keys, json))
+    raise SystemExit(command(scenario, robots, seed, out, json, keys))
 
 
 @app.command()
@@ -69,7 +69,7 @@ def launch(
     """
     from tools.launch import launch as command
 
-    raise SystemExit(command(scenario, robots, seed, out, port, seconds, keys, json))
+    raise SystemExit(command(scenario, robots, seed, out, port, seconds, json, keys))
 
 
 @app.command()

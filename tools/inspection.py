@@ -129,7 +129,7 @@ def _show(console: Console, seen: dict[str, Any]) -> None:
         "digest",
         "path of states",
     ):
-        table.add_column(column, overflow="fold")
+        table.add_column(column, overflow="fold", no_wrap=column in ("robot", "state"))
     for robot in seen["robots"]:
         state = (
             robot["state"]

@@ -27,7 +27,8 @@ from sim.hub import Hub
 from sim.scenario import ScenarioError, load
 from sim.setting import Setting
 from tools.attachment import CHANNEL
-from tools.inspector import Inspector
+from tools.inspector import SILENT_S, Inspector
+from tools.warmup import warm
 
 HOST = "127.0.0.1"
 LOOK_S = 0.5
@@ -72,7 +73,7 @@ class Launch:
         (self.out / "bus.json").write_text(json.dumps(where))
         self.console.print(
             f"bus: socketcand {HOST}:{hub.port} channel {CHANNEL}   "
-            f"(python -m can.viewer -i socketcand -c {CHANNEL} --host {HOST} --port {hub.port})"
+            f"(python -m can.viewer -i socketcand -c {CHANNEL} --host={HOST} --port={hub.port})"
         )
         if self.setting.keys is None:
             self.console.print(NO_KEYS)
@@ -147,7 +148,8 @@ class Launch:
 
     def _tell(self, elapsed_s: float, done: int) -> None:
         states = " ".join(
-            f"{slot}:{seen.state}" for slot, seen in sorted(self.inspector.robots.items())
+            f"{slot}:{seen.state if self.inspector.now_s - seen.last_s < SILENT_S else 'silent'}"
+            for slot, seen in sorted(self.inspector.robots.items())
         )
         sections = len(self.setting.field.sections)
         self.console.print(f"{elapsed_s:6.0f} s  {done}/{sections} sections  {states}")
@@ -171,9 +173,13 @@ class Launch:
         raster = sample_points(field.polygon, field.implement_width_m, field.overlap_m)
         tracks = {slot: body.track for slot, body in self.world.robots.items()}
         truth = coverage(raster, tracks, field.implement_width_m)
+        touched = [
+            {"t_s": c.t_us / 1e6, "robot": c.first, "against": c.against, "depth_m": c.depth_m}
+            for c in self.world.contacts
+        ]
         report: dict[str, Any] = {
             "finished": finished, "seconds": round(elapsed_s, 1), "coverage": truth.share,
-            "contacts": len(self.world.contacts), "robots_ended": sorted(self.gone),
+            "contacts": len(self.world.contacts), "robots_ended": sorted(self.gone), "touched": touched,
             "silence_policy": self.setting.scenario.fleet.silence,
             "authenticated": self.setting.keys is not None,
             **self.inspector.to_dict(),
@@ -191,7 +197,7 @@ class Launch:
 
 def launch(
     scenario: str, robots: int | None, seed: int | None, out: Path, port: int,
-    seconds: float | None, keys: Path | None, as_json: bool,
+    seconds: float | None, as_json: bool, keys: Path | None = None,
 ) -> int:  # fmt: skip
     console = Console(stderr=as_json, highlight=False, soft_wrap=True)
     try:
@@ -209,6 +215,7 @@ def launch(
         return _wrong(f"--out: {problem}")
     for old in out.glob("robot*.sqlite*"):
         old.unlink()  # a launch is a new job; a restart of one robot keeps its journal
+    warm()  # once here, not in every robot at once
     running = Launch(setting, scenario, out, console, keys)
     begun = time.monotonic()
     try:

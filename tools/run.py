@@ -20,7 +20,12 @@ UNFINISHED, WRONG = 1, 2  # exit codes; 0 only for a run without a flaw
 
 
 def run(
-    scenario: str, robots: int | None, seed: int | None, out: Path, keys: Path | None, as_json: bool
+    scenario: str,
+    robots: int | None,
+    seed: int | None,
+    out: Path,
+    as_json: bool,
+    keys: Path | None = None,
 ) -> int:
     console = Console(stderr=as_json)
     try:

@@ -1,141 +1,118 @@
-"""Anti-entropy between real `Sync` objects on the real wire model."""
+"""Anti-entropy between real `Sync` objects, everything over the real wire model."""
 
 from random import Random
 
 import pytest
 
-from crdt import FieldAllocationCRDT, Phase, Progress
-from protocol.codec import decode_once, encode
-from protocol.sync import Sync
-from sim.wire import Wire
+from crdt import Phase
+from sim.sync_fleet import SyncFleet
 
-HEARTBEAT_US = 500_000
-END_US = 60_000_000
+S = 1_000_000
 
 
-class Peers:
-    """N replicas that exchange nothing but sync frames; heartbeats are told to each directly."""
-
-    def __init__(self, size: int, seed: int) -> None:
-        self.wire, self.rng = Wire(seed), Random(seed)
-        self.nodes = [self.wire.attach() for _ in range(size)]
-        self.allocations = [FieldAllocationCRDT() for _ in range(size)]
-        self.progress = [Progress() for _ in range(size)]
-        self.syncs = [
-            Sync(slot, a, p)
-            for slot, (a, p) in enumerate(zip(self.allocations, self.progress, strict=True))
-        ]
-        self.islands = [set(range(size))]
-        self.frames = 0
-        self.now_us, self.next_beat_us = 0, HEARTBEAT_US
-        self.see()
-
-    def see(self) -> None:
-        for slot, sync in enumerate(self.syncs):
-            sync.live(frozenset(next(i for i in self.islands if slot in i)))
-
-    def beat(self) -> None:
-        for island in self.islands:
-            digests = {slot: self.syncs[slot].digest for slot in island}
-            for slot in island:
-                for other, digest in digests.items():
-                    if other != slot and self.rng.random() >= self.wire.faults.loss:
-                        self.syncs[slot].heard_digest(other, digest, self.now_us)
-
-    def run(self, until_us: int) -> None:
-        while self.now_us < until_us:
-            deadlines = [s.deadline_us for s in self.syncs if s.deadline_us is not None]
-            wire_us = [self.wire.next_us] if self.wire.next_us is not None else []
-            self.now_us = max(self.now_us, min(*deadlines, *wire_us, self.next_beat_us, until_us))
-            for delivery in self.wire.advance(self.now_us):
-                _, message = decode_once(delivery.frame)
-                for receiver in delivery.receivers:
-                    self.syncs[receiver].receive(delivery.sender, message, delivery.t_us)
-            if self.now_us >= self.next_beat_us:
-                self.next_beat_us += HEARTBEAT_US
-                self.beat()
-            for slot, sync in enumerate(self.syncs):
-                for message in sync.tick(self.now_us):
-                    self.frames += 1
-                    self.wire.submit(self.nodes[slot], encode(message, 128 + slot), self.now_us)
-
-    @property
-    def equal(self) -> bool:
-        return len({s.digest for s in self.syncs}) == 1
-
-    def write(self, slot: int, section: int) -> None:
-        """An operation that every peer of the island hears at once."""
-        key = self.allocations[slot].claim(section, slot)
-        assert key is not None
-        block, bits = self.progress[slot].cover(section, 0)
-        for other in next(i for i in self.islands if slot in i):
-            if other != slot:
-                self.allocations[other].apply(section, key)
-                self.progress[other].apply(section, block, bits)
-            self.syncs[other].changed_here(section, block)
-
-
-def cut(size: int, seed: int) -> Peers:
-    """A fleet that agreed on 20 sections, was cut, and worked on 10 more on each side."""
-    peers = Peers(size, seed)
-    for section in range(20):
-        peers.write(section % size, section)
-    peers.run(2_000_000)
+def cut(size: int, seed: int, entries: int = 20, news: int = 20) -> SyncFleet:
+    """A fleet that agreed on some sections, was cut in halves, and worked on more in each."""
+    fleet = SyncFleet(size, seed)
+    for section in range(entries):
+        fleet.write(section % size, section)
+    fleet.run(2 * S)
     half = size // 2
-    peers.islands = [set(range(half)), set(range(half, size))]
-    peers.see()
-    for k in range(10):
-        peers.write(k % half, 100 + k)
-        peers.write(half + k % (size - half), 200 + k)
-    peers.run(4_000_000)
-    return peers
+    fleet.cut(set(range(half)), set(range(half, size)))
+    for k in range(news // 2):
+        fleet.write(k % half, 1000 + k)
+        fleet.write(half + k % (size - half), 2000 + k)
+        fleet.run(10_000)
+    fleet.run(2 * S)
+    fleet.count_from_here()
+    return fleet
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-@pytest.mark.parametrize("size", [2, 6, 20])
+@pytest.mark.parametrize("size", [2, 6, 20, 50])
 def test_two_halves_become_equal(size: int, seed: int) -> None:
-    peers = cut(size, seed)
-    assert not peers.equal
-    peers.islands = [set(range(size))]
-    peers.see()
-    before = peers.frames
-    peers.run(8_000_000)
-    assert peers.equal and not any(s.synchronizing for s in peers.syncs), f"seed {seed}"
-    said = peers.frames - before
-    assert said <= 3 * 40, f"{said} frames for 20 registers and 20 blocks; seed {seed}"
+    fleet = cut(size, seed)
+    assert len(fleet.states) == 2, f"seed {seed}"
+    fleet.heal()
+    assert fleet.run(3 * S, until_equal=True), f"seed {seed}"
+    fleet.run(3 * S)
+    assert len(fleet.states) == 1, f"seed {seed}"
+    assert not any(m.sync.synchronizing for m in fleet.members.values())
+    assert fleet.frames <= 40 + 4, f"{fleet.frames} frames for 40 entries; seed {seed}"
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3, 4])
+def test_a_hundred_operations_cost_little_more_than_a_hundred_frames(seed: int) -> None:
+    fleet = SyncFleet(50, seed)
+    for section in range(200):
+        fleet.write(section % 50, section, None)
+    fleet.run(2 * S)
+    fleet.cut(set(range(20)), set(range(20, 50)))
+    for k in range(50):
+        fleet.write(k % 20, 1000 + k, None)
+        fleet.write(20 + k % 30, 2000 + k, None)
+        fleet.run(10_000)
+    fleet.run(2 * S)
+    fleet.count_from_here()
+    fleet.heal()
+    assert fleet.run(2 * S, until_equal=True), f"seed {seed}"
+    fleet.run(2 * S)
+    assert fleet.frames <= 130, f"{fleet.sent}; seed {seed}"
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_lossy_halves_become_equal_too(seed: int) -> None:
-    peers = cut(6, seed)
-    peers.wire.faults.loss = 0.2
-    peers.islands = [set(range(6))]
-    peers.see()
-    peers.run(END_US)
-    assert peers.equal, f"seed {seed}"
+    fleet = cut(6, seed)
+    fleet.wire.faults.loss = 0.2
+    fleet.heal()
+    assert fleet.run(60 * S, until_equal=True), f"seed {seed}"
+    fleet.run(5 * S)
+    assert len(fleet.states) == 1, f"seed {seed}"
 
 
 def test_a_fresh_join_is_told_everything_once() -> None:
-    peers = Peers(5, 1)
-    peers.islands = [{0, 1, 2, 3}, {4}]
-    peers.see()
+    fleet = SyncFleet(5, 1)
     for section in range(200):
-        peers.write(section % 4, section)
-    peers.run(3_000_000)
-    peers.islands = [{0, 1, 2, 3, 4}]
-    peers.see()
-    peers.syncs[4].joined(peers.now_us, HEARTBEAT_US)
-    before, begun_us = peers.frames, peers.now_us
-    while not peers.equal and peers.now_us < begun_us + 10_000_000:
-        peers.run(peers.now_us + 100_000)
-    assert peers.equal
-    assert peers.frames - before <= 420, "400 entries, and the asking"
-    assert peers.allocations[4].phase_of(199) is Phase.CLAIMED
+        fleet.write(section % 5, section)
+        fleet.run(3_000)
+    fleet.run(2 * S)
+    fleet.count_from_here()
+    newcomer = fleet.boot(5)
+    fleet.see()
+    newcomer.sync.joined(fleet.now_us, fleet.heartbeat_us)
+    assert not newcomer.sync.ready(fleet.now_us)
+    assert fleet.run(3 * S, until_equal=True)
+    fleet.run(2 * S)
+    assert fleet.frames <= 400 + 2, "400 entries, and the asking"
+    assert newcomer.allocation.phase_of(199) is Phase.CLAIMED
+    assert newcomer.sync.ready(fleet.now_us)
 
 
 def test_peers_in_step_say_nothing() -> None:
-    peers = Peers(6, 1)
+    fleet = SyncFleet(6, 1)
     for section in range(50):
-        peers.write(section % 6, section)
-    peers.run(20_000_000)
-    assert peers.frames == 0 and all(s.in_step for s in peers.syncs)
+        fleet.write(section % 6, section)
+    fleet.run(20 * S)
+    assert fleet.frames == 0 and all(m.sync.in_step for m in fleet.members.values())
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_islands_joins_and_loss_in_any_order_end_equal(seed: int) -> None:
+    rng = Random(f"{seed}/islands")
+    fleet = SyncFleet(rng.choice([3, 5, 8, 20]), seed)
+    for _ in range(2):
+        slots = list(fleet.members)
+        rng.shuffle(slots)
+        at = sorted(rng.sample(range(1, len(slots)), 2))
+        fleet.wire.faults.loss = rng.choice([0, 0.05, 0.2])
+        fleet.cut(set(slots[: at[0]]), set(slots[at[0] : at[1]]), set(slots[at[1] :]))
+        for _ in range(rng.choice([3, 30])):
+            fleet.write(rng.choice(slots), rng.randrange(300), rng.randrange(40))
+            fleet.run(rng.choice([1_000, 50_000]))
+        fleet.heal()
+        newcomer = fleet.boot(len(slots))
+        fleet.see()
+        newcomer.sync.joined(fleet.now_us, fleet.heartbeat_us)
+    assert fleet.run(60 * S, until_equal=True), f"seed {seed}"
+    fleet.run(10 * S)
+    assert len(fleet.states) == 1, f"seed {seed}"
+    assert not any(m.sync.synchronizing for m in fleet.members.values()), f"seed {seed}"

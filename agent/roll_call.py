@@ -1,0 +1,78 @@
+"""Who speaks from which address: asking those that have not said it, and answering in turn.
+
+However many robots are switched on together, or come back together, who-is-who costs about one frame a
+robot. An answer rides on the next beat, so that answers are as spread as beats are, and one answer
+serves everybody who asked in between. One robot asks, the first in slot order; the others overhear it.
+"""
+
+from collections.abc import Sequence
+
+from agent.config import MS, S
+from agent.effects import Effect, Send
+from protocol.fleet_frames import Member
+from protocol.identifier import GLOBAL_ADDRESS, NULL_ADDRESS
+from protocol.messages import GROUP_OF
+from protocol.network_frames import Request
+
+MEMBER_PGN = GROUP_OF[Member].pgn
+MEMBER_REQUEST = Request(MEMBER_PGN).pack()
+PATIENCE_US = 250 * MS  # a stranger has a beat's time, of the largest fleet, to say who it is
+SLOT_US = (
+    2 * MS
+)  # between the turns of two robots to ask: a frame's time, and that of one in its way
+AGAIN_US = 2 * S  # before the same address is asked again; doubles
+DOUBLINGS_MAX = 5  # up to a minute: a device that is no robot is left alone
+STRANGERS_MAX = 256  # addresses there are
+
+
+class RollCall:
+    def __init__(self, slot: int) -> None:
+        self.slot = slot
+        self.answer_due = False  # say who we are with the next beat
+        self._everybody_asked = False  # since we came on the bus
+        self._ask_us: dict[int, int] = {}  # stranger's address -> when it is our turn to ask it
+        self._asked: dict[int, int] = {}  # stranger's address -> times it was asked, by anybody
+
+    @property
+    def deadline_us(self) -> int | None:
+        return min(self._ask_us.values(), default=None)
+
+    def power_up(self) -> None:
+        self.answer_due = self._everybody_asked = False
+        self._ask_us.clear()
+        self._asked.clear()
+
+    def joined(self) -> Sequence[Effect]:
+        """We have an address: nobody who was asked since we listen has to be asked again."""
+        return () if self._everybody_asked else [Send(Request(MEMBER_PGN))]
+
+    def tick(self, now_us: int) -> Sequence[Effect]:
+        """At most one question."""
+        for address, due_us in self._ask_us.items():
+            if now_us >= due_us:
+                self.overheard(address, now_us)
+                return [Send(Request(MEMBER_PGN), address)]
+        return ()
+
+    def stranger(self, address: int, now_us: int) -> None:
+        """A robot's frame from an address that has not said which member it is."""
+        if address < NULL_ADDRESS and address not in self._ask_us:
+            self._ask_us[address] = now_us + PATIENCE_US + self.slot * SLOT_US
+            assert len(self._ask_us) <= STRANGERS_MAX
+
+    def known(self, address: int) -> None:
+        self._ask_us.pop(address, None)
+        self._asked.pop(address, None)
+
+    def asked(self, everybody: bool) -> None:
+        """Somebody wants to know who we are."""
+        self.answer_due = True
+        self._everybody_asked |= everybody
+
+    def overheard(self, address: int, now_us: int) -> None:
+        """Somebody asked that address; it is not asked again soon, by nobody."""
+        if address == GLOBAL_ADDRESS or address not in self._ask_us:
+            return
+        times = self._asked[address] = self._asked.get(address, 0) + 1
+        pause_us = AGAIN_US << min(times - 1, DOUBLINGS_MAX)
+        self._ask_us[address] = now_us + pause_us + self.slot * SLOT_US

@@ -1,0 +1,145 @@
+"""Every bit of every frame as a named signal: what outside tools need to read a log.
+
+Little-endian throughout: `start` is the lowest bit, counted from bit 0 of byte 0. A signal has the name
+of the message's field and gives its value as `raw * scale + offset`. Reserved bits have no signal.
+"""
+
+from math import pi
+from typing import NamedTuple
+
+from protocol.fleet_frames import (
+    COURSES,
+    LENGTH_M,
+    SPEED_M_S,
+    Heartbeat,
+    LeaderElectionVote,
+    Member,
+    Pose,
+    VectorSlice,
+)
+from protocol.messages import GROUP_OF, Message
+from protocol.network_frames import (
+    Acknowledgment,
+    AddressClaimed,
+    Control,
+    Request,
+    TransportData,
+    TransportManagement,
+)
+from protocol.safety_frames import (
+    AllImplementsStop,
+    Challenge,
+    Command,
+    EmergencyReset,
+    EmergencyStop,
+    Freshness,
+    OperatorCommand,
+    Reason,
+    Switch,
+)
+from protocol.work_frames import (
+    Digests,
+    StateSyncRequest,
+    StateSyncResponse,
+    TaskClaim,
+    WorkProgress,
+)
+
+
+class Signal(NamedTuple):
+    name: str
+    start: int  # lowest bit
+    length: int  # bits
+    scale: float = 1
+    offset: float = 0
+    unit: str = ""
+    choices: tuple[tuple[int, str], ...] = ()
+
+
+def _members(kind: type) -> tuple[tuple[int, str], ...]:
+    return tuple((int(member), member.name) for member in kind)  # type: ignore[attr-defined]
+
+
+STATE = (
+    (0, "DISCONNECTED"),
+    (1, "IDLE"),
+    (2, "SYNCHRONIZING"),
+    (3, "WORKING"),
+    (4, "EMERGENCY_STOP"),
+)
+PHASE = ((0, "FREE"), (1, "CLAIMED"), (2, "STARTED"), (7, "DONE"))
+_LOW = -(1 << 16) * LENGTH_M  # of POSE's coordinates
+
+_DOT = (Signal("slot", 0, 8), Signal("incarnation", 8, 8), Signal("counter", 16, 8))
+_PROOF = (Signal("freshness", 32, 8), Signal("tag", 40, 24))
+_REGISTER = (
+    Signal("section", 0, 16), Signal("epoch", 16, 8), Signal("phase", 24, 3, choices=PHASE),
+    Signal("bid", 27, 5), Signal("lamport", 32, 24), Signal("owner", 56, 8),
+)  # fmt: skip
+
+SIGNALS: dict[type[Message], tuple[Signal, ...]] = {
+    EmergencyStop: (
+        *_DOT, Signal("reason", 24, 4, choices=_members(Reason)), Signal("echo", 28, 1), *_PROOF,
+    ),
+    EmergencyReset: (*_DOT, Signal("operator", 24, 8), *_PROOF),
+    OperatorCommand: (
+        Signal("command", 0, 8, choices=_members(Command)), Signal("target", 8, 8),
+        Signal("operator", 16, 8), Signal("argument", 24, 8), *_PROOF,
+    ),
+    Challenge: (Signal("asked", 0, 8), Signal("asker", 8, 8), Signal("number", 16, 48)),
+    Freshness: (Signal("sender", 0, 8), Signal("counter", 8, 32), Signal("tag", 40, 24)),
+    AllImplementsStop: (
+        Signal("transition", 48, 8), Signal("switch", 56, 2, choices=_members(Switch)),
+    ),
+    LeaderElectionVote: (
+        Signal("election", 0, 16), Signal("term", 16, 16), Signal("candidate", 32, 8),
+        Signal("flags", 40, 8), Signal("name_hash", 48, 16),
+    ),
+    TaskClaim: _REGISTER,
+    StateSyncResponse: _REGISTER,
+    Pose: (
+        Signal("x_m", 0, 17, LENGTH_M, _LOW, "m"), Signal("y_m", 17, 17, LENGTH_M, _LOW, "m"),
+        Signal("course_rad", 34, 9, 2 * pi / COURSES, 0, "rad"),
+        Signal("speed_m_s", 43, 8, SPEED_M_S, 0, "m/s"), Signal("state", 51, 3, choices=STATE),
+        Signal("stopped", 54, 1), Signal("tick", 55, 8),
+    ),
+    Heartbeat: (
+        Signal("counter", 0, 8), Signal("state", 8, 3, choices=STATE), Signal("stopped", 11, 1),
+        Signal("held", 12, 1), Signal("started", 13, 1), Signal("leaving", 14, 1),
+        Signal("health", 16, 8, 1 / 250), Signal("operations", 24, 16), Signal("digest", 40, 24),
+    ),
+    Member: (
+        Signal("slot", 0, 8), Signal("incarnation", 8, 16), Signal("config_hash", 24, 24),
+        Signal("flags", 48, 8),
+    ),
+    StateSyncRequest: (
+        Signal("cut", 0, 24), Signal("digest", 24, 24), Signal("scope", 48, 8),
+        Signal("round", 56, 8),
+    ),
+    Digests: (
+        Signal("triple", 0, 8), Signal("salt", 8, 8), Signal("first", 16, 16),
+        Signal("second", 32, 16), Signal("third", 48, 16),
+    ),
+    VectorSlice: (
+        Signal("base", 0, 8), *(Signal(f"counts_{k}", 8 + 8 * k, 8) for k in range(7)),
+    ),
+    WorkProgress: (Signal("section", 0, 16), Signal("block", 16, 8), Signal("bits", 24, 40)),
+    AddressClaimed: (Signal("name", 0, 64),),
+    Request: (Signal("pgn", 0, 24),),
+    Acknowledgment: (
+        Signal("control", 0, 8, choices=_members(Control)), Signal("group_function", 8, 8),
+        Signal("address", 32, 8), Signal("pgn", 40, 24),
+    ),
+    TransportManagement: (
+        Signal("control", 0, 8), *(Signal(f"body_{k}", 8 + 8 * k, 8) for k in range(4)),
+        Signal("pgn", 40, 24),
+    ),
+    TransportData: (
+        Signal("sequence", 0, 8), *(Signal(f"body_{k}", 8 + 8 * k, 8) for k in range(7)),
+    ),
+}  # fmt: skip
+
+assert SIGNALS.keys() == GROUP_OF.keys(), "every frame kind has its signals"
+for _kind, _signals in SIGNALS.items():
+    _used = [bit for s in _signals for bit in range(s.start, s.start + s.length)]
+    assert len(_used) == len(set(_used)) and max(_used) < 8 * GROUP_OF[_kind].length

@@ -1,0 +1,325 @@
+"""Transport protocol: messages of 9 to 1,785 bytes, for names and logs, never for state or safety.
+
+ISO 11783-3 and SAE J1939-21 5.10: to all by BAM, to one by RTS and CTS. One device's end, sans I/O.
+Sessions are few and bounded; whatever another device does, it costs a count and at most an abort.
+"""
+
+from collections import Counter, deque
+from collections.abc import Iterable
+from enum import IntEnum
+from typing import NamedTuple
+
+from protocol.identifier import GLOBAL_ADDRESS
+from protocol.network_frames import TransportData, TransportManagement
+
+MS = 1_000
+PACKET = 7  # bytes of the message in one TP.DT
+SIZE_MIN, SIZE_MAX = 9, 1785  # 255 packets
+TR_US, TH_US = 200 * MS, 500 * MS  # answer within; hold again within
+T1_US, T2_US, T3_US, T4_US = 750 * MS, 1250 * MS, 1250 * MS, 1050 * MS
+BAM_GAP_US = 50 * MS  # J1939-21: 50 to 200 ms; ISO 11783-3 would allow 10
+DATA_GAP_US = 3 * MS  # between our TP.DT to one: a fifth of the bus at most
+GRANT_PACKETS = 16  # packets we let another send before it has to ask again: 112 bytes
+RECEIVING_MAX = 8  # sessions towards us: 14 kB
+SENDING_MAX = 4  # sessions of ours
+RETRIES_MAX = 2  # a CTS asks again for lost packets so often (J1939-21: at most two retransmits)
+WORDS_MAX = (
+    20  # CTS accepted in one session, beyond one a packet: holds, and packets asked for again
+)
+
+
+class Control(IntEnum):
+    RTS = 16
+    CTS = 17
+    END = 19  # end of message acknowledged
+    BAM = 32
+    ABORT = 255
+
+
+class Abort(IntEnum):
+    BUSY = 1  # already in a session with you
+    RESOURCES = 2
+    TIMEOUT = 3
+    UNEXPECTED_CTS = 4  # while we are sending
+    RETRIES = 5
+    UNEXPECTED_DATA = 6
+    SEQUENCE = 7
+    SIZE = 9
+
+
+class Out(NamedTuple):
+    """A frame to send."""
+
+    message: TransportManagement | TransportData
+    destination: int
+
+
+class Arrived(NamedTuple):
+    """A whole message."""
+
+    source: int
+    pgn: int
+    data: bytes
+    broadcast: bool
+
+
+class _Receiving:
+    """A message on its way to us, or to all."""
+
+    def __init__(self, pgn: int, size: int, packets: int, limit: int) -> None:
+        self.pgn, self.size, self.packets = pgn, size, packets
+        self.limit = limit  # packets that the sender wants to be asked for at once
+        self.data = bytearray()
+        self.expected = 1
+        self.granted_to = 0  # last packet that we have asked for
+        self.retries = 0
+        self.due_us = 0
+
+
+class _Sending:
+    """A message on its way from us."""
+
+    def __init__(self, pgn: int, data: bytes, destination: int) -> None:
+        self.pgn, self.data, self.destination = pgn, data, destination
+        self.packets = -(-len(data) // PACKET)
+        self.queue: deque[int] = deque()  # sequence numbers to send
+        self.words = 0  # CTS heard
+        self.waiting = True  # for the other's word; then `due_us` is a time limit
+        self.due_us = 0
+
+    def packet(self, sequence: int) -> TransportData:
+        body = self.data[PACKET * (sequence - 1) : PACKET * sequence]
+        return TransportData(sequence, body.ljust(PACKET, b"\xff"))
+
+
+class Transport:
+    def __init__(self) -> None:
+        self.counts: Counter[str] = Counter()  # what went wrong, by kind; and what went well
+        self._receiving: dict[tuple[int, bool], _Receiving] = {}  # (source, broadcast)
+        self._sending: dict[int, _Sending] = {}  # destination
+
+    @property
+    def deadline_us(self) -> int | None:
+        due = [session.due_us for session in self._receiving.values()]
+        due += [session.due_us for session in self._sending.values()]
+        return min(due, default=None)
+
+    @property
+    def sessions(self) -> int:
+        return len(self._receiving) + len(self._sending)
+
+    # ---------------------------------------------------------------- sending
+
+    def send(self, pgn: int, data: bytes, destination: int, now_us: int) -> Iterable[Out] | None:
+        """Begin to send a message; None where we already send to that device, or too many."""
+        assert SIZE_MIN <= len(data) <= SIZE_MAX and 0 <= pgn < 1 << 18
+        if destination in self._sending or len(self._sending) >= SENDING_MAX:
+            self.counts["refused"] += 1
+            return None
+        session = self._sending[destination] = _Sending(pgn, data, destination)
+        head = len(data).to_bytes(2, "little") + bytes((session.packets,))
+        if destination == GLOBAL_ADDRESS:
+            session.waiting, session.due_us = False, now_us + BAM_GAP_US
+            session.queue.extend(range(1, session.packets + 1))
+            return [_manage(Control.BAM, head + b"\xff", pgn, GLOBAL_ADDRESS)]
+        session.due_us = now_us + T3_US
+        return [_manage(Control.RTS, head + bytes((GRANT_PACKETS,)), pgn, destination)]
+
+    def tick(self, now_us: int) -> Iterable[Out]:
+        """Packets whose time has come; sessions whose time is over."""
+        out: list[Out] = []
+        for sending in list(self._sending.values()):
+            if now_us >= sending.due_us:
+                out += self._send_on(sending, now_us)
+        for key, receiving in list(self._receiving.items()):
+            if now_us >= receiving.due_us:
+                out += self._overdue(key, receiving, now_us)
+        return out
+
+    def _send_on(self, session: _Sending, now_us: int) -> Iterable[Out]:
+        if session.waiting:
+            del self._sending[session.destination]
+            self.counts["timeout"] += 1
+            return [_abort(Abort.TIMEOUT, session.pgn, session.destination)]
+        out = [Out(session.packet(session.queue.popleft()), session.destination)]
+        broadcast = session.destination == GLOBAL_ADDRESS
+        session.due_us = now_us + (BAM_GAP_US if broadcast else DATA_GAP_US)
+        if not session.queue:
+            if broadcast:
+                del self._sending[session.destination]
+                self.counts["sent"] += 1
+            else:
+                session.waiting, session.due_us = True, now_us + T3_US
+        return out
+
+    # ---------------------------------------------------------------- hearing
+
+    def receive(
+        self, source: int, destination: int, m: TransportManagement | TransportData, now_us: int
+    ) -> tuple[Iterable[Out], Arrived | None]:
+        """A frame that was sent to us or to all."""
+        broadcast = destination == GLOBAL_ADDRESS
+        if isinstance(m, TransportData):
+            return self._data(source, broadcast, m, now_us)
+        if broadcast != (m.control == Control.BAM):  # all else is between two devices
+            self.counts["malformed"] += 1
+            return (), None
+        match m.control:
+            case Control.BAM | Control.RTS:
+                return self._announced(source, broadcast, m, now_us), None
+            case Control.CTS:
+                return self._granted(source, m, now_us), None
+            case Control.END:
+                return self._acknowledged(source, m), None
+            case Control.ABORT:
+                self._aborted(source, m)
+                return (), None
+        self.counts["malformed"] += 1
+        return (), None
+
+    def _announced(
+        self, source: int, broadcast: bool, m: TransportManagement, now_us: int
+    ) -> Iterable[Out]:
+        size, packets, limit = int.from_bytes(m.body[:2], "little"), m.body[2], m.body[3]
+        if not SIZE_MIN <= size <= SIZE_MAX or packets != -(-size // PACKET):
+            self.counts["malformed"] += 1
+            return () if broadcast else [_abort(Abort.SIZE, m.pgn, source)]
+        key = (source, broadcast)
+        running = self._receiving.get(key)
+        if running is not None and not broadcast and running.pgn != m.pgn:
+            self.counts["refused"] += 1
+            return [_abort(Abort.BUSY, m.pgn, source)]
+        if running is None and len(self._receiving) >= RECEIVING_MAX:
+            self.counts["refused"] += 1
+            return () if broadcast else [_abort(Abort.RESOURCES, m.pgn, source)]
+        session = self._receiving[key] = _Receiving(m.pgn, size, packets, limit or 1)
+        if running is not None:
+            self.counts["begun again"] += 1
+        if broadcast:
+            session.granted_to, session.due_us = packets, now_us + T1_US
+            return ()
+        return [self._grant(session, source, now_us)]
+
+    def _grant(self, session: _Receiving, source: int, now_us: int) -> Out:
+        count = min(session.packets - session.expected + 1, session.limit, GRANT_PACKETS)
+        session.granted_to = session.expected + count - 1
+        # Asked again before the sender's T3 ends the session, then given the time of the standard.
+        session.due_us = now_us + (T1_US if session.retries < RETRIES_MAX else T2_US)
+        body = bytes((count, session.expected, 0xFF, 0xFF))
+        return _manage(Control.CTS, body, session.pgn, source)
+
+    def _data(
+        self, source: int, broadcast: bool, m: TransportData, now_us: int
+    ) -> tuple[Iterable[Out], Arrived | None]:
+        key = (source, broadcast)
+        session = self._receiving.get(key)
+        if session is None:
+            self.counts["unexpected data"] += 1
+            return (), None
+        if m.sequence < session.expected:
+            self.counts["repeated data"] += 1
+            return (), None
+        if m.sequence > session.granted_to or (broadcast and m.sequence != session.expected):
+            del self._receiving[key]
+            self.counts["lost" if broadcast else "bad sequence"] += 1
+            return () if broadcast else [_abort(Abort.SEQUENCE, session.pgn, source)], None
+        if m.sequence == session.expected:
+            session.data += m.body
+            session.expected += 1
+            session.due_us = now_us + T1_US
+        # else: one was lost; the rest of the grant passes, then it is asked for again
+        if session.expected > session.packets:
+            return self._complete(key, session)
+        if not broadcast and m.sequence == session.granted_to:
+            return self._ask_on(key, session, m.sequence, now_us), None
+        return (), None
+
+    def _ask_on(
+        self, key: tuple[int, bool], session: _Receiving, sequence: int, now_us: int
+    ) -> Iterable[Out]:
+        """The grant has passed: the next one, or again from the first that was lost."""
+        if session.expected <= sequence:
+            session.retries += 1
+            self.counts["asked again"] += 1
+            if session.retries > RETRIES_MAX:
+                del self._receiving[key]
+                self.counts["lost"] += 1
+                return [_abort(Abort.RETRIES, session.pgn, key[0])]
+        return [self._grant(session, key[0], now_us)]
+
+    def _complete(
+        self, key: tuple[int, bool], session: _Receiving
+    ) -> tuple[Iterable[Out], Arrived]:
+        del self._receiving[key]
+        self.counts["received"] += 1
+        source, broadcast = key
+        arrived = Arrived(source, session.pgn, bytes(session.data[: session.size]), broadcast)
+        if broadcast:
+            return (), arrived
+        body = session.size.to_bytes(2, "little") + bytes((session.packets, 0xFF))
+        return [_manage(Control.END, body, session.pgn, source)], arrived
+
+    def _overdue(self, key: tuple[int, bool], session: _Receiving, now_us: int) -> Iterable[Out]:
+        source, broadcast = key
+        if (
+            not broadcast and session.retries < RETRIES_MAX
+        ):  # the last packets, or our CTS, were lost
+            session.retries += 1
+            self.counts["asked again"] += 1
+            return [self._grant(session, source, now_us)]
+        del self._receiving[key]
+        self.counts["timeout"] += 1
+        return () if broadcast else [_abort(Abort.TIMEOUT, session.pgn, source)]
+
+    # ---------------------------------------------------------------- answers to our sending
+
+    def _granted(self, source: int, m: TransportManagement, now_us: int) -> Iterable[Out]:
+        session = self._sending.get(source)
+        if session is None or session.pgn != m.pgn:
+            self.counts["unexpected CTS"] += 1
+            return ()
+        count, first = m.body[0], m.body[1]
+        session.words += 1
+        if session.words > session.packets + WORDS_MAX:
+            return self._give_up(session, Abort.RETRIES)
+        if count == 0:  # hold
+            session.queue.clear()
+            session.waiting, session.due_us = True, now_us + T4_US
+            return ()
+        if not 1 <= first <= session.packets:
+            return self._give_up(session, Abort.SEQUENCE)
+        last = min(first + count - 1, session.packets)
+        session.queue = deque(range(first, last + 1))
+        session.waiting, session.due_us = False, now_us
+        return ()
+
+    def _give_up(self, session: _Sending, reason: Abort) -> Iterable[Out]:
+        del self._sending[session.destination]
+        self.counts["given up"] += 1
+        return [_abort(reason, session.pgn, session.destination)]
+
+    def _acknowledged(self, source: int, m: TransportManagement) -> Iterable[Out]:
+        session = self._sending.get(source)
+        if session is None or session.pgn != m.pgn:
+            self.counts["unexpected end"] += 1
+        else:
+            del self._sending[source]
+            self.counts["sent"] += 1
+        return ()
+
+    def _aborted(self, source: int, m: TransportManagement) -> None:
+        self.counts["aborted"] += 1
+        sending = self._sending.get(source)
+        if sending is not None and sending.pgn == m.pgn:
+            del self._sending[source]
+        receiving = self._receiving.get((source, False))
+        if receiving is not None and receiving.pgn == m.pgn:
+            del self._receiving[source, False]
+
+
+def _manage(control: Control, body: bytes, pgn: int, destination: int) -> Out:
+    return Out(TransportManagement(control, body, pgn), destination)
+
+
+def _abort(reason: Abort, pgn: int, destination: int) -> Out:
+    return _manage(Control.ABORT, bytes((reason, 0xFF, 0xFF, 0xFF)), pgn, destination)
