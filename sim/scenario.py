@@ -37,7 +37,7 @@ class FleetTable(_Table):
     acceleration_m_s2: float = Field(default=1.5, gt=0.05, le=10.0)
     slip: float = Field(default=0.02, ge=0.0, le=0.3)
     silence: Literal["stop", "slow", "continue"] = "stop"
-    keys: str | None = None  # key file, made by `headland keys make`
+    keys: str | None = None  # key file, made by `headland keys new`
 
 
 class BusTable(_Table):
@@ -165,11 +165,15 @@ class Scenario(_Table):
     fault: list[Fault] = []
     folder: Path = Field(Path(), exclude=True)  # what file names are relative to
 
-    def changed(self, robots: int | None = None, seed: int | None = None) -> "Scenario":
-        """The same with another number of robots or another seed. ScenarioError where out of range."""
+    def changed(
+        self, robots: int | None = None, seed: int | None = None, keys: Path | None = None
+    ) -> "Scenario":
+        """The same with another number of robots, seed or key file. ScenarioError where out of range."""
         document = self.model_dump(exclude_unset=True)
         if robots is not None:
             document.setdefault("fleet", {})["robots"] = robots
+        if keys is not None:
+            document.setdefault("fleet", {})["keys"] = str(keys.absolute())
         if seed is not None:
             document.setdefault("run", {})["seed"] = seed
         return _validate(document, self.name, self.folder)

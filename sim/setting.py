@@ -16,8 +16,9 @@ from agent.motion import FENCE_M
 from agent.route import Route
 from agent.safety import SilencePolicy
 from agent.swaths import divide
-from protocol.authentication import Keyring
+from protocol.authentication import Keyring, Keys
 from sim.field_file import FieldFileError, read_boundary
+from sim.key_file import FLEET, KeyFileError, read
 from sim.lidar import Lidar
 from sim.scenario import Scenario, ScenarioError
 from sim.vehicle import Chassis
@@ -34,6 +35,7 @@ class Setting:
         """Raises ScenarioError where the field cannot be used."""
         self.scenario = scenario
         self.field = self._field()
+        self.keys = self._keys()
         self.silence = SilencePolicy[scenario.fleet.silence.upper()]
         beside_m = (self.field.implement_width_m - self.field.overlap_m) / 2
         if scenario.fleet.radius_m + FENCE_M > beside_m:
@@ -48,6 +50,15 @@ class Setting:
             )
         except ValueError as problem:
             raise ScenarioError(f"{scenario.name}: fleet.robots: {problem}") from None
+
+    def _keys(self) -> Keys | None:
+        name = self.scenario.fleet.keys
+        if name is None:
+            return None
+        try:
+            return read(self.scenario.folder / name, FLEET).keys
+        except KeyFileError as problem:
+            raise ScenarioError(f"{self.scenario.name}: fleet.keys: {problem}") from None
 
     def _field(self) -> Field:
         table = self.scenario.field
@@ -112,5 +123,6 @@ class Setting:
             world.add_robot(slot, at, fleet.radius_m, chassis)
         return world
 
-    def keyring(self, slot: int) -> Keyring | None:
-        return None
+    def keyring(self, sender: int, lot: str) -> Keyring | None:
+        """`lot`: anything that no two starts of this sender share."""
+        return None if self.keys is None else Keyring(self.keys, sender, lot.encode())

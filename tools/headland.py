@@ -5,6 +5,8 @@ from typing import Annotated
 
 import typer
 
+from tools.keys import app as keys_app
+
 HELP = "A leaderless robot fleet on a CAN bus: every robot is a peer, none is in charge."
 app = typer.Typer(
     help=HELP, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None
@@ -20,7 +22,10 @@ Port = Annotated[
     int, typer.Option("--port", help="Port of a socketcand interface (0: the newest launch).")
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
-KeyFile = Annotated[Path | None, typer.Option("--keys", help="The operator's key file.")]
+KeyFile = Annotated[Path | None, typer.Option("--keys", help="The fleet's key file.")]
+OperatorKey = Annotated[
+    Path | None, typer.Option("--operator-key", help="The operator's key file.")
+]
 
 
 @app.command()
@@ -36,6 +41,7 @@ def run(
     log: Annotated[
         list[Path] | None, typer.Option(help="A further CAN log: .asc .blf .csv .log .trc")
     ] = None,
+    keys: KeyFile = None,
     json: Json = False,
 ) -> None:
     """Work a scenario to its end in virtual time, as fast as it can go.
@@ -44,7 +50,7 @@ def run(
     """
     from tools.run import run as command
 
-    raise SystemExit(command(scenario, robots, seed, out, json, log or []))
+    raise SystemExit(command(scenario, robots, seed, out, json, keys, log or []))
 
 
 @app.command()
@@ -57,6 +63,7 @@ def launch(
     out: Annotated[Path, typer.Option(help="Folder of this launch.")] = Path("runs/launch"),
     port: Annotated[int, typer.Option(help="Port of the bus hub (0: any free one).")] = 0,
     seconds: Annotated[float | None, typer.Option(help="End after this long.")] = None,
+    keys: KeyFile = None,
     json: Json = False,
 ) -> None:
     """Run every robot as a process of its own, in real time, on a bus others can attach to.
@@ -65,7 +72,7 @@ def launch(
     """
     from tools.launch import launch as command
 
-    raise SystemExit(command(scenario, robots, seed, out, port, seconds, json))
+    raise SystemExit(command(scenario, robots, seed, out, port, seconds, json, keys))
 
 
 @app.command()
@@ -91,7 +98,7 @@ def estop(
 @app.command()
 def reset(
     interface: Interface = "socketcand", channel: Channel = "can0", bitrate: Bitrate = 250_000,
-    host: Host = "127.0.0.1", port: Port = 0, keys: KeyFile = None,
+    host: Host = "127.0.0.1", port: Port = 0, key: OperatorKey = None,
     start: Annotated[bool, typer.Option("--start/--no-start", help="And start the work.")] = False,
     timeout: Annotated[float, typer.Option(help="Seconds to wait.")] = 5.0,
     json: Json = False,
@@ -102,7 +109,7 @@ def reset(
     """
     from tools.reset import reset as command
 
-    raise SystemExit(command(interface, channel, bitrate, host, port, keys, start, timeout, json))
+    raise SystemExit(command(interface, channel, bitrate, host, port, key, start, timeout, json))
 
 
 @app.command()
@@ -127,6 +134,9 @@ def inspect(
             source, interface, channel, bitrate, host, port, seconds, mermaid, why, json, traces
         )
     )
+
+
+app.add_typer(keys_app, name="keys")
 
 
 @app.command()

@@ -27,11 +27,12 @@ def run(
     seed: int | None,
     out: Path,
     as_json: bool,
+    keys: Path | None = None,
     logs: Sequence[Path] = (),
 ) -> int:
     console = Console(stderr=as_json)
     try:
-        setting = Setting(load(scenario).changed(robots, seed))
+        setting = Setting(load(scenario).changed(robots, seed, keys))
         out.mkdir(parents=True, exist_ok=True)
         if not out.is_dir():
             raise OSError(f"{out} is not a folder")
@@ -99,6 +100,7 @@ def outcome_table(outcome: Outcome) -> Table:
         ("bus load", f"{outcome.bus_load:.1%} ({worst} at worst-case stuffing)"),
         ("frames", ", ".join(f"{n} {kind}" for kind, n in outcome.frames.items())),
         ("malformed frames", str(outcome.malformed)),
+        ("refused frames", f"{outcome.refused} without authority, or before their sender's proof"),
         ("claims lost", str(outcome.claims_lost)),
         ("silence policy", outcome.silence_policy),
         ("authentication", "keys" if outcome.authenticated else NO_KEYS),

@@ -15,7 +15,7 @@ from tools.run import run
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("recorded")
     logs = [out / f"more{suffix}" for suffix in (".blf", ".asc", ".csv")]
-    assert run("small", 2, 1, out, False, logs) == 0
+    assert run("small", 2, 1, out, False, None, logs) == 0
     return out
 
 
@@ -52,5 +52,5 @@ def test_what_cannot_be_read_or_written_is_said_in_a_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert replay(tmp_path / "none.log", 0.0, "", "can0", 250_000, "", 0, False) == 2
-    assert run("small", 1, 1, tmp_path, False, [tmp_path / "log.db"]) == 2
+    assert run("small", 1, 1, tmp_path, False, None, [tmp_path / "log.db"]) == 2
     assert all(line.startswith("headland: ") for line in capsys.readouterr().err.splitlines())
