@@ -8,7 +8,7 @@ robot that died is a wreck from that step on; what only it could reach nobody ha
 from collections import deque
 from typing import NamedTuple
 
-from sim.grid_map import Cell
+from sim.grid_map import Cell, Walls
 from sim.grid_plan import STEPS, Plan
 
 
@@ -36,9 +36,10 @@ class Verdict(NamedTuple):
         return max((step + turn_cost * turns for step, turns in ends), default=0.0)
 
 
-def reachable(walls: list[list[bool]], sources: list[Cell]) -> set[Cell]:
+def steps_from(walls: list[list[bool]], sources: list[Cell]) -> dict[Cell, int]:
+    """Steps from the nearest source to every cell that can be reached."""
     rows, columns = len(walls), len(walls[0])
-    seen = set(sources)
+    steps = dict.fromkeys(sources, 0)
     queue = deque(sources)
     while queue:
         row, column = queue.popleft()
@@ -46,17 +47,41 @@ def reachable(walls: list[list[bool]], sources: list[Cell]) -> set[Cell]:
             cell = (row + dr, column + dc)
             if not (0 <= cell[0] < rows and 0 <= cell[1] < columns):
                 continue
-            if cell not in seen and not walls[cell[0]][cell[1]]:
-                seen.add(cell)
+            if cell not in steps and not walls[cell[0]][cell[1]]:
+                steps[cell] = steps[row, column] + 1
                 queue.append(cell)
-    return seen
+    return steps
 
 
 def judge(plan: Plan) -> Verdict:
-    return _Court(plan).verdict()
+    court = Court(plan)
+    while not court.over:
+        court.advance()
+    return court.verdict()
 
 
-class _Court:
+def lower_bound(walls: Walls, starts: list[Cell]) -> int:
+    """Steps that no plan can beat: what is at least d away is not begun before d - 1 steps are over.
+
+    >>> import numpy as np
+    >>> lower_bound(np.zeros((1, 9), dtype=bool), [(0, 0), (0, 1)])
+    7
+    """
+    distance = steps_from(walls.tolist(), starts)
+    rings = [0] * (max(distance.values(), default=0) + 2)
+    for away in distance.values():
+        rings[away] += 1
+    best, beyond = 0, 0
+    for away in range(len(rings) - 1, 0, -1):
+        beyond += rings[away]
+        if beyond:
+            best = max(best, away - 1 + -(-beyond // len(starts)))
+    return best
+
+
+class Court:
+    """Plays a plan step by step, noting faults; `advance` to its end, then `verdict`."""
+
     def __init__(self, plan: Plan) -> None:
         self.plan = plan
         self.walls: list[list[bool]] = plan.walls.tolist()
@@ -66,18 +91,28 @@ class _Court:
         self.collisions = self.swaps = self.wall_entries = self.moves = self.repeats = 0
         self.turns = [0, 0]
         self.heading: dict[int, int] = {}
+        self.step = 0
         robots = len(plan.starts)
         self.quarters, self.quarters_then, self.last = [0] * robots, [0] * robots, [0] * robots
+        self._arrive(0)
+
+    def advance(self) -> None:
+        self._die(self.step)
+        self._move(self.step)
+        self.step += 1
+        self._arrive(self.step)
+
+    @property
+    def over(self) -> bool:
+        return self.step >= self.plan.makespan
+
+    def wanted(self) -> set[Cell]:
+        """What the living robots can reach."""
+        live = [cell for robot, cell in self.at.items() if robot not in self.wrecks]
+        return {cell for cell in steps_from(self.walls, live) if self.plan.dirt[cell]}
 
     def verdict(self) -> Verdict:
-        plan = self.plan
-        self._arrive(0)
-        for step in range(plan.makespan):
-            self._die(step)
-            self._move(step)
-            self._arrive(step + 1)
-        live = [cell for robot, cell in self.at.items() if robot not in self.wrecks]
-        wanted = {cell for cell in reachable(self.walls, live) if plan.dirt[cell]}
+        plan, wanted = self.plan, self.wanted()
         missing = wanted - self.covered.keys()
         last = max((self.covered[cell] for cell in wanted - missing), default=0)
         return Verdict(
