@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 
 from agent.coverage_state import NONE
-from agent.coverage_step import fill_field
+from agent.coverage_step import FAR, fill_field
 
 WON_MIN = 2  # steps: below it, the way there and back costs more than it brings
 ASK_AGAIN = 4  # steps after which the others' progress may have changed the answer
@@ -36,6 +36,16 @@ def _rest(walked, robots, robot):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
+def _nearer(reach, a, b):  # type: ignore[no-untyped-def]
+    """The shorter way of two, where one is not known the other, else too far to be of use."""
+    if reach[a] == NONE and reach[b] == NONE:
+        return FAR
+    if reach[a] == NONE or reach[b] == NONE:
+        return max(reach[a], reach[b])
+    return min(reach[a], reach[b])
+
+
+@njit(cache=True)
 def _split(walked, reach, robots, owner):  # type: ignore[no-untyped-def]
     """Where to part a run: (both parts' later end, index), the owner keeping its near part.
 
@@ -56,7 +66,7 @@ def _split(walked, reach, robots, owner):  # type: ignore[no-untyped-def]
             mine = own + along[high - 1] - along[b]
         theirs = np.int64(0)
         if a < b:
-            theirs = min(reach[order[a]], reach[order[b - 1]]) * unit + along[b - 1] - along[a]
+            theirs = _nearer(reach, order[a], order[b - 1]) * unit + along[b - 1] - along[a]
         if max(mine, theirs) < best:
             best, best_at = max(mine, theirs), a if robots.side[owner] > 0 else b
         if mine < theirs:
@@ -68,7 +78,8 @@ def _split(walked, reach, robots, owner):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _worth_asking(grid, walked, robots, robot):  # type: ignore[no-untyped-def]
-    """Whether any run has an end so near, walls not counted, that taking it could win something."""
+    """How far to look for a run worth taking from; 0 where no end is so near, walls not counted."""
+    most = np.int64(0)
     order, place = walked.order, robots.place[robot]
     for other in range(robots.place.size):
         low, high = robots.low[other], robots.high[other]
@@ -78,20 +89,21 @@ def _worth_asking(grid, walked, robots, robot):  # type: ignore[no-untyped-def]
         apart = abs(far // grid.width - place // grid.width)
         apart += abs(far % grid.width - place % grid.width)
         if _rest(walked, robots, other) >= (apart + WON_MIN) * walked.unit:
-            return True
-    return False
+            most = max(most, _rest(walked, robots, other) // walked.unit)
+    return most
 
 
 @njit(cache=True)
 def _take_over(grid, walked, robots, robot):  # type: ignore[no-untyped-def]
     """An idle robot takes the far part of the run where most is won."""
     order, low, high, reach = walked.order, robots.low, robots.high, grid.reach
-    if not _worth_asking(grid, walked, robots, robot):
+    far = _worth_asking(grid, walked, robots, robot)
+    if far == 0:
         return
-    fill_field(grid.free, grid.width, reach, robots.place[robot], NONE, grid.queue)
+    fill_field(grid.free, grid.width, reach, robots.place[robot], NONE, far, grid.queue)
     won, owner, at = WON_MIN * walked.unit - 1, NONE, 0
     for other in range(robots.place.size):
-        if low[other] >= high[other] - 1 or reach[order[low[other]]] == NONE:
+        if low[other] >= high[other] - 1:
             continue
         after, index = _split(walked, reach, robots, other)
         gain = _rest(walked, robots, other) - after
@@ -103,7 +115,8 @@ def _take_over(grid, walked, robots, robot):  # type: ignore[no-untyped-def]
         low[robot], high[robot], high[owner] = at, high[owner], at
     else:
         low[robot], high[robot], low[owner] = low[owner], at, at
-    from_low = reach[order[low[robot]]] <= reach[order[high[robot] - 1]]
+    a, b = order[low[robot]], order[high[robot] - 1]
+    from_low = _nearer(reach, a, b) == reach[a]
     robots.side[robot] = 1 if from_low else -1
 
 
@@ -119,7 +132,7 @@ def _find_way(grid, robots, robot):  # type: ignore[no-untyped-def]
     for step in (0, -grid.width, grid.width, -1, 1):
         known = known and (not grid.free[place + step] or field[place + step] != NONE)
     if not known:
-        fill_field(grid.free, grid.width, field, goal, place, grid.queue)
+        fill_field(grid.free, grid.width, field, goal, place, FAR, grid.queue)
         robots.fielded[robot] = goal
     robots.way[robot] = field[place]
 

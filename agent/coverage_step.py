@@ -17,20 +17,23 @@ from numba import njit
 
 from agent.coverage_state import NONE
 
+FAR = 1 << 30  # no limit
 UNKNOWN = 1 << 20  # steps, where the field ends: more than a padded grid of 2048 x 2048 has corners
 
 
 @njit(cache=True)
-def fill_field(free, width, field, goal, place, queue):  # type: ignore[no-untyped-def]
-    """Steps to `goal` for all cells not farther than `place` and its neighbours; others -1."""
+def fill_field(free, width, field, goal, place, limit, queue):  # type: ignore[no-untyped-def]
+    """Steps to `goal` for all cells not farther than `limit`, nor than `place` and its neighbours.
+
+    Others are -1.
+    """
     field[:] = NONE
     field[goal], queue[0], head, tail = 0, goal, 0, 1
-    limit = 1 << 30
     while head < tail:
         cell = queue[head]
         head += 1
         if cell == place:
-            limit = field[cell] + 2
+            limit = min(limit, field[cell] + 2)
         if field[cell] >= limit:
             break
         for step in (-width, width, -1, 1):
@@ -111,7 +114,7 @@ def _choose(grid, robots, first, memory):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def step(grid, robots):  # type: ignore[no-untyped-def]
-    """Move every robot by one cell or none."""
+    """Move every robot by one cell or none; returns how many cells were covered for the first time."""
     place, count = robots.place, robots.place.size
     memory = (
         np.empty(count + 1, np.int64), np.empty((count, 5), np.int64),
@@ -128,8 +131,11 @@ def step(grid, robots):  # type: ignore[no-untyped-def]
     for robot in range(count):
         if place[robot] != NONE:
             grid.here[place[robot]] = NONE
+    new = 0
     for robot in range(count):
         if place[robot] != NONE:
             cell = robots.then[robot]
             grid.ahead[cell] = NONE
+            new += 1 - grid.covered[cell]
             place[robot], grid.here[cell], grid.covered[cell] = cell, robot, 1
+    return new

@@ -13,10 +13,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.coverage_cut import UNREACHED, cut
+from agent.coverage_cut import cut
 from agent.coverage_share import choose_goals
 from agent.coverage_state import NONE, Numbers, Walked, new_grid, new_robots
-from agent.coverage_step import fill_field, step
+from agent.coverage_step import FAR, fill_field, step
 from agent.coverage_walk import measure, walk
 
 Cell = tuple[int, int]  # row, column
@@ -53,8 +53,7 @@ class Team:
         self.now = 0
         self.bound = 0  # the cut's promise, in steps after it was made; turns included
         places = np.array([self.number(cell) for cell in starts], np.int64)
-        self._settle(places)
-        self.recut()
+        self._recut(places)
 
     def number(self, cell: Cell) -> int:
         return (cell[0] + 1) * self.grid.width + cell[1] + 1
@@ -76,17 +75,16 @@ class Team:
         assert place != NONE
         self.grid.free[place], self.grid.here[place] = 0, NONE
         self.robots.place[robot] = NONE
-        self.recut()
+        self._recut(self.robots.place)
 
     def join(self, cell: Cell) -> int:
         """Another robot, in a free cell nobody is in; returns its number."""
-        self._settle(np.append(self.robots.place, self.number(cell)))
-        self.recut()
+        self._recut(np.append(self.robots.place, self.number(cell)))
         return self.robots.place.size - 1
 
-    def recut(self) -> None:
+    def _recut(self, places: Numbers) -> None:
         """Cut all that is not covered among the robots that are there, from where they are."""
-        self._settle(self.robots.place)
+        self._settle(places)
         orders, alongs = [np.empty(0, np.int32)], [np.empty(0, np.int32)]
         unseen = set(np.flatnonzero(self.robots.place != NONE).tolist())
         base = self.bound = 0
@@ -103,12 +101,13 @@ class Team:
             alongs.append(share.along)
             base += share.order.size
         self.walked = Walked(np.concatenate(orders), np.concatenate(alongs), self.unit)
+        self._remaining = base
 
     def _ways(self, robot: int) -> Costs:
         """Steps from a robot's place to every cell, -1 where there is no way."""
         field = np.empty(self.grid.free.size, np.int32)
         place = self.robots.place[robot]
-        fill_field(self.grid.free, self.grid.width, field, place, NONE, self.grid.queue)
+        fill_field(self.grid.free, self.grid.width, field, place, NONE, FAR, self.grid.queue)
         return field
 
     def _cut_room(self, room: Costs, mates: list[int]) -> Share | None:
@@ -117,8 +116,10 @@ class Team:
         todo = inside & (1 - self.grid.covered)
         if not todo.any():
             return None
-        ways = np.stack([self._ways(robot) for robot in mates])
-        ways = np.where(ways == NONE, UNREACHED, ways * self.unit).astype(np.int32)
+        ways = np.empty((len(mates), inside.size), np.int32)
+        for row, robot in zip(ways, mates, strict=True):
+            row[:] = self._ways(robot)
+        ways *= self.unit  # what is not in this room is not asked for
         best: Share | None = None
         for axis in (1, self.grid.width):
             order = walk(inside, todo, self.grid.width, axis)
@@ -140,12 +141,12 @@ class Team:
 
     def remaining(self) -> int:
         """Cells still to be covered."""
-        return int(np.count_nonzero(self.grid.covered[self.walked.order] == 0))
+        return self._remaining
 
     def advance(self) -> list[int]:
         """All robots' places after one more step (cell numbers; -1 for wrecks)."""
         choose_goals(self.grid, self.walked, self.robots, self.now)
-        step(self.grid, self.robots)
+        self._remaining -= step(self.grid, self.robots)
         self.now += 1
         places: list[int] = self.robots.place.tolist()
         return places
