@@ -8,36 +8,19 @@ covered again among those who are there; what is covered stays covered.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.coverage_cut import cut
+from agent.coverage_room import Costing, Costs, cut_room
 from agent.coverage_share import choose_goals
 from agent.coverage_state import NONE, Numbers, Walked, new_grid, new_robots
 from agent.coverage_step import FAR, fill_field, step
-from agent.coverage_walk import measure, walk
 
 Cell = tuple[int, int]  # row, column
 Walls = NDArray[np.bool_]
-Costs = NDArray[np.int32]
-CUT_ROUNDS = 12  # assignment and cut settle within a few
-EXCHANGES = 2_000_000  # looked-up runs while exchanging robots: about half a second at the worst
 TURN_PARTS = 4  # a turn's cost is kept in quarters of a step
 TURN_COST_MAX = 100.0  # steps; more would say that robots cannot turn
-
-
-class Share(NamedTuple):
-    """How a room is cut."""
-
-    bound: int
-    order: Costs
-    along: Costs
-    robots: list[int]
-    ways: Costs  # by place in `robots`
-    run_of: Numbers  # the place in `robots` of each run
-    cuts: Numbers
 
 
 class Team:
@@ -92,11 +75,15 @@ class Team:
             room = self._ways(min(unseen))
             mates = [robot for robot in sorted(unseen) if room[self.robots.place[robot]] != NONE]
             unseen -= set(mates)
-            share = self._cut_room(room, mates)
+            share = cut_room(
+                self.grid, (room != NONE).astype(np.uint8), self.robots.place[mates],
+                Costing(self.unit, self.turn),
+            )  # fmt: skip
             if share is None:
                 continue
-            self._give(share, base)
             self.bound = max(self.bound, share.bound // self.unit)
+            self.robots.low[mates] = base + np.array(share.cuts[:-1])
+            self.robots.high[mates] = base + np.array(share.cuts[1:])
             orders.append(share.order)
             alongs.append(share.along)
             base += share.order.size
@@ -109,35 +96,6 @@ class Team:
         place = self.robots.place[robot]
         fill_field(self.grid.free, self.grid.width, field, place, NONE, FAR, self.grid.queue)
         return field
-
-    def _cut_room(self, room: Costs, mates: list[int]) -> Share | None:
-        """The better of two walks, one with its straights along rows and one along columns."""
-        inside = (room != NONE).astype(np.uint8)
-        todo = inside & (1 - self.grid.covered)
-        if not todo.any():
-            return None
-        ways = np.empty((len(mates), inside.size), np.int32)
-        for row, robot in zip(ways, mates, strict=True):
-            row[:] = self._ways(robot)
-        ways *= self.unit  # what is not in this room is not asked for
-        best: Share | None = None
-        for axis in (1, self.grid.width):
-            order = walk(inside, todo, self.grid.width, axis)
-            along = measure(inside, self.grid.width, order, self.unit, self.turn)
-            tries = EXCHANGES // len(mates)
-            bound, run_of, cuts = cut(order, along, ways, CUT_ROUNDS, tries)
-            if best is None or bound < best.bound:
-                best = Share(int(bound), order, along, mates, ways, run_of, cuts)
-        return best
-
-    def _give(self, share: Share, base: int) -> None:
-        for run, row in enumerate(share.run_of.tolist()):
-            robot, first, last = share.robots[row], int(share.cuts[run]), int(share.cuts[run + 1])
-            self.robots.low[robot], self.robots.high[robot] = base + first, base + last
-            if first < last:
-                way = share.ways[row]
-                from_low = way[share.order[first]] <= way[share.order[last - 1]]
-                self.robots.side[robot] = 1 if from_low else -1
 
     def remaining(self) -> int:
         """Cells still to be covered."""
