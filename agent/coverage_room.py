@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from agent.coverage_approach import lay
 from agent.coverage_cut import cut
+from agent.coverage_polish import polish
 from agent.coverage_state import NONE, Grid, Numbers
 from agent.coverage_step import FAR, fill_field
 from agent.coverage_walk import measure, walk
@@ -83,15 +84,16 @@ def _draft(
     grid: Grid, inside: Mask, todo: Mask, ways: Costs, laid: list[Costs], costing: Costing
 ) -> _Draft:
     """The better of two walks, one with its straights along rows and one along columns."""
-    best: _Draft | None = None
+    walks = []
     for axis in (1, grid.width):
         order = walk(inside, todo, grid.width, axis)
         along = measure(inside, grid.width, order, costing.step, costing.turn)
-        bound, run_of, cuts = cut(order, along, ways, CUT_ROUNDS, EXCHANGES // ways.shape[0])
-        if best is None or bound < best.bound:
-            best = _Draft(int(bound), order, along, run_of, cuts, ways, laid)
-    assert best is not None
-    return best
+        walks.append((int(along[-1]), axis, order, along))
+    _, _, order, along = min(walks, key=lambda one: one[:2])
+    if polish(inside, grid.width, order):
+        along = measure(inside, grid.width, order, costing.step, costing.turn)
+    bound, run_of, cuts = cut(order, along, ways, CUT_ROUNDS, EXCHANGES // ways.shape[0])
+    return _Draft(int(bound), order, along, run_of, cuts, ways, laid)
 
 
 def _approached(

@@ -42,7 +42,7 @@ def reach(free, width, source, radius, stamp, turn, distance, queue):  # type: i
 
 
 @njit(cache=True)
-def _memory(cells):  # type: ignore[no-untyped-def]
+def memory(cells):  # type: ignore[no-untyped-def]
     """Stamps, distances and queue of searches; cell 0 is a wall: its stamp counts the searches."""
     return np.zeros(cells, np.int32), np.zeros(cells, np.int32), np.empty(cells, np.int32)
 
@@ -144,7 +144,7 @@ def _splice(free, width, links, piece, root, size, ends, one, near_a, near_b):  
 def _join_pieces(free, width, links, piece, root, ring, size):  # type: ignore[no-untyped-def]
     ends = np.full((free.size, 2), NONE, np.int32)
     _path_ends(links, piece, root, ends)
-    near_a, near_b = _memory(free.size), _memory(free.size)
+    near_a, near_b = memory(free.size), memory(free.size)
     while True:
         names = np.array([c for c in range(free.size) if piece[c] == c and root[c] == c])
         if names.size < 2:
@@ -172,7 +172,7 @@ def _join_pieces(free, width, links, piece, root, ring, size):  # type: ignore[n
 
 
 @njit(cache=True)
-def _hop(free, width, a, b, near):  # type: ignore[no-untyped-def]
+def steps_between(free, width, a, b, near):  # type: ignore[no-untyped-def]
     """Steps from a to b; FAR where there is no way."""
     if abs(a - b) == 1 or abs(a - b) == width:
         return 1
@@ -194,10 +194,10 @@ def measure(free, width, order, unit, turn):  # type: ignore[no-untyped-def]
 
     Of the way to a cell that is not next door only the length counts, and one quarter turn.
     """
-    near = _memory(free.size)
+    near = memory(free.size)
     along = np.zeros(order.size, np.int32)
     for i in range(1, order.size):
-        steps = _hop(free, width, order[i - 1], order[i], near)
+        steps = steps_between(free, width, order[i - 1], order[i], near)
         cost = steps * unit
         if i > 1 and turn:
             before, ahead = order[i - 1] - order[i - 2], order[i] - order[i - 1]

@@ -20,7 +20,7 @@ from sim.grid_map import (
     read_instance,
     read_map,
 )
-from sim.grid_run import Death, work
+from sim.grid_run import Arrival, Death, work
 from tools.bench.figure import Figure
 from tools.bench.voronoi_coverage import baseline
 
@@ -162,13 +162,29 @@ def deaths(runs: list[Run], seeds: int) -> Iterator[Figure]:
     yield _under("a death at half time", worst, 1.2, "the same run without a death", scope)
 
 
+def joins(runs: list[Run]) -> Iterator[Figure]:
+    """As many again join in a corner at half time: the rest should take half as long."""
+    shares = []
+    for one in runs:
+        robots, half = len(one.instance.starts), one.verdict.makespan // 2
+        corner = gate_starts(one.instance.walls, robots)
+        verdict = judge(work(one.instance, arrivals=[Arrival(half, cell) for cell in corner]))
+        assert verdict.ok
+        shares.append((verdict.makespan - half) / (one.verdict.makespan - half))
+    scope = f"steps after half time, mean of {len(shares)} runs; the new ones come in one corner"
+    against = "the same run without them; half is what cannot be beaten"
+    yield _under("twice as many robots from half time on", fmean(shares), None, against, scope)
+
+
 def turns(runs: list[Run]) -> Iterator[Figure]:
     for one in runs:
         if one.instance.name in NAMED:
             aware = judge(work(one.instance, turn_cost=TURN_COST)).score(TURN_COST)
+            blind = one.verdict.score(TURN_COST)
             name = f"coverage with turns {one.instance.name}"
             scope = f"slowest robot's steps and {TURN_COST} a quarter turn; {SCOPE}"
             yield _under(name, aware / one.bound, None, f"{BOUND} without turns", scope)
+            yield _under(f"{name}, planned with them", aware / blind, 1.0, "planned without", scope)
 
 
 def figures(quick: bool) -> Iterator[Figure]:
@@ -181,7 +197,8 @@ def figures(quick: bool) -> Iterator[Figure]:
     everything = runs + real + chance
     small = [one for one in everything if one.instance.walls.size <= 128 * 128]
     yield from against_the_mission(small if quick else everything)
-    yield from deaths([one for one in runs + real + chance if one.bound < 500][:12], seeds)
+    yield from deaths([one for one in everything if one.bound < 1000][:12], seeds)
+    yield from joins([one for one in everything if one.instance.walls.size < 128 * 128][:12])
     yield from turns(runs)
     slow = max(
         (one for one in everything if len(one.instance.starts) == 100), key=lambda r: r.cpu_s
