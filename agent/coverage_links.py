@@ -131,28 +131,45 @@ def name_pieces(free, links, piece, root, ring, size):  # type: ignore[no-untype
 
 @njit(cache=True)
 def merge_rings(free, width, links, piece, root, ring, size):  # type: ignore[no-untyped-def]
-    """Turn facing parallel links of different pieces, one of them a ring, until none is left."""
-    changed = True
-    while changed:
-        changed = False
-        for a in range(free.size - width - 1):
-            b, c, d = a + 1, a + width, a + width + 1
-            if not (free[a] and free[b] and free[c] and free[d]):
+    """Turn facing parallel links of different pieces, one of them a ring, until none is left.
+
+    First where that takes turns out of the walk, last where it adds four.
+    """
+    for allowed in range(-4, 6, 2):
+        while _merge_pass(free, width, links, piece, root, ring, size, allowed):
+            pass
+
+
+@njit(cache=True)
+def _merge_pass(free, width, links, piece, root, ring, size, allowed):  # type: ignore[no-untyped-def]
+    changed = False
+    for a in range(free.size - width - 1):
+        b, c, d = a + 1, a + width, a + width + 1
+        if not (free[a] and free[b] and free[c] and free[d]):
+            continue
+        if (links[a, 0] == b or links[a, 1] == b) and (links[c, 0] == d or links[c, 1] == d):
+            pass
+        elif (links[a, 0] == c or links[a, 1] == c) and (links[b, 0] == d or links[b, 1] == d):
+            b, c = c, b
+        else:
+            continue
+        one, other = find(root, piece[a]), find(root, piece[c])
+        if one == other or not (ring[one] or ring[other]):
+            continue
+        turned = 0
+        if allowed < 4:
+            for e, old, new in ((a, b, c), (b, a, d), (c, d, a), (d, c, b)):
+                by = links[e, 0] if links[e, 0] != old else links[e, 1]
+                if by != NONE:
+                    turned += (e - by != new - e) - (e - by != old - e)
+            if turned > allowed:
                 continue
-            if (links[a, 0] == b or links[a, 1] == b) and (links[c, 0] == d or links[c, 1] == d):
-                pass
-            elif (links[a, 0] == c or links[a, 1] == c) and (links[b, 0] == d or links[b, 1] == d):
-                b, c = c, b
-            else:
-                continue
-            one, other = find(root, piece[a]), find(root, piece[c])
-            if one == other or not (ring[one] or ring[other]):
-                continue
-            unlink(links, a, b)
-            unlink(links, c, d)
-            link(links, a, c)
-            link(links, b, d)
-            root[other] = one
-            ring[one] = ring[one] and ring[other]
-            size[one] += size[other]
-            changed = True
+        unlink(links, a, b)
+        unlink(links, c, d)
+        link(links, a, c)
+        link(links, b, d)
+        root[other] = one
+        ring[one] = ring[one] and ring[other]
+        size[one] += size[other]
+        changed = True
+    return changed

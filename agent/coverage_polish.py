@@ -12,7 +12,7 @@ from agent.coverage_state import NONE
 from agent.coverage_walk import memory, reach, steps_between
 
 PASSES = 3  # over all hops; later ones find next to nothing
-HOP_MAX = 48  # longer hops are few, and looking around them costs their square
+HOP_MAX = 24  # longer hops are few, and looking around them costs their square
 STRETCH_MAX = 64  # cells moved at once
 
 

@@ -5,6 +5,7 @@ robots start together, the ways themselves are laid as work (`coverage_approach`
 walked and cut again, and so on while the bound falls.
 """
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +24,8 @@ CUT_ROUNDS = 12  # assignment and cut settle within a few
 EXCHANGES = 2_000_000  # runs looked up while exchanging robots: a tenth of a second at the worst
 APPROACH_ROUNDS = 4  # what is won is won in the first two or three
 APPROACH_SHARE = 0.06  # of all cost; smaller ways win less than a hundredth for double the time
+
+CHOICE_MAX = 20_000  # cells; in larger rooms the robots' places make too little difference
 
 
 class Costing(NamedTuple):
@@ -69,7 +72,7 @@ def cut_room(grid: Grid, inside: Mask, places: Numbers, costing: Costing) -> Sha
         fill_field(grid.free, grid.width, row, place, NONE, FAR, grid.queue)
     ways *= costing.step  # what is not in this room is not asked for
     nothing = [np.empty(0, np.int32) for _ in places]
-    best = draft = _draft(grid, inside, todo, ways, nothing, costing)
+    best = draft = _draft(grid, inside, todo, places, ways, nothing, costing)
     lost = draft.bound * places.size - int(draft.along[-1] - draft.along[0])
     if lost > APPROACH_SHARE * draft.bound * places.size:
         for _ in range(APPROACH_ROUNDS):
@@ -80,20 +83,50 @@ def cut_room(grid: Grid, inside: Mask, places: Numbers, costing: Costing) -> Sha
     return _share(grid, inside, places, best, costing)
 
 
-def _draft(
-    grid: Grid, inside: Mask, todo: Mask, ways: Costs, laid: list[Costs], costing: Costing
-) -> _Draft:
-    """The better of two walks, one with its straights along rows and one along columns."""
-    walks = []
+def _orders(grid: Grid, inside: Mask, todo: Mask, places: Numbers, turns: bool) -> Iterator[Costs]:
+    """Walks to choose from: straights along rows or columns, with and without the robots' places.
+
+    These are covered, and left out in the end; but as holes of one cell they spoil the straights
+    around them. Where turns cost, there are also walks of plain rows and columns.
+    """
+    whole = todo.copy()
+    whole[places] = 1
+    whole &= inside
+    small = np.count_nonzero(todo) <= CHOICE_MAX
     for axis in (1, grid.width):
-        order = walk(inside, todo, grid.width, axis)
+        if small:
+            yield walk(inside, todo, grid.width, axis, False)
+        order = walk(inside, whole, grid.width, axis, False)
+        yield order[todo[order] == 1]
+        if turns:
+            order = walk(inside, whole, grid.width, axis, True)
+            yield order[todo[order] == 1]
+
+
+def _draft(
+    grid: Grid,
+    inside: Mask,
+    todo: Mask,
+    places: Numbers,
+    ways: Costs,
+    laid: list[Costs],
+    costing: Costing,
+) -> _Draft:
+    """The walk with the best quick cut, shortened where it can be, and cut with care."""
+    best, bound_least = np.empty(0, np.int32), FAR
+    for order in _orders(grid, inside, todo, places, costing.turn > 0):
         along = measure(inside, grid.width, order, costing.step, costing.turn)
-        walks.append((int(along[-1]), axis, order, along))
-    _, _, order, along = min(walks, key=lambda one: one[:2])
-    if polish(inside, grid.width, order):
-        along = measure(inside, grid.width, order, costing.step, costing.turn)
-    bound, run_of, cuts = cut(order, along, ways, CUT_ROUNDS, EXCHANGES // ways.shape[0])
-    return _Draft(int(bound), order, along, run_of, cuts, ways, laid)
+        bound, _, _ = cut(order, along, ways, CUT_ROUNDS, 0)
+        if bound < bound_least:
+            best, bound_least = order, bound
+    along = measure(inside, grid.width, best, costing.step, costing.turn)
+    shorter = best.copy()
+    if polish(inside, grid.width, shorter):
+        after = measure(inside, grid.width, shorter, costing.step, costing.turn)
+        if after[-1] < along[-1]:  # steps saved may have cost turns
+            best, along = shorter, after
+    bound, run_of, cuts = cut(best, along, ways, CUT_ROUNDS, EXCHANGES // ways.shape[0])
+    return _Draft(int(bound), best, along, run_of, cuts, ways, laid)
 
 
 def _approached(
@@ -118,7 +151,9 @@ def _approached(
         left[way] = 0
         fill_field(grid.free, grid.width, after[mate], way[-1], NONE, FAR, grid.queue)
         after[mate] = (after[mate] + way.size) * costing.step
-    return _draft(grid, inside, left, after, laid, costing) if left.any() else draft
+    if not left.any():
+        return draft
+    return _draft(grid, inside, left, places, after, laid, costing)
 
 
 def _share(grid: Grid, inside: Mask, places: Numbers, draft: _Draft, costing: Costing) -> Share:

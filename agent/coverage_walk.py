@@ -224,9 +224,10 @@ def _read(links, ends, piece, root):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def walk(free, todo, width, axis):  # type: ignore[no-untyped-def]
+def walk(free, todo, width, axis, straight):  # type: ignore[no-untyped-def]
     """Every cell of `todo` once, in an order with short ways; straights along `axis` (1 or width).
 
+    `straight`: straights as long as they can be, with a few more steps between them.
     `free`: where one may go on the way, (cells,) 1 or 0, one connected room; `todo` is part of it.
     """
     links = np.full((free.size, 2), NONE, np.int32)
@@ -235,7 +236,8 @@ def walk(free, todo, width, axis):  # type: ignore[no-untyped-def]
     ring = np.zeros(free.size, np.uint8)
     size = np.zeros(free.size, np.int32)
     link_straight(todo, links, axis)
-    link_most(todo, width, links)
+    if not straight:
+        link_most(todo, width, links)
     name_pieces(todo, links, piece, root, ring, size)
     merge_rings(todo, width, links, piece, root, ring, size)
     ends = _join_pieces(free, width, links, piece, root, ring, size)

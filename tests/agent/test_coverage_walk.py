@@ -53,16 +53,16 @@ def length(free: Mask, width: int, order: list[int]) -> int:
 
 @settings(max_examples=200, deadline=None)
 @given(st.integers(1, 12), st.integers(1, 12), st.sampled_from([0.0, 0.15, 0.3, 0.45]),
-       st.integers(0, 10**6), st.booleans(), st.sampled_from([0.0, 0.5, 0.9]))  # fmt: skip
+       st.integers(0, 10**6), st.booleans(), st.booleans(), st.sampled_from([0.0, 0.5, 0.9]))  # fmt: skip
 def test_a_walk_is_whole_and_measured(
-    rows: int, columns: int, share: float, seed: int, across: bool, done: float
+    rows: int, columns: int, share: float, seed: int, across: bool, straight: bool, done: float
 ) -> None:
     free, width = room(rows, columns, share, seed)
     rng = Random(f"{seed}/done")
     todo = free * np.array([rng.random() >= done for _ in range(free.size)], np.uint8)
     if not todo.any():
         return
-    order = walk(free, todo, width, width if across else 1)
+    order = walk(free, todo, width, width if across else 1, straight)
     assert sorted(order.tolist()) == np.flatnonzero(todo).tolist()
     before = length(free, width, order.tolist())
     assert measure(free, width, order, 1, 0)[-1] == before
@@ -74,7 +74,7 @@ def test_a_walk_is_whole_and_measured(
 @pytest.mark.parametrize("rows, columns", [(2, 2), (8, 8), (40, 26), (2, 60), (6, 5)])
 def test_a_hall_with_an_even_side_has_no_hop(rows: int, columns: int) -> None:
     free, width = room(rows, columns, 0.0, 0)
-    order = walk(free, free, width, 1)
+    order = walk(free, free, width, 1, False)
     assert measure(free, width, order, 1, 0)[-1] == rows * columns - 1
 
 
@@ -84,7 +84,7 @@ def test_halls_of_blocks_have_no_hop(seed: int) -> None:
     small, width = room(15, 15, 0.25, seed)
     blocks = small.reshape(-1, width)[1:-1, 1:-1].repeat(2, axis=0).repeat(2, axis=1)
     free = np.pad(blocks, 1).ravel()
-    order = walk(free, free, blocks.shape[1] + 2, 1)
+    order = walk(free, free, blocks.shape[1] + 2, 1, False)
     assert measure(free, blocks.shape[1] + 2, order, 1, 0)[-1] == order.size - 1
 
 
@@ -114,7 +114,7 @@ def test_a_cut_keeps_its_bound(side: int, robots: int, seed: int) -> None:
     cells, rng = np.flatnonzero(free).tolist(), Random(f"{seed}/robots")
     if not cells:
         return
-    order = walk(free, free, width, 1)
+    order = walk(free, free, width, 1, False)
     along = measure(free, width, order, 1, 0)
     ways = np.full((robots, free.size), 10**6, np.int32)
     for row in ways:
