@@ -67,7 +67,7 @@ def cut_room(grid: Grid, inside: Mask, places: Numbers, costing: Costing) -> Sha
     todo = inside & (1 - grid.covered)
     if not todo.any():
         return None
-    ways = np.empty((places.size, inside.size), np.int32)
+    ways = np.full((places.size, inside.size), NONE, np.int32)
     for row, place in zip(ways, places, strict=True):
         fill_field(grid.free, grid.width, row, place, NONE, FAR, grid.queue)
     ways *= costing.step  # what is not in this room is not asked for
@@ -149,6 +149,7 @@ def _approached(
             continue
         laid[mate] = way[left[way] == 1]
         left[way] = 0
+        after[mate] = NONE
         fill_field(grid.free, grid.width, after[mate], way[-1], NONE, FAR, grid.queue)
         after[mate] = (after[mate] + way.size) * costing.step
     if not left.any():

@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 
 from agent.coverage_state import NONE
-from agent.coverage_step import FAR, fill_field
+from agent.coverage_step import FAR, fill_field, wipe_field
 
 WON_MIN = 2  # steps: below it, the way there and back costs more than it brings
 ASK_AGAIN = 4  # steps after which the others' progress may have changed the answer
@@ -100,6 +100,7 @@ def _take_over(grid, walked, robots, robot):  # type: ignore[no-untyped-def]
     far = _worth_asking(grid, walked, robots, robot)
     if far == 0:
         return
+    reach[:] = NONE
     fill_field(grid.free, grid.width, reach, robots.place[robot], NONE, far, grid.queue)
     won, owner, at = WON_MIN * walked.unit - 1, NONE, 0
     for other in range(robots.place.size):
@@ -132,6 +133,8 @@ def _find_way(grid, robots, robot):  # type: ignore[no-untyped-def]
     for step in (0, -grid.width, grid.width, -1, 1):
         known = known and (not grid.free[place + step] or field[place + step] != NONE)
     if not known:
+        if robots.fielded[robot] != NONE:
+            wipe_field(grid.width, field, robots.fielded[robot], grid.queue)
         fill_field(grid.free, grid.width, field, goal, place, FAR, grid.queue)
         robots.fielded[robot] = goal
     robots.way[robot] = field[place]

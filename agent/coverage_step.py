@@ -25,9 +25,8 @@ UNKNOWN = 1 << 20  # steps, where the field ends: more than a padded grid of 204
 def fill_field(free, width, field, goal, place, limit, queue):  # type: ignore[no-untyped-def]
     """Steps to `goal` for all cells not farther than `limit`, nor than `place` and its neighbours.
 
-    Others are -1.
+    The others stay; all must be -1 before.
     """
-    field[:] = NONE
     field[goal], queue[0], head, tail = 0, goal, 0, 1
     while head < tail:
         cell = queue[head]
@@ -41,6 +40,21 @@ def fill_field(free, width, field, goal, place, limit, queue):  # type: ignore[n
             if free[near] and field[near] == NONE:
                 field[near] = field[cell] + 1
                 queue[tail] = near
+                tail += 1
+
+
+@njit(cache=True)
+def wipe_field(width, field, goal, queue):  # type: ignore[no-untyped-def]
+    """Undo `fill_field` at the cost of what it filled, which is most often little of the map."""
+    queue[0], head, tail = goal, 0, 1
+    field[goal] = NONE
+    while head < tail:
+        cell = queue[head]
+        head += 1
+        for step in (-width, width, -1, 1):
+            near = cell + step
+            if field[near] != NONE:
+                field[near], queue[tail] = NONE, near
                 tail += 1
 
 

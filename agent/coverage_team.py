@@ -92,7 +92,7 @@ class Team:
 
     def _ways(self, robot: int) -> Costs:
         """Steps from a robot's place to every cell, -1 where there is no way."""
-        field = np.empty(self.grid.free.size, np.int32)
+        field = np.full(self.grid.free.size, NONE, np.int32)
         place = self.robots.place[robot]
         fill_field(self.grid.free, self.grid.width, field, place, NONE, FAR, self.grid.queue)
         return field

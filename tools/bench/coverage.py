@@ -184,7 +184,9 @@ def turns(runs: list[Run]) -> Iterator[Figure]:
             name = f"coverage with turns {one.instance.name}"
             scope = f"slowest robot's steps and {TURN_COST} a quarter turn; {SCOPE}"
             yield _under(name, aware / one.bound, None, f"{BOUND} without turns", scope)
-            yield _under(f"{name}, planned with them", aware / blind, 1.0, "planned without", scope)
+            yield _under(
+                f"{name}, planned with them", aware / blind, None, "planned without", scope
+            )
 
 
 def figures(quick: bool) -> Iterator[Figure]:
