@@ -7,6 +7,7 @@ blocks, as coverage benchmarks are, nothing is stepped on twice; single dead end
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from agent.coverage_links import (
     FAR,
@@ -20,6 +21,8 @@ from agent.coverage_links import (
     name_pieces,
     unlink,
 )
+
+Mask = NDArray[np.uint8]
 
 
 @njit(cache=True)
@@ -223,8 +226,7 @@ def _read(links, ends, piece, root):  # type: ignore[no-untyped-def]
     return order[:count].copy()
 
 
-@njit(cache=True)
-def walk(free, todo, width, axis, straight):  # type: ignore[no-untyped-def]
+def walk(free: Mask, todo: Mask, width: int, axis: int, straight: bool) -> NDArray[np.int32]:
     """Every cell of `todo` once, in an order with short ways; straights along `axis` (1 or width).
 
     `straight`: straights as long as they can be, with a few more steps between them.
@@ -241,4 +243,5 @@ def walk(free, todo, width, axis, straight):  # type: ignore[no-untyped-def]
     name_pieces(todo, links, piece, root, ring, size)
     merge_rings(todo, width, links, piece, root, ring, size)
     ends = _join_pieces(free, width, links, piece, root, ring, size)
-    return _read(links, ends, piece, root)
+    order: NDArray[np.int32] = _read(links, ends, piece, root)
+    return order

@@ -199,7 +199,7 @@ def figures(quick: bool) -> Iterator[Figure]:
     everything = runs + real + chance
     small = [one for one in everything if one.instance.walls.size <= 128 * 128]
     yield from against_the_mission(small if quick else everything)
-    yield from deaths([one for one in everything if one.bound < 1000][:12], seeds)
+    yield from deaths(small, seeds)
     yield from joins([one for one in everything if one.instance.walls.size < 128 * 128][:12])
     yield from turns(runs)
     slow = max(
