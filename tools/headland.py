@@ -5,12 +5,14 @@ from typing import Annotated
 
 import typer
 
+from tools import coverage
 from tools.keys import app as keys_app
 
 HELP = "A leaderless robot fleet on a CAN bus: every robot is a peer, none is in charge."
 app = typer.Typer(
     help=HELP, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None
 )
+app.add_typer(coverage.app, name="coverage")
 
 Interface = Annotated[
     str, typer.Option("-i", "--interface", help="python-can interface, as for can_logger.")

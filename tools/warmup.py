@@ -25,6 +25,14 @@ def _avoidance() -> None:
     robot.velocity((3.0, 1.0), (1.0, 0.0), (1.5, 0.0), rows)
 
 
+def _coverage() -> None:
+    from agent.coverage_team import Team
+
+    team = Team(np.zeros((6, 6), dtype=np.bool_), [(0, 0), (3, 3)])
+    while team.remaining():
+        team.advance()
+
+
 def _wire() -> None:
     from sim.bits import frame_bits
 
@@ -50,6 +58,7 @@ def _world() -> None:
 PARTS: tuple[tuple[str, Callable[[], None]], ...] = (
     ("paths", _paths),
     ("avoidance", _avoidance),
+    ("coverage", _coverage),
     ("wire", _wire),
     ("world", _world),
 )
