@@ -1,0 +1,243 @@
+"""The memory behind `agent.corner_graph`: a padded grid, its runs and corners, and their changes."""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from agent.corner_graph import (
+    COLUMNS,
+    CORNER_COLUMNS,
+    EMPTY,
+    EXPANDED,
+    HEAD,
+    HEAP_FULL,
+    HEAP_SIZE,
+    KIND,
+    LIST,
+    LISTS,
+    LOG_SIZE,
+    LOGGED,
+    NO_PATH,
+    POOL_FULL,
+    ROWS,
+    SEEN,
+    SEEN_MAX,
+    USED,
+    VIEW_FULL,
+    VIEW_SIZE,
+    place,
+    query,
+)
+from agent.line_of_sight import kind, rerun, sees
+
+SIDE_MAX = 32_000  # rows or columns: what int16 holds, and what keeps the products inside int64
+LOG_MAX = 1024  # rectangles of changed cells in the log; beyond this the edges are forgotten
+POOL_MAX = 1 << 24  # edges cached (64 MB); beyond this they are forgotten
+REACH = 2  # changed cells this near to each other are one rectangle: 3 x 3 boxes stay one entry
+VIEW, HEAP, POOL = 256, 1024, 1024  # first sizes, doubled whenever one is too small
+Cells = NDArray[np.int64]
+
+
+@njit(cache=True, error_model="numpy")
+def _build(cells, grid, index, corners):  # type: ignore[no-untyped-def]
+    """Runs and corners of a whole grid; the number of corners, which may be more than the rows."""
+    rows, width = cells.shape
+    area = 2 * rows * width
+    runs = grid[:area].reshape((2, rows, width))
+    columns = grid[area:].reshape((2, width, rows))
+    for r in range(rows):
+        rerun(runs, r, 0, width, cells)
+    for c in range(width):
+        rerun(columns, c, 0, rows, cells.T)
+    count = 0
+    for i in range(1, rows):
+        for j in range(1, width):
+            found = kind(cells, i, j)
+            index[i, j] = -1
+            if found:
+                if count < corners.shape[0]:
+                    place(corners, count, i, j, found)
+                    index[i, j] = count
+                count += 1
+    return count
+
+
+@njit(cache=True, error_model="numpy")
+def _repair(cells, grid, index, corners, spare, top, bottom, left, right):  # type: ignore[no-untyped-def]
+    """Runs and corners after cells changed inside a rectangle; whether there were rows enough.
+
+    `spare`: how many, then the rows of `corners` that are not in use. The row of a corner that is
+    gone may be used again at once: every list that names it touches the rectangle.
+    """
+    rows, width = cells.shape
+    area = 2 * rows * width
+    runs = grid[:area].reshape((2, rows, width))
+    columns = grid[area:].reshape((2, width, rows))
+    for r in range(top, bottom + 1):
+        rerun(runs, r, 0, width, cells)
+    for c in range(left, right + 1):
+        rerun(columns, c, 0, rows, cells.T)
+    for i in range(top, bottom + 2):
+        for j in range(left, right + 2):
+            found, k = kind(cells, i, j), index[i, j]
+            if found == 0 and k >= 0:
+                spare[0] += 1
+                spare[spare[0]] = k
+                index[i, j] = -1
+            elif found and k < 0:
+                if spare[0] == 0:
+                    return False
+                k = spare[spare[0]]
+                spare[0] -= 1
+                place(corners, k, i, j, found)
+                index[i, j] = k
+            elif found and corners[k, KIND] != found:
+                place(corners, k, i, j, found)
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def _rectangles(rows, columns, found):  # type: ignore[no-untyped-def]
+    """Rectangles (top, bottom, left, right) round cells; how many, -1 where `found` is too small."""
+    count = 0
+    for n in range(rows.size):
+        r, c = rows[n], columns[n]
+        near = False
+        for k in range(count):
+            above, below = found[k, 0] - REACH, found[k, 1] + REACH
+            if above <= r <= below and found[k, 2] - REACH <= c <= found[k, 3] + REACH:
+                found[k, 0], found[k, 1] = min(found[k, 0], r), max(found[k, 1], r)
+                found[k, 2], found[k, 3] = min(found[k, 2], c), max(found[k, 3], c)
+                near = True
+                break
+        if not near:
+            if count == found.shape[0]:
+                return -1
+            found[count, 0] = found[count, 1] = r
+            found[count, 2] = found[count, 3] = c
+            count += 1
+    return count
+
+
+class CornerMemory:
+    """A grid with a padding of one blocked cell, and what the queries over it have found out."""
+
+    def __init__(self, blocked: NDArray[np.bool_]) -> None:
+        """`blocked`: (rows, columns), copied."""
+        assert max(blocked.shape) + 2 <= SIDE_MAX
+        rows, columns = blocked.shape[0] + 2, blocked.shape[1] + 2
+        self.cells = np.ones((rows, columns), dtype=np.bool_)
+        self.cells[1:-1, 1:-1] = blocked
+        self._grid = np.empty(4 * rows * columns, dtype=np.int16)
+        self._index = np.full((rows, columns), -1, dtype=np.int32)
+        self._corners = np.empty((64, CORNER_COLUMNS), dtype=np.int32)
+        self._view, self._heap, self._pool = VIEW, HEAP, POOL
+        self._ints = np.zeros(HEAD, dtype=np.int32)
+        self._ints[ROWS], self._ints[COLUMNS] = rows, columns
+        self._log = self._edges = 0  # where log and edges begin in `_ints`
+        self._build()
+
+    @property
+    def expanded(self) -> int:
+        """Corners that the last query expanded."""
+        return int(self._ints[EXPANDED])
+
+    def way(self, start: tuple[int, int], goal: tuple[int, int]) -> list[tuple[int, int]] | None:
+        """The corners of a shortest path, in units of this grid; None where there is no path.
+
+        Both ends, in units, must be `MARGIN` or more away from blocked cells.
+        """
+        while True:
+            self._ints[EXPANDED] = 0
+            code = query(self._grid, self._index, self._corners, self._ints, self._floats,
+                         start[0], start[1], goal[0], goal[1])  # fmt: skip
+            if code >= 0:
+                found = self._ints[HEAD : HEAD + 2 * code].tolist()
+                return list(zip(found[-2::-2], found[-1::-2], strict=True))
+            if code == NO_PATH:
+                return None
+            self._grow(code)
+
+    def sees(self, a: tuple[int, int], b: tuple[int, int]) -> bool:
+        """Whether the straight line between two points, in units, is free."""
+        rows, columns = self.cells.shape
+        runs = self._grid[: 2 * rows * columns].reshape((2, rows, columns))
+        across = self._grid[2 * rows * columns :].reshape((2, columns, rows))
+        return bool(sees(runs, across, a[0], a[1], b[0], b[1]))
+
+    def forget(self) -> None:
+        """Drop every cached edge."""
+        self._corners[:, LISTS + SEEN] = self._corners[:, LISTS + LIST + SEEN] = EMPTY
+        self._ints[USED] = self._ints[LOGGED] = 0
+
+    def replace(self, blocked: NDArray[np.bool_]) -> int:
+        """Another state of all cells; returns how many have changed."""
+        rows, columns = np.nonzero(self.cells[1:-1, 1:-1] != blocked)
+        return self.change(rows, columns, blocked[rows, columns])
+
+    def change(self, rows: Cells, columns: Cells, blocked: NDArray[np.bool_]) -> int:
+        """Set cells, each named once, and repair what depends on them; returns how many changed."""
+        other = self.cells[rows + 1, columns + 1] != blocked
+        rows, columns = rows[other] + 1, columns[other] + 1
+        if rows.size == 0:
+            return 0
+        self.cells[rows, columns] = blocked[other]
+        found = np.empty((SEEN_MAX, 4), dtype=np.int64)
+        count = int(_rectangles(rows, columns, found))
+        if count < 0 or not all(self._repair(*row) for row in found[:count].tolist()):
+            self._build()
+        return int(rows.size)
+
+    def _repair(self, top: int, bottom: int, left: int, right: int) -> bool:
+        """After a change inside a rectangle; False where there are too few rows for its corners."""
+        if self._ints[LOGGED] == LOG_MAX:
+            self.forget()
+        if not _repair(self.cells, self._grid, self._index, self._corners, self._spare,
+                       top, bottom, left, right):  # fmt: skip
+            return False
+        at = self._log + 4 * int(self._ints[LOGGED])
+        self._ints[at : at + 4] = top, bottom, left, right
+        self._ints[LOGGED] += 1
+        return True
+
+    def _build(self) -> None:
+        """Everything from the cells; no edge is known then."""
+        count = int(_build(self.cells, self._grid, self._index, self._corners))
+        if count > len(self._corners):
+            size = count + count // 4 + 64  # room for the corners of changed cells
+            self._corners = np.empty((size, CORNER_COLUMNS), dtype=np.int32)
+            count = int(_build(self.cells, self._grid, self._index, self._corners))
+        size = len(self._corners)
+        self._spare = np.empty(size + 1, dtype=np.int32)
+        self._spare[0] = size - count
+        self._spare[1 : 1 + size - count] = np.arange(count, size)
+        self.forget()
+        self._lay()
+
+    def _grow(self, code: int) -> None:
+        """Twice of what a query has run out of."""
+        assert code in (POOL_FULL, HEAP_FULL, VIEW_FULL), code
+        if code == VIEW_FULL:
+            self._view *= 2
+        elif code == HEAP_FULL:
+            self._heap *= 2
+        elif self._pool < POOL_MAX:
+            self._pool *= 2
+        else:
+            self.forget()
+        self._lay()
+
+    def _lay(self) -> None:
+        """Scratch memory of the present sizes, holding the log and the edges there were."""
+        used, logged = int(self._ints[USED]), int(self._ints[LOGGED])
+        log = HEAD + 4 * self._view + self._heap
+        pool = log + 4 * LOG_MAX
+        ints = np.zeros(pool + self._pool, dtype=np.int32)
+        ints[:HEAD] = self._ints[:HEAD]
+        if logged:
+            ints[log : log + 4 * logged] = self._ints[self._log : self._log + 4 * logged]
+        if used:
+            ints[pool : pool + used] = self._ints[self._edges : self._edges + used]
+        ints[VIEW_SIZE], ints[HEAP_SIZE], ints[LOG_SIZE] = self._view, self._heap, LOG_MAX
+        self._ints, self._log, self._edges = ints, log, pool
+        self._floats = np.empty(2 * (len(self._corners) + self._view) + self._heap)
