@@ -18,7 +18,7 @@ from math import inf, sqrt
 import numpy as np
 from numba import njit
 
-from agent.line_of_sight import END, HALF, START, UNIT, look, sees
+from agent.line_of_sight import END, HALF, MARGIN, START, UNIT, look, sees
 
 # columns of `corners`, one row a corner: lattice point, position in units, kind, search state
 ROW, COLUMN, AT_Y, AT_X, KIND, STAMP, PARENT, GOAL, LISTS = *range(8), 8
@@ -274,16 +274,32 @@ def _search(tables, ints, cost, heap, pool, log, view, r0, c0, r1, c1):  # type:
 
 
 @njit(cache=True, error_model="numpy")
-def query(grid, index, corners, ints, floats, r0, c0, r1, c1):  # type: ignore[no-untyped-def]
-    """Find the way between two points, in units, inside free cells.
+def _inside(runs, y, x):  # type: ignore[no-untyped-def]
+    """A point in units, moved `MARGIN` inside its cell, and whether that cell is free."""
+    if not (-0.5 <= y < runs.shape[1] - 2.5 and -0.5 <= x < runs.shape[2] - 2.5):
+        return 0, 0, False
+    r, c = int(np.floor(y + 0.5)), int(np.floor(x + 0.5))
+    most = UNIT // 2 - MARGIN
+    dy, dx = int(np.rint((y - r) * UNIT)), int(np.rint((x - c) * UNIT))
+    dy, dx = min(max(dy, -most), most), min(max(dx, -most), most)
+    return (r + 1) * UNIT + dy, (c + 1) * UNIT + dx, runs[END, r + 1, c + 1] > 0
 
-    Returns how many corners it bends at, or a code; their positions, from the last to the first,
-    are then in `ints` from `HEAD` on, row and column in units.
+
+@njit(cache=True, error_model="numpy")
+def query(grid, index, corners, ints, floats, y0, x0, y1, x1):  # type: ignore[no-untyped-def]
+    """Find the way between two points, row and column in cells of the grid without its padding.
+
+    Returns how many corners it bends at, or a code; their positions, in cells too, are then in
+    `floats`, behind two numbers a row of `corners`.
     """
     rows, width = np.int64(ints[ROWS]), np.int64(ints[COLUMNS])
     area = 2 * rows * width
     runs = grid[:area].reshape((2, rows, width))
     columns = grid[area:].reshape((2, width, rows))
+    r0, c0, free_0 = _inside(runs, y0, x0)
+    r1, c1, free_1 = _inside(runs, y1, x1)
+    if not free_0 or not free_1:
+        return NO_PATH
     if sees(runs, columns, r0, c0, r1, c1):
         return 0
     size, limit = np.int64(ints[VIEW_SIZE]), np.int64(ints[LOG_SIZE])
@@ -304,10 +320,16 @@ def query(grid, index, corners, ints, floats, r0, c0, r1, c1):  # type: ignore[n
     )  # fmt: skip
     if code <= 0:
         return code
-    node, count, at = found[0], 0, HEAD
+    node, count = found[0], 0
     while node != GOAL_NODE:
-        if at + 2 > nodes_at:
-            return VIEW_FULL
-        ints[at], ints[at + 1] = corners[node, AT_Y], corners[node, AT_X]
-        node, count, at = corners[node, PARENT], count + 1, at + 2
+        node, count = corners[node, PARENT], count + 1
+    if count > size:
+        return VIEW_FULL
+    node = found[0]
+    for k in range(count - 1, -1, -1):
+        slopes[k, 0], slopes[k, 1] = (
+            corners[node, AT_Y] / UNIT - 1.0,
+            corners[node, AT_X] / UNIT - 1.0,
+        )
+        node = corners[node, PARENT]
     return count

@@ -28,13 +28,14 @@ from agent.corner_graph import (
     place,
     query,
 )
-from agent.line_of_sight import kind, rerun, sees
+from agent.line_of_sight import kind, rerun
 
 SIDE_MAX = 32_000  # rows or columns: what int16 holds, and what keeps the products inside int64
 LOG_MAX = 1024  # rectangles of changed cells in the log; beyond this the edges are forgotten
 POOL_MAX = 1 << 24  # edges cached (64 MB); beyond this they are forgotten
 REACH = 2  # changed cells this near to each other are one rectangle: 3 x 3 boxes stay one entry
 VIEW, HEAP, POOL = 256, 1024, 1024  # first sizes, doubled whenever one is too small
+Point = tuple[float, float]  # row, column
 Cells = NDArray[np.int64]
 
 
@@ -97,12 +98,20 @@ def _repair(cells, grid, index, corners, spare, top, bottom, left, right):  # ty
 
 
 @njit(cache=True, error_model="numpy")
-def _rectangles(rows, columns, found):  # type: ignore[no-untyped-def]
-    """Rectangles (top, bottom, left, right) round cells; how many, -1 where `found` is too small."""
-    count = 0
-    for n in range(rows.size):
-        r, c = rows[n], columns[n]
-        near = False
+def _set(cells, changes, found):  # type: ignore[no-untyped-def]
+    """Set cells; (how many changed, how many rectangles round them are in `found`, or -1).
+
+    `changes`: (n, 3), row and column without the padding, blocked or not. `found`: top, bottom,
+    left, right with the padding.
+    """
+    changed, count = 0, 0
+    for n in range(changes.shape[0]):
+        r, c, blocked = changes[n, 0] + 1, changes[n, 1] + 1, changes[n, 2] != 0
+        if cells[r, c] == blocked:
+            continue
+        cells[r, c] = blocked
+        changed += 1
+        near = count < 0
         for k in range(count):
             above, below = found[k, 0] - REACH, found[k, 1] + REACH
             if above <= r <= below and found[k, 2] - REACH <= c <= found[k, 3] + REACH:
@@ -110,13 +119,32 @@ def _rectangles(rows, columns, found):  # type: ignore[no-untyped-def]
                 found[k, 2], found[k, 3] = min(found[k, 2], c), max(found[k, 3], c)
                 near = True
                 break
-        if not near:
-            if count == found.shape[0]:
-                return -1
+        if not near and count == found.shape[0]:
+            count = -1
+        elif not near:
             found[count, 0] = found[count, 1] = r
             found[count, 2] = found[count, 3] = c
             count += 1
-    return count
+    return changed, count
+
+
+@njit(cache=True, error_model="numpy")
+def _change(cells, grid, index, corners, spare, log, logged, changes):  # type: ignore[no-untyped-def]
+    """Set cells and repair what depends on them.
+
+    Returns how many have changed and how many entries the log has then, -1 where rows of `corners`
+    or entries of the log have run out: everything must be built again.
+    """
+    found = np.empty((SEEN_MAX, 4), np.int64)
+    changed, count = _set(cells, changes, found)
+    if count < 0 or logged + count > log.shape[0]:
+        return changed, -1
+    for k in range(count):
+        top, bottom, left, right = found[k]
+        if not _repair(cells, grid, index, corners, spare, top, bottom, left, right):
+            return changed, -1
+        log[logged + k] = found[k]
+    return changed, logged + count
 
 
 class CornerMemory:
@@ -142,28 +170,22 @@ class CornerMemory:
         """Corners that the last query expanded."""
         return int(self._ints[EXPANDED])
 
-    def way(self, start: tuple[int, int], goal: tuple[int, int]) -> list[tuple[int, int]] | None:
-        """The corners of a shortest path, in units of this grid; None where there is no path.
+    def way(self, start: Point, goal: Point) -> list[Point] | None:
+        """The corners of a shortest path; None where there is none, or an end is not free.
 
-        Both ends, in units, must be `MARGIN` or more away from blocked cells.
+        Points are row and column of `blocked`, anywhere in a cell.
         """
         while True:
             self._ints[EXPANDED] = 0
             code = query(self._grid, self._index, self._corners, self._ints, self._floats,
                          start[0], start[1], goal[0], goal[1])  # fmt: skip
             if code >= 0:
-                found = self._ints[HEAD : HEAD + 2 * code].tolist()
-                return list(zip(found[-2::-2], found[-1::-2], strict=True))
+                at = 2 * len(self._corners)
+                numbers = iter(self._floats[at : at + 2 * code].tolist())
+                return list(zip(numbers, numbers, strict=True))
             if code == NO_PATH:
                 return None
             self._grow(code)
-
-    def sees(self, a: tuple[int, int], b: tuple[int, int]) -> bool:
-        """Whether the straight line between two points, in units, is free."""
-        rows, columns = self.cells.shape
-        runs = self._grid[: 2 * rows * columns].reshape((2, rows, columns))
-        across = self._grid[2 * rows * columns :].reshape((2, columns, rows))
-        return bool(sees(runs, across, a[0], a[1], b[0], b[1]))
 
     def forget(self) -> None:
         """Drop every cached edge."""
@@ -172,33 +194,29 @@ class CornerMemory:
 
     def replace(self, blocked: NDArray[np.bool_]) -> int:
         """Another state of all cells; returns how many have changed."""
-        rows, columns = np.nonzero(self.cells[1:-1, 1:-1] != blocked)
-        return self.change(rows, columns, blocked[rows, columns])
+        other = np.argwhere(self.cells[1:-1, 1:-1] != blocked)
+        return self.change(np.column_stack((other, blocked[other[:, 0], other[:, 1]])))
 
-    def change(self, rows: Cells, columns: Cells, blocked: NDArray[np.bool_]) -> int:
-        """Set cells, each named once, and repair what depends on them; returns how many changed."""
-        other = self.cells[rows + 1, columns + 1] != blocked
-        rows, columns = rows[other] + 1, columns[other] + 1
-        if rows.size == 0:
+    def change(self, changes: NDArray[np.int64]) -> int:
+        """Set cells and repair what depends on them; returns how many have changed.
+
+        `changes`: (n, 3), row, column, blocked (1) or free (0); later rows win.
+        """
+        rows, columns = self.cells.shape
+        if len(changes) == 0:
             return 0
-        self.cells[rows, columns] = blocked[other]
-        found = np.empty((SEEN_MAX, 4), dtype=np.int64)
-        count = int(_rectangles(rows, columns, found))
-        if count < 0 or not all(self._repair(*row) for row in found[:count].tolist()):
-            self._build()
-        return int(rows.size)
-
-    def _repair(self, top: int, bottom: int, left: int, right: int) -> bool:
-        """After a change inside a rectangle; False where there are too few rows for its corners."""
-        if self._ints[LOGGED] == LOG_MAX:
+        low, high = changes.min(axis=0), changes.max(axis=0)
+        assert min(low[0], low[1]) >= 0 and high[0] < rows - 2 and high[1] < columns - 2
+        if self._ints[LOGGED] + SEEN_MAX > LOG_MAX:
             self.forget()
-        if not _repair(self.cells, self._grid, self._index, self._corners, self._spare,
-                       top, bottom, left, right):  # fmt: skip
-            return False
-        at = self._log + 4 * int(self._ints[LOGGED])
-        self._ints[at : at + 4] = top, bottom, left, right
-        self._ints[LOGGED] += 1
-        return True
+        log = self._ints[self._log : self._log + 4 * LOG_MAX].reshape(-1, 4)
+        changed, logged = _change(self.cells, self._grid, self._index, self._corners, self._spare,
+                                  log, int(self._ints[LOGGED]), changes)  # fmt: skip
+        if logged < 0:
+            self._build()
+        else:
+            self._ints[LOGGED] = logged
+        return int(changed)
 
     def _build(self) -> None:
         """Everything from the cells; no edge is known then."""

@@ -19,13 +19,11 @@ from scipy.ndimage import label
 
 from agent.corner_memory import CornerMemory
 from agent.grid_search import GridSearch, sees
-from agent.line_of_sight import MARGIN, UNIT
 
 Point = tuple[float, float]  # row, column; a pair of integers is the centre of that cell
 Waypoints = list[Point]
 Grid = NDArray[np.bool_]
 Change = tuple[int, int, bool]  # row, column, blocked from now on
-INSIDE = UNIT // 2 - MARGIN  # units from a cell's centre to where its free inside surely ends
 
 
 class Planner:
@@ -46,29 +44,26 @@ class Planner:
             changed = self._corners.replace(change)
             self.blocked[:] = change
         else:
-            last = {(row, column): blocked for row, column, blocked in change}
-            cells = np.array(list(last), dtype=np.int64).reshape(-1, 2)
-            state = np.array(list(last.values()), dtype=np.bool_)
-            changed = self._corners.change(cells[:, 0], cells[:, 1], state)
-            self.blocked[cells[:, 0], cells[:, 1]] = state
+            cells = np.array(list(change), dtype=np.int64).reshape(-1, 3)
+            changed = self._corners.change(cells)
+            self.blocked[cells[:, 0], cells[:, 1]] = cells[:, 2]  # later ones win here, too
         if changed:
             self._regions = None
         return changed
 
     def plan(self, start: Point, goal: Point) -> Waypoints | None:
         """Waypoints from start to goal, both included as given, or None where there is no way."""
-        a, b = self._cell(start), self._cell(goal)
-        if a is None or b is None or not self._joined(a, b):
+        if self._regions is not None and not self._joined(start, goal):
             return None
-        way = self._corners.way(_units(start, a), _units(goal, b))
+        way = self._corners.way(start, goal)
         if way is not None:
-            return [start, *((row / UNIT - 1, column / UNIT - 1) for row, column in way), goal]
+            return [start, *way, goal]
         if self._regions is None:
             self._regions = label(~self.blocked)[0]
-            if not self._joined(a, b):
+            if not self._joined(start, goal):
                 return None
         # Never seen: the corner search compares rounded lengths, the regions know for certain.
-        cells = self._over_cells(a, b, lazy=False)
+        cells = self.plan_plain(start, goal)
         assert cells is not None
         return [start, *cells[1:-1], goal]
 
@@ -97,9 +92,11 @@ class Planner:
         inside = 0 <= row < rows and 0 <= column < columns
         return (row, column) if inside and not self.blocked[row, column] else None
 
-    def _joined(self, a: tuple[int, int], b: tuple[int, int]) -> bool:
-        """Whether two free cells are in the same region, as far as the regions are known."""
-        return self._regions is None or bool(self._regions[a] == self._regions[b])
+    def _joined(self, start: Point, goal: Point) -> bool:
+        """Whether two points are in free cells of one region."""
+        a, b = self._cell(start), self._cell(goal)
+        assert self._regions is not None
+        return a is not None and b is not None and bool(self._regions[a] == self._regions[b])
 
     def _over_cells(
         self, start: tuple[int, int], goal: tuple[int, int], lazy: bool
@@ -123,13 +120,3 @@ def plan(blocked: Grid, start: Point, goal: Point) -> Waypoints | None:
 def length(path: Waypoints) -> float:
     """In cells."""
     return sum(hypot(b[0] - a[0], b[1] - a[1]) for a, b in pairwise(path))
-
-
-def _units(point: Point, cell: tuple[int, int]) -> tuple[int, int]:
-    """A point of a cell in units of the padded grid, `MARGIN` or more inside the cell."""
-    row = round((point[0] - cell[0]) * UNIT)
-    column = round((point[1] - cell[1]) * UNIT)
-    return (
-        (cell[0] + 1) * UNIT + min(max(row, -INSIDE), INSIDE),
-        (cell[1] + 1) * UNIT + min(max(column, -INSIDE), INSIDE),
-    )

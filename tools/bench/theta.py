@@ -105,7 +105,7 @@ def kinds(count: int, rounds: int) -> Iterator[Figure]:
     yield Figure("solvable queries solved", solved / total, "share", "= 1", solved == total,
                  "regions of scipy.ndimage.label", f"{total} queries")  # fmt: skip
     yield Figure("legs through a blocked cell", through, "", "= 0", through == 0,
-                 "shapely (GEOS)", f"paths of {total} queries, gaps between corners included")  # fmt: skip
+                 "shapely (GEOS)", f"paths of {total} queries, also in corner gaps")  # fmt: skip
 
 
 def big_city(count: int, rounds: int) -> Iterator[Figure]:
