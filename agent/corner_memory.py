@@ -34,6 +34,7 @@ SIDE_MAX = 32_000  # rows or columns: what int16 holds, and what keeps the produ
 LOG_MAX = 1024  # rectangles of changed cells in the log; beyond this the edges are forgotten
 POOL_MAX = 1 << 24  # edges cached (64 MB); beyond this they are forgotten
 REACH = 2  # changed cells this near to each other are one rectangle: 3 x 3 boxes stay one entry
+OUTSIDE = -2
 VIEW, HEAP, POOL = 256, 1024, 1024  # first sizes, doubled whenever one is too small
 Point = tuple[float, float]  # row, column
 Cells = NDArray[np.int64]
@@ -133,8 +134,13 @@ def _change(cells, grid, index, corners, spare, log, logged, changes):  # type: 
     """Set cells and repair what depends on them.
 
     Returns how many have changed and how many entries the log has then, -1 where rows of `corners`
-    or entries of the log have run out: everything must be built again.
+    or entries of the log have run out: everything must be built again. Nothing is done where a
+    cell is outside.
     """
+    rows, width = cells.shape[0] - 2, cells.shape[1] - 2
+    for n in range(changes.shape[0]):
+        if not (0 <= changes[n, 0] < rows and 0 <= changes[n, 1] < width):
+            return 0, OUTSIDE
     found = np.empty((SEEN_MAX, 4), np.int64)
     changed, count = _set(cells, changes, found)
     if count < 0 or logged + count > log.shape[0]:
@@ -202,16 +208,14 @@ class CornerMemory:
 
         `changes`: (n, 3), row, column, blocked (1) or free (0); later rows win.
         """
-        rows, columns = self.cells.shape
         if len(changes) == 0:
             return 0
-        low, high = changes.min(axis=0), changes.max(axis=0)
-        assert min(low[0], low[1]) >= 0 and high[0] < rows - 2 and high[1] < columns - 2
         if self._ints[LOGGED] + SEEN_MAX > LOG_MAX:
             self.forget()
         log = self._ints[self._log : self._log + 4 * LOG_MAX].reshape(-1, 4)
         changed, logged = _change(self.cells, self._grid, self._index, self._corners, self._spare,
                                   log, int(self._ints[LOGGED]), changes)  # fmt: skip
+        assert logged != OUTSIDE, "a cell outside of the grid"
         if logged < 0:
             self._build()
         else:

@@ -76,19 +76,11 @@ def sees(runs, columns, r0, c0, r1, c1):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _note(index, i, j, dy, ux, low, high, near, found, count):  # type: ignore[no-untyped-def]
-    """Append the corner at a lattice point, or its complement where it must be verified.
-
-    It must lie between the slopes `low` and `high`; `near`: see `look`.
-    """
-    corner = index[i, j]
-    if corner < 0 or j == ux:
+def _note(corner, slope, low, high, margin_low, margin_high, found, count):  # type: ignore[no-untyped-def]
+    """Append a corner if its slope is in the view, its complement where that must be verified."""
+    if corner < 0 or slope < low - margin_low or slope > high + margin_high:
         return count
-    slope = (j - ux) / dy
-    margin = near * (1.0 + abs(slope))
-    if slope < low - margin or slope > high + margin:
-        return count
-    sure = slope > low + margin and slope < high - margin
+    sure = slope > low + margin_low and slope < high - margin_high
     found[count] = corner if sure else ~corner
     return count + 1
 
@@ -103,7 +95,8 @@ def look(runs, index, uy, ux, step, i, a, b, low, high, left, right, stack, slop
     Widened in the last row of `stack`: furthest line, lowest and highest column of cells looked at.
     """
     near = NEAR / abs(i + step - uy)  # a slope off by this passes the nearest corner too closely
-    reach = stack[-1]
+    bottom = stack.shape[0] - 1
+    far, leftmost, rightmost = stack[bottom, 0], stack[bottom, 1], stack[bottom, 2]
     stack[0, 0], stack[0, 1], stack[0, 2] = i, a, b
     slopes[0, 0], slopes[0, 1] = low, high
     top = 1
@@ -114,36 +107,42 @@ def look(runs, index, uy, ux, step, i, a, b, low, high, left, right, stack, slop
         if count + 2 > found.size:
             return -1
         dy = abs(line - uy)
-        to_a, to_b = (a - ux) / dy, (b - ux) / dy
-        if low <= to_a + near * (1.0 + abs(to_a)):
-            count = _note(index, line, a, dy, ux, low, high, near, found, count)
+        per_row = 1.0 / dy
+        to_a, to_b = (a - ux) * per_row, (b - ux) * per_row
+        off_low, off_high = near * (1.0 + abs(low)), near * (1.0 + abs(high))
+        if low <= to_a + off_low:
+            if a != ux:
+                count = _note(index[line, a], to_a, low, high, off_low, off_high, found, count)
             low = max(low, to_a)
-        if high >= to_b - near * (1.0 + abs(to_b)):
-            count = _note(index, line, b, dy, ux, low, high, near, found, count)
+            off_low = near * (1.0 + abs(low))
+        if high >= to_b - off_high:
+            if b != ux:
+                count = _note(index[line, b], to_b, low, high, off_low, off_high, found, count)
             high = min(high, to_b)
-        if low > high + near * (1.0 + abs(low)):
+            off_high = near * (1.0 + abs(high))
+        if low > high + off_low:
             continue
-        x_low = ux + (low - near * (1.0 + abs(low))) * dy
-        x_high = ux + (high + near * (1.0 + abs(high))) * dy
+        x_low, x_high = ux + (low - off_low) * dy, ux + (high + off_high) * dy
         c, last = max(int(np.floor(x_low)), left), min(x_high, right + 1.0)
-        reach[0] = max(reach[0], line) if step > 0 else min(reach[0], line)
-        reach[1], reach[2] = min(reach[1], c), max(reach[2], int(last))
+        far = max(far, line) if step > 0 else min(far, line)
+        leftmost, rightmost = min(leftmost, c), max(rightmost, int(last))
         row = line if step > 0 else line - 1
         while c < last:
             end = runs[END, row, c]
             if end < 0:
                 c = -end
                 continue
-            if count + 2 > found.size or top >= stack.shape[0] - 1:
+            if count + 2 > found.size or top >= bottom:
                 return -1
             begin = max(runs[START, row, c], left)
-            if begin >= x_low:
-                count = _note(index, line, begin, dy, ux, low, high, near, found, count)
-            if end <= last:
-                count = _note(index, line, end, dy, ux, low, high, near, found, count)
+            to_a, to_b = (begin - ux) * per_row, (end - ux) * per_row
+            if begin >= x_low and begin != ux:
+                count = _note(index[line, begin], to_a, low, high, off_low, off_high, found, count)
+            if end <= last and end != ux:
+                count = _note(index[line, end], to_b, low, high, off_low, off_high, found, count)
             stack[top, 0], stack[top, 1], stack[top, 2] = line, begin, min(end, right + 1)
-            slopes[top, 0] = max(low, (begin - ux) / dy)
-            slopes[top, 1] = min(high, (end - ux) / dy)
+            slopes[top, 0], slopes[top, 1] = max(low, to_a), min(high, to_b)
             top += 1
             c = end
+    stack[bottom, 0], stack[bottom, 1], stack[bottom, 2] = far, leftmost, rightmost
     return count

@@ -24,6 +24,7 @@ Point = tuple[float, float]  # row, column; a pair of integers is the centre of 
 Waypoints = list[Point]
 Grid = NDArray[np.bool_]
 Change = tuple[int, int, bool]  # row, column, blocked from now on
+Cells = NDArray[np.int64]  # (n, 3), a change a row
 
 
 class Planner:
@@ -37,14 +38,16 @@ class Planner:
         self._plain: GridSearch | None = None  # 150 bytes a cell: only where somebody asks for it
         self._regions: NDArray[np.int32] | None = None  # made at the first query without a path
 
-    def update(self, change: Grid | Iterable[Change]) -> int:
+    def update(self, change: Grid | Cells | Iterable[Change]) -> int:
         """Another state of the whole grid, or single cells; returns how many cells changed."""
-        if isinstance(change, np.ndarray):
-            assert change.shape == self.blocked.shape
-            changed = self._corners.replace(change)
-            self.blocked[:] = change
+        if isinstance(change, np.ndarray) and change.dtype == np.bool_:
+            grid = np.asarray(change, dtype=np.bool_)
+            assert grid.shape == self.blocked.shape
+            changed = self._corners.replace(grid)
+            self.blocked[:] = grid
         else:
-            cells = np.array(list(change), dtype=np.int64).reshape(-1, 3)
+            known = isinstance(change, np.ndarray)
+            cells = np.array(change if known else list(change), dtype=np.int64).reshape(-1, 3)
             changed = self._corners.change(cells)
             self.blocked[cells[:, 0], cells[:, 1]] = cells[:, 2]  # later ones win here, too
         if changed:
