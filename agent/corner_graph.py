@@ -311,9 +311,9 @@ def query(grid, index, corners, ints, floats, y0, x0, y1, x1):  # type: ignore[n
     stack = ints[stack_at:nodes_at].reshape((size, 3))
     log = ints[log_at:pool_at].reshape((limit, 4))
     slopes_at = 2 * corners.shape[0]
-    keys_at = slopes_at + 2 * size
+    keys_at = slopes_at + 4 * size
     cost = floats[:slopes_at].reshape((corners.shape[0], 2))
-    slopes = floats[slopes_at:keys_at].reshape((size, 2))
+    slopes = floats[slopes_at:keys_at].reshape((size, 4))
     code = _search(
         (runs, columns, index, corners), ints, cost, (floats[keys_at:], ints[nodes_at:log_at]),
         ints[pool_at:], log, (stack, slopes, found), r0, c0, r1, c1,
@@ -323,11 +323,12 @@ def query(grid, index, corners, ints, floats, y0, x0, y1, x1):  # type: ignore[n
     node, count = found[0], 0
     while node != GOAL_NODE:
         node, count = corners[node, PARENT], count + 1
-    if count > size:
+    if count > 2 * size:
         return VIEW_FULL
     node = found[0]
     for k in range(count - 1, -1, -1):
-        slopes[k, 0], slopes[k, 1] = (
+        at = slopes_at + 2 * k
+        floats[at], floats[at + 1] = (
             corners[node, AT_Y] / UNIT - 1.0,
             corners[node, AT_X] / UNIT - 1.0,
         )
