@@ -18,7 +18,7 @@ from math import inf, sqrt
 import numpy as np
 from numba import njit
 
-from agent.line_of_sight import END, HALF, MARGIN, START, UNIT, look, sees
+from agent.line_of_sight import END, HALF, MARGIN, START, UNIT, glance, look, sees
 
 # columns of `corners`, one row a corner: lattice point, position in units, kind, search state
 ROW, COLUMN, AT_Y, AT_X, KIND, STAMP, PARENT, GOAL, LISTS = *range(8), 8
@@ -78,12 +78,19 @@ def in_sight(runs, columns, index, corners, y, x, stack, slopes, found):  # type
     uy, ux = y / UNIT + 0.5, x / UNIT + 0.5
     r, c = (y + UNIT // 2) // UNIT, (x + UNIT // 2) // UNIT
     a, b = runs[START, r, c], runs[END, r, c]
-    last = runs.shape[2] - 1
-    count = look(runs, index, uy, ux, -1, r + 1, a, b, -inf, inf, 0, last, stack, slopes, found, 0)
-    if count >= 0:
-        count = look(runs, index, uy, ux, 1, r, a, b, -inf, inf, 0, last, stack, slopes, found,
-                     count)  # fmt: skip
-    return count if count < 0 else _verify(runs, columns, corners, y, x, found, 0, count)
+    count = 0
+    for step in (-1, 1):
+        line = r if step < 0 else r + 1
+        top, count = glance(runs, index, uy, ux, step, line, a, b, stack, slopes, found, count)
+        if count >= 0:
+            count = look(runs, index, uy, ux, step, 0, runs.shape[2] - 1, stack, slopes, top, found,
+                         count)  # fmt: skip
+        if count < 0:
+            return count
+    for n in range(count):  # the views were wider than they are: none is sure
+        if found[n] >= 0:
+            found[n] = ~found[n]
+    return _verify(runs, columns, corners, y, x, found, 0, count)
 
 
 @njit(cache=True, error_model="numpy")
@@ -107,12 +114,14 @@ def _fill(runs, columns, index, corners, k, which, stack, slopes, found, pool, u
     a, b = runs[START, row, c], runs[END, row, c]
     reach = stack[-1]
     reach[0], reach[1], reach[2] = i, j, j
+    stack[0, 0] = i
     if side > 0:
-        count = look(runs, index, float(i), float(j), step, i, j, b, 0.0, inf, j,
-                     runs.shape[2] - 1, stack, slopes, found, 0)  # fmt: skip
+        stack[0, 1], stack[0, 2], slopes[0, 0], slopes[0, 1] = j, b, 0.0, float(b - j)
+        count = look(runs, index, float(i), float(j), step, j, runs.shape[2] - 1, stack, slopes, 1,
+                     found, 0)  # fmt: skip
     else:
-        count = look(runs, index, float(i), float(j), step, i, a, j, -inf, 0.0, 0, j - 1, stack,
-                     slopes, found, 0)  # fmt: skip
+        stack[0, 1], stack[0, 2], slopes[0, 0], slopes[0, 1] = a, j, float(a - j), 0.0
+        count = look(runs, index, float(i), float(j), step, 0, j - 1, stack, slopes, 1, found, 0)
     if count < 0 or count + 2 > found.size:
         return VIEW_FULL
     x, y = _along(runs, i, j, side > 0), _along(columns, j, i, step > 0)
@@ -311,9 +320,9 @@ def query(grid, index, corners, ints, floats, y0, x0, y1, x1):  # type: ignore[n
     stack = ints[stack_at:nodes_at].reshape((size, 3))
     log = ints[log_at:pool_at].reshape((limit, 4))
     slopes_at = 2 * corners.shape[0]
-    keys_at = slopes_at + 4 * size
+    keys_at = slopes_at + 2 * size
     cost = floats[:slopes_at].reshape((corners.shape[0], 2))
-    slopes = floats[slopes_at:keys_at].reshape((size, 4))
+    slopes = floats[slopes_at:keys_at].reshape((size, 2))
     code = _search(
         (runs, columns, index, corners), ints, cost, (floats[keys_at:], ints[nodes_at:log_at]),
         ints[pool_at:], log, (stack, slopes, found), r0, c0, r1, c1,
@@ -323,7 +332,7 @@ def query(grid, index, corners, ints, floats, y0, x0, y1, x1):  # type: ignore[n
     node, count = found[0], 0
     while node != GOAL_NODE:
         node, count = corners[node, PARENT], count + 1
-    if count > 2 * size:
+    if count > size:
         return VIEW_FULL
     node = found[0]
     for k in range(count - 1, -1, -1):

@@ -262,4 +262,4 @@ class CornerMemory:
             ints[pool : pool + used] = self._ints[self._edges : self._edges + used]
         ints[VIEW_SIZE], ints[HEAP_SIZE], ints[LOG_SIZE] = self._view, self._heap, LOG_MAX
         self._ints, self._log, self._edges = ints, log, pool
-        self._floats = np.empty(2 * len(self._corners) + 4 * self._view + self._heap)
+        self._floats = np.empty(2 * (len(self._corners) + self._view) + self._heap)

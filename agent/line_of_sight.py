@@ -12,8 +12,6 @@ for the transposed grid. With them a line of sight costs one look-up a row or a 
 is less, and a field of view one step for each run that it meets.
 """
 
-from math import inf
-
 import numpy as np
 from numba import njit
 
@@ -21,8 +19,7 @@ UNIT = 1 << 16  # units a cell
 MARGIN = 4  # units that a path keeps from a blocked cell; 0.06 thousandths of a cell
 HALF = UNIT // 2 + MARGIN
 START, END = 0, 1
-LOW, LOW_SURE, HIGH_SURE, HIGH = range(4)  # columns of `slopes`: bounds of a view
-NEAR = 4.0 * MARGIN / UNIT  # cells by which a bound is unsure where it is set
+NEAR = 4.0 * MARGIN / UNIT  # a slope off by this passes a corner in the next row too closely
 
 
 @njit(cache=True, error_model="numpy")
@@ -79,20 +76,25 @@ def sees(runs, columns, r0, c0, r1, c1):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _note(corner, slope, off, view, found, count):  # type: ignore[no-untyped-def]
-    """Append a corner if it may be in the view, its complement where that must be verified."""
-    if corner < 0 or slope + off < view[LOW] or slope - off > view[HIGH]:
-        return count
-    sure = -inf < view[LOW_SURE] < slope - off and slope + off < view[HIGH_SURE] < inf
-    found[count] = corner if sure else ~corner
-    return count + 1
+def glance(runs, index, uy, ux, step, line, a, b, stack, slopes, found, count):  # type: ignore[no-untyped-def]
+    """Views from a point inside the run [a, b) through the first line; (views, corners, or -1).
 
-
-@njit(cache=True, error_model="numpy")
-def _spread(runs, index, row, line, c, last, ux, per_row, view, left, right, memory, top, count):  # type: ignore[no-untyped-def]
-    """Note the ends of the free runs beyond a line, and stack the view through each."""
-    stack, slopes, found = memory
-    near = NEAR * per_row
+    However near the point is to that line: its slopes are then so unsure that the views are wider
+    than they are, and the corners are all to be verified.
+    """
+    dy = abs(line - uy)
+    per_row, near = 1.0 / dy, NEAR / dy
+    low, high = (a - ux) * per_row, (b - ux) * per_row
+    low, high = low - near * (1.0 + abs(low)), high + near * (1.0 + abs(high))
+    c, last = max(int(np.floor(ux + low * dy)), 0), min(ux + high * dy, float(runs.shape[2]))
+    row = line if step > 0 else line - 1
+    if count + 2 > found.size:
+        return 0, -1
+    top = 0
+    for at in (a, b):
+        if index[line, at] >= 0:
+            found[count] = ~index[line, at]
+            count += 1
     while c < last:
         end = runs[END, row, c]
         if end < 0:
@@ -100,76 +102,87 @@ def _spread(runs, index, row, line, c, last, ux, per_row, view, left, right, mem
             continue
         if count + 2 > found.size or top >= stack.shape[0] - 1:
             return top, -1
-        begin = max(runs[START, row, c], left)
+        begin = runs[START, row, c]
+        for at in (begin, end):
+            if index[line, at] >= 0:
+                found[count] = ~index[line, at]
+                count += 1
         to_a, to_b = (begin - ux) * per_row, (end - ux) * per_row
-        off_a, off_b = near * (1.0 + abs(to_a)), near * (1.0 + abs(to_b))
-        if begin != ux:
-            count = _note(index[line, begin], to_a, off_a, view, found, count)
-        if end != ux and end <= right + 1:
-            count = _note(index[line, end], to_b, off_b, view, found, count)
-        stack[top, 0], stack[top, 1], stack[top, 2] = line, begin, min(end, right + 1)
-        slopes[top, LOW] = max(view[LOW], to_a - off_a)
-        slopes[top, LOW_SURE] = max(view[LOW_SURE], to_a + off_a)
-        slopes[top, HIGH_SURE] = min(view[HIGH_SURE], to_b - off_b)
-        slopes[top, HIGH] = min(view[HIGH], to_b + off_b)
+        stack[top, 0], stack[top, 1], stack[top, 2] = line, begin, end
+        slopes[top, 0] = max(low, to_a - near * (1.0 + abs(to_a)))
+        slopes[top, 1] = min(high, to_b + near * (1.0 + abs(to_b)))
         top += 1
         c = end
     return top, count
 
 
 @njit(cache=True, error_model="numpy")
-def look(runs, index, uy, ux, step, i, a, b, low, high, left, right, stack, slopes, found, count):  # type: ignore[no-untyped-def]
-    """Collect the corners in sight from (uy, ux), in lattice coordinates, between two slopes.
+def _note(corner, slope, low, high, off_low, off_high, found, count):  # type: ignore[no-untyped-def]
+    """Append a corner if its slope is in the view, its complement where that must be verified."""
+    if corner < 0 or slope < low - off_low or slope > high + off_high:
+        return count
+    sure = slope > low + off_low and slope < high - off_high
+    found[count] = corner if sure else ~corner
+    return count + 1
 
-    Slopes are columns per row away from the point; `step` is 1 where rows count up with distance,
-    else -1. The view begins in the run [a, b) of the row beyond line `i` and stays in the columns
-    of cells left..right. Returns how many are in `found` (see `_note`), -1 where it is too small.
-    Widened in the last row of `stack`: furthest line, lowest and highest column of cells looked at.
 
-    Each view has outer and sure bounds, as far apart as the margins of the blocked cells that set
-    them leave open at their distance: so a point hard by a border of cells is no special case.
+@njit(cache=True, error_model="numpy")
+def look(runs, index, uy, ux, step, left, right, stack, slopes, top, found, count):  # type: ignore[no-untyped-def]
+    """Collect the corners in sight from (uy, ux), in lattice coordinates, through some views.
+
+    The first `top` rows of `stack` are views: the line that is seen through, and the run [a, b) of
+    the row beyond it; of `slopes`: between which slopes, in columns per row away from the point.
+    The next line is at least a row away. `step` is 1 where rows count up with distance, else -1.
+    What is seen stays in the columns of cells left..right. Returns how many corners are in `found`
+    (see `_note`), -1 where it is too small. Widened in the last row of `stack`: furthest line,
+    lowest and highest column of cells looked at.
     """
     bottom = stack.shape[0] - 1
     far, leftmost, rightmost = stack[bottom, 0], stack[bottom, 1], stack[bottom, 2]
-    stack[0, 0], stack[0, 1], stack[0, 2] = i, a, b
-    slopes[0, LOW], slopes[0, LOW_SURE], slopes[0, HIGH_SURE], slopes[0, HIGH] = (
-        low,
-        low,
-        high,
-        high,
-    )
-    top = 1
     while top > 0:
         top -= 1
         line, a, b = stack[top, 0] + step, stack[top, 1], stack[top, 2]
-        low, low_sure = slopes[top, LOW], slopes[top, LOW_SURE]
-        high_sure, high = slopes[top, HIGH_SURE], slopes[top, HIGH]
+        low, high = slopes[top, 0], slopes[top, 1]
         if count + 2 > found.size:
             return -1
         dy = abs(line - uy)
         per_row = 1.0 / dy
-        near = NEAR * per_row
         to_a, to_b = (a - ux) * per_row, (b - ux) * per_row
-        off_a, off_b = near * (1.0 + abs(to_a)), near * (1.0 + abs(to_b))
-        view = (low, low_sure, high_sure, high)
-        if a != ux:
-            count = _note(index[line, a], to_a, off_a, view, found, count)
-        if b != ux:
-            count = _note(index[line, b], to_b, off_b, view, found, count)
-        low, low_sure = max(low, to_a - off_a), max(low_sure, to_a + off_a)
-        high, high_sure = min(high, to_b + off_b), min(high_sure, to_b - off_b)
-        if low > high:
+        off_low, off_high = NEAR * (1.0 + abs(low)), NEAR * (1.0 + abs(high))
+        if low <= to_a + off_low:
+            if a != ux:
+                count = _note(index[line, a], to_a, low, high, off_low, off_high, found, count)
+            low = max(low, to_a)
+            off_low = NEAR * (1.0 + abs(low))
+        if high >= to_b - off_high:
+            if b != ux:
+                count = _note(index[line, b], to_b, low, high, off_low, off_high, found, count)
+            high = min(high, to_b)
+            off_high = NEAR * (1.0 + abs(high))
+        if low > high + off_low:
             continue
-        view = (low, low_sure, high_sure, high)
-        x_low, x_high = ux + low * dy, ux + high * dy
+        x_low, x_high = ux + (low - off_low) * dy, ux + (high + off_high) * dy
         c = int(np.floor(x_low)) if x_low > left else left
         last = min(x_high, right + 1.0)
         far = max(far, line) if step > 0 else min(far, line)
         leftmost, rightmost = min(leftmost, c), max(rightmost, int(last))
         row = line if step > 0 else line - 1
-        top, count = _spread(runs, index, row, line, c, last, ux, per_row, view, left, right,
-                             (stack, slopes, found), top, count)  # fmt: skip
-        if count < 0:
-            return -1
+        while c < last:
+            end = runs[END, row, c]
+            if end < 0:
+                c = -end
+                continue
+            if count + 2 > found.size or top >= bottom:
+                return -1
+            begin = max(runs[START, row, c], left)
+            to_a, to_b = (begin - ux) * per_row, (end - ux) * per_row
+            if begin >= x_low and begin != ux:
+                count = _note(index[line, begin], to_a, low, high, off_low, off_high, found, count)
+            if end <= last and end != ux:
+                count = _note(index[line, end], to_b, low, high, off_low, off_high, found, count)
+            stack[top, 0], stack[top, 1], stack[top, 2] = line, begin, min(end, right + 1)
+            slopes[top, 0], slopes[top, 1] = max(low, to_a), min(high, to_b)
+            top += 1
+            c = end
     stack[bottom, 0], stack[bottom, 1], stack[bottom, 2] = far, leftmost, rightmost
     return count
