@@ -160,11 +160,9 @@ def maps(seed: int) -> list[Map]:
 
 def small_maps(seed: int, side: int) -> list[Map]:
     """Every kind again, generated, so small that all pairs of corners can be looked at."""
-    return [
-        Map(kind, "generated", _cut(generate(np.random.default_rng((seed, number)), 64, 64), side))
-        for number, (kind, _, generate, _, _) in enumerate(KINDS)
-    ]
-
-
-def _cut(blocked: Grid, side: int) -> Grid:
-    return np.ascontiguousarray(blocked[:side, :side])
+    found = []
+    for number, (kind, _, generate, _, _) in enumerate(KINDS):
+        rng = np.random.default_rng((seed, number))
+        whole = maze(rng, 64, 64, wide=3) if kind == "maze" else generate(rng, 64, 64)
+        found.append(Map(kind, "generated", np.ascontiguousarray(whole[:side, :side])))
+    return found
