@@ -8,9 +8,21 @@ from rich.console import Console
 
 
 def _paths() -> None:
-    from agent.theta_star import plan
+    from agent.theta_star import Planner
 
-    plan(np.zeros((8, 8), dtype=bool), (0, 0), (7, 7))
+    blocked = np.zeros((8, 8), dtype=bool)
+    blocked[3:5, 3:5] = True
+    planner = Planner(blocked)
+    planner.plan((0, 0), (7, 7))
+    planner.update([(4, 4, False)])
+
+
+def _map() -> None:
+    from agent.occupancy import OccupancyGrid
+
+    grid = OccupancyGrid(30, 30, (0.0, 0.0), 0.3)
+    grid.observe((1.0, 1.0), 0.0, [2.0] * 8, 4.0)
+    grid.plan((1.0, 1.0), (5.0, 5.0))
 
 
 def _avoidance() -> None:
@@ -57,6 +69,7 @@ def _world() -> None:
 
 PARTS: tuple[tuple[str, Callable[[], None]], ...] = (
     ("paths", _paths),
+    ("map", _map),
     ("avoidance", _avoidance),
     ("coverage", _coverage),
     ("wire", _wire),
