@@ -34,11 +34,14 @@ class Shell:
         body: Body | None,
         journal: Journal | None,
         on_effect: Callable[[int, Effect], None] | None = None,
+        clock: Callable[[], int] | None = None,
     ) -> None:
         self.peer, self.bus, self.body, self.journal = peer, bus, body, journal
         self.on_effect = on_effect
         self.dropped = 0  # frames that found the inbox full
         self._inbox: deque[Frame] = deque()
+        self.clock = self.now_us if clock is None else clock  # microseconds
+        self._listening = False
         self._wake: asyncio.Future[None] | None = None
         self._armed_us = 0  # when the timer that is set will fire
         self._failure: Exception | None = None
@@ -54,7 +57,7 @@ class Shell:
 
         What was to be durable first and is not, is not revealed: only what stops goes on after it.
         """
-        now_us, records, durable = self.now_us(), [], True
+        now_us, records, durable = self.clock(), [], True
         for effect in effects:
             kind = type(effect)
             if kind is Persist:
@@ -93,17 +96,17 @@ class Shell:
         except OSError as problem:
             self._disk_failed = True
             log.error("robot %d: the journal failed: %s", self.peer.slot, problem)
-            self.perform(self.peer.disk_failed(self.now_us()))
+            self.perform(self.peer.disk_failed(self.clock()))
         return not self._disk_failed
 
     def operate(self, act: Callable[[Peer, int], Sequence[Effect]]) -> None:
         """An operator call between two inputs: `shell.operate(lambda peer, now: peer.start(now))`."""
-        self.perform(act(self.peer, self.now_us()))
+        self.perform(act(self.peer, self.clock()))
         self._nudge()
 
     def _arrive(self, frame: Frame) -> None:
         """A frame, in the loop's thread: heard at once, unless this process is frozen."""
-        if self._frozen_until_us or self._wake is None:
+        if self._frozen_until_us or not self._listening:
             if len(self._inbox) >= INBOX_MAX:
                 self.dropped += 1
             else:
@@ -118,7 +121,7 @@ class Shell:
             self._nudge()
 
     def _hear(self, frame: Frame) -> None:
-        effects = self.peer.receive(frame, self.now_us())
+        effects = self.peer.receive(frame, self.clock())
         if effects:
             self.perform(effects)
         elif frame.identifier >> 8 & 0x3FFFF == BEAT_PGN:
@@ -128,7 +131,7 @@ class Shell:
 
     def freeze(self, for_s: float) -> None:
         """Fault: this process hears and does nothing for a while, then goes on as if nothing was."""
-        self._frozen_until_us = self.now_us() + round(for_s * 1e6)
+        self._frozen_until_us = self.clock() + round(for_s * 1e6)
         self._nudge()
 
     def _nudge(self) -> None:
@@ -140,7 +143,7 @@ class Shell:
         self.bus.subscribe(self._arrive)
         while True:
             self._armed_us = peer.deadline_us
-            self._wake = loop.create_future()
+            self._wake, self._listening = loop.create_future(), True
             timer = loop.call_at(self._armed_us / 1e6, self._nudge)
             try:
                 await self._wake
@@ -149,12 +152,20 @@ class Shell:
             if self._failure is not None:
                 raise self._failure
             if self._frozen_until_us:
-                await asyncio.sleep(max(0, self._frozen_until_us - self.now_us()) / 1e6)
-                self._frozen_until_us = 0
-                while self._inbox:
-                    self._hear(self._inbox.popleft())
-            now_us = self.now_us()
-            if now_us >= peer.deadline_us:
-                if self.body is not None and peer.wants_observation(now_us):
-                    peer.observe(self.body.sense(now_us), now_us)
-                self.perform(peer.tick(now_us))
+                await asyncio.sleep(max(0, self._frozen_until_us - self.clock()) / 1e6)
+                self.thaw()
+            self.turn()
+
+    def thaw(self) -> None:
+        """Hear what has waited."""
+        self._frozen_until_us = 0
+        while self._inbox:
+            self._hear(self._inbox.popleft())
+
+    def turn(self) -> None:
+        """Tick, if something is due."""
+        now_us, peer = self.clock(), self.peer
+        if now_us >= peer.deadline_us:
+            if self.body is not None and peer.wants_observation(now_us):
+                peer.observe(self.body.sense(now_us), now_us)
+            self.perform(peer.tick(now_us))

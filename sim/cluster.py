@@ -1,10 +1,9 @@
-"""A whole fleet in one event loop: N peers with a bus object each, the world, and the bus between.
+"""A whole fleet in one process: N peers with a bus object each, the world, and the bus between.
 
-The same shell as on a robot. Under `run_virtual` an hour passes in seconds and the same seed gives
-the same run; under a real loop it is a demonstration.
+The same shell as on a robot, driven by a host: an asyncio loop in virtual or real time, or a swarm.
+The same seed gives the same run on each.
 """
 
-import asyncio
 from collections import Counter
 from collections.abc import Callable, Mapping
 from random import Random
@@ -26,8 +25,10 @@ from protocol.name import fleet_name
 from protocol.safety_frames import Challenge
 from sim.disk import MemoryJournal
 from sim.fieldbus import FieldBus, forget, segment
+from sim.host import Handle, Host, LoopHost
 from sim.scenario import Join, Scenario
 from sim.setting import Setting
+from sim.swarm import Swarm
 
 BRAKING_SHARE = 0.7  # of the acceleration is planned with; the rest is for corrections
 OPERATOR = 200  # slot of the operator device that a scenario's resets come from
@@ -40,7 +41,7 @@ class Robot:
 
     def __init__(self, slot: int, shell: Shell, bus: FieldBus) -> None:
         self.slot, self.shell, self.bus = slot, shell, bus
-        self.task: asyncio.Task[None] | None = None
+        self.task: Handle | None = None
 
     @property
     def peer(self) -> Peer:
@@ -83,19 +84,28 @@ def make_peer(
 
 
 class Cluster:
-    def __init__(self, setting: Setting, channel: str, record: Record | None = None) -> None:
+    def __init__(
+        self,
+        setting: Setting,
+        channel: str,
+        record: Record | None = None,
+        host: Host | None = None,
+    ) -> None:
+        """`host`: none for the running asyncio loop."""
         self.setting, self.channel, self.record = setting, channel, record
+        self._loop_host = LoopHost()
+        self.host: Host = self._loop_host if host is None else host
         self.scenario: Scenario = setting.scenario
         self.world = setting.world()
         bus, seed = self.scenario.bus, self.scenario.run.seed
-        self.segment = segment(channel, bitrate=bus.bitrate, seed=seed)
+        clock = host if isinstance(host, Swarm) else None
+        self.segment = segment(channel, bitrate=bus.bitrate, seed=seed, clock=clock)
         faults = self.segment.wire.faults
         faults.loss, faults.error = bus.loss, bus.error_rate
         faults.omission, faults.duplicate = bus.omission, bus.duplicate
         self.robots: dict[int, Robot] = {}
         self.journals: dict[int, Journal] = {}
         self.boots: Counter[int] = Counter()
-        self.tasks: set[asyncio.Task[None]] = set()
         self._tool: FieldBus | None = None
         self._keyring = setting.keyring(OPERATOR, "operator")
 
@@ -111,7 +121,7 @@ class Cluster:
         journal = self.journals.setdefault(slot, MemoryJournal())
         boots = self.boots[slot]
         lot = f"/{boots}" if boots else ""
-        peer = make_peer(self.setting, slot, Shell.now_us(), journal.load(), not boots, lot)
+        peer = make_peer(self.setting, slot, self.host.now_us(), journal.load(), not boots, lot)
         self.boots[slot] += 1
         bus = can.Bus(interface="fieldbus", channel=self.channel)
         assert isinstance(bus, FieldBus)
@@ -121,9 +131,9 @@ class Cluster:
             if record is not None:
                 record(slot, now_us, effect)
 
-        shell = Shell(peer, CanBus(bus), self.world.body(slot), journal, keep)
+        shell = self.host.shell(peer, CanBus(bus), self.world.body(slot), journal, keep)
         robot = Robot(slot, shell, bus)
-        robot.task = asyncio.create_task(shell.run(), name=f"robot {slot}")
+        robot.task = self.host.start(shell)
         self.robots[slot] = robot
         return robot
 
@@ -162,15 +172,15 @@ class Cluster:
         """The operator's device proves where its counter is, when a robot asks it to."""
         source, message = decode_once(frame)
         if isinstance(message, Challenge) and self._keyring is not None and self._tool is not None:
-            proof = self._keyring.answer(message, Shell.now_us())
+            proof = self._keyring.answer(message, self.host.now_us())
             if proof is not None:
                 self._tool.submit(encode(proof, TOOL_ADDRESS, source))
 
     def check(self) -> None:
         """Raise what a robot's task has raised: a broken assertion must not pass for silence."""
         for robot in self.robots.values():
-            if robot.task is not None and robot.task.done() and not robot.task.cancelled():
-                robot.task.result()
+            if robot.task is not None:
+                robot.task.check()
 
     @property
     def running(self) -> list[Robot]:
@@ -194,11 +204,11 @@ class Cluster:
         return len(states) <= 1
 
     async def close(self) -> None:
-        tasks = [robot.task for robot in self.robots.values() if robot.task is not None]
-        tasks += list(self.tasks)
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
+        """Of a cluster on an asyncio loop."""
+        await self._loop_host.close()
+        self.end()
+
+    def end(self) -> None:
         for robot in self.robots.values():
             robot.shell.bus.close()
         if self._tool is not None:

@@ -1,6 +1,5 @@
 """One run of a scenario from power-up to the end, and what came of it."""
 
-import asyncio
 import itertools
 import time
 from collections import Counter
@@ -8,6 +7,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from agent.config import S
 from protocol.codec import Malformed, decode_once
 from protocol.frame import Frame
 from sim.can_log import open_log
@@ -15,14 +15,16 @@ from sim.clock import run_virtual
 from sim.cluster import Cluster
 from sim.coverage_truth import Coverage, coverage, sample_points
 from sim.faults import FaultPlan
+from sim.host import Handle, Host, LoopHost, Script, follow
 from sim.outcome import Outcome
 from sim.setting import Setting
+from sim.swarm import Swarm
 from sim.trace import Recorder
 from sim.truth import TrackPoint
 
-LOOK_S = 1.0  # how often the end is looked for and progress is told
+LOOK_US = 1 * S  # how often the end is looked for and progress is told
 RASTER_M = 0.25  # of the coverage check
-QUIET_S = 2.0  # after the last section: replicas must be equal within this
+QUIET_US = 2 * S  # after the last section: replicas must be equal within this
 
 _numbers = itertools.count()
 Told = Callable[["Moment"], None]
@@ -45,7 +47,10 @@ class Expedition:
         out: Path | None = None,
         told: Told | None = None,
         logs: Sequence[Path] = (),
+        swarm: bool = True,
     ) -> None:
+        """`swarm`: on a plain event loop; else on asyncio's, as robots are, with the same result."""
+        self.swarm = swarm
         self.setting, self.out, self.told = setting, out, told
         self.logs = [*([out / "can.log"] if out else []), *logs]
         self.kinds: Counter[str] = Counter()
@@ -56,12 +61,22 @@ class Expedition:
 
     def run(self) -> Outcome:
         """Virtual time, as fast as it goes."""
-        return run_virtual(self.go())
+        if not self.swarm:
+            return run_virtual(self._on_asyncio())
+        swarm = Swarm()
+        return swarm.run(self._play(swarm))
 
-    async def go(self) -> Outcome:
+    async def _on_asyncio(self) -> Outcome:
+        host = LoopHost()
+        try:
+            return await follow(self._play(host))
+        finally:
+            await host.close()
+
+    def _play(self, host: Host) -> Script[Outcome]:
         started_s = time.perf_counter()
         recorder = Recorder(self.out / "trace.jsonl" if self.out else None)
-        cluster = Cluster(self.setting, f"run {next(_numbers)}", recorder)
+        cluster = Cluster(self.setting, f"run {next(_numbers)}", recorder, host)
         logs = [open_log(path) for path in self.logs]
 
         def tap(t_us: int, frame: Frame) -> None:
@@ -74,33 +89,31 @@ class Expedition:
         cluster.segment.taps.append(tap)
         cluster.boot_all()
         plan = FaultPlan(cluster)
-        script = asyncio.create_task(plan.run())
-        cluster.tasks.add(script)
+        script = host.spawn(plan.script())
         try:
-            await self._until_finished(cluster, script)
+            yield from self._until_finished(cluster, script)
             outcome = self._measure(cluster, recorder, time.perf_counter() - started_s)
         finally:
             self.faults = plan.done
-            await cluster.close()
+            cluster.end()
             recorder.close()
             for log in logs:
                 log.close()
         return outcome
 
-    async def _until_finished(self, cluster: Cluster, script: "asyncio.Task[None]") -> None:
-        loop, limit_s = asyncio.get_running_loop(), self.setting.scenario.run.time_limit_s
-        while loop.time() < limit_s:
-            await asyncio.sleep(LOOK_S)
+    def _until_finished(self, cluster: Cluster, script: Handle) -> Script[None]:
+        host, limit_us = cluster.host, round(self.setting.scenario.run.time_limit_s * S)
+        while host.now_us() < limit_us:
+            yield host.now_us() + LOOK_US
             cluster.check()
+            script.check()
             if self.told is not None:
-                self.told(self._moment(cluster, loop.time()))
-            if script.done():
-                script.result()
-                if cluster.finished:
-                    break
-        quiet_s = loop.time() + QUIET_S
-        while not cluster.replicas_equal and loop.time() < quiet_s:
-            await asyncio.sleep(0.1)
+                self.told(self._moment(cluster, host.now_us() / S))
+            if script.done() and cluster.finished:
+                break
+        quiet_us = host.now_us() + QUIET_US
+        while not cluster.replicas_equal and host.now_us() < quiet_us:
+            yield host.now_us() + LOOK_US // 10
 
     def _moment(self, cluster: Cluster, now_s: float) -> Moment:
         running = cluster.running
@@ -112,7 +125,7 @@ class Expedition:
 
     def _measure(self, cluster: Cluster, recorder: Recorder, wall_s: float) -> Outcome:
         field, scenario, world = self.setting.field, self.setting.scenario, cluster.world
-        now_s = asyncio.get_running_loop().time()
+        now_s = cluster.host.now_us() / S
         world.advance(round(now_s * 1e6))
         self.tracks = {slot: body.track.points for slot, body in world.robots.items()}
         raster = sample_points(field.polygon, field.implement_width_m, field.overlap_m, RASTER_M)

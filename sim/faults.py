@@ -1,44 +1,44 @@
 """A scenario's faults, carried out on a cluster at their times."""
 
-import asyncio
-from collections.abc import Callable, Coroutine
-
 from agent.config import S
 from protocol.safety_frames import Command, EmergencyReset, OperatorCommand, Reason
 from sim import scenario as kinds
 from sim.cluster import OPERATOR, Cluster
+from sim.host import Script, follow
 
 TRIES = (
     5  # robots ask an operator they have not heard for a while to prove itself, one after another
 )
+ASK_S = 0.1  # between two tries
 SETTLE_S = 1.0  # between a reset and the start that follows it: rejoin and sync
 
 
 class FaultPlan:
-    """Runs beside the robots; sleeps to each fault's time on the loop's clock, virtual or not."""
+    """Runs beside the robots, and waits for each fault's time on the host's clock."""
 
     def __init__(self, cluster: Cluster) -> None:
         self.cluster = cluster
         self.done: list[tuple[float, str]] = []
 
     async def run(self) -> None:
-        loop = asyncio.get_running_loop()
+        """On the running asyncio loop."""
+        await follow(self.script())
+
+    def script(self) -> Script[None]:
         for fault in sorted(self.cluster.scenario.fault, key=lambda f: f.at_s):
-            await asyncio.sleep(max(0.0, fault.at_s - loop.time()))
-            self.done.append((loop.time(), fault.kind))
+            yield round(fault.at_s * S)
+            self.done.append((self.cluster.host.now_us() / S, fault.kind))
             after = self._carry_out(fault)
             if after is not None:
-                task = asyncio.create_task(after())
-                self.cluster.tasks.add(task)
-                task.add_done_callback(self.cluster.tasks.discard)
+                self.cluster.host.spawn(after)
 
     def _now_us(self) -> int:
         """The world is brought to this instant before anything is done to it."""
-        now_us = round(asyncio.get_running_loop().time() * S)
+        now_us = self.cluster.host.now_us()
         self.cluster.world.advance(now_us)
         return now_us
 
-    def _carry_out(self, fault: kinds.Fault) -> Callable[[], Coroutine[None, None, None]] | None:
+    def _carry_out(self, fault: kinds.Fault) -> Script[None] | None:
         self._now_us()
         cluster, wire = self.cluster, self.cluster.segment.wire
         match fault:
@@ -68,39 +68,40 @@ class FaultPlan:
             case kinds.Errors(rate=rate):
                 wire.faults.error = rate
             case kinds.BusOff(robot=robot, for_s=for_s):
-                return lambda: self._bus_off(robot, for_s)
+                return self._bus_off(robot, for_s)
             case kinds.Estop(robot=robot, reason=reason):
                 cluster.robots[robot].shell.operate(lambda p, now: p.press(Reason[reason], now))
             case kinds.Reset():
-                return self._reset
+                return self._reset()
             case kinds.Box(x_m=x_m, y_m=y_m, size_m=size_m, for_s=for_s):
-                return lambda: self._box(x_m, y_m, size_m, for_s)
+                return self._box(x_m, y_m, size_m, for_s)
             case kinds.Pushed(robot=robot, dx_m=dx_m, dy_m=dy_m):
                 cluster.world.body(robot).push(dx_m, dy_m)
         return None
 
-    async def _bus_off(self, robot: int, for_s: float) -> None:
-        shell, loop = self.cluster.robots[robot].shell, asyncio.get_running_loop()
-        until_us = round((loop.time() + for_s) * S)
+    def _bus_off(self, robot: int, for_s: float) -> Script[None]:
+        shell = self.cluster.robots[robot].shell
+        until_us = self._now_us() + round(for_s * S)
         self.cluster.segment.wire.bus_off(self.cluster.node_of(robot), until_us)
         shell.operate(lambda p, now: p.bus_lost(now))
-        await asyncio.sleep(for_s)
+        yield until_us
         shell.operate(lambda p, now: p.bus_back(now))
 
-    async def _box(self, x_m: float, y_m: float, size_m: float, for_s: float) -> None:
+    def _box(self, x_m: float, y_m: float, size_m: float, for_s: float) -> Script[None]:
+        until_us = self._now_us() + round(for_s * S)
         box = self.cluster.world.add_box(x_m, y_m, size_m)
-        await asyncio.sleep(for_s)
+        yield until_us
         self._now_us()
         self.cluster.world.remove_box(box)
 
-    async def _reset(self) -> None:
+    def _reset(self) -> Script[None]:
         """An operator clears what is shown, goes from machine to machine, and then gives the start."""
         cluster = self.cluster
         dots = {dot for robot in cluster.running for dot in robot.peer.safety.stops.active}
         for _ in range(1 if cluster.setting.keys is None else TRIES):
             for dot in sorted(dots):
                 cluster.order(EmergencyReset(*dot, OPERATOR))
-            await asyncio.sleep(0.1)
+            yield self._now_us() + round(ASK_S * S)
         cluster.order(OperatorCommand(Command.MANUAL_RESET, 255, OPERATOR))
-        await asyncio.sleep(SETTLE_S)
+        yield self._now_us() + round(SETTLE_S * S)
         cluster.order(OperatorCommand(Command.START, 255, OPERATOR))

@@ -12,7 +12,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Protocol
 
 import can
 from can import BusABC, CanOperationError, CanProtocol, Message
@@ -26,10 +26,23 @@ POLL_S = 0.002  # how often a program without an event loop looks at the wire
 Tap = Callable[[int, Frame], None]  # microseconds, frame
 
 
+class Clock(Protocol):
+    """What drives a segment's time where that is not an asyncio loop."""
+
+    def now_us(self) -> int: ...
+    def at(self, t_us: int, call: Callable[[], object]) -> "Alarm": ...
+
+
+class Alarm(Protocol):
+    def cancel(self) -> None: ...
+
+
 class Segment:
     """One channel: the wire, the buses on it, and what drives its time."""
 
-    def __init__(self, channel: str, bitrate: int, seed: int | str) -> None:
+    def __init__(
+        self, channel: str, bitrate: int, seed: int | str, clock: Clock | None = None
+    ) -> None:
         assert 1_000_000 % bitrate == 0, "the bit time is a whole number of microseconds"
         self.channel, self.bitrate = channel, bitrate
         self.wire = Wire(seed, 1_000_000 // bitrate)
@@ -37,10 +50,13 @@ class Segment:
         self.taps: list[Tap] = []
         self.lock = threading.RLock()  # programs without an event loop send and receive in threads
         self._loop: asyncio.AbstractEventLoop | None = None
-        self._timer: asyncio.TimerHandle | None = None
+        self._clock = clock
+        self._timer: Alarm | None = None
         self._timer_us = 0
 
     def now_us(self) -> int:
+        if self._clock is not None:
+            return self._clock.now_us()
         try:
             return round(asyncio.get_running_loop().time() * 1_000_000)
         except RuntimeError:
@@ -54,10 +70,12 @@ class Segment:
 
     def arm(self) -> None:
         """See to it that somebody looks when the wire does something next."""
-        try:
-            loop = asyncio.get_running_loop()
-        except RuntimeError:
-            return
+        loop: asyncio.AbstractEventLoop | None = None
+        if self._clock is None:
+            try:
+                loop = asyncio.get_running_loop()
+            except RuntimeError:
+                return
         next_us = self.wire.next_us
         if next_us is None:
             return
@@ -68,7 +86,10 @@ class Segment:
                 return
             self._timer.cancel()
         self._timer_us = next_us
-        self._timer = loop.call_at(next_us / 1_000_000, self._fire)
+        if loop is not None:
+            self._timer = loop.call_at(next_us / 1_000_000, self._fire)
+        elif self._clock is not None:
+            self._timer = self._clock.at(next_us, self._fire)
 
     def _fire(self) -> None:
         self._timer = None
@@ -90,11 +111,13 @@ class Segment:
 _segments: dict[str, Segment] = {}
 
 
-def segment(channel: str, bitrate: int = 250_000, seed: int | str = 0) -> Segment:
+def segment(
+    channel: str, bitrate: int = 250_000, seed: int | str = 0, clock: Clock | None = None
+) -> Segment:
     """The segment of a channel name, made at first use."""
     found = _segments.get(channel)
     if found is None:
-        found = _segments[channel] = Segment(channel, bitrate, seed)
+        found = _segments[channel] = Segment(channel, bitrate, seed, clock)
     return found
 
 

@@ -1,0 +1,181 @@
+"""A plain event loop over a heap: the same shells, wire, scripts and order of events as asyncio's.
+
+What asyncio does for a callback costs several microseconds; here it is a heap entry. The order is the
+one of `asyncio.BaseEventLoop` with `sim/clock.py`, step by step (due timers in the order in which they
+were set, behind what is ready; a woken shell takes its turn one round later), so that the same seed
+gives the same trace hash: a test compares them.
+"""
+
+from collections import deque
+from collections.abc import Callable
+from heapq import heappop, heappush
+from typing import Any, TypeVar
+
+from agent.shell import Shell
+from sim.host import Script
+
+T = TypeVar("T")
+Call = Callable[[], object]
+
+
+class Timer:
+    __slots__ = ("call", "cancelled")
+
+    def __init__(self, call: Call) -> None:
+        self.call, self.cancelled = call, False
+
+    def cancel(self) -> None:
+        self.cancelled = True
+
+
+class SwarmShell(Shell):
+    """A shell that takes its turns from a swarm."""
+
+    swarm: "Swarm"
+    _over = _nudged = False
+
+    def begin(self) -> None:
+        """What the first step of `Shell.run` does."""
+        self.bus.subscribe(self._arrive)
+        self._arm()
+
+    def end(self) -> None:
+        self._over = True
+
+    def _arm(self) -> None:
+        self._armed_us = self.peer.deadline_us
+        self._listening = True
+        self._timer = self.swarm.at(self._armed_us, self._nudge)
+
+    def _nudge(self) -> None:
+        if self._listening and not self._nudged:
+            self._nudged = True
+            self.swarm.soon(self._woken)
+
+    def _woken(self) -> None:
+        self._timer.cancel()
+        if self._over:
+            return
+        if self._failure is not None:
+            raise self._failure
+        if self._frozen_until_us:
+            if self._frozen_until_us <= self.swarm.now_us():
+                self.swarm.soon(self._thawed)
+            else:
+                self.swarm.at(self._frozen_until_us, lambda: self.swarm.soon(self._thawed))
+            return
+        self._turn_over()
+
+    def _thawed(self) -> None:
+        if not self._over:
+            self.thaw()
+            self._turn_over()
+
+    def _turn_over(self) -> None:
+        self.turn()
+        self._nudged = False
+        self._arm()
+
+
+class ShellHandle:
+    def __init__(self, shell: SwarmShell) -> None:
+        self.shell, self._done = shell, False
+
+    def begin(self) -> None:
+        if not self._done:
+            self.shell.begin()
+
+    def cancel(self) -> None:
+        self._done = True
+        self.shell.end()
+
+    def done(self) -> bool:
+        return self._done
+
+    def check(self) -> None: ...  # an exception of a swarm is not kept: it ends the run
+
+
+class ScriptHandle:
+    """A script under way; its value is in `value`."""
+
+    def __init__(self, swarm: "Swarm", script: Script[Any]) -> None:
+        self.swarm, self.script = swarm, script
+        self.value: Any = None
+        self._done = False
+        swarm.soon(self._step)
+
+    def _step(self) -> None:
+        if self._done:
+            return
+        try:
+            until_us = next(self.script)
+            while until_us <= self.swarm.now_us():
+                until_us = next(self.script)
+        except StopIteration as end:
+            self._done, self.value = True, end.value
+            return
+        self.swarm.at(until_us, lambda: self.swarm.soon(self._step))
+
+    def cancel(self) -> None:
+        if not self._done:
+            self._done = True
+            self.script.close()
+
+    def done(self) -> bool:
+        return self._done
+
+    def check(self) -> None: ...
+
+
+class Swarm:
+    def __init__(self) -> None:
+        self._now_us = 0
+        self._order = 0
+        self._timers: list[tuple[int, int, Timer]] = []
+        self._ready: deque[Call] = deque()
+
+    def now_us(self) -> int:
+        return self._now_us
+
+    def soon(self, call: Call) -> None:
+        self._ready.append(call)
+
+    def at(self, t_us: int, call: Call) -> Timer:
+        self._order += 1
+        timer = Timer(call)
+        heappush(self._timers, (t_us, self._order, timer))
+        return timer
+
+    def shell(self, *parts: Any) -> Shell:
+        shell = SwarmShell(*parts)
+        shell.swarm, shell.clock = self, self.now_us
+        return shell
+
+    def start(self, shell: Shell) -> ShellHandle:
+        assert isinstance(shell, SwarmShell)
+        handle = ShellHandle(shell)
+        self.soon(handle.begin)
+        return handle
+
+    def spawn(self, script: Script[Any]) -> ScriptHandle:
+        return ScriptHandle(self, script)
+
+    def run(self, main: Script[T]) -> T:
+        """Until the script ends. Time begins at 0."""
+        handle = self.spawn(main)
+        timers, ready = self._timers, self._ready
+        while not handle.done():
+            if not ready:
+                while timers[0][2].cancelled:
+                    heappop(timers)
+                self._now_us = max(self._now_us, timers[0][0])
+            while timers and timers[0][0] <= self._now_us:
+                timer = heappop(timers)[2]
+                if not timer.cancelled:
+                    ready.append(timer.call)
+            for _ in range(len(ready)):
+                ready.popleft()()
+                if handle.done():
+                    break
+        value: T = handle.value
+        return value

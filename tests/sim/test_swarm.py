@@ -1,0 +1,64 @@
+"""The plain event loop and asyncio's on a virtual clock: the same run, to the last effect."""
+
+import pytest
+
+from sim.expedition import Expedition
+from sim.outcome import Outcome
+from sim.scenario import (
+    BusOff,
+    Crash,
+    Duplicate,
+    Errors,
+    Estop,
+    Fault,
+    Freeze,
+    Loss,
+    Reset,
+    Restart,
+    load,
+)
+from sim.setting import Setting
+from sim.swarm import Swarm
+
+TROUBLE: list[Fault] = [
+    Loss(at_s=10.0, kind="loss", rate=0.05),
+    Errors(at_s=12.0, kind="errors", rate=0.02),
+    Duplicate(at_s=13.0, kind="duplicate", rate=0.01),
+    Freeze(at_s=15.0, kind="freeze", robot=1, for_s=0.7),
+    Crash(at_s=20.0, kind="crash", robot=2),
+    Estop(at_s=30.0, kind="estop", robot=1),
+    Restart(at_s=33.0, kind="restart", robot=2),
+    Reset(at_s=45.0, kind="reset"),
+    BusOff(at_s=60.0, kind="bus_off", robot=0, for_s=1.0),
+    Loss(at_s=90.0, kind="loss", rate=0.0),
+]
+
+
+def play(robots: int, seed: int, faults: list[Fault], swarm: bool) -> Outcome:
+    scenario = load("small").changed(robots, seed).model_copy(update={"fault": faults})
+    return Expedition(Setting(scenario), swarm=swarm).run()
+
+
+@pytest.mark.parametrize(
+    ("robots", "seed", "faults"), [(3, 1, []), (4, 2, TROUBLE), (3, 3, TROUBLE)]
+)
+def test_both_loops_give_the_same_trace_hash(robots: int, seed: int, faults: list[Fault]) -> None:
+    ours, theirs = play(robots, seed, faults, True), play(robots, seed, faults, False)
+    assert ours.trace_hash == theirs.trace_hash, f"{robots} robots, seed {seed}"
+    assert ours.makespan_s == theirs.makespan_s and ours.frames == theirs.frames
+
+
+def test_timers_of_one_instant_fire_in_the_order_they_were_set() -> None:
+    swarm, seen = Swarm(), list[str]()
+
+    def main():  # type: ignore[no-untyped-def]
+        swarm.at(5, lambda: seen.append("first"))
+        swarm.at(5, lambda: seen.append("second"))
+        cancelled = swarm.at(4, lambda: seen.append("never"))
+        cancelled.cancel()
+        swarm.at(3, lambda: swarm.soon(lambda: seen.append("soon")))
+        yield 10
+        return swarm.now_us()
+
+    assert swarm.run(main()) == 10
+    assert seen == ["soon", "first", "second"]
