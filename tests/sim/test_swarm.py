@@ -3,6 +3,7 @@
 import pytest
 
 from sim.expedition import Expedition
+from sim.host import Script
 from sim.outcome import Outcome
 from sim.scenario import (
     BusOff,
@@ -51,7 +52,7 @@ def test_both_loops_give_the_same_trace_hash(robots: int, seed: int, faults: lis
 def test_timers_of_one_instant_fire_in_the_order_they_were_set() -> None:
     swarm, seen = Swarm(), list[str]()
 
-    def main():  # type: ignore[no-untyped-def]
+    def main() -> Script[int]:
         swarm.at(5, lambda: seen.append("first"))
         swarm.at(5, lambda: seen.append("second"))
         cancelled = swarm.at(4, lambda: seen.append("never"))

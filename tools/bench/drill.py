@@ -82,8 +82,8 @@ class Place:
 
     def __init__(self, slot: int) -> None:
         self.x_m, self.y_m = SPACING_M * (slot % 12), SPACING_M * (slot // 12)
-        self.drive_us, self.command = -1, Drive(0.0, 0.0)
         self.slot = slot
+        self._moving_us, self._stood_us = -1, -1  # newest command to move; first to stand after it
 
     def sense(self, now_us: int) -> Observation:
         angle = now_us * 1e-6 + self.slot
@@ -92,7 +92,15 @@ class Place:
         )
 
     def drive(self, command: Drive, now_us: int) -> None:
-        self.drive_us, self.command = now_us, command
+        if command.vx_m_s or command.vy_m_s or command.turn_rad_s:
+            self._moving_us, self._stood_us = now_us, -1
+        elif self._stood_us < 0:
+            self._stood_us = now_us
+
+    def moved_until_us(self, expiry_us: int) -> int:
+        """Until when a command to move was in force."""
+        expires_us = self._moving_us + expiry_us
+        return expires_us if self._stood_us < 0 else min(self._stood_us, expires_us)
 
 
 class Squad:
@@ -127,6 +135,11 @@ class Squad:
             if all(shell.peer.state.name == "WORKING" for shell in self.shells):
                 return True
         return False
+
+    def node_of(self, slot: int) -> int:
+        bus = self.shells[slot].bus
+        assert isinstance(bus, CanBus) and isinstance(bus.bus, FieldBus)
+        return bus.bus.node
 
     async def close(self) -> None:
         for task in self.tasks:

@@ -1,0 +1,215 @@
+"""Stopping: from a press, or from silence, to the last robot's zero command."""
+
+import asyncio
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from random import Random
+
+from rich.console import Console
+
+from agent.config import ACTUATOR_TTL_US, S, beat_of
+from protocol.codec import decode, encode
+from protocol.frame import Frame
+from protocol.safety_frames import Command, EmergencyReset, EmergencyStop, OperatorCommand, Reason
+from sim.candump import CandumpWriter
+from sim.clock import run_virtual
+from sim.fieldbus import FieldBus, segment
+from sim.scenario import load
+from sim.setting import Setting
+from sim.stop_fleet import LIMIT_US, StopFleet
+from tools.bench.drill import Squad
+from tools.bench.figure import Figure
+from tools.launch import Launch
+from tools.warmup import warm
+
+FLEETS = (3, 5, 20, 100)
+RATES = (0.0, 0.01, 0.10, 0.30)
+SHARES = {3: 0.35, 5: 0.35, 20: 0.25, 100: 0.05}  # of the presses; a hundred robots cost most
+SILENCES = ("cut", "kill", "freeze", "bus-off")
+SILENCE_SLACK_US = 20_000  # a control tick and the jitter of a busy bus
+OPERATOR, TOOL_ADDRESS = 249, 249
+READY_S, AGAIN_S = 60.0, 0.25
+
+
+def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
+    yield from presses(2_000 if quick else 100_000, seed)
+    for robots in (6, 30, 50) if quick else (6, 30, 50, 108):
+        yield silence(robots, 1 if quick else 4, seed)
+    yield from processes(10 if quick else 1_000)
+
+
+# -------------------------------------------------------------------- presses
+
+
+def presses(total: int, seed: int) -> Iterator[Figure]:
+    above = unheard = done = 0
+    for robots in FLEETS:
+        for rate in RATES:
+            count = round(total * SHARES[robots] / len(RATES))
+            rows = [
+                StopFleet(robots, rate, rate, f"{seed}/{robots}/{rate}/{k}").press()
+                for k in range(count)
+            ]
+            done += count
+            above += sum(heard.last_us > heard.bound_us for heard in rows)
+            unheard += sum(heard.last_us >= LIMIT_US for heard in rows)
+            worst = max(rows, key=lambda heard: heard.last_us)
+            yield Figure(
+                f"press to last zero command, {robots} robots, {rate:.0%} omissions and errors",
+                worst.last_us / 1000, "ms", f"<= {worst.bound_us / 1000:g} (computed)",
+                all(heard.last_us <= heard.bound_us for heard in rows),
+                "bound from the errors, missed copies and dry rounds of each press",
+                f"{count} presses, saturated bus, safeties on the wire model",
+            )  # fmt: skip
+    yield Figure("presses above their bound", above, "presses", "0", above == 0, "",
+                 f"{done} presses; {unheard} not heard by all within {LIMIT_US / S:g} s")  # fmt: skip
+
+
+# -------------------------------------------------------------------- silence
+
+
+def silence(robots: int, rounds: int, seed: int) -> Figure:
+    limit_us = beat_of(robots).silence_us + SILENCE_SLACK_US
+    worst_us, which = 0, ""
+    for number in range(rounds):
+        for kind in SILENCES:
+            stood_us = run_virtual(_silence(robots, kind, f"{seed}/{number}/{kind}"))
+            if stood_us > worst_us:
+                worst_us, which = stood_us, kind
+    return Figure(
+        f"silence to last zero command, {robots} robots", worst_us / 1000, "ms",
+        f"<= {limit_us / 1000:g}", worst_us <= limit_us, "",
+        f"{', '.join(SILENCES)}, {rounds} each, whole peers at work; longest: {which}",
+    )  # fmt: skip
+
+
+async def _silence(robots: int, kind: str, seed: str) -> int:
+    """Microseconds from the event until no robot's command to move is in force."""
+    rng, squad = Random(seed), Squad(robots, hash_free(seed))
+    try:
+        assert await squad.until_working(), "a drill that does not begin shows nothing"
+        await asyncio.sleep(rng.uniform(0.5, 1.5))
+        loop = asyncio.get_running_loop()
+        at_us, victim = round(loop.time() * 1e6), rng.randrange(robots)
+        shell = squad.shells[victim]
+        nodes = [squad.node_of(slot) for slot in range(robots)]
+        match kind:
+            case "cut":
+                half = set(rng.sample(nodes, robots // 2))
+                squad.segment.wire.partition(half, set(nodes) - half)
+            case "kill":
+                squad.tasks[victim].cancel()
+                shell.bus.close()
+            case "freeze":
+                shell.freeze(3.0)
+            case "bus-off":
+                squad.segment.wire.bus_off(nodes[victim], at_us + 3 * S)
+                shell.operate(lambda peer, now: peer.bus_lost(now))
+        await asyncio.sleep(2 * beat_of(robots).silence_us / S)
+        return max(body.moved_until_us(ACTUATOR_TTL_US) for body in squad.bodies) - at_us
+    finally:
+        await squad.close()
+
+
+def hash_free(text: str) -> int:
+    """A number from a seed's text, the same in every process."""
+    return Random(text).getrandbits(30)
+
+
+# -------------------------------------------------------------------- real processes
+
+
+def processes(count: int) -> Iterator[Figure]:
+    warm()
+    with tempfile.TemporaryDirectory() as folder:
+        launch = _Presses(count, Path(folder))
+        asyncio.run(launch.run(0, None))
+    times = sorted(launch.times_s)
+    if len(times) < count:
+        yield Figure("presses with real processes", len(times), "presses", f"{count}", False, "",
+                     "not heard by all robots, or the fleet did not come back")  # fmt: skip
+        return
+    scope = f"6 processes on the hub, {count} presses; the echo leaves after the zero command"
+    p999_s = times[min(len(times) - 1, int(0.999 * len(times)))]
+    yield Figure("press to last echo, real processes, p99.9", p999_s * 1000, "ms", "<= 50",
+                 p999_s <= 0.050, "", scope)  # fmt: skip
+    yield Figure("press to last echo, real processes, longest", times[-1] * 1000, "ms", "<= 320",
+                 times[-1] <= 0.320, "", scope)  # fmt: skip
+
+
+class _Presses(Launch):
+    """A launch whose watcher presses, waits for every echo, resets, starts, and presses again."""
+
+    def __init__(self, count: int, out: Path) -> None:
+        setting = Setting(load("small").changed(6, 1))
+        super().__init__(setting, "small", out, Console(quiet=True), None)
+        self.count, self.times_s = count, list[float]()
+        self._dot: tuple[int, int, int] | None = None
+        self._echoes: dict[int, float] = {}
+        self._frame = asyncio.Event()
+
+    def _heard(self, log: CandumpWriter, t_us: int, frame: Frame) -> None:
+        super()._heard(log, t_us, frame)
+        source, message = decode(frame)
+        if isinstance(message, EmergencyStop) and message.echo and message[:3] == self._dot:
+            slot = self.inspector.slot_of.get(source)
+            if slot is not None:
+                self._echoes.setdefault(slot, t_us / 1e6)
+        self._frame.set()
+
+    async def _watch(self, end: asyncio.Event, seconds: float | None) -> bool:
+        import os
+
+        bus = FieldBus(segment(f"launch {os.getpid()}").channel)
+        bus.subscribe(lambda frame: None)
+        try:
+            for number in range(self.count):
+                await self._until(self._ready, READY_S, lambda: self._release(bus))
+                await self._press(bus, number)
+        except TimeoutError:
+            return False
+        finally:
+            bus.shutdown()
+        return True
+
+    def _ready(self) -> bool:
+        return self._all("IDLE", "WORKING")
+
+    def _all(self, *states: str) -> bool:
+        robots = self.inspector.robots.values()
+        return len(robots) == 6 and all(robot.state in states for robot in robots)
+
+    def _release(self, bus: FieldBus) -> None:
+        """Clear what is shown, reset the machines, give the start; said until it has come about."""
+        for dot in self.inspector.latched:
+            bus.submit(encode(EmergencyReset(*dot, OPERATOR), TOOL_ADDRESS))
+        for command in (Command.MANUAL_RESET, Command.START):
+            bus.submit(encode(OperatorCommand(command, 255, OPERATOR), TOOL_ADDRESS))
+
+    async def _press(self, bus: FieldBus, number: int) -> None:
+        loop = asyncio.get_running_loop()
+        self._echoes.clear()
+        self._dot = (OPERATOR, number >> 8, number & 0xFF)
+        begun_s = loop.time()
+        stop = EmergencyStop(*self._dot, Reason.OPERATOR_INTERVENTION)
+        bus.submit(encode(stop, TOOL_ADDRESS))
+        await self._until(lambda: len(self._echoes) == 6, 3.0, lambda: None)
+        self.times_s.append(max(self._echoes.values()) - begun_s)
+        await self._until(lambda: self._all("EMERGENCY_STOP"), READY_S, lambda: None)
+
+    async def _until(self, holds, limit_s: float, again) -> None:  # type: ignore[no-untyped-def]
+        loop = asyncio.get_running_loop()
+        end_s, again_s = loop.time() + limit_s, loop.time()
+        while not holds():
+            if loop.time() >= end_s:
+                raise TimeoutError
+            if loop.time() >= again_s:
+                again_s += AGAIN_S
+                again()
+            self._frame.clear()
+            try:
+                async with asyncio.timeout(AGAIN_S):
+                    await self._frame.wait()
+            except TimeoutError:
+                continue
