@@ -73,6 +73,8 @@ class FieldWork:
         self.leg = Leg(())
         self.unit = 0  # index into the leg's units
         self.worst_m = 0.0  # largest cross-track error inside the current unit
+        self.lifted = False  # the implement was up since we last looked
+        self.lifted_to_m = 0.0  # along the leg, until where it was
         self.worked: set[int] = set()  # units of the current section done since it was begun
         self.heading_to: int | None = None  # the section an approach path leads to
         self._plan: dict[int, list[Job]] = {}
@@ -191,7 +193,7 @@ class FieldWork:
 
     def interrupted(self) -> None:
         """The implement is up: the unit under way, if there is one, has to be worked again."""
-        self.worst_m = inf
+        self.worst_m, self.lifted = inf, True
 
     def rest(self, view: FleetView) -> Wish:
         """No work for us: stand, but not where somebody works."""
@@ -278,7 +280,7 @@ class FieldWork:
                 self.tracker = Tracker(
                     list(self.leg.points), self.speed_m_s, self.deceleration_m_s2
                 )
-                self.unit, self.worst_m = 0, 0.0
+                self.unit, self.worst_m, self.lifted_to_m = 0, 0.0, 0.0
             self.tracker.locate(here.x_m, here.y_m)
             covered += self._passed(view)
             if not self.tracker.arrived:
@@ -294,13 +296,16 @@ class FieldWork:
         if not self.leg.units:
             return []
         passed = []
+        if self.lifted:  # it comes down here; what lies between may reach into the next unit
+            self.lifted, self.lifted_to_m = False, self.tracker.along_m
         if self.tracker.along_m > LEAD_M / 2:  # before that a robot may come from the side
             self.worst_m = max(self.worst_m, abs(self.tracker.off_m))
         piece_m = (self.tracker.total_m - 2 * LEAD_M) / len(self.leg.units)
         while self.unit < len(self.leg.units):
             if self.tracker.along_m < LEAD_M + (self.unit + 1) * piece_m:
                 break
-            if self.worst_m <= self.tolerance_m:
+            begun_m = LEAD_M + self.unit * piece_m
+            if self.worst_m <= self.tolerance_m and self.lifted_to_m <= begun_m:
                 passed.append(self.leg.units[self.unit])
             self.unit += 1
             self.worst_m = abs(self.tracker.off_m)

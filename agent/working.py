@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from agent.config import ACTUATOR_TTL_US
 from agent.effects import Effect, Trace
 from agent.lifecycle import Event, State
 from agent.mission import STILL, FleetView, Wish
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
 class Working:
     def __init__(self, peer: "Peer") -> None:
         self.peer = peer
+        self._drove_us = 0  # the newest command to the actuator
 
     def start_due(self, now_us: int) -> Sequence[Effect]:
         """A claim whose contention window has passed becomes work."""
@@ -40,6 +42,9 @@ class Working:
         peer = self.peer
         if peer.mission is None or peer.motion is None or peer.here is None:
             return ()
+        if now_us > self._drove_us + ACTUATOR_TTL_US:
+            peer.mission.interrupted()  # we were late: the command expired and the implement is up
+        self._drove_us = now_us
         effects: list[Effect] = []
         peer.wish = self._wish(peer.view(now_us), effects)
         wanted = peer.motion.drive(peer.here, peer.wish, peer.membership.neighbours, now_us)

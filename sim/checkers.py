@@ -14,7 +14,7 @@ from shapely.geometry import MultiPolygon, Polygon
 
 from agent.config import S
 from sim.coverage_truth import Coverage, coverage, sample_points
-from sim.line_truth import NEVER_US, LineTruth, Polyline
+from sim.line_truth import NEVER_US, SAMPLE_M, LineTruth, Polyline
 from sim.truth import Track
 from sim.world import STEP_US, World
 
@@ -140,10 +140,15 @@ class MotionAfterStopChecker:
 class ExclusiveWorkChecker:
     """S7: at no time do two robots work in one section.
 
-    To work in a section is to pass along its lines with the implement down; crossing them is not.
+    To work in a section is to pass along its lines with the implement down; crossing them is not, nor
+    is it to lower the implement a little before one's own begins, in line with the neighbour's end.
     """
 
-    def __init__(self, sections: Mapping[int, Sequence[Polyline]], tolerance_m: float) -> None:
+    def __init__(
+        self, sections: Mapping[int, Sequence[Polyline]], tolerance_m: float, least_m: float = 0.0
+    ) -> None:
+        """`least_m`: what must be worked within a second to count."""
+        self.least = max(1, round(least_m / SAMPLE_M))
         lines = [(number, line) for number, group in sorted(sections.items()) for line in group]
         self.truth = LineTruth([line for _, line in lines], tolerance_m)
         self.section_of = np.array([number for number, _ in lines], dtype=np.int64)
@@ -155,8 +160,10 @@ class ExclusiveWorkChecker:
             worked_us = self.truth.worked_us(track)
             mine = worked_us != NEVER_US
             sections = self.section_of[self.truth.line_of[mine]]
-            instants = np.unique(np.column_stack((sections, worked_us[mine] // S)), axis=0)
-            for section, second in instants.tolist():
+            instants, counts = np.unique(
+                np.column_stack((sections, worked_us[mine] // S)), axis=0, return_counts=True
+            )
+            for section, second in instants[counts >= self.least].tolist():
                 other = at.setdefault((section, second), slot)
                 if other != slot and len(found) < VIOLATIONS_MAX:
                     what = f"section {section} worked by both"

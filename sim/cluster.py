@@ -11,10 +11,10 @@ from random import Random
 import can
 
 from agent.core import Identity, Peer
-from agent.effects import Effect
+from agent.effects import Drive, Effect
 from agent.field_work import FieldWork
 from agent.motion import Limits, Motion
-from agent.ports import Journal
+from agent.ports import Body, Journal, Observation
 from agent.shell import Shell
 from protocol.authentication import Signed
 from protocol.bus import CanBus
@@ -34,6 +34,19 @@ BRAKING_SHARE = 0.7  # of the acceleration is planned with; the rest is for corr
 OPERATOR = 200  # slot of the operator device that a scenario's resets come from
 TOOL_ADDRESS = 249  # where scripted operator frames come from
 Record = Callable[[int, int, Effect], None]  # slot, time in microseconds, effect
+
+
+class HostTimeBody:
+    """A body that lives in the world's time, whatever its robot's clock says."""
+
+    def __init__(self, body: Body, host: Host) -> None:
+        self._body, self._host = body, host
+
+    def sense(self, now_us: int) -> Observation:
+        return self._body.sense(self._host.now_us())
+
+    def drive(self, command: Drive, now_us: int) -> None:
+        self._body.drive(command, self._host.now_us())
 
 
 class Robot:
@@ -131,7 +144,9 @@ class Cluster:
             if record is not None:
                 record(slot, now_us, effect)
 
-        shell = self.host.shell(peer, CanBus(bus), self.world.body(slot), journal, keep)
+        shell = self.host.shell(
+            peer, CanBus(bus), HostTimeBody(self.world.body(slot), self.host), journal, keep
+        )
         robot = Robot(slot, shell, bus)
         robot.task = self.host.start(shell)
         self.robots[slot] = robot

@@ -48,8 +48,11 @@ class Expedition:
         told: Told | None = None,
         logs: Sequence[Path] = (),
         swarm: bool = True,
+        attach: Callable[[Cluster], None] | None = None,
     ) -> None:
-        """`swarm`: on a plain event loop; else on asyncio's, as robots are, with the same result."""
+        """`swarm`: on a plain event loop; else on asyncio's, as robots are, with the same result;
+        `attach` is given the cluster before anybody is switched on."""
+        self.attach = attach
         self.swarm = swarm
         self.setting, self.out, self.told = setting, out, told
         self.logs = [*([out / "can.log"] if out else []), *logs]
@@ -57,6 +60,7 @@ class Expedition:
         self.malformed = 0
         self.tracks: dict[int, list[TrackPoint]] = {}
         self.truth: Coverage | None = None
+        self.recorder: Recorder | None = None  # none: a new one
         self.faults: list[tuple[float, str]] = []
 
     def run(self) -> Outcome:
@@ -75,7 +79,7 @@ class Expedition:
 
     def _play(self, host: Host) -> Script[Outcome]:
         started_s = time.perf_counter()
-        recorder = Recorder(self.out / "trace.jsonl" if self.out else None)
+        recorder = self.recorder or Recorder(self.out / "trace.jsonl" if self.out else None)
         cluster = Cluster(self.setting, f"run {next(_numbers)}", recorder, host)
         logs = [open_log(path) for path in self.logs]
 
@@ -87,6 +91,8 @@ class Expedition:
                 log.write(t_us, frame)
 
         cluster.segment.taps.append(tap)
+        if self.attach is not None:
+            self.attach(cluster)
         cluster.boot_all()
         plan = FaultPlan(cluster)
         script = host.spawn(plan.script())

@@ -1,11 +1,19 @@
 """A scenario's faults, carried out on a cluster at their times."""
 
+from random import Random
+
 from agent.config import S
+from protocol.frame import Frame
+from protocol.network_frames import AddressClaimed
 from protocol.safety_frames import Command, EmergencyReset, OperatorCommand, Reason
 from sim import scenario as kinds
 from sim.cluster import OPERATOR, Cluster
+from sim.disk import Disk, LogJournal
+from sim.fieldbus import FieldBus
 from sim.host import Script, follow
+from sim.swarm import SwarmShell
 
+BABBLER, BABBLE_FRAMES, BABBLE_US = 240, 2, 1_000  # more than the bus can carry
 TRIES = (
     5  # robots ask an operator they have not heard for a while to prove itself, one after another
 )
@@ -19,6 +27,7 @@ class FaultPlan:
     def __init__(self, cluster: Cluster) -> None:
         self.cluster = cluster
         self.done: list[tuple[float, str]] = []
+        self._rng = Random(f"{cluster.scenario.run.seed}/faults")
 
     async def run(self) -> None:
         """On the running asyncio loop."""
@@ -51,9 +60,12 @@ class FaultPlan:
             case kinds.Crash(robot=robot):
                 cluster.kill(robot)
             case kinds.Restart(robot=robot, disk=disk):
-                if disk == "lost":
-                    cluster.journals.pop(robot, None)
                 cluster.kill(robot)
+                if disk == "lost":
+                    cluster.journals[robot] = LogJournal(Disk())
+                journal = cluster.journals[robot]
+                if disk == "torn" and isinstance(journal, LogJournal):
+                    cluster.journals[robot] = LogJournal(journal.disk.after_cut(self._rng))
                 cluster.boot(robot)
             case kinds.Join(robot=robot):
                 cluster.boot(robot)
@@ -77,6 +89,14 @@ class FaultPlan:
                 return self._box(x_m, y_m, size_m, for_s)
             case kinds.Pushed(robot=robot, dx_m=dx_m, dy_m=dy_m):
                 cluster.world.body(robot).push(dx_m, dy_m)
+            case kinds.Babble(priority=priority, for_s=for_s):
+                return self._babble(priority, for_s)
+            case kinds.Clone(robot=robot, wins=wins):
+                self._clone(robot, wins)
+            case kinds.Drift(robot=robot, ppm=ppm):
+                shell = cluster.robots[robot].shell
+                if isinstance(shell, SwarmShell):  # asyncio has one clock for all
+                    shell.drift(ppm)
         return None
 
     def _bus_off(self, robot: int, for_s: float) -> Script[None]:
@@ -93,6 +113,25 @@ class FaultPlan:
         yield until_us
         self._now_us()
         self.cluster.world.remove_box(box)
+
+    def _babble(self, priority: int, for_s: float) -> Script[None]:
+        bus = FieldBus(self.cluster.channel)
+        bus.subscribe(lambda frame: None)
+        until_us = self._now_us() + round(for_s * S)
+        while self._now_us() < until_us:
+            # of a group that nobody knows, below and above ours in urgency
+            frame = Frame(priority << 26 | 0x1FF0700 | BABBLER, self._rng.randbytes(8))
+            for _ in range(BABBLE_FRAMES):
+                bus.submit(frame)
+            yield self._now_us() + BABBLE_US
+        bus.shutdown()
+
+    def _clone(self, robot: int, wins: bool) -> None:
+        peer = self.cluster.robots[robot].peer
+        if peer.address is not None:
+            number = peer.identity.name.pack()
+            name = number - 1 if wins else number + 1
+            self.cluster.inject(AddressClaimed(name), peer.address)
 
     def _reset(self) -> Script[None]:
         """An operator clears what is shown, goes from machine to machine, and then gives the start."""

@@ -83,7 +83,9 @@ class Crash(_Fault):
 class Restart(_Fault):
     kind: Literal["restart"]
     robot: Slot
-    disk: Literal["kept", "lost"] = "kept"
+    disk: Literal["kept", "lost", "torn"] = (
+        "kept"  # torn: the power failed, what was unsynced is mangled
+    )
 
 
 class Freeze(_Fault):
@@ -148,9 +150,27 @@ class Join(_Fault):
     robot: Slot
 
 
+class Babble(_Fault):
+    kind: Literal["babble"]  # a device that sends without end
+    priority: int = Field(default=7, ge=0, le=7)
+    for_s: float = Field(gt=0.0)
+
+
+class Clone(_Fault):
+    kind: Literal["clone"]  # a device claims the robot's address; does its NAME win?
+    robot: Slot
+    wins: bool = True
+
+
+class Drift(_Fault):
+    kind: Literal["drift"]  # the robot's clock runs fast or slow from now on
+    robot: Slot
+    ppm: float = Field(ge=-100_000.0, le=100_000.0)
+
+
 Fault = Annotated[
     Partition | Heal | OneWay | Crash | Restart | Freeze | Loss | Omission | Duplicate | Errors
-    | BusOff | Estop | Reset | Box | Pushed | Join,
+    | BusOff | Estop | Reset | Box | Pushed | Join | Babble | Clone | Drift,
     Field(discriminator="kind"),
 ]  # fmt: skip
 

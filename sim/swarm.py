@@ -9,6 +9,7 @@ gives the same trace hash: a test compares them.
 from collections import deque
 from collections.abc import Callable
 from heapq import heappop, heappush
+from math import ceil
 from typing import Any, TypeVar
 
 from agent.shell import Shell
@@ -33,6 +34,8 @@ class SwarmShell(Shell):
 
     swarm: "Swarm"
     _over = _nudged = False
+    _base_us = _since_us = 0
+    _rate = 1.0
 
     def begin(self) -> None:
         """What the first step of `Shell.run` does."""
@@ -42,10 +45,26 @@ class SwarmShell(Shell):
     def end(self) -> None:
         self._over = True
 
+    def drift(self, ppm: float) -> None:
+        """From now on this robot's clock runs so much too fast."""
+        self._base_us, self._since_us = self.local_us(), self.swarm.now_us()
+        self._rate = 1.0 + ppm * 1e-6
+        self._nudge()
+
+    def local_us(self) -> int:
+        """This robot's clock."""
+        return self._base_us + int((self.swarm.now_us() - self._since_us) * self._rate)
+
+    def _at(self, local_us: int) -> int:
+        """When its clock will show that."""
+        if self._rate == 1.0:
+            return local_us - self._base_us + self._since_us
+        return self._since_us + ceil((local_us - self._base_us) / self._rate)
+
     def _arm(self) -> None:
         self._armed_us = self.peer.deadline_us
         self._listening = True
-        self._timer = self.swarm.at(self._armed_us, self._nudge)
+        self._timer = self.swarm.at(self._at(self._armed_us), self._nudge)
 
     def _nudge(self) -> None:
         if self._listening and not self._nudged:
@@ -59,10 +78,11 @@ class SwarmShell(Shell):
         if self._failure is not None:
             raise self._failure
         if self._frozen_until_us:
-            if self._frozen_until_us <= self.swarm.now_us():
+            until_us = self._at(self._frozen_until_us)
+            if until_us <= self.swarm.now_us():
                 self.swarm.soon(self._thawed)
             else:
-                self.swarm.at(self._frozen_until_us, lambda: self.swarm.soon(self._thawed))
+                self.swarm.at(until_us, lambda: self.swarm.soon(self._thawed))
             return
         self._turn_over()
 
@@ -148,7 +168,7 @@ class Swarm:
 
     def shell(self, *parts: Any) -> Shell:
         shell = SwarmShell(*parts)
-        shell.swarm, shell.clock = self, self.now_us
+        shell.swarm, shell.clock = self, shell.local_us
         return shell
 
     def start(self, shell: Shell) -> ShellHandle:

@@ -84,7 +84,7 @@ def record(seed: int, simulated_s: float = 180.0) -> dict[int, Tape]:
 
 def lost(revealed: Iterable[Message], recalled: Mapping[str, bytes]) -> str:
     """What this robot has told others and would no longer know; empty: nothing."""
-    claims = 0
+    claims, owned = 0, set[int]()  # progress of others, told again to whoever lacks it, is not ours
     operations = _number(recalled, OPERATIONS, U32.size)
     stopped, sent, told_stops = False, set[StopDot](), set[StopDot]()
     for m in revealed:
@@ -96,10 +96,11 @@ def lost(revealed: Iterable[Message], recalled: Mapping[str, bytes]) -> str:
                 return f"the vote of term {m.term}"
         if isinstance(m, TaskClaim):
             claims += 1
+            owned.add(m.section)
             told = pack(m.epoch, Phase(m.phase), m.bid, m.lamport, m.owner)
             if _number(recalled, f"{REGISTER}{m.section}", U64.size) < told or operations < claims:
                 return f"own operation {claims}: S{m.section} {Phase(m.phase).name}"
-        if isinstance(m, WorkProgress):
+        if isinstance(m, WorkProgress) and m.section in owned:
             known = _number(recalled, f"{PROGRESS}{m.section}/{m.block}", U64.size)
             if m.bits & ~known:
                 return f"units of S{m.section}"
