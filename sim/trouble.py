@@ -117,7 +117,7 @@ class Profile(NamedTuple):
     about: str
 
 
-EVERYTHING = {"estop": 2.0, "crash": 2.0, "partition": 2.0, **dict.fromkeys(set(DRAWS) - {"estop", "crash", "partition"}, 1.0)}  # fmt: skip
+EVERYTHING = dict.fromkeys(DRAWS, 1.0) | {"estop": 2.0, "crash": 2.0, "partition": 2.0}
 PROFILES = {
     "all": Profile((2, 5), (1, 10), EVERYTHING, "every kind of fault"),
     "bus": Profile(

@@ -104,7 +104,7 @@ class Play:
         if outcome is not None:
             self._judge(outcome)
         self.broken += self.witness.broken
-        faults = Counter(f.kind for f in self.scenario.fault if f.at_s <= CALM_S)
+        faults: Counter[str] = Counter(f.kind for f in self.scenario.fault if f.at_s <= CALM_S)
         return Verdict(
             self.scenario.run.seed, tuple(sorted(self.broken, key=lambda b: b.t_s)), faults,
             self.scenario.fleet.robots, outcome.simulated_s if outcome else 0.0,
@@ -181,7 +181,9 @@ class Play:
             self._add("S1", violation.t_us / 1e6, f"robots {violation.slots}: {violation.what}")
         for contact in world.contacts:
             if contact.depth_m > TOUCH_M:
-                what = f"robot {contact.first} {contact.depth_m * 100:.0f} cm into {contact.against}"
+                what = (
+                    f"robot {contact.first} {contact.depth_m * 100:.0f} cm into {contact.against}"
+                )
                 self._add("S17", contact.t_us / 1e6, what)
                 break
         if self.scenario.fleet.silence == "stop":
@@ -195,10 +197,7 @@ class Play:
     def _exclusive(self) -> None:
         assert self.cluster is not None
         field, world = self.setting.field, self.cluster.world
-        sections = {
-            number: list(section.swaths)
-            for number, section in enumerate(field.sections)
-        }
+        sections = {number: list(section.swaths) for number, section in enumerate(field.sections)}
         tracks = {slot: body.track for slot, body in world.robots.items()}
         checker = ExclusiveWorkChecker(sections, 0.5, least_m=1.0)
         for violation in checker.violations(tracks)[:1]:

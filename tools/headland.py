@@ -142,6 +142,30 @@ app.add_typer(keys_app, name="keys")
 
 
 @app.command()
+def chaos(
+    seeds: Annotated[str, typer.Option(help="FIRST:END, or one seed.")] = "0:20",
+    profile: Annotated[str, typer.Option(help="Kinds of trouble: all, bus, crash, stop.")] = "all",
+    jobs: Annotated[int, typer.Option(help="Processes at a time (0: one a core).")] = 0,
+    seconds: Annotated[float | None, typer.Option(help="Begin no run after this long.")] = None,
+    out: Annotated[Path, typer.Option(help="Folder for results and reproductions.")] = Path(
+        "runs/chaos"
+    ),
+    mutants: Annotated[
+        bool, typer.Option("--mutants", help="Look for planted bugs instead: all must be found.")
+    ] = False,
+    json: Json = False,
+) -> None:
+    """Give a fleet bad luck, judge from outside whether it kept the rules. Exit 0 when it did.
+
+    The first failing seed is made small and saved as a scenario.
+    Example: headland chaos --seeds 0:1000 --profile stop --jobs 2
+    """
+    from tools.chaos import chaos as command
+
+    raise SystemExit(command(seeds, profile, jobs, seconds, out, mutants, json))
+
+
+@app.command()
 def bench(
     name: Annotated[str, typer.Argument(help="Which one, or all.")] = "all",
     quick: Annotated[bool, typer.Option("--quick", help="Less than a minute each.")] = False,

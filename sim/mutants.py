@@ -1,0 +1,277 @@
+"""Planted bugs, each a change of one rule, in force only inside of `planted`.
+
+A campaign that does not find them proves nothing when it finds nothing. None of this is reachable from a
+robot: the package `agent` does not know this file.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+from unittest.mock import patch
+
+from agent import claims, safety
+from agent.claims import Claims
+from agent.effects import HALT, Drive, Effect, Send
+from agent.field_work import FieldWork
+from agent.membership import Membership
+from agent.motion import Motion
+from agent.records import Records
+from agent.roll_call import RollCall
+from agent.safety import Safety
+from agent.voice import Voice
+from crdt.allocation import FieldAllocationCRDT
+from crdt.progress import Progress
+from crdt.stops import StopDot, StopSet
+from protocol.address import AddressClaim
+from protocol.divergence import Divergence
+from protocol.safety_frames import EmergencyStop
+from protocol.sync import Sync
+from sim.body import RobotBody
+from sim.disk import LogJournal
+from sim.vehicle import EXPIRES_US
+
+
+@dataclass(frozen=True)
+class Mutant:
+    about: str
+    where: Any
+    name: str
+    change: Callable[[Any], Any]  # the right one in, the wrong one out
+    profile: str = "all"
+
+
+def _constant(value: Any) -> Callable[[Any], Any]:
+    return lambda right: lambda *args, **kwargs: value
+
+
+def _value(value: Any) -> Callable[[Any], Any]:
+    return lambda right: value
+
+
+def _without_halt(right: Any) -> Any:
+    def receive_stop(self: Safety, *args: Any) -> Sequence[Effect]:
+        causes = dict(self._causes)
+        effects = right(self, *args)
+        self._causes = causes
+        return [e for e in effects if e is not HALT]
+
+    return receive_stop
+
+
+def _without_echo(right: Any) -> Any:
+    def receive_stop(self: Safety, *args: Any) -> Sequence[Effect]:
+        return [e for e in right(self, *args) if not isinstance(e, Send)]
+
+    return receive_stop
+
+
+def _clears_all(right: Any) -> Any:
+    def clear(self: StopSet, dot: StopDot) -> bool:
+        found = [right(self, active) for active in (*self.active, dot)]
+        return any(found)
+
+    return clear
+
+
+def _first_echo_is_enough(right: Any) -> Any:
+    def repeat(self: Safety, now_us: int) -> Any:
+        if any(self._echoes.get(dot) for dot in self._own):
+            self._own.clear()
+        return right(self, now_us)
+
+    return repeat
+
+
+def _single_shot(right: Any) -> Any:
+    def press(self: Safety, *args: Any) -> Any:
+        effects = right(self, *args)
+        self._own.clear()
+        self._repeat_us = safety.FOREVER
+        return [
+            e for e in effects if not isinstance(e, Send) or isinstance(e.message, EmergencyStop)
+        ]
+
+    return press
+
+
+def _reset_starts(right: Any) -> Any:
+    def manual_reset(self: Safety, now_us: int) -> bool:
+        self.stops = StopSet()
+        self._causes.clear()
+        right(self, now_us)
+        return True
+
+    return manual_reset
+
+
+def _forgets_latch(right: Any) -> Any:
+    def recall(self: Safety, recalled: Any) -> None:
+        self.held = False
+
+    return recall
+
+
+def _older_wins(right: Any) -> Any:
+    def apply(self: FieldAllocationCRDT, section: int, key: int) -> bool:
+        known = self._keys.get(section)
+        if known is not None and key != known and (known >> 37 & 7) == (key >> 37 & 7) != 7:
+            return False  # what came first stays, whatever the order says
+        return bool(right(self, section, key))
+
+    return apply
+
+
+def _last_wins(right: Any) -> Any:
+    def apply(self: FieldAllocationCRDT, section: int, key: int) -> bool:
+        known = self._keys.get(section)
+        if known is not None and key < known:
+            self._sums.changing(section, known)
+            self._done -= (known >> 48) - (key >> 48)
+            self._keys[section] = key
+            return True
+        return bool(right(self, section, key))
+
+    return apply
+
+
+def _replaces(right: Any) -> Any:
+    def apply(self: Progress, section: int, block: int, bits: int) -> bool:
+        known = self.bits(section, block)
+        if known & ~bits:
+            self._sums.changing(section << 8 | block, known or None)
+            self._blocks[section << 8 | block] = bits & self._allowed(section, block)
+            return True
+        return bool(right(self, section, block, bits))
+
+    return apply
+
+
+def _unsynced(right: Any) -> Any:
+    def init(self: LogJournal, disk: Any, synced: bool = True) -> None:
+        right(self, disk, False)
+
+    return init
+
+
+def _early(right: Any) -> Any:
+    def passed(self: FieldWork, view: Any) -> list[int]:
+        self.lifted, self.lifted_to_m, self.worst_m = False, 0.0, 0.0
+        return list(right(self, view))
+
+    return passed
+
+
+def _straight_on(right: Any) -> Any:
+    def drive(self: Motion, here: Any, wish: Any, neighbours: Any, now_us: int) -> Drive:
+        return Drive(wish.vx_m_s, wish.vy_m_s, wish.turn_rad_s, wish.tool_on)
+
+    return drive
+
+
+def _never_expires_body(right: Any) -> Any:
+    """The command stays in force as long as the run."""
+
+    def drive(self: RobotBody, command: Drive, now_us: int) -> None:
+        right(self, command, now_us)
+        self.world.rows[self.index, EXPIRES_US] = float("inf")
+
+    return drive
+
+
+def _ten_times(right: Any) -> Any:
+    def deadline_us(self: Membership) -> int | None:
+        heard_us = next(iter(self._heard_us.values()), None)
+        return None if heard_us is None else heard_us + 10 * self.silence_us
+
+    return property(deadline_us)
+
+
+def _open(right: Any) -> Any:
+    return lambda self, wanted, now_us: wanted
+
+
+def _deaf(right: Any) -> Any:
+    return property(lambda self: False, lambda self, value: None)
+
+
+def _keeps_address(right: Any) -> Any:
+    def move(self: AddressClaim, now_us: int) -> list[Any]:
+        return []
+
+    return move
+
+
+def _no_progress_kept(right: Any) -> Any:
+    def restore(self: Records, allocation: Any, progress: Any) -> None:
+        right(self, allocation, Progress({}))
+
+    return restore
+
+
+MUTANTS: dict[str, Mutant] = {
+    "stop-without-brake": Mutant(
+        "a heard stop does not brake", Safety, "receive_stop", _without_halt, "stop"
+    ),
+    "gate-open": Mutant("the gate lets everything pass", Safety, "gate", _open, "stop"),
+    "reset-clears-all": Mutant(
+        "a reset clears what it does not name, here and unseen",
+        Safety,
+        "manual_reset",
+        _reset_starts,
+        "stop",
+    ),
+    "no-echo-single-shot": Mutant("a stop is said once", Safety, "_press", _single_shot, "stop"),
+    "silence-unnoticed": Mutant("nobody falls silent", Membership, "tick", _constant([]), "stop"),
+    "silence-ten-times": Mutant(
+        "silence is noticed after ten times the limit",
+        Membership,
+        "deadline_us",
+        _ten_times,
+        "stop",
+    ),
+    "silence-harmless": Mutant("silence does not brake", Safety, "members", _constant(()), "stop"),
+    "latch-forgotten": Mutant(
+        "a restart forgets the latch and the hold", Safety, "_recall", _forgets_latch, "stop"
+    ),
+    "hold-forgotten": Mutant(
+        "a stop is not written down", StopSet, "serialize", _constant(b""), "stop"
+    ),
+    "fsync-forgotten": Mutant(
+        "the journal does not sync", LogJournal, "__init__", _unsynced, "crash"
+    ),
+    "older-claim-wins": Mutant(
+        "the register that came first stays", FieldAllocationCRDT, "apply", _older_wins
+    ),
+    "last-frame-wins": Mutant(
+        "the register that came last stays", FieldAllocationCRDT, "apply", _last_wins
+    ),
+    "progress-replaced": Mutant("progress is replaced, not joined", Progress, "apply", _replaces),
+    "lost-claims-kept": Mutant("a lost claim is worked on", Claims, "recheck", _constant([])),
+    "claims-uncontested": Mutant("a claim is work at once", claims, "CONTENTION_US", _value(0)),
+    "never-asks": Mutant("differences are not noticed", Divergence, "heard", _constant(False)),
+    "never-answers": Mutant("questions are not answered", Sync, "_question", _constant(None)),
+    "digest-constant": Mutant("every digest is the same", Divergence, "tell", _constant(7)),
+    "progress-unannounced": Mutant("progress is not told", Voice, "flush", _constant([])),
+    "progress-not-restored": Mutant(
+        "progress is not read from the journal", Records, "restore", _no_progress_kept, "crash"
+    ),
+    "covered-too-soon": Mutant("units that were not worked count", FieldWork, "_passed", _early),
+    "avoidance-off": Mutant("nobody avoids anybody", Motion, "drive", _straight_on),
+    "commands-never-expire": Mutant(
+        "the actuator keeps the last command", RobotBody, "drive", _never_expires_body, "crash"
+    ),
+    "address-kept": Mutant(
+        "a lost address is kept without a claim", AddressClaim, "_move", _keeps_address
+    ),
+    "strangers-unasked": Mutant("nobody asks who is who", RollCall, "answer_due", _deaf),
+}
+
+
+@contextmanager
+def planted(name: str) -> Iterator[None]:
+    """The bug is there until the end of the block. KeyError for a name that is none."""
+    mutant = MUTANTS[name]
+    right = mutant.where.__dict__.get(mutant.name)
+    with patch.object(mutant.where, mutant.name, mutant.change(right), create=right is None):
+        yield

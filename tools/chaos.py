@@ -1,0 +1,182 @@
+"""`headland chaos`: bad luck by the thousand, judged from outside; the first failure made small."""
+
+import json
+import os
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from sim.mutants import MUTANTS, planted
+from sim.scenario_text import to_toml
+from sim.shrink import shrink
+from sim.trouble import PROFILES, draw
+from sim.verdict import Verdict, judge
+
+FAILED, WRONG = 1, 2
+MUTANT_SEEDS = 40  # the budget within which every planted bug must be found
+
+
+def chaos(
+    seeds: str, profile: str, jobs: int, seconds: float | None, out: Path, mutants: bool,
+    as_json: bool,
+) -> int:  # fmt: skip
+    console = Console(stderr=as_json)
+    try:
+        numbers = _range(seeds)
+        if profile not in PROFILES:
+            raise ValueError(f"no profile {profile}: choose one of {', '.join(PROFILES)}")
+        out.mkdir(parents=True, exist_ok=True)
+    except (ValueError, OSError) as problem:
+        print(f"headland: {problem}", file=sys.stderr)
+        return WRONG
+    jobs = jobs or os.cpu_count() or 1
+    if mutants:
+        return _mutants(console, numbers, jobs, as_json)
+    verdicts = _campaign(console, numbers, profile, jobs, seconds)
+    report = _report(verdicts, profile)
+    failed = [verdict for verdict in verdicts if not verdict.ok]
+    if failed:
+        report["reproduction"] = _reproduce(console, failed[0], profile, out)
+    (out / "chaos.json").write_text(json.dumps(report, indent=1) + "\n")
+    if as_json:
+        print(json.dumps(report))
+    else:
+        _show(console, report)
+    return FAILED if failed else 0
+
+
+def _range(text: str) -> range:
+    first, colon, end = text.partition(":")
+    if not first.isdigit() or (colon and not end.isdigit()):
+        raise ValueError(f"--seeds {text}: a seed, or FIRST:END as in 0:1000")
+    return range(int(first), int(end) if colon else int(first) + 1)
+
+
+def _judge(seed: int, profile: str) -> Verdict:
+    return judge(draw(seed, profile))
+
+
+def _campaign(
+    console: Console, seeds: range, profile: str, jobs: int, seconds: float | None
+) -> list[Verdict]:
+    """Verdicts in order of seeds; stops handing out work when the time is over."""
+    verdicts: list[Verdict] = []
+    end_s = time.monotonic() + (seconds if seconds is not None else float("inf"))
+    with (
+        Progress(TextColumn("{task.description}"), TimeElapsedColumn(), console=console,
+                 transient=True) as progress,
+        ProcessPoolExecutor(jobs) as pool,
+    ):  # fmt: skip
+        bar = progress.add_task("")
+        todo: Iterator[int] = iter(seeds)
+        running: set[Future[Verdict]] = set()
+        while True:
+            while len(running) < 2 * jobs and time.monotonic() < end_s:
+                seed = next(todo, None)
+                if seed is None:
+                    break
+                running.add(pool.submit(_judge, seed, profile))
+            if not running:
+                break
+            done, running = wait(running, return_when=FIRST_COMPLETED)
+            verdicts += [future.result() for future in done]
+            bad = sum(not verdict.ok for verdict in verdicts)
+            text = f"{profile}: {len(verdicts)} of {len(seeds)} seeds, {bad} failed"
+            progress.update(bar, description=text)
+    return sorted(verdicts, key=lambda verdict: verdict.seed)
+
+
+def _report(verdicts: list[Verdict], profile: str) -> dict[str, Any]:
+    faults: Counter[str] = sum((v.faults for v in verdicts), Counter())
+    hours = sum(v.robots * v.simulated_s for v in verdicts) / 3600
+    return {
+        "profile": profile, "runs": len(verdicts), "robot_hours": round(hours, 2),
+        "faults": dict(faults.most_common()), "failed": [v.seed for v in verdicts if not v.ok],
+        "broken": [
+            {"seed": v.seed, "rule": b.rule, "t_s": round(b.t_s, 3), "what": b.what}
+            for v in verdicts for b in v.broken
+        ],
+    }  # fmt: skip
+
+
+def _reproduce(console: Console, verdict: Verdict, profile: str, out: Path) -> str:
+    """The first failure with as little as it takes, as a scenario that can be run again."""
+    rule = verdict.broken[0].rule
+    console.print(
+        f"seed {verdict.seed} breaks {rule}: {verdict.broken[0].what}; making it small ..."
+    )
+    small, runs = shrink(
+        draw(verdict.seed, profile), lambda s: any(b.rule == rule for b in judge(s).broken)
+    )
+    path = out / f"{profile}-{verdict.seed}-{rule}.toml"
+    path.write_text(f"# breaks {rule}: {verdict.broken[0].what}\n{to_toml(small)}")
+    faults = len(small.fault)
+    console.print(
+        f"{faults} faults with the mending, {small.fleet.robots} robots ({runs} runs): {path}"
+    )
+    console.print(f"judge it again with: headland chaos --seeds {verdict.seed} --profile {profile}; "
+                  f"see it with: headland run {path}")  # fmt: skip
+    return str(path)
+
+
+def _show(console: Console, report: dict[str, Any]) -> None:
+    table = Table(title=f"{report['runs']} runs, {report['robot_hours']} robot-hours")
+    table.add_column("fault")
+    table.add_column("injected", justify="right")
+    for kind, count in report["faults"].items():
+        table.add_row(kind, str(count))
+    console.print(table)
+    for broken in report["broken"]:
+        console.print(
+            f"[red]seed {broken['seed']}: {broken['rule']} at {broken['t_s']} s: {broken['what']}"
+        )
+    if not report["broken"]:
+        console.print("every rule kept")
+
+
+# -------------------------------------------------------------------- planted bugs
+
+
+def _hunt(name: str, seeds: range) -> dict[str, Any]:
+    """How soon a planted bug is found, in a process of its own."""
+    begun_s = time.process_time()
+    mutant = MUTANTS[name]
+    with planted(name):
+        for number, seed in enumerate(seeds[:MUTANT_SEEDS], 1):
+            verdict = judge(draw(seed, mutant.profile))
+            if not verdict.ok:
+                return {
+                    "mutant": name, "about": mutant.about, "found": True, "runs": number,
+                    "cpu_s": round(time.process_time() - begun_s, 1),
+                    "rule": verdict.broken[0].rule,
+                }  # fmt: skip
+    return {"mutant": name, "about": mutant.about, "found": False,
+            "runs": min(len(seeds), MUTANT_SEEDS),
+            "cpu_s": round(time.process_time() - begun_s, 1), "rule": ""}  # fmt: skip
+
+
+def _mutants(console: Console, seeds: range, jobs: int, as_json: bool) -> int:
+    rows: list[dict[str, Any]] = []
+    with ProcessPoolExecutor(jobs, max_tasks_per_child=1) as pool:
+        futures = [pool.submit(_hunt, name, seeds) for name in MUTANTS]
+        for future in futures:
+            row = future.result()
+            rows.append(row)
+            if as_json:
+                print(json.dumps(row), flush=True)
+            else:
+                found = f"[green]{row['rule']:4}[/]" if row["found"] else "[red]NOT FOUND[/]"
+                console.print(f"{found} {row['runs']:3} runs {row['cpu_s']:6.1f} s  "
+                              f"{row['mutant']}: {row['about']}")  # fmt: skip
+    missed = [row["mutant"] for row in rows if not row["found"]]
+    if not as_json:
+        console.print(f"{len(rows) - len(missed)} of {len(rows)} planted bugs found")
+    return FAILED if missed else 0
