@@ -159,6 +159,10 @@ class Cluster:
             robot.task.cancel()
         robot.shell.bus.close()
 
+    def is_up(self, slot: int) -> bool:
+        """Switched on; the buttons of a dead machine do nothing."""
+        return slot in self.robots and self.robots[slot].running
+
     def node_of(self, slot: int) -> int:
         return self.robots[slot].bus.node
 

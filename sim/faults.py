@@ -81,7 +81,7 @@ class FaultPlan:
                 wire.faults.error = rate
             case kinds.BusOff(robot=robot, for_s=for_s):
                 return self._bus_off(robot, for_s)
-            case kinds.Estop(robot=robot, reason=reason):
+            case kinds.Estop(robot=robot, reason=reason) if cluster.is_up(robot):
                 cluster.robots[robot].shell.operate(lambda p, now: p.press(Reason[reason], now))
             case kinds.Reset():
                 return self._reset()

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from agent.config import MS, beat_of
 from agent.effects import Effect, Send, Trace
+from agent.field_work import LEAD_M
 from agent.lifecycle import TABLE, State
 from protocol.messages import Message
 from sim import scenario as kinds
@@ -121,7 +122,7 @@ class Play:
         for fault in self.scenario.fault:
             at_us = round(fault.at_s * 1e6)
             if isinstance(fault, kinds.Estop):
-                cluster.host.at(at_us, self._pressed)
+                cluster.host.at(at_us, lambda slot=fault.robot: self._pressed(slot))  # type: ignore[misc]
             elif isinstance(fault, kinds.Reset):
                 cluster.host.at(at_us, self._released)
             elif isinstance(fault, kinds.Crash):
@@ -134,10 +135,10 @@ class Play:
 
     # ---------------------------------------------------------------- while it runs
 
-    def _pressed(self) -> None:
+    def _pressed(self, slot: int) -> None:
         assert self.cluster is not None
         cluster = self.cluster
-        if self.scenario.fleet.silence != "stop":
+        if self.scenario.fleet.silence != "stop" or not cluster.is_up(slot):
             return
         bound_us = beat_of(self.scenario.fleet.robots).silence_us + SLACK_US
         slots = [robot.slot for robot in cluster.running]
@@ -199,7 +200,7 @@ class Play:
         field, world = self.setting.field, self.cluster.world
         sections = {number: list(section.swaths) for number, section in enumerate(field.sections)}
         tracks = {slot: body.track for slot, body in world.robots.items()}
-        checker = ExclusiveWorkChecker(sections, 0.5, least_m=1.0)
+        checker = ExclusiveWorkChecker(sections, 0.5, least_m=LEAD_M + 0.5)
         for violation in checker.violations(tracks)[:1]:
             self._add("S7", violation.t_us / 1e6, f"robots {violation.slots}: {violation.what}")
 
