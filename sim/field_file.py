@@ -1,10 +1,11 @@
-"""Reading field boundaries: GeoJSON, projected to metres.
+"""Reading field boundaries: GeoJSON or ISO 11783-10 task data, projected to metres.
 
 Latitude and longitude end here. Every bad file is one `FieldFileError` with one line that names the
 file, what is wrong with it, and what to do.
 """
 
 import json
+from math import isfinite
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,14 +14,10 @@ from shapely.geometry import Polygon
 from shapely.validation import explain_validity
 
 from agent.config import EXTENT_MAX_M
+from sim.field_error import FILE_BYTES_MAX, FieldFileError, LonLat
+from sim.isoxml_file import read_isoxml
 
-FILE_BYTES_MAX = 64 << 20  # a boundary is kilobytes; a task file with a season's logs is megabytes
-
-LonLat = tuple[float, float]
-
-
-class FieldFileError(Exception):
-    """One line for the person who named the file."""
+TASK_DATA = (".xml", ".zip")
 
 
 class Boundary(NamedTuple):
@@ -33,7 +30,8 @@ class Boundary(NamedTuple):
 
 def read_boundary(path: Path, feature: str | None = None) -> Boundary:
     """The named field of a file, or its only one."""
-    outlines = read_geojson(path)
+    task_data = path.is_dir() or path.suffix.lower() in TASK_DATA
+    outlines = read_isoxml(path) if task_data else read_geojson(path)
     if not outlines:
         raise FieldFileError(f"{path}: no polygon in it")
     if feature is None:
@@ -124,6 +122,8 @@ def project(path: Path, name: str, rings: list[list[LonLat]]) -> Boundary:
         east, north = to_metres([p[0] for p in ring], [p[1] for p in ring])
         outline.append(list(zip(east, north, strict=True)))
     polygon = Polygon(outline[0], outline[1:])
+    if not isfinite(polygon.area):
+        raise FieldFileError(f"{path}: {name}: too far across to be projected; divide it")
     if not polygon.is_valid:
         raise FieldFileError(f"{path}: {name}: {explain_validity(polygon)}; repair the outline")
     if max(map(abs, polygon.bounds)) > EXTENT_MAX_M:

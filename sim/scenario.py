@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from agent.config import PEERS_MAX, SPEED_MAX_M_S
 
 SHIPPED = Path(__file__).parent / "scenarios"
+FIELD_FILES = (".geojson", ".json", ".xml", ".zip")  # a field alone is a scenario of defaults
 
 
 class ScenarioError(Exception):
@@ -165,13 +166,17 @@ class Scenario(_Table):
     fault: list[Fault] = []
     folder: Path = Field(Path(), exclude=True)  # what file names are relative to
 
-    def changed(self, robots: int | None = None, seed: int | None = None) -> "Scenario":
-        """The same with another number of robots or another seed. ScenarioError where out of range."""
+    def changed(
+        self, robots: int | None = None, seed: int | None = None, feature: str | None = None
+    ) -> "Scenario":
+        """The same with another number of robots, seed or field. ScenarioError where out of range."""
         document = self.model_dump(exclude_unset=True)
         if robots is not None:
             document.setdefault("fleet", {})["robots"] = robots
         if seed is not None:
             document.setdefault("run", {})["seed"] = seed
+        if feature is not None:
+            document["field"]["feature"] = feature
         return _validate(document, self.name, self.folder)
 
 
@@ -180,10 +185,13 @@ def shipped() -> list[str]:
 
 
 def load(name: str) -> Scenario:
-    """A scenario by file, or by the name of one that ships."""
+    """A scenario by file, by the name of one that ships, or a field file with all else as usual."""
     path = Path(name)
     if not path.suffix and not path.exists() and (SHIPPED / f"{name}.toml").exists():
         path = SHIPPED / f"{name}.toml"
+    if path.is_dir() or path.suffix.lower() in FIELD_FILES:
+        title = path.resolve().stem[:64] or "field"
+        return _validate({"name": title, "field": {"file": path.name}}, name, path.parent)
     try:
         document = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:

@@ -17,7 +17,8 @@ from agent.route import Route
 from agent.safety import SilencePolicy
 from agent.swaths import divide
 from protocol.authentication import Keyring
-from sim.field_file import FieldFileError, read_boundary
+from sim.field_error import FieldFileError
+from sim.field_file import read_boundary
 from sim.lidar import Lidar
 from sim.scenario import Scenario, ScenarioError
 from sim.vehicle import Chassis

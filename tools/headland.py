@@ -30,18 +30,19 @@ def run(
     ] = "oxted",
     robots: Annotated[int | None, typer.Option(help="Instead of the scenario's number.")] = None,
     seed: Annotated[int | None, typer.Option(help="Instead of the scenario's seed.")] = None,
+    feature: Annotated[str | None, typer.Option(help="Which field of a file with several.")] = None,
     out: Annotated[Path, typer.Option(help="Folder for report, picture and log.")] = Path(
         "runs/run"
     ),
     json: Json = False,
 ) -> None:
-    """Work a scenario to its end in virtual time, as fast as it can go.
+    """Work a scenario to its end in virtual time, as fast as it can go. A field file is one, too.
 
     Example: headland run oxted --robots 8 --seed 3 --out runs/eight
     """
     from tools.run import run as command
 
-    raise SystemExit(command(scenario, robots, seed, out, json))
+    raise SystemExit(command(scenario, robots, seed, out, json, feature))
 
 
 @app.command()

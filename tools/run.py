@@ -19,10 +19,17 @@ NO_KEYS = "[yellow]NONE: anybody on the bus can stop and release this fleet[/yel
 UNFINISHED, WRONG = 1, 2  # exit codes; 0 only for a run without a flaw
 
 
-def run(scenario: str, robots: int | None, seed: int | None, out: Path, as_json: bool) -> int:
+def run(
+    scenario: str,
+    robots: int | None,
+    seed: int | None,
+    out: Path,
+    as_json: bool,
+    feature: str | None = None,
+) -> int:
     console = Console(stderr=as_json)
     try:
-        setting = Setting(load(scenario).changed(robots, seed))
+        setting = Setting(load(scenario).changed(robots, seed, feature))
         out.mkdir(parents=True, exist_ok=True)
         if not out.is_dir():
             raise OSError(f"{out} is not a folder")
