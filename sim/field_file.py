@@ -49,7 +49,7 @@ def read_boundary(path: Path, feature: str | None = None) -> Boundary:
 
 def read_geojson(path: Path) -> dict[str, list[list[LonLat]]]:
     """Name -> rings of longitude and latitude, the exterior first."""
-    document = _load(path)
+    document = load_json(path)
     if document.get("type") == "FeatureCollection":
         features = document.get("features")
         if not isinstance(features, list):
@@ -74,7 +74,7 @@ def read_geojson(path: Path) -> dict[str, list[list[LonLat]]]:
     return outlines
 
 
-def _load(path: Path) -> dict[str, Any]:
+def load_json(path: Path) -> dict[str, Any]:
     try:
         if path.stat().st_size > FILE_BYTES_MAX:
             raise FieldFileError(f"{path}: larger than {FILE_BYTES_MAX >> 20} MiB")
@@ -109,14 +109,16 @@ def _rings(path: Path, name: str, rings: object) -> list[list[LonLat]]:
     return result
 
 
+def plane(origin: tuple[float, float]) -> CRS:
+    """Metres east and north of a latitude and longitude."""
+    return CRS.from_proj4(f"+proj=aeqd +lat_0={origin[0]} +lon_0={origin[1]} +datum=WGS84 +units=m")
+
+
 def project(path: Path, name: str, rings: list[list[LonLat]]) -> Boundary:
     """Metres east and north of the middle of the outline (azimuthal equidistant, WGS 84)."""
     xs, ys = [p[0] for p in rings[0]], [p[1] for p in rings[0]]
     origin = ((min(ys) + max(ys)) / 2, (min(xs) + max(xs)) / 2)
-    local = CRS.from_proj4(
-        f"+proj=aeqd +lat_0={origin[0]} +lon_0={origin[1]} +datum=WGS84 +units=m"
-    )
-    to_metres = Transformer.from_crs("EPSG:4326", local, always_xy=True).transform
+    to_metres = Transformer.from_crs("EPSG:4326", plane(origin), always_xy=True).transform
     outline = []
     for ring in rings:
         east, north = to_metres([p[0] for p in ring], [p[1] for p in ring])

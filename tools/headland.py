@@ -125,6 +125,23 @@ def inspect(
 
 
 @app.command()
+def export(
+    run: Annotated[Path, typer.Argument(help="Folder of a run.")],
+    isoxml: Annotated[
+        Path | None, typer.Option(help="Write ISO 11783-10 task data: a folder, or NAME.zip.")
+    ] = None,
+    geojson: Annotated[Path | None, typer.Option(help="Write GeoJSON.")] = None,
+) -> None:
+    """Write what a run has worked in formats that farm software reads.
+
+    Example: headland export runs/run --isoxml TASKDATA
+    """
+    from tools.export import export as command
+
+    raise SystemExit(command(run, isoxml, geojson))
+
+
+@app.command()
 def warmup() -> None:
     """Compile the kernels once, so that no robot waits for it.
 
