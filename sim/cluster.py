@@ -15,6 +15,8 @@ from agent.effects import Effect
 from agent.field_work import FieldWork
 from agent.motion import Limits, Motion
 from agent.shell import Shell
+from agent.tractor_motion import TractorMotion
+from agent.tractor_work import TractorWork
 from protocol.bus import CanBus
 from protocol.codec import encode
 from protocol.messages import Message
@@ -22,9 +24,8 @@ from protocol.name import fleet_name
 from sim.disk import MemoryJournal
 from sim.fieldbus import FieldBus, forget, segment
 from sim.scenario import Join, Scenario
-from sim.setting import Setting
+from sim.setting import BRAKING_SHARE, Setting
 
-BRAKING_SHARE = 0.7  # of the acceleration is planned with; the rest is for corrections
 TOOL_ADDRESS = 249  # where scripted operator frames come from
 Record = Callable[[int, int, Effect], None]  # slot, time in microseconds, effect
 
@@ -45,12 +46,24 @@ class Robot:
         return self.task is not None and not self.task.done()
 
 
+def _holonomic(setting: Setting, slot: int, limits: Limits) -> tuple[FieldWork, Motion]:
+    braking_m_s2 = BRAKING_SHARE * limits.acceleration_m_s2
+    work = FieldWork(setting.field, setting.route, limits.radius_m, limits.speed_m_s, braking_m_s2)
+    return work, Motion(slot, limits, setting.fences)
+
+
+def _steering(setting: Setting, slot: int, limits: Limits) -> tuple[FieldWork, Motion]:
+    turns, steering = setting.turns, setting.steering
+    work = TractorWork(setting.field, setting.route, turns, limits.radius_m, steering)
+    return work, TractorMotion(slot, limits, turns, steering)
+
+
 def make_peer(setting: Setting, slot: int, now_us: int, recalled: Mapping[str, bytes]) -> Peer:
     """The peer of one slot of a scenario; the same on a virtual clock and in a process of its own."""
     fleet = setting.scenario.fleet
-    braking_m_s2 = BRAKING_SHARE * fleet.acceleration_m_s2
-    work = FieldWork(setting.field, setting.route, fleet.radius_m, fleet.speed_m_s, braking_m_s2)
     limits = Limits(fleet.radius_m, fleet.speed_m_s, fleet.acceleration_m_s2)
+    kind = _steering if setting.turn_radius_m else _holonomic
+    work, motion = kind(setting, slot, limits)
     identity = Identity(
         slot=slot,
         members=frozenset(range(fleet.robots)),
@@ -60,7 +73,6 @@ def make_peer(setting: Setting, slot: int, now_us: int, recalled: Mapping[str, b
         started=True,
     )
     rng = Random(f"{setting.scenario.run.seed}/peer/{slot}")
-    motion = Motion(slot, limits, setting.fences)
     return Peer(identity, rng, now_us, recalled, work, motion, setting.keyring(slot))
 
 

@@ -37,6 +37,10 @@ class FleetTable(_Table):
     speed_m_s: float = Field(default=2.5, gt=0.05, le=SPEED_MAX_M_S)
     acceleration_m_s2: float = Field(default=1.5, gt=0.05, le=10.0)
     slip: float = Field(default=0.02, ge=0.0, le=0.3)
+    drive: Literal["mecanum", "differential", "ackermann"] = "mecanum"
+    wheelbase_m: float = Field(default=1.2, gt=0.1, le=6.0)  # with "ackermann"
+    track_m: float = Field(default=1.0, gt=0.1, le=4.0)  # with "differential" and "ackermann"
+    steer_deg: float = Field(default=40.0, ge=10.0, le=60.0)  # full lock, with "ackermann"
     silence: Literal["stop", "slow", "continue"] = "stop"
     keys: str | None = None  # key file, made by `headland keys make`
 
@@ -167,12 +171,15 @@ class Scenario(_Table):
     folder: Path = Field(Path(), exclude=True)  # what file names are relative to
 
     def changed(
-        self, robots: int | None = None, seed: int | None = None, feature: str | None = None
-    ) -> "Scenario":
-        """The same with another number of robots, seed or field. ScenarioError where out of range."""
+        self, robots: int | None = None, seed: int | None = None, feature: str | None = None,
+        drive: str | None = None,
+    ) -> "Scenario":  # fmt: skip
+        """The same with another number of robots, seed, field or drive; ScenarioError if out of range."""
         document = self.model_dump(exclude_unset=True)
         if robots is not None:
             document.setdefault("fleet", {})["robots"] = robots
+        if drive is not None:
+            document.setdefault("fleet", {})["drive"] = drive
         if seed is not None:
             document.setdefault("run", {})["seed"] = seed
         if feature is not None:

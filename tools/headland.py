@@ -31,6 +31,7 @@ def run(
     robots: Annotated[int | None, typer.Option(help="Instead of the scenario's number.")] = None,
     seed: Annotated[int | None, typer.Option(help="Instead of the scenario's seed.")] = None,
     feature: Annotated[str | None, typer.Option(help="Which field of a file with several.")] = None,
+    drive: Annotated[str | None, typer.Option(help="mecanum, differential or ackermann.")] = None,
     out: Annotated[Path, typer.Option(help="Folder for report, picture and log.")] = Path(
         "runs/run"
     ),
@@ -42,7 +43,7 @@ def run(
     """
     from tools.run import run as command
 
-    raise SystemExit(command(scenario, robots, seed, out, json, feature))
+    raise SystemExit(command(scenario, robots, seed, out, json, feature, drive))
 
 
 @app.command()

@@ -29,10 +29,11 @@ def run(
     out: Path,
     as_json: bool,
     feature: str | None = None,
+    drive: str | None = None,
 ) -> int:
     console = Console(stderr=as_json)
     try:
-        setting = Setting(load(scenario).changed(robots, seed, feature))
+        setting = Setting(load(scenario).changed(robots, seed, feature, drive))
         out.mkdir(parents=True, exist_ok=True)
         if not out.is_dir():
             raise OSError(f"{out} is not a folder")
