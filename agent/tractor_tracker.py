@@ -13,8 +13,10 @@ CLOSE_M = 0.6  # length in which a distance to the way is closed, critically dam
 CLOSE_S = 0.5  # and this much longer at speed: wheels take time to turn
 CLOSE_RAD_MAX = 0.5  # at what angle to the way at most
 LATERAL_M_S2 = 1.0  # comfortable, and far from what tips or slips
-JERK_M = 1.2  # a bend may begin over this length: an arc is then 5 cm off at its ends
-PREVIEW_S = 0.3  # half the time from lock to straight, and the command's own delay
+WINDOW_M = 1.2  # a bend may begin over this length: an arc is then 5 cm off at its ends
+STEER_SHARE = 0.5  # of the speed of steering is planned with
+SLOWEST_M_S = 0.4
+PREVIEW_S = 0.25  # half the time from lock to straight, and the command's own delay
 BACK_M_S = 0.9  # as fast as it backs up
 SHIFT_M, SHIFT_M_S = 0.25, 0.35  # slow round a change of direction
 CREEP_M_S = 0.15
@@ -104,12 +106,13 @@ def _speeds(
     bend = np.sqrt(LATERAL_M_S2 / np.maximum(np.abs(way[:, 3]), 1e-6))
     speeds = np.minimum(bend, limits.speed_m_s)
     speeds[way[:, GEAR] < 0.0] = np.minimum(speeds[way[:, GEAR] < 0.0], BACK_M_S)
+    # Curvature may change only as fast as the wheels are turned, half of that being kept in reserve.
+    before = np.interp(along - WINDOW_M / 2, along, way[:, 3])
+    after = np.interp(along + WINDOW_M / 2, along, way[:, 3])
+    rate = np.abs(after - before) / WINDOW_M
+    speeds = np.minimum(speeds, STEER_SHARE * limits.steer_1_m_s / np.maximum(rate, 1e-6))
+    speeds = np.maximum(speeds, SLOWEST_M_S)
     for k in range(1, count):
-        change = abs(way[k, 3] - way[k - 1, 3])
-        if change > 0.02:
-            jump = max(JERK_M * limits.steer_1_m_s / change, 0.4)
-            near = np.abs(along - along[k]) < JERK_M / 2
-            speeds[near] = np.minimum(speeds[near], jump)
         if way[k, GEAR] != way[k - 1, GEAR]:  # the wheels turn while it creeps
             near = np.abs(along - along[k]) < SHIFT_M
             speeds[near] = np.minimum(speeds[near], SHIFT_M_S)

@@ -15,11 +15,12 @@ from agent.mission import STILL, FleetView, Wish
 from agent.route import Route
 from agent.tractor_escape import Escape
 from agent.tractor_tracker import Limits, TractorTracker, distance_m, heading_of, smooth_way
-from agent.turn_route import Pose, TurnRoute, sampled
+from agent.turn_route import Piece, Pose, TurnRoute, sampled
 
 BEND_HALF_M = 0.6  # to both sides of a bend, over which it is rounded
 JOIN_M_S = 1.5  # from a turn into a stretch
 LEAVE_M_S = 0.8  # from a stretch into a turn that is not known yet
+ROOM_M = 1.5  # with as much as this beyond its end
 STUCK_US = 5_000_000
 MOVED_M = 0.5  # less within `STUCK_US` is being stuck
 STANDING_M_S = 0.1
@@ -119,7 +120,9 @@ class TractorWork(FieldWork):
             return False
         if self.joined:
             self.leg, self.joined = self.legs.pop(0), False
-            way, end_m_s = smooth_way(list(self.leg.points), BEND_HALF_M), LEAVE_M_S
+            way, end_m_s = smooth_way(list(self.leg.points), BEND_HALF_M), 0.0
+            if self.turns.piece_is_free(Pose(*way[-1, :3]), Piece(0.0, ROOM_M)):
+                end_m_s = LEAVE_M_S
         else:
             if view.now_us < self._again_us:
                 return False
