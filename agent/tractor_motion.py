@@ -58,7 +58,7 @@ class TractorMotion(Motion):
         share = self._permitted(here, wish, rows)
         return Drive(
             wish.vx_m_s * share, wish.vy_m_s * share, wish.turn_rad_s * share,
-            wish.tool_on and share > 0.0,
+            wish.tool_on,  # also while it waits: what it stands on is not worked twice for that
         )  # fmt: skip
 
     def _permitted(self, here: Observation, wish: Wish, rows: list[tuple[float, ...]]) -> float:

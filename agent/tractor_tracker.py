@@ -21,6 +21,7 @@ BACK_M_S = 0.9  # as fast as it backs up
 SHIFT_M, SHIFT_M_S = 0.25, 0.35  # slow round a change of direction
 CREEP_M_S = 0.15
 ARRIVED_M = 0.08
+LOST_M, LOST_RAD = 0.8, 1.2  # further off, another way is made
 SEARCH = 40  # samples looked at ahead of the last place
 GEAR = 4  # column of the gear: 1 or -1
 
@@ -46,7 +47,7 @@ class TractorTracker:
         self.speeds = _speeds(way, self.along, limits, end_m_s)
         self.points = [(float(x), float(y)) for x, y in way[[0, -1], :2]]
         self.row = 0
-        self.along_m = self.off_m = self.off_rad = 0.0
+        self.along_m = self.off_m = self.off_rad = self.gap_m = 0.0
         self.arrived = False
 
     def locate(self, x_m: float, y_m: float, heading_rad: float) -> None:
@@ -67,6 +68,7 @@ class TractorTracker:
                 continue
             break
         self.row = row
+        self.gap_m = hypot(x_m - px, y_m - py)
         self.off_m = -(x_m - px) * sin(heading) + (y_m - py) * cos(heading)
         self.off_rad = remainder(heading_rad - heading, 2 * pi)
         self.along_m = min(max(float(self.along[row]) + t_m, 0.0), self.total_m)
@@ -75,7 +77,7 @@ class TractorTracker:
     @property
     def lost(self) -> bool:
         """So far off that another way is to be made."""
-        return abs(self.off_m) > 0.8 or abs(self.off_rad) > 1.2
+        return self.gap_m > LOST_M or abs(self.off_rad) > LOST_RAD
 
     def command(self) -> tuple[float, float]:
         """Speed (negative: back) and turn rate; call `locate` first."""
