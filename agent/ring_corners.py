@@ -14,6 +14,7 @@ from agent.field import XY, Polyline
 
 BEND_RAD = 0.3  # a smaller corner is rounded, within half the usual tolerance
 WINDOW_M = 1.2  # the length over which it is rounded
+SPARE, SPARE_RAD = 1.1, 0.05  # an arc may be drawn as chords
 STEP_M = 0.05  # how finely the end of a piece is looked for
 
 
@@ -22,6 +23,7 @@ def cut_at_corners(
 ) -> list[Polyline]:
     """Pieces of a ring, in its order."""
     pieces: list[list[XY]] = [[ring[0]]]
+    most_rad = SPARE * WINDOW_M / turn_radius_m + SPARE_RAD
     turned_rad = run_m = 0.0  # what the piece has turned by within the window
     for k in range(1, len(ring)):
         pieces[-1].append(ring[k])
@@ -32,7 +34,7 @@ def cut_at_corners(
         if run_m > WINDOW_M:
             turned_rad, run_m = 0.0, 0.0
         turned_rad += turn_rad
-        if abs(turn_rad) > BEND_RAD or abs(turned_rad) > BEND_RAD + WINDOW_M / turn_radius_m:
+        if abs(turn_rad) > BEND_RAD or abs(turned_rad) > most_rad:
             pieces.append([ring[k]])
             turned_rad = run_m = 0.0
     result = []

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 CLOSE_M = 0.6  # length in which a distance to the way is closed, critically damped
-CLOSE_S = 0.5  # and this much longer at speed: wheels take time to turn
+CLOSE_1_M = 0.33  # and longer by speed times this over the speed of steering: wheels take time
 CLOSE_RAD_MAX = 0.5  # at what angle to the way at most
 LATERAL_M_S2 = 1.0  # comfortable, and far from what tips or slips
 WINDOW_M = 1.2  # a bend may begin over this length: an arc is then 5 cm off at its ends
@@ -87,7 +87,7 @@ class TractorTracker:
             speed_m_s = min(speed_m_s, float(self.speeds[self.row + 1]) + 0.1)
         astray = min(1.5 * abs(self.off_rad) + abs(self.off_m), 0.7)
         speed_m_s = max(speed_m_s * (1.0 - astray), CREEP_M_S)
-        close_m = CLOSE_M + CLOSE_S * speed_m_s
+        close_m = CLOSE_M + CLOSE_1_M / self.limits.steer_1_m_s * speed_m_s
         reach = self.row + 1 + int(speed_m_s * PREVIEW_S / 0.1)
         ahead = self.way[self.row : reach + 1]
         same = ahead[ahead[:, GEAR] == gear]

@@ -132,7 +132,10 @@ class TractorWork(FieldWork):
                 if slot in view.silent_since_us
             ]
             pieces = self.turns.way(here, start, [*self.bodies, *silent], self.reach_m)
-            if not pieces:  # somebody stands in it, or we stand where there is no way out
+            if pieces == []:  # we are there
+                self.joined = True
+                return self._next(view, here, only_approach)
+            if pieces is None:  # somebody stands in it, or we stand where there is no way out
                 self.bodies, self._again_us = [], view.now_us + AGAIN_US
                 self.legs.append(self.legs.pop(0))
                 return False

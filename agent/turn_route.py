@@ -45,24 +45,25 @@ class TurnRoute:
 
     def way(
         self, start: Pose, goal: Pose, bodies: Sequence[Point] = (), reach_m: float = 0.0
-    ) -> list[Piece]:
-        """Pieces from start to goal with a straight run-up; none where there is no way.
+    ) -> list[Piece] | None:
+        """Pieces from start to goal, with a straight run-up where there is room; None: no way.
 
         A start on a blocked cell may be left: the cells round it count as free.
         """
         blocked = self._without(bodies, reach_m)
         self._open(blocked, start)
-        best: list[Piece] = []
+        best: list[Piece] | None = None
         for run_up_m in RUN_UPS_M:
             if not piece_is_free(blocked, self.place, *goal, 0.0, -run_up_m):
                 continue
             before = Pose(*step(*goal, 0.0, -run_up_m))
             pieces = self._search(blocked, start, before)
-            if pieces:
-                pieces.append(Piece(0.0, run_up_m))
-                if not best or cost_m(pieces) + RUN_UP_M < cost_m(best):
-                    best = pieces
-        if not best:
+            if pieces is None:
+                break
+            pieces.append(Piece(0.0, run_up_m))
+            if best is None or cost_m(pieces) + RUN_UP_M < cost_m(best):
+                best = pieces
+        if best is None:
             self._open(blocked, goal)
             best = self._search(blocked, start, goal)
         return best
@@ -73,8 +74,10 @@ class TurnRoute:
     def piece_is_free(self, at: Pose, piece: Piece) -> bool:
         return bool(piece_is_free(self.blocked, self.place, *at, *piece))
 
-    def _search(self, blocked: NDArray[np.bool_], start: Pose, goal: Pose) -> list[Piece]:
+    def _search(self, blocked: NDArray[np.bool_], start: Pose, goal: Pose) -> list[Piece] | None:
         found = search(blocked, self.place, np.array(start), np.array(goal), self.radius_m)
+        if not found.shape[0]:
+            return None
         return [Piece(float(k), float(s)) for k, s in found if abs(s) > 1e-6]
 
     def _without(self, bodies: Sequence[Point], reach_m: float) -> NDArray[np.bool_]:
