@@ -39,7 +39,7 @@ from protocol.name import Name
 from protocol.network_frames import Request
 from protocol.safety_frames import EmergencyStop, Reason
 from protocol.sync import Sync
-from protocol.work_frames import TaskClaim
+from protocol.work_frames import STOPS, StateSyncRequest, TaskClaim
 
 REQUEST_PF = 0xEA
 NOTHING: Sequence[Effect] = ()  # an empty answer promises that `deadline_us` did not move earlier
@@ -54,6 +54,7 @@ class Identity(NamedTuple):
     field_hash: int  # u24; peers of another field description are not of this fleet
     silence: SilencePolicy = SilencePolicy.STOP
     started: bool = False  # permission to move is given at boot, not by a separate start
+    first_boot: bool = False  # a new machine: that it remembers nothing is no loss of memory
 
     @property
     def component(self) -> str:
@@ -75,7 +76,7 @@ class Peer:
         self.identity, self.slot = identity, identity.slot
         self.beat = config.beat_of(len(identity.members))
         self.mission, self.motion = mission, motion
-        self.records = Records(recalled)
+        self.records = Records(recalled, identity.first_boot, rng)
         self.allocation = FieldAllocationCRDT(identity.field_hash)
         self.progress = Progress(mission.section_units if mission else {})
         self.records.restore(self.allocation, self.progress)
@@ -99,7 +100,9 @@ class Peer:
         self.wish: Wish = STILL
         self.malformed: dict[str, int] = {}
         self._hearing, self._working = Hearing(self), Working(self)
-        if identity.started and not self.safety.latched:
+        if self.records.lost:
+            self.safety.raise_cause(Cause.BOOT_UNCONFIRMED, now_us, "durable memory was lost")
+        if identity.started and not self.safety.latched and not self.safety.held:
             self.safety.start(now_us)
         if self.safety.latched:
             self.fire(Event.EMERGENCY, "latched before the restart")
@@ -188,7 +191,7 @@ class Peer:
         return deadline
 
     def tick(self, now_us: int) -> Sequence[Effect]:
-        effects: list[Effect] = [*self.safety.tick(now_us)]
+        effects: list[Effect] = [*self._remember_boot(), *self.safety.tick(now_us)]
         if self.membership.tick(now_us):
             effects += self.membership_changed(now_us)
         effects += self._join(now_us)
@@ -203,6 +206,13 @@ class Peer:
         effects += self.voice.speak(self, now_us)
         return effects
 
+    def _remember_boot(self) -> Sequence[Effect]:
+        """The incarnation is durable before the first frame that could reveal it."""
+        if not self.records.fresh:
+            return NOTHING
+        self.records.fresh = False
+        return [Persist(*self.records.identity()), self.safety.remember_hold()]
+
     def _join(self, now_us: int) -> Sequence[Effect]:
         was_joined = self.joining.joined
         effects = [*self.joining.tick(now_us)]
@@ -215,6 +225,8 @@ class Peer:
             self.sync.joined(now_us, self.beat.heartbeat_us)
             effects += self.roll_call.joined()
             effects += self.fire(Event.FLEET_JOINED, f"address {self.joining.address}")
+            if self.safety.unconfirmed:  # what holds the others holds us too
+                effects.append(Send(StateSyncRequest(0, 0, STOPS, 0)))
             effects += self.membership_changed(now_us)
         return effects
 
@@ -239,17 +251,17 @@ class Peer:
         """A person at this machine. Refused while any stop is not cleared or a cause persists."""
         if self.lifecycle.state is not State.EMERGENCY_STOP or not self.safety.manual_reset(now_us):
             return [Trace("safety", "LATCHED", "MANUAL_RESET", "LATCHED", "refused")]
-        self.safety.hold(now_us)  # reset is not start
+        held = self.safety.hold(now_us)  # reset is not start
         self.joining.rejoin(now_us)
         self.roll_call.power_up()
-        return self.fire(Event.MANUAL_RESET, "a person at this machine")
+        return [*held, *self.fire(Event.MANUAL_RESET, "a person at this machine")]
 
     def start(self, now_us: int) -> Sequence[Effect]:
         """Permission to move. A latched robot does not take it: it would start after the reset."""
         if self.safety.latched:
             return [Trace("safety", "LATCHED", "START", "LATCHED", "refused")]
-        self.safety.start(now_us)
-        return [Trace("safety", "HELD", "START", "STARTED", "operator")]
+        started = self.safety.start(now_us)
+        return [*started, Trace("safety", "HELD", "START", "STARTED", "operator")]
 
     def claim(
         self, section: int, bid: int, now_us: int, takeover: bool = False

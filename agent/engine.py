@@ -15,6 +15,7 @@ import inspect
 import logging
 from collections.abc import Awaitable, Callable, Mapping
 from random import Random
+from secrets import randbits, token_bytes
 from typing import Any
 
 from agent.config import CONTENTION_US, S
@@ -26,6 +27,7 @@ from agent.safety import SilencePolicy
 from agent.section_names import SectionNames
 from agent.shell import Shell
 from crdt import FieldAllocationCRDT
+from protocol.authentication import KEY_SIZE, Keyring, Keys
 from protocol.name import fleet_name
 from protocol.safety_frames import Reason
 
@@ -51,7 +53,14 @@ class FleetCoordinationEngine:
         journal: Journal | None = None,
         silence: SilencePolicy = SilencePolicy.STOP,
         seed: int | None = None,
+        first_boot: bool = False,
+        keys: Keys | None = None,
     ) -> None:
+        """`first_boot`: this machine is new. Without it an empty journal is a lost one, and the
+        robot stays latched until a person resets it. Without a journal nothing can be lost.
+        `keys`: of the fleet; without them anybody on the bus can stop and release it."""
+        self.keys = keys
+        self.first_boot = first_boot or journal is None
         self.tractor_id, self.bus, self.journal = tractor_id, isobus_interface, journal
         self.fleet, self.members = fleet, members
         digits = tractor_id[len(tractor_id.rstrip("0123456789")) :]
@@ -85,8 +94,15 @@ class FleetCoordinationEngine:
             field_hash=FieldAllocationCRDT.hash_of(self.fleet),
             silence=self.silence,
             started=True,
+            first_boot=self.first_boot,
         )
-        peer = Peer(identity, self._rng, Shell.now_us(), recalled)
+        if not recalled and not self.first_boot:
+            self._rng = Random(randbits(64))  # the next incarnation must not be an earlier one
+        self.first_boot = self.journal is None
+        keyring = None
+        if self.keys is not None:
+            keyring = Keyring(self.keys, self.slot, token_bytes(KEY_SIZE))
+        peer = Peer(identity, self._rng, Shell.now_us(), recalled, keyring=keyring)
         self._shell = Shell(peer, self.bus, None, self.journal, self._effect)
         self._task = asyncio.create_task(self._shell.run(), name=f"peer {self.tractor_id}")
         try:

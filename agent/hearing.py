@@ -17,9 +17,11 @@ from protocol.messages import Message
 from protocol.network_frames import AddressClaimed
 from protocol.safety_frames import (
     AllImplementsStop,
+    Challenge,
     Command,
     EmergencyReset,
     EmergencyStop,
+    Freshness,
     OperatorCommand,
 )  # fmt: skip
 from protocol.work_frames import (
@@ -48,6 +50,8 @@ class Hearing:
             EmergencyReset: self._reset,
             AllImplementsStop: self._implements_stop,
             OperatorCommand: self._command,
+            Challenge: self._challenge,
+            Freshness: self._freshness,
             Pose: self._pose,
             Heartbeat: self._heartbeat,
             Member: self._member,
@@ -93,19 +97,29 @@ class Hearing:
         self, source: int, slot: int | None, m: OperatorCommand, now_us: int
     ) -> Sequence[Effect]:
         peer = self.peer
-        if m.target not in (peer.slot, EVERYBODY) or not peer.safety.accept_command(m, now_us):
-            return ()
+        refusal = peer.safety.accept_command(m, now_us)
+        if refusal is not None or m.target not in (peer.slot, EVERYBODY):
+            return refusal or ()
         match m.command:
             case Command.MANUAL_RESET:
                 return peer.manual_reset(now_us)
             case Command.START:
                 return peer.start(now_us)
             case Command.HOLD:
-                peer.safety.hold(now_us)
-                return [HALT]
+                return peer.safety.hold(now_us)
             case Command.WAIVE if peer.membership.waive(m.argument, now_us):
                 return peer.membership_changed(now_us)
         return ()
+
+    def _challenge(
+        self, source: int, slot: int | None, m: Challenge, now_us: int
+    ) -> Sequence[Effect]:
+        return self.peer.safety.authority.answer(source, m, now_us)
+
+    def _freshness(
+        self, source: int, slot: int | None, m: Freshness, now_us: int
+    ) -> Sequence[Effect]:
+        return self.peer.safety.authority.prove(m, now_us)
 
     # ---------------------------------------------------------------- members
 

@@ -10,13 +10,13 @@ Walls and fences come first and are never traded against robots (the paper's sec
     orca.among_known((x, y), (vx, vy), (wx, wy), now_s)                every control period
 
 The kernel has one argument, because each array argument costs its dispatcher 0.1 to 0.2 us: a
-float64 buffer of a head, `PEERS_MAX` rows of known peers, `GIVEN_MAX` rows given with a call, and
-`FENCES_MAX` near fences. Positions stay double until they are relative to us; from there on all
-is single precision, bit for bit that of the RVO2 library (see `agent.orca_fleet` for many robots).
-Metres and seconds, x east, y north.
+float64 buffer of a head, `PEERS_MAX` rows of known peers, `GIVEN_MAX` rows given with a call,
+`FENCES_MAX` near fences, and scratch. Positions stay double until they are relative to us; from
+there on all is single precision, bit for bit that of the RVO2 library (see `agent.orca_fleet` for
+many robots). Metres and seconds, x east, y north.
 """
 
-from math import cos, hypot, inf, pi, sin, sqrt
+from math import cos, inf, nan, pi, sin, sqrt
 from struct import Struct
 
 import numpy as np
@@ -40,14 +40,19 @@ CREEP_M_S = 0.5  # a body inside its margin to a fence leaves it no faster than 
 # the head: written at each call, then once
 X, Y, VX, VY, WANT_X, WANT_Y, NOW_S, FIRST_ROW, LAST_ROW, RANGE = range(10)
 RADIUS, SPEED_MAX, HORIZON, WALL_HORIZON, DT, AGE_MAX, COS, SIN = range(10, 18)
-NEIGHBOURS, FENCES, FENCE_RADIUS, FENCE_REACH, BRAKING, HEAD = range(18, 24)
+NEIGHBOURS, FENCES, FENCE_RADIUS, FENCE_REACH, BRAKING, GATHERED_X, GATHERED_Y = range(18, 25)
+HEAD = 26  # even: rows stay aligned
 # a row of a neighbour; the last column pads it to a cache line
 ROW_X, ROW_Y, ROW_VX, ROW_VY, ROW_RADIUS, ROW_SHARE, ROW_HEARD_S, ROW_COLUMNS = *range(7), 8
 UNKNOWN = -1.0  # radius of a row that is free
 ROWS = PEERS_MAX + GIVEN_MAX
 FENCE_AT = HEAD + ROWS * ROW_COLUMNS
-SIZE = FENCE_AT + FENCES_MAX * 4
 LINES_MAX = FENCES_MAX + WALLS_MAX + NEIGHBOURS_MAX
+# scratch, so that no call allocates (0.05 us an array): twice LINES_MAX lines of four float32
+SCRATCH_AT = FENCE_AT + FENCES_MAX * 4
+NEAR_AT = SCRATCH_AT + 2 * 2 * LINES_MAX
+SQUARES_AT = NEAR_AT + WALLS_MAX  # after as many int64; then as many float32
+SIZE = SQUARES_AT + WALLS_MAX // 2
 
 _CALL = Struct("10d")
 _ROW = Struct("7d")
@@ -139,19 +144,42 @@ def _choose(work, lines, hard, spare, near, squares):  # type: ignore[no-untyped
 
 
 @njit(cache=True, error_model="numpy")
+def _scratch(work):  # type: ignore[no-untyped-def]
+    """Lines, as many again, and the nearest with their squared distances: views of the buffer."""
+    both = work[SCRATCH_AT:NEAR_AT].view(f32).reshape((2, LINES_MAX, 4))
+    return (
+        both[0],
+        both[1],
+        work[NEAR_AT:SQUARES_AT].view(np.int64),
+        work[SQUARES_AT:SIZE].view(f32),
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def _gathered(work):  # type: ignore[no-untyped-def]
+    """Whether the fences in the buffer are those that matter here."""
+    dx, dy = work[X] - work[GATHERED_X], work[Y] - work[GATHERED_Y]
+    return dx * dx + dy * dy <= FENCE_SLACK_M * FENCE_SLACK_M
+
+
+@njit(cache=True, error_model="numpy")
 def velocity(work):  # type: ignore[no-untyped-def]
-    """The velocity (vx, vy) to take, m/s, from a packed buffer (see the top of this file)."""
-    lines = np.empty((FENCES_MAX + NEIGHBOURS_MAX, 4), f32)
-    spare = np.empty((FENCES_MAX + NEIGHBOURS_MAX, 4), f32)
-    near, squares = np.empty(NEIGHBOURS_MAX, np.int64), np.empty(NEIGHBOURS_MAX, f32)
+    """The velocity (vx, vy) to take, m/s, from a packed buffer (see the top of this file).
+
+    Not a number where the fences must be gathered first.
+    """
+    if not _gathered(work):
+        return f32(nan), f32(nan)
+    lines, spare, near, squares = _scratch(work)
     return _choose(work, lines, _fence_lines(work, lines), spare, near, squares)
 
 
 @njit(cache=True, error_model="numpy")
 def velocity_among_walls(work, table, root):  # type: ignore[no-untyped-def]
     """As `velocity`, with the half-planes of an `ObstacleTree` as well."""
-    lines, spare = np.empty((LINES_MAX, 4), f32), np.empty((LINES_MAX, 4), f32)
-    near, squares = np.empty(WALLS_MAX, np.int64), np.empty(WALLS_MAX, f32)
+    if not _gathered(work):
+        return f32(nan), f32(nan)
+    lines, spare, near, squares = _scratch(work)
     stack = np.empty(2 * table.shape[0] + 8, np.int64)
     hard = _fence_lines(work, lines)
     x, y, vx, vy = f32(work[X]), f32(work[Y]), f32(work[VX]), f32(work[VY])
@@ -197,7 +225,7 @@ class Avoidance:
         work[COS], work[SIN] = cos(keep_right_rad), sin(keep_right_rad)
         work[NEIGHBOURS], work[FENCE_RADIUS], work[BRAKING] = NEIGHBOURS_MAX, radius_m, braking_m_s2
         work[FENCE_REACH] = radius_m + speed_max_m_s**2 / (2 * braking_m_s2) + speed_max_m_s * dt_s
-        self._gathered_at = (inf, inf)
+        work[GATHERED_X] = work[GATHERED_Y] = inf
         self._last = 0
 
     def know(self, slot: int, x_m: float, y_m: float, vx_m_s: float, vy_m_s: float,
@@ -214,7 +242,11 @@ class Avoidance:
 
     def among_known(self, at: XY, own: XY, wanted: XY, now_s: float) -> XY:
         """The velocity to take among the known peers, from place, own and wanted velocity."""
-        _CALL.pack_into(self._work, 0, *at, *own, *wanted, now_s, 0, self._last, self.range_m)  # type: ignore[arg-type]
+        # One by one: stars in this call would cost a tenth of all.
+        x, y = at
+        vx, vy = own
+        wx, wy = wanted
+        _CALL.pack_into(self._work, 0, x, y, vx, vy, wx, wy, now_s, 0, self._last, self.range_m)  # type: ignore[arg-type]
         return self._run(at)
 
     def velocity(self, at: XY, own: XY, wanted: XY, rows: list[tuple[float, ...]]) -> XY:
@@ -229,8 +261,13 @@ class Avoidance:
         return self._run(at)
 
     def _run(self, at: XY) -> XY:
-        if hypot(at[0] - self._gathered_at[0], at[1] - self._gathered_at[1]) > FENCE_SLACK_M:
+        x, y = self._kernel()
+        if x != x:  # not a number: too far from where fences were looked for
             self._gather(at)
+            x, y = self._kernel()
+        return x, y
+
+    def _kernel(self) -> XY:
         if self.walls.root < 0:
             x, y = velocity(self._work)
         else:
@@ -239,7 +276,7 @@ class Avoidance:
 
     def _gather(self, at: XY) -> None:
         """Copy the fences that may come into reach before the next time."""
-        self._gathered_at = at
+        self._work[GATHERED_X], self._work[GATHERED_Y] = at
         a, along = self._fences[:, :2], self._fences[:, 2:] - self._fences[:, :2]
         square = np.maximum(np.sum(along * along, axis=1), 1e-18)
         t = np.clip(np.sum((np.asarray(at) - a) * along, axis=1) / square, 0.0, 1.0)

@@ -2,9 +2,13 @@
 
 Own operations are numbered before they are revealed; registers and progress are kept so that a
 fleet that loses power as a whole loses no work. The stop records belong to `agent/safety.py`.
+
+A peer without its incarnation has lost its memory. Its dots and numbers would be used twice, so it
+retires that identity: it takes an incarnation by lot and stays latched until a person has looked.
 """
 
 from collections.abc import Mapping
+from random import Random
 from struct import Struct
 
 from crdt import FieldAllocationCRDT, Progress
@@ -19,10 +23,18 @@ REGISTER = "register/"
 PROGRESS = "progress/"
 
 
+FIRST_INCARNATION = 1
+
+
 class Records:
-    def __init__(self, recalled: Mapping[str, bytes]) -> None:
+    def __init__(self, recalled: Mapping[str, bytes], first_boot: bool, rng: Random) -> None:
         self.recalled = recalled
-        self.incarnation = self._number(INCARNATION, U16, 1)
+        self.incarnation = self._number(INCARNATION, U16, 0)
+        self.fresh = not self.incarnation  # this incarnation is not written down yet
+        self.lost = self.fresh and not (first_boot and not recalled)
+        if self.fresh:
+            lot = rng.randint(FIRST_INCARNATION + 1, 0xFFFF) if self.lost else FIRST_INCARNATION
+            self.incarnation = lot
         self.operations = self._number(OPERATIONS, U32, 0)
         raw = recalled.get(ELECTION, b"")
         self.term = VOTE.unpack(raw)[0] + 1 if len(raw) == VOTE.size else 0
@@ -39,6 +51,9 @@ class Records:
             elif key.startswith(PROGRESS) and len(raw) == U64.size:
                 section, block = key.removeprefix(PROGRESS).split("/")
                 progress.apply(int(section), int(block), U64.unpack(raw)[0])
+
+    def identity(self) -> tuple[str, bytes]:
+        return INCARNATION, U16.pack(self.incarnation)
 
     @staticmethod
     def operation(count: int, section: int, key: int) -> tuple[tuple[str, bytes], ...]:

@@ -9,13 +9,15 @@ from collections.abc import Mapping, Sequence
 from enum import Enum
 from math import hypot
 
+from agent.authority import Authority
 from agent.cause import Cause, Severity
 from agent.config import MEMBERSHIP_STABLE_US, MS, STOP_REPEAT_US, STOP_SPACING_US, S
 from agent.effects import HALT, Drive, Effect, Persist, Send, Trace
 from crdt.stops import StopDot, StopSet
-from protocol.authentication import OPERATOR_FIRST, Keyring
+from protocol.authentication import Keyring
 from protocol.safety_frames import (
     AllImplementsStop,
+    Command,
     EmergencyReset,
     EmergencyStop,
     OperatorCommand,
@@ -23,12 +25,19 @@ from protocol.safety_frames import (
     Switch,
 )  # fmt: skip
 
-STOPS_KEY, COUNTER_KEY = "stops", "stop_counter"
+STOPS_KEY, COUNTER_KEY, HOLD_KEY = "stops", "stop_counter", "hold"
+FREE, HELD, LATCHED = (
+    b"\0",
+    b"\1",
+    b"\2",
+)  # what HOLD_KEY remembers: a restart resets and starts nothing
 CREEP_M_S = 0.5
 UNAUTHENTICATED_HOLD_US = 1 * S  # a stop without a valid tag holds this long after its last frame
 IMPLEMENTS_HOLD_US = 3 * S  # the standard frame comes every second; three are missing
 LATE_HOLD_US = 1 * S  # a robot that was frozen looks around before it moves
 REPEATS_MAX = 400  # 2 s of repetition; then the heartbeats' stopped bit carries the latch
+AGAIN_US = 100 * MS  # 20 repeats: who still beats as if nothing was may know our dot as cleared
+AGAIN_MAX = 3  # further dots for one press; beyond it that member cannot hear us at all
 ANSWER_SPACING_US = 100 * MS  # a member that beats unlatched is told again at most this often
 FOREVER = 1 << 62
 
@@ -52,10 +61,9 @@ class Safety:
         now_us: int,
     ) -> None:
         self.slot, self.incarnation = slot, incarnation & 0xFF
-        self.policy, self.keyring = policy, keyring
+        self.policy, self.authority = policy, Authority(slot, keyring)
         self.stops = StopSet()
         self.counter = int.from_bytes(recalled.get(COUNTER_KEY, b""), "little")
-        self.refused = 0  # stop, reset and command frames without authority
         self._causes: dict[Cause, str] = {Cause.NOT_STARTED: "boot"}
         self._expires_us: dict[Cause, int] = {}
         self._live: frozenset[int] = frozenset({slot})
@@ -64,7 +72,7 @@ class Safety:
         self._echoes: dict[StopDot, set[int]] = {}
         self._own: dict[StopDot, int] = {}  # dots we repeat as their source -> repeats left
         self._repeat_us = FOREVER
-        self._pressed_us = -STOP_SPACING_US
+        self._pressed_us, self._again = -STOP_SPACING_US, 0
         self._answered_us = -ANSWER_SPACING_US
         self._recall(recalled)
 
@@ -74,8 +82,9 @@ class Safety:
                 self.stops = StopSet.deserialize(recalled[STOPS_KEY])
         except ValueError:
             self._causes[Cause.BOOT_UNCONFIRMED] = "the stop set on disk is unreadable"
-        if self.stops.latched:
+        if self.stops.latched or recalled.get(HOLD_KEY) == LATCHED:
             self._causes[Cause.STOP_DOT] = "latched before the restart"
+        self.held = recalled.get(HOLD_KEY, FREE) != FREE
 
     # ---------------------------------------------------------------- state
 
@@ -92,6 +101,11 @@ class Safety:
         return tuple(
             sorted(self._causes.items(), key=lambda item: (-item[0].severity, item[0].name))
         )
+
+    @property
+    def unconfirmed(self) -> bool:
+        """Memory was lost: nobody has yet said that this machine may forget it."""
+        return Cause.BOOT_UNCONFIRMED in self._causes
 
     @property
     def started(self) -> bool:
@@ -121,6 +135,10 @@ class Safety:
         """Emergency stop here: brake, send, then remember. Braking waits for nobody."""
         if now_us - self._pressed_us < STOP_SPACING_US:
             return [HALT]  # the same hand on the same button
+        self._again = AGAIN_MAX
+        return self._press(reason, now_us)
+
+    def _press(self, reason: Reason, now_us: int) -> Sequence[Effect]:
         self._pressed_us = now_us
         self.counter += 1
         dot = StopDot(self.slot, self.incarnation, self.counter & 0xFF)
@@ -148,14 +166,11 @@ class Safety:
             self._echoes.setdefault(dot, set()).add(source_slot)
         if dot in self.stops.active:
             return ()
-        if self.keyring is not None and (
-            signer is None or not self.keyring.verify(m, signer, now_us)
-        ):
-            self.refused += 1
+        if not self.authority.believes(m, signer, now_us):
             self.raise_cause(
                 Cause.UNAUTHENTICATED_STOP, now_us, f"dot {dot}", UNAUTHENTICATED_HOLD_US
             )
-            return [HALT]
+            return [HALT, *self.authority.ask(signer, now_us)]
         if not self.stops.press(dot):
             return ()  # an operator has cleared exactly this one
         self._causes[Cause.STOP_DOT] = f"{dot.slot}.{dot.incarnation}.{dot.counter}"
@@ -174,6 +189,9 @@ class Safety:
             for dot in active:
                 self._echoes.setdefault(dot, set()).add(slot)
             return ()
+        if self._own and self._again and now_us - self._pressed_us >= AGAIN_US:
+            self._again -= 1
+            return self._press(Reason.OPERATOR_INTERVENTION, now_us)
         return self.tell_stops(now_us) if active else ()
 
     def tell_stops(self, now_us: int) -> Sequence[Effect]:
@@ -189,10 +207,9 @@ class Safety:
 
     def receive_reset(self, m: EmergencyReset, now_us: int) -> Sequence[Effect]:
         """Clears exactly the dot it names, pressed here or not yet heard of."""
-        if self.keyring is not None and not (
-            m.operator >= OPERATOR_FIRST and self.keyring.verify(m, m.operator, now_us)
-        ):
-            self.refused += 1
+        if not self.authority.believes(m, m.operator, now_us):
+            return self.authority.ask(m.operator, now_us)
+        if not self.authority.agreed(m, now_us):
             return ()
         dot = StopDot(m.slot, m.incarnation, m.counter)
         if not self.stops.clear(dot):
@@ -212,13 +229,11 @@ class Safety:
             self.clear_cause(Cause.IMPLEMENTS_STOP, now_us)
         return ()
 
-    def accept_command(self, m: OperatorCommand, now_us: int) -> bool:
-        if self.keyring is None:
-            return True
-        if m.operator >= OPERATOR_FIRST and self.keyring.verify(m, m.operator, now_us):
-            return True
-        self.refused += 1
-        return False
+    def accept_command(self, m: OperatorCommand, now_us: int) -> Sequence[Effect] | None:
+        """None: it has authority. Otherwise what to do about it."""
+        if not self.authority.believes(m, m.operator, now_us):
+            return self.authority.ask(m.operator, now_us)
+        return None if m.command == Command.HOLD or self.authority.agreed(m, now_us) else ()
 
     # ---------------------------------------------------------------- people at this machine
 
@@ -230,11 +245,18 @@ class Safety:
             self._causes.pop(cause, None)
         return True
 
-    def start(self, now_us: int) -> None:
+    def start(self, now_us: int) -> Sequence[Effect]:
         self.clear_cause(Cause.NOT_STARTED, now_us)
+        return [self.remember_hold()]
 
-    def hold(self, now_us: int) -> None:
+    def hold(self, now_us: int) -> Sequence[Effect]:
         self.raise_cause(Cause.NOT_STARTED, now_us, "held by an operator")
+        return [HALT, self.remember_hold()]
+
+    def remember_hold(self) -> Persist:
+        """What a person has still to do at this machine, for the time after a restart."""
+        self.held = not self.started
+        return Persist(HOLD_KEY, LATCHED if self.latched else HELD if self.held else FREE)
 
     # ---------------------------------------------------------------- members and time
 
@@ -316,10 +338,11 @@ class Safety:
 
     def _stop(self, dot: StopDot, reason: Reason, echo: bool = False) -> EmergencyStop:
         message = EmergencyStop(dot.slot, dot.incarnation, dot.counter, reason, echo)
-        return message if self.keyring is None else self.keyring.sign(message)
+        return self.authority.sign(message)
 
     def _remember(self) -> list[Effect]:
         return [
             Persist(STOPS_KEY, self.stops.serialize()),
             Persist(COUNTER_KEY, self.counter.to_bytes(4, "little")),
+            self.remember_hold(),
         ]

@@ -16,6 +16,7 @@ from protocol.codec import encode
 from protocol.fleet_frames import Pose
 from protocol.frame import Frame
 from protocol.messages import GROUP_OF
+from protocol.safety_frames import EmergencyStop
 
 log = logging.getLogger(__name__)
 
@@ -41,6 +42,7 @@ class Shell:
         self._wake: asyncio.Future[None] | None = None
         self._armed_us = 0  # when the timer that is set will fire
         self._failure: Exception | None = None
+        self._disk_failed = False
         self._frozen_until_us = 0  # 0: not frozen
 
     @staticmethod
@@ -48,17 +50,22 @@ class Shell:
         return round(asyncio.get_running_loop().time() * 1e6)
 
     def perform(self, effects: Sequence[Effect]) -> None:
-        """In order, without waiting: all of one input's effects, then the next input."""
-        now_us, records = self.now_us(), []
+        """In order, without waiting: all of one input's effects, then the next input.
+
+        What was to be durable first and is not, is not revealed: only what stops goes on after it.
+        """
+        now_us, records, durable = self.now_us(), [], True
         for effect in effects:
             kind = type(effect)
             if kind is Persist:
                 records.append(effect)
                 continue
             if records:
-                self._persist(records)
+                durable = self._persist(records) and durable
                 records = []
             if isinstance(effect, Send):
+                if not durable and not isinstance(effect.message, EmergencyStop):
+                    continue
                 source = self.peer.address if effect.source is None else effect.source
                 if source is not None:
                     self.bus.send(encode(effect.message, source, effect.destination))
@@ -74,14 +81,20 @@ class Shell:
         if records:
             self._persist(records)
 
-    def _persist(self, records: list[Effect]) -> None:
+    def _persist(self, records: list[Effect]) -> bool:
+        """Whether they are durable. A disk that has failed once is not asked again: after an error
+        nobody knows which of the earlier writes are still only in its cache."""
         if self.journal is None:
-            return
+            return True
+        if self._disk_failed:
+            return False
         try:
             self.journal.write(records)  # type: ignore[arg-type]
         except OSError as problem:
+            self._disk_failed = True
             log.error("robot %d: the journal failed: %s", self.peer.slot, problem)
             self.perform(self.peer.disk_failed(self.now_us()))
+        return not self._disk_failed
 
     def operate(self, act: Callable[[Peer, int], Sequence[Effect]]) -> None:
         """An operator call between two inputs: `shell.operate(lambda peer, now: peer.start(now))`."""

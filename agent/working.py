@@ -59,6 +59,7 @@ class Working:
             and (claims.current is None or peer.wish.near_end)
             and peer.sync.ready(now_us)
         ):
+            effects += self._give_back(now_us)
             choice = peer.mission.choose(view)
             if choice is not None:
                 effects += peer.claim(choice.section, choice.bid, now_us, choice.takeover)
@@ -67,6 +68,17 @@ class Working:
         if claims.next is not None:
             return peer.mission.approach(claims.next, view)
         return peer.mission.rest(view)
+
+    def _give_back(self, now_us: int) -> list[Effect]:
+        """Sections that an earlier life of ours held, before a restart: this one has no plan for them.
+        Given back they are as free for us as for anybody, and what was covered of them is known."""
+        peer, effects = self.peer, list[Effect]()
+        if peer.claims.current is None and peer.claims.next is None:
+            for section in peer.allocation.assigned_sections(peer.slot):
+                key = peer.claims.drop(section)
+                if key is not None:
+                    effects += peer.announce(section, key, "release", now_us)
+        return effects
 
     def _work(self, view: FleetView, section: int, effects: list[Effect]) -> Wish:
         peer = self.peer

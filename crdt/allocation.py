@@ -12,6 +12,8 @@ from collections.abc import Iterator, Mapping
 from struct import Struct
 from zlib import crc32
 
+import numpy as np
+
 from crdt.digest import Sums, short
 from crdt.register import (
     DONE_BIT,
@@ -24,6 +26,7 @@ from crdt.register import (
     lamport_of,
     owner_of,
     pack,
+    pack_all,
     phase_of,
 )
 
@@ -31,6 +34,10 @@ KIND = 1  # of an allocation entry in digests
 SECTION_MAX = 0xFFFF
 ENTRY = Struct("<HBBHBB")  # 8 bytes, as TASK_CLAIM
 HEADER = Struct("<I")
+ROWS = np.dtype([("section", "<u2"), ("epoch", "u1"), ("mixed", "u1"), ("low", "<u2"), ("high", "u1"),
+                 ("owner", "u1")])  # fmt: skip
+assert ROWS.itemsize == ENTRY.size == 8
+PHASES = np.isin(np.arange(8), [int(phase) for phase in Phase])  # those that exist
 HELD = (Phase.CLAIMED, Phase.STARTED)
 
 
@@ -123,15 +130,12 @@ class FieldAllocationCRDT:
             raise ValueError(
                 f"replicas of different fields: {self.field_hash:06x} and {other.field_hash:06x}"
             )
-        known_of, changing = self._keys.get, self._sums.changing
-        newer: dict[int, int] = {}
-        for section, key in other._keys.items():
-            known = known_of(section)
-            if known is None or key > known:
-                changing(section, known)
-                newer[section] = key
-                if key >= DONE_BIT and (known is None or known < DONE_BIT):
-                    self._done += 1
+        known_of = self._keys.get
+        newer = {s: key for s, key in other._keys.items() if key > known_of(s, -1)}
+        before = {section: known_of(section) for section in newer}
+        self._sums.changing_all(before)
+        self._done += sum(key >= DONE_BIT for key in newer.values())
+        self._done -= sum(key is not None and key >= DONE_BIT for key in before.values())
         self._keys.update(newer)
         self.lamport = max(self.lamport, other.lamport)
         return set(newer)
@@ -215,7 +219,20 @@ class FieldAllocationCRDT:
         if (len(data) - HEADER.size) % ENTRY.size or len(data) < HEADER.size:
             raise ValueError(f"an allocation does not have {len(data)} bytes")
         replica = cls(HEADER.unpack_from(data)[0])
-        for section, epoch, mixed, low, high, owner in ENTRY.iter_unpack(data[HEADER.size :]):
-            phase = Phase(mixed & 7)  # ValueError for a phase that does not exist
-            replica.apply(section, pack(epoch, phase, mixed >> 3, low | high << 16, owner))
+        rows = np.frombuffer(data, ROWS, offset=HEADER.size)
+        phase, bid = rows["mixed"] & 7, rows["mixed"] >> 3
+        if not PHASES[phase].all():
+            raise ValueError("an allocation has no such phase")
+        lamport = rows["low"] | rows["high"].astype(np.uint32) << 16
+        keys = pack_all(rows["epoch"], phase, bid, lamport, rows["owner"])
+        sections = rows["section"]
+        if (sections[1:] <= sections[:-1]).any():  # not as we write it
+            order = np.argsort(
+                keys, kind="stable"
+            )  # of a section written twice the greater one stays
+            sections, keys = sections[order], keys[order]
+        replica._keys.update(zip(sections.tolist(), keys.tolist(), strict=True))
+        replica._sums.changing_all(dict.fromkeys(replica._keys))
+        replica._done = sum(key >= DONE_BIT for key in replica._keys.values())
+        replica.lamport = int(lamport.max(initial=0))
         return replica

@@ -59,6 +59,10 @@ class Sums:
         """An entry is about to change. Hashing waits until somebody asks."""
         self._before.setdefault(name, before)
 
+    def changing_all(self, before: Mapping[int, int | None]) -> None:
+        """Many entries are about to change; `before` are their values."""
+        self._before = {**before, **self._before}
+
     def buckets(self) -> list[int]:
         if self._before:
             kind, sums = self.kind, self._sums

@@ -1,14 +1,18 @@
 """Tags on the frames that stop and release a fleet: AES-CMAC, 24 bits, 8 bits of freshness.
 
-After AUTOSAR SecOC profile 1. Each sender has its own key, derived from the fleet's master by HKDF;
-operator devices share a key of their own, so that a robot's key releases nobody. The tag covers the
-parameter group, the sender, the full 64-bit freshness counter and the payload; 8 bits of the counter
-travel. A receiver accepts a counter 1 to 127 ahead of the last it accepted: no replay, and no stale
-frame. Guessing a tag succeeds with odds of 2^-24 a try; after `BAD_MAX` bad tags in `BAD_WINDOW_US`
-a sender is not listened to for as long.
+After AUTOSAR SecOC profile 1. Each sender has its own key, derived by HKDF: robots and stop panels
+from the fleet's master, operator devices from a secret of their own, so that a panel releases nobody.
+The tag covers the parameter group, the sender, the full 64-bit counter and the payload; 8 bits of the
+counter travel. A receiver accepts a counter 1 to 127 ahead of the last it accepted: no replay.
 
-What this is not: every holder of the master can speak for every robot. It defends against devices
-on the bus that do not hold it.
+Who cannot follow a sender's counter (a restart, a long cut) asks it with a number used once, and the
+sender proves where its counter is. Operators must do so before anything they order is believed, and
+again after `SESSION_US` without a word: a frame that was held back cannot be played later. An
+operator's counter never goes back, over restarts too. A robot's may: what can be replayed are stops.
+
+Guessing a tag succeeds with odds of 2^-24 a try; after `BAD_MAX` bad tags in `BAD_WINDOW_US` a sender
+is not believed for as long. What this is not: every holder of a secret can speak for everybody under
+it, and a robot must hold both to verify. It defends against devices that hold none.
 """
 
 from collections import deque
@@ -19,49 +23,74 @@ from cryptography.hazmat.primitives.cmac import CMAC
 from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.kdf.hkdf import HKDF
 
-from protocol.safety_frames import EmergencyReset, EmergencyStop, OperatorCommand
+from protocol.safety_frames import (
+    Challenge,
+    EmergencyReset,
+    EmergencyStop,
+    Freshness,
+    OperatorCommand,
+)  # fmt: skip
 
 Signed = TypeVar("Signed", EmergencyStop, EmergencyReset, OperatorCommand)
+AnySigned = EmergencyStop | EmergencyReset | OperatorCommand
 
-OPERATOR_FIRST = 128  # sender ids from here are operator devices
+PANEL_FIRST = 128  # sender ids from here are stop panels
+OPERATOR_FIRST = 192  # and from here operator devices, which may release
+KEY_SIZE = 16  # bytes
 WINDOW = 127  # a counter this far ahead is fresh; more frames than that are never lost in a row
+COUNTER_MAX = 0xFFFF_FFFF  # what Freshness can say: repeating a stop without pause, 248 days
+SESSION_US = 10_000_000  # an operator who said nothing for this long proves itself again
 BAD_MAX = 8
 BAD_WINDOW_US = 10_000_000
-RESERVE = 256  # counters reserved at a time: one durable write for as many frames
+ASK_SPACING_US = 100_000  # between questions, whomever to: forged frames make no flood of them
+NUMBER_LIFE_US = 1_000_000  # of a number used once: a proof that was held back for longer is void
+ANSWER_SPACING_US = 10_000  # and answers one asker at most this often
 _GROUPS = {EmergencyStop: 0xFF00, EmergencyReset: 0xFF01, OperatorCommand: 0xFF02}
+_FRESHNESS_GROUP = 0xEF00
 
 
 class Keys(NamedTuple):
-    """The secrets of a fleet, 16 bytes each."""
+    """The secrets of a fleet, 16 bytes each. A device has none of those that it does not need."""
 
-    master: bytes
-    operator: bytes
+    master: bytes | None
+    operator: bytes | None
 
 
 class Keyring:
-    """Signs for one sender and verifies for all. Counters of others start at what was recalled."""
+    """Signs for one sender and verifies for all.
 
-    def __init__(
-        self, keys: Keys, sender: int, sent: int = 0, heard: dict[int, int] | None = None
-    ) -> None:
+    `lot` is anything that no two starts of this sender share: numbers used once are made of it.
+    """
+
+    def __init__(self, keys: Keys, sender: int, lot: bytes, sent: int = 0) -> None:
         self.sender, self.sent = sender, sent
-        self.heard = dict(heard or {})
-        self.accepted = self.bad = self.stale = self.ignored = 0
-        self._keys = keys
+        self.heard: dict[int, int] = {}
+        self.accepted = self.bad = self.stale = self.ignored = self.unproven = 0
+        self._keys, self._lot = keys, lot
         self._macs: dict[int, CMAC] = {}
         self._bad_us: dict[int, deque[int]] = {}
+        self._asked: dict[int, bytes] = {}  # sender -> the number that its proof must cover
+        self._asked_us = -ASK_SPACING_US
+        self._drawn_us: dict[int, int] = {}  # when that number was drawn
+        self._proven_us: dict[int, int] = {}  # operator -> when it was last believed
+        self._answered_us: dict[int, int] = {}
+        self._questions = 0
+
+    # ---------------------------------------------------------------- frames
 
     def sign(self, message: Signed) -> Signed:
         """The message with the next freshness and its tag."""
         self.sent += 1
+        assert self.sent <= COUNTER_MAX
         fresh = message._replace(freshness=self.sent & 0xFF, tag=0)
         return fresh._replace(tag=self._tag(self.sender, self.sent, fresh))
 
-    def verify(self, message: Signed, sender: int, now_us: int) -> bool:
+    def verify(self, message: AnySigned, sender: int, now_us: int) -> bool:
         """Whether `sender` wrote this and we have not accepted it before."""
-        bad = self._bad_us.get(sender)
-        if bad is not None and len(bad) == BAD_MAX and now_us - bad[0] < BAD_WINDOW_US:
-            self.ignored += 1
+        if self._locked_out(sender, now_us):
+            return False
+        if sender >= OPERATOR_FIRST and not self._proven(sender, now_us):
+            self.unproven += 1
             return False
         last = self.heard.get(sender, 0)
         ahead = (message.freshness - last) & 0xFF
@@ -69,27 +98,106 @@ class Keyring:
             self.stale += 1
             return False
         counter = last + ahead
-        if self._tag(sender, counter, message._replace(tag=0)) != message.tag:
-            self.bad += 1
-            self._bad_us.setdefault(sender, deque(maxlen=BAD_MAX)).append(now_us)
+        if not self._holds(sender) or self._tag(sender, counter, message) != message.tag:
+            self._count_bad(sender, now_us)
             return False
         self.heard[sender] = counter
         self.accepted += 1
+        if sender >= OPERATOR_FIRST:
+            self._proven_us[sender] = now_us
         return True
 
-    def _tag(
-        self, sender: int, counter: int, message: EmergencyStop | EmergencyReset | OperatorCommand
-    ) -> int:
+    # ---------------------------------------------------------------- proofs of where a counter is
+
+    def ask(self, sender: int, now_us: int) -> Challenge | None:
+        """To a sender whose frame could not be verified. None: it was asked just now."""
+        if now_us - self._asked_us < ASK_SPACING_US:
+            return None
+        self._asked_us = now_us
+        if now_us - self._drawn_us.get(sender, -NUMBER_LIFE_US) >= NUMBER_LIFE_US:
+            self._asked.pop(sender, None)
+        if sender not in self._asked:
+            self._questions += 1
+            mac = self._mac(self.sender).copy()
+            mac.update(b"number used once" + self._questions.to_bytes(8, "little") + self._lot)
+            self._asked[sender], self._drawn_us[sender] = mac.finalize()[:6], now_us
+        return Challenge(sender, self.sender, int.from_bytes(self._asked[sender], "little"))
+
+    def answer(self, question: Challenge, now_us: int) -> Freshness | None:
+        answered_us = self._answered_us.get(question.asker, -ANSWER_SPACING_US)
+        if question.asked != self.sender or now_us - answered_us < ANSWER_SPACING_US:
+            return None
+        self._answered_us[question.asker] = now_us
+        number = question.number.to_bytes(6, "little")
+        tag = self._proof(self.sender, question.asker, number, self.sent)
+        return Freshness(self.sender, self.sent, tag)
+
+    def prove(self, answer: Freshness, now_us: int) -> bool:
+        """Take a counter over from who proves that it is there now."""
+        sender = answer.sender
+        number = self._asked.get(sender)
+        late = now_us - self._drawn_us.get(sender, now_us) >= NUMBER_LIFE_US
+        if number is None or late or not self._holds(sender):
+            self.stale += 1
+            return False
+        operator = sender >= OPERATOR_FIRST
+        if operator and self._locked_out(sender, now_us):
+            return False
+        if self._proof(sender, self.sender, number, answer.counter) != answer.tag:
+            self._count_bad(sender, now_us)
+            return False
+        if operator and answer.counter < self.heard.get(sender, 0):
+            self.stale += 1
+            return False
+        del self._asked[sender]
+        self.heard[sender] = answer.counter
+        if operator:
+            self._proven_us[sender] = now_us
+        else:
+            self._bad_us.pop(sender, None)  # others in its name do not keep its stops unheard
+        return True
+
+    # ---------------------------------------------------------------- inside
+
+    def _proven(self, operator: int, now_us: int) -> bool:
+        proven_us = self._proven_us.get(operator)
+        return proven_us is not None and now_us - proven_us <= SESSION_US
+
+    def _locked_out(self, sender: int, now_us: int) -> bool:
+        bad = self._bad_us.get(sender)
+        if bad is None or len(bad) < BAD_MAX or now_us - bad[0] >= BAD_WINDOW_US:
+            return False
+        self.ignored += 1
+        return True
+
+    def _count_bad(self, sender: int, now_us: int) -> None:
+        self.bad += 1
+        self._bad_us.setdefault(sender, deque(maxlen=BAD_MAX)).append(now_us)
+
+    def _secret(self, sender: int) -> bytes | None:
+        return self._keys.operator if sender >= OPERATOR_FIRST else self._keys.master
+
+    def _holds(self, sender: int) -> bool:
+        return self._secret(sender) is not None
+
+    def _tag(self, sender: int, counter: int, message: AnySigned) -> int:
         mac = self._mac(sender).copy()
         head = _GROUPS[type(message)].to_bytes(3, "little") + bytes((sender,))
         mac.update(head + counter.to_bytes(8, "little") + message.pack()[:-3])
         return int.from_bytes(mac.finalize()[:3], "little")
 
+    def _proof(self, sender: int, asker: int, number: bytes, counter: int) -> int:
+        mac = self._mac(sender).copy()
+        head = _FRESHNESS_GROUP.to_bytes(3, "little") + bytes((sender, asker))
+        mac.update(head + number + counter.to_bytes(8, "little"))
+        return int.from_bytes(mac.finalize()[:3], "little")
+
     def _mac(self, sender: int) -> CMAC:
         mac = self._macs.get(sender)
         if mac is None:
-            secret = self._keys.operator if sender >= OPERATOR_FIRST else self._keys.master
+            secret = self._secret(sender)
+            assert secret is not None, "a sender whose secret is not held is not verified"
             info = b"headland sender" + bytes((sender,))
-            key = HKDF(algorithm=SHA256(), length=16, salt=None, info=info).derive(secret)
+            key = HKDF(algorithm=SHA256(), length=KEY_SIZE, salt=None, info=info).derive(secret)
             mac = self._macs[sender] = CMAC(AES(key))
         return mac

@@ -12,8 +12,10 @@ from protocol.network_frames import (
 )  # fmt: skip
 from protocol.safety_frames import (
     AllImplementsStop,
+    Challenge,
     EmergencyReset,
     EmergencyStop,
+    Freshness,
     OperatorCommand,
 )  # fmt: skip
 from protocol.work_frames import (
@@ -25,7 +27,7 @@ from protocol.work_frames import (
 )  # fmt: skip
 
 Message = (
-    EmergencyStop | EmergencyReset | OperatorCommand | AllImplementsStop
+    EmergencyStop | EmergencyReset | OperatorCommand | AllImplementsStop | Challenge | Freshness
     | LeaderElectionVote | TaskClaim | Pose | Heartbeat | Member
     | StateSyncRequest | StateSyncResponse | Digests | VectorSlice | WorkProgress
     | AddressClaimed | Request | Acknowledgment | TransportManagement | TransportData
@@ -44,6 +46,8 @@ GROUPS = (
     Group(EmergencyStop, 0xFF00, 0, 8, "EMERGENCY_STOP"),
     Group(EmergencyReset, 0xFF01, 1, 8, "EMERGENCY_RESET"),
     Group(OperatorCommand, 0xFF02, 2, 8, "OPERATOR_COMMAND"),
+    Group(Challenge, 0xFF03, 2, 8, "CHALLENGE"),
+    Group(Freshness, 0xEF00, 2, 8, "FRESHNESS"),
     Group(AllImplementsStop, 0xFD02, 3, 8, "ALL_IMPLEMENTS_STOP"),
     Group(LeaderElectionVote, 0xFF04, 3, 8, "LEADER_ELECTION_VOTE"),
     Group(TaskClaim, 0xFF08, 4, 8, "TASK_CLAIM"),

@@ -40,7 +40,7 @@ class EmergencyStop(NamedTuple):
     """Everybody stops. Priority 0.
 
     byte  field        type  meaning
-    0     slot         u8    who pressed: robot slot, or 128.. for an operator device
+    0     slot         u8    who pressed: robot slot, or 128.. for a panel or an operator device
     1     incarnation  u8    low byte of the presser's incarnation
     2     counter      u8    the presser's stop counter: (slot, incarnation, counter) is the dot
     3     reason, echo bits  reason in bits 0-3, bit 4: this is an echo by the frame's source
@@ -73,7 +73,7 @@ class EmergencyReset(NamedTuple):
 
     byte  field        type  meaning
     0..2  dot          3 u8  slot, incarnation, counter of the stop it clears
-    3     operator     u8    operator device (128..254)
+    3     operator     u8    operator device (192..254 in a fleet with keys)
     4     freshness    u8    low byte of the operator's freshness counter
     5..7  tag          u24   AES-CMAC with the operator's key
     """
@@ -102,7 +102,7 @@ class OperatorCommand(NamedTuple):
     byte  field      type  meaning
     0     command    u8    Command
     1     target     u8    slot, 255: every robot
-    2     operator   u8    operator device (128..254)
+    2     operator   u8    operator device (192..254 in a fleet with keys)
     3     argument   u8    by command
     4     freshness  u8    low byte of the operator's freshness counter
     5..7  tag        u24   AES-CMAC with the operator's key
@@ -126,6 +126,50 @@ class OperatorCommand(NamedTuple):
         command, target, operator, argument, freshness = data[:5]
         tag = int.from_bytes(data[5:], "little")
         return cls(command, target, operator, argument, freshness, tag)
+
+
+class Challenge(NamedTuple):
+    """Prove where your counter is: asked of a sender whose frames cannot be verified. Priority 2.
+
+    byte  field   type  meaning
+    0     asked   u8    sender that is asked
+    1     asker   u8    slot of who asks
+    2..7  number  u48   used once
+    """
+
+    asked: int
+    asker: int
+    number: int
+
+    def pack(self) -> bytes:
+        return bytes((self.asked, self.asker)) + self.number.to_bytes(6, "little")
+
+    @classmethod
+    def unpack(cls, data: bytes) -> "Challenge":
+        return cls(data[0], data[1], int.from_bytes(data[2:], "little"))
+
+
+class Freshness(NamedTuple):
+    """The proof, to the address that asked. Priority 2.
+
+    byte  field    type  meaning
+    0     sender   u8    who was asked
+    1..4  counter  u32   of its last signed frame
+    5..7  tag      u24   AES-CMAC over sender, asker, the number asked with, and the counter
+    """
+
+    sender: int
+    counter: int
+    tag: int
+
+    def pack(self) -> bytes:
+        head = bytes((self.sender,)) + self.counter.to_bytes(4, "little")
+        return head + self.tag.to_bytes(3, "little")
+
+    @classmethod
+    def unpack(cls, data: bytes) -> "Freshness":
+        counter, tag = int.from_bytes(data[1:5], "little"), int.from_bytes(data[5:], "little")
+        return cls(data[0], counter, tag)
 
 
 class AllImplementsStop(NamedTuple):

@@ -28,9 +28,11 @@ from protocol.network_frames import (
 )
 from protocol.safety_frames import (
     AllImplementsStop,
+    Challenge,
     Command,
     EmergencyReset,
     EmergencyStop,
+    Freshness,
     OperatorCommand,
     Reason,
     Switch,
@@ -84,6 +86,8 @@ SIGNALS: dict[type[Message], tuple[Signal, ...]] = {
         Signal("command", 0, 8, choices=_members(Command)), Signal("target", 8, 8),
         Signal("operator", 16, 8), Signal("argument", 24, 8), *_PROOF,
     ),
+    Challenge: (Signal("asked", 0, 8), Signal("asker", 8, 8), Signal("number", 16, 48)),
+    Freshness: (Signal("sender", 0, 8), Signal("counter", 8, 32), Signal("tag", 40, 24)),
     AllImplementsStop: (
         Signal("transition", 48, 8), Signal("switch", 56, 2, choices=_members(Switch)),
     ),

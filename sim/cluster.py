@@ -5,6 +5,7 @@ the same run; under a real loop it is a demonstration.
 """
 
 import asyncio
+from collections import Counter
 from collections.abc import Callable, Mapping
 from random import Random
 
@@ -14,18 +15,23 @@ from agent.core import Identity, Peer
 from agent.effects import Effect
 from agent.field_work import FieldWork
 from agent.motion import Limits, Motion
+from agent.ports import Journal
 from agent.shell import Shell
 from agent.tractor_motion import TractorMotion
 from agent.tractor_work import TractorWork
+from protocol.authentication import Signed
 from protocol.bus import CanBus
-from protocol.codec import encode
+from protocol.codec import decode_once, encode
+from protocol.frame import Frame
 from protocol.messages import Message
 from protocol.name import fleet_name
+from protocol.safety_frames import Challenge
 from sim.disk import MemoryJournal
 from sim.fieldbus import FieldBus, forget, segment
 from sim.scenario import Join, Scenario
 from sim.setting import BRAKING_SHARE, Setting
 
+OPERATOR = 200  # slot of the operator device that a scenario's resets come from
 TOOL_ADDRESS = 249  # where scripted operator frames come from
 Record = Callable[[int, int, Effect], None]  # slot, time in microseconds, effect
 
@@ -58,8 +64,18 @@ def _steering(setting: Setting, slot: int, limits: Limits) -> tuple[FieldWork, M
     return work, TractorMotion(slot, limits, turns, steering)
 
 
-def make_peer(setting: Setting, slot: int, now_us: int, recalled: Mapping[str, bytes]) -> Peer:
-    """The peer of one slot of a scenario; the same on a virtual clock and in a process of its own."""
+def make_peer(
+    setting: Setting,
+    slot: int,
+    now_us: int,
+    recalled: Mapping[str, bytes],
+    first_boot: bool,
+    lot: str = "",
+) -> Peer:
+    """The peer of one slot of a scenario; the same on a virtual clock and in a process of its own.
+
+    `lot`: anything that no two boots of this robot share; a first one in a simulation needs none.
+    """
     fleet = setting.scenario.fleet
     limits = Limits(fleet.radius_m, fleet.speed_m_s, fleet.acceleration_m_s2)
     kind = _steering if setting.turn_radius_m else _holonomic
@@ -71,9 +87,11 @@ def make_peer(setting: Setting, slot: int, now_us: int, recalled: Mapping[str, b
         field_hash=setting.field.config_hash,
         silence=setting.silence,
         started=True,
+        first_boot=first_boot,
     )
-    rng = Random(f"{setting.scenario.run.seed}/peer/{slot}")
-    return Peer(identity, rng, now_us, recalled, work, motion, setting.keyring(slot))
+    # Who has lost its memory must not throw the same dice again.
+    rng = Random(f"{setting.scenario.run.seed}/peer/{slot}{lot}")
+    return Peer(identity, rng, now_us, recalled, work, motion, setting.keyring(slot, lot))
 
 
 class Cluster:
@@ -87,9 +105,11 @@ class Cluster:
         faults.loss, faults.error = bus.loss, bus.error_rate
         faults.omission, faults.duplicate = bus.omission, bus.duplicate
         self.robots: dict[int, Robot] = {}
-        self.journals: dict[int, MemoryJournal] = {}
+        self.journals: dict[int, Journal] = {}
+        self.boots: Counter[int] = Counter()
         self.tasks: set[asyncio.Task[None]] = set()
         self._tool: FieldBus | None = None
+        self._keyring = setting.keyring(OPERATOR, "operator")
 
     def boot_all(self) -> None:
         """Everybody but those that join later."""
@@ -101,7 +121,10 @@ class Cluster:
     def boot(self, slot: int) -> Robot:
         """Power a robot up with what its journal remembers."""
         journal = self.journals.setdefault(slot, MemoryJournal())
-        peer = make_peer(self.setting, slot, Shell.now_us(), journal.load())
+        boots = self.boots[slot]
+        lot = f"/{boots}" if boots else ""
+        peer = make_peer(self.setting, slot, Shell.now_us(), journal.load(), not boots, lot)
+        self.boots[slot] += 1
         bus = can.Bus(interface="fieldbus", channel=self.channel)
         assert isinstance(bus, FieldBus)
         record = self.record
@@ -136,7 +159,24 @@ class Cluster:
         """A frame of a device that is not a robot, as an operator's tool would send it."""
         if self._tool is None:
             self._tool = FieldBus(self.channel)
+            self._tool.subscribe(self._answer)
         self._tool.submit(encode(message, source))
+
+    def order(self, message: Signed) -> None:
+        """The same from the operator's device: where the fleet has keys with a tag, and twice."""
+        if self._keyring is None:
+            self.inject(message)
+            return
+        for _ in range(2):
+            self.inject(self._keyring.sign(message))
+
+    def _answer(self, frame: Frame) -> None:
+        """The operator's device proves where its counter is, when a robot asks it to."""
+        source, message = decode_once(frame)
+        if isinstance(message, Challenge) and self._keyring is not None and self._tool is not None:
+            proof = self._keyring.answer(message, Shell.now_us())
+            if proof is not None:
+                self._tool.submit(encode(proof, TOOL_ADDRESS, source))
 
     def check(self) -> None:
         """Raise what a robot's task has raised: a broken assertion must not pass for silence."""

@@ -4,13 +4,13 @@ import asyncio
 import itertools
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 from protocol.codec import Malformed, decode_once
 from protocol.frame import Frame
-from sim.candump import CandumpWriter
+from sim.can_log import open_log
 from sim.clock import run_virtual
 from sim.cluster import Cluster
 from sim.coverage_truth import Coverage, coverage, sample_points
@@ -39,8 +39,15 @@ class Moment(NamedTuple):
 
 
 class Expedition:
-    def __init__(self, setting: Setting, out: Path | None = None, told: Told | None = None) -> None:
+    def __init__(
+        self,
+        setting: Setting,
+        out: Path | None = None,
+        told: Told | None = None,
+        logs: Sequence[Path] = (),
+    ) -> None:
         self.setting, self.out, self.told = setting, out, told
+        self.logs = [*([out / "can.log"] if out else []), *logs]
         self.kinds: Counter[str] = Counter()
         self.malformed = 0
         self.tracks: dict[int, list[TrackPoint]] = {}
@@ -55,13 +62,13 @@ class Expedition:
         started_s = time.perf_counter()
         recorder = Recorder(self.out / "trace.jsonl" if self.out else None)
         cluster = Cluster(self.setting, f"run {next(_numbers)}", recorder)
-        log = CandumpWriter(self.out / "can.log") if self.out else None
+        logs = [open_log(path) for path in self.logs]
 
         def tap(t_us: int, frame: Frame) -> None:
             _, message = decode_once(frame)
             self.kinds[type(message).__name__] += 1
             self.malformed += isinstance(message, Malformed)
-            if log is not None:
+            for log in logs:
                 log.write(t_us, frame)
 
         cluster.segment.taps.append(tap)
@@ -76,7 +83,7 @@ class Expedition:
             self.faults = plan.done
             await cluster.close()
             recorder.close()
-            if log is not None:
+            for log in logs:
                 log.close()
         return outcome
 
@@ -116,7 +123,7 @@ class Expedition:
             robots=scenario.fleet.robots,
             seed=scenario.run.seed,
             silence_policy=scenario.fleet.silence,
-            authenticated=self.setting.keyring(0) is not None,
+            authenticated=self.setting.keys is not None,
             finished=cluster.finished,
             coverage=truth.share,
             makespan_s=truth.last_us / 1e6,
@@ -130,6 +137,7 @@ class Expedition:
             bus_load_worst_case=wire.worst_us / (now_s * 1e6),
             claims_lost=recorder.lost,
             malformed=self.malformed,
+            refused=sum(r.peer.safety.authority.refused for r in cluster.robots.values()),
             trace_hash=recorder.digest,
             sections=len(field.sections),
             work_m=field.work_m,

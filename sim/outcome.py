@@ -25,6 +25,9 @@ class Outcome(NamedTuple):
     bus_load_worst_case: float  # the same frames at worst-case stuffing
     claims_lost: int
     malformed: int
+    refused: (
+        int  # stops, resets and commands without authority, counted by each robot that heard them
+    )
     trace_hash: str
     sections: int
     work_m: float  # length of all swaths

@@ -42,7 +42,7 @@ class FleetTable(_Table):
     track_m: float = Field(default=1.0, gt=0.1, le=4.0)  # with "differential" and "ackermann"
     steer_deg: float = Field(default=40.0, ge=10.0, le=60.0)  # full lock, with "ackermann"
     silence: Literal["stop", "slow", "continue"] = "stop"
-    keys: str | None = None  # key file, made by `headland keys make`
+    keys: str | None = None  # key file, made by `headland keys new`
 
 
 class BusTable(_Table):
@@ -171,13 +171,15 @@ class Scenario(_Table):
     folder: Path = Field(Path(), exclude=True)  # what file names are relative to
 
     def changed(
-        self, robots: int | None = None, seed: int | None = None, feature: str | None = None,
-        drive: str | None = None,
+        self, robots: int | None = None, seed: int | None = None, keys: Path | None = None,
+        feature: str | None = None, drive: str | None = None,
     ) -> "Scenario":  # fmt: skip
-        """The same with another number of robots, seed, field or drive; ScenarioError if out of range."""
+        """The same with some of it replaced. ScenarioError where out of range."""
         document = self.model_dump(exclude_unset=True)
         if robots is not None:
             document.setdefault("fleet", {})["robots"] = robots
+        if keys is not None:
+            document.setdefault("fleet", {})["keys"] = str(keys.absolute())
         if drive is not None:
             document.setdefault("fleet", {})["drive"] = drive
         if seed is not None:

@@ -19,9 +19,10 @@ from agent.safety import SilencePolicy
 from agent.swaths import divide
 from agent.tractor_tracker import Limits
 from agent.turn_route import TurnRoute
-from protocol.authentication import Keyring
+from protocol.authentication import Keyring, Keys
 from sim.field_error import FieldFileError
 from sim.field_file import read_boundary
+from sim.key_file import FLEET, KeyFileError, read
 from sim.lidar import Lidar
 from sim.scenario import Scenario, ScenarioError
 from sim.vehicle import Chassis, Kind
@@ -43,6 +44,7 @@ class Setting:
         """Raises ScenarioError where the field cannot be used."""
         self.scenario = scenario
         self.field = self._field()
+        self.keys = self._keys()
         self.silence = SilencePolicy[scenario.fleet.silence.upper()]
         beside_m = (self.field.implement_width_m - self.field.overlap_m) / 2
         if scenario.fleet.radius_m + FENCE_M > beside_m:
@@ -57,6 +59,15 @@ class Setting:
             )
         except ValueError as problem:
             raise ScenarioError(f"{scenario.name}: fleet.robots: {problem}") from None
+
+    def _keys(self) -> Keys | None:
+        name = self.scenario.fleet.keys
+        if name is None:
+            return None
+        try:
+            return read(self.scenario.folder / name, FLEET).keys
+        except KeyFileError as problem:
+            raise ScenarioError(f"{self.scenario.name}: fleet.keys: {problem}") from None
 
     def _field(self) -> Field:
         table = self.scenario.field
@@ -162,5 +173,6 @@ class Setting:
             world.add_robot(slot, at, fleet.radius_m, chassis)
         return world
 
-    def keyring(self, slot: int) -> Keyring | None:
-        return None
+    def keyring(self, sender: int, lot: str) -> Keyring | None:
+        """`lot`: anything that no two starts of this sender share."""
+        return None if self.keys is None else Keyring(self.keys, sender, lot.encode())

@@ -8,6 +8,7 @@ from pathlib import Path
 from protocol.authentication import Keyring
 from protocol.bus import CanBus
 from protocol.safety_frames import AllImplementsStop, Reason, Switch
+from sim.key_file import KeyFileError, read
 from tools.attachment import AttachError, attach
 from tools.operator_device import Operator, Robot
 
@@ -15,6 +16,9 @@ REPEAT_S = 0.005
 LISTEN_S = 0.5  # long enough for ten beats: who has not been heard by then is not there
 AGAIN_S = 0.1  # nobody latched by then: the dot may have been used and cleared long ago; another
 NOT_ALL, WRONG = 1, 2
+NOT_SIGNED = (
+    "NOT SIGNED: a fleet without keys believes anybody on the bus; one with keys only brakes"
+)
 
 
 def estop(
@@ -56,15 +60,17 @@ async def _estop(
         if watch:
             return await _watch(operator)
         late = await _press(operator, reason, timeout_s)
-        return _tell(operator, late, as_json)
+        return _tell(operator, late, as_json, keys is not None)
     finally:
         bus.close()
 
 
 def keyring_of(keys: Path | None) -> Keyring | None:
-    if keys is not None:
-        raise AttachError(f"--keys {keys}: this fleet has no keys yet; see docs/stopping.md")
-    return None
+    """Of a stop panel (the fleet's file) or an operator device; raises AttachError."""
+    try:
+        return None if keys is None else read(keys).keyring()
+    except KeyFileError as problem:
+        raise AttachError(f"--keys {problem}") from None
 
 
 def listen_to(bus: CanBus, operator: Operator) -> None:
@@ -97,19 +103,21 @@ async def _press(operator: Operator, reason: Reason, timeout_s: float) -> list[R
             operator.ask_who()
 
 
-def _tell(operator: Operator, late: list[Robot], as_json: bool) -> int:
+def _tell(operator: Operator, late: list[Robot], as_json: bool, signed: bool) -> int:
     live = operator.live
     if as_json:
         print(json.dumps({
             "stopped": [r.slot for r in live if r not in late], "not_stopped": [r.slot for r in late],
             "unknown_addresses": sorted(operator.unknown),
-            "all_stopped": bool(live) and not late and not operator.unknown,
+            "all_stopped": bool(live) and not late and not operator.unknown, "signed": signed,
         }))  # fmt: skip
     else:
         for robot in live:
             print(f"robot {robot.slot}: {'NOT STOPPED' if robot in late else 'stopped'}")
         for address in sorted(operator.unknown):
             print(f"address {address}: speaks, but has not said which robot it is")
+        if not signed:
+            print(NOT_SIGNED)
     if not live:
         print("headland: no robot was heard on this bus: nobody has confirmed", file=sys.stderr)
     return 0 if live and not late and not operator.unknown else NOT_ALL

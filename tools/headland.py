@@ -5,10 +5,14 @@ from typing import Annotated
 
 import typer
 
+from tools import coverage
+from tools.keys import app as keys_app
+
 HELP = "A leaderless robot fleet on a CAN bus: every robot is a peer, none is in charge."
 app = typer.Typer(
     help=HELP, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None
 )
+app.add_typer(coverage.app, name="coverage")
 
 Interface = Annotated[
     str, typer.Option("-i", "--interface", help="python-can interface, as for can_logger.")
@@ -20,7 +24,10 @@ Port = Annotated[
     int, typer.Option("--port", help="Port of a socketcand interface (0: the newest launch).")
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
-KeyFile = Annotated[Path | None, typer.Option("--keys", help="The operator's key file.")]
+KeyFile = Annotated[Path | None, typer.Option("--keys", help="The fleet's key file.")]
+OperatorKey = Annotated[
+    Path | None, typer.Option("--operator-key", help="The operator's key file.")
+]
 
 
 @app.command()
@@ -35,6 +42,10 @@ def run(
     out: Annotated[Path, typer.Option(help="Folder for report, picture and log.")] = Path(
         "runs/run"
     ),
+    log: Annotated[
+        list[Path] | None, typer.Option(help="A further CAN log: .asc .blf .csv .log .trc")
+    ] = None,
+    keys: KeyFile = None,
     json: Json = False,
 ) -> None:
     """Work a scenario to its end in virtual time, as fast as it can go. A field file is one, too.
@@ -43,7 +54,7 @@ def run(
     """
     from tools.run import run as command
 
-    raise SystemExit(command(scenario, robots, seed, out, json, feature, drive))
+    raise SystemExit(command(scenario, robots, seed, out, json, keys, log or [], feature, drive))
 
 
 @app.command()
@@ -56,6 +67,7 @@ def launch(
     out: Annotated[Path, typer.Option(help="Folder of this launch.")] = Path("runs/launch"),
     port: Annotated[int, typer.Option(help="Port of the bus hub (0: any free one).")] = 0,
     seconds: Annotated[float | None, typer.Option(help="End after this long.")] = None,
+    keys: KeyFile = None,
     json: Json = False,
 ) -> None:
     """Run every robot as a process of its own, in real time, on a bus others can attach to.
@@ -64,7 +76,7 @@ def launch(
     """
     from tools.launch import launch as command
 
-    raise SystemExit(command(scenario, robots, seed, out, port, seconds, json))
+    raise SystemExit(command(scenario, robots, seed, out, port, seconds, json, keys))
 
 
 @app.command()
@@ -90,7 +102,7 @@ def estop(
 @app.command()
 def reset(
     interface: Interface = "socketcand", channel: Channel = "can0", bitrate: Bitrate = 250_000,
-    host: Host = "127.0.0.1", port: Port = 0, keys: KeyFile = None,
+    host: Host = "127.0.0.1", port: Port = 0, key: OperatorKey = None,
     start: Annotated[bool, typer.Option("--start/--no-start", help="And start the work.")] = False,
     timeout: Annotated[float, typer.Option(help="Seconds to wait.")] = 5.0,
     json: Json = False,
@@ -101,7 +113,7 @@ def reset(
     """
     from tools.reset import reset as command
 
-    raise SystemExit(command(interface, channel, bitrate, host, port, keys, start, timeout, json))
+    raise SystemExit(command(interface, channel, bitrate, host, port, key, start, timeout, json))
 
 
 @app.command()
@@ -112,6 +124,7 @@ def inspect(
     seconds: Annotated[float, typer.Option(help="Listen this long to a live bus.")] = 3.0,
     mermaid: Annotated[bool, typer.Option("--mermaid", help="Print the state machine.")] = False,
     why: Annotated[str | None, typer.Option(help="How a section (S7) came to its owner.")] = None,
+    traces: Annotated[int | None, typer.Option(help="Ask this robot for its newest traces.")] = None,
     json: Json = False,
 ) -> None:  # fmt: skip
     """Show each robot's state, peers, sections, vector clock, and the path of states that led there.
@@ -121,8 +134,64 @@ def inspect(
     from tools.inspection import inspect as command
 
     raise SystemExit(
-        command(source, interface, channel, bitrate, host, port, seconds, mermaid, why, json)
+        command(
+            source, interface, channel, bitrate, host, port, seconds, mermaid, why, json, traces
+        )
     )
+
+
+app.add_typer(keys_app, name="keys")
+
+
+@app.command()
+def bench(
+    name: Annotated[str, typer.Argument(help="Which one, or all.")] = "all",
+    quick: Annotated[bool, typer.Option("--quick", help="Less than a minute each.")] = False,
+    seed: Annotated[int, typer.Option(help="Where chance takes part.")] = 1,
+    json: Json = False,
+) -> None:
+    """Measure again what the documents claim. Exit 0 when every target holds.
+
+    Example: headland bench wire --quick --json
+    """
+    from tools.bench.command import bench as command
+
+    raise SystemExit(command(name, quick, seed, json))
+
+
+@app.command()
+def dbc(
+    out: Annotated[
+        Path | None, typer.Argument(help="Where to write; none: to the terminal.")
+    ] = None,
+) -> None:
+    """Write a DBC of every frame, for cantools, SavvyCAN, CANalyzer and the like.
+
+    Example: headland dbc headland.dbc
+    """
+    from tools.dbc import dbc as command
+
+    raise SystemExit(command(out))
+
+
+@app.command()
+def replay(
+    log: Annotated[Path, typer.Argument(help="Run folder, or log: .log .asc .blf .csv .trc")],
+    speed: Annotated[float, typer.Option(help="Times real time; 0: at once.")] = 0.0,
+    interface: Annotated[
+        str, typer.Option("-i", "--interface", help="Also send the frames to this interface.")
+    ] = "",
+    channel: Channel = "can0", bitrate: Bitrate = 250_000,
+    host: Host = "127.0.0.1", port: Port = 0,
+    json: Json = False,
+) -> None:  # fmt: skip
+    """Feed a log to the inspector, at the speed it was recorded or as fast as it goes.
+
+    Example: headland replay runs/run --speed 10
+    """
+    from tools.replay import replay as command
+
+    raise SystemExit(command(log, speed, interface, channel, bitrate, host, port, json))
 
 
 @app.command()

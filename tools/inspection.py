@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from agent.fsm import to_mermaid
+from agent.letters import LOG_PGN
 from agent.lifecycle import TABLE, State
 from protocol.frame import Frame
 from sim.candump import read_candump
@@ -28,13 +29,15 @@ class SourceError(Exception):
 
 def inspect(
     source: Path | None, interface: str, channel: str, bitrate: int, host: str, port: int,
-    seconds: float, mermaid: bool, why: str | None, as_json: bool,
+    seconds: float, mermaid: bool, why: str | None, as_json: bool, traces_of: int | None = None,
 ) -> int:  # fmt: skip
     if mermaid:
         print(to_mermaid(TABLE, State.DISCONNECTED))
         return 0
     inspector = Inspector()
     try:
+        if traces_of is not None:
+            return _traces(traces_of, interface, channel, bitrate, host, port, seconds, as_json)
         section = _section(why)
         if source is not None:
             for t_us, frame in frames_of(source):
@@ -103,6 +106,47 @@ async def _listen(
         bus.close()
 
 
+def _traces(
+    slot: int, interface: str, channel: str, bitrate: int, host: str, port: int, seconds: float,
+    as_json: bool,
+) -> int:  # fmt: skip
+    """What a robot on a live bus has to tell of its last decisions, by the transport protocol."""
+    text = asyncio.run(_ask_traces(slot, interface, channel, bitrate, host, port, seconds))
+    if text is None:
+        print(f"headland: robot {slot} did not answer within {seconds:g} s", file=sys.stderr)
+        return 1
+    lines = text.splitlines()
+    print(json.dumps({"robot": slot, "traces": lines}) if as_json else text)
+    return 0
+
+
+async def _ask_traces(
+    slot: int, interface: str, channel: str, bitrate: int, host: str, port: int, seconds: float
+) -> str | None:
+    from tools.correspondent import Correspondent
+    from tools.operator_device import Operator
+
+    bus = attach(interface, channel, bitrate, host, port)
+    loop = asyncio.get_running_loop()
+    try:
+        operator = Operator(bus, None)
+        letters = Correspondent(bus)
+
+        def heard(frame: Frame) -> None:
+            operator.hear(loop.time(), frame)
+            letters.hear(loop.time(), frame)
+
+        bus.subscribe(heard)
+        await operator.listen(HEARD_S)
+        robot = operator.robots.get(slot)
+        if robot is None:
+            known = " ".join(map(str, sorted(operator.robots))) or "none"
+            raise SourceError(f"no robot {slot} on this bus; heard: {known}")
+        return await letters.ask(LOG_PGN, robot.address, seconds)
+    finally:
+        bus.close()
+
+
 def _why(inspector: Inspector, section: int, as_json: bool) -> int:
     chain = list(inspector.why(section))
     if as_json:
@@ -117,7 +161,8 @@ def _why(inspector: Inspector, section: int, as_json: bool) -> int:
     return 0 if chain else 1
 
 
-def _show(console: Console, seen: dict[str, Any]) -> None:
+def table_of(seen: dict[str, Any]) -> Table:
+    """The robots, a row each."""
     table = Table(title=f"{len(seen['robots'])} robots, {seen['seconds']:.1f} s of the bus")
     for column in (
         "robot",
@@ -142,7 +187,11 @@ def _show(console: Console, seen: dict[str, Any]) -> None:
             str(robot["slot"]), str(robot["address"]), state, " ".join(map(str, robot["peers"])),
             " ".join(robot["sections"]), clock, robot["digest"], path,
         )  # fmt: skip
-    console.print(table)
+    return table
+
+
+def _show(console: Console, seen: dict[str, Any]) -> None:
+    console.print(table_of(seen))
     done = sum(1 for s in seen["sections"].values() if s["phase"] == "DONE")
     console.print(f"sections heard of: {len(seen['sections'])}, done: {done}")
     console.print(f"frames: {', '.join(f'{n} {k}' for k, n in seen['frames'].items())}")

@@ -36,10 +36,14 @@ TELL_S = 5.0  # a status line this often
 QUIET_LOOKS = 6  # all done for this many looks in a row: finished
 GRACE_S = 3.0  # between asking a robot to leave and killing it
 UNFINISHED, WRONG, INTERRUPTED = 1, 2, 130
+NO_KEYS = "[yellow]keys: NONE: anybody on the bus can stop and release this fleet[/yellow]"
 
 
 class Launch:
-    def __init__(self, setting: Setting, name: str, out: Path, console: Console) -> None:
+    def __init__(
+        self, setting: Setting, name: str, out: Path, console: Console, keys: Path | None
+    ) -> None:
+        self.keys = None if keys is None else str(keys.absolute())
         self.setting, self.name, self.out, self.console = setting, name, out, console
         self.inspector = Inspector()
         self.processes: dict[int, asyncio.subprocess.Process] = {}
@@ -71,6 +75,8 @@ class Launch:
             f"bus: socketcand {HOST}:{hub.port} channel {CHANNEL}   "
             f"(python -m can.viewer -i socketcand -c {CHANNEL} --host={HOST} --port={hub.port})"
         )
+        if self.setting.keys is None:
+            self.console.print(NO_KEYS)
         stepping = asyncio.create_task(bodies.run())
         try:
             await self._start_all(hub.port, body_port)
@@ -97,7 +103,8 @@ class Launch:
                 "slot": slot, "scenario": self.name, "robots": self.setting.scenario.fleet.robots,
                 "seed": self.setting.scenario.run.seed, "host": HOST, "channel": CHANNEL,
                 "bus_port": bus_port, "body_port": body_port,
-                "journal": str(self.out / f"robot{slot}.sqlite"),
+                "journal": str(self.out / f"robot{slot}.sqlite"), "first_boot": True,
+                "keys": self.keys,
             }  # fmt: skip
             with (self.out / f"robot{slot}.log").open("wb") as errors:
                 process = await asyncio.create_subprocess_exec(
@@ -173,7 +180,8 @@ class Launch:
         report: dict[str, Any] = {
             "finished": finished, "seconds": round(elapsed_s, 1), "coverage": truth.share,
             "contacts": len(self.world.contacts), "robots_ended": sorted(self.gone), "touched": touched,
-            "silence_policy": self.setting.scenario.fleet.silence, "authenticated": False,
+            "silence_policy": self.setting.scenario.fleet.silence,
+            "authenticated": self.setting.keys is not None,
             **self.inspector.to_dict(),
         }  # fmt: skip
         (self.out / "report.json").write_text(json.dumps(report, indent=1) + "\n")
@@ -182,16 +190,18 @@ class Launch:
             f"{verdict} after {elapsed_s:.0f} s: coverage {truth.share:.2%}, "
             f"{len(self.world.contacts)} contacts; report.json and can.log are in {self.out}"
         )
+        if self.setting.keys is None:
+            self.console.print(NO_KEYS)
         self.report = report
 
 
 def launch(
     scenario: str, robots: int | None, seed: int | None, out: Path, port: int,
-    seconds: float | None, as_json: bool,
+    seconds: float | None, as_json: bool, keys: Path | None = None,
 ) -> int:  # fmt: skip
     console = Console(stderr=as_json, highlight=False, soft_wrap=True)
     try:
-        setting = Setting(load(scenario).changed(robots, seed))
+        setting = Setting(load(scenario).changed(robots, seed, keys))
         out.mkdir(parents=True, exist_ok=True)
         lock = (out / "lock").open("w")
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -206,7 +216,7 @@ def launch(
     for old in out.glob("robot*.sqlite*"):
         old.unlink()  # a launch is a new job; a restart of one robot keeps its journal
     warm(setting.turn_radius_m > 0.0)  # once here, not in every robot at once
-    running = Launch(setting, scenario, out, console)
+    running = Launch(setting, scenario, out, console, keys)
     begun = time.monotonic()
     try:
         code = asyncio.run(running.run(port, seconds))

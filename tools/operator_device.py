@@ -9,17 +9,23 @@ from secrets import randbelow
 
 from agent.lifecycle import State
 from agent.ports import Bus
-from protocol.authentication import Keyring
+from protocol.authentication import Keyring, Signed
 from protocol.codec import Malformed, decode, encode
 from protocol.fleet_frames import Heartbeat, Member, Pose
 from protocol.frame import Frame
 from protocol.messages import GROUP_OF, Message
 from protocol.network_frames import Request
-from protocol.safety_frames import Command, EmergencyReset, EmergencyStop, OperatorCommand
+from protocol.safety_frames import (
+    Challenge,
+    Command,
+    EmergencyReset,
+    EmergencyStop,
+    OperatorCommand,
+)
 from protocol.work_frames import REGISTERS, STOPS, StateSyncRequest
 from tools.attachment import TOOL_ADDRESS
 
-OPERATOR_SLOT = 249  # an operator device in dots and commands
+OPERATOR_SLOT = 249  # an operator device in dots and commands, in a fleet without keys
 LIVE_S = 1.0  # heard within this: it has to stop
 EVERYBODY = 255
 ASK_S = 0.25
@@ -38,6 +44,7 @@ class Robot:
 class Operator:
     def __init__(self, bus: Bus, keyring: Keyring | None) -> None:
         self.bus, self.keyring = bus, keyring
+        self.slot = OPERATOR_SLOT if keyring is None else keyring.sender
         self.robots: dict[int, Robot] = {}
         self.slot_of: dict[int, int] = {}
         self.unknown: dict[int, float] = {}  # addresses that beat and have not said who they are
@@ -57,6 +64,8 @@ class Operator:
             ).address = source
         if isinstance(message, EmergencyStop):
             self.stops.add(message[:3])
+        if isinstance(message, Challenge):
+            self._prove(source, message)
         slot = self.slot_of.get(source)
         if slot is None:
             if isinstance(message, Pose | Heartbeat):
@@ -70,6 +79,14 @@ class Operator:
                 del self.robots[slot]
         elif isinstance(message, EmergencyStop) and message.echo:
             robot.echoed = True
+
+    def _prove(self, source: int, question: Challenge) -> None:
+        """A robot that cannot follow our counter wants to know where it is."""
+        proof = (
+            None if self.keyring is None else self.keyring.answer(question, round(self.now_s * 1e6))
+        )
+        if proof is not None:
+            self.bus.send(encode(proof, TOOL_ADDRESS, source))
 
     @property
     def live(self) -> list[Robot]:
@@ -102,15 +119,21 @@ class Operator:
 
     def new_stop(self, reason: int) -> EmergencyStop:
         """A dot nobody has used: two random bytes, tried again by the caller if nobody latches."""
-        return EmergencyStop(OPERATOR_SLOT, randbelow(256), randbelow(256), reason)
+        return EmergencyStop(self.slot, randbelow(256), randbelow(256), reason)
 
     def stop(self, message: EmergencyStop) -> None:
         self.send(message if self.keyring is None else self.keyring.sign(message))
 
     def clear(self, dot: tuple[int, int, int]) -> None:
-        message = EmergencyReset(*dot, OPERATOR_SLOT)
-        self.send(message if self.keyring is None else self.keyring.sign(message))
+        self._order(EmergencyReset(*dot, self.slot))
 
     def command(self, command: Command, target: int = EVERYBODY, argument: int = 0) -> None:
-        message = OperatorCommand(command, target, OPERATOR_SLOT, argument)
-        self.send(message if self.keyring is None else self.keyring.sign(message))
+        self._order(OperatorCommand(command, target, self.slot, argument))
+
+    def _order(self, message: Signed) -> None:
+        """With a tag it is said twice: robots act on two frames that agree."""
+        if self.keyring is None:
+            self.send(message)
+            return
+        for _ in range(2):
+            self.send(self.keyring.sign(message))

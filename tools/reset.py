@@ -6,22 +6,26 @@ import sys
 from pathlib import Path
 
 from agent.lifecycle import State
+from protocol.authentication import Keyring
 from protocol.safety_frames import AllImplementsStop, Command, Switch
+from sim.key_file import OPERATOR, RESERVE, KeyFileError, read
 from tools.attachment import AttachError, attach
-from tools.estop import NOT_ALL, WRONG, keyring_of, listen_to
+from tools.estop import NOT_ALL, WRONG, listen_to
 from tools.operator_device import Operator
 
 LISTEN_S = 0.7  # latched robots repeat the dots they know to those that beat without being stopped
 STEP_S = 0.1
+BLOCK_S = 5  # seconds in which a block of reserved frames is not used up
+NOT_SIGNED = "NOT SIGNED: only a fleet without keys is released by this, and by anybody on the bus"
 
 
 def reset(
-    interface: str, channel: str, bitrate: int, host: str, port: int, keys: Path | None,
+    interface: str, channel: str, bitrate: int, host: str, port: int, key: Path | None,
     start: bool, timeout: float, as_json: bool,
 ) -> int:  # fmt: skip
     try:
         return asyncio.run(
-            _reset(interface, channel, bitrate, host, port, keys, start, timeout, as_json)
+            _reset(interface, channel, bitrate, host, port, key, start, timeout, as_json)
         )
     except AttachError as problem:
         print(f"headland: {problem}", file=sys.stderr)
@@ -29,18 +33,22 @@ def reset(
 
 
 async def _reset(
-    interface: str, channel: str, bitrate: int, host: str, port: int, keys: Path | None,
+    interface: str, channel: str, bitrate: int, host: str, port: int, key: Path | None,
     start: bool, timeout_s: float, as_json: bool,
 ) -> int:  # fmt: skip
+    keyring = operator_keyring(key, timeout_s)
     bus = attach(interface, channel, bitrate, host, port)
     try:
-        operator = Operator(bus, keyring_of(keys))
+        operator = Operator(bus, keyring)
         listen_to(bus, operator)
         await operator.listen(LISTEN_S, stops=True)
         cleared = sorted(operator.stops)
         left = await _release(operator, start, timeout_s)
         if as_json:
-            print(json.dumps({"cleared": [list(dot) for dot in cleared], "not_released": left}))
+            print(json.dumps({
+                "cleared": [list(dot) for dot in cleared], "not_released": left,
+                "signed": keyring is not None,
+            }))  # fmt: skip
         else:
             shown = ", ".join(".".join(map(str, dot)) for dot in cleared) or "none was shown"
             print(f"stops cleared: {shown}")
@@ -48,9 +56,20 @@ async def _reset(
                 print(
                     f"robot {robot.slot}: {'NOT RELEASED' if robot.slot in left else robot.state.name}"
                 )
+            if keyring is None:
+                print(NOT_SIGNED)
         return 0 if operator.live and not left else NOT_ALL
     finally:
         bus.close()
+
+
+def operator_keyring(key: Path | None, timeout_s: float) -> Keyring | None:
+    """With frames enough for this long; raises AttachError."""
+    try:
+        blocks = 1 + round(timeout_s) // BLOCK_S
+        return None if key is None else read(key, OPERATOR).keyring(blocks * RESERVE)
+    except KeyFileError as problem:
+        raise AttachError(f"--operator-key {problem}") from None
 
 
 async def _release(operator: Operator, start: bool, timeout_s: float) -> list[int]:

@@ -6,6 +6,7 @@ the pipe on its stdin is then at its end.
 
 import asyncio
 import json
+import secrets
 import signal
 import sys
 from pathlib import Path
@@ -24,8 +25,9 @@ GOODBYE_S = 0.2  # for the farewell frame to leave
 
 async def run(order: dict[str, Any]) -> None:
     slot = int(order["slot"])
-    setting = Setting(load(order["scenario"]).changed(order["robots"], order["seed"]))
-    journal = SqliteJournal(Path(order["journal"]))
+    keys = None if order["keys"] is None else Path(order["keys"])
+    setting = Setting(load(order["scenario"]).changed(order["robots"], order["seed"], keys))
+    journal, recalled = SqliteJournal.opened(Path(order["journal"]))
     loop = asyncio.get_running_loop()
     end = asyncio.Event()
     loop.add_signal_handler(signal.SIGTERM, end.set)
@@ -37,7 +39,9 @@ async def run(order: dict[str, Any]) -> None:
     )
     await body.ready()
     bus = open_bus("socketcand", order["channel"], host=order["host"], port=int(order["bus_port"]))
-    peer = make_peer(setting, slot, Shell.now_us(), journal.load())
+    peer = make_peer(
+        setting, slot, Shell.now_us(), recalled, order["first_boot"], secrets.token_hex(16)
+    )
     shell = Shell(peer, bus, body, journal)
     task = asyncio.create_task(shell.run())
     waiting = asyncio.create_task(end.wait())

@@ -2,6 +2,7 @@
 
 import json
 import sys
+from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from agent.lifecycle import State
+from sim.can_log import open_log
 from sim.expedition import Expedition, Moment
 from sim.outcome import Outcome
 from sim.scenario import ScenarioError, load
@@ -28,22 +30,26 @@ def run(
     seed: int | None,
     out: Path,
     as_json: bool,
+    keys: Path | None = None,
+    logs: Sequence[Path] = (),
     feature: str | None = None,
     drive: str | None = None,
 ) -> int:
     console = Console(stderr=as_json)
     try:
-        setting = Setting(load(scenario).changed(robots, seed, feature, drive))
+        setting = Setting(load(scenario).changed(robots, seed, keys, feature, drive))
         out.mkdir(parents=True, exist_ok=True)
         if not out.is_dir():
             raise OSError(f"{out} is not a folder")
+        for log in logs:
+            open_log(log).close()  # so that what is wrong is known before the run, not after
     except ScenarioError as problem:
         print(f"headland: {problem}", file=sys.stderr)
         return WRONG
-    except OSError as problem:
-        print(f"headland: --out: {problem}", file=sys.stderr)
+    except (OSError, ValueError) as problem:
+        print(f"headland: --out or --log: {problem}", file=sys.stderr)
         return WRONG
-    outcome, expedition = _watch(console, setting, out)
+    outcome, expedition = _watch(console, setting, out, logs)
     (out / "report.json").write_text(json.dumps(outcome.to_dict(), indent=1) + "\n")
     tracks = {s: [(x, y, tool) for _, x, y, tool in t] for s, t in expedition.tracks.items()}
     title = f"{setting.field.name}: {outcome.robots} robots, {outcome.makespan_s:.0f} s"
@@ -59,7 +65,9 @@ def run(
     return 0 if outcome.success else UNFINISHED
 
 
-def _watch(console: Console, setting: Setting, out: Path) -> tuple[Outcome, Expedition]:
+def _watch(
+    console: Console, setting: Setting, out: Path, logs: Sequence[Path]
+) -> tuple[Outcome, Expedition]:
     with Progress(
         TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>5.1f} %"),
         TextColumn("{task.fields[note]}"), TimeElapsedColumn(), console=console, transient=True,
@@ -75,7 +83,7 @@ def _watch(console: Console, setting: Setting, out: Path) -> tuple[Outcome, Expe
             note = f"{moment.simulated_s:.0f} s, {moment.done}/{moment.sections} sections, {counts}"
             progress.update(bar, completed=moment.progress, note=note)
 
-        expedition = Expedition(setting, out, told)
+        expedition = Expedition(setting, out, told, logs)
         return expedition.run(), expedition
 
 
@@ -100,6 +108,7 @@ def outcome_table(outcome: Outcome) -> Table:
         ("bus load", f"{outcome.bus_load:.1%} ({worst} at worst-case stuffing)"),
         ("frames", ", ".join(f"{n} {kind}" for kind, n in outcome.frames.items())),
         ("malformed frames", str(outcome.malformed)),
+        ("refused frames", f"{outcome.refused} without authority, or before their sender's proof"),
         ("claims lost", str(outcome.claims_lost)),
         ("silence policy", outcome.silence_policy),
         ("authentication", "keys" if outcome.authenticated else NO_KEYS),

@@ -8,9 +8,21 @@ from rich.console import Console
 
 
 def _paths() -> None:
-    from agent.theta_star import plan
+    from agent.theta_star import Planner
 
-    plan(np.zeros((8, 8), dtype=bool), (0, 0), (7, 7))
+    blocked = np.zeros((8, 8), dtype=bool)
+    blocked[3:5, 3:5] = True
+    planner = Planner(blocked)
+    planner.plan((0, 0), (7, 7))
+    planner.update([(4, 4, False)])
+
+
+def _map() -> None:
+    from agent.occupancy import OccupancyGrid
+
+    grid = OccupancyGrid(30, 30, (0.0, 0.0), 0.3)
+    grid.observe((1.0, 1.0), 0.0, [2.0] * 8, 4.0)
+    grid.plan((1.0, 1.0), (5.0, 5.0))
 
 
 def _avoidance() -> None:
@@ -23,6 +35,14 @@ def _avoidance() -> None:
         (0.1, 1.2, 0.0, -1.0, 1.0, 0.5),
     ]
     robot.velocity((3.0, 1.0), (1.0, 0.0), (1.5, 0.0), rows)
+
+
+def _coverage() -> None:
+    from agent.coverage_team import Team
+
+    team = Team(np.zeros((6, 6), dtype=np.bool_), [(0, 0), (3, 3)])
+    while team.remaining():
+        team.advance()
 
 
 def _wire() -> None:
@@ -59,7 +79,9 @@ def _turns() -> None:
 
 PARTS: tuple[tuple[str, Callable[[], None]], ...] = (
     ("paths", _paths),
+    ("map", _map),
     ("avoidance", _avoidance),
+    ("coverage", _coverage),
     ("wire", _wire),
     ("world", _world),
     ("turns", _turns),

@@ -19,8 +19,10 @@ from protocol.network_frames import (
 )  # fmt: skip
 from protocol.safety_frames import (
     AllImplementsStop,
+    Challenge,
     EmergencyReset,
     EmergencyStop,
+    Freshness,
     OperatorCommand,
 )  # fmt: skip
 from protocol.work_frames import (
@@ -39,6 +41,8 @@ KINDS: dict[Any, st.SearchStrategy[Any]] = {
     EmergencyStop: st.builds(EmergencyStop, u8, u8, u8, st.integers(0, 15), st.booleans(), u8, u24),
     EmergencyReset: st.builds(EmergencyReset, u8, u8, u8, u8, u8, u24),
     OperatorCommand: st.builds(OperatorCommand, st.integers(0, 7), u8, u8, u8, u8, u24),
+    Challenge: st.builds(Challenge, u8, u8, st.integers(0, (1 << 48) - 1)),
+    Freshness: st.builds(Freshness, u8, st.integers(0, 0xFFFF_FFFF), u24),
     AllImplementsStop: st.builds(AllImplementsStop, u8, st.integers(0, 3)),
     LeaderElectionVote: st.builds(LeaderElectionVote, u16, u16, u8, u8, u16),
     TaskClaim: st.builds(TaskClaim, *register),

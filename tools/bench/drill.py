@@ -106,7 +106,12 @@ class Squad:
         sections = sections or 8 * robots
         for slot, body in enumerate(self.bodies):
             identity = Identity(
-                slot, frozenset(range(robots)), fleet_name("drill", slot), 1, started=True
+                slot,
+                frozenset(range(robots)),
+                fleet_name("drill", slot),
+                1,
+                started=True,
+                first_boot=True,
             )
             motion = Motion(slot, Limits(0.5, SPEED_M_S, 1.0), NO_FENCES)
             mission = Drill(slot, robots, sections)

@@ -1,0 +1,161 @@
+"""Cutting a coverage walk into one run for each robot, so that all end at about the same time.
+
+A run costs the way to its nearer end and the walk from there. With the robots in a given order along
+the walk, the least common bound is found by bisection: each takes as much as it can do within the
+bound. The order comes from the cheapest assignment of robots to runs, then better by exchanges.
+Nothing here is random: equal walk and equal places, equal cut at every peer.
+"""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Integers = NDArray[np.int32]
+UNREACHED = 1 << 28  # a distance to what cannot be reached; far from overflow when added
+
+
+@njit(cache=True)
+def assign(cost):  # type: ignore[no-untyped-def]
+    """For each row of a square matrix its column, least sum (Hungarian method with potentials)."""
+    n = cost.shape[0]
+    up, down = np.zeros(n + 1, np.int64), np.zeros(n + 1, np.int64)
+    row_of = np.zeros(n + 1, np.int64)
+    way = np.zeros(n + 1, np.int64)
+    for row in range(1, n + 1):
+        row_of[0] = row
+        column = 0
+        least = np.full(n + 1, np.int64(1) << 60)
+        used = np.zeros(n + 1, np.bool_)
+        while True:
+            used[column] = True
+            i, delta, ahead = row_of[column], np.int64(1) << 60, 0
+            for j in range(1, n + 1):
+                if used[j]:
+                    continue
+                reduced = cost[i - 1, j - 1] - up[i] - down[j]
+                if reduced < least[j]:
+                    least[j], way[j] = reduced, column
+                if least[j] < delta:
+                    delta, ahead = least[j], j
+            for j in range(n + 1):
+                if used[j]:
+                    up[row_of[j]] += delta
+                    down[j] -= delta
+                else:
+                    least[j] -= delta
+            column = ahead
+            if row_of[column] == 0:
+                break
+        while column != 0:
+            row_of[column] = row_of[way[column]]
+            column = way[column]
+    found = np.empty(n, np.int64)
+    for j in range(1, n + 1):
+        found[row_of[j] - 1] = j - 1
+    return found
+
+
+@njit(cache=True)
+def _run_end(order, along, way, first, bound):  # type: ignore[no-untyped-def]
+    """How far a robot gets from `first` on within the bound: one after its last cell.
+
+    Entering at either end: both costs never fall as the run grows, so the end is found by halving.
+    """
+    low, high = (
+        first,
+        order.size,
+    )  # low is feasible (an empty run), one after `high` - 1 is not known
+    enter = way[order[first]]
+    while low < high:
+        middle = (low + high) // 2
+        if min(enter, way[order[middle]]) + along[middle] - along[first] <= bound:
+            low = middle + 1
+        else:
+            high = middle
+    return low
+
+
+@njit(cache=True)
+def _fits(order, along, ways, robots, bound, cuts):  # type: ignore[no-untyped-def]
+    """Whether robots in this order can do the whole walk within the bound; fills `cuts`."""
+    cuts[0] = 0
+    for i in range(robots.size):
+        first = cuts[i]
+        cuts[i + 1] = first
+        if first < order.size:
+            cuts[i + 1] = _run_end(order, along, ways[robots[i]], first, bound)
+    return cuts[robots.size] == order.size
+
+
+@njit(cache=True)
+def _least_bound(order, along, ways, robots, cuts, below):  # type: ignore[no-untyped-def]
+    """The least bound under `below`, and its cuts; `below` where there is none."""
+    if not _fits(order, along, ways, robots, below - 1, cuts):
+        return below
+    low, high = np.int64(0), below - 1
+    while low < high:
+        middle = (low + high) // 2
+        if _fits(order, along, ways, robots, middle, cuts):
+            high = middle
+        else:
+            low = middle + 1
+    _fits(order, along, ways, robots, low, cuts)
+    return low
+
+
+@njit(cache=True)
+def _assigned(order, ways, cuts):  # type: ignore[no-untyped-def]
+    """Robots for the runs between cuts, with the least way in all to their nearer ends."""
+    count = cuts.size - 1
+    cost = np.zeros((count, count), np.int64)
+    for i in range(count):
+        if cuts[i] < cuts[i + 1]:
+            a, b = order[cuts[i]], order[cuts[i + 1] - 1]
+            for robot in range(count):
+                cost[i, robot] = min(ways[robot, a], ways[robot, b])
+    return assign(cost)
+
+
+@njit(cache=True)
+def _exchanged(order, along, ways, robots, bound, cuts, tries):  # type: ignore[no-untyped-def]
+    """Exchange two robots wherever that lowers the bound, at most `tries` tests."""
+    count = robots.size
+    trial = cuts.copy()
+    done, improved = 0, True
+    while improved and done < tries:
+        improved = False
+        for i in range(count - 1):
+            for j in range(i + 1, count):
+                robots[i], robots[j] = robots[j], robots[i]
+                better = _least_bound(order, along, ways, robots, trial, bound)
+                done += 1
+                if better < bound:
+                    bound, improved = better, True
+                    cuts[:] = trial
+                else:
+                    robots[i], robots[j] = robots[j], robots[i]
+            if done >= tries:
+                break
+    return bound
+
+
+@njit(cache=True)
+def cut(order, along, ways, rounds, tries):  # type: ignore[no-untyped-def]
+    """(bound, robot of each run, cuts) over `ways` (robots, cells): steps from each robot's place."""
+    count = ways.shape[0]
+    cuts = np.empty(count + 1, np.int64)
+    length = along[-1] + 1 - along[0]
+    for i in range(count + 1):
+        cuts[i] = np.searchsorted(along, along[0] + (length * i + count - 1) // count)
+    cuts[count] = order.size
+    best = np.int64(UNREACHED)
+    best_robots, best_cuts = np.arange(count), cuts.copy()
+    for _ in range(rounds):
+        robots = _assigned(order, ways, cuts)
+        bound = _least_bound(order, along, ways, robots, cuts, np.int64(UNREACHED))
+        if bound >= best:
+            break
+        best = bound
+        best_robots, best_cuts = robots.copy(), cuts.copy()
+    best = _exchanged(order, along, ways, best_robots, best, best_cuts, tries)
+    return best, best_robots, best_cuts

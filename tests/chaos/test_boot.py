@@ -1,0 +1,42 @@
+"""Many robots switched on together: the bus must come to rest by itself.
+
+Found by the load bench: asking each unknown address by every robot, and voting at every change of
+view, filled a bus of fifty robots for good.
+"""
+
+import asyncio
+
+import pytest
+
+from protocol.fleet_frames import LeaderElectionVote, Member
+from protocol.messages import GROUP_OF
+from protocol.network_frames import AddressClaimed, Request
+from sim.clock import run_virtual
+from tools.bench.drill import Squad
+
+PGN_PF = {kind: GROUP_OF[kind].pgn >> 8 for kind in (Request, AddressClaimed)}
+
+
+@pytest.mark.parametrize(("robots", "seed"), [(6, 1), (40, 2)])
+def test_boot_is_a_few_frames_a_robot(robots: int, seed: int) -> None:
+    async def main() -> tuple[bool, dict[int, int], set[object]]:
+        squad = Squad(robots, seed)
+        try:
+            working = await squad.until_working(20.0)
+            await asyncio.sleep(4.0)
+            leaders: set[object] = {s.peer.election.leader for s in squad.shells}
+            return working, dict(squad.segment.wire.by_group), leaders
+        finally:
+            await squad.close()
+
+    working, by_group, leaders = run_virtual(main())
+    assert working, f"seed {seed}"
+    assert len(leaders) == 1 and None not in leaders
+
+    def sent(pf: int) -> int:
+        return sum(count for group, count in by_group.items() if group >> 8 == pf)
+
+    assert sent(PGN_PF[Request]) <= robots, f"seed {seed}"
+    assert sent(PGN_PF[AddressClaimed]) <= 4 * robots
+    assert by_group.get(GROUP_OF[Member].pgn, 0) <= 4 * robots
+    assert by_group.get(GROUP_OF[LeaderElectionVote].pgn, 0) <= 3 * robots

@@ -1,0 +1,146 @@
+"""A fleet with keys at work: it is stopped and released as one without, and by nobody else."""
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from agent.effects import Effect, Send
+from agent.lifecycle import State
+from protocol.authentication import Signed
+from protocol.safety_frames import (
+    Command,
+    EmergencyReset,
+    EmergencyStop,
+    Freshness,
+    OperatorCommand,
+    Reason,
+)  # fmt: skip
+from sim.clock import run_virtual
+from sim.cluster import OPERATOR, Cluster
+from sim.expedition import Expedition
+from sim.key_file import fresh, write
+from sim.scenario import Crash, Estop, Reset, Restart, load
+from sim.setting import Setting
+
+Story = Callable[[Cluster, list[Effect]], Awaitable[None]]
+
+
+@pytest.fixture
+def keys(tmp_path: Path) -> Path:
+    write(tmp_path / "fleet.json", tmp_path / "operator.json", fresh(), 249)
+    return tmp_path / "fleet.json"
+
+
+def play(keys: Path, story: Story) -> None:
+    seen: list[Effect] = []
+
+    async def main() -> None:
+        setting = Setting(load("small").changed(3, 5, keys))
+        cluster = Cluster(setting, f"keys {keys}", lambda slot, now_us, effect: seen.append(effect))
+        cluster.boot_all()
+        try:
+            await asyncio.sleep(5.0)
+            await story(cluster, seen)
+        finally:
+            await cluster.close()
+
+    run_virtual(main())
+
+
+def states(cluster: Cluster) -> set[State]:
+    return {robot.peer.state for robot in cluster.running}
+
+
+def press(cluster: Cluster, slot: int) -> None:
+    cluster.robots[slot].shell.operate(lambda p, now: p.press(Reason.PERSON_IN_FIELD, now))
+
+
+def test_a_scenario_with_keys_is_stopped_reset_and_finished(keys: Path) -> None:
+    faults = [Estop(at_s=30.0, kind="estop", robot=2), Reset(at_s=45.0, kind="reset")]
+    scenario = load("small").changed(None, None, keys).model_copy(update={"fault": faults})
+    outcome = Expedition(Setting(scenario)).run()
+    assert outcome.success and outcome.authenticated, outcome
+    assert outcome.frames["Challenge"] >= 3 and outcome.frames["Freshness"] >= 3
+
+
+def test_a_robot_that_was_away_for_many_stops_follows_again(keys: Path) -> None:
+    faults = [
+        Crash(at_s=10.0, kind="crash", robot=1),
+        *(Estop(at_s=12.0 + 4 * n, kind="estop", robot=0) for n in range(3)),
+        Restart(at_s=26.0, kind="restart", robot=1),
+        Reset(at_s=30.0, kind="reset"),
+        Estop(at_s=40.0, kind="estop", robot=0),
+        Reset(at_s=45.0, kind="reset"),
+    ]
+    scenario = load("small").changed(None, None, keys).model_copy(update={"fault": faults})
+    outcome = Expedition(Setting(scenario)).run()
+    assert outcome.finished and outcome.replicas_equal and outcome.contacts == 0, outcome
+
+
+def test_frames_without_a_tag_brake_for_a_moment_and_release_nothing(keys: Path) -> None:
+    async def story(cluster: Cluster, seen: list[Effect]) -> None:
+        cluster.inject(EmergencyStop(OPERATOR, 1, 1, 1))
+        await asyncio.sleep(0.1)
+        assert not any(r.peer.safety.may_move for r in cluster.running)
+        await asyncio.sleep(2.0)
+        assert all(r.peer.safety.may_move for r in cluster.running) and State.WORKING in states(
+            cluster
+        )
+        press(cluster, 1)
+        await asyncio.sleep(0.2)
+        assert states(cluster) == {State.EMERGENCY_STOP}
+        (dot,) = cluster.robots[0].peer.safety.stops.active
+        for _ in range(20):
+            cluster.inject(EmergencyReset(*dot, OPERATOR))
+            cluster.inject(OperatorCommand(Command.MANUAL_RESET, 255, OPERATOR))
+            await asyncio.sleep(0.1)
+        assert states(cluster) == {State.EMERGENCY_STOP}
+        assert all(r.peer.safety.authority.refused >= 20 for r in cluster.running)
+
+    play(keys, story)
+
+
+def test_what_an_operator_said_once_releases_nothing_later(keys: Path) -> None:
+    async def story(cluster: Cluster, seen: list[Effect]) -> None:
+        heard: list[Any] = []
+        order = cluster.order
+
+        def overheard(message: Signed) -> None:
+            order(message)
+            heard.append(message)
+
+        for _ in range(2):
+            press(cluster, 2)
+            await asyncio.sleep(0.2)
+            assert states(cluster) == {State.EMERGENCY_STOP}
+            if not heard:
+                for _ in range(5):
+                    for dot in cluster.robots[0].peer.safety.stops.active:
+                        overheard(EmergencyReset(*dot, OPERATOR))
+                    await asyncio.sleep(0.1)
+                overheard(OperatorCommand(Command.MANUAL_RESET, 255, OPERATOR))
+                await asyncio.sleep(1.0)
+                overheard(OperatorCommand(Command.START, 255, OPERATOR))
+                await asyncio.sleep(1.0)
+                assert State.EMERGENCY_STOP not in states(cluster)
+        for message in heard:
+            cluster.inject(message)
+            await asyncio.sleep(0.05)
+        assert states(cluster) == {State.EMERGENCY_STOP}
+
+    play(keys, story)
+
+
+def test_proofs_nobody_asked_for_are_refused(keys: Path) -> None:
+    async def story(cluster: Cluster, seen: list[Effect]) -> None:
+        for n in range(20):
+            cluster.inject(Freshness(OPERATOR, n, n))
+        await asyncio.sleep(0.5)
+        rings = [r.peer.safety.authority.keyring for r in cluster.running]
+        assert not any(ring._proven_us for ring in rings if ring is not None)
+        assert not any(isinstance(e, Send) and isinstance(e.message, Freshness) for e in seen)
+
+    play(keys, story)

@@ -1,0 +1,112 @@
+"""Address claims between real machines on one bus, message by message."""
+
+from heapq import heappop, heappush
+from random import Random
+
+import pytest
+
+from protocol.address import DEFENCES_MAX, FIRST, LAST, AddressClaim, Claiming, State
+from protocol.identifier import NULL_ADDRESS
+from protocol.name import Name, fleet_name
+
+DELAY_US = 600
+S = 1_000_000
+
+
+class Bus:
+    def __init__(self, seed: int = 0) -> None:
+        self.seed, self.now_us, self.frames = seed, 0, 0
+        self.machines: list[AddressClaim] = []
+        self._flying: list[tuple[int, int, int, Claiming]] = []
+
+    def add(self, name: Name, preferred: int) -> AddressClaim:
+        rng = Random(f"{self.seed}/{len(self.machines)}")
+        machine = AddressClaim(name, preferred, rng, self.now_us)
+        self.machines.append(machine)
+        return machine
+
+    def put(self, sender: int, claims: list[Claiming]) -> None:
+        for claim in claims:
+            self.frames += 1
+            heappush(self._flying, (self.now_us + DELAY_US, self.frames, sender, claim))
+
+    def run(self, until_us: int) -> None:
+        while True:
+            times = [d for m in self.machines if (d := m.deadline_us) is not None]
+            times += [self._flying[0][0]] if self._flying else []
+            if not times or min(times) > until_us:
+                self.now_us = until_us
+                return
+            self.now_us = max(self.now_us, min(times))
+            while self._flying and self._flying[0][0] <= self.now_us:
+                _, _, sender, claim = heappop(self._flying)
+                for number, machine in enumerate(self.machines):
+                    if number != sender:
+                        self.put(number, machine.receive(claim.source, claim.message, self.now_us))
+            for number, machine in enumerate(self.machines):
+                if machine.deadline_us is not None and machine.deadline_us <= self.now_us:
+                    self.put(number, machine.tick(self.now_us))
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_lower_name_keeps_a_contended_address(seed: int) -> None:
+    bus = Bus(seed)
+    high, low = bus.add(fleet_name("f", 2), 140), bus.add(fleet_name("f", 1), 140)
+    bus.run(2 * S)
+    assert low.address == 140 and high.address == 141, f"seed {seed}"
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_full_segment_all_wanting_one_address(seed: int) -> None:
+    bus = Bus(seed)
+    for slot in range(LAST - FIRST + 1):
+        bus.add(fleet_name("f", slot), FIRST)
+    bus.run(60 * S)
+    addresses = [m.address for m in bus.machines]
+    assert sorted(a for a in addresses if a is not None) == list(range(FIRST, LAST + 1)), seed
+
+
+def test_the_one_too_many_cannot_claim_and_says_so() -> None:
+    bus = Bus()
+    for slot in range(LAST - FIRST + 1):
+        bus.add(fleet_name("f", slot), FIRST + slot)
+    bus.run(2 * S)
+    late = bus.add(Name(identity=(1 << 21) - 1, manufacturer=2047), FIRST)
+    late.names = {m.candidate: m.number for m in bus.machines[:-1]}  # it listened before it spoke
+    bus.run(4 * S)
+    assert late.state is State.CANNOT and late.address is None
+    (answer,) = late.asked(False, bus.now_us)
+    assert answer.source == NULL_ADDRESS and answer.message.name == late.number
+    assert all(m.state is State.HELD for m in bus.machines[:-1])
+
+
+def test_two_devices_with_one_name_are_counted_and_bounded() -> None:
+    """A configuration error that no protocol can resolve: it must not fill the bus."""
+    bus = Bus()
+    one, two = bus.add(fleet_name("f", 1), 140), bus.add(fleet_name("f", 1), 140)
+    bus.run(10 * S)
+    assert one.duplicates + two.duplicates >= 1
+    assert bus.frames <= 10
+
+
+def test_a_device_that_claims_without_end_is_answered_a_few_times_a_second() -> None:
+    bus = Bus()
+    ours = bus.add(fleet_name("f", 1), 140)
+    bus.run(1 * S)
+    greedy = Claiming(ours._answer().message._replace(name=(1 << 64) - 1), 140)
+    answers = sum(len(ours.receive(140, greedy.message, 2 * S + k * 1_000)) for k in range(3000))
+    assert answers <= 4 * DEFENCES_MAX and ours.refused > 2_900 and ours.address == 140
+
+
+def test_everybody_asked_at_once_answers_once_each_and_spread() -> None:
+    bus = Bus()
+    for slot in range(50):
+        bus.add(fleet_name("f", slot), FIRST + slot)
+    bus.run(1 * S)
+    before = bus.frames
+    for _ in range(10):
+        for number, machine in enumerate(bus.machines):
+            bus.put(number, machine.asked(True, bus.now_us))
+    due = {m.deadline_us for m in bus.machines}
+    bus.run(2 * S)
+    assert bus.frames - before == 50 and len(due) > 30

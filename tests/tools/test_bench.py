@@ -1,0 +1,44 @@
+"""The benches run and their scales are right; how fast things are is for the benches to say."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.ndimage import label
+
+from tools.bench import theta
+from tools.bench.map_kinds import KINDS, read, small_maps
+from tools.bench.optimum import Judge
+
+
+def test_every_kind_of_map_has_somewhere_to_go() -> None:
+    for kind, _, blocked in small_maps(1, 40):
+        regions, _ = label(~blocked)
+        largest = np.bincount(regions[regions > 0]).max()
+        assert 0.02 < blocked.mean() < 0.75, kind
+        assert largest > 0.2 * blocked.size, kind
+    assert len(KINDS) == 9
+
+
+def test_the_judge_knows_a_shortest_path_and_a_gap() -> None:
+    blocked = np.zeros((5, 5), dtype=np.bool_)
+    blocked[2, :3] = True
+    judge = Judge(blocked)
+    straight = np.array([[[0.0, 0.0], [4.0, 0.0]], [[0.0, 4.0], [4.0, 4.0]]])
+    assert judge.through(straight).tolist() == [True, False]
+    expected = 2 * np.hypot(1.5, 2.5) + 1.0
+    assert judge.lengths(straight).tolist() == pytest.approx([expected, 4.0], abs=1e-3)
+    gap = np.zeros((4, 4), dtype=np.bool_)
+    gap[:2, :2] = gap[2:, 2:] = True
+    assert not np.isfinite(Judge(gap).lengths(np.array([[[3.0, 0.0], [0.0, 3.0]]])))
+
+
+def test_lengths_are_the_optimum() -> None:
+    mean, worst = theta.lengths(14, 6)
+    assert mean.holds and worst.holds, (mean, worst)
+
+
+def test_a_map_file_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "a.map"
+    path.write_text("type octile\nheight 2\nwidth 3\nmap\n.@T\nGW.\n")
+    assert read(path).tolist() == [[False, True, True], [False, True, False]]

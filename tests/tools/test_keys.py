@@ -1,0 +1,153 @@
+"""Key files and the commands that use them: made, shown, rotated, refused in one line, and believed."""
+
+import asyncio
+import json
+import os
+import stat
+import subprocess
+import sys
+from asyncio.subprocess import PIPE, STDOUT
+from pathlib import Path
+
+import pytest
+
+from sim.key_file import FLEET, OPERATOR, KeyFileError, counter, counter_path, fresh, read, write
+
+ROOT = Path(__file__).parents[2]
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
+WAIT_S = 60.0  # for what takes a second on a quiet machine
+
+
+def headland(*words: str, folder: Path) -> "subprocess.CompletedProcess[str]":
+    return subprocess.run(
+        [sys.executable, "-m", "tools.headland", *words], cwd=folder, capture_output=True, text=True,
+        check=False, timeout=WAIT_S, env=ENVIRONMENT,
+    )  # fmt: skip
+
+
+def one_line(done: "subprocess.CompletedProcess[str]", *says: str) -> None:
+    assert done.returncode == 2 and done.stderr.count("\n") == 1, done.stderr
+    assert done.stderr.startswith("headland: ") and all(s in done.stderr for s in says), done.stderr
+
+
+def test_new_show_and_rotate(tmp_path: Path) -> None:
+    made = headland("keys", "new", "k", folder=tmp_path)
+    assert made.returncode == 0, made.stderr
+    fleet, operator = tmp_path / "k" / "fleet.json", tmp_path / "k" / "operator.json"
+    for path in (fleet, operator):
+        assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    before, device = read(fleet, FLEET), read(operator, OPERATOR)
+    assert before.keys.operator == device.keys.operator and device.keys.master is None
+    shown = headland("keys", "show", "k", folder=tmp_path)
+    assert shown.stdout == made.stdout and before.ids["operator"] in shown.stdout
+    for secret in (before.keys.master, before.keys.operator):
+        assert secret is not None and secret.hex() not in made.stdout + shown.stdout
+    one_line(headland("keys", "new", "k", folder=tmp_path), "is there already")
+
+    assert device.keyring(10).sent == 0 and device.keyring(10).sent == 10
+    rotated = headland("keys", "rotate", "k", folder=tmp_path)
+    assert rotated.returncode == 0, rotated.stderr
+    after = read(fleet, FLEET)
+    assert not set(after.ids.values()) & set(before.ids.values())
+    assert counter(operator) == 0, "a new key has signed nothing"
+    assert read(tmp_path / "k" / f"fleet.json.{before.ids['fleet']}").keys == before.keys
+
+
+def keys(folder: Path) -> tuple[Path, Path]:
+    write(folder / "fleet.json", folder / "operator.json", fresh(), 249)
+    return folder / "fleet.json", folder / "operator.json"
+
+
+def spoil(path: Path, **changes: object) -> None:
+    path.write_text(json.dumps({**json.loads(path.read_text()), **changes}))
+
+
+def test_wrong_key_files_get_one_line(tmp_path: Path) -> None:
+    fleet, _ = keys(tmp_path)
+    run = ("run", "small", "--keys")
+    one_line(headland(*run, "nowhere.json", folder=tmp_path), "fleet.keys", "nowhere.json")
+    one_line(headland(*run, "operator.json", folder=tmp_path), "operator key", "is needed")
+    one_line(headland("reset", "--operator-key", "fleet.json", folder=tmp_path), "--operator-key")
+    one_line(headland("estop", "--keys", "no.json", "-i", "virtual", folder=tmp_path), "--keys")
+    fleet.chmod(0o640)
+    one_line(headland(*run, "fleet.json", folder=tmp_path), "others may read it", "chmod 600")
+    one_line(headland("keys", "show", "fleet.json", folder=tmp_path), "chmod 600")
+    one_line(headland("keys", "rotate", "nowhere", folder=tmp_path), "cannot be read")
+    one_line(headland("keys", "new", "new", "--device", "3", folder=tmp_path), "--device", "192")
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("{", "not JSON"), ("[]", "not a key file"), ("{}", "not a key file"),
+        ('{"kind": "headland fleet keys"}', "missing"),
+    ],
+)  # fmt: skip
+def test_what_is_no_key_file(text: str, why: str, tmp_path: Path) -> None:
+    path = tmp_path / "k.json"
+    path.touch(0o600)
+    path.write_text(text)
+    with pytest.raises(KeyFileError, match=why):
+        read(path)
+
+
+def test_a_damaged_key_or_counter_is_noticed(tmp_path: Path) -> None:
+    fleet, operator = keys(tmp_path)
+    key = json.loads(fleet.read_text())["key"]
+    spoil(fleet, key=key[:-1] + ("0" if key[-1] != "0" else "1"))
+    with pytest.raises(KeyFileError, match="does not fit"):
+        read(fleet)
+    spoil(fleet, key=17)
+    with pytest.raises(KeyFileError, match="hexadecimal"):
+        read(fleet)
+    counter_path(operator).write_text("many")
+    with pytest.raises(KeyFileError, match="rotate"):
+        read(operator).keyring()
+    spoil(operator, device=7)
+    with pytest.raises(KeyFileError, match="device"):
+        read(operator)
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="as the other tests of launches")
+def test_a_fleet_with_keys_is_stopped_and_released_by_those_that_hold_them(tmp_path: Path) -> None:
+    async def call(*words: str) -> tuple[int, str]:
+        process = await asyncio.create_subprocess_exec(
+            sys.executable, "-m", "tools.headland", *words,
+            cwd=tmp_path, stdout=PIPE, stderr=STDOUT, env=ENVIRONMENT,
+        )  # fmt: skip
+        async with asyncio.timeout(WAIT_S):
+            out, _ = await process.communicate()
+        return process.returncode or 0, out.decode()
+
+    async def story() -> None:
+        keys(tmp_path)
+        launch = await asyncio.create_subprocess_exec(
+            sys.executable, "-m", "tools.headland", "launch", "small", "--keys", "fleet.json",
+            cwd=tmp_path, stdout=PIPE, stderr=STDOUT, env=ENVIRONMENT,
+        )  # fmt: skip
+        assert launch.stdout is not None
+        try:
+            async with asyncio.timeout(WAIT_S):
+                async for raw in launch.stdout:
+                    if raw.decode().count("WORKING") == 3:
+                        break
+            code, text = await call("estop", "--json")
+            assert code == 1 and not json.loads(text)["signed"], "braked, and nobody latched"
+            code, text = await call("estop", "--keys", "fleet.json", "--json")
+            assert code == 0 and json.loads(text)["stopped"] == [0, 1, 2], text
+            code, text = await call("reset", "--start", "--timeout", "1")
+            assert code == 1 and "NOT SIGNED" in text and "NOT RELEASED" in text, text
+            for _ in range(2):  # the counter goes on from one session of the device to the next
+                code, text = await call(
+                    "reset", "--operator-key", "operator.json", "--start", "--json"
+                )
+                assert code == 0 and json.loads(text)["signed"], text
+            assert counter(tmp_path / "operator.json") > 0
+        finally:
+            launch.terminate()
+            async with asyncio.timeout(WAIT_S):
+                await launch.wait()
+        report = json.loads((tmp_path / "runs" / "launch" / "report.json").read_text())
+        assert report["authenticated"]
+
+    asyncio.run(story())

@@ -1,0 +1,169 @@
+"""ORCA: CPU time against RVO2 through pyrvo, and whether the results are the same bits.
+
+Circle: the example of the RVO2 library, 250 agents that change sides. Where pyrvo is not installed
+only our own times are measured.
+"""
+
+import importlib
+from collections.abc import Iterator
+from importlib.metadata import version
+from math import cos, pi, sin
+from statistics import median
+from time import process_time
+from typing import Any
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from agent import orca_fleet as column
+from agent.config import NEIGHBOURS_MAX
+from agent.orca import Avoidance
+from tools.bench.figure import Figure
+
+SEED = 20
+AGENTS, CIRCLE_M = 250, 200.0
+RANGE_M, HORIZON_S, RADIUS_M, SPEED_M_S, DT_S = 15.0, 10.0, 1.5, 2.0, 0.25  # of that example
+BLOCK = 50  # steps, A B A B
+PEERS = 100
+NUMBA = f"numba {numba.__version__}"
+XY = tuple[float, float]
+
+
+def pyrvo() -> Any:
+    """The module, or None where it is not installed."""
+    try:
+        return importlib.import_module("pyrvo")
+    except ImportError:
+        return None
+
+
+def figures(quick: bool) -> Iterator[Figure]:
+    rvo = pyrvo()
+    yield from circle(rvo, 400 if quick else 1000)
+    yield from one_robot(rvo, 7 if quick else 21)
+
+
+def on_circle() -> NDArray[np.float32]:
+    agents = np.zeros((AGENTS, column.AGENT_COLUMNS), dtype=np.float32)
+    for k in range(AGENTS):
+        angle = 2 * pi * k / AGENTS
+        agents[k, column.X], agents[k, column.Y] = CIRCLE_M * cos(angle), CIRCLE_M * sin(angle)
+    agents[:, column.RADIUS], agents[:, column.SPEED_MAX] = RADIUS_M, SPEED_M_S
+    agents[:, column.RANGE], agents[:, column.NEIGHBOURS] = RANGE_M, NEIGHBOURS_MAX
+    agents[:, column.HORIZON] = agents[:, column.WALL_HORIZON] = HORIZON_S
+    return agents
+
+
+def simulator(rvo: Any, dt_s: float, range_m: float, radius_m: float, speed_m_s: float,
+              horizon_s: float, places: list[XY]) -> Any:  # fmt: skip
+    """A pyrvo simulator with agents at these places."""
+    made = rvo.RVOSimulator()
+    made.set_time_step(dt_s)
+    made.set_agent_defaults(range_m, NEIGHBOURS_MAX, horizon_s, horizon_s, radius_m, speed_m_s)
+    for place in places:
+        made.add_agent(place)
+    return made
+
+
+def wish(agents: NDArray[np.float32], goals: NDArray[np.float32]) -> list[XY]:
+    """Straight to the goal; written into `agents`, and returned for pyrvo."""
+    to_goal = goals - agents[:, : column.Y + 1]
+    far = np.maximum(np.hypot(to_goal[:, 0], to_goal[:, 1]), np.float32(1.0))
+    agents[:, column.WANT_X : column.WANT_Y + 1] = to_goal / far[:, np.newaxis]
+    return [(x, y) for x, y in agents[:, column.WANT_X : column.WANT_Y + 1].tolist()]
+
+
+def unlike(agents: NDArray[np.float32], theirs: Any) -> int:
+    """How many agents are not, to the last bit, where and as fast as those of pyrvo."""
+    rows = [(theirs.get_agent_position(k), theirs.get_agent_velocity(k)) for k in range(AGENTS)]
+    state = np.array([(p.x, p.y, v.x, v.y) for p, v in rows], dtype=np.float32)
+    ours = agents[:, [column.X, column.Y, column.VX, column.VY]]
+    return int((ours.view(np.uint32) != state.view(np.uint32)).any(axis=1).sum())
+
+
+def circle(rvo: Any, steps: int) -> Iterator[Figure]:
+    column.Fleet(on_circle(), DT_S).step()  # compiles
+    agents = on_circle()
+    goals = -agents[:, : column.Y + 1].copy()
+    fleet = column.Fleet(agents, DT_S)
+    places = [(x, y) for x, y in agents[:, : column.Y + 1].tolist()]
+    peer = rvo and simulator(rvo, DT_S, RANGE_M, RADIUS_M, SPEED_M_S, HORIZON_S, places)
+    ours_s = theirs_s = 0.0
+    different = 0
+    for _ in range(steps // BLOCK):  # a block of ours, then the same of theirs
+        block: list[tuple[list[XY], NDArray[np.float32]]] = []
+        for _ in range(BLOCK):
+            wanted = wish(agents, goals)
+            start = process_time()
+            fleet.step()
+            ours_s += process_time() - start
+            block.append((wanted, agents.copy()))
+        for wanted, after in block if rvo else ():
+            for k, velocity in enumerate(wanted):
+                peer.set_agent_pref_velocity(k, velocity)
+            start = process_time()
+            peer.do_step()
+            theirs_s += process_time() - start
+            different += unlike(after, peer)
+    scope = f"circle of {AGENTS}, {steps} steps, neither side sets wishes inside the measurement"
+    yield Figure("ORCA fleet step, absolute", ours_s / steps / AGENTS * 1e9, "ns/agent", "", None,
+                 NUMBA, scope)  # fmt: skip
+    if not rvo:
+        return
+    against = f"pyrvo {version('pyrvo')} do_step; {NUMBA}"
+    ratio = ours_s / theirs_s
+    yield Figure("ORCA fleet step", ratio, "ratio", "<= 0.30", ratio <= 0.30, against, scope)
+    yield Figure("ORCA states with other bits than pyrvo's", different, "", "= 0", different == 0,
+                 against, f"places and velocities of {steps * AGENTS} agent steps, float32")  # fmt: skip
+
+
+def one_robot(rvo: Any, rounds: int) -> Iterator[Figure]:
+    """What a robot does every control period, with a hundred peers known and ten that matter."""
+    rng = np.random.default_rng(SEED)
+    at = rng.uniform(-15.0, 15.0, (PEERS, 2))
+    at = at[np.argsort(np.hypot(at[:, 0], at[:, 1]))]
+    moving = rng.uniform(-1.0, 1.0, (PEERS, 2))
+    robot = Avoidance(0.5, 1.5, 1.0, 4.0, 0.05, np.zeros((0, 4)))
+    for slot, ((x, y), (vx, vy)) in enumerate(zip(at.tolist(), moving.tolist(), strict=True)):
+        robot.know(slot, x, y, vx, vy, 0.5, 0.5, 0.0)
+    here, own, wanted = (0.0, 0.0), (0.6, 0.1), (1.0, 0.2)
+    near = [(x, y) for x, y in at[:NEIGHBOURS_MAX].tolist()]
+    fast = [(vx, vy) for vx, vy in moving[:NEIGHBOURS_MAX].tolist()]
+    peer = rvo and simulator(rvo, 0.05, 5.0, 0.5, 1.5, 4.0, [here, *near])
+
+    def theirs() -> object:
+        for k, (place, velocity) in enumerate(zip(near, fast, strict=True)):
+            peer.set_agent_position(k + 1, place)
+            peer.set_agent_velocity(k + 1, velocity)
+        peer.set_agent_position(0, here)
+        peer.set_agent_velocity(0, own)
+        peer.set_agent_pref_velocity(0, wanted)
+        peer.do_step()
+        velocity = peer.get_agent_velocity(0)
+        return velocity.x, velocity.y
+
+    robot.among_known(here, own, wanted, 0.0)
+    ours_s, ratios, repeat = [], [], 2000
+    for _ in range(rounds):
+        start = process_time()
+        for _ in range(repeat):
+            robot.among_known(here, own, wanted, 0.0)
+        ours_s.append((process_time() - start) / repeat)
+        if rvo:
+            start = process_time()
+            for _ in range(repeat // 10):
+                theirs()
+            ratios.append(ours_s[-1] / ((process_time() - start) / (repeat // 10)))
+    scope = f"{PEERS} peers known, the nearest {NEIGHBOURS_MAX} within 5 m count; all of the Python"
+    cost_us = median(ours_s) * 1e6
+    yield Figure(
+        "one robot's ORCA, absolute", cost_us, "us", "<= 1.5", cost_us <= 1.5, NUMBA, scope
+    )
+    if rvo:
+        ratio = median(ratios)
+        against = (
+            f"pyrvo {version('pyrvo')}, a simulator of the {NEIGHBOURS_MAX} nearest and itself"
+        )
+        yield Figure("one robot's ORCA", ratio, "ratio", "<= 0.10", ratio <= 0.10,
+                     f"{against}; {NUMBA}", f"{scope}; set states, step, read")  # fmt: skip

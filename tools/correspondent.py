@@ -1,0 +1,50 @@
+"""A device that asks for texts: the other end of a peer's transport sessions."""
+
+import asyncio
+
+from agent.ports import Bus
+from protocol.codec import decode, encode
+from protocol.frame import Frame
+from protocol.identifier import GLOBAL_ADDRESS, Identifier
+from protocol.messages import Message
+from protocol.network_frames import Request, TransportData, TransportManagement
+from protocol.transport import Arrived, Transport
+from tools.attachment import TOOL_ADDRESS
+
+LOOK_S = 0.02  # sessions are looked after this often; their shortest limit is 200 ms
+
+
+class Correspondent:
+    def __init__(self, bus: Bus) -> None:
+        self.bus, self.transport = bus, Transport()
+        self.arrived: list[Arrived] = []
+
+    def hear(self, now_s: float, frame: Frame) -> None:
+        source, message = decode(frame)
+        destination = Identifier.unpack(frame.identifier).destination
+        if destination not in (TOOL_ADDRESS, GLOBAL_ADDRESS):
+            return
+        if isinstance(message, TransportManagement | TransportData):
+            now_us = round(now_s * 1e6)
+            out, arrived = self.transport.receive(source, destination, message, now_us)
+            for o in out:
+                self._send(o.message, o.destination)
+            if arrived is not None:
+                self.arrived.append(arrived)
+
+    async def ask(self, pgn: int, address: int, seconds: float) -> str | None:
+        """The text of a parameter group, or None where nothing whole came in time."""
+        loop = asyncio.get_running_loop()
+        end_s = loop.time() + seconds
+        self._send(Request(pgn), address)
+        while loop.time() < end_s:
+            for letter in self.arrived:
+                if letter.pgn == pgn and letter.source == address:
+                    return letter.data.decode("latin-1").rstrip()
+            await asyncio.sleep(LOOK_S)
+            for o in self.transport.tick(round(loop.time() * 1e6)):
+                self._send(o.message, o.destination)
+        return None
+
+    def _send(self, message: Message, destination: int) -> None:
+        self.bus.send(encode(message, TOOL_ADDRESS, destination))

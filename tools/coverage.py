@@ -1,0 +1,164 @@
+"""`headland coverage`: plan how robots cover a grid map together, and replay a plan in the terminal."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from sim.grid_map import Instance
+    from sim.grid_run import Arrival, Death
+
+app = typer.Typer(
+    help="Plan and replay how robots cover a grid map together.", no_args_is_help=True,
+    pretty_exceptions_enable=False, rich_markup_mode=None,
+)  # fmt: skip
+
+ROBOT_CELLS_MAX = 1 << 27  # a team keeps eight bytes for each robot and cell: a gibibyte
+
+Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
+
+
+@app.command()
+def solve(
+    map: Annotated[Path | None, typer.Argument(help="A .map or .mcpp; none: a random map.")] = None,
+    agents: Annotated[int | None, typer.Option(help="Robots (an .mcpp: only the first).")] = None,
+    seed: Annotated[int, typer.Option(help="Of the start cells and of a random map.")] = 0,
+    height: Annotated[int, typer.Option("--H", help="Rows of a random map.")] = 32,
+    width: Annotated[int, typer.Option("--W", help="Columns of a random map.")] = 32,
+    wall_prob: Annotated[float, typer.Option(help="Share of walls of a random map.")] = 0.2,
+    gate: Annotated[bool, typer.Option("--gate", help="All start together in a corner.")] = False,
+    turn_cost: Annotated[float, typer.Option(help="Steps that a quarter turn costs.")] = 0.0,
+    die: Annotated[list[str] | None, typer.Option(help="ROBOT@STEP becomes a wreck.")] = None,
+    join: Annotated[list[str] | None, typer.Option(help="ROW,COLUMN@STEP: one more.")] = None,
+    out: Annotated[Path, typer.Option(help="The plan file.")] = Path("vacuum_plan.json"),
+    export: Annotated[
+        Path | None, typer.Option(help="Write map and starts as .map or .mcpp, too.")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Plan a coverage run, judge it, and write the plan file. Exit 0 only for a plan without faults.
+
+    Example: headland coverage solve --H 32 --W 32 --agents 20 --wall-prob 0.20 --seed 1
+    """
+    from sim.grid_map import GridFileError, write_instance
+    from tools.coverage_report import solved
+
+    try:
+        instance = _instance(map, agents, seed, (height, width, wall_prob), gate)
+        if not 0.0 <= turn_cost <= 100.0:
+            raise GridFileError("--turn-cost is 0 to 100 steps")
+        events = _deaths(die or [], instance), _arrivals(join or [], instance)
+        if export is not None:
+            if export.suffix not in (".map", ".mcpp"):
+                raise GridFileError(f"{export}: an export ends in .map or .mcpp")
+            write_instance(export, instance)
+        raise SystemExit(solved(instance, turn_cost, *events, out, json))
+    except (GridFileError, OSError) as error:
+        typer.echo(f"headland: {error}", err=True)
+        raise SystemExit(2) from None
+
+
+@app.command()
+def replay(
+    plan: Annotated[Path | None, typer.Argument(help="A plan file.")] = None,
+    plan_option: Annotated[Path | None, typer.Option("--plan", help="The same, as option.")] = None,
+    delay: Annotated[float, typer.Option(help="Seconds between steps.")] = 0.03,
+    stop_on_done: Annotated[
+        bool, typer.Option("--stop-on-done", help="End when all is covered, not with the plan.")
+    ] = False,
+    turn_cost: Annotated[
+        float, typer.Option(help="Steps a quarter turn costs in the score.")
+    ] = 0.0,
+    json: Json = False,
+) -> None:
+    """Replay a plan on exactly its map, drawn in the terminal, and judge it. Exit 0: no faults.
+
+    Example: headland coverage replay vacuum_plan.json --delay 0.03 --stop-on-done
+    """
+    from sim.grid_map import GridFileError
+    from sim.grid_plan import read_plan
+    from tools.coverage_report import replayed
+
+    path = plan or plan_option or Path("vacuum_plan.json")
+    try:
+        if not 0.0 <= delay <= 60.0:
+            raise GridFileError("--delay is 0 to 60 seconds")
+        found = read_plan(path)
+    except GridFileError as error:
+        typer.echo(f"headland: {error}", err=True)
+        raise SystemExit(2) from None
+    raise SystemExit(replayed(found, delay, stop_on_done, turn_cost, json))
+
+
+def _instance(
+    path: Path | None, agents: int | None, seed: int, random: tuple[int, int, float], gate: bool
+) -> "Instance":
+    from sim.grid_map import (
+        CELLS_MAX,
+        GridFileError,
+        Instance,
+        gate_starts,
+        random_starts,
+        random_walls,
+        read_instance,
+        read_map,
+    )
+
+    if path is not None and path.suffix == ".mcpp" and not gate:
+        instance = read_instance(path)
+        if agents is not None and not 0 < agents <= len(instance.starts):
+            raise GridFileError(f"{path}: has starts for 1 to {len(instance.starts)} robots")
+        return instance._replace(starts=instance.starts[:agents])
+    if path is not None:
+        walls = read_instance(path).walls if path.suffix == ".mcpp" else read_map(path)
+    else:
+        rows, columns, share = random
+        if rows < 1 or columns < 1 or rows * columns > CELLS_MAX or not 0.0 <= share <= 1.0:
+            raise GridFileError("--H and --W are 1 or more, --wall-prob is 0 to 1")
+        walls = random_walls(rows, columns, share, seed)
+    if agents is None or agents < 1:
+        raise GridFileError("say how many robots: --agents K")
+    if agents * walls.size > ROBOT_CELLS_MAX:
+        raise GridFileError(f"{agents} robots on {walls.size} cells need too much memory")
+    try:
+        starts = gate_starts(walls, agents) if gate else random_starts(walls, agents, seed)
+    except ValueError as error:
+        raise GridFileError(str(error)) from error
+    return Instance(path.stem if path else f"random-{seed}", walls, starts)
+
+
+def _numbers(text: str, form: str) -> list[int]:
+    from sim.grid_map import GridFileError
+
+    parts = text.replace("@", ",").split(",")
+    if len(parts) != form.replace("@", ",").count(",") + 1 or not all(p.isdecimal() for p in parts):
+        raise GridFileError(f"{text!r} is not {form}")
+    return [int(part) for part in parts]
+
+
+def _deaths(words: list[str], instance: "Instance") -> "list[Death]":
+    from sim.grid_map import GridFileError
+    from sim.grid_run import Death
+
+    found = []
+    for word in words:
+        robot, step = _numbers(word, "ROBOT@STEP")
+        if robot >= len(instance.starts):
+            raise GridFileError(f"--die {word}: robots are 0 to {len(instance.starts) - 1}")
+        found.append(Death(step, robot))
+    return found
+
+
+def _arrivals(words: list[str], instance: "Instance") -> "list[Arrival]":
+    from sim.grid_map import GridFileError
+    from sim.grid_run import Arrival
+
+    found = []
+    for word in words:
+        row, column, step = _numbers(word, "ROW,COLUMN@STEP")
+        rows, columns = instance.walls.shape
+        if row >= rows or column >= columns or instance.walls[row, column]:
+            raise GridFileError(f"--join {word}: not a free cell of the map")
+        found.append(Arrival(step, (row, column)))
+    return found

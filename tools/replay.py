@@ -1,0 +1,84 @@
+"""`headland replay`: a log through the inspector, and onto a bus if wanted."""
+
+import asyncio
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+from rich.console import Console
+from rich.live import Live
+
+from protocol.bus import CanBus
+from protocol.frame import Frame
+from tools.attachment import AttachError, attach
+from tools.inspection import SourceError, frames_of, table_of
+from tools.inspector import Inspector
+
+WRONG = 2
+LOOK_S = 0.25  # of the recording, between two looks of the screen
+PICTURES_A_SECOND = 8
+
+
+def replay(
+    log: Path, speed: float, interface: str, channel: str, bitrate: int, host: str, port: int,
+    as_json: bool,
+) -> int:  # fmt: skip
+    console, inspector = Console(stderr=as_json), Inspector()
+    try:
+        if speed < 0:
+            raise SourceError(f"--speed {speed:g}: 0 for at once, 1 for the recorded speed")
+        with Live(console=console, refresh_per_second=PICTURES_A_SECOND, transient=True) as live:
+
+            def look() -> None:
+                live.update(table_of(inspector.to_dict()))
+
+            asyncio.run(
+                _play(inspector, log, speed, _opener(interface, channel, bitrate, host, port), look)
+            )
+    except (AttachError, SourceError) as problem:
+        print(f"headland: {problem}", file=sys.stderr)
+        return WRONG
+    if as_json:
+        print(json.dumps(inspector.to_dict()))
+    else:
+        console.print(table_of(inspector.to_dict()))
+    return 0
+
+
+def _opener(
+    interface: str, channel: str, bitrate: int, host: str, port: int
+) -> Callable[[], CanBus | None]:
+    """Opened inside of the loop that will drive it."""
+    return lambda: attach(interface, channel, bitrate, host, port) if interface else None
+
+
+async def _play(
+    inspector: Inspector,
+    log: Path,
+    speed: float,
+    open_bus: Callable[[], CanBus | None],
+    look: Callable[[], None],
+) -> None:
+    loop, bus = asyncio.get_running_loop(), open_bus()
+    begun_s, first_s, looked_s = loop.time(), None, 0.0
+    try:
+        for t_us, frame in frames_of(log):
+            t_s = t_us / 1e6
+            first_s = t_s if first_s is None else first_s
+            if speed > 0:
+                await asyncio.sleep(max(0.0, begun_s + (t_s - first_s) / speed - loop.time()))
+            _hear(inspector, bus, t_s, frame)
+            if t_s - looked_s >= LOOK_S * max(speed, 1.0):
+                looked_s = t_s
+                if speed > 0:
+                    look()
+    finally:
+        if bus is not None:
+            bus.close()
+
+
+def _hear(inspector: Inspector, bus: CanBus | None, t_s: float, frame: Frame) -> None:
+    inspector.hear(t_s, frame)
+    if bus is not None:
+        bus.send(frame)
