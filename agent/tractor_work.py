@@ -23,6 +23,8 @@ LEAVE_M_S = 0.8  # from a stretch into a turn that is not known yet
 ROOM_M = 1.5  # with as much as this beyond its end
 STUCK_US = 5_000_000
 MOVED_M = 0.5  # less within `STUCK_US` is being stuck
+BODY_M = 0.5  # between bodies on a way that goes round one: more than ORCA's disc takes
+BLOCKED_M = 1.4  # of swath that is left beside one: the same, the lead-in, and room to come to rest
 STANDING_M_S = 0.1
 NEAR_M = 12.0  # bodies further away do not count for the next turn
 AGAIN_US = 1_000_000  # between attempts to find a way
@@ -35,7 +37,8 @@ class TractorWork(FieldWork):
     ) -> None:
         super().__init__(field, route, radius_m, limits.speed_m_s, limits.deceleration_m_s2)
         self.turns, self.limits = turns, limits
-        self.reach_m = 2 * radius_m + 0.3
+        self.reach_m = 2 * radius_m + BODY_M
+        self.blocked_m = BLOCKED_M
         self.follow: TractorTracker | None = None
         self.bodies: list[tuple[float, float]] = []  # gone round since we were stuck
         self.joined = False  # at the beginning of the first leg, pointing along it

@@ -3,7 +3,7 @@
 import pytest
 
 from sim.expedition import Expedition
-from sim.scenario import ScenarioError, load
+from sim.scenario import Crash, ScenarioError, load
 from sim.setting import Setting
 
 # What is left at the corners of the outline: the implement goes past them both ways and does not
@@ -33,3 +33,11 @@ def test_chassis_keys_reach_the_wheels() -> None:
     assert setting.chassis.turn_radius_m == pytest.approx(2.4)
     assert setting.turn_radius_m > 2.4
     assert Setting(load("small")).turn_radius_m == 0.0
+
+
+def test_a_tractor_that_dies_is_gone_round() -> None:
+    faults = [Crash(at_s=40.0, kind="crash", robot=1)]
+    scenario = load("small").changed(drive="ackermann").model_copy(update={"fault": faults})
+    outcome = Expedition(Setting(scenario)).run()
+    assert outcome.finished and outcome.replicas_equal and outcome.contacts == 0, outcome
+    assert outcome.coverage > 0.95, "all but the rows it stands on"
