@@ -1,8 +1,8 @@
 """From a wish to a drive for bodies that steer: they keep to their way, and slow or stop for others.
 
 A tractor cannot do what ORCA would have it do, so ORCA is asked only how fast it may go along its
-own course; its disc is larger by what tracking and steering take (nav: the enlarged-disc argument
-of NH-ORCA, Alonso-Mora et al. 2010). Fences are the business of the way, which never leaves free
+own course; its disc is larger by what tracking and steering take (the argument of NH-ORCA,
+Alonso-Mora et al. 2010). Fences are the business of the way, which never leaves free
 ground. Of two that stand nose to nose, the one with the higher slot backs out of the way by one
 arc, waits, and its mission plans anew from there.
 """
@@ -12,7 +12,7 @@ from math import cos, hypot, sin
 
 import numpy as np
 
-from agent.config import MS, S
+from agent.config import CONTROL_PERIOD_US, MS, S
 from agent.effects import Drive
 from agent.giving_way import Other
 from agent.membership import Neighbour
@@ -33,6 +33,7 @@ WAIT_US = 8 * S  # out of the way, at most
 APART_M = 5.0  # between bodies: the way is free again
 NEAR_M = 1.8  # nobody further away is why we stand
 GOT_ON_M = 0.4
+HALF_PERIOD_S = CONTROL_PERIOD_US / S / 2  # the course is that of the middle of the control period
 
 
 class TractorMotion(Motion):
@@ -125,5 +126,5 @@ class TractorMotion(Motion):
         if command is None:
             return Wish(0.0, 0.0)
         speed_m_s, turn_rad_s = command
-        course = pose.heading_rad + turn_rad_s * 0.025
+        course = pose.heading_rad + turn_rad_s * HALF_PERIOD_S
         return Wish(speed_m_s * cos(course), speed_m_s * sin(course), turn_rad_s)

@@ -4,7 +4,7 @@ The steering looks ahead by the time it takes to turn the wheels, so that an arc
 begins. What is off the way is closed within a fixed length, not time: the same at any speed.
 """
 
-from math import atan2, cos, hypot, inf, pi, remainder, sin, sqrt
+from math import atan2, cos, hypot, pi, remainder, sin, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -146,10 +146,6 @@ def smooth_way(points: list[tuple[float, float]], half_m: float) -> NDArray[np.f
     heading = np.unwrap(np.arctan2(dy, dx))
     curvature = np.gradient(heading) / np.maximum(np.hypot(dx, dy), 1e-6)
     return np.column_stack([x, y, heading, curvature, np.ones(count)])
-
-
-def gap_m(way: NDArray[np.float64], x_m: float, y_m: float) -> float:
-    return float(np.min(np.hypot(way[:, 0] - x_m, way[:, 1] - y_m), initial=inf))
 
 
 def heading_of(a: tuple[float, float], b: tuple[float, float]) -> float:

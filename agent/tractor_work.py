@@ -7,6 +7,7 @@ radii are taken with others between them where there are any.
 
 from math import cos, hypot, sin
 
+from agent.config import CONTROL_PERIOD_US, S
 from agent.dubins import shortest_m
 from agent.field import Field, Section
 from agent.field_work import MAKE_WAY_M, FieldWork, Leg, working_leg
@@ -28,7 +29,7 @@ BLOCKED_M = 1.4  # of swath that is left beside one: the same, the lead-in, and 
 STANDING_M_S = 0.1
 NEAR_M = 12.0  # bodies further away do not count for the next turn
 AGAIN_US = 1_000_000  # between attempts to find a way
-HALF_PERIOD_S = 0.025  # the course is that of the middle of the control period
+HALF_PERIOD_S = CONTROL_PERIOD_US / S / 2  # the course is that of the middle of the control period
 
 
 class TractorWork(FieldWork):

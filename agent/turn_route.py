@@ -6,7 +6,6 @@ stand, the cells round them are blocked for that one question.
 
 from collections.abc import Sequence
 from itertools import pairwise
-from math import cos, sin
 from typing import NamedTuple
 
 import numpy as np
@@ -124,7 +123,3 @@ def sampled(start: Pose, pieces: Sequence[Piece]) -> NDArray[np.float64]:
             rows.append((*pose, piece.curvature_1_m, gear))
         at = Pose(*step(*at, piece.curvature_1_m, piece.length_m))
     return np.array(rows).reshape(-1, 5)
-
-
-def ahead(at: Pose, length_m: float) -> Point:
-    return at.x_m + length_m * cos(at.heading_rad), at.y_m + length_m * sin(at.heading_rad)
