@@ -80,6 +80,7 @@ class FieldWork:
         self._plan: dict[int, list[Job]] = {}
         self.way = route  # the same with silent bodies in it
         self._silent: tuple[int, ...] = ()
+        self.blocked_m = BLOCKED_M
         self._blocked_by: tuple[int, tuple[int, ...]] = (-1, ())
         self._blocked_units: frozenset[int] = frozenset()
 
@@ -245,7 +246,7 @@ class FieldWork:
             return
         self._silent = silent
         bodies = [(n.pose.x_m, n.pose.y_m) for n in (view.neighbours[slot] for slot in silent)]
-        reach_m = 2 * self.radius_m + BLOCKED_M
+        reach_m = 2 * self.radius_m + self.blocked_m
         self.way = self.route.round(bodies, reach_m) if bodies else self.route
         self.legs, self.tracker, self.heading_to = [], None, None
         if self.section is not None:
@@ -259,7 +260,7 @@ class FieldWork:
         if not silent:
             return frozenset()
         if self._blocked_by != (self.section.id, silent):
-            reach_m = 2 * self.radius_m + BLOCKED_M
+            reach_m = 2 * self.radius_m + self.blocked_m
             bodies = [view.neighbours[slot].pose for slot in silent]
             self._blocked_by = (self.section.id, silent)
             self._blocked_units = frozenset(

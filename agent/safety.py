@@ -327,7 +327,11 @@ class Safety:
             speed_m_s = hypot(wanted.vx_m_s, wanted.vy_m_s)
             if speed_m_s > CREEP_M_S:
                 share = CREEP_M_S / speed_m_s
-                return wanted._replace(vx_m_s=wanted.vx_m_s * share, vy_m_s=wanted.vy_m_s * share)
+                return wanted._replace(  # all of it: what steers keeps its curve
+                    vx_m_s=wanted.vx_m_s * share,
+                    vy_m_s=wanted.vy_m_s * share,
+                    turn_rad_s=wanted.turn_rad_s * share,
+                )
         return wanted
 
     # ---------------------------------------------------------------- inside

@@ -16,11 +16,13 @@ from shapely.geometry.base import BaseGeometry
 from shapely.ops import substring
 
 from agent.field import UNITS_MAX, XY, Field, Polyline, Section
+from agent.ring_corners import cut_at_corners
 
 SWEEP_DEG = 10.0  # angles tried besides the directions of the edges
 EDGE_SHARE_MIN = 0.05  # edges shorter than this share of the outline propose no angle
 CORNER_RAD = 0.05  # a smaller turn leaves no gap that the overlap would not close
 CUT_STEP_M = 1.0  # how finely a straight place for a cut is looked for
+KEEP_MORE_M = 0.35  # the lead-out of a stretch, beyond its end
 PIECE_MIN_M = 0.05  # strips that touch the deep part by less are served by the ring
 
 
@@ -33,8 +35,14 @@ def divide(
     overlap_m: float = 0.2,
     section_length_m: float = 250.0,
     unit_m: float = 5.0,
+    turn_radius_m: float = 0.0,
+    keep_m: float = 0.0,
 ) -> Field:
-    """The field with its sections. ValueError where nothing of it can be worked."""
+    """The field with its sections. ValueError where nothing of it can be worked.
+
+    For a body that steers (`turn_radius_m` > 0; its middle keeps `keep_m` from fences) the rings
+    are cut at the corners it cannot follow, and every piece goes on straight as far as it may.
+    """
     width_m, strip_m = implement_width_m, implement_width_m - overlap_m
     assert 0.0 < overlap_m < implement_width_m / 2
     rings = list(_rings(polygon.buffer(-width_m / 2)))
@@ -42,6 +50,9 @@ def divide(
         raise ValueError(f"{name} is nowhere as wide as the implement ({width_m} m)")
     deep = polygon.buffer(-(width_m - overlap_m))
     bundles = [*_ring_bundles(rings, section_length_m, width_m)]
+    if turn_radius_m > 0.0:
+        free = polygon.buffer(-(keep_m + KEEP_MORE_M))
+        bundles = [cut_at_corners(ring, turn_radius_m, width_m / 2, free) for (ring,) in bundles]
     if not deep.is_empty:
         bundles += _strip_bundles(
             deep, _best_angle(polygon, deep, strip_m), strip_m, section_length_m

@@ -16,6 +16,8 @@ from agent.field_work import FieldWork
 from agent.motion import Limits, Motion
 from agent.ports import Body, Journal, Observation
 from agent.shell import Shell
+from agent.tractor_motion import TractorMotion
+from agent.tractor_work import TractorWork
 from protocol.authentication import Signed
 from protocol.bus import CanBus
 from protocol.codec import decode_once, encode
@@ -27,10 +29,9 @@ from sim.disk import MemoryJournal
 from sim.fieldbus import FieldBus, forget, segment
 from sim.host import Handle, Host, LoopHost
 from sim.scenario import Join, Scenario
-from sim.setting import Setting
+from sim.setting import BRAKING_SHARE, Setting
 from sim.swarm import Swarm
 
-BRAKING_SHARE = 0.7  # of the acceleration is planned with; the rest is for corrections
 OPERATOR = 200  # slot of the operator device that a scenario's resets come from
 TOOL_ADDRESS = 249  # where scripted operator frames come from
 Record = Callable[[int, int, Effect], None]  # slot, time in microseconds, effect
@@ -65,6 +66,18 @@ class Robot:
         return self.task is not None and not self.task.done()
 
 
+def _holonomic(setting: Setting, slot: int, limits: Limits) -> tuple[FieldWork, Motion]:
+    braking_m_s2 = BRAKING_SHARE * limits.acceleration_m_s2
+    work = FieldWork(setting.field, setting.route, limits.radius_m, limits.speed_m_s, braking_m_s2)
+    return work, Motion(slot, limits, setting.fences)
+
+
+def _steering(setting: Setting, slot: int, limits: Limits) -> tuple[FieldWork, Motion]:
+    turns, steering = setting.turns, setting.steering
+    work = TractorWork(setting.field, setting.route, turns, limits.radius_m, steering)
+    return work, TractorMotion(slot, limits, turns, steering)
+
+
 def make_peer(
     setting: Setting,
     slot: int,
@@ -78,9 +91,9 @@ def make_peer(
     `lot`: anything that no two boots of this robot share; a first one in a simulation needs none.
     """
     fleet = setting.scenario.fleet
-    braking_m_s2 = BRAKING_SHARE * fleet.acceleration_m_s2
-    work = FieldWork(setting.field, setting.route, fleet.radius_m, fleet.speed_m_s, braking_m_s2)
     limits = Limits(fleet.radius_m, fleet.speed_m_s, fleet.acceleration_m_s2)
+    kind = _steering if setting.turn_radius_m else _holonomic
+    work, motion = kind(setting, slot, limits)
     identity = Identity(
         slot=slot,
         members=frozenset(range(fleet.robots)),
@@ -92,7 +105,6 @@ def make_peer(
     )
     # Who has lost its memory must not throw the same dice again.
     rng = Random(f"{setting.scenario.run.seed}/peer/{slot}{lot}")
-    motion = Motion(slot, limits, setting.fences)
     return Peer(identity, rng, now_us, recalled, work, motion, setting.keyring(slot, lot))
 
 

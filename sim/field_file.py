@@ -1,10 +1,11 @@
-"""Reading field boundaries: GeoJSON, projected to metres.
+"""Reading field boundaries: GeoJSON or ISO 11783-10 task data, projected to metres.
 
 Latitude and longitude end here. Every bad file is one `FieldFileError` with one line that names the
 file, what is wrong with it, and what to do.
 """
 
 import json
+from math import isfinite
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,14 +14,10 @@ from shapely.geometry import Polygon
 from shapely.validation import explain_validity
 
 from agent.config import EXTENT_MAX_M
+from sim.field_error import FILE_BYTES_MAX, FieldFileError, LonLat
+from sim.isoxml_file import read_isoxml
 
-FILE_BYTES_MAX = 64 << 20  # a boundary is kilobytes; a task file with a season's logs is megabytes
-
-LonLat = tuple[float, float]
-
-
-class FieldFileError(Exception):
-    """One line for the person who named the file."""
+TASK_DATA = (".xml", ".zip")
 
 
 class Boundary(NamedTuple):
@@ -33,7 +30,8 @@ class Boundary(NamedTuple):
 
 def read_boundary(path: Path, feature: str | None = None) -> Boundary:
     """The named field of a file, or its only one."""
-    outlines = read_geojson(path)
+    task_data = path.is_dir() or path.suffix.lower() in TASK_DATA
+    outlines = read_isoxml(path) if task_data else read_geojson(path)
     if not outlines:
         raise FieldFileError(f"{path}: no polygon in it")
     if feature is None:
@@ -51,7 +49,7 @@ def read_boundary(path: Path, feature: str | None = None) -> Boundary:
 
 def read_geojson(path: Path) -> dict[str, list[list[LonLat]]]:
     """Name -> rings of longitude and latitude, the exterior first."""
-    document = _load(path)
+    document = load_json(path)
     if document.get("type") == "FeatureCollection":
         features = document.get("features")
         if not isinstance(features, list):
@@ -76,7 +74,7 @@ def read_geojson(path: Path) -> dict[str, list[list[LonLat]]]:
     return outlines
 
 
-def _load(path: Path) -> dict[str, Any]:
+def load_json(path: Path) -> dict[str, Any]:
     try:
         if path.stat().st_size > FILE_BYTES_MAX:
             raise FieldFileError(f"{path}: larger than {FILE_BYTES_MAX >> 20} MiB")
@@ -111,19 +109,23 @@ def _rings(path: Path, name: str, rings: object) -> list[list[LonLat]]:
     return result
 
 
+def plane(origin: tuple[float, float]) -> CRS:
+    """Metres east and north of a latitude and longitude."""
+    return CRS.from_proj4(f"+proj=aeqd +lat_0={origin[0]} +lon_0={origin[1]} +datum=WGS84 +units=m")
+
+
 def project(path: Path, name: str, rings: list[list[LonLat]]) -> Boundary:
     """Metres east and north of the middle of the outline (azimuthal equidistant, WGS 84)."""
     xs, ys = [p[0] for p in rings[0]], [p[1] for p in rings[0]]
     origin = ((min(ys) + max(ys)) / 2, (min(xs) + max(xs)) / 2)
-    local = CRS.from_proj4(
-        f"+proj=aeqd +lat_0={origin[0]} +lon_0={origin[1]} +datum=WGS84 +units=m"
-    )
-    to_metres = Transformer.from_crs("EPSG:4326", local, always_xy=True).transform
+    to_metres = Transformer.from_crs("EPSG:4326", plane(origin), always_xy=True).transform
     outline = []
     for ring in rings:
         east, north = to_metres([p[0] for p in ring], [p[1] for p in ring])
         outline.append(list(zip(east, north, strict=True)))
     polygon = Polygon(outline[0], outline[1:])
+    if not isfinite(polygon.area):
+        raise FieldFileError(f"{path}: {name}: too far across to be projected; divide it")
     if not polygon.is_valid:
         raise FieldFileError(f"{path}: {name}: {explain_validity(polygon)}; repair the outline")
     if max(map(abs, polygon.bounds)) > EXTENT_MAX_M:

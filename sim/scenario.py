@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from agent.config import PEERS_MAX, SPEED_MAX_M_S
 
 SHIPPED = Path(__file__).parent / "scenarios"
+FIELD_FILES = (".geojson", ".json", ".xml", ".zip")  # a field alone is a scenario of defaults
 
 
 class ScenarioError(Exception):
@@ -36,6 +37,10 @@ class FleetTable(_Table):
     speed_m_s: float = Field(default=2.5, gt=0.05, le=SPEED_MAX_M_S)
     acceleration_m_s2: float = Field(default=1.5, gt=0.05, le=10.0)
     slip: float = Field(default=0.02, ge=0.0, le=0.3)
+    drive: Literal["mecanum", "differential", "ackermann"] = "mecanum"
+    wheelbase_m: float = Field(default=1.2, gt=0.1, le=6.0)  # with "ackermann"
+    track_m: float = Field(default=1.0, gt=0.1, le=4.0)  # with "differential" and "ackermann"
+    steer_deg: float = Field(default=40.0, ge=10.0, le=60.0)  # full lock, with "ackermann"
     silence: Literal["stop", "slow", "continue"] = "stop"
     keys: str | None = None  # key file, made by `headland keys new`
 
@@ -186,16 +191,21 @@ class Scenario(_Table):
     folder: Path = Field(Path(), exclude=True)  # what file names are relative to
 
     def changed(
-        self, robots: int | None = None, seed: int | None = None, keys: Path | None = None
-    ) -> "Scenario":
-        """The same with another number of robots, seed or key file. ScenarioError where out of range."""
+        self, robots: int | None = None, seed: int | None = None, keys: Path | None = None,
+        feature: str | None = None, drive: str | None = None,
+    ) -> "Scenario":  # fmt: skip
+        """The same with some of it replaced. ScenarioError where out of range."""
         document = self.model_dump(exclude_unset=True)
         if robots is not None:
             document.setdefault("fleet", {})["robots"] = robots
         if keys is not None:
             document.setdefault("fleet", {})["keys"] = str(keys.absolute())
+        if drive is not None:
+            document.setdefault("fleet", {})["drive"] = drive
         if seed is not None:
             document.setdefault("run", {})["seed"] = seed
+        if feature is not None:
+            document["field"]["feature"] = feature
         return _validate(document, self.name, self.folder)
 
 
@@ -204,10 +214,13 @@ def shipped() -> list[str]:
 
 
 def load(name: str) -> Scenario:
-    """A scenario by file, or by the name of one that ships."""
+    """A scenario by file, by the name of one that ships, or a field file with all else as usual."""
     path = Path(name)
     if not path.suffix and not path.exists() and (SHIPPED / f"{name}.toml").exists():
         path = SHIPPED / f"{name}.toml"
+    if path.is_dir() or path.suffix.lower() in FIELD_FILES:
+        title = path.resolve().stem[:64] or "field"
+        return _validate({"name": title, "field": {"file": path.name}}, name, path.parent)
     try:
         document = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:

@@ -5,6 +5,7 @@ gives nobody knowledge that it would not have computed alike.
 """
 
 from functools import cached_property
+from math import radians
 from pathlib import Path
 
 import numpy as np
@@ -16,17 +17,25 @@ from agent.motion import FENCE_M
 from agent.route import Route
 from agent.safety import SilencePolicy
 from agent.swaths import divide
+from agent.tractor_tracker import Limits
+from agent.turn_route import TurnRoute
 from protocol.authentication import Keyring, Keys
-from sim.field_file import FieldFileError, read_boundary
+from sim.field_error import FieldFileError
+from sim.field_file import read_boundary
 from sim.key_file import FLEET, KeyFileError, read
 from sim.lidar import Lidar
 from sim.scenario import Scenario, ScenarioError
-from sim.vehicle import Chassis
+from sim.vehicle import Chassis, Kind
 from sim.world import World
 
 ROUTE_CELLS_MAX = 1_500_000  # of the path grid; larger fields get coarser cells
 ROUTE_CELL_M = 0.5
 CLEARANCE_M = 0.3  # paths keep this much more than the radius from fences and holes
+TURN_CELL_M = 0.25  # the same for bodies that steer: turns are a matter of decimetres
+TURN_SPARE = 1.2  # planned circles are wider than the tightest: the rest is for corrections
+PIVOT_RADIUS_M = 0.6  # a body that can turn on the spot need not, and is quicker
+PIVOT_STEER_1_M_S = 6.0  # its curvature changes as fast as its wheels
+BRAKING_SHARE = 0.7  # of the acceleration is planned with; the rest is for corrections
 SPACING_RADII = 3.0  # between robots at the gate
 
 
@@ -74,7 +83,8 @@ class Setting:
                 raise ScenarioError(f"{self.scenario.name}: field.gate: {gate} is not in the field")
             return divide(
                 boundary.name, boundary.polygon, boundary.origin, gate, table.implement_width_m,
-                table.overlap_m, table.section_length_m, table.unit_m,
+                table.overlap_m, table.section_length_m, table.unit_m, self.turn_radius_m,
+                self.scenario.fleet.radius_m + FENCE_M,
             )  # fmt: skip
         except FieldFileError as problem:
             raise ScenarioError(f"{self.scenario.name}: field.file: {problem}") from None
@@ -112,13 +122,53 @@ class Setting:
         ]
         return np.array(segments, dtype=np.float64)
 
+    @cached_property
+    def chassis(self) -> Chassis:
+        fleet = self.scenario.fleet
+        plain = Chassis(
+            speed_m_s=fleet.speed_m_s, acceleration_m_s2=fleet.acceleration_m_s2, slip=fleet.slip,
+            kind=Kind[fleet.drive.upper()],
+        )  # fmt: skip
+        if plain.kind is Kind.MECANUM:
+            return plain
+        return plain._replace(
+            wheel_radius_m=0.4, half_base_m=fleet.wheelbase_m / 2, half_track_m=fleet.track_m / 2,
+            steer_rad=radians(fleet.steer_deg), lead_m=fleet.wheelbase_m,
+        )  # fmt: skip
+
+    @cached_property
+    def turn_radius_m(self) -> float:
+        """Of the ways planned; 0 for a body that goes anywhere without turning."""
+        if self.chassis.kind is Kind.MECANUM:
+            return 0.0
+        return max(self.chassis.turn_radius_m * TURN_SPARE, PIVOT_RADIUS_M)
+
+    @cached_property
+    def steering(self) -> Limits:
+        """What a body that steers can do."""
+        fleet, chassis = self.scenario.fleet, self.chassis
+        rate = chassis.steer_rad_s / fleet.wheelbase_m
+        if chassis.kind is Kind.DIFFERENTIAL:
+            rate = PIVOT_STEER_1_M_S
+        return Limits(fleet.speed_m_s, BRAKING_SHARE * fleet.acceleration_m_s2, rate)
+
+    @cached_property
+    def turns(self) -> TurnRoute:
+        """Ways of a body that steers, on a finer grid than `route`."""
+        cell_m, clearance_m = self._cells(TURN_CELL_M), self.scenario.fleet.radius_m + FENCE_M
+        return TurnRoute(*rasterise(self.field, cell_m, clearance_m), self.turn_radius_m)
+
+    def _cells(self, cell_m: float) -> float:
+        west, south, east, north = self.field.polygon.bounds
+        while (east - west) * (north - south) / cell_m**2 > ROUTE_CELLS_MAX:
+            cell_m *= 2
+        return cell_m
+
     def world(self) -> World:
         """A fresh world with every robot at its place near the gate."""
         fleet = self.scenario.fleet
         world = World([self.field.exterior, *self.field.holes], self.scenario.run.seed, Lidar())
-        chassis = Chassis(
-            speed_m_s=fleet.speed_m_s, acceleration_m_s2=fleet.acceleration_m_s2, slip=fleet.slip
-        )
+        chassis = self.chassis
         for slot, at in enumerate(self.starts):
             world.add_robot(slot, at, fleet.radius_m, chassis)
         return world

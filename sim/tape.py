@@ -35,6 +35,7 @@ from sim.faults import FaultPlan
 from sim.scenario import Reset, load
 from sim.setting import Setting
 
+STANDS = "that it stands until a person resets it"
 Batch = tuple[Persist, ...]
 Tape = list[Batch | Message]
 
@@ -116,7 +117,7 @@ def lost(revealed: Iterable[Message], recalled: Mapping[str, bytes]) -> str:
     if forgotten:
         return f"stops {sorted(forgotten)}"
     if stopped and recalled.get(HOLD_KEY) != LATCHED:
-        return "that it stands until a person resets it"
+        return STANDS
     return ""
 
 

@@ -9,6 +9,7 @@ from agent.config import MS, beat_of
 from agent.effects import Effect, Send, Trace
 from agent.field_work import LEAD_M
 from agent.lifecycle import TABLE, State
+from protocol.fleet_frames import Pose
 from protocol.messages import Message
 from sim import scenario as kinds
 from sim.checkers import ExclusiveWorkChecker, MotionAfterStopChecker
@@ -19,12 +20,13 @@ from sim.outcome import Outcome
 from sim.scenario import Scenario
 from sim.setting import Setting
 from sim.swarm import Swarm
-from sim.tape import lost
+from sim.tape import STANDS, lost
 from sim.trace import Recorder
 from sim.trouble import AGAIN_S, CALM_S
 
 SLACK_US = 20 * MS  # a control tick, and a frame in the way
 RELEASED_S = 12.0  # after the last reset nobody may still stand stopped
+ON_LINE_M = 0.2  # closer than this to a line is on it; who comes to another line passes further off
 TOUCH_M = 0.02  # deeper than this is a contact; bodies of robots are measured to a centimetre
 RULES = {
     "S1": "after a stop nobody moves",
@@ -67,6 +69,7 @@ class Witness(Recorder):
         super().__init__()
         self.told: defaultdict[int, list[Message]] = defaultdict(list)
         self.broken: list[Broken] = []
+        self.released: set[int] = set()  # reset by a person, and not yet shown in a pose
         self._edges = {
             (source.name, event.name.lower(), target.name)
             for (source, event), target in TABLE.items()
@@ -76,7 +79,11 @@ class Witness(Recorder):
         super().__call__(slot, now_us, effect)
         if isinstance(effect, Send):
             self.told[slot].append(effect.message)
+            if isinstance(effect.message, Pose):
+                self.released.discard(slot)
         elif isinstance(effect, Trace) and effect.machine == "lifecycle":
+            if effect.event == "MANUAL_RESET":
+                self.released.add(slot)
             edge = (effect.source, effect.event.lower(), effect.target)
             if effect.source != effect.target and edge not in self._edges:
                 self.broken.append(Broken("S14", now_us / 1e6, f"robot {slot}: {' '.join(edge)}"))
@@ -163,7 +170,7 @@ class Play:
             self.witness.told[slot].clear()
             return
         missing = lost(self.witness.told[slot], self.cluster.journals[slot].load())
-        if missing:
+        if missing and not (missing == STANDS and slot in self.witness.released):
             self.broken.append(Broken("S13", now_s, f"robot {slot} has forgotten {missing}"))
 
     def _all_released(self) -> None:
@@ -200,7 +207,7 @@ class Play:
         field, world = self.setting.field, self.cluster.world
         sections = {number: list(section.swaths) for number, section in enumerate(field.sections)}
         tracks = {slot: body.track for slot, body in world.robots.items()}
-        checker = ExclusiveWorkChecker(sections, 0.5, least_m=LEAD_M + 0.5)
+        checker = ExclusiveWorkChecker(sections, ON_LINE_M, least_m=LEAD_M + 0.5)
         for violation in checker.violations(tracks)[:1]:
             self._add("S7", violation.t_us / 1e6, f"robots {violation.slots}: {violation.what}")
 

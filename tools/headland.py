@@ -37,6 +37,8 @@ def run(
     ] = "oxted",
     robots: Annotated[int | None, typer.Option(help="Instead of the scenario's number.")] = None,
     seed: Annotated[int | None, typer.Option(help="Instead of the scenario's seed.")] = None,
+    feature: Annotated[str | None, typer.Option(help="Which field of a file with several.")] = None,
+    drive: Annotated[str | None, typer.Option(help="mecanum, differential or ackermann.")] = None,
     out: Annotated[Path, typer.Option(help="Folder for report, picture and log.")] = Path(
         "runs/run"
     ),
@@ -46,13 +48,13 @@ def run(
     keys: KeyFile = None,
     json: Json = False,
 ) -> None:
-    """Work a scenario to its end in virtual time, as fast as it can go.
+    """Work a scenario to its end in virtual time, as fast as it can go. A field file is one, too.
 
     Example: headland run oxted --robots 8 --seed 3 --out runs/eight
     """
     from tools.run import run as command
 
-    raise SystemExit(command(scenario, robots, seed, out, json, keys, log or []))
+    raise SystemExit(command(scenario, robots, seed, out, json, keys, log or [], feature, drive))
 
 
 @app.command()
@@ -214,6 +216,23 @@ def replay(
     from tools.replay import replay as command
 
     raise SystemExit(command(log, speed, interface, channel, bitrate, host, port, json))
+
+
+@app.command()
+def export(
+    run: Annotated[Path, typer.Argument(help="Folder of a run.")],
+    isoxml: Annotated[
+        Path | None, typer.Option(help="Write ISO 11783-10 task data: a folder, or NAME.zip.")
+    ] = None,
+    geojson: Annotated[Path | None, typer.Option(help="Write GeoJSON.")] = None,
+) -> None:
+    """Write what a run has worked in formats that farm software reads.
+
+    Example: headland export runs/run --isoxml TASKDATA
+    """
+    from tools.export import export as command
+
+    raise SystemExit(command(run, isoxml, geojson))
 
 
 @app.command()

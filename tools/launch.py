@@ -215,7 +215,7 @@ def launch(
         return _wrong(f"--out: {problem}")
     for old in out.glob("robot*.sqlite*"):
         old.unlink()  # a launch is a new job; a restart of one robot keeps its journal
-    warm()  # once here, not in every robot at once
+    warm(setting.turn_radius_m > 0.0)  # once here, not in every robot at once
     running = Launch(setting, scenario, out, console, keys)
     begun = time.monotonic()
     try:

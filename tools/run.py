@@ -3,6 +3,7 @@
 import json
 import sys
 from collections.abc import Sequence
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from rich.console import Console
@@ -15,6 +16,8 @@ from sim.expedition import Expedition, Moment
 from sim.outcome import Outcome
 from sim.scenario import ScenarioError, load
 from sim.setting import Setting
+from sim.work_geojson import write_geojson
+from sim.work_record import record_of
 from tools.picture import draw_field
 
 NO_KEYS = "[yellow]NONE: anybody on the bus can stop and release this fleet[/yellow]"
@@ -29,10 +32,12 @@ def run(
     as_json: bool,
     keys: Path | None = None,
     logs: Sequence[Path] = (),
+    feature: str | None = None,
+    drive: str | None = None,
 ) -> int:
     console = Console(stderr=as_json)
     try:
-        setting = Setting(load(scenario).changed(robots, seed, keys))
+        setting = Setting(load(scenario).changed(robots, seed, keys, feature, drive))
         out.mkdir(parents=True, exist_ok=True)
         if not out.is_dir():
             raise OSError(f"{out} is not a folder")
@@ -49,11 +54,14 @@ def run(
     tracks = {s: [(x, y, tool) for _, x, y, tool in t] for s, t in expedition.tracks.items()}
     title = f"{setting.field.name}: {outcome.robots} robots, {outcome.makespan_s:.0f} s"
     draw_field(setting.field, tracks, title, out / "field.png")
+    started = datetime.now(UTC) - timedelta(seconds=outcome.wall_s)
+    work = record_of(setting.field, expedition.tracks, outcome.finished, started)
+    write_geojson(work, out / "work.geojson")
     if as_json:
         print(json.dumps(outcome.to_dict()))
     else:
         console.print(outcome_table(outcome))
-        console.print(f"report.json, field.png, can.log and trace.jsonl are in {out}")
+        console.print(f"report.json, field.png, work.geojson, can.log and trace.jsonl are in {out}")
     return 0 if outcome.success else UNFINISHED
 
 

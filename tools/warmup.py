@@ -67,6 +67,16 @@ def _world() -> None:
     coverage(raster, {0: world.body(0).track}, 2.0)
 
 
+def _turns() -> None:
+    from agent.turn_route import Pose, TurnRoute
+
+    blocked = np.zeros((80, 80), dtype=bool)
+    blocked[:4] = True
+    route = TurnRoute(blocked, 0.0, 0.0, 0.25, 1.8)
+    route.way(Pose(3.0, 3.0, 0.0), Pose(9.0, 9.0, 1.0))
+    route.way(Pose(9.0, 1.2, -1.57), Pose(9.0, 1.2, 1.57))
+
+
 PARTS: tuple[tuple[str, Callable[[], None]], ...] = (
     ("paths", _paths),
     ("map", _map),
@@ -74,13 +84,15 @@ PARTS: tuple[tuple[str, Callable[[], None]], ...] = (
     ("coverage", _coverage),
     ("wire", _wire),
     ("world", _world),
+    ("turns", _turns),
 )
 
 
-def warm() -> None:
+def warm(steering: bool) -> None:
     """Compile what is not compiled; a fraction of a second where everything is."""
-    for _, part in PARTS:
-        part()
+    for name, part in PARTS:
+        if steering or name != "turns":  # only bodies that steer plan turns
+            part()
 
 
 def main() -> int:

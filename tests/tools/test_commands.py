@@ -9,6 +9,9 @@ from pathlib import Path
 import can
 import pytest
 
+from sim.work_geojson import read_work_geojson
+from sim.work_isoxml import read_work_isoxml
+
 ROOT = Path(__file__).parents[2]
 
 
@@ -38,6 +41,10 @@ def test_run_leaves_report_picture_and_logs(tmp_path: Path) -> None:
     assert all(r["clock"] and r["transitions"] for r in robots)
     why = headland("inspect", "out", "--why", "S3", "--json", folder=tmp_path)
     assert [step["phase"] for step in json.loads(why.stdout)] == ["CLAIMED", "STARTED", "DONE"]
+    done = headland("export", "out", "--isoxml", "T", "--geojson", "w.geojson", folder=tmp_path)
+    assert done.returncode == 0 and "finished" in done.stdout, done.stderr
+    assert read_work_isoxml(tmp_path / "T") == read_work_geojson(tmp_path / "w.geojson")
+    assert headland("export", "nowhere", "--isoxml", "T", folder=tmp_path).returncode == 2
     table = headland("inspect", "out", folder=tmp_path)
     assert "path of" in table.stdout and table.returncode == 0
 

@@ -1,0 +1,80 @@
+"""Dubins words: the shortest ways between two poses for a body that turns no tighter than a circle.
+
+Six words of three pieces each, an arc, a straight or a third arc, an arc (Dubins 1957; formulas after
+Shkel and Lumelsky 2001). A piece is a curvature (1/m, positive to the left) and a signed length (m,
+negative backing up). Driven backwards, a word is that of the poses turned round.
+"""
+
+from math import acos, atan2, cos, hypot, pi, sin, sqrt
+
+import numpy as np
+from numba import njit
+
+WORDS = 6
+STRAIGHT_1_M = 1e-9  # less curvature is none
+
+
+@njit(cache=True, error_model="numpy")
+def step(x, y, heading, curvature, length):  # type: ignore[no-untyped-def]
+    """The pose after one piece."""
+    if abs(curvature) < STRAIGHT_1_M:
+        return x + length * cos(heading), y + length * sin(heading), heading
+    turned = heading + curvature * length
+    return (
+        x + (sin(turned) - sin(heading)) / curvature,
+        y - (cos(turned) - cos(heading)) / curvature,
+        turned,
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def words(x, y, heading, gx, gy, goal_heading, radius, lengths, curvatures):  # type: ignore[no-untyped-def]
+    """Fill `lengths` and `curvatures` (6, 3), metres; a word that does not exist is infinitely long."""
+    full = 2 * pi
+    d = hypot(gx - x, gy - y) / radius
+    line = atan2(gy - y, gx - x)
+    a, b = (heading - line) % full, (goal_heading - line) % full
+    sa, sb, ca, cb, cab = sin(a), sin(b), cos(a), cos(b), cos(a - b)
+    lengths[:] = np.inf
+    square = 2 + d * d - 2 * cab + 2 * d * (sa - sb)
+    if square >= 0.0:
+        turn = atan2(cb - ca, d + sa - sb)
+        lengths[0] = (turn - a) % full, sqrt(square), (b - turn) % full
+    square = 2 + d * d - 2 * cab + 2 * d * (sb - sa)
+    if square >= 0.0:
+        turn = atan2(ca - cb, d - sa + sb)
+        lengths[1] = (a - turn) % full, sqrt(square), (turn - b) % full
+    square = d * d - 2 + 2 * cab + 2 * d * (sa + sb)
+    if square >= 0.0:
+        p = sqrt(square)
+        turn = atan2(-ca - cb, d + sa + sb) - atan2(-2.0, p)
+        lengths[2] = (turn - a) % full, p, (turn - b) % full
+    square = d * d - 2 + 2 * cab - 2 * d * (sa + sb)
+    if square >= 0.0:
+        p = sqrt(square)
+        turn = atan2(ca + cb, d - sa - sb) - atan2(2.0, p)
+        lengths[3] = (a - turn) % full, p, (b - turn) % full
+    middle = (6 - d * d + 2 * cab + 2 * d * (sa - sb)) / 8
+    if abs(middle) <= 1.0:
+        p = (full - acos(middle)) % full
+        t = (a - atan2(ca - cb, d - sa + sb) + p / 2) % full
+        lengths[4] = t, p, (a - b - t + p) % full
+    middle = (6 - d * d + 2 * cab + 2 * d * (sb - sa)) / 8
+    if abs(middle) <= 1.0:
+        p = (full - acos(middle)) % full
+        t = (-a + atan2(-ca + cb, d + sa - sb) + p / 2) % full
+        lengths[5] = t, p, (b - a - t + p) % full
+    lengths *= radius
+    k = 1.0 / radius
+    curvatures[0], curvatures[1] = (k, 0.0, k), (-k, 0.0, -k)
+    curvatures[2], curvatures[3] = (k, 0.0, -k), (-k, 0.0, k)
+    curvatures[4], curvatures[5] = (-k, k, -k), (k, -k, k)
+
+
+def shortest_m(
+    start: tuple[float, float, float], goal: tuple[float, float, float], radius_m: float
+) -> float:
+    """Length of the shortest word between two poses (x, y, heading), forwards."""
+    lengths, curvatures = np.empty((WORDS, 3)), np.empty((WORDS, 3))
+    words(*start, *goal, radius_m, lengths, curvatures)
+    return float(lengths.sum(axis=1).min())

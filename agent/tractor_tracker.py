@@ -1,0 +1,156 @@
+"""Following a sampled way with a body that steers: forward speed and turn rate.
+
+The steering looks ahead by the time it takes to turn the wheels, so that an arc is begun before it
+begins. What is off the way is closed within a fixed length, not time: the same at any speed.
+"""
+
+from math import atan2, cos, hypot, pi, remainder, sin, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+CLOSE_M = 0.6  # length in which a distance to the way is closed, critically damped
+CLOSE_1_M = 0.33  # and longer by speed times this over the speed of steering: wheels take time
+CLOSE_RAD_MAX = 0.5  # at what angle to the way at most
+LATERAL_M_S2 = 1.0  # comfortable, and far from what tips or slips
+WINDOW_M = 1.2  # a bend may begin over this length: an arc is then 5 cm off at its ends
+STEER_SHARE = 0.5  # of the speed of steering is planned with
+SLOWEST_M_S = 0.4
+PREVIEW_S = 0.25  # half the time from lock to straight, and the command's own delay
+BACK_M_S = 0.9  # as fast as it backs up
+SHIFT_M, SHIFT_M_S = 0.25, 0.35  # slow round a change of direction
+CREEP_M_S = 0.15
+ARRIVED_M = 0.08
+LOST_M, LOST_RAD = 0.8, 1.2  # further off, another way is made
+SEARCH = 40  # samples looked at ahead of the last place
+GEAR = 4  # column of the gear: 1 or -1
+
+
+class Limits:
+    """What the chassis allows."""
+
+    def __init__(self, speed_m_s: float, deceleration_m_s2: float, steer_1_m_s: float) -> None:
+        """`steer_1_m_s`: change of curvature a second."""
+        self.speed_m_s, self.deceleration_m_s2 = speed_m_s, deceleration_m_s2
+        self.steer_1_m_s = steer_1_m_s
+
+
+class TractorTracker:
+    """Progress along rows of x, y, heading, curvature, gear (see `turn_route.sampled`)."""
+
+    def __init__(self, way: NDArray[np.float64], limits: Limits, end_m_s: float = 0.0) -> None:
+        assert way.shape[0] >= 2
+        self.way, self.limits = way, limits
+        gaps = np.hypot(np.diff(way[:, 0]), np.diff(way[:, 1]))
+        self.along = np.concatenate([[0.0], np.cumsum(gaps)])
+        self.total_m = float(self.along[-1])
+        self.speeds = _speeds(way, self.along, limits, end_m_s)
+        self.points = [(float(x), float(y)) for x, y in way[[0, -1], :2]]
+        self.row = 0
+        self.along_m = self.off_m = self.off_rad = self.gap_m = 0.0
+        self.arrived = False
+
+    def locate(self, x_m: float, y_m: float, heading_rad: float) -> None:
+        """The nearest place on the way, not beyond the next change of gear, never back."""
+        way = self.way
+        last = min(self.row + SEARCH, way.shape[0] - 1)
+        shift = np.flatnonzero(way[self.row : last + 1, GEAR] != way[self.row, GEAR])
+        end = self.row + int(shift[0]) - 1 if shift.size else last
+        part = way[self.row : end + 1]
+        row = self.row + int(np.argmin(np.hypot(part[:, 0] - x_m, part[:, 1] - y_m)))
+        while True:
+            px, py, heading, _, gear = way[row]
+            t_m = gear * ((x_m - px) * cos(heading) + (y_m - py) * sin(heading))
+            at_shift = row + 1 < way.shape[0] and way[row + 1, GEAR] != gear
+            if at_shift and t_m >= -ARRIVED_M:  # here it changes direction
+                row += 1
+                self.row = row
+                continue
+            break
+        self.row = row
+        self.gap_m = hypot(x_m - px, y_m - py)
+        self.off_m = -(x_m - px) * sin(heading) + (y_m - py) * cos(heading)
+        self.off_rad = remainder(heading_rad - heading, 2 * pi)
+        self.along_m = min(max(float(self.along[row]) + t_m, 0.0), self.total_m)
+        self.arrived = row >= way.shape[0] - 2 and self.total_m - self.along_m <= ARRIVED_M
+
+    @property
+    def lost(self) -> bool:
+        """So far off that another way is to be made."""
+        return self.gap_m > LOST_M or abs(self.off_rad) > LOST_RAD
+
+    def command(self) -> tuple[float, float]:
+        """Speed (negative: back) and turn rate; call `locate` first."""
+        gear = self.way[self.row, GEAR]
+        speed_m_s = float(self.speeds[self.row])
+        if self.row + 1 < self.speeds.size:
+            speed_m_s = min(speed_m_s, float(self.speeds[self.row + 1]) + 0.1)
+        astray = min(1.5 * abs(self.off_rad) + abs(self.off_m), 0.7)
+        speed_m_s = max(speed_m_s * (1.0 - astray), CREEP_M_S)
+        close_m = CLOSE_M + CLOSE_1_M / self.limits.steer_1_m_s * speed_m_s
+        reach = self.row + 1 + int(speed_m_s * PREVIEW_S / 0.1)
+        ahead = self.way[self.row : reach + 1]
+        same = ahead[ahead[:, GEAR] == gear]
+        curvature = float(same[-1, 3]) if same.size else 0.0
+        steer = min(max(self.off_m / close_m, -CLOSE_RAD_MAX), CLOSE_RAD_MAX)
+        # e' = v sin(psi): the angle to the way wanted is -steer ahead, +steer backing up.
+        wanted_rad = -gear * steer
+        turn = gear * speed_m_s * curvature
+        turn += speed_m_s * 2.0 / close_m * (wanted_rad - self.off_rad)
+        return gear * speed_m_s, turn
+
+
+def _speeds(
+    way: NDArray[np.float64], along: NDArray[np.float64], limits: Limits, end_m_s: float
+) -> NDArray[np.float64]:
+    """Allowed speed at each sample: bends, changes of curvature and of gear, and braking for them."""
+    count = way.shape[0]
+    bend = np.sqrt(LATERAL_M_S2 / np.maximum(np.abs(way[:, 3]), 1e-6))
+    speeds = np.minimum(bend, limits.speed_m_s)
+    speeds[way[:, GEAR] < 0.0] = np.minimum(speeds[way[:, GEAR] < 0.0], BACK_M_S)
+    # Curvature may change only as fast as the wheels are turned, half of that being kept in reserve.
+    before = np.interp(along - WINDOW_M / 2, along, way[:, 3])
+    after = np.interp(along + WINDOW_M / 2, along, way[:, 3])
+    rate = np.abs(after - before) / WINDOW_M
+    speeds = np.minimum(speeds, STEER_SHARE * limits.steer_1_m_s / np.maximum(rate, 1e-6))
+    speeds = np.maximum(speeds, SLOWEST_M_S)
+    for k in range(1, count):
+        if way[k, GEAR] != way[k - 1, GEAR]:  # the wheels turn while it creeps
+            near = np.abs(along - along[k]) < SHIFT_M
+            speeds[near] = np.minimum(speeds[near], SHIFT_M_S)
+            speeds[k - 1] = 0.0
+    speeds[-1] = min(speeds[-1], end_m_s)
+    for k in range(count - 2, -1, -1):
+        reach = sqrt(
+            speeds[k + 1] ** 2 + 2.0 * limits.deceleration_m_s2 * (along[k + 1] - along[k])
+        )
+        speeds[k] = min(speeds[k], reach)
+    return speeds
+
+
+def smooth_way(points: list[tuple[float, float]], half_m: float) -> NDArray[np.float64]:
+    """A polyline as a way ahead: its corners are rounded by averaging over `half_m` to both sides."""
+    line = np.array(points, dtype=np.float64)
+    gaps = np.hypot(np.diff(line[:, 0]), np.diff(line[:, 1]))
+    keep = np.concatenate([[True], gaps > 1e-6])
+    line, gaps = line[keep], gaps[gaps > 1e-6]
+    along = np.concatenate([[0.0], np.cumsum(gaps)])
+    total = float(along[-1])
+    count = max(3, int(total / 0.1) + 1)
+    at = np.linspace(0.0, total, count)
+    half = np.minimum(half_m, np.minimum(at, total - at))  # the ends stay where they are
+    shares = np.linspace(-1.0, 1.0, 13)
+    x = np.mean([np.interp(at + half * s, along, line[:, 0]) for s in shares], axis=0)
+    y = np.mean([np.interp(at + half * s, along, line[:, 1]) for s in shares], axis=0)
+    dx, dy = np.gradient(x), np.gradient(y)
+    heading = np.unwrap(np.arctan2(dy, dx))
+    curvature = np.gradient(heading) / np.maximum(np.hypot(dx, dy), 1e-6)
+    return np.column_stack([x, y, heading, curvature, np.ones(count)])
+
+
+def heading_of(a: tuple[float, float], b: tuple[float, float]) -> float:
+    return atan2(b[1] - a[1], b[0] - a[0])
+
+
+def distance_m(a: tuple[float, float], b: tuple[float, float]) -> float:
+    return hypot(b[0] - a[0], b[1] - a[1])

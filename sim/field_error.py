@@ -1,0 +1,14 @@
+"""What is wrong with somebody's field file, in one line."""
+
+FILE_BYTES_MAX = 64 << 20  # a boundary is kilobytes; a task file with a season's logs is megabytes
+LINE_MAX = 400  # names from the file are in it, and a name may be anything
+
+LonLat = tuple[float, float]
+
+
+class FieldFileError(Exception):
+    """One line for the person who named the file; what a file says cannot break or colour it."""
+
+    def __init__(self, text: str) -> None:
+        line = "".join(c if c.isprintable() else " " for c in text)
+        super().__init__(line if len(line) <= LINE_MAX else f"{line[: LINE_MAX - 4]} ...")
