@@ -1,0 +1,115 @@
+"""Places where robots can stand beside each other, and the straight ways between neighbouring ones.
+
+A square lattice laid over the free space: a node for each place where a body fits, an edge where it
+can drive straight to the next. The pitch is wider than two bodies with their margins, so robots on
+different nodes, or moving along edges that share no node, cannot touch. What is decided on the
+lattice (`agent/joint_plan.py`) is therefore free of contact when it is driven.
+
+The lattice knows a passage only where its nodes fit into it. Its offset is chosen so that as many
+nodes as possible hang together; in a map of cells as wide as the pitch nothing is lost.
+"""
+
+from math import hypot
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+Point = tuple[float, float]
+Near = NDArray[np.int32]  # (nodes, 4): east, north, west, south; -1 where there is none
+NODES_MAX = 1 << 16  # an ACCORD frame names a node in 16 bits
+FINE = 16  # a place is told in this many parts of the pitch
+
+
+class Lattice:
+    def __init__(
+        self, blocked: NDArray[np.bool_], origin: Point, cell_m: float, pitch_cells: int
+    ) -> None:
+        """`blocked`: (rows, columns) where no centre of a body may be; row 0 in the south, cell
+        (0, 0) with its corner at `origin`; a node every `pitch_cells`."""
+        assert pitch_cells >= 1
+        self.pitch_m = pitch_cells * cell_m
+        shifts = [(r, c) for r in range(pitch_cells) for c in range(pitch_cells)]
+        rows, columns, self.near = max(
+            (self._lay(blocked, r, c, pitch_cells) for r, c in shifts),
+            key=lambda laid: _largest(laid[2]),
+        )
+        assert len(rows) <= NODES_MAX, "too many nodes: use a wider pitch"
+        self.points = np.stack(
+            (origin[0] + (columns + 0.5) * cell_m, origin[1] + (rows + 0.5) * cell_m), axis=1
+        )
+        self.component = _components(self.near)
+        east, north, west, south = (self.near >= 0).T
+        self.narrow: NDArray[np.bool_] = (
+            (east & west & ~north & ~south) | (north & south & ~east & ~west)
+        )  # robots cannot pass each other here
+
+    @staticmethod
+    def _lay(
+        blocked: NDArray[np.bool_], r0: int, c0: int, pitch: int
+    ) -> tuple[NDArray[np.intp], NDArray[np.intp], Near]:
+        free = ~blocked[r0::pitch, c0::pitch]
+        number = np.full(free.shape, -1, dtype=np.int32)
+        number[free] = np.arange(np.count_nonzero(free), dtype=np.int32)
+        near = np.full((int(free.sum()), 4), -1, dtype=np.int32)
+        for axis, (ahead, behind) in ((1, (0, 2)), (0, (1, 3))):
+            # blocked cells up to here along the axis: none between two nodes is a clear edge
+            lines = blocked[r0::pitch] if axis else blocked[:, c0::pitch]
+            sums = np.cumsum(lines, axis=axis)
+            sums = sums[:, c0::pitch] if axis else sums[r0::pitch]
+            a = (slice(None), slice(None, -1)) if axis else (slice(None, -1), slice(None))
+            b = (slice(None), slice(1, None)) if axis else (slice(1, None), slice(None))
+            joined = free[a] & free[b] & (sums[a] == sums[b])
+            near[number[a][joined], ahead] = number[b][joined]
+            near[number[b][joined], behind] = number[a][joined]
+        rows, columns = np.nonzero(free)
+        return rows * pitch + r0, columns * pitch + c0, near
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def point(self, node: int) -> Point:
+        x_m, y_m = self.points[node].tolist()
+        return x_m, y_m
+
+    def nearest(self, at: Point) -> int:
+        return int(np.argmin((self.points[:, 0] - at[0]) ** 2 + (self.points[:, 1] - at[1]) ** 2))
+
+    def tell(self, at: Point) -> tuple[int, int]:
+        """A place as an ACCORD frame tells it: nearest node, and where in its square."""
+        node = self.nearest(at)
+        x_m, y_m = self.point(node)
+        parts = [
+            min(max(round((a - b) / self.pitch_m * FINE) + FINE // 2, 0), FINE - 1)
+            for a, b in ((at[0], x_m), (at[1], y_m))
+        ]
+        return node, parts[0] | parts[1] << 4
+
+    def told(self, node: int, detail: int) -> Point:
+        x_m, y_m = self.point(node)
+        part_m = self.pitch_m / FINE
+        return (
+            x_m + ((detail & 15) - FINE // 2) * part_m,
+            y_m + ((detail >> 4) - FINE // 2) * part_m,
+        )
+
+    def within(self, at: Point, reach_m: float) -> NDArray[np.intp]:
+        gap = np.hypot(self.points[:, 0] - at[0], self.points[:, 1] - at[1])
+        return np.flatnonzero(gap < reach_m)
+
+    def distance_m(self, node: int, at: Point) -> float:
+        x_m, y_m = self.point(node)
+        return hypot(x_m - at[0], y_m - at[1])
+
+
+def _components(near: Near) -> NDArray[np.int32]:
+    count = len(near)
+    a, k = np.nonzero(near >= 0)
+    graph = coo_array((np.ones(len(a), dtype=np.int8), (a, near[a, k])), shape=(count, count))
+    labels: NDArray[np.int32] = connected_components(graph, directed=False)[1]
+    return labels
+
+
+def _largest(near: Near) -> int:
+    return int(np.bincount(_components(near)).max()) if len(near) else 0
