@@ -19,7 +19,6 @@ called again, without those that have meanwhile fallen silent. So nobody is park
 
 from collections.abc import Iterable, Mapping
 from enum import Enum
-from math import hypot
 from typing import NamedTuple
 from zlib import crc32
 
@@ -28,7 +27,7 @@ from scipy.optimize import linear_sum_assignment
 
 from agent.config import MS, S
 from agent.joint_plan import JointPlan, search
-from agent.lattice import FINE, Lattice
+from agent.lattice import FINE, Lattice, components
 from protocol.accord_frames import Accord, Answer, Say
 
 Point = tuple[float, float]
@@ -273,7 +272,7 @@ def _plan_of(
     goals = seats(lattice, wishes, weights, blocked)
     if goals is None:
         return None
-    component = lattice.component
+    component = components(near)
     goals = [g if component[g] == component[s] else s for s, g in zip(starts, goals, strict=True)]
     if len(set(goals)) < len(goals):
         return None
@@ -316,6 +315,3 @@ def _squares(lattice: Lattice, nodes: np.ndarray, at: Point) -> np.ndarray:  # t
     squares: np.ndarray = (gaps * gaps).sum(axis=1)  # type: ignore[type-arg]
     return squares
 
-
-def apart(a: Point, b: Point) -> float:
-    return hypot(a[0] - b[0], a[1] - b[1])

@@ -39,7 +39,7 @@ class Lattice:
         self.points = np.stack(
             (origin[0] + (columns + 0.5) * cell_m, origin[1] + (rows + 0.5) * cell_m), axis=1
         )
-        self.component = _components(self.near)
+        self.component = components(self.near)
         east, north, west, south = (self.near >= 0).T
         self.narrow: NDArray[np.bool_] = (
             (east & west & ~north & ~south) | (north & south & ~east & ~west)
@@ -103,7 +103,7 @@ class Lattice:
         return hypot(x_m - at[0], y_m - at[1])
 
 
-def _components(near: Near) -> NDArray[np.int32]:
+def components(near: Near) -> NDArray[np.int32]:
     count = len(near)
     a, k = np.nonzero(near >= 0)
     graph = coo_array((np.ones(len(a), dtype=np.int8), (a, near[a, k])), shape=(count, count))
@@ -112,4 +112,4 @@ def _components(near: Near) -> NDArray[np.int32]:
 
 
 def _largest(near: Near) -> int:
-    return int(np.bincount(_components(near)).max()) if len(near) else 0
+    return int(np.bincount(components(near)).max()) if len(near) else 0

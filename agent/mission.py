@@ -7,6 +7,8 @@ done comes back as units covered, which the peer records and announces.
 from collections.abc import Mapping
 from typing import NamedTuple, Protocol
 
+from agent.accord import Accords
+from agent.lifecycle import State
 from agent.membership import Neighbour
 from agent.ports import Observation
 from crdt import FieldAllocationCRDT, Progress
@@ -41,15 +43,22 @@ class Wish(NamedTuple):
     covered: tuple[int, ...] = ()  # units of the current section completed since the last call
     finished: bool = False  # every unit of the section is covered
     near_end: bool = False  # claim the next section now, so that no time is lost
+    hold: bool = False  # stand, and let the others go round
 
 
 STILL = Wish(0.0, 0.0)
 
 
 class Mission(Protocol):
+    accords: Accords | None  # rounds of agreement with the others; None: it never calls any
+
     @property
     def section_units(self) -> Mapping[int, int]:
         """How many units each section has; the work there is."""
+        ...
+
+    def attend(self, view: FleetView, state: State, may_move: bool) -> None:
+        """Each control period, in every state, before anything is asked."""
         ...
 
     def choose(self, view: FleetView) -> Choice | None: ...

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.config import CONTROL_PERIOD_US, NEIGHBOURS_MAX, S
-from agent.effects import Drive
+from agent.effects import HALT, Drive
 from agent.giving_way import GivingWay, Other
 from agent.membership import Neighbour
 from agent.mission import Wish
@@ -36,23 +36,40 @@ class Limits(NamedTuple):
 
 
 class Motion:
-    def __init__(self, slot: int, limits: Limits, fences: NDArray[np.float64]) -> None:
-        """`fences`: segments nobody passes, (n, 4): ax, ay, bx, by in metres."""
+    def __init__(
+        self,
+        slot: int,
+        limits: Limits,
+        fences: NDArray[np.float64],
+        *,
+        fence_m: float = FENCE_M,
+        horizon_s: float = HORIZON_S,
+        gives_way: bool = True,
+        keep_right_rad: float = 0.0,
+    ) -> None:
+        """`fences`: segments nobody passes, (n, 4): ax, ay, bx, by in metres. `gives_way`: False
+        where the mission itself settles who goes first."""
         self.slot, self.limits = slot, limits
         self.avoidance = Avoidance(
-            limits.radius_m + FENCE_M, limits.speed_m_s, 0.5 * limits.acceleration_m_s2,
-            HORIZON_S, CONTROL_PERIOD_US / S, fences,
+            limits.radius_m + fence_m, limits.speed_m_s, 0.5 * limits.acceleration_m_s2,
+            horizon_s, CONTROL_PERIOD_US / S, fences, keep_right_rad=keep_right_rad,
         )  # fmt: skip
         # Nobody further away can be met within the horizon, both at full speed.
-        self.reach_m = 2 * limits.speed_m_s * HORIZON_S + 2 * limits.radius_m
-        self.giving_way = GivingWay(slot, limits.radius_m, limits.speed_m_s, fences)
+        self.reach_m = 2 * limits.speed_m_s * horizon_s + 2 * limits.radius_m
+        self.giving_way: GivingWay | None = None
+        if gives_way:
+            self.giving_way = GivingWay(slot, limits.radius_m, limits.speed_m_s, fences)
 
     def drive(
         self, here: Observation, wish: Wish, neighbours: Mapping[int, Neighbour], now_us: int
     ) -> Drive:
+        if wish.hold:  # who stands is gone round; nobody is hurt by it
+            return HALT
         rows, others = self._rows(here, neighbours, now_us)
         wanted, tool_on = self._limited(wish), wish.tool_on
-        other = self.giving_way.wish((here.x_m, here.y_m), wanted, others, now_us)
+        other = None
+        if self.giving_way is not None:
+            other = self.giving_way.wish((here.x_m, here.y_m), wanted, others, now_us)
         if other is not None:
             wanted, tool_on = other, False
         vx_m_s, vy_m_s = self.avoidance.velocity(

@@ -41,7 +41,9 @@ class Working:
         if peer.mission is None or peer.motion is None or peer.here is None:
             return ()
         effects: list[Effect] = []
-        peer.wish = self._wish(peer.view(now_us), effects)
+        view = peer.view(now_us)
+        peer.mission.attend(view, peer.lifecycle.state, peer.safety.may_move)
+        peer.wish = self._wish(view, effects)
         wanted = peer.motion.drive(peer.here, peer.wish, peer.membership.neighbours, now_us)
         drive = peer.safety.gate(wanted, now_us)
         if not drive.tool_on:

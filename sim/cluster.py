@@ -12,8 +12,6 @@ import can
 
 from agent.core import Identity, Peer
 from agent.effects import Effect
-from agent.field_work import FieldWork
-from agent.motion import Limits, Motion
 from agent.shell import Shell
 from protocol.bus import CanBus
 from protocol.codec import encode
@@ -22,10 +20,11 @@ from protocol.name import fleet_name
 from sim.disk import MemoryJournal
 from sim.fieldbus import FieldBus, forget, segment
 from sim.scenario import Join, Scenario
+from sim.errand_setting import ErrandSetting
 from sim.setting import Setting
 
-BRAKING_SHARE = 0.7  # of the acceleration is planned with; the rest is for corrections
 TOOL_ADDRESS = 249  # where scripted operator frames come from
+AnySetting = Setting | ErrandSetting
 Record = Callable[[int, int, Effect], None]  # slot, time in microseconds, effect
 
 
@@ -45,27 +44,23 @@ class Robot:
         return self.task is not None and not self.task.done()
 
 
-def make_peer(setting: Setting, slot: int, now_us: int, recalled: Mapping[str, bytes]) -> Peer:
+def make_peer(setting: AnySetting, slot: int, now_us: int, recalled: Mapping[str, bytes]) -> Peer:
     """The peer of one slot of a scenario; the same on a virtual clock and in a process of its own."""
-    fleet = setting.scenario.fleet
-    braking_m_s2 = BRAKING_SHARE * fleet.acceleration_m_s2
-    work = FieldWork(setting.field, setting.route, fleet.radius_m, fleet.speed_m_s, braking_m_s2)
-    limits = Limits(fleet.radius_m, fleet.speed_m_s, fleet.acceleration_m_s2)
     identity = Identity(
         slot=slot,
-        members=frozenset(range(fleet.robots)),
+        members=frozenset(range(setting.scenario.fleet.robots)),
         name=fleet_name(setting.scenario.name, slot),
-        field_hash=setting.field.config_hash,
+        field_hash=setting.config_hash,
         silence=setting.silence,
         started=True,
     )
     rng = Random(f"{setting.scenario.run.seed}/peer/{slot}")
-    motion = Motion(slot, limits, setting.fences)
-    return Peer(identity, rng, now_us, recalled, work, motion, setting.keyring(slot))
+    mission, motion = setting.mission(slot), setting.motion(slot)
+    return Peer(identity, rng, now_us, recalled, mission, motion, setting.keyring(slot))
 
 
 class Cluster:
-    def __init__(self, setting: Setting, channel: str, record: Record | None = None) -> None:
+    def __init__(self, setting: AnySetting, channel: str, record: Record | None = None) -> None:
         self.setting, self.channel, self.record = setting, channel, record
         self.scenario: Scenario = setting.scenario
         self.world = setting.world()
@@ -139,7 +134,7 @@ class Cluster:
     @property
     def finished(self) -> bool:
         """Every running replica knows every section done."""
-        sections = len(self.setting.field.sections)
+        sections = self.setting.section_count
         return bool(self.running) and all(
             robot.peer.allocation.done_count() == sections for robot in self.running
         )

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from shapely.geometry import Point
 
 from agent.field import XY, Field, rasterise, start_poses
-from agent.motion import FENCE_M
+from agent.field_work import FieldWork
+from agent.motion import FENCE_M, Limits, Motion
 from agent.route import Route
 from agent.safety import SilencePolicy
 from agent.swaths import divide
@@ -23,6 +24,7 @@ from sim.scenario import Scenario, ScenarioError
 from sim.vehicle import Chassis
 from sim.world import World
 
+BRAKING_SHARE = 0.7  # of the acceleration is planned with; the rest is for corrections
 ROUTE_CELLS_MAX = 1_500_000  # of the path grid; larger fields get coarser cells
 ROUTE_CELL_M = 0.5
 CLEARANCE_M = 0.3  # paths keep this much more than the radius from fences and holes
@@ -100,6 +102,24 @@ class Setting:
             if a != b
         ]
         return np.array(segments, dtype=np.float64)
+
+    @property
+    def config_hash(self) -> int:
+        return self.field.config_hash
+
+    @property
+    def section_count(self) -> int:
+        return len(self.field.sections)
+
+    def mission(self, slot: int) -> FieldWork:
+        fleet = self.scenario.fleet
+        braking_m_s2 = BRAKING_SHARE * fleet.acceleration_m_s2
+        return FieldWork(self.field, self.route, fleet.radius_m, fleet.speed_m_s, braking_m_s2)
+
+    def motion(self, slot: int) -> Motion:
+        fleet = self.scenario.fleet
+        limits = Limits(fleet.radius_m, fleet.speed_m_s, fleet.acceleration_m_s2)
+        return Motion(slot, limits, self.fences)
 
     def world(self) -> World:
         """A fresh world with every robot at its place near the gate."""
