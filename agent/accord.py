@@ -71,7 +71,8 @@ class Accords:
         self._places: dict[int, Place] = {}
         self._digests: dict[int, int] = {}
         self._reached: dict[int, int] = {}  # index of the node reached; -1: not on the route yet
-        self._since_us = 0  # of this phase, or of our last progress in it
+        self._since_us = 0  # of this phase, or of our own last progress in it
+        self._progress_us = 0  # of anybody's
         self._said_us: dict[Say, int] = {}
 
     # ---------------------------------------------------------------- facts in
@@ -95,6 +96,7 @@ class Accords:
             self._digests.setdefault(slot, m.first | m.second << 16)
         elif m.first - 1 > self._reached.get(slot, -1):
             self._reached[slot] = m.first - 1
+            self._progress_us = now_us
 
     def _begin(self, number: int, now_us: int) -> None:
         self.round, self.phase, self.plan = number, Phase.GATHER, None
@@ -103,7 +105,7 @@ class Accords:
         self._digests.clear()
         self._reached.clear()
         self._said_us.clear()
-        self._since_us = now_us
+        self._since_us = self._progress_us = now_us
 
     # ---------------------------------------------------------------- what is to be done
 
@@ -177,7 +179,7 @@ class Accords:
         if self.phase is Phase.MOVE and self._over:
             self.phase = Phase.FREE
         patience_us = PATIENCE_US if self.phase is Phase.MOVE else PATIENCE_US // 2
-        if self.bound and now_us - self._since_us > patience_us:
+        if self.bound and now_us - max(self._since_us, self._progress_us) > patience_us:
             self.call(now_us)
 
     def say(self, now_us: int) -> list[Accord]:
@@ -185,7 +187,9 @@ class Accords:
         words: list[Accord] = []
         place = self._places.get(self.slot)
         if place is not None and self._due(Say.PLACE, self.phase is Phase.GATHER, now_us):
-            words.append(Accord(self.round, Say.PLACE, place.answer, place.node, place.goal, place.detail))
+            words.append(
+                Accord(self.round, Say.PLACE, place.answer, place.node, place.goal, place.detail)
+            )
         digest = self._digests.get(self.slot)
         if digest is not None and self._due(Say.PLAN, self.phase is Phase.AGREE, now_us):
             words.append(Accord(self.round, Say.PLAN, 0, digest & 0xFFFF, digest >> 16, 0))
@@ -261,11 +265,14 @@ def _plan_of(
     if blocked:
         near[np.isin(near, blocked)] = -1
         near[list(blocked)] = -1
-    starts = seats(lattice, [lattice.told(p.node, p.detail) for p in places], [1] * len(places), blocked)
+    starts = seats(
+        lattice, [lattice.told(p.node, p.detail) for p in places], [1] * len(places), blocked
+    )
     if starts is None:
         return None
     wishes = [
-        lattice.told(p.node, p.detail) if p.goal == p.node else lattice.point(p.goal) for p in places
+        lattice.told(p.node, p.detail) if p.goal == p.node else lattice.point(p.goal)
+        for p in places
     ]
     # Who has somewhere to go gets its own node before who only stands there.
     weights = [1 if p.goal == p.node else 4 for p in places]
@@ -314,4 +321,3 @@ def _squares(lattice: Lattice, nodes: np.ndarray, at: Point) -> np.ndarray:  # t
     gaps = lattice.points[nodes] - np.asarray(at)
     squares: np.ndarray = (gaps * gaps).sum(axis=1)  # type: ignore[type-arg]
     return squares
-

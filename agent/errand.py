@@ -27,7 +27,9 @@ STALL_US = 2 * S
 CALLS_US = (2 * S, 4 * S, 8 * S, 16 * S)  # between two calls of ours that brought us nowhere
 LOOK_M = 2.5  # how far ahead a passage is looked into
 BESIDE_PATH_M = 0.5  # a robot nearer to the path than this is on it
-DEAD_US = 5 * S  # a member silent for this long is not waited for in a round: its body is in the way
+DEAD_US = (
+    5 * S
+)  # a member silent for this long is not waited for in a round: its body is in the way
 SETTLED_M = 0.1  # this near to a node of the route, it is reached
 LOST_M = 0.8  # this far off the path, another is planned
 

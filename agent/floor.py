@@ -81,7 +81,9 @@ class Floor:
                 for a, b in pairwise([0, *ends.tolist(), len(line)]):
                     first, last, along = int(line[a]), int(line[b - 1]) + 1, int(row) + 1
                     cells = (first, along, last, along) if flat else (along, first, along, last)
-                    found.append([self.origin[k % 2] + c * self.cell_m for k, c in enumerate(cells)])
+                    found.append(
+                        [self.origin[k % 2] + c * self.cell_m for k, c in enumerate(cells)]
+                    )
         return np.array(found, dtype=np.float64).reshape(-1, 4)
 
     @property

@@ -26,7 +26,9 @@ STEPS_MAX = 20_000  # searched configurations, a few seconds; hard jams of ten t
 class _Configuration:
     """A state of the search: where everybody is, how it was reached, and what is still to be tried."""
 
-    def __init__(self, at: Ints, before: "_Configuration | None", priority: NDArray[np.float64]) -> None:
+    def __init__(
+        self, at: Ints, before: "_Configuration | None", priority: NDArray[np.float64]
+    ) -> None:
         self.at, self.before, self.priority = at, before, priority
         self.order: Ints = np.argsort(-priority, kind="stable").astype(np.int32)
         self.tree: deque[tuple[tuple[int, int], ...]] = deque([()])  # (robot, node) each

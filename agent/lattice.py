@@ -41,8 +41,8 @@ class Lattice:
         )
         self.component = components(self.near)
         east, north, west, south = (self.near >= 0).T
-        self.narrow: NDArray[np.bool_] = (
-            (east & west & ~north & ~south) | (north & south & ~east & ~west)
+        self.narrow: NDArray[np.bool_] = (east & west & ~north & ~south) | (
+            north & south & ~east & ~west
         )  # robots cannot pass each other here
 
     @staticmethod

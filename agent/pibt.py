@@ -166,9 +166,7 @@ def _place(i, here, there, now, then, waiting, near, far, goals, salt, swaps):  
             continue
         then[to], there[i] = i, to
         if other >= 0 and other != i and there[other] < 0:
-            if not _place(
-                other, here, there, now, then, waiting, near, far, goals, salt, swaps
-            ):
+            if not _place(other, here, there, now, then, waiting, near, far, goals, salt, swaps):
                 continue
         if k == 0 and partner >= 0 and there[partner] < 0 and then[at] < 0 and to != at:
             there[partner], then[at] = at, partner

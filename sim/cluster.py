@@ -18,9 +18,9 @@ from protocol.codec import encode
 from protocol.messages import Message
 from protocol.name import fleet_name
 from sim.disk import MemoryJournal
+from sim.errand_setting import ErrandSetting
 from sim.fieldbus import FieldBus, forget, segment
 from sim.scenario import Join, Scenario
-from sim.errand_setting import ErrandSetting
 from sim.setting import Setting
 
 TOOL_ADDRESS = 249  # where scripted operator frames come from

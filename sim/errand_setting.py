@@ -1,7 +1,7 @@
 """A fleet in a building: a map of walls, where robots start, and where each of them is to go.
 
-    setting = ErrandSetting.drawn("swap", DRAWING, starts=[(0.5, 0.5)], goals=[[(9.5, 0.5)]])
-    outcome = Outing(setting).run()
+setting = ErrandSetting.drawn("swap", DRAWING, starts=[(0.5, 0.5)], goals=[[(9.5, 0.5)]])
+outcome = Outing(setting).run()
 """
 
 from collections.abc import Sequence
