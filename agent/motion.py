@@ -19,6 +19,7 @@ from agent.membership import Neighbour
 from agent.mission import Wish
 from agent.orca import Avoidance
 from agent.ports import Observation
+from agent.sensed import Sensed
 
 MARGIN_M = 0.15  # POSE rounds to 0.05 m, a drive takes a period to act, wheels slip
 HORIZON_S = 4.0  # how far ahead two moving robots agree to be clear of each other
@@ -46,9 +47,11 @@ class Motion:
         horizon_s: float = HORIZON_S,
         gives_way: bool = True,
         keep_right_rad: float = 0.0,
+        looks: bool = False,
     ) -> None:
         """`fences`: segments nobody passes, (n, 4): ax, ay, bx, by in metres. `gives_way`: False
-        where the mission itself settles who goes first."""
+        where the mission itself settles who goes first. `looks`: what the range sensors see and
+        nobody has announced is an obstacle; the fences must be all there is."""
         self.slot, self.limits = slot, limits
         self.avoidance = Avoidance(
             limits.radius_m + fence_m, limits.speed_m_s, 0.5 * limits.acceleration_m_s2,
@@ -56,6 +59,8 @@ class Motion:
         )  # fmt: skip
         # Nobody further away can be met within the horizon, both at full speed.
         self.reach_m = 2 * limits.speed_m_s * horizon_s + 2 * limits.radius_m
+        self.sensed = Sensed(fences, limits.radius_m) if looks else None
+        self.strange: list[tuple[float, float]] = []  # seen at the last control period
         self.giving_way: GivingWay | None = None
         if gives_way:
             self.giving_way = GivingWay(slot, limits.radius_m, limits.speed_m_s, fences)
@@ -66,6 +71,8 @@ class Motion:
         if wish.hold:  # who stands is gone round; nobody is hurt by it
             return HALT
         rows, others = self._rows(here, neighbours, now_us)
+        if self.sensed is not None:
+            rows = self._look(here, rows)
         wanted, tool_on = self._limited(wish), wish.tool_on
         other = None
         if self.giving_way is not None:
@@ -98,6 +105,18 @@ class Motion:
             near.append((dx_m, dy_m, vx_m_s, vy_m_s, combined_m, share))
         near.sort(key=lambda row: row[0] * row[0] + row[1] * row[1])
         return near[:NEIGHBOURS_MAX], others
+
+    def _look(self, here: Observation, rows: list[tuple[float, ...]]) -> list[tuple[float, ...]]:
+        """What is seen and was not heard of stands, and we alone avoid it."""
+        assert self.sensed is not None
+        bodies = [(here.x_m + row[0], here.y_m + row[1]) for row in rows]
+        self.strange = self.sensed.strange(here, self.reach_m / 2, bodies)
+        if not self.strange:
+            return rows
+        combined_m = self.limits.radius_m + MARGIN_M
+        seen = [(x - here.x_m, y - here.y_m, 0.0, 0.0, combined_m, 1.0) for x, y in self.strange]
+        both = sorted(rows + seen, key=lambda row: hypot(row[0], row[1]) - row[4])
+        return both[:NEIGHBOURS_MAX]
 
     def _limited(self, wish: Wish) -> tuple[float, float]:
         speed_m_s = hypot(wish.vx_m_s, wish.vy_m_s)

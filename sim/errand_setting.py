@@ -87,7 +87,7 @@ class ErrandSetting:
         limits = Limits(fleet.radius_m, fleet.speed_m_s, fleet.acceleration_m_s2)
         return Motion(
             slot, limits, self.floor.fences, fence_m=self.floor.margin_m / 2,
-            horizon_s=HORIZON_S, gives_way=False, keep_right_rad=KEEP_RIGHT_RAD,
+            horizon_s=HORIZON_S, gives_way=False, keep_right_rad=KEEP_RIGHT_RAD, looks=True,
         )  # fmt: skip
 
     def world(self) -> World:
