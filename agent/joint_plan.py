@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.pibt import NOWHERE, step, ways
+from agent.pibt import NOWHERE, grown, step, ways
 
 Ints = NDArray[np.int32]
 STEPS_MAX = 20_000  # searched configurations, a few seconds; hard jams of ten take some hundreds
@@ -76,9 +76,8 @@ def search(
         if seen is not None:
             stack.append(seen)
             continue
-        # The priority falls back when a goal is reached, and at no other time.
-        grown = np.where(there == last, here.priority % 1.0, here.priority + 1.0)
-        new = known[there.tobytes()] = _Configuration(there, here, grown)
+        priority = grown(here.priority, there, last)
+        new = known[there.tobytes()] = _Configuration(there, here, priority)
         stack.append(new)
     return None
 
