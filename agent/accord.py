@@ -23,10 +23,11 @@ from typing import NamedTuple
 from zlib import crc32
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from agent.config import MS, S
-from agent.joint_plan import JointPlan, search
+from agent.joint_plan import JointPlan, Turn, search
 from agent.lattice import FINE, Lattice, components
 from protocol.accord_frames import Accord, Answer, Say
 
@@ -222,7 +223,7 @@ class Accords:
         blocked = {int(n) for body in bodies for n in self.lattice.within(body, body_m)}
         movers = [k for k, p in enumerate(places) if p.answer is Answer.GRANT]
         routes: list[tuple[int, ...]] = [(p.node,) for p in places]
-        turns: list[tuple[None, ...]] = [(None,) for _ in places]
+        turns: list[tuple[Turn | None, ...]] = [(None,) for _ in places]
         self.plan = JointPlan(tuple(routes), tuple(turns))
         found = plan_of(
             self.lattice, tuple(places[k] for k in movers), tuple(sorted(blocked)), self.round
@@ -232,9 +233,7 @@ class Accords:
         else:
             for k, route, turn in zip(movers, found.routes, found.turns, strict=True):
                 routes[k] = route
-                turns[k] = tuple(
-                    None if t is None else t._replace(robot=movers[t.robot]) for t in turn
-                )  # type: ignore[assignment]
+                turns[k] = tuple(t and t._replace(robot=movers[t.robot]) for t in turn)
             self.plan = JointPlan(tuple(routes), tuple(turns))
         for k, p in enumerate(places):
             if p.answer is not Answer.GRANT or found is None:  # it stays where it is
@@ -320,7 +319,7 @@ def seats(
     return [int(nodes[c]) for c in columns]
 
 
-def _squares(lattice: Lattice, nodes: np.ndarray, at: Point) -> np.ndarray:  # type: ignore[type-arg]
+def _squares(lattice: Lattice, nodes: NDArray[np.intp], at: Point) -> NDArray[np.float64]:
     gaps = lattice.points[nodes] - np.asarray(at)
-    squares: np.ndarray = (gaps * gaps).sum(axis=1)  # type: ignore[type-arg]
+    squares: NDArray[np.float64] = (gaps * gaps).sum(axis=1)
     return squares

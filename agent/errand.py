@@ -100,7 +100,7 @@ class Errands:
     def interrupted(self) -> None:
         """There is no implement."""
 
-    def attend(self, view: FleetView, state: State, may_move: bool) -> None:
+    def attend(self, view: FleetView, state: State) -> None:
         """Each control period, in every state: our part in a round."""
         here = view.here
         silent = view.silent_since_us
@@ -231,7 +231,7 @@ def _onward(course_rad: float, speed_m_s: float, ux: float, uy: float) -> float:
 
 def _ahead(tracker: Tracker, reach_m: float) -> list[tuple[float, float, float, float]]:
     """Points of the path ahead, every quarter of a metre, with its direction there."""
-    found = []
+    found: list[tuple[float, float, float, float]] = []
     along_m = tracker.along_m
     for piece in range(tracker.piece, len(tracker.lengths_m)):
         length_m, start_m = tracker.lengths_m[piece], tracker.starts_m[piece]

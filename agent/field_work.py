@@ -12,7 +12,6 @@ from typing import NamedTuple
 from shapely.geometry import LineString
 from shapely.geometry import Point as Spot
 
-from agent.accord import Accords
 from agent.allocator import Job, Point, shares
 from agent.config import LEASE_US
 from agent.field import Field, Section
@@ -65,7 +64,6 @@ class FieldWork:
         deceleration_m_s2: float,
     ) -> None:
         self.field, self.route, self.radius_m = field, route, radius_m
-        self.accords: Accords | None = None  # open fields: giving way does
         self.speed_m_s, self.deceleration_m_s2 = speed_m_s, deceleration_m_s2
         self.tolerance_m = field.tracking_tolerance_m
         self.reserved: dict[int, list[int]] = {}  # silent member -> its sections, in its order
@@ -86,9 +84,6 @@ class FieldWork:
     @property
     def section_units(self) -> Mapping[int, int]:
         return {section.id: section.units for section in self.field.sections}
-
-    def attend(self, view: FleetView, state: State, may_move: bool) -> None:
-        """Nothing to agree on."""
 
     # ---------------------------------------------------------------- choosing
 

@@ -183,9 +183,8 @@ class Hearing:
     def _accord(self, source: int, slot: int | None, m: Accord, now_us: int) -> Sequence[Effect]:
         if slot is None:
             return self._stranger(source, now_us)
-        mission = self.peer.mission
-        if mission is not None and mission.accords is not None:
-            mission.accords.hear(slot, m, now_us)
+        if self.peer.agreeing is not None:
+            self.peer.agreeing.accords.hear(slot, m, now_us)
         return ()
 
     def _work(self, source: int, slot: int | None, m: Any, now_us: int) -> Sequence[Effect]:

@@ -109,10 +109,10 @@ def _steps(last: _Configuration) -> list[Ints]:
 
 
 class Turn(NamedTuple):
-    """Before a move: this robot must have reached its `index`-th node."""
+    """Before a move: this robot must have reached its `node`-th node."""
 
     robot: int
-    index: int
+    node: int
 
 
 class JointPlan(NamedTuple):
@@ -134,7 +134,7 @@ class JointPlan(NamedTuple):
             for i, wait in zip(moved, waits, strict=True):
                 node = int(at[i])
                 routes[i].append(node)
-                gone = None if wait is None or wait.robot == i else Turn(wait.robot, wait.index + 1)
+                gone = None if wait is None or wait.robot == i else Turn(wait.robot, wait.node + 1)
                 turns[i].append(gone)
                 visitor[node] = Turn(i, len(routes[i]) - 1)
         return cls(tuple(map(tuple, routes)), tuple(map(tuple, turns)))
@@ -144,7 +144,7 @@ class JointPlan(NamedTuple):
         index, turns = max(reached[robot], 0), self.turns[robot]
         while index + 1 < len(turns):
             turn = turns[index + 1]
-            if turn is not None and reached[turn.robot] < turn.index:
+            if turn is not None and reached[turn.robot] < turn.node:
                 break
             index += 1
         return index

@@ -5,7 +5,7 @@ done comes back as units covered, which the peer records and announces.
 """
 
 from collections.abc import Mapping
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 from agent.accord import Accords
 from agent.lifecycle import State
@@ -50,15 +50,9 @@ STILL = Wish(0.0, 0.0)
 
 
 class Mission(Protocol):
-    accords: Accords | None  # rounds of agreement with the others; None: it never calls any
-
     @property
     def section_units(self) -> Mapping[int, int]:
         """How many units each section has; the work there is."""
-        ...
-
-    def attend(self, view: FleetView, state: State, may_move: bool) -> None:
-        """Each control period, in every state, before anything is asked."""
         ...
 
     def choose(self, view: FleetView) -> Choice | None: ...
@@ -75,4 +69,15 @@ class Mission(Protocol):
 
     def rest(self, view: FleetView) -> Wish:
         """No section: stand, or get out of the way."""
+        ...
+
+
+@runtime_checkable
+class Agreeing(Protocol):
+    """A mission that settles with the others who goes where; also those that stand take part."""
+
+    @property
+    def accords(self) -> Accords: ...
+    def attend(self, view: FleetView, state: State) -> None:
+        """Each control period, in every state, before anything is asked of the mission."""
         ...

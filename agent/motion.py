@@ -114,7 +114,9 @@ class Motion:
         if not self.strange:
             return rows
         combined_m = self.limits.radius_m + MARGIN_M
-        seen = [(x - here.x_m, y - here.y_m, 0.0, 0.0, combined_m, 1.0) for x, y in self.strange]
+        seen: list[tuple[float, ...]] = [
+            (x - here.x_m, y - here.y_m, 0.0, 0.0, combined_m, 1.0) for x, y in self.strange
+        ]
         both = sorted(rows + seen, key=lambda row: hypot(row[0], row[1]) - row[4])
         return both[:NEIGHBOURS_MAX]
 

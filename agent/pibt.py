@@ -175,9 +175,11 @@ def _place(i, here, there, now, then, waiting, near, far, goals, salt, swaps):  
         if other >= 0 and other != i and (waiting[other] or there[other] == at):
             continue
         then[to], there[i] = i, to
-        if other >= 0 and other != i and there[other] < 0:
-            if not _place(other, here, there, now, then, waiting, near, far, goals, salt, swaps):
-                continue
+        asked = other >= 0 and other != i and there[other] < 0
+        if asked and not _place(
+            other, here, there, now, then, waiting, near, far, goals, salt, swaps
+        ):
+            continue
         if k == 0 and partner >= 0 and there[partner] < 0 and then[at] < 0 and to != at:
             there[partner], then[at] = at, partner
         waiting[i] = False
@@ -207,11 +209,11 @@ def step(here, order, there, near, far, goals, salt, swaps):  # type: ignore[no-
         then[to] = i
     for k in range(count):
         i = order[k]
-        if there[i] < 0 and not _place(
-            i, here, there, now, then, waiting, near, far, goals, salt, swaps
-        ):
-            if then[here[i]] != i:
-                return False
+        if there[i] >= 0:
+            continue
+        found = _place(i, here, there, now, then, waiting, near, far, goals, salt, swaps)
+        if not found and then[here[i]] != i:
+            return False
     taken = np.full(near.shape[0], -1, np.int32)
     for i in range(count):
         if taken[there[i]] >= 0:

@@ -42,7 +42,8 @@ class Working:
             return ()
         effects: list[Effect] = []
         view = peer.view(now_us)
-        peer.mission.attend(view, peer.lifecycle.state, peer.safety.may_move)
+        if peer.agreeing is not None:
+            peer.agreeing.attend(view, peer.lifecycle.state)
         peer.wish = self._wish(view, effects)
         wanted = peer.motion.drive(peer.here, peer.wish, peer.membership.neighbours, now_us)
         drive = peer.safety.gate(wanted, now_us)

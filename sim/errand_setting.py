@@ -5,6 +5,7 @@ outcome = Outing(setting).run()
 """
 
 from collections.abc import Sequence
+from pathlib import Path
 from random import Random
 
 import numpy as np
@@ -66,6 +67,7 @@ class ErrandSetting:
             ),
             bus=BusTable(loss=loss),
             run=RunTable(seed=seed, time_limit_s=time_limit_s),
+            folder=Path(),
         )  # fmt: skip
         return cls(scenario, floor, starts, goals, agrees)
 
