@@ -9,12 +9,14 @@ A goal is a section of the shared state with one unit, so that what was reached 
 
 from collections.abc import Mapping, Sequence
 from math import cos, hypot, sin
+from typing import NamedTuple
 
 from agent.accord import Accords, Phase
 from agent.config import S
 from agent.floor import Floor
 from agent.lifecycle import State
 from agent.mission import STILL, Choice, FleetView, Wish
+from agent.replanning import Replanning
 from agent.tracker import Tracker
 from crdt import Phase as Claimed
 from protocol.accord_frames import Answer
@@ -34,6 +36,14 @@ SETTLED_M = 0.1  # this near to a node of the route, it is reached
 LOST_M = 0.8  # this far off the path, another is planned
 
 
+class Followed(NamedTuple):
+    """A polyline that a robot was to follow, from a time on."""
+
+    t_us: int
+    points: tuple[Point, ...]
+    why: str  # goal, lost, blocked, restored, plan (of all together), after plan
+
+
 class Errands:
     def __init__(
         self,
@@ -51,11 +61,13 @@ class Errands:
         self.accords = Accords(slot, floor.lattice, floor.radius_m)
         self.goal: Point | None = None
         self.answer = Answer.GRANT
-        self.planned: list[tuple[int, tuple[Point, ...]]] = []  # when, which path: the record
+        self.replanning = Replanning(floor, speed_m_s, deceleration_m_s2)
+        self.followed: list[Followed] = []  # the record of what was driven along
         self._tracker: Tracker | None = None  # on the way to the goal
         self._lane: Tracker | None = None  # on the way of a plan
         self._lane_of = (-1, -1, -1)  # round, first and last node of the lane
         self._gone_on: tuple[float, int] = (0.0, 0)  # along the path, since when
+        self._planned = False  # a joint plan was driven since the last path
         self._calls: tuple[int, int] = (0, 0)  # in a row without arriving, not before
 
     @property
@@ -127,15 +139,12 @@ class Errands:
     def _drive(self, view: FleetView) -> tuple[Wish, bool]:
         """What is wanted now, and whether the goal has been reached."""
         if self.accords.bound:
-            self._tracker = None  # where we are afterwards, another path begins
+            self._tracker, self._planned = None, True  # afterwards we begin from somewhere else
             return (self._along_plan(view) if self.accords.phase is Phase.MOVE else HOLD), False
         if self.goal is None:
             return HOLD, False
         here = view.here
-        if self._tracker is None or abs(self._tracker.off_m) > LOST_M:
-            self._set_out((here.x_m, here.y_m), self.goal, view.now_us)
-        tracker = self._tracker
-        assert tracker is not None
+        tracker = self._path(self.goal, view)
         tracker.locate(here.x_m, here.y_m)
         if tracker.arrived:
             return HOLD, True
@@ -144,11 +153,33 @@ class Errands:
             self._call(view.now_us)
         return Wish(vx_m_s, vy_m_s), False
 
-    def _set_out(self, at: Point, goal: Point, now_us: int) -> None:
-        path = self.floor.route.path(at, goal)
-        self.planned.append((now_us, path))
+    def _path(self, goal: Point, view: FleetView) -> Tracker:
+        """What we follow to the goal: the path we have, wherever it will do."""
+        here, now_us = view.here, view.now_us
+        at, tracker = (here.x_m, here.y_m), self._tracker
+        if tracker is None or abs(tracker.off_m) > LOST_M:
+            self.replanning.forget()
+            why = "lost" if tracker is not None else "after plan" if self._planned else "goal"
+            return self._set_out(self.floor.route.path(at, goal), why, now_us)
+        around = [(n.pose.x_m, n.pose.y_m) for n in view.neighbours.values()]
+        self.replanning.look(here, tracker, around)
+        old = self.replanning.restored(here, now_us)
+        if old is not None:
+            self._tracker = old
+            self.followed.append(Followed(now_us, tuple(old.points), "restored"))
+            return old
+        if self.replanning.due(now_us):
+            path = self.replanning.detour(at, goal, tracker, now_us)
+            if path is not None:
+                return self._set_out(path, "blocked", now_us)
+        return tracker
+
+    def _set_out(self, path: tuple[Point, ...], why: str, now_us: int) -> Tracker:
+        self.followed.append(Followed(now_us, path, why))
         self._tracker = Tracker(list(path), self.speed_m_s, self.deceleration_m_s2)
         self._gone_on = (0.0, now_us)
+        self._planned = False
+        return self._tracker
 
     def _along_plan(self, view: FleetView) -> Wish:
         """Our route, as far as those before us have gone on."""
@@ -158,6 +189,9 @@ class Errands:
         if self._lane is None or self._lane_of != (accords.round, first, last):
             points = [self.floor.lattice.point(node) for node in route[first : last + 1]]
             self._lane = Tracker(points, self.speed_m_s, self.deceleration_m_s2)
+            if self._lane_of[0] != accords.round:
+                way = tuple(self.floor.lattice.point(node) for node in route)
+                self.followed.append(Followed(view.now_us, way, "plan"))
             self._lane_of = (accords.round, first, last)
         lane = self._lane
         lane.locate(here.x_m, here.y_m)
@@ -209,7 +243,7 @@ class Errands:
         ]
         if not around:
             return False
-        for x_m, y_m, ux, uy in _ahead(tracker, LOOK_M):
+        for x_m, y_m, ux, uy in tracker.ahead(LOOK_M):
             node = lattice.nearest((x_m, y_m))
             if not lattice.narrow[node]:
                 continue
@@ -227,22 +261,3 @@ HOLD = STILL._replace(hold=True)
 
 def _onward(course_rad: float, speed_m_s: float, ux: float, uy: float) -> float:
     return speed_m_s * (cos(course_rad) * ux + sin(course_rad) * uy)
-
-
-def _ahead(tracker: Tracker, reach_m: float) -> list[tuple[float, float, float, float]]:
-    """Points of the path ahead, every quarter of a metre, with its direction there."""
-    found: list[tuple[float, float, float, float]] = []
-    along_m = tracker.along_m
-    for piece in range(tracker.piece, len(tracker.lengths_m)):
-        length_m, start_m = tracker.lengths_m[piece], tracker.starts_m[piece]
-        if length_m < 1e-9:
-            continue
-        (ax, ay), (bx, by) = tracker.points[piece], tracker.points[piece + 1]
-        ux, uy = (bx - ax) / length_m, (by - ay) / length_m
-        while along_m <= start_m + length_m:
-            if along_m > tracker.along_m + reach_m:
-                return found
-            t_m = along_m - start_m
-            found.append((ax + ux * t_m, ay + uy * t_m, ux, uy))
-            along_m += 0.25
-    return found

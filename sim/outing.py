@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.effects import Trace
-from agent.errand import GOALS_MAX, Errands
+from agent.errand import GOALS_MAX, Errands, Followed
 from sim.clock import run_virtual
 from sim.cluster import Cluster
 from sim.errand_setting import ErrandSetting
@@ -28,7 +28,8 @@ class Leg(NamedTuple):
     number: int
     arrived_s: float  # inf: never
     rmse_m: float  # of the true positions to the polyline that was being followed
-    plans: int  # paths that were planned for it; the first is no replanning
+    replans: int  # paths that were planned for it on the way, not counting those after a plan
+    plans: int  # joint plans that it took part in
 
 
 class OutingOutcome(NamedTuple):
@@ -47,7 +48,7 @@ class Outing:
     def __init__(self, setting: ErrandSetting) -> None:
         self.setting = setting
         self.tracks: dict[int, NDArray[np.float64]] = {}  # (n, 4): microseconds, x, y, -
-        self.planned: dict[int, list[tuple[int, Points]]] = {}
+        self.followed: dict[int, list[Followed]] = {}
         self._done_us: dict[int, int] = {}  # section: when its robot said so
         self._recorder = Recorder(None)
 
@@ -78,7 +79,7 @@ class Outing:
         missions = {slot: robot.peer.mission for slot, robot in cluster.robots.items()}
         errands = {s: m for s, m in missions.items() if isinstance(m, Errands)}
         self.tracks = {slot: body.track.to_array() for slot, body in world.robots.items()}
-        self.planned = {slot: errand.planned for slot, errand in errands.items()}
+        self.followed = {slot: errand.followed for slot, errand in errands.items()}
         legs = [leg for slot in errands for leg in self._legs(slot)]
         last_s = tuple(
             max((leg.arrived_s for leg in legs if leg.slot == slot), default=0.0)
@@ -101,30 +102,31 @@ class Outing:
         for number in range(len(self.setting.goals[slot])):
             done_us = self._done_us.get(slot * GOALS_MAX + number)
             until_us = done_us if done_us is not None else 1 << 62
-            plans = [p for p in self.planned[slot] if since_us <= p[0] < until_us]
+            paths = [p for p in self.followed[slot] if since_us <= p.t_us < until_us]
             found.append(
                 Leg(
                     slot,
                     number,
                     inf if done_us is None else done_us / 1e6,
-                    rmse_m(self.tracks[slot], plans, until_us),
-                    len(plans),
+                    rmse_m(self.tracks[slot], paths, until_us),
+                    sum(p.why in ("lost", "blocked") for p in paths),
+                    sum(p.why == "plan" for p in paths),
                 )
             )
             since_us = until_us
         return found
 
 
-def rmse_m(track: NDArray[np.float64], plans: list[tuple[int, Points]], until_us: int) -> float:
+def rmse_m(track: NDArray[np.float64], paths: list[Followed], until_us: int) -> float:
     """Root mean square of the distance to the polyline (not to its vertices) followed at the time.
 
     nan where nothing was driven.
     """
     squares: list[float] = []
-    for k, (from_us, path) in enumerate(plans):
-        end_us = plans[k + 1][0] if k + 1 < len(plans) else until_us
-        rows = track[(track[:, 0] >= from_us) & (track[:, 0] <= end_us)]
-        squares += [to_polyline_m((x, y), path) ** 2 for _, x, y, _ in rows.tolist()]
+    for k, path in enumerate(paths):
+        end_us = paths[k + 1].t_us if k + 1 < len(paths) else until_us
+        rows = track[(track[:, 0] >= path.t_us) & (track[:, 0] <= end_us)]
+        squares += [to_polyline_m((x, y), path.points) ** 2 for _, x, y, _ in rows.tolist()]
     return sqrt(sum(squares) / len(squares)) if squares else float("nan")
 
 
