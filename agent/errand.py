@@ -190,7 +190,8 @@ class Errands:
             points = [self.floor.lattice.point(node) for node in route[first : last + 1]]
             self._lane = Tracker(points, self.speed_m_s, self.deceleration_m_s2)
             if self._lane_of[0] != accords.round:
-                way = tuple(self.floor.lattice.point(node) for node in route)
+                nodes = (self.floor.lattice.point(node) for node in route)
+                way = ((here.x_m, here.y_m), *nodes)
                 self.followed.append(Followed(view.now_us, way, "plan"))
             self._lane_of = (accords.round, first, last)
         lane = self._lane

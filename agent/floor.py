@@ -18,6 +18,7 @@ from agent.route import Route
 
 Point = tuple[float, float]
 OPEN = frozenset(".GS")  # Moving AI: ground; the rest (@, O, T, W, #) nobody drives on
+STRAY_M = 0.1  # bodies on the lattice come this near to their node before they count as there
 FINE_M = 0.2  # cells of the path grid are at most this wide
 
 
@@ -66,7 +67,7 @@ class Floor:
         where that is wider."""
         from agent.motion import MARGIN_M
 
-        pitch_m = max(2 * self.radius_m + MARGIN_M + self.margin_m, self.cell_m)
+        pitch_m = max(2 * self.radius_m + MARGIN_M + STRAY_M, self.cell_m)
         return Lattice(self.inflated, self.origin, self.fine_m, ceil(pitch_m / self.fine_m - 1e-9))
 
     @cached_property

@@ -1,12 +1,13 @@
 """Places where robots can stand beside each other, and the straight ways between neighbouring ones.
 
-A square lattice laid over the free space: a node for each place where a body fits, an edge where it
-can drive straight to the next. The pitch is wider than two bodies with their margins, so robots on
-different nodes, or moving along edges that share no node, cannot touch. What is decided on the
+Rows and columns laid over the free space: a node where they cross and a body fits, an edge where it
+can drive straight to the next. They are further apart than two bodies with their margins, so robots
+on different nodes, or moving along edges that share no node, cannot touch. What is decided on the
 lattice (`agent/joint_plan.py`) is therefore free of contact when it is driven.
 
-The lattice knows a passage only where its nodes fit into it. Its offset is chosen so that as many
-nodes as possible hang together; in a map of cells as wide as the pitch nothing is lost.
+The lattice knows a passage only where a row or column goes through it. They are laid where they meet
+the narrowest ones first; two passages that lead the same way, and are less than a pitch out of line,
+cannot both have one. In a map of cells as wide as the pitch nothing is lost.
 """
 
 from math import hypot
@@ -30,11 +31,9 @@ class Lattice:
         (0, 0) with its corner at `origin`; a node every `pitch_cells`."""
         assert pitch_cells >= 1
         self.pitch_m = pitch_cells * cell_m
-        shifts = [(r, c) for r in range(pitch_cells) for c in range(pitch_cells)]
-        rows, columns, self.near = max(
-            (self._lay(blocked, r, c, pitch_cells) for r, c in shifts),
-            key=lambda laid: _largest(laid[2]),
-        )
+        tall = lines(blocked, pitch_cells)
+        wide = lines(blocked.T, pitch_cells)
+        rows, columns, self.near = self._lay(blocked, tall, wide)
         assert len(rows) <= NODES_MAX, "too many nodes: use a wider pitch"
         self.points = np.stack(
             (origin[0] + (columns + 0.5) * cell_m, origin[1] + (rows + 0.5) * cell_m), axis=1
@@ -47,24 +46,23 @@ class Lattice:
 
     @staticmethod
     def _lay(
-        blocked: NDArray[np.bool_], r0: int, c0: int, pitch: int
+        blocked: NDArray[np.bool_], tall: NDArray[np.intp], wide: NDArray[np.intp]
     ) -> tuple[NDArray[np.intp], NDArray[np.intp], Near]:
-        free = ~blocked[r0::pitch, c0::pitch]
+        """Rows and columns of the nodes, and who is next to whom."""
+        free = ~blocked[np.ix_(tall, wide)]
         number = np.full(free.shape, -1, dtype=np.int32)
         number[free] = np.arange(np.count_nonzero(free), dtype=np.int32)
         near = np.full((int(free.sum()), 4), -1, dtype=np.int32)
         for axis, (ahead, behind) in ((1, (0, 2)), (0, (1, 3))):
             # blocked cells up to here along the axis: none between two nodes is a clear edge
-            lines = blocked[r0::pitch] if axis else blocked[:, c0::pitch]
-            sums = np.cumsum(lines, axis=axis)
-            sums = sums[:, c0::pitch] if axis else sums[r0::pitch]
+            sums = np.cumsum(blocked, axis=axis)[np.ix_(tall, wide)]
             a = (slice(None), slice(None, -1)) if axis else (slice(None, -1), slice(None))
             b = (slice(None), slice(1, None)) if axis else (slice(1, None), slice(None))
             joined = free[a] & free[b] & (sums[a] == sums[b])
             near[number[a][joined], ahead] = number[b][joined]
             near[number[b][joined], behind] = number[a][joined]
         rows, columns = np.nonzero(free)
-        return rows * pitch + r0, columns * pitch + c0, near
+        return tall[rows], wide[columns], near
 
     def __len__(self) -> int:
         return len(self.points)
@@ -103,13 +101,37 @@ class Lattice:
         return hypot(x_m - at[0], y_m - at[1])
 
 
+def lines(blocked: NDArray[np.bool_], pitch: int) -> NDArray[np.intp]:
+    """Rows at least `pitch` apart that together go through most passages.
+
+    A row is worth, for each of its cells, the inverse square of how many rows would do as well
+    there: the length of the free run across it. By dynamic programming, the first of equals.
+    """
+    count = len(blocked)
+    runs = np.zeros(blocked.shape)
+    length = np.zeros(blocked.shape[1])
+    for row in range(count):
+        length = np.where(blocked[row], 0.0, length + 1.0)
+        runs[row] = length
+    for row in range(count - 2, -1, -1):
+        runs[row] = np.where(~blocked[row] & ~blocked[row + 1], runs[row + 1], runs[row])
+    worth = np.where(blocked, 0.0, 1.0 / np.maximum(runs, 1.0) ** 2).sum(axis=1)
+    best = np.zeros(count + 1)  # of the rows before
+    for row in range(count):
+        best[row + 1] = max(best[row], worth[row] + best[max(row + 1 - pitch, 0)])
+    chosen, row = [], count
+    while row > 0:
+        if best[row] == best[row - 1]:
+            row -= 1
+            continue
+        chosen.append(row - 1)
+        row = max(row - pitch, 0)
+    return np.array(chosen[::-1], dtype=np.intp)
+
+
 def components(near: Near) -> NDArray[np.int32]:
     count = len(near)
     a, k = np.nonzero(near >= 0)
     graph = coo_array((np.ones(len(a), dtype=np.int8), (a, near[a, k])), shape=(count, count))
     labels: NDArray[np.int32] = connected_components(graph, directed=False)[1]
     return labels
-
-
-def _largest(near: Near) -> int:
-    return int(np.bincount(components(near)).max()) if len(near) else 0
