@@ -1,12 +1,13 @@
 """The lattice: what fits, what is joined, and places as frames tell them."""
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from agent.floor import Floor
 from agent.lattice import FINE, Lattice
-from sim.floor_plan import CORRIDOR
+from sim.floor_plan import CORRIDOR, office
 
 FLOOR = Floor.drawn(CORRIDOR, 1.0, 0.35)
 
@@ -47,3 +48,13 @@ def test_a_place_is_told_to_a_sixteenth(x_m: float, y_m: float) -> None:
             abs(told[0] - x_m) <= lattice.pitch_m / FINE
             and abs(told[1] - y_m) <= lattice.pitch_m / FINE
         )
+
+
+@pytest.mark.parametrize("inflation_m", [0.05, 0.1, 0.2])
+def test_lines_go_through_all_doors_of_an_office(inflation_m: float) -> None:
+    """Doors that fit a body exactly, in walls that are not on the lattice's lines by chance."""
+    floor = Floor.drawn(office(), 0.2, 0.35, inflation_m)
+    assert floor.lattice.component.max() == 0
+    gaps = np.hypot(*(floor.lattice.points[:, None] - floor.lattice.points[None]).T)
+    np.fill_diagonal(gaps, np.inf)
+    assert gaps.min() >= floor.lattice.pitch_m - 1e-9

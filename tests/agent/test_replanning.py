@@ -46,7 +46,7 @@ def why(run: Outing) -> list[str]:
 
 def at_s(x_m: float) -> float:
     """About when the robot is there, if nothing holds it up."""
-    run, outcome = FREE
+    run, _ = FREE
     track = run.tracks[0]
     return float(track[(track[:, 1] > x_m).argmax(), 0]) / 1e6
 
