@@ -241,7 +241,7 @@ class Accords:
         self._digests[self.slot] = crc32(repr((order, self.plan)).encode())
 
 
-_KEPT: dict[object, JointPlan | None] = {}
+_KEPT: dict[object, tuple[Lattice, JointPlan | None]] = {}  # a lattice kept keeps its id
 
 
 def plan_of(
@@ -254,8 +254,8 @@ def plan_of(
     key = (id(lattice), places, blocked, salt)
     if key not in _KEPT:
         _KEPT.clear()
-        _KEPT[key] = _plan_of(lattice, places, blocked, salt)
-    return _KEPT[key]
+        _KEPT[key] = lattice, _plan_of(lattice, places, blocked, salt)
+    return _KEPT[key][1]
 
 
 def _plan_of(
