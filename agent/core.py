@@ -20,7 +20,7 @@ from agent.joining import CLAIM_PGN, Joining
 from agent.letters import Letter, Letters
 from agent.lifecycle import TABLE, Event, State
 from agent.membership import Membership, Neighbour
-from agent.mission import STILL, Choice, FleetView, Mission, Wish
+from agent.mission import STILL, Agreeing, Choice, FleetView, Mission, Wish
 from agent.motion import Motion
 from agent.ports import Observation
 from agent.records import Records
@@ -76,6 +76,7 @@ class Peer:
         self.identity, self.slot = identity, identity.slot
         self.beat = config.beat_of(len(identity.members))
         self.mission, self.motion = mission, motion
+        self.agreeing = mission if isinstance(mission, Agreeing) else None
         self.records = Records(recalled, identity.first_boot, rng)
         self.allocation = FieldAllocationCRDT(identity.field_hash)
         self.progress = Progress(mission.section_units if mission else {})

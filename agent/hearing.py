@@ -11,6 +11,7 @@ from agent.cause import Cause
 from agent.config import S
 from agent.effects import HALT, Effect, Trace
 from agent.membership import Neighbour
+from protocol.accord_frames import Accord
 from protocol.codec import Malformed
 from protocol.fleet_frames import Heartbeat, LeaderElectionVote, Member, Pose, VectorSlice
 from protocol.messages import Message
@@ -62,6 +63,7 @@ class Hearing:
             Digests: self._work,
             LeaderElectionVote: self._vote,
             VectorSlice: self._slice,
+            Accord: self._accord,
             AddressClaimed: self._address,
             Malformed: self._malformed,
         }
@@ -191,6 +193,13 @@ class Hearing:
         return peer.joining.receive(source, m, now_us)
 
     # ---------------------------------------------------------------- work
+
+    def _accord(self, source: int, slot: int | None, m: Accord, now_us: int) -> Sequence[Effect]:
+        if slot is None:
+            return self._stranger(source, now_us)
+        if self.peer.agreeing is not None:
+            self.peer.agreeing.accords.hear(slot, m, now_us)
+        return ()
 
     def _work(self, source: int, slot: int | None, m: Any, now_us: int) -> Sequence[Effect]:
         peer = self.peer

@@ -5,8 +5,10 @@ done comes back as units covered, which the peer records and announces.
 """
 
 from collections.abc import Mapping
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
+from agent.accord import Accords
+from agent.lifecycle import State
 from agent.membership import Neighbour
 from agent.ports import Observation
 from crdt import FieldAllocationCRDT, Progress
@@ -41,6 +43,7 @@ class Wish(NamedTuple):
     covered: tuple[int, ...] = ()  # units of the current section completed since the last call
     finished: bool = False  # every unit of the section is covered
     near_end: bool = False  # claim the next section now, so that no time is lost
+    hold: bool = False  # stand, and let the others go round
 
 
 STILL = Wish(0.0, 0.0)
@@ -66,4 +69,15 @@ class Mission(Protocol):
 
     def rest(self, view: FleetView) -> Wish:
         """No section: stand, or get out of the way."""
+        ...
+
+
+@runtime_checkable
+class Agreeing(Protocol):
+    """A mission that settles with the others who goes where; also those that stand take part."""
+
+    @property
+    def accords(self) -> Accords: ...
+    def attend(self, view: FleetView, state: State) -> None:
+        """Each control period, in every state, before anything is asked of the mission."""
         ...

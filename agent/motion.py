@@ -13,12 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.config import CONTROL_PERIOD_US, NEIGHBOURS_MAX, S
-from agent.effects import Drive
+from agent.effects import HALT, Drive
 from agent.giving_way import GivingWay, Other
 from agent.membership import Neighbour
 from agent.mission import Wish
 from agent.orca import Avoidance
 from agent.ports import Observation
+from agent.sensed import Sensed
 
 MARGIN_M = 0.15  # POSE rounds to 0.05 m, a drive takes a period to act, wheels slip
 HORIZON_S = 4.0  # how far ahead two moving robots agree to be clear of each other
@@ -36,23 +37,46 @@ class Limits(NamedTuple):
 
 
 class Motion:
-    def __init__(self, slot: int, limits: Limits, fences: NDArray[np.float64]) -> None:
-        """`fences`: segments nobody passes, (n, 4): ax, ay, bx, by in metres."""
+    def __init__(
+        self,
+        slot: int,
+        limits: Limits,
+        fences: NDArray[np.float64],
+        *,
+        fence_m: float = FENCE_M,
+        horizon_s: float = HORIZON_S,
+        gives_way: bool = True,
+        keep_right_rad: float = 0.0,
+        looks: bool = False,
+    ) -> None:
+        """`fences`: segments nobody passes, (n, 4): ax, ay, bx, by in metres. `gives_way`: False
+        where the mission itself settles who goes first. `looks`: what the range sensors see and
+        nobody has announced is an obstacle; the fences must be all there is."""
         self.slot, self.limits = slot, limits
         self.avoidance = Avoidance(
-            limits.radius_m + FENCE_M, limits.speed_m_s, 0.5 * limits.acceleration_m_s2,
-            HORIZON_S, CONTROL_PERIOD_US / S, fences,
+            limits.radius_m + fence_m, limits.speed_m_s, 0.5 * limits.acceleration_m_s2,
+            horizon_s, CONTROL_PERIOD_US / S, fences, keep_right_rad=keep_right_rad,
         )  # fmt: skip
         # Nobody further away can be met within the horizon, both at full speed.
-        self.reach_m = 2 * limits.speed_m_s * HORIZON_S + 2 * limits.radius_m
-        self.giving_way = GivingWay(slot, limits.radius_m, limits.speed_m_s, fences)
+        self.reach_m = 2 * limits.speed_m_s * horizon_s + 2 * limits.radius_m
+        self.sensed = Sensed(fences, limits.radius_m) if looks else None
+        self.strange: list[tuple[float, float]] = []  # seen at the last control period
+        self.giving_way: GivingWay | None = None
+        if gives_way:
+            self.giving_way = GivingWay(slot, limits.radius_m, limits.speed_m_s, fences)
 
     def drive(
         self, here: Observation, wish: Wish, neighbours: Mapping[int, Neighbour], now_us: int
     ) -> Drive:
+        if wish.hold:  # who stands is gone round; nobody is hurt by it
+            return HALT
         rows, others = self._rows(here, neighbours, now_us)
+        if self.sensed is not None:
+            rows = self._look(here, rows)
         wanted, tool_on = self._limited(wish), wish.tool_on
-        other = self.giving_way.wish((here.x_m, here.y_m), wanted, others, now_us)
+        other = None
+        if self.giving_way is not None:
+            other = self.giving_way.wish((here.x_m, here.y_m), wanted, others, now_us)
         if other is not None:
             wanted, tool_on = other, False
         vx_m_s, vy_m_s = self.avoidance.velocity(
@@ -81,6 +105,20 @@ class Motion:
             near.append((dx_m, dy_m, vx_m_s, vy_m_s, combined_m, share))
         near.sort(key=lambda row: row[0] * row[0] + row[1] * row[1])
         return near[:NEIGHBOURS_MAX], others
+
+    def _look(self, here: Observation, rows: list[tuple[float, ...]]) -> list[tuple[float, ...]]:
+        """What is seen and was not heard of stands, and we alone avoid it."""
+        assert self.sensed is not None
+        bodies = [(here.x_m + row[0], here.y_m + row[1]) for row in rows]
+        self.strange = self.sensed.strange(here, self.reach_m / 2, bodies)
+        if not self.strange:
+            return rows
+        combined_m = self.limits.radius_m + MARGIN_M
+        seen: list[tuple[float, ...]] = [
+            (x - here.x_m, y - here.y_m, 0.0, 0.0, combined_m, 1.0) for x, y in self.strange
+        ]
+        both = sorted(rows + seen, key=lambda row: hypot(row[0], row[1]) - row[4])
+        return both[:NEIGHBOURS_MAX]
 
     def _limited(self, wish: Wish) -> tuple[float, float]:
         speed_m_s = hypot(wish.vx_m_s, wish.vy_m_s)

@@ -55,6 +55,10 @@ class Route:
             inner.append(self._point(b))
         return (start, *inner, goal)
 
+    def straight(self, start: Point, goal: Point) -> bool:
+        """Whether the straight line between two places is free."""
+        return self.planner.sees(self._cell(start), self._cell(goal))
+
     def length_m(self, start: Point, goal: Point) -> float:
         points = self.path(start, goal)
         return sum(hypot(b[0] - a[0], b[1] - a[1]) for a, b in itertools.pairwise(points))

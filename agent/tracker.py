@@ -19,6 +19,7 @@ BESIDE_M = 0.3  # passing the end further away than this is not arriving
 SWING_M = 0.03  # how far a body may swing out at a corner; a third of the usual tolerance
 BEND_M = 2.0  # corners further apart than this do not make a bend
 BEND_SHARE = 0.5  # of the acceleration goes into following a bend, the rest into staying on it
+SAMPLE_M = 0.25  # of the line ahead: less than any body is wide
 CREEP_M_S = 0.1  # approach speed at the very end, so that arrival does not take for ever
 
 
@@ -81,6 +82,24 @@ class Tracker:
         aligned = max(0.0, 1.0 - abs(self.off_m) / ALIGN_M)
         forward_m_s = min(self._speed(length_m - t_m) * aligned, room_m_s)
         return ux * forward_m_s - uy * close_m_s, uy * forward_m_s + ux * close_m_s
+
+    def ahead(self, reach_m: float) -> list[tuple[float, float, float, float]]:
+        """Points of the line ahead, every `SAMPLE_M`, and its direction there: x, y, ux, uy."""
+        found: list[tuple[float, float, float, float]] = []
+        along_m = self.along_m
+        for piece in range(self.piece, len(self.lengths_m)):
+            length_m, start_m = self.lengths_m[piece], self.starts_m[piece]
+            if length_m < 1e-9:
+                continue
+            (ax, ay), (bx, by) = self.points[piece], self.points[piece + 1]
+            ux, uy = (bx - ax) / length_m, (by - ay) / length_m
+            while along_m <= start_m + length_m:
+                if along_m > self.along_m + reach_m:
+                    return found
+                t_m = along_m - start_m
+                found.append((ax + ux * t_m, ay + uy * t_m, ux, uy))
+                along_m += SAMPLE_M
+        return found
 
     def _speed(self, left_m: float) -> float:
         """Fast enough to waste nothing, slow enough for the corners and the end ahead."""

@@ -65,6 +65,8 @@ class Voice:
         if self.beats % self.beats_a_heartbeat == 0:
             effects += self._heartbeat(peer)
         effects += peer.elect(now_us)
+        if peer.agreeing is not None:
+            effects += [Send(word) for word in peer.agreeing.accords.say(now_us)]
         if peer.roll_call.answer_due:
             peer.roll_call.answer_due = False
             effects.append(Send(self.member(peer)))

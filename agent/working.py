@@ -46,7 +46,10 @@ class Working:
             peer.mission.interrupted()  # we were late: the command expired and the implement is up
         self._drove_us = now_us
         effects: list[Effect] = []
-        peer.wish = self._wish(peer.view(now_us), effects)
+        view = peer.view(now_us)
+        if peer.agreeing is not None:
+            peer.agreeing.attend(view, peer.lifecycle.state)
+        peer.wish = self._wish(view, effects)
         wanted = peer.motion.drive(peer.here, peer.wish, peer.membership.neighbours, now_us)
         drive = peer.safety.gate(wanted, now_us)
         if not drive.tool_on:

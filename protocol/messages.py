@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+from protocol.accord_frames import Accord
 from protocol.fleet_frames import Heartbeat, LeaderElectionVote, Member, Pose, VectorSlice
 from protocol.network_frames import (
     Acknowledgment,
@@ -29,7 +30,7 @@ from protocol.work_frames import (
 Message = (
     EmergencyStop | EmergencyReset | OperatorCommand | AllImplementsStop | Challenge | Freshness
     | LeaderElectionVote | TaskClaim | Pose | Heartbeat | Member
-    | StateSyncRequest | StateSyncResponse | Digests | VectorSlice | WorkProgress
+    | StateSyncRequest | StateSyncResponse | Digests | VectorSlice | WorkProgress | Accord
     | AddressClaimed | Request | Acknowledgment | TransportManagement | TransportData
 )  # fmt: skip
 
@@ -56,6 +57,7 @@ GROUPS = (
     Group(Member, 0xFF14, 6, 8, "MEMBER"),
     Group(StateSyncRequest, 0xFF0C, 6, 8, "STATE_SYNC_REQUEST"),
     Group(WorkProgress, 0xFF13, 6, 8, "WORK_PROGRESS"),
+    Group(Accord, 0xFF15, 6, 8, "ACCORD"),
     Group(StateSyncResponse, 0xFF0D, 7, 8, "STATE_SYNC_RESPONSE"),
     Group(Digests, 0xFF0E, 7, 8, "DIGESTS"),
     Group(VectorSlice, 0xFF12, 7, 8, "VECTOR_SLICE"),

@@ -7,6 +7,7 @@ of the message's field and gives its value as `raw * scale + offset`. Reserved b
 from math import pi
 from typing import NamedTuple
 
+from protocol.accord_frames import Accord, Answer, Say
 from protocol.fleet_frames import (
     COURSES,
     LENGTH_M,
@@ -124,6 +125,11 @@ SIGNALS: dict[type[Message], tuple[Signal, ...]] = {
         Signal("base", 0, 8), *(Signal(f"counts_{k}", 8 + 8 * k, 8) for k in range(7)),
     ),
     WorkProgress: (Signal("section", 0, 16), Signal("block", 16, 8), Signal("bits", 24, 40)),
+    Accord: (
+        Signal("round", 0, 16), Signal("say", 16, 4, choices=_members(Say)),
+        Signal("answer", 20, 4, choices=_members(Answer)), Signal("first", 24, 16),
+        Signal("second", 40, 16), Signal("detail", 56, 8),
+    ),
     AddressClaimed: (Signal("name", 0, 64),),
     Request: (Signal("pgn", 0, 24),),
     Acknowledgment: (

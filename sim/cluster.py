@@ -12,12 +12,8 @@ import can
 
 from agent.core import Identity, Peer
 from agent.effects import Drive, Effect
-from agent.field_work import FieldWork
-from agent.motion import Limits, Motion
 from agent.ports import Body, Journal, Observation
 from agent.shell import Shell
-from agent.tractor_motion import TractorMotion
-from agent.tractor_work import TractorWork
 from protocol.authentication import Signed
 from protocol.bus import CanBus
 from protocol.codec import decode_once, encode
@@ -26,14 +22,16 @@ from protocol.messages import Message
 from protocol.name import fleet_name
 from protocol.safety_frames import Challenge
 from sim.disk import MemoryJournal
+from sim.errand_setting import ErrandSetting
 from sim.fieldbus import FieldBus, forget, segment
 from sim.host import Handle, Host, LoopHost
 from sim.scenario import Join, Scenario
-from sim.setting import BRAKING_SHARE, Setting
+from sim.setting import Setting
 from sim.swarm import Swarm
 
 OPERATOR = 200  # slot of the operator device that a scenario's resets come from
 TOOL_ADDRESS = 249  # where scripted operator frames come from
+AnySetting = Setting | ErrandSetting
 Record = Callable[[int, int, Effect], None]  # slot, time in microseconds, effect
 
 
@@ -66,20 +64,8 @@ class Robot:
         return self.task is not None and not self.task.done()
 
 
-def _holonomic(setting: Setting, slot: int, limits: Limits) -> tuple[FieldWork, Motion]:
-    braking_m_s2 = BRAKING_SHARE * limits.acceleration_m_s2
-    work = FieldWork(setting.field, setting.route, limits.radius_m, limits.speed_m_s, braking_m_s2)
-    return work, Motion(slot, limits, setting.fences)
-
-
-def _steering(setting: Setting, slot: int, limits: Limits) -> tuple[FieldWork, Motion]:
-    turns, steering = setting.turns, setting.steering
-    work = TractorWork(setting.field, setting.route, turns, limits.radius_m, steering)
-    return work, TractorMotion(slot, limits, turns, steering)
-
-
 def make_peer(
-    setting: Setting,
+    setting: AnySetting,
     slot: int,
     now_us: int,
     recalled: Mapping[str, bytes],
@@ -90,28 +76,25 @@ def make_peer(
 
     `lot`: anything that no two boots of this robot share; a first one in a simulation needs none.
     """
-    fleet = setting.scenario.fleet
-    limits = Limits(fleet.radius_m, fleet.speed_m_s, fleet.acceleration_m_s2)
-    kind = _steering if setting.turn_radius_m else _holonomic
-    work, motion = kind(setting, slot, limits)
     identity = Identity(
         slot=slot,
-        members=frozenset(range(fleet.robots)),
+        members=frozenset(range(setting.scenario.fleet.robots)),
         name=fleet_name(setting.scenario.name, slot),
-        field_hash=setting.field.config_hash,
+        field_hash=setting.config_hash,
         silence=setting.silence,
         started=True,
         first_boot=first_boot,
     )
     # Who has lost its memory must not throw the same dice again.
     rng = Random(f"{setting.scenario.run.seed}/peer/{slot}{lot}")
-    return Peer(identity, rng, now_us, recalled, work, motion, setting.keyring(slot, lot))
+    mission, motion = setting.mission(slot), setting.motion(slot)
+    return Peer(identity, rng, now_us, recalled, mission, motion, setting.keyring(slot, lot))
 
 
 class Cluster:
     def __init__(
         self,
-        setting: Setting,
+        setting: AnySetting,
         channel: str,
         record: Record | None = None,
         host: Host | None = None,
@@ -220,7 +203,7 @@ class Cluster:
     @property
     def finished(self) -> bool:
         """Every running replica knows every section done."""
-        sections = len(self.setting.field.sections)
+        sections = self.setting.section_count
         return bool(self.running) and all(
             robot.peer.allocation.done_count() == sections for robot in self.running
         )

@@ -137,7 +137,7 @@ class FaultPlan:
         """An operator clears what is shown, goes from machine to machine, and then gives the start."""
         cluster = self.cluster
         dots = {dot for robot in cluster.running for dot in robot.peer.safety.stops.active}
-        for _ in range(1 if cluster.setting.keys is None else TRIES):
+        for _ in range(1 if cluster.setting.keyring(OPERATOR, "operator") is None else TRIES):
             for dot in sorted(dots):
                 cluster.order(EmergencyReset(*dot, OPERATOR))
             yield self._now_us() + round(ASK_S * S)

@@ -13,11 +13,15 @@ from numpy.typing import NDArray
 from shapely.geometry import Point
 
 from agent.field import XY, Field, rasterise, start_poses
-from agent.motion import FENCE_M
+from agent.field_work import FieldWork
+from agent.motion import FENCE_M, Motion
+from agent.motion import Limits as BodyLimits
 from agent.route import Route
 from agent.safety import SilencePolicy
 from agent.swaths import divide
+from agent.tractor_motion import TractorMotion
 from agent.tractor_tracker import Limits
+from agent.tractor_work import TractorWork
 from agent.turn_route import TurnRoute
 from protocol.authentication import Keyring, Keys
 from sim.field_error import FieldFileError
@@ -163,6 +167,28 @@ class Setting:
         while (east - west) * (north - south) / cell_m**2 > ROUTE_CELLS_MAX:
             cell_m *= 2
         return cell_m
+
+    @property
+    def config_hash(self) -> int:
+        return self.field.config_hash
+
+    @property
+    def section_count(self) -> int:
+        return len(self.field.sections)
+
+    def mission(self, slot: int) -> FieldWork:
+        fleet = self.scenario.fleet
+        if self.turn_radius_m:
+            return TractorWork(self.field, self.route, self.turns, fleet.radius_m, self.steering)
+        braking_m_s2 = BRAKING_SHARE * fleet.acceleration_m_s2
+        return FieldWork(self.field, self.route, fleet.radius_m, fleet.speed_m_s, braking_m_s2)
+
+    def motion(self, slot: int) -> Motion:
+        fleet = self.scenario.fleet
+        limits = BodyLimits(fleet.radius_m, fleet.speed_m_s, fleet.acceleration_m_s2)
+        if self.turn_radius_m:
+            return TractorMotion(slot, limits, self.turns, self.steering)
+        return Motion(slot, limits, self.fences)
 
     def world(self) -> World:
         """A fresh world with every robot at its place near the gate."""

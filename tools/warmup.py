@@ -45,6 +45,18 @@ def _coverage() -> None:
         team.advance()
 
 
+def _agreement() -> None:
+    from agent.floor import Floor
+    from agent.joint_plan import search
+    from agent.ports import Observation
+    from agent.sensed import Sensed
+
+    floor = Floor.drawn("...\n...", 1.0, 0.35)
+    search(floor.lattice.near, [0, 2], [2, 0], [0.0, 0.0])
+    here = Observation(1.5, 0.5, 0.0, 0.0, 0.0, (0.5, 1.0, 1.5))
+    Sensed(floor.fences, 0.35).strange(here, 5.0, [(0.5, 0.5)])
+
+
 def _wire() -> None:
     from sim.bits import frame_bits
 
@@ -82,6 +94,7 @@ PARTS: tuple[tuple[str, Callable[[], None]], ...] = (
     ("map", _map),
     ("avoidance", _avoidance),
     ("coverage", _coverage),
+    ("agreement", _agreement),
     ("wire", _wire),
     ("world", _world),
     ("turns", _turns),

@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from protocol.accord_frames import Accord
 from protocol.codec import Malformed, decode, encode
 from protocol.fleet_frames import Heartbeat, LeaderElectionVote, Member, Pose, VectorSlice
 from protocol.frame import Frame
@@ -50,6 +51,7 @@ KINDS: dict[Any, st.SearchStrategy[Any]] = {
     StateSyncRequest: st.builds(StateSyncRequest, u24, u24, u8, u8),
     Digests: st.builds(Digests, u8, u8, u16, u16, u16),
     WorkProgress: st.builds(WorkProgress, u16, u8, st.integers(0, (1 << 40) - 1)),
+    Accord: st.builds(Accord, u16, st.integers(0, 2), st.integers(0, 2), u16, u16, u8),
     Member: st.builds(Member, u8, u16, u24, u8),
     VectorSlice: st.builds(VectorSlice, u8, st.tuples(*[u8] * 7)),
     AddressClaimed: st.builds(AddressClaimed, st.integers(0, (1 << 64) - 1)),

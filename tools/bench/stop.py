@@ -121,7 +121,7 @@ def hash_free(text: str) -> int:
 
 
 def processes(count: int) -> Iterator[Figure]:
-    warm()
+    warm(steering=False)
     with tempfile.TemporaryDirectory() as folder:
         launch = _Presses(count, Path(folder))
         asyncio.run(launch.run(0, None))

@@ -1,0 +1,264 @@
+"""The mission of going to places: each robot has goals of its own, and a building to cross.
+
+Alone, a robot drives its Theta* path and lets ORCA keep it from the others. Where that gets it no
+further, or would lead it into a narrow passage against somebody who comes out, it calls a round of
+agreement (`agent/accord.py`), and drives the route of the joint plan until it is through.
+
+A goal is a section of the shared state with one unit, so that what was reached stays reached.
+"""
+
+from collections.abc import Mapping, Sequence
+from math import cos, hypot, sin
+from typing import NamedTuple
+
+from agent.accord import Accords, Phase
+from agent.config import S
+from agent.floor import Floor
+from agent.lifecycle import State
+from agent.mission import STILL, Choice, FleetView, Wish
+from agent.replanning import Replanning
+from agent.tracker import Tracker
+from crdt import Phase as Claimed
+from protocol.accord_frames import Answer
+
+Point = tuple[float, float]
+GOALS_MAX = 512  # of a robot: a section's number is its slot times this, and the goal's number
+WANTS_M_S = 0.1  # who wants less than this is not stalled
+GOT_ON_M = 0.3  # along the path in `STALL_US`: slower than this is stalled
+STALL_US = 2 * S
+CALLS_US = (2 * S, 4 * S, 8 * S, 16 * S)  # between two calls of ours that brought us nowhere
+LOOK_M = 2.5  # how far ahead a passage is looked into
+BESIDE_PATH_M = 0.5  # a robot nearer to the path than this is on it
+DEAD_US = (
+    5 * S
+)  # a member silent for this long is not waited for in a round: its body is in the way
+SETTLED_M = 0.1  # this near to a node of the route, it is reached
+LOST_M = 0.8  # this far off the path, another is planned
+
+
+class Followed(NamedTuple):
+    """A polyline that a robot was to follow, from a time on."""
+
+    t_us: int
+    points: tuple[Point, ...]
+    why: str  # goal, lost, blocked, restored, plan (of all together), after plan
+
+
+class Errands:
+    def __init__(
+        self,
+        slot: int,
+        goals: Mapping[int, Sequence[Point]],
+        floor: Floor,
+        speed_m_s: float,
+        deceleration_m_s2: float,
+        agrees: bool = True,
+    ) -> None:
+        """`goals`: of every robot, in their order. `agrees`: False for ORCA by itself."""
+        assert all(len(own) <= GOALS_MAX for own in goals.values())
+        self.slot, self.goals, self.floor, self.agrees = slot, goals, floor, agrees
+        self.speed_m_s, self.deceleration_m_s2 = speed_m_s, deceleration_m_s2
+        self.accords = Accords(slot, floor.lattice, floor.radius_m)
+        self.goal: Point | None = None
+        self.answer = Answer.GRANT
+        self.replanning = Replanning(floor, speed_m_s, deceleration_m_s2)
+        self.followed: list[Followed] = []  # the record of what was driven along
+        self._tracker: Tracker | None = None  # on the way to the goal
+        self._lane: Tracker | None = None  # on the way of a plan
+        self._lane_of = (-1, -1, -1)  # round, first and last node of the lane
+        self._gone_on: tuple[float, int] = (0.0, 0)  # along the path, since when
+        self._planned = False  # a joint plan was driven since the last path
+        self._calls: tuple[int, int] = (0, 0)  # in a row without arriving, not before
+
+    @property
+    def section_units(self) -> Mapping[int, int]:
+        return {
+            slot * GOALS_MAX + k: 1 for slot, own in self.goals.items() for k in range(len(own))
+        }
+
+    # ---------------------------------------------------------------- what a mission is asked
+
+    def choose(self, view: FleetView) -> Choice | None:
+        first = self.slot * GOALS_MAX
+        for section in range(first, first + len(self.goals.get(self.slot, ()))):
+            if view.allocation.phase_of(section) is Claimed.FREE:
+                return Choice(section, 0)
+        return None
+
+    def approach(self, section: int, view: FleetView) -> Wish:
+        self._go_for(section)
+        return self._drive(view)[0]
+
+    def begin(self, section: int, view: FleetView) -> None:
+        self._go_for(section)
+
+    def work(self, view: FleetView) -> Wish:
+        (section,) = view.allocation.assigned_sections(view.slot)[:1]
+        self._go_for(section)
+        wish, arrived = self._drive(view)
+        if not arrived:
+            return wish
+        self.goal, self._tracker = None, None
+        self._calls = (0, 0)
+        return wish._replace(covered=(0,), finished=True, near_end=True)
+
+    def rest(self, view: FleetView) -> Wish:
+        self.goal, self._tracker = None, None
+        return self._drive(view)[0]
+
+    def abandon(self) -> None:
+        self.goal, self._tracker = None, None
+
+    def interrupted(self) -> None:
+        """There is no implement."""
+
+    def attend(self, view: FleetView, state: State) -> None:
+        """Each control period, in every state: our part in a round."""
+        here = view.here
+        silent = view.silent_since_us
+        dead = {s for s, since_us in silent.items() if view.now_us - since_us > DEAD_US}
+        bodies = {
+            s: (view.neighbours[s].pose.x_m, view.neighbours[s].pose.y_m)
+            for s in dead
+            if s in view.neighbours
+        }
+        stopped = state is State.EMERGENCY_STOP
+        self.accords.tick(
+            (here.x_m, here.y_m), hypot(here.vx_m_s, here.vy_m_s), self.goal,
+            Answer.STOPPED if stopped else self.answer,
+            (view.live | silent.keys()) - dead, bodies, view.now_us,
+        )  # fmt: skip
+
+    # ---------------------------------------------------------------- driving
+
+    def _go_for(self, section: int) -> None:
+        goal = self.goals[self.slot][section - self.slot * GOALS_MAX]
+        if goal != self.goal:
+            self.goal, self._tracker = goal, None
+
+    def _drive(self, view: FleetView) -> tuple[Wish, bool]:
+        """What is wanted now, and whether the goal has been reached."""
+        if self.accords.bound:
+            self._tracker, self._planned = None, True  # afterwards we begin from somewhere else
+            return (self._along_plan(view) if self.accords.phase is Phase.MOVE else HOLD), False
+        if self.goal is None:
+            return HOLD, False
+        here = view.here
+        tracker = self._path(self.goal, view)
+        tracker.locate(here.x_m, here.y_m)
+        if tracker.arrived:
+            return HOLD, True
+        vx_m_s, vy_m_s = tracker.velocity(here.x_m, here.y_m)
+        if self.agrees and self._stuck(tracker, hypot(vx_m_s, vy_m_s), view):
+            self._call(view.now_us)
+        return Wish(vx_m_s, vy_m_s), False
+
+    def _path(self, goal: Point, view: FleetView) -> Tracker:
+        """What we follow to the goal: the path we have, wherever it will do."""
+        here, now_us = view.here, view.now_us
+        at, tracker = (here.x_m, here.y_m), self._tracker
+        if tracker is None or abs(tracker.off_m) > LOST_M:
+            self.replanning.forget()
+            why = "lost" if tracker is not None else "after plan" if self._planned else "goal"
+            return self._set_out(self.floor.route.path(at, goal), why, now_us)
+        around = [(n.pose.x_m, n.pose.y_m) for n in view.neighbours.values()]
+        self.replanning.look(here, tracker, around)
+        old = self.replanning.restored(here, now_us)
+        if old is not None:
+            self._tracker = old
+            self.followed.append(Followed(now_us, tuple(old.points), "restored"))
+            return old
+        if self.replanning.due(now_us):
+            path = self.replanning.detour(at, goal, tracker, now_us)
+            if path is not None:
+                return self._set_out(path, "blocked", now_us)
+        return tracker
+
+    def _set_out(self, path: tuple[Point, ...], why: str, now_us: int) -> Tracker:
+        self.followed.append(Followed(now_us, path, why))
+        self._tracker = Tracker(list(path), self.speed_m_s, self.deceleration_m_s2)
+        self._gone_on = (0.0, now_us)
+        self._planned = False
+        return self._tracker
+
+    def _along_plan(self, view: FleetView) -> Wish:
+        """Our route, as far as those before us have gone on."""
+        accords, here = self.accords, view.here
+        first, last = max(accords.index, 0), accords.permitted
+        route = accords.route
+        if self._lane is None or self._lane_of != (accords.round, first, last):
+            points = [self.floor.lattice.point(node) for node in route[first : last + 1]]
+            self._lane = Tracker(points, self.speed_m_s, self.deceleration_m_s2)
+            if self._lane_of[0] != accords.round:
+                nodes = (self.floor.lattice.point(node) for node in route)
+                way = ((here.x_m, here.y_m), *nodes)
+                self.followed.append(Followed(view.now_us, way, "plan"))
+            self._lane_of = (accords.round, first, last)
+        lane = self._lane
+        lane.locate(here.x_m, here.y_m)
+        for index in range(last, accords.index, -1):
+            x_m, y_m = self.floor.lattice.point(route[index])
+            along_m = lane.starts_m[index - first] - SETTLED_M
+            passed = index > first and lane.along_m >= along_m and abs(lane.off_m) < SETTLED_M
+            if passed or hypot(x_m - here.x_m, y_m - here.y_m) < SETTLED_M:
+                accords.reach(index, view.now_us)
+                break
+        x_m, y_m = self.floor.lattice.point(route[last])
+        if hypot(x_m - here.x_m, y_m - here.y_m) < SETTLED_M / 2:
+            return HOLD
+        return Wish(*lane.velocity(here.x_m, here.y_m))
+
+    # ---------------------------------------------------------------- when to call a round
+
+    def _call(self, now_us: int) -> None:
+        count, not_before_us = self._calls
+        if now_us < not_before_us:
+            return
+        self._calls = (count + 1, now_us + CALLS_US[min(count, len(CALLS_US) - 1)])
+        self.accords.call(now_us)
+
+    def _stuck(self, tracker: Tracker, wanted_m_s: float, view: FleetView) -> bool:
+        """We want to move, do not, and somebody is near; or a narrow passage ahead is taken."""
+        along_m, since_us = self._gone_on
+        if tracker.along_m > along_m + GOT_ON_M or wanted_m_s < WANTS_M_S:
+            self._gone_on = (tracker.along_m, view.now_us)
+        elif view.now_us - since_us > STALL_US and self._near(view):
+            return True
+        return self._head_on(tracker, view)
+
+    def _near(self, view: FleetView) -> bool:
+        reach_m = 2 * self.floor.lattice.pitch_m + 2 * self.floor.radius_m
+        here = view.here
+        return any(
+            hypot(n.pose.x_m - here.x_m, n.pose.y_m - here.y_m) < reach_m
+            for n in view.neighbours.values()
+        )
+
+    def _head_on(self, tracker: Tracker, view: FleetView) -> bool:
+        """Somebody stands in, or comes out of, a passage that we are about to enter."""
+        here, lattice = view.here, self.floor.lattice
+        around = [
+            n.pose
+            for n in view.neighbours.values()
+            if hypot(n.pose.x_m - here.x_m, n.pose.y_m - here.y_m) < 2 * LOOK_M
+        ]
+        if not around:
+            return False
+        for x_m, y_m, ux, uy in tracker.ahead(LOOK_M):
+            node = lattice.nearest((x_m, y_m))
+            if not lattice.narrow[node]:
+                continue
+            for pose in around:
+                if hypot(pose.x_m - x_m, pose.y_m - y_m) > BESIDE_PATH_M:
+                    continue
+                onward = _onward(pose.course_rad, pose.speed_m_s, ux, uy)
+                if onward < WANTS_M_S:
+                    return True
+        return False
+
+
+HOLD = STILL._replace(hold=True)
+
+
+def _onward(course_rad: float, speed_m_s: float, ux: float, uy: float) -> float:
+    return speed_m_s * (cos(course_rad) * ux + sin(course_rad) * uy)

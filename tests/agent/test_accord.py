@@ -1,0 +1,138 @@
+"""Rounds of agreement between peers that miss each other's words."""
+
+from random import Random
+
+from agent.accord import Accords, Phase
+from agent.config import MS, S
+from agent.floor import Floor
+from protocol.accord_frames import Accord, Answer, Say
+from sim.floor_plan import CORRIDOR
+
+FLOOR = Floor.drawn(CORRIDOR, 1.0, 0.35)
+BEAT_US = 50 * MS
+Point = tuple[float, float]
+
+
+class Fleet:
+    """Robots that jump to the next node of their route, one node a second."""
+
+    def __init__(self, at: list[Point], goals: list[Point | None], loss: float, seed: int) -> None:
+        self.at, self.goals, self.loss, self.rng = list(at), goals, loss, Random(seed)
+        self.answers = [Answer.GRANT] * len(at)
+        self.accords = [Accords(slot, FLOOR.lattice, 0.35) for slot in range(len(at))]
+        self.dead: set[int] = set()
+        self.now_us = 0
+
+    @property
+    def live(self) -> list[int]:
+        return [slot for slot in range(len(self.at)) if slot not in self.dead]
+
+    def run(self, seconds: float) -> None:
+        until_us = self.now_us + round(seconds * S)
+        while self.now_us < until_us:
+            self.now_us += BEAT_US
+            bodies = {slot: self.at[slot] for slot in self.dead}
+            for slot in self.live:
+                own = self.accords[slot]
+                own.tick(
+                    self.at[slot],
+                    0.0,
+                    self.goals[slot],
+                    self.answers[slot],
+                    self.live,
+                    bodies,
+                    self.now_us,
+                )
+                self._move(slot)
+                for word in own.say(self.now_us):
+                    self._tell(slot, word)
+
+    def _move(self, slot: int) -> None:
+        own = self.accords[slot]
+        if (
+            own.phase is Phase.MOVE
+            and self.now_us % S == slot * BEAT_US
+            and own.permitted > own.index
+        ):
+            own.reach(own.index + 1, self.now_us)
+            self.at[slot] = FLOOR.lattice.point(own.route[own.index])
+
+    def _tell(self, sender: int, word: Accord) -> None:
+        for slot in self.live:
+            if slot != sender and self.rng.random() >= self.loss:
+                self.accords[slot].hear(sender, word, self.now_us)
+
+
+def two(loss: float, seed: int) -> Fleet:
+    return Fleet([(5.5, 2.5), (8.5, 2.5)], [(12.5, 1.5), (1.5, 1.5)], loss, seed)
+
+
+def test_two_pass_in_a_corridor_whatever_is_lost() -> None:
+    for seed in range(20):
+        fleet = two(0.5, seed)
+        fleet.accords[0].call(0)
+        fleet.run(90.0)
+        print("seed", seed, fleet.at)
+        assert fleet.at == [(12.5, 1.5), (1.5, 1.5)]
+
+
+def test_two_that_call_at_once_have_called_one_round() -> None:
+    fleet = two(0.0, 1)
+    for own in fleet.accords:
+        own.call(0)
+    fleet.run(1.0)
+    assert [own.round for own in fleet.accords] == [1, 1]
+    assert [own.phase for own in fleet.accords] == [Phase.MOVE] * 2
+    assert fleet.accords[0].plan == fleet.accords[1].plan
+
+
+def test_a_parked_robot_clears_the_way_and_returns() -> None:
+    fleet = Fleet([(5.5, 2.5), (8.5, 2.5)], [(12.5, 1.5), None], 0.3, 1)
+    fleet.accords[0].call(0)
+    seen = set()
+    for _ in range(60):
+        fleet.run(1.0)
+        seen.add(fleet.at[1])
+    assert fleet.at == [(12.5, 1.5), (8.5, 2.5)]
+    assert len(seen) > 1, "it has not moved, and cannot have cleared the way"
+
+
+def test_who_refuses_is_an_obstacle() -> None:
+    fleet = Fleet([(0.5, 0.5), (2.5, 0.5)], [(3.5, 0.5), None], 0.0, 1)
+    fleet.answers[1] = Answer.BUSY
+    fleet.accords[0].call(0)
+    fleet.run(30.0)
+    assert fleet.at == [(3.5, 0.5), (2.5, 0.5)]
+    route = fleet.accords[0].route
+    assert FLOOR.lattice.nearest((2.5, 0.5)) not in route, "round it, not over it"
+    assert fleet.accords[0].phase is Phase.FREE
+
+
+def test_where_a_refusal_leaves_no_way_nobody_moves_and_the_round_ends() -> None:
+    fleet = Fleet([(5.5, 2.5), (8.5, 2.5)], [(12.5, 1.5), None], 0.0, 1)
+    fleet.answers[1] = Answer.STOPPED
+    fleet.accords[0].call(0)
+    fleet.run(5.0)
+    assert fleet.at[1] == (8.5, 2.5)
+    assert all(own.phase is Phase.FREE for own in fleet.accords)
+
+
+def test_a_round_does_not_wait_for_the_dead() -> None:
+    fleet = Fleet([(0.5, 0.5), (3.5, 0.5), (2.5, 3.5)], [(3.5, 0.5), (0.5, 0.5), None], 0.0, 1)
+    fleet.accords[0].call(0)
+    fleet.run(0.05)
+    fleet.dead.add(2)  # in the middle of a round
+    fleet.run(60.0)
+    assert fleet.at[:2] == [(3.5, 0.5), (0.5, 0.5)]
+
+
+def test_words_of_an_old_round_are_not_heard_and_bad_nodes_do_no_harm() -> None:
+    own = two(0.0, 1).accords[0]
+    own.call(0)
+    own.call(0)
+    own.hear(1, Accord(1, Say.PLACE, 0, 0, 0, 0), 0)
+    assert 1 not in own._places and own.round == 2
+    own.hear(1, Accord(2, Say.PLACE, 0, 60_000, 60_000, 0), 0)
+    assert 1 not in own._places
+    own.hear(1, Accord(3, Say.AT, 0, 9, 0, 0), 0)
+    assert own.round == 3 and own.phase is Phase.GATHER

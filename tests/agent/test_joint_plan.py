@@ -1,0 +1,77 @@
+"""Joint plans: found wherever there is one, and driven to the end in whatever order robots move."""
+
+from random import Random
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from agent.floor import Floor
+from agent.joint_plan import JointPlan, search
+from sim.floor_plan import CORRIDOR, DEAD_END, JUNCTION, rooms
+
+DRAWINGS = {"corridor": CORRIDOR, "junction": JUNCTION, "dead end": DEAD_END}
+LATTICES = {name: Floor.drawn(text, 1.0, 0.35).lattice for name, text in DRAWINGS.items()}
+
+
+def drive(plan: JointPlan, rng: Random) -> None:
+    """Robots move one at a time, in any order; nobody enters a node that another one has."""
+    count = len(plan.routes)
+    reached = [0] * count
+    while True:
+        able = [i for i in range(count) if plan.permitted(i, reached) > reached[i]]
+        if not able:
+            break
+        mover = rng.choice(able)
+        node = plan.routes[mover][reached[mover] + 1]
+        for other in range(count):
+            assert other == mover or plan.routes[other][reached[other]] != node
+        reached[mover] += 1
+    assert all(reached[i] == len(plan.routes[i]) - 1 for i in range(count)), "a deadlock"
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    name=st.sampled_from(["corridor", "dead end"]),
+    robots=st.integers(1, 8),
+    seed=st.integers(0, 10**6),
+)
+def test_plans_in_corridors(name: str, robots: int, seed: int) -> None:
+    lattice, rng = LATTICES[name], Random(seed)
+    starts = rng.sample(range(len(lattice)), robots)
+    goals = rng.sample(range(len(lattice)), robots)
+    steps = search(lattice.near, starts, goals, [0.0] * robots, seed)
+    assert steps is not None, f"seed {seed}"
+    assert steps[0].tolist() == starts and steps[-1].tolist() == goals
+    drive(JointPlan.of(steps), rng)
+
+
+def test_two_change_ends_of_a_t() -> None:
+    lattice = LATTICES["junction"]
+    a, b = lattice.nearest((0.5, 2.5)), lattice.nearest((10.5, 2.5))
+    steps = search(lattice.near, [a, b], [b, a], [0.0, 0.0])
+    assert steps is not None
+    drive(JointPlan.of(steps), Random(1))
+
+
+def test_what_cannot_be_is_said() -> None:
+    """Two in a corridor without a place to pass."""
+    lattice = Floor.drawn(".........", 1.0, 0.35).lattice
+    assert search(lattice.near, [0, 8], [8, 0], [0.0, 0.0]) is None
+
+
+def test_a_hundred_robots_in_rooms() -> None:
+    lattice = Floor.drawn(rooms(1), 1.0, 0.35).lattice
+    rng = Random(1)
+    starts, goals = (rng.sample(range(len(lattice)), 100) for _ in range(2))
+    steps = search(lattice.near, starts, goals, [0.0] * 100)
+    assert steps is not None
+    drive(JointPlan.of(steps), rng)
+
+
+def test_equal_arguments_equal_plans() -> None:
+    lattice, rng = LATTICES["corridor"], Random(5)
+    starts, goals = (rng.sample(range(len(lattice)), 9) for _ in range(2))
+    one, two = (search(lattice.near, starts, goals, [0.0] * 9, 3) for _ in range(2))
+    assert one is not None and two is not None
+    assert all(np.array_equal(a, b) for a, b in zip(one, two, strict=True))

@@ -1,0 +1,86 @@
+"""Whole fleets on errands: through each other in corridors, on the real wire, in virtual time."""
+
+from math import isfinite
+from random import Random
+
+import pytest
+
+from agent.effects import HALT
+from agent.floor import Floor, FloorError
+from agent.mission import STILL
+from agent.ports import Observation
+from sim.errand_setting import ErrandSetting, scattered
+from sim.floor_plan import CORRIDOR, office, rooms
+from sim.outing import Outing, to_polyline_m
+from tools.bench.corridor import trial
+
+
+@pytest.mark.parametrize("layout", ["swap 3:3", "T-junction", "dead end"])
+def test_everybody_gets_through_whatever_is_lost(layout: str) -> None:
+    seed = 11
+    loss = 0.3
+    result = trial(layout, loss, True, seed)
+    print("seed", seed, result)
+    assert result.finished and result.contacts == 0
+
+
+def test_orca_by_itself_does_not() -> None:
+    """What the rounds of agreement are for; it touches nobody either."""
+    result = trial("swap 1:1", 0.0, False, 3)
+    assert not result.finished and result.contacts == 0
+
+
+def hall(seed: int, robots: int) -> ErrandSetting:
+    floor = Floor.drawn(rooms(seed, 16), 1.0, 0.35)
+    rng = Random(seed)
+    starts, goals = (scattered(floor, robots, rng, 1.0) for _ in range(2))
+    return ErrandSetting.made("hall", floor, starts, [[goal] for goal in goals], seed=seed)
+
+
+def test_a_hall_of_rooms_and_the_same_again() -> None:
+    outcomes = [Outing(hall(2, 6)).run() for _ in range(2)]
+    assert outcomes[0].trace_hash == outcomes[1].trace_hash
+    assert outcomes[0].finished and not outcomes[0].contacts
+    assert all(map(isfinite, outcomes[0].arrived_s))
+
+
+def test_a_parked_robot_clears_a_corridor_and_returns() -> None:
+    """Robot 1 has nowhere to go and stands in the only way."""
+    floor = Floor.drawn(CORRIDOR, 1.0, 0.35)
+    setting = ErrandSetting.made("parked", floor, [(1.5, 2.5), (7.5, 2.5)], [[(13.5, 2.5)], []])
+    outing = Outing(setting)
+    outcome = outing.run()
+    track = outing.tracks[1]
+    assert outcome.finished and not outcome.contacts
+    away = [abs(x - 7.5) + abs(y - 2.5) for _, x, y, _ in track.tolist()]
+    assert max(away) > 2.0, "it cleared the way"
+    assert outcome.rounds >= 1
+
+
+def test_goals_one_after_the_other() -> None:
+    floor = Floor.drawn(office(), 0.2, 0.35)
+    goals = [[(7.0, 2.0), (11.0, 9.0), (1.0, 1.0)]]
+    outcome = Outing(ErrandSetting.made("tour", floor, [(1.0, 1.0)], goals)).run()
+    assert outcome.finished and not outcome.contacts
+    arrived = [leg.arrived_s for leg in outcome.legs]
+    assert arrived == sorted(arrived)
+    assert all(leg.rmse_m < 0.06 and not leg.replans for leg in outcome.legs)
+
+
+def test_a_robot_that_holds_stands() -> None:
+    motion = hall(2, 2).motion(0)
+    drive = motion.drive(Observation(1.5, 1.5, 0.0, 0.3, 0.0), STILL._replace(hold=True), {}, 0)
+    assert drive == HALT
+
+
+def test_maps_that_are_none() -> None:
+    for text in ("", "..\n...", "type octile\nheight 1\nwidth 1\nmap\n"):
+        with pytest.raises(FloorError):
+            Floor.drawn(text, 1.0, 0.35)
+
+
+def test_distance_to_a_polyline() -> None:
+    path = ((0.0, 0.0), (2.0, 0.0), (2.0, 2.0))
+    assert to_polyline_m((1.0, 0.5), path) == 0.5
+    assert to_polyline_m((3.0, 1.0), path) == 1.0
+    assert to_polyline_m((-3.0, 4.0), path) == 5.0

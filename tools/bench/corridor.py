@@ -1,0 +1,144 @@
+"""Robots against each other where only one fits: who gets through, and what ORCA alone would do.
+
+All by real peers on the simulated wire in virtual time: `sim/outing.py`. A run succeeds when every
+robot reaches its goal within the time limit; contacts are judged from true positions.
+"""
+
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from math import isfinite
+from random import Random
+from statistics import median
+from typing import NamedTuple
+
+from agent.floor import Floor
+from sim.errand_setting import ErrandSetting, scattered
+from sim.floor_plan import CORRIDOR, DEAD_END, JUNCTION, rooms
+from sim.outing import Outing
+from tools.bench.figure import Figure
+
+CELL_M, RADIUS_M = 1.0, 0.35
+LIMIT_S = 400.0  # a 5:5 swap takes 70 to 120 s; a run that is not over by now never will be
+PLAIN_LIMIT_S = 120.0  # two robots that stand nose to nose move no more
+SEEDS, QUICK_SEEDS = 200, 6
+PLAIN_SEEDS, QUICK_PLAIN_SEEDS = 20, 2  # ORCA by itself: its failures take the whole time limit
+LOSS = 0.3
+HALL, HALL_ROBOTS = 64, 100
+WAIT_SHARE = 3.0
+XY = tuple[float, float]
+
+
+class Result(NamedTuple):
+    finished: bool
+    contacts: int
+    seconds: float
+
+
+def places(*cells: tuple[int, int]) -> list[XY]:
+    return [((c + 0.5) * CELL_M, (r + 0.5) * CELL_M) for c, r in cells]
+
+
+def swap(count: int, seed: int) -> tuple[str, list[XY], list[XY]]:
+    """`count` robots in each of two rooms, each to a place of its own in the other one."""
+    rng = Random(f"{seed}/swap/{count}")
+    left = places(*((c, r) for c in range(4) for r in range(4)))
+    right = places(*((c, r) for c in range(11, 15) for r in range(4)))
+    starts = rng.sample(left, count) + rng.sample(right, count)
+    return CORRIDOR, starts, rng.sample(right, count) + rng.sample(left, count)
+
+
+def junction(seed: int) -> tuple[str, list[XY], list[XY]]:
+    """Two robots from end to end of the bar of a T, at places drawn by the seed."""
+    rng = Random(f"{seed}/junction")
+    a, b = places((rng.randrange(4), 2), (10 - rng.randrange(4), 2))
+    return JUNCTION, [a, b], [b, a]
+
+
+def dead_end(seed: int) -> tuple[str, list[XY], list[XY]]:
+    """One wants out of the blind end of a corridor, and another in."""
+    rng = Random(f"{seed}/dead end")
+    (end,) = places((10, 2))
+    room = places(*((c, r) for c in range(4) for r in range(4)))
+    return DEAD_END, [end, rng.choice(room)], [rng.choice(room), end]
+
+
+LAYOUTS: dict[str, Callable[[int], tuple[str, list[XY], list[XY]]]] = {
+    "swap 1:1": partial(swap, 1),
+    "swap 3:3": partial(swap, 3),
+    "swap 5:5": partial(swap, 5),
+    "T-junction": junction,
+    "dead end": dead_end,
+}
+
+
+def trial(layout: str, loss: float, agrees: bool, seed: int) -> Result:
+    drawing, starts, goals = LAYOUTS[layout](seed)
+    floor = Floor.drawn(drawing, CELL_M, RADIUS_M)
+    setting = ErrandSetting.made(
+        layout, floor, starts, [[goal] for goal in goals], seed=seed, loss=loss, agrees=agrees,
+        time_limit_s=LIMIT_S if agrees else PLAIN_LIMIT_S,
+    )  # fmt: skip
+    outcome = Outing(setting).run()
+    return Result(outcome.finished, outcome.contacts, outcome.simulated_s)
+
+
+def hall(seed: int, robots: int, side: int, loss: float = 0.0) -> tuple[Outing, Floor]:
+    """Robots all over a hall of rooms, each to a place somewhere else."""
+    floor = Floor.drawn(rooms(seed, side), CELL_M, RADIUS_M)
+    rng = Random(f"{seed}/hall/{robots}")
+    starts, goals = (scattered(floor, robots, rng, CELL_M) for _ in range(2))
+    setting = ErrandSetting.made(
+        "hall", floor, starts, [[goal] for goal in goals], seed=seed, loss=loss, time_limit_s=900.0
+    )
+    return Outing(setting), floor
+
+
+def figures(quick: bool) -> Iterator[Figure]:
+    seeds = range(QUICK_SEEDS if quick else SEEDS)
+    plain_seeds = range(QUICK_PLAIN_SEEDS if quick else PLAIN_SEEDS)
+    with ProcessPoolExecutor(os.cpu_count()) as pool:
+        for layout in LAYOUTS:
+            for loss in (0.0, LOSS):
+                ours = list(pool.map(partial(trial, layout, loss, True), seeds))
+                plain = list(pool.map(partial(trial, layout, loss, False), plain_seeds))
+                yield from _shares(layout, loss, ours, plain)
+    yield from crowd(0, 30 if quick else HALL_ROBOTS, 32 if quick else HALL)
+
+
+def _shares(layout: str, loss: float, ours: list[Result], plain: list[Result]) -> Iterator[Figure]:
+    name = layout + (f", {loss:.0%} of messages lost" if loss else "")
+    good = sum(r.finished and not r.contacts for r in ours) / len(ours)
+    alone = sum(r.finished and not r.contacts for r in plain) / len(plain)
+    yield Figure(
+        f"{name}: done without contact", good, "share", "= 1", good == 1.0,
+        f"ORCA by itself: {alone:.2f} of {len(plain)} seeds",
+        f"{len(ours)} seeds; {sum(r.contacts for r in ours)} contacts; median "
+        f"{median(r.seconds for r in ours):.0f} s, worst {max(r.seconds for r in ours):.0f} s",
+    )  # fmt: skip
+
+
+def crowd(seed: int, robots: int, side: int) -> Iterator[Figure]:
+    outing, floor = hall(seed, robots, side)
+    outcome = outing.run()
+    arrived = sum(map(isfinite, outcome.arrived_s)) / robots
+    scope = f"{side} x {side} cells of rooms, {outcome.rounds} rounds, one seed"
+    yield Figure(
+        f"{robots} robots in rooms: arrived", arrived, "share", "= 1", arrived == 1.0, "", scope
+    )
+    yield Figure(
+        f"{robots} robots in rooms: contacts", outcome.contacts, "", "= 0", not outcome.contacts,
+        "", f"smallest gap {outcome.closest_m:.2f} m",
+    )  # fmt: skip
+    speed_m_s = outing.setting.scenario.fleet.speed_m_s
+    waits_s = []
+    for slot, at in enumerate(outing.setting.starts):
+        (goal,) = outing.setting.goals[slot]
+        waits_s.append(outcome.arrived_s[slot] - floor.route.length_m(at, goal) / speed_m_s)
+    worst = max(waits_s) / median(waits_s)
+    yield Figure(
+        f"{robots} robots in rooms: longest wait, of the median", worst, "ratio",
+        f"<= {WAIT_SHARE:g}", worst <= WAIT_SHARE, "",
+        f"arrival less the way at full speed; median {median(waits_s):.0f} s",
+    )  # fmt: skip
