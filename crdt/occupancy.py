@@ -13,7 +13,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from crdt.sighting import OBSERVER_MAX, RECORD_MASK, UNKNOWN, VALUES, Order, Sighting, base, unpack
+from crdt.sighting import (
+    OBSERVER_MAX,
+    OBSTACLE,
+    RECORD_MASK,
+    UNKNOWN,
+    VALUE,
+    Order,
+    Sighting,
+    base,
+    unpack,
+)
 
 Keys = NDArray[np.int64]
 XY = tuple[float, float]
@@ -164,8 +174,8 @@ class OccupancyMap:
         return found
 
     def values(self) -> NDArray[np.int64]:
-        """(rows, columns): UNKNOWN, FREE, OBSTACLE or VISITED."""
-        return self.keys() & (VALUES - 1)
+        """(rows, columns): UNKNOWN, FREE or OBSTACLE."""
+        return self.keys() & VALUE
 
     def observers(self) -> NDArray[np.int64]:
         """(rows, columns): the slot whose record stands; meaningless where nobody saw."""
@@ -182,7 +192,8 @@ class OccupancyMap:
 
     def patch(self, patch: int) -> Keys:
         """The 16 keys of a patch, row by row, a copy."""
-        return self._keys[patch].copy()
+        keys: Keys = self._keys[patch].copy()
+        return keys
 
     def known_patches(self) -> Iterator[int]:
         yield from np.flatnonzero(self._keys.any(axis=1)).tolist()
@@ -210,14 +221,16 @@ class OccupancyMap:
     def patch_bytes(self, patch: int) -> bytes:
         """The records of a patch, 3 bytes a cell."""
         records = (self._keys[patch] & RECORD_MASK).astype("<u4")
-        return records.view(np.uint8).reshape(CELLS, 4)[:, :3].tobytes()
+        return bytes(records.view(np.uint8).reshape(CELLS, 4)[:, :3].tobytes())
 
     def join_bytes(self, patch: int, data: bytes) -> int:
         """ValueError where these are not the records of a patch."""
         if len(data) != PATCH_BYTES:
             raise ValueError(f"a patch does not have {len(data)} bytes")
         records = [int.from_bytes(data[k : k + 3], "little") for k in range(0, PATCH_BYTES, 3)]
-        keys = [self._key(record) if record & 3 else 0 for record in records]
+        if any(record & VALUE > OBSTACLE for record in records):
+            raise ValueError("a cell has no such value")
+        keys = [self._key(record) if record & VALUE else 0 for record in records]
         return self.join(patch, np.array(keys, dtype=np.int64))
 
     def _key(self, record: int) -> int:

@@ -19,8 +19,7 @@ from enum import Enum
 from math import exp, log
 from typing import NamedTuple
 
-UNKNOWN, FREE, OBSTACLE, VISITED = range(4)  # of a cell; VISITED: a robot's body has been there
-VALUES = 4
+UNKNOWN, FREE, OBSTACLE = range(3)  # of a cell
 LEVELS = 16  # of confidence: level k is (k + 1) / 16
 TIME_MAX = (
     1 << 13
@@ -28,6 +27,7 @@ TIME_MAX = (
 OBSERVER_MAX = (1 << 5) - 1  # slots 0 to 31
 RECORD_BITS = 24
 RECORD_MASK = (1 << RECORD_BITS) - 1
+VALUE = 3  # the bits of a key that are the value
 SECOND_HAND = (
     0.8  # of the confidence, when read by somebody else; never stored, so never compounded
 )
@@ -72,14 +72,14 @@ def base(order: Order, level: int, time: int, observer: int) -> int:
 
 
 def pack(order: Order, sighting: Sighting) -> int:
-    assert UNKNOWN < sighting.value < VALUES
+    assert sighting.value in (FREE, OBSTACLE)
     return base(order, sighting.level, sighting.time, sighting.observer) | sighting.value
 
 
 def unpack(key: int) -> Sighting:
     """Of a key or of its record alone."""
     assert key > 0
-    return Sighting(key & 3, key >> 7 & 15, key >> 11 & TIME_MAX, key >> 2 & OBSERVER_MAX)
+    return Sighting(key & VALUE, key >> 7 & 15, key >> 11 & TIME_MAX, key >> 2 & OBSERVER_MAX)
 
 
 def level_of(confidence: float) -> int:

@@ -17,6 +17,7 @@ from protocol.fleet_frames import (
     Pose,
     VectorSlice,
 )
+from protocol.map_frames import MapDigests, MapPatch
 from protocol.messages import GROUP_OF, Message
 from protocol.network_frames import (
     Acknowledgment,
@@ -124,6 +125,14 @@ SIGNALS: dict[type[Message], tuple[Signal, ...]] = {
         Signal("base", 0, 8), *(Signal(f"counts_{k}", 8 + 8 * k, 8) for k in range(7)),
     ),
     WorkProgress: (Signal("section", 0, 16), Signal("block", 16, 8), Signal("bits", 24, 40)),
+    MapPatch: (
+        Signal("patch", 0, 16), Signal("time", 16, 13, unit="s"), Signal("level", 29, 4),
+        Signal("observer", 33, 5), Signal("cells", 38, 26),
+    ),
+    MapDigests: (
+        Signal("node", 0, 13), Signal("salt", 13, 3),
+        *(Signal(f"digests_{k}", 16 + 3 * k, 3) for k in range(16)),
+    ),
     AddressClaimed: (Signal("name", 0, 64),),
     Request: (Signal("pgn", 0, 24),),
     Acknowledgment: (
