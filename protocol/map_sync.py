@@ -226,17 +226,18 @@ class MapSync:
                 tile = next(iter(self._recent))
                 del self._recent[tile]
                 self._queue(tile, (salt + SALTS // 2) % SALTS, now_us)
-            return self._say(self._digest(self.root, salt), "digests", now_us)
+            return self._say(self._digest(self.root, salt), now_us)
         if self._news and now_us >= self._news_us:
-            return self._say(self._next_news(now_us), "news", now_us)
+            self.counts["news"] += 1
+            return self._say(self._next_news(now_us), now_us)
         if (self._digests or self._repairs) and now_us >= self._may_us(REPAIR_GAP_US):
-            return self._say(self._next_repair(now_us), "repairs", now_us)
+            return self._say(self._next_repair(now_us), now_us)
         return []
 
-    def _say(self, message: Said | None, kind: str, now_us: int) -> list[Said]:
+    def _say(self, message: Said | None, now_us: int) -> list[Said]:
         if message is None:
             return []
-        self.counts[kind] += 1
+        self.counts["digests" if isinstance(message, MapDigests) else "patches"] += 1
         if isinstance(message, MapPatch):
             self._air(message, decode_cells(message.cells), now_us)
         else:
