@@ -19,12 +19,14 @@ from agent.membership import Neighbour
 from agent.mission import Wish
 from agent.orca import Avoidance
 from agent.ports import Observation
+from agent.sensed_fences import fences_of
 
 MARGIN_M = 0.15  # POSE rounds to 0.05 m, a drive takes a period to act, wheels slip
 HORIZON_S = 4.0  # how far ahead two moving robots agree to be clear of each other
 STANDING_M_S = 0.05  # slower than this a neighbour cannot be relied on to give way
 AGE_MAX_US = 1 * S  # an older pose is not moved on: the robot may have stopped
 FENCE_M = 0.2  # kept from fences and holes
+FIELD_RADIUS_M = 0.8  # of the bodies that the distances of giving way are meant for
 
 
 class Limits(NamedTuple):
@@ -36,21 +38,35 @@ class Limits(NamedTuple):
 
 
 class Motion:
-    def __init__(self, slot: int, limits: Limits, fences: NDArray[np.float64]) -> None:
-        """`fences`: segments nobody passes, (n, 4): ax, ay, bx, by in metres."""
+    def __init__(
+        self,
+        slot: int,
+        limits: Limits,
+        fences: NDArray[np.float64] | None,
+        fence_m: float = FENCE_M,
+    ) -> None:
+        """`fences`: segments nobody passes, (n, 4): ax, ay, bx, by in metres; None: those that the
+        range sensors see, kept by a robot among walls that it does not know."""
         self.slot, self.limits = slot, limits
+        self.sensing = fences is None
+        fences = np.empty((0, 4)) if fences is None else fences
         self.avoidance = Avoidance(
-            limits.radius_m + FENCE_M, limits.speed_m_s, 0.5 * limits.acceleration_m_s2,
+            limits.radius_m + fence_m, limits.speed_m_s, 0.5 * limits.acceleration_m_s2,
             HORIZON_S, CONTROL_PERIOD_US / S, fences,
         )  # fmt: skip
         # Nobody further away can be met within the horizon, both at full speed.
         self.reach_m = 2 * limits.speed_m_s * HORIZON_S + 2 * limits.radius_m
-        self.giving_way = GivingWay(slot, limits.radius_m, limits.speed_m_s, fences)
+        scale = limits.radius_m / FIELD_RADIUS_M if self.sensing else 1.0
+        self.giving_way = GivingWay(slot, limits.radius_m, limits.speed_m_s, fences, scale)
 
     def drive(
         self, here: Observation, wish: Wish, neighbours: Mapping[int, Neighbour], now_us: int
     ) -> Drive:
         rows, others = self._rows(here, neighbours, now_us)
+        if self.sensing:
+            bodies = [(here.x_m + o.dx_m, here.y_m + o.dy_m, self.limits.radius_m) for o in others]
+            self.giving_way.fences = fences_of(here, bodies)
+            self.avoidance.fence(self.giving_way.fences)
         wanted, tool_on = self._limited(wish), wish.tool_on
         other = self.giving_way.wish((here.x_m, here.y_m), wanted, others, now_us)
         if other is not None:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from crdt.hybrid_clock import HybridClock
 from crdt.occupancy import CELLS, FANOUT, MergeResult, OccupancyMap, mix
-from crdt.sighting import RECORD_MASK, UNKNOWN, VALUE
+from crdt.sighting import RECORD_MASK, TIME_MAX, UNKNOWN, VALUE
 from protocol.map_frames import DIGEST_BITS, FIRST_NODES, SALTS, MapDigests, MapPatch
 
 MS = 1_000
@@ -73,6 +73,11 @@ class MapSync:
         self.root = FIRST_NODES[int(np.log2(chart.patches)) // 4 - 1]
 
     # ---------------------------------------------------------------- here
+
+    def recalled(self, now_us: int) -> None:
+        """The map was read from a disk: our clock is not behind it."""
+        times = self.chart.keys() >> 11 & TIME_MAX
+        self.clock.witness(int(times.max(initial=0)), now_us)
 
     def live(self, slots: frozenset[int]) -> None:
         self._order = sorted(slots | {self.slot})

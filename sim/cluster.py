@@ -111,7 +111,7 @@ class Cluster:
         journal = self.journals.setdefault(slot, MemoryJournal())
         boots = self.boots[slot]
         lot = f"/{boots}" if boots else ""
-        peer = make_peer(self.setting, slot, Shell.now_us(), journal.load(), not boots, lot)
+        peer = self.make(slot, Shell.now_us(), journal.load(), not boots, lot)
         self.boots[slot] += 1
         bus = can.Bus(interface="fieldbus", channel=self.channel)
         assert isinstance(bus, FieldBus)
@@ -126,6 +126,12 @@ class Cluster:
         robot.task = asyncio.create_task(shell.run(), name=f"robot {slot}")
         self.robots[slot] = robot
         return robot
+
+    def make(
+        self, slot: int, now_us: int, recalled: Mapping[str, bytes], first_boot: bool, lot: str
+    ) -> Peer:
+        """The mission's peer; another mission has another."""
+        return make_peer(self.setting, slot, now_us, recalled, first_boot, lot)
 
     def kill(self, slot: int) -> None:
         """Power off, without a word. The body stays where it is and its commands expire."""

@@ -3,7 +3,7 @@
 import tomllib
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -167,7 +167,7 @@ class Scenario(_Table):
 
     def changed(
         self, robots: int | None = None, seed: int | None = None, keys: Path | None = None
-    ) -> "Scenario":
+    ) -> Self:
         """The same with another number of robots, seed or key file. ScenarioError where out of range."""
         document = self.model_dump(exclude_unset=True)
         if robots is not None:
@@ -176,22 +176,30 @@ class Scenario(_Table):
             document.setdefault("fleet", {})["keys"] = str(keys.absolute())
         if seed is not None:
             document.setdefault("run", {})["seed"] = seed
-        return _validate(document, self.name, self.folder)
+        return _validate(document, self.name, self.folder, type(self))
 
 
-def shipped() -> list[str]:
-    return sorted(path.stem for path in SHIPPED.glob("*.toml"))
+Kind = TypeVar("Kind", bound=Scenario)
+
+
+def shipped(folder: Path = SHIPPED) -> list[str]:
+    return sorted(path.stem for path in folder.glob("*.toml"))
 
 
 def load(name: str) -> Scenario:
     """A scenario by file, or by the name of one that ships."""
+    return load_kind(name, Scenario, SHIPPED)
+
+
+def load_kind(name: str, kind: type[Kind], folder: Path) -> Kind:
+    """The same for another kind of scenario, that ships in another folder."""
     path = Path(name)
-    if not path.suffix and not path.exists() and (SHIPPED / f"{name}.toml").exists():
-        path = SHIPPED / f"{name}.toml"
+    if not path.suffix and not path.exists() and (folder / f"{name}.toml").exists():
+        path = folder / f"{name}.toml"
     try:
         document = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        known = ", ".join(shipped())
+        known = ", ".join(shipped(folder))
         raise ScenarioError(
             f"{name}: no such file, and no scenario of that name ships ({known})"
         ) from None
@@ -201,12 +209,12 @@ def load(name: str) -> Scenario:
         raise ScenarioError(f"{name}: not a text file") from None
     except tomllib.TOMLDecodeError as problem:
         raise ScenarioError(f"{name}: not TOML: {problem}") from None
-    return _validate(document, name, path.parent)
+    return _validate(document, name, path.parent, kind)
 
 
-def _validate(document: dict[str, Any], name: str, folder: Path) -> Scenario:
+def _validate(document: dict[str, Any], name: str, folder: Path, kind: type[Kind]) -> Kind:
     try:
-        scenario = Scenario(**{**document, "folder": folder})
+        scenario = kind(**{**document, "folder": folder})
     except ValidationError as problem:
         raise ScenarioError(f"{name}: {_one_line(problem)}") from None
     except TypeError as problem:
