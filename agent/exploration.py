@@ -189,10 +189,8 @@ class Exploration:
             passable[at] = was
         return rivals
 
-    @staticmethod
-    def _middle(patch: int) -> Cell:
-        row, column = corner_of(patch)
-        return row + SIDE // 2, column + SIDE // 2
+    def _middle(self, patch: int) -> Cell:
+        return self._cell(self.place_of(patch))
 
     def place_of(self, section: int) -> XY:
         """Where a section is, for whoever asks; the same for all peers."""

@@ -89,6 +89,8 @@ def _spread(passable, wave, r0, c0, reach):  # type: ignore[no-untyped-def]
 
 def wave_from(passable: Grid, at: Cell, reach_cells: float = 1e8) -> Steps:
     """(rows, columns): way from a cell in fifths of a cell, `NEVER` where there is none."""
+    rows, columns = passable.shape
+    assert 0 <= at[0] < rows and 0 <= at[1] < columns
     wave = np.full(passable.shape, NEVER, dtype=np.int32)
     _spread(passable, wave, at[0], at[1], min(int(STRAIGHT * reach_cells), int(NEVER)))
     return wave

@@ -186,6 +186,7 @@ class Seen:
         self.first: NDArray[np.int64] = np.full(shape, -1, dtype=np.int64)
         self.by: dict[int, NDArray[np.bool_]] = {}
         self.again = 0
+        self.cells = int(np.count_nonzero(self.truth))  # that can be seen
 
     def look(self, missions: Mapping[int, Exploration]) -> None:
         for slot, mission in sorted(missions.items()):
@@ -204,7 +205,7 @@ class Seen:
 
     @property
     def overlap(self) -> float:
-        return self.again / int(np.count_nonzero(self.truth))
+        return self.again / self.cells
 
 
 class Survey:
@@ -302,7 +303,7 @@ class Survey:
         values, truth = first.chart.values(), setting.reachable
         known = values != 0
         right = np.where(setting.solid, values == 2, values == 1)
-        area_m2 = np.count_nonzero(truth) * setting.geometry.cell_m**2
+        seen_cells, area_m2 = self.seen.cells, self.seen.cells * setting.geometry.cell_m**2
         tasks = Counter(
             task.status.value for mission in cluster.missions.values() for task in mission.history
         )
@@ -312,8 +313,8 @@ class Survey:
             robots=setting.scenario.fleet.robots,
             seed=setting.scenario.run.seed,
             finished=cluster.finished,
-            explored=float(np.count_nonzero(known & truth) / np.count_nonzero(truth)),
-            right=float(np.count_nonzero(right & known) / max(np.count_nonzero(known), 1)),
+            explored=int(np.count_nonzero(known & truth)) / seen_cells,
+            right=int(np.count_nonzero(right & known)) / max(int(np.count_nonzero(known)), 1),
             time_95_s=most_s,
             time_s=end_s,
             overlap=overlap,
