@@ -1,5 +1,6 @@
 """What a robot of an exploring fleet is to do, as the mission words it."""
 
+from decimal import ROUND_HALF_UP, Decimal
 from enum import Enum
 from typing import NamedTuple
 
@@ -51,9 +52,18 @@ class FleetTask(NamedTuple):
         return describe(self.kind, self.target)
 
 
+def fixed(value: float) -> str:
+    """One decimal, ties away from zero, as the mission's `toFixed(1)`.
+
+    >>> fixed(0.25), fixed(-0.04)
+    ('0.3', '-0.0')
+    """
+    return str(Decimal(value).quantize(Decimal("0.1"), ROUND_HALF_UP))
+
+
 def describe(kind: Kind, target: XY) -> str:
     """What is passed to a language model."""
-    place = f"({target[0]:.1f}, {target[1]:.1f})"
+    place = f"({fixed(target[0])}, {fixed(target[1])})"
     match kind:
         case Kind.EXPLORE_FRONTIER:
             return f"Explore frontier at {place}"

@@ -146,7 +146,8 @@ def _distances(
     """Distance of each point to each segment, (points, segments)."""
     ax, ay, bx, by = fences.T
     ex, ey = bx - ax, by - ay
-    t = ((x[:, None] - ax) * ex + (y[:, None] - ay) * ey) / (ex * ex + ey * ey)
+    square = np.maximum(ex * ex + ey * ey, 1e-18)  # a lone echo has no length
+    t = ((x[:, None] - ax) * ex + (y[:, None] - ay) * ey) / square
     t = np.clip(t, 0.0, 1.0)
     gap: NDArray[np.float64] = np.hypot(ax + t * ex - x[:, None], ay + t * ey - y[:, None])
     return gap

@@ -19,7 +19,6 @@ from crdt.sighting import FREE, OBSTACLE, UNKNOWN, base, level_of
 from protocol.map_sync import MapSync, Values
 
 LOOK_US = 200 * MS  # how often news are looked for
-HOLD_US = 400 * MS  # a patch waits so long for the rest of its cells
 SEEN, SURE = (
     level_of(0.6),
     level_of(0.9),
@@ -64,7 +63,7 @@ class SurveyMap:
 
     def tell(self, here: Observation, now_us: int) -> None:
         """Look for news near by, and give what is ripe to the sync."""
-        if self.sync is None or now_us < self._looked_us + LOOK_US:
+        if self.sync is None or now_us < self._looked_us + min(LOOK_US, self.sync.hold_us):
             return
         if not isfinite(here.x_m + here.y_m):
             return
@@ -99,12 +98,12 @@ class SurveyMap:
         values = np.zeros((SIDE, SIDE), dtype=np.int64)
         values[: new.shape[0], : new.shape[1]] = new
         known = self.fleet.patch(patch).reshape(SIDE, SIDE) > 0
+        assert self.sync is not None
         complete = int(np.count_nonzero(known | (values != UNKNOWN))) == CELLS
         since_us = self._since_us.setdefault(patch, now_us)
-        if not complete and now_us < since_us + HOLD_US:
+        if not complete and now_us < since_us + self.sync.hold_us:
             return
         del self._since_us[patch]
-        assert self.sync is not None
         area = (slice(row, row + SIDE), slice(column, column + SIDE))
         evidence = self.grid.evidence[area]
         told = values[: evidence.shape[0], : evidence.shape[1]] != UNKNOWN

@@ -51,6 +51,8 @@ def decode_cells(cells: int) -> Values:
 
 
 class MapSync:
+    hold_us = 400 * MS  # a patch waits so long for the rest of its cells before it is told
+
     def __init__(self, slot: int, chart: OccupancyMap, clock: HybridClock, now_us: int) -> None:
         self.slot, self.chart, self.clock = slot, chart, clock
         self.counts: Counter[str] = Counter()

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from agent.core import Identity, Peer
 from agent.exploration import Exploration
+from agent.fleet_report import fleet_status, serialize_for_llm
 from agent.fleet_task import Order
 from agent.lifecycle import State
 from agent.motion import Limits, Motion
@@ -41,6 +42,7 @@ QUIET_S = 2.0  # after the last news of the map all replicas must be equal
 BRAKING_SHARE = 0.7  # of the acceleration is planned with
 FENCE_M = 0.04  # kept from walls by the last resort; planned ways keep 0.1 m
 MOST = 0.95
+REPORT_S = 2.0
 TICK_US = 1_000_000  # of the fleet's clock
 
 _numbers = itertools.count()
@@ -56,6 +58,8 @@ class Omniscient(MapSync):
     """News reach all maps in no time and without a frame."""
 
     fleet: "list[Omniscient]"
+    hold_us = 0
+    now_us = 0
 
     def see(self, patch: int, values: Values, level: int) -> None:
         time_s = self.clock.read(self.now_us)
@@ -65,8 +69,6 @@ class Omniscient(MapSync):
     @property
     def deadline_us(self) -> int:
         return 1 << 62
-
-    now_us = 0
 
 
 class SurveyOutcome(NamedTuple):
@@ -224,8 +226,9 @@ class Survey:
         self.news_us = 0  # when the map last had news on the bus
         self.charts: dict[int, Values] = {}
         self.joined: OccupancyMap | None = None
+        self.films: list[tuple[float, Values, dict[int, tuple[float, float]]]] = []
         self.tracks: dict[int, list[TrackPoint]] = {}
-        self.report = ""
+        self.reports: list[tuple[float, str]] = []  # seconds, what the first robot would tell
 
     def run(self) -> SurveyOutcome:
         return run_virtual(self.go())
@@ -276,6 +279,7 @@ class Survey:
             for sync in cluster.at_once:
                 sync.now_us = round(loop.time() * 1e6)
             self.seen.look(cluster.missions)
+            self._note(cluster, loop.time())
             if self.seen.share >= MOST and most_s == np.inf:
                 most_s, overlap = loop.time(), self.seen.overlap
             done_s = done_s if cluster.finished and done_s else loop.time()
@@ -287,6 +291,20 @@ class Survey:
         while not cluster.maps_equal and loop.time() < last_s + 2 * QUIET_S:
             await asyncio.sleep(0.05)
         return most_s, overlap, end_s, loop.time() - last_s
+
+    def _note(self, cluster: SurveyCluster, now_s: float) -> None:
+        """Each five seconds: the report of a robot, another one each time, and the maps."""
+        if not cluster.running or (self.reports and now_s < self.reports[-1][0] + REPORT_S):
+            return
+        robot = cluster.running[len(self.reports) % len(cluster.running)]
+        mission = cluster.missions[robot.slot]
+        status = fleet_status(robot.peer, mission, round(now_s * 1e6))
+        self.reports.append((now_s, serialize_for_llm(status, ages=True)))
+        self.films.append((now_s, mission.chart.values(), dict(self._places(cluster))))
+
+    @staticmethod
+    def _places(cluster: SurveyCluster) -> list[tuple[int, tuple[float, float]]]:
+        return [(slot, body.position) for slot, body in cluster.world.robots.items()]
 
     def _measure(
         self, cluster: SurveyCluster, recorder: Recorder,
