@@ -34,6 +34,7 @@ from protocol.codec import Malformed, decode_once
 from protocol.fleet_frames import Pose
 from protocol.frame import Frame
 from protocol.identifier import GLOBAL_ADDRESS
+from protocol.map_sync import MapSync
 from protocol.messages import Message
 from protocol.name import Name
 from protocol.network_frames import Request
@@ -72,7 +73,9 @@ class Peer:
         mission: Mission | None = None,
         motion: Motion | None = None,
         keyring: Keyring | None = None,
+        chart: MapSync | None = None,
     ) -> None:
+        """`chart`: the fleet's map, where the mission makes one."""
         self.identity, self.slot = identity, identity.slot
         self.beat = config.beat_of(len(identity.members))
         self.mission, self.motion = mission, motion
@@ -81,6 +84,10 @@ class Peer:
         self.allocation = FieldAllocationCRDT(identity.field_hash)
         self.progress = Progress(mission.section_units if mission else {})
         self.records.restore(self.allocation, self.progress)
+        self.chart = chart
+        if chart is not None:
+            self.records.restore_map(chart.chart)
+            chart.recalled(now_us)
         self.clock = VectorClock({self.slot: self.records.operations})
         self.lifecycle = Machine("lifecycle", TABLE, State.DISCONNECTED)
         self.membership = Membership(self.slot, identity.members, self.beat.silence_us, now_us)
@@ -184,6 +191,8 @@ class Peer:
         others = [self.membership.deadline_us, self.joining.deadline_us]
         if self.joining.joined:  # what has no address to speak from does not wait for its turn
             others += [self.sync.deadline_us, self.letters.deadline_us, self.roll_call.deadline_us]
+            if self.chart is not None:
+                others.append(self.chart.deadline_us)
         if self.lifecycle.state is State.IDLE and self.safety.may_move:
             others.append(self.claims.deadline_us)  # otherwise a due claim waits for these
         for other in others:
@@ -199,6 +208,7 @@ class Peer:
         if self.joining.joined:
             effects += [Send(message) for message in self.sync.tick(now_us)]
             effects += self._synchronize(now_us)
+            effects += self.voice.tell_map(self, now_us)
             effects += self.letters.tick(now_us)
             effects += self.roll_call.tick(now_us)
             effects += self._working.start_due(now_us)
@@ -328,6 +338,8 @@ class Peer:
         """The live view changed: tell the parts that depend on it."""
         live, silent = self.membership.live, self.membership.silent
         self.sync.live(live, now_us)
+        if self.chart is not None:
+            self.chart.live(live)
         effects = [*self.safety.members(live, silent, now_us)]
         effects.append(
             Trace("membership", "", "VIEW", "", f"live {sorted(live)} silent {sorted(silent)}")

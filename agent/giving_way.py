@@ -47,8 +47,15 @@ class Other(NamedTuple):
 
 class GivingWay:
     def __init__(
-        self, slot: int, radius_m: float, speed_m_s: float, fences: NDArray[np.float64]
+        self,
+        slot: int,
+        radius_m: float,
+        speed_m_s: float,
+        fences: NDArray[np.float64],
+        scale: float = 1.0,
     ) -> None:
+        """`scale`: of all distances; 1 for bodies of a field, less for small ones between walls."""
+        self.scale = scale
         self.slot, self.radius_m, self.speed_m_s, self.fences = slot, radius_m, speed_m_s, fences
         self.given = 0  # how often we gave way
         self._anchor: Point = (0.0, 0.0)
@@ -62,12 +69,12 @@ class GivingWay:
         if now_us < self._until_us:
             return self._go(at, others)
         moved_m = hypot(at[0] - self._anchor[0], at[1] - self._anchor[1])
-        if moved_m > GOT_ON_M or hypot(*wanted) < WANTS_M_S:
+        if moved_m > GOT_ON_M * self.scale or hypot(*wanted) < WANTS_M_S:
             self._anchor, self._anchor_us = at, now_us
             return None
         if now_us - self._anchor_us < PATIENCE_US:
             return None
-        close = [o for o in others if o.distance_m < 2 * self.radius_m + NEAR_M]
+        close = [o for o in others if o.distance_m < 2 * self.radius_m + NEAR_M * self.scale]
         if not close:
             return None
         return self._decide(at, wanted, close, others, now_us)
@@ -92,11 +99,11 @@ class GivingWay:
 
     def _go(self, at: Point, others: list[Other]) -> Point:
         other = next((o for o in others if o.slot == self._for), None)
-        if other is None or other.distance_m > 2 * self.radius_m + APART_M:
+        if other is None or other.distance_m > 2 * self.radius_m + APART_M * self.scale:
             self._until_us = 0  # the way is free
         dx_m, dy_m = self._refuge[0] - at[0], self._refuge[1] - at[1]
         distance_m = hypot(dx_m, dy_m)
-        if distance_m < 0.3:
+        if distance_m < 0.3 * self.scale:
             return 0.0, 0.0
         speed_m_s = min(0.6 * self.speed_m_s, distance_m)
         return dx_m / distance_m * speed_m_s, dy_m / distance_m * speed_m_s
@@ -106,7 +113,7 @@ class GivingWay:
         the one we give way to; round somebody that stands, one that lies towards where we want."""
         best: tuple[float, Point] | None = None
         norm = max(hypot(*wanted), 1e-9)
-        for radius_m in RADII_M:
+        for radius_m in (self.scale * radius_m for radius_m in RADII_M):
             for k in range(DIRECTIONS):
                 ux, uy = cos(2 * pi * k / DIRECTIONS), sin(2 * pi * k / DIRECTIONS)
                 if not self._clear(at, (ux, uy), radius_m, others):
@@ -114,7 +121,7 @@ class GivingWay:
                 spot = (at[0] + ux * radius_m, at[1] + uy * radius_m)
                 away_m = hypot(ux * radius_m - blocker.dx_m, uy * radius_m - blocker.dy_m)
                 onward_m = (ux * wanted[0] + uy * wanted[1]) / norm * radius_m
-                score = min(away_m, APART_M) + 0.5 * onward_m - 0.2 * radius_m
+                score = min(away_m, APART_M * self.scale) + 0.5 * onward_m - 0.2 * radius_m
                 if best is None or score > best[0] + 1e-9:
                     best = (score, spot)
         return None if best is None else best[1]
@@ -124,13 +131,13 @@ class GivingWay:
         for other in others:
             along_m = min(max(other.dx_m * ux + other.dy_m * uy, 0.0), length_m)
             gap_m = hypot(other.dx_m - ux * along_m, other.dy_m - uy * along_m)
-            if gap_m < min(2 * self.radius_m + 0.2, other.distance_m - 0.02):
+            if gap_m < min(2 * self.radius_m + 0.2 * self.scale, other.distance_m - 0.02):
                 return False
         if self.fences.size == 0:
             return True
-        steps = np.arange(0.5, length_m + 0.25, 0.5)
+        steps = np.arange(0.5, length_m / self.scale + 0.25, 0.5) * self.scale
         x, y = at[0] + ux * steps, at[1] + uy * steps
-        return bool(_distances(x, y, self.fences).min() > self.radius_m + 0.15)
+        return bool(_distances(x, y, self.fences).min() > self.radius_m + 0.15 * self.scale)
 
 
 def _distances(
@@ -139,7 +146,8 @@ def _distances(
     """Distance of each point to each segment, (points, segments)."""
     ax, ay, bx, by = fences.T
     ex, ey = bx - ax, by - ay
-    t = ((x[:, None] - ax) * ex + (y[:, None] - ay) * ey) / (ex * ex + ey * ey)
+    square = np.maximum(ex * ex + ey * ey, 1e-18)  # a lone echo has no length
+    t = ((x[:, None] - ax) * ex + (y[:, None] - ay) * ey) / square
     t = np.clip(t, 0.0, 1.0)
     gap: NDArray[np.float64] = np.hypot(ax + t * ex - x[:, None], ay + t * ey - y[:, None])
     return gap

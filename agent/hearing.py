@@ -14,6 +14,7 @@ from agent.membership import Neighbour
 from protocol.accord_frames import Accord
 from protocol.codec import Malformed
 from protocol.fleet_frames import Heartbeat, LeaderElectionVote, Member, Pose, VectorSlice
+from protocol.map_frames import MapDigests, MapPatch
 from protocol.messages import Message
 from protocol.network_frames import AddressClaimed
 from protocol.safety_frames import (
@@ -61,6 +62,8 @@ class Hearing:
             WorkProgress: self._work,
             StateSyncRequest: self._work,
             Digests: self._work,
+            MapPatch: self._map,
+            MapDigests: self._map,
             LeaderElectionVote: self._vote,
             VectorSlice: self._slice,
             Accord: self._accord,
@@ -224,6 +227,13 @@ class Hearing:
         if isinstance(m, StateSyncRequest | Digests | StateSyncResponse):
             effects.append(Trace("sync", "", type(m).__name__, "", f"from {slot}"))
         return effects
+
+    def _map(self, source: int, slot: int | None, m: Any, now_us: int) -> Sequence[Effect]:
+        if slot is None:
+            return self._stranger(source, now_us)
+        if self.peer.chart is not None:
+            self.peer.chart.receive(slot, m, now_us)
+        return ()
 
     def _malformed(
         self, source: int, slot: int | None, m: Malformed, now_us: int

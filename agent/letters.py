@@ -19,7 +19,7 @@ from protocol.network_frames import (
 from protocol.transport import SIZE_MAX, SIZE_MIN, Arrived, Out, Transport
 
 COMPONENT_PGN = 65259  # component identification (SAE J1939-71): make*model*serial number*unit*
-LOG_PGN = 0xFF15  # our own: the newest traces as lines
+LOG_PGN = 0xFF1F  # our own: the newest traces as lines
 LINES_MAX = 64  # traces kept; what is told of them is cut at 1,785 bytes
 NAMES_MAX = 256  # addresses there are
 INBOX_MAX = 16  # newest letters kept for whoever asks; nothing is decided by them

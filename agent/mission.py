@@ -42,6 +42,7 @@ class Wish(NamedTuple):
     tool_on: bool = False
     covered: tuple[int, ...] = ()  # units of the current section completed since the last call
     finished: bool = False  # every unit of the section is covered
+    given_up: bool = False  # the section goes back unfinished, for whoever wants it
     near_end: bool = False  # claim the next section now, so that no time is lost
     hold: bool = False  # stand, and let the others go round
 

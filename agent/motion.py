@@ -20,12 +20,14 @@ from agent.mission import Wish
 from agent.orca import Avoidance
 from agent.ports import Observation
 from agent.sensed import Sensed
+from agent.sensed_fences import fences_of
 
 MARGIN_M = 0.15  # POSE rounds to 0.05 m, a drive takes a period to act, wheels slip
 HORIZON_S = 4.0  # how far ahead two moving robots agree to be clear of each other
 STANDING_M_S = 0.05  # slower than this a neighbour cannot be relied on to give way
 AGE_MAX_US = 1 * S  # an older pose is not moved on: the robot may have stopped
 FENCE_M = 0.2  # kept from fences and holes
+FIELD_RADIUS_M = 0.8  # of the bodies that the distances of giving way are meant for
 
 
 class Limits(NamedTuple):
@@ -41,7 +43,7 @@ class Motion:
         self,
         slot: int,
         limits: Limits,
-        fences: NDArray[np.float64],
+        fences: NDArray[np.float64] | None,
         *,
         fence_m: float = FENCE_M,
         horizon_s: float = HORIZON_S,
@@ -49,10 +51,13 @@ class Motion:
         keep_right_rad: float = 0.0,
         looks: bool = False,
     ) -> None:
-        """`fences`: segments nobody passes, (n, 4): ax, ay, bx, by in metres. `gives_way`: False
+        """`fences`: segments nobody passes, (n, 4): ax, ay, bx, by in metres; None: those that the
+        range sensors see, kept by a robot among walls that it does not know. `gives_way`: False
         where the mission itself settles who goes first. `looks`: what the range sensors see and
         nobody has announced is an obstacle; the fences must be all there is."""
         self.slot, self.limits = slot, limits
+        self.sensing = fences is None
+        fences = np.empty((0, 4)) if fences is None else fences
         self.avoidance = Avoidance(
             limits.radius_m + fence_m, limits.speed_m_s, 0.5 * limits.acceleration_m_s2,
             horizon_s, CONTROL_PERIOD_US / S, fences, keep_right_rad=keep_right_rad,
@@ -63,7 +68,8 @@ class Motion:
         self.strange: list[tuple[float, float]] = []  # seen at the last control period
         self.giving_way: GivingWay | None = None
         if gives_way:
-            self.giving_way = GivingWay(slot, limits.radius_m, limits.speed_m_s, fences)
+            scale = limits.radius_m / FIELD_RADIUS_M if self.sensing else 1.0
+            self.giving_way = GivingWay(slot, limits.radius_m, limits.speed_m_s, fences, scale)
 
     def drive(
         self, here: Observation, wish: Wish, neighbours: Mapping[int, Neighbour], now_us: int
@@ -73,6 +79,12 @@ class Motion:
         rows, others = self._rows(here, neighbours, now_us)
         if self.sensed is not None:
             rows = self._look(here, rows)
+        if self.sensing:
+            bodies = [(here.x_m + o.dx_m, here.y_m + o.dy_m, self.limits.radius_m) for o in others]
+            seen = fences_of(here, bodies)
+            self.avoidance.fence(seen)
+            if self.giving_way is not None:
+                self.giving_way.fences = seen
         wanted, tool_on = self._limited(wish), wish.tool_on
         other = None
         if self.giving_way is not None:

@@ -113,6 +113,17 @@ class OccupancyGrid:
                              ranges, far, discs, toggled)  # fmt: skip
         return self._settle(toggled[:changed, :2])
 
+    @property
+    def seen(self) -> Grid:
+        """Solid by our own sensors; read only."""
+        return self._seen
+
+    def wall(self, cells: Grid) -> int:
+        """Walls that are known from others, instead of those told before; how many cells changed."""
+        other = np.argwhere(cells != self.fixed)
+        self.fixed[:] = cells
+        return self._settle(other)
+
     def place(self, obstacle: Obstacle, now_us: int) -> int:
         """Take an obstacle in, or another state of one that is known; how many cells changed."""
         changed = self._lift(obstacle.owner, obstacle.number)

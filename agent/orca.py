@@ -228,6 +228,11 @@ class Avoidance:
         work[GATHERED_X] = work[GATHERED_Y] = inf
         self._last = 0
 
+    def fence(self, fences: NDArray[np.float64]) -> None:
+        """Other fences from now on: what is sensed, where nothing is known beforehand."""
+        self._fences = fences
+        self._work[GATHERED_X] = self._work[GATHERED_Y] = inf
+
     def know(self, slot: int, x_m: float, y_m: float, vx_m_s: float, vy_m_s: float,
              radius_m: float, share: float, heard_s: float) -> None:  # fmt: skip
         """The newest pose of a peer; `share` of the avoidance is ours (1: it will not give way)."""

@@ -12,6 +12,7 @@ from random import Random
 from struct import Struct
 
 from crdt import FieldAllocationCRDT, Progress
+from crdt.occupancy import PATCH_BYTES, OccupancyMap
 
 U16, U32, U64 = Struct("<H"), Struct("<I"), Struct("<Q")
 VOTE = Struct("<HB")
@@ -21,6 +22,7 @@ OPERATIONS = "operations"
 ELECTION = "election"
 REGISTER = "register/"
 PROGRESS = "progress/"
+MAP = "map/"
 
 
 FIRST_INCARNATION = 1
@@ -51,6 +53,15 @@ class Records:
             elif key.startswith(PROGRESS) and len(raw) == U64.size:
                 section, block = key.removeprefix(PROGRESS).split("/")
                 progress.apply(int(section), int(block), U64.unpack(raw)[0])
+
+    def restore_map(self, chart: OccupancyMap) -> None:
+        for key, raw in sorted(self.recalled.items()):
+            if key.startswith(MAP) and len(raw) == PATCH_BYTES:
+                chart.join_bytes(int(key.removeprefix(MAP)), raw)
+
+    @staticmethod
+    def patch(chart: OccupancyMap, patch: int) -> tuple[str, bytes]:
+        return f"{MAP}{patch}", chart.patch_bytes(patch)
 
     def identity(self) -> tuple[str, bytes]:
         return INCARNATION, U16.pack(self.incarnation)

@@ -13,6 +13,7 @@ from agent.effects import Effect, Persist, Send
 from agent.lifecycle import State
 from crdt.progress import BLOCK_UNITS
 from protocol.fleet_frames import Heartbeat, Member, Pose, VectorSlice
+from protocol.map_frames import MapPatch
 from protocol.work_frames import WorkProgress
 
 if TYPE_CHECKING:
@@ -95,6 +96,16 @@ class Voice:
             effects.append(Send(WorkProgress(section, block, bits)))
         self.pending.clear()
         self.next_progress_us = now_us + self.progress_us
+        return effects
+
+    def tell_map(self, peer: "Peer", now_us: int) -> list[Effect]:
+        """What we tell of the map is durable, so that what we saw outlives us."""
+        effects: list[Effect] = []
+        if peer.chart is not None:
+            for message in peer.chart.tick(now_us):
+                if isinstance(message, MapPatch):
+                    effects.append(Persist(*peer.records.patch(peer.chart.chart, message.patch)))
+                effects.append(Send(message))
         return effects
 
     def farewell(self, peer: "Peer") -> Heartbeat:

@@ -97,4 +97,6 @@ class Working:
         if wish.finished:
             effects += peer.voice.flush(peer, view.now_us)
             effects += peer.finish(section, view.now_us)
+        elif wish.given_up:
+            effects += peer.release(section, view.now_us)
         return wish

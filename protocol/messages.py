@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 from protocol.accord_frames import Accord
 from protocol.fleet_frames import Heartbeat, LeaderElectionVote, Member, Pose, VectorSlice
+from protocol.map_frames import MapDigests, MapPatch
 from protocol.network_frames import (
     Acknowledgment,
     AddressClaimed,
@@ -31,6 +32,7 @@ Message = (
     EmergencyStop | EmergencyReset | OperatorCommand | AllImplementsStop | Challenge | Freshness
     | LeaderElectionVote | TaskClaim | Pose | Heartbeat | Member
     | StateSyncRequest | StateSyncResponse | Digests | VectorSlice | WorkProgress | Accord
+    | MapPatch | MapDigests
     | AddressClaimed | Request | Acknowledgment | TransportManagement | TransportData
 )  # fmt: skip
 
@@ -61,6 +63,8 @@ GROUPS = (
     Group(StateSyncResponse, 0xFF0D, 7, 8, "STATE_SYNC_RESPONSE"),
     Group(Digests, 0xFF0E, 7, 8, "DIGESTS"),
     Group(VectorSlice, 0xFF12, 7, 8, "VECTOR_SLICE"),
+    Group(MapPatch, 0xFF16, 7, 8, "MAP_PATCH"),
+    Group(MapDigests, 0xFF17, 7, 8, "MAP_DIGESTS"),
     Group(AddressClaimed, 0xEE00, 6, 8, "ADDRESS_CLAIMED"),
     Group(Request, 0xEA00, 6, 3, "REQUEST"),
     Group(Acknowledgment, 0xE800, 6, 8, "ACKNOWLEDGMENT"),

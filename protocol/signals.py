@@ -18,6 +18,7 @@ from protocol.fleet_frames import (
     Pose,
     VectorSlice,
 )
+from protocol.map_frames import MapDigests, MapPatch
 from protocol.messages import GROUP_OF, Message
 from protocol.network_frames import (
     Acknowledgment,
@@ -129,6 +130,14 @@ SIGNALS: dict[type[Message], tuple[Signal, ...]] = {
         Signal("round", 0, 16), Signal("say", 16, 4, choices=_members(Say)),
         Signal("answer", 20, 4, choices=_members(Answer)), Signal("first", 24, 16),
         Signal("second", 40, 16), Signal("detail", 56, 8),
+    ),
+    MapPatch: (
+        Signal("patch", 0, 16), Signal("time", 16, 13, unit="s"), Signal("level", 29, 4),
+        Signal("observer", 33, 5), Signal("cells", 38, 26),
+    ),
+    MapDigests: (
+        Signal("node", 0, 13), Signal("salt", 13, 3),
+        *(Signal(f"digests_{k}", 16 + 3 * k, 3) for k in range(16)),
     ),
     AddressClaimed: (Signal("name", 0, 64),),
     Request: (Signal("pgn", 0, 24),),

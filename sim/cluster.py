@@ -129,7 +129,7 @@ class Cluster:
         journal = self.journals.setdefault(slot, MemoryJournal())
         boots = self.boots[slot]
         lot = f"/{boots}" if boots else ""
-        peer = make_peer(self.setting, slot, self.host.now_us(), journal.load(), not boots, lot)
+        peer = self.make(slot, self.host.now_us(), journal.load(), not boots, lot)
         self.boots[slot] += 1
         bus = can.Bus(interface="fieldbus", channel=self.channel)
         assert isinstance(bus, FieldBus)
@@ -146,6 +146,12 @@ class Cluster:
         robot.task = self.host.start(shell)
         self.robots[slot] = robot
         return robot
+
+    def make(
+        self, slot: int, now_us: int, recalled: Mapping[str, bytes], first_boot: bool, lot: str
+    ) -> Peer:
+        """The mission's peer; another mission has another."""
+        return make_peer(self.setting, slot, now_us, recalled, first_boot, lot)
 
     def kill(self, slot: int) -> None:
         """Power off, without a word. The body stays where it is and its commands expire."""

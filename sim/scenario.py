@@ -3,7 +3,7 @@
 import tomllib
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -193,7 +193,7 @@ class Scenario(_Table):
     def changed(
         self, robots: int | None = None, seed: int | None = None, keys: Path | None = None,
         feature: str | None = None, drive: str | None = None,
-    ) -> "Scenario":  # fmt: skip
+    ) -> Self:  # fmt: skip
         """The same with some of it replaced. ScenarioError where out of range."""
         document = self.model_dump(exclude_unset=True)
         if robots is not None:
@@ -206,25 +206,35 @@ class Scenario(_Table):
             document.setdefault("run", {})["seed"] = seed
         if feature is not None:
             document["field"]["feature"] = feature
-        return _validate(document, self.name, self.folder)
+        return _validate(document, self.name, self.folder, type(self))
 
 
-def shipped() -> list[str]:
-    return sorted(path.stem for path in SHIPPED.glob("*.toml"))
+Kind = TypeVar("Kind", bound=Scenario)
+
+
+def shipped(folder: Path = SHIPPED) -> list[str]:
+    return sorted(path.stem for path in folder.glob("*.toml"))
 
 
 def load(name: str) -> Scenario:
     """A scenario by file, by the name of one that ships, or a field file with all else as usual."""
     path = Path(name)
-    if not path.suffix and not path.exists() and (SHIPPED / f"{name}.toml").exists():
-        path = SHIPPED / f"{name}.toml"
     if path.is_dir() or path.suffix.lower() in FIELD_FILES:
         title = path.resolve().stem[:64] or "field"
-        return _validate({"name": title, "field": {"file": path.name}}, name, path.parent)
+        document = {"name": title, "field": {"file": path.name}}
+        return _validate(document, name, path.parent, Scenario)
+    return load_kind(name, Scenario, SHIPPED)
+
+
+def load_kind(name: str, kind: type[Kind], folder: Path) -> Kind:
+    """The same for another kind of scenario, that ships in another folder."""
+    path = Path(name)
+    if not path.suffix and not path.exists() and (folder / f"{name}.toml").exists():
+        path = folder / f"{name}.toml"
     try:
         document = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        known = ", ".join(shipped())
+        known = ", ".join(shipped(folder))
         raise ScenarioError(
             f"{name}: no such file, and no scenario of that name ships ({known})"
         ) from None
@@ -234,12 +244,12 @@ def load(name: str) -> Scenario:
         raise ScenarioError(f"{name}: not a text file") from None
     except tomllib.TOMLDecodeError as problem:
         raise ScenarioError(f"{name}: not TOML: {problem}") from None
-    return _validate(document, name, path.parent)
+    return _validate(document, name, path.parent, kind)
 
 
-def _validate(document: dict[str, Any], name: str, folder: Path) -> Scenario:
+def _validate(document: dict[str, Any], name: str, folder: Path, kind: type[Kind]) -> Kind:
     try:
-        scenario = Scenario(**{**document, "folder": folder})
+        scenario = kind(**{**document, "folder": folder})
     except ValidationError as problem:
         raise ScenarioError(f"{name}: {_one_line(problem)}") from None
     except TypeError as problem:

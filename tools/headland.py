@@ -58,6 +58,30 @@ def run(
 
 
 @app.command()
+def explore(
+    scenario: Annotated[
+        str, typer.Argument(help="An arena file, or the name of one that ships.")
+    ] = "arena",
+    robots: Annotated[int | None, typer.Option(help="Instead of the scenario's number.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Instead of the scenario's seed.")] = None,
+    out: Annotated[Path, typer.Option(help="Folder for report, pictures and log.")] = Path(
+        "runs/explore"
+    ),
+    animate: Annotated[
+        bool, typer.Option("--film", help="Also maps.gif: the map, growing.")
+    ] = False,
+    json: Json = False,
+) -> None:
+    """Explore an arena to its end in virtual time. Exit 0 only for a run without a flaw.
+
+    Example: headland explore offices --robots 6 --out runs/offices
+    """
+    from tools.explore import explore as command
+
+    raise SystemExit(command(scenario, robots, seed, out, json, animate))
+
+
+@app.command()
 def launch(
     scenario: Annotated[
         str, typer.Argument(help="A scenario file, or the name of one that ships.")

@@ -18,8 +18,11 @@ BENCHES = {
     "durability": "SIGKILLs and power cuts of the journal",
     "forgery": "forged, replayed and stale orders",
     "coverage": "plans against the lower bound and the mission's planner",
+    "exploration": "speed-up, overlap, maps on the bus, equal maps",
     "theta": "paths against plain Theta* and the optimum",
     "orca": "avoidance against RVO2",
+    "corridor": "swaps in passages, dead ends, and a hundred robots in rooms",
+    "motion": "the thesis experiment: way driven against way planned",
     "lidar": "range sensing against pymunk, world steps",
 }
 MISSED, WRONG = 1, 2

@@ -1,0 +1,87 @@
+"""What one robot saw of one cell, as a whole record, and the order in which records replace others.
+
+The parts of two records are never mixed: a join takes one of them as it is. A key is `rank << 24 |
+record`, and the join of two keys is the greater integer. The record is in the key, so the order is
+total and two different records never tie. The rank is what the configured order looks at:
+
+    MAX_CONFIDENCE  the confidence, then the later
+    LATEST_UPDATE   the later, then the confidence
+    DECAYED         ln(confidence) + rate * time
+
+DECAYED contains both. Where every confidence fades as c * exp(-rate * age) with one rate, the order of
+two faded confidences is the same at every later time; so comparing the rank once is comparing the
+faded confidences for ever. A rate towards 0 is MAX_CONFIDENCE, a great one LATEST_UPDATE. 0.05 a second
+is the mission's factor 0.995 ten times a second, to 0.02 %: a sure cell loses to a fresh look of half
+its confidence after 14 s.
+"""
+
+from enum import Enum
+from math import exp, log
+from typing import NamedTuple
+
+UNKNOWN, FREE, OBSTACLE = range(3)  # of a cell
+LEVELS = 16  # of confidence: level k is (k + 1) / 16
+TIME_MAX = (
+    1 << 13
+) - 1  # seconds: two and a quarter hours of one exploration; then later is not newer
+OBSERVER_MAX = (1 << 5) - 1  # slots 0 to 31
+RECORD_BITS = 24
+RECORD_MASK = (1 << RECORD_BITS) - 1
+VALUE = 3  # the bits of a key that are the value
+SECOND_HAND = (
+    0.8  # of the confidence, when read by somebody else; never stored, so never compounded
+)
+RATE = 50  # of DECAYED, in thousandths a second
+_LOGS = [round(1000 * log((k + 1) / LEVELS)) + round(1000 * log(LEVELS)) for k in range(LEVELS)]
+
+
+class Order(Enum):
+    MAX_CONFIDENCE = "max_confidence"
+    LATEST_UPDATE = "latest_update"
+    DECAYED = "decayed"
+
+
+class Sighting(NamedTuple):
+    """One record, taken apart. No record has the value UNKNOWN."""
+
+    value: int
+    level: int  # of confidence
+    time: int  # seconds of the fleet's clock
+    observer: int  # slot
+
+    def confidence(self, reader: int) -> float:
+        """As `reader` may trust it: what another has seen counts for less."""
+        own = (self.level + 1) / LEVELS
+        return own if reader == self.observer else own * SECOND_HAND
+
+    def faded(self, reader: int, now: int) -> float:
+        """The same at a time, by the rate of DECAYED."""
+        return self.confidence(reader) * exp(-RATE / 1000 * max(now - self.time, 0))
+
+
+def base(order: Order, level: int, time: int, observer: int) -> int:
+    """The key of a record but for its value, which is in the lowest two bits."""
+    assert 0 <= level < LEVELS and 0 <= time <= TIME_MAX and 0 <= observer <= OBSERVER_MAX
+    if order is Order.MAX_CONFIDENCE:
+        rank = level
+    elif order is Order.LATEST_UPDATE:
+        rank = time
+    else:
+        rank = _LOGS[level] + RATE * time
+    return rank << RECORD_BITS | time << 11 | level << 7 | observer << 2
+
+
+def pack(order: Order, sighting: Sighting) -> int:
+    assert sighting.value in (FREE, OBSTACLE)
+    return base(order, sighting.level, sighting.time, sighting.observer) | sighting.value
+
+
+def unpack(key: int) -> Sighting:
+    """Of a key or of its record alone."""
+    assert key > 0
+    return Sighting(key & VALUE, key >> 7 & 15, key >> 11 & TIME_MAX, key >> 2 & OBSERVER_MAX)
+
+
+def level_of(confidence: float) -> int:
+    """The level nearest to a confidence of 0 to 1."""
+    return min(max(round(confidence * LEVELS) - 1, 0), LEVELS - 1)

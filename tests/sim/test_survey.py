@@ -1,0 +1,93 @@
+"""Whole explorations: real peers on the real wire in virtual time."""
+
+import pytest
+
+from agent.fleet_task import FleetFullError, Kind, Order
+from sim.arena import load_arena
+from sim.scenario import Crash, Heal, Join, Loss, Partition, Reset, Restart, ScenarioError
+from sim.survey import Sharing, Survey, SurveyOutcome
+
+
+def play(robots: int, seed: int, *faults: object, name: str = "arena") -> SurveyOutcome:
+    scenario = load_arena(name).changed(robots, seed).model_copy(update={"fault": list(faults)})
+    return Survey(scenario).run()
+
+
+@pytest.mark.parametrize("robots", [1, 2, 3])
+def test_the_arena_of_the_mission(robots: int) -> None:
+    outcome = play(robots, robots)
+    assert outcome.success and outcome.explored >= 0.99 and outcome.right >= 0.99, outcome
+    assert outcome.map_load < 0.15 and outcome.malformed == 0
+
+
+def test_more_eyes_are_faster() -> None:
+    one, three = play(1, 7), play(3, 7)
+    assert three.time_95_s < 0.6 * one.time_95_s, (one.time_95_s, three.time_95_s)
+
+
+def test_the_same_seed_is_the_same_run() -> None:
+    assert play(2, 5).trace_hash == play(2, 5).trace_hash != play(2, 6).trace_hash
+
+
+def test_a_robot_that_dies_is_not_missed_for_long() -> None:
+    outcome = play(3, 2, Crash(at_s=5.0, kind="crash", robot=1))
+    assert outcome.finished and outcome.contacts == 0 and outcome.maps_equal, outcome
+    assert outcome.explored >= 0.97, outcome  # its body stands on some of it
+
+
+@pytest.mark.parametrize("disk", ["kept", "lost"])
+def test_a_robot_that_comes_back_knows_the_map(disk: str) -> None:
+    """Who has lost its memory stands until a person has looked (agent/records.py)."""
+    faults = (
+        Restart(at_s=6.0, kind="restart", robot=2, disk=disk),  # type: ignore[arg-type]
+        Join(at_s=8.0, kind="join", robot=1),
+        Reset(at_s=10.0, kind="reset"),
+    )
+    outcome = play(3, 3, *faults)
+    assert outcome.finished and outcome.maps_equal and outcome.contacts == 0, outcome
+
+
+def test_both_sides_of_a_split_explore_and_their_maps_merge() -> None:
+    faults = (
+        Partition(at_s=3.0, kind="partition", islands=[[0], [1, 2]]),
+        Heal(at_s=14.0, kind="heal"),
+    )
+    outcome = play(3, 4, *faults)
+    assert outcome.success and outcome.explored >= 0.99, outcome
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_fifth_of_all_frames_lost_and_one_robot_killed(seed: int) -> None:
+    faults = (Loss(at_s=0.5, kind="loss", rate=0.2), Crash(at_s=6.0, kind="crash", robot=0))
+    outcome = play(3, seed, *faults)
+    assert outcome.finished and outcome.maps_equal and outcome.contacts == 0, outcome
+    assert outcome.explored >= 0.97, outcome
+
+
+def test_orders_are_carried_out_by_somebody() -> None:
+    orders = [
+        Order(Kind.NAVIGATE_TO, ((2.0, -2.0),)),
+        Order(Kind.PATROL, ((-2.0, -2.0), (-2.0, 2.0), (2.0, 2.0))),
+    ]
+    survey = Survey(load_arena("arena").changed(2, 1), orders=orders)
+    outcome = survey.run()
+    assert outcome.success, outcome
+    ends = [(x, y) for track in survey.tracks.values() for _, x, y, _ in track]
+    for order in orders:
+        for x, y in order.points:
+            assert min((a - x) ** 2 + (b - y) ** 2 for a, b in ends) < 0.2**2
+
+
+def test_without_sharing_everybody_sees_everything() -> None:
+    scenario = load_arena("arena").changed(2, 1)
+    alone, shared = Survey(scenario, Sharing.NONE).run(), Survey(scenario).run()
+    assert alone.overlap_end > 0.9 > shared.overlap_end
+
+
+def test_a_fleet_has_a_limit() -> None:
+    scenario = load_arena("arena").changed(3, 1)
+    small = scenario.arena.model_copy(update={"robots_max": 2})
+    with pytest.raises(FleetFullError, match=r"Fleet is full \(max 2 robots\)"):
+        Survey(scenario.model_copy(update={"arena": small})).run()
+    with pytest.raises(ScenarioError, match=r"arena\.starts"):
+        Survey(load_arena("arena").changed(9, 1))

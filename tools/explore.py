@@ -1,0 +1,76 @@
+"""`headland explore`: a fleet explores an arena in virtual time, with a report and pictures of it."""
+
+import json
+import sys
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from agent.fleet_task import FleetFullError
+from sim.arena import load_arena
+from sim.scenario import ScenarioError
+from sim.survey import Sharing, Survey, SurveyOutcome
+from tools.map_picture import draw_maps, film
+
+UNFINISHED, WRONG = 1, 2  # exit codes; 0 only for a run without a flaw
+
+
+def explore(
+    scenario: str, robots: int | None, seed: int | None, out: Path, as_json: bool, animate: bool
+) -> int:
+    console = Console(stderr=as_json)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        survey = Survey(load_arena(scenario).changed(robots, seed), Sharing.FLEET, out)
+        with console.status(f"{survey.setting.scenario.name}: exploring"):
+            outcome = survey.run()
+    except (ScenarioError, FleetFullError) as problem:
+        print(f"headland: {problem}", file=sys.stderr)
+        return WRONG
+    except OSError as problem:
+        print(f"headland: --out: {problem}", file=sys.stderr)
+        return WRONG
+    (out / "report.json").write_text(json.dumps(outcome.to_dict(), indent=1) + "\n")
+    told = "\n".join(f"at {now_s:.1f} s\n\n{text}" for now_s, text in survey.reports)
+    (out / "fleet.md").write_text(told, encoding="utf-8")
+    draw_maps(survey, outcome, out / "maps.png")
+    if animate:
+        film(survey, out / "maps.gif")
+    if as_json:
+        print(json.dumps(outcome.to_dict()))
+    else:
+        console.print(outcome_table(outcome))
+        names = "report.json, fleet.md, maps.png, can.log and trace.jsonl"
+        console.print(f"{names}{', maps.gif' if animate else ''} are in {out}")
+    return 0 if outcome.success else UNFINISHED
+
+
+def outcome_table(outcome: SurveyOutcome) -> Table:
+    title = f"{outcome.scenario}: {outcome.robots} robots, seed {outcome.seed}"
+    table = Table(title=title, show_header=False)
+    table.add_column(style="bold")
+    table.add_column()
+    equal = "equal, bit for bit" if outcome.maps_equal else "[red]differ[/red]"
+    tasks = ", ".join(f"{count} {status}" for status, count in sorted(outcome.tasks.items()))
+    for row in (
+        ("without a flaw", "[green]yes[/green]" if outcome.success else "[red]no[/red]"),
+        (
+            "explored",
+            f"{outcome.explored:.1%} of what can be seen; {outcome.right:.1%} of it right",
+        ),
+        ("time", f"{outcome.time_95_s:.1f} s to 95 %, {outcome.time_s:.1f} s to the end"),
+        ("overlap", f"{outcome.overlap:.0%} of the area seen again by another, at 95 %"),
+        ("maps", equal),
+        ("contacts", f"{outcome.contacts} (closest {outcome.closest_m:.2f} m)"),
+        ("tasks", f"{tasks}; {outcome.switched} left for a better one"),
+        ("driven", f"{outcome.travel_m:.0f} m"),
+        ("map on the bus", f"{outcome.map_load:.1%}, {outcome.map_bytes_per_m2:.0f} bytes/m2"),
+        ("bus load", f"{outcome.bus_load:.1%} at worst-case stuffing"),
+        ("frames", ", ".join(f"{n} {kind}" for kind, n in outcome.frames.items())),
+        ("malformed frames", str(outcome.malformed)),
+        ("trace hash", outcome.trace_hash),
+        ("computed in", f"{outcome.wall_s:.1f} s"),
+    ):
+        table.add_row(*row)
+    return table
