@@ -28,6 +28,7 @@ NEWS_GAP_US = round(FRAME_US / NEWS_SHARE)
 REPAIR_GAP_US = round(FRAME_US / REPAIR_SHARE)
 SLOT_US = 700  # step of the order of speaking: a frame, and some
 BEAT_US = 62_500  # from one digest of the whole to the next, whoever says it: 1 % of the bus
+ALONE_US = 1_000 * MS  # the same where nobody is known to listen
 SETTLE_US = 100 * MS  # what changed so lately may be on its way to others
 FRESH_US = 100 * MS  # what was on the bus so lately is not said again: a question may be older
 AGAIN_US = 100 * MS  # between two digests of one square by one peer
@@ -82,6 +83,8 @@ class MapSync:
         self.clock.witness(int(times.max(initial=0)), now_us)
 
     def live(self, slots: frozenset[int]) -> None:
+        if not slots <= set(self._order):  # somebody is new: compare at once
+            self._beat_us = self._last_us
         self._order = sorted(slots | {self.slot})
 
     def see(self, patch: int, values: Values, level: int) -> None:
@@ -226,7 +229,8 @@ class MapSync:
     def tick(self, now_us: int) -> list[Said]:
         """What to send now: one frame at most."""
         if now_us >= self._beat_us:
-            self._beat_us = now_us + BEAT_US * len(self._order)
+            alone = len(self._order) == 1
+            self._beat_us = now_us + (ALONE_US if alone else BEAT_US * len(self._order))
             self._beats += 1
             salt = (self._beats + self.slot) % SALTS  # not the same for everybody at one time
             if self._recent:  # what changed lately is where something may have been lost

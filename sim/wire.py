@@ -226,14 +226,19 @@ class Wire:
 
     @staticmethod
     def _drop_head(node: Node, frame: Frame) -> None:
-        """Take the sent frame off the queue; a more urgent one may have been queued meanwhile."""
+        """Take the sent frame off the queue; a more urgent one may have been queued meanwhile.
+
+        It is there no longer where the bus was cut in the middle of it, and the node has sent it to its
+        end in its new island.
+        """
         if node.queue[0][2] is frame:
             heappop(node.queue)
             return
         held = []
-        while node.queue[0][2] is not frame:
+        while node.queue and node.queue[0][2] is not frame:
             held.append(heappop(node.queue))
-        heappop(node.queue)
+        if node.queue:
+            heappop(node.queue)
         for entry in held:
             heappush(node.queue, entry)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import label
 
-from tools.bench import theta
+from tools.bench import exploration, theta
 from tools.bench.map_kinds import KINDS, read, small_maps
 from tools.bench.optimum import Judge
 
@@ -42,3 +42,7 @@ def test_a_map_file_is_read(tmp_path: Path) -> None:
     path = tmp_path / "a.map"
     path.write_text("type octile\nheight 2\nwidth 3\nmap\n.@T\nGW.\n")
     assert read(path).tolist() == [[False, True, True], [False, True, False]]
+
+
+def test_the_order_of_merging_maps_does_not_matter() -> None:
+    assert exploration.merge_orders(1_000, 3).holds
