@@ -68,7 +68,7 @@ class Drill:
         finished = self._done >= SECTION_UNITS
         near = self._done >= SECTION_UNITS - 2
         self._done = 0 if finished else self._done
-        return Wish(SPEED_M_S, 0.0, 0.0, True, covered, finished, near)
+        return Wish(SPEED_M_S, 0.0, 0.0, True, covered, finished=finished, near_end=near)
 
     def abandon(self) -> None: ...
     def interrupted(self) -> None: ...
