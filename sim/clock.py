@@ -70,6 +70,12 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         return timer
 
 
+async def elapse(seconds: float) -> None:
+    """Let virtual time pass. On any other loop this is an error: a test waits for no wall clock."""
+    assert isinstance(asyncio.get_running_loop(), VirtualLoop), "only on a virtual clock"
+    await asyncio.sleep(seconds)
+
+
 def run_virtual(main: Coroutine[Any, Any, T]) -> T:
     """Run a coroutine to its end in virtual time, which starts at 0."""
     with asyncio.Runner(loop_factory=VirtualLoop) as runner:

@@ -96,3 +96,10 @@ def test_no_unseeded_chance_anywhere() -> None:
         cwd=ROOT, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert found.stdout == ""
+
+
+def test_no_test_sleeps() -> None:
+    """Time passes on the virtual clock (`sim.clock.elapse`), or something is waited for."""
+    here = Path(__file__)
+    for path in sorted(here.parent.rglob("*.py")):
+        assert path == here or "sleep(" not in path.read_text(encoding="utf-8"), path

@@ -12,7 +12,7 @@ import pytest
 from agent.engine import FleetCoordinationEngine
 from agent.safety import SilencePolicy
 from protocol.bus import CanBus
-from sim.clock import run_virtual
+from sim.clock import elapse, run_virtual
 from sim.fieldbus import forget, segment
 
 numbers = count()
@@ -30,7 +30,7 @@ async def fleet(size: int) -> AsyncIterator[list[FleetCoordinationEngine]]:
         )
         engines.append(engine)
     await asyncio.gather(*(engine.start() for engine in engines))
-    await asyncio.sleep(2.0)
+    await elapse(2.0)
     yield engines
     for engine in engines:
         await engine.stop()
@@ -72,7 +72,7 @@ def test_a_released_section_is_finished_for_everybody() -> None:
     async def story(engines: list[FleetCoordinationEngine]) -> None:
         assert await engines[0].claim_section("north-west corner")
         await engines[0].release_section("north-west corner")
-        await asyncio.sleep(1.0)
+        await elapse(1.0)
         assert engines[0].get_current_state() == "IDLE"
         assert all(e.get_field_allocation_state().done_count() == 1 for e in engines)
         assert not await engines[1].claim_section("north-west corner")
@@ -86,7 +86,7 @@ def test_a_stop_stops_all_and_is_left_only_by_reset() -> None:
         engines[1].on_emergency(heard.append)
         await engines[0].claim_section("S1")
         await engines[2].broadcast_emergency_stop("OBSTACLE_DETECTED")
-        await asyncio.sleep(0.05)
+        await elapse(0.05)
         assert {e.get_current_state() for e in engines} == {"EMERGENCY_STOP"}
         assert heard and "stop" in heard[0]["why"]
         assert not await engines[0].manual_reset(), "nobody has cleared the stop"
@@ -103,7 +103,7 @@ def test_callbacks_may_be_plain_or_async_and_may_fail() -> None:
             raise RuntimeError("mine")
 
         async def later(state: str) -> None:
-            await asyncio.sleep(0)
+            await elapse(0)
             seen.append(state)
 
         async def broken_later(state: str) -> None:
@@ -112,7 +112,7 @@ def test_callbacks_may_be_plain_or_async_and_may_fail() -> None:
         for callback in (broken, later, broken_later):
             engines[0].on_state_change(callback)
         assert await engines[0].claim_section("S3")
-        await asyncio.sleep(0.1)
+        await elapse(0.1)
         assert seen == ["WORKING"]
         assert engines[0].get_current_state() == "WORKING"
 
@@ -126,7 +126,7 @@ def test_a_leader_is_elected_and_replaced() -> None:
 
         (leader,) = leaders(engines)
         await engines[leader.slot].stop()
-        await asyncio.sleep(2.0)
+        await elapse(2.0)
         (follower,) = leaders([e for e in engines if e.slot != leader.slot])
         assert follower.slot != leader.slot and follower.term > leader.term
 
@@ -147,14 +147,14 @@ def test_all_six_messages_are_really_sent() -> None:
                 FleetCoordinationEngine(f"r{slot}", bus, members=3, silence=SilencePolicy.CONTINUE)
             )
         await engines[0].start()
-        await asyncio.sleep(1.5)
+        await elapse(1.5)
         assert await engines[0].claim_section("S1")
         await engines[1].start()  # late: it must ask, and be told
         await engines[2].start()
-        await asyncio.sleep(5.0)
+        await elapse(5.0)
         assert engines[2].get_field_allocation_state().owner_of(1) == 0
         await engines[2].broadcast_emergency_stop("SYSTEM_FAULT")
-        await asyncio.sleep(0.2)
+        await elapse(0.2)
         assert {0xFF00, 0xFF04, 0xFF08, 0xFF11, 0xFF0C, 0xFF0D} <= kinds
         for engine in engines:
             await engine.stop()

@@ -4,7 +4,6 @@ A robot without its memory must not pass for the one that had it: it takes a new
 latched until a person has looked, and says so over any further restart.
 """
 
-import asyncio
 from collections.abc import Awaitable, Callable, Iterable
 from random import Random
 
@@ -17,7 +16,7 @@ from agent.safety import HOLD_KEY, LATCHED
 from protocol.fleet_frames import Heartbeat, Member, Pose
 from protocol.messages import Message
 from protocol.safety_frames import Command, EmergencyReset, EmergencyStop, OperatorCommand, Reason
-from sim.clock import run_virtual
+from sim.clock import elapse, run_virtual
 from sim.cluster import OPERATOR, Cluster
 from sim.disk import Disk, LogJournal, MemoryJournal, PowerCut
 from sim.expedition import Expedition
@@ -41,7 +40,7 @@ def play(story: Story, seed: int = 3) -> None:
             cluster.journals[slot] = LogJournal(Disk())
         cluster.boot_all()
         try:
-            await asyncio.sleep(5.0)
+            await elapse(5.0)
             await story(cluster, seen)
         finally:
             await cluster.close()
@@ -68,12 +67,12 @@ def press(cluster: Cluster, slot: int) -> None:
 async def release(cluster: Cluster, start: bool = True) -> None:
     for dot in sorted({d for r in cluster.running for d in r.peer.safety.stops.active}):
         cluster.inject(EmergencyReset(*dot, OPERATOR))
-    await asyncio.sleep(0.1)
+    await elapse(0.1)
     cluster.inject(OperatorCommand(Command.MANUAL_RESET, 255, OPERATOR))
-    await asyncio.sleep(1.0)
+    await elapse(1.0)
     if start:
         cluster.inject(OperatorCommand(Command.START, 255, OPERATOR))
-        await asyncio.sleep(0.2)
+        await elapse(0.2)
 
 
 def stopped(cluster: Cluster) -> list[bool]:
@@ -93,14 +92,14 @@ def incarnations(seen: Iterable[tuple[int, Effect]], slot: int) -> list[int]:
 def test_a_power_cut_keeps_the_latch_and_the_identity(seed: int) -> None:
     async def story(cluster: Cluster, seen: list[tuple[int, Effect]]) -> None:
         press(cluster, 1)
-        await asyncio.sleep(0.2)
+        await elapse(0.2)
         assert all(stopped(cluster))
         for slot in range(3):  # the whole fleet, at once
             lose_power(cluster, slot, Random(f"{seed}/{slot}"))
-        await asyncio.sleep(0.1)
+        await elapse(0.1)
         for slot in range(3):
             cluster.boot(slot)
-        await asyncio.sleep(2.0)
+        await elapse(2.0)
         assert all(stopped(cluster)) and len(incarnations(seen, 1)) == 1, f"seed {seed}"
         assert all(len(r.peer.safety.stops.active) == 1 for r in cluster.running)
         await release(cluster)
@@ -113,19 +112,19 @@ def test_a_power_cut_keeps_the_latch_and_the_identity(seed: int) -> None:
 def test_a_restart_is_neither_a_reset_nor_a_start() -> None:
     async def story(cluster: Cluster, seen: list[tuple[int, Effect]]) -> None:
         press(cluster, 0)
-        await asyncio.sleep(0.2)
+        await elapse(0.2)
         for dot in cluster.robots[1].peer.safety.stops.active:
             cluster.inject(EmergencyReset(*dot, OPERATOR))
-        await asyncio.sleep(0.2)
+        await elapse(0.2)
         lose_power(cluster, 1, Random(1))
         robot = cluster.boot(1)
-        await asyncio.sleep(1.0)
+        await elapse(1.0)
         assert robot.peer.safety.latched, "the stop is cleared; nobody reset it"
         await release(cluster, start=False)
         assert robot.peer.state is State.IDLE and not robot.peer.safety.may_move
         lose_power(cluster, 1, Random(2))
         robot = cluster.boot(1)
-        await asyncio.sleep(1.0)
+        await elapse(1.0)
         assert not robot.peer.safety.latched and not robot.peer.safety.may_move, "nobody started it"
 
     play(story)
@@ -138,13 +137,13 @@ def test_a_lost_disk_is_a_new_identity_that_stands_until_a_person_came(seed: int
             lose_disk(cluster, 1)
             for _ in range(2):
                 robot = cluster.boot(1)
-                await asyncio.sleep(2.0)
+                await elapse(2.0)
                 assert robot.peer.state is State.EMERGENCY_STOP, f"seed {seed}"
                 recalled = cluster.journals[1].load()
                 assert recalled[HOLD_KEY] == LATCHED and not robot.peer.safety.may_move
                 lose_power(cluster, 1, Random(seed))
         cluster.boot(1)
-        await asyncio.sleep(2.0)
+        await elapse(2.0)
         assert len(incarnations(seen, 1)) == 4, f"seed {seed}"
         assert [slot for slot, r in cluster.robots.items() if not r.peer.safety.latched] == [0, 2]
         await release(cluster)
@@ -156,14 +155,14 @@ def test_a_lost_disk_is_a_new_identity_that_stands_until_a_person_came(seed: int
 def test_a_robot_that_forgot_a_stop_is_told_of_it() -> None:
     async def story(cluster: Cluster, seen: list[tuple[int, Effect]]) -> None:
         press(cluster, 1)
-        await asyncio.sleep(0.2)
+        await elapse(0.2)
         (dot,) = cluster.robots[0].peer.safety.stops.active
         lose_disk(cluster, 1)
         robot = cluster.boot(1)
-        await asyncio.sleep(2.0)
+        await elapse(2.0)
         assert dot in robot.peer.safety.stops.active
         cluster.inject(OperatorCommand(Command.MANUAL_RESET, 1, OPERATOR))
-        await asyncio.sleep(0.5)
+        await elapse(0.5)
         assert robot.peer.state is State.EMERGENCY_STOP, "the stop it pressed itself still stands"
 
     play(story)
@@ -174,17 +173,17 @@ def test_a_dot_that_was_used_before_stops_everybody_all_the_same() -> None:
 
     async def story(cluster: Cluster, seen: list[tuple[int, Effect]]) -> None:
         press(cluster, 1)
-        await asyncio.sleep(0.2)
+        await elapse(0.2)
         await release(cluster)
         cluster.kill(1)
         forged = MemoryJournal()
         forged.write([Persist("incarnation", b"\1\0")])
         cluster.journals[1] = forged
         cluster.boot(1)
-        await asyncio.sleep(2.0)
+        await elapse(2.0)
         assert not any(stopped(cluster))
         press(cluster, 1)
-        await asyncio.sleep(0.3)
+        await elapse(0.3)
         assert all(stopped(cluster))
 
     play(story)
@@ -199,9 +198,9 @@ def test_nothing_is_said_that_a_failing_disk_did_not_take(step: int) -> None:
         assert not written, written
         journal.disk.fail_at = journal.disk.steps + step
         press(cluster, 2 if step % 2 else 0)
-        await asyncio.sleep(0.2)
+        await elapse(0.2)
         await release(cluster)
-        await asyncio.sleep(10.0)
+        await elapse(10.0)
         assert Cause.DISK_ERROR in dict(peer.safety.causes) and not peer.safety.may_move
         not_stops = [
             m for m in said(seen, 2) if not isinstance(m, EmergencyStop | Pose | Heartbeat)
@@ -209,9 +208,9 @@ def test_nothing_is_said_that_a_failing_disk_did_not_take(step: int) -> None:
         assert not lost(not_stops, LogJournal(Disk(journal.disk.read())).load())
         steps = journal.disk.steps
         cluster.inject(OperatorCommand(Command.START, 255, OPERATOR))
-        await asyncio.sleep(0.5)
+        await elapse(0.5)
         press(cluster, 2)
-        await asyncio.sleep(0.2)
+        await elapse(0.2)
         assert all(stopped(cluster)), "a robot without a disk still stops the others"
         assert journal.disk.steps == steps, "a disk that has failed is not asked again"
 
@@ -224,14 +223,14 @@ def test_a_power_cut_in_the_middle_of_a_write_ends_the_robot_and_nobody_else() -
         assert isinstance(journal, LogJournal)
         journal.disk.cut_at = journal.disk.steps + 1
         press(cluster, 0)
-        await asyncio.sleep(0.2)
+        await elapse(0.2)
         task = cluster.robots[2].task
         assert task is not None
         with pytest.raises(PowerCut):
             task.check()
         lose_power(cluster, 2, Random(4))
         robot = cluster.boot(2)
-        await asyncio.sleep(2.0)
+        await elapse(2.0)
         assert robot.peer.state is State.EMERGENCY_STOP, "told again by those that remember"
 
     play(story)

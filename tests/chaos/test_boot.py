@@ -4,14 +4,12 @@ Found by the load bench: asking each unknown address by every robot, and voting 
 view, filled a bus of fifty robots for good.
 """
 
-import asyncio
-
 import pytest
 
 from protocol.fleet_frames import LeaderElectionVote, Member
 from protocol.messages import GROUP_OF
 from protocol.network_frames import AddressClaimed, Request
-from sim.clock import run_virtual
+from sim.clock import elapse, run_virtual
 from tools.bench.drill import Squad
 
 PGN_PF = {kind: GROUP_OF[kind].pgn >> 8 for kind in (Request, AddressClaimed)}
@@ -23,7 +21,7 @@ def test_boot_is_a_few_frames_a_robot(robots: int, seed: int) -> None:
         squad = Squad(robots, seed)
         try:
             working = await squad.until_working(20.0)
-            await asyncio.sleep(4.0)
+            await elapse(4.0)
             leaders: set[object] = {s.peer.election.leader for s in squad.shells}
             return working, dict(squad.segment.wire.by_group), leaders
         finally:

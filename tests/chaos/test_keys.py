@@ -1,6 +1,5 @@
 """A fleet with keys at work: it is stopped and released as one without, and by nobody else."""
 
-import asyncio
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,7 @@ from protocol.safety_frames import (
     OperatorCommand,
     Reason,
 )  # fmt: skip
-from sim.clock import run_virtual
+from sim.clock import elapse, run_virtual
 from sim.cluster import OPERATOR, Cluster
 from sim.expedition import Expedition
 from sim.key_file import fresh, write
@@ -42,7 +41,7 @@ def play(keys: Path, story: Story) -> None:
         cluster = Cluster(setting, f"keys {keys}", lambda slot, now_us, effect: seen.append(effect))
         cluster.boot_all()
         try:
-            await asyncio.sleep(5.0)
+            await elapse(5.0)
             await story(cluster, seen)
         finally:
             await cluster.close()
@@ -83,20 +82,20 @@ def test_a_robot_that_was_away_for_many_stops_follows_again(keys: Path) -> None:
 def test_frames_without_a_tag_brake_for_a_moment_and_release_nothing(keys: Path) -> None:
     async def story(cluster: Cluster, seen: list[Effect]) -> None:
         cluster.inject(EmergencyStop(OPERATOR, 1, 1, 1))
-        await asyncio.sleep(0.1)
+        await elapse(0.1)
         assert not any(r.peer.safety.may_move for r in cluster.running)
-        await asyncio.sleep(2.0)
+        await elapse(2.0)
         assert all(r.peer.safety.may_move for r in cluster.running) and State.WORKING in states(
             cluster
         )
         press(cluster, 1)
-        await asyncio.sleep(0.2)
+        await elapse(0.2)
         assert states(cluster) == {State.EMERGENCY_STOP}
         (dot,) = cluster.robots[0].peer.safety.stops.active
         for _ in range(20):
             cluster.inject(EmergencyReset(*dot, OPERATOR))
             cluster.inject(OperatorCommand(Command.MANUAL_RESET, 255, OPERATOR))
-            await asyncio.sleep(0.1)
+            await elapse(0.1)
         assert states(cluster) == {State.EMERGENCY_STOP}
         assert all(r.peer.safety.authority.refused >= 20 for r in cluster.running)
 
@@ -114,21 +113,21 @@ def test_what_an_operator_said_once_releases_nothing_later(keys: Path) -> None:
 
         for _ in range(2):
             press(cluster, 2)
-            await asyncio.sleep(0.2)
+            await elapse(0.2)
             assert states(cluster) == {State.EMERGENCY_STOP}
             if not heard:
                 for _ in range(5):
                     for dot in cluster.robots[0].peer.safety.stops.active:
                         overheard(EmergencyReset(*dot, OPERATOR))
-                    await asyncio.sleep(0.1)
+                    await elapse(0.1)
                 overheard(OperatorCommand(Command.MANUAL_RESET, 255, OPERATOR))
-                await asyncio.sleep(1.0)
+                await elapse(1.0)
                 overheard(OperatorCommand(Command.START, 255, OPERATOR))
-                await asyncio.sleep(1.0)
+                await elapse(1.0)
                 assert State.EMERGENCY_STOP not in states(cluster)
         for message in heard:
             cluster.inject(message)
-            await asyncio.sleep(0.05)
+            await elapse(0.05)
         assert states(cluster) == {State.EMERGENCY_STOP}
 
     play(keys, story)
@@ -138,7 +137,7 @@ def test_proofs_nobody_asked_for_are_refused(keys: Path) -> None:
     async def story(cluster: Cluster, seen: list[Effect]) -> None:
         for n in range(20):
             cluster.inject(Freshness(OPERATOR, n, n))
-        await asyncio.sleep(0.5)
+        await elapse(0.5)
         rings = [r.peer.safety.authority.keyring for r in cluster.running]
         assert not any(ring._proven_us for ring in rings if ring is not None)
         assert not any(isinstance(e, Send) and isinstance(e.message, Freshness) for e in seen)

@@ -6,7 +6,7 @@ from random import Random
 import pytest
 
 from protocol.frame import Frame
-from sim.clock import run_virtual
+from sim.clock import elapse, run_virtual
 from sim.cluster import Cluster
 from sim.fieldbus import FieldBus
 from sim.scenario import load
@@ -44,7 +44,7 @@ def test_a_fleet_works_beside_a_device_that_talks_nonsense(seed: int) -> None:
         while loop.time() < 400 and not cluster.finished:
             for _ in range(20):
                 noise.submit(nonsense(rng))
-            await asyncio.sleep(0.1)
+            await elapse(0.1)
             cluster.check()
         for robot in cluster.running:
             assert sum(robot.peer.malformed.values()) > 1000

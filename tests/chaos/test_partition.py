@@ -11,7 +11,7 @@ from crdt import Phase
 from protocol.codec import decode_once
 from protocol.frame import Frame
 from protocol.work_frames import TaskClaim
-from sim.clock import run_virtual
+from sim.clock import elapse, run_virtual
 from sim.cluster import Cluster
 from sim.faults import FaultPlan
 from sim.scenario import Heal, Partition, Scenario, load
@@ -54,7 +54,7 @@ async def play(setting: Setting, watch: Watch) -> Cluster:
     script = asyncio.create_task(FaultPlan(cluster).run())
     loop = asyncio.get_running_loop()
     while loop.time() < END_S and not (cluster.finished and loop.time() > HEAL_S + 5):
-        await asyncio.sleep(1.0)
+        await elapse(1.0)
         cluster.check()
     script.result()
     await cluster.close()

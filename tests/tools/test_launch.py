@@ -44,17 +44,25 @@ async def robots_up(launch: Process, count: int) -> list[int]:
     raise AssertionError("the launch ended early")
 
 
-def alive(pid: int) -> bool:
-    try:
-        return (Path("/proc") / str(pid) / "stat").read_text().split()[2] != "Z"
-    except OSError:
-        return False
-
-
 async def gone(pids: list[int]) -> None:
+    """The kernel tells when a process has ended, ours or not."""
     async with asyncio.timeout(WAIT_S):
-        while any(alive(pid) for pid in pids):
-            await asyncio.sleep(0.1)  # real processes: there is nothing to be told by
+        for pid in pids:
+            await ended(pid)
+
+
+async def ended(pid: int) -> None:
+    loop, over = asyncio.get_running_loop(), asyncio.Event()
+    try:
+        descriptor = os.pidfd_open(pid)
+    except ProcessLookupError:
+        return
+    loop.add_reader(descriptor, over.set)
+    try:
+        await over.wait()
+    finally:
+        loop.remove_reader(descriptor)
+        os.close(descriptor)
 
 
 async def states(folder: Path) -> dict[int, str]:
@@ -63,7 +71,7 @@ async def states(folder: Path) -> dict[int, str]:
     return {r["slot"]: r["state"] for r in json.loads(out)["robots"] if not r["silent"]}
 
 
-@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for orphans in /proc")
+@pytest.mark.skipif(not hasattr(os, "pidfd_open"), reason="orphans are watched by pidfd, of Linux")
 def test_kill_stop_release_and_leave_no_orphans(tmp_path: Path) -> None:
     async def story() -> None:
         launch = await start(tmp_path, "launch", "small")
@@ -93,7 +101,7 @@ def test_kill_stop_release_and_leave_no_orphans(tmp_path: Path) -> None:
     asyncio.run(story())
 
 
-@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for orphans in /proc")
+@pytest.mark.skipif(not hasattr(os, "pidfd_open"), reason="orphans are watched by pidfd, of Linux")
 def test_robots_end_when_the_launcher_is_killed(tmp_path: Path) -> None:
     async def story() -> None:
         launch = await start(tmp_path, "launch", "small", "--robots", "2")
