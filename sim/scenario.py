@@ -182,7 +182,7 @@ Fault = Annotated[
 
 class Scenario(_Table):
     name: str = Field(min_length=1, max_length=64)
-    mission: Literal["field"] = "field"
+    mission: Literal["field", "drill"] = "field"  # a drill has no world, only work by the clock
     field: FieldTable
     fleet: FleetTable = FleetTable()
     bus: BusTable = BusTable()
