@@ -39,6 +39,9 @@ class Tracker:
         self.piece = 0  # the segment we are on; it only grows
         self.along_m = 0.0  # arc length of our projection
         self.off_m = 0.0  # cross-track distance, positive to the left
+        self.gap_m = (
+            0.0  # to the nearest point of the segment we are on, not of the line it is part of
+        )
         self.arrived = False
 
     def locate(self, x_m: float, y_m: float) -> None:
@@ -56,12 +59,14 @@ class Tracker:
             if t_m >= length_m - (0.0 if last else ARRIVED_M) and not last:
                 self.piece += 1
                 continue
-            self.along_m = self.starts_m[self.piece] + min(max(t_m, 0.0), length_m)
+            clamped_m = min(max(t_m, 0.0), length_m)
+            self.along_m = self.starts_m[self.piece] + clamped_m
+            self.gap_m = hypot(self.off_m, t_m - clamped_m)
             at_end = last and self.total_m - self.along_m <= ARRIVED_M
             self.arrived = at_end and hypot(x_m - bx, y_m - by) <= BESIDE_M
             return
         x_end, y_end = self.points[-1]  # nothing but a point is left
-        self.off_m = hypot(x_m - x_end, y_m - y_end)
+        self.off_m = self.gap_m = hypot(x_m - x_end, y_m - y_end)
         self.arrived = self.off_m <= ARRIVED_M
         self.along_m = self.total_m if self.arrived else max(0.0, self.total_m - 2 * ARRIVED_M)
 
