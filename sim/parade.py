@@ -47,11 +47,6 @@ class CommandChecker:
     def release(self, number: int) -> None:
         del self._watches[number]
 
-    def excuse(self, slot: int) -> None:
-        """Nobody's stop holds this robot any longer: its memory is gone, or a person was there."""
-        for number, watch in self._watches.items():
-            self._watches[number] = watch._replace(slots=watch.slots - {slot})
-
     def moved(self, slot: int, until_us: int) -> None:
         """A command to move was in force until then."""
         for watch in self._watches.values():
@@ -80,7 +75,7 @@ class Stand:
 
     def drive(self, command: Drive, now_us: int) -> None:
         if self._moving:
-            self.parade.motion.moved(self.slot, min(now_us, self._moving_us + ACTUATOR_TTL_US))
+            self.parade.moved(self.slot, min(now_us, self._moving_us + ACTUATOR_TTL_US))
         self._moving = command.vx_m_s != 0.0 or command.vy_m_s != 0.0 or command.turn_rad_s != 0.0
         if self._moving:
             self._moving_us = now_us
@@ -96,7 +91,7 @@ class Parade:
 
     def __init__(self, robots: int, sections: int) -> None:
         self.now_us = 0
-        self.motion = CommandChecker()
+        self._checkers: list[CommandChecker] = []
         self.robots = {slot: Stand(self, slot) for slot in range(robots)}
         self.units = dict.fromkeys(range(sections), UNITS)
         self.worked: set[tuple[int, int]] = set()
@@ -116,6 +111,15 @@ class Parade:
         return 0
 
     def remove_box(self, number: int) -> None: ...
+
+    def checker(self) -> CommandChecker:
+        """A new one, that is told of every command."""
+        self._checkers.append(CommandChecker())
+        return self._checkers[-1]
+
+    def moved(self, slot: int, until_us: int) -> None:
+        for checker in self._checkers:
+            checker.moved(slot, until_us)
 
     def works(self, slot: int, section: int, now_us: int) -> None:
         """A robot has its implement down in a section."""
