@@ -10,6 +10,7 @@ from protocol.network_frames import (
     TransportData,
     TransportManagement,
 )  # fmt: skip
+from protocol.operator_frames import OperatorGoal, OperatorReport
 from protocol.safety_frames import (
     AllImplementsStop,
     Challenge,
@@ -28,6 +29,7 @@ from protocol.work_frames import (
 
 Message = (
     EmergencyStop | EmergencyReset | OperatorCommand | AllImplementsStop | Challenge | Freshness
+    | OperatorGoal | OperatorReport
     | LeaderElectionVote | TaskClaim | Pose | Heartbeat | Member
     | StateSyncRequest | StateSyncResponse | Digests | VectorSlice | WorkProgress
     | AddressClaimed | Request | Acknowledgment | TransportManagement | TransportData
@@ -50,6 +52,8 @@ GROUPS = (
     Group(Freshness, 0xEF00, 2, 8, "FRESHNESS"),
     Group(AllImplementsStop, 0xFD02, 3, 8, "ALL_IMPLEMENTS_STOP"),
     Group(LeaderElectionVote, 0xFF04, 3, 8, "LEADER_ELECTION_VOTE"),
+    Group(OperatorGoal, 0xFF06, 2, 8, "OPERATOR_GOAL"),
+    Group(OperatorReport, 0xFF05, 4, 8, "OPERATOR_REPORT"),
     Group(TaskClaim, 0xFF08, 4, 8, "TASK_CLAIM"),
     Group(Pose, 0xFF10, 5, 8, "POSE"),
     Group(Heartbeat, 0xFF11, 6, 8, "HEARTBEAT"),

@@ -17,6 +17,14 @@ from protocol.network_frames import (
     TransportData,
     TransportManagement,
 )  # fmt: skip
+from protocol.operator_frames import (
+    LOWEST_M,
+    PLACE_M,
+    Matter,
+    OperatorGoal,
+    OperatorReport,
+    goal_frames,
+)
 from protocol.safety_frames import (
     AllImplementsStop,
     Challenge,
@@ -40,7 +48,18 @@ register = (u16, u8, phase, bid, u24, u8)
 KINDS: dict[Any, st.SearchStrategy[Any]] = {
     EmergencyStop: st.builds(EmergencyStop, u8, u8, u8, st.integers(0, 15), st.booleans(), u8, u24),
     EmergencyReset: st.builds(EmergencyReset, u8, u8, u8, u8, u8, u24),
-    OperatorCommand: st.builds(OperatorCommand, st.integers(0, 7), u8, u8, u8, u8, u24),
+    OperatorCommand: st.builds(OperatorCommand, st.integers(0, 9), u8, u8, u8, u8, u24),
+    OperatorGoal: st.builds(OperatorGoal, u8, u8, st.integers(0, 0x7FFF), st.booleans(), u8, u24),
+    OperatorReport: st.builds(
+        OperatorReport,
+        u8,
+        st.integers(0, 31),
+        st.sampled_from(Matter),
+        u16.map(lambda n: n * PLACE_M + LOWEST_M),
+        u16.map(lambda n: n * PLACE_M + LOWEST_M),
+        u8.map(lambda n: n * PLACE_M),
+        u8.map(lambda n: n * PLACE_M),
+    ),
     Challenge: st.builds(Challenge, u8, u8, st.integers(0, (1 << 48) - 1)),
     Freshness: st.builds(Freshness, u8, st.integers(0, 0xFFFF_FFFF), u24),
     AllImplementsStop: st.builds(AllImplementsStop, u8, st.integers(0, 3)),
@@ -104,6 +123,13 @@ def test_any_payload_of_a_known_kind_is_read_or_counted(group: Any, data: bytes)
     _, message = decode(Frame(6 << 26 | group.pgn << 8 | 0x80, data[: group.length]))
     if isinstance(message, Malformed):
         assert message.reason == "range"
+
+
+@given(st.floats(-3276, 3276), st.floats(-3276, 3276))
+def test_a_place_in_two_frames_is_right_to_its_resolution(x_m: float, y_m: float) -> None:
+    east, north = goal_frames(3, 249, x_m, y_m)
+    assert not east.north and north.north
+    assert abs(east.metres - x_m) <= 0.11 and abs(north.metres - y_m) <= 0.11
 
 
 def test_reasons_are_few() -> None:
