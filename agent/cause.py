@@ -18,7 +18,7 @@ class Severity(IntEnum):
 
 class Clears(Enum):
     BY_START = "an operator's start"
-    BY_ANSWER = "an operator's answer"
+    BY_ANSWER = "it has left for 1 s, or an operator's answer"
     BY_POLICY = "the silent member is heard again and the membership is stable for 2 s; or as the policy says"
     WHEN_GONE = "the cause is gone"
     BY_TIMEOUT = "it is not repeated for its time"

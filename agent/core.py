@@ -14,6 +14,7 @@ from agent.cause import Cause
 from agent.claims import Claims
 from agent.effects import HALT, Effect, Persist, Send, Trace
 from agent.election import OPERATOR_GATEWAY, Election, Leader
+from agent.errand import Errand
 from agent.fsm import Machine
 from agent.hearing import Hearing
 from agent.joining import CLAIM_PGN, Joining
@@ -22,6 +23,7 @@ from agent.lifecycle import TABLE, Event, State
 from agent.membership import Membership, Neighbour
 from agent.mission import STILL, Choice, FleetView, Mission, Wish
 from agent.motion import Motion
+from agent.pause import Pause
 from agent.ports import Observation
 from agent.records import Records
 from agent.roll_call import MEMBER_PGN, MEMBER_REQUEST, RollCall
@@ -99,6 +101,8 @@ class Peer:
         self.here: Observation | None = None
         self.wish: Wish = STILL
         self.malformed: dict[str, int] = {}
+        self.errand = Errand(self)
+        self.pause = None if motion is None else Pause(self, motion.limits, motion.lookout)
         self._hearing, self._working = Hearing(self), Working(self)
         if self.records.lost:
             self.safety.raise_cause(Cause.BOOT_UNCONFIRMED, now_us, "durable memory was lost")
@@ -169,6 +173,8 @@ class Peer:
     def observe(self, observation: Observation, now_us: int) -> None:
         """What our own sensors say; used at the next control period."""
         self.here = observation
+        if self.errand.home is None:
+            self.errand.home = observation.x_m, observation.y_m
 
     def wants_observation(self, now_us: int) -> bool:
         """A control period is due: sense before the tick."""
@@ -283,14 +289,21 @@ class Peer:
         effects = [] if key is None else [*self.announce(section, key, "done", now_us)]
         return [*effects, *self.idle_if_free("finished")]
 
-    def leave(self, now_us: int) -> Sequence[Effect]:
-        """Say goodbye, so that our silence stops nobody; give back what is not finished."""
-        effects: list[Effect] = [HALT]
+    def give_back_all(self, now_us: int) -> list[Effect]:
+        """Everything that is claimed and not finished, with what is covered of it."""
         held = [*self.claims.contested_until_us]
         if self.claims.current is not None:
             held.append(self.claims.current)
+        effects = list(self.voice.flush(self, now_us)) if held else []
         for section in held:
             effects += self.release(section, now_us)
+        if held and self.mission is not None:
+            self.mission.abandon()
+        return effects
+
+    def leave(self, now_us: int) -> Sequence[Effect]:
+        """Say goodbye, so that our silence stops nobody; give back what is not finished."""
+        effects: list[Effect] = [HALT, *self.give_back_all(now_us)]
         if self.joining.joined:
             effects.append(Send(self.voice.farewell(self), source=self.joining.address))
         self.joining.leave()
@@ -321,6 +334,7 @@ class Peer:
         return FleetView(
             self.slot, now_us, self.here, self.allocation, self.progress,
             self.membership.live, self.membership.silent_since_us, self.membership.neighbours,
+            *(self.pause.round if self.pause is not None else ()),
         )  # fmt: skip
 
     def membership_changed(self, now_us: int) -> list[Effect]:

@@ -130,10 +130,10 @@ class GivingWay:
             return True
         steps = np.arange(0.5, length_m + 0.25, 0.5)
         x, y = at[0] + ux * steps, at[1] + uy * steps
-        return bool(_distances(x, y, self.fences).min() > self.radius_m + 0.15)
+        return bool(distances_m(x, y, self.fences).min() > self.radius_m + 0.15)
 
 
-def _distances(
+def distances_m(
     x: NDArray[np.float64], y: NDArray[np.float64], fences: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Distance of each point to each segment, (points, segments)."""

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from agent.config import CONTROL_PERIOD_US, NEIGHBOURS_MAX, S
 from agent.effects import Drive
 from agent.giving_way import GivingWay, Other
+from agent.lookout import Lookout
 from agent.membership import Neighbour
 from agent.mission import Wish
 from agent.orca import Avoidance
@@ -45,6 +46,7 @@ class Motion:
         )  # fmt: skip
         # Nobody further away can be met within the horizon, both at full speed.
         self.reach_m = 2 * limits.speed_m_s * HORIZON_S + 2 * limits.radius_m
+        self.lookout = Lookout(limits.radius_m, limits.acceleration_m_s2, fences)
         self.giving_way = GivingWay(slot, limits.radius_m, limits.speed_m_s, fences)
 
     def drive(

@@ -15,6 +15,7 @@ from agent.config import MEMBERSHIP_STABLE_US, MS, STOP_REPEAT_US, STOP_SPACING_
 from agent.effects import HALT, Drive, Effect, Persist, Send, Trace
 from crdt.stops import StopDot, StopSet
 from protocol.authentication import Keyring
+from protocol.operator_frames import OperatorGoal
 from protocol.safety_frames import (
     AllImplementsStop,
     Command,
@@ -40,6 +41,7 @@ AGAIN_US = 100 * MS  # 20 repeats: who still beats as if nothing was may know ou
 AGAIN_MAX = 3  # further dots for one press; beyond it that member cannot hear us at all
 ANSWER_SPACING_US = 100 * MS  # a member that beats unlatched is told again at most this often
 FOREVER = 1 << 62
+STANDS = (Command.HOLD, Command.STOP, Command.WAIT)  # one tag is enough for what moves nobody
 
 
 class SilencePolicy(Enum):
@@ -229,11 +231,14 @@ class Safety:
             self.clear_cause(Cause.IMPLEMENTS_STOP, now_us)
         return ()
 
-    def accept_command(self, m: OperatorCommand, now_us: int) -> Sequence[Effect] | None:
+    def accept_order(
+        self, m: OperatorCommand | OperatorGoal, now_us: int
+    ) -> Sequence[Effect] | None:
         """None: it has authority. Otherwise what to do about it."""
         if not self.authority.believes(m, m.operator, now_us):
             return self.authority.ask(m.operator, now_us)
-        return None if m.command == Command.HOLD or self.authority.agreed(m, now_us) else ()
+        stands = isinstance(m, OperatorCommand) and m.command in STANDS
+        return None if stands or self.authority.agreed(m, now_us) else ()
 
     # ---------------------------------------------------------------- people at this machine
 

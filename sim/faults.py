@@ -4,6 +4,7 @@ import asyncio
 from collections.abc import Callable, Coroutine
 
 from agent.config import S
+from protocol.operator_frames import goal_check, goal_frames
 from protocol.safety_frames import Command, EmergencyReset, OperatorCommand, Reason
 from sim import scenario as kinds
 from sim.cluster import OPERATOR, Cluster
@@ -73,6 +74,8 @@ class FaultPlan:
                 cluster.robots[robot].shell.operate(lambda p, now: p.press(Reason[reason], now))
             case kinds.Reset():
                 return self._reset
+            case kinds.Order(robot=robot, order=order, x_m=x_m, y_m=y_m):
+                return lambda: self._order(robot, Command[order.upper()], (x_m, y_m))
             case kinds.Box(x_m=x_m, y_m=y_m, size_m=size_m, for_s=for_s):
                 return lambda: self._box(x_m, y_m, size_m, for_s)
             case kinds.Pushed(robot=robot, dx_m=dx_m, dy_m=dy_m):
@@ -92,6 +95,18 @@ class FaultPlan:
         await asyncio.sleep(for_s)
         self._now_us()
         self.cluster.world.remove_box(box)
+
+    async def _order(self, robot: int, command: Command, goal: tuple[float, float]) -> None:
+        """Said until a robot that has not heard this operator for a while can have asked and believed."""
+        cluster, argument = self.cluster, 0
+        for _ in range(1 if cluster.setting.keys is None else TRIES):
+            if command is Command.SET_GOAL:
+                frames = goal_frames(robot, OPERATOR, *goal)
+                argument = goal_check(frames[0].value, frames[1].value)
+                for frame in frames:
+                    cluster.order(frame)
+            cluster.order(OperatorCommand(command, robot, OPERATOR, argument))
+            await asyncio.sleep(0.15)
 
     async def _reset(self) -> None:
         """An operator clears what is shown, goes from machine to machine, and then gives the start."""

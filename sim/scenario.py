@@ -36,6 +36,9 @@ class FleetTable(_Table):
     speed_m_s: float = Field(default=2.5, gt=0.05, le=SPEED_MAX_M_S)
     acceleration_m_s2: float = Field(default=1.5, gt=0.05, le=10.0)
     slip: float = Field(default=0.02, ge=0.0, le=0.3)
+    rays: int = Field(
+        default=72, ge=8, le=720
+    )  # of each robot's range sensors; a gap of 0.35 m at 4 m
     silence: Literal["stop", "slow", "continue"] = "stop"
     keys: str | None = None  # key file, made by `headland keys new`
 
@@ -128,6 +131,14 @@ class Reset(_Fault):
     kind: Literal["reset"]  # clear every stop, reset every machine, and start again
 
 
+class Order(_Fault):
+    kind: Literal["order"]  # an operator's word to one robot
+    robot: Slot
+    order: Literal["wait", "continue", "replan", "stop", "go_home", "set_goal", "start", "hold"]
+    x_m: float = 0.0  # of set_goal
+    y_m: float = 0.0
+
+
 class Box(_Fault):
     kind: Literal["box"]
     x_m: float
@@ -150,7 +161,7 @@ class Join(_Fault):
 
 Fault = Annotated[
     Partition | Heal | OneWay | Crash | Restart | Freeze | Loss | Omission | Duplicate | Errors
-    | BusOff | Estop | Reset | Box | Pushed | Join,
+    | BusOff | Estop | Reset | Order | Box | Pushed | Join,
     Field(discriminator="kind"),
 ]  # fmt: skip
 

@@ -115,7 +115,8 @@ class Setting:
     def world(self) -> World:
         """A fresh world with every robot at its place near the gate."""
         fleet = self.scenario.fleet
-        world = World([self.field.exterior, *self.field.holes], self.scenario.run.seed, Lidar())
+        rings = [self.field.exterior, *self.field.holes]
+        world = World(rings, self.scenario.run.seed, Lidar(fleet.rays))
         chassis = Chassis(
             speed_m_s=fleet.speed_m_s, acceleration_m_s2=fleet.acceleration_m_s2, slip=fleet.slip
         )
