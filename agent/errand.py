@@ -47,6 +47,8 @@ class Errand:
     def order(self, m: OperatorCommand, now_us: int) -> Sequence[Effect]:
         """One of `DIRECTED`, from who may give it."""
         command = Command(m.command)
+        if self.peer.safety.latched:
+            return [self._report(Matter.REFUSED, (0.0, 0.0))]
         if command is Command.STOP:
             return self._stop(now_us)
         if command in (Command.GO_HOME, Command.SET_GOAL):
@@ -101,8 +103,8 @@ class Errand:
         """Back to work."""
         if self.goal is None:
             return []
-        self.goal = None
-        return [Trace("errand", "", "OVER", "", why)]
+        was, self.goal = self.goal, None
+        return [self._report(Matter.WORKING, was), Trace("errand", "", "OVER", "", why)]
 
     def wish(self, view: FleetView, effects: list[Effect]) -> Wish:
         assert self.goal is not None and self.peer.mission is not None

@@ -112,7 +112,7 @@ class Hearing:
                 return peer.safety.hold(now_us)
             case Command.WAIVE if peer.membership.waive(m.argument, now_us):
                 return peer.membership_changed(now_us)
-        if m.command in DIRECTED and not peer.safety.latched:
+        if m.command in DIRECTED:
             return peer.errand.order(m, now_us)
         return ()
 

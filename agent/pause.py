@@ -158,7 +158,11 @@ class Pause:
     def answer(self, command: Command, number: int, now_us: int) -> Sequence[Effect]:
         """WAIT, CONTINUE or REPLAN."""
         if not self.asking or number not in (0, self.number):
-            return [Trace("pause", "", command.name, "REFUSED", f"question {number} is not open")]
+            why = f"question {number} is not open"
+            return [
+                Send(self.report(Matter.REFUSED)),
+                Trace("pause", "", command.name, "REFUSED", why),
+            ]
         if command is Command.WAIT:
             return self._turn(Matter.WAITING, "an operator's answer", now_us)
         self.leave_out = command is Command.CONTINUE

@@ -7,7 +7,7 @@ from typing import NamedTuple
 PLACE_M = 0.1  # unit of what a robot tells
 GOAL_M = 0.2  # unit of where it is sent: 15 bits for each coordinate
 LOWEST_M = -3276.8  # of a coordinate, as in POSE: both are sent as steps from there
-NUMBERS = 31  # questions are numbered 1 to 31 and begin again
+NUMBERS = 15  # questions are numbered 1 to 15 and begin again
 REPORT = Struct("<BBHHBB")
 GOAL = Struct("<BBHB")
 assert REPORT.size == 8 and GOAL.size + 3 == 8
@@ -15,7 +15,7 @@ GOAL_VALUES = 1 << 15
 
 
 class Matter(IntEnum):
-    """What a robot tells: three bits."""
+    """What a robot tells: four bits."""
 
     ASKING = 0  # something that is no robot is in the way: what now?
     WAITING = 1  # it waits until that has left
@@ -25,6 +25,7 @@ class Matter(IntEnum):
     UNDER_WAY = 5  # to the place it was sent to
     ARRIVED = 6  # there
     REFUSED = 7  # the order cannot be obeyed now
+    WORKING = 8  # back from where it was sent to
 
 
 class OperatorReport(NamedTuple):
@@ -32,7 +33,7 @@ class OperatorReport(NamedTuple):
 
     byte  field            type  meaning
     0     slot             u8    who asks
-    1     number, matter   bits  of the question in bits 0-4 (0: none was asked); Matter in bits 5-7
+    1     number, matter   bits  of the question in bits 0-3 (0: none was asked); Matter in bits 4-7
     2..3  x_m              u16   0.1 m from -3276.8 east: the obstacle, or where it is going
     4..5  y_m              u16   the same, north
     6     distance_m       u8    0.1 m from the robot's hull, 25.5: that or more
@@ -50,13 +51,13 @@ class OperatorReport(NamedTuple):
     def pack(self) -> bytes:
         x, y = (_steps(v - LOWEST_M, 0xFFFF) for v in (self.x_m, self.y_m))
         distance, radius = (_steps(v, 0xFF) for v in (self.distance_m, self.radius_m))
-        return REPORT.pack(self.slot, self.number | self.matter << 5, x, y, distance, radius)
+        return REPORT.pack(self.slot, self.number | self.matter << 4, x, y, distance, radius)
 
     @classmethod
     def unpack(cls, data: bytes) -> "OperatorReport":
         slot, flags, x, y, distance, radius = REPORT.unpack(data)
         return cls(
-            slot, flags & 31, Matter(flags >> 5),
+            slot, flags & 15, Matter(flags >> 4),
             x * PLACE_M + LOWEST_M, y * PLACE_M + LOWEST_M, distance * PLACE_M, radius * PLACE_M,
         )  # fmt: skip
 
@@ -66,7 +67,9 @@ def _steps(value_m: float, most: int) -> int:
 
 
 class OperatorGoal(NamedTuple):
-    """One coordinate of a place for one robot; SET_GOAL then names both. Priority 2.
+    """One coordinate of a place for one robot; SET_GOAL then means both. Priority 1.
+
+    It must leave before the order that means it, whose counter is younger: hence the priority.
 
     byte  field           type  meaning
     0     target          u8    slot

@@ -98,8 +98,8 @@ SIGNALS: dict[type[Message], tuple[Signal, ...]] = {
         Signal("north", 31, 1), *_PROOF,
     ),
     OperatorReport: (
-        Signal("slot", 0, 8), Signal("number", 8, 5),
-        Signal("matter", 13, 3, choices=_members(Matter)),
+        Signal("slot", 0, 8), Signal("number", 8, 4),
+        Signal("matter", 12, 4, choices=_members(Matter)),
         Signal("x_m", 16, 16, PLACE_M, LOWEST_M, "m"),
         Signal("y_m", 32, 16, PLACE_M, LOWEST_M, "m"),
         Signal("distance_m", 48, 8, PLACE_M, 0, "m"), Signal("radius_m", 56, 8, PLACE_M, 0, "m"),

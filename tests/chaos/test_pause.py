@@ -2,21 +2,21 @@
 
 import asyncio
 from collections.abc import Awaitable, Callable
-from math import cos, hypot, sin
+from math import hypot
 from pathlib import Path
 from random import Random
 
 import pytest
 
 from agent.cause import Cause
+from agent.field_work import FieldWork
 from agent.lifecycle import State
 from protocol.codec import decode_once
 from protocol.frame import Frame
 from protocol.operator_frames import Matter, OperatorReport, goal_check, goal_frames
-from protocol.safety_frames import Command, OperatorCommand
+from protocol.safety_frames import Command, OperatorCommand, Reason
 from sim.clock import run_virtual
 from sim.cluster import OPERATOR, Cluster
-from sim.expedition import Expedition
 from sim.key_file import fresh, write
 from sim.obstacles import random_temporary_obstacle_generator, schedule
 from sim.scenario import Scenario, load
@@ -69,8 +69,9 @@ async def until_at_work(cluster: Cluster, slot: int, after_s: float = 12.0) -> N
     while loop.time() < LIMIT_S:
         peer = cluster.robots[slot].peer
         mission = peer.mission
-        tracker = getattr(mission, "tracker", None)
-        if peer.state is State.WORKING and tracker is not None and getattr(mission, "leg").units:
+        assert isinstance(mission, FieldWork)
+        tracker = mission.tracker
+        if peer.state is State.WORKING and tracker is not None and mission.leg.units:
             left_m = tracker.total_m - tracker.along_m
             if left_m > 12.0 and cluster.world.body(slot).speed_m_s > 2.0:
                 return
@@ -146,16 +147,16 @@ def test_wait_keeps_it_standing_without_asking_again() -> None:
 @pytest.mark.parametrize("command", [Command.CONTINUE, Command.REPLAN])
 def test_going_round(command: Command) -> None:
     async def story(cluster: Cluster, reports: Reports) -> None:
-        peer = (await_peer := cluster.robots[ROBOT].peer)
+        peer = cluster.robots[ROBOT].peer
         await until_at_work(cluster, ROBOT)
         box = put_box_before(cluster, ROBOT, 7.0)
         await asked(cluster, ROBOT)
         section = peer.claims.current
-        assert section is not None and await_peer.mission is not None
+        assert section is not None
         order(cluster, command, reports[-1][1].number)
         loop = asyncio.get_running_loop()
         if command is Command.REPLAN:  # it comes back to what the box stands on, and asks again
-            while loop.time() < LIMIT_S and len(set(r.number for _, r in reports)) < 2:
+            while loop.time() < LIMIT_S and len({r.number for _, r in reports}) < 2:
                 await asyncio.sleep(0.5)
             assert peer.claims.current == section
             cluster.world.remove_box(box)
@@ -190,7 +191,7 @@ def test_stop_gives_the_work_back_and_stands_until_a_start() -> None:
 def test_being_sent_elsewhere(command: Command) -> None:
     async def story(cluster: Cluster, reports: Reports) -> None:
         peer = cluster.robots[ROBOT].peer
-        goal = (0.0, 0.0) if command is Command.SET_GOAL else cluster.setting.starts[ROBOT]
+        goal = (20.0, -10.0) if command is Command.SET_GOAL else cluster.setting.starts[ROBOT]
         await until_at_work(cluster, ROBOT)
         box = put_box_before(cluster, ROBOT, 7.0)
         await asked(cluster, ROBOT)
@@ -240,8 +241,6 @@ def test_a_latched_robot_takes_no_order() -> None:
         await until_at_work(cluster, ROBOT)
         put_box_before(cluster, ROBOT, 7.0)
         await asked(cluster, ROBOT)
-        from protocol.safety_frames import Reason
-
         cluster.robots[0].shell.operate(lambda p, now: p.press(Reason.PERSON_IN_FIELD, now))
         await asyncio.sleep(0.1)
         section = cluster.robots[ROBOT].peer.claims.current

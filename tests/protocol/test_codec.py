@@ -53,7 +53,7 @@ KINDS: dict[Any, st.SearchStrategy[Any]] = {
     OperatorReport: st.builds(
         OperatorReport,
         u8,
-        st.integers(0, 31),
+        st.integers(0, 15),
         st.sampled_from(Matter),
         u16.map(lambda n: n * PLACE_M + LOWEST_M),
         u16.map(lambda n: n * PLACE_M + LOWEST_M),
