@@ -17,6 +17,7 @@ from protocol.operator_frames import Matter, OperatorReport, goal_check, goal_fr
 from protocol.safety_frames import Command, OperatorCommand, Reason
 from sim.clock import run_virtual
 from sim.cluster import OPERATOR, Cluster
+from sim.expedition import Expedition
 from sim.key_file import fresh, write
 from sim.obstacles import random_temporary_obstacle_generator, schedule
 from sim.scenario import Scenario, load
@@ -271,6 +272,11 @@ def test_with_keys_only_an_operator_is_obeyed(tmp_path: Path) -> None:
         assert matters(reports)[:2] == [Matter.ASKING, Matter.GOING_ROUND]
 
     play(story, load("small").changed(3, 5, tmp_path / "fleet.json"))
+
+
+def test_the_scenario_that_ships_is_finished_without_a_flaw() -> None:
+    outcome = Expedition(Setting(load("bystander"))).run()
+    assert outcome.success and outcome.frames["OperatorReport"] >= 10, outcome
 
 
 @pytest.mark.parametrize("seed", [1, 2])
