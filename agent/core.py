@@ -7,7 +7,6 @@ period does in `agent/working.py`. The order inside a turn is fixed: safety firs
 
 from collections.abc import Mapping, Sequence
 from random import Random
-from typing import NamedTuple
 
 from agent import config
 from agent.cause import Cause
@@ -17,6 +16,7 @@ from agent.election import OPERATOR_GATEWAY, Election, Leader
 from agent.errand import Errand
 from agent.fsm import Machine
 from agent.hearing import Hearing
+from agent.identity import Identity
 from agent.joining import CLAIM_PGN, Joining
 from agent.letters import Letter, Letters
 from agent.lifecycle import TABLE, Event, State
@@ -27,7 +27,8 @@ from agent.pause import Pause
 from agent.ports import Observation
 from agent.records import Records
 from agent.roll_call import MEMBER_PGN, MEMBER_REQUEST, RollCall
-from agent.safety import Safety, SilencePolicy
+from agent.safety import Safety
+from agent.self_check import SelfCheck
 from agent.voice import Voice
 from agent.working import Working
 from crdt import FieldAllocationCRDT, Phase, Progress, VectorClock
@@ -37,7 +38,6 @@ from protocol.fleet_frames import Pose
 from protocol.frame import Frame
 from protocol.identifier import GLOBAL_ADDRESS
 from protocol.messages import Message
-from protocol.name import Name
 from protocol.network_frames import Request
 from protocol.safety_frames import EmergencyStop, Reason
 from protocol.sync import Sync
@@ -45,23 +45,6 @@ from protocol.work_frames import STOPS, StateSyncRequest, TaskClaim
 
 REQUEST_PF = 0xEA
 NOTHING: Sequence[Effect] = ()  # an empty answer promises that `deadline_us` did not move earlier
-
-
-class Identity(NamedTuple):
-    """What a peer is told before it starts."""
-
-    slot: int
-    members: frozenset[int]  # every configured slot, our own included
-    name: Name
-    field_hash: int  # u24; peers of another field description are not of this fleet
-    silence: SilencePolicy = SilencePolicy.STOP
-    started: bool = False  # permission to move is given at boot, not by a separate start
-    first_boot: bool = False  # a new machine: that it remembers nothing is no loss of memory
-
-    @property
-    def component(self) -> str:
-        """Component identification as SAE J1939-71 writes it."""
-        return f"Headland*peer*{self.name.identity:07d}*robot {self.slot}*"
 
 
 class Peer:
@@ -101,7 +84,7 @@ class Peer:
         self.here: Observation | None = None
         self.wish: Wish = STILL
         self.malformed: dict[str, int] = {}
-        self.errand = Errand(self)
+        self.errand, self.check = Errand(self), SelfCheck(self, now_us)
         self.pause = None if motion is None else Pause(self, motion.limits, motion.lookout)
         self._hearing, self._working = Hearing(self), Working(self)
         if self.records.lost:
@@ -165,6 +148,8 @@ class Peer:
                 ]
             if kind is Pose:
                 membership.neighbours[slot] = Neighbour(message, now_us)  # type: ignore[arg-type]
+                if message.heard == self.slot:  # type: ignore[union-attr]
+                    self.check.reflected_us = now_us
                 if message.stopped or self.safety.latched:  # type: ignore[union-attr]
                     return self.safety.beat(slot, message.stopped, now_us)  # type: ignore[union-attr]
                 return NOTHING
@@ -207,7 +192,9 @@ class Peer:
             effects += self.letters.tick(now_us)
             effects += self.roll_call.tick(now_us)
             effects += self._working.start_due(now_us)
+        late_us = now_us - self.voice.next_control_us
         if self.voice.control_due(now_us):
+            effects += self.check.look(late_us, now_us)
             effects += self._working.control(now_us)
         effects += self.voice.speak(self, now_us)
         return effects

@@ -35,7 +35,6 @@ FREE, HELD, LATCHED = (
 CREEP_M_S = 0.5
 UNAUTHENTICATED_HOLD_US = 1 * S  # a stop without a valid tag holds this long after its last frame
 IMPLEMENTS_HOLD_US = 3 * S  # the standard frame comes every second; three are missing
-LATE_HOLD_US = 1 * S  # a robot that was frozen looks around before it moves
 REPEATS_MAX = 400  # 2 s of repetition; then the heartbeats' stopped bit carries the latch
 AGAIN_US = 100 * MS  # 20 repeats: who still beats as if nothing was may know our dot as cleared
 AGAIN_MAX = 3  # further dots for one press; beyond it that member cannot hear us at all
@@ -121,6 +120,9 @@ class Safety:
 
     def echoed(self, dot: StopDot) -> frozenset[int]:
         return frozenset(self._echoes.get(dot, ()))
+
+    def holds(self, cause: Cause) -> bool:
+        return cause in self._causes
 
     def raise_cause(self, cause: Cause, now_us: int, detail: str = "", for_us: int = 0) -> None:
         self._causes[cause] = detail

@@ -119,7 +119,7 @@ SIGNALS: dict[type[Message], tuple[Signal, ...]] = {
         Signal("x_m", 0, 17, LENGTH_M, _LOW, "m"), Signal("y_m", 17, 17, LENGTH_M, _LOW, "m"),
         Signal("course_rad", 34, 9, 2 * pi / COURSES, 0, "rad"),
         Signal("speed_m_s", 43, 8, SPEED_M_S, 0, "m/s"), Signal("state", 51, 3, choices=STATE),
-        Signal("stopped", 54, 1), Signal("tick", 55, 8),
+        Signal("stopped", 54, 1), Signal("heard", 55, 8),
     ),
     Heartbeat: (
         Signal("counter", 0, 8), Signal("state", 8, 3, choices=STATE), Signal("stopped", 11, 1),

@@ -11,9 +11,10 @@ from random import Random
 
 import can
 
-from agent.core import Identity, Peer
+from agent.core import Peer
 from agent.effects import Effect
 from agent.field_work import FieldWork
+from agent.identity import Identity
 from agent.motion import Limits, Motion
 from agent.ports import Journal
 from agent.shell import Shell

@@ -40,7 +40,7 @@ class FaultPlan:
         return now_us
 
     def _carry_out(self, fault: kinds.Fault) -> Callable[[], Coroutine[None, None, None]] | None:
-        self._now_us()
+        now_us = self._now_us()
         cluster, wire = self.cluster, self.cluster.segment.wire
         match fault:
             case kinds.Partition(islands=islands):
@@ -69,7 +69,7 @@ class FaultPlan:
             case kinds.Errors(rate=rate):
                 wire.faults.error = rate
             case kinds.BusOff(robot=robot, for_s=for_s):
-                return lambda: self._bus_off(robot, for_s)
+                wire.bus_off(cluster.node_of(robot), now_us + round(for_s * S))
             case kinds.Estop(robot=robot, reason=reason):
                 cluster.robots[robot].shell.operate(lambda p, now: p.press(Reason[reason], now))
             case kinds.Reset():
@@ -81,14 +81,6 @@ class FaultPlan:
             case kinds.Pushed(robot=robot, dx_m=dx_m, dy_m=dy_m):
                 cluster.world.body(robot).push(dx_m, dy_m)
         return None
-
-    async def _bus_off(self, robot: int, for_s: float) -> None:
-        shell, loop = self.cluster.robots[robot].shell, asyncio.get_running_loop()
-        until_us = round((loop.time() + for_s) * S)
-        self.cluster.segment.wire.bus_off(self.cluster.node_of(robot), until_us)
-        shell.operate(lambda p, now: p.bus_lost(now))
-        await asyncio.sleep(for_s)
-        shell.operate(lambda p, now: p.bus_back(now))
 
     async def _box(self, x_m: float, y_m: float, size_m: float, for_s: float) -> None:
         box = self.cluster.world.add_box(x_m, y_m, size_m)

@@ -93,16 +93,16 @@ def test_there_and_back(kind: Any, data: st.DataObject, source: int) -> None:
     st.booleans(), u8,
 )  # fmt: skip
 def test_pose_is_right_to_its_resolution(
-    x_m: float, y_m: float, course_rad: float, speed_m_s: float, now: int, stopped: bool, tick: int
+    x_m: float, y_m: float, course_rad: float, speed_m_s: float, now: int, stopped: bool, heard: int
 ) -> None:
-    pose = Pose(x_m, y_m, course_rad, speed_m_s, now, stopped, tick)
+    pose = Pose(x_m, y_m, course_rad, speed_m_s, now, stopped, heard)
     source, back = decode(encode(pose, 7))
     assert isinstance(back, Pose) and source == 7
     assert abs(back.x_m - x_m) <= 0.026 and abs(back.y_m - y_m) <= 0.026
     assert abs(back.speed_m_s - speed_m_s) <= 0.026
     turn = (back.course_rad - course_rad + 3.14159) % 6.28318 - 3.14159
     assert abs(turn) <= 0.0063
-    assert back[4:] == (now, stopped, tick)
+    assert back[4:] == (now, stopped, heard)
 
 
 @given(u8, state, st.booleans(), st.integers(0, 250), u16, u24)

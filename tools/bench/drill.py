@@ -12,8 +12,9 @@ from random import Random
 
 import numpy as np
 
-from agent.core import Identity, Peer
+from agent.core import Peer
 from agent.effects import Drive
+from agent.identity import Identity
 from agent.mission import STILL, Choice, FleetView, Wish
 from agent.motion import Limits, Motion
 from agent.ports import Observation
