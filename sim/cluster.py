@@ -15,8 +15,10 @@ from agent.core import Peer
 from agent.effects import Effect
 from agent.field_work import FieldWork
 from agent.identity import Identity
+from agent.lifecycle import State
 from agent.motion import Limits, Motion
 from agent.ports import Journal
+from agent.safety import SilencePolicy
 from agent.shell import Shell
 from protocol.authentication import Signed
 from protocol.bus import CanBus
@@ -24,11 +26,12 @@ from protocol.codec import decode_once, encode
 from protocol.frame import Frame
 from protocol.messages import Message
 from protocol.name import fleet_name
-from protocol.safety_frames import Challenge
+from protocol.safety_frames import Challenge, Reason
 from sim.disk import MemoryJournal
 from sim.fieldbus import FieldBus, forget, segment
 from sim.scenario import Join, Scenario
 from sim.setting import Setting
+from sim.stop_watch import StopWatch, reached
 
 BRAKING_SHARE = 0.7  # of the acceleration is planned with; the rest is for corrections
 OPERATOR = 200  # slot of the operator device that a scenario's resets come from
@@ -88,6 +91,7 @@ class Cluster:
         self.setting, self.channel, self.record = setting, channel, record
         self.scenario: Scenario = setting.scenario
         self.world = setting.world()
+        self.stops = StopWatch(self.world, self.scenario.fleet.robots)
         bus, seed = self.scenario.bus, self.scenario.run.seed
         self.segment = segment(channel, bitrate=bus.bitrate, seed=seed)
         faults = self.segment.wire.faults
@@ -135,6 +139,20 @@ class Cluster:
             robot.task.cancel()
         robot.shell.bus.close()
 
+    def press(self, slot: int, reason: Reason = Reason.PERSON_IN_FIELD) -> None:
+        """A person presses the stop of that robot; from now on it is watched who obeys.
+
+        Where silence stops everybody, everybody must; else those that can hear of it.
+        """
+        members = [r for r in self.running if r.peer.state is not State.DISCONNECTED]
+        if self.setting.silence is not SilencePolicy.STOP:
+            nodes = {robot.bus.node for robot in members}
+            hearers = reached(self.segment.wire, self.node_of(slot), nodes)
+            members = [robot for robot in members if robot.bus.node in hearers]
+        self.world.advance(Shell.now_us())
+        self.stops.pressed(Shell.now_us(), {slot, *(robot.slot for robot in members)})
+        self.robots[slot].shell.operate(lambda p, now: p.press(reason, now))
+
     def node_of(self, slot: int) -> int:
         return self.robots[slot].bus.node
 
@@ -153,6 +171,7 @@ class Cluster:
 
     def order(self, message: Signed) -> None:
         """The same from the operator's device: where the fleet has keys with a tag, and twice."""
+        self.stops.ordered(message)
         if self._keyring is None:
             self.inject(message)
             return

@@ -71,7 +71,7 @@ class FaultPlan:
             case kinds.BusOff(robot=robot, for_s=for_s):
                 wire.bus_off(cluster.node_of(robot), now_us + round(for_s * S))
             case kinds.Estop(robot=robot, reason=reason):
-                cluster.robots[robot].shell.operate(lambda p, now: p.press(Reason[reason], now))
+                cluster.press(robot, Reason[reason])
             case kinds.Reset():
                 return self._reset
             case kinds.Order(robot=robot, order=order, x_m=x_m, y_m=y_m):
@@ -79,6 +79,7 @@ class FaultPlan:
             case kinds.Box(x_m=x_m, y_m=y_m, size_m=size_m, for_s=for_s):
                 return lambda: self._box(x_m, y_m, size_m, for_s)
             case kinds.Pushed(robot=robot, dx_m=dx_m, dy_m=dy_m):
+                cluster.stops.carried(robot)
                 cluster.world.body(robot).push(dx_m, dy_m)
         return None
 

@@ -16,7 +16,6 @@ from protocol.safety_frames import (
     EmergencyStop,
     Freshness,
     OperatorCommand,
-    Reason,
 )  # fmt: skip
 from sim.clock import run_virtual
 from sim.cluster import OPERATOR, Cluster
@@ -44,6 +43,7 @@ def play(keys: Path, story: Story) -> None:
         try:
             await asyncio.sleep(5.0)
             await story(cluster, seen)
+            assert not cluster.stops.violations
         finally:
             await cluster.close()
 
@@ -55,7 +55,7 @@ def states(cluster: Cluster) -> set[State]:
 
 
 def press(cluster: Cluster, slot: int) -> None:
-    cluster.robots[slot].shell.operate(lambda p, now: p.press(Reason.PERSON_IN_FIELD, now))
+    cluster.press(slot)
 
 
 def test_a_scenario_with_keys_is_stopped_reset_and_finished(keys: Path) -> None:

@@ -14,7 +14,7 @@ from agent.lifecycle import State
 from protocol.codec import decode_once
 from protocol.frame import Frame
 from protocol.operator_frames import Matter, OperatorReport, goal_check, goal_frames
-from protocol.safety_frames import Command, OperatorCommand, Reason
+from protocol.safety_frames import Command, OperatorCommand
 from sim.clock import run_virtual
 from sim.cluster import OPERATOR, Cluster
 from sim.expedition import Expedition
@@ -47,7 +47,7 @@ def play(story: Story, scenario: Scenario) -> Cluster:
             cluster.check()
         finally:
             await cluster.close()
-        assert cluster.world.contacts == []
+        assert cluster.world.contacts == [] and not cluster.stops.violations
         return cluster
 
     return run_virtual(main())
@@ -242,7 +242,7 @@ def test_a_latched_robot_takes_no_order() -> None:
         await until_at_work(cluster, ROBOT)
         put_box_before(cluster, ROBOT, 7.0)
         await asked(cluster, ROBOT)
-        cluster.robots[0].shell.operate(lambda p, now: p.press(Reason.PERSON_IN_FIELD, now))
+        cluster.press(0)
         await asyncio.sleep(0.1)
         section = cluster.robots[ROBOT].peer.claims.current
         for command in (Command.CONTINUE, Command.REPLAN, Command.GO_HOME, Command.STOP):
