@@ -282,10 +282,8 @@ class Safety:
     @property
     def deadline_us(self) -> int:
         deadline = self._repeat_us
-        if Cause.MEMBER_SILENT in self._causes:
-            settled_us = self._stable_us + MEMBERSHIP_STABLE_US
-            if not self._silent or self.policy is not SilencePolicy.STOP:
-                deadline = min(deadline, settled_us)
+        if self._settles:
+            deadline = min(deadline, self._stable_us + MEMBERSHIP_STABLE_US)
         for expires_us in self._expires_us.values():
             deadline = min(deadline, expires_us)
         return deadline
@@ -298,17 +296,21 @@ class Safety:
         self._end_silence(now_us)
         return self._repeat(now_us) if now_us >= self._repeat_us else ()
 
+    @property
+    def _settles(self) -> bool:
+        """A stable membership will change something."""
+        if Cause.MEMBER_SILENT in self._causes:
+            return not self._silent or self.policy is not SilencePolicy.STOP
+        return Cause.CREEP in self._causes and not self._silent
+
     def _end_silence(self, now_us: int) -> None:
-        if (
-            Cause.MEMBER_SILENT not in self._causes
-            or now_us < self._stable_us + MEMBERSHIP_STABLE_US
-        ):
-            return
-        if self._silent and self.policy is SilencePolicy.STOP:
+        if not self._settles or now_us < self._stable_us + MEMBERSHIP_STABLE_US:
             return
         self.clear_cause(Cause.MEMBER_SILENT, now_us)
         if self._silent and self.policy is SilencePolicy.SLOW:
             self.raise_cause(Cause.CREEP, now_us, f"silent {sorted(self._silent)}")
+        else:
+            self.clear_cause(Cause.CREEP, now_us)
 
     def _repeat(self, now_us: int) -> Sequence[Effect]:
         """As the source: every 5 ms until every live member has echoed."""

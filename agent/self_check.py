@@ -31,17 +31,15 @@ class SelfCheck:
         self.peer = peer
         self.reflected_us = now_us  # when somebody last said that it hears us
         self._health = Health.ACTIVE
-        self._passive_us = self._refused_us = now_us  # since when, where it is so
-        self._refused = False
+        self._passive_us: int | None = None  # since when, where it is so
+        self._refused_us: int | None = None
 
     def bus(self, health: Health, taken: bool, now_us: int) -> Sequence[Effect]:
         """What the driver says: its state, and whether it took the last frame."""
         was, self._health = self._health, health
-        if taken or not self._refused:
-            self._refused_us = now_us
-        self._refused = not taken
-        if health is not Health.PASSIVE:
-            self._passive_us = now_us
+        self._refused_us = None if taken else _first(self._refused_us, now_us)
+        passive = health is Health.PASSIVE
+        self._passive_us = _first(self._passive_us, now_us) if passive else None
         if health is Health.OFF and was is not Health.OFF:
             return self.peer.bus_lost(now_us)
         if was is Health.OFF and health is not Health.OFF:
@@ -51,7 +49,7 @@ class SelfCheck:
     def look(self, late_us: int, now_us: int) -> list[Effect]:
         """Once a control period, which comes `late_us` after its time."""
         effects: list[Effect] = []
-        passive = now_us - self._passive_us >= PASSIVE_US
+        passive = self._passive_us is not None and now_us - self._passive_us >= PASSIVE_US
         effects += self._set(Cause.ERROR_PASSIVE, passive, "", now_us)
         effects += self._set(Cause.UNHEARD, bool(why := self._unheard(now_us)), why, now_us)
         if late_us > ACTUATOR_TTL_US:
@@ -66,7 +64,7 @@ class SelfCheck:
         if not peer.joining.joined:
             self.reflected_us = now_us  # nothing is said yet
             return ""
-        if now_us - self._refused_us >= peer.beat.silence_us:
+        if self._refused_us is not None and now_us - self._refused_us >= peer.beat.silence_us:
             return "the bus takes no frame"
         others = len(peer.membership.live) - 1
         if not others:
@@ -84,3 +82,7 @@ class SelfCheck:
             return [HALT, Trace("safety", "", cause.name, "PROTECTIVE", why)]
         safety.clear_cause(cause, now_us)
         return [Trace("safety", "PROTECTIVE", cause.name, "", "gone")]
+
+
+def _first(since_us: int | None, now_us: int) -> int:
+    return now_us if since_us is None else since_us
