@@ -13,7 +13,7 @@ from agent.cause import Cause
 from agent.claims import Claims
 from agent.effects import HALT, Effect, Persist, Send, Trace
 from agent.election import OPERATOR_GATEWAY, Election, Leader
-from agent.errand import Errand
+from agent.directive import Directive
 from agent.fsm import Machine
 from agent.hearing import Hearing
 from agent.identity import Identity
@@ -84,7 +84,7 @@ class Peer:
         self.here: Observation | None = None
         self.wish: Wish = STILL
         self.malformed: dict[str, int] = {}
-        self.errand, self.check = Errand(self), SelfCheck(self, now_us)
+        self.directive, self.check = Directive(self), SelfCheck(self, now_us)
         self.pause = None if motion is None else Pause(self, motion.limits, motion.lookout)
         self._hearing, self._working = Hearing(self), Working(self)
         if self.records.lost:
@@ -158,8 +158,8 @@ class Peer:
     def observe(self, observation: Observation, now_us: int) -> None:
         """What our own sensors say; used at the next control period."""
         self.here = observation
-        if self.errand.home is None:
-            self.errand.home = observation.x_m, observation.y_m
+        if self.directive.home is None:
+            self.directive.home = observation.x_m, observation.y_m
 
     def wants_observation(self, now_us: int) -> bool:
         """A control period is due: sense before the tick."""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from agent.cause import Cause
 from agent.config import S
 from agent.effects import HALT, Effect, Trace
-from agent.errand import DIRECTED
+from agent.directive import DIRECTED
 from agent.membership import Neighbour
 from protocol.codec import Malformed
 from protocol.fleet_frames import Heartbeat, LeaderElectionVote, Member, Pose, VectorSlice
@@ -107,13 +107,13 @@ class Hearing:
             case Command.MANUAL_RESET:
                 return peer.manual_reset(now_us)
             case Command.START:
-                return [*peer.start(now_us), *peer.errand.over("an operator's start")]
+                return [*peer.start(now_us), *peer.directive.over("an operator's start")]
             case Command.HOLD:
                 return peer.safety.hold(now_us)
             case Command.WAIVE if peer.membership.waive(m.argument, now_us):
                 return peer.membership_changed(now_us)
         if m.command in DIRECTED:
-            return peer.errand.order(m, now_us)
+            return peer.directive.order(m, now_us)
         return ()
 
     def _goal(
@@ -122,7 +122,7 @@ class Hearing:
         """A coordinate for SET_GOAL, believed as an order is."""
         refusal = self.peer.safety.accept_order(m, now_us)
         if refusal is None and m.target == self.peer.slot:
-            self.peer.errand.name(m, now_us)
+            self.peer.directive.name(m, now_us)
         return refusal or ()
 
     def _challenge(

@@ -20,7 +20,7 @@ class Working:
         peer = self.peer
         if peer.lifecycle.state is not State.IDLE or not peer.safety.may_move:
             return ()
-        if peer.errand.goal is not None:
+        if peer.directive.goal is not None:
             return ()
         if peer.claims.current is not None:  # kept through a stop and its reset
             return peer.fire(Event.CLAIMED, f"resumes S{peer.claims.current}")
@@ -59,8 +59,8 @@ class Working:
         state, claims = peer.lifecycle.state, peer.claims
         if state not in (State.IDLE, State.WORKING) or not peer.safety.may_move:
             return STILL
-        if peer.errand.goal is not None:
-            return peer.errand.wish(view, effects)
+        if peer.directive.goal is not None:
+            return peer.directive.wish(view, effects)
         if (
             claims.room
             and (claims.current is None or peer.wish.near_end)

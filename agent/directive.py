@@ -32,7 +32,7 @@ THERE_M = 0.5  # from the goal: arrived
 GOAL_LIFE_US = 2 * S  # coordinates wait so long for the order that means them
 
 
-class Errand:
+class Directive:
     def __init__(self, peer: "Peer") -> None:
         self.peer = peer
         self.home: Point | None = None  # where it stood when it was switched on
@@ -70,7 +70,7 @@ class Errand:
             *self.over("an operator's STOP"),
             *self._pass("an operator's STOP", now_us),
             self._report(Matter.STOPPED, here),
-            Trace("errand", "", "STOP", "HELD"),
+            Trace("directive", "", "STOP", "HELD"),
         ]
 
     def _send(self, command: Command, goal: Point | None, now_us: int) -> Sequence[Effect]:
@@ -83,7 +83,7 @@ class Errand:
             *given_back,
             *self._pass(f"an operator's {command.name}", now_us),
             self._report(Matter.UNDER_WAY, goal),
-            Trace("errand", "", command.name, "UNDER_WAY", f"{goal[0]:.1f}, {goal[1]:.1f}"),
+            Trace("directive", "", command.name, "UNDER_WAY", f"{goal[0]:.1f}, {goal[1]:.1f}"),
         ]
 
     def _pass(self, why: str, now_us: int) -> list[Effect]:
@@ -104,7 +104,7 @@ class Errand:
         if self.goal is None:
             return []
         was, self.goal = self.goal, None
-        return [self._report(Matter.WORKING, was), Trace("errand", "", "OVER", "", why)]
+        return [self._report(Matter.WORKING, was), Trace("directive", "", "OVER", "", why)]
 
     def wish(self, view: FleetView, effects: list[Effect]) -> Wish:
         assert self.goal is not None and self.peer.mission is not None
@@ -114,7 +114,7 @@ class Errand:
                 self.arrived = True
                 effects += [
                     self._report(Matter.ARRIVED, self.goal),
-                    Trace("errand", "UNDER_WAY", "THERE", "ARRIVED"),
+                    Trace("directive", "UNDER_WAY", "THERE", "ARRIVED"),
                 ]
             return STILL
         return self.peer.mission.travel(self.goal, view)
