@@ -286,7 +286,8 @@ class FieldWork:
                 break
             self.tracker = None
         vx_m_s, vy_m_s = self.tracker.velocity(here.x_m, here.y_m)
-        on_line = abs(self.tracker.off_m) <= 1.0
+        # Not sooner: before the leg's beginning it may be another robot's section.
+        on_line = self.tracker.gap_m <= LEAD_M
         return Wish(vx_m_s, vy_m_s, 0.0, bool(self.leg.units) and on_line), covered
 
     def _passed(self, view: FleetView) -> list[int]:

@@ -20,6 +20,7 @@ from agent.tractor_tracker import Limits, TractorTracker, distance_m, heading_of
 from agent.turn_route import Piece, Pose, TurnRoute, sampled
 
 BEND_HALF_M = 0.6  # to both sides of a bend, over which it is rounded
+BESIDE_M = 0.5  # further from the leg the implement is up: it may be another robot's section
 JOIN_M_S = 1.5  # from a turn into a stretch
 LEAVE_M_S = 0.8  # from a stretch into a turn that is not known yet
 ROOM_M = 1.5  # with as much as this beyond its end
@@ -121,7 +122,7 @@ class TractorWork(FieldWork):
                 break
             self.joined = not self.leg.units
             self.follow = self.tracker = None
-        tool = bool(self.leg.units) and abs(self.follow.off_m) <= 0.5
+        tool = bool(self.leg.units) and self.follow.gap_m <= BESIDE_M
         return _wish(here, self.follow.command(), tool), covered
 
     def _next(self, view: FleetView, here: Pose, only_approach: bool) -> bool:
