@@ -56,6 +56,12 @@ class Drill:
         return Wish(SPEED_M_S, 0.0, 0.0, True, covered, finished=finished, near_end=near)
 
     def abandon(self) -> None: ...
+    def admits(self, goal: tuple[float, float]) -> bool:
+        return False
+
+    def travel(self, goal: tuple[float, float], view: FleetView) -> Wish:
+        return STILL
+
     def interrupted(self) -> None: ...
 
     def rest(self, view: FleetView) -> Wish:

@@ -44,8 +44,11 @@ class CommandChecker:
         self._watches[self._pressed] = Watch(frozenset(slots), t_us + bound_us)
         return self._pressed
 
-    def release(self, number: int) -> None:
-        del self._watches[number]
+    def release(self, number: int, slots: Collection[int] | None = None) -> None:
+        """A person released some robots, or all, from that stop."""
+        watch = self._watches.pop(number)
+        if slots is not None and watch.slots - frozenset(slots):
+            self._watches[number] = watch._replace(slots=watch.slots - frozenset(slots))
 
     def moved(self, slot: int, until_us: int) -> None:
         """A command to move was in force until then."""
@@ -175,6 +178,12 @@ class Steady:
     def interrupted(self) -> None:
         self._lifted = True
 
+    def admits(self, goal: tuple[float, float]) -> bool:
+        return False
+
+    def travel(self, goal: tuple[float, float], view: FleetView) -> Wish:
+        return STILL
+
     def rest(self, view: FleetView) -> Wish:
         return STILL
 
@@ -214,6 +223,7 @@ class Straight(Motion):
 
     def __init__(self, slot: int) -> None:
         self.slot, self.limits = slot, Limits(0.5, SPEED_M_S, 1.0)
+        self.lookout = None
 
     def drive(
         self, here: Observation, wish: Wish, neighbours: Mapping[int, object], now_us: int

@@ -11,14 +11,15 @@ from typing import Any
 from agent.config import MS, S, beat_of
 from agent.field_work import LEAD_M
 from sim import scenario as kinds
-from sim.checkers import ExclusiveWorkChecker, MotionAfterStopChecker
+from sim.checkers import ExclusiveWorkChecker
 from sim.cluster import Cluster
 from sim.disk import Disk, LogJournal
 from sim.drill_run import DrillRun
 from sim.expedition import Expedition
 from sim.outcome import Outcome
-from sim.parade import CommandChecker, Parade
+from sim.parade import Parade
 from sim.scenario import Fault, Scenario
+from sim.stop_watch import motions
 from sim.swarm import Swarm
 from sim.tape import STANDS, lost
 from sim.trouble import is_link_trouble, setting_of, span_of
@@ -33,8 +34,6 @@ EXCUSED_US = 3 * S  # who is pushed, or has a box dropped before it, may touch s
 ON_LINE_M = 0.2  # closer than this to a line is on it; who comes to another line passes further off
 TOUCH_M = 0.02  # deeper than this is a contact; bodies of robots are measured to a centimetre
 
-Motions = MotionAfterStopChecker | CommandChecker
-
 
 class Play:
     def __init__(self, scenario: Scenario) -> None:
@@ -43,7 +42,6 @@ class Play:
         self.witness = Witness(scenario.fleet.robots)
         self.broken: list[Broken] = []
         self.outcome: Outcome | None = None
-        self._presses: list[int] = []
         self._silences: dict[int, list[int]] = {}  # dead robot -> watches of those who must stand
         self._trouble_us = 0  # the newest trouble of a link or of a member
         self._excused: list[tuple[int, int]] = []  # robot and when: pushed, or a box before it
@@ -72,7 +70,8 @@ class Play:
         self.cluster = cluster
         for slot in range(self.scenario.fleet.robots):
             cluster.journals[slot] = LogJournal(Disk())
-        self.motion, self.silence = _motions(cluster), _motions(cluster)
+        self.silence = motions(cluster.world)
+        cluster.on_power = self._power
         order = cluster.order
 
         def ordered(message: Any) -> None:
@@ -98,15 +97,6 @@ class Play:
         match fault:
             case kinds.Estop(robot=robot):
                 self._at(at_us, partial(self._pressed, robot))
-            case kinds.Reset():
-                self._at(at_us, self._released)
-            case kinds.Crash(robot=robot):
-                self._at(at_us, partial(self._dies, robot))
-            case kinds.Restart(robot=robot, disk=disk):
-                self._at(at_us, partial(self._comes, robot))
-                self._at(at_us + 1, partial(self._back, robot, disk))
-            case kinds.Join(robot=robot):
-                self._at(at_us, partial(self._comes, robot))
             case kinds.Pushed(robot=robot):
                 self._at(at_us, partial(self._excuse, (robot,)))
             case kinds.Box():
@@ -129,24 +119,12 @@ class Play:
         self._excused += [(slot, now_us) for slot in slots]
 
     def _pressed(self, slot: int) -> None:
-        cluster = self.cluster
-        if not cluster.is_up(slot) or cluster.robots[slot].shell.frozen:
-            return
-        now_us = self._now_us()
-        self.witness.words.pressed(slot, now_us)
-        if self.scenario.fleet.silence == "stop":
-            slots = [robot.slot for robot in cluster.running]
-            self._presses.append(self.motion.press(now_us, self._bound_us, slots))
+        if self.cluster.is_up(slot):
+            self.witness.words.pressed(slot, self._now_us())
 
     @property
     def _bound_us(self) -> int:
         return beat_of(self.scenario.fleet.robots).silence_us + SLACK_US
-
-    def _released(self) -> None:
-        self._now_us()
-        for number in self._presses:
-            self.motion.release(number)
-        self._presses.clear()
 
     def _dies(self, slot: int) -> None:
         """S6: where everybody heard everybody, all others must stand until it is back."""
@@ -163,20 +141,22 @@ class Play:
         for number in self._silences.pop(slot, []):
             self.silence.release(number)
 
-    def _comes(self, slot: int) -> None:
-        """Before a robot is switched on: those that boot have never heard the dead ones."""
-        self._now_us()
-        for dead in list(self._silences):
+    def _power(self, slot: int, on: bool) -> None:
+        """A robot is about to be switched on or to die."""
+        if not on:
+            self._dies(slot)
+            return
+        now_us = self._now_us()
+        for dead in list(self._silences):  # who boots has never heard the dead ones
             self._heard_of(dead)
-        self._trouble_us = self.cluster.host.now_us()
-
-    def _back(self, slot: int, disk: str) -> None:
-        if disk == "lost":
+        self._trouble_us = now_us
+        recalled = self.cluster.journals[slot].load()
+        if not recalled:
             self.witness.forget(slot)
             return
-        missing = lost(self.witness.told[slot], self.cluster.journals[slot].load())
+        missing = lost(self.witness.told[slot], recalled)
         if missing and not (missing == STANDS and slot in self.witness.released):
-            self._add("S13", self.cluster.host.now_us() / 1e6, f"robot {slot} forgets {missing}")
+            self._add("S13", now_us / 1e6, f"robot {slot} forgets {missing}")
 
     def _all_released(self) -> None:
         now_us, speakers = self.cluster.host.now_us(), self.witness.words.speakers
@@ -196,7 +176,7 @@ class Play:
 
     def _judge(self, outcome: Outcome) -> None:
         world, end_s = self.cluster.world, outcome.simulated_s
-        for rule, checker in (("S1", self.motion), ("S6", self.silence)):
+        for rule, checker in (("S1", self.cluster.stops), ("S6", self.silence)):
             for violation in checker.violations[:1]:
                 self._add(rule, violation.t_us / 1e6, f"robots {violation.slots}: {violation.what}")
         self._contacts()
@@ -235,8 +215,3 @@ class Play:
 
     def _add(self, rule: str, t_s: float, what: str) -> None:
         self.broken.append(Broken(rule, t_s, what))
-
-
-def _motions(cluster: Cluster) -> Motions:
-    world = cluster.world
-    return world.checker() if isinstance(world, Parade) else MotionAfterStopChecker(world)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from shapely.geometry import Point
+from shapely.geometry import Point, Polygon
 
 from agent.field import XY, Field, rasterise, start_poses
 from agent.field_work import FieldWork
@@ -168,6 +168,10 @@ class Setting:
             cell_m *= 2
         return cell_m
 
+    def floor_space(self, radius_m: float) -> Polygon:
+        """Where the middle of a body can be."""
+        return self.field.polygon.buffer(-radius_m)
+
     @property
     def config_hash(self) -> int:
         return self.field.config_hash
@@ -187,13 +191,14 @@ class Setting:
         fleet = self.scenario.fleet
         limits = BodyLimits(fleet.radius_m, fleet.speed_m_s, fleet.acceleration_m_s2)
         if self.turn_radius_m:
-            return TractorMotion(slot, limits, self.turns, self.steering)
+            return TractorMotion(slot, limits, self.turns, self.steering, self.fences)
         return Motion(slot, limits, self.fences)
 
     def world(self) -> World:
         """A fresh world with every robot at its place near the gate."""
         fleet = self.scenario.fleet
-        world = World([self.field.exterior, *self.field.holes], self.scenario.run.seed, Lidar())
+        rings = [self.field.exterior, *self.field.holes]
+        world = World(rings, self.scenario.run.seed, Lidar(fleet.rays))
         chassis = self.chassis
         for slot, at in enumerate(self.starts):
             world.add_robot(slot, at, fleet.radius_m, chassis)

@@ -1,9 +1,9 @@
-"""Rules about what robots say, judged from their words and from what people did, never from their inside.
+"""Rules about what robots say, judged from their words and from what people did.
 
-S2 and S3: who has held a stop does not say that it is released before an operator has cleared that very
-stop. S4: after a reset nobody works before a start. S8: a press makes a stop of a new name. S9: what a robot
-has said of a register, of progress, of its operations it never takes back, over restarts too; so a released
-claim does not return (S11). S16: one vote a term, one leader a term.
+S2 and S3: who has held a stop does not say that it is released before an operator has cleared that
+very stop. S4: after a reset nobody works before a start. S8: a press makes a stop of a new name. S9:
+what a robot has said of a register, of progress, of its operations it never takes back, over restarts
+too; so a released claim does not return (S11). S16: one vote a term, one leader a term.
 """
 
 from collections import Counter, defaultdict

@@ -6,7 +6,8 @@ from random import Random
 
 import numpy as np
 
-from agent.core import Identity, Peer
+from agent.core import Peer
+from agent.identity import Identity
 from agent.motion import Limits, Motion
 from agent.shell import Shell
 from protocol.bus import CanBus
