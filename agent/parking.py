@@ -1,10 +1,11 @@
-"""Where a robot without work stands: beside what is still to be worked, so that nobody has to go round it.
+"""Where a robot without work stands: beside what is still to be worked, in nobody's way.
 
 Running away from whoever comes near ends in a corner, and a robot in a corner blocks the row that
 leads into it for good. So it leaves in time, for the nearest place with room on every side: the middle
 of a unit that is done and lies next to no open one.
 """
 
+import itertools
 from collections.abc import Iterable, Sequence
 from functools import cached_property
 from math import hypot
@@ -94,9 +95,9 @@ class Parking:
 
 def _middle(line: Polyline) -> Point:
     """Of the line's way, not of its ends: a unit may go round a corner."""
-    lengths_m = [hypot(b[0] - a[0], b[1] - a[1]) for a, b in zip(line, line[1:], strict=False)]
+    lengths_m = [hypot(b[0] - a[0], b[1] - a[1]) for a, b in itertools.pairwise(line)]
     left_m = sum(lengths_m) / 2
-    for (ax, ay), (bx, by), length_m in zip(line, line[1:], lengths_m, strict=False):
+    for ((ax, ay), (bx, by)), length_m in zip(itertools.pairwise(line), lengths_m, strict=True):
         if left_m <= length_m > 0.0:
             share = left_m / length_m
             return ax + share * (bx - ax), ay + share * (by - ay)
@@ -108,7 +109,7 @@ def _samples(lines: Iterable[Sequence[Point]]) -> NDArray[np.float64]:
     """Points on the lines, (n, 2), every metre at least."""
     found: list[Point] = []
     for line in lines:
-        for (ax, ay), (bx, by) in zip(line, line[1:], strict=False):
+        for (ax, ay), (bx, by) in itertools.pairwise(line):
             count = int(hypot(bx - ax, by - ay) / SAMPLE_M) + 1
             found += [
                 (ax + k / count * (bx - ax), ay + k / count * (by - ay)) for k in range(count)

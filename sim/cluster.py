@@ -25,7 +25,6 @@ from protocol.messages import Message
 from protocol.name import fleet_name
 from protocol.safety_frames import Challenge, Reason
 from sim.disk import MemoryJournal
-from sim.drill_setting import DrillSetting
 from sim.errand_setting import ErrandSetting
 from sim.fieldbus import FieldBus, forget, segment
 from sim.host import Handle, Host, LoopHost
@@ -36,7 +35,7 @@ from sim.swarm import Swarm
 
 OPERATOR = 200  # slot of the operator device that a scenario's resets come from
 TOOL_ADDRESS = 249  # where scripted operator frames come from
-AnySetting = Setting | ErrandSetting | DrillSetting
+AnySetting = Setting | ErrandSetting
 Record = Callable[[int, int, Effect], None]  # slot, time in microseconds, effect
 
 

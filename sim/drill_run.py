@@ -11,7 +11,7 @@ from sim.trace import Recorder
 
 
 class DrillRun(Expedition):
-    setting: DrillSetting  # type: ignore[assignment]
+    setting: DrillSetting
 
     def _measure(self, cluster: Cluster, recorder: Recorder, wall_s: float) -> Outcome:
         scenario, parade, wire = self.setting.scenario, self.setting.parade, cluster.segment.wire
@@ -21,7 +21,8 @@ class DrillRun(Expedition):
             silence_policy=scenario.fleet.silence, authenticated=False,
             finished=cluster.finished, coverage=parade.share, makespan_s=now_s, worked_twice=0.0,
             units_twice=sum(r.peer.voice.redone for r in cluster.robots.values()),
-            contacts=0, moved_after_stop=len(cluster.stops.violations), closest_m=inf, replicas_equal=cluster.replicas_equal,
+            contacts=0, moved_after_stop=len(cluster.stops.violations), closest_m=inf,
+            replicas_equal=cluster.replicas_equal,
             frames=dict(self.kinds.most_common()),
             bus_load=wire.busy_us / (now_s * 1e6), bus_load_worst_case=wire.worst_us / (now_s * 1e6),
             claims_lost=recorder.lost, malformed=self.malformed, refused=0,

@@ -4,17 +4,17 @@ from functools import cached_property
 from pathlib import Path
 
 from agent.safety import SilencePolicy
-from protocol.authentication import Keyring
 from sim.parade import SECTIONS_A_ROBOT, Parade, Steady, Straight
 from sim.scenario import FieldTable, FleetTable, RunTable, Scenario
+from sim.setting import Setting
 
 CONFIG_HASH = 1  # all peers have the same field: none
 
 
-class DrillSetting:
+class DrillSetting(Setting):
     def __init__(self, scenario: Scenario) -> None:
         assert scenario.mission == "drill"
-        self.scenario = scenario
+        self.scenario, self.keys = scenario, None
         self.silence = SilencePolicy[scenario.fleet.silence.upper()]
 
     @cached_property
@@ -32,14 +32,11 @@ class DrillSetting:
     def section_count(self) -> int:
         return SECTIONS_A_ROBOT * self.scenario.fleet.robots
 
-    def mission(self, slot: int) -> Steady:
+    def mission(self, slot: int) -> Steady:  # type: ignore[override]
         return Steady(self.parade, slot)
 
     def motion(self, slot: int) -> Straight:
         return Straight(slot)
-
-    def keyring(self, sender: int, lot: str = "") -> Keyring | None:
-        return None
 
 
 def drill(robots: int, seed: int) -> Scenario:

@@ -11,9 +11,9 @@ from protocol.network_frames import AddressClaimed
 from protocol.operator_frames import goal_check, goal_frames
 from protocol.safety_frames import Command, EmergencyReset, OperatorCommand, Reason
 from sim import scenario as kinds
-from sim.body import RobotBody
 from sim.cluster import OPERATOR, Cluster
 from sim.disk import Disk, LogJournal
+from sim.drill_setting import DrillSetting
 from sim.fieldbus import FieldBus
 from sim.host import Script, follow
 from sim.setting import Setting
@@ -142,9 +142,8 @@ class FaultPlan:
     def _push(self, robot: int, dx_m: float, dy_m: float) -> None:
         """As far as there is room: people do not push machines through fences or into each other."""
         body, bodies = self.cluster.world.body(robot), self.cluster.world.robots.values()
-        if isinstance(body, RobotBody):
-            setting = self.cluster.setting
-            assert isinstance(setting, Setting)
+        setting = self.cluster.setting
+        if isinstance(setting, Setting) and not isinstance(setting, DrillSetting):
             inside = setting.floor_space(body.radius_m)
             others = [other for other in bodies if other is not body]
             for share in (1.0, 0.5, 0.25):

@@ -15,9 +15,12 @@ from agent.mission import STILL, Choice, FleetView, Wish
 from agent.motion import Limits, Motion
 from agent.ports import Observation
 from crdt import Phase
+from sim.body import RobotBody
 from sim.checkers import VIOLATIONS_MAX, Violation
 from sim.drill import SPACING_M, SPEED_M_S
 from sim.truth import Contact
+from sim.vehicle import Chassis
+from sim.world import World
 
 UNIT_US = 1 * S  # a unit takes this long
 UNITS = 20  # of a section: claims are made three times as often as in a field of short rows
@@ -61,13 +64,14 @@ class CommandChecker:
                 return
 
 
-class Stand:
+class Stand(RobotBody):
     """The body of one robot."""
 
     def __init__(self, parade: "Parade", slot: int) -> None:
-        self.parade, self.slot = parade, slot
+        super().__init__(parade, slot, slot, 0.5, Chassis())
+        self.parade = parade
         self.x_m, self.y_m = SPACING_M * (slot % 12), SPACING_M * (slot // 12)
-        self.tool_on = False
+        self._tool_on = False
         self._moving_us = -ACTUATOR_TTL_US  # the newest command to move
         self._moving = False
 
@@ -82,34 +86,46 @@ class Stand:
         self._moving = command.vx_m_s != 0.0 or command.vy_m_s != 0.0 or command.turn_rad_s != 0.0
         if self._moving:
             self._moving_us = now_us
-        self.tool_on = command.tool_on
+        self._tool_on = command.tool_on
+
+    @property
+    def tool_on(self) -> bool:
+        return self._tool_on
+
+    @property
+    def position(self) -> tuple[float, float]:
+        return self.x_m, self.y_m
 
     def push(self, dx_m: float, dy_m: float) -> None:
         """Fault: somebody moves the robot."""
         self.x_m, self.y_m = self.x_m + dx_m, self.y_m + dy_m
 
 
-class Parade:
-    """Every body, what was worked, and who worked where and when."""
+class Parade(World):
+    """Every body, what was worked, and who worked where and when. Nothing of a world is computed."""
 
     def __init__(self, robots: int, sections: int) -> None:
-        self.now_us = 0
+        self.now_us, self.lidar = 0, None
         self._checkers: list[CommandChecker] = []
-        self.robots = {slot: Stand(self, slot) for slot in range(robots)}
+        self.stands = {slot: Stand(self, slot) for slot in range(robots)}
+        self.robots = dict[int, RobotBody](self.stands)
         self.units = dict.fromkeys(range(sections), UNITS)
         self.worked: set[tuple[int, int]] = set()
         self.together: list[Violation] = []  # S7
         self.contacts: list[Contact] = []
-        self.closest_m = inf
         self._at_work: dict[int, tuple[int, int]] = {}  # section -> robot and when it last worked
 
-    def body(self, slot: int) -> Stand:
-        return self.robots[slot]
+    @property
+    def closest_m(self) -> float:
+        return inf
 
     def advance(self, now_us: int) -> None:
         self.now_us = max(self.now_us, now_us)
 
-    def add_box(self, x_m: float, y_m: float, side_m: float) -> int:
+    def add_box(
+        self, x_m: float, y_m: float, side_m: float, depth_m: float | None = None,
+        heading_rad: float = 0.0,
+    ) -> int:  # fmt: skip
         """Nobody meets anything here."""
         return 0
 
@@ -144,7 +160,7 @@ class Steady:
     def __init__(self, parade: Parade, slot: int) -> None:
         self.parade, self.slot = parade, slot
         sections = len(parade.units)
-        first = slot * sections // len(parade.robots)
+        first = slot * sections // len(parade.stands)
         self._order = [(first + k) % sections for k in range(sections)]
         self._section: int | None = None
         self._worked: set[int] = set()  # of this section, since it was begun
@@ -192,7 +208,7 @@ class Steady:
             self.begin(view.allocation.assigned_sections(view.slot)[0], view)
         section, now_us = self._section, view.now_us
         assert section is not None
-        down = self.parade.robots[self.slot].tool_on  # what the body did in the period that ends
+        down = self.parade.stands[self.slot].tool_on  # what the body did in the period that ends
         if self._lifted:
             self._lifted, self._unit_us = False, now_us + UNIT_US
         elif down:

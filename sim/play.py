@@ -48,7 +48,7 @@ class Play:
 
     def run(self) -> "Play":
         kind = DrillRun if self.scenario.mission == "drill" else Expedition
-        run = kind(self.setting, attach=self._attach)  # type: ignore[arg-type]
+        run = kind(self.setting, attach=self._attach)
         run.recorder = self.witness
         try:
             self.outcome = run.run()
@@ -207,7 +207,7 @@ class Play:
                 return
 
     def _exclusive(self, world: World) -> list[Any]:
-        field = self.setting.field  # type: ignore[union-attr]
+        field = self.setting.field
         sections = {number: list(section.swaths) for number, section in enumerate(field.sections)}
         tracks = {slot: body.track for slot, body in world.robots.items()}
         checker = ExclusiveWorkChecker(sections, ON_LINE_M, least_m=LEAD_M + 0.5)

@@ -18,7 +18,7 @@ EVERYBODY = 255
 REACTION_US = 20 * MS  # a tick and a frame's jitter on top of the silence that stops in the end
 
 
-def motions(world: World | Parade) -> MotionAfterStopChecker | CommandChecker:
+def motions(world: World) -> MotionAfterStopChecker | CommandChecker:
     """A checker of who moves, that sees all of it from now on."""
     return world.checker() if isinstance(world, Parade) else MotionAfterStopChecker(world)
 
@@ -30,7 +30,7 @@ class Stage(IntEnum):
 
 
 class StopWatch:
-    def __init__(self, world: World | Parade, robots: int) -> None:
+    def __init__(self, world: World, robots: int) -> None:
         self.checker = motions(world)
         self.bound_us = beat_of(robots).silence_us + REACTION_US
         self._stages: dict[int, dict[int, Stage]] = {}  # press -> slot -> what was done since

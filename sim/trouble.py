@@ -225,7 +225,7 @@ def span_of(scenario: Scenario) -> Span:
     return SPANS[scenario.mission]
 
 
-def setting_of(scenario: Scenario) -> Setting | DrillSetting:
+def setting_of(scenario: Scenario) -> Setting:
     return DrillSetting(scenario) if scenario.mission == "drill" else Setting(scenario)
 
 
