@@ -15,7 +15,7 @@ from sim.checkers import ExclusiveWorkChecker
 from sim.cluster import Cluster
 from sim.disk import Disk, LogJournal
 from sim.drill_run import DrillRun
-from sim.expedition import Expedition
+from sim.expedition import Expedition, Moment
 from sim.outcome import Outcome
 from sim.parade import Parade
 from sim.scenario import Fault, Scenario
@@ -35,8 +35,14 @@ ON_LINE_M = 0.2  # closer than this to a line is on it; who comes to another lin
 TOUCH_M = 0.02  # deeper than this is a contact; bodies of robots are measured to a centimetre
 
 
+class Enough(Exception):
+    """Something was found, and no more is asked for."""
+
+
 class Play:
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, scenario: Scenario, first_only: bool = False) -> None:
+        """`first_only`: the run ends within a second of the first rule that is broken."""
+        self.first_only = first_only
         self.scenario, self.span = scenario, span_of(scenario)
         self.setting = setting_of(scenario)
         self.witness = Witness(scenario.fleet.robots)
@@ -50,8 +56,12 @@ class Play:
         kind = DrillRun if self.scenario.mission == "drill" else Expedition
         run = kind(self.setting, attach=self._attach)
         run.recorder = self.witness
+        if self.first_only:
+            run.told = self._enough
         try:
             self.outcome = run.run()
+        except Enough:
+            self._moved()
         except Exception as problem:  # an assertion of a robot, or of the simulation: both count
             text = f"{type(problem).__name__}: {problem}"
             self.broken.append(Broken("S15", self.cluster.host.now_us() / 1e6, text))
@@ -60,6 +70,11 @@ class Play:
         self.broken += self.witness.broken
         self.broken.sort(key=lambda broken: broken.t_s)
         return self
+
+    def _enough(self, moment: Moment) -> None:
+        moved = self.cluster.stops.violations or self.silence.violations
+        if self.broken or self.witness.broken or moved:
+            raise Enough
 
     @property
     def faults(self) -> Counter[str]:
@@ -176,9 +191,7 @@ class Play:
 
     def _judge(self, outcome: Outcome) -> None:
         world, end_s = self.cluster.world, outcome.simulated_s
-        for rule, checker in (("S1", self.cluster.stops), ("S6", self.silence)):
-            for violation in checker.violations[:1]:
-                self._add(rule, violation.t_us / 1e6, f"robots {violation.slots}: {violation.what}")
+        self._moved()
         self._contacts()
         if self.scenario.fleet.silence == "stop":
             if isinstance(world, Parade):
@@ -192,6 +205,11 @@ class Play:
         if not outcome.finished or outcome.coverage < 0.9999:
             what = f"finished: {outcome.finished}, coverage {outcome.coverage:.2%}"
             self._add("L5", end_s, what)
+
+    def _moved(self) -> None:
+        for rule, checker in (("S1", self.cluster.stops), ("S6", self.silence)):
+            for violation in checker.violations[:1]:
+                self._add(rule, violation.t_us / 1e6, f"robots {violation.slots}: {violation.what}")
 
     def _contacts(self) -> None:
         for contact in self.cluster.world.contacts:

@@ -141,7 +141,8 @@ class Reset(_Fault):
 class Order(_Fault):
     kind: Literal["order"]  # an operator's word to one robot
     robot: Slot
-    order: Literal["wait", "continue", "replan", "stop", "go_home", "set_goal", "start", "hold"]
+    order: Literal["wait", "continue", "replan", "stop", "go_home", "set_goal", "start", "hold",
+                   "manual_reset"]  # fmt: skip
     x_m: float = 0.0  # of set_goal
     y_m: float = 0.0
 

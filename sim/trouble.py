@@ -127,6 +127,13 @@ def _push(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
     return [kinds.Pushed(at_s=at_s, kind="pushed", robot=robot, dx_m=dx_m, dy_m=dy_m)]
 
 
+def _haste(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
+    """A person resets or starts one machine, whatever still holds it: it must refuse."""
+    table = {"at_s": at_s, "kind": "order", "robot": rng.randrange(robots)}
+    order = rng.choice(("manual_reset", "manual_reset", "start"))
+    return [kinds.Order.model_validate(table | {"order": order})]
+
+
 def _press(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
     return [kinds.Estop(at_s=at_s, kind="estop", robot=rng.randrange(robots))]
 
@@ -159,6 +166,7 @@ DRAWS: dict[str, Draw] = {
     "pushed": _push,
     "estop": _press,
     "reset": _release,
+    "haste": _haste,
 }
 
 
@@ -197,7 +205,8 @@ PROFILES = {
     "crash": Profile((2, 4), (1, 8), {"crash": 2.0, "crash_working": 2.0, "freeze": 1.0,
                                       "drift": 0.5, "clock_jump": 0.5, "join": 0.5, "estop": 1.0},
                      "robots that die, freeze and come back, with and without their memory"),
-    "stop": Profile((2, 5), (2, 8), {"estop": 4.0, "reset": 2.0, "partition": 1.0, "crash": 1.0,
+    "stop": Profile((2, 5), (2, 8), {"estop": 4.0, "reset": 2.0, "haste": 2.0, "partition": 1.0,
+                                     "crash": 1.0,
                                      "loss": 1.0, "freeze": 1.0, "babble": 0.5},
                     "presses and resets in the middle of trouble"),
     "body": Profile((2, 4), (2, 8), {"box": 3.0, "pushed": 3.0, "crash_working": 1.0,

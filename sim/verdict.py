@@ -45,8 +45,8 @@ class Verdict(NamedTuple):
         return not self.broken
 
 
-def judge(scenario: Scenario) -> Verdict:
-    play = Play(scenario).run()
+def judge(scenario: Scenario, first_only: bool = False) -> Verdict:
+    play = Play(scenario, first_only).run()
     assert all(broken.rule in RULES for broken in play.broken)
     return Verdict(
         scenario.run.seed, tuple(play.broken), play.faults, scenario.fleet.robots,

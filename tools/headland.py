@@ -231,7 +231,7 @@ def fuzz(
     engine: Annotated[str, typer.Option(help="auto, plain or atheris (pip install atheris).")] = "auto",
     keep: Annotated[bool, typer.Option("--keep", help="New inputs join the corpus.")] = False,
     again: Annotated[Path | None, typer.Option("--input", help="Run one input again.")] = None,
-    out: Annotated[Path, typer.Option(help="Folder for inputs that break something.")] = Path("runs/fuzz"),
+    out: Annotated[Path, typer.Option(help="Folder for what breaks something.")] = Path("runs/fuzz"),
     json: Json = False,
 ) -> None:  # fmt: skip
     """Any bytes into every decoder, from a corpus in the tree. Exit 0 when no promise was broken.
