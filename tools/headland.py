@@ -149,9 +149,13 @@ def inspect(
     mermaid: Annotated[bool, typer.Option("--mermaid", help="Print the state machine.")] = False,
     why: Annotated[str | None, typer.Option(help="How a section (S7) came to its owner.")] = None,
     traces: Annotated[int | None, typer.Option(help="Ask this robot for its newest traces.")] = None,
+    plain: Annotated[bool, typer.Option("--plain", help="Text, also at a terminal.")] = False,
+    speed: Annotated[float, typer.Option(help="Of a log on the screen; 0: show its end.")] = 0.0,
     json: Json = False,
 ) -> None:  # fmt: skip
     """Show each robot's state, peers, sections, vector clock, and the path of states that led there.
+
+    At a terminal this is a screen (`q` ends it); otherwise, and with --plain, text.
 
     Example: headland inspect runs/run --why S7
     """
@@ -159,7 +163,19 @@ def inspect(
 
     raise SystemExit(
         command(
-            source, interface, channel, bitrate, host, port, seconds, mermaid, why, json, traces
+            source,
+            interface,
+            channel,
+            bitrate,
+            host,
+            port,
+            seconds,
+            mermaid,
+            why,
+            json,
+            traces,
+            plain,
+            speed,
         )
     )
 

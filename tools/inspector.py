@@ -10,16 +10,17 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from agent.lifecycle import State
-from crdt import FieldAllocationCRDT, Phase, Progress
+from crdt import FieldAllocationCRDT, Progress
 from crdt.register import pack
 from protocol.codec import Malformed, decode
 from protocol.fleet_frames import Heartbeat, LeaderElectionVote, Member, Pose, VectorSlice
 from protocol.frame import Frame
 from protocol.safety_frames import AllImplementsStop, EmergencyReset, EmergencyStop, OperatorCommand
 from protocol.work_frames import StateSyncResponse, TaskClaim, WorkProgress
+from tools.bus_load import BIT_RATE, BusLoad, bits_of
+from tools.causality import Causality
 
 TRANSITIONS_MAX = 64  # newest kept a robot; a path longer than that is not read by anybody
-CHAIN_MAX = 4096  # frames kept that wrote a register, newest first, over all sections
 SILENT_S = 1.0  # a robot not heard for longer is shown as silent
 
 
@@ -69,14 +70,14 @@ class Inspector:
         self.bits = 0
         self.first_s: float | None = None
         self.now_s = 0.0
-        self._chain: deque[tuple[float, int, str, TaskClaim | StateSyncResponse]] = deque(
-            maxlen=CHAIN_MAX
-        )
+        self.causality = Causality()
+        self.load = BusLoad()
 
     def hear(self, t_s: float, frame: Frame) -> None:
         self.first_s = t_s if self.first_s is None else self.first_s
         self.now_s = t_s
-        self.bits += 80 + 10 * len(frame.data)  # worst-case stuffing (Davis et al. 2007)
+        self.bits += bits_of(len(frame.data))
+        self.load.hear(t_s, len(frame.data))
         source, message = decode(frame)
         if isinstance(message, Malformed):
             self.malformed[message.reason] += 1
@@ -86,6 +87,7 @@ class Inspector:
         if isinstance(message, Member):
             self._member(t_s, source, message)
         slot = self.slot_of.get(source)
+        self.causality.hear(t_s, frame, slot, message)
         if isinstance(message, EmergencyStop):
             self.stops.setdefault(message[:3], t_s)
         elif isinstance(message, EmergencyReset):
@@ -124,8 +126,7 @@ class Inspector:
                 key = pack(
                     message.epoch, message.phase, message.bid, message.lamport, message.owner
                 )
-                if self.allocation.apply(message.section, key):
-                    self._chain.append((t_s, robot.slot, kind, message))
+                self.allocation.apply(message.section, key)
             case WorkProgress():
                 self.progress.apply(message.section, message.block, message.bits)
             case LeaderElectionVote():
@@ -147,14 +148,9 @@ class Inspector:
         return sorted(set(self.stops) - set(self.cleared))
 
     def why(self, section: int) -> Iterator[dict[str, Any]]:
-        """The frames by which a section came to its owner, oldest first."""
-        for t_s, slot, kind, message in self._chain:
-            if message.section == section:
-                yield {
-                    "t_s": round(t_s, 6), "said_by": slot, "frame": kind,
-                    "phase": Phase(message.phase).name, "epoch": message.epoch,
-                    "bid": message.bid, "lamport": message.lamport, "owner": message.owner,
-                }  # fmt: skip
+        """The frames by which a section came to its owner, oldest first; each with what led to it."""
+        for step in self.causality.chain(section):
+            yield step.to_dict()
 
     def to_dict(self) -> dict[str, Any]:
         span_s = max(self.now_s - (self.first_s or 0.0), 1e-9)
@@ -175,7 +171,7 @@ class Inspector:
                 f"{election}/{term}": dict(sorted(votes.items()))
                 for (election, term), votes in sorted(self.votes.items())
             },
-            "bus_load_worst_case": round(self.bits / (span_s * 250_000), 4),
+            "bus_load_worst_case": round(self.bits / (span_s * BIT_RATE), 4),
             "seconds": round(span_s, 3),
         }
 

@@ -7,13 +7,13 @@ Every derivation is kept: a phrase that can be read in two ways is asked back. N
 import re
 from collections.abc import Sequence
 from functools import cache
-from typing import Any
+from typing import Any, cast
 
 from lark import Lark, Transformer, Tree, UnexpectedInput
 from lark.exceptions import VisitError
 from lark.visitors import CollapseAmbiguities
 
-from tools.language.intent import AnyIntent, At, Backlog, Beside, Control, Goal, Query
+from tools.language.intent import Action, AnyIntent, At, Backlog, Beside, Control, Goal, Query
 from tools.language.vocabulary import WORDS, Token
 
 GRAMMAR = """
@@ -208,8 +208,8 @@ class _Meaning(Transformer[Any, Any]):
         whom = [p for p in parts if p != "!" + verb]
         # A stop that names nobody stops everybody: the one thing that is not asked back.
         stop = verb in ("stop", "emergency_stop")
-        robots = whom[0] if whom else "all" if stop else "unnamed"
-        return Control(action=verb, robots=robots)
+        robots: Any = whom[0] if whom else "all" if stop else "unnamed"
+        return Control(action=cast(Action, verb), robots=robots)
 
     def send_home(self, parts: list[Any]) -> Control:
         return Control(action="go_home", robots=parts[0])

@@ -16,6 +16,7 @@ FAR_M = 3276.7  # beyond this a place cannot be said on the bus
 Slot = Annotated[int, Field(ge=0, lt=PEERS_MAX)]
 Metres = Annotated[float, Field(ge=-FAR_M, le=FAR_M, allow_inf_nan=False)]
 Everybody = Literal["all"]
+Action = Literal["stop", "emergency_stop", "go_home", "wait", "continue", "replan", "start"]
 # Whom: by number, the nearest that is idle, or one that was not named (then it is asked for).
 Mover = Slot | Literal["nearest", "unnamed", "all", "several"]
 
@@ -52,7 +53,7 @@ class Control(_Intent):
     """What robots shall do where they are."""
 
     kind: Literal["control"] = "control"
-    action: Literal["stop", "emergency_stop", "go_home", "wait", "continue", "replan", "start"]
+    action: Action
     robots: tuple[Slot, ...] | Literal["all", "unnamed"]
 
 

@@ -6,7 +6,7 @@ nothing. A word that could change the meaning of an order ("not", "if", "then") 
 """
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import NamedTuple
 
 FILLERS = """
@@ -39,7 +39,8 @@ WORDS = {
     "THAT": "it|him|her|that|that one|this one|that robot|this robot|the robot|you|yourself",
     "ALL": "all|everyone|everybody|everything|all robots|every robot|all of them|them|the robots|"
     "they|all machines|whole fleet|the fleet|the whole fleet|all the robots",
-    "SEVERAL": "some robots|two robots|three robots|both|both robots|several robots|a few robots|the others",
+    "SEVERAL": "some robots|two robots|three robots|both|both robots|several robots|"
+    "a few robots|the others",
     "GOAL": "set goal|set a goal|set the goal|new goal|set destination|set the destination",
     "OF": "of|for",
     "WHERE": "where is|where are|where's|position of|positions of|position|positions|locate|location of|"
@@ -49,8 +50,8 @@ WORDS = {
     "HOW": "how is|how are|how's",
     "STATUS": "status|status of|report|state|state of|report on|fleet status|status report|show status|"
     "what is the status of|what is the state of|what's the status of",
-    "WHICH": "which robot is|which robots are|who is|who's|which is|which one is|which robot|who|what robot is|"
-    "is anyone|is anybody|are any robots|is any robot",
+    "WHICH": "which robot is|which robots are|who is|who's|which is|which one is|which robot|who|"
+    "what robot is|is anyone|is anybody|are any robots|is any robot",
     "STOPPED": "stopped|standing still|latched|in emergency stop",
     "HAS": "has|works|works on|work on|owns|own|working|working on|is working on|is working|holds|hold",
     "WHY": "why|why has|why does|why is",
@@ -65,8 +66,10 @@ WORDS = {
     "M": "m|metres|meters|metre|meter",
 }
 
-NUMBERS = """zero one two three four five six seven eight nine ten eleven twelve thirteen fourteen
-fifteen sixteen seventeen eighteen nineteen twenty""".split()
+NUMBERS = [
+    "zero", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven",
+    "twelve", "thirteen", "fourteen", "fifteen", "sixteen", "seventeen", "eighteen", "nineteen", "twenty",
+]  # fmt: skip
 
 # Words by which a phrase that is not of the language is answered better than by "not understood".
 UNSAFE = {
@@ -176,7 +179,6 @@ def _single(word: str) -> Token:
     return Token("WORD", word)
 
 
-def is_word(words: Iterable[str]) -> bool:
+def is_word(group: tuple[str, ...]) -> bool:
     """Would this be read as something else than the name of a place?"""
-    group = tuple(words)
-    return group in TABLE or any(_single(w).kind != "WORD" and w not in TABLE for w in group)
+    return group in TABLE or any(_single(w).kind != "WORD" for w in group)

@@ -47,6 +47,7 @@ class Verdict(NamedTuple):
     orders: tuple[Order, ...] = ()
     waiting: tuple[Waiting, ...] = ()
     queries: tuple[Query, ...] = ()
+    stop_all: bool = False  # said to everybody at once, heard of or not
     emergency_stop: bool = False
     clear_queue: bool = False
     first_ask: tuple[str, ...] = ()  # obeyed only after a yes
@@ -65,8 +66,8 @@ def weigh(intents: Sequence[AnyIntent], fleet: FleetNow, places: Places) -> Verd
     except Refused as problem:
         return problem.question
     return Verdict(
-        tuple(scales.orders), tuple(scales.waiting), tuple(scales.queries), scales.emergency_stop,
-        scales.clear_queue, tuple(scales.first_ask),
+        tuple(scales.orders), tuple(scales.waiting), tuple(scales.queries), scales.stop_all,
+        scales.emergency_stop, scales.clear_queue, tuple(scales.first_ask),
     )  # fmt: skip
 
 
@@ -77,7 +78,7 @@ class _Scales:
         self.waiting: list[Waiting] = []
         self.queries: list[Query] = []
         self.first_ask: list[str] = []
-        self.emergency_stop = self.clear_queue = False
+        self.stop_all = self.emergency_stop = self.clear_queue = False
 
     def add(self, intent: AnyIntent) -> None:
         match intent:
@@ -205,17 +206,17 @@ class _Scales:
             )
 
     def _stop(self, control: Control) -> None:
-        slots = [r.slot for r in self.fleet.live]
-        if not isinstance(control.robots, str):
-            slots = list(control.robots)
-            for slot in slots:
-                if slot not in self.fleet.robots:
-                    raise Refused(
-                        Reason.UNKNOWN_ROBOT,
-                        f"robot {slot} is not heard, nothing was stopped; heard: {self.fleet.heard}",
-                        "stop all",
-                    )
-        self.orders += [Order(slot, "stop") for slot in slots]
+        if isinstance(control.robots, str):
+            self.stop_all = True
+            return
+        for slot in control.robots:
+            if slot not in self.fleet.robots:
+                raise Refused(
+                    Reason.UNKNOWN_ROBOT,
+                    f"robot {slot} is not heard, nothing was stopped; heard: {self.fleet.heard}",
+                    "stop all",
+                )
+            self.orders.append(Order(slot, "stop"))
 
     def _answer(self, control: Control) -> None:
         """The answer to a question: only to a robot that asks, or that is on an errand."""
@@ -242,13 +243,14 @@ class _Scales:
     # ---------------------------------------------------------------- questions
 
     def _query(self, query: Query) -> None:
-        if query.robots != "all":
-            for slot in query.robots:
-                if slot not in self.fleet.robots:
-                    raise Refused(
-                        Reason.UNKNOWN_ROBOT,
-                        f"robot {slot} is not heard; heard: {self.fleet.heard}",
-                    )
-        if query.place is not None:
+        slots = [] if query.robots == "all" else list(query.robots)
+        if isinstance(query.place, Beside):
+            slots.append(query.place.robot)
+        elif query.place is not None:
             self._place(query.place)
+        for slot in slots:
+            if slot not in self.fleet.robots:
+                raise Refused(
+                    Reason.UNKNOWN_ROBOT, f"robot {slot} is not heard; heard: {self.fleet.heard}"
+                )
         self.queries.append(query)
