@@ -70,7 +70,9 @@ def compose(peer: "Peer", now_us: int) -> Bulletin:
             )  # fmt: skip
         elif (here := peer.here) is not None:
             speed_m_s = (here.vx_m_s**2 + here.vy_m_s**2) ** 0.5
-            lines.append(Line(slot, peer.state, "LIVE", here.x_m, here.y_m, speed_m_s, sections, 0.0))
+            lines.append(
+                Line(slot, peer.state, "LIVE", here.x_m, here.y_m, speed_m_s, sections, 0.0)
+            )
     allocation = peer.allocation
     return Bulletin(peer.slot, len(allocation.sections()), allocation.done_count(), tuple(lines))
 

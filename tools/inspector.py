@@ -15,7 +15,8 @@ from crdt.register import pack
 from protocol.codec import Malformed, decode
 from protocol.fleet_frames import Heartbeat, LeaderElectionVote, Member, Pose, VectorSlice
 from protocol.frame import Frame
-from protocol.safety_frames import AllImplementsStop, EmergencyReset, EmergencyStop, OperatorCommand
+from protocol.operator_frames import Matter, OperatorReport
+from protocol.safety_frames import AllImplementsStop, EmergencyReset, EmergencyStop
 from protocol.work_frames import StateSyncResponse, TaskClaim, WorkProgress
 from tools.bus_load import BIT_RATE, BusLoad, bits_of
 from tools.causality import Causality
@@ -46,6 +47,9 @@ class Seen:
     speed_m_s: float = 0.0
     stopped: bool = False
     left: bool = False
+    started: bool = True  # until a heartbeat says that it is not
+    question: int = 0  # number of what it asks its operators; 0: nothing
+    goal: tuple[float, float] | None = None  # where an operator has sent it, and it is not yet
     incarnation: int = 0
     health: float = 1.0
     operations: int = 0
@@ -116,6 +120,7 @@ class Inspector:
             case Heartbeat():
                 robot.health, robot.operations = message.health, message.operations
                 robot.digest, robot.left = message.digest, message.leaving
+                robot.started = message.started
                 robot.clock[robot.slot] = message.operations
                 self._state(t_s, robot, message.state, kind)
             case VectorSlice():
@@ -132,8 +137,8 @@ class Inspector:
             case LeaderElectionVote():
                 votes = self.votes.setdefault((message.election, message.term), {})
                 votes.setdefault(robot.slot, message.candidate)
-            case OperatorCommand():
-                pass
+            case OperatorReport():
+                _operator_report(robot, message)
 
     def _state(self, t_s: float, robot: Seen, state: int, kind: str) -> None:
         name = State(state).name
@@ -182,6 +187,7 @@ class Inspector:
             "silent": self.now_s - robot.last_s > SILENT_S and not robot.left, "left": robot.left,
             "x_m": round(robot.x_m, 2), "y_m": round(robot.y_m, 2),
             "speed_m_s": round(robot.speed_m_s, 2), "stopped": robot.stopped,
+            "started": robot.started, "question": robot.question, "goal": robot.goal,
             "incarnation": robot.incarnation, "digest": f"{robot.digest:06x}",
             "peers": peers, "clock": {str(s): robot.clock[s] for s in sorted(robot.clock)},
             "sections": [f"S{s}" for s in self.allocation.assigned_sections(robot.slot)],
@@ -190,3 +196,18 @@ class Inspector:
                 for t in robot.transitions
             ],
         }  # fmt: skip
+
+
+def _operator_report(robot: Seen, m: OperatorReport) -> None:
+    """What it asks, and where it was sent."""
+    match m.matter:
+        case Matter.REFUSED:
+            return
+        case Matter.ASKING | Matter.WAITING:
+            robot.question = m.number
+            return
+        case Matter.UNDER_WAY:
+            robot.goal = (m.x_m, m.y_m)
+        case Matter.ARRIVED | Matter.WORKING | Matter.STOPPED:
+            robot.goal = None
+    robot.question = 0

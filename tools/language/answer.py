@@ -37,10 +37,9 @@ def answer(query: Query, fleet: FleetNow, places: Places, queued: Sequence[str])
             text = "; ".join(f"{n}. {name}" for n, name in enumerate(queued, 1))
             return Answer(text or "nothing is queued", list(queued))
         case "places":
-            text = ", ".join(f"{n} ({x:g}, {y:g})" for n, (x, y) in places.points.items())
-            return Answer(
-                text or "no place has a name", {n: list(p) for n, p in places.points.items()}
-            )
+            points = {name: places.points[name] for name in places.named}
+            text = ", ".join(f"{name} ({x:g}, {y:g})" for name, (x, y) in points.items())
+            return Answer(text or "no place has a name", {n: list(p) for n, p in points.items()})
 
 
 def _lines(query: Query, fleet: FleetNow, line: Any) -> Answer:

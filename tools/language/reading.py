@@ -87,7 +87,7 @@ def _out_of_range(problem: ValidationError) -> Question:
 
 def _no_place(name: str, places: Places) -> Question:
     like = places.like(name)
-    known = ", ".join(list(places.points)[:8]) or "none are named; say metres east, north"
+    known = ", ".join(places.named[:8]) or "none are named; say metres east, north"
     text = f"no place {name!r}" + (f"; did you mean {', '.join(like)}?" if like else f": {known}")
     return Question(Reason.UNKNOWN_PLACE, text)
 
