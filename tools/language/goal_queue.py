@@ -7,7 +7,6 @@ second robot is sent.
 """
 
 import fcntl
-import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -94,22 +93,23 @@ class GoalQueue:
     @contextmanager
     def delivering(self) -> Iterator[bool]:
         """False where another command delivers."""
-        try:
-            with self._locked("deliver", wait=False):
-                yield True
-        except BlockingIOError:
-            yield False
+        with self._locked("deliver", wait=False) as held:
+            yield held
 
     @contextmanager
-    def _locked(self, what: str, wait: bool = True) -> Iterator[None]:
+    def _locked(self, what: str, wait: bool = True) -> Iterator[bool]:
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             lock = self.path.with_name(f"{self.path.name}.{what}").open("w")
         except OSError as problem:
             raise QueueError(f"{self.path}: cannot be written: {problem.strerror}") from None
         with lock:
-            fcntl.flock(lock, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
-            yield
+            held = True
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+            except BlockingIOError:
+                held = False
+            yield held
 
     def _write(self, goals: list[Queued]) -> None:
         """Whole or not at all."""

@@ -34,7 +34,10 @@ class _File(BaseModel):
 
 class Places:
     def __init__(self, named: Mapping[str, Point], sections: Mapping[str, Point] = {}) -> None:
-        """`sections` are said as sections are: S7, section 7. Raises PlacesError for names that cannot be told from the words of the language."""
+        """`sections` are said as sections are: S7, section 7.
+
+        Raises PlacesError for names that cannot be told from the words of the language.
+        """
         if len(named) > PLACES_MAX:
             raise PlacesError(f"{len(named)} places: at most {PLACES_MAX}")
         self.points: dict[str, Point] = dict(sections)

@@ -55,10 +55,10 @@ def read(text: str, places: Places) -> tuple[AnyIntent, ...] | Question:
         return _out_of_range(problem)
     if len(meanings) > 1:
         return Question(Reason.AMBIGUOUS, "that can be read in two ways: say it in shorter orders")
-    return _together(meanings[0])
+    return together(meanings[0])
 
 
-def _together(intents: tuple[AnyIntent, ...]) -> tuple[AnyIntent, ...] | Question:
+def together(intents: tuple[AnyIntent, ...]) -> tuple[AnyIntent, ...] | Question:
     """Orders of one phrase must not contradict each other, nor depend on their order."""
     if len(intents) > INTENTS_MAX:
         return Question(Reason.NOT_UNDERSTOOD, f"more than {INTENTS_MAX} orders at once")

@@ -28,7 +28,8 @@ def as_heard(inspector: Inspector) -> FleetNow:
 
 def as_told(bulletin: Bulletin) -> FleetNow:
     """What it does not tell, as questions of others to their operators, is taken as not being."""
-    robots, sections = {}, {}
+    robots: dict[int, RobotNow] = {}
+    sections: dict[int, SectionNow] = {}
     for line in bulletin.lines:
         if line.standing == "LEFT":
             continue
