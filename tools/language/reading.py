@@ -11,6 +11,7 @@ from tools.language.intent import INTENTS_MAX, AnyIntent, Control, Goal
 from tools.language.places import Places
 from tools.language.question import Question, Reason
 from tools.language.vocabulary import (
+    DOUBTFUL,
     KNOWN_WORDS,
     NEGATIONS,
     NUMBERS,
@@ -101,6 +102,9 @@ def _unread(words: list[str], places: Places) -> Question | None:
             Reason.AMBIGUOUS, f"{_first(found, words)!r}: say what shall be done, not what shall not",
             (STOP_NOW,) if stops else (),
         )  # fmt: skip
+    if found := said & DOUBTFUL.keys():
+        word = _first(found, words)
+        return Question(Reason.AMBIGUOUS, f"{word!r} can mean two things", DOUBTFUL[word])
     if found := said & UNSAFE:
         instead = ("headland reset, with the operator's key",) if "reset" in found else (STOP_NOW,)
         return Question(
@@ -110,8 +114,8 @@ def _unread(words: list[str], places: Places) -> Question | None:
         )
     if found := said & SEQUENCES:
         return Question(
-            Reason.AMBIGUOUS, f"{_first(found, words)!r}: one thing after another is not taken; "
-            "say the next when the first is done", (STOP_NOW,) if stops else (),
+            Reason.AMBIGUOUS, f"{_first(found, words)!r}: no conditions, choices or sequences; "
+            "say one thing, and the next when it is done", (STOP_NOW,) if stops else (),
         )  # fmt: skip
     return None
 

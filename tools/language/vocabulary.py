@@ -22,7 +22,7 @@ WORDS = {
     "RETURN": "return",
     "AND": "and|and also",
     "TELL": "tell|ask|let|make|have|order|command",
-    "STOP": "stop|halt|freeze|stand still|stop moving|stop working|brake",
+    "STOP": "stop|halt|freeze|abort|stand still|stop moving|stop working|brake",
     "ESTOP": "emergency stop|e-stop|estop|e stop|emergency halt|hit the emergency stop|"
     "press the emergency stop",
     "WAIT": "wait|keep waiting|wait there|stay and wait",
@@ -105,7 +105,14 @@ SEQUENCES = {
     "again",
 }
 
-WORD = re.compile(r"[#(]?-?\d+(?:\.\d+)?(?![\w.]*[a-z])|[a-z][a-z0-9'\-]*|[,;=]|[^\s\w]|\S+")
+# Words that mean one thing to one person and another to the next.
+DOUBTFUL = {
+    "hold": ("stop robot 2", "robot 2 wait"), "pause": ("stop robot 2", "robot 2 wait"),
+    "cancel": ("clear the queue", "stop robot 2"), "quit": ("stop all", "clear the queue"),
+    "back": ("robot 2 go home", "start robot 2"), "follow": ("where is robot 1", "robot 2 go to 3, 4"),
+}  # fmt: skip
+
+WORD = re.compile(r"#?-?\d+(?:\.\d+)?(?![\w.]*[a-z])|[a-z][a-z0-9'\-]*|[,;=]|[^\s\w]|\S+")
 NUMBER = re.compile(r"#?-?\d+(\.\d+)?")
 LABEL = re.compile(r"(?:robot|rob|r)-?(\d+)")
 SECTION = re.compile(r"s(?:ection)?(\d+)")
