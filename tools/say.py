@@ -14,6 +14,7 @@ from protocol.bus import CanBus
 from tools.attachment import LAUNCH, AttachError, attach
 from tools.inspection import SourceError, frames_of
 from tools.inspector import Inspector
+from tools.language.endpoint import Endpoint, EndpointError
 from tools.language.goal_queue import GoalQueue, QueueError
 from tools.language.intent import AnyIntent
 from tools.language.outcome import Outcome
@@ -56,7 +57,7 @@ def say(words: list[str], options: Options) -> int:
     try:
         phrase = " ".join(words) or None
         return asyncio.run(_Conversation(options).hold(phrase))
-    except (AttachError, PlacesError, QueueError, SourceError, ValueError) as problem:
+    except (AttachError, PlacesError, QueueError, SourceError, EndpointError) as problem:
         return _wrong(str(problem))
 
 
@@ -67,8 +68,6 @@ def _wrong(message: str) -> int:
 
 class _Conversation:
     def __init__(self, options: Options) -> None:
-        from tools.language.endpoint import Endpoint
-
         self.options = options
         self.places = _places(options)
         self.endpoint = Endpoint.given(options.endpoint, options.model)

@@ -32,6 +32,7 @@ from tools.order import LISTEN_S, convey
 REPEAT_S = 0.05  # a stop of all is said again: one control period
 PLAIN_STOP_S = 0.5  # then an emergency stop; a robot obeys within a control period and a bus delay
 SERVE_S = 0.5  # the queue is looked at this often
+HEARD_S = 0.3  # by then we are on the bus
 PEER_S = 1.0  # a peer that does not answer within this is not waited for
 ANY = "any"  # peer to ask: the first that answers
 Reader = Callable[[str], Awaitable[tuple[tuple[AnyIntent, ...] | Question, bool]]]
@@ -51,14 +52,18 @@ class Speaker:
         self.timeout_s, self.by = timeout_s, by
         self.heard = False
         loop = asyncio.get_running_loop()
+        bus.subscribe(lambda frame: self._hear(loop.time(), frame))
+
+    def _hear(self, now_s: float, frame: Frame) -> None:
         for listener in (self.operator, self.inspector, self.letters):
-            bus.subscribe(_timed(listener.hear, loop))
+            listener.hear(now_s, frame)
 
     async def hear_fleet(self) -> FleetNow:
         """Who is there: the first time it takes as long as robots take to tell all of themselves."""
         if not self.heard:
+            await self.operator.listen(HEARD_S)
+            self.operator.ask_work()  # what was claimed before we came
             await self.operator.listen(LISTEN_S)
-            self.operator.ask_work()
             self.heard = True
         self.operator.now_s = self.inspector.now_s = asyncio.get_running_loop().time()
         return view.as_heard(self.inspector)
@@ -202,12 +207,6 @@ def stops_all(intents: tuple[AnyIntent, ...]) -> bool:
 def _stands(robot: Robot) -> bool:
     said = robot.report is not None and robot.report.matter is Matter.STOPPED
     return said or robot.stopped
-
-
-def _timed(
-    hear: Callable[[float, Frame], None], loop: asyncio.AbstractEventLoop
-) -> Callable[[Frame], None]:
-    return lambda frame: hear(loop.time(), frame)
 
 
 def _told(intents: tuple[AnyIntent, ...]) -> str:

@@ -65,7 +65,7 @@ def _status(robot: RobotNow) -> str:
     if robot.asking:
         parts.append(f"asks (question {robot.asking}) what to do about something in its way")
     if not robot.started:
-        parts.append("was not started")
+        parts.append("stands until it is started")
     parts.append(f"at {robot.x_m:.1f}, {robot.y_m:.1f}, {robot.speed_m_s:.1f} m/s")
     return f"robot {robot.slot}: " + "; ".join(parts)
 

@@ -235,7 +235,8 @@ class _Scales:
             return
         for slot in control.robots:
             robot = self._able(slot)
-            away = robot.goal is not None and control.action != "wait"
+            # Who is not working may be on an errand from before we listened; it knows, and refuses.
+            away = robot.state != "WORKING" and control.action != "wait"
             if not robot.asking and not away:
                 raise Refused(Reason.NOT_NOW, f"robot {slot} is not asking anything")
             self.orders.append(Order(slot, control.action))
