@@ -128,8 +128,10 @@ class Speaker:
         if late is None or late:
             late = await press(self.operator, Reason.OPERATOR_INTERVENTION, self.timeout_s)
         self.operator.now_s = asyncio.get_running_loop().time()
-        outcome.not_stopped = [robot.slot for robot in late]
-        outcome.stopped = [r.slot for r in self.operator.live if r not in late]
+        live = self.operator.live
+        outcome.stopped = [robot.slot for robot in live if robot not in late]
+        # Who was heard and has fallen silent without saying goodbye has confirmed nothing.
+        outcome.not_stopped = sorted(set(self.operator.robots) - set(outcome.stopped))
 
     async def _all_late(self) -> list[Robot] | None:
         """An ordinary stop; who has not confirmed it in time. None: nobody is heard."""

@@ -1,20 +1,12 @@
 """Plain language and the inspector, measured: phrases, misspellings, times, one-line errors, why."""
 
-import os
-import subprocess
-import sys
-import time
 import tomllib
-from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from random import Random
-from statistics import median
 from string import ascii_lowercase
 from typing import Any, NamedTuple
 
-from tools.bench.figure import Figure
 from tools.language.fleet_now import FleetNow, RobotNow, SectionNow
-from tools.language.intent import AnyIntent
 from tools.language.places import Places
 from tools.language.question import Question
 from tools.language.reading import read
@@ -71,3 +63,18 @@ def understood(say: str, file: Phrases) -> list[str] | Question:
     reading = read(say, file.places)
     verdict = reading if isinstance(reading, Question) else weigh(reading, file.fleet, file.places)
     return verdict if isinstance(verdict, Question) else given(verdict)
+
+
+def misspelt(say: str, rng: Random) -> str:
+    """One letter of one word is another, missing, doubled, or has changed places; no digit is touched."""
+    places = [at for at, letter in enumerate(say) if letter.isalpha()]
+    at = rng.choice(places)
+    match rng.randrange(4):
+        case 0:
+            return say[:at] + rng.choice(ascii_lowercase) + say[at + 1 :]
+        case 1:
+            return say[:at] + say[at + 1 :]
+        case 2:
+            return say[:at] + say[at] + say[at:]
+        case _:
+            return say[:at] + say[at + 1 : at + 2] + say[at] + say[at + 2 :]

@@ -187,5 +187,5 @@ def _single(word: str) -> Token:
 
 
 def is_word(group: tuple[str, ...]) -> bool:
-    """Would this be read as something else than the name of a place?"""
-    return group in TABLE or any(_single(w).kind != "WORD" for w in group)
+    """Would this be read as something else than the name of a place? "shelf 3" would not."""
+    return all(word in KNOWN_WORDS or _single(word).kind != "WORD" for word in group)
