@@ -218,6 +218,7 @@ def inspect(
     traces: Annotated[int | None, typer.Option(help="Ask this robot for its newest traces.")] = None,
     plain: Annotated[bool, typer.Option("--plain", help="Text, also at a terminal.")] = False,
     speed: Annotated[float, typer.Option(help="Of a log on the screen; 0: show its end.")] = 0.0,
+    picture: Annotated[Path | None, typer.Option(help="Write the screen as an SVG.")] = None,
     json: Json = False,
 ) -> None:  # fmt: skip
     """Show each robot's state, peers, sections, vector clock, and the path of states that led there.
@@ -228,22 +229,9 @@ def inspect(
     """
     from tools.inspection import inspect as command
 
+    bus = (interface, channel, bitrate, host, port)
     raise SystemExit(
-        command(
-            source,
-            interface,
-            channel,
-            bitrate,
-            host,
-            port,
-            seconds,
-            mermaid,
-            why,
-            json,
-            traces,
-            plain,
-            speed,
-        )
+        command(source, *bus, seconds, mermaid, why, json, traces, plain, speed, picture)
     )
 
 

@@ -33,7 +33,7 @@ class SourceError(Exception):
 def inspect(
     source: Path | None, interface: str, channel: str, bitrate: int, host: str, port: int,
     seconds: float, mermaid: bool, why: str | None, as_json: bool, traces_of: int | None = None,
-    plain: bool = False, speed: float = 0.0,
+    plain: bool = False, speed: float = 0.0, picture: Path | None = None,
 ) -> int:  # fmt: skip
     if mermaid:
         print(to_mermaid(TABLE, State.DISCONNECTED))
@@ -43,6 +43,8 @@ def inspect(
         if traces_of is not None:
             return _traces(traces_of, interface, channel, bitrate, host, port, seconds, as_json)
         section = _section(why)
+        if picture is not None:
+            return _draw(inspector, source, picture)
         if _screen_wanted(plain or as_json or section is not None):
             bus = (interface, channel, bitrate, host, port)
             return _screen(inspector, source, lambda: attach(*bus), speed)
@@ -73,6 +75,22 @@ def _screen_wanted(text_wanted: bool) -> bool:
         )
         return False
     return True
+
+
+def _draw(inspector: Inspector, source: Path | None, picture: Path) -> int:
+    if source is None:
+        raise SourceError("--picture needs a run folder or a log")
+    if find_spec("textual") is None:
+        raise SourceError("--picture needs textual: pip install 'headland[operator]'")
+    from tools.feed import from_log
+    from tools.screen import InspectScreen, draw
+
+    frames = list(frames_of(source))
+    try:
+        draw(InspectScreen(inspector, str(source), from_log(frames, inspector, True)), picture)
+    except OSError as problem:
+        raise SourceError(f"--picture {picture}: {problem.strerror}") from None
+    return 0
 
 
 def _screen(

@@ -8,6 +8,10 @@ LIT = {
     "DISCONNECTED": "black on grey70", "IDLE": "black on cyan", "SYNCHRONIZING": "black on yellow",
     "WORKING": "black on green", "EMERGENCY_STOP": "bold white on red",
 }  # fmt: skip
+SHORT = {
+    State.DISCONNECTED: "DISC", State.IDLE: "IDLE", State.SYNCHRONIZING: "SYNC", State.WORKING: "WORK",
+    State.EMERGENCY_STOP: "STOP",
+}  # fmt: skip
 WIDTH = max(len(state.name) for state in State) + 2
 
 
@@ -22,16 +26,21 @@ def edges_from(state: State) -> list[tuple[State, list[Event]]]:
 
 
 def picture(current: str, before: str = "") -> Text:
-    """Five states, a row each; the edge that was taken last is bold."""
+    """Five states, a row each; under the current one the edges out of it, with their events.
+
+    `before`: the state it came from; that edge is drawn thick.
+    """
     text = Text()
     for state in State:
         lit = state.name == current
         text.append("▶ " if lit else "  ")
         text.append(f" {state.name} ".ljust(WIDTH), style=LIT[state.name] if lit else "dim")
-        for target, events in edges_from(state):
+        for target, _ in edges_from(state):
             taken = (state.name, target.name) == (before, current)
-            style = "bold" if taken else "" if lit else "dim"
-            text.append(f"  {'━' if taken else '─'}▶ {target.name}", style=style)
-            text.append(f" {'/'.join(e.name.lower() for e in events)}", style="dim")
+            text.append(f" {'━━▶' if taken else '─▶'} ", style="bold" if taken else "dim")
+            text.append(SHORT[target], style="bold" if taken else "" if lit else "dim")
         text.append("\n")
+        for target, events in edges_from(state) if lit else ():
+            names = ", ".join(event.name.lower() for event in events)
+            text.append(f"      ╰▶ {target.name.ljust(WIDTH)}{names}\n")
     return text

@@ -5,8 +5,10 @@ gives them, from a live bus or from a log. Needs textual, of the extra `operator
 """
 
 import asyncio
+import re
 from collections import Counter
 from collections.abc import Awaitable, Callable
+from pathlib import Path
 from typing import Any, ClassVar
 
 from rich.text import Text
@@ -23,6 +25,7 @@ TRANSITIONS_SHOWN = 12
 FLEET = ("robot", "state", "at", "m/s", "works", "peers", "digest")
 SECTIONS = ("section", "phase", "owner", "units")
 FRAMES = ("frame", "all", "chosen")
+FONT_FACE = re.compile(r"@font-face \{.*?\}\s*", re.DOTALL)
 Feed = Callable[["InspectScreen"], Awaitable[None]]
 
 
@@ -55,6 +58,7 @@ class InspectScreen(App[None]):
         self.shown: dict[str, dict[str, tuple[Any, ...]]] = {}  # table -> key -> cells as shown
         self.why_of: int | None = None
         self.fed = False  # the log is at its end
+        self.run_when_ready: Callable[[], Awaitable[None]] | None = None
 
     def compose(self) -> ComposeResult:
         yield Static(id="stops")
@@ -81,7 +85,9 @@ class InspectScreen(App[None]):
                 table.add_column(column, key=column)
         self.query_one("#loadbox").border_title = "bus load, worst-case stuffing"
         self.query_one("#fleet").focus()
-        self.run_worker(self._fed(), exit_on_error=True)
+        self.run_worker(self._fed())
+        if self.run_when_ready is not None:
+            self.run_worker(self.run_when_ready())
         self.set_interval(1 / LOOKS_A_SECOND, self.look)
 
     async def _fed(self) -> None:
@@ -122,6 +128,7 @@ class InspectScreen(App[None]):
     def _table(self, name: str, rows: dict[str, tuple[Any, ...]]) -> None:
         table, shown = self.query_one(f"#{name}", DataTable), self.shown.setdefault(name, {})
         columns = [column.key for column in table.ordered_columns]
+        fresh = rows.keys() - shown.keys()
         for key, cells in rows.items():
             before = shown.get(key)
             if before is None:
@@ -130,6 +137,8 @@ class InspectScreen(App[None]):
                 if cell != was:
                     table.update_cell(key, column, cell, update_width=True)
             shown[key] = cells
+        if fresh:
+            table.sort(columns[0], key=_in_order)
 
     def _robot(self, robot: Seen | None) -> None:
         machine, path = self.query_one("#machine", Static), self.query_one("#path", Static)
@@ -144,7 +153,7 @@ class InspectScreen(App[None]):
             path.update(self._why_text(self.why_of))
             return
         path.border_title = "transitions"
-        newest = list(robot.transitions)[-TRANSITIONS_SHOWN:]
+        newest = list(robot.transitions)[: -TRANSITIONS_SHOWN - 1 : -1]
         path.update(
             "\n".join(f"{t.t_s:10.3f} s  {t.source} → {t.target}  by {t.heard_by}" for t in newest)
         )
@@ -162,7 +171,8 @@ class InspectScreen(App[None]):
     def _load(self, seen: dict[str, Any]) -> None:
         load = self.inspector.load
         self.query_one("#share", Static).update(
-            f"{load.newest:.1%} now, {seen['bus_load_worst_case']:.1%} on average"
+            f"{load.newest:.1%} now, {seen['bus_load_worst_case']:.1%} on average, "
+            f"{max(load.shares):.1%} at most"
         )
         self.query_one("#load", Sparkline).data = load.shares
         paused = "  PAUSED" if not self.running.is_set() else ""
@@ -197,6 +207,30 @@ class InspectScreen(App[None]):
         section = self._chosen("sections")
         self.why_of = None if self.why_of is not None or section is None else int(section[1:])
         self._robot(self.chosen)
+
+
+def draw(screen: InspectScreen, path: Path, size: tuple[int, int] = (150, 42)) -> None:
+    """The screen at the end of its feed as an SVG, without a terminal."""
+
+    async def when_fed() -> None:
+        while not screen.fed:
+            await asyncio.sleep(1 / LOOKS_A_SECOND)
+        screen.look()
+        screen.call_after_refresh(finish)
+
+    def finish() -> None:
+        drawn = screen.export_screenshot(title=screen.TITLE)
+        path.write_text(FONT_FACE.sub("", drawn), encoding="utf-8")  # nothing from elsewhere
+        screen.exit()
+
+    screen.run_when_ready = when_fed
+    screen.run(headless=True, size=size)
+
+
+def _in_order(name: str) -> tuple[str, int]:
+    """S2 comes before S10."""
+    letters = name.rstrip("0123456789")
+    return letters, int(name[len(letters) :] or 0)
 
 
 def _fleet_row(robot: dict[str, Any]) -> tuple[Any, ...]:
