@@ -109,9 +109,10 @@ class GridWork:
     def _sweep(self, view: FleetView) -> None:
         """What we stand on is covered."""
         number = self.ground.at(view.here.x_m, view.here.y_m)
-        if number != NONE and number not in self._told:
-            if self._off_m(view, number) <= COVERED * self.ground.cell_m:
-                self._tell(number, view)
+        if number == NONE or number in self._told:
+            return
+        if self._off_m(view, number) <= COVERED * self.ground.cell_m:
+            self._tell(number, view)
 
     def _tell(self, number: int, view: FleetView) -> None:
         unit = self.ground.unit(number)

@@ -33,7 +33,8 @@ class Accord(NamedTuple):
 
     byte  field   type  meaning
     0..1  round   u16   a later round (modulo 2^16) makes earlier ones void
-    2     say     bits  bits 0-3: 0 PLACE, 1 PLAN, 2 AT, 3 BODY; bits 4-7: answer, 0 GRANT, 1 STOPPED, 2 BUSY
+    2     say     bits  bits 0-3: 0 PLACE, 1 PLAN, 2 AT, 3 BODY; bits 4-7: answer, 0 GRANT,
+                        1 STOPPED, 2 BUSY
     3..4  first   u16   see `Say`
     5..6  second  u16
     7     detail  u8    of PLACE: sixteenths of the pitch east (bits 0-3) and north (4-7) of the
