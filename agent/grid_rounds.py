@@ -28,6 +28,7 @@ from crdt.progress import BLOCK_UNITS, Progress
 from protocol.accord_frames import Accord, Answer, Say
 
 SETTLE_US = 300 * MS  # a view that has not changed for so long: boots come in bursts
+BOOT_US = 3 * S  # who hears nobody for so long after its start is alone: two heartbeats (1.4 s)
 STAGGER_US = 20 * MS  # by rank, so that one calls and the others hear it
 HURRY_US, HURRY_ROBOT_US = 200 * MS, 8 * MS  # between repeats: a tenth of the bus for all together
 CALM_US = 2 * S
@@ -37,6 +38,7 @@ OBSTACLE_US = 20 * S  # what stood there may have gone on since
 AGAIN_MAX = 2  # seen there so often it is taken to stay, until the crew changes
 ANYBODY = 0xFFFF  # a body that nobody has announced
 _MOD = 1 << 16
+FOREVER = 1 << 62
 
 
 class Phase(Enum):
@@ -122,7 +124,8 @@ class GridRounds:
 
     def _hear_body(self, m: Accord, now_us: int) -> None:
         if m.first < len(self.ground) and m.first not in self.bodies:
-            self.bodies[m.first] = Body(m.second, now_us + OBSTACLE_US)
+            until_us = FOREVER if m.detail else now_us + OBSTACLE_US
+            self.bodies[m.first] = Body(m.second, until_us)
             if self.phase is Phase.AGREE:
                 self.phase = Phase.GATHER
 
@@ -130,7 +133,7 @@ class GridRounds:
         """Something stands in that cell that goes by no plan of ours."""
         self._seen[number] = self._seen.get(number, 0) + 1
         lasting = slot != ANYBODY or self._seen[number] > AGAIN_MAX
-        self.bodies[number] = Body(slot, 1 << 62 if lasting else now_us + OBSTACLE_US)
+        self.bodies[number] = Body(slot, FOREVER if lasting else now_us + OBSTACLE_US)
 
     # ---------------------------------------------------------------- the plan's progress
 
@@ -158,10 +161,15 @@ class GridRounds:
         robot = self.course.slots.index(slot)
         return [self.course.place(robot, s) for s in range(self._reached.get(slot, 0))]
 
-    def bound_for(self, slot: int) -> int:
-        """The cell that a robot has said it is at, or nearly."""
+    def bound_for(self, slot: int) -> tuple[int, int]:
+        """The cell that a robot has said it is at, or nearly, and the one it came from."""
         assert self.course is not None
-        return self.course.place(self.course.slots.index(slot), self._reached.get(slot, 0))
+        robot, step = self.course.slots.index(slot), self._reached.get(slot, 0)
+        number = before = self.course.place(robot, step)
+        while step > 0 and before == number:
+            step -= 1
+            before = self.course.place(robot, step)
+        return number, before
 
     # ---------------------------------------------------------------- time
 
@@ -192,7 +200,14 @@ class GridRounds:
         if self._differs_us is None:
             self._differs_us = now_us
         rank = sum(slot < self.slot for slot in crew.live)
-        return now_us - self._differs_us >= SETTLE_US + rank * STAGGER_US
+        early = self.phase is Phase.FREE and len(crew.live) == 1
+        settle_us = BOOT_US if early else SETTLE_US
+        return now_us - self._differs_us >= settle_us + rank * STAGGER_US
+
+    @property
+    def later(self) -> bool:
+        """Something is left out of the plan that can perhaps be done some time."""
+        return self.kept or any(body.until_us < FOREVER for body in self.bodies.values())
 
     def _over(self, crew: Crew, now_us: int) -> bool:
         """Our part is done, and what was left out of it can be done now."""
@@ -303,7 +318,9 @@ class GridRounds:
             words.append(Accord(self.round, Say.PLAN, 0, plan & 0xFFFF, plan >> 16, 0))
             if any(self._plans.get(slot, plan) != plan for slot in self._used):
                 words += [
-                    Accord(self.round, Say.BODY, 0, number, body.slot, 0)
+                    Accord(
+                        self.round, Say.BODY, 0, number, body.slot, int(body.until_us == FOREVER)
+                    )
                     for number, body in sorted(self.bodies.items())
                 ]
         step = self._reached.get(self.slot, 0)

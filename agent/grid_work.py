@@ -62,11 +62,11 @@ class GridWork:
 
     @property
     def over(self) -> bool:
-        """Our plan is at its end, and nothing is kept for others."""
+        """Our plan is at its end, or we have no part in it, and nothing is left for later."""
         rounds = self.accords
-        if not rounds.going or rounds.course is None or rounds.kept:
+        if rounds.phase is not Phase.GO or rounds.course is None or rounds.later:
             return False
-        return not rounds.course.reaches(self._step + 1)
+        return rounds.me == NONE or not rounds.course.reaches(self._step + 1)
 
     # ---------------------------------------------------------------- each control period
 
@@ -90,13 +90,18 @@ class GridWork:
         free = state in ABLE and now_us - self._asked_us < HELD_US
         answer = Answer.GRANT if free else Answer.STOPPED
         crew = Crew(view.live, view.silent_since_us, view.progress)
-        standing = self._from if self._from == self._to and self._off_m(view, self._from) < (
-            COVERED * self.ground.cell_m
-        ) else NONE  # fmt: skip
-        rounds.tick(standing, answer, not self._told, crew, now_us)
+        rounds.tick(self._standing(view, free), answer, not self._told, crew, now_us)
         self._note_holding(view)
         self._wish = self._drive(view)
         self._asked = False
+
+    def _standing(self, view: FleetView, free: bool) -> int:
+        """The cell we are in the middle of; who cannot move is where it is."""
+        here = view.here
+        if not free:
+            return self.ground.at(here.x_m, here.y_m)
+        near = self._off_m(view, self._from) < COVERED * self.ground.cell_m
+        return self._from if self._from == self._to and near else NONE
 
     def swept(self) -> Swept:
         news, self._news = tuple(self._news), []
@@ -132,11 +137,11 @@ class GridWork:
                 self._tell(number, view)
             if slot in self.accords.course.slots and slot in view.neighbours:
                 pose = view.neighbours[slot].pose
-                number = self.ground.at(pose.x_m, pose.y_m)
-                if number == self.accords.bound_for(slot):
-                    x_m, y_m = self.ground.centre(number)
-                    if hypot(pose.x_m - x_m, pose.y_m - y_m) <= COVERED * self.ground.cell_m:
-                        self._tell(number, view)
+                number, before = self.accords.bound_for(slot)
+                x_m, y_m = self.ground.centre(before)
+                gone_m = hypot(pose.x_m - x_m, pose.y_m - y_m)
+                if number == before or gone_m >= (1.0 - COVERED) * self.ground.cell_m:
+                    self._tell(number, view)
 
     def _meet_wreck(self, view: FleetView) -> None:
         """One that fell silent by itself stands where it was last seen."""
@@ -223,13 +228,20 @@ class GridWork:
         return False
 
     def _turns_back(self, left_m: float, now_us: int) -> bool:
-        """Held up before half of the way is done: back, so that others can pass."""
-        if now_us - self._held_us < BACK_US or left_m <= (1.0 - BOUND) * self.ground.cell_m:
+        """Held up: to the other end, so that others can pass. Not where we have said that we come."""
+        bound = self._onward and left_m <= (1.0 - BOUND) * self.ground.cell_m
+        if bound or now_us - self._held_us < BACK_US:
             return False
         self._from, self._to = self._to, self._from
-        self._onward, self._held_us = False, 0
+        self._held_us, self._onward = 0, not self._onward and self._is_next(self._to)
         self._wait_us = now_us + round(WAIT_US * (1.0 + self.rng.random()))
         return True
+
+    def _is_next(self, number: int) -> bool:
+        rounds = self.accords
+        if not rounds.going or rounds.course is None or not rounds.course.reaches(self._step + 1):
+            return False
+        return rounds.course.place(rounds.me, self._step + 1) == number
 
     def _is_stuck(self, now_us: int) -> bool:
         return self.accords.going and now_us - self._strange_us > STUCK_US

@@ -15,7 +15,8 @@ class Say(IntEnum):
     PLACE = 0  # I stand at node `first` and want to node `second`; `detail`: where in the node
     PLAN = 1  # the digest of the plan that I computed: `first` low, `second` high half
     AT = 2  # I have reached the `first`-th node of my route, counted from 1; 0: not yet on it
-    BODY = 3  # on a grid: something stands in cell `first`; `second`: its slot, 0xFFFF: nobody's
+    BODY = 3  # on a grid: something stands in cell `first`; `second`: its slot, 0xFFFF: nobody's;
+    # `detail`: 1 where it is taken to stay
     # On a grid PLACE has a cell as `first` and a digest of what is covered as `second` and `detail`;
     # AT has a step of the plan as `first` and the low half of the plan's digest as `second`.
 

@@ -45,7 +45,8 @@ class GridOutcome(NamedTuple):
     makespan_s: float  # from power-up until the last cell was covered
     bound_s: float  # that no fleet can beat: distance-aware, one cell a step
     replanned: int  # cells planned although the planner's own replica said that they were covered
-    redone: int  # cells planned that were covered in truth, and all of whose robots were in reach
+    redone: int  # cells planned although covered by a robot that is there and in reach of all
+    untold: int  # cells planned that a robot covered just before it died, and told nobody of
     contacts: int
     through_walls: int
     closest_m: float
@@ -84,13 +85,20 @@ class GridCluster(Cluster):
         super().__init__(setting, channel, record, host)
         self.place = setting
         self.grid_world = cast(GridWorld, self.world)
+        self.never_died = set(range(len(setting.starts)))
 
     def boot(self, slot: int) -> Robot:
         """A robot that is new comes into the free cell next to its start."""
+        if self.boots[slot]:
+            self.never_died.discard(slot)
         if slot not in self.grid_world.robots:
             number = self._room_for(slot)
             self.grid_world.add_robot(slot, number, self.host.now_us())
         return super().boot(slot)
+
+    def kill(self, slot: int) -> None:
+        self.never_died.discard(slot)
+        super().kill(slot)
 
     def _room_for(self, slot: int) -> int:
         ground, start = self.place.ground, self.place.starts[slot]
@@ -120,7 +128,7 @@ class GridCluster(Cluster):
     @property
     def finished(self) -> bool:
         """Every running robot is at the end of its plan, and what is covered is done."""
-        return bool(self.running) and all(
+        return any(self.mission(robot).accords.going for robot in self.running) and all(
             self.mission(robot).over and self._in_order(robot) for robot in self.running
         )
 
@@ -152,7 +160,7 @@ class Witness:
 
     def __init__(self, cluster: GridCluster) -> None:
         self.cluster = cluster
-        self.replanned = self.redone = 0
+        self.replanned = self.redone = self.untold = 0
         self._seen: dict[int, int] = {}  # slot -> round looked at
 
     def look(self) -> None:
@@ -165,7 +173,8 @@ class Witness:
             assert rounds.course is not None
             units = [rounds.ground.unit(n) for n in rounds.course.todo.tolist()]
             # What was covered since the round began, by this plan, is no fault of it.
-            first_us = self.cluster.grid_world.truth.first_us[rounds.course.todo]
+            truth = self.cluster.grid_world.truth
+            first_us, by = truth.first_us[rounds.course.todo], truth.by[rounds.course.todo]
             before = (first_us != NONE) & (first_us < rounds.begun_us)
             known = sum(
                 robot.peer.progress.has(*unit)
@@ -173,7 +182,9 @@ class Witness:
             )  # fmt: skip
             self.replanned += known
             if len(islands) == 1:
-                self.redone += int(np.count_nonzero(before))
+                told = np.isin(by, sorted(self.cluster.never_died))
+                self.redone += int(np.count_nonzero(before & told))
+                self.untold += int(np.count_nonzero(before & ~told))
 
 
 class GridFleet:
@@ -254,6 +265,7 @@ class GridFleet:
             bound_s=lower_bound(setting.instance.walls, starts) * STEP_S,
             replanned=witness.replanned,
             redone=witness.redone,
+            untold=witness.untold,
             contacts=len(truth.contacts),
             through_walls=truth.through_walls,
             closest_m=truth.closest_m,
