@@ -247,7 +247,8 @@ class GridRounds:
         stand = {p.number for p in self._used.values() if p.answer is not Answer.GRANT}
         blocked = (stand | self.bodies.keys()) - set(movers.values())
         covered = covered_of(self.ground, crew.progress)
-        kept = self._kept(covered, crew)
+        ours_is_done = self.kept and self._done(crew.progress)
+        kept = np.zeros_like(covered) if ours_is_done else self._kept(covered, crew)
         self.kept = bool(kept.any())
         covered |= kept
         covered[list(blocked)] = True
@@ -292,12 +293,11 @@ class GridRounds:
 
     def _kept(self, covered: NDArray[np.bool_], crew: Crew) -> NDArray[np.bool_]:
         """Cells that silent robots are believed to be working on."""
-        nothing: NDArray[np.bool_] = np.zeros(len(self.ground), dtype=np.bool_)
         owing = self.owing(crew.progress, crew.silent_since_us)
         if self._plain or len(owing) < 2:
-            return nothing
+            return np.zeros_like(covered)
         theirs: NDArray[np.bool_] = np.isin(self.owner, owing) & ~covered
-        return nothing if not (~covered & ~theirs).any() else theirs
+        return theirs
 
     # ---------------------------------------------------------------- saying
 

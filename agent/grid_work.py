@@ -312,6 +312,13 @@ class GridWork:
     def abandon(self) -> None:
         self._section = None
 
+    def admits(self, goal: tuple[float, float]) -> bool:
+        """Nobody is sent out of a joint plan: hold it, and the others go round it."""
+        return False
+
+    def travel(self, goal: tuple[float, float], view: FleetView) -> Wish:
+        return STILL
+
     def interrupted(self) -> None:
         """What we stood on is covered; what we did not reach is not."""
 

@@ -101,7 +101,7 @@ class GridCluster(Cluster):
         super().kill(slot)
 
     def _room_for(self, slot: int) -> int:
-        ground, start = self.place.ground, self.place.starts[slot]
+        ground, start = self.place.ground, self.place.cells[slot]
         seen, queue = {start}, deque([start])
         while queue:
             number = queue.popleft()

@@ -25,7 +25,8 @@ class GridSetting:
         """ValueError: more free cells than have a number on the wire."""
         self.scenario, self.instance, self.turn_cost = scenario, instance, turn_cost
         self.ground = Ground(instance.walls, CELL_M)
-        self.starts = [self.ground.number(cell) for cell in instance.starts]
+        self.cells = [self.ground.number(cell) for cell in instance.starts]
+        self.starts = [self.ground.centre(number) for number in self.cells]  # metres
         self.silence = SilencePolicy[scenario.fleet.silence.upper()]
 
     @classmethod

@@ -5,6 +5,7 @@ at once, sees the others within two cells, and stands still when its commands st
 and who was where are judged from true places every `LOOK_US`, and know nothing of agents.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from math import inf
 
@@ -15,6 +16,7 @@ from agent.config import ACTUATOR_TTL_US, MS
 from agent.effects import Drive
 from agent.grid_ground import NONE, Ground
 from agent.ports import Observation
+from sim.vehicle import Chassis
 
 LOOK_US = 50 * MS
 SIGHT = 2.0  # cells
@@ -29,6 +31,10 @@ class GridBody:
     world: "GridWorld"
     slot: int
     row: int  # of the world's arrays
+
+    @property
+    def chassis(self) -> Chassis:
+        return Chassis()
 
     @property
     def position(self) -> tuple[float, float]:
@@ -65,6 +71,9 @@ class GridWorld:
     def __init__(self, ground: Ground, radius_m: float) -> None:
         self.ground, self.radius_m = ground, radius_m
         self.robots: dict[int, GridBody] = {}
+        self.on_step: list[
+            Callable[[object], None]
+        ] = []  # never called: steps are not as fine here
         self.places = np.empty((0, 2))  # at `since_us`
         self.speeds = np.empty((0, 2))
         self.since_us = np.empty(0, dtype=np.int64)
