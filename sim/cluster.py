@@ -27,6 +27,7 @@ from protocol.safety_frames import Challenge, Reason
 from sim.disk import MemoryJournal
 from sim.errand_setting import ErrandSetting
 from sim.fieldbus import FieldBus, forget, segment
+from sim.grid_setting import GridSetting
 from sim.host import Handle, Host, LoopHost
 from sim.scenario import Join, Scenario
 from sim.setting import Setting
@@ -35,7 +36,7 @@ from sim.swarm import Swarm
 
 OPERATOR = 200  # slot of the operator device that a scenario's resets come from
 TOOL_ADDRESS = 249  # where scripted operator frames come from
-AnySetting = Setting | ErrandSetting
+AnySetting = Setting | ErrandSetting | GridSetting
 Record = Callable[[int, int, Effect], None]  # slot, time in microseconds, effect
 
 

@@ -214,6 +214,7 @@ class Scenario(_Table):
     bus: BusTable = BusTable()
     run: RunTable = RunTable()
     fault: list[Fault] = []
+    places: dict[str, tuple[float, float]] = {}  # names for operators; metres east and north
     folder: Path = Field(Path(), exclude=True)  # what file names are relative to
 
     def changed(
