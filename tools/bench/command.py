@@ -24,6 +24,7 @@ BENCHES = {
     "corridor": "swaps in passages, dead ends, and a hundred robots in rooms",
     "motion": "the thesis experiment: way driven against way planned",
     "lidar": "range sensing against pymunk, world steps",
+    "phrases": "plain language, misspellings, why, the inspector's screen",
 }
 MISSED, WRONG = 1, 2
 
