@@ -25,6 +25,7 @@ BENCHES = {
     "motion": "the thesis experiment: way driven against way planned",
     "lidar": "range sensing against pymunk, world steps",
     "phrases": "plain language, misspellings, why, the inspector's screen",
+    "chaos": "the speed of simulated trouble, campaigns, planted bugs, decoders",
 }
 MISSED, WRONG = 1, 2
 
