@@ -25,6 +25,7 @@ class FleetStops:
     def __init__(self, segment: int, slot: int, safety: Safety, tags: FleetTags | None) -> None:
         self.segment, self.slot, self.safety, self.tags = segment, slot, safety, tags
         self.refused = 0  # frames without a valid tag
+        self.holds_far = safety.far.latched  # a stop of another segment is not cleared
         self._pressed = safety.stops.active
         self._cleared = safety.stops.cleared
         self._stop_due_us: dict[StopDot, int] = {}  # of our segment, to be said to the others
@@ -100,6 +101,7 @@ class FleetStops:
             )
             return [HALT]
         if near is None:
+            self.holds_far = True
             halt, *remember = self.safety.latch_far(far, now_us)
             return [halt, Send(m), *remember]  # said once more: who missed the first has a second
         effects = self.safety.press_near(near, now_us)
@@ -130,7 +132,9 @@ class FleetStops:
             return ()
         del self._halves[far, 0], self._halves[far, 1]
         if near is None:
-            return self.safety.clear_far(far)
+            cleared = self.safety.clear_far(far)
+            self.holds_far = self.safety.far.latched
+            return cleared
         effects = self.safety.clear_near(near, "a reset of the fleet")
         self._pressed, self._cleared = self.safety.stops.active, self.safety.stops.cleared
         self._stop_due_us.pop(near, None)

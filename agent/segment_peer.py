@@ -63,6 +63,11 @@ class SegmentPeer(Peer):
 
     def hear(self, source: int, message: Message | Malformed, now_us: int) -> Sequence[Effect]:
         kind = type(message)
+        if kind is Pose:  # nine frames in ten
+            effects = super().hear(source, message, now_us)
+            if self.fleet_stops.holds_far and not message.stopped:  # type: ignore[union-attr]
+                return [*effects, *self.fleet_stops.tell(now_us)]  # it has not heard what holds us
+            return effects
         if kind is FleetStop:
             effects = self.fleet_stops.receive_stop(message, now_us)  # type: ignore[arg-type]
             return [*effects, *self.latch(f"a stop from address {source}")]
@@ -76,8 +81,6 @@ class SegmentPeer(Peer):
             self.fleet_stops.see(self.membership.live, now_us)
             due = self.fleet_stops.tick(now_us)
             return [*effects, *due] if due else effects
-        if kind is Pose and self.safety.far.latched and not message.stopped:  # type: ignore[union-attr]
-            return [*effects, *self.fleet_stops.tell(now_us)]  # it has not heard what holds us
         return effects
 
     def _gateway(
@@ -119,11 +122,11 @@ class SegmentPeer(Peer):
 
     def tick(self, now_us: int) -> Sequence[Effect]:
         effects = super().tick(now_us)
-        self.fleet_stops.see(self.membership.live, now_us)
-        more = [*self.fleet_stops.tick(now_us)]
+        if now_us >= self.fleet_stops.deadline_us:
+            effects = [*effects, *self.fleet_stops.tick(now_us)]
         if self.beyond.tick(now_us):
-            more += self._alone()
-        return [*effects, *more] if more else effects
+            effects = [*effects, *self._alone()]
+        return effects
 
     def press(self, reason: Reason, now_us: int) -> Sequence[Effect]:
         effects = super().press(reason, now_us)

@@ -46,7 +46,7 @@ class DotSet(Generic[D]):
 
     @property
     def latched(self) -> bool:
-        return bool(self.active)
+        return any(dot not in self._cleared for dot in self._pressed)
 
     @property
     def active(self) -> frozenset[D]:
