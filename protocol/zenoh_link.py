@@ -7,6 +7,7 @@ counted; a stop never is, because it comes over a lane of its own and there are 
 
 import asyncio
 import json
+import threading
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -37,7 +38,7 @@ def configure(
     """`file`: Zenoh's own configuration (JSON5), where TLS and access control are.
 
     `mode`: peer, client or router; none: router for who listens, which passes on what others say to
-    each other, peer for who only connects. Raises LinkError.
+    each other, client for who only connects (a router carries nothing between peers). Raises LinkError.
     """
     connect, listen = list(connect), list(listen)
     try:
@@ -45,7 +46,7 @@ def configure(
     except Exception as problem:  # the binding raises what it likes
         raise LinkError(f"{file} is not a configuration of Zenoh: {_first_line(problem)}") from None
     settings: dict[str, object] = {
-        "mode": mode or ("router" if listen else "peer"),
+        "mode": mode or ("router" if listen else "client"),
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
         "transport/link/tx/lease": LEASE_MS,
@@ -73,22 +74,54 @@ def _first_line(problem: Exception) -> str:
 
 
 class ZenohLink:
-    """A session of one program. Raises LinkError where an endpoint cannot be listened on."""
+    """A session of one program. Raises LinkError where an endpoint cannot be listened on.
+
+    Who only connects may be up before its backbone is: the session is then opened in a thread, which
+    goes on trying, and until it is there nothing is sent.
+    """
 
     def __init__(self, config: zenoh.Config, loop: asyncio.AbstractEventLoop) -> None:
         self._loop = loop
         self.dropped = 0  # messages that found the inbox full
+        self.session: zenoh.Session | None = None
+        self.refusal = ""  # why it does not open
         self._waiting = 0
         self._open = True
+        self._patterns: list[tuple[str, Callable[[zenoh.Sample], None]]] = []
+        self._subscribers: list[Any] = []
+        if config.get_json("mode") == '"client"':
+            threading.Thread(target=self._connect, args=(config,), daemon=True).start()
+            return
         try:
             self.session = zenoh.open(config)
         except Exception as problem:
             raise LinkError(f"the backbone does not open: {_first_line(problem)}") from None
-        self._subscribers: list[Any] = []
+
+    def _connect(self, config: zenoh.Config) -> None:
+        """In a thread of its own: opens, which may take for ever."""
+        while self._open:
+            try:
+                session = zenoh.open(config)
+            except Exception as problem:
+                self.refusal = _first_line(problem)
+                continue
+            try:
+                self._loop.call_soon_threadsafe(self._opened, session)
+            except RuntimeError:
+                session.close()  # type: ignore[no-untyped-call]
+            return
+
+    def _opened(self, session: zenoh.Session) -> None:
+        if not self._open:
+            session.close()  # type: ignore[no-untyped-call]
+            return
+        self.session = session
+        for pattern, arrived in self._patterns:
+            self._declare(pattern, arrived)
 
     def put(self, key: str, data: bytes, urgent: bool = False) -> None:
         """Send. What is urgent overtakes everything else, is not batched, and is not dropped."""
-        if not self._open:
+        if self.session is None or not self._open:
             return
         if urgent:
             self.session.put(
@@ -120,6 +153,12 @@ class ZenohLink:
             if self._open:
                 heard(data)
 
+        self._patterns.append((pattern, arrived))
+        if self.session is not None:
+            self._declare(pattern, arrived)
+
+    def _declare(self, pattern: str, arrived: Callable[[zenoh.Sample], None]) -> None:
+        assert self.session is not None
         self._subscribers.append(
             self.session.declare_subscriber(pattern, arrived, allowed_origin=zenoh.Locality.REMOTE)
         )
@@ -127,13 +166,16 @@ class ZenohLink:
     @property
     def links(self) -> int:
         """Other programs that this one is connected to."""
+        if self.session is None:
+            return 0
         info = self.session.info
         return len(list(info.peers_zid())) + len(list(info.routers_zid()))
 
     def close(self) -> None:
         if self._open:
             self._open = False
-            self.session.close()  # type: ignore[no-untyped-call]
+            if self.session is not None:
+                self.session.close()  # type: ignore[no-untyped-call]
 
 
 class ZenohBus:
