@@ -47,6 +47,9 @@ class Beyond:
             return False
         self.reached = m.reached
         if not m.reached:
+            if m.ever and not self.alone:
+                self.alone = True  # it had reached somebody and knows that it does no more
+                return True
             return self.tick(now_us)
         self._reached_us = now_us
         was, self.alone, self.ever = self.alone, False, True

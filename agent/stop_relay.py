@@ -38,6 +38,7 @@ class StopRelay:
         self.stops: dict[FarDot, FleetStop] = {}
         self.resets: dict[FarDot, dict[int, FleetReset]] = {}
         self.refused = 0  # dots beyond the limit of news
+        self.disbelieved: set[FarDot] = set()  # said to the end, and nobody here stands for it
         self._saying: dict[FarDot, Said] = {}
         self._robots: dict[int, tuple[int, bool]] = {}  # address -> last beat, stands stopped
         self._echoes: dict[FarDot, set[int]] = {}
@@ -61,7 +62,7 @@ class StopRelay:
         self._robots[address] = now_us, stopped
         if stopped or now_us < self._again_us or self._saying:
             return
-        active = [dot for dot in self.stops if self._active(dot)]
+        active = [d for d in self.stops if self._active(d) and d not in self.disbelieved]
         if active:
             self._again_us = now_us + AGAIN_US
             self._say(active[-1], now_us)
@@ -125,6 +126,7 @@ class StopRelay:
             self.stops.pop(dot, None)
             self.resets.pop(dot, None)
             self._saying.pop(dot, None)
+            self.disbelieved.discard(dot)
         while len(self.resets) > DOTS_MAX:
             del self.resets[next(iter(self.resets))]
         while len(self._echoes) > DOTS_MAX:
@@ -153,6 +155,8 @@ class StopRelay:
             enough = said.left <= REPEATS_MAX - TIMES_MIN and self._all_stand(dot, now_us)
             if said.left <= 0 or enough or self._leader_said(dot):
                 del self._saying[dot]
+                if said.left <= 0 and self.halted(now_us)[1] == 0:
+                    self.disbelieved.add(dot)  # without a valid tag: it held while it was said
                 continue
             self._saying[dot] = Said(said.left - 1, now_us + STOP_REPEAT_US)
             return [self.stops[dot]]

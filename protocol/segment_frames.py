@@ -109,6 +109,10 @@ class GatewayBeat(NamedTuple):
     def leads(self) -> bool:
         return bool(self.flags & 1)
 
+    @property
+    def ever(self) -> bool:
+        return bool(self.flags & 2)
+
     def pack(self) -> bytes:
         return BEAT.pack(*self)
 

@@ -186,6 +186,11 @@ class SegmentFleet:
         self.swarm.spawn(work())
 
     def end(self) -> None:
+        for shell in self.shells.values():
+            shell.bus.close()
+        for gateways in self.gateways.values():
+            for gateway in gateways:
+                gateway.end()
         for number in self.segments:
             forget(self._channel(number))
 
