@@ -17,7 +17,6 @@ from agent.area import Area, Place
 from agent.gateway import Gateway, Publish
 from agent.gateway_shell import GatewayShell
 from agent.ports import Bus
-from agent.shell import Shell
 from protocol.backbone import Kind
 from protocol.name import Name
 from protocol.segment_frames import SEGMENT_MAX
@@ -98,18 +97,22 @@ async def carry(
         loop.add_signal_handler(number, end.set)
     if seconds is not None:
         loop.call_later(seconds, end.set)
+
+    def now_us() -> int:
+        return round(loop.time() * 1e6)
+
     boot = secrets.randbits(32)
     name = Name(boot & 0x1FFFFF, function=GATEWAY_FUNCTION, arbitrary_address=0)
-    gateway = Gateway(area, name, boot, Shell.now_us())
+    gateway = Gateway(area, name, boot, now_us())
 
     def at(t_us: int, call: Callable[[], None]) -> asyncio.TimerHandle:
         return loop.call_at(t_us / 1e6, call)
 
-    shell = GatewayShell(gateway, bus, backbone, Shell.now_us, at)
+    shell = GatewayShell(gateway, bus, backbone, now_us, at)
     shell.begin()
     shown: object = None
     while not end.is_set():
-        status = gateway.status(Shell.now_us())
+        status = gateway.status(now_us())
         if (status["number"], status["leads"], status["reached"]) != shown:
             shown = (status["number"], status["leads"], status["reached"])
             print(json.dumps(status) if as_json else _line(status), flush=True)
