@@ -13,9 +13,10 @@ from typing import Any
 from agent.area import Area
 from agent.beyond import Beyond
 from agent.cause import Cause
-from agent.core import NOTHING, Identity, Peer
+from agent.core import NOTHING, Peer
 from agent.effects import HALT, Effect, Trace
 from agent.fleet_stops import FleetStops
+from agent.identity import Identity
 from agent.safety import SilencePolicy
 from protocol.codec import Malformed
 from protocol.fleet_frames import Pose

@@ -15,6 +15,7 @@ from typing import Any
 import zenoh
 
 from protocol.frame import Frame
+from protocol.health import Health
 
 LEASE_MS = (
     2_000  # a link that is silent so long is closed, and tried again; Zenoh's default is 10 s
@@ -193,6 +194,11 @@ class ZenohBus:
         urgent = frame.identifier >> 26 < 2
         self._link.put(f"{self._key}/{'urgent' if urgent else 'frames'}", data, urgent)
         return True
+
+    @property
+    def health(self) -> Health:
+        """There is no controller to confine; without a session nothing we say is heard."""
+        return Health.OFF if self._link.session is None else Health.ACTIVE
 
     def subscribe(self, callback: Callable[[Frame], None]) -> None:
         def heard(data: bytes) -> None:

@@ -39,7 +39,7 @@ class Program:
     def answer(self) -> dict[str, Any]:
         assert self.process.stdout is not None
         line = self.process.stdout.readline()
-        assert line, f"{self.process.args} has ended with {self.process.poll()}"
+        assert line, f"it has ended with {self.process.poll()}"
         answer: dict[str, Any] = json.loads(line)
         return answer
 

@@ -11,10 +11,10 @@ from random import Random
 import can
 
 from agent.area import Area, Place
-from agent.core import Identity
 from agent.effects import Drive, Effect
 from agent.gateway import Gateway
 from agent.gateway_shell import GatewayShell
+from agent.identity import Identity
 from agent.safety import SilencePolicy
 from agent.segment_peer import SegmentPeer
 from agent.shell import Shell

@@ -16,8 +16,8 @@ from random import Random
 from typing import Any
 
 from agent.area import Area
-from agent.core import Identity
 from agent.effects import Drive, Effect
+from agent.identity import Identity
 from agent.safety import SilencePolicy
 from agent.segment_peer import SegmentPeer
 from agent.shell import Shell
