@@ -24,6 +24,9 @@ Port = Annotated[
     int, typer.Option("--port", help="Port of a socketcand interface (0: the newest launch).")
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
+Cluster = Annotated[
+    str, typer.Option(help="Address of a Dask scheduler; none: processes of this machine.")
+]
 KeyFile = Annotated[Path | None, typer.Option("--keys", help="The fleet's key file.")]
 OperatorKey = Annotated[
     Path | None, typer.Option("--operator-key", help="The operator's key file.")
@@ -203,6 +206,7 @@ def chaos(
     mutants: Annotated[
         bool, typer.Option("--mutants", help="Look for planted bugs instead: all must be found.")
     ] = False,
+    cluster: Cluster = "",
     json: Json = False,
 ) -> None:
     """Give a fleet bad luck, judge from outside whether it kept the rules. Exit 0 when it did.
@@ -212,7 +216,7 @@ def chaos(
     """
     from tools.chaos import chaos as command
 
-    raise SystemExit(command(seeds, profile, jobs, seconds, out, mutants, json))
+    raise SystemExit(command(seeds, profile, jobs, seconds, out, mutants, json, cluster))
 
 
 @app.command()
@@ -252,6 +256,7 @@ def bench(
     name: Annotated[str, typer.Argument(help="Which one, or all.")] = "all",
     quick: Annotated[bool, typer.Option("--quick", help="Less than a minute each.")] = False,
     seed: Annotated[int, typer.Option(help="Where chance takes part.")] = 1,
+    cluster: Cluster = "",
     json: Json = False,
 ) -> None:
     """Measure again what the documents claim. Exit 0 when every target holds.
@@ -260,7 +265,7 @@ def bench(
     """
     from tools.bench.command import bench as command
 
-    raise SystemExit(command(name, quick, seed, json))
+    raise SystemExit(command(name, quick, seed, json, cluster))
 
 
 @app.command()
