@@ -43,7 +43,8 @@ def ring_area(number: int, segments: int, home: int, shared: int) -> Area:
         lent[section] = lent.get(section, frozenset()) | {after}
     theirs = [Place(before, section) for section in range(home - shared, home)]
     theirs += [Place(after, section) for section in range(shared)]
-    return Area(number, home, lent, {home + k: place for k, place in enumerate(theirs)})
+    borrowed = {home + k: place for k, place in enumerate(dict.fromkeys(theirs))}
+    return Area(number, home, lent, borrowed)
 
 
 class SegmentFleet:

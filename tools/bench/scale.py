@@ -30,13 +30,16 @@ PRESS_MS, SHARE, HEAL_S, MEMORY, SPEEDUP = 60.0, 0.15, 5.0, 1.5, 1.7
 
 
 def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
-    yield from presses(60 if quick else 1_000, seed)
+    yield from presses(40 if quick else 1_000, seed)
     few, many = ((1, 20), (10, 20)) if quick else ((1, 100), (10, 100))
     small, great = _apart(order, *few, seed), _apart(order, *many, seed)
     yield from traffic(great, many)
-    yield from heal(40 if quick else 100, seed)
+    yield from heal(20 if quick else 100, seed)
     yield from memory(small, great, few, many)
-    yield from cluster(range(seed, seed + (12 if quick else 40)))
+    yield from cluster(range(seed, seed + (4 if quick else 24)))
+    if not quick:
+        size = 100, 100
+        yield from traffic(_apart(order, *size, seed, 0, S), size)  # seven minutes
 
 
 def _apart(measure: Callable[..., T], *arguments: Any) -> T:
@@ -80,14 +83,16 @@ def presses(count: int, seed: int) -> Iterator[Figure]:
 # -------------------------------------------------------------------- orders of magnitude
 
 
-def order(segments: int, robots: int, seed: int, span_us: int = 3 * S) -> dict[str, float]:
+def order(
+    segments: int, robots: int, seed: int, settle_us: int = S, span_us: int = 3 * S
+) -> dict[str, float]:
     """One fleet in virtual time: bus share, memory, convergence. In a process of its own."""
     gc.collect()
     before, begun_s = _resident(), time.process_time()
     fleet = SegmentFleet(segments, robots, seed)
     assert fleet.run(LIMIT_US, lambda: fleet.joined), "segments that never met"
     booted_us = fleet.swarm.now_us()
-    fleet.run(booted_us // 2)  # heartbeats of everybody have been heard
+    fleet.run(settle_us)
     fleet.count_from_here()
     _load(fleet, Random(f"{seed}/load"), span_us)
     shares = list(fleet.share.values())
