@@ -169,8 +169,7 @@ class ZenohLink:
         """Other programs that this one is connected to."""
         if self.session is None:
             return 0
-        info = self.session.info
-        return len(list(info.peers_zid())) + len(list(info.routers_zid()))
+        return len(list(self.session.info.transports()))
 
     def close(self) -> None:
         if self._open:
