@@ -82,6 +82,9 @@ class SegmentPeer(Peer):
             self.fleet_stops.see(self.membership.live, now_us)
             due = self.fleet_stops.tick(now_us)
             return [*effects, *due] if due else effects
+        asked = isinstance(message, StateSyncRequest) and message.scope == STOPS
+        if asked and self.fleet_stops.holds_far:  # by an operator's device, or a robot just joined
+            return [*effects, *self.fleet_stops.tell(now_us)]
         return effects
 
     def _gateway(

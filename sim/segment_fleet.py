@@ -79,7 +79,7 @@ class SegmentFleet:
     # ---------------------------------------------------------------- building
 
     def _segment(self, number: int, candidates: int) -> None:
-        channel = self._channel(number)
+        channel = self.channel(number)
         wire = segment(channel, seed=f"{self.seed}/{number}", clock=self.swarm)
         wire.taps.append(self._tap(number))
         self.wires[number] = wire
@@ -89,7 +89,7 @@ class SegmentFleet:
         for _ in range(candidates):
             self.add_gateway(number)
 
-    def _channel(self, number: int) -> str:
+    def channel(self, number: int) -> str:
         return f"segment {id(self)}/{number}"
 
     def _tap(self, number: int) -> Callable[[int, Frame], None]:
@@ -112,7 +112,7 @@ class SegmentFleet:
         peer = SegmentPeer(
             self.areas[number], identity, rng, 0, {}, None, None, keyring, policy=self.policy
         )
-        bus = can.Bus(interface="fieldbus", channel=self._channel(number))
+        bus = can.Bus(interface="fieldbus", channel=self.channel(number))
         place = number, slot
 
         def watch(now_us: int, effect: Effect) -> None:
@@ -129,7 +129,7 @@ class SegmentFleet:
         swarm = self.swarm
         shell = GatewayShell(
             Gateway(self.areas[number], name, boot, swarm.now_us()),
-            CanBus(can.Bus(interface="fieldbus", channel=self._channel(number))),
+            CanBus(can.Bus(interface="fieldbus", channel=self.channel(number))),
             self.backbone.attach(number),
             swarm.now_us,
             swarm.at,
@@ -193,7 +193,7 @@ class SegmentFleet:
             for gateway in gateways:
                 gateway.end()
         for number in self.segments:
-            forget(self._channel(number))
+            forget(self.channel(number))
 
     # ---------------------------------------------------------------- what came of it
 

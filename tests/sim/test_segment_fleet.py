@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 
+import can
 import pytest
 
 from agent.gateway import Publish
@@ -9,9 +10,11 @@ from agent.safety import SilencePolicy
 from protocol import backbone
 from protocol.authentication import Keys
 from protocol.backbone import Header, Kind
+from protocol.bus import CanBus
 from protocol.safety_frames import EmergencyReset, Reason
 from protocol.segment_frames import FleetReset, FleetStop
 from sim.segment_fleet import SegmentFleet
+from tools.operator_device import Operator
 
 S = 1_000_000
 SEED = 7
@@ -57,6 +60,22 @@ def test_a_reset_where_it_was_pressed_holds_everywhere(fleet: SegmentFleet) -> N
     held = [peer for k in fleet.segments for peer in fleet.peers(k)]
     assert fleet.run(S, lambda: not any(p.safety.far.latched for p in held)), f"seed {SEED}"
     assert all(peer.safety.manual_reset(0) for peer in held)
+
+
+def test_an_operator_clears_what_was_pressed_elsewhere(fleet: SegmentFleet) -> None:
+    """An operator's device of segment 3 asks what holds the robots, and clears it for all segments."""
+    press(fleet, 1)
+    assert fleet.run(S, lambda: all_latched(fleet))
+    bus = CanBus(can.Bus(interface="fieldbus", channel=fleet.channel(3)))
+    operator = Operator(bus, None)
+    bus.subscribe(lambda frame: operator.hear(fleet.swarm.now_us() / 1e6, frame))
+    operator.ask_stops()
+    assert fleet.run(S, lambda: bool(operator.far_stops)), f"seed {SEED}"
+    for far in operator.far_stops:
+        operator.clear_far(far)
+    held = [peer.safety for k in fleet.segments for peer in fleet.peers(k)]
+    assert fleet.run(S, lambda: not any(s.far.latched or s.stops.latched for s in held))
+    bus.close()
 
 
 def test_a_cut_segment_knows_that_it_is_alone_and_hears_after_the_heal(fleet: SegmentFleet) -> None:

@@ -30,13 +30,6 @@ def segments(tmp_path_factory: pytest.TempPathFactory) -> Iterator[BridgedSegmen
         made.close()
 
 
-def test_a_stop_passes_in_both_directions(segments: BridgedSegments) -> None:
-    for number in (1, 2):
-        segments.press_and_wait(number, limit_s=LIMIT_S)
-    for host in segments.hosts.values():
-        host.ask({"do": "arm"})
-
-
 def test_work_at_the_border_is_known_on_the_other_side(segments: BridgedSegments) -> None:
     host, lent = segments.hosts[1], 0  # of segment 1, lent to 2
 
@@ -50,6 +43,13 @@ def test_work_at_the_border_is_known_on_the_other_side(segments: BridgedSegments
         "the neighbour knows it",
         lambda: "DONE" in segments.state(2)["sections"].values(), LIMIT_S,
     )  # fmt: skip
+
+
+def test_a_stop_passes_in_both_directions(segments: BridgedSegments) -> None:
+    for number in (1, 2):
+        segments.press_and_wait(number, limit_s=LIMIT_S)
+    for host in segments.hosts.values():
+        host.ask({"do": "arm"})
 
 
 def test_a_killed_gateway_is_replaced(segments: BridgedSegments) -> None:

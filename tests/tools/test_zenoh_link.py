@@ -2,7 +2,7 @@
 
 import asyncio
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from random import Random
 from socket import socket
@@ -110,7 +110,7 @@ def tls(folder: Path, authority: Authority, name: str, accepts: bool = False) ->
     }  # fmt: skip
 
 
-def write(folder: Path, name: str, config: dict[str, object]) -> Path:
+def write(folder: Path, name: str, config: Mapping[str, object]) -> Path:
     path = folder / f"{name}.json5"
     path.write_text(json.dumps(config))
     return path
