@@ -24,6 +24,9 @@ Port = Annotated[
     int, typer.Option("--port", help="Port of a socketcand interface (0: the newest launch).")
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
+Cluster = Annotated[
+    str, typer.Option(help="Address of a Dask scheduler; none: processes of this machine.")
+]
 KeyFile = Annotated[Path | None, typer.Option("--keys", help="The fleet's key file.")]
 OperatorKey = Annotated[
     Path | None, typer.Option("--operator-key", help="The operator's key file.")
@@ -254,6 +257,7 @@ def chaos(
         Path | None,
         typer.Option(help="Judge this scenario file instead, written by hand or found."),
     ] = None,
+    cluster: Cluster = "",
     json: Json = False,
 ) -> None:
     """Give a fleet bad luck, judge from outside whether it kept the rules. Exit 0 when it did.
@@ -266,7 +270,39 @@ def chaos(
 
     if scenario is not None:
         raise SystemExit(judge_file(scenario, json))
-    raise SystemExit(command(seeds, profile, jobs, seconds, out, mutants, json))
+    raise SystemExit(command(seeds, profile, jobs, seconds, out, mutants, json, cluster))
+
+
+@app.command()
+def bridge(
+    segment: Annotated[int, typer.Option(help="Number of this segment, from 1.")],
+    interface: Interface = "socketcand", channel: Channel = "can0", bitrate: Bitrate = 250_000,
+    host: Host = "127.0.0.1", port: Port = 0,
+    zenoh: Annotated[
+        list[str] | None, typer.Option(help="Connect to the backbone: tcp/HOST:PORT or tls/...")
+    ] = None,
+    listen: Annotated[
+        list[str] | None, typer.Option(help="Let others connect here: tcp/HOST:PORT or tls/...")
+    ] = None,
+    mode: Annotated[str, typer.Option(help="Of Zenoh: peer, client or router.")] = "",
+    config: Annotated[
+        Path | None, typer.Option(help="Zenoh's configuration: TLS, access control.")
+    ] = None,
+    area: Annotated[Path | None, typer.Option(help="Sections shared with neighbours.")] = None,
+    fleet: Annotated[str, typer.Option(help="Fleets of other names do not meet.")] = "fleet",
+    seconds: Annotated[float | None, typer.Option(help="End after this long.")] = None,
+    json: Json = False,
+) -> None:  # fmt: skip
+    """Join a bus to the rest of the fleet. Stops pass first and always; start two for each bus.
+
+    Example: headland bridge --segment 2 -i socketcan -c can0 --zenoh tcp/10.0.0.1:7447
+    """
+    from tools.bridge import bridge as command
+
+    raise SystemExit(
+        command(segment, interface, channel, bitrate, host, port, fleet, zenoh or [], listen or [],
+                mode, config, area, seconds, json)
+    )  # fmt: skip
 
 
 @app.command()
@@ -298,6 +334,7 @@ def bench(
     name: Annotated[str, typer.Argument(help="Which one, or all.")] = "all",
     quick: Annotated[bool, typer.Option("--quick", help="Less than a minute each.")] = False,
     seed: Annotated[int, typer.Option(help="Where chance takes part.")] = 1,
+    cluster: Cluster = "",
     json: Json = False,
 ) -> None:
     """Measure again what the documents claim. Exit 0 when every target holds.
@@ -306,7 +343,7 @@ def bench(
     """
     from tools.bench.command import bench as command
 
-    raise SystemExit(command(name, quick, seed, json))
+    raise SystemExit(command(name, quick, seed, json, cluster))
 
 
 @app.command()
