@@ -235,6 +235,11 @@ class Exploration:
             view.now_us,
         )  # fmt: skip
 
+    @property
+    def rest_of_way(self) -> list[XY]:
+        """What is left of the way to where we look from."""
+        return list(self._waypoints)
+
     def _head_for(self, station: XY, view: FleetView) -> None:
         self._station, self._arrived_us = station, 0
         self._nearest_m, self._nearest_us = np.inf, view.now_us

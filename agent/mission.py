@@ -4,7 +4,7 @@ The peer owns claims, time and safety; a mission owns geometry. A mission never 
 done comes back as units covered, which the peer records and announces.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple, Protocol, runtime_checkable
 
 from agent.accord import Accords
@@ -70,6 +70,16 @@ class Mission(Protocol):
 
     def rest(self, view: FleetView) -> Wish:
         """No section: stand, or get out of the way."""
+        ...
+
+
+@runtime_checkable
+class Underway(Protocol):
+    """A mission that can tell where its robot means to drive; for people who watch, not for peers."""
+
+    @property
+    def rest_of_way(self) -> Sequence[tuple[float, float]]:
+        """What is left of the way, nearest point first, metres."""
         ...
 
 

@@ -28,6 +28,10 @@ KeyFile = Annotated[Path | None, typer.Option("--keys", help="The fleet's key fi
 OperatorKey = Annotated[
     Path | None, typer.Option("--operator-key", help="The operator's key file.")
 ]
+Map = Annotated[bool, typer.Option("--map", help="Show it in a browser.")]
+PagePort = Annotated[
+    int, typer.Option("--page-port", help="Port of the map's page, on loopback (0: any free one).")
+]
 
 
 @app.command()
@@ -46,6 +50,8 @@ def run(
         list[Path] | None, typer.Option(help="A further CAN log: .asc .blf .csv .log .trc")
     ] = None,
     keys: KeyFile = None,
+    show_map: Map = False,
+    page_port: PagePort = 8700,
     json: Json = False,
 ) -> None:
     """Work a scenario to its end in virtual time, as fast as it can go. A field file is one, too.
@@ -54,7 +60,10 @@ def run(
     """
     from tools.run import run as command
 
-    raise SystemExit(command(scenario, robots, seed, out, json, keys, log or [], feature, drive))
+    page = page_port if show_map else None
+    raise SystemExit(
+        command(scenario, robots, seed, out, json, keys, log or [], feature, drive, page)
+    )
 
 
 @app.command()
@@ -92,6 +101,8 @@ def launch(
     port: Annotated[int, typer.Option(help="Port of the bus hub (0: any free one).")] = 0,
     seconds: Annotated[float | None, typer.Option(help="End after this long.")] = None,
     keys: KeyFile = None,
+    show_map: Map = False,
+    page_port: PagePort = 8700,
     json: Json = False,
 ) -> None:
     """Run every robot as a process of its own, in real time, on a bus others can attach to.
@@ -100,7 +111,8 @@ def launch(
     """
     from tools.launch import launch as command
 
-    raise SystemExit(command(scenario, robots, seed, out, port, seconds, json, keys))
+    page = page_port if show_map else None
+    raise SystemExit(command(scenario, robots, seed, out, port, seconds, json, keys, page))
 
 
 @app.command()
@@ -205,6 +217,28 @@ def bench(
     from tools.bench.command import bench as command
 
     raise SystemExit(command(name, quick, seed, json))
+
+
+@app.command("map")
+def show_map(
+    source: Annotated[Path | None, typer.Argument(help="Run folder or log; none: a live bus.")] = None,
+    interface: Interface = "socketcand", channel: Channel = "can0", bitrate: Bitrate = 250_000,
+    host: Host = "127.0.0.1", port: Port = 0, keys: KeyFile = None,
+    scenario: Annotated[
+        str | None, typer.Option(help="Whose field to draw, where the source does not say.")
+    ] = None,
+    page_port: PagePort = 8700,
+    json: Json = False,
+) -> None:  # fmt: skip
+    """Show a fleet in a browser: the newest launch, any bus, or a recorded run.
+
+    Example: headland map runs/run, or on a real bus: headland map -i socketcan -c can0
+    """
+    from tools.livemap.command import show_map as command
+
+    raise SystemExit(
+        command(source, interface, channel, bitrate, host, port, keys, scenario, page_port, json)
+    )
 
 
 @app.command()

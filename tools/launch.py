@@ -25,6 +25,7 @@ from sim.coverage_truth import coverage, sample_points
 from sim.fieldbus import segment
 from sim.hub import Hub
 from sim.scenario import ScenarioError, load
+from sim.scene import FILE, scene_of
 from sim.setting import Setting
 from tools.attachment import CHANNEL
 from tools.inspector import SILENT_S, Inspector
@@ -34,6 +35,7 @@ HOST = "127.0.0.1"
 LOOK_S = 0.5
 TELL_S = 5.0  # a status line this often
 QUIET_LOOKS = 6  # all done for this many looks in a row: finished
+MAP_NICE = 5  # of the map's process, beside the robots'
 GRACE_S = 3.0  # between asking a robot to leave and killing it
 UNFINISHED, WRONG, INTERRUPTED = 1, 2, 130
 NO_KEYS = "[yellow]keys: NONE: anybody on the bus can stop and release this fleet[/yellow]"
@@ -41,8 +43,11 @@ NO_KEYS = "[yellow]keys: NONE: anybody on the bus can stop and release this flee
 
 class Launch:
     def __init__(
-        self, setting: Setting, name: str, out: Path, console: Console, keys: Path | None
-    ) -> None:
+        self, setting: Setting, name: str, out: Path, console: Console, keys: Path | None,
+        page_port: int | None = None,
+    ) -> None:  # fmt: skip
+        self.page_port = page_port
+        self.map: asyncio.subprocess.Process | None = None
         self.keys = None if keys is None else str(keys.absolute())
         self.setting, self.name, self.out, self.console = setting, name, out, console
         self.inspector = Inspector()
@@ -69,7 +74,11 @@ class Launch:
             lambda: BodyServer(self.world, zero_us), local_addr=(HOST, 0)
         )
         body_port = transport.get_extra_info("sockname")[1]
-        where = {"host": HOST, "port": hub.port, "channel": CHANNEL, "pid": os.getpid()}
+        where = {
+            "host": HOST, "port": hub.port, "channel": CHANNEL, "pid": os.getpid(),
+            "body_port": body_port, "folder": str(self.out.absolute()),
+        }  # fmt: skip
+        (self.out / FILE).write_text(json.dumps(scene_of(self.setting)) + "\n")
         (self.out / "bus.json").write_text(json.dumps(where))
         self.console.print(
             f"bus: socketcand {HOST}:{hub.port} channel {CHANNEL}   "
@@ -79,6 +88,8 @@ class Launch:
             self.console.print(NO_KEYS)
         stepping = asyncio.create_task(bodies.run())
         try:
+            if self.page_port is not None:
+                await self._start_map()
             await self._start_all(hub.port, body_port)
             finished = await self._watch(end, seconds)
         finally:
@@ -116,6 +127,15 @@ class Launch:
             process.stdin.write(json.dumps(order).encode() + b"\n")
             self.processes[slot] = process
             self.console.print(f"robot {slot}: process {process.pid}")
+
+    async def _start_map(self) -> None:
+        """A process of its own, and a polite one: the bus and the robots go first."""
+        words = ["map", str(self.out), "--page-port", str(self.page_port)]
+        words += [] if self.keys is None else ["--keys", self.keys]
+        self.map = await asyncio.create_subprocess_exec(
+            sys.executable, "-m", "tools.headland", *words, start_new_session=True,
+            stdout=2 if self.console.stderr else None, preexec_fn=lambda: os.nice(MAP_NICE),
+        )  # fmt: skip
 
     async def _watch(self, end: asyncio.Event, seconds: float | None) -> bool:
         loop = asyncio.get_running_loop()
@@ -155,7 +175,8 @@ class Launch:
         self.console.print(f"{elapsed_s:6.0f} s  {done}/{sections} sections  {states}")
 
     async def _end_all(self) -> None:
-        running = [p for p in self.processes.values() if p.returncode is None]
+        everybody = [*self.processes.values(), *([self.map] if self.map is not None else [])]
+        running = [p for p in everybody if p.returncode is None]
         for process in running:
             with contextlib.suppress(ProcessLookupError):
                 process.terminate()
@@ -197,8 +218,9 @@ class Launch:
 
 def launch(
     scenario: str, robots: int | None, seed: int | None, out: Path, port: int,
-    seconds: float | None, as_json: bool, keys: Path | None = None,
+    seconds: float | None, as_json: bool, keys: Path | None = None, page_port: int | None = None,
 ) -> int:  # fmt: skip
+    """`page_port`: of a map beside it."""
     console = Console(stderr=as_json, highlight=False, soft_wrap=True)
     try:
         setting = Setting(load(scenario).changed(robots, seed, keys))
@@ -216,7 +238,7 @@ def launch(
     for old in out.glob("robot*.sqlite*"):
         old.unlink()  # a launch is a new job; a restart of one robot keeps its journal
     warm(setting.turn_radius_m > 0.0)  # once here, not in every robot at once
-    running = Launch(setting, scenario, out, console, keys)
+    running = Launch(setting, scenario, out, console, keys, page_port)
     begun = time.monotonic()
     try:
         code = asyncio.run(running.run(port, seconds))
