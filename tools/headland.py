@@ -258,13 +258,13 @@ def dbc(
 
 @app.command()
 def replay(
-    log: Annotated[Path, typer.Argument(help="Run folder, or log: .log .asc .blf .csv .trc")],
+    log: Annotated[Path, typer.Argument(help="Run folder, or log: .log .mcap .asc .blf .csv .trc")],
     speed: Annotated[float, typer.Option(help="Times real time; 0: at once.")] = 0.0,
     interface: Annotated[
         str, typer.Option("-i", "--interface", help="Also send the frames to this interface.")
     ] = "",
     channel: Channel = "can0", bitrate: Bitrate = 250_000,
-    host: Host = "127.0.0.1", port: Port = 0,
+    host: Host = "127.0.0.1", port: Port = 0, show_map: Map = False, page_port: PagePort = 8700,
     json: Json = False,
 ) -> None:  # fmt: skip
     """Feed a log to the inspector, at the speed it was recorded or as fast as it goes.
@@ -273,7 +273,8 @@ def replay(
     """
     from tools.replay import replay as command
 
-    raise SystemExit(command(log, speed, interface, channel, bitrate, host, port, json))
+    page = page_port if show_map else None
+    raise SystemExit(command(log, speed, interface, channel, bitrate, host, port, json, page))
 
 
 @app.command()

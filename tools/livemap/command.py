@@ -37,7 +37,9 @@ NO_SERVER = "the map needs the operator extra: pip install 'headland[operator]'"
 def show_map(
     source: Path | None, interface: str, channel: str, bitrate: int, host: str, port: int,
     keys: Path | None, scenario: str | None, page_port: int, as_json: bool,
+    speed: float = RECORDED_SPEED,
 ) -> int:  # fmt: skip
+    """`speed`: of a recording, times real time; 0: as usual."""
     console = Console(stderr=as_json, highlight=False, soft_wrap=True)
     try:
         scene = None if scenario is None else scene_named(scenario)
@@ -49,7 +51,7 @@ def show_map(
             )
         with console.status(f"reading {source}"):
             recording = recorded(source, scene)
-        server = make_server(recording, str(source), False, RECORDED_SPEED)
+        server = make_server(recording, str(source), False, speed or RECORDED_SPEED)
         _announce(console, as_json, listener)
         asyncio.run(serve(server, listener))
     except (AttachError, SourceError, ScenarioError, McapMissing, ServerError) as problem:

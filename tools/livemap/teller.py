@@ -58,6 +58,7 @@ class Teller:
             told["h"], told["near"] = intent["heading"], intent["avoids"]
             told["vx"], told["vy"], told["want"] = intent["vx"], intent["vy"], intent["wanted"]
             told["strange"], told["holds"] = intent["strange"], intent["holds"]
+            told["hears"] = intent["hears"]
         path = [] if intent is None else intent["path"]
         if path != self._paths.get(robot.slot):
             self._paths[robot.slot] = told["path"] = path

@@ -6,7 +6,7 @@ export const COLOURS = [
 ];
 export const colourOf = (slot) => COLOURS[slot % COLOURS.length];
 const GROUND = "#0e1316", FIELD = "#18221d", HOLE = "#0a0e10", FENCE = "#7d8f86", FREE_LINE = "#31423a";
-const BLOCK_UNITS = 40, GROUND_MS = 90, MARGIN_PX = 56;
+const BLOCK_UNITS = 40, GROUND_MS = 90, MARGIN_PX = 40, BAR_PX = 84; // the bar of layers lies over the foot
 const BOX = 1, DISC = 2; // shapes of things, as rows of sim/walls.py
 const UNKNOWN = 0, OPEN = 1; // values of cells, crdt/sighting.py
 
@@ -103,8 +103,9 @@ export class Field {
     const wide = Math.max(east - west, 8), high = Math.max(north - south, 8);
     this.view = {
       x: (west + east) / 2, y: (south + north) / 2,
-      scale: Math.min((this.canvas.clientWidth - 2 * MARGIN_PX) / wide, (this.canvas.clientHeight - 2 * MARGIN_PX) / high),
+      scale: Math.min((this.canvas.clientWidth - 2 * MARGIN_PX) / wide, (this.canvas.clientHeight - MARGIN_PX - BAR_PX) / high),
     };
+    this.view.y -= (BAR_PX - MARGIN_PX) / 2 / this.view.scale;
     this.fitted = this.stale = true;
   }
 
@@ -240,8 +241,8 @@ export class Field {
   drawNames(pen) {
     pen.font = "11px system-ui, sans-serif"; pen.textAlign = "center"; pen.textBaseline = "middle"; pen.fillStyle = "#c6d3cc";
     for (const section of this.scene.sections) {
-      const swath = section.swaths[section.swaths.length >> 1], middle = swath[swath.length >> 1];
-      pen.fillText(`S${section.id}`, ...this.toScreen(...middle));
+      const units = this.units.get(section.id), line = units[units.length >> 1];
+      if (line) pen.fillText(`S${section.id}`, ...this.toScreen(...line[0]));
     }
   }
 
@@ -259,7 +260,7 @@ export class Field {
 
   drawRobots(pen, told) {
     const robots = told.robots.filter((r) => !r.left), where = new Map(robots.map((r) => [r.s, r]));
-    const radius = Math.max((this.scene?.radius_m ?? 0.5) * this.view.scale, 8);
+    const radius = Math.max((this.scene?.radius_m ?? 0.5) * this.view.scale, 10);
     pen.lineCap = pen.lineJoin = "round";
     if (this.layers.trail) this.drawTrails(pen, robots);
     if (told.islands.length > 1) this.drawIslands(pen, told.islands, where, radius);
@@ -269,7 +270,8 @@ export class Field {
       if ((this.layers.orca || chosen) && robot.near) this.drawNear(pen, robot, where, radius, chosen);
       for (const [x, y] of robot.strange ?? []) cross(pen, ...this.toScreen(x, y), "#ff9d3c");
     }
-    for (const robot of robots) this.drawBody(pen, robot, radius);
+    const standing = told.stop.stopped.length > 0;
+    for (const robot of robots) this.drawBody(pen, robot, radius, standing);
   }
 
   drawTrails(pen, robots) {
@@ -318,13 +320,14 @@ export class Field {
       for (let i = 1; i < here.length; i++) { pen.moveTo(...here[i - 1]); pen.lineTo(...here[i]); }
       pen.stroke(); pen.globalAlpha = 1;
       for (const [x, y] of here) {
+        pen.strokeStyle = tint; pen.lineWidth = 3;
         pen.beginPath(); pen.arc(x, y, radius + 6, 0, 2 * Math.PI); pen.stroke();
         label(pen, "ABCDEFGH"[k % 8], x + radius + 8, y - radius - 8, tint);
       }
     });
   }
 
-  drawBody(pen, robot, radius) {
+  drawBody(pen, robot, radius, standing) {
     const [x, y] = this.toScreen(robot.x, robot.y), heading = robot.h ?? robot.c, chosen = robot.s === this.chosen;
     const dark = robot.silent || robot.state === "DISCONNECTED";
     if (this.layers.velocity && !dark) {
@@ -338,14 +341,14 @@ export class Field {
     pen.beginPath(); pen.arc(x, y, radius, 0, 2 * Math.PI); pen.fill(); pen.stroke();
     pen.save(); // a nose, so that the heading is seen where it stands
     pen.translate(x, y); pen.rotate(-heading);
-    pen.beginPath(); pen.moveTo(radius + 4, 0); pen.lineTo(radius * 0.62, -radius * 0.55); pen.lineTo(radius * 0.62, radius * 0.55); pen.closePath();
-    pen.fillStyle = robot.stopped ? "#f5222d" : "#0a0f12"; pen.fill();
+    pen.beginPath(); pen.moveTo(radius * 1.62, 0); pen.lineTo(radius * 0.9, -radius * 0.62); pen.lineTo(radius * 0.9, radius * 0.62); pen.closePath();
+    pen.fillStyle = robot.stopped ? "#f5222d" : "#ffffff"; pen.fill(); pen.lineWidth = 1.5; pen.strokeStyle = "#0a0f12"; pen.stroke();
     pen.restore();
     pen.fillStyle = dark ? "#fff" : "#081014"; pen.font = `700 ${Math.max(11, Math.min(radius * 1.1, 26))}px system-ui, sans-serif`;
     pen.textAlign = "center"; pen.textBaseline = "middle";
     pen.fillText(String(robot.s), x, y + 0.5);
     if (robot.silent) label(pen, "silent", x, y + radius + 14, "#ffd884");
-    else if (robot.stopped) label(pen, "STOPPED", x, y + radius + 14, "#ff6a70");
+    else if (standing && !robot.stopped) label(pen, "NOT STOPPED", x, y + radius + 14, "#ff6a70");
   }
 }
 

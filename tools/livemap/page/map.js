@@ -77,7 +77,7 @@ function showTime() {
   scrub.min = told.from; scrub.max = Math.max(told.until, told.from + 0.1);
   if (!scrubbing) scrub.value = told.t;
   $("clock").textContent = `${clock(told.t - told.from)} / ${clock(told.until - told.from)}`;
-  $("play").textContent = told.playing ? "⏸" : "▶";
+  $("play").textContent = told.playing ? "pause" : "play";
   $("live").textContent = live ? "live" : "newest";
   $("live").className = told.follow ? "on" : "";
   $("live").hidden = told.ended;
@@ -141,6 +141,7 @@ async function send(path, body) {
 }
 
 async function stop() {
+  $("release").close();
   $("hand-says").textContent = "stopping …";
   try {
     const { late, heard, problem } = await send("/stop");
@@ -167,13 +168,17 @@ async function release() {
 }
 
 $("stop").addEventListener("click", stop);
-$("reset").addEventListener("click", () => { $("release-says").textContent = ""; $("release").showModal(); });
+$("reset").addEventListener("click", () => {
+  $("release-says").textContent = "";
+  $("release").show(); // not modal: STOP stays within reach
+  $("key").focus();
+});
 $("release-yes").addEventListener("click", release);
 $("release-no").addEventListener("click", () => $("release").close());
 
 addEventListener("keydown", (event) => {
-  if ($("release").open || event.target.matches("input[type=text]")) return;
-  if (event.key === "Escape" && live) stop();
+  if (event.key === "Escape" && live) stop(); // whatever else is open
+  else if (event.target.matches("input[type=text]")) return;
   else if (event.key === " ") { event.preventDefault(); $("play").click(); }
   else if (event.key === "f") $("fit").click();
   else if (event.key === "ArrowLeft" || event.key === "ArrowRight") {

@@ -124,7 +124,7 @@ export class Side {
     const facts = {
       place: `${robot.x_m.toFixed(1)}, ${robot.y_m.toFixed(1)} m`, speed: `${robot.speed_m_s.toFixed(2)} m/s`,
       sections: robot.sections.join(" ") || "none", holds: live?.holds?.map(words).join(", ") || "nothing",
-      hears: robot.peers.join(" ") || "nobody", address: robot.address, health: `${(100 * robot.health).toFixed(0)} %`,
+      hears: (live?.hears ?? robot.peers).filter((slot) => slot !== robot.slot).join(" ") || "nobody", address: robot.address, health: `${(100 * robot.health).toFixed(0)} %`,
       digest: robot.digest, clock: Object.entries(robot.clock).map(([slot, count]) => `${slot}:${count}`).join(" "),
     };
     $("facts").replaceChildren(...Object.entries(facts).flatMap(([name, value]) => [node("dt", name), node("dd", String(value))]));
