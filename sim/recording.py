@@ -45,7 +45,12 @@ class Recording:
         self.ended = True
 
     def _drop(self) -> None:
-        del self._t_us[:DROP], self._identifiers[:DROP], self._lengths[:DROP], self._data[: 8 * DROP]
+        del (
+            self._t_us[:DROP],
+            self._identifiers[:DROP],
+            self._lengths[:DROP],
+            self._data[: 8 * DROP],
+        )
         self.first += DROP
         for notes in (self.intents, self.things):
             del notes[: bisect_left(notes, self.from_us, key=lambda note: note[0])]

@@ -35,7 +35,10 @@ def scene_of(setting: Setting | ErrandSetting) -> Scene:
     elif isinstance(setting, ArenaSetting):
         geometry = setting.geometry
         west, south = geometry.origin_m
-        scene["rings"] = [_box(west, south, -west, -south), *map(_box_of, setting.scenario.arena.solid)]
+        scene["rings"] = [
+            _box(west, south, -west, -south),
+            *map(_box_of, setting.scenario.arena.solid),
+        ]
         scene["cells"] = {
             "origin": [west, south], "cell_m": geometry.cell_m, "rows": geometry.rows,
             "columns": geometry.columns, "order": setting.order.value,

@@ -90,4 +90,3 @@ async def _play(
     finally:
         if bus is not None:
             bus.close()
-

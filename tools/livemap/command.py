@@ -43,17 +43,16 @@ def show_map(
     console = Console(stderr=as_json, highlight=False, soft_wrap=True)
     try:
         scene = None if scenario is None else scene_named(scenario)
-        listener = listen(page_port)
         launch = _launch_of(source, interface, port)
-        if source is None or launch is not None:
-            return _live(
-                scene, launch, interface, channel, bitrate, host, port, keys, listener, console, as_json
-            )
-        with console.status(f"reading {source}"):
-            recording = recorded(source, scene)
-        server = make_server(recording, str(source), False, speed or RECORDED_SPEED)
-        _announce(console, as_json, listener)
-        asyncio.run(serve(server, listener))
+        with contextlib.closing(listen(page_port)) as listener:
+            if source is None or launch is not None:
+                where = (interface, channel, bitrate, host, port)
+                return _live(scene, launch, where, keys, listener, console, as_json)
+            with console.status(f"reading {source}"):
+                recording = recorded(source, scene)
+            server = make_server(recording, str(source), False, speed or RECORDED_SPEED)
+            _announce(console, as_json, listener)
+            asyncio.run(serve(server, listener))
     except (AttachError, SourceError, ScenarioError, McapMissing, ServerError) as problem:
         print(f"headland: {problem}", file=sys.stderr)
         return WRONG
@@ -80,6 +79,7 @@ def listen(port: int) -> socket.socket:
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         listener.bind((HOST, port))
+        listener.listen()
     except OSError as problem:
         listener.close()
         raise ServerError(
@@ -185,10 +185,11 @@ def _launch_of(source: Path | None, interface: str, port: int) -> dict[str, Any]
 
 
 def _live(
-    scene: Scene | None, launch: dict[str, Any] | None, interface: str, channel: str, bitrate: int,
-    host: str, port: int, keys: Path | None, listener: socket.socket, console: Console, as_json: bool,
+    scene: Scene | None, launch: dict[str, Any] | None, where: tuple[str, str, int, str, int],
+    keys: Path | None, listener: socket.socket, console: Console, as_json: bool,
 ) -> int:  # fmt: skip
     keyring = keyring_of(keys)
+    interface, channel, bitrate, host, port = where
     if launch is not None:
         host, port, channel = str(launch["host"]), int(launch["port"]), str(launch["channel"])
         scene = scene or _scene_beside(Path(str(launch.get("folder", "."))))

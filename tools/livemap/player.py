@@ -100,7 +100,8 @@ class Player:
         self.index, self.recording = index, index.recording
         self.reader = Reader(self.recording)
         self.follow, self.playing, self.speed = follow, True, speed
-        self.head_us = float(self.recording.from_us)
+        self.goal_us = float(self.recording.from_us)  # where the person wants to be
+        self.caught_up = True  # and is
         self.jumps = 0  # how often the past was taken up anew
         if follow:
             self.seek(self.recording.until_us)
@@ -122,7 +123,12 @@ class Player:
                 self.reader.frame, self.reader.t_us = snapshot.frame, snapshot.t_us
             self.jumps += 1
             self.reader.watcher.all_changed()
-        self.head_us = float(t_us)
+        self.goal_us, self.caught_up = float(t_us), False
+
+    @property
+    def head_us(self) -> float:
+        """Where the watcher is; behind the goal while it reads its way there."""
+        return self.goal_us if self.caught_up else min(self.goal_us, float(self.reader.t_us))
 
     def advance(self, elapsed_s: float, budget_s: float) -> None:
         """Time goes on; reading may lag behind and catches up."""
@@ -130,11 +136,10 @@ class Player:
         if self.follow:
             if until_us - self.reader.t_us > 2 * SNAPSHOT_US:
                 self.seek(until_us)
-            self.head_us = float(until_us)
-        elif self.playing:
-            self.head_us = min(self.head_us + elapsed_s * 1e6 * self.speed, float(until_us))
-        if not self.reader.read(round(self.head_us), budget_s):
-            self.head_us = float(self.reader.t_us)
+            self.goal_us = float(until_us)
+        elif self.playing and self.caught_up:
+            self.goal_us = min(self.goal_us + elapsed_s * 1e6 * self.speed, float(until_us))
+        self.caught_up = self.reader.read(round(self.goal_us), budget_s)
         self._beside()
 
     def _beside(self) -> None:

@@ -57,7 +57,9 @@ class OnlyHere:
         if scope["type"] not in ("http", "websocket"):
             await self.app(scope, receive, send)
             return
-        headers = {name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]}
+        headers = {
+            name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]
+        }
         host, origin = headers.get("host", ""), headers.get("origin")
         known = host.rsplit(":", 1)[0] in HOSTS
         if not known or (origin is not None and origin != f"http://{host}"):

@@ -109,7 +109,9 @@ def _stop(watcher: Watcher, now_s: float) -> dict[str, Any]:
     latched = []
     for dot in watcher.latched:
         reason, said_by = watcher.reasons.get(dot, (None, None))
-        name = "" if reason is None or reason not in Reason._value2member_map_ else Reason(reason).name
+        name = (
+            "" if reason is None or reason not in Reason._value2member_map_ else Reason(reason).name
+        )
         latched.append(
             {"dot": ".".join(map(str, dot)), "slot": dot[0], "reason": name, "said_by": said_by,
              "since": round(watcher.stops[dot], 3)}

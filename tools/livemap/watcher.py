@@ -116,7 +116,9 @@ class Watcher(Inspector):
 
     def _patch(self, m: MapPatch) -> None:
         values = decode_cells(m.cells).astype(np.int64)
-        if self.chart is not None and self.chart.apply(m.patch, values, m.level, m.time, m.observer):
+        if self.chart is not None and self.chart.apply(
+            m.patch, values, m.level, m.time, m.observer
+        ):
             self.changed_patches.add(m.patch)
 
     def cells(self, patches: Iterable[int]) -> list[list[int]]:

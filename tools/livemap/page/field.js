@@ -27,6 +27,7 @@ export class Field {
     this.sections = new Map(); // id -> {phase, owner}
     this.done = new Map(); // id -> array of bits, one for each unit
     this.trails = new Map();
+    this.known = new Set(); // cells of an explored map
     this.stale = true;
     this.groundAt = 0;
     if (this.cells) this.cells.pen.clearRect(0, 0, this.cells.canvas.width, this.cells.canvas.height);
@@ -75,6 +76,8 @@ export class Field {
   }
 
   get workDone() {
+    const cells = this.scene?.cells;
+    if (cells) return this.known.size / (cells.rows * cells.columns);
     let count = 0;
     for (const done of this.done.values()) for (const each of done) if (each) count++;
     return this.unitCount ? count / this.unitCount : null;
@@ -85,6 +88,7 @@ export class Field {
     for (let k = 0; k < 16; k++) {
       const value = values[k];
       if (value === UNKNOWN) continue;
+      this.known.add((row + (k >> 2)) * canvas.width + column + (k % 4));
       pen.fillStyle = value === OPEN ? "#2c3f4a" : "#dfe9ee";
       pen.fillRect(column + (k % 4), canvas.height - 1 - (row + (k >> 2)), 1, 1);
     }
@@ -100,7 +104,7 @@ export class Field {
     if (!points.length) return;
     const xs = points.map((p) => p[0]), ys = points.map((p) => p[1]);
     const [west, east, south, north] = [Math.min(...xs), Math.max(...xs), Math.min(...ys), Math.max(...ys)];
-    const wide = Math.max(east - west, 8), high = Math.max(north - south, 8);
+    const wide = Math.max(east - west, 3), high = Math.max(north - south, 3);
     this.view = {
       x: (west + east) / 2, y: (south + north) / 2,
       scale: Math.min((this.canvas.clientWidth - 2 * MARGIN_PX) / wide, (this.canvas.clientHeight - MARGIN_PX - BAR_PX) / high),

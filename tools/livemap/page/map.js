@@ -47,6 +47,7 @@ function begin({ title, scene, live: isLive }) {
   $("name").textContent = scene?.name ?? "Headland";
   $("source").textContent = live ? `live · ${title}` : title;
   document.title = `${scene?.name ?? "Headland"} · Headland`;
+  $("work-name").textContent = scene?.cells ? "seen" : "work";
   $("hand").hidden = !live;
   dirty = true;
 }
