@@ -5,7 +5,6 @@ avoid and whom they hear, only they know. Reading it changes nothing: a run that
 same trace hash as one that is not.
 """
 
-from math import hypot
 from typing import Any, NamedTuple
 
 from agent.config import NEIGHBOURS_MAX
@@ -52,6 +51,9 @@ def intent_of(peer: Peer) -> Intent | None:
     if here is None:
         return None
     others = sorted(motion.others, key=lambda o: o.distance_m) if motion is not None else []
+    strange: list[XY] = [] if motion is None else list(motion.strange)
+    if motion is not None and motion.lookout is not None:
+        strange += [point for point, _ in motion.lookout.points.values()]
     way = peer.mission.rest_of_way if isinstance(peer.mission, Underway) else ()
     return Intent(
         slot=peer.slot,
@@ -64,6 +66,6 @@ def intent_of(peer: Peer) -> Intent | None:
         path=tuple(way[:POINTS_MAX]),
         avoids=tuple(o.slot for o in others[:NEIGHBOURS_MAX]),
         hears=tuple(sorted(peer.membership.live)),
-        strange=tuple(motion.strange[:STRANGE_MAX]) if motion is not None else (),
+        strange=tuple(strange[:STRANGE_MAX]),
         holds=tuple(cause.name for cause, _ in peer.safety.causes),
     )

@@ -115,7 +115,7 @@ class McapLog:
         self._writer.add_message(channel, t_us * 1000, data, t_us * 1000)
 
     def close(self) -> None:
-        self._writer.finish()
+        self._writer.finish()  # type: ignore[no-untyped-call]
         self._file.close()
 
 

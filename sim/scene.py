@@ -1,4 +1,4 @@
-"""What does not move, as plain values: what a map draws first, and a recording keeps beside its frames."""
+"""What does not move, as plain values: what a map draws first, and what recordings keep."""
 
 from base64 import b64encode
 from collections.abc import Iterable, Sequence
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from sim.arena import ArenaSetting, load_arena
 from sim.errand_setting import ErrandSetting
-from sim.scenario import Scenario, ScenarioError, load
+from sim.scenario import ScenarioError, load
 from sim.setting import Setting
 
 Scene = dict[str, Any]

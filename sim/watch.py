@@ -1,4 +1,4 @@
-"""Keeping what happens in a simulated run: frames, and five times a second what each robot means to do."""
+"""Looking at a simulated run, five times a second: what each robot means to do, and what stands there."""
 
 from collections.abc import Sequence
 from typing import Any, Protocol

@@ -255,8 +255,9 @@ def scrub(page: "Chrome", seconds: float) -> None:
 def drawn_colours(page: "Chrome") -> int:
     """How many colours there are on the field's canvas, at every 16th pixel."""
     count: int = page.execute_script(
-        "const c = document.getElementById('field'), d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data;"
-        "const seen = new Set(); for (let k = 0; k < d.length; k += 64) seen.add(d[k] << 16 | d[k + 1] << 8 | d[k + 2]);"
+        "const c = document.getElementById('field'), pen = c.getContext('2d'), seen = new Set();"
+        "const d = pen.getImageData(0, 0, c.width, c.height).data;"
+        "for (let k = 0; k < d.length; k += 64) seen.add(d[k] << 16 | d[k + 1] << 8 | d[k + 2]);"
         "return seen.size;"
     )
     return count

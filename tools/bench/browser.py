@@ -64,4 +64,5 @@ def until(driver: "Chrome", script: str, seconds: float = WAIT_S) -> Any:
 
 def complaints(driver: "Chrome") -> list[str]:
     """What the page has put on its console as errors: of scripts, policy and missing files."""
-    return [str(line["message"]) for line in driver.get_log("browser") if line["level"] == "SEVERE"]
+    lines = driver.get_log("browser")  # type: ignore[no-untyped-call]
+    return [str(line["message"]) for line in lines if line["level"] == "SEVERE"]

@@ -59,6 +59,9 @@ class Teller:
             told["vx"], told["vy"], told["want"] = intent["vx"], intent["vy"], intent["wanted"]
             told["strange"], told["holds"] = intent["strange"], intent["holds"]
             told["hears"] = intent["hears"]
+        question = watcher.asking.get(robot.slot)
+        if question is not None:
+            told["asks"] = [question.matter.name, round(question.x_m, 1), round(question.y_m, 1)]
         path = [] if intent is None else intent["path"]
         if path != self._paths.get(robot.slot):
             self._paths[robot.slot] = told["path"] = path

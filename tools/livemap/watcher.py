@@ -17,6 +17,7 @@ from protocol.identifier import Identifier
 from protocol.map_frames import MapPatch
 from protocol.map_sync import decode_cells
 from protocol.messages import GROUPS
+from protocol.operator_frames import Matter, OperatorReport
 from protocol.safety_frames import EmergencyStop
 from protocol.work_frames import StateSyncResponse, TaskClaim, WorkProgress
 from sim.bits import worst_bits
@@ -35,6 +36,7 @@ class Watcher(Inspector):
         self.intents: dict[int, tuple[float, dict[str, Any]]] = {}  # when, and what
         self.things: list[list[float]] = []
         self.reasons: dict[tuple[int, int, int], tuple[int, int | None]] = {}  # reason, said by
+        self.asking: dict[int, OperatorReport] = {}  # what a robot waits for an operator about
         self.changed_sections: set[int] = set()
         self.changed_blocks: set[tuple[int, int]] = set()
         self.changed_patches: set[int] = set()
@@ -83,7 +85,7 @@ class Watcher(Inspector):
         hears = {
             slot: set(intent["hears"])
             for slot, (at_s, intent) in self.intents.items()
-            if abs(now_s - at_s) <= STALE_S and "DISCONNECTED" != self._state_of(slot)
+            if abs(now_s - at_s) <= STALE_S and self._state_of(slot) != "DISCONNECTED"
         }
         left, found = set(hears), []
         while left:
@@ -110,6 +112,10 @@ class Watcher(Inspector):
                 self.changed_blocks.add((message.section, message.block))
             case MapPatch():
                 self._patch(message)
+            case OperatorReport(matter=Matter.ASKING | Matter.WAITING):
+                self.asking[robot.slot] = message
+            case OperatorReport():
+                self.asking.pop(robot.slot, None)
             case EmergencyStop():
                 self.reasons.setdefault(message[:3], (message.reason, robot.slot))
         super()._robot(t_s, robot, kind, message)

@@ -352,7 +352,11 @@ export class Field {
     pen.textAlign = "center"; pen.textBaseline = "middle";
     pen.fillText(String(robot.s), x, y + 0.5);
     if (robot.silent) label(pen, "silent", x, y + radius + 14, "#ffd884");
-    else if (standing && !robot.stopped) label(pen, "NOT STOPPED", x, y + radius + 14, "#ff6a70");
+    else if (robot.asks) {
+      const [matter, ax, ay] = robot.asks;
+      label(pen, "?", ...this.toScreen(ax, ay), "#ffb020", 22);
+      label(pen, matter === "ASKING" ? "asks what to do" : "waits", x, y + radius + 14, "#ffb020");
+    } else if (standing && !robot.stopped) label(pen, "NOT STOPPED", x, y + radius + 14, "#ff6a70");
   }
 }
 
@@ -405,8 +409,8 @@ function cross(pen, x, y, colour) {
   pen.beginPath(); pen.moveTo(x - 4, y - 4); pen.lineTo(x + 4, y + 4); pen.moveTo(x + 4, y - 4); pen.lineTo(x - 4, y + 4); pen.stroke();
 }
 
-function label(pen, text, x, y, colour) {
-  pen.font = "600 12px system-ui, sans-serif"; pen.textAlign = "center"; pen.textBaseline = "middle";
+function label(pen, text, x, y, colour, size = 12) {
+  pen.font = `600 ${size}px system-ui, sans-serif`; pen.textAlign = "center"; pen.textBaseline = "middle";
   pen.lineWidth = 4; pen.strokeStyle = "#0a0f12"; pen.strokeText(text, x, y);
   pen.fillStyle = colour; pen.fillText(text, x, y);
 }
