@@ -49,6 +49,24 @@ def browser(size: tuple[int, int] = SIZE) -> "Iterator[Chrome]":
             driver.quit()
 
 
+def open_page(driver: "Chrome", url: str, seconds: float = WAIT_S) -> None:
+    """Wait for a server that is only starting, too. TimeoutError."""
+    from selenium.common.exceptions import TimeoutException, WebDriverException
+    from selenium.webdriver.support.ui import WebDriverWait
+
+    def there(page: "Chrome") -> bool:
+        try:
+            page.get(url)
+        except WebDriverException:
+            return False
+        return True
+
+    try:
+        WebDriverWait(driver, seconds, 0.5).until(there)
+    except TimeoutException:
+        raise TimeoutError(f"nobody serves {url}") from None
+
+
 def until(driver: "Chrome", script: str, seconds: float = WAIT_S) -> Any:
     """What the expression is once it is true in the page. TimeoutError."""
     from selenium.common.exceptions import TimeoutException

@@ -23,6 +23,7 @@ BENCHES = {
     "orca": "avoidance against RVO2",
     "corridor": "swaps in passages, dead ends, and a hundred robots in rooms",
     "motion": "the thesis experiment: way driven against way planned",
+    "operator": "the map in a browser, and stops with its page open",
     "lidar": "range sensing against pymunk, world steps",
 }
 MISSED, WRONG = 1, 2
