@@ -22,7 +22,7 @@ from protocol.frame import Frame
 from sim.body_link import BodyServer
 from sim.candump import CandumpWriter
 from sim.coverage_truth import coverage, sample_points
-from sim.fieldbus import segment
+from sim.fieldbus import forget, segment
 from sim.hub import Hub
 from sim.scenario import ScenarioError, load
 from sim.scene import FILE, scene_of
@@ -97,6 +97,7 @@ class Launch:
             stepping.cancel()
             await hub.stop()
             transport.close()
+            forget(wire.channel)  # another launch of this process begins anew
             log.close()
             (self.out / "bus.json").unlink(missing_ok=True)
         self._report(bodies.now_us() / 1e6, finished)

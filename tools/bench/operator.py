@@ -80,7 +80,7 @@ def map_recording(folder: Path, simulated_s: float, seconds: float, seed: int) -
                  "of its CPU time", "", None, "the same run with a CAN log only",
                  f"{ROBOTS} robots, {simulated_s:g} s simulated")  # fmt: skip
     yield Figure("trace hash of a run that is kept and of one that is not",
-                 plain.trace_hash != kept.trace_hash, "differ", "0",
+                 int(plain.trace_hash != kept.trace_hash), "differ", "0",
                  plain.trace_hash == kept.trace_hash, "", "the same seed")  # fmt: skip
     recording = recorded(folder, None)
     hashes = {
@@ -151,13 +151,13 @@ def map_presses(count: int) -> Iterator[Figure]:
                 asyncio.run(running.run(0, None))
         times = sorted(running.times_s)
         complete = len(times) == count
-        p999_s = times[min(len(times) - 1, int(0.999 * len(times)))] if times else float("nan")
+        p999_s = times[min(len(times) - 1, int(0.999 * len(times)))] if times else 0.0
         scope = f"6 processes on the hub, {len(times)} of {count} presses; load {os.getloadavg()[0]:.1f}"
         if isinstance(running, _Watched):
             scope += f"; {running.pictures_a_second:.1f} pictures/s meanwhile"
         yield Figure(f"press to last echo {name}, p99.9", p999_s * 1000, "ms", "<= 50",
                      complete and p999_s <= 0.050, "the other, in this run", scope)  # fmt: skip
-        yield Figure(f"press to last echo {name}, longest", times[-1] * 1000 if times else float("nan"),
+        yield Figure(f"press to last echo {name}, longest", times[-1] * 1000 if times else 0.0,
                      "ms", "<= 320", complete and times[-1] <= 0.320, "", scope)  # fmt: skip
 
 
