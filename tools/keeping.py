@@ -1,9 +1,10 @@
 """What a run leaves for replays: frames and intents in one MCAP, the scene, the hash of its frames."""
 
 import json
-from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
+from protocol.frame import Frame
 from sim.cluster import Cluster
 from sim.errand_setting import ErrandSetting
 from sim.mcap_log import McapLog, McapMissing
@@ -16,7 +17,7 @@ MCAP = "run.mcap"
 
 
 class Keeping:
-    """Given to an expedition or a survey as `attach`; close it after the run."""
+    """Given to an expedition or a survey as `attach`, or fed by a launch; close it after the run."""
 
     def __init__(
         self, setting: Setting | ErrandSetting, out: Path, recording: Recording | None = None
@@ -35,11 +36,20 @@ class Keeping:
             recording.scene = self.scene
 
     def __call__(self, cluster: Cluster) -> None:
-        taps: Sequence[FramesDigest | Recording | McapLog | None] = (
-            self.digest, self.recording, self.mcap,
-        )  # fmt: skip
-        cluster.segment.taps += [keeper.write for keeper in taps if keeper is not None]
+        cluster.segment.taps.append(self.write)
         watch(cluster, [keeper for keeper in (self.recording, self.mcap) if keeper is not None])
+
+    def write(self, t_us: int, frame: Frame) -> None:
+        self.digest.write(t_us, frame)
+        if self.recording is not None:
+            self.recording.write(t_us, frame)
+        if self.mcap is not None:
+            self.mcap.write(t_us, frame)
+
+    def tell(self, t_us: int, intent: dict[str, Any]) -> None:
+        """Of a robot in a process of its own."""
+        if self.mcap is not None:
+            self.mcap.tell(t_us, intent)
 
     @property
     def log_hash(self) -> str:

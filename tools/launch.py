@@ -25,10 +25,10 @@ from sim.coverage_truth import coverage, sample_points
 from sim.fieldbus import forget, segment
 from sim.hub import Hub
 from sim.scenario import ScenarioError, load
-from sim.scene import FILE, scene_of
 from sim.setting import Setting
 from tools.attachment import CHANNEL
 from tools.inspector import SILENT_S, Inspector
+from tools.keeping import Keeping
 from tools.warmup import warm
 
 HOST = "127.0.0.1"
@@ -46,7 +46,7 @@ class Launch:
         self, setting: Setting, name: str, out: Path, console: Console, keys: Path | None,
         page_port: int | None = None,
     ) -> None:  # fmt: skip
-        self.page_port = page_port
+        self.page_port, self.log_hash = page_port, ""
         self.map: asyncio.subprocess.Process | None = None
         self.keys = None if keys is None else str(keys.absolute())
         self.setting, self.name, self.out, self.console = setting, name, out, console
@@ -65,10 +65,10 @@ class Launch:
             self.setting.scenario.bus.bitrate,
             self.setting.scenario.run.seed,
         )
-        log = CandumpWriter(self.out / "can.log")
-        wire.taps.append(lambda t_us, frame: self._heard(log, t_us, frame))
         hub = Hub(wire, CHANNEL)
         await hub.start(HOST, port)
+        log, keeping = CandumpWriter(self.out / "can.log"), Keeping(self.setting, self.out)
+        wire.taps += [keeping.write, lambda t_us, frame: self._heard(log, t_us, frame)]
         zero_us = round(loop.time() * 1e6)
         transport, bodies = await loop.create_datagram_endpoint(
             lambda: BodyServer(self.world, zero_us), local_addr=(HOST, 0)
@@ -78,7 +78,7 @@ class Launch:
             "host": HOST, "port": hub.port, "channel": CHANNEL, "pid": os.getpid(),
             "body_port": body_port, "folder": str(self.out.absolute()),
         }  # fmt: skip
-        (self.out / FILE).write_text(json.dumps(scene_of(self.setting)) + "\n")
+        bodies.relay.keep = lambda intent: keeping.tell(round(loop.time() * 1e6), intent)
         (self.out / "bus.json").write_text(json.dumps(where))
         self.console.print(
             f"bus: socketcand {HOST}:{hub.port} channel {CHANNEL}   "
@@ -97,8 +97,11 @@ class Launch:
             stepping.cancel()
             await hub.stop()
             transport.close()
+            wire.taps.clear()
             forget(wire.channel)  # another launch of this process begins anew
             log.close()
+            keeping.close()
+            self.log_hash = keeping.log_hash
             (self.out / "bus.json").unlink(missing_ok=True)
         self._report(bodies.now_us() / 1e6, finished)
         if end.is_set():
@@ -204,13 +207,13 @@ class Launch:
             "contacts": len(self.world.contacts), "robots_ended": sorted(self.gone), "touched": touched,
             "silence_policy": self.setting.scenario.fleet.silence,
             "authenticated": self.setting.keys is not None,
-            **self.inspector.to_dict(),
+            "log_hash": self.log_hash, **self.inspector.to_dict(),
         }  # fmt: skip
         (self.out / "report.json").write_text(json.dumps(report, indent=1) + "\n")
         verdict = "finished" if finished else "not finished"
         self.console.print(
             f"{verdict} after {elapsed_s:.0f} s: coverage {truth.share:.2%}, "
-            f"{len(self.world.contacts)} contacts; report.json and can.log are in {self.out}"
+            f"{len(self.world.contacts)} contacts; report.json, can.log and run.mcap are in {self.out}"
         )
         if self.setting.keys is None:
             self.console.print(NO_KEYS)

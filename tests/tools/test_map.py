@@ -208,6 +208,11 @@ def test_a_launch_is_stopped_and_released_from_the_page(tmp_path: Path) -> None:
         until(page, robots_in("WORKING", "IDLE", "SYNCHRONIZING"))
         until(page, "!document.querySelector('main').classList.contains('stopped')")
         assert all(CONSOLE in line for line in complaints(page))
+    out = tmp_path / "runs" / "launch"
+    log_hash = json.loads((out / "report.json").read_text())["log_hash"]
+    for name in (".", "run.mcap"):
+        recording = recorded(out / name, None)
+        assert recording.digest.hex == log_hash and recording.intents
 
 
 # -------------------------------------------------------------------- hands
