@@ -1,6 +1,6 @@
 """All that was heard of a run, in memory, while it grows or after its end: frames, intents, things.
 
-Columns instead of objects: 22 bytes a frame, so that hours of a full bus fit. One thread may append
+Columns instead of objects: 21 bytes a frame, so that hours of a full bus fit. One thread may append
 while others read: a row is there once `count` says so.
 """
 
@@ -13,7 +13,7 @@ from typing import Any
 from protocol.frame import Frame
 from sim.scene import Scene
 
-FRAMES_MAX = 8_000_000  # 176 MB; two hours of a full bus, half a day of a quiet one
+FRAMES_MAX = 8_000_000  # 168 MB; two hours of a full bus, half a day of a quiet one
 DROP = FRAMES_MAX // 4  # of the oldest, when it is full
 Row = tuple[int, Frame]
 Notes = list[tuple[int, dict[str, Any]]]  # microseconds, plain values

@@ -1,13 +1,14 @@
 """What does not move, as plain values: what a map draws first, and what recordings keep."""
 
 from base64 import b64encode
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.floor import Floor
 from sim.arena import ArenaSetting, load_arena
 from sim.errand_setting import ErrandSetting
 from sim.scenario import ScenarioError, load
@@ -27,10 +28,11 @@ def scene_of(setting: Setting | ErrandSetting) -> Scene:
         "rings": [], "sections": [], "width_m": 0.0, "gate": None, "grid": None, "cells": None,
         "goals": [],
     }  # fmt: skip
-    if isinstance(setting, ErrandSetting):
-        floor = setting.floor
+    floor: Floor | None = getattr(setting, "floor", None)  # of any mission in a building
+    if floor is not None:
         scene["grid"] = _grid(floor.walls, floor.origin, floor.cell_m)
-        scene["goals"] = [[slot, *_point(at)] for slot, own in setting.goals.items() for at in own]
+        goals: Mapping[int, Sequence[Sequence[float]]] = getattr(setting, "goals", {})
+        scene["goals"] = [[slot, *_point(at)] for slot, own in goals.items() for at in own]
         scene["kind"] = "floor"
     elif isinstance(setting, ArenaSetting):
         geometry = setting.geometry
@@ -44,7 +46,7 @@ def scene_of(setting: Setting | ErrandSetting) -> Scene:
             "columns": geometry.columns, "order": setting.order.value,
         }  # fmt: skip
         scene["kind"] = "arena"
-    else:
+    elif isinstance(setting, Setting):
         field = setting.field
         scene["name"] = field.name
         scene["rings"] = [_line(ring) for ring in (field.exterior, *field.holes)]
