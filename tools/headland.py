@@ -31,6 +31,10 @@ KeyFile = Annotated[Path | None, typer.Option("--keys", help="The fleet's key fi
 OperatorKey = Annotated[
     Path | None, typer.Option("--operator-key", help="The operator's key file.")
 ]
+Map = Annotated[bool, typer.Option("--map", help="Show it in a browser.")]
+PagePort = Annotated[
+    int, typer.Option("--page-port", help="Port of the map's page, on loopback (0: any free one).")
+]
 
 
 @app.command()
@@ -49,6 +53,8 @@ def run(
         list[Path] | None, typer.Option(help="A further CAN log: .asc .blf .csv .log .trc")
     ] = None,
     keys: KeyFile = None,
+    show_map: Map = False,
+    page_port: PagePort = 8700,
     json: Json = False,
 ) -> None:
     """Work a scenario to its end in virtual time, as fast as it can go. A field file is one, too.
@@ -57,7 +63,10 @@ def run(
     """
     from tools.run import run as command
 
-    raise SystemExit(command(scenario, robots, seed, out, json, keys, log or [], feature, drive))
+    page = page_port if show_map else None
+    raise SystemExit(
+        command(scenario, robots, seed, out, json, keys, log or [], feature, drive, page)
+    )
 
 
 @app.command()
@@ -95,6 +104,8 @@ def launch(
     port: Annotated[int, typer.Option(help="Port of the bus hub (0: any free one).")] = 0,
     seconds: Annotated[float | None, typer.Option(help="End after this long.")] = None,
     keys: KeyFile = None,
+    show_map: Map = False,
+    page_port: PagePort = 8700,
     json: Json = False,
 ) -> None:
     """Run every robot as a process of its own, in real time, on a bus others can attach to.
@@ -103,7 +114,8 @@ def launch(
     """
     from tools.launch import launch as command
 
-    raise SystemExit(command(scenario, robots, seed, out, port, seconds, json, keys))
+    page = page_port if show_map else None
+    raise SystemExit(command(scenario, robots, seed, out, port, seconds, json, keys, page))
 
 
 @app.command()
@@ -346,6 +358,28 @@ def bench(
     raise SystemExit(command(name, quick, seed, json, cluster))
 
 
+@app.command("map")
+def show_map(
+    source: Annotated[Path | None, typer.Argument(help="Run folder or log; none: a live bus.")] = None,
+    interface: Interface = "socketcand", channel: Channel = "can0", bitrate: Bitrate = 250_000,
+    host: Host = "127.0.0.1", port: Port = 0, keys: KeyFile = None,
+    scenario: Annotated[
+        str | None, typer.Option(help="Whose field to draw, where the source does not say.")
+    ] = None,
+    page_port: PagePort = 8700,
+    json: Json = False,
+) -> None:  # fmt: skip
+    """Show a fleet in a browser: the newest launch, any bus, or a recorded run.
+
+    Example: headland map runs/run, or on a real bus: headland map -i socketcan -c can0
+    """
+    from tools.livemap.command import show_map as command
+
+    raise SystemExit(
+        command(source, interface, channel, bitrate, host, port, keys, scenario, page_port, json)
+    )
+
+
 @app.command()
 def dbc(
     out: Annotated[
@@ -363,13 +397,13 @@ def dbc(
 
 @app.command()
 def replay(
-    log: Annotated[Path, typer.Argument(help="Run folder, or log: .log .asc .blf .csv .trc")],
+    log: Annotated[Path, typer.Argument(help="Run folder, or log: .log .mcap .asc .blf .csv .trc")],
     speed: Annotated[float, typer.Option(help="Times real time; 0: at once.")] = 0.0,
     interface: Annotated[
         str, typer.Option("-i", "--interface", help="Also send the frames to this interface.")
     ] = "",
     channel: Channel = "can0", bitrate: Bitrate = 250_000,
-    host: Host = "127.0.0.1", port: Port = 0,
+    host: Host = "127.0.0.1", port: Port = 0, show_map: Map = False, page_port: PagePort = 8700,
     json: Json = False,
 ) -> None:  # fmt: skip
     """Feed a log to the inspector, at the speed it was recorded or as fast as it goes.
@@ -378,7 +412,8 @@ def replay(
     """
     from tools.replay import replay as command
 
-    raise SystemExit(command(log, speed, interface, channel, bitrate, host, port, json))
+    page = page_port if show_map else None
+    raise SystemExit(command(log, speed, interface, channel, bitrate, host, port, json, page))
 
 
 @app.command()
