@@ -63,7 +63,7 @@ class Watcher(Inspector):
             self._recent[pgn] -= 1
 
     @property
-    def load(self) -> float:
+    def share(self) -> float:
         """Share of the bus in the last second, at worst-case stuffing."""
         return self._load / (LOAD_S * self.bitrate)
 
