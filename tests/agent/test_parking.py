@@ -40,7 +40,7 @@ def view(
 
 def open_gap_m(at: tuple[float, float], open_sections: set[int]) -> float:
     lines = [line for s in open_sections for line in FIELD.section(s).unit_lines()]
-    return min(LineString(line).distance(Spot(at)) for line in lines)
+    return float(min(LineString(line).distance(Spot(at)) for line in lines))
 
 
 def test_who_stands_on_an_open_line_leaves_it_also_from_a_corner() -> None:

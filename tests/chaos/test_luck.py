@@ -6,8 +6,10 @@
 
 from collections import Counter
 from pathlib import Path
+from typing import get_args
 
 import pytest
+from pydantic import BaseModel
 
 from sim.mutants import MUTANTS, planted
 from sim.scenario import Crash, Fault, Scenario, load
@@ -78,16 +80,16 @@ def _kinds_of(name: str) -> set[str]:
 
 
 def test_every_kind_of_fault_is_drawn_and_played() -> None:
-    kinds: set[str] = {kind.model_fields["kind"].annotation.__args__[0] for kind in _faults()}  # type: ignore[union-attr]
+    kinds = {get_args(kind.model_fields["kind"].annotation)[0] for kind in _faults()}
     drawn = {kind for name in DRAWS for kind in _kinds_of(name)}
     assert kinds - drawn == {"heal", "restart"}  # these come with a cut and a crash
     played = {fault.kind for path in STORIES for fault in load(str(path)).fault}
     assert kinds <= played
 
 
-def _faults() -> tuple[type, ...]:
-    (union, _) = (Fault.__origin__, Fault.__metadata__)  # type: ignore[attr-defined]
-    return union.__args__  # type: ignore[no-any-return]
+def _faults() -> tuple[type[BaseModel], ...]:
+    union, _ = get_args(Fault)
+    return get_args(union)
 
 
 def test_every_rule_has_a_place_in_the_documents() -> None:
