@@ -25,6 +25,7 @@ FAILED, WRONG = 1, 2
 CORPUS = Path(__file__).parents[1] / "tests" / "fuzz" / "corpus"
 SIZE_MAX = 1024  # bytes of an input
 POOL_MAX = 4096  # inputs remembered by the plain engine
+KEPT_MAX = 60  # inputs of a corpus, the shortest of those that reach something new
 CHUNK = 256  # runs between two looks at the clock
 DONE = re.compile(r"Done (\d+) runs in (\d+) second")
 
@@ -112,7 +113,10 @@ def corpus(name: str) -> list[bytes]:
 def keep_corpus(name: str, inputs: list[bytes]) -> None:
     CORPUS.mkdir(parents=True, exist_ok=True)
     known = set(seeds(name))
-    lines = sorted({data.hex() for data in inputs if data and data not in known})
+    new = {data for data in inputs if data and data not in known}
+    lines = sorted(
+        data.hex() for data in sorted(new, key=lambda data: (len(data), data))[:KEPT_MAX]
+    )
     (CORPUS / f"{name}.hex").write_text("".join(f"{line}\n" for line in lines), encoding="ascii")
 
 
@@ -198,11 +202,8 @@ def with_atheris(
             if done
             else (re.findall(r"^\s*(\w*(?:Error|Exception)\b.*)$", text, re.M) or ["?"])[-1]
         )
-        if keep and done is not None:
-            kept = Path(scratch) / "kept"
-            kept.mkdir()
-            _atheris(name, ["-merge=1", str(kept), str(found)])
-            keep_corpus(name, [path.read_bytes() for path in kept.iterdir()])
+        if keep and done is not None:  # each of these has reached something new
+            keep_corpus(name, [path.read_bytes() for path in found.iterdir()])
         count, cpu_s = (int(done[1]), float(done[2])) if done else (0, time.monotonic() - begun_s)
         return Fuzzed(name, "atheris", count, cpu_s, str(crash or ("?" if not done else "")), why)
 
