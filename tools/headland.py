@@ -95,6 +95,9 @@ def launch(
     port: Annotated[int, typer.Option(help="Port of the bus hub (0: any free one).")] = 0,
     seconds: Annotated[float | None, typer.Option(help="End after this long.")] = None,
     keys: KeyFile = None,
+    segment: Annotated[
+        int, typer.Option(min=0, max=0x7FFF, help="Of a fleet of several, for headland bridge.")
+    ] = 0,
     json: Json = False,
 ) -> None:
     """Run every robot as a process of its own, in real time, on a bus others can attach to.
@@ -103,7 +106,7 @@ def launch(
     """
     from tools.launch import launch as command
 
-    raise SystemExit(command(scenario, robots, seed, out, port, seconds, json, keys))
+    raise SystemExit(command(scenario, robots, seed, out, port, seconds, json, keys, segment))
 
 
 @app.command()
@@ -235,6 +238,9 @@ def bridge(
         Path | None, typer.Option(help="Zenoh's configuration: TLS, access control.")
     ] = None,
     area: Annotated[Path | None, typer.Option(help="Sections shared with neighbours.")] = None,
+    arena: Annotated[
+        str, typer.Option(help="Arena of which all segments make one map: file, or name.")
+    ] = "",
     fleet: Annotated[str, typer.Option(help="Fleets of other names do not meet.")] = "fleet",
     seconds: Annotated[float | None, typer.Option(help="End after this long.")] = None,
     json: Json = False,
@@ -247,7 +253,7 @@ def bridge(
 
     raise SystemExit(
         command(segment, interface, channel, bitrate, host, port, fleet, zenoh or [], listen or [],
-                mode, config, area, seconds, json)
+                mode, config, area, seconds, json, arena)
     )  # fmt: skip
 
 

@@ -43,6 +43,7 @@ class Launch:
     def __init__(
         self, setting: Setting, name: str, out: Path, console: Console, keys: Path | None
     ) -> None:
+        self.segment = 0  # of a fleet of several; 0: there are no others
         self.keys = None if keys is None else str(keys.absolute())
         self.setting, self.name, self.out, self.console = setting, name, out, console
         self.inspector = Inspector()
@@ -104,7 +105,7 @@ class Launch:
                 "seed": self.setting.scenario.run.seed, "host": HOST, "channel": CHANNEL,
                 "bus_port": bus_port, "body_port": body_port,
                 "journal": str(self.out / f"robot{slot}.sqlite"), "first_boot": True,
-                "keys": self.keys,
+                "keys": self.keys, "segment": self.segment,
             }  # fmt: skip
             with (self.out / f"robot{slot}.log").open("wb") as errors:
                 process = await asyncio.create_subprocess_exec(
@@ -197,7 +198,7 @@ class Launch:
 
 def launch(
     scenario: str, robots: int | None, seed: int | None, out: Path, port: int,
-    seconds: float | None, as_json: bool, keys: Path | None = None,
+    seconds: float | None, as_json: bool, keys: Path | None = None, segment: int = 0,
 ) -> int:  # fmt: skip
     console = Console(stderr=as_json, highlight=False, soft_wrap=True)
     try:
@@ -217,6 +218,7 @@ def launch(
         old.unlink()  # a launch is a new job; a restart of one robot keeps its journal
     warm(setting.turn_radius_m > 0.0)  # once here, not in every robot at once
     running = Launch(setting, scenario, out, console, keys)
+    running.segment = segment
     begun = time.monotonic()
     try:
         code = asyncio.run(running.run(port, seconds))
