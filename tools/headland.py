@@ -6,31 +6,26 @@ from typing import Annotated
 import typer
 
 from tools import coverage
+from tools.bridge_command import bridge
 from tools.keys import app as keys_app
+from tools.options import (
+    Bitrate,
+    Channel,
+    Cluster,
+    Host,
+    Interface,
+    Json,
+    KeyFile,
+    OperatorKey,
+    Port,
+)
 
 HELP = "A leaderless robot fleet on a CAN bus: every robot is a peer, none is in charge."
 app = typer.Typer(
     help=HELP, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None
 )
 app.add_typer(coverage.app, name="coverage")
-
-Interface = Annotated[
-    str, typer.Option("-i", "--interface", help="python-can interface, as for can_logger.")
-]
-Channel = Annotated[str, typer.Option("-c", "--channel", help="Channel of the interface.")]
-Bitrate = Annotated[int, typer.Option("-b", "--bitrate", help="Bit rate of the bus, bit/s.")]
-Host = Annotated[str, typer.Option("--host", help="Host of a socketcand interface.")]
-Port = Annotated[
-    int, typer.Option("--port", help="Port of a socketcand interface (0: the newest launch).")
-]
-Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
-Cluster = Annotated[
-    str, typer.Option(help="Address of a Dask scheduler; none: processes of this machine.")
-]
-KeyFile = Annotated[Path | None, typer.Option("--keys", help="The fleet's key file.")]
-OperatorKey = Annotated[
-    Path | None, typer.Option("--operator-key", help="The operator's key file.")
-]
+app.command()(bridge)
 
 
 @app.command()
@@ -274,41 +269,6 @@ def chaos(
     if scenario is not None:
         raise SystemExit(judge_file(scenario, json))
     raise SystemExit(command(seeds, profile, jobs, seconds, out, mutants, json, cluster))
-
-
-@app.command()
-def bridge(
-    segment: Annotated[int, typer.Option(help="Number of this segment, from 1.")],
-    interface: Interface = "socketcand", channel: Channel = "can0", bitrate: Bitrate = 250_000,
-    host: Host = "127.0.0.1", port: Port = 0,
-    zenoh: Annotated[
-        list[str] | None, typer.Option(help="Connect to the backbone: tcp/HOST:PORT or tls/...")
-    ] = None,
-    listen: Annotated[
-        list[str] | None, typer.Option(help="Let others connect here: tcp/HOST:PORT or tls/...")
-    ] = None,
-    mode: Annotated[str, typer.Option(help="Of Zenoh: peer, client or router.")] = "",
-    config: Annotated[
-        Path | None, typer.Option(help="Zenoh's configuration: TLS, access control.")
-    ] = None,
-    area: Annotated[Path | None, typer.Option(help="Sections shared with neighbours.")] = None,
-    arena: Annotated[
-        str, typer.Option(help="Arena of which all segments make one map: file, or name.")
-    ] = "",
-    fleet: Annotated[str, typer.Option(help="Fleets of other names do not meet.")] = "fleet",
-    seconds: Annotated[float | None, typer.Option(help="End after this long.")] = None,
-    json: Json = False,
-) -> None:  # fmt: skip
-    """Join a bus to the rest of the fleet. Stops pass first and always; start two for each bus.
-
-    Example: headland bridge --segment 2 -i socketcan -c can0 --zenoh tcp/10.0.0.1:7447
-    """
-    from tools.bridge import bridge as command
-
-    raise SystemExit(
-        command(segment, interface, channel, bitrate, host, port, fleet, zenoh or [], listen or [],
-                mode, config, area, seconds, json, arena)
-    )  # fmt: skip
 
 
 @app.command()
