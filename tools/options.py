@@ -1,4 +1,4 @@
-"""Options that several sub-commands share."""
+"""Options that several commands share."""
 
 from pathlib import Path
 from typing import Annotated
@@ -21,4 +21,8 @@ Cluster = Annotated[
 KeyFile = Annotated[Path | None, typer.Option("--keys", help="The fleet's key file.")]
 OperatorKey = Annotated[
     Path | None, typer.Option("--operator-key", help="The operator's key file.")
+]
+Map = Annotated[bool, typer.Option("--map", help="Show it in a browser.")]
+PagePort = Annotated[
+    int, typer.Option("--page-port", help="Port of the map's page, on loopback (0: any free one).")
 ]

@@ -25,7 +25,10 @@ BENCHES = {
     "corridor": "swaps in passages, dead ends, and a hundred robots in rooms",
     "motion": "the thesis experiment: way driven against way planned",
     "scale": "many segments: stops across them, bus share, heals, memory, campaigns on a cluster",
+    "operator": "the map in a browser, and stops with its page open",
     "lidar": "range sensing against pymunk, world steps",
+    "phrases": "plain language, misspellings, why, the inspector's screen",
+    "chaos": "the speed of simulated trouble, campaigns, planted bugs, decoders",
 }
 MISSED, WRONG = 1, 2
 
