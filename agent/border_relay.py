@@ -19,7 +19,7 @@ from crdt.register import DONE_BIT, Claim
 from protocol.backbone import ENTRIES_MAX, Entry
 from protocol.work_frames import StateSyncResponse, TaskClaim, WorkProgress
 
-REGISTER, BLOCK, PATCH = 1, 2, 3  # of entries
+REGISTER, BLOCK = 1, 2  # of entries; those of the map: `map_relay.py`
 LAST_SLOT = GUEST_FIRST - 1  # who has done a section of which only the segment is remembered
 UNKNOWN_OWNER = 0xFF  # a robot of that segment, but we cannot say which
 FLUSH_US = 20 * MS  # news waits so long for company; a claim is contested for 250 ms

@@ -16,6 +16,7 @@ from agent.border_relay import FLUSH_US, BorderRelay
 from agent.candidacy import Candidacy
 from agent.config import FRAME_US_MAX, MS, S
 from agent.effects import Effect, Send
+from agent.map_relay import MapRelay
 from agent.rate_limit import RateLimit
 from agent.reach import Reach
 from agent.stop_relay import LIVE_US, StopRelay
@@ -24,6 +25,7 @@ from protocol.backbone import Body, Header, Kind, Summary
 from protocol.codec import Malformed, decode_once
 from protocol.fleet_frames import Heartbeat, Member, Pose
 from protocol.frame import Frame
+from protocol.map_frames import MapDigests, MapPatch
 from protocol.messages import Message
 from protocol.name import Name
 from protocol.network_frames import AddressClaimed
@@ -38,6 +40,9 @@ SUMMARY_US = 500 * MS
 ROTATION_US = (
     100 * MS
 )  # one other segment's summary on the bus so often: 0.6 % of it, at any number
+MAP_STEP_US = (
+    2 * MS
+)  # between two turns of the map: on its bus there are three in ten frames at most
 LOOK_US = 200 * MS  # who of our segment is live
 LEFT_US = 60 * S  # a robot that is silent for longer is not counted as silent any more
 TELL_STEP_US = 20 * MS  # gateways tell a stranger the stops one after the other
@@ -57,14 +62,17 @@ Out = Effect | Publish
 
 
 class Gateway:
-    def __init__(self, area: Area, name: Name, boot: int, now_us: int) -> None:
-        """`boot`: anything that no two starts share, 32 bits."""
+    def __init__(
+        self, area: Area, name: Name, boot: int, now_us: int, chart: MapRelay | None = None
+    ) -> None:
+        """`boot`: anything that no two starts share, 32 bits. `chart`: where segments share a map."""
         self.area, self.name, self.boot = area, name, boot & 0xFFFF_FFFF
         self.candidacy = Candidacy(boot, name.hash16, now_us)
         self.reach = Reach(area.segment)
         self.stops = StopRelay(area.segment, now_us)
         self.border = BorderRelay(area)
         self.sync = Sync(self.candidacy.election.slot, self.border.allocation, self.border.progress)
+        self.chart = chart
         self.counts: Counter[str] = Counter()
         self._limit = RateLimit(SHARE, BURST_US, now_us)
         self._slot_of: dict[int, int] = {}  # address -> slot, from MEMBER frames
@@ -122,6 +130,9 @@ class Gateway:
                 self._heard_us.pop(slot, None)
             else:
                 self.sync.heard_digest(slot, message.digest, now_us)
+        elif isinstance(message, MapPatch | MapDigests):
+            if self.chart is not None and slot is not None:
+                self.chart.hear(slot, message, now_us)
         elif isinstance(message, TaskClaim | StateSyncResponse | WorkProgress):
             before = self.sync.replica.version
             self.sync.receive(-1 if slot is None else slot, message, now_us)
@@ -149,6 +160,10 @@ class Gateway:
             self.stops.receive_resets([h for h in body if isinstance(h, FleetReset)], now_us)
         elif isinstance(body, Summary):
             self._summary(header, body, now_us)
+        elif header.kind == Kind.MAP:
+            for entry in body if self.chart is not None else ():
+                if isinstance(entry, backbone.Entry) and self.chart is not None:
+                    self.chart.receive(header.segment, entry, now_us)
         elif self.leads:
             self._work(header.segment, body, now_us)
         return ()
@@ -189,12 +204,15 @@ class Gateway:
                 times.append(self._tell_us)
             if self.leads:
                 times += [self._summary_us, self._rotate_us]
+                if self.chart is not None:
+                    times.append(max(self.chart.deadline_us, self._map_us))
                 if self.border.waiting:
                     times.append(self._flush_us)
                 if self.border.to_say:
                     times.append(self._say_us)
         return min(times)
 
+    _map_us = 0  # the same for frames of the map
     _say_us = 0  # when the rate limit lets the next frame pass
 
     def tick(self, now_us: int) -> Sequence[Out]:
@@ -234,6 +252,8 @@ class Gateway:
             self._live = live
             self.sync.slot = self.sync.divergence.slot = self.candidacy.number
             self.sync.live(live | {self.candidacy.number}, now_us)
+        if self.chart is not None:
+            self.chart.live(live, frozenset(self.reach.heard(now_us)))
 
     def _lead(self, now_us: int) -> list[Out]:
         effects: list[Out] = []
@@ -248,6 +268,11 @@ class Gateway:
             self._rotate_us = now_us + ROTATION_US
             if self._limit.take(FRAME_US_MAX, now_us):
                 effects += self._rotate(now_us)
+        if self.chart is not None and now_us >= max(self.chart.deadline_us, self._map_us):
+            near, far = self.chart.tick(self._limit, now_us)
+            self._map_us = now_us + MAP_STEP_US
+            effects += [self._send(message) for message in near]
+            effects += self._publish(Kind.MAP, tuple(far)) if far else []
         if self.border.to_say:
             if self._limit.take(FRAME_US_MAX, now_us):
                 effects.append(self._send(self.border.say()))
@@ -278,7 +303,7 @@ class Gateway:
         heard = self.reach.heard(now_us)
         return Summary(
             min(live, 255), min(silent, 255), min(halted, 255), done, self.area.home, digest,
-            self.stops.digest, 0, shared, heard,
+            self.stops.digest, 0 if self.chart is None else self.chart.digest, shared, heard,
         )  # fmt: skip
 
     # ---------------------------------------------------------------- out

@@ -58,7 +58,8 @@ class Reach:
 
     def hear(self, header: Header, summary: Summary, now_us: int) -> None:
         remote = self.remotes[header.segment]
-        remote.summary, remote.heard_us = summary, now_us
+        kept = summary._replace(heard={}, shared={})  # what grows with the fleet is not kept
+        remote.summary, remote.heard_us = kept, now_us
         remote.hears_us = self.segment in summary.heard
         self.ever |= remote.hears_us
 

@@ -21,7 +21,7 @@ from agent.safety import SilencePolicy
 from protocol.codec import Malformed
 from protocol.fleet_frames import Pose
 from protocol.fleet_tags import FleetTags
-from protocol.map_frames import MapPatch
+from protocol.map_frames import MapDigests, MapPatch
 from protocol.messages import Message
 from protocol.safety_frames import EmergencyReset, EmergencyStop, Reason
 from protocol.segment_frames import (
@@ -40,7 +40,7 @@ from protocol.work_frames import (
 )
 
 PRESSING = (EmergencyStop, EmergencyReset)
-CARRIED = (TaskClaim, WorkProgress, StateSyncRequest, StateSyncResponse, MapPatch)
+CARRIED = (TaskClaim, WorkProgress, StateSyncRequest, StateSyncResponse, MapPatch, MapDigests)
 
 
 class SegmentPeer(Peer):

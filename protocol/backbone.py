@@ -27,6 +27,7 @@ class Kind(IntEnum):
     RESETS = 2
     SUMMARY = 3
     WORK = 4
+    MAP = 5
 
 
 class Header(NamedTuple):
@@ -50,7 +51,7 @@ class Summary(NamedTuple):
     home: int  # sections that belong to this segment
     digest: int  # of all that this segment's replica holds of its home
     stops: int  # of stops and resets of the whole fleet
-    map: int  # of the border tiles of the map
+    map: int  # of the map, where there is one
     shared: dict[int, int]  # neighbour -> digest of what both hold
     heard: dict[int, int]  # segment that is heard here -> the term of its gateway
 
@@ -58,7 +59,7 @@ class Summary(NamedTuple):
 class Entry(NamedTuple):
     """One value of a section at the border, in the numbers of its home, or a patch of the map."""
 
-    kind: int  # 1 register, 2 progress block, 3 patch of the map
+    kind: int  # 1 register, 2 progress block, 3 patch of the map, 4 digests of it
     segment: int  # home of the section
     section: int
     owner_segment: int  # of a register
@@ -82,7 +83,7 @@ def pack(header: Header, body: Body) -> bytes:
         pairs = b"".join(PAIR.pack(*pair) for pair in sorted(shared.items()))
         terms = b"".join(HEARD.pack(*pair) for pair in sorted(heard.items()))
         return head + SUMMARY.pack(*numbers, len(shared), len(heard)) + pairs + terms
-    if kind == Kind.WORK:
+    if kind in (Kind.WORK, Kind.MAP):
         assert len(body) <= ENTRIES_MAX
         return head + b"".join(ENTRY.pack(*entry) for entry in body)
     return head + b"".join(frame.pack() for frame in body)  # type: ignore[union-attr]
@@ -104,7 +105,7 @@ def unpack(data: bytes) -> Message | None:
                 return Message(header, tuple(map(FleetReset.unpack, _slices(rest))))
             case Kind.SUMMARY:
                 return Message(header, _summary(rest))
-            case Kind.WORK:
+            case Kind.WORK | Kind.MAP:
                 entries = tuple(Entry(*fields) for fields in ENTRY.iter_unpack(rest))
                 return Message(header, entries) if len(entries) <= ENTRIES_MAX else None
     except (ValueError, StructError):

@@ -10,12 +10,14 @@ from random import Random
 
 import can
 
+from agent.area import Area
 from agent.core import Peer
 from agent.effects import Drive, Effect
 from agent.identity import Identity
 from agent.lifecycle import State
 from agent.ports import Body, Journal, Observation
 from agent.safety import SilencePolicy
+from agent.segment_peer import SegmentPeer
 from agent.shell import Shell
 from protocol.authentication import Signed
 from protocol.bus import CanBus
@@ -76,10 +78,12 @@ def make_peer(
     recalled: Mapping[str, bytes],
     first_boot: bool,
     lot: str = "",
+    segment: int = 0,
 ) -> Peer:
     """The peer of one slot of a scenario; the same on a virtual clock and in a process of its own.
 
-    `lot`: anything that no two boots of this robot share; a first one in a simulation needs none.
+    `segment`: of a fleet of several; 0: there are no others. `lot`: anything that no two boots of
+    this robot share; a first one in a simulation needs none.
     """
     identity = Identity(
         slot=slot,
@@ -93,7 +97,8 @@ def make_peer(
     # Who has lost its memory must not throw the same dice again.
     rng = Random(f"{setting.scenario.run.seed}/peer/{slot}{lot}")
     mission, motion = setting.mission(slot), setting.motion(slot)
-    return Peer(identity, rng, now_us, recalled, mission, motion, setting.keyring(slot, lot))
+    parts = identity, rng, now_us, recalled, mission, motion, setting.keyring(slot, lot)
+    return SegmentPeer(Area(segment, setting.section_count), *parts) if segment else Peer(*parts)
 
 
 class Cluster:

@@ -15,12 +15,17 @@ from agent.effects import Drive, Effect
 from agent.gateway import Gateway
 from agent.gateway_shell import GatewayShell
 from agent.identity import Identity
+from agent.map_relay import MapRelay
 from agent.safety import SilencePolicy
 from agent.segment_peer import SegmentPeer
 from agent.shell import Shell
+from crdt.hybrid_clock import HybridClock
+from crdt.occupancy import Geometry, OccupancyMap
+from crdt.sighting import TIME_MAX, Order
 from protocol.authentication import Keyring, Keys
 from protocol.bus import CanBus
 from protocol.frame import Frame
+from protocol.map_sync import MapSync
 from protocol.name import Name, fleet_name
 from protocol.segment_frames import gateway_slot
 from sim.backbone import SimulatedBackbone
@@ -31,6 +36,7 @@ from sim.swarm import Swarm
 
 GATEWAY_FUNCTION = 66  # of a NAME: a device that joins networks
 FIELD_HASH = 0x5E6
+MAP_TICK_US = 1_000_000  # of the map's clock
 
 
 def ring_area(number: int, segments: int, home: int, shared: int) -> Area:
@@ -60,12 +66,14 @@ class SegmentFleet:
         shared: int = 5,
         keys: Keys | None = None,
         policy: SilencePolicy = SilencePolicy.CONTINUE,
+        geometry: Geometry | None = None,
     ) -> None:
+        """`geometry`: of the map that all segments make, where they make one."""
         self.segments, self.robots, self.seed = range(1, segments + 1), robots, seed
         self.swarm = Swarm()
         self.backbone = SimulatedBackbone(self.swarm, seed)
         self.rng = Random(f"{seed}/segments")
-        self.keys, self.policy = keys, policy
+        self.keys, self.policy, self.geometry = keys, policy, geometry
         self.areas = {k: ring_area(k, segments, home, shared) for k in self.segments}
         self.wires: dict[int, Segment] = {}
         self.shells: dict[tuple[int, int], Shell] = {}
@@ -109,9 +117,12 @@ class SegmentFleet:
         rng = Random(f"{self.seed}/{number}/{slot}")
         lot = f"{self.seed}/{number}/{slot}".encode()
         keyring = None if self.keys is None else Keyring(self.keys, slot, lot)
-        peer = SegmentPeer(
-            self.areas[number], identity, rng, 0, {}, None, None, keyring, policy=self.policy
-        )
+        chart = None
+        if self.geometry is not None:
+            clock = HybridClock(0, MAP_TICK_US, TIME_MAX)
+            chart = MapSync(slot, OccupancyMap(self.geometry, Order.DECAYED), clock, 0)
+        parts = None, None, keyring, chart
+        peer = SegmentPeer(self.areas[number], identity, rng, 0, {}, *parts, policy=self.policy)
         bus = can.Bus(interface="fieldbus", channel=self.channel(number))
         place = number, slot
 
@@ -126,9 +137,11 @@ class SegmentFleet:
     def add_gateway(self, number: int) -> GatewayShell:
         boot = self.rng.getrandbits(32)
         name = Name(boot & 0x1FFFFF, function=GATEWAY_FUNCTION, arbitrary_address=0)
-        swarm = self.swarm
+        swarm, chart = self.swarm, None
+        if self.geometry is not None:
+            chart = MapRelay(number, self.geometry, Order.DECAYED, swarm.now_us())
         shell = GatewayShell(
-            Gateway(self.areas[number], name, boot, swarm.now_us()),
+            Gateway(self.areas[number], name, boot, swarm.now_us(), chart),
             CanBus(can.Bus(interface="fieldbus", channel=self.channel(number))),
             self.backbone.attach(number),
             swarm.now_us,

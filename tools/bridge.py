@@ -16,6 +16,7 @@ from typing import Any
 from agent.area import Area, Place
 from agent.gateway import Gateway, Publish
 from agent.gateway_shell import GatewayShell
+from agent.map_relay import MapRelay
 from agent.ports import Bus
 from protocol.backbone import Kind
 from protocol.name import Name
@@ -46,6 +47,7 @@ class ZenohBackbone:
         self.link.subscribe(f"{root}/stops", callback, keep=True)
         self.link.subscribe(f"{root}/resets", callback, keep=True)
         self.link.subscribe(f"{root}/summary", callback)
+        self.link.subscribe(f"{root}/map", callback)
         self.link.subscribe(f"{root}/work/{self.segment}", callback)
 
     def close(self) -> None:
@@ -78,6 +80,20 @@ def read_area(segment: int, file: Path | None) -> Area:
         raise AttachError(f"{file} does not describe an area: {problem}") from None
 
 
+def read_map(segment: int, arena: str, now_us: int) -> MapRelay | None:
+    """The map of an arena that all segments explore. Raises AttachError."""
+    if not arena:
+        return None
+    from sim.arena import ArenaSetting, load_arena
+    from sim.scenario import ScenarioError
+
+    try:
+        setting = ArenaSetting(load_arena(arena))
+    except ScenarioError as problem:
+        raise AttachError(f"--arena: {problem}") from None
+    return MapRelay(segment, setting.geometry, setting.order, now_us)
+
+
 def open_bus_of(
     interface: str, channel: str, bitrate: int, host: str, port: int, link: ZenohLink, key: str
 ) -> Bus:
@@ -88,7 +104,7 @@ def open_bus_of(
 
 
 async def carry(
-    area: Area, bus: Bus, backbone: ZenohBackbone, as_json: bool, seconds: float | None
+    area: Area, bus: Bus, backbone: ZenohBackbone, as_json: bool, seconds: float | None, arena: str
 ) -> None:
     """Until a signal, or for so long."""
     loop = asyncio.get_running_loop()
@@ -103,7 +119,7 @@ async def carry(
 
     boot = secrets.randbits(32)
     name = Name(boot & 0x1FFFFF, function=GATEWAY_FUNCTION, arbitrary_address=0)
-    gateway = Gateway(area, name, boot, now_us())
+    gateway = Gateway(area, name, boot, now_us(), read_map(area.segment, arena, now_us()))
 
     def at(t_us: int, call: Callable[[], None]) -> asyncio.TimerHandle:
         return loop.call_at(t_us / 1e6, call)
@@ -134,7 +150,7 @@ def _line(status: dict[str, Any]) -> str:
 def bridge(
     segment: int, interface: str, channel: str, bitrate: int, host: str, port: int, fleet: str,
     connect: list[str], listen: list[str], mode: str, config: Path | None, area: Path | None,
-    seconds: float | None, as_json: bool,
+    seconds: float | None, as_json: bool, arena: str = "",
 ) -> int:  # fmt: skip
     async def run() -> None:
         if not connect and not listen and config is None:
@@ -143,7 +159,7 @@ def bridge(
         link = ZenohLink(configure(connect, listen, mode, config), asyncio.get_running_loop())
         key = f"headland/{fleet}/{segment}/bus"
         bus = open_bus_of(interface, channel, bitrate, host, port, link, key)
-        await carry(place, bus, ZenohBackbone(link, fleet, segment), as_json, seconds)
+        await carry(place, bus, ZenohBackbone(link, fleet, segment), as_json, seconds, arena)
 
     try:
         asyncio.run(run())

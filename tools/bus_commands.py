@@ -190,6 +190,9 @@ def bridge(
         Path | None, typer.Option(help="Zenoh's configuration: TLS, access control.")
     ] = None,
     area: Annotated[Path | None, typer.Option(help="Sections shared with neighbours.")] = None,
+    arena: Annotated[
+        str, typer.Option(help="Arena of which all segments make one map: file, or name.")
+    ] = "",
     fleet: Annotated[str, typer.Option(help="Fleets of other names do not meet.")] = "fleet",
     seconds: Annotated[float | None, typer.Option(help="End after this long.")] = None,
     json: Json = False,
@@ -202,5 +205,5 @@ def bridge(
 
     raise SystemExit(
         command(segment, interface, channel, bitrate, host, port, fleet, zenoh or [], listen or [],
-                mode, config, area, seconds, json)
+                mode, config, area, seconds, json, arena)
     )  # fmt: skip

@@ -83,6 +83,9 @@ def launch(
     keys: KeyFile = None,
     show_map: Map = False,
     page_port: PagePort = 8700,
+    segment: Annotated[
+        int, typer.Option(min=0, max=0x7FFF, help="Of a fleet of several, for headland bridge.")
+    ] = 0,
     json: Json = False,
 ) -> None:
     """Run every robot as a process of its own, in real time, on a bus others can attach to.
@@ -92,7 +95,7 @@ def launch(
     from tools.launch import launch as command
 
     page = page_port if show_map else None
-    raise SystemExit(command(scenario, robots, seed, out, port, seconds, json, keys, page))
+    raise SystemExit(command(scenario, robots, seed, out, port, seconds, json, keys, page, segment))
 
 
 @app.command()

@@ -48,6 +48,7 @@ class Launch:
         page_port: int | None = None,
     ) -> None:  # fmt: skip
         self.page_port, self.log_hash = page_port, ""
+        self.segment = 0  # of a fleet of several; 0: there are no others
         self.map: asyncio.subprocess.Process | None = None
         self.keys = None if keys is None else str(keys.absolute())
         self.setting, self.name, self.out, self.console = setting, name, out, console
@@ -127,7 +128,7 @@ class Launch:
                 "seed": self.setting.scenario.run.seed, "host": HOST, "channel": CHANNEL,
                 "bus_port": bus_port, "body_port": body_port,
                 "journal": str(self.out / f"robot{slot}.sqlite"), "first_boot": True,
-                "keys": self.keys,
+                "keys": self.keys, "segment": self.segment,
             }  # fmt: skip
             with (self.out / f"robot{slot}.log").open("wb") as errors:
                 process = await asyncio.create_subprocess_exec(
@@ -231,6 +232,7 @@ class Launch:
 def launch(
     scenario: str, robots: int | None, seed: int | None, out: Path, port: int,
     seconds: float | None, as_json: bool, keys: Path | None = None, page_port: int | None = None,
+    segment: int = 0,
 ) -> int:  # fmt: skip
     """`page_port`: of a map beside it."""
     console = Console(stderr=as_json, highlight=False, soft_wrap=True)
@@ -251,6 +253,7 @@ def launch(
         old.unlink()  # a launch is a new job; a restart of one robot keeps its journal
     warm(setting.turn_radius_m > 0.0)  # once here, not in every robot at once
     running = Launch(setting, scenario, out, console, keys, page_port)
+    running.segment = segment
     begun = time.monotonic()
     try:
         code = asyncio.run(running.run(port, seconds))

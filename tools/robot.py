@@ -41,7 +41,13 @@ async def run(order: dict[str, Any]) -> None:
     await body.ready()
     bus = open_bus("socketcand", order["channel"], host=order["host"], port=int(order["bus_port"]))
     peer = make_peer(
-        setting, slot, Shell.now_us(), recalled, order["first_boot"], secrets.token_hex(16)
+        setting,
+        slot,
+        Shell.now_us(),
+        recalled,
+        order["first_boot"],
+        secrets.token_hex(16),
+        int(order["segment"]),
     )
     shell = Shell(peer, bus, body, journal)
     task = asyncio.create_task(shell.run())

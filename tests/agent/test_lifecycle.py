@@ -191,6 +191,8 @@ ENDED_BY: dict[Cause, str | None] = {
     Cause.OBSTACLE_AHEAD: None,  # by its answer, or when it leaves: tests/chaos/test_pause.py
     Cause.CREEP: "time",  # here nobody is silent any more
     Cause.MEMBER_SILENT: "time",
+    Cause.BACKBONE_LOST: None,  # when a segment is reached: tests/sim/test_segment_fleet.py
+    Cause.BACKBONE_CREEP: None,
     Cause.BUS_OFF: "bus back",
     Cause.ERROR_PASSIVE: "time",  # the driver says that it is gone
     Cause.UNHEARD: "time",

@@ -20,6 +20,7 @@ bodies = {
     Kind.STOPS: st.lists(stops, max_size=64).map(tuple),
     Kind.RESETS: st.lists(resets, max_size=64).map(tuple),
     Kind.SUMMARY: summaries,
+    Kind.MAP: st.lists(entries, max_size=4).map(tuple),
     Kind.WORK: st.lists(entries, max_size=backbone.ENTRIES_MAX).map(tuple),
 }
 

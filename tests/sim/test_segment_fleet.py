@@ -1,12 +1,15 @@
 """Several segments in one swarm: stops, cuts, gateways that die, borders, forged messages."""
 
 from collections.abc import Iterator
+from random import Random
 
 import can
+import numpy as np
 import pytest
 
 from agent.gateway import Publish
 from agent.safety import SilencePolicy
+from crdt.occupancy import Geometry
 from protocol import backbone
 from protocol.authentication import Keys
 from protocol.backbone import Header, Kind
@@ -237,6 +240,39 @@ def test_tags_hold_from_end_to_end() -> None:
     fleet.run(S)
     assert not fleet.peer(2, 0).safety.far.latched, "an operator's does"
     assert not fleet.peer(1, 0).safety.stops.latched, "where it was pressed, too"
+    fleet.end()
+
+
+def test_one_map_of_all_segments() -> None:
+    """What robots of two segments have seen, cut and together again: the same map, bit for bit."""
+    fleet = SegmentFleet(2, 2, SEED, candidates=1, geometry=Geometry(32, 32, (0.0, 0.0), 0.1))
+    assert fleet.run(8 * S, lambda: fleet.joined)
+    rng = Random(SEED)
+
+    def look(number: int) -> None:
+        chart = fleet.peer(number, rng.randrange(2)).chart
+        assert chart is not None
+        chart.see(rng.randrange(64), np.array(rng.choices((0, 1, 2), k=16)), rng.randrange(16))
+
+    def equal() -> bool:
+        charts = [p.chart for k in fleet.segments for p in fleet.peers(k)]
+        maps = {c.chart.serialize() for c in charts if c is not None}
+        return len(maps) == 1 and not any(c is not None and c.pending for c in charts)
+
+    fleet.backbone.cut({1}, {2})
+    for _ in range(30):
+        for number in fleet.segments:
+            look(number)
+        fleet.run(100_000)
+    assert not equal()
+    fleet.backbone.heal()
+    assert fleet.run(10 * S, equal), f"seed {SEED}"
+    fleet.count_from_here()
+    for _ in range(20):
+        look(1)
+        fleet.run(100_000)
+    assert fleet.run(5 * S, equal)
+    assert max(ours for _, ours in fleet.share.values()) <= 0.15
     fleet.end()
 
 

@@ -39,7 +39,7 @@ def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
     yield from cluster(range(seed, seed + (4 if quick else 24)))
     if not quick:
         size = 100, 100
-        yield from traffic(_apart(order, *size, seed, 0, S), size)  # seven minutes
+        yield from traffic(_apart(order, *size, seed, 0, S), size)  # a quarter of an hour
 
 
 def _apart(measure: Callable[..., T], *arguments: Any) -> T:
