@@ -17,6 +17,7 @@ log = logging.getLogger(__name__)
 LINE_MAX = 256  # characters of a command; the longest valid one has 48
 BACKLOG_BYTES_MAX = 1 << 20  # unread by a client: about ten seconds of a full bus
 QUIET_S = 0.05  # after "rawmode": python-can's client takes what follows in one read for the answer
+GOODBYE_S = 0.5  # a closed connection ends its task at once
 CLIENTS_MAX = 160  # 108 peers and their tools
 
 
@@ -100,6 +101,7 @@ class Hub:
         self.refused = 0
         self.port = 0
         self._server: asyncio.Server | None = None
+        self._serving: set[asyncio.Task[None]] = set()
 
     async def start(self, host: str = "127.0.0.1", port: int = 0) -> None:
         """Listen; the port is in `port`. OSError where it is in use."""
@@ -111,10 +113,16 @@ class Hub:
             self._server.close()
         for client in list(self.clients):
             client.close()
+        if self._serving:  # else the end of the loop would cancel them, and say so on stderr
+            await asyncio.wait(self._serving, timeout=GOODBYE_S)
         self.spare.shutdown()
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         client = Client(self, writer)
+        task = asyncio.current_task()
+        assert task is not None
+        self._serving.add(task)
+        task.add_done_callback(self._serving.discard)
         if len(self.clients) >= CLIENTS_MAX:
             self.refused += 1
             writer.close()

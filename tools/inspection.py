@@ -37,7 +37,8 @@ def inspect(
     plain: bool = False, speed: float = 0.0, picture: Path | None = None,
 ) -> int:  # fmt: skip
     if mermaid:
-        print(to_mermaid(TABLE, State.DISCONNECTED))
+        diagram = to_mermaid(TABLE, State.DISCONNECTED)
+        print(json.dumps({"mermaid": diagram}) if as_json else diagram)
         return 0
     inspector = Inspector()
     try:

@@ -44,6 +44,24 @@ def test_the_file_has_a_hundred_and_dangerous_ones() -> None:
     assert {reason.name for reason in Reason} == set(asked) and asked.count("UNSAFE") >= 10
 
 
+def test_the_document_counts_as_the_file_does() -> None:
+    text = (Path(__file__).parents[2] / "docs" / "language.md").read_text()
+    asked = sum(case.asks is not None for case in FILE.known)
+    meant = sum(bool(case.gives) for case in FILE.unseen)
+    assert f"| {len(FILE.known)} phrases obeyed" in text and f"{asked} of them to be asked" in text
+    assert f"{len(FILE.unseen)} unseen phrases" in text and f"of {meant} unseen ones" in text
+
+
+def test_every_example_of_the_document_is_read() -> None:
+    text = (Path(__file__).parents[2] / "docs" / "language.md").read_text()
+    table = text.split("| | for example |")[1].split("\n\n")[0]
+    rows = [line.split("|")[2] for line in table.splitlines() if line.count("|") == 3]
+    examples = [say.strip() for row in rows for say in row.split("·") if "---" not in row]
+    assert len(examples) > 20
+    for say in examples:
+        assert not isinstance(read(say, FILE.places), Question), say
+
+
 def test_what_was_not_foreseen_is_asked_back_and_never_taken_for_something_else() -> None:
     for case in FILE.unseen:
         result = understood(case.say, FILE)
