@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 from agent.config import NEIGHBOURS_MAX
 from agent.core import Peer
 from agent.mission import Underway
+from agent.motion import Motion
 
 XY = tuple[float, float]
 POINTS_MAX = 48  # of a path: what a person can follow, and what fits a datagram
@@ -47,7 +48,8 @@ class Intent(NamedTuple):
 
 def intent_of(peer: Peer) -> Intent | None:
     """None before its sensors have said anything."""
-    here, motion = peer.here, peer.motion
+    here = peer.here
+    motion = peer.motion if isinstance(peer.motion, Motion) else None
     if here is None:
         return None
     others = sorted(motion.others, key=lambda o: o.distance_m) if motion is not None else []
