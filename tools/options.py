@@ -1,4 +1,4 @@
-"""Options that several commands share, named as python-can's own tools name them."""
+"""Options that several commands share."""
 
 from pathlib import Path
 from typing import Annotated
@@ -15,6 +15,9 @@ Port = Annotated[
     int, typer.Option("--port", help="Port of a socketcand interface (0: the newest launch).")
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
+Cluster = Annotated[
+    str, typer.Option(help="Address of a Dask scheduler; none: processes of this machine.")
+]
 KeyFile = Annotated[Path | None, typer.Option("--keys", help="The fleet's key file.")]
 OperatorKey = Annotated[
     Path | None, typer.Option("--operator-key", help="The operator's key file.")

@@ -79,6 +79,8 @@ async def release(operator: Operator, start: bool, timeout_s: float) -> list[int
     while True:
         for dot in sorted(operator.stops):
             operator.clear(dot)
+        for far in sorted(operator.far_stops):
+            operator.clear_far(far)
         operator.send(AllImplementsStop(0, Switch.PERMIT))
         await asyncio.sleep(STEP_S)
         for robot in operator.live:

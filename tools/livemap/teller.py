@@ -37,7 +37,7 @@ class Teller:
             "kind": "now", "anew": anew, "t": round(now_s, 3),
             "from": recording.from_us / 1e6, "until": round(recording.until_us / 1e6, 3),
             "ended": recording.ended, "playing": player.playing, "speed": player.speed,
-            "follow": player.follow, "load": round(watcher.share_now, 4),
+            "follow": player.follow, "load": round(watcher.share, 4),
             "frames": dict(list(watcher.recent.items())[:KINDS_MAX]),
             "total": sum(watcher.recent.values()),
             "malformed": sum(watcher.malformed.values()),

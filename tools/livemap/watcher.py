@@ -43,7 +43,7 @@ class Watcher(Inspector):
         self.chart = _chart(scene)
         self.bitrate = int((scene or {}).get("bitrate", 250_000))
         self._loads: deque[tuple[float, int, int]] = deque()  # when, bits, group
-        self._bits_now = 0
+        self._load = 0
         self._recent: Counter[int] = Counter()
 
     def hear(self, t_s: float, frame: Frame) -> None:
@@ -51,7 +51,7 @@ class Watcher(Inspector):
         pgn = Identifier.unpack(frame.identifier).pgn
         bits = worst_bits(len(frame.data))
         self._loads.append((t_s, bits, pgn))
-        self._bits_now += bits
+        self._load += bits
         self._recent[pgn] += 1
         self.forget(t_s)
 
@@ -59,13 +59,13 @@ class Watcher(Inspector):
         """What is older than a second is not the load of now."""
         while self._loads and self._loads[0][0] < now_s - LOAD_S:
             _, bits, pgn = self._loads.popleft()
-            self._bits_now -= bits
+            self._load -= bits
             self._recent[pgn] -= 1
 
     @property
-    def share_now(self) -> float:
+    def share(self) -> float:
         """Share of the bus in the last second, at worst-case stuffing."""
-        return self._bits_now / (LOAD_S * self.bitrate)
+        return self._load / (LOAD_S * self.bitrate)
 
     @property
     def recent(self) -> dict[str, int]:
