@@ -33,6 +33,11 @@ from tools.warmup import warm
 
 ROBOTS = 20
 COUNT = "[headland.pictures, headland.told]"
+AT_ITS_OWN_SPEED = (
+    "const s = document.getElementById('scrub'); s.value = 0; s.dispatchEvent(new Event('input'));"
+    "s.dispatchEvent(new Event('change'));"
+    "[...document.querySelectorAll('#speeds button')].find(b => b.dataset.speed === '1').click()"
+)
 HELPS = 5
 JUMPS = 40
 WAIT_S = 120.0  # for a page on a busy machine
@@ -99,12 +104,10 @@ def map_recording(folder: Path, simulated_s: float, seconds: float, seed: int) -
     with browser() as page:
         page.get(shown.url)
         until(page, f"headland.told > 3 && headland.state().robots.length === {ROBOTS}", WAIT_S)
-        speed = (
-            "[...document.querySelectorAll('#speeds button')].find(b => b.dataset.speed === '1')"
-        )
-        page.execute_script(f"{speed}.click()")
+        page.execute_script(AT_ITS_OWN_SPEED)
+        until(page, "headland.state().speed === 1 && headland.state().t < 3", WAIT_S)
         (first, told), begun_s = page.execute_script(f"return {COUNT}"), time.perf_counter()
-        until(page, f"headland.state().t > {seconds}", WAIT_S)
+        until(page, f"headland.state().t > {3 + seconds}", WAIT_S)
         (last, heard), ended_s = page.execute_script(f"return {COUNT}"), time.perf_counter()
     a_second = (last - first) / (ended_s - begun_s)
     yield Figure(f"page at {ROBOTS} robots", a_second, "pictures/s", ">= 20", a_second >= 20, "",

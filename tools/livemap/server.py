@@ -26,6 +26,7 @@ PAGE = Path(__file__).parent / "page"
 PICTURES_A_SECOND = 30
 READ_SHARE = 0.5  # of the time between two pictures may be spent on reading
 INDEX_SHARE = 0.4  # the same for the index, when it is behind
+AHEAD_MAX = 3  # pictures told and not yet drawn: a slow page sees fewer, never older ones
 PAGES_MAX = 16
 MESSAGE_MAX = 4096  # characters of a request of the page
 HOSTS = ("127.0.0.1", "localhost", "[::1]")
@@ -148,7 +149,8 @@ class MapServer:
             now_s = loop.time()
             player.advance(now_s - last_s, period_s * READ_SHARE)
             last_s = now_s
-            await socket.send_text(json.dumps(teller.tell(), separators=(",", ":")))
+            if teller.told - teller.drawn < AHEAD_MAX:
+                await socket.send_text(json.dumps(teller.tell(), separators=(",", ":")))
             next_s = max(next_s + period_s, loop.time())
             await asyncio.sleep(next_s - loop.time())
 
@@ -192,6 +194,8 @@ def _obey(text: str, player: Player, teller: Teller) -> dict[str, Any] | None:
                 player.seek(round(float(wish["t"]) * 1e6))
             case "follow":
                 player.follow, player.playing = True, True
+            case "drawn":
+                teller.drawn = min(int(wish["count"]), teller.told)
             case "robot":
                 return teller.robot(int(wish["slot"]))
     except (ValueError, KeyError, TypeError, OverflowError):

@@ -16,12 +16,14 @@ class Teller:
 
     def __init__(self, player: Player) -> None:
         self.player = player
+        self.told = self.drawn = 0  # pictures; the page says which it has drawn
         self._jumps = -1
         self._paths: dict[int, Any] = {}
         self._things: Any = None
         self._events = 0
 
     def tell(self) -> dict[str, Any]:
+        self.told += 1
         player, watcher = self.player, self.player.watcher
         now_s = player.head_us / 1e6
         anew = player.jumps != self._jumps

@@ -13,7 +13,7 @@ const UNKNOWN = 0, OPEN = 1; // values of cells, crdt/sighting.py
 export class Field {
   constructor(canvas) {
     this.canvas = canvas;
-    this.pen = canvas.getContext("2d");
+    this.pen = canvas.getContext("2d", { alpha: false }); // opaque: cheaper to put on the screen
     this.ground = document.createElement("canvas");
     this.view = { x: 0, y: 0, scale: 4 }; // metres in the middle, pixels a metre
     this.layers = { path: true, velocity: true, orca: false, sections: true, trail: true };

@@ -5,7 +5,7 @@ import { $, Side, clock } from "./side.js";
 
 const SPEEDS = [0.5, 1, 2, 10, 30, 100], TEXT_MS = 200, AGAIN_MS = 1000, ASK_MS = 500;
 const field = new Field($("field")), side = new Side(choose);
-let socket = null, told = null, dirty = true, live = false, events = [], scrubbing = false, textAt = 0, askedAt = 0;
+let socket = null, told = null, dirty = true, live = false, events = [], scrubbing = false, heard = 0, drawn = 0, textAt = 0, askedAt = 0;
 // What a test may look at.
 window.headland = { pictures: 0, told: 0, state: () => told, field };
 
@@ -36,12 +36,14 @@ function hear(message) {
   field.take(message);
   side.take(message);
   window.headland.told += 1;
+  heard += 1;
   dirty = true;
 }
 
 function begin({ title, scene, live: isLive }) {
   live = isLive;
   told = null;
+  heard = drawn = 0;
   field.forget(); side.forget();
   field.setScene(scene);
   $("name").textContent = scene?.name ?? "Headland";
@@ -59,9 +61,13 @@ function ask(wish) { if (socket?.readyState === WebSocket.OPEN) socket.send(JSON
 function picture(now) {
   requestAnimationFrame(picture);
   if (!dirty && !field.stale) return;
-  if (dirty) window.headland.pictures += 1;
-  dirty = false;
   field.draw(told);
+  if (heard > drawn) {
+    window.headland.pictures += 1;
+    drawn = heard;
+    ask({ do: "drawn", count: drawn });
+  }
+  dirty = false;
   if (!told || now - textAt < TEXT_MS) return;
   textAt = now;
   side.show(told, field);

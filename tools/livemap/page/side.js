@@ -15,7 +15,7 @@ function node(tag, text, kind) {
 }
 
 export function clock(seconds) {
-  const s = Math.max(0, seconds), h = Math.floor(s / 3600), m = Math.floor((s % 3600) / 60);
+  const s = Math.floor(Math.max(0, seconds) * 10) / 10, h = Math.floor(s / 3600), m = Math.floor((s % 3600) / 60);
   const rest = (s % 60).toFixed(1).padStart(4, "0");
   return h ? `${h}:${String(m).padStart(2, "0")}:${rest}` : `${m}:${rest}`;
 }
