@@ -11,6 +11,7 @@ from random import Random
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.config import BRAKING_SHARE
 from agent.errand import Errands
 from agent.floor import Floor
 from agent.motion import Limits, Motion
@@ -23,7 +24,6 @@ from sim.walls import Grid
 from sim.world import World
 
 Point = tuple[float, float]
-BRAKING_SHARE = 0.7  # of the acceleration is planned with; the rest is for corrections
 HORIZON_S = 1.0  # indoor robots stop from full speed in half of it; a longer one closes corridors
 KEEP_RIGHT_RAD = 0.05  # breaks the symmetry of two that meet head on in the open
 
