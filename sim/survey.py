@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.config import BRAKING_SHARE
-from agent.core import Identity, Peer
+from agent.core import Peer
 from agent.exploration import Exploration
 from agent.fleet_report import fleet_status, serialize_for_llm
 from agent.fleet_task import Order
+from agent.identity import Identity
 from agent.lifecycle import State
 from agent.motion import Limits, Motion
 from agent.survey_map import SurveyMap
