@@ -18,6 +18,7 @@ from agent.motion import Limits, Motion
 from agent.safety import SilencePolicy
 from protocol.authentication import Keyring
 from sim.lidar import Lidar
+from sim.obstacles import TemporaryObstacle, schedule
 from sim.scenario import BusTable, FieldTable, FleetTable, RunTable, Scenario
 from sim.vehicle import Chassis
 from sim.walls import Grid
@@ -36,11 +37,14 @@ class ErrandSetting:
         starts: Sequence[Point],
         goals: Sequence[Sequence[Point]],
         agrees: bool = True,
+        dropped: Sequence[TemporaryObstacle] = (),
     ) -> None:
-        """`goals`: of each robot, in their order. `agrees`: False for ORCA by itself."""
+        """`goals`: of each robot, in their order. `agrees`: False for ORCA by itself. `dropped`:
+        boxes that come and go."""
         assert len(starts) == len(goals) == scenario.fleet.robots
         self.scenario, self.floor, self.agrees = scenario, floor, agrees
         self.starts, self.goals = list(starts), {k: tuple(own) for k, own in enumerate(goals)}
+        self.dropped, self.appeared = dropped, list[TemporaryObstacle]()
         self.silence = SilencePolicy[scenario.fleet.silence.upper()]
 
     @classmethod
@@ -102,6 +106,7 @@ class ErrandSetting:
         )
         for slot, at in enumerate(self.starts):
             world.add_robot(slot, at, fleet.radius_m, chassis)
+        self.appeared = schedule(world, self.dropped, fleet.radius_m)
         return world
 
     def keyring(self, slot: int, lot: str = "") -> Keyring | None:

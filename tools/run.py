@@ -12,13 +12,15 @@ from rich.table import Table
 
 from agent.lifecycle import State
 from sim.can_log import open_log
+from sim.errand_scenario import ErrandScenario, load_mission, setting_of
 from sim.expedition import Expedition, Moment
 from sim.outcome import Outcome
-from sim.scenario import ScenarioError, load
+from sim.scenario import ScenarioError
 from sim.setting import Setting
 from sim.work_geojson import write_geojson
 from sim.work_record import record_of
 from tools.picture import draw_field
+from tools.run_errands import run_errands
 
 NO_KEYS = "[yellow]NONE: anybody on the bus can stop and release this fleet[/yellow]"
 UNFINISHED, WRONG = 1, 2  # exit codes; 0 only for a run without a flaw
@@ -37,7 +39,9 @@ def run(
 ) -> int:
     console = Console(stderr=as_json)
     try:
-        setting = Setting(load(scenario).changed(robots, seed, keys, feature, drive))
+        changed = load_mission(scenario).changed(robots, seed, keys, feature, drive)
+        errands = setting_of(changed) if isinstance(changed, ErrandScenario) else None
+        setting = Setting(changed) if errands is None else None
         out.mkdir(parents=True, exist_ok=True)
         if not out.is_dir():
             raise OSError(f"{out} is not a folder")
@@ -49,6 +53,9 @@ def run(
     except (OSError, ValueError) as problem:
         print(f"headland: --out or --log: {problem}", file=sys.stderr)
         return WRONG
+    if errands is not None:
+        return run_errands(console, errands, out, logs, as_json)
+    assert setting is not None
     outcome, expedition = _watch(console, setting, out, logs)
     (out / "report.json").write_text(json.dumps(outcome.to_dict(), indent=1) + "\n")
     tracks = {s: [(x, y, tool) for _, x, y, tool in t] for s, t in expedition.tracks.items()}
