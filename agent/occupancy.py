@@ -118,6 +118,16 @@ class OccupancyGrid:
         """Solid by our own sensors; read only."""
         return self._seen
 
+    def forget(self, cells: Changes) -> int:
+        """Nobody knows any more what is on these cells (n, 2); how many changed."""
+        self.evidence[cells[:, 0], cells[:, 1]] = 0
+        self._seen[cells[:, 0], cells[:, 1]] = False
+        return self._settle(cells)
+
+    def unseen(self, scans: int) -> Changes:
+        """Solid cells (n, 2), by our own sensors, that none of the last `scans` scans has touched."""
+        return np.argwhere(self._seen & (self._stamps <= self._scan - scans))
+
     def wall(self, cells: Grid) -> int:
         """Walls that are known from others, instead of those told before; how many cells changed."""
         other = np.argwhere(cells != self.fixed)

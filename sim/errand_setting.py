@@ -11,12 +11,17 @@ from random import Random
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.config import BRAKING_SHARE
+from agent.config import BRAKING_SHARE, S
 from agent.errand import Errands
 from agent.floor import Floor
+from agent.hazards import geometry_of
 from agent.motion import Limits, Motion
 from agent.safety import SilencePolicy
+from crdt.hybrid_clock import HybridClock
+from crdt.occupancy import SIDE_MAX, OccupancyMap
+from crdt.sighting import OBSERVER_MAX, TIME_MAX, Order
 from protocol.authentication import Keyring
+from protocol.map_sync import MapSync
 from sim.lidar import Lidar
 from sim.obstacles import TemporaryObstacle, schedule
 from sim.scenario import BusTable, FieldTable, FleetTable, RunTable, Scenario
@@ -83,10 +88,20 @@ class ErrandSetting:
     def section_count(self) -> int:
         return sum(len(own) for own in self.goals.values())
 
-    def mission(self, slot: int) -> Errands:
+    def chart(self, slot: int, now_us: int) -> MapSync | None:
+        """What a fleet tells each other of things in the way; none where the map has no room for it."""
+        geometry = geometry_of(self.floor)
+        if self.scenario.fleet.robots > OBSERVER_MAX + 1 or max(geometry[:2]) > SIDE_MAX:
+            return None
+        clock = HybridClock(now_us, S, TIME_MAX)
+        return MapSync(slot, OccupancyMap(geometry, Order.LATEST_UPDATE), clock, now_us)
+
+    def mission(self, slot: int, chart: MapSync | None = None) -> Errands:
         fleet = self.scenario.fleet
         braking_m_s2 = BRAKING_SHARE * fleet.acceleration_m_s2
-        return Errands(slot, self.goals, self.floor, fleet.speed_m_s, braking_m_s2, self.agrees)
+        return Errands(
+            slot, self.goals, self.floor, fleet.speed_m_s, braking_m_s2, self.agrees, chart
+        )
 
     def motion(self, slot: int) -> Motion:
         fleet = self.scenario.fleet
