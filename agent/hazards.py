@@ -11,7 +11,7 @@ share.
 """
 
 from collections.abc import Iterable, Sequence
-from math import hypot
+from math import hypot, sqrt
 
 import numpy as np
 from scipy.ndimage import binary_dilation
@@ -146,14 +146,19 @@ class HazardMap(SurveyMap):
 
     def _no_robots(self, robots: list[Sequence[float]]) -> None:
         """Where a robot that is heard stands, nothing else does: it was seen before it was heard."""
+        cell_m = self.geometry.cell_m
         for x_m, y_m in robots:
-            row, column = self.geometry.cell((x_m, y_m))
-            reach = int(self.radius_m / self.geometry.cell_m)
-            low_r, low_c = max(row - reach, 0), max(column - reach, 0)
-            area = (slice(low_r, row + reach + 1), slice(low_c, column + reach + 1))
-            cells = np.argwhere(self.grid.seen[area])
-            if len(cells):
-                self.grid.forget(cells + np.array((low_r, low_c)))
+            reach_m = self.radius_m + cell_m * sqrt(0.5)
+            (low_r, low_c), (high_r, high_c) = (
+                self.geometry.cell((x_m + d, y_m + d)) for d in (-reach_m, reach_m)
+            )
+            area = (slice(max(low_r, 0), high_r + 1), slice(max(low_c, 0), high_c + 1))
+            if self.grid.seen[area].any():
+                corner = np.array((area[0].start, area[1].start))
+                cells = np.argwhere(self.grid.seen[area]) + corner
+                west, south = self.geometry.origin_m
+                x, y = west + (cells[:, 1] + 0.5) * cell_m, south + (cells[:, 0] + 0.5) * cell_m
+                self.grid.forget(cells[np.hypot(x - x_m, y - y_m) < reach_m])
             for (owner, number), o in list(self.grid.obstacles.items()):
                 if hypot(o.x_m - x_m, o.y_m - y_m) < self.radius_m + BODY_M:
                     self.grid.remove(owner, number)
