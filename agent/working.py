@@ -52,6 +52,7 @@ class Working:
         if peer.agreeing is not None:
             peer.agreeing.attend(view, peer.lifecycle.state)
         peer.wish = self._wish(view, effects)
+        peer.motion.state = peer.lifecycle.state
         wanted = peer.motion.drive(peer.here, peer.wish, peer.membership.neighbours, now_us)
         if peer.pause is not None:
             wanted, said = peer.pause.watch(wanted, peer.here, now_us)
