@@ -20,6 +20,7 @@ class Observation(NamedTuple):
         float, ...
     ] = ()  # one per ray, counter-clockwise from the heading; inf: nothing
     battery: float = 1.0  # share of a full charge
+    bodies: tuple[tuple[float, float], ...] = ()  # others in sight, metres east and north of us
 
 
 class Bus(Protocol):

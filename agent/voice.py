@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from agent.config import BEATS, CONTROL_PERIOD_US, Beat, S
 from agent.effects import Effect, Persist, Send
 from agent.lifecycle import State
+from agent.mission import Swept
 from crdt.progress import BLOCK_UNITS
 from protocol.fleet_frames import NOBODY, Heartbeat, Member, Pose, VectorSlice
 from protocol.map_frames import MapPatch
@@ -84,6 +85,14 @@ class Voice:
             block, bit = divmod(unit, BLOCK_UNITS)
             self.pending[section, block] = self.pending.get((section, block), 0) | 1 << bit
         return self.flush(peer, now_us) if now_us >= self.next_progress_us else []
+
+    def sweep(self, peer: "Peer", swept: Swept, now_us: int) -> list[Effect]:
+        effects: list[Effect] = []
+        for section, unit in swept.units:
+            effects += self.cover(peer, section, (unit,), now_us)
+        if swept.at_once and self.pending:
+            effects += self.flush(peer, now_us)
+        return effects
 
     def flush(self, peer: "Peer", now_us: int) -> list[Effect]:
         """Durable, then announced, then part of the replica that the digest speaks of."""
