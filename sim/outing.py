@@ -2,7 +2,6 @@
 
 import itertools
 import time
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from math import hypot, inf, sqrt
 from pathlib import Path
@@ -14,9 +13,7 @@ from numpy.typing import NDArray
 from agent.config import MS, S
 from agent.effects import Trace
 from agent.errand import GOALS_MAX, Errands, Followed
-from protocol.codec import Malformed, decode_once
-from protocol.frame import Frame
-from sim.can_log import open_log
+from sim.bus_tally import BusTally
 from sim.cluster import Cluster
 from sim.errand_setting import ErrandSetting
 from sim.faults import FaultPlan
@@ -104,8 +101,7 @@ class Outing:
         self.followed: dict[int, list[Followed]] = {}
         self._done_us: dict[int, int] = {}  # section: when its robot said so
         self._recorder = Recorder(out / "trace.jsonl" if out else None)
-        self._kinds: Counter[str] = Counter()
-        self._malformed = 0
+        self._tally = BusTally()
 
     def run(self) -> OutingOutcome:
         """Virtual time, as fast as it goes."""
@@ -115,16 +111,8 @@ class Outing:
     def _play(self, host: Host) -> Script[OutingOutcome]:
         started_s = time.perf_counter()
         cluster = Cluster(self.setting, f"outing {next(_numbers)}", self._note, host)
-        logs = [open_log(path) for path in self.logs]
-
-        def tap(t_us: int, frame: Frame) -> None:
-            _, message = decode_once(frame)
-            self._kinds[type(message).__name__] += 1
-            self._malformed += isinstance(message, Malformed)
-            for log in logs:
-                log.write(t_us, frame)
-
-        cluster.segment.taps.append(tap)
+        self._tally.open(self.logs)
+        cluster.segment.taps.append(self._tally.tap)
         cluster.boot_all()
         script = host.spawn(FaultPlan(cluster).script())
         limit_us = round(self.setting.scenario.run.time_limit_s * S)
@@ -139,8 +127,7 @@ class Outing:
         finally:
             cluster.end()
             self._recorder.close()
-            for log in logs:
-                log.close()
+            self._tally.close()
 
     def _tell(self, cluster: Cluster) -> None:
         if self.told is not None:
@@ -187,8 +174,8 @@ class Outing:
             closest_m=world.closest_m,
             travel_m=sum(body.track.driven_m for body in world.robots.values()),
             replicas_equal=cluster.replicas_equal,
-            frames=dict(self._kinds.most_common()),
-            malformed=self._malformed,
+            frames=dict(self._tally.kinds.most_common()),
+            malformed=self._tally.malformed,
             bus_load=cluster.segment.wire.busy_us / now_us,
             trace_hash=self._recorder.digest,
             wall_s=wall_s,
