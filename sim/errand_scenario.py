@@ -31,6 +31,7 @@ from sim.scenario import (
     load_kind,
     read_document,
 )  # fmt: skip
+from sim.setting import keys_of
 
 XY = tuple[float, float]
 CELLS_MAX = 1 << 20  # of a map at its finest: paths over more take too long to prepare
@@ -93,7 +94,11 @@ def setting_of(scenario: ErrandScenario) -> ErrandSetting:
     if len(floor.lattice) == 0:
         raise ScenarioError(f"{name}: floor.map: no place for a body of {fleet.radius_m} m radius")
     return ErrandSetting(
-        scenario, floor, *_places(scenario, floor), dropped=_dropped(scenario, floor)
+        scenario,
+        floor,
+        *_places(scenario, floor),
+        dropped=_dropped(scenario, floor),
+        keys=keys_of(scenario),
     )
 
 

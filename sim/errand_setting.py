@@ -20,7 +20,7 @@ from agent.safety import SilencePolicy
 from crdt.hybrid_clock import HybridClock
 from crdt.occupancy import SIDE_MAX, OccupancyMap
 from crdt.sighting import OBSERVER_MAX, TIME_MAX, Order
-from protocol.authentication import Keyring
+from protocol.authentication import Keyring, Keys
 from protocol.map_sync import MapSync
 from sim.lidar import Lidar
 from sim.obstacles import TemporaryObstacle, schedule
@@ -43,12 +43,14 @@ class ErrandSetting:
         goals: Sequence[Sequence[Point]],
         agrees: bool = True,
         dropped: Sequence[TemporaryObstacle] = (),
+        keys: Keys | None = None,
     ) -> None:
         """`goals`: of each robot, in their order. `agrees`: False for ORCA by itself. `dropped`:
         boxes that come and go."""
         assert len(starts) == len(goals) == scenario.fleet.robots
         self.scenario, self.floor, self.agrees = scenario, floor, agrees
         self.starts, self.goals = list(starts), {k: tuple(own) for k, own in enumerate(goals)}
+        self.keys = keys
         self.dropped, self.appeared = dropped, list[TemporaryObstacle]()
         self.silence = SilencePolicy[scenario.fleet.silence.upper()]
 
@@ -125,7 +127,8 @@ class ErrandSetting:
         return world
 
     def keyring(self, slot: int, lot: str = "") -> Keyring | None:
-        return None
+        """`lot`: anything that no two starts of this sender share."""
+        return None if self.keys is None else Keyring(self.keys, slot, lot.encode())
 
 
 def scattered(

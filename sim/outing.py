@@ -43,6 +43,7 @@ class OutingOutcome(NamedTuple):
     scenario: str
     robots: int
     seed: int
+    authenticated: bool
     finished: bool
     contacts: int
     moved_after_stop: int  # steps in which a robot moved that had to stand
@@ -162,6 +163,7 @@ class Outing:
             scenario=setting.scenario.name,
             robots=setting.scenario.fleet.robots,
             seed=setting.scenario.run.seed,
+            authenticated=setting.keys is not None,
             finished=len(self._done_us) == setting.section_count,
             contacts=len(world.contacts),
             moved_after_stop=len(cluster.stops.violations),

@@ -232,7 +232,7 @@ class Scenario(_Table):
         if seed is not None:
             document.setdefault("run", {})["seed"] = seed
         if feature is not None:
-            document["field"]["feature"] = feature
+            document.setdefault("field", {})["feature"] = feature
         return _validate(document, self.name, self.folder, type(self))
 
 

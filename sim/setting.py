@@ -43,6 +43,17 @@ PIVOT_STEER_1_M_S = 6.0  # its curvature changes as fast as its wheels
 SPACING_RADII = 3.0  # between robots at the gate
 
 
+def keys_of(scenario: Scenario) -> Keys | None:
+    """Of its fleet, where it has any."""
+    name = scenario.fleet.keys
+    if name is None:
+        return None
+    try:
+        return read(scenario.folder / name, FLEET).keys
+    except KeyFileError as problem:
+        raise ScenarioError(f"{scenario.name}: fleet.keys: {problem}") from None
+
+
 class Setting:
     def __init__(self, scenario: Scenario) -> None:
         """Raises ScenarioError where the field cannot be used."""
@@ -65,13 +76,7 @@ class Setting:
             raise ScenarioError(f"{scenario.name}: fleet.robots: {problem}") from None
 
     def _keys(self) -> Keys | None:
-        name = self.scenario.fleet.keys
-        if name is None:
-            return None
-        try:
-            return read(self.scenario.folder / name, FLEET).keys
-        except KeyFileError as problem:
-            raise ScenarioError(f"{self.scenario.name}: fleet.keys: {problem}") from None
+        return keys_of(self.scenario)
 
     def _field(self) -> Field:
         table = self.scenario.field

@@ -20,9 +20,8 @@ from sim.setting import Setting
 from sim.work_geojson import write_geojson
 from sim.work_record import record_of
 from tools.picture import draw_field
-from tools.run_errands import run_errands
+from tools.run_errands import NO_KEYS, run_errands
 
-NO_KEYS = "[yellow]NONE: anybody on the bus can stop and release this fleet[/yellow]"
 UNFINISHED, WRONG = 1, 2  # exit codes; 0 only for a run without a flaw
 
 

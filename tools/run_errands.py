@@ -15,6 +15,7 @@ from sim.errand_setting import ErrandSetting
 from sim.outing import Moment, Outing, OutingOutcome
 from tools.path_picture import draw_paths
 
+NO_KEYS = "[yellow]NONE: anybody on the bus can stop and release this fleet[/yellow]"
 UNFINISHED = 1  # exit code; 0 only for a run without a flaw
 
 
@@ -72,6 +73,7 @@ def outcome_table(outcome: OutingOutcome) -> Table:
         ("bus load", f"{outcome.bus_load:.1%}"),
         ("frames", ", ".join(f"{n} {kind}" for kind, n in outcome.frames.items())),
         ("malformed frames", str(outcome.malformed)),
+        ("authentication", "keys" if outcome.authenticated else NO_KEYS),
         ("trace hash", outcome.trace_hash),
         ("computed in", f"{outcome.wall_s:.1f} s"),
     ):

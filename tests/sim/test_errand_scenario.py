@@ -49,6 +49,7 @@ def setting(
         ),
         (TEXT + "[errand]\n", MAP, "errand: unknown key"),
         (TEXT + "[obstacles]\nsize_m = [9.0, 9.0]\n", MAP, "obstacles.size_m"),
+        (TEXT + 'keys = "none.toml"\n', MAP, "fleet.keys"),
         (TEXT + 'drive = "ackermann"\n', MAP, "fleet.drive"),
     ],
 )
