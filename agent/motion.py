@@ -79,6 +79,7 @@ class Motion:
         self.right = RightOfWay()
         self.state = State.IDLE  # ours, as the beat says
         self.strange: list[tuple[float, float]] = []  # seen at the last control period
+        self.others: list[Other] = []  # within reach at the last control period
         # Who asks before going on needs to know every wall beforehand.
         self.lookout: Lookout | None = None
         if not (looks or self.sensing):
@@ -132,6 +133,7 @@ class Motion:
                 share = self.right.share(slot, self.state, pose.state, age_us, now_us)
             others.append(Other(slot, dx_m, dy_m, pose.state))
             near.append((dx_m, dy_m, vx_m_s, vy_m_s, combined_m, share))
+        self.others = others
         near.sort(key=lambda row: row[0] * row[0] + row[1] * row[1])
         return near[:NEIGHBOURS_MAX], others
 
