@@ -13,10 +13,11 @@ from rich.table import Table
 from agent.lifecycle import State
 from sim.can_log import open_log
 from sim.errand_scenario import ErrandScenario, load_mission, setting_of
+from sim.errand_setting import ErrandSetting
 from sim.expedition import Expedition, Moment
 from sim.outcome import Outcome
 from sim.recording import Recording
-from sim.scenario import ScenarioError
+from sim.scenario import Scenario, ScenarioError
 from sim.setting import Setting
 from sim.work_geojson import write_geojson
 from sim.work_record import record_of
@@ -44,15 +45,13 @@ def run(
     console = Console(stderr=as_json)
     try:
         changed = load_mission(scenario).changed(robots, seed, keys, feature, drive)
-        errands = setting_of(changed) if isinstance(changed, ErrandScenario) else None
+        errands = _errands(changed, page_port)
         out.mkdir(parents=True, exist_ok=True)
         if not out.is_dir():
             raise OSError(f"{out} is not a folder")
         for log in logs:
             open_log(log).close()  # so that what is wrong is known before the run, not after
         if errands is not None:
-            if page_port is not None:
-                raise ScenarioError(f"{scenario}: the map page shows fields only; leave --map out")
             return run_errands(console, errands, out, logs, as_json)
         setting = Setting(changed)
         shown = None if page_port is None else MapThread(Recording(), setting.field.name, page_port)
@@ -89,6 +88,15 @@ def run(
         console.print(f"the map stays at {shown.url} until Ctrl-C")
         shown.join()
     return 0 if outcome.success else UNFINISHED
+
+
+def _errands(scenario: Scenario, page_port: int | None) -> ErrandSetting | None:
+    """None where the scenario is one of a field."""
+    if not isinstance(scenario, ErrandScenario):
+        return None
+    if page_port is not None:
+        raise ScenarioError(f"{scenario.name}: the map page shows fields only; leave --map out")
+    return setting_of(scenario)
 
 
 def _watch(
