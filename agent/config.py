@@ -73,3 +73,4 @@ NEIGHBOURS_MAX = (
     10  # ORCA half-planes of robots, nearest first (van den Berg et al. 2011, section 6)
 )
 NEIGHBOUR_RANGE_M = 5.0  # the danger bubble of the warehouse document
+BRAKING_SHARE = 0.7  # of the acceleration is planned with; the rest is for corrections

@@ -18,6 +18,7 @@ from math import inf, sqrt
 import numpy as np
 from numba import njit
 
+from agent.heap import close_gap, push
 from agent.line_of_sight import END, HALF, MARGIN, START, UNIT, glance, look, sees
 
 # columns of `corners`, one row a corner: lattice point, position in units, kind, search state
@@ -160,35 +161,6 @@ def _stale(corners, k, at, log, logged):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _push(keys, nodes, size, key, node):  # type: ignore[no-untyped-def]
-    while size > 0:
-        up = (size - 1) // 2
-        if keys[up] <= key:
-            break
-        keys[size], nodes[size] = keys[up], nodes[up]
-        size = up
-    keys[size], nodes[size] = key, node
-
-
-@njit(cache=True, error_model="numpy")
-def _sift(keys, nodes, size):  # type: ignore[no-untyped-def]
-    """Close the gap at the root with the last item; `size` counts without that item."""
-    key, node = keys[size], nodes[size]
-    k = 0
-    while True:
-        child = 2 * k + 1
-        if child >= size:
-            break
-        if child + 1 < size and keys[child + 1] < keys[child]:
-            child += 1
-        if keys[child] >= key:
-            break
-        keys[k], nodes[k] = keys[child], nodes[child]
-        k = child
-    keys[k], nodes[k] = key, node
-
-
-@njit(cache=True, error_model="numpy")
 def _relax(corners, cost, keys, nodes, size, turn, k, parent, g, r1, c1):  # type: ignore[no-untyped-def]
     """Reach corner k at length g; returns the size of the open list."""
     if corners[k, STAMP] != turn:
@@ -198,7 +170,7 @@ def _relax(corners, cost, keys, nodes, size, turn, k, parent, g, r1, c1):  # typ
     elif g >= cost[k, G]:
         return size
     cost[k, G], corners[k, PARENT] = g, parent
-    _push(keys, nodes, size, g + cost[k, H], k)
+    push(keys, nodes, size, g + cost[k, H], k)
     return size + 1
 
 
@@ -243,7 +215,7 @@ def _search(tables, ints, cost, heap, pool, log, view, r0, c0, r1, c1):  # type:
     while size > 0:
         node, key = nodes[0], keys[0]
         size -= 1
-        _sift(keys, nodes, size)
+        close_gap(keys, nodes, size)
         if key >= best:
             break
         g = cost[node, G]

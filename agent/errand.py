@@ -12,14 +12,17 @@ from math import cos, hypot, sin
 from typing import NamedTuple
 
 from agent.accord import Accords, Phase
-from agent.config import S
+from agent.config import MS, S
 from agent.floor import Floor
+from agent.hazards import Hazards
 from agent.lifecycle import State
+from agent.membership import Neighbour
 from agent.mission import STILL, Choice, FleetView, Wish
 from agent.replanning import Replanning
 from agent.tracker import Tracker
 from crdt import Phase as Claimed
 from protocol.accord_frames import Answer
+from protocol.map_sync import MapSync
 
 Point = tuple[float, float]
 GOALS_MAX = 512  # of a robot: a section's number is its slot times this, and the goal's number
@@ -33,6 +36,8 @@ DEAD_US = (
     5 * S
 )  # a member silent for this long is not waited for in a round: its body is in the way
 SETTLED_M = 0.1  # this near to a node of the route, it is reached
+ACQUAINTED_US = 1 * S  # after joining, until everybody near has been heard, by many beats
+AGE_MAX_US = 500 * MS  # a robot moves on as it last said for so long: 10 beats, 30 % of them lost
 LOST_M = 0.8  # this far off the path, another is planned
 
 
@@ -53,21 +58,25 @@ class Errands:
         speed_m_s: float,
         deceleration_m_s2: float,
         agrees: bool = True,
+        chart: MapSync | None = None,
     ) -> None:
-        """`goals`: of every robot, in their order. `agrees`: False for ORCA by itself."""
+        """`goals`: of every robot, in their order. `agrees`: False for ORCA by itself. `chart`: the
+        fleet's map, where it has one."""
         assert all(len(own) <= GOALS_MAX for own in goals.values())
         self.slot, self.goals, self.floor, self.agrees = slot, goals, floor, agrees
         self.speed_m_s, self.deceleration_m_s2 = speed_m_s, deceleration_m_s2
         self.accords = Accords(slot, floor.lattice, floor.radius_m)
         self.goal: Point | None = None
         self.answer = Answer.GRANT
-        self.replanning = Replanning(floor, speed_m_s, deceleration_m_s2)
+        self.hazards = Hazards(floor, chart)
+        self.replanning = Replanning(self.hazards, speed_m_s, deceleration_m_s2)
         self.followed: list[Followed] = []  # the record of what was driven along
         self._tracker: Tracker | None = None  # on the way to the goal
         self._lane: Tracker | None = None  # on the way of a plan
         self._lane_of = (-1, -1, -1)  # round, first and last node of the lane
         self._gone_on: tuple[float, int] = (0.0, 0)  # along the path, since when
         self._planned = False  # a joint plan was driven since the last path
+        self._alone_us = 0  # when we last heard nobody
         self._calls: tuple[int, int] = (0, 0)  # in a row without arriving, not before
 
     @property
@@ -129,6 +138,12 @@ class Errands:
     def attend(self, view: FleetView, state: State) -> None:
         """Each control period, in every state: our part in a round."""
         here = view.here
+        around = [_now_at(n, view.now_us) for n in view.neighbours.values()]
+        reach_m = self.replanning.horizon_m + self.floor.radius_m
+        if state is State.DISCONNECTED:  # who knows nobody takes everybody for a box
+            self._alone_us = view.now_us
+        if view.now_us - self._alone_us > ACQUAINTED_US:
+            self.hazards.look(here, reach_m, around, view.now_us)
         silent = view.silent_since_us
         dead = {s for s, since_us in silent.items() if view.now_us - since_us > DEAD_US}
         bodies = {
@@ -174,18 +189,18 @@ class Errands:
         if tracker is None or abs(tracker.off_m) > LOST_M:
             self.replanning.forget()
             why = "lost" if tracker is not None else "after plan" if self._planned else "goal"
-            return self._set_out(self.floor.route.path(at, goal), why, now_us)
-        around = [(n.pose.x_m, n.pose.y_m) for n in view.neighbours.values()]
-        self.replanning.look(here, tracker, around)
+            path = self.hazards.path(at, goal) or self.floor.route.path(at, goal)
+            return self._set_out(path, why, now_us)
+        self.replanning.look(here, tracker)
         old = self.replanning.restored(here, now_us)
         if old is not None:
             self._tracker = old
             self.followed.append(Followed(now_us, tuple(old.points), "restored"))
             return old
         if self.replanning.due(now_us):
-            path = self.replanning.detour(at, goal, tracker, now_us)
-            if path is not None:
-                return self._set_out(path, "blocked", now_us)
+            detour = self.replanning.detour(at, goal, tracker, now_us)
+            if detour is not None:
+                return self._set_out(detour, "blocked", now_us)
         return tracker
 
     def _set_out(self, path: tuple[Point, ...], why: str, now_us: int) -> Tracker:
@@ -272,6 +287,13 @@ class Errands:
 
 
 HOLD = STILL._replace(hold=True)
+
+
+def _now_at(neighbour: Neighbour, now_us: int) -> Point:
+    """Where a robot should be, from its last beat."""
+    pose, heard_us = neighbour
+    way_m = pose.speed_m_s * min(now_us - heard_us, AGE_MAX_US) / S
+    return pose.x_m + way_m * cos(pose.course_rad), pose.y_m + way_m * sin(pose.course_rad)
 
 
 def _onward(course_rad: float, speed_m_s: float, ux: float, uy: float) -> float:

@@ -50,10 +50,14 @@ class Floor:
         return cls(np.array(rows), cell_m, radius_m, margin_m)
 
     @cached_property
+    def fine(self) -> NDArray[np.bool_]:
+        """The walls in cells of `fine_m`."""
+        return np.repeat(np.repeat(self.walls, self._parts, axis=0), self._parts, axis=1)
+
+    @cached_property
     def inflated(self) -> NDArray[np.bool_]:
         """The path grid: where no centre of a body may be."""
-        fine = np.repeat(np.repeat(self.walls, self._parts, axis=0), self._parts, axis=1)
-        gap_m = (distance_transform_edt(~fine) - 0.5) * self.fine_m
+        gap_m = (distance_transform_edt(~self.fine) - 0.5) * self.fine_m
         blocked: NDArray[np.bool_] = gap_m < self.radius_m + self.margin_m - 1e-9
         return blocked
 

@@ -6,7 +6,7 @@ a crossing of four included. Basic Theta* after Nash, Daniel, Koenig, Felner (AA
 Theta* after Nash, Koenig, Tovey (AAAI 2010). Two savings: no line of sight is drawn where the
 triangle inequality says that nothing is gained, and generation stamps make clearing needless.
 
-One kernel family, one file: the cache of numba does not notice changes in other files.
+One kernel family, one file, but for the heap: the cache of numba does not notice changes elsewhere.
 """
 
 from math import sqrt
@@ -14,6 +14,8 @@ from math import sqrt
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+
+from agent.heap import close_gap, push
 
 ROOT2 = sqrt(2.0)
 
@@ -48,38 +50,18 @@ def sees(blocked, r0, c0, r1, c1):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _push(keys, nodes, size, key, node):  # type: ignore[no-untyped-def]
-    while size > 0:
-        up = (size - 1) // 2
-        if keys[up] <= key:
-            break
-        keys[size], nodes[size] = keys[up], nodes[up]
-        size = up
-    keys[size], nodes[size] = key, node
-
-
-@njit(cache=True)
-def _sift(keys, nodes, size):  # type: ignore[no-untyped-def]
-    """Close the gap at the root with the last item; `size` counts without that item."""
-    key, node = keys[size], nodes[size]
-    k = 0
-    while True:
-        child = 2 * k + 1
-        if child >= size:
-            break
-        if child + 1 < size and keys[child + 1] < keys[child]:
-            child += 1
-        if keys[child] >= key:
-            break
-        keys[k], nodes[k] = keys[child], nodes[child]
-        k = child
-    keys[k], nodes[k] = key, node
+def steps(blocked, r, c, i, j):  # type: ignore[no-untyped-def]
+    """Whether a robot may go from the cell (r, c) to its neighbour (r + i, c + j)."""
+    nr, nc = r + i, c + j
+    if (i == 0 and j == 0) or nr < 0 or nc < 0 or nr >= blocked.shape[0] or nc >= blocked.shape[1]:
+        return False
+    return not (blocked[nr, nc] or (i != 0 and j != 0 and (blocked[r, nc] or blocked[nr, c])))
 
 
 @njit(cache=True)
 def _settle(blocked, g, parent, stamp, closed, r, c):  # type: ignore[no-untyped-def]
     """Lazy Theta*: the parent was only assumed visible; if it is not, take the best neighbour."""
-    rows, columns = blocked.shape
+    columns = blocked.shape[1]
     node = r * columns + c
     by = parent[node]
     if sees(blocked, by // columns, by % columns, r, c):
@@ -87,12 +69,9 @@ def _settle(blocked, g, parent, stamp, closed, r, c):  # type: ignore[no-untyped
     g[node] = np.inf
     for i in range(-1, 2):
         for j in range(-1, 2):
-            nr, nc = r + i, c + j
-            if (i == 0 and j == 0) or nr < 0 or nc < 0 or nr >= rows or nc >= columns:
+            if not steps(blocked, r, c, i, j):
                 continue
-            if blocked[nr, nc] or (i != 0 and j != 0 and (blocked[r, nc] or blocked[nr, c])):
-                continue
-            other = nr * columns + nc
+            other = (r + i) * columns + c + j
             cost = g[other] + (ROOT2 if i != 0 and j != 0 else 1.0)
             if stamp[other] == closed and cost < g[node]:
                 g[node], parent[node] = cost, other
@@ -104,14 +83,14 @@ def search(blocked, r0, c0, r1, c1, lazy, turn, g, parent, stamp, keys, nodes): 
 
     `stamp`: `turn` for an open cell, `turn + 1` for a closed one, anything less is untouched.
     """
-    rows, columns = blocked.shape
+    columns = blocked.shape[1]
     start, goal = r0 * columns + c0, r1 * columns + c1
     g[start], parent[start], stamp[start] = 0.0, start, turn
     keys[0], nodes[0], size, expanded = 0.0, start, 1, 0
     while size > 0:
         node = nodes[0]
         size -= 1
-        _sift(keys, nodes, size)
+        close_gap(keys, nodes, size)
         if stamp[node] == turn + 1:
             continue
         stamp[node] = turn + 1
@@ -125,11 +104,9 @@ def search(blocked, r0, c0, r1, c1, lazy, turn, g, parent, stamp, keys, nodes): 
         pr, pc, base = by // columns, by % columns, g[by]
         for i in range(-1, 2):
             for j in range(-1, 2):
+                if not steps(blocked, r, c, i, j):
+                    continue
                 nr, nc = r + i, c + j
-                if (i == 0 and j == 0) or nr < 0 or nc < 0 or nr >= rows or nc >= columns:
-                    continue
-                if blocked[nr, nc] or (i != 0 and j != 0 and (blocked[r, nc] or blocked[nr, c])):
-                    continue
                 other = nr * columns + nc
                 if stamp[other] == turn + 1:
                     continue
@@ -142,7 +119,7 @@ def search(blocked, r0, c0, r1, c1, lazy, turn, g, parent, stamp, keys, nodes): 
                     if cost >= known:
                         continue
                 g[other], parent[other], stamp[other] = cost, link, turn
-                _push(keys, nodes, size, cost + sqrt((r1 - nr) ** 2 + (c1 - nc) ** 2), other)
+                push(keys, nodes, size, cost + sqrt((r1 - nr) ** 2 + (c1 - nc) ** 2), other)
                 size += 1
     return -1
 

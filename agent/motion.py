@@ -15,11 +15,13 @@ from numpy.typing import NDArray
 from agent.config import CONTROL_PERIOD_US, NEIGHBOURS_MAX, S
 from agent.effects import HALT, Drive
 from agent.giving_way import GivingWay, Other
+from agent.lifecycle import State
 from agent.lookout import Lookout
 from agent.membership import Neighbour
 from agent.mission import Wish
 from agent.orca import Avoidance
 from agent.ports import Observation
+from agent.right_of_way import RightOfWay
 from agent.sensed import Sensed
 from agent.sensed_fences import fences_of
 
@@ -74,6 +76,8 @@ class Motion:
         # Nobody further away can be met within the horizon, both at full speed.
         self.reach_m = 2 * limits.speed_m_s * horizon_s + 2 * limits.radius_m
         self.sensed = Sensed(fences, limits.radius_m) if looks else None
+        self.right = RightOfWay()
+        self.state = State.IDLE  # ours, as the beat says
         self.strange: list[tuple[float, float]] = []  # seen at the last control period
         self.others: list[Other] = []  # within reach at the last control period
         # Who asks before going on needs to know every wall beforehand.
@@ -126,7 +130,7 @@ class Motion:
             if speed_m_s > STANDING_M_S and age_us < AGE_MAX_US and not pose.stopped:
                 vx_m_s, vy_m_s = speed_m_s * cos(pose.course_rad), speed_m_s * sin(pose.course_rad)
                 dx_m, dy_m = dx_m + vx_m_s * age_us / S, dy_m + vy_m_s * age_us / S
-                share = 0.5
+                share = self.right.share(slot, self.state, pose.state, age_us, now_us)
             others.append(Other(slot, dx_m, dy_m, pose.state))
             near.append((dx_m, dy_m, vx_m_s, vy_m_s, combined_m, share))
         self.others = others

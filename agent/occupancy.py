@@ -18,12 +18,14 @@ from struct import Struct
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from agent.inflation import Changes, Grid, Inflation, cell_of
 from agent.ray_evidence import LEAST, MOST, SOLID, weigh_scan
 from agent.theta_star import Waypoints
 
 XY = tuple[float, float]
+Floats = NDArray[np.float64]
 CELL_M = 0.20
 INFLATION_M = 0.10  # kept from everything solid, beyond the body's radius
 SOFT_M = 0.30  # beyond that a robot is near something: tracking and wheels are not perfect
@@ -34,6 +36,9 @@ EDGE = 1e-9  # of a cell, so that a place on the far edge of the grid is in it
 _HEAD = Struct("<4sIIdddddI")  # magic, rows, columns, origin, cell, body, inflation, obstacles
 _OBSTACLE = Struct("<dddqqII")
 MAGIC = b"HLM1"
+_CELL = np.dtype([("evidence", np.int8), ("seen", np.bool_), ("stamp", np.uint16)])
+SCANS_MAX = (1 << 16) - 1  # that stamps tell apart: 55 minutes at 20 Hz
+NO_DISCS = np.empty((0, 3))
 
 
 class Obstacle(NamedTuple):
@@ -70,12 +75,17 @@ class OccupancyGrid:
         shape = rows, columns
         self.fixed: Grid = np.zeros(shape, np.bool_) if fixed is None else fixed.astype(np.bool_)
         assert self.fixed.shape == shape
-        self.evidence = np.zeros(shape, dtype=np.int8)
+        # In one place, because a scan touches cells all over it, and all three of each.
+        cells = np.zeros(shape, dtype=_CELL)
+        self.evidence: NDArray[np.int8] = cells["evidence"]
         self.obstacles: dict[tuple[int, int], Obstacle] = {}
-        self._seen = np.zeros(shape, dtype=np.bool_)  # solid by evidence
+        self._seen: Grid = cells["seen"]  # solid by evidence
         self._told = np.zeros(shape, dtype=np.int32)  # how many obstacles stand on a cell
         self._placed: set[tuple[int, int]] = set()
-        self._stamps, self._scan = np.zeros(shape, dtype=np.int64), 0
+        self._stamps: NDArray[np.uint16] = cells["stamp"]  # the last scan that weighed it
+        self._scan = 0  # 1 to SCANS_MAX, over and over
+        self._angles: Floats = np.empty(0)  # of the rays of a scan
+        self._toggled: Changes = np.empty((0, 3), dtype=np.int64)  # room for what it changes
         self.solid: Grid = self.fixed.copy()
         self._layer()
 
@@ -87,7 +97,7 @@ class OccupancyGrid:
     # What is there
 
     def observe(self, at: XY, heading_rad: float, ranges_m: Sequence[float], range_max_m: float,
-                others: Sequence[tuple[float, float, float]] = ()) -> int:  # fmt: skip
+                others: Sequence[tuple[float, float, float]] | Floats = ()) -> int:  # fmt: skip
         """A scan of equal angles counter-clockwise from the heading; how many cells changed state.
 
         `others`: x, y and radius in metres of robots that are known to be there. Their echoes are
@@ -98,25 +108,39 @@ class OccupancyGrid:
         x, y = self._cells(at)
         if not (isfinite(x) and isfinite(y) and isfinite(heading_rad)) or count == 0:
             return 0
-        angles = heading_rad + np.arange(count) * (2 * pi / count)
+        if self._angles.size != count:
+            self._angles = np.arange(count, dtype=np.float64) * (2 * pi / count)
         ranges = np.array(ranges_m, dtype=np.float64) / self.cell_m
         far = range_max_m / self.cell_m
-        discs = np.array([(*self._cells((a, b)), r / self.cell_m) for a, b, r in others]).reshape(
-            -1, 3
-        )
+        discs = NO_DISCS
+        if len(others):
+            corner = np.array((*self.origin_m, 0.0))
+            discs = (np.asarray(others, dtype=np.float64) - corner) / self.cell_m
         # Rays pass fewer cells than the grid has, and fewer than one a side of a cell.
         rows, columns = self.evidence.shape
         room = min(rows * columns, count * (2 * int(min(far, rows + columns)) + 4))
-        toggled = np.empty((room, 3), dtype=np.int64)
-        self._scan += 1
-        changed = weigh_scan(self.evidence, self._seen, self._stamps, self._scan, x, y, angles,
-                             ranges, far, discs, toggled)  # fmt: skip
-        return self._settle(toggled[:changed, :2])
+        if len(self._toggled) < room:
+            self._toggled = np.empty((room, 3), dtype=np.int64)
+        self._scan = self._scan % SCANS_MAX + 1
+        changed = weigh_scan(self.evidence, self._seen, self._stamps, self._scan, x, y,
+                             heading_rad + self._angles, ranges, far, discs, self._toggled)  # fmt: skip
+        return self._settle(self._toggled[:changed, :2]) if changed else 0
 
     @property
     def seen(self) -> Grid:
         """Solid by our own sensors; read only."""
         return self._seen
+
+    def forget(self, cells: Changes) -> int:
+        """Nobody knows any more what is on these cells (n, 2); how many changed."""
+        self.evidence[cells[:, 0], cells[:, 1]] = 0
+        self._seen[cells[:, 0], cells[:, 1]] = False
+        return self._settle(cells)
+
+    def unseen(self, scans: int) -> Changes:
+        """Solid cells (n, 2), by our own sensors, that none of the last `scans` scans has touched."""
+        age = (self._scan - self._stamps.astype(np.int64)) % SCANS_MAX
+        return np.argwhere(self._seen & (age >= scans))
 
     def wall(self, cells: Grid) -> int:
         """Walls that are known from others, instead of those told before; how many cells changed."""
@@ -173,11 +197,12 @@ class OccupancyGrid:
         r, c = cells[:, 0], cells[:, 1]
         now = self.fixed[r, c] | self._seen[r, c] | (self._told[r, c] > 0)
         other = now != self.solid[r, c]
+        if not other.any():
+            return 0
         toggled = np.column_stack((r, c, now))[other].astype(np.int64)
-        if len(toggled):
-            self.solid[toggled[:, 0], toggled[:, 1]] = toggled[:, 2] != 0
-            self.tight.toggle(toggled)
-            self.wide.toggle(toggled)
+        self.solid[toggled[:, 0], toggled[:, 1]] = toggled[:, 2] != 0
+        self.tight.toggle(toggled)
+        self.wide.toggle(toggled)
         return len(toggled)
 
     # Ways

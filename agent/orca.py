@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from agent.config import NEIGHBOUR_RANGE_M, NEIGHBOURS_MAX
 from agent.half_planes import beside_agent, beside_wall
 from agent.linear_program import DX, DY, ONE, PX, PY, ZERO, solve, violation
+from agent.nearest import insert
 from agent.obstacle_tree import NO_WALLS, ObstacleTree
 from agent.orca_fleet import WALLS_MAX, near_walls
 
@@ -105,15 +106,10 @@ def _nearest(work, near, squares):  # type: ignore[no-untyped-def]
         square = dx * dx + dy * dy
         if square >= reach:
             continue
-        if count < most:
-            count += 1
-        k = count - 1
-        while k > 0 and square < squares[k - 1]:
-            near[k], squares[k] = near[k - 1], squares[k - 1]
-            k -= 1
-        near[k], squares[k] = at, square
+        insert(near, squares, count, most, at, square)
+        count = min(count + 1, most)
         if count == most:
-            reach = squares[k] if k == count - 1 else squares[count - 1]
+            reach = squares[count - 1]
     return count
 
 

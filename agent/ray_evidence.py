@@ -28,10 +28,11 @@ def _ignored(discs, x, y):  # type: ignore[no-untyped-def]
 @njit(cache=True, error_model="numpy")
 def _weigh(evidence, solid, stamps, scan, r, c, change, toggled, count):  # type: ignore[no-untyped-def]
     """Add to a cell's evidence, once a scan; a cell that becomes solid or free is noted."""
-    if stamps[r, c] == scan:
-        return count
+    known = evidence[r, c]
+    if (known == LEAST and change < 0) or stamps[r, c] == scan:
+        return count  # most cells of most scans: known to be free
     stamps[r, c] = scan
-    value = min(max(evidence[r, c] + change, LEAST), MOST)
+    value = min(max(known + change, LEAST), MOST)
     evidence[r, c] = value
     now = value >= SOLID or (solid[r, c] and value >= 0)
     if now != solid[r, c]:
@@ -51,21 +52,24 @@ def weigh_scan(evidence, solid, stamps, scan, x, y, angles, ranges, range_max, d
     """
     rows, columns = evidence.shape
     count = 0
+    ways = np.empty((ranges.size, 2))
     for n in range(ranges.size):
+        ways[n, 0], ways[n, 1] = np.cos(angles[n]), np.sin(angles[n])
         if not 0.0 <= ranges[n] < range_max:
             continue
         far = ranges[n] + BEYOND_CELLS
-        hx, hy = x + far * np.cos(angles[n]), y + far * np.sin(angles[n])
+        hx, hy = x + far * ways[n, 0], y + far * ways[n, 1]
         r, c = floor(hy), floor(hx)
         if 0 <= r < rows and 0 <= c < columns and not _ignored(discs, hx, hy):
             count = _weigh(evidence, solid, stamps, scan, r, c, HIT, toggled, count)
     for n in range(ranges.size):
         if ranges[n] < 0.0 or ranges[n] != ranges[n]:
             continue
-        dx, dy = np.cos(angles[n]), np.sin(angles[n])
+        dx, dy = ways[n, 0], ways[n, 1]
         far = min(ranges[n], range_max)
         r, c = floor(y), floor(x)
         step_r, step_c = (1 if dy > 0.0 else -1), (1 if dx > 0.0 else -1)
+        each_r, each_c = abs(1.0 / dy), abs(1.0 / dx)  # infinite along an axis
         next_r = (r + (dy > 0.0) - y) / dy if dy != 0.0 else np.inf
         next_c = (c + (dx > 0.0) - x) / dx if dx != 0.0 else np.inf
         # The last cell counts as passed only where the ray leaves it on the other side.
@@ -73,8 +77,8 @@ def weigh_scan(evidence, solid, stamps, scan, x, y, angles, ranges, range_max, d
             count = _weigh(evidence, solid, stamps, scan, r, c, -MISS, toggled, count)
             if next_c < next_r:
                 c += step_c
-                next_c += abs(1.0 / dx)
+                next_c += each_c
             else:
                 r += step_r
-                next_r += abs(1.0 / dy)
+                next_r += each_r
     return count

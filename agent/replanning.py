@@ -6,13 +6,11 @@ one that is still far away, since it may be gone before we are there. The path t
 for `KEPT_US`, and is taken up again without a search where what stood on it has gone.
 """
 
-from collections.abc import Iterable, Sequence
 from math import hypot
 
 from agent.config import S
-from agent.floor import Floor
+from agent.hazards import Hazards
 from agent.ports import Observation
-from agent.sensed import Sensed
 from agent.tracker import Tracker
 
 Point = tuple[float, float]
@@ -26,34 +24,38 @@ NEAR_M = 0.7  # a robot this near to its kept path may go back to it; further of
 
 
 class Replanning:
-    def __init__(self, floor: Floor, speed_m_s: float, deceleration_m_s2: float) -> None:
-        self.floor = floor
+    def __init__(self, hazards: Hazards, speed_m_s: float, deceleration_m_s2: float) -> None:
+        self.hazards, self.radius_m = hazards, hazards.floor.radius_m
         self.horizon_m = max(
             speed_m_s**2 / (2 * deceleration_m_s2) + BEYOND_M, HORIZON_S * speed_m_s
         )
-        self.sensed = Sensed(floor.fences, floor.radius_m)
-        self.hits: list[Point] = []  # what stands there and is neither wall nor robot
+        self._near: list[Point] = []  # what stands near by and is neither wall nor robot
         self._ticks = 0
         self._clear = 0  # control periods in which nothing stood on the kept path
         # the path that was left, until when, and how far along it what stood on it was at most
         self._kept: tuple[Tracker, int, float] | None = None
         self._not_before_us = 0
 
-    def look(self, here: Observation, tracker: Tracker, bodies: Iterable[Sequence[float]]) -> None:
-        """One control period; `bodies`: x, y of the robots that were heard."""
-        self.hits = self.sensed.strange(here, self.horizon_m + self.floor.radius_m, bodies)
+    def look(self, here: Observation, tracker: Tracker) -> None:
+        """One control period, after that of `hazards`: what is hit now, and what others told of."""
+        reach_m = self.horizon_m + self.radius_m
+        self._near = self.hazards.hits + [
+            (x_m, y_m)
+            for x_m, y_m in self.hazards.told()
+            if hypot(x_m - here.x_m, y_m - here.y_m) < reach_m
+        ]
         self._ticks = self._ticks + 1 if self._stands_on(tracker) else 0
         if self._kept is not None:
             self._clear = 0 if self._stands_on(self._kept[0]) else self._clear + 1
 
     def _stands_on(self, tracker: Tracker) -> bool:
-        if not self.hits:
+        if not self._near:
             return False
-        reach_m = self.floor.radius_m + GRAZE_M
+        reach_m = self.radius_m + GRAZE_M
         return any(
             hypot(x_m - hit_x_m, y_m - hit_y_m) < reach_m
             for x_m, y_m, _, _ in tracker.ahead(self.horizon_m)
-            for hit_x_m, hit_y_m in self.hits
+            for hit_x_m, hit_y_m in self._near
         )
 
     def due(self, now_us: int) -> bool:
@@ -64,11 +66,9 @@ class Replanning:
     ) -> tuple[Point, ...] | None:
         """Another path, round what stands there now; None: there is none, so wait on the old one."""
         self._ticks, self._not_before_us = 0, now_us + AGAIN_US
-        body_m = self.floor.radius_m + self.floor.margin_m
-        route = self.floor.route.round(self.hits, body_m)
-        path = route.path(at, goal)
-        if len(path) == 2 and not route.straight(at, goal):
-            return None  # what a route says where it knows no way
+        path = self.hazards.path(at, goal)
+        if path is None:
+            return None
         self._kept, self._clear = (left, now_us + KEPT_US, left.along_m + self.horizon_m), 0
         return path
 

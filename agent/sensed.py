@@ -5,7 +5,7 @@ are seen. A hit is strange where it lies off every wall and off every robot that
 """
 
 from collections.abc import Iterable, Sequence
-from math import cos, inf, isfinite, pi, sin, sqrt
+from math import cos, inf, nan, pi, sin, sqrt
 
 import numpy as np
 from numba import njit
@@ -14,15 +14,16 @@ from numpy.typing import NDArray
 from agent.ports import Observation
 
 Point = tuple[float, float]
+NO_WALLS = np.empty((0, 4))
 WALL_M = 0.12  # a hit this near to a wall is the wall: errors of range and of place
 BODY_M = 0.25  # and this near to a body, that body: its beat is rounded, and it has moved since
 
 
 @njit(cache=True, error_model="numpy")
-def _strange(x, y, heading, ranges, reach, walls, bodies, found):  # type: ignore[no-untyped-def]
-    """Write strange hits to `found` (n, 2), nearest rays in their order; returns how many."""
-    count = 0
+def _echoes(x, y, heading, ranges, reach, walls, bodies, found):  # type: ignore[no-untyped-def]
+    """Write where each ray ends, or not a number where it ends at nothing strange."""
     for n in range(ranges.shape[0]):
+        found[n, 0] = found[n, 1] = nan
         r = ranges[n]
         if not r < reach:
             continue
@@ -45,9 +46,23 @@ def _strange(x, y, heading, ranges, reach, walls, bodies, found):  # type: ignor
                 known = True
                 break
         if not known:
-            found[count, 0], found[count, 1] = hx, hy
-            count += 1
-    return count
+            found[n, 0], found[n, 1] = hx, hy
+
+
+def echoes(
+    here: Observation,
+    reach_m: float,
+    bodies: Sequence[Sequence[float]],
+    walls: NDArray[np.float64] = NO_WALLS,
+) -> NDArray[np.float64]:
+    """Where each ray ends (rays, 2), metres; not a number where that is further than `reach_m`, or
+    on a body (x, y, radius) or wall (n, 4) that is known."""
+    ranges = np.array(here.ranges_m)
+    found = np.full((ranges.size, 2), nan)
+    if ranges.min(initial=inf) < reach_m:
+        known = np.array(bodies, dtype=np.float64).reshape(-1, 3)
+        _echoes(here.x_m, here.y_m, here.heading_rad, ranges, reach_m, walls, known, found)
+    return found
 
 
 class Sensed:
@@ -60,12 +75,6 @@ class Sensed:
         self, here: Observation, reach_m: float, bodies: Iterable[Sequence[float]]
     ) -> list[Point]:
         """`bodies`: x, y of those that were heard, where they should be now."""
-        ranges = np.array(here.ranges_m)
-        if not ranges.size or not isfinite(ranges.min(initial=inf)):
-            return []
-        known = np.array([(x, y, self.radius_m + BODY_M) for x, y in bodies]).reshape(-1, 3)
-        found = np.empty((ranges.size, 2))
-        count = _strange(
-            here.x_m, here.y_m, here.heading_rad, ranges, reach_m, self.walls, known, found
-        )
-        return [(x, y) for x, y in found[:count].tolist()]
+        known = [(x, y, self.radius_m + BODY_M) for x, y in bodies]
+        found = echoes(here, reach_m, known, self.walls)
+        return [(x, y) for x, y in found[~np.isnan(found[:, 0])].tolist()]

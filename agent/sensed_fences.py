@@ -5,12 +5,12 @@ a point. Echoes of robots are left out, ORCA has those from their poses.
 """
 
 from collections.abc import Iterable
-from math import cos, hypot, inf, isfinite, pi, sin
 
 import numpy as np
 from numpy.typing import NDArray
 
 from agent.ports import Observation
+from agent.sensed import echoes
 
 JOINED_M = 0.5  # echoes further apart may have a door between them
 OTHER_M = 0.15  # beyond a robot's radius: poses are rounded to 0.05 m and are a beat old
@@ -21,22 +21,11 @@ def fences_of(
     here: Observation, others: Iterable[tuple[float, float, float]]
 ) -> NDArray[np.float64]:
     """Segments (n, 4) in metres: ax, ay, bx, by. `others`: x, y and radius of robots."""
-    known = list(others)
-    count = len(here.ranges_m)
-    points: list[tuple[float, float] | None] = []
-    for k, range_m in enumerate(here.ranges_m):
-        if not isfinite(range_m) or range_m > NEAR_M:
-            points.append(None)
-            continue
-        angle = here.heading_rad + 2 * pi * k / count
-        x, y = here.x_m + range_m * cos(angle), here.y_m + range_m * sin(angle)
-        robot = any(hypot(x - a, y - b) < r + OTHER_M for a, b, r in known)
-        points.append(None if robot else (x, y))
-    rows = []
-    for k, a in enumerate(points):
-        b = points[(k + 1) % count]
-        if a is None:
-            continue
-        gap_m = inf if b is None else hypot(b[0] - a[0], b[1] - a[1])
-        rows.append((*a, *(b if b is not None and gap_m < JOINED_M else a)))
-    return np.array(rows, dtype=np.float64).reshape(-1, 4)
+    found = echoes(here, NEAR_M, [(x, y, r + OTHER_M) for x, y, r in others])
+    rows = np.empty((len(found), 4))
+    rows[:, :2] = found
+    rows[:-1, 2:], rows[-1:, 2:] = found[1:], found[:1]
+    gap_m = np.hypot(rows[:, 2] - rows[:, 0], rows[:, 3] - rows[:, 1])
+    alone = ~(gap_m < JOINED_M)  # no echo is no less than anything
+    rows[alone, 2:] = rows[alone, :2]
+    return rows[~np.isnan(rows[:, 0])]

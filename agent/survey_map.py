@@ -27,12 +27,15 @@ SEEN, SURE = (
 
 class SurveyMap:
     def __init__(
-        self, sync: MapSync | None, geometry: Geometry, body_radius_m: float, range_m: float
-    ) -> None:
-        """`sync`: None where nothing is shared."""
+        self, sync: MapSync | None, geometry: Geometry, body_radius_m: float, range_m: float,
+        grid: OccupancyGrid | None = None,
+    ) -> None:  # fmt: skip
+        """`sync`: None where nothing is shared; `grid`: None for one without known walls."""
         self.sync, self.geometry, self.range_m = sync, geometry, range_m
         rows, columns, origin, cell_m = geometry
-        self.grid = OccupancyGrid(rows, columns, origin, body_radius_m, cell_m=cell_m)
+        if grid is None:
+            grid = OccupancyGrid(rows, columns, origin, body_radius_m, cell_m=cell_m)
+        self.grid = grid
         self.fleet = OccupancyMap(geometry) if sync is None else sync.chart
         self.told = np.zeros((rows, columns), dtype=np.bool_)  # walls that others have told us of
         self._looked_us = -LOOK_US

@@ -6,7 +6,7 @@ ahead and back are searched (Dolgov, Thrun, Montemerlo, Diebel 2010), which find
 three-point turns that a driver would make. The heuristic is the free way of a point, from a coarse
 Dijkstra flood.
 
-One kernel family, one file, but for the words of `dubins.py`.
+One kernel family, one file, but for the words of `dubins.py` and the heap.
 """
 
 from math import floor, hypot, pi
@@ -15,6 +15,7 @@ import numpy as np
 from numba import njit
 
 from agent.dubins import WORDS, step, words
+from agent.heap import close_gap, push
 
 PIECE_M = 0.9  # of the search; longer than the diagonal of a cell
 CELL_M = 0.5  # in which one pose a heading is kept
@@ -120,34 +121,6 @@ def flood(blocked, row, column):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _push(keys, ids, size, key, node):  # type: ignore[no-untyped-def]
-    while size > 0:
-        up = (size - 1) // 2
-        if keys[up] <= key:
-            break
-        keys[size], ids[size] = keys[up], ids[up]
-        size = up
-    keys[size], ids[size] = key, node
-
-
-@njit(cache=True, error_model="numpy")
-def _pop(keys, ids, size):  # type: ignore[no-untyped-def]
-    """Close the gap at the root; `size` counts without the last item, which moves there."""
-    key, node, k = keys[size], ids[size], 0
-    while True:
-        child = 2 * k + 1
-        if child >= size:
-            break
-        if child + 1 < size and keys[child + 1] < keys[child]:
-            child += 1
-        if keys[child] >= key:
-            break
-        keys[k], ids[k] = keys[child], ids[child]
-        k = child
-    keys[k], ids[k] = key, node
-
-
-@njit(cache=True, error_model="numpy")
 def _state(place, shape, pose):  # type: ignore[no-untyped-def]
     """The number of the cell and heading a pose falls into."""
     columns = int(shape[1] * place[2] / CELL_M) + 2
@@ -198,7 +171,7 @@ def _grow(blocked, place, goal, radius, far, node, nodes, made, closed, best, ke
             new[N_CURVATURE], new[N_LENGTH] = curvature, length
             key = cost + _to_go(far, blocked, place, new, goal)
             if key < best:
-                _push(keys, ids, size, key, made)
+                push(keys, ids, size, key, made)
                 size, made = size + 1, made + 1
     return made, size
 
@@ -234,7 +207,7 @@ def search(blocked, place, start, goal, radius):  # type: ignore[no-untyped-def]
         left -= 1
         node = ids[0]
         size -= 1
-        _pop(keys, ids, size)
+        close_gap(keys, ids, size)
         pose, spent, before = nodes[node, :3], nodes[node, N_COST], nodes[node, N_LENGTH]
         state = _state(place, blocked.shape, pose)
         if closed[state]:

@@ -7,6 +7,7 @@ from agent.config import ACTUATOR_TTL_US
 from agent.effects import Effect, Trace
 from agent.lifecycle import Event, State
 from agent.mission import STILL, FleetView, Wish
+from agent.motion import Motion
 
 if TYPE_CHECKING:
     from agent.core import Peer
@@ -54,6 +55,8 @@ class Working:
         if peer.sweeping is not None:
             effects += peer.voice.sweep(peer, peer.sweeping.swept(), now_us)
         peer.wish = self._wish(view, effects)
+        if isinstance(peer.motion, Motion):
+            peer.motion.state = peer.lifecycle.state
         wanted = peer.motion.drive(peer.here, peer.wish, peer.membership.neighbours, now_us)
         if peer.pause is not None:
             wanted, said = peer.pause.watch(wanted, peer.here, now_us)

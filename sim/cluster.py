@@ -96,8 +96,12 @@ def make_peer(
     )
     # Who has lost its memory must not throw the same dice again.
     rng = Random(f"{setting.scenario.run.seed}/peer/{slot}{lot}")
-    mission, motion = setting.mission(slot), setting.motion(slot)
-    parts = identity, rng, now_us, recalled, mission, motion, setting.keyring(slot, lot)
+    motion, keyring = setting.motion(slot), setting.keyring(slot, lot)
+    if isinstance(setting, ErrandSetting):
+        chart = setting.chart(slot, now_us)
+        errands = setting.mission(slot, chart)
+        return Peer(identity, rng, now_us, recalled, errands, motion, keyring, chart)
+    parts = identity, rng, now_us, recalled, setting.mission(slot), motion, keyring
     return SegmentPeer(Area(segment, setting.section_count), *parts) if segment else Peer(*parts)
 
 

@@ -23,9 +23,9 @@ class DrillRun(Expedition):
             units_twice=sum(r.peer.voice.redone for r in cluster.robots.values()),
             contacts=0, moved_after_stop=len(cluster.stops.violations), closest_m=inf,
             replicas_equal=cluster.replicas_equal,
-            frames=dict(self.kinds.most_common()),
+            frames=dict(self.tally.kinds.most_common()),
             bus_load=wire.busy_us / (now_s * 1e6), bus_load_worst_case=wire.worst_us / (now_s * 1e6),
-            claims_lost=recorder.lost, malformed=self.malformed, refused=0,
+            claims_lost=recorder.lost, malformed=self.tally.malformed, refused=0,
             trace_hash=recorder.digest, sections=self.setting.section_count,
             work_m=0.0, travel_m=0.0, simulated_s=now_s, wall_s=wall_s,
         )  # fmt: skip

@@ -11,19 +11,25 @@ from random import Random
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.config import BRAKING_SHARE, S
 from agent.errand import Errands
 from agent.floor import Floor
+from agent.hazards import geometry_of
 from agent.motion import Limits, Motion
 from agent.safety import SilencePolicy
-from protocol.authentication import Keyring
+from crdt.hybrid_clock import HybridClock
+from crdt.occupancy import SIDE_MAX, OccupancyMap
+from crdt.sighting import OBSERVER_MAX, TIME_MAX, Order
+from protocol.authentication import Keyring, Keys
+from protocol.map_sync import MapSync
 from sim.lidar import Lidar
+from sim.obstacles import TemporaryObstacle, schedule
 from sim.scenario import BusTable, FieldTable, FleetTable, RunTable, Scenario
 from sim.vehicle import Chassis
 from sim.walls import Grid
 from sim.world import World
 
 Point = tuple[float, float]
-BRAKING_SHARE = 0.7  # of the acceleration is planned with; the rest is for corrections
 HORIZON_S = 1.0  # indoor robots stop from full speed in half of it; a longer one closes corridors
 KEEP_RIGHT_RAD = 0.05  # breaks the symmetry of two that meet head on in the open
 
@@ -36,11 +42,16 @@ class ErrandSetting:
         starts: Sequence[Point],
         goals: Sequence[Sequence[Point]],
         agrees: bool = True,
+        dropped: Sequence[TemporaryObstacle] = (),
+        keys: Keys | None = None,
     ) -> None:
-        """`goals`: of each robot, in their order. `agrees`: False for ORCA by itself."""
+        """`goals`: of each robot, in their order. `agrees`: False for ORCA by itself. `dropped`:
+        boxes that come and go."""
         assert len(starts) == len(goals) == scenario.fleet.robots
         self.scenario, self.floor, self.agrees = scenario, floor, agrees
         self.starts, self.goals = list(starts), {k: tuple(own) for k, own in enumerate(goals)}
+        self.keys = keys
+        self.dropped, self.appeared = dropped, list[TemporaryObstacle]()
         self.silence = SilencePolicy[scenario.fleet.silence.upper()]
 
     @classmethod
@@ -79,10 +90,20 @@ class ErrandSetting:
     def section_count(self) -> int:
         return sum(len(own) for own in self.goals.values())
 
-    def mission(self, slot: int) -> Errands:
+    def chart(self, slot: int, now_us: int) -> MapSync | None:
+        """What a fleet tells each other of things in the way; none where the map has no room for it."""
+        geometry = geometry_of(self.floor)
+        if self.scenario.fleet.robots > OBSERVER_MAX + 1 or max(geometry[:2]) > SIDE_MAX:
+            return None
+        clock = HybridClock(now_us, S, TIME_MAX)
+        return MapSync(slot, OccupancyMap(geometry, Order.LATEST_UPDATE), clock, now_us)
+
+    def mission(self, slot: int, chart: MapSync | None = None) -> Errands:
         fleet = self.scenario.fleet
         braking_m_s2 = BRAKING_SHARE * fleet.acceleration_m_s2
-        return Errands(slot, self.goals, self.floor, fleet.speed_m_s, braking_m_s2, self.agrees)
+        return Errands(
+            slot, self.goals, self.floor, fleet.speed_m_s, braking_m_s2, self.agrees, chart
+        )
 
     def motion(self, slot: int) -> Motion:
         fleet = self.scenario.fleet
@@ -102,10 +123,12 @@ class ErrandSetting:
         )
         for slot, at in enumerate(self.starts):
             world.add_robot(slot, at, fleet.radius_m, chassis)
+        self.appeared = schedule(world, self.dropped, fleet.radius_m)
         return world
 
     def keyring(self, slot: int, lot: str = "") -> Keyring | None:
-        return None
+        """`lot`: anything that no two starts of this sender share."""
+        return None if self.keys is None else Keyring(self.keys, slot, lot.encode())
 
 
 def scattered(

@@ -2,15 +2,12 @@
 
 import itertools
 import time
-from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 from agent.config import S
-from protocol.codec import Malformed, decode_once
-from protocol.frame import Frame
-from sim.can_log import open_log
+from sim.bus_tally import BusTally
 from sim.clock import run_virtual
 from sim.cluster import Cluster
 from sim.coverage_truth import Coverage, coverage, sample_points
@@ -56,8 +53,7 @@ class Expedition:
         self.swarm = swarm
         self.setting, self.out, self.told = setting, out, told
         self.logs = [*([out / "can.log"] if out else []), *logs]
-        self.kinds: Counter[str] = Counter()
-        self.malformed = 0
+        self.tally = BusTally()
         self.tracks: dict[int, list[TrackPoint]] = {}
         self.truth: Coverage | None = None
         self.recorder: Recorder | None = None  # none: a new one
@@ -81,16 +77,8 @@ class Expedition:
         started_s = time.perf_counter()
         recorder = self.recorder or Recorder(self.out / "trace.jsonl" if self.out else None)
         cluster = Cluster(self.setting, f"run {next(_numbers)}", recorder, host)
-        logs = [open_log(path) for path in self.logs]
-
-        def tap(t_us: int, frame: Frame) -> None:
-            _, message = decode_once(frame)
-            self.kinds[type(message).__name__] += 1
-            self.malformed += isinstance(message, Malformed)
-            for log in logs:
-                log.write(t_us, frame)
-
-        cluster.segment.taps.append(tap)
+        self.tally.open(self.logs)
+        cluster.segment.taps.append(self.tally.tap)
         if self.attach is not None:
             self.attach(cluster)
         cluster.boot_all()
@@ -103,8 +91,7 @@ class Expedition:
             self.faults = plan.done
             cluster.end()
             recorder.close()
-            for log in logs:
-                log.close()
+            self.tally.close()
         return outcome
 
     def _until_finished(self, cluster: Cluster, script: Handle) -> Script[None]:
@@ -152,11 +139,11 @@ class Expedition:
             moved_after_stop=len(cluster.stops.violations),
             closest_m=world.closest_m,
             replicas_equal=cluster.replicas_equal,
-            frames=dict(self.kinds.most_common()),
+            frames=dict(self.tally.kinds.most_common()),
             bus_load=wire.busy_us / (now_s * 1e6),
             bus_load_worst_case=wire.worst_us / (now_s * 1e6),
             claims_lost=recorder.lost,
-            malformed=self.malformed,
+            malformed=self.tally.malformed,
             refused=sum(r.peer.safety.authority.refused for r in cluster.robots.values()),
             trace_hash=recorder.digest,
             sections=len(field.sections),

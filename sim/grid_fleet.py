@@ -8,7 +8,7 @@ all frames on a bus of 250 kbit/s; only bodies and sensors are plainer than in a
 
 import itertools
 import time
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple, cast
@@ -18,9 +18,7 @@ import numpy as np
 from agent.config import MS, S
 from agent.grid_ground import NONE
 from agent.grid_work import GridWork
-from protocol.codec import Malformed, decode_once
-from protocol.frame import Frame
-from sim.can_log import open_log
+from sim.bus_tally import BusTally
 from sim.cluster import Cluster, Record, Robot
 from sim.faults import FaultPlan
 from sim.grid_judge import lower_bound, steps_from
@@ -192,8 +190,7 @@ class GridFleet:
 
     def __init__(self, setting: GridSetting, out: Path | None = None) -> None:
         self.setting, self.out = setting, out
-        self.kinds: Counter[str] = Counter()
-        self.malformed = 0
+        self.tally = BusTally()
         self.cluster: GridCluster | None = None
         self.covered_us: Any = None  # by number: when each cell was covered; -1: never
 
@@ -206,16 +203,8 @@ class GridFleet:
         recorder = Recorder(self.out / "trace.jsonl" if self.out else None)
         cluster = GridCluster(self.setting, f"grid {next(_numbers)}", recorder, host)
         self.cluster = cluster
-        log = open_log(self.out / "can.log") if self.out else None
-
-        def tap(t_us: int, frame: Frame) -> None:
-            _, message = decode_once(frame)
-            self.kinds[type(message).__name__] += 1
-            self.malformed += isinstance(message, Malformed)
-            if log is not None:
-                log.write(t_us, frame)
-
-        cluster.segment.taps.append(tap)
+        self.tally.open([self.out / "can.log"] if self.out else [])
+        cluster.segment.taps.append(self.tally.tap)
         cluster.boot_all()
         script = host.spawn(FaultPlan(cluster).script())
         witness = Witness(cluster)
@@ -226,8 +215,7 @@ class GridFleet:
         finally:
             cluster.end()
             recorder.close()
-            if log is not None:
-                log.close()
+            self.tally.close()
         return outcome
 
     def _watch(self, cluster: GridCluster, script: Handle, witness: Witness) -> Script[None]:
@@ -274,8 +262,8 @@ class GridFleet:
             rounds=max(cluster.mission(r).accords.rounds for r in cluster.robots.values()),
             sections_done=max(r.peer.allocation.done_count() for r in cluster.running),
             sections=setting.section_count,
-            frames=dict(self.kinds.most_common()),
-            malformed=self.malformed,
+            frames=dict(self.tally.kinds.most_common()),
+            malformed=self.tally.malformed,
             bus_load=wire.busy_us / now_us,
             bus_load_worst_case=wire.worst_us / now_us,
             trace_hash=recorder.digest,

@@ -1,21 +1,28 @@
 """One run of a fleet on its errands, and what came of it."""
 
-import asyncio
 import itertools
+import time
+from collections.abc import Callable, Mapping, Sequence
 from math import hypot, inf, sqrt
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.config import MS, S
 from agent.effects import Trace
 from agent.errand import GOALS_MAX, Errands, Followed
-from sim.clock import run_virtual
+from sim.bus_tally import BusTally
 from sim.cluster import Cluster
 from sim.errand_setting import ErrandSetting
+from sim.faults import FaultPlan
+from sim.host import Host, Script
+from sim.swarm import Swarm
 from sim.trace import Recorder
 
-LOOK_S = 0.5
+LOOK_US = 500 * MS
+QUIET_US = 2 * S  # after the last goal all replicas must be equal
 
 _numbers = itertools.count()
 Points = tuple[tuple[float, float], ...]
@@ -33,49 +40,116 @@ class Leg(NamedTuple):
 
 
 class OutingOutcome(NamedTuple):
+    scenario: str
+    robots: int
+    seed: int
+    authenticated: bool
     finished: bool
     contacts: int
+    moved_after_stop: int  # steps in which a robot moved that had to stand
     simulated_s: float
     arrived_s: tuple[float, ...]  # each robot's last goal; inf: never
     legs: tuple[Leg, ...]
     rounds: int  # of agreement, the most that one robot saw
     unsolved: int
+    obstacles: int  # boxes that came and went
     closest_m: float
+    travel_m: float
+    replicas_equal: bool
+    frames: Mapping[str, int]  # by kind
+    malformed: int
+    bus_load: float  # share of the bus in use, exact bits
     trace_hash: str
+    wall_s: float
+
+    @property
+    def success(self) -> bool:
+        clean = self.contacts == 0 and self.moved_after_stop == 0
+        return self.finished and clean and self.replicas_equal
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON, which knows no infinity: null is never."""
+        arrived_s = [None if t_s == inf else t_s for t_s in self.arrived_s]
+        legs = [
+            {k: v if v == v and v != inf else None for k, v in leg._asdict().items()}
+            for leg in self.legs
+        ]
+        plain = {**self._asdict(), "frames": dict(self.frames)}
+        return {**plain, "arrived_s": arrived_s, "legs": legs, "success": self.success}
+
+
+class Moment(NamedTuple):
+    """How far a run is."""
+
+    simulated_s: float
+    reached: int
+    goals: int
+    states: tuple[str, ...]
 
 
 class Outing:
-    def __init__(self, setting: ErrandSetting) -> None:
-        self.setting = setting
+    def __init__(
+        self,
+        setting: ErrandSetting,
+        out: Path | None = None,
+        told: Callable[[Moment], None] | None = None,
+        logs: Sequence[Path] = (),
+    ) -> None:
+        """`out`: where trace.jsonl and can.log go; `told` is called every half second."""
+        self.setting, self.told = setting, told
+        self.logs = [*([out / "can.log"] if out else []), *logs]
         self.tracks: dict[int, NDArray[np.float64]] = {}  # (n, 4): microseconds, x, y, -
         self.followed: dict[int, list[Followed]] = {}
         self._done_us: dict[int, int] = {}  # section: when its robot said so
-        self._recorder = Recorder(None)
+        self._recorder = Recorder(out / "trace.jsonl" if out else None)
+        self._tally = BusTally()
 
     def run(self) -> OutingOutcome:
-        return run_virtual(self.go())
+        """Virtual time, as fast as it goes."""
+        swarm = Swarm()
+        return swarm.run(self._play(swarm))
 
-    async def go(self) -> OutingOutcome:
-        cluster = Cluster(self.setting, f"outing {next(_numbers)}", self._note)
+    def _play(self, host: Host) -> Script[OutingOutcome]:
+        started_s = time.perf_counter()
+        cluster = Cluster(self.setting, f"outing {next(_numbers)}", self._note, host)
+        self._tally.open(self.logs)
+        cluster.segment.taps.append(self._tally.tap)
         cluster.boot_all()
-        loop, limit_s = asyncio.get_running_loop(), self.setting.scenario.run.time_limit_s
+        script = host.spawn(FaultPlan(cluster).script())
+        limit_us = round(self.setting.scenario.run.time_limit_s * S)
         try:
-            while loop.time() < limit_s and len(self._done_us) < self.setting.section_count:
-                await asyncio.sleep(LOOK_S)
+            while host.now_us() < limit_us and len(self._done_us) < self.setting.section_count:
+                yield host.now_us() + LOOK_US
                 cluster.check()
-            cluster.world.advance(round(loop.time() * 1e6))
-            return self._measure(cluster, loop.time())
+                script.check()
+                self._tell(cluster)
+            yield from self._settle(cluster)
+            return self._measure(cluster, time.perf_counter() - started_s)
         finally:
-            await cluster.close()
+            cluster.end()
             self._recorder.close()
+            self._tally.close()
+
+    def _tell(self, cluster: Cluster) -> None:
+        if self.told is not None:
+            states = tuple(robot.peer.state.name for robot in cluster.running)
+            goals, now_s = self.setting.section_count, cluster.host.now_us() / S
+            self.told(Moment(now_s, len(self._done_us), goals, states))
+
+    def _settle(self, cluster: Cluster) -> Script[None]:
+        """The last news reaches everybody."""
+        until_us = cluster.host.now_us() + QUIET_US
+        while not cluster.replicas_equal and cluster.host.now_us() < until_us:
+            yield cluster.host.now_us() + LOOK_US // 10
 
     def _note(self, slot: int, now_us: int, effect: object) -> None:
         self._recorder(slot, now_us, effect)  # type: ignore[arg-type]
         if isinstance(effect, Trace) and effect.machine == "claim" and effect.event == "DONE":
             self._done_us.setdefault(int(effect.source[1:]), now_us)
 
-    def _measure(self, cluster: Cluster, now_s: float) -> OutingOutcome:
-        world, setting = cluster.world, self.setting
+    def _measure(self, cluster: Cluster, wall_s: float) -> OutingOutcome:
+        world, setting, now_us = cluster.world, self.setting, cluster.host.now_us()
+        world.advance(now_us)
         missions = {slot: robot.peer.mission for slot, robot in cluster.robots.items()}
         errands = {s: m for s, m in missions.items() if isinstance(m, Errands)}
         self.tracks = {slot: body.track.to_array() for slot, body in world.robots.items()}
@@ -86,15 +160,27 @@ class Outing:
             for slot in sorted(errands)
         )
         return OutingOutcome(
+            scenario=setting.scenario.name,
+            robots=setting.scenario.fleet.robots,
+            seed=setting.scenario.run.seed,
+            authenticated=setting.keys is not None,
             finished=len(self._done_us) == setting.section_count,
             contacts=len(world.contacts),
-            simulated_s=now_s,
+            moved_after_stop=len(cluster.stops.violations),
+            simulated_s=now_us / S,
             arrived_s=last_s,
             legs=tuple(legs),
             rounds=max(e.accords.rounds for e in errands.values()),
             unsolved=max(e.accords.unsolved for e in errands.values()),
+            obstacles=len(setting.appeared),
             closest_m=world.closest_m,
+            travel_m=sum(body.track.driven_m for body in world.robots.values()),
+            replicas_equal=cluster.replicas_equal,
+            frames=dict(self._tally.kinds.most_common()),
+            malformed=self._tally.malformed,
+            bus_load=cluster.segment.wire.busy_us / now_us,
             trace_hash=self._recorder.digest,
+            wall_s=wall_s,
         )
 
     def _legs(self, slot: int) -> list[Leg]:

@@ -232,7 +232,7 @@ class Scenario(_Table):
         if seed is not None:
             document.setdefault("run", {})["seed"] = seed
         if feature is not None:
-            document["field"]["feature"] = feature
+            document.setdefault("field", {})["feature"] = feature
         return _validate(document, self.name, self.folder, type(self))
 
 
@@ -255,11 +255,17 @@ def load(name: str) -> Scenario:
 
 def load_kind(name: str, kind: type[Kind], folder: Path) -> Kind:
     """The same for another kind of scenario, that ships in another folder."""
+    document, beside = read_document(name, folder)
+    return _validate(document, name, beside, kind)
+
+
+def read_document(name: str, folder: Path) -> tuple[dict[str, Any], Path]:
+    """A scenario file as it is, and the folder that its file names are relative to."""
     path = Path(name)
     if not path.suffix and not path.exists() and (folder / f"{name}.toml").exists():
         path = folder / f"{name}.toml"
     try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(path.read_text(encoding="utf-8")), path.parent
     except FileNotFoundError:
         known = ", ".join(shipped(folder))
         raise ScenarioError(
@@ -271,7 +277,6 @@ def load_kind(name: str, kind: type[Kind], folder: Path) -> Kind:
         raise ScenarioError(f"{name}: not a text file") from None
     except tomllib.TOMLDecodeError as problem:
         raise ScenarioError(f"{name}: not TOML: {problem}") from None
-    return _validate(document, name, path.parent, kind)
 
 
 def _validate(document: dict[str, Any], name: str, folder: Path, kind: type[Kind]) -> Kind:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from shapely.geometry import Point, Polygon
 
+from agent.config import BRAKING_SHARE
 from agent.field import XY, Field, rasterise, start_poses
 from agent.field_work import FieldWork
 from agent.motion import FENCE_M, Motion
@@ -39,8 +40,18 @@ TURN_CELL_M = 0.25  # the same for bodies that steer: turns are a matter of deci
 TURN_SPARE = 1.2  # planned circles are wider than the tightest: the rest is for corrections
 PIVOT_RADIUS_M = 0.6  # a body that can turn on the spot need not, and is quicker
 PIVOT_STEER_1_M_S = 6.0  # its curvature changes as fast as its wheels
-BRAKING_SHARE = 0.7  # of the acceleration is planned with; the rest is for corrections
 SPACING_RADII = 3.0  # between robots at the gate
+
+
+def keys_of(scenario: Scenario) -> Keys | None:
+    """Of its fleet, where it has any."""
+    name = scenario.fleet.keys
+    if name is None:
+        return None
+    try:
+        return read(scenario.folder / name, FLEET).keys
+    except KeyFileError as problem:
+        raise ScenarioError(f"{scenario.name}: fleet.keys: {problem}") from None
 
 
 class Setting:
@@ -65,13 +76,7 @@ class Setting:
             raise ScenarioError(f"{scenario.name}: fleet.robots: {problem}") from None
 
     def _keys(self) -> Keys | None:
-        name = self.scenario.fleet.keys
-        if name is None:
-            return None
-        try:
-            return read(self.scenario.folder / name, FLEET).keys
-        except KeyFileError as problem:
-            raise ScenarioError(f"{self.scenario.name}: fleet.keys: {problem}") from None
+        return keys_of(self.scenario)
 
     def _field(self) -> Field:
         table = self.scenario.field

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.config import BRAKING_SHARE
 from agent.core import Peer
 from agent.exploration import Exploration
 from agent.fleet_report import fleet_status, serialize_for_llm
@@ -40,7 +41,6 @@ from sim.truth import TrackPoint
 
 LOOK_S = 0.25
 QUIET_S = 2.0  # after the last news of the map all replicas must be equal
-BRAKING_SHARE = 0.7  # of the acceleration is planned with
 FENCE_M = 0.04  # kept from walls by the last resort; planned ways keep 0.1 m
 MOST = 0.95
 REPORT_S = 2.0

@@ -12,18 +12,20 @@ from rich.table import Table
 
 from agent.lifecycle import State
 from sim.can_log import open_log
+from sim.errand_scenario import ErrandScenario, load_mission, setting_of
+from sim.errand_setting import ErrandSetting
 from sim.expedition import Expedition, Moment
 from sim.outcome import Outcome
 from sim.recording import Recording
-from sim.scenario import ScenarioError, load
+from sim.scenario import Scenario, ScenarioError
 from sim.setting import Setting
 from sim.work_geojson import write_geojson
 from sim.work_record import record_of
 from tools.keeping import Keeping
 from tools.livemap.command import MapThread, ServerError
 from tools.picture import draw_field
+from tools.run_errands import NO_KEYS, run_errands
 
-NO_KEYS = "[yellow]NONE: anybody on the bus can stop and release this fleet[/yellow]"
 UNFINISHED, WRONG = 1, 2  # exit codes; 0 only for a run without a flaw
 
 
@@ -42,12 +44,16 @@ def run(
     """`page_port`: of a map that shows the run, and stays after its end."""
     console = Console(stderr=as_json)
     try:
-        setting = Setting(load(scenario).changed(robots, seed, keys, feature, drive))
+        changed = load_mission(scenario).changed(robots, seed, keys, feature, drive)
+        errands = _errands(changed, page_port)
         out.mkdir(parents=True, exist_ok=True)
         if not out.is_dir():
             raise OSError(f"{out} is not a folder")
         for log in logs:
             open_log(log).close()  # so that what is wrong is known before the run, not after
+        if errands is not None:
+            return run_errands(console, errands, out, logs, as_json)
+        setting = Setting(changed)
         shown = None if page_port is None else MapThread(Recording(), setting.field.name, page_port)
         keeping = Keeping(setting, out, None if shown is None else shown.server.recording)
     except (ScenarioError, ServerError) as problem:
@@ -82,6 +88,15 @@ def run(
         console.print(f"the map stays at {shown.url} until Ctrl-C")
         shown.join()
     return 0 if outcome.success else UNFINISHED
+
+
+def _errands(scenario: Scenario, page_port: int | None) -> ErrandSetting | None:
+    """None where the scenario is one of a field."""
+    if not isinstance(scenario, ErrandScenario):
+        return None
+    if page_port is not None:
+        raise ScenarioError(f"{scenario.name}: the map page shows fields only; leave --map out")
+    return setting_of(scenario)
 
 
 def _watch(

@@ -17,9 +17,11 @@ from typing import NamedTuple
 import numpy as np
 
 from agent.floor import Floor
+from agent.hazards import HazardMap
 from sim.errand_setting import ErrandSetting
 from sim.floor_plan import office
 from sim.outing import Outing, OutingOutcome
+from tools.bench import whole_robots
 from tools.bench.figure import Figure
 from tools.path_picture import draw_paths
 
@@ -102,20 +104,21 @@ def batch(inflation_m: float, count: int, out: Path | None) -> Batch:
 
 
 def slowest_ms(floor: Floor, outing: Outing, outcome: OutingOutcome) -> float:
-    """Every search of the run once more, with a new grid as after a box, by the clock."""
+    """Every search of the run once more, with a new grid as after a first box, by the clock."""
     worst_s = 0.0
     for followed in outing.followed.values():
         for path in followed:
             if path.why == "plan" or len(path.points) < 2:
                 continue
             begun_s = perf_counter()
-            floor.route.round([(-1.0, -1.0)], RADIUS_M).path(path.points[0], path.points[-1])
+            HazardMap(floor, None).grid.plan(path.points[0], path.points[-1])
             worst_s = max(worst_s, perf_counter() - begun_s)
     return worst_s * 1000.0
 
 
-def figures(quick: bool, out: Path | None = None) -> Iterator[Figure]:
+def figures(quick: bool, seed: int = 1, out: Path | None = None) -> Iterator[Figure]:
     """`out`: where pictures of the first run at each inflation go; none without it."""
+    yield from whole_robots.figures(quick, seed)
     count = QUICK_PAIRS if quick else PAIRS
     floor_of(0.1).route.path((1.0, 1.0), (13.0, 1.0))  # compiled
     for inflation_m in INFLATIONS_M:

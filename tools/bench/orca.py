@@ -16,9 +16,10 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from agent import orca_fleet as column
+from agent import agent_table as column
 from agent.config import NEIGHBOURS_MAX
 from agent.orca import Avoidance
+from agent.orca_fleet import Fleet
 from tools.bench.figure import Figure
 
 SEED = 20
@@ -83,10 +84,10 @@ def unlike(agents: NDArray[np.float32], theirs: Any) -> int:
 
 
 def circle(rvo: Any, steps: int) -> Iterator[Figure]:
-    column.Fleet(on_circle(), DT_S).step()  # compiles
+    Fleet(on_circle(), DT_S).step()  # compiles
     agents = on_circle()
     goals = -agents[:, : column.Y + 1].copy()
-    fleet = column.Fleet(agents, DT_S)
+    fleet = Fleet(agents, DT_S)
     places = [(x, y) for x, y in agents[:, : column.Y + 1].tolist()]
     peer = rvo and simulator(rvo, DT_S, RANGE_M, RADIUS_M, SPEED_M_S, HORIZON_S, places)
     ours_s = theirs_s = 0.0

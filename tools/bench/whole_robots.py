@@ -1,0 +1,186 @@
+"""A hundred whole robots on one core: range sensors, maps, ways, avoidance, wheels, and no messages.
+
+A warehouse of racks. Each robot has an occupancy grid of its own, into which each of its scans goes,
+plans over it when it has a new goal or something solid is on its path, follows the path, and is kept
+from the others and the racks by ORCA.
+"""
+
+from collections.abc import Iterator
+from math import hypot
+from random import Random
+from time import process_time
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent import agent_table as column
+from agent.config import CONTROL_PERIOD_US, NEIGHBOUR_RANGE_M, NEIGHBOURS_MAX, S
+from agent.effects import Drive
+from agent.obstacle_tree import obstacle_tree
+from agent.occupancy import CELL_M, OccupancyGrid
+from agent.orca_fleet import Fleet
+from agent.tracker import Tracker
+from sim.lidar import Lidar
+from sim.vehicle import Chassis
+from sim.world import World
+from tools.bench.figure import Figure
+
+SIDE_M, ROBOTS, RAYS, RANGE_M = 30.0, 100, 36, 4.0
+RADIUS_M, SPEED_M_S, ACCELERATION_M_S2 = 0.3, 1.0, 2.0
+MARGIN_M = 0.06  # of ORCA: wheels slip and take a period to act
+HORIZON_S, WALL_HORIZON_S = 2.0, 0.5
+ARRIVED_M, AHEAD_M = 0.4, 2.0
+FASTER = 10.0
+LOST_M = 1.0  # further off its path a robot plans another
+XY = tuple[float, float]
+
+
+def racks() -> list[list[XY]]:
+    """Five rows of three, 1 m deep, with aisles of 3.5 m and more."""
+    found = []
+    for row in range(5):
+        for place in range(3):
+            west, south = (
+                3.4 + 8.6 * place,
+                3.4 + 5.2 * row,
+            )  # on borders of cells, as the map has them
+            east, north = west + 6.0, south + 1.0
+            found.append([(west, south), (east, south), (east, north), (west, north)])
+    return found
+
+
+def solid() -> NDArray[np.bool_]:
+    count = round(SIDE_M / CELL_M)
+    middle = (np.arange(count) + 0.5) * CELL_M
+    blocked = np.zeros((count, count), dtype=np.bool_)
+    for (west, south), _, (east, north), _ in racks():
+        rows, columns = (middle > south) & (middle < north), (middle > west) & (middle < east)
+        blocked |= rows[:, None] & columns[None, :]
+    return blocked
+
+
+class Result(NamedTuple):
+    times_real: float
+    contacts: int
+    goals: int
+    closest_m: float
+
+
+class Crowd:
+    """The robots and what each of them knows."""
+
+    def __init__(self, seed: int) -> None:
+        self.rng = Random(f"{seed}/whole robots")
+        boundary: list[XY] = [(0.0, 0.0), (SIDE_M, 0.0), (SIDE_M, SIDE_M), (0.0, SIDE_M)]
+        self.world = World([boundary, *racks()], seed, Lidar(RAYS, RANGE_M))
+        chassis = Chassis(speed_m_s=SPEED_M_S, acceleration_m_s2=ACCELERATION_M_S2)
+        blocked = solid()
+        rows, columns = blocked.shape
+        self.grids: list[OccupancyGrid] = []
+        for slot in range(ROBOTS):
+            self.world.add_robot(slot, self._start(), RADIUS_M, chassis)
+            self.grids.append(OccupancyGrid(rows, columns, (0.0, 0.0), RADIUS_M, blocked))
+        agents = np.zeros((ROBOTS, column.AGENT_COLUMNS), dtype=np.float32)
+        agents[:, column.RADIUS] = RADIUS_M + MARGIN_M
+        agents[:, column.SPEED_MAX], agents[:, column.RANGE] = SPEED_M_S, NEIGHBOUR_RANGE_M
+        agents[:, column.NEIGHBOURS] = NEIGHBOURS_MAX
+        agents[:, column.HORIZON], agents[:, column.WALL_HORIZON] = HORIZON_S, WALL_HORIZON_S
+        walls = obstacle_tree([boundary[::-1], *racks()])
+        self.fleet = Fleet(agents, CONTROL_PERIOD_US / S, walls)
+        self.trackers: list[Tracker | None] = [None] * ROBOTS
+        self.goals = [self._goal() for _ in range(ROBOTS)]
+        self.reached = 0
+
+    def _start(self) -> XY:
+        while True:
+            spot = self._goal()
+            others = (body.position for body in self.world.robots.values())
+            if all(hypot(spot[0] - x, spot[1] - y) > 3 * RADIUS_M for x, y in others):
+                return spot
+
+    def _goal(self) -> XY:
+        clear_m = RADIUS_M + 0.5
+        while True:
+            x = self.rng.uniform(clear_m, SIDE_M - clear_m)
+            y = self.rng.uniform(clear_m, SIDE_M - clear_m)
+            if not any(
+                ring[0][0] - clear_m < x < ring[2][0] + clear_m
+                and ring[0][1] - clear_m < y < ring[2][1] + clear_m
+                for ring in racks()
+            ):
+                return x, y
+
+    def tick(self) -> None:
+        """One control period of everybody."""
+        world, agents = self.world, self.fleet.agents
+        now_us = world.now_us
+        motion = world.motion
+        agents[:, column.X : column.Y + 1] = motion[:, :2]
+        agents[:, column.VX : column.VY + 1] = motion[:, 3:5]
+        places = motion[:, :2]
+        near = np.hypot(places[:, None, 0] - places[None, :, 0],
+                        places[:, None, 1] - places[None, :, 1]) < RANGE_M + RADIUS_M  # fmt: skip
+        discs = np.column_stack((places, np.full(ROBOTS, RADIUS_M + CELL_M)))
+        for slot in range(ROBOTS):
+            here = world.body(slot).sense(now_us)
+            at = here.x_m, here.y_m
+            near[slot, slot] = False
+            grid = self.grids[slot]
+            others = discs[near[slot]]
+            news = grid.observe(at, here.heading_rad, here.ranges_m, RANGE_M, others)
+            tracker = self._way(slot, at, grid, news > 0)
+            agents[slot, column.WANT_X], agents[slot, column.WANT_Y] = tracker.velocity(*at)
+        self.fleet.step(move=False)
+        chosen = agents[:, column.NEW_VX : column.NEW_VY + 1].tolist()
+        for slot, (vx_m_s, vy_m_s) in enumerate(chosen):
+            world.body(slot).drive(Drive(vx_m_s, vy_m_s), now_us)
+        world.advance(now_us + CONTROL_PERIOD_US)
+
+    def _way(self, slot: int, at: XY, grid: OccupancyGrid, news: bool) -> Tracker:
+        goal = self.goals[slot]
+        if hypot(goal[0] - at[0], goal[1] - at[1]) < ARRIVED_M:
+            self.reached += 1
+            self.goals[slot], self.trackers[slot] = self._goal(), None
+        tracker = self.trackers[slot]
+        if tracker is not None:
+            tracker.locate(*at)
+            if abs(tracker.off_m) < LOST_M and not (news and self._blocked(tracker, grid)):
+                return tracker
+        path = grid.plan(at, self.goals[slot]) or [at, self.goals[slot]]
+        tracker = self.trackers[slot] = Tracker(path, SPEED_M_S, ACCELERATION_M_S2 / 2)
+        tracker.locate(*at)
+        return tracker
+
+    def _blocked(self, tracker: Tracker, grid: OccupancyGrid) -> bool:
+        blocked, ahead = grid.tight.blocked, tracker.ahead(AHEAD_M)
+        return any(blocked[int(y / CELL_M), int(x / CELL_M)] for x, y, _, _ in ahead)
+
+
+def race(seed: int, seconds: float) -> Result:
+    crowd = Crowd(seed)
+    for _ in range(20):  # compiles, and fills the first maps
+        crowd.tick()
+    ticks = round(seconds * S / CONTROL_PERIOD_US)
+    start_s = process_time()
+    for _ in range(ticks):
+        crowd.tick()
+    spent_s = process_time() - start_s
+    world = crowd.world
+    return Result(seconds / spent_s, len(world.contacts), crowd.reached, world.closest_m)
+
+
+def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
+    seconds = 10.0 if quick else 60.0
+    result = race(seed, seconds)
+    scope = (
+        f"{SIDE_M:g} m of racks, {RAYS} rays, {seconds:g} s, one core; {result.goals} goals reached"
+    )
+    yield Figure(
+        f"{ROBOTS} whole robots without messages", result.times_real, "x real time",
+        f">= {FASTER:g}", result.times_real >= FASTER, "", scope,
+    )  # fmt: skip
+    yield Figure(
+        f"{ROBOTS} whole robots: contacts", result.contacts, "", "= 0", not result.contacts, "",
+        f"smallest gap {result.closest_m:.2f} m",
+    )  # fmt: skip

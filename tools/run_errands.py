@@ -1,0 +1,81 @@
+"""`headland run` of a scenario with `mission = "errands"`: robots go to places in a building."""
+
+import json
+from collections import Counter
+from collections.abc import Sequence
+from math import isfinite
+from pathlib import Path
+from statistics import fmean, median
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from sim.errand_setting import ErrandSetting
+from sim.outing import Moment, Outing, OutingOutcome
+from tools.path_picture import draw_paths
+
+NO_KEYS = "[yellow]NONE: anybody on the bus can stop and release this fleet[/yellow]"
+UNFINISHED = 1  # exit code; 0 only for a run without a flaw
+
+
+def run_errands(
+    console: Console, setting: ErrandSetting, out: Path, logs: Sequence[Path], as_json: bool
+) -> int:
+    outing = Outing(setting, out, None, logs)
+    with Progress(
+        TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[note]}"),
+        TimeElapsedColumn(), console=console, transient=True,
+    ) as progress:  # fmt: skip
+        bar = progress.add_task(setting.scenario.name, total=setting.section_count, note="")
+
+        def told(moment: Moment) -> None:
+            states = ", ".join(
+                f"{n} {state}" for state, n in sorted(Counter(moment.states).items())
+            )
+            note = f"{moment.simulated_s:.0f} s, {moment.reached}/{moment.goals} goals, {states}"
+            progress.update(bar, completed=moment.reached, note=note)
+
+        outing.told = told
+        outcome = outing.run()
+    (out / "report.json").write_text(json.dumps(outcome.to_dict(), indent=1) + "\n")
+    pictures = draw_paths(outing, outcome, out)
+    if as_json:
+        print(json.dumps(outcome.to_dict()))
+    else:
+        console.print(outcome_table(outcome))
+        names = f"report.json, {len(pictures)} pictures of paths, can.log and trace.jsonl"
+        console.print(f"{names} are in {out}")
+    return 0 if outcome.success else UNFINISHED
+
+
+def outcome_table(outcome: OutingOutcome) -> Table:
+    title = f"{outcome.scenario}: {outcome.robots} robots, seed {outcome.seed}"
+    table = Table(title=title, show_header=False)
+    table.add_column(style="bold")
+    table.add_column()
+    reached = [leg for leg in outcome.legs if isfinite(leg.arrived_s)]
+    errors_m = [leg.rmse_m for leg in reached if isfinite(leg.rmse_m)]
+    last_s = [t_s for t_s in outcome.arrived_s if isfinite(t_s)]
+    ends = (
+        f"; last goals after {median(last_s):.0f} s (median), {max(last_s):.0f} s" if last_s else ""
+    )
+    planned = f"{sum(leg.replans for leg in outcome.legs)} paths planned anew on the way"
+    for row in (
+        ("without a flaw", "[green]yes[/green]" if outcome.success else "[red]no[/red]"),
+        ("goals", f"{len(reached)} of {len(outcome.legs)} reached{ends}"),
+        ("contacts", f"{outcome.contacts} (closest {outcome.closest_m:.2f} m)"),
+        ("paths", f"RMSE {fmean(errors_m) if errors_m else 0.0:.3f} m; {planned}"),
+        ("agreement", f"{outcome.rounds} rounds, {outcome.unsolved} of them without a plan"),
+        ("boxes", f"{outcome.obstacles} came and went"),
+        ("replicas", "equal" if outcome.replicas_equal else "[red]differ[/red]"),
+        ("driven", f"{outcome.travel_m:.0f} m in {outcome.simulated_s:.0f} s simulated"),
+        ("bus load", f"{outcome.bus_load:.1%}"),
+        ("frames", ", ".join(f"{n} {kind}" for kind, n in outcome.frames.items())),
+        ("malformed frames", str(outcome.malformed)),
+        ("authentication", "keys" if outcome.authenticated else NO_KEYS),
+        ("trace hash", outcome.trace_hash),
+        ("computed in", f"{outcome.wall_s:.1f} s"),
+    ):
+        table.add_row(*row)
+    return table
