@@ -209,7 +209,7 @@ def planning(instances: list[Instance]) -> Iterator[Figure]:
 
 
 def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
-    seeds = 2 if quick else 10
+    seeds = 1 if quick else 10
     folder = data()
     work(by_chance(1)[0])  # compiles
     runs, real = [run(i) for i in published(folder)], [run(i) for i in fields(folder)]

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from sim.grid_fleet import GridFleet, GridOutcome
 from sim.grid_judge import judge
-from sim.grid_map import Instance, gate_starts, random_starts, random_walls
+from sim.grid_map import Instance, random_starts, random_walls
 from sim.grid_run import work
 from sim.grid_setting import STEP_S, GridSetting
 from sim.scenario import Crash, Fault, Heal, Join, Loss, Partition
@@ -45,14 +45,6 @@ def drive(
         instance, seed=seed, faults=faults, loss=loss, time_limit_s=limit_s
     )  # fmt: skip
     return Drive(instance, GridFleet(setting).run())
-
-
-def halved(instance: Instance) -> Instance:
-    """A map of cells twice as wide, free where all four of them are."""
-    rows, columns = (side // 2 * 2 for side in instance.walls.shape)
-    walls = instance.walls[:rows, :columns].reshape(rows // 2, 2, columns // 2, 2).any(axis=(1, 3))
-    starts = gate_starts(walls, len(instance.starts))
-    return Instance(f"{instance.name} at half resolution", walls, starts)
 
 
 def scattered(side: int, robots: int, seed: int) -> Instance:
@@ -98,8 +90,8 @@ def on_fields(instances: Sequence[Instance], seed: int, done: list[Drive]) -> It
     yield _ratio("whole peers on fields, worst", max(ratios), 1.35, BOUND, scope)
 
 
-def with_trouble(instance: Instance, seed: int, done: list[Drive]) -> Iterator[Figure]:
-    """A death, a split, joins and a noisy bus, on one map, each from half time on."""
+def with_trouble(instance: Instance, seed: int, done: list[Drive], quick: bool) -> Iterator[Figure]:
+    """A death, a split, joins and a noisy bus (the last two not when quick), on one map."""
     plain = drive(instance, seed)
     half_s = plain.outcome.makespan_s / 2
     robots = len(instance.starts)
@@ -111,10 +103,7 @@ def with_trouble(instance: Instance, seed: int, done: list[Drive]) -> Iterator[F
         Partition(at_s=half_s / 2, kind="partition", islands=halves),
         Heal(at_s=half_s / 2 + SPLIT_S, kind="heal"),
     ])  # fmt: skip
-    late = [Join(at_s=half_s, kind="join", robot=slot) for slot in slots[robots // 2 :]]
-    joined = drive(instance, seed, late)
-    noisy = drive(instance, seed, [Loss(at_s=0.0, kind="loss", rate=0.05)])
-    done += [plain, dead, cut, joined, noisy]
+    done += [plain, dead, cut]
     name, least = instance.name, plain.outcome.makespan_s
     against = "the same run without trouble"
     scope = f"{SCOPE}; {name}"
@@ -133,6 +122,12 @@ def with_trouble(instance: Instance, seed: int, done: list[Drive]) -> Iterator[F
     )  # fmt: skip
     share = cut.outcome.makespan_s / least
     yield _ratio(f"whole peers, a split of 60 s, {name}", share, None, against, text)
+    if quick:
+        return
+    late = [Join(at_s=half_s, kind="join", robot=slot) for slot in slots[robots // 2 :]]
+    joined = drive(instance, seed, late)
+    noisy = drive(instance, seed, [Loss(at_s=0.0, kind="loss", rate=0.05)])
+    done += [joined, noisy]
     share = (joined.outcome.makespan_s - half_s) / (joined.outcome.bound_s - half_s)
     text = (
         f"{scope}; half of them start, as many join at half time: their rest over the others' own"
@@ -145,15 +140,15 @@ def with_trouble(instance: Instance, seed: int, done: list[Drive]) -> Iterator[F
 def figures(
     quick: bool, seed: int, maps: Sequence[Instance], fields: Sequence[Instance]
 ) -> Iterator[Figure]:
-    """`maps`, `fields`: with targets; when quick only small ones of them are driven."""
+    """`maps`, `fields`: with targets; when quick only the smallest map is driven."""
     done: list[Drive] = []
     small = sorted(maps, key=lambda instance: instance.walls.size)
     yield from on_maps(small[:1] if quick else small, seed, done)
-    coarse = [halved(instance) for instance in fields[:1]]
-    yield from on_fields(coarse if quick else fields, seed, done)
+    if not quick:
+        yield from on_fields(fields, seed, done)
     for number in range(1 if quick else 4):
         side = 20 if quick else 32
-        yield from with_trouble(scattered(side, ROBOTS, seed + number), seed, done)
+        yield from with_trouble(scattered(side, ROBOTS, seed + number), seed, done, quick)
     yield from _faults(done)
 
 
