@@ -264,8 +264,7 @@ class Peer:
         """Permission to move. A latched robot does not take it: it would start after the reset."""
         if self.safety.latched:
             return [Trace("safety", "LATCHED", "START", "LATCHED", "refused")]
-        started = self.safety.start(now_us)
-        return [*started, Trace("safety", "HELD", "START", "STARTED", "operator")]
+        return [*self.safety.start(now_us), Trace("safety", "HELD", "START", "STARTED", "operator")]
 
     def claim(
         self, section: int, bid: int, now_us: int, takeover: bool = False

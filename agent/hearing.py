@@ -7,6 +7,7 @@ Nothing but a stop is believed from an address that has not said which member it
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
+from agent import bulletin
 from agent.cause import Cause
 from agent.config import S
 from agent.directive import DIRECTED
@@ -49,6 +50,7 @@ Handler = Callable[[int, int | None, Any, int], Sequence[Effect]]
 class Hearing:
     def __init__(self, peer: "Peer") -> None:
         self.peer = peer
+        bulletin.offer(peer)
         self._told_us = -TELL_SPACING_US
         self._handlers: dict[type[Any], Handler] = {
             EmergencyReset: self._reset,

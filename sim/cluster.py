@@ -120,6 +120,7 @@ class Cluster:
         self.robots: dict[int, Robot] = {}
         self.journals: dict[int, Journal] = {}
         self.boots: Counter[int] = Counter()
+        self.on_power: Callable[[int, bool], None] | None = None  # robot, switched on; told before
         self._tool: FieldBus | None = None
         self._keyring = setting.keyring(OPERATOR, "operator")
 
@@ -133,6 +134,8 @@ class Cluster:
     def boot(self, slot: int) -> Robot:
         """Power a robot up with what its journal remembers."""
         journal = self.journals.setdefault(slot, MemoryJournal())
+        if self.on_power is not None:
+            self.on_power(slot, True)
         boots = self.boots[slot]
         lot = f"/{boots}" if boots else ""
         peer = self.make(slot, self.host.now_us(), journal.load(), not boots, lot)
@@ -162,6 +165,8 @@ class Cluster:
     def kill(self, slot: int) -> None:
         """Power off, without a word. The body stays where it is and its commands expire."""
         robot = self.robots[slot]
+        if self.on_power is not None and robot.running:
+            self.on_power(slot, False)
         if robot.task is not None:
             robot.task.cancel()
         robot.shell.bus.close()
