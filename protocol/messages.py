@@ -21,6 +21,7 @@ from protocol.safety_frames import (
     Freshness,
     OperatorCommand,
 )  # fmt: skip
+from protocol.segment_frames import FleetReset, FleetStop, GatewayBeat, SegmentSummary
 from protocol.work_frames import (
     Digests,
     StateSyncRequest,
@@ -35,6 +36,7 @@ Message = (
     | LeaderElectionVote | TaskClaim | Pose | Heartbeat | Member
     | StateSyncRequest | StateSyncResponse | Digests | VectorSlice | WorkProgress | Accord
     | MapPatch | MapDigests
+    | FleetStop | FleetReset | GatewayBeat | SegmentSummary
     | AddressClaimed | Request | Acknowledgment | TransportManagement | TransportData
 )  # fmt: skip
 
@@ -50,6 +52,8 @@ class Group(NamedTuple):
 GROUPS = (
     Group(EmergencyStop, 0xFF00, 0, 8, "EMERGENCY_STOP"),
     Group(EmergencyReset, 0xFF01, 1, 8, "EMERGENCY_RESET"),
+    Group(FleetStop, 0xFF30, 0, 8, "FLEET_STOP"),
+    Group(FleetReset, 0xFF31, 1, 8, "FLEET_RESET"),
     Group(OperatorGoal, 0xFF06, 1, 8, "OPERATOR_GOAL"),  # so that it leaves before its SET_GOAL
     Group(OperatorCommand, 0xFF02, 2, 8, "OPERATOR_COMMAND"),
     Group(Challenge, 0xFF03, 2, 8, "CHALLENGE"),
@@ -69,6 +73,8 @@ GROUPS = (
     Group(VectorSlice, 0xFF12, 7, 8, "VECTOR_SLICE"),
     Group(MapPatch, 0xFF16, 7, 8, "MAP_PATCH"),
     Group(MapDigests, 0xFF17, 7, 8, "MAP_DIGESTS"),
+    Group(GatewayBeat, 0xFF32, 6, 8, "GATEWAY_BEAT"),
+    Group(SegmentSummary, 0xFF33, 7, 8, "SEGMENT_SUMMARY"),
     Group(AddressClaimed, 0xEE00, 6, 8, "ADDRESS_CLAIMED"),
     Group(Request, 0xEA00, 6, 3, "REQUEST"),
     Group(Acknowledgment, 0xE800, 6, 8, "ACKNOWLEDGMENT"),
