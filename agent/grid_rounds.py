@@ -35,6 +35,7 @@ CALM_US = 2 * S
 PATIENCE_US = 5 * S  # longer than a sync (2 s) or a protective stop (2 s) and the way to the cell
 PLAIN_US = 1 * S  # after which who cannot agree on what is kept for others keeps nothing
 OBSTACLE_US = 20 * S  # what stood there may have gone on since
+SPARE_US = 5 * S  # what is told of in a round is told to all well within: they forget it together
 AGAIN_MAX = 2  # seen there so often it is taken to stay, until the crew changes
 ANYBODY = 0xFFFF  # a body that nobody has announced
 _MOD = 1 << 16
@@ -84,6 +85,7 @@ class GridRounds:
         self.bodies: dict[int, Body] = {}  # cell -> what stands there, not one of the crew
         self._seen: dict[int, int] = {}  # cell -> how often somebody stood there
         self._plain = False
+        self._left_out = False  # cells of our rooms are neither covered nor in the plan
         self.kept = False  # a part of the work is kept for silent robots
         self.owner: NDArray[np.int16] = np.full(len(ground), NONE, np.int16)
         self._differs_us: int | None = None  # since when the crew is not the live view
@@ -207,11 +209,12 @@ class GridRounds:
     @property
     def later(self) -> bool:
         """Something is left out of the plan that can perhaps be done some time."""
-        return self.kept or any(body.until_us < FOREVER for body in self.bodies.values())
+        passing = any(body.until_us < FOREVER for body in self.bodies.values())
+        return self._left_out and (self.kept or passing)
 
     def _over(self, crew: Crew, now_us: int) -> bool:
         """Our part is done, and what was left out of it can be done now."""
-        if not self.going or self.course is None or not (self.kept or self.bodies):
+        if not self.going or self.course is None or not self.later:
             return False
         step = self._reached.get(self.slot, 0)
         if self.course.reaches(step + 1):
@@ -241,12 +244,13 @@ class GridRounds:
     def _compute(self, crew: Crew, now_us: int) -> None:
         self.bodies = {
             number: body for number, body in self.bodies.items()
-            if body.until_us > now_us and body.slot not in crew.live
+            if body.until_us > now_us + SPARE_US and body.slot not in crew.live
         }  # fmt: skip
         movers = {s: p.number for s, p in self._used.items() if p.answer is Answer.GRANT}
         stand = {p.number for p in self._used.values() if p.answer is not Answer.GRANT}
         blocked = (stand | self.bodies.keys()) - set(movers.values())
         covered = covered_of(self.ground, crew.progress)
+        uncovered = ~covered
         ours_is_done = self.kept and self._done(crew.progress)
         kept = np.zeros_like(covered) if ours_is_done else self._kept(covered, crew)
         self.kept = bool(kept.any())
@@ -259,6 +263,9 @@ class GridRounds:
         )  # fmt: skip
         self.course = course_of(self.ground, terms)
         self.me = slots.index(self.slot) if self.slot in slots else NONE
+        uncovered[self.course.todo] = False
+        rooms = self.ground.room[self.ground.padded]
+        self._left_out = bool((uncovered & np.isin(rooms, rooms[list(movers.values())])).any())
         self._reached = {}
         self._plans[self.slot] = terms.digest(self.ground)
         self._said.pop(Say.PLAN, None)

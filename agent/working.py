@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 from agent.config import ACTUATOR_TTL_US
 from agent.effects import Effect, Trace
 from agent.lifecycle import Event, State
-from agent.mission import STILL, FleetView, Wish
+from agent.mission import STILL, FleetView, Sweeping, Wish
 from agent.motion import Motion
 
 if TYPE_CHECKING:
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 class Working:
     def __init__(self, peer: "Peer") -> None:
         self.peer = peer
+        self._sweeping = peer.mission if isinstance(peer.mission, Sweeping) else None
         self._drove_us = 0  # the newest command to the actuator
 
     def start_due(self, now_us: int) -> Sequence[Effect]:
@@ -52,8 +53,8 @@ class Working:
         view = peer.view(now_us)
         if peer.agreeing is not None:
             peer.agreeing.attend(view, peer.lifecycle.state)
-        if peer.sweeping is not None:
-            effects += peer.voice.sweep(peer, peer.sweeping.swept(), now_us)
+        if self._sweeping is not None:
+            effects += peer.voice.sweep(peer, self._sweeping.swept(), now_us)
         peer.wish = self._wish(view, effects)
         if isinstance(peer.motion, Motion):
             peer.motion.state = peer.lifecycle.state

@@ -9,7 +9,7 @@ all frames on a bus of 250 kbit/s; only bodies and sensors are plainer than in a
 import itertools
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
@@ -32,6 +32,7 @@ LOOK_US = 500 * MS
 QUIET_US = 10 * S  # after the last cell: registers and replicas must be in order within this
 
 _numbers = itertools.count()
+Told = Callable[[float, float], None]
 
 
 class GridOutcome(NamedTuple):
@@ -188,8 +189,11 @@ class Witness:
 class GridFleet:
     """One run."""
 
-    def __init__(self, setting: GridSetting, out: Path | None = None) -> None:
-        self.setting, self.out = setting, out
+    def __init__(
+        self, setting: GridSetting, out: Path | None = None, told: Told | None = None
+    ) -> None:
+        """`told`: is told the simulated seconds and the share covered, now and then."""
+        self.setting, self.out, self.told = setting, out, told
         self.tally = BusTally()
         self.cluster: GridCluster | None = None
         self.covered_us: Any = None  # by number: when each cell was covered; -1: never
@@ -200,6 +204,8 @@ class GridFleet:
 
     def _play(self, host: Swarm) -> Script[GridOutcome]:
         began_s = time.process_time()
+        if self.out is not None:
+            self.out.mkdir(parents=True, exist_ok=True)
         recorder = Recorder(self.out / "trace.jsonl" if self.out else None)
         cluster = GridCluster(self.setting, f"grid {next(_numbers)}", recorder, host)
         self.cluster = cluster
@@ -224,6 +230,9 @@ class GridFleet:
             yield host.now_us() + LOOK_US
             cluster.check()
             witness.look()
+            if self.told is not None:
+                covered = cluster.grid_world.truth.first_us != NONE
+                self.told(host.now_us() / S, float(covered.mean()))
             if script.done() and cluster.finished:
                 break
         quiet_us = host.now_us() + QUIET_US

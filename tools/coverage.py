@@ -91,6 +91,46 @@ def replay(
     raise SystemExit(replayed(found, delay, stop_on_done, turn_cost, json))
 
 
+@app.command()
+def drive(
+    map: Annotated[Path | None, typer.Argument(help="A .map or .mcpp; none: a random map.")] = None,
+    agents: Annotated[int | None, typer.Option(help="Robots (an .mcpp: only the first).")] = None,
+    seed: Annotated[int, typer.Option(help="Of start cells, a random map, and the wire.")] = 0,
+    height: Annotated[int, typer.Option("--H", help="Rows of a random map.")] = 32,
+    width: Annotated[int, typer.Option("--W", help="Columns of a random map.")] = 32,
+    wall_prob: Annotated[float, typer.Option(help="Share of walls of a random map.")] = 0.2,
+    gate: Annotated[bool, typer.Option("--gate", help="All start together in a corner.")] = False,
+    turn_cost: Annotated[float, typer.Option(help="Steps that a quarter turn costs.")] = 0.0,
+    die: Annotated[list[str] | None, typer.Option(help="ROBOT@SECOND: power off.")] = None,
+    join: Annotated[list[str] | None, typer.Option(help="ROBOT@SECOND: only now on.")] = None,
+    split: Annotated[
+        list[str] | None, typer.Option(help="ROBOT,...@SECOND-SECOND: cut off from the others.")
+    ] = None,
+    loss: Annotated[float, typer.Option(help="Odds that a receiver misses a frame.")] = 0.0,
+    silence: Annotated[str, typer.Option(help="stop, slow or continue.")] = "continue",
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for the trace and a candump log.")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Cover a map with whole peers on the simulated bus, judged from outside. Exit 0: no faults.
+
+    Example: headland coverage drive --H 24 --W 24 --agents 6 --die 2@70 --split 0,1,2@90-150
+    """
+    from sim.grid_map import GridFileError
+    from sim.scenario import ScenarioError
+    from tools.coverage_drive import driven, faults_of, setting_of
+
+    try:
+        instance = _instance(map, agents, seed, (height, width, wall_prob), gate)
+        faults = faults_of(die or [], join or [], split or [], len(instance.starts))
+        setting = setting_of(instance, seed, faults, loss, silence, turn_cost)
+        raise SystemExit(driven(setting, out, json))
+    except (GridFileError, ScenarioError, OSError) as error:
+        typer.echo(f"headland: {error}", err=True)
+        raise SystemExit(2) from None
+
+
 def _instance(
     path: Path | None, agents: int | None, seed: int, random: tuple[int, int, float], gate: bool
 ) -> "Instance":

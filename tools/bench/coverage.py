@@ -22,6 +22,7 @@ from sim.grid_map import (
     read_map,
 )
 from sim.grid_run import Arrival, Death, work
+from tools.bench import coverage_fleet
 from tools.bench.figure import Figure
 from tools.bench.voronoi_coverage import baseline
 
@@ -207,8 +208,8 @@ def planning(instances: list[Instance]) -> Iterator[Figure]:
     )  # fmt: skip
 
 
-def figures(quick: bool) -> Iterator[Figure]:
-    seeds = 2 if quick else 10
+def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
+    seeds = 1 if quick else 10
     folder = data()
     work(by_chance(1)[0])  # compiles
     runs, real = [run(i) for i in published(folder)], [run(i) for i in fields(folder)]
@@ -226,3 +227,6 @@ def figures(quick: bool) -> Iterator[Figure]:
         "collisions, swaps, wall entries, uncovered", faults, "faults", "0", faults == 0, "",
         f"{len(everything)} runs, by the independent judge",
     )  # fmt: skip
+    named = [one.instance for one in runs if one.instance.name in NAMED]
+    fenced = [one.instance for one in real]
+    yield from coverage_fleet.figures(quick, seed, named, fenced)
