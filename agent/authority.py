@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from agent.config import S
 from agent.effects import Effect, Send
 from protocol.authentication import OPERATOR_FIRST, AnySigned, Keyring, Signed
+from protocol.operator_frames import OperatorGoal
 from protocol.safety_frames import (
     Challenge,
     EmergencyReset,
@@ -40,7 +41,7 @@ class Authority:
         self.refused += 1
         return False
 
-    def agreed(self, m: EmergencyReset | OperatorCommand, now_us: int) -> bool:
+    def agreed(self, m: EmergencyReset | OperatorCommand | OperatorGoal, now_us: int) -> bool:
         """Whether an operator whom we believe has said this twice."""
         if self.keyring is None:
             return True

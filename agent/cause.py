@@ -18,7 +18,7 @@ class Severity(IntEnum):
 
 class Clears(Enum):
     BY_START = "an operator's start"
-    BY_ANSWER = "an operator's answer"
+    BY_ANSWER = "it has left for 1 s, or an operator's answer"
     BY_POLICY = "the silent member is heard again and the membership is stable for 2 s; or as the policy says"
     WHEN_GONE = "the cause is gone"
     BY_TIMEOUT = "it is not repeated for its time"
@@ -42,14 +42,25 @@ class Cause(Enum):
         Severity.PROTECTIVE, Clears.BY_POLICY, "a member stopped speaking without leaving"
     )
     BUS_OFF = _Rule(Severity.PROTECTIVE, Clears.WHEN_GONE, "the controller left the bus")
-    UNHEARD = _Rule(Severity.PROTECTIVE, Clears.WHEN_GONE, "own frames do not leave")
+    ERROR_PASSIVE = _Rule(
+        Severity.PROTECTIVE, Clears.WHEN_GONE, "the controller has been error passive for 1 s"
+    )
+    UNHEARD = _Rule(
+        Severity.PROTECTIVE,
+        Clears.WHEN_GONE,
+        "nobody says that it hears us, or the bus takes nothing",
+    )
     ADDRESS_LOST = _Rule(
         Severity.PROTECTIVE, Clears.WHEN_GONE, "another device took the source address"
     )
     CONFIG_MISMATCH = _Rule(
         Severity.PROTECTIVE, Clears.NEVER, "a member has another field description"
     )
-    LATE_TICK = _Rule(Severity.PROTECTIVE, Clears.BY_TIMEOUT, "this robot was frozen")
+    LATE_TICK = _Rule(
+        Severity.PROTECTIVE,
+        Clears.BY_TIMEOUT,
+        "a control period came later than its drive command lives",
+    )
     UNAUTHENTICATED_STOP = _Rule(
         Severity.PROTECTIVE, Clears.BY_TIMEOUT, "a stop without a valid tag"
     )

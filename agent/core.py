@@ -7,25 +7,28 @@ period does in `agent/working.py`. The order inside a turn is fixed: safety firs
 
 from collections.abc import Mapping, Sequence
 from random import Random
-from typing import NamedTuple
 
 from agent import config
 from agent.cause import Cause
 from agent.claims import Claims
+from agent.directive import Directive
 from agent.effects import HALT, Effect, Persist, Send, Trace
 from agent.election import OPERATOR_GATEWAY, Election, Leader
 from agent.fsm import Machine
 from agent.hearing import Hearing
+from agent.identity import Identity
 from agent.joining import CLAIM_PGN, Joining
 from agent.letters import Letter, Letters
 from agent.lifecycle import TABLE, Event, State
 from agent.membership import Membership, Neighbour
 from agent.mission import STILL, Agreeing, Choice, FleetView, Mission, Wish
 from agent.motion import Motion
+from agent.pause import pause_of
 from agent.ports import Observation
 from agent.records import Records
 from agent.roll_call import MEMBER_PGN, MEMBER_REQUEST, RollCall
-from agent.safety import Safety, SilencePolicy
+from agent.safety import Safety
+from agent.self_check import SelfCheck
 from agent.voice import Voice
 from agent.working import Working
 from crdt import FieldAllocationCRDT, Phase, Progress, VectorClock
@@ -36,7 +39,6 @@ from protocol.frame import Frame
 from protocol.identifier import GLOBAL_ADDRESS
 from protocol.map_sync import MapSync
 from protocol.messages import Message
-from protocol.name import Name
 from protocol.network_frames import Request
 from protocol.safety_frames import EmergencyStop, Reason
 from protocol.sync import Sync
@@ -44,23 +46,6 @@ from protocol.work_frames import STOPS, StateSyncRequest, TaskClaim
 
 REQUEST_PF = 0xEA
 NOTHING: Sequence[Effect] = ()  # an empty answer promises that `deadline_us` did not move earlier
-
-
-class Identity(NamedTuple):
-    """What a peer is told before it starts."""
-
-    slot: int
-    members: frozenset[int]  # every configured slot, our own included
-    name: Name
-    field_hash: int  # u24; peers of another field description are not of this fleet
-    silence: SilencePolicy = SilencePolicy.STOP
-    started: bool = False  # permission to move is given at boot, not by a separate start
-    first_boot: bool = False  # a new machine: that it remembers nothing is no loss of memory
-
-    @property
-    def component(self) -> str:
-        """Component identification as SAE J1939-71 writes it."""
-        return f"Headland*peer*{self.name.identity:07d}*robot {self.slot}*"
 
 
 class Peer:
@@ -107,6 +92,8 @@ class Peer:
         self.here: Observation | None = None
         self.wish: Wish = STILL
         self.malformed: dict[str, int] = {}
+        self.directive, self.check = Directive(self), SelfCheck(self, now_us)
+        self.pause = pause_of(self, motion)
         self._hearing, self._working = Hearing(self), Working(self)
         if self.records.lost:
             self.safety.raise_cause(Cause.BOOT_UNCONFIRMED, now_us, "durable memory was lost")
@@ -169,6 +156,8 @@ class Peer:
                 ]
             if kind is Pose:
                 membership.neighbours[slot] = Neighbour(message, now_us)  # type: ignore[arg-type]
+                if message.heard == self.slot:  # type: ignore[union-attr]
+                    self.check.reflected_us = now_us
                 if message.stopped or self.safety.latched:  # type: ignore[union-attr]
                     return self.safety.beat(slot, message.stopped, now_us)  # type: ignore[union-attr]
                 return NOTHING
@@ -177,6 +166,8 @@ class Peer:
     def observe(self, observation: Observation, now_us: int) -> None:
         """What our own sensors say; used at the next control period."""
         self.here = observation
+        if self.directive.home is None:
+            self.directive.home = observation.x_m, observation.y_m
 
     def wants_observation(self, now_us: int) -> bool:
         """A control period is due: sense before the tick."""
@@ -212,7 +203,9 @@ class Peer:
             effects += self.letters.tick(now_us)
             effects += self.roll_call.tick(now_us)
             effects += self._working.start_due(now_us)
+        late_us = now_us - self.voice.next_control_us
         if self.voice.control_due(now_us):
+            effects += self.check.look(late_us, now_us)
             effects += self._working.control(now_us)
         effects += self.voice.speak(self, now_us)
         return effects
@@ -294,14 +287,21 @@ class Peer:
         effects = [] if key is None else [*self.announce(section, key, "done", now_us)]
         return [*effects, *self.idle_if_free("finished")]
 
-    def leave(self, now_us: int) -> Sequence[Effect]:
-        """Say goodbye, so that our silence stops nobody; give back what is not finished."""
-        effects: list[Effect] = [HALT]
+    def give_back_all(self, now_us: int) -> list[Effect]:
+        """Everything that is claimed and not finished, with what is covered of it."""
         held = [*self.claims.contested_until_us]
         if self.claims.current is not None:
             held.append(self.claims.current)
+        effects = list(self.voice.flush(self, now_us)) if held else []
         for section in held:
             effects += self.release(section, now_us)
+        if held and self.mission is not None:
+            self.mission.abandon()
+        return effects
+
+    def leave(self, now_us: int) -> Sequence[Effect]:
+        """Say goodbye, so that our silence stops nobody; give back what is not finished."""
+        effects: list[Effect] = [HALT, *self.give_back_all(now_us)]
         if self.joining.joined:
             effects.append(Send(self.voice.farewell(self), source=self.joining.address))
         self.joining.leave()
@@ -332,6 +332,7 @@ class Peer:
         return FleetView(
             self.slot, now_us, self.here, self.allocation, self.progress,
             self.membership.live, self.membership.silent_since_us, self.membership.neighbours,
+            *(self.pause.round if self.pause is not None else ()),
         )  # fmt: skip
 
     def membership_changed(self, now_us: int) -> list[Effect]:

@@ -19,8 +19,9 @@ from secrets import randbits, token_bytes
 from typing import Any
 
 from agent.config import CONTENTION_US, S
-from agent.core import Identity, Peer
+from agent.core import Peer
 from agent.effects import Effect, Trace
+from agent.identity import Identity
 from agent.lifecycle import State
 from agent.ports import Bus, Journal
 from agent.safety import SilencePolicy

@@ -102,6 +102,14 @@ class Errands:
         self._calls = (0, 0)
         return wish._replace(covered=(0,), finished=True, near_end=True)
 
+    def admits(self, goal: Point) -> bool:
+        return self.floor.route.admits(goal)
+
+    def travel(self, goal: Point, view: FleetView) -> Wish:
+        if goal != self.goal:
+            self.goal, self._tracker = goal, None
+        return self._drive(view)[0]
+
     def rest(self, view: FleetView) -> Wish:
         self.goal, self._tracker = None, None
         return self._drive(view)[0]

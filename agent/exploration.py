@@ -280,6 +280,17 @@ class Exploration:
         self._see(view)
         return self._drive(view)
 
+    def admits(self, goal: XY) -> bool:
+        return self.chart.admits(goal)
+
+    def travel(self, goal: XY, view: FleetView) -> Wish:
+        self._see(view)
+        if goal != self._station:
+            self._head_for(goal, view)
+        elif self._blocked():
+            self._plan(view)
+        return self._drive(view)
+
     def rest(self, view: FleetView) -> Wish:
         self._see(view)
         if self.task is not None:

@@ -9,10 +9,8 @@ from collections.abc import Mapping
 from math import cos, hypot, inf, sin
 from typing import NamedTuple
 
-from shapely.geometry import LineString
-from shapely.geometry import Point as Spot
-
 from agent.allocator import Job, Point, shares
+from agent.blockage import BLOCKED_M, Blockage
 from agent.config import LEASE_US
 from agent.field import Field, Section
 from agent.lifecycle import State
@@ -22,7 +20,6 @@ from agent.tracker import Tracker
 from crdt import Phase
 
 MAKE_WAY_M = 6.0  # an idle robot keeps this far from one that works
-BLOCKED_M = 0.4  # margin of ORCA and of tracking, round a body that stands on a swath
 NEAR_END_S = 5.0  # claim the next section when this much work is left
 
 
@@ -55,6 +52,8 @@ def _beyond(a: Point, b: Point) -> Point:
 
 
 class FieldWork:
+    beside_m = BLOCKED_M  # left to a silent body
+
     def __init__(
         self,
         field: Field,
@@ -76,13 +75,9 @@ class FieldWork:
         self.lifted = False  # the implement was up since we last looked
         self.lifted_to_m = 0.0  # along the leg, until where it was
         self.worked: set[int] = set()  # units of the current section done since it was begun
-        self.heading_to: int | None = None  # the section an approach path leads to
+        self.heading_to: int | Point | None = None  # section or place an approach path leads to
+        self.blockage = Blockage(route, radius_m, self.beside_m)
         self._plan: dict[int, list[Job]] = {}
-        self.way = route  # the same with silent bodies in it
-        self._silent: tuple[int, ...] = ()
-        self.blocked_m = BLOCKED_M
-        self._blocked_by: tuple[int, tuple[int, ...]] = (-1, ())
-        self._blocked_units: frozenset[int] = frozenset()
 
     @property
     def section_units(self) -> Mapping[int, int]:
@@ -183,6 +178,16 @@ class FieldWork:
             self.legs, self.tracker = [legs[0]] if legs and not legs[0].units else [], None
         return self._drive(view)[0]
 
+    def admits(self, goal: Point) -> bool:
+        return self.route.admits(goal)
+
+    def travel(self, goal: Point, view: FleetView) -> Wish:
+        self._look_round(view)
+        if self.heading_to != goal or (self.tracker is None and not self.legs):
+            self.heading_to, self.tracker = goal, None
+            self.legs = [Leg(self.blockage.way.path((view.here.x_m, view.here.y_m), goal))]
+        return self._drive(view)[0]
+
     def begin(self, section: int, view: FleetView) -> None:
         self.section, self.heading_to = self.field.section(section), None
         self.worked.clear()
@@ -234,41 +239,34 @@ class FieldWork:
             return 0
         blocked = sum(
             1
-            for unit in self._blocked(view)
+            for unit in self._blocked(view, last=True)
             if unit not in self.worked and not view.progress.has(section.id, unit)
         )
         return section.units - known - blocked
 
     def _look_round(self, view: FleetView) -> None:
-        """Bodies of silent members are obstacles from now on, or no longer."""
-        silent = tuple(sorted(slot for slot in view.silent_since_us if slot in view.neighbours))
-        if silent == self._silent:
-            return
-        self._silent = silent
-        bodies = [(n.pose.x_m, n.pose.y_m) for n in (view.neighbours[slot] for slot in silent)]
-        reach_m = 2 * self.radius_m + self.blocked_m
-        self.way = self.route.round(bodies, reach_m) if bodies else self.route
+        """What stands in the field now is gone round from now on, or no longer."""
+        new = self.blockage.look(view)
+        if new is None or (new and self.blockage.touches(self._way_left(view), new)):
+            self._go_round(view)
+
+    def _go_round(self, view: FleetView) -> None:
         self.legs, self.tracker, self.heading_to = [], None, None
         if self.section is not None:
             self.legs = self._legs(self.section, view)
 
-    def _blocked(self, view: FleetView) -> frozenset[int]:
-        """Units on which a silent member's body stands: they cannot be worked before it is towed
-        away, and stay uncovered in the progress for everybody to see."""
+    def _way_left(self, view: FleetView) -> list[Point]:
+        """What is left of all legs, from where we are."""
+        ahead = [] if self.tracker is None else self.tracker.points[self.tracker.piece + 1 :]
+        legs = [point for leg in self.legs for point in leg.points]
+        return [(view.here.x_m, view.here.y_m), *ahead, *legs]
+
+    def _blocked(self, view: FleetView, last: bool) -> frozenset[int]:
+        """Units that are not worked now: those under a silent member's body stay uncovered in the
+        progress for everybody to see, until it is towed away. Those under a thing come last, and
+        are left as well where an operator said so."""
         assert self.section is not None
-        silent = tuple(sorted(slot for slot in view.silent_since_us if slot in view.neighbours))
-        if not silent:
-            return frozenset()
-        if self._blocked_by != (self.section.id, silent):
-            reach_m = 2 * self.radius_m + self.blocked_m
-            bodies = [view.neighbours[slot].pose for slot in silent]
-            self._blocked_by = (self.section.id, silent)
-            self._blocked_units = frozenset(
-                unit
-                for unit, line in enumerate(self.section.unit_lines())
-                if any(LineString(line).distance(Spot(b.x_m, b.y_m)) < reach_m for b in bodies)
-            )
-        return self._blocked_units
+        return self.blockage.units(self.section, things_too=view.leave_out or not last)
 
     def _drive(self, view: FleetView) -> tuple[Wish, list[int]]:
         here = view.here
@@ -288,7 +286,8 @@ class FieldWork:
                 break
             self.tracker = None
         vx_m_s, vy_m_s = self.tracker.velocity(here.x_m, here.y_m)
-        on_line = abs(self.tracker.off_m) <= 1.0
+        # Not sooner: before the leg's beginning it may be another robot's section.
+        on_line = self.tracker.gap_m <= LEAD_M
         return Wish(vx_m_s, vy_m_s, 0.0, bool(self.leg.units) and on_line), covered
 
     def _passed(self, view: FleetView) -> list[int]:
@@ -314,18 +313,9 @@ class FieldWork:
 
     def _legs(self, section: Section, view: FleetView) -> list[Leg]:
         """From here: the uncovered stretches of the section, nearest end first, joined by transits."""
-        mine = self.worked if self.section is section else frozenset[int]()
-        blocked = self._blocked(view) if self.section is section else frozenset[int]()
-        stretches = [
-            working_leg(points, units)
-            for points, units in section.stretches(
-                lambda unit: (
-                    unit not in mine
-                    and unit not in blocked
-                    and not view.progress.has(section.id, unit)
-                )
-            )
-        ]
+        stretches = self._stretches(section, view, last=False)
+        if not stretches:
+            stretches = self._stretches(section, view, last=True)
         if not stretches:
             return []
         at: Point = (view.here.x_m, view.here.y_m)
@@ -337,10 +327,25 @@ class FieldWork:
             if _distance(at, last) + 1e-6 < _distance(at, first):
                 leg = Leg(leg.points[::-1], leg.units[::-1])
             if _distance(at, leg.points[0]) > self.tolerance_m:
-                legs.append(Leg(self.way.path(at, leg.points[0])))
+                legs.append(Leg(self.blockage.way.path(at, leg.points[0])))
             legs.append(leg)
             at = leg.points[-1]
         return legs
+
+    def _stretches(self, section: Section, view: FleetView, last: bool) -> list[Leg]:
+        """What is left to work; `last`: what comes last too."""
+        mine = self.worked if self.section is section else frozenset[int]()
+        blocked = self._blocked(view, last) if self.section is section else frozenset[int]()
+        return [
+            working_leg(points, units)
+            for points, units in section.stretches(
+                lambda unit: (
+                    unit not in mine
+                    and unit not in blocked
+                    and not view.progress.has(section.id, unit)
+                )
+            )
+        ]
 
 
 def _distance(a: Point, b: Point) -> float:

@@ -137,10 +137,10 @@ class GivingWay:
             return True
         steps = np.arange(0.5, length_m / self.scale + 0.25, 0.5) * self.scale
         x, y = at[0] + ux * steps, at[1] + uy * steps
-        return bool(_distances(x, y, self.fences).min() > self.radius_m + 0.15 * self.scale)
+        return bool(distances_m(x, y, self.fences).min() > self.radius_m + 0.15 * self.scale)
 
 
-def _distances(
+def distances_m(
     x: NDArray[np.float64], y: NDArray[np.float64], fences: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Distance of each point to each segment, (points, segments)."""

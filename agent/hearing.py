@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from agent.cause import Cause
 from agent.config import S
+from agent.directive import DIRECTED
 from agent.effects import HALT, Effect, Trace
 from agent.membership import Neighbour
 from protocol.accord_frames import Accord
@@ -17,6 +18,7 @@ from protocol.fleet_frames import Heartbeat, LeaderElectionVote, Member, Pose, V
 from protocol.map_frames import MapDigests, MapPatch
 from protocol.messages import Message
 from protocol.network_frames import AddressClaimed
+from protocol.operator_frames import OperatorGoal
 from protocol.safety_frames import (
     AllImplementsStop,
     Challenge,
@@ -52,6 +54,7 @@ class Hearing:
             EmergencyReset: self._reset,
             AllImplementsStop: self._implements_stop,
             OperatorCommand: self._command,
+            OperatorGoal: self._goal,
             Challenge: self._challenge,
             Freshness: self._freshness,
             Pose: self._pose,
@@ -102,19 +105,30 @@ class Hearing:
         self, source: int, slot: int | None, m: OperatorCommand, now_us: int
     ) -> Sequence[Effect]:
         peer = self.peer
-        refusal = peer.safety.accept_command(m, now_us)
+        refusal = peer.safety.accept_order(m, now_us)
         if refusal is not None or m.target not in (peer.slot, EVERYBODY):
             return refusal or ()
         match m.command:
             case Command.MANUAL_RESET:
                 return peer.manual_reset(now_us)
             case Command.START:
-                return peer.start(now_us)
+                return [*peer.start(now_us), *peer.directive.over("an operator's start")]
             case Command.HOLD:
                 return peer.safety.hold(now_us)
             case Command.WAIVE if peer.membership.waive(m.argument, now_us):
                 return peer.membership_changed(now_us)
+        if m.command in DIRECTED:
+            return peer.directive.order(m, now_us)
         return ()
+
+    def _goal(
+        self, source: int, slot: int | None, m: OperatorGoal, now_us: int
+    ) -> Sequence[Effect]:
+        """A coordinate for SET_GOAL, believed as an order is."""
+        refusal = self.peer.safety.accept_order(m, now_us)
+        if refusal is None and m.target == self.peer.slot:
+            self.peer.directive.name(m, now_us)
+        return refusal or ()
 
     def _challenge(
         self, source: int, slot: int | None, m: Challenge, now_us: int

@@ -12,7 +12,7 @@ from protocol.messages import GROUP_OF
 from protocol.network_frames import AddressClaimed
 
 if TYPE_CHECKING:
-    from agent.core import Identity
+    from agent.identity import Identity
 
 CLAIM_PGN = GROUP_OF[AddressClaimed].pgn
 

@@ -25,6 +25,10 @@ class FleetView(NamedTuple):
     live: frozenset[int]  # includes ourselves
     silent_since_us: Mapping[int, int]  # members that fell silent and are not back
     neighbours: Mapping[int, Neighbour]
+    things: frozenset[tuple[float, float]] = (
+        frozenset()
+    )  # places to go round, by an operator's word
+    leave_out: bool = False  # and not to work, where they are
 
 
 class Choice(NamedTuple):
@@ -64,6 +68,14 @@ class Mission(Protocol):
     def begin(self, section: int, view: FleetView) -> None: ...
     def work(self, view: FleetView) -> Wish: ...
     def abandon(self) -> None: ...
+    def admits(self, goal: tuple[float, float]) -> bool:
+        """Whether a robot may be sent there."""
+        ...
+
+    def travel(self, goal: tuple[float, float], view: FleetView) -> Wish:
+        """Go to a place, without work."""
+        ...
+
     def interrupted(self) -> None:
         """The implement was lifted although the mission wanted it down: what is under way failed."""
         ...

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from agent.config import CONTROL_PERIOD_US, NEIGHBOURS_MAX, S
 from agent.effects import HALT, Drive
 from agent.giving_way import GivingWay, Other
+from agent.lookout import Lookout
 from agent.membership import Neighbour
 from agent.mission import Wish
 from agent.orca import Avoidance
@@ -66,6 +67,10 @@ class Motion:
         self.reach_m = 2 * limits.speed_m_s * horizon_s + 2 * limits.radius_m
         self.sensed = Sensed(fences, limits.radius_m) if looks else None
         self.strange: list[tuple[float, float]] = []  # seen at the last control period
+        # Who asks before going on needs to know every wall beforehand.
+        self.lookout: Lookout | None = None
+        if not (looks or self.sensing):
+            self.lookout = Lookout(limits.radius_m, limits.acceleration_m_s2, fences)
         self.giving_way: GivingWay | None = None
         if gives_way:
             scale = limits.radius_m / FIELD_RADIUS_M if self.sensing else 1.0

@@ -5,6 +5,7 @@ from typing import NamedTuple, Protocol
 
 from agent.effects import Drive, Persist
 from protocol.frame import Frame
+from protocol.health import Health
 
 
 class Observation(NamedTuple):
@@ -31,6 +32,9 @@ class Bus(Protocol):
     def subscribe(self, callback: Callable[[Frame], None]) -> None:
         """Call back for every frame received, in order, in the event loop's thread."""
         ...
+
+    @property
+    def health(self) -> Health: ...
 
     def close(self) -> None: ...
 

@@ -24,16 +24,25 @@ class Route:
         self.planner = Planner(blocked)
 
     def round(self, bodies: Sequence[Point], reach_m: float) -> "Route":
-        """The same with a disc blocked round each body that stands: another grid, made when a
-        robot falls silent, not for every path."""
-        rows, columns = self.blocked.shape
-        x_m = self.origin_x_m + (np.arange(columns) + 0.5) * self.cell_m
-        y_m = self.origin_y_m + (np.arange(rows) + 0.5) * self.cell_m
-        blocked = self.blocked.copy()
+        """The same with a disc blocked round each body that stands: another grid, made when
+        something comes or goes, not for every path."""
+        blocked, reach = self.blocked.copy(), int(reach_m / self.cell_m) + 1
         for body_x_m, body_y_m in bodies:
+            row, column = self._cell((body_x_m, body_y_m))
+            top, left = max(row - reach, 0), max(column - reach, 0)
+            window = blocked[top : row + reach + 1, left : column + reach + 1]
+            y_m = self.origin_y_m + (top + np.arange(window.shape[0]) + 0.5) * self.cell_m
+            x_m = self.origin_x_m + (left + np.arange(window.shape[1]) + 0.5) * self.cell_m
             gap2 = (x_m[None, :] - body_x_m) ** 2 + (y_m[:, None] - body_y_m) ** 2
-            blocked |= gap2 < reach_m * reach_m
+            window |= gap2 < reach_m * reach_m
         return Route(blocked, self.origin_x_m, self.origin_y_m, self.cell_m)
+
+    def admits(self, point: Point) -> bool:
+        """Whether a robot's centre may be there."""
+        row = int((point[1] - self.origin_y_m) // self.cell_m)
+        column = int((point[0] - self.origin_x_m) // self.cell_m)
+        rows, columns = self.blocked.shape
+        return 0 <= row < rows and 0 <= column < columns and not self.blocked[row, column]
 
     def path(self, start: Point, goal: Point) -> tuple[Point, ...]:
         """Waypoints from start to goal, both included exactly; the straight line where none is found.

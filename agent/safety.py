@@ -15,6 +15,7 @@ from agent.config import MEMBERSHIP_STABLE_US, MS, STOP_REPEAT_US, STOP_SPACING_
 from agent.effects import HALT, Drive, Effect, Persist, Send, Trace
 from crdt.stops import StopDot, StopSet
 from protocol.authentication import Keyring
+from protocol.operator_frames import OperatorGoal
 from protocol.safety_frames import (
     AllImplementsStop,
     Command,
@@ -34,12 +35,12 @@ FREE, HELD, LATCHED = (
 CREEP_M_S = 0.5
 UNAUTHENTICATED_HOLD_US = 1 * S  # a stop without a valid tag holds this long after its last frame
 IMPLEMENTS_HOLD_US = 3 * S  # the standard frame comes every second; three are missing
-LATE_HOLD_US = 1 * S  # a robot that was frozen looks around before it moves
 REPEATS_MAX = 400  # 2 s of repetition; then the heartbeats' stopped bit carries the latch
 AGAIN_US = 100 * MS  # 20 repeats: who still beats as if nothing was may know our dot as cleared
 AGAIN_MAX = 3  # further dots for one press; beyond it that member cannot hear us at all
 ANSWER_SPACING_US = 100 * MS  # a member that beats unlatched is told again at most this often
 FOREVER = 1 << 62
+STANDS = (Command.HOLD, Command.STOP, Command.WAIT)  # one tag is enough for what moves nobody
 
 
 class SilencePolicy(Enum):
@@ -119,6 +120,9 @@ class Safety:
 
     def echoed(self, dot: StopDot) -> frozenset[int]:
         return frozenset(self._echoes.get(dot, ()))
+
+    def holds(self, cause: Cause) -> bool:
+        return cause in self._causes
 
     def raise_cause(self, cause: Cause, now_us: int, detail: str = "", for_us: int = 0) -> None:
         self._causes[cause] = detail
@@ -229,11 +233,14 @@ class Safety:
             self.clear_cause(Cause.IMPLEMENTS_STOP, now_us)
         return ()
 
-    def accept_command(self, m: OperatorCommand, now_us: int) -> Sequence[Effect] | None:
+    def accept_order(
+        self, m: OperatorCommand | OperatorGoal, now_us: int
+    ) -> Sequence[Effect] | None:
         """None: it has authority. Otherwise what to do about it."""
         if not self.authority.believes(m, m.operator, now_us):
             return self.authority.ask(m.operator, now_us)
-        return None if m.command == Command.HOLD or self.authority.agreed(m, now_us) else ()
+        stands = isinstance(m, OperatorCommand) and m.command in STANDS
+        return None if stands or self.authority.agreed(m, now_us) else ()
 
     # ---------------------------------------------------------------- people at this machine
 
@@ -275,10 +282,8 @@ class Safety:
     @property
     def deadline_us(self) -> int:
         deadline = self._repeat_us
-        if Cause.MEMBER_SILENT in self._causes:
-            settled_us = self._stable_us + MEMBERSHIP_STABLE_US
-            if not self._silent or self.policy is not SilencePolicy.STOP:
-                deadline = min(deadline, settled_us)
+        if self._settles:
+            deadline = min(deadline, self._stable_us + MEMBERSHIP_STABLE_US)
         for expires_us in self._expires_us.values():
             deadline = min(deadline, expires_us)
         return deadline
@@ -291,17 +296,21 @@ class Safety:
         self._end_silence(now_us)
         return self._repeat(now_us) if now_us >= self._repeat_us else ()
 
+    @property
+    def _settles(self) -> bool:
+        """A stable membership will change something."""
+        if Cause.MEMBER_SILENT in self._causes:
+            return not self._silent or self.policy is not SilencePolicy.STOP
+        return Cause.CREEP in self._causes and not self._silent
+
     def _end_silence(self, now_us: int) -> None:
-        if (
-            Cause.MEMBER_SILENT not in self._causes
-            or now_us < self._stable_us + MEMBERSHIP_STABLE_US
-        ):
-            return
-        if self._silent and self.policy is SilencePolicy.STOP:
+        if not self._settles or now_us < self._stable_us + MEMBERSHIP_STABLE_US:
             return
         self.clear_cause(Cause.MEMBER_SILENT, now_us)
         if self._silent and self.policy is SilencePolicy.SLOW:
             self.raise_cause(Cause.CREEP, now_us, f"silent {sorted(self._silent)}")
+        else:
+            self.clear_cause(Cause.CREEP, now_us)
 
     def _repeat(self, now_us: int) -> Sequence[Effect]:
         """As the source: every 5 ms until every live member has echoed."""

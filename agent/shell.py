@@ -46,6 +46,7 @@ class Shell:
         self._armed_us = 0  # when the timer that is set will fire
         self._failure: Exception | None = None
         self._disk_failed = False
+        self._taken = True  # the bus took the last frame
         self._frozen_until_us = 0  # 0: not frozen
 
     @staticmethod
@@ -71,7 +72,7 @@ class Shell:
                     continue
                 source = self.peer.address if effect.source is None else effect.source
                 if source is not None:
-                    self.bus.send(encode(effect.message, source, effect.destination))
+                    self._taken = self.bus.send(encode(effect.message, source, effect.destination))
             elif isinstance(effect, Drive):
                 if self.body is not None:
                     self.body.drive(effect, now_us)
@@ -166,6 +167,7 @@ class Shell:
         """Tick, if something is due."""
         now_us, peer = self.clock(), self.peer
         if now_us >= peer.deadline_us:
+            self.perform(peer.check.bus(self.bus.health, self._taken, now_us))
             if self.body is not None and peer.wants_observation(now_us):
                 peer.observe(self.body.sense(now_us), now_us)
             self.perform(peer.tick(now_us))

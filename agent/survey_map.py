@@ -55,6 +55,13 @@ class SurveyMap:
         own = self.own()
         return np.where(own != UNKNOWN, own, self.fleet.values())
 
+    def admits(self, at: tuple[float, float]) -> bool:
+        """Whether a robot may be sent there, as far as is known."""
+        row, column = self.geometry.cell(at)
+        rows, columns, _, _ = self.geometry
+        inside = 0 <= row < rows and 0 <= column < columns
+        return inside and not self.grid.tight.blocked[row, column]
+
     def hear(self) -> None:
         """Take walls of the fleet's map into the one that ways are planned over."""
         if self.fleet.version != self._version:

@@ -39,6 +39,7 @@ class Tracker:
         self.piece = 0  # the segment we are on; it only grows
         self.along_m = 0.0  # arc length of our projection
         self.off_m = 0.0  # cross-track distance, positive to the left
+        self.gap_m = 0.0  # to the segment we are on, also before its beginning and after its end
         self.arrived = False
 
     def locate(self, x_m: float, y_m: float) -> None:
@@ -52,6 +53,7 @@ class Tracker:
             ux, uy = (bx - ax) / length_m, (by - ay) / length_m
             t_m = (x_m - ax) * ux + (y_m - ay) * uy
             self.off_m = (y_m - ay) * ux - (x_m - ax) * uy
+            self.gap_m = hypot(self.off_m, max(-t_m, t_m - length_m, 0.0))
             last = self.piece == len(self.lengths_m) - 1
             if t_m >= length_m - (0.0 if last else ARRIVED_M) and not last:
                 self.piece += 1
@@ -61,7 +63,7 @@ class Tracker:
             self.arrived = at_end and hypot(x_m - bx, y_m - by) <= BESIDE_M
             return
         x_end, y_end = self.points[-1]  # nothing but a point is left
-        self.off_m = hypot(x_m - x_end, y_m - y_end)
+        self.off_m = self.gap_m = hypot(x_m - x_end, y_m - y_end)
         self.arrived = self.off_m <= ARRIVED_M
         self.along_m = self.total_m if self.arrived else max(0.0, self.total_m - 2 * ARRIVED_M)
 

@@ -11,10 +11,12 @@ from collections.abc import Mapping
 from math import cos, hypot, sin
 
 import numpy as np
+from numpy.typing import NDArray
 
 from agent.config import CONTROL_PERIOD_US, MS, S
 from agent.effects import Drive
 from agent.giving_way import Other
+from agent.lookout import Lookout
 from agent.membership import Neighbour
 from agent.mission import Wish
 from agent.motion import MARGIN_M, Motion
@@ -37,8 +39,13 @@ HALF_PERIOD_S = CONTROL_PERIOD_US / S / 2  # the course is that of the middle of
 
 
 class TractorMotion(Motion):
-    def __init__(self, slot: int, limits: Body, turns: TurnRoute, steering: Limits) -> None:
+    def __init__(
+        self, slot: int, limits: Body, turns: TurnRoute, steering: Limits,
+        fences: NDArray[np.float64],
+    ) -> None:  # fmt: skip
+        """`fences`: known segments (n, 4), metres; only the lookout asks for them."""
         super().__init__(slot, limits, np.empty((0, 4)))
+        self.lookout = Lookout(limits.radius_m, limits.acceleration_m_s2, fences)
         self.escape = Escape(turns, limits.radius_m, steering)
         self.given = 0
         self._anchor, self._anchor_us = (0.0, 0.0), 0

@@ -5,12 +5,13 @@ turning circle: next comes the one that the shortest Dubins word leads to, so ro
 radii are taken with others between them where there are any.
 """
 
-from math import cos, hypot, sin
+from math import cos, hypot, pi, sin
 
+from agent.allocator import Point
 from agent.config import CONTROL_PERIOD_US, S
 from agent.dubins import shortest_m
 from agent.field import Field, Section
-from agent.field_work import MAKE_WAY_M, FieldWork, Leg, working_leg
+from agent.field_work import MAKE_WAY_M, FieldWork, Leg
 from agent.lifecycle import State
 from agent.mission import STILL, FleetView, Wish
 from agent.route import Route
@@ -19,6 +20,7 @@ from agent.tractor_tracker import Limits, TractorTracker, distance_m, heading_of
 from agent.turn_route import Piece, Pose, TurnRoute, sampled
 
 BEND_HALF_M = 0.6  # to both sides of a bend, over which it is rounded
+BESIDE_M = 0.5  # further from the leg the implement is up: it may be another robot's section
 JOIN_M_S = 1.5  # from a turn into a stretch
 LEAVE_M_S = 0.8  # from a stretch into a turn that is not known yet
 ROOM_M = 1.5  # with as much as this beyond its end
@@ -33,13 +35,14 @@ HALF_PERIOD_S = CONTROL_PERIOD_US / S / 2  # the course is that of the middle of
 
 
 class TractorWork(FieldWork):
+    beside_m = BLOCKED_M
+
     def __init__(
         self, field: Field, route: Route, turns: TurnRoute, radius_m: float, limits: Limits
     ) -> None:
         super().__init__(field, route, radius_m, limits.speed_m_s, limits.deceleration_m_s2)
         self.turns, self.limits = turns, limits
         self.reach_m = 2 * radius_m + BODY_M
-        self.blocked_m = BLOCKED_M
         self.follow: TractorTracker | None = None
         self.bodies: list[tuple[float, float]] = []  # gone round since we were stuck
         self.joined = False  # at the beginning of the first leg, pointing along it
@@ -63,6 +66,16 @@ class TractorWork(FieldWork):
         if not (going and self.legs):
             self.legs, self.follow, self.joined = self._legs(self.section, view), None, False
         self.tracker = self.follow  # type: ignore[assignment]
+
+    def travel(self, goal: Point, view: FleetView) -> Wish:
+        """In whichever direction it can be reached, tried one after another."""
+        self._look_round(view)
+        if self.heading_to != goal:
+            self.heading_to, self.follow, self.joined = goal, None, False
+            away_rad = heading_of((view.here.x_m, view.here.y_m), goal)
+            ends = (away_rad + k * pi / 4 for k in (0, 1, -1, 2, -2, 3, -3, 4))
+            self.legs = [Leg((goal, (goal[0] + cos(a), goal[1] + sin(a)))) for a in ends]
+        return STILL if self.joined else self._drive(view, only_approach=True)[0]
 
     def abandon(self) -> None:
         super().abandon()
@@ -88,11 +101,9 @@ class TractorWork(FieldWork):
             return self.follow.points[-1]
         return view.here.x_m, view.here.y_m
 
-    def _look_round(self, view: FleetView) -> None:
-        before = self._silent
-        super()._look_round(view)
-        if self._silent != before:
-            self.follow, self.joined = None, False
+    def _go_round(self, view: FleetView) -> None:
+        super()._go_round(view)
+        self.follow, self.joined = None, False
 
     def _drive(self, view: FleetView, only_approach: bool = False) -> tuple[Wish, list[int]]:
         here = Pose(view.here.x_m, view.here.y_m, view.here.heading_rad)
@@ -111,7 +122,7 @@ class TractorWork(FieldWork):
                 break
             self.joined = not self.leg.units
             self.follow = self.tracker = None
-        tool = bool(self.leg.units) and abs(self.follow.off_m) <= 0.5
+        tool = bool(self.leg.units) and self.follow.gap_m <= BESIDE_M
         return _wish(here, self.follow.command(), tool), covered
 
     def _next(self, view: FleetView, here: Pose, only_approach: bool) -> bool:
@@ -135,7 +146,8 @@ class TractorWork(FieldWork):
                 for slot, n in view.neighbours.items()
                 if slot in view.silent_since_us
             ]
-            pieces = self.turns.way(here, start, [*self.bodies, *silent], self.reach_m)
+            standing = [*self.bodies, *silent, *view.things]
+            pieces = self.turns.way(here, start, standing, self.reach_m)
             if pieces == []:  # we are there
                 self.joined = True
                 return self._next(view, here, only_approach)
@@ -177,18 +189,8 @@ class TractorWork(FieldWork):
 
     def _legs(self, section: Section, view: FleetView) -> list[Leg]:
         """The uncovered stretches of the section, each next by the shortest turn."""
-        mine = self.worked if self.section is section else frozenset[int]()
-        blocked = self._blocked(view) if self.section is section else frozenset[int]()
-        left = [
-            working_leg(points, units)
-            for points, units in section.stretches(
-                lambda unit: (
-                    unit not in mine
-                    and unit not in blocked
-                    and not view.progress.has(section.id, unit)
-                )
-            )
-        ]
+        left = self._stretches(section, view, last=False)
+        left = left or self._stretches(section, view, last=True)
         at = Pose(view.here.x_m, view.here.y_m, view.here.heading_rad)
         legs: list[Leg] = []
         while left:

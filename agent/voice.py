@@ -12,7 +12,7 @@ from agent.config import BEATS, CONTROL_PERIOD_US, Beat, S
 from agent.effects import Effect, Persist, Send
 from agent.lifecycle import State
 from crdt.progress import BLOCK_UNITS
-from protocol.fleet_frames import Heartbeat, Member, Pose, VectorSlice
+from protocol.fleet_frames import NOBODY, Heartbeat, Member, Pose, VectorSlice
 from protocol.map_frames import MapPatch
 from protocol.work_frames import WorkProgress
 
@@ -38,6 +38,8 @@ class Voice:
         self.heartbeats = 0
         self.counter = FIRST_COUNTER
         self.redone = 0  # units that somebody else had announced before us
+        self._live: frozenset[int] = frozenset()
+        self._others: list[int] = []
         self.pending: dict[tuple[int, int], int] = {}  # (section, block) -> bits to announce
 
     @property
@@ -117,15 +119,24 @@ class Voice:
     def _pose(self, peer: "Peer") -> Pose:
         here, state = peer.here, peer.lifecycle.state
         stopped = state is State.EMERGENCY_STOP
-        tick = self.beats & 0xFF
+        heard = self._reflected(peer)
         if here is None:
-            return Pose(0.0, 0.0, 0.0, 0.0, state, stopped, tick)
+            return Pose(0.0, 0.0, 0.0, 0.0, state, stopped, heard)
         speed_m_s = hypot(here.vx_m_s, here.vy_m_s)
         moving = (
             speed_m_s > 0.02
         )  # below the resolution of POSE the course is noise: send the heading
         course_rad = atan2(here.vy_m_s, here.vx_m_s) if moving else here.heading_rad
-        return Pose(here.x_m, here.y_m, course_rad, speed_m_s, state, stopped, tick)
+        return Pose(here.x_m, here.y_m, course_rad, speed_m_s, state, stopped, heard)
+
+    def _reflected(self, peer: "Peer") -> int:
+        """A member that we hear, another with each beat: so it learns that it is heard."""
+        live = peer.membership.live
+        if live is not self._live:
+            self._live, self._others = live, sorted(live - {self.slot})
+        if not self._others:
+            return NOBODY
+        return self._others[(self.beats + self.slot) % len(self._others)]
 
     def _heartbeat(self, peer: "Peer") -> list[Effect]:
         self.heartbeats += 1

@@ -22,6 +22,8 @@ class Working:
         peer = self.peer
         if peer.lifecycle.state is not State.IDLE or not peer.safety.may_move:
             return ()
+        if peer.directive.goal is not None:
+            return ()
         if peer.claims.current is not None:  # kept through a stop and its reset
             return peer.fire(Event.CLAIMED, f"resumes S{peer.claims.current}")
         section = peer.claims.start_due(now_us)
@@ -51,6 +53,9 @@ class Working:
             peer.agreeing.attend(view, peer.lifecycle.state)
         peer.wish = self._wish(view, effects)
         wanted = peer.motion.drive(peer.here, peer.wish, peer.membership.neighbours, now_us)
+        if peer.pause is not None:
+            wanted, said = peer.pause.watch(wanted, peer.here, now_us)
+            effects += said
         drive = peer.safety.gate(wanted, now_us)
         if not drive.tool_on:
             peer.mission.interrupted()
@@ -62,6 +67,8 @@ class Working:
         state, claims = peer.lifecycle.state, peer.claims
         if state not in (State.IDLE, State.WORKING) or not peer.safety.may_move:
             return STILL
+        if peer.directive.goal is not None:
+            return peer.directive.wish(view, effects)
         if (
             claims.room
             and (claims.current is None or peer.wish.near_end)

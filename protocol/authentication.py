@@ -23,6 +23,7 @@ from cryptography.hazmat.primitives.cmac import CMAC
 from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.kdf.hkdf import HKDF
 
+from protocol.operator_frames import OperatorGoal
 from protocol.safety_frames import (
     Challenge,
     EmergencyReset,
@@ -31,8 +32,8 @@ from protocol.safety_frames import (
     OperatorCommand,
 )  # fmt: skip
 
-Signed = TypeVar("Signed", EmergencyStop, EmergencyReset, OperatorCommand)
-AnySigned = EmergencyStop | EmergencyReset | OperatorCommand
+Signed = TypeVar("Signed", EmergencyStop, EmergencyReset, OperatorCommand, OperatorGoal)
+AnySigned = EmergencyStop | EmergencyReset | OperatorCommand | OperatorGoal
 
 PANEL_FIRST = 128  # sender ids from here are stop panels
 OPERATOR_FIRST = 192  # and from here operator devices, which may release
@@ -45,7 +46,12 @@ BAD_WINDOW_US = 10_000_000
 ASK_SPACING_US = 100_000  # between questions, whomever to: forged frames make no flood of them
 NUMBER_LIFE_US = 1_000_000  # of a number used once: a proof that was held back for longer is void
 ANSWER_SPACING_US = 10_000  # and answers one asker at most this often
-_GROUPS = {EmergencyStop: 0xFF00, EmergencyReset: 0xFF01, OperatorCommand: 0xFF02}
+_GROUPS = {
+    EmergencyStop: 0xFF00,
+    EmergencyReset: 0xFF01,
+    OperatorCommand: 0xFF02,
+    OperatorGoal: 0xFF06,
+}
 _FRESHNESS_GROUP = 0xEF00
 
 

@@ -7,6 +7,7 @@ from typing import Any
 import can
 
 from protocol.frame import Frame
+from protocol.health import Health, told_by
 
 
 class CanBus:
@@ -16,6 +17,7 @@ class CanBus:
         self.bus = bus
         self.ignored = 0  # error, remote and 11-bit frames
         self.refused = 0  # frames the driver did not take
+        self._told = Health.ACTIVE  # by error frames
         self._notifier: can.Notifier | None = None
         self._submit: Callable[[Frame], bool] | None = getattr(bus, "submit", None)
 
@@ -34,6 +36,17 @@ class CanBus:
         self.refused += not taken
         return taken
 
+    @property
+    def health(self) -> Health:
+        """Of the controller: what the interface says, or else its error frames."""
+        try:
+            state = self.bus.state
+        except (NotImplementedError, can.CanError, OSError):
+            return self._told
+        if state is can.BusState.ACTIVE:
+            return self._told
+        return Health.OFF if state is can.BusState.ERROR else Health.PASSIVE
+
     def subscribe(self, callback: Callable[[Frame], None]) -> None:
         """Give every data frame to the callback, in the running loop's thread."""
         direct = getattr(self.bus, "subscribe", None)
@@ -44,8 +57,10 @@ class CanBus:
         def heard(message: can.Message) -> None:
             if message.is_extended_id and not (message.is_error_frame or message.is_remote_frame):
                 callback(Frame(message.arbitration_id, bytes(message.data)))
-            else:
-                self.ignored += 1
+                return
+            self.ignored += 1
+            if message.is_error_frame:
+                self._told = told_by(message.arbitration_id, bytes(message.data), self._told)
 
         self._notifier = can.Notifier(self.bus, [heard], loop=asyncio.get_running_loop())
 

@@ -5,6 +5,7 @@ from struct import Struct
 from typing import NamedTuple
 
 STATES = 5  # values of agent.lifecycle.State
+NOBODY = 255  # heard, in POSE
 LENGTH_M = 0.05  # unit of x and y in POSE
 SPEED_M_S = 0.05  # unit of the speed in POSE
 COURSES = 512  # steps of a full turn in POSE
@@ -30,7 +31,7 @@ class Pose(NamedTuple):
     43..50  speed      0.05 m/s, 0 to 12.75
     51..53  state      lifecycle state
     54      stopped    latched emergency stop
-    55..62  tick       count of beats, modulo 256
+    55..62  heard      slot of a member whom I hear, another with each beat; 255: nobody
     63      reserved   0
     """
 
@@ -40,7 +41,7 @@ class Pose(NamedTuple):
     speed_m_s: float
     state: int
     stopped: bool
-    tick: int
+    heard: int
 
     def pack(self) -> bytes:
         x, y = round(self.x_m / LENGTH_M) + _HALF, round(self.y_m / LENGTH_M) + _HALF
@@ -48,7 +49,7 @@ class Pose(NamedTuple):
         course = round(self.course_rad / _COURSE_RAD) % COURSES
         speed = min(round(self.speed_m_s / SPEED_M_S), 255)
         word = x | y << 17 | course << 34 | speed << 43 | self.state << 51
-        return (word | self.stopped << 54 | self.tick << 55).to_bytes(8, "little")
+        return (word | self.stopped << 54 | self.heard << 55).to_bytes(8, "little")
 
     @classmethod
     def unpack(cls, data: bytes) -> "Pose":

@@ -12,6 +12,7 @@ from protocol.network_frames import (
     TransportData,
     TransportManagement,
 )  # fmt: skip
+from protocol.operator_frames import OperatorGoal, OperatorReport
 from protocol.safety_frames import (
     AllImplementsStop,
     Challenge,
@@ -30,6 +31,7 @@ from protocol.work_frames import (
 
 Message = (
     EmergencyStop | EmergencyReset | OperatorCommand | AllImplementsStop | Challenge | Freshness
+    | OperatorGoal | OperatorReport
     | LeaderElectionVote | TaskClaim | Pose | Heartbeat | Member
     | StateSyncRequest | StateSyncResponse | Digests | VectorSlice | WorkProgress | Accord
     | MapPatch | MapDigests
@@ -48,11 +50,13 @@ class Group(NamedTuple):
 GROUPS = (
     Group(EmergencyStop, 0xFF00, 0, 8, "EMERGENCY_STOP"),
     Group(EmergencyReset, 0xFF01, 1, 8, "EMERGENCY_RESET"),
+    Group(OperatorGoal, 0xFF06, 1, 8, "OPERATOR_GOAL"),  # so that it leaves before its SET_GOAL
     Group(OperatorCommand, 0xFF02, 2, 8, "OPERATOR_COMMAND"),
     Group(Challenge, 0xFF03, 2, 8, "CHALLENGE"),
     Group(Freshness, 0xEF00, 2, 8, "FRESHNESS"),
     Group(AllImplementsStop, 0xFD02, 3, 8, "ALL_IMPLEMENTS_STOP"),
     Group(LeaderElectionVote, 0xFF04, 3, 8, "LEADER_ELECTION_VOTE"),
+    Group(OperatorReport, 0xFF05, 4, 8, "OPERATOR_REPORT"),
     Group(TaskClaim, 0xFF08, 4, 8, "TASK_CLAIM"),
     Group(Pose, 0xFF10, 5, 8, "POSE"),
     Group(Heartbeat, 0xFF11, 6, 8, "HEARTBEAT"),

@@ -21,10 +21,12 @@ class Command(IntEnum):
     START = 1
     HOLD = 2
     WAIVE = 3  # argument: the silent member to go on without
-    GO_HOME = 4
-    CONTINUE = 5
-    REPLAN = 6
-    WAIT = 7
+    GO_HOME = 4  # give back the work, drive to where it was switched on, and stay there
+    CONTINUE = 5  # go on, past what is in the way; leave out what it stands on
+    REPLAN = 6  # go on with what is left, round what is in the way; come back to its place last
+    WAIT = 7  # stand until it has left
+    STOP = 8  # give back the work and stand until START
+    SET_GOAL = 9  # give back the work and drive to the place that OPERATOR_GOAL named
 
 
 class Switch(IntEnum):
@@ -103,7 +105,8 @@ class OperatorCommand(NamedTuple):
     0     command    u8    Command
     1     target     u8    slot, 255: every robot
     2     operator   u8    operator device (192..254 in a fleet with keys)
-    3     argument   u8    by command
+    3     argument   u8    by command: the silent slot (WAIVE), goal_check (SET_GOAL); CONTINUE, REPLAN
+                           and WAIT: the number of the question they answer, 0: any
     4     freshness  u8    low byte of the operator's freshness counter
     5..7  tag        u24   AES-CMAC with the operator's key
     """

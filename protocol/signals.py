@@ -28,6 +28,13 @@ from protocol.network_frames import (
     TransportData,
     TransportManagement,
 )
+from protocol.operator_frames import (
+    LOWEST_M,
+    PLACE_M,
+    Matter,
+    OperatorGoal,
+    OperatorReport,
+)
 from protocol.safety_frames import (
     AllImplementsStop,
     Challenge,
@@ -88,6 +95,17 @@ SIGNALS: dict[type[Message], tuple[Signal, ...]] = {
         Signal("command", 0, 8, choices=_members(Command)), Signal("target", 8, 8),
         Signal("operator", 16, 8), Signal("argument", 24, 8), *_PROOF,
     ),
+    OperatorGoal: (
+        Signal("target", 0, 8), Signal("operator", 8, 8), Signal("value", 16, 15),
+        Signal("north", 31, 1), *_PROOF,
+    ),
+    OperatorReport: (
+        Signal("slot", 0, 8), Signal("number", 8, 4),
+        Signal("matter", 12, 4, choices=_members(Matter)),
+        Signal("x_m", 16, 16, PLACE_M, LOWEST_M, "m"),
+        Signal("y_m", 32, 16, PLACE_M, LOWEST_M, "m"),
+        Signal("distance_m", 48, 8, PLACE_M, 0, "m"), Signal("radius_m", 56, 8, PLACE_M, 0, "m"),
+    ),
     Challenge: (Signal("asked", 0, 8), Signal("asker", 8, 8), Signal("number", 16, 48)),
     Freshness: (Signal("sender", 0, 8), Signal("counter", 8, 32), Signal("tag", 40, 24)),
     AllImplementsStop: (
@@ -103,7 +121,7 @@ SIGNALS: dict[type[Message], tuple[Signal, ...]] = {
         Signal("x_m", 0, 17, LENGTH_M, _LOW, "m"), Signal("y_m", 17, 17, LENGTH_M, _LOW, "m"),
         Signal("course_rad", 34, 9, 2 * pi / COURSES, 0, "rad"),
         Signal("speed_m_s", 43, 8, SPEED_M_S, 0, "m/s"), Signal("state", 51, 3, choices=STATE),
-        Signal("stopped", 54, 1), Signal("tick", 55, 8),
+        Signal("stopped", 54, 1), Signal("heard", 55, 8),
     ),
     Heartbeat: (
         Signal("counter", 0, 8), Signal("state", 8, 3, choices=STATE), Signal("stopped", 11, 1),

@@ -15,7 +15,8 @@ from sim.world import World
 TELL_US = 20_000  # one world step
 HELLO_S = 0.2  # a robot that has heard nothing yet says that it is there
 DRIVE = struct.Struct("<4sBdddB")  # magic, slot, vx, vy, turn, implement
-SENSE = struct.Struct("<4sBddddd")  # magic, slot, x, y, heading, vx, vy
+SENSE = struct.Struct("<4sBddddd")  # magic, slot, x, y, heading, vx, vy; then a float for each ray
+RAY = struct.Struct("<f")
 MAGIC_DRIVE, MAGIC_HELLO, MAGIC_SENSE = b"HLDr", b"HLHi", b"HLSe"
 Address = tuple[str, int]
 
@@ -59,7 +60,9 @@ class BodyServer(asyncio.DatagramProtocol):
             for slot, address in self.addresses.items():
                 seen = self.world.body(slot).sense(now_us)
                 if self._transport is not None:
-                    self._transport.sendto(SENSE.pack(MAGIC_SENSE, slot, *seen[:5]), address)
+                    rays = struct.pack(f"<{len(seen.ranges_m)}f", *seen.ranges_m)
+                    head = SENSE.pack(MAGIC_SENSE, slot, *seen[:5])
+                    self._transport.sendto(head + rays, address)
             next_s = max(next_s + TELL_US / 1e6, loop.time())
             await asyncio.sleep(next_s - loop.time())
 
@@ -80,9 +83,13 @@ class RemoteBody(asyncio.DatagramProtocol):
         """The world is gone; commands expire there, and the launcher ends us."""
 
     def datagram_received(self, data: bytes, address: Address) -> None:
-        if len(data) == SENSE.size and data[:4] == MAGIC_SENSE and data[4] == self.slot:
-            _, _, *fields = SENSE.unpack(data)
-            self.seen = Observation(*fields)
+        rays = (len(data) - SENSE.size) // RAY.size
+        if rays < 0 or len(data) != SENSE.size + rays * RAY.size:
+            return
+        if data[:4] == MAGIC_SENSE and data[4] == self.slot:
+            _, _, *fields = SENSE.unpack_from(data)
+            ranges_m = struct.unpack_from(f"<{rays}f", data, SENSE.size)
+            self.seen = Observation(*fields)._replace(ranges_m=ranges_m)
             self.first.set()
 
     async def ready(self) -> None:

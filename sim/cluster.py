@@ -10,9 +10,12 @@ from random import Random
 
 import can
 
-from agent.core import Identity, Peer
+from agent.core import Peer
 from agent.effects import Drive, Effect
+from agent.identity import Identity
+from agent.lifecycle import State
 from agent.ports import Body, Journal, Observation
+from agent.safety import SilencePolicy
 from agent.shell import Shell
 from protocol.authentication import Signed
 from protocol.bus import CanBus
@@ -20,13 +23,14 @@ from protocol.codec import decode_once, encode
 from protocol.frame import Frame
 from protocol.messages import Message
 from protocol.name import fleet_name
-from protocol.safety_frames import Challenge
+from protocol.safety_frames import Challenge, Reason
 from sim.disk import MemoryJournal
 from sim.errand_setting import ErrandSetting
 from sim.fieldbus import FieldBus, forget, segment
 from sim.host import Handle, Host, LoopHost
 from sim.scenario import Join, Scenario
 from sim.setting import Setting
+from sim.stop_watch import StopWatch, reached
 from sim.swarm import Swarm
 
 OPERATOR = 200  # slot of the operator device that a scenario's resets come from
@@ -105,6 +109,7 @@ class Cluster:
         self.host: Host = self._loop_host if host is None else host
         self.scenario: Scenario = setting.scenario
         self.world = setting.world()
+        self.stops = StopWatch(self.world, self.scenario.fleet.robots)
         bus, seed = self.scenario.bus, self.scenario.run.seed
         clock = host if isinstance(host, Swarm) else None
         self.segment = segment(channel, bitrate=bus.bitrate, seed=seed, clock=clock)
@@ -164,6 +169,23 @@ class Cluster:
         """Switched on; the buttons of a dead machine do nothing."""
         return slot in self.robots and self.robots[slot].running
 
+    def press(self, slot: int, reason: Reason = Reason.PERSON_IN_FIELD) -> None:
+        """A person presses the stop of that robot; from now on it is watched who obeys.
+
+        Where silence stops everybody, everybody must; else those that can hear of it.
+        """
+        if not self.is_up(slot):
+            return
+        members = [r for r in self.running if r.peer.state is not State.DISCONNECTED]
+        if self.setting.silence is not SilencePolicy.STOP:
+            nodes = {robot.bus.node for robot in members}
+            hearers = reached(self.segment.wire, self.node_of(slot), nodes)
+            members = [robot for robot in members if robot.bus.node in hearers]
+        now_us = self.host.now_us()
+        self.world.advance(now_us)
+        self.stops.pressed(now_us, {slot, *(robot.slot for robot in members)})
+        self.robots[slot].shell.operate(lambda p, now: p.press(reason, now))
+
     def node_of(self, slot: int) -> int:
         return self.robots[slot].bus.node
 
@@ -182,6 +204,7 @@ class Cluster:
 
     def order(self, message: Signed) -> None:
         """The same from the operator's device: where the fleet has keys with a tag, and twice."""
+        self.stops.ordered(message)
         if self._keyring is None:
             self.inject(message)
             return

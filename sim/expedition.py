@@ -149,6 +149,7 @@ class Expedition:
             worked_twice=truth.twice,
             units_twice=sum(r.peer.voice.redone for r in cluster.robots.values()),
             contacts=len(world.contacts),
+            moved_after_stop=len(cluster.stops.violations),
             closest_m=world.closest_m,
             replicas_equal=cluster.replicas_equal,
             frames=dict(self.kinds.most_common()),

@@ -5,6 +5,7 @@ from random import Random
 from agent.config import S
 from protocol.frame import Frame
 from protocol.network_frames import AddressClaimed
+from protocol.operator_frames import goal_check, goal_frames
 from protocol.safety_frames import Command, EmergencyReset, OperatorCommand, Reason
 from sim import scenario as kinds
 from sim.cluster import OPERATOR, Cluster
@@ -18,6 +19,7 @@ TRIES = (
     5  # robots ask an operator they have not heard for a while to prove itself, one after another
 )
 ASK_S = 0.1  # between two tries
+ORDER_S = 0.15  # between two of an order: a robot is asked, answers, and asks in turn
 SETTLE_S = 1.0  # between a reset and the start that follows it: rejoin and sync
 
 
@@ -48,7 +50,7 @@ class FaultPlan:
         return now_us
 
     def _carry_out(self, fault: kinds.Fault) -> Script[None] | None:
-        self._now_us()
+        now_us = self._now_us()
         cluster, wire = self.cluster, self.cluster.segment.wire
         match fault:
             case kinds.Partition(islands=islands):
@@ -80,14 +82,17 @@ class FaultPlan:
             case kinds.Errors(rate=rate):
                 wire.faults.error = rate
             case kinds.BusOff(robot=robot, for_s=for_s):
-                return self._bus_off(robot, for_s)
-            case kinds.Estop(robot=robot, reason=reason) if cluster.is_up(robot):
-                cluster.robots[robot].shell.operate(lambda p, now: p.press(Reason[reason], now))
+                wire.bus_off(cluster.node_of(robot), now_us + round(for_s * S))
+            case kinds.Estop(robot=robot, reason=reason):
+                cluster.press(robot, Reason[reason])
             case kinds.Reset():
                 return self._reset()
+            case kinds.Order(robot=robot, order=order, x_m=x_m, y_m=y_m):
+                return self._order(robot, Command[order.upper()], (x_m, y_m))
             case kinds.Box(x_m=x_m, y_m=y_m, size_m=size_m, for_s=for_s):
                 return self._box(x_m, y_m, size_m, for_s)
             case kinds.Pushed(robot=robot, dx_m=dx_m, dy_m=dy_m):
+                cluster.stops.carried(robot)
                 cluster.world.body(robot).push(dx_m, dy_m)
             case kinds.Babble(priority=priority, for_s=for_s):
                 return self._babble(priority, for_s)
@@ -98,14 +103,6 @@ class FaultPlan:
                 if isinstance(shell, SwarmShell):  # asyncio has one clock for all
                     shell.drift(ppm)
         return None
-
-    def _bus_off(self, robot: int, for_s: float) -> Script[None]:
-        shell = self.cluster.robots[robot].shell
-        until_us = self._now_us() + round(for_s * S)
-        self.cluster.segment.wire.bus_off(self.cluster.node_of(robot), until_us)
-        shell.operate(lambda p, now: p.bus_lost(now))
-        yield until_us
-        shell.operate(lambda p, now: p.bus_back(now))
 
     def _box(self, x_m: float, y_m: float, size_m: float, for_s: float) -> Script[None]:
         until_us = self._now_us() + round(for_s * S)
@@ -132,6 +129,19 @@ class FaultPlan:
             number = peer.identity.name.pack()
             name = number - 1 if wins else number + 1
             self.cluster.inject(AddressClaimed(name), peer.address)
+
+    def _order(self, robot: int, command: Command, goal: tuple[float, float]) -> Script[None]:
+        """Said until a robot that has not heard this operator for a while can have asked and
+        believed."""
+        cluster, argument = self.cluster, 0
+        for _ in range(1 if cluster.setting.keyring(OPERATOR, "operator") is None else TRIES):
+            if command is Command.SET_GOAL:
+                frames = goal_frames(robot, OPERATOR, *goal)
+                argument = goal_check(frames[0].value, frames[1].value)
+                for frame in frames:
+                    cluster.order(frame)
+            cluster.order(OperatorCommand(command, robot, OPERATOR, argument))
+            yield self._now_us() + round(ORDER_S * S)
 
     def _reset(self) -> Script[None]:
         """An operator clears what is shown, goes from machine to machine, and then gives the start."""

@@ -18,6 +18,7 @@ class Outcome(NamedTuple):
     worked_twice: float  # share swept by two robots: overlaps of neighbours, and real duplicates
     units_twice: int  # units that two robots announced: duplicate work
     contacts: int
+    moved_after_stop: int  # steps in which a robot was told to move, or moved, that had to stand
     closest_m: float  # smallest gap between two bodies seen
     replicas_equal: bool
     frames: Mapping[str, int]  # by kind
@@ -41,6 +42,7 @@ class Outcome(NamedTuple):
             self.finished
             and self.coverage >= COVERAGE_MIN
             and self.contacts == 0
+            and self.moved_after_stop == 0
             and self.replicas_equal
         )
 

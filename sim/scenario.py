@@ -41,6 +41,9 @@ class FleetTable(_Table):
     wheelbase_m: float = Field(default=1.2, gt=0.1, le=6.0)  # with "ackermann"
     track_m: float = Field(default=1.0, gt=0.1, le=4.0)  # with "differential" and "ackermann"
     steer_deg: float = Field(default=40.0, ge=10.0, le=60.0)  # full lock, with "ackermann"
+    rays: int = Field(
+        default=72, ge=8, le=720
+    )  # of each robot's range sensors; a gap of 0.35 m at 4 m
     silence: Literal["stop", "slow", "continue"] = "stop"
     keys: str | None = None  # key file, made by `headland keys new`
 
@@ -135,6 +138,14 @@ class Reset(_Fault):
     kind: Literal["reset"]  # clear every stop, reset every machine, and start again
 
 
+class Order(_Fault):
+    kind: Literal["order"]  # an operator's word to one robot
+    robot: Slot
+    order: Literal["wait", "continue", "replan", "stop", "go_home", "set_goal", "start", "hold"]
+    x_m: float = 0.0  # of set_goal
+    y_m: float = 0.0
+
+
 class Box(_Fault):
     kind: Literal["box"]
     x_m: float
@@ -175,7 +186,7 @@ class Drift(_Fault):
 
 Fault = Annotated[
     Partition | Heal | OneWay | Crash | Restart | Freeze | Loss | Omission | Duplicate | Errors
-    | BusOff | Estop | Reset | Box | Pushed | Join | Babble | Clone | Drift,
+    | BusOff | Estop | Reset | Order | Box | Pushed | Join | Babble | Clone | Drift,
     Field(discriminator="kind"),
 ]  # fmt: skip
 

@@ -187,13 +187,14 @@ class Setting:
         fleet = self.scenario.fleet
         limits = BodyLimits(fleet.radius_m, fleet.speed_m_s, fleet.acceleration_m_s2)
         if self.turn_radius_m:
-            return TractorMotion(slot, limits, self.turns, self.steering)
+            return TractorMotion(slot, limits, self.turns, self.steering, self.fences)
         return Motion(slot, limits, self.fences)
 
     def world(self) -> World:
         """A fresh world with every robot at its place near the gate."""
         fleet = self.scenario.fleet
-        world = World([self.field.exterior, *self.field.holes], self.scenario.run.seed, Lidar())
+        rings = [self.field.exterior, *self.field.holes]
+        world = World(rings, self.scenario.run.seed, Lidar(fleet.rays))
         chassis = self.chassis
         for slot, at in enumerate(self.starts):
             world.add_robot(slot, at, fleet.radius_m, chassis)

@@ -13,10 +13,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.core import Identity, Peer
+from agent.core import Peer
 from agent.exploration import Exploration
 from agent.fleet_report import fleet_status, serialize_for_llm
 from agent.fleet_task import Order
+from agent.identity import Identity
 from agent.lifecycle import State
 from agent.motion import Limits, Motion
 from agent.survey_map import SurveyMap

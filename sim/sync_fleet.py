@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from heapq import heappop, heappush
 from random import Random
 
-from agent.config import beat_of
+from agent.config import S, beat_of
 from crdt import FieldAllocationCRDT, Progress
 from protocol.codec import decode_once, encode
 from protocol.fleet_frames import Heartbeat
@@ -68,6 +68,19 @@ class SyncFleet:
         self.islands = [set(island) for island in islands]
         self.wire.partition(*({self.members[s].node for s in island} for island in islands))
         self.see()
+
+    def part(self, operations: int, left: int, every_us: int) -> None:
+        """After some common history the first `left` peers are cut off; each side writes half."""
+        peers = len(self.members)
+        for section in range(200):
+            self.write(section % peers, section, None)
+        self.run(3 * S)
+        self.cut(set(range(left)), set(range(left, peers)))
+        for k in range(operations // 2):
+            self.write(k % left, 1000 + k, None)
+            self.write(left + k % (peers - left), 2000 + k, None)
+            self.run(every_us)
+        self.run(3 * S)
 
     def heal(self) -> None:
         self.islands = [set(self.members)]

@@ -73,9 +73,9 @@ def record(seed: int, simulated_s: float = 180.0) -> dict[int, Tape]:
         loop = asyncio.get_running_loop()
         while loop.time() < simulated_s:
             await asyncio.sleep(15.0)
-            presser, reason = rng.choice(list(cluster.robots.values())), rng.choice(list(Reason))
-            presser.shell.perform(presser.peer.press(reason, presser.shell.now_us()))
+            cluster.press(rng.choice(list(cluster.robots)), rng.choice(list(Reason)))
             cluster.check()
+        assert not cluster.stops.violations
         script.cancel()
         await cluster.close()
 

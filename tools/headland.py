@@ -141,6 +141,30 @@ def reset(
 
 
 @app.command()
+def order(
+    robot: Annotated[int, typer.Argument(help="The robot's number.")],
+    what: Annotated[
+        str, typer.Argument(help="wait, continue, replan, stop, go-home, set-goal or start.")
+    ],
+    place: Annotated[
+        str | None, typer.Argument(help="Of set-goal: metres east,north, as 12.5,-40.")
+    ] = None,
+    interface: Interface = "socketcand", channel: Channel = "can0", bitrate: Bitrate = 250_000,
+    host: Host = "127.0.0.1", port: Port = 0, key: OperatorKey = None,
+    timeout: Annotated[float, typer.Option(help="Seconds to wait for the robot's word.")] = 5.0,
+    json: Json = False,
+) -> None:  # fmt: skip
+    """Answer a robot that has stopped before something, or direct it. It confirms, or exit 1.
+
+    Example: headland order 2 replan
+    """
+    from tools.order import order as command
+
+    bus = (interface, channel, bitrate, host, port)
+    raise SystemExit(command(robot, what, place, bus, key, timeout, json))
+
+
+@app.command()
 def inspect(
     source: Annotated[Path | None, typer.Argument(help="Run folder or log; none: a live bus.")] = None,
     interface: Interface = "socketcand", channel: Channel = "can0", bitrate: Bitrate = 250_000,

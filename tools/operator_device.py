@@ -15,6 +15,7 @@ from protocol.fleet_frames import Heartbeat, Member, Pose
 from protocol.frame import Frame
 from protocol.messages import GROUP_OF, Message
 from protocol.network_frames import Request
+from protocol.operator_frames import Matter, OperatorReport, goal_check, goal_frames
 from protocol.safety_frames import (
     Challenge,
     Command,
@@ -39,6 +40,9 @@ class Robot:
     state: State = State.DISCONNECTED
     stopped: bool = False
     echoed: bool = False
+    started: bool = False
+    report: OperatorReport | None = None  # the newest, since it was last forgotten
+    question: OperatorReport | None = None  # that it is asking or waiting about
 
 
 class Operator:
@@ -75,8 +79,15 @@ class Operator:
         robot.heard_s = now_s
         if isinstance(message, Pose | Heartbeat):
             robot.state, robot.stopped = State(message.state), message.stopped
-            if isinstance(message, Heartbeat) and message.leaving:
-                del self.robots[slot]
+            if isinstance(message, Heartbeat):
+                robot.started = message.started
+                if message.leaving:
+                    del self.robots[slot]
+        elif isinstance(message, OperatorReport):
+            robot.report = message
+            asking = message.matter in (Matter.ASKING, Matter.WAITING)
+            if asking or message.matter is not Matter.REFUSED:
+                robot.question = message if asking else None
         elif isinstance(message, EmergencyStop) and message.echo:
             robot.echoed = True
 
@@ -129,6 +140,13 @@ class Operator:
 
     def command(self, command: Command, target: int = EVERYBODY, argument: int = 0) -> None:
         self._order(OperatorCommand(command, target, self.slot, argument))
+
+    def send_to(self, slot: int, x_m: float, y_m: float) -> None:
+        """Name a place and send one robot there. ValueError where it cannot be said."""
+        frames = goal_frames(slot, self.slot, x_m, y_m)
+        for frame in frames:
+            self._order(frame)
+        self.command(Command.SET_GOAL, slot, goal_check(frames[0].value, frames[1].value))
 
     def _order(self, message: Signed) -> None:
         """With a tag it is said twice: robots act on two frames that agree."""

@@ -1,11 +1,30 @@
-"""The state machine of the mission's document, edge by edge, and the additions we made."""
+"""The state machine of the mission's document, edge by edge, and the additions we made.
 
+Then every state with every event and every cause, on a peer: it reacts as docs/stopping.md says.
+"""
+
+from collections.abc import Callable, Mapping
 from itertools import product
+from math import hypot
+from random import Random
+from typing import Any
 
+import numpy as np
 import pytest
 
+from agent.cause import Cause, Clears, Severity
+from agent.config import S
+from agent.core import Peer
+from agent.effects import HALT, Drive
 from agent.fsm import Machine, matrix, to_mermaid
+from agent.identity import Identity
 from agent.lifecycle import TABLE, Event, State
+from agent.mission import Choice, FleetView, Wish
+from agent.motion import Limits, Motion
+from agent.ports import Observation
+from agent.safety import CREEP_M_S, SilencePolicy
+from protocol.name import fleet_name
+from protocol.safety_frames import Reason
 
 # Copied from the mission's diagram by hand: (source, event, target).
 MISSION = {
@@ -59,3 +78,185 @@ def test_a_machine_moves_by_its_table() -> None:
     machine = Machine("lifecycle", TABLE, State.DISCONNECTED)
     assert machine.fire(Event.FLEET_JOINED) == (State.DISCONNECTED, State.IDLE)
     assert machine.fire(Event.MANUAL_RESET) == (State.IDLE, State.IDLE)
+
+
+# ---------------------------------------------------------------- every state, event and cause
+
+FULL = Wish(2.0, 0.0, 0.0, True)
+BY_TIME_US = 1 * S  # what is raised with a time holds so long here
+
+
+class Eager:
+    """A mission that always wants full speed."""
+
+    section_units: Mapping[int, int] = {0: 4}
+
+    def choose(self, view: FleetView) -> Choice | None:
+        return None
+
+    def approach(self, section: int, view: FleetView) -> Wish:
+        return FULL
+
+    def begin(self, section: int, view: FleetView) -> None: ...
+    def work(self, view: FleetView) -> Wish:
+        return FULL
+
+    def abandon(self) -> None: ...
+    def admits(self, goal: tuple[float, float]) -> bool:
+        return True
+
+    def travel(self, goal: tuple[float, float], view: FleetView) -> Wish:
+        return FULL
+
+    def interrupted(self) -> None: ...
+    def rest(self, view: FleetView) -> Wish:
+        return FULL
+
+
+def peer_in(state: State, cause: Cause | None, policy: SilencePolicy = SilencePolicy.STOP) -> Peer:
+    identity = Identity(
+        0, frozenset(range(3)), fleet_name("total", 0), 1, policy, started=True, first_boot=True
+    )
+    motion = Motion(0, Limits(0.8, 2.5, 1.5), np.empty((0, 4)))
+    peer = Peer(identity, Random(1), 0, {}, Eager(), motion)
+    peer.observe(Observation(0.0, 0.0, 0.0, 0.0, 0.0), 0)
+    peer.claims.current = 0 if state is State.WORKING else None
+    peer.lifecycle.state = state
+    if cause is not None:
+        timed = cause.clears is Clears.BY_TIMEOUT
+        peer.safety.raise_cause(cause, 0, "", BY_TIME_US if timed else 0)
+    return peer
+
+
+def held_by(peer: Peer) -> set[Cause]:
+    return {cause for cause, _ in peer.safety.causes}
+
+
+@pytest.mark.parametrize("cause", [None, *Cause], ids=lambda c: c.name if c else "no cause")
+def test_every_state_event_and_cause(cause: Cause | None) -> None:
+    """Events change the state as the table says and clear no cause; the gate knows causes alone."""
+    severity = Severity.CLEAR if cause is None else cause.severity
+    wanted = Drive(2.0, 0.0, 0.1, True)
+    for state, event in product(State, Event):
+        peer = peer_in(state, cause)
+        peer.latch("a cause that latches")
+        source = State.EMERGENCY_STOP if severity is Severity.LATCHED else state
+        assert peer.state is source
+        peer.fire(event, "whatever comes")
+        assert peer.state is TABLE[source, event]
+        assert held_by(peer) == ({cause} if cause else set())
+        drive = peer.safety.gate(wanted, 0)
+        if severity >= Severity.PAUSE:
+            assert drive == HALT and not peer.safety.may_move
+        elif severity is Severity.SLOW:
+            assert hypot(drive.vx_m_s, drive.vy_m_s) == pytest.approx(CREEP_M_S)
+        else:
+            assert drive == wanted
+
+
+@pytest.mark.parametrize("cause", [None, *Cause], ids=lambda c: c.name if c else "no cause")
+def test_what_a_control_period_drives(cause: Cause | None) -> None:
+    """Motion only in IDLE and WORKING, only with no cause above SLOW, the implement not else."""
+    for state in State:
+        peer = peer_in(state, cause)
+        (drive,) = (e for e in peer._working.control(0) if isinstance(e, Drive))
+        moves = state in (State.IDLE, State.WORKING) and peer.safety.may_move
+        assert (drive != HALT) is moves, state
+        if cause is Cause.CREEP:
+            assert hypot(drive.vx_m_s, drive.vy_m_s) <= CREEP_M_S + 1e-9
+
+
+def pass_time(peer: Peer, until_us: int = 10 * S) -> None:
+    now_us = 0
+    while now_us < until_us:
+        now_us = max(now_us + 1, peer.deadline_us)
+        peer.tick(now_us)
+
+
+# What people, the bus and time can do, and which causes each of them ends in which state; by hand.
+Act = Callable[[Peer], Any]
+ACTS: dict[str, Act] = {
+    "start": lambda peer: peer.start(0),
+    "manual reset": lambda peer: peer.manual_reset(0),
+    "press": lambda peer: peer.press(Reason.PERSON_IN_FIELD, 0),
+    "hold": lambda peer: peer.safety.hold(0),
+    "bus lost": lambda peer: peer.bus_lost(0),
+    "bus back": lambda peer: peer.bus_back(0),
+    "leave": lambda peer: peer.leave(0),
+    "disk failed": lambda peer: peer.disk_failed(0),
+    "time": pass_time,
+}
+ENDED_BY: dict[Cause, str | None] = {
+    Cause.NOT_STARTED: "start",
+    Cause.OBSTACLE_AHEAD: None,  # by its answer, or when it leaves: tests/chaos/test_pause.py
+    Cause.CREEP: "time",  # here nobody is silent any more
+    Cause.MEMBER_SILENT: "time",
+    Cause.BUS_OFF: "bus back",
+    Cause.ERROR_PASSIVE: "time",  # the driver says that it is gone
+    Cause.UNHEARD: "time",
+    Cause.ADDRESS_LOST: "time",  # it claims another
+    Cause.CONFIG_MISMATCH: None,
+    Cause.LATE_TICK: "time",
+    Cause.UNAUTHENTICATED_STOP: "time",
+    Cause.IMPLEMENTS_STOP: "time",
+    Cause.DISK_ERROR: None,
+    Cause.STOP_DOT: "manual reset",  # here every dot is cleared
+    Cause.BOOT_UNCONFIRMED: "manual reset",
+}
+RAISED_BY = {
+    "press": Cause.STOP_DOT,
+    "hold": Cause.NOT_STARTED,
+    "bus lost": Cause.BUS_OFF,
+    "disk failed": Cause.DISK_ERROR,
+}
+
+
+@pytest.mark.parametrize("cause", Cause, ids=lambda c: c.name)
+def test_what_ends_each_cause_in_every_state(cause: Cause) -> None:
+    for state, (name, act) in product(State, ACTS.items()):
+        latches = cause.severity is Severity.LATCHED
+        source = State.EMERGENCY_STOP if latches else state
+        peer = peer_in(source, cause)
+        act(peer)
+        ended = ENDED_BY[cause] == name
+        expected = (
+            (set() if ended else {cause}) | {RAISED_BY[name]}
+            if name in RAISED_BY
+            else (set() if ended else {cause})
+        )
+        if (
+            name == "manual reset"
+            and source is State.EMERGENCY_STOP
+            and cause is not Cause.DISK_ERROR
+        ):
+            expected |= {Cause.NOT_STARTED}  # reset is not start
+            assert peer.state is State.DISCONNECTED
+        if name == "start" and latches:
+            assert cause in held_by(peer), "a latched robot takes no start"
+        assert held_by(peer) == expected, (state, name)
+        if peer.safety.latched:
+            assert peer.state is State.EMERGENCY_STOP, (state, name)
+
+
+@pytest.mark.parametrize("policy", SilencePolicy, ids=lambda p: p.name)
+def test_how_silence_ends(policy: SilencePolicy) -> None:
+    peer = peer_in(State.WORKING, None, policy)
+    safety, everybody = peer.safety, frozenset(range(3))
+    safety.members(everybody, frozenset(), 0)
+    safety.members(everybody - {2}, frozenset({2}), 1 * S)
+    assert held_by(peer) == {Cause.MEMBER_SILENT}
+    safety.tick(3 * S - 1)
+    assert held_by(peer) == {Cause.MEMBER_SILENT}, "two seconds without a change first"
+    safety.tick(3 * S)
+    kept = {
+        SilencePolicy.STOP: {Cause.MEMBER_SILENT},
+        SilencePolicy.SLOW: {Cause.CREEP},
+        SilencePolicy.CONTINUE: set(),
+    }
+    assert held_by(peer) == kept[policy]
+    safety.members(everybody, frozenset(), 10 * S)
+    safety.tick(12 * S - 1)
+    assert held_by(peer) == kept[policy]
+    assert safety.deadline_us == (12 * S if kept[policy] else safety.deadline_us)
+    safety.tick(12 * S)
+    assert held_by(peer) == set(), "heard again, and stable"

@@ -57,3 +57,12 @@ def test_it_slows_down_for_corners(angle: float) -> None:
     tracker = Tracker(corner, 3.0, 1.0)
     _, _, worst_m = drive(tracker, 0.0, 0.0, 120.0)
     assert tracker.arrived and worst_m < 0.6
+
+
+def test_before_its_beginning_and_after_its_end_a_line_is_as_far_as_its_ends() -> None:
+    """An implement was lowered 3.6 m before its robot's section, in another's (found by chaos)."""
+    tracker = Tracker([(0.0, 0.0), (10.0, 0.0)], 2.5, 1.0)
+    for x_m, y_m, gap_m in ((-3.0, 0.4, 3.026), (5.0, 0.4, 0.4), (12.0, 0.0, 2.0)):
+        tracker.locate(x_m, y_m)
+        assert abs(tracker.gap_m - gap_m) < 0.001
+        assert abs(tracker.off_m) <= 0.4

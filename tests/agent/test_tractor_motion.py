@@ -32,7 +32,7 @@ def meet(angle_rad: float, offset_m: float, seed: int) -> tuple[World, float, li
             1, (-12.0 * cos(angle_rad), -12.0 * sin(angle_rad)), RADIUS_M, TRACTOR, angle_rad
         ),
     ]
-    motions = [TractorMotion(slot, BODY, TURNS, STEERING) for slot in (0, 1)]
+    motions = [TractorMotion(slot, BODY, TURNS, STEERING, np.empty((0, 4))) for slot in (0, 1)]
     heard: dict[int, Neighbour] = {}
     closest_m = 24.0
     for now_us in range(0, 20_000_000, 50_000):

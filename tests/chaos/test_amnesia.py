@@ -15,7 +15,7 @@ from agent.lifecycle import State
 from agent.safety import HOLD_KEY, LATCHED
 from protocol.fleet_frames import Heartbeat, Member, Pose
 from protocol.messages import Message
-from protocol.safety_frames import Command, EmergencyReset, EmergencyStop, OperatorCommand, Reason
+from protocol.safety_frames import Command, EmergencyReset, EmergencyStop, OperatorCommand
 from sim.clock import elapse, run_virtual
 from sim.cluster import OPERATOR, Cluster
 from sim.disk import Disk, LogJournal, MemoryJournal, PowerCut
@@ -42,6 +42,7 @@ def play(story: Story, seed: int = 3) -> None:
         try:
             await elapse(5.0)
             await story(cluster, seen)
+            assert not cluster.stops.violations
         finally:
             await cluster.close()
 
@@ -61,17 +62,17 @@ def lose_disk(cluster: Cluster, slot: int) -> None:
 
 
 def press(cluster: Cluster, slot: int) -> None:
-    cluster.robots[slot].shell.operate(lambda p, now: p.press(Reason.PERSON_IN_FIELD, now))
+    cluster.press(slot)
 
 
 async def release(cluster: Cluster, start: bool = True) -> None:
     for dot in sorted({d for r in cluster.running for d in r.peer.safety.stops.active}):
-        cluster.inject(EmergencyReset(*dot, OPERATOR))
+        cluster.order(EmergencyReset(*dot, OPERATOR))
     await elapse(0.1)
-    cluster.inject(OperatorCommand(Command.MANUAL_RESET, 255, OPERATOR))
+    cluster.order(OperatorCommand(Command.MANUAL_RESET, 255, OPERATOR))
     await elapse(1.0)
     if start:
-        cluster.inject(OperatorCommand(Command.START, 255, OPERATOR))
+        cluster.order(OperatorCommand(Command.START, 255, OPERATOR))
         await elapse(0.2)
 
 
@@ -114,7 +115,7 @@ def test_a_restart_is_neither_a_reset_nor_a_start() -> None:
         press(cluster, 0)
         await elapse(0.2)
         for dot in cluster.robots[1].peer.safety.stops.active:
-            cluster.inject(EmergencyReset(*dot, OPERATOR))
+            cluster.order(EmergencyReset(*dot, OPERATOR))
         await elapse(0.2)
         lose_power(cluster, 1, Random(1))
         robot = cluster.boot(1)
@@ -161,7 +162,7 @@ def test_a_robot_that_forgot_a_stop_is_told_of_it() -> None:
         robot = cluster.boot(1)
         await elapse(2.0)
         assert dot in robot.peer.safety.stops.active
-        cluster.inject(OperatorCommand(Command.MANUAL_RESET, 1, OPERATOR))
+        cluster.order(OperatorCommand(Command.MANUAL_RESET, 1, OPERATOR))
         await elapse(0.5)
         assert robot.peer.state is State.EMERGENCY_STOP, "the stop it pressed itself still stands"
 
@@ -207,7 +208,7 @@ def test_nothing_is_said_that_a_failing_disk_did_not_take(step: int) -> None:
         ]
         assert not lost(not_stops, LogJournal(Disk(journal.disk.read())).load())
         steps = journal.disk.steps
-        cluster.inject(OperatorCommand(Command.START, 255, OPERATOR))
+        cluster.order(OperatorCommand(Command.START, 255, OPERATOR))
         await elapse(0.5)
         press(cluster, 2)
         await elapse(0.2)

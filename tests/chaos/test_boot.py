@@ -6,6 +6,7 @@ view, filled a bus of fifty robots for good.
 
 import pytest
 
+from agent.cause import Cause
 from protocol.fleet_frames import LeaderElectionVote, Member
 from protocol.messages import GROUP_OF
 from protocol.network_frames import AddressClaimed, Request
@@ -22,6 +23,7 @@ def test_boot_is_a_few_frames_a_robot(robots: int, seed: int) -> None:
         try:
             working = await squad.until_working(20.0)
             await elapse(4.0)
+            assert not any(s.peer.safety.holds(Cause.UNHEARD) for s in squad.shells)
             leaders: set[object] = {s.peer.election.leader for s in squad.shells}
             return working, dict(squad.segment.wire.by_group), leaders
         finally:

@@ -15,7 +15,6 @@ from protocol.safety_frames import (
     EmergencyStop,
     Freshness,
     OperatorCommand,
-    Reason,
 )  # fmt: skip
 from sim.clock import elapse, run_virtual
 from sim.cluster import OPERATOR, Cluster
@@ -43,6 +42,7 @@ def play(keys: Path, story: Story) -> None:
         try:
             await elapse(5.0)
             await story(cluster, seen)
+            assert not cluster.stops.violations
         finally:
             await cluster.close()
 
@@ -54,7 +54,7 @@ def states(cluster: Cluster) -> set[State]:
 
 
 def press(cluster: Cluster, slot: int) -> None:
-    cluster.robots[slot].shell.operate(lambda p, now: p.press(Reason.PERSON_IN_FIELD, now))
+    cluster.press(slot)
 
 
 def test_a_scenario_with_keys_is_stopped_reset_and_finished(keys: Path) -> None:

@@ -18,6 +18,14 @@ from protocol.network_frames import (
     TransportData,
     TransportManagement,
 )  # fmt: skip
+from protocol.operator_frames import (
+    LOWEST_M,
+    PLACE_M,
+    Matter,
+    OperatorGoal,
+    OperatorReport,
+    goal_frames,
+)
 from protocol.safety_frames import (
     AllImplementsStop,
     Challenge,
@@ -41,7 +49,18 @@ register = (u16, u8, phase, bid, u24, u8)
 KINDS: dict[Any, st.SearchStrategy[Any]] = {
     EmergencyStop: st.builds(EmergencyStop, u8, u8, u8, st.integers(0, 15), st.booleans(), u8, u24),
     EmergencyReset: st.builds(EmergencyReset, u8, u8, u8, u8, u8, u24),
-    OperatorCommand: st.builds(OperatorCommand, st.integers(0, 7), u8, u8, u8, u8, u24),
+    OperatorCommand: st.builds(OperatorCommand, st.integers(0, 9), u8, u8, u8, u8, u24),
+    OperatorGoal: st.builds(OperatorGoal, u8, u8, st.integers(0, 0x7FFF), st.booleans(), u8, u24),
+    OperatorReport: st.builds(
+        OperatorReport,
+        u8,
+        st.integers(0, 15),
+        st.sampled_from(Matter),
+        u16.map(lambda n: n * PLACE_M + LOWEST_M),
+        u16.map(lambda n: n * PLACE_M + LOWEST_M),
+        u8.map(lambda n: n * PLACE_M),
+        u8.map(lambda n: n * PLACE_M),
+    ),
     Challenge: st.builds(Challenge, u8, u8, st.integers(0, (1 << 48) - 1)),
     Freshness: st.builds(Freshness, u8, st.integers(0, 0xFFFF_FFFF), u24),
     AllImplementsStop: st.builds(AllImplementsStop, u8, st.integers(0, 3)),
@@ -76,16 +95,16 @@ def test_there_and_back(kind: Any, data: st.DataObject, source: int) -> None:
     st.booleans(), u8,
 )  # fmt: skip
 def test_pose_is_right_to_its_resolution(
-    x_m: float, y_m: float, course_rad: float, speed_m_s: float, now: int, stopped: bool, tick: int
+    x_m: float, y_m: float, course_rad: float, speed_m_s: float, now: int, stopped: bool, heard: int
 ) -> None:
-    pose = Pose(x_m, y_m, course_rad, speed_m_s, now, stopped, tick)
+    pose = Pose(x_m, y_m, course_rad, speed_m_s, now, stopped, heard)
     source, back = decode(encode(pose, 7))
     assert isinstance(back, Pose) and source == 7
     assert abs(back.x_m - x_m) <= 0.026 and abs(back.y_m - y_m) <= 0.026
     assert abs(back.speed_m_s - speed_m_s) <= 0.026
     turn = (back.course_rad - course_rad + 3.14159) % 6.28318 - 3.14159
     assert abs(turn) <= 0.0063
-    assert back[4:] == (now, stopped, tick)
+    assert back[4:] == (now, stopped, heard)
 
 
 @given(u8, state, st.booleans(), st.integers(0, 250), u16, u24)
@@ -106,6 +125,13 @@ def test_any_payload_of_a_known_kind_is_read_or_counted(group: Any, data: bytes)
     _, message = decode(Frame(6 << 26 | group.pgn << 8 | 0x80, data[: group.length]))
     if isinstance(message, Malformed):
         assert message.reason == "range"
+
+
+@given(st.floats(-3276, 3276), st.floats(-3276, 3276))
+def test_a_place_in_two_frames_is_right_to_its_resolution(x_m: float, y_m: float) -> None:
+    east, north = goal_frames(3, 249, x_m, y_m)
+    assert not east.north and north.north
+    assert abs(east.metres - x_m) <= 0.11 and abs(north.metres - y_m) <= 0.11
 
 
 def test_reasons_are_few() -> None:

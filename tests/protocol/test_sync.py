@@ -43,15 +43,7 @@ def test_two_halves_become_equal(size: int, seed: int) -> None:
 @pytest.mark.parametrize("seed", [1, 2, 3, 4])
 def test_a_hundred_operations_cost_little_more_than_a_hundred_frames(seed: int) -> None:
     fleet = SyncFleet(50, seed)
-    for section in range(200):
-        fleet.write(section % 50, section, None)
-    fleet.run(2 * S)
-    fleet.cut(set(range(20)), set(range(20, 50)))
-    for k in range(50):
-        fleet.write(k % 20, 1000 + k, None)
-        fleet.write(20 + k % 30, 2000 + k, None)
-        fleet.run(10_000)
-    fleet.run(2 * S)
+    fleet.part(100, left=20, every_us=10_000)
     fleet.count_from_here()
     fleet.heal()
     assert fleet.run(2 * S, until_equal=True), f"seed {seed}"

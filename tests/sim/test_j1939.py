@@ -11,7 +11,8 @@ from typing import Any
 
 import pytest
 
-from agent.core import Identity, Peer
+from agent.core import Peer
+from agent.identity import Identity
 from agent.letters import COMPONENT_PGN
 from agent.shell import Shell
 from protocol.bus import CanBus

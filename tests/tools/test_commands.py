@@ -105,7 +105,8 @@ def test_a_wrong_field_file_gets_one_line(content: bytes, why: str, tmp_path: Pa
     [
         ("estop",), ("reset",), ("inspect",), ("inspect", "nowhere"), ("inspect", "--why", "7x"),
         ("run", "no-such-scenario"), ("estop", "-i", "nonsense"), ("estop", "--reason", "BORED"),
-        ("run", "small", "--robots", "0"),
+        ("run", "small", "--robots", "0"), ("order", "1", "dance"), ("order", "1", "set-goal", "here"),
+        ("order", "1", "wait", "1,2"), ("order", "1", "wait"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_done_is_one_line(words: tuple[str, ...], tmp_path: Path) -> None:

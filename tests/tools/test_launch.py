@@ -71,6 +71,24 @@ async def states(folder: Path) -> dict[int, str]:
     return {r["slot"]: r["state"] for r in json.loads(out)["robots"] if not r["silent"]}
 
 
+async def orders(folder: Path) -> None:
+    """Robots obey what they can obey, and say so."""
+    for words, code, answer in (
+        (("1", "set-goal", "20,-10"), 0, "UNDER_WAY"),
+        (("1", "continue"), 0, "WORKING"),
+        (("1", "continue"), 1, "REFUSED"),
+        (("1", "set-goal", "3000,0"), 1, "REFUSED"),
+        (("0", "stop"), 0, "STOPPED"),
+        (("0", "start"), 0, None),
+    ):
+        got, text = await call(folder, "order", *words, "--json")
+        told = json.loads(text)
+        assert (got, told["answer"]) in ((code, answer), (code, "ARRIVED")), (words, text)
+        assert told["obeyed"] is (code == 0) and not told["signed"]
+    got, text = await call(folder, "order", "9", "wait")
+    assert got == 1 and "robot 9 is not heard" in text and text.count("\n") == 1
+
+
 @pytest.mark.skipif(not hasattr(os, "pidfd_open"), reason="orphans are watched by pidfd, of Linux")
 def test_kill_stop_release_and_leave_no_orphans(tmp_path: Path) -> None:
     async def story() -> None:
@@ -79,6 +97,7 @@ def test_kill_stop_release_and_leave_no_orphans(tmp_path: Path) -> None:
         try:
             again, text = await call(tmp_path, "launch", "small")
             assert again == 2 and "another launch" in text and text.count("\n") == 1
+            await orders(tmp_path)
             os.kill(pids[2], signal.SIGKILL)
             code, text = await call(tmp_path, "estop", "--json")
             assert code == 0, text

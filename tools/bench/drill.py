@@ -12,8 +12,9 @@ from random import Random
 
 import numpy as np
 
-from agent.core import Identity, Peer
+from agent.core import Peer
 from agent.effects import Drive
+from agent.identity import Identity
 from agent.mission import STILL, Choice, FleetView, Wish
 from agent.motion import Limits, Motion
 from agent.ports import Observation
@@ -71,6 +72,12 @@ class Drill:
         return Wish(SPEED_M_S, 0.0, 0.0, True, covered, finished=finished, near_end=near)
 
     def abandon(self) -> None: ...
+    def admits(self, goal: tuple[float, float]) -> bool:
+        return False
+
+    def travel(self, goal: tuple[float, float], view: FleetView) -> Wish:
+        return STILL
+
     def interrupted(self) -> None: ...
 
     def rest(self, view: FleetView) -> Wish:

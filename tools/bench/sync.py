@@ -24,15 +24,7 @@ def heals(seeds: range) -> Iterator[Figure]:
     frames, times_s, equal = [], [], True
     for seed in seeds:
         fleet = SyncFleet(50, seed)
-        for section in range(200):
-            fleet.write(section % 50, section, None)
-        fleet.run(3 * S)
-        fleet.cut(set(range(25)), set(range(25, 50)))
-        for k in range(50):
-            fleet.write(k % 25, 1000 + k, None)
-            fleet.write(25 + k % 25, 2000 + k, None)
-            fleet.run(20_000)
-        fleet.run(3 * S)
+        fleet.part(100, left=25, every_us=20_000)
         fleet.count_from_here()
         fleet.heal()
         healed_us = fleet.now_us

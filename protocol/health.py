@@ -1,0 +1,31 @@
+"""Fault confinement of a CAN controller (ISO 11898-1), as far as its driver tells."""
+
+from enum import Enum
+
+# Linux SocketCAN, include/uapi/linux/can/error.h: classes in the identifier, details in byte 1.
+CONTROLLER, BUS_OFF, RESTARTED = 0x004, 0x040, 0x100
+PASSIVE_BITS, ACTIVE_BIT = 0x30, 0x40  # receiving or sending; active again
+
+
+class Health(Enum):
+    ACTIVE = 0
+    PASSIVE = 1  # too many errors: it may not shout any more
+    OFF = 2  # it has left the bus
+
+
+def told_by(error_class: int, data: bytes, was: Health) -> Health:
+    """What an error frame of SocketCAN says; most say nothing about this.
+
+    >>> told_by(CONTROLLER, bytes((0, 0x20)), Health.ACTIVE)
+    <Health.PASSIVE: 1>
+    """
+    if error_class & BUS_OFF:
+        return Health.OFF
+    if error_class & RESTARTED:
+        return Health.ACTIVE
+    if error_class & CONTROLLER and len(data) > 1:
+        if data[1] & PASSIVE_BITS:
+            return Health.PASSIVE
+        if data[1] & ACTIVE_BIT:
+            return Health.ACTIVE
+    return was

@@ -1,0 +1,80 @@
+"""What people did about stops in a cluster, told to the checker of S1: who must stand, and from when.
+
+A stop binds a robot until three things were done about it, in this order: an operator cleared a stop,
+reset that machine, and gave it a start. What a robot believes about any of this plays no part.
+"""
+
+from collections.abc import Collection
+from enum import IntEnum
+
+from agent.config import MS, beat_of
+from protocol.safety_frames import Command, EmergencyReset, OperatorCommand
+from sim.checkers import MotionAfterStopChecker, Violation
+from sim.wire import Wire
+from sim.world import World
+
+EVERYBODY = 255
+REACTION_US = 20 * MS  # a tick and a frame's jitter on top of the silence that stops in the end
+
+
+class Stage(IntEnum):
+    PRESSED = 0
+    CLEARED = 1
+    RESET = 2
+
+
+class StopWatch:
+    def __init__(self, world: World, robots: int) -> None:
+        self.checker = MotionAfterStopChecker(world)
+        self.bound_us = beat_of(robots).silence_us + REACTION_US
+        self._stages: dict[int, dict[int, Stage]] = {}  # press -> slot -> what was done since
+
+    @property
+    def violations(self) -> list[Violation]:
+        return self.checker.violations
+
+    def pressed(self, now_us: int, slots: Collection[int]) -> None:
+        """A stop that all of these have to obey."""
+        number = self.checker.press(now_us, self.bound_us, slots)
+        self._stages[number] = dict.fromkeys(slots, Stage.PRESSED)
+
+    def ordered(self, order: object) -> None:
+        """A frame that an operator sends."""
+        if isinstance(order, EmergencyReset):
+            self._advance(EVERYBODY, Stage.PRESSED)
+        elif isinstance(order, OperatorCommand) and order.command == Command.MANUAL_RESET:
+            self._advance(order.target, Stage.CLEARED)
+        elif isinstance(order, OperatorCommand) and order.command == Command.START:
+            self._advance(order.target, Stage.RESET)
+
+    def carried(self, slot: int) -> None:
+        """A person moves this robot by hand: it no longer stands because it was told to."""
+        for number, stages in list(self._stages.items()):
+            if stages.pop(slot, None) is not None:
+                self.checker.release(number, (slot,))
+
+    def _advance(self, target: int, at: Stage) -> None:
+        for number, stages in list(self._stages.items()):
+            for slot, stage in list(stages.items()):
+                if target not in (slot, EVERYBODY) or stage is not at:
+                    continue
+                if stage is Stage.RESET:
+                    del stages[slot]
+                    self.checker.release(number, (slot,))
+                else:
+                    stages[slot] = Stage(stage + 1)
+            if not stages:
+                del self._stages[number]
+
+
+def reached(wire: Wire, sender: int, nodes: Collection[int]) -> set[int]:
+    """Nodes that hear the sender, or somebody who does, on the bus as it is now."""
+    found, ask = {sender}, [sender]
+    while ask and wire.faults.loss < 1.0:
+        node = ask.pop()
+        for other in nodes:
+            cut = wire.nodes[node].island != wire.nodes[other].island
+            if other not in found and not cut and (node, other) not in wire.faults.deaf:
+                found.add(other)
+                ask.append(other)
+    return found

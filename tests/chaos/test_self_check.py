@@ -1,0 +1,184 @@
+"""A robot that nobody hears, whose controller is sick, or that was frozen stands still by itself."""
+
+import asyncio
+from collections.abc import Awaitable, Callable
+
+import can
+import pytest
+
+from agent.cause import Cause
+from agent.config import ACTUATOR_TTL_US, S
+from agent.self_check import LATE_HOLD_US, PASSIVE_US
+from protocol.bus import CanBus
+from protocol.health import Health
+from sim.clock import elapse, run_virtual
+from sim.cluster import Cluster
+from sim.scenario import load
+from sim.setting import Setting
+
+Story = Callable[[Cluster], Awaitable[None]]
+
+
+def play(story: Story, robots: int = 3, scenario: str = "small") -> None:
+    async def main() -> None:
+        cluster = Cluster(Setting(load(scenario).changed(robots, 7)), f"self check {id(story)}")
+        cluster.boot_all()
+        try:
+            await elapse(10.0)
+            assert not any(causes(cluster, slot) for slot in range(robots)), "no false alarm"
+            await story(cluster)
+            cluster.check()
+        finally:
+            await cluster.close()
+        assert cluster.world.contacts == []
+
+    run_virtual(main())
+
+
+def causes(cluster: Cluster, slot: int) -> set[Cause]:
+    return {cause for cause, _ in cluster.robots[slot].peer.safety.causes}
+
+
+def stands(cluster: Cluster, slot: int) -> bool:
+    return cluster.world.body(slot).speed_m_s == 0.0
+
+
+def deafen(cluster: Cluster, speaker: int, hearers: list[int]) -> None:
+    links = {(cluster.node_of(speaker), cluster.node_of(slot)) for slot in hearers}
+    cluster.segment.wire.faults.deaf |= links
+
+
+def test_who_is_heard_by_nobody_stands_and_goes_on_when_it_is_heard_again() -> None:
+    async def story(cluster: Cluster) -> None:
+        deafen(cluster, 1, [0, 2])
+        await elapse(0.3 + 0.3 + 2 * 0.05 + 0.1)  # theirs, ours, a round, two periods
+        assert Cause.UNHEARD in causes(cluster, 1)
+        assert cluster.robots[1].peer.membership.live == {0, 1, 2}, "it hears them well"
+        await elapse(3.0)
+        assert stands(cluster, 1) and not stands(cluster, 0), "they go on, by their policy"
+        cluster.segment.wire.heal()
+        await elapse(3.0)
+        assert not causes(cluster, 1) and not stands(cluster, 1)
+
+    play(story)
+
+
+def test_who_is_heard_by_one_goes_on() -> None:
+    async def story(cluster: Cluster) -> None:
+        deafen(cluster, 1, [0])
+        await elapse(5.0)
+        assert Cause.UNHEARD not in causes(cluster, 1)
+
+    play(story)
+
+
+@pytest.mark.parametrize("robots", [1, 2, 12])
+def test_nobody_is_alarmed_in_a_sound_fleet(robots: int) -> None:
+    async def story(cluster: Cluster) -> None:
+        for _ in range(40):
+            await elapse(0.5)
+            found = {cause for slot in range(robots) for cause in causes(cluster, slot)}
+            assert not found & {Cause.UNHEARD, Cause.ERROR_PASSIVE, Cause.LATE_TICK}
+
+    play(story, robots, "small" if robots < 12 else "oxted")
+
+
+def test_a_bus_that_takes_nothing_is_noticed() -> None:
+    async def story(cluster: Cluster) -> None:
+        robot = cluster.robots[2]
+        submit = robot.bus.submit
+        robot.shell.bus._submit = lambda frame: False  # type: ignore[attr-defined]
+        await elapse(0.5)
+        assert Cause.UNHEARD in causes(cluster, 2)
+        await elapse(1.5)
+        assert stands(cluster, 2)
+        robot.shell.bus._submit = submit  # type: ignore[attr-defined]
+        await elapse(3.0)
+        assert not causes(cluster, 2)
+
+    play(story)
+
+
+def test_error_passive_is_borne_for_a_second() -> None:
+    async def story(cluster: Cluster) -> None:
+        node = cluster.segment.wire.nodes[cluster.node_of(1)]
+
+        async def sick(seconds: float) -> None:
+            for _ in range(round(seconds / 0.01)):
+                node.tec = 200  # what is sent well takes one off each
+                await elapse(0.01)
+
+        await sick(PASSIVE_US / S * 0.8)
+        assert not causes(cluster, 1)
+        node.tec = 0
+        await elapse(0.2)
+        await sick(PASSIVE_US / S + 0.2)
+        assert causes(cluster, 1) == {Cause.ERROR_PASSIVE}
+        await sick(1.5)
+        assert stands(cluster, 1)
+        node.tec = 0
+        await elapse(1.0)
+        assert not causes(cluster, 1) and not stands(cluster, 1)
+
+    play(story)
+
+
+def test_bus_off_is_noticed_by_itself() -> None:
+    async def story(cluster: Cluster) -> None:
+        now_us = cluster.robots[1].shell.now_us()
+        cluster.segment.wire.bus_off(cluster.node_of(1), now_us + 2 * S)
+        await elapse(0.1)
+        assert causes(cluster, 1) >= {Cause.BUS_OFF}
+        await elapse(1.5)
+        assert stands(cluster, 1)
+        await elapse(4.0)
+        assert not causes(cluster, 1), "it came back, joined again, and goes on"
+
+    play(story)
+
+
+def test_a_late_control_period_is_looked_round_after() -> None:
+    async def story(cluster: Cluster) -> None:
+        shell = cluster.robots[0].shell
+        shell.freeze(ACTUATOR_TTL_US / S - 0.02)
+        await elapse(0.2)
+        assert Cause.LATE_TICK not in causes(cluster, 0), "the actuator has not missed it"
+        shell.freeze(ACTUATOR_TTL_US / S + 0.1)
+        await elapse(0.25)
+        assert causes(cluster, 0) == {Cause.LATE_TICK}
+        await elapse(LATE_HOLD_US / S - 0.1)
+        assert Cause.LATE_TICK in causes(cluster, 0) and stands(cluster, 0)
+        await elapse(0.5)
+        assert not causes(cluster, 0)
+
+    play(story)
+
+
+def test_error_frames_of_a_driver_are_read() -> None:
+    """As Linux gives them; python-can's virtual bus carries them."""
+
+    async def main() -> None:
+        driver = can.Bus(interface="virtual", channel="errors")
+        bus = CanBus(can.Bus(interface="virtual", channel="errors"))
+        heard = asyncio.Event()
+        bus.subscribe(lambda frame: heard.set())
+        for error_class, detail, health in (
+            (0x004, 0x08, Health.ACTIVE),  # a warning
+            (0x004, 0x20, Health.PASSIVE),
+            (0x080, 0x00, Health.PASSIVE),  # a bus error says nothing about it
+            (0x040, 0x00, Health.OFF),
+            (0x100, 0x00, Health.ACTIVE),  # restarted
+            (0x004, 0x10, Health.PASSIVE),
+            (0x004, 0x40, Health.ACTIVE),
+        ):
+            data = bytes((0, detail, 0, 0, 0, 0, 0, 0))
+            driver.send(can.Message(arbitration_id=error_class, is_error_frame=True, data=data))
+            driver.send(can.Message(arbitration_id=0x18FF0001, is_extended_id=True))
+            async with asyncio.timeout(10.0):
+                await heard.wait()  # another thread delivers, in order
+            heard.clear()
+            assert bus.health is health
+        bus.close()
+        driver.shutdown()
+
+    asyncio.run(main())

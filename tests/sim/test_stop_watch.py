@@ -1,0 +1,104 @@
+"""The watch over stops sees who moves after one, and knows when a person has let it go."""
+
+from collections.abc import Awaitable, Callable
+
+from agent.effects import Drive
+from protocol.safety_frames import Command, EmergencyReset, OperatorCommand
+from sim.clock import elapse, run_virtual
+from sim.cluster import OPERATOR, Cluster
+from sim.scenario import load
+from sim.setting import Setting
+
+Story = Callable[[Cluster], Awaitable[None]]
+
+
+def play(story: Story) -> Cluster:
+    async def main() -> Cluster:
+        cluster = Cluster(Setting(load("small").changed(3, 1)), f"watch {id(story)}")
+        cluster.boot_all()
+        try:
+            await elapse(10.0)
+            await story(cluster)
+            cluster.world.advance(cluster.robots[0].shell.now_us())
+            return cluster
+        finally:
+            await cluster.close()
+
+    return run_virtual(main())
+
+
+def order(cluster: Cluster, command: Command) -> None:
+    cluster.order(OperatorCommand(command, 255, OPERATOR))
+
+
+async def misdrive(cluster: Cluster, slot: int) -> None:
+    """A motor controller that drives by itself, also between two commands of the robot to stand."""
+    for _ in range(3):
+        cluster.world.body(slot).drive(Drive(1.0, 0.0), cluster.robots[slot].shell.now_us())
+        await elapse(0.013)
+
+
+async def release(cluster: Cluster) -> None:
+    for dot in sorted(cluster.robots[0].peer.safety.stops.active):
+        cluster.order(EmergencyReset(*dot, OPERATOR))
+    await elapse(0.2)
+    order(cluster, Command.MANUAL_RESET)
+    await elapse(1.0)
+
+
+def test_a_fleet_that_obeys_is_without_blame_and_free_after_the_start() -> None:
+    async def story(cluster: Cluster) -> None:
+        cluster.press(1)
+        await elapse(3.0)
+        await release(cluster)
+        order(cluster, Command.START)
+        await elapse(3.0)
+        assert any(cluster.world.body(slot).speed_m_s > 0.5 for slot in range(3))
+
+    assert play(story).stops.violations == []
+
+
+def test_a_robot_that_drives_on_is_seen() -> None:
+    async def story(cluster: Cluster) -> None:
+        cluster.press(1)
+        await elapse(1.0)
+        await misdrive(cluster, 2)
+
+    found = play(story).stops.violations
+    assert found and {violation.slots for violation in found} == {(2,)}
+
+
+def test_a_start_before_the_reset_frees_nobody() -> None:
+    async def story(cluster: Cluster) -> None:
+        cluster.press(1)
+        await elapse(1.0)
+        order(cluster, Command.START)
+        order(cluster, Command.MANUAL_RESET)
+        order(cluster, Command.START)
+        await elapse(1.0)
+        await release(cluster)
+        await misdrive(cluster, 0)
+
+    assert {v.slots for v in play(story).stops.violations} == {(0,)}, "reset is not start"
+
+
+def test_who_cannot_hear_is_not_expected_to_obey_where_silence_stops_nobody_for_long() -> None:
+    async def story(cluster: Cluster) -> None:
+        cluster.partition([{0, 1}, {2}])
+        await elapse(5.0)
+        cluster.press(1)
+        await elapse(3.0)
+        assert cluster.world.body(2).speed_m_s > 0.5
+
+    assert play(story).stops.violations == []
+
+
+def test_a_robot_that_is_pushed_by_hand_is_excused() -> None:
+    async def story(cluster: Cluster) -> None:
+        cluster.press(1)
+        await elapse(2.0)
+        cluster.stops.carried(2)
+        cluster.world.body(2).push(0.3, 0.0)
+        await elapse(1.0)
+
+    assert play(story).stops.violations == []
