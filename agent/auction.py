@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.tour_kernels import auction, best_place, search, span
+from agent.tour_kernels import auction, least_waiting, search, span
 from agent.workload import IMPOSSIBLE_MS, Itineraries, Whole, Workload, Worth
 
 NEAR = 24  # tasks that one may follow: the cheapest links
@@ -73,13 +73,14 @@ class Planner:
     def inserted(
         self, robot: int, tasks: Sequence[int], task: int, first: int = 0
     ) -> tuple[int, int]:
-        """Where a task goes in a robot's itinerary, at `first` or later, and when it would be through."""
+        """Where a task goes in a robot's itinerary, at `first` or later, and what it costs: how much
+        longer all its tasks wait in sum, the new one from now on. The bid of scenario B."""
         seq = np.array(tasks, dtype=np.int64)
         out = np.empty(len(seq) + 1, dtype=np.int64)
-        finish, place = best_place(
+        cost, place = least_waiting(
             robot, seq, len(seq), task, first, *self._args, *self._rest, out
         )
-        return int(place), int(finish)
+        return int(place), int(cost)
 
     def improved(self, plan: Itineraries, seed: int, moves: int) -> Itineraries:
         """The best of `moves` tries from a plan, never worse than it. The same seed, the same plan."""

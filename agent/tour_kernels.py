@@ -342,3 +342,20 @@ def search(  # type: ignore[no-untyped-def]
             best_route[:], best_size[:] = route, size
     route[:], size[:] = best_route, best_size
     return best_most, best_total
+
+
+@njit(cache=True)
+def least_waiting(r, seq, n, task, first, ready, lead, link, lead_bay_ms, power, charging, out):  # type: ignore[no-untyped-def]
+    """Where in a route a task makes all tasks of the route wait the least in sum, and how much more."""
+    before = 0
+    for k in range(1, n + 1):
+        before += span(r, seq, k, ready, lead, link, lead_bay_ms, power, charging)
+    best, place = IMPOSSIBLE, n
+    for at in range(first, n + 1):
+        _put(seq, n, task, at, out)
+        after = 0
+        for k in range(1, n + 2):
+            after += span(r, out, k, ready, lead, link, lead_bay_ms, power, charging)
+        if after - before < best:
+            best, place = after - before, at
+    return best, place
