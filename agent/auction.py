@@ -7,6 +7,7 @@ the neighbours that cost least; `reference` figures are in docs/delivery.md.
 """
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -82,7 +83,9 @@ class Planner:
         )
         return int(place), int(cost)
 
-    def improved(self, plan: Itineraries, seed: int, moves: int) -> Itineraries:
+    def improved(
+        self, plan: Itineraries, seed: int, moves: int, heat: tuple[float, float] = (HOT, COLD)
+    ) -> Itineraries:
         """The best of `moves` tries from a plan, never worse than it. The same seed, the same plan."""
         placed = sum(map(len, plan))
         if placed < 1 or self.work.robots < 1 or any(
@@ -91,9 +94,10 @@ class Planner:
             return [list(tasks) for tasks in plan]
         route, size = self._packed(plan, placed)
         state = np.array([(seed * 2 + 1) * 0x9E3779B97F4A7C15 & (1 << 64) - 1], dtype=np.uint64)
-        search(route, size, self._near(), moves, HOT, COLD, state, *self._args, *self._rest)
+        search(route, size, self._near, moves, *heat, state, *self._args, *self._rest)
         return _unpacked(route, size)
 
+    @cached_property
     def _near(self) -> Whole:
         """(tasks, n): the tasks, and tasks + robot, that a task follows most cheaply."""
         link = self.work.link.astype(np.float64)

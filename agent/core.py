@@ -21,7 +21,7 @@ from agent.joining import CLAIM_PGN, Joining
 from agent.letters import Letter, Letters
 from agent.lifecycle import TABLE, Event, State
 from agent.membership import Membership, Neighbour
-from agent.mission import STILL, Agreeing, Choice, FleetView, Mission, Wish
+from agent.mission import STILL, Agreeing, Choice, Conversing, FleetView, Mission, Wish
 from agent.motion import Motion
 from agent.pause import pause_of
 from agent.ports import Observation
@@ -65,6 +65,7 @@ class Peer:
         self.beat = config.beat_of(len(identity.members))
         self.mission, self.motion = mission, motion
         self.agreeing = mission if isinstance(mission, Agreeing) else None
+        self.conversing = mission if isinstance(mission, Conversing) else None
         self.records = Records(recalled, identity.first_boot, rng)
         self.allocation = FieldAllocationCRDT(identity.field_hash)
         self.progress = Progress(mission.section_units if mission else {})

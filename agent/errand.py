@@ -168,7 +168,7 @@ class Errands:
         if tracker is None or abs(tracker.off_m) > LOST_M:
             self.replanning.forget()
             why = "lost" if tracker is not None else "after plan" if self._planned else "goal"
-            return self._set_out(self.floor.route.path(at, goal), why, now_us)
+            return self._set_out(self._way(at, goal), why, now_us)
         around = [(n.pose.x_m, n.pose.y_m) for n in view.neighbours.values()]
         self.replanning.look(here, tracker, around)
         old = self.replanning.restored(here, now_us)
@@ -181,6 +181,9 @@ class Errands:
             if path is not None:
                 return self._set_out(path, "blocked", now_us)
         return tracker
+
+    def _way(self, at: Point, goal: Point) -> tuple[Point, ...]:
+        return self.floor.route.path(at, goal)
 
     def _set_out(self, path: tuple[Point, ...], why: str, now_us: int) -> Tracker:
         self.followed.append(Followed(now_us, path, why))

@@ -8,6 +8,9 @@ from protocol.frame import Frame
 from protocol.health import Health
 
 
+NOTHING_SEEN: Mapping[int, tuple[float, float]] = {}
+
+
 class Observation(NamedTuple):
     """What the robot's own sensors say now. Field frame: x east, y north, metres."""
 
@@ -20,6 +23,8 @@ class Observation(NamedTuple):
         float, ...
     ] = ()  # one per ray, counter-clockwise from the heading; inf: nothing
     battery: float = 1.0  # share of a full charge
+    load: int = -1  # of a carrier: the parcel that is aboard; -1: none
+    parcels: Mapping[int, tuple[float, float]] = NOTHING_SEEN  # and where those within its reach lie
 
 
 class Bus(Protocol):

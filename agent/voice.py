@@ -70,6 +70,8 @@ class Voice:
         effects += peer.elect(now_us)
         if peer.agreeing is not None:
             effects += [Send(word) for word in peer.agreeing.accords.say(now_us)]
+        if peer.conversing is not None:
+            effects += [Send(word) for word in peer.conversing.say(now_us)]
         if peer.roll_call.answer_due:
             peer.roll_call.answer_due = False
             effects.append(Send(self.member(peer)))
