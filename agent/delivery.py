@@ -17,7 +17,7 @@ from agent.lifecycle import State
 from agent.mission import Choice, FleetView, Wish
 from agent.path_requests import AHEAD_S, PathRequests, Urgency
 from agent.task_book import TASKS_MAX
-from agent.warehouse import SECTIONS_END, Standing, Warehouse
+from agent.warehouse import SECTIONS_END, Warehouse
 from crdt import Phase
 
 Point = tuple[float, float]
@@ -72,14 +72,9 @@ class Delivery(Errands):
         self._load = view.here.load
         self.dispatch.left = round(view.here.battery * FULL)
         able = state in (State.IDLE, State.WORKING, State.SYNCHRONIZING)
-        self.dispatch.tick(view, self._standing(view) if able else None)
+        self.dispatch.tick(view, able)
         self.paths.work()
         super().attend(view, state)
-
-    def _standing(self, view: FleetView) -> Standing:
-        """When and where we are free for the next task."""
-        here = Standing(self.slot, (view.here.x_m, view.here.y_m), 0, self.dispatch.left)
-        return self.dispatch.through(here, view)
 
     @property
     def stops(self) -> list[str]:
@@ -137,7 +132,7 @@ class Delivery(Errands):
         left_us = self.dispatch.round.left_us(view.now_us)
         if not left_us or self.dispatch.round.first.get(self.slot, [])[:1] == [task]:
             return False  # no round; or the first of the auction's plan, which is as good a begin
-        here = self._standing(view)
+        here = self.dispatch.standing(view)
         order = self.dispatch.book.tasks[task]
         through = self.house.after(here._replace(ready_ms=0), self.house.trip(order), False)
         return through.ready_ms * MS < left_us
@@ -147,7 +142,7 @@ class Delivery(Errands):
         if not self.house.carrier.runs_dry or not self.house.bays:
             return False
         trip = self.house.trip(self.dispatch.book.tasks[task])
-        then = self.house.after(self._standing(view), trip, False)
+        then = self.house.after(self.dispatch.standing(view), trip, False)
         return then.left < self.house.home(trip.dropoff)
 
     def _charge(self, view: FleetView, task: int | None) -> Choice | None:

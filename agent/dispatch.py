@@ -83,18 +83,18 @@ class Dispatch:
 
     # ---------------------------------------------------------------- what there is to do
 
-    def tick(self, view: FleetView, standing: Standing | None) -> None:
-        """Each control period. `standing`: of ourselves; None: we cannot work."""
+    def tick(self, view: FleetView, able: bool) -> None:
+        """Each control period. `able`: we can work."""
         now_us = view.now_us
         self.round.tick(now_us)
         for offer in self._calls:
             if self.round.wanted(offer):
-                self.round.join(offer, self._frozen(view, standing), now_us)
-                self._provisional(standing)
+                self.round.join(offer, self._frozen(view, able), now_us)
+                self._provisional(able)
         self._calls.clear()
         if self.round.adopted is not None:
             self._adopt(view)
-        self._close(view, standing)
+        self._close(view, able)
         if now_us < self._look_us:
             return
         self._look_us = now_us + LOOK_US
@@ -102,10 +102,10 @@ class Dispatch:
         if self.round.active:
             return
         fresh, orphans = self._open(view)
-        self._consider(fresh, orphans, view, standing)
+        self._consider(fresh, orphans, view, able)
 
     def _consider(
-        self, fresh: list[int], orphans: list[int], view: FleetView, standing: Standing | None
+        self, fresh: list[int], orphans: list[int], view: FleetView, able: bool
     ) -> None:
         now_us = view.now_us
         if len(fresh) <= self.house.t_max:
@@ -118,10 +118,10 @@ class Dispatch:
             if now_us >= due_us:
                 self._round_us = now_us + AGAIN_US
                 replan_us = min(max(len(fresh) * MOVES_A_TASK // 15_000 * SLICE_US, REPLAN_US[0]), REPLAN_US[1])
-                self.round.call(self._frozen(view, standing), replan_us, now_us)
-                self._provisional(standing)
+                self.round.call(self._frozen(view, able), replan_us, now_us)
+                self._provisional(able)
         elif self._auction is None and (fresh or orphans):
-            self._open_auction(fresh[0] if fresh else orphans[0], not fresh, view, standing)
+            self._open_auction(fresh[0] if fresh else orphans[0], not fresh, view, able)
 
     def _order(self, view: FleetView) -> int:
         return sum(slot < self.slot for slot in view.live)
@@ -196,19 +196,24 @@ class Dispatch:
     # ---------------------------------------------------------------- scenario B
 
     def _open_auction(
-        self, task: int, behind: bool, view: FleetView, standing: Standing | None
+        self, task: int, behind: bool, view: FleetView, able: bool
     ) -> None:
-        bid = self._bid(task, behind, standing)
+        bid = self._bid(task, behind, view) if able else None
         best = None if bid is None else (bid.cost_ms, self.slot)
         self._auction = Auction(task, view.now_us + BIDS_US, best, bid)
 
-    def _bid(self, task: int, behind: bool, standing: Standing | None) -> TaskBid | None:
+    def standing(self, view: FleetView) -> Standing:
+        """When and where we are free for the next task."""
+        here = Standing(self.slot, (view.here.x_m, view.here.y_m), 0, self.left)
+        return self.through(here, view)
+
+    def _bid(self, task: int, behind: bool, view: FleetView) -> TaskBid | None:
         """None where we cannot do it."""
-        if standing is None or not self.house.known(self.book.tasks[task]):
+        if not self.house.known(self.book.tasks[task]):
             return None
         order = [*self.itinerary, task]
         trips = [self.house.trip(self.book.tasks[t]) for t in order]
-        planner = Planner(self.house.work(trips, [standing]))
+        planner = Planner(self.house.work(trips, [self.standing(view)]))
         last = len(order) - 1
         place, cost_ms = planner.inserted(0, range(last), last, last if behind else 0)
         if cost_ms >= IMPOSSIBLE_MS:
@@ -226,7 +231,7 @@ class Dispatch:
         if auction.best is None or told < auction.best:
             self._auction = auction._replace(best=told, mine=None)
 
-    def _close(self, view: FleetView, standing: Standing | None) -> None:
+    def _close(self, view: FleetView, able: bool) -> None:
         auction, now_us = self._auction, view.now_us
         if auction is None or now_us < auction.closes_us:
             return
@@ -236,16 +241,16 @@ class Dispatch:
         self._awarded[auction.task] = now_us + AWARDED_US
         if auction.best[1] == self.slot and auction.task not in self.itinerary:
             behind = auction.mine is not None and bool(auction.mine.round)
-            bid = self._bid(auction.task, behind, standing)
+            bid = self._bid(auction.task, behind, view) if able else None
             place = len(self.itinerary) if bid is None else bid.place
             self.itinerary.insert(place, auction.task)
             self._changed(now_us)
 
     # ---------------------------------------------------------------- scenarios A and C
 
-    def _frozen(self, view: FleetView, standing: Standing | None) -> Frozen:
+    def _frozen(self, view: FleetView, able: bool) -> Frozen:
         """The problem as we see it: free tasks of the living, and when and where each will be free."""
-        robots = [] if standing is None else [standing]
+        robots = [self.standing(view)] if able else []
         for slot in sorted(view.live - {self.slot}):
             neighbour = view.neighbours.get(slot)
             if neighbour is not None and neighbour.pose.state in (State.IDLE, State.WORKING, State.SYNCHRONIZING):
@@ -282,9 +287,9 @@ class Dispatch:
                 standing = Standing(standing.slot, bay, standing.ready_ms + charge_ms, FULL)
         return standing
 
-    def _provisional(self, standing: Standing | None) -> None:
+    def _provisional(self, able: bool) -> None:
         """At the boot the auction's plan, which all compute alike, holds until there is a better one."""
-        if not self.itinerary and standing is not None:
+        if not self.itinerary and able:
             self.itinerary = list(self.round.first.get(self.slot, []))
 
     def _adopt(self, view: FleetView) -> None:

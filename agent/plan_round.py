@@ -21,7 +21,8 @@ from agent.workload import IMPOSSIBLE_MS, Itineraries, Workload
 from protocol.delivery_frames import NO_TASK, PlanOffer, PlanRow
 
 SLICE_US = 50 * MS  # a control period
-SLICE_MOVES = 15_000  # of the search in each: 10 ms of a small computer's 50
+SLICE_MOVES = 15_000  # of the search in each: 10 ms of a small computer's 50; and
+SLICE_MOVES_CHARGING = 3_000  # where routes are walked with bays: as long
 REPLAN_UNIT_US = 250 * MS
 REPLAN_US_MAX = 255 * REPLAN_UNIT_US
 OFFERS_US = 500 * MS  # offers are collected this long; the bus is through with all in a tenth of it
@@ -129,8 +130,9 @@ class PlanRound:
             if self._done < self._slices:
                 hot = HOT * (COLD / HOT) ** (self._done / self._slices)
                 cold = HOT * (COLD / HOT) ** ((self._done + 1) / self._slices)
+                moves = SLICE_MOVES if self._planner.work.power is None else SLICE_MOVES_CHARGING
                 self._plan = self._planner.improved(
-                    self._plan, self.seed + self._done, SLICE_MOVES, (hot, cold)
+                    self._plan, self.seed + self._done, moves, (hot, cold)
                 )
                 self._done += 1
             return
