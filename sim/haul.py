@@ -12,6 +12,7 @@ from agent.config import S
 from agent.core import Identity, Peer
 from agent.delivery import Delivery
 from agent.lifecycle import State
+from agent.task_book import TASKS_MAX, Order
 from crdt import Phase
 from protocol.codec import Malformed, decode_once
 from protocol.delivery_frames import TaskOrder
@@ -21,7 +22,7 @@ from sim.can_log import open_log
 from sim.cluster import Cluster, Record, Robot
 from sim.delivery_setting import DeliverySetting
 from sim.faults import FaultPlan
-from sim.host import Handle, Host, Script
+from sim.host import Handle, Host, LoopHost, Script, follow
 from sim.parcels import CarrierBody
 from sim.swarm import Swarm
 from sim.trace import Recorder
@@ -86,6 +87,16 @@ class HaulCluster(Cluster):
         self.truth.is_up = self.is_up
         self.truth.place_of = lambda slot: self.world.body(slot).position
         self.missions: dict[int, Delivery] = {}
+        self.segment.taps.append(self._appears)
+
+    def _appears(self, t_us: int, frame: Frame) -> None:
+        """Whoever orders a transport puts a parcel there."""
+        _, message = decode_once(frame)
+        if isinstance(message, TaskOrder):
+            order = Order(message.pickup, message.dropoff)
+            if message.task < TASKS_MAX and self.place.house.known(order):
+                trip = self.place.house.trip(order)
+                self.truth.appear(message.task, trip.pickup, trip.dropoff, t_us)
 
     def make(
         self, slot: int, now_us: int, recalled: Mapping[str, bytes], first_boot: bool, lot: str
@@ -108,16 +119,15 @@ class HaulCluster(Cluster):
         return robot
 
     def task(self, number: int) -> None:
-        """One more parcel stands at its pickup, and an operator's device says so."""
-        order = self.place.order(self.place.house, self.place.rows[number])
-        trip = self.place.house.trip(order)
-        self.truth.appear(number, trip.pickup, trip.dropoff, self.host.now_us())
-        self.inject(TaskOrder(number, *order))
+        """An operator's device orders the transport of one more parcel."""
+        self.inject(TaskOrder(number, *self.place.order(self.place.house, self.place.rows[number])))
 
     @property
     def finished(self) -> bool:
-        tasks = range(len(self.place.rows))
-        return len(self.truth.delivered_us) == len(tasks) and all(
+        tasks = self.truth.dropoff
+        if len(tasks) < len(self.place.rows):
+            return False  # they have not come yet
+        return self.truth.delivered_us.keys() == tasks.keys() and all(
             robot.peer.allocation.phase_of(task) is Phase.DONE
             for robot in self.running
             for task in tasks
@@ -128,18 +138,30 @@ class Haul:
     def __init__(
         self, setting: DeliverySetting, out: Path | None = None,
         told: Callable[[HaulMoment], None] | None = None,
-        watch: Callable[[HaulCluster], None] | None = None,
+        watch: Callable[[HaulCluster], None] | None = None, forever: bool = False,
     ) -> None:  # fmt: skip
-        """`watch` is given the cluster twice a second."""
+        """`watch` is given the cluster twice a second. `forever`: more tasks may come at any time."""
+        self.forever = forever
         self.setting, self.out, self.told, self.watch = setting, out, told, watch
         self.kinds: Counter[str] = Counter()
         self.malformed = 0
         self.tracks: dict[int, list[TrackPoint]] = {}
         self.cluster: HaulCluster | None = None
+        self.ended = False  # by a person
+        self.attach: Callable[[HaulCluster], None] | None = None
 
     def run(self) -> HaulOutcome:
         swarm = Swarm()
         return swarm.run(self._play(swarm))
+
+    async def live(self, attach: Callable[[HaulCluster], None]) -> HaulOutcome:
+        """In the running loop's time, which begins at 0. `attach`: who else is on the bus."""
+        host = LoopHost()
+        self.attach = attach
+        try:
+            return await follow(self._play(host))
+        finally:
+            await host.close()
 
     def _play(self, host: Host) -> Script[HaulOutcome]:
         started_s = time.perf_counter()
@@ -156,6 +178,8 @@ class Haul:
                 log.write(t_us, frame)
 
         cluster.segment.taps.append(tap)
+        if self.attach is not None:
+            self.attach(cluster)
         cluster.boot_all()
         scripts = [
             host.spawn(FaultPlan(cluster).script()), host.spawn(self._boxes(cluster)),
@@ -209,7 +233,8 @@ class Haul:
                 self.watch(cluster)
             if self.told is not None:
                 self.told(self._moment(cluster))
-            if all(script.done() for script in scripts) and cluster.finished:
+            over = all(script.done() for script in scripts) and cluster.finished
+            if (over and not self.forever) or self.ended:
                 break
         quiet_us = host.now_us() + QUIET_US
         while not cluster.replicas_equal and host.now_us() < quiet_us:
@@ -218,7 +243,7 @@ class Haul:
     def _moment(self, cluster: HaulCluster) -> HaulMoment:
         running = {robot.slot for robot in cluster.running}
         return HaulMoment(
-            cluster.host.now_us() / S, len(cluster.truth.delivered_us), len(self.setting.rows),
+            cluster.host.now_us() / S, len(cluster.truth.delivered_us), len(cluster.truth.dropoff),
             {slot: m.stops for slot, m in cluster.missions.items() if slot in running},
         )  # fmt: skip
 
@@ -236,7 +261,7 @@ class Haul:
             scenario=scenario.name,
             robots=scenario.fleet.robots,
             seed=scenario.run.seed,
-            tasks=len(self.setting.rows),
+            tasks=len(truth.dropoff),
             delivered=len(truth.delivered_us),
             finished=cluster.finished,
             makespan_s=max(truth.delivered_us.values(), default=0) / S,
@@ -244,7 +269,7 @@ class Haul:
             flaws=truth.flaws,
             empty=tuple(sorted(truth.empty)),
             lowest_battery=min(truth.lowest.values(), default=1.0),
-            charges=truth.charges,
+            charges=_charges(cluster),
             contacts=len(world.contacts),
             closest_m=world.closest_m,
             travel_m=sum(body.track.driven_m for body in world.robots.values()),
@@ -260,3 +285,14 @@ class Haul:
             simulated_s=now_us / S,
             wall_s=wall_s,
         )
+
+
+def _charges(cluster: HaulCluster) -> int:
+    """Visits of bays that were done, as a running replica knows."""
+    for robot in cluster.running:
+        allocation = robot.peer.allocation
+        return sum(
+            section >= TASKS_MAX and allocation.phase_of(section) is Phase.DONE
+            for section in allocation.sections()
+        )
+    return 0

@@ -43,7 +43,6 @@ class Parcels:
         self.battery: dict[int, float] = {}
         self.lowest: dict[int, float] = {}
         self.empty: set[int] = set()
-        self.charges = 0
         self.is_up: Callable[[int], bool] = lambda slot: True
         self.place_of: Callable[[int], Point] = lambda slot: (0.0, 0.0)
 

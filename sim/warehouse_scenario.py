@@ -2,6 +2,7 @@
 
 import csv
 import json
+import tomllib
 from collections.abc import Iterable
 from pathlib import Path
 from random import Random
@@ -74,6 +75,19 @@ class WarehouseScenario(Scenario):
 
 class _Parsed(WarehouseScenario):
     fleet: WarehouseFleet = WarehouseFleet()
+
+
+def is_warehouse(name: str) -> bool:
+    """Whether a name is that of a warehouse; what is wrong with the file is told when it is loaded."""
+    path = Path(name)
+    if not path.suffix and not path.exists():
+        path = WAREHOUSES / f"{name}.toml"
+    if path.suffix != ".toml" or not path.is_file():
+        return False
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8")).get("mission") == "delivery"
+    except (OSError, ValueError):
+        return False
 
 
 def load_warehouse(name: str) -> WarehouseScenario:

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from tools import coverage
+from tools import coverage, tasks
 from tools.keys import app as keys_app
 
 HELP = "A leaderless robot fleet on a CAN bus: every robot is a peer, none is in charge."
@@ -13,6 +13,7 @@ app = typer.Typer(
     help=HELP, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None
 )
 app.add_typer(coverage.app, name="coverage")
+app.add_typer(tasks.app, name="task")
 
 Interface = Annotated[
     str, typer.Option("-i", "--interface", help="python-can interface, as for can_logger.")
@@ -45,15 +46,26 @@ def run(
     log: Annotated[
         list[Path] | None, typer.Option(help="A further CAN log: .asc .blf .csv .log .trc")
     ] = None,
+    live: Annotated[
+        bool, typer.Option("--live", help="A warehouse in real time, for more tasks to be added.")
+    ] = False,
+    port: Annotated[int, typer.Option(help="With --live: of the bus (0: any free one).")] = 0,
+    seconds: Annotated[float | None, typer.Option(help="With --live: end after this long.")] = None,
     keys: KeyFile = None,
     json: Json = False,
 ) -> None:
     """Work a scenario to its end in virtual time, as fast as it can go. A field file is one, too.
 
     Example: headland run oxted --robots 8 --seed 3 --out runs/eight
+    Example: headland run warehouse --live, then elsewhere: headland task add 9.5,2.5 1.5,8.5
     """
+    from sim.warehouse_scenario import is_warehouse
     from tools.run import run as command
 
+    if is_warehouse(scenario):
+        from tools.haul import haul
+
+        raise SystemExit(haul(scenario, robots, seed, out, json, keys, live, port, seconds))
     raise SystemExit(command(scenario, robots, seed, out, json, keys, log or [], feature, drive))
 
 
