@@ -258,12 +258,13 @@ class Delivery(Errands):
         return self.paths.take(at, goal)
 
     def _delivered(self, task: int, view: FleetView) -> bool:
-        """It lies, for us to see, within reach of its dropoff."""
-        at = view.here.parcels.get(task)
-        if at is None or self._load == task:
+        """It has been carried, and lies, for us to see, within reach of its dropoff."""
+        seen = view.here.parcels.get(task)
+        carried = self._told_aboard == task or view.progress.bits(task, 0) & 1
+        if seen is None or seen.on_robot or not carried:
             return False
         dropoff = self.house.trip(self.dispatch.book.tasks[task]).dropoff
-        return hypot(dropoff[0] - at[0], dropoff[1] - at[1]) < REACH_M
+        return hypot(dropoff[0] - seen.x_m, dropoff[1] - seen.y_m) < REACH_M
 
     def _handling(self, task: int, view: FleetView) -> Wish:
         """Load, or unload. The world says what has come of it: what is aboard, and what lies where."""

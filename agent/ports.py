@@ -8,7 +8,15 @@ from protocol.frame import Frame
 from protocol.health import Health
 
 
-NOTHING_SEEN: Mapping[int, tuple[float, float]] = {}
+class Lying(NamedTuple):
+    """A parcel within reach, as a carrier's scanner sees it."""
+
+    x_m: float
+    y_m: float
+    on_robot: bool  # on a robot that is dead
+
+
+NOTHING_SEEN: Mapping[int, Lying] = {}
 
 
 class Observation(NamedTuple):
@@ -24,7 +32,7 @@ class Observation(NamedTuple):
     ] = ()  # one per ray, counter-clockwise from the heading; inf: nothing
     battery: float = 1.0  # share of a full charge
     load: int = -1  # of a carrier: the parcel that is aboard; -1: none
-    parcels: Mapping[int, tuple[float, float]] = NOTHING_SEEN  # and where those within its reach lie
+    parcels: Mapping[int, Lying] = NOTHING_SEEN  # and those within its reach
 
 
 class Bus(Protocol):

@@ -1,7 +1,6 @@
 """A delivering fleet of a scenario file: building, places of the robots, tasks, and true parcels."""
 
 from functools import cached_property
-from pathlib import Path
 from random import Random
 
 import numpy as np
@@ -59,9 +58,7 @@ class DeliverySetting(ErrandSetting):
         scenario, table = self.scenario, self.scenario.warehouse
         rows = []
         if table.tasks is not None:
-            path = Path(table.tasks)
-            path = path if path.is_absolute() else scenario.folder / path
-            rows = read_tasks(path)
+            rows = read_tasks(scenario.folder / table.tasks)
         rows += random_tasks(self.cells, table.random_tasks, table.random_over_s, rng)
         for number, row in enumerate(rows):
             for key, at in (("pickup", row.pickup), ("dropoff", row.dropoff)):
@@ -141,10 +138,10 @@ class DeliverySetting(ErrandSetting):
 
 def _floor(scenario: WarehouseScenario) -> Floor:
     table = scenario.warehouse
-    path = Path(table.map)
-    path = path if path.is_absolute() else scenario.folder / path
+    path = scenario.folder / table.map  # an absolute one stays as it is
     try:
-        text = path.read_text(encoding="utf-8")
+        drawn = "\n" in table.map  # the map itself
+        text = table.map if drawn else path.read_text(encoding="utf-8")
         return Floor.drawn(text, table.cell_m, scenario.fleet.radius_m)
     except (OSError, UnicodeDecodeError) as problem:
         raise ScenarioError(f"{scenario.name}: warehouse.map: {path}: {problem}") from None

@@ -12,7 +12,7 @@ from agent.config import S
 from agent.cost_matrix import Carrier
 from agent.delivery import REACH_M
 from agent.effects import HALT, Drive
-from agent.ports import Body, Observation
+from agent.ports import Body, Lying, Observation
 
 Point = tuple[float, float]
 STILL_M_S = 0.1  # a robot handles and charges standing
@@ -51,14 +51,18 @@ class Parcels:
             self.lies[task], self.dropoff[task] = pickup, dropoff
             self.appeared_us[task] = now_us
 
-    def seen(self, slot: int, at: Point) -> dict[int, Point]:
+    def seen(self, slot: int, at: Point) -> dict[int, Lying]:
         """Parcels within reach that lie, or stand on robots that are dead."""
-        found = {task: place for task, place in self.lies.items() if _gap(place, at) < REACH_M}
+        found = {
+            task: Lying(*place, False)
+            for task, place in self.lies.items()
+            if _gap(place, at) < REACH_M
+        }
         for other, task in self.aboard.items():
             if other != slot and not self.is_up(other):
                 place = self.place_of(other)
                 if _gap(place, at) < REACH_M:
-                    found[task] = place
+                    found[task] = Lying(*place, True)
         return found
 
     def handle(self, slot: int, task: int, at: Point, now_us: int) -> None:

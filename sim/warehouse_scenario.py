@@ -42,7 +42,7 @@ class BatteryTable(_Table):
 
 
 class WarehouseTable(_Table):
-    map: str  # Moving AI format
+    map: str  # a file in Moving AI format, or the drawing itself
     cell_m: float = Field(default=1.0, ge=0.5, le=10.0)
     bays: list[XY] = []
     outage: list[Outage] = []
