@@ -156,14 +156,27 @@ def workload(
         from_ms, from_e = whole(costs.metres(bays, pickups))
         lead_bay_m, to_bay_m = costs.metres(starts, bays), costs.metres(dropoffs, bays)
         lead_bay_ms, to_bay_ms = carrier.time_ms(lead_bay_m), carrier.time_ms(to_bay_m)
-        to_bay = carrier.energy(to_bay_m, to_bay_ms)
+        # A bay may turn out to give nothing: from each the next one must be within reach.
+        spare = spare_energy(costs, carrier, bays)
+        to_bay = carrier.energy(to_bay_m, to_bay_ms) + spare
         power = Power(
             capacity=round((1 - carrier.reserve) * FULL),
             dock_ms=round(carrier.dock_s * 1000),
             ms_per_unit=carrier.charge_s * 1000 / FULL,
             left=np.array(left, dtype=np.int64) - round(carrier.reserve * FULL),
             lead=lead, link=link, home=to_bay.min(axis=1, initial=FULL), lead_bay_ms=lead_bay_ms,
-            lead_bay=carrier.energy(lead_bay_m, lead_bay_ms), to_bay_ms=to_bay_ms, to_bay=to_bay,
+            lead_bay=carrier.energy(lead_bay_m, lead_bay_ms) + spare, to_bay_ms=to_bay_ms, to_bay=to_bay,
             from_bay_ms=from_ms, from_bay=from_e,
         )  # fmt: skip
     return Workload(np.array(ready_ms, dtype=np.int64), lead_ms, link_ms, power)
+
+
+def spare_energy(costs: CostMatrix, carrier: Carrier, bays: Sequence[Point]) -> Whole:
+    """(bays,) from each to the next one; 0 where there is only one."""
+    costs.extend(bays)
+    way_m = costs.metres(bays, bays)
+    if len(bays) < 2:
+        return np.zeros(len(bays), dtype=np.int64)
+    np.fill_diagonal(way_m, np.inf)
+    nearest_m = way_m.min(axis=1)
+    return carrier.energy(nearest_m, carrier.time_ms(nearest_m))

@@ -223,14 +223,16 @@ class Delivery(Errands):
 
     def _beside(self, view: FleetView) -> bool:
         """Another body is where we want to be, and the arm reaches over."""
-        assert self.goal is not None
+        section = self.section
+        if section is None or section >= TASKS_MAX or self.goal is None:
+            return False
         x_m, y_m = self.goal
-        if self.section is None or self.section >= TASKS_MAX:
-            return False
-        if hypot(x_m - view.here.x_m, y_m - view.here.y_m) > BESIDE_M:
-            return False
         width_m = 2 * self.floor.radius_m
-        return any(hypot(x_m - p[0], y_m - p[1]) < width_m for p in self._last.values())
+        if not any(hypot(x_m - p[0], y_m - p[1]) < width_m for p in self._last.values()):
+            return False
+        if self._load != section:
+            return section in view.here.parcels
+        return hypot(x_m - view.here.x_m, y_m - view.here.y_m) < BESIDE_M
 
     def _near_end(self, section: int, view: FleetView) -> bool:
         """The next section is claimed on the last leg, not before: until then it may be re-planned."""

@@ -4,7 +4,7 @@ A round has four steps. Somebody calls it and says how long it takes. Everybody 
 starts from the same auction. When time is up each offers what its plan costs, in silence if it has heard
 of a better one; the least is elected, lower slots first among equals, and the term of that election is
 the number of the round: nothing of an older one is believed. The elected streams its plan row by row;
-where it falls silent the second best does, then the third. Adopted is a plan whose digest is the offered.
+where it falls silent the others elect the second best. Adopted is a plan whose digest is the offered.
 
 What each froze need not be the same to the metre: whose plan is adopted has planned for all.
 """
@@ -69,6 +69,7 @@ class PlanRound:
         self._heard_us = 0  # the last row
         self._queue: list[PlanRow] = []
         self._mine: Rows = {}
+        self._mute: set[int] = set()  # elected, and not heard
 
     @property
     def active(self) -> bool:
@@ -104,7 +105,7 @@ class PlanRound:
         self.first = self._rows()
         self._slices, self._done = units * REPLAN_UNIT_US // SLICE_US, 0
         self._offers, self._told, self._lengths = {}, {}, {}
-        self._queue, self._mine = [], {}
+        self._queue, self._mine, self._mute = [], {}, set()
 
     def _rows(self) -> Rows:
         assert self._frozen is not None
@@ -148,7 +149,7 @@ class PlanRound:
     def _pass(self) -> None:
         """The elected begins; the others wait to hear it."""
         rank = self._rank()
-        if rank and rank[0] == self.slot:
+        if rank and rank[0] == self.slot and not self._queue:
             self._queue = list(_said(self.number, self._mine)) * PASSES
 
     def _stream(self, now_us: int) -> None:
@@ -161,9 +162,9 @@ class PlanRound:
             self._adopt(self._mine)
             self.streamed += 1
         elif now_us - self._heard_us > HUSH_US:
-            self._offers.pop(rank[0])  # it has died, or we cannot hear it
-            self._heard_us = now_us
-            self._pass()
+            self._mute.add(rank[0])  # it has died, or we cannot hear it: the next best is elected
+            del self._offers[rank[0]]
+            self.step, self.ends_us = Step.OFFER, now_us + OFFERS_US
 
     def _adopt(self, rows: Rows) -> None:
         self.adopted, self.step = rows, Step.REST
@@ -175,7 +176,7 @@ class PlanRound:
         if message.round != self.number or self.step is Step.REST:
             return
         if isinstance(message, PlanOffer):
-            if not message.replan:
+            if not message.replan and slot not in self._mute:
                 self._offers[slot] = (message.cost_ms, message.digest)
             return
         self._heard_us = now_us

@@ -8,11 +8,11 @@ from zlib import crc32
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.cost_matrix import FULL, Carrier, CostMatrix, Trip, workload
+from agent.cost_matrix import FULL, Carrier, CostMatrix, Trip, spare_energy, workload
 from agent.floor import Floor
 from agent.nav_mesh import Mesh, Point
 from agent.task_book import TASKS_MAX, Order
-from agent.workload import Workload
+from agent.workload import Whole, Workload
 from crdt import FieldAllocationCRDT, Phase
 
 SECTIONS_END = 0x8000  # names begin there
@@ -110,10 +110,17 @@ class Warehouse:
         )
 
     def home(self, at: Point) -> int:
-        """Energy to the nearest bay, with the reserve that plans never touch."""
-        nearest_m = min((self.way_m(at, bay) for bay in self.bays), default=0.0)
-        time_ms = self.carrier.time_ms(_array(nearest_m))
-        return int(self.carrier.energy(_array(nearest_m), time_ms)[0]) + self.reserve
+        """Energy to a bay and, should that give nothing, to the next one, with the reserve."""
+        if not self.bays:
+            return self.reserve
+        self.costs.extend(self.bays)
+        way_m = self.costs.metres([at], self.bays)[0]
+        energy = self.carrier.energy(way_m, self.carrier.time_ms(way_m)) + self._spare
+        return int(energy.min()) + self.reserve
+
+    @cached_property
+    def _spare(self) -> Whole:
+        return spare_energy(self.costs, self.carrier, self.bays)
 
     @property
     def reserve(self) -> int:

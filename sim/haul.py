@@ -27,6 +27,7 @@ from sim.parcels import CarrierBody
 from sim.swarm import Swarm
 from sim.trace import Recorder
 from sim.truth import TrackPoint
+from sim.verdict import TOUCH_M
 
 LOOK_US = 500_000
 QUIET_US = 4 * S  # after the last parcel replicas must be equal within this
@@ -54,7 +55,7 @@ class HaulOutcome(NamedTuple):
     empty: tuple[int, ...]  # robots whose battery ever was
     lowest_battery: float
     charges: int
-    contacts: int
+    contacts: int  # deeper than 2 cm: bodies are measured to a centimetre
     closest_m: float
     travel_m: float
     rounds: int  # of planning, streamed plans
@@ -270,7 +271,7 @@ class Haul:
             empty=tuple(sorted(truth.empty)),
             lowest_battery=min(truth.lowest.values(), default=1.0),
             charges=_charges(cluster),
-            contacts=len(world.contacts),
+            contacts=sum(contact.depth_m > TOUCH_M for contact in world.contacts),
             closest_m=world.closest_m,
             travel_m=sum(body.track.driven_m for body in world.robots.values()),
             rounds=sum(m.dispatch.round.streamed for m in missions),

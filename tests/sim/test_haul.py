@@ -5,6 +5,8 @@ from typing import Any
 
 import pytest
 
+from protocol.codec import decode_once
+from protocol.delivery_frames import PlanRow
 from sim.delivery_setting import DeliverySetting
 from sim.haul import Haul, HaulCluster, HaulOutcome
 from sim.scenario import Crash, Heal, Loss, Partition, Restart
@@ -109,20 +111,12 @@ def test_a_split_with_parcels_in_flight_delivers_each_once() -> None:
 
 
 def test_the_elected_dies_as_it_begins_to_stream_and_the_next_best_does() -> None:
-    class KillsTheElected:
-        killed: int | None = None
-
-        def __call__(self, cluster: HaulCluster) -> None: ...
-
     given = scenario(robots=4, random_tasks=8)
     run = Haul(DeliverySetting(given))
     killed: list[int] = []
 
     def attach(cluster: HaulCluster) -> None:
         def tap(t_us: int, frame: Any) -> None:
-            from protocol.codec import decode_once
-            from protocol.delivery_frames import PlanRow
-
             source, message = decode_once(frame)
             if isinstance(message, PlanRow) and not killed:
                 slots = [r.slot for r in cluster.running if r.peer.address == source]
@@ -141,8 +135,8 @@ def test_the_elected_dies_as_it_begins_to_stream_and_the_next_best_does() -> Non
 
 def test_batteries_are_charged_before_they_are_needed_also_when_a_bay_is_lost() -> None:
     given = scenario(
-        robots=2, random_tasks=8, bays=[(0.5, 2.5), (11.5, 2.5)], outage=[Outage(bay=0, at_s=5.0)],
-        battery={"range_m": 60.0, "charge_s": 10.0, "dock_s": 2.0, "reserve": 0.15},
+        robots=2, random_tasks=10, bays=[(0.5, 2.5), (11.5, 2.5)], outage=[Outage(bay=0, at_s=5.0)],
+        battery={"range_m": 50.0, "charge_s": 10.0, "dock_s": 2.0, "reserve": 0.15},
     )  # fmt: skip
     outcome, _ = play(given)
     assert outcome.finished
