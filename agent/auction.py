@@ -60,7 +60,9 @@ class Planner:
 
     # ---------------------------------------------------------------- deciding
 
-    def auctioned(self, held: Itineraries | None = None, free: Sequence[int] | None = None) -> Itineraries:
+    def auctioned(
+        self, held: Itineraries | None = None, free: Sequence[int] | None = None
+    ) -> Itineraries:
         """Every free task to the robot that would be through with it first, cheapest bid first.
 
         `held`: itineraries that stay and are added to. A task that nobody's battery can do is left out.
@@ -88,8 +90,10 @@ class Planner:
     ) -> Itineraries:
         """The best of `moves` tries from a plan, never worse than it. The same seed, the same plan."""
         placed = sum(map(len, plan))
-        if placed < 1 or self.work.robots < 1 or any(
-            self.span_ms(r, tasks) >= IMPOSSIBLE_MS for r, tasks in enumerate(plan)
+        if (
+            placed < 1
+            or self.work.robots < 1
+            or any(self.span_ms(r, tasks) >= IMPOSSIBLE_MS for r, tasks in enumerate(plan))
         ):
             return [list(tasks) for tasks in plan]
         route, size = self._packed(plan, placed)

@@ -93,7 +93,8 @@ class CostMatrix:
             return np.zeros((len(starts), len(goals)))
         columns = np.array([self._number[goal] for goal in goals], dtype=np.int64)
         rows = [self._known(start)[columns] for start in starts]
-        return np.stack(rows)
+        found: NDArray[np.float64] = np.stack(rows)
+        return found
 
     def _known(self, start: Point) -> NDArray[np.float64]:
         number = self._number.get(start)
@@ -105,9 +106,11 @@ class CostMatrix:
     def _row(self, start: Point) -> NDArray[np.float64]:
         """Metres to every point of interest."""
         if not len(self._onto):  # one polygon, and no portal anywhere
-            return np.hypot(*(self._places - start).T)
+            straight: NDArray[np.float64] = np.hypot(*(self._places - start).T)
+            return straight
         field = np.append(self._field(start)[self._onto] + self._onto_m, np.inf)
         row: NDArray[np.float64] = np.minimum.reduceat(field, self._begins)
+        row[np.diff(self._begins, append=len(self._onto)) == 0] = np.inf  # a polygon by itself
         same = self._boxes == self.mesh.box(start)
         row[same] = np.hypot(*(self._places[same] - start).T)
         return row

@@ -24,6 +24,7 @@ Point = tuple[float, float]
 PICKED, DELIVERED = 0, 1  # units of a task
 REACH_M = 1.2  # of the arm, from the robot's middle to the parcel's
 BESIDE_M = 1.0  # nearer than this is near enough where another body is in the way
+UNTOUCHED_M = 0.2  # from where it was to be fetched: nobody has moved it
 FULL_AT = 0.99  # of a battery
 IDLE_CHARGE = 0.5  # who has nothing to do charges below this
 HOME_US = 5 * S  # who has nothing to do for so long makes room
@@ -92,7 +93,9 @@ class Delivery(Errands):
 
     def choose(self, view: FleetView) -> Choice | None:
         if self._load >= 0 and view.allocation.phase_of(self._load) is not Phase.DONE:
-            return self._claim(self._load, view)  # from an earlier life, or after an operator's order
+            return self._claim(
+                self._load, view
+            )  # from an earlier life, or after an operator's order
         task = self._next(view)
         if task is None:
             low = view.here.battery < IDLE_CHARGE and not self.dispatch.round.active
@@ -212,7 +215,7 @@ class Delivery(Errands):
         if self._load == section and self._told_aboard != section:
             self._told_aboard = section
             wish = wish._replace(covered=(PICKED,))
-        if not (arrived or self._beside(view)) or self.accords.bound:
+        if not (arrived or self._beside(view)):  # within reach it handles also in a round: that ends
             self._since_us = None
             return wish._replace(near_end=self._near_end(section, view))
         if self._since_us is None:
@@ -262,10 +265,12 @@ class Delivery(Errands):
     def _delivered(self, task: int, view: FleetView) -> bool:
         """It has been carried, and lies, for us to see, within reach of its dropoff."""
         seen = view.here.parcels.get(task)
-        carried = self._told_aboard == task or view.progress.bits(task, 0) & 1
-        if seen is None or seen.on_robot or not carried:
+        if seen is None or seen.on_robot:
             return False
-        dropoff = self.house.trip(self.dispatch.book.tasks[task]).dropoff
+        pickup, dropoff = self.house.trip(self.dispatch.book.tasks[task])
+        carried = self._told_aboard == task or view.progress.bits(task, 0) & 1
+        if not carried and hypot(pickup[0] - seen.x_m, pickup[1] - seen.y_m) < UNTOUCHED_M:
+            return False
         return hypot(dropoff[0] - seen.x_m, dropoff[1] - seen.y_m) < REACH_M
 
     def _handling(self, task: int, view: FleetView) -> Wish:

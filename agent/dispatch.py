@@ -104,9 +104,7 @@ class Dispatch:
         fresh, orphans = self._open(view)
         self._consider(fresh, orphans, view, able)
 
-    def _consider(
-        self, fresh: list[int], orphans: list[int], view: FleetView, able: bool
-    ) -> None:
+    def _consider(self, fresh: list[int], orphans: list[int], view: FleetView, able: bool) -> None:
         now_us = view.now_us
         if len(fresh) <= self.house.t_max:
             self._many_us = now_us
@@ -117,7 +115,9 @@ class Dispatch:
         if len(fresh) > self.house.t_max and now_us >= self._round_us:
             if now_us >= due_us:
                 self._round_us = now_us + AGAIN_US
-                replan_us = min(max(len(fresh) * MOVES_A_TASK // 15_000 * SLICE_US, REPLAN_US[0]), REPLAN_US[1])
+                replan_us = min(
+                    max(len(fresh) * MOVES_A_TASK // 15_000 * SLICE_US, REPLAN_US[0]), REPLAN_US[1]
+                )
                 self.round.call(self._frozen(view, able), replan_us, now_us)
                 self._provisional(able)
         elif self._auction is None and (fresh or orphans):
@@ -195,9 +195,7 @@ class Dispatch:
 
     # ---------------------------------------------------------------- scenario B
 
-    def _open_auction(
-        self, task: int, behind: bool, view: FleetView, able: bool
-    ) -> None:
+    def _open_auction(self, task: int, behind: bool, view: FleetView, able: bool) -> None:
         bid = self._bid(task, behind, view) if able else None
         best = None if bid is None else (bid.cost_ms, self.slot)
         self._auction = Auction(task, view.now_us + BIDS_US, best, bid)
@@ -253,7 +251,11 @@ class Dispatch:
         robots = [self.standing(view)] if able else []
         for slot in sorted(view.live - {self.slot}):
             neighbour = view.neighbours.get(slot)
-            if neighbour is not None and neighbour.pose.state in (State.IDLE, State.WORKING, State.SYNCHRONIZING):
+            if neighbour is not None and neighbour.pose.state in (
+                State.IDLE,
+                State.WORKING,
+                State.SYNCHRONIZING,
+            ):
                 robots.append(self._standing_of(slot, view))
         robots.sort()
         fresh, _ = self._open(view)
@@ -330,7 +332,11 @@ class Dispatch:
         left = m.battery * FULL // 255
         old = self.told.get(slot)
         whole = () if old is None else old.whole
-        tasks = old.tasks if old is not None and (old.version, old.length) == (m.version, m.length) else {}
+        tasks = (
+            old.tasks
+            if old is not None and (old.version, old.length) == (m.version, m.length)
+            else {}
+        )
         tasks[m.first] = m.task
         if m.after != NO_TASK:
             tasks[m.first + 1] = m.after
@@ -359,7 +365,12 @@ class Dispatch:
         for _ in range(FRAMES_A_BEAT):
             first = self._telling
             yield Itinerary(
-                self._version, first, length, self.left * 255 // FULL, saying[first], saying[first + 1]
+                self._version,
+                first,
+                length,
+                self.left * 255 // FULL,
+                saying[first],
+                saying[first + 1],
             )
             self._telling += 2
             if self._telling >= length:

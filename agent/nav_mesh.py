@@ -22,7 +22,9 @@ from agent.grid_search import _push, _sift, sees
 Point = tuple[float, float]
 Box = tuple[int, int, int, int]  # rows [r0, r1) and columns [c0, c1)
 DETOUR = 1.0003  # an edge is left out where two others are this much longer at most
-SPACING_M = 2.0  # between waypoints of a portal: costs 0.3 % of a way at most where halls are 10 m wide
+SPACING_M = (
+    2.0  # between waypoints of a portal: costs 0.3 % of a way at most where halls are 10 m wide
+)
 
 
 @njit(cache=True)

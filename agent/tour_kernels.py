@@ -124,7 +124,18 @@ def auction(route, size, free, ready, lead, link, lead_bay_ms, power, charging):
     for t in range(len(free)):
         for r in range(robots):
             bid[t, r], place[t, r] = best_place(
-                r, route[r], size[r], free[t], 0, ready, lead, link, lead_bay_ms, power, charging, out
+                r,
+                route[r],
+                size[r],
+                free[t],
+                0,
+                ready,
+                lead,
+                link,
+                lead_bay_ms,
+                power,
+                charging,
+                out,
             )
     for left in range(len(free), 0, -1):
         best, winner, taker = IMPOSSIBLE, -1, -1

@@ -4,14 +4,15 @@ import itertools
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from random import Random
 from typing import Any, NamedTuple
 
 from agent.config import S
-from agent.core import Identity, Peer
+from agent.core import Peer
 from agent.delivery import Delivery
-from agent.lifecycle import State
+from agent.identity import Identity
 from agent.task_book import TASKS_MAX, Order
 from crdt import Phase
 from protocol.codec import Malformed, decode_once
@@ -72,7 +73,9 @@ class HaulOutcome(NamedTuple):
 
     @property
     def success(self) -> bool:
-        return self.finished and not any(self.flaws.values()) and not self.empty and not self.contacts
+        return (
+            self.finished and not any(self.flaws.values()) and not self.empty and not self.contacts
+        )
 
     def to_dict(self) -> dict[str, Any]:
         plain = {**self._asdict(), "flaws": dict(self.flaws), "frames": dict(self.frames)}
@@ -111,11 +114,18 @@ class HaulCluster(Cluster):
         mission = self.missions[slot] = setting.delivery(slot, now_us)
         rng = Random(f"{scenario.run.seed}/peer/{slot}{lot}")
         return Peer(
-            identity, rng, now_us, recalled, mission, setting.motion(slot), setting.keyring(slot, lot)
+            identity,
+            rng,
+            now_us,
+            recalled,
+            mission,
+            setting.motion(slot),
+            setting.keyring(slot, lot),
         )
 
     def boot(self, slot: int) -> Robot:
         robot = super().boot(slot)
+        assert robot.shell.body is not None
         robot.shell.body = CarrierBody(robot.shell.body, slot, self.truth, self.host.now_us)
         return robot
 
@@ -209,7 +219,7 @@ class Haul:
             if near > 2.0:
                 number = world.add_box(box.x_m, box.y_m, box.size_m)
                 until_us = cluster.host.now_us() + round(box.for_s * S)
-                world.at(until_us, lambda number=number: world.remove_box(number))  # type: ignore[misc]
+                world.at(until_us, partial(world.remove_box, number))
 
     def _arrivals(self, cluster: HaulCluster) -> Script[None]:
         for number, row in enumerate(self.setting.rows):

@@ -141,9 +141,7 @@ class CarrierBody:
         if not still:
             self._arm = None
         load = self._parcels.aboard.get(self._slot, -1)
-        return seen._replace(
-            battery=left, load=load, parcels=self._parcels.seen(self._slot, at)
-        )
+        return seen._replace(battery=left, load=load, parcels=self._parcels.seen(self._slot, at))
 
     def drive(self, command: Drive, now_us: int) -> None:
         if self._parcels.battery.get(self._slot, 1.0) == 0.0 and self._parcels.carrier.runs_dry:

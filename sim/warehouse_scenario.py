@@ -11,7 +11,15 @@ from typing import Any, Literal, NamedTuple
 from pydantic import Field
 
 from agent.task_book import TASKS_MAX
-from sim.scenario import FieldTable, FleetTable, RunTable, Scenario, ScenarioError, _Table, load_kind
+from sim.scenario import (
+    FieldTable,
+    FleetTable,
+    RunTable,
+    Scenario,
+    ScenarioError,
+    _Table,
+    load_kind,
+)
 
 WAREHOUSES = Path(__file__).parent / "warehouses"
 XY = tuple[float, float]
@@ -44,8 +52,8 @@ class BatteryTable(_Table):
 class WarehouseTable(_Table):
     map: str  # a file in Moving AI format, or the drawing itself
     cell_m: float = Field(default=1.0, ge=0.5, le=10.0)
-    bays: list[XY] = []
-    outage: list[Outage] = []
+    bays: list[XY] = Field(default=[])
+    outage: list[Outage] = Field(default=[])
     tasks: str | None = None  # CSV or JSON lines
     random_tasks: int = Field(default=0, ge=0, lt=TASKS_MAX)  # with the seed of the run; and
     random_over_s: float = Field(default=0.0, ge=0.0)  # so many seconds in which they arrive
@@ -125,11 +133,15 @@ def _row(path: Path, number: int, row: Any) -> TaskRow:
         raise ScenarioError(f"{path}: line {number}: not an object with {', '.join(TASK_KEYS)}")
     found = []
     for key in TASK_KEYS:
-        value = row.get(key, 0.0 if key == "at_s" else None)
+        value = row.get(key)
+        if key == "at_s" and value in (None, ""):
+            value = 0.0
         try:
-            found.append(float(value or 0.0 if key == "at_s" else value))
+            found.append(float(value))  # type: ignore[arg-type]
         except (TypeError, ValueError):
-            raise ScenarioError(f"{path}: line {number}: {key}: a number is needed, not {value!r}") from None
+            raise ScenarioError(
+                f"{path}: line {number}: {key}: a number is needed, not {value!r}"
+            ) from None
     return TaskRow((found[0], found[1]), (found[2], found[3]), found[4])
 
 

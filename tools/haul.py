@@ -101,7 +101,7 @@ async def _live(
     def attach(cluster: HaulCluster) -> None:
         hubs.append(Hub(cluster.segment, CHANNEL))
         starting = loop.create_task(_open(hubs[0], port, console))
-        starting.add_done_callback(lambda task: task.exception() and end(False))
+        starting.add_done_callback(lambda task: None if task.exception() is None else end(False))
 
     try:
         return await run.live(attach), interrupted
@@ -129,10 +129,16 @@ def outcome_table(outcome: HaulOutcome) -> Table:
     empty = "never" if not outcome.empty else f"[red]robots {outcome.empty}[/red]"
     rows: list[tuple[str, Any]] = [
         ("without a flaw", "[green]yes[/green]" if outcome.success else "[red]no[/red]"),
-        ("delivered", f"{outcome.delivered} of {outcome.tasks} parcels in {outcome.makespan_s:.1f} s"),
+        (
+            "delivered",
+            f"{outcome.delivered} of {outcome.tasks} parcels in {outcome.makespan_s:.1f} s",
+        ),
         ("mean latency", f"{outcome.latency_s:.1f} s from a task's appearing to its delivery"),
         ("deliveries done twice, lost, by two, moved again", flaws),
-        ("battery empty", f"{empty} (lowest {outcome.lowest_battery:.0%}, {outcome.charges} charges)"),
+        (
+            "battery empty",
+            f"{empty} (lowest {outcome.lowest_battery:.0%}, {outcome.charges} charges)",
+        ),
         ("contacts", f"{outcome.contacts} (closest {outcome.closest_m:.2f} m)"),
         ("plans of all together", str(outcome.rounds)),
         ("agreements in jams", str(outcome.agreements)),

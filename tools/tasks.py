@@ -29,7 +29,7 @@ def add(
     pickup: Annotated[str | None, typer.Argument(help="Where the parcel is: X,Y in metres.")] = None,
     dropoff: Annotated[str | None, typer.Argument(help="Where it is to go: X,Y.")] = None,
     file: Annotated[Path | None, typer.Option(help="Instead: CSV or JSON lines.")] = None,
-    scenario: Annotated[str, typer.Option(help="Of the fleet: its map says what is floor.")] = "warehouse",
+    scenario: Annotated[str, typer.Option(help="Whose map says what is floor.")] = "warehouse",
     interface: Annotated[str, typer.Option("-i", "--interface")] = "socketcand",
     channel: Annotated[str, typer.Option("-c", "--channel")] = "can0",
     bitrate: Annotated[int, typer.Option("-b", "--bitrate")] = 250_000,
@@ -68,7 +68,9 @@ def _point(text: str) -> tuple[float, float]:
     try:
         x_m, y_m = (float(part) for part in text.split(","))
     except ValueError:
-        raise ScenarioError(f"{text}: not a place; write X,Y in metres, for example 9.5,2.5") from None
+        raise ScenarioError(
+            f"{text}: not a place; write X,Y in metres, for example 9.5,2.5"
+        ) from None
     return x_m, y_m
 
 
@@ -118,7 +120,9 @@ async def _order(
     try:
         await asyncio.sleep(LISTEN_S)
         if not listener.digests:
-            raise AttachError("no delivering fleet is heard on this bus: headland run warehouse --live")
+            raise AttachError(
+                "no delivering fleet is heard on this bus: headland run warehouse --live"
+            )
         first = max(listener.known, default=-1) + 1
         wanted = {first + k: order for k, order in enumerate(orders)}
         end_s = loop.time() + CONFIRM_S

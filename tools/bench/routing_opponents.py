@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from agent.workload import Itineraries, Power, Workload, Worth
+from agent.workload import Power, Workload, Worth
 
 STEPS = 4  # of PyVRP's bisection, each with its share of the time
 SPAN_COST = 100  # of a millisecond of the last finish, in those of travel
 
 
-def pyvrp_makespan(work: Workload, first: Itineraries, most_ms: int, seconds: float, seed: int) -> int:
-    """The last finish of the best plan found; `first`: a plan with the last finish `most_ms`."""
+def pyvrp_makespan(work: Workload, most_ms: int, seconds: float, seed: int) -> int:
+    """The last finish of the best plan found; `most_ms`: that of a plan which is known already."""
     low, high = bound_ms(work), most_ms
     best = most_ms
     for _ in range(STEPS):
@@ -45,7 +45,7 @@ def _pyvrp(work: Workload, limit_ms: int, seconds: float, seed: int) -> int | No
     matrix[:robots, robots + 1 :] = work.lead
     matrix[robots + 1 :, robots + 1 :] = work.link
     np.fill_diagonal(matrix, 0)
-    data = pyvrp.ProblemData(spots, clients, depots, types, [matrix], [matrix])
+    data = pyvrp.ProblemData(spots, clients, depots, types, [matrix], [matrix])  # type: ignore[list-item]
     result = pyvrp.solve(data, MaxRuntime(seconds), seed=seed, display=False)
     if not result.is_feasible():
         return None
@@ -77,7 +77,9 @@ def ortools_plan(work: Workload, seconds: float, balanced: bool, bays: int = 0) 
     if work.power is not None:
         _battery(routing, manager, work.power, energy, tasks, visits)
     search = pywrapcp.DefaultRoutingSearchParameters()
-    search.first_solution_strategy = routing_enums_pb2.FirstSolutionStrategy.PARALLEL_CHEAPEST_INSERTION
+    search.first_solution_strategy = (
+        routing_enums_pb2.FirstSolutionStrategy.PARALLEL_CHEAPEST_INSERTION
+    )
     search.local_search_metaheuristic = (
         routing_enums_pb2.LocalSearchMetaheuristic.GUIDED_LOCAL_SEARCH
     )
@@ -107,7 +109,10 @@ def _tables(work: Workload, copies: int) -> tuple[list[list[int]], list[list[int
             visits.append(node)
             time_ms[node, :tasks] = power.from_bay_ms[bay] + power.dock_ms
             energy[node, :tasks] = power.from_bay[bay]
-            time_ms[:tasks, node], energy[:tasks, node] = power.to_bay_ms[:, bay], power.to_bay[:, bay]
+            time_ms[:tasks, node], energy[:tasks, node] = (
+                power.to_bay_ms[:, bay],
+                power.to_bay[:, bay],
+            )
             time_ms[tasks : tasks + robots, node] = power.lead_bay_ms[:, bay]
             energy[tasks : tasks + robots, node] = power.lead_bay[:, bay]
     return time_ms.tolist(), energy.tolist(), visits
