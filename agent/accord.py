@@ -88,8 +88,8 @@ class Accords:
 
     def hear(self, slot: int, m: Accord, now_us: int) -> None:
         ahead = (m.round - self.round) % _MOD
-        if ahead >= _MOD // 2:
-            return  # a round that is over
+        if ahead >= _MOD // 2 or m.say == Say.BODY:
+            return  # a round that is over, or a word of a fleet on a grid
         if ahead:
             self._begin(m.round, now_us)
         if m.say == Say.PLACE:

@@ -21,8 +21,8 @@ from agent.joining import CLAIM_PGN, Joining
 from agent.letters import Letter, Letters
 from agent.lifecycle import TABLE, Event, State
 from agent.membership import Membership, Neighbour
-from agent.mission import STILL, Agreeing, Choice, Conversing, FleetView, Mission, Wish
-from agent.motion import Motion
+from agent.mission import STILL, Agreeing, Choice, FleetView, Mission, Sweeping, Wish
+from agent.motion import Mover
 from agent.pause import pause_of
 from agent.ports import Observation
 from agent.records import Records
@@ -56,7 +56,7 @@ class Peer:
         now_us: int,
         recalled: Mapping[str, bytes],
         mission: Mission | None = None,
-        motion: Motion | None = None,
+        motion: Mover | None = None,
         keyring: Keyring | None = None,
         chart: MapSync | None = None,
     ) -> None:
@@ -65,7 +65,7 @@ class Peer:
         self.beat = config.beat_of(len(identity.members))
         self.mission, self.motion = mission, motion
         self.agreeing = mission if isinstance(mission, Agreeing) else None
-        self.conversing = mission if isinstance(mission, Conversing) else None
+        self.sweeping = mission if isinstance(mission, Sweeping) else None
         self.records = Records(recalled, identity.first_boot, rng)
         self.allocation = FieldAllocationCRDT(identity.field_hash)
         self.progress = Progress(mission.section_units if mission else {})
@@ -265,8 +265,7 @@ class Peer:
         """Permission to move. A latched robot does not take it: it would start after the reset."""
         if self.safety.latched:
             return [Trace("safety", "LATCHED", "START", "LATCHED", "refused")]
-        started = self.safety.start(now_us)
-        return [*started, Trace("safety", "HELD", "START", "STARTED", "operator")]
+        return [*self.safety.start(now_us), Trace("safety", "HELD", "START", "STARTED", "operator")]
 
     def claim(
         self, section: int, bid: int, now_us: int, takeover: bool = False

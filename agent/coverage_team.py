@@ -26,11 +26,20 @@ TURN_COST_MAX = 100.0  # steps; more would say that robots cannot turn
 class Team:
     """Rows and columns outside, cells of the padded grid inside."""
 
-    def __init__(self, walls: Walls, starts: Sequence[Cell], turn_cost: float = 0.0) -> None:
-        """`walls`: (rows, columns), True where nobody can go. `turn_cost`: steps a quarter turn."""
+    def __init__(
+        self,
+        walls: Walls,
+        starts: Sequence[Cell],
+        turn_cost: float = 0.0,
+        covered: Walls | None = None,
+    ) -> None:
+        """`walls`: (rows, columns), True where nobody can go. `turn_cost`: steps a quarter turn.
+        `covered`: what need not be covered (any more)."""
         assert walls.ndim == 2 and 0.0 <= turn_cost <= TURN_COST_MAX
         free = np.ascontiguousarray(np.pad(~walls, 1).astype(np.uint8).ravel())
         self.grid = new_grid(free, walls.shape[1] + 2)
+        if covered is not None:
+            self.grid.covered[:] = np.pad(covered, 1).ravel()
         self.unit = TURN_PARTS if turn_cost else 1
         self.turn = round(turn_cost * self.unit)
         self.now = 0

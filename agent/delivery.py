@@ -215,7 +215,9 @@ class Delivery(Errands):
         if self._load == section and self._told_aboard != section:
             self._told_aboard = section
             wish = wish._replace(covered=(PICKED,))
-        if not (arrived or self._beside(view)):  # within reach it handles also in a round: that ends
+        if not (
+            arrived or self._beside(view)
+        ):  # within reach it handles also in a round: that ends
             self._since_us = None
             return wish._replace(near_end=self._near_end(section, view))
         if self._since_us is None:

@@ -13,13 +13,13 @@ from agent.allocator import Job, Point, shares
 from agent.blockage import BLOCKED_M, Blockage
 from agent.config import LEASE_US
 from agent.field import Field, Section
-from agent.lifecycle import State
 from agent.mission import STILL, Choice, FleetView, Wish
+from agent.parking import Parking
 from agent.route import Route
 from agent.tracker import Tracker
 from crdt import Phase
 
-MAKE_WAY_M = 6.0  # an idle robot keeps this far from one that works
+ASTRAY_M = 4.0  # further from its line than a swath is wide, a robot does not just drive back to it
 NEAR_END_S = 5.0  # claim the next section when this much work is left
 
 
@@ -76,6 +76,7 @@ class FieldWork:
         self.lifted_to_m = 0.0  # along the leg, until where it was
         self.worked: set[int] = set()  # units of the current section done since it was begun
         self.heading_to: int | Point | None = None  # section or place an approach path leads to
+        self.parking = Parking(field, radius_m)
         self.blockage = Blockage(route, radius_m, self.beside_m)
         self._plan: dict[int, list[Job]] = {}
 
@@ -174,6 +175,7 @@ class FieldWork:
         self._look_round(view)
         if self.heading_to != section:
             self.heading_to = section
+            self.parking.forget()
             legs = self._legs(self.field.section(section), view)
             self.legs, self.tracker = [legs[0]] if legs and not legs[0].units else [], None
         return self._drive(view)[0]
@@ -191,6 +193,7 @@ class FieldWork:
     def begin(self, section: int, view: FleetView) -> None:
         self.section, self.heading_to = self.field.section(section), None
         self.worked.clear()
+        self.parking.forget()
         self.legs, self.tracker = self._legs(self.section, view), None
 
     def abandon(self) -> None:
@@ -202,15 +205,20 @@ class FieldWork:
         self.worst_m, self.lifted = inf, True
 
     def rest(self, view: FleetView) -> Wish:
-        """No work for us: stand, but not where somebody works."""
+        """No work for us: stand, but not where somebody works or will."""
         self.heading_to = None
-        here = view.here
-        for neighbour in view.neighbours.values():
-            dx_m, dy_m = here.x_m - neighbour.pose.x_m, here.y_m - neighbour.pose.y_m
-            distance_m = hypot(dx_m, dy_m)
-            if neighbour.pose.state == State.WORKING and 0.0 < distance_m < MAKE_WAY_M:
-                return Wish(dx_m / distance_m * self.speed_m_s, dy_m / distance_m * self.speed_m_s)
-        return STILL
+        before = self.parking.spot
+        self.parking.look(view)
+        spot = self.parking.spot
+        if spot is None:
+            self.legs, self.tracker = [], None
+            return STILL
+        if spot != before or self.tracker is None:
+            here = (view.here.x_m, view.here.y_m)
+            if _distance(here, spot) <= self.tolerance_m:
+                return STILL
+            self.legs, self.tracker = [Leg(self.blockage.way.path(here, spot))], None
+        return self._drive(view)[0]
 
     def work(self, view: FleetView) -> Wish:
         if self.section is None:  # resumed after a stop or a sync that forgot the geometry
@@ -285,10 +293,18 @@ class FieldWork:
             if not self.tracker.arrived:
                 break
             self.tracker = None
+        if self.tracker.gap_m > ASTRAY_M:  # pushed, or giving way to others: another way back
+            self._go_astray(view)
+            return STILL, covered
         vx_m_s, vy_m_s = self.tracker.velocity(here.x_m, here.y_m)
         # Not sooner: before the leg's beginning it may be another robot's section.
         on_line = self.tracker.gap_m <= LEAD_M
         return Wish(vx_m_s, vy_m_s, 0.0, bool(self.leg.units) and on_line), covered
+
+    def _go_astray(self, view: FleetView) -> None:
+        """What is left, planned anew from where we are."""
+        self.tracker, self.heading_to = None, None
+        self.legs = self._legs(self.section, view) if self.section is not None else []
 
     def _passed(self, view: FleetView) -> list[int]:
         """Units of the current leg whose end we have passed cleanly."""

@@ -7,11 +7,13 @@ Nothing but a stop is believed from an address that has not said which member it
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
+from agent import bulletin
 from agent.cause import Cause
 from agent.config import S
 from agent.directive import DIRECTED
 from agent.effects import HALT, Effect, Trace
 from agent.membership import Neighbour
+from agent.mission import Conversing
 from protocol.accord_frames import Accord
 from protocol.codec import Malformed
 from protocol.delivery_frames import (
@@ -58,6 +60,7 @@ Handler = Callable[[int, int | None, Any, int], Sequence[Effect]]
 class Hearing:
     def __init__(self, peer: "Peer") -> None:
         self.peer = peer
+        bulletin.offer(peer)
         self._told_us = -TELL_SPACING_US
         self._handlers: dict[type[Any], Handler] = {
             EmergencyReset: self._reset,
@@ -231,8 +234,8 @@ class Hearing:
     def _delivery(self, source: int, slot: int | None, m: Any, now_us: int) -> Sequence[Effect]:
         if slot is None and not isinstance(m, TaskOrder):  # an order may come from any device
             return self._stranger(source, now_us)
-        if self.peer.conversing is not None:
-            self.peer.conversing.hear(slot, m, now_us)
+        if isinstance(self.peer.mission, Conversing):
+            self.peer.mission.hear(slot, m, now_us)
         return ()
 
     def _work(self, source: int, slot: int | None, m: Any, now_us: int) -> Sequence[Effect]:

@@ -36,10 +36,15 @@ class Letters:
         self.inbox: deque[Arrived] = deque(maxlen=INBOX_MAX)
         self._component, self._known = component, known
         self._lines: deque[str] = deque(maxlen=LINES_MAX)
-        self._texts: dict[int, Callable[[], str]] = {
-            COMPONENT_PGN: lambda: self._component,
+        self._texts: dict[int, Callable[[int], str]] = {  # of now_us
+            COMPONENT_PGN: lambda _: self._component,
             LOG_PGN: self._log,
         }
+
+    def answer(self, pgn: int, text: Callable[[int], str]) -> None:
+        """From now on whoever asks for this group gets the text; `text` is given the time."""
+        assert pgn not in self._texts and pgn not in self._known
+        self._texts[pgn] = text
 
     @property
     def deadline_us(self) -> int | None:
@@ -72,7 +77,7 @@ class Letters:
         text = self._texts.get(pgn)
         if text is not None:
             asker = GLOBAL_ADDRESS if destination == GLOBAL_ADDRESS else source
-            data = text().encode("latin-1", "replace")[-SIZE_MAX:].ljust(SIZE_MIN)
+            data = text(now_us).encode("latin-1", "replace")[-SIZE_MAX:].ljust(SIZE_MIN)
             return _sends(self.transport.send(pgn, data, asker, now_us) or ())
         if (
             destination == GLOBAL_ADDRESS or pgn in self._known
@@ -80,7 +85,7 @@ class Letters:
             return ()
         return [Send(Acknowledgment(Control.NACK, 0xFF, source, pgn & 0x3FFFF))]
 
-    def _log(self) -> str:
+    def _log(self, _now_us: int) -> str:
         return "\n".join(self._lines) or "no traces yet"
 
 

@@ -7,11 +7,11 @@ done comes back as units covered, which the peer records and announces.
 from collections.abc import Iterable, Mapping
 from typing import NamedTuple, Protocol, runtime_checkable
 
-from agent.accord import Accords
 from agent.lifecycle import State
 from agent.membership import Neighbour
 from agent.ports import Observation
 from crdt import FieldAllocationCRDT, Progress
+from protocol.accord_frames import Accord
 from protocol.messages import Message
 
 
@@ -87,12 +87,21 @@ class Mission(Protocol):
         ...
 
 
+class Talk(Protocol):
+    """Rounds of agreement over ACCORD frames."""
+
+    def hear(self, slot: int, m: Accord, now_us: int) -> None: ...
+    def say(self, now_us: int) -> list[Accord]:
+        """What is due with this beat."""
+        ...
+
+
 @runtime_checkable
 class Agreeing(Protocol):
     """A mission that settles with the others who goes where; also those that stand take part."""
 
     @property
-    def accords(self) -> Accords: ...
+    def accords(self) -> Talk: ...
     def attend(self, view: FleetView, state: State) -> None:
         """Each control period, in every state, before anything is asked of the mission."""
         ...
@@ -108,4 +117,20 @@ class Conversing(Protocol):
 
     def say(self, now_us: int) -> Iterable[Message]:
         """With each beat."""
+        ...
+
+
+class Swept(NamedTuple):
+    """Units covered since the last call, as (section, unit), of whatever section."""
+
+    units: tuple[tuple[int, int], ...]
+    at_once: bool  # announce them now: a round waits for equal replicas
+
+
+@runtime_checkable
+class Sweeping(Protocol):
+    """A mission that covers units wherever it goes, not only those of the section it holds."""
+
+    def swept(self) -> Swept:
+        """Each control period, in every state, after `attend`."""
         ...

@@ -7,7 +7,7 @@ margin for what the wire rounds off. A neighbour that stands takes no share: we 
 
 from collections.abc import Mapping
 from math import cos, hypot, sin
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +37,14 @@ class Limits(NamedTuple):
     radius_m: float
     speed_m_s: float
     acceleration_m_s2: float
+
+
+class Mover(Protocol):
+    """What a control period asks: the drive for a wish, harming nobody."""
+
+    def drive(
+        self, here: Observation, wish: Wish, neighbours: Mapping[int, Neighbour], now_us: int
+    ) -> Drive: ...
 
 
 class Motion:

@@ -236,7 +236,7 @@ def rectangles(blocked: NDArray[np.bool_]) -> tuple[list[Box], NDArray[np.int32]
     From the first free cell along the scan the larger of two: as wide as it goes and then tall, or as
     tall as it goes and then wide.
     """
-    rows, columns = blocked.shape
+    rows = len(blocked)
     box_of = np.where(blocked, -2, -1).astype(np.int32)
     boxes: list[Box] = []
     for r in range(rows):

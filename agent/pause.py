@@ -16,7 +16,7 @@ from agent.cause import Cause
 from agent.config import MS, S
 from agent.effects import HALT, Drive, Effect, Send, Trace
 from agent.lookout import CHAIN_M, MARGIN_M, Grain, Lookout, Point, Sighting, middle
-from agent.motion import Limits, Motion
+from agent.motion import Limits, Motion, Mover
 from agent.ports import Observation
 from protocol.operator_frames import NUMBERS, Matter, OperatorReport
 from protocol.safety_frames import Command
@@ -195,9 +195,9 @@ class Pause:
         ]
 
 
-def pause_of(peer: "Peer", motion: Motion | None) -> Pause | None:
+def pause_of(peer: "Peer", motion: Mover | None) -> Pause | None:
     """None for a robot that does not know every wall, so cannot tell a person from one."""
-    if motion is None or motion.lookout is None:
+    if not isinstance(motion, Motion) or motion.lookout is None:
         return None
     return Pause(peer, motion.limits, motion.lookout)
 

@@ -31,6 +31,7 @@ class Observation(NamedTuple):
         float, ...
     ] = ()  # one per ray, counter-clockwise from the heading; inf: nothing
     battery: float = 1.0  # share of a full charge
+    bodies: tuple[tuple[float, float], ...] = ()  # others in sight, metres east and north of us
     load: int = -1  # of a carrier: the parcel that is aboard; -1: none
     parcels: Mapping[int, Lying] = NOTHING_SEEN  # and those within its reach
 

@@ -270,6 +270,44 @@ def _below(state, n):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
+def _propose(route, size, of, at, near, state, new_a, new_b):  # type: ignore[no-untyped-def]
+    """A move by the dice, carried out in `new_a` and `new_b`: both routes and their sizes; a size
+    below 0: it was none."""
+    tasks = len(of)
+    j = _below(state, tasks)
+    a, ia = of[j], at[j]
+    p = near[j, _below(state, near.shape[1])]
+    b, ib = (p - tasks, -1) if p >= tasks else (of[p], at[p])
+    if a < 0 or b < 0:
+        return a, b, -1, -1
+    kind = _below(state, 3)
+    la, lb = 1 + _below(state, SEGMENT), 1 + _below(state, SEGMENT)
+    n, m = _moved(route, size, a, ia, b, ib, kind, la, lb, new_a, new_b)
+    return a, b, n, m
+
+
+@njit(cache=True)
+def _accepted(before_a, before_b, ta, tb, same, scale, temperature, state):  # type: ignore[no-untyped-def]
+    """Whether two routes may take `ta` and `tb` instead: always for the better, else by the dice."""
+    gain = _weight(ta, scale) - _weight(before_a, scale)
+    if not same:
+        gain += _weight(tb, scale) - _weight(before_b, scale)
+    gain *= scale / 8.0
+    if gain <= 0.0:
+        return True
+    dice = (_next(state) & np.uint64(0xFFFFFF)) / 16777216.0
+    return dice < exp(-gain / temperature)
+
+
+@njit(cache=True)
+def _write(route, size, times, of, at, r, tasks, n, time):  # type: ignore[no-untyped-def]
+    times[r], size[r] = time, n
+    for k in range(n):
+        route[r, k] = tasks[k]
+        of[tasks[k]], at[tasks[k]] = r, k
+
+
+@njit(cache=True)
 def search(  # type: ignore[no-untyped-def]
     route, size, near, moves, hot, cold, state, ready, lead, link, lead_bay_ms, power, charging
 ):
@@ -279,41 +317,23 @@ def search(  # type: ignore[no-untyped-def]
     that was met, by makespan and then by total, is what `route` holds at the end.
     """
     robots, room = route.shape
-    tasks = link.shape[0]
     times = np.empty(robots, np.int64)
-    of, at = np.full(tasks, -1, np.int64), np.zeros(tasks, np.int64)
-    total, most = 0, 0
+    of, at = np.full(len(link), -1, np.int64), np.zeros(len(link), np.int64)
     for r in range(robots):
-        times[r] = span(r, route[r], size[r], ready, lead, link, lead_bay_ms, power, charging)
-        total += times[r]
-        most = max(most, times[r])
-        for k in range(size[r]):
-            of[route[r, k]], at[route[r, k]] = r, k
-    if tasks == 0 or total == 0:
-        return most, total
-    scale = max(total / robots, 1.0)
+        time = span(r, route[r], size[r], ready, lead, link, lead_bay_ms, power, charging)
+        _write(route, size, times, of, at, r, route[r].copy(), size[r], time)
+    total = times.sum()
+    best_most, best_total = times.max(), total
+    if total == 0:
+        return
+    scale = total / robots
     best_route, best_size = route.copy(), size.copy()
-    best_most, best_total = most, total
     new_a, new_b = np.empty(2 * room + 2, np.int64), np.empty(2 * room + 2, np.int64)
     cooling = (cold / hot) ** (1.0 / max(moves, 1))
     temperature = hot * scale
-    for step in range(moves):
+    for _ in range(moves):
         temperature *= cooling
-        j = _below(state, tasks)
-        a = of[j]
-        if a < 0:
-            continue
-        ia = at[j]
-        p = near[j, _below(state, near.shape[1])]
-        if p >= tasks:
-            b, ib = p - tasks, -1
-        else:
-            b, ib = of[p], at[p]
-            if b < 0:
-                continue
-        kind = _below(state, 3)
-        la, lb = 1 + _below(state, SEGMENT), 1 + _below(state, SEGMENT)
-        n, m = _moved(route, size, a, ia, b, ib, kind, la, lb, new_a, new_b)
+        a, b, n, m = _propose(route, size, of, at, near, state, new_a, new_b)
         if n < 0 or n > room or m > room:
             continue
         ta = span(a, new_a, n, ready, lead, link, lead_bay_ms, power, charging)
@@ -322,37 +342,20 @@ def search(  # type: ignore[no-untyped-def]
             tb = span(b, new_b, m, ready, lead, link, lead_bay_ms, power, charging)
         if ta >= IMPOSSIBLE or tb >= IMPOSSIBLE:
             continue
-        gain = _weight(ta, scale) - _weight(times[a], scale)
-        if a != b:
-            gain += _weight(tb, scale) - _weight(times[b], scale)
-        gain *= scale / 8.0
-        if gain > 0.0:
-            dice = (_next(state) & np.uint64(0xFFFFFF)) / 16777216.0
-            if dice >= exp(-gain / temperature):
-                continue
+        if not _accepted(times[a], times[b], ta, tb, a == b, scale, temperature, state):
+            continue
         total += ta - times[a]
-        times[a], size[a] = ta, n
-        for k in range(n):
-            route[a, k] = new_a[k]
-            of[new_a[k]], at[new_a[k]] = a, k
+        _write(route, size, times, of, at, a, new_a, n, ta)
         if a != b:
             total += tb - times[b]
-            times[b], size[b] = tb, m
-            for k in range(m):
-                route[b, k] = new_b[k]
-                of[new_b[k]], at[new_b[k]] = b, k
-        if total > best_total + scale and step * 2 < moves:
-            continue  # too hot to be worth a look
+            _write(route, size, times, of, at, b, new_b, m, tb)
         if max(ta, tb) > best_most:
             continue
-        most = 0
-        for r in range(robots):
-            most = max(most, times[r])
+        most = times.max()
         if most < best_most or (most == best_most and total < best_total):
             best_most, best_total = most, total
             best_route[:], best_size[:] = route, size
     route[:], size[:] = best_route, best_size
-    return best_most, best_total
 
 
 @njit(cache=True)

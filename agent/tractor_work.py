@@ -11,7 +11,7 @@ from agent.allocator import Point
 from agent.config import CONTROL_PERIOD_US, S
 from agent.dubins import shortest_m
 from agent.field import Field, Section
-from agent.field_work import MAKE_WAY_M, FieldWork, Leg
+from agent.field_work import FieldWork, Leg
 from agent.lifecycle import State
 from agent.mission import STILL, FleetView, Wish
 from agent.route import Route
@@ -27,6 +27,7 @@ ROOM_M = 1.5  # with as much as this beyond its end
 STUCK_US = 5_000_000
 MOVED_M = 0.5  # less within `STUCK_US` is being stuck
 BODY_M = 0.5  # between bodies on a way that goes round one: more than ORCA's disc takes
+MAKE_WAY_M = 6.0  # an idle robot keeps this far from one that works
 BLOCKED_M = 1.4  # of swath that is left beside one: the same, the lead-in, and room to come to rest
 STANDING_M_S = 0.1
 NEAR_M = 12.0  # bodies further away do not count for the next turn

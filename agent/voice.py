@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from agent.config import BEATS, CONTROL_PERIOD_US, Beat, S
 from agent.effects import Effect, Persist, Send
 from agent.lifecycle import State
+from agent.mission import Conversing, Swept
 from crdt.progress import BLOCK_UNITS
 from protocol.fleet_frames import NOBODY, Heartbeat, Member, Pose, VectorSlice
 from protocol.map_frames import MapPatch
@@ -70,8 +71,8 @@ class Voice:
         effects += peer.elect(now_us)
         if peer.agreeing is not None:
             effects += [Send(word) for word in peer.agreeing.accords.say(now_us)]
-        if peer.conversing is not None:
-            effects += [Send(word) for word in peer.conversing.say(now_us)]
+        if isinstance(peer.mission, Conversing):
+            effects += [Send(word) for word in peer.mission.say(now_us)]
         if peer.roll_call.answer_due:
             peer.roll_call.answer_due = False
             effects.append(Send(self.member(peer)))
@@ -86,6 +87,14 @@ class Voice:
             block, bit = divmod(unit, BLOCK_UNITS)
             self.pending[section, block] = self.pending.get((section, block), 0) | 1 << bit
         return self.flush(peer, now_us) if now_us >= self.next_progress_us else []
+
+    def sweep(self, peer: "Peer", swept: Swept, now_us: int) -> list[Effect]:
+        effects: list[Effect] = []
+        for section, unit in swept.units:
+            effects += self.cover(peer, section, (unit,), now_us)
+        if swept.at_once and self.pending:
+            effects += self.flush(peer, now_us)
+        return effects
 
     def flush(self, peer: "Peer", now_us: int) -> list[Effect]:
         """Durable, then announced, then part of the replica that the digest speaks of."""

@@ -51,6 +51,8 @@ class Working:
         view = peer.view(now_us)
         if peer.agreeing is not None:
             peer.agreeing.attend(view, peer.lifecycle.state)
+        if peer.sweeping is not None:
+            effects += peer.voice.sweep(peer, peer.sweeping.swept(), now_us)
         peer.wish = self._wish(view, effects)
         wanted = peer.motion.drive(peer.here, peer.wish, peer.membership.neighbours, now_us)
         if peer.pause is not None:

@@ -1,4 +1,5 @@
-"""The frame by which robots in each other's way agree on who goes where, see `agent/accord.py`."""
+"""The frame by which robots agree on who goes where: in each other's way (`agent/accord.py`), and on a
+grid that they cover together (`agent/grid_rounds.py`). A fleet does one or the other."""
 
 from enum import IntEnum
 from struct import Struct
@@ -14,6 +15,10 @@ class Say(IntEnum):
     PLACE = 0  # I stand at node `first` and want to node `second`; `detail`: where in the node
     PLAN = 1  # the digest of the plan that I computed: `first` low, `second` high half
     AT = 2  # I have reached the `first`-th node of my route, counted from 1; 0: not yet on it
+    BODY = 3  # on a grid: something stands in cell `first`; `second`: its slot, 0xFFFF: nobody's;
+    # `detail`: 1 where it is taken to stay
+    # On a grid PLACE has a cell as `first` and a digest of what is covered as `second` and `detail`;
+    # AT has a step of the plan as `first` and the low half of the plan's digest as `second`.
 
 
 class Answer(IntEnum):
@@ -29,7 +34,8 @@ class Accord(NamedTuple):
 
     byte  field   type  meaning
     0..1  round   u16   a later round (modulo 2^16) makes earlier ones void
-    2     say     bits  bits 0-3: 0 PLACE, 1 PLAN, 2 AT; bits 4-7: answer, 0 GRANT, 1 STOPPED, 2 BUSY
+    2     say     bits  bits 0-3: 0 PLACE, 1 PLAN, 2 AT, 3 BODY; bits 4-7: answer, 0 GRANT,
+                        1 STOPPED, 2 BUSY
     3..4  first   u16   see `Say`
     5..6  second  u16
     7     detail  u8    of PLACE: sixteenths of the pitch east (bits 0-3) and north (4-7) of the

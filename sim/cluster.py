@@ -27,6 +27,7 @@ from protocol.safety_frames import Challenge, Reason
 from sim.disk import MemoryJournal
 from sim.errand_setting import ErrandSetting
 from sim.fieldbus import FieldBus, forget, segment
+from sim.grid_setting import GridSetting
 from sim.host import Handle, Host, LoopHost
 from sim.scenario import Join, Scenario
 from sim.setting import Setting
@@ -35,7 +36,7 @@ from sim.swarm import Swarm
 
 OPERATOR = 200  # slot of the operator device that a scenario's resets come from
 TOOL_ADDRESS = 249  # where scripted operator frames come from
-AnySetting = Setting | ErrandSetting
+AnySetting = Setting | ErrandSetting | GridSetting
 Record = Callable[[int, int, Effect], None]  # slot, time in microseconds, effect
 
 
@@ -119,6 +120,7 @@ class Cluster:
         self.robots: dict[int, Robot] = {}
         self.journals: dict[int, Journal] = {}
         self.boots: Counter[int] = Counter()
+        self.on_power: Callable[[int, bool], None] | None = None  # robot, switched on; told before
         self._tool: FieldBus | None = None
         self._keyring = setting.keyring(OPERATOR, "operator")
 
@@ -132,6 +134,8 @@ class Cluster:
     def boot(self, slot: int) -> Robot:
         """Power a robot up with what its journal remembers."""
         journal = self.journals.setdefault(slot, MemoryJournal())
+        if self.on_power is not None:
+            self.on_power(slot, True)
         boots = self.boots[slot]
         lot = f"/{boots}" if boots else ""
         peer = self.make(slot, self.host.now_us(), journal.load(), not boots, lot)
@@ -161,6 +165,8 @@ class Cluster:
     def kill(self, slot: int) -> None:
         """Power off, without a word. The body stays where it is and its commands expire."""
         robot = self.robots[slot]
+        if self.on_power is not None and robot.running:
+            self.on_power(slot, False)
         if robot.task is not None:
             robot.task.cancel()
         robot.shell.bus.close()

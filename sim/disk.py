@@ -109,6 +109,9 @@ class LogJournal:
         self.disk, self.synced = disk, synced
         self._records: dict[str, bytes] = {}
         self._end = self._batches = 0
+        self._last = (
+            0  # check of the batch before: what was once written behind another does not fit
+        )
         self._recover(disk.read())
 
     def load(self) -> Mapping[str, bytes]:
@@ -120,7 +123,8 @@ class LogJournal:
         body = b"".join(
             FIELD.pack(len(key.encode()), len(value)) + key.encode() + value for key, value in batch
         )
-        head = HEAD.pack(len(body), self._batches, self._check(self._batches, body))
+        self._last = self._check(self._batches, body)
+        head = HEAD.pack(len(body), self._batches, self._last)
         self.disk.write(self._end, head + body)
         if self.synced:
             self.disk.sync()
@@ -143,9 +147,9 @@ class LogJournal:
                 key = body[at + FIELD.size : middle].decode()
                 self._records[key] = body[middle : middle + value_size]
                 at = middle + value_size
+            self._last = check
             self._end += HEAD.size + length
             self._batches += 1
 
-    @staticmethod
-    def _check(number: int, body: bytes) -> int:
-        return crc32(body, number + 1)
+    def _check(self, number: int, body: bytes) -> int:
+        return crc32(body, self._last ^ (number + 1))

@@ -127,7 +127,7 @@ class Expedition:
         done = best.peer.allocation.done_count() if best else 0
         progress = max((r.peer.progress.fraction() for r in running), default=0.0)
         states = tuple(r.peer.state.name for r in running)
-        return Moment(now_s, done, len(self.setting.field.sections), progress, states)
+        return Moment(now_s, done, self.setting.section_count, progress, states)
 
     def _measure(self, cluster: Cluster, recorder: Recorder, wall_s: float) -> Outcome:
         field, scenario, world = self.setting.field, self.setting.scenario, cluster.world

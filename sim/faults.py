@@ -1,6 +1,9 @@
 """A scenario's faults, carried out on a cluster at their times."""
 
+from math import hypot
 from random import Random
+
+from shapely.geometry import Point
 
 from agent.config import S
 from protocol.frame import Frame
@@ -10,8 +13,10 @@ from protocol.safety_frames import Command, EmergencyReset, OperatorCommand, Rea
 from sim import scenario as kinds
 from sim.cluster import OPERATOR, Cluster
 from sim.disk import Disk, LogJournal
+from sim.drill_setting import DrillSetting
 from sim.fieldbus import FieldBus
 from sim.host import Script, follow
+from sim.setting import Setting
 from sim.swarm import SwarmShell
 
 BABBLER, BABBLE_FRAMES, BABBLE_US = 240, 2, 1_000  # more than the bus can carry
@@ -20,6 +25,8 @@ TRIES = (
 )
 ASK_S = 0.1  # between two tries
 ORDER_S = 0.15  # between two of an order: a robot is asked, answers, and asks in turn
+WAIT_US, LOOK_US = 10 * S, S // 100  # for a robot to work, for room for a box; how often is looked
+PUSHED_APART_M = 0.3  # left between two machines when one is pushed
 SETTLE_S = 1.0  # between a reset and the start that follows it: rejoin and sync
 
 
@@ -52,6 +59,8 @@ class FaultPlan:
     def _carry_out(self, fault: kinds.Fault) -> Script[None] | None:
         now_us = self._now_us()
         cluster, wire = self.cluster, self.cluster.segment.wire
+        if not isinstance(fault, kinds.Join) and self._absent(fault):
+            return None  # what is not there yet cannot break
         match fault:
             case kinds.Partition(islands=islands):
                 cluster.partition([set(island) for island in islands])
@@ -61,15 +70,11 @@ class FaultPlan:
                 wire.faults.deaf.add((cluster.node_of(sender), cluster.node_of(receiver)))
             case kinds.Crash(robot=robot):
                 cluster.kill(robot)
+            case kinds.CrashWorking(robot=robot, for_s=for_s, disk=disk):
+                return self._crash_working(robot, for_s, disk)
             case kinds.Restart(robot=robot, disk=disk):
-                cluster.kill(robot)
-                if disk == "lost":
-                    cluster.journals[robot] = LogJournal(Disk())
-                journal = cluster.journals[robot]
-                if disk == "torn" and isinstance(journal, LogJournal):
-                    cluster.journals[robot] = LogJournal(journal.disk.after_cut(self._rng))
-                cluster.boot(robot)
-            case kinds.Join(robot=robot):
+                self._restart(robot, disk)
+            case kinds.Join(robot=robot) if not cluster.is_up(robot):
                 cluster.boot(robot)
             case kinds.Freeze(robot=robot, for_s=for_s):
                 cluster.robots[robot].shell.freeze(for_s)
@@ -93,7 +98,7 @@ class FaultPlan:
                 return self._box(x_m, y_m, size_m, for_s)
             case kinds.Pushed(robot=robot, dx_m=dx_m, dy_m=dy_m):
                 cluster.stops.carried(robot)
-                cluster.world.body(robot).push(dx_m, dy_m)
+                self._push(robot, dx_m, dy_m)
             case kinds.Babble(priority=priority, for_s=for_s):
                 return self._babble(priority, for_s)
             case kinds.Clone(robot=robot, wins=wins):
@@ -102,7 +107,56 @@ class FaultPlan:
                 shell = cluster.robots[robot].shell
                 if isinstance(shell, SwarmShell):  # asyncio has one clock for all
                     shell.drift(ppm)
+            case kinds.ClockJump(robot=robot, by_s=by_s):
+                shell = cluster.robots[robot].shell
+                if isinstance(shell, SwarmShell):
+                    shell.jump(by_s)
         return None
+
+    def _absent(self, fault: kinds.Fault) -> bool:
+        """A robot that the fault names has not been switched on yet."""
+        named = [getattr(fault, key, None) for key in ("robot", "sender", "receiver")]
+        return any(slot is not None and slot not in self.cluster.robots for slot in named)
+
+    def _restart(self, robot: int, disk: str) -> None:
+        cluster = self.cluster
+        cluster.kill(robot)
+        if disk == "lost":
+            cluster.journals[robot] = LogJournal(Disk())
+        journal = cluster.journals[robot]
+        if disk == "torn" and isinstance(journal, LogJournal):
+            cluster.journals[robot] = LogJournal(journal.disk.after_cut(self._rng))
+        cluster.boot(robot)
+
+    def _crash_working(self, robot: int, for_s: float, disk: str) -> Script[None]:
+        until_us = self._now_us() + WAIT_US
+        while not (self.cluster.is_up(robot) and self.cluster.world.body(robot).tool_on):
+            if self._now_us() >= until_us:
+                return
+            yield self._now_us() + LOOK_US
+        self.cluster.kill(robot)
+        yield self._now_us() + round(for_s * S)
+        if not self.cluster.is_up(robot):  # somebody else was quicker
+            self._restart(robot, disk)
+
+    def _push(self, robot: int, dx_m: float, dy_m: float) -> None:
+        """As far as there is room: people do not push machines through fences or into each other."""
+        body, bodies = self.cluster.world.body(robot), self.cluster.world.robots.values()
+        setting = self.cluster.setting
+        if isinstance(setting, Setting) and not isinstance(setting, DrillSetting):
+            inside = setting.floor_space(body.radius_m)
+            others = [other for other in bodies if other is not body]
+            for share in (1.0, 0.5, 0.25):
+                x_m, y_m = body.position[0] + share * dx_m, body.position[1] + share * dy_m
+                free = all(
+                    hypot(x_m - at[0], y_m - at[1]) > 2 * body.radius_m + PUSHED_APART_M
+                    for at in (other.position for other in others)
+                )
+                if free and inside.contains(Point(x_m, y_m)):
+                    body.push(share * dx_m, share * dy_m)
+                    return
+        else:
+            body.push(dx_m, dy_m)
 
     def _box(self, x_m: float, y_m: float, size_m: float, for_s: float) -> Script[None]:
         until_us = self._now_us() + round(for_s * S)

@@ -141,7 +141,8 @@ class Reset(_Fault):
 class Order(_Fault):
     kind: Literal["order"]  # an operator's word to one robot
     robot: Slot
-    order: Literal["wait", "continue", "replan", "stop", "go_home", "set_goal", "start", "hold"]
+    order: Literal["wait", "continue", "replan", "stop", "go_home", "set_goal", "start", "hold",
+                   "manual_reset"]  # fmt: skip
     x_m: float = 0.0  # of set_goal
     y_m: float = 0.0
 
@@ -184,21 +185,36 @@ class Drift(_Fault):
     ppm: float = Field(ge=-100_000.0, le=100_000.0)
 
 
+class ClockJump(_Fault):
+    kind: Literal["clock_jump"]  # the robot's clock leaps from one microsecond to the next
+    robot: Slot
+    by_s: float = Field(ge=-60.0, le=86_400.0)
+
+
+class CrashWorking(_Fault):
+    kind: Literal["crash_working"]  # dies in the middle of a section, at the next chance
+    robot: Slot
+    for_s: float = Field(gt=0.0)  # then it is switched on again
+    disk: Literal["kept", "lost", "torn"] = "kept"
+
+
 Fault = Annotated[
     Partition | Heal | OneWay | Crash | Restart | Freeze | Loss | Omission | Duplicate | Errors
-    | BusOff | Estop | Reset | Order | Box | Pushed | Join | Babble | Clone | Drift,
+    | BusOff | Estop | Reset | Order | Box | Pushed | Join | Babble | Clone | Drift
+    | ClockJump | CrashWorking,
     Field(discriminator="kind"),
 ]  # fmt: skip
 
 
 class Scenario(_Table):
     name: str = Field(min_length=1, max_length=64)
-    mission: Literal["field"] = "field"
+    mission: Literal["field", "drill"] = "field"  # a drill has no world, only work by the clock
     field: FieldTable
     fleet: FleetTable = FleetTable()
     bus: BusTable = BusTable()
     run: RunTable = RunTable()
     fault: list[Fault] = []
+    places: dict[str, tuple[float, float]] = {}  # names for operators; metres east and north
     folder: Path = Field(Path(), exclude=True)  # what file names are relative to
 
     def changed(

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from shapely.geometry import Point
+from shapely.geometry import Point, Polygon
 
 from agent.field import XY, Field, rasterise, start_poses
 from agent.field_work import FieldWork
@@ -167,6 +167,10 @@ class Setting:
         while (east - west) * (north - south) / cell_m**2 > ROUTE_CELLS_MAX:
             cell_m *= 2
         return cell_m
+
+    def floor_space(self, radius_m: float) -> Polygon:
+        """Where the middle of a body can be."""
+        return self.field.polygon.buffer(-radius_m)
 
     @property
     def config_hash(self) -> int:

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator
 
 from sim.scenario import Fault, Scenario
-from sim.trouble import CALM_S, with_faults
+from sim.trouble import span_of, with_faults
 
 RUNS_MAX = 80  # tries; a run takes a few seconds
 
@@ -17,7 +17,7 @@ def shrink(scenario: Scenario, fails: Callable[[Scenario], bool]) -> tuple[Scena
         runs += 1
         return runs <= RUNS_MAX and fails(candidate)
 
-    faults = [fault for fault in scenario.fault if fault.at_s <= CALM_S]
+    faults = [fault for fault in scenario.fault if fault.at_s <= span_of(scenario).calm_s]
     pieces = 2
     while faults:
         for fewer in _without(faults, pieces):

@@ -10,11 +10,17 @@ from enum import IntEnum
 from agent.config import MS, beat_of
 from protocol.safety_frames import Command, EmergencyReset, OperatorCommand
 from sim.checkers import MotionAfterStopChecker, Violation
+from sim.parade import CommandChecker, Parade
 from sim.wire import Wire
 from sim.world import World
 
 EVERYBODY = 255
 REACTION_US = 20 * MS  # a tick and a frame's jitter on top of the silence that stops in the end
+
+
+def motions(world: World) -> MotionAfterStopChecker | CommandChecker:
+    """A checker of who moves, that sees all of it from now on."""
+    return world.checker() if isinstance(world, Parade) else MotionAfterStopChecker(world)
 
 
 class Stage(IntEnum):
@@ -25,7 +31,7 @@ class Stage(IntEnum):
 
 class StopWatch:
     def __init__(self, world: World, robots: int) -> None:
-        self.checker = MotionAfterStopChecker(world)
+        self.checker = motions(world)
         self.bound_us = beat_of(robots).silence_us + REACTION_US
         self._stages: dict[int, dict[int, Stage]] = {}  # press -> slot -> what was done since
 

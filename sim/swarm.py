@@ -51,6 +51,11 @@ class SwarmShell(Shell):
         self._rate = 1.0 + ppm * 1e-6
         self._nudge()
 
+    def jump(self, by_s: float) -> None:
+        """From now on this robot's clock shows so much more."""
+        self._base_us, self._since_us = self.local_us() + round(by_s * 1e6), self.swarm.now_us()
+        self._nudge()
+
     def local_us(self) -> int:
         """This robot's clock."""
         return self._base_us + int((self.swarm.now_us() - self._since_us) * self._rate)

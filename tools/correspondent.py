@@ -36,6 +36,8 @@ class Correspondent:
         """The text of a parameter group, or None where nothing whole came in time."""
         loop = asyncio.get_running_loop()
         end_s = loop.time() + seconds
+        # What it told when it was asked before is no answer to this.
+        self.arrived = [a for a in self.arrived if (a.pgn, a.source) != (pgn, address)]
         self._send(Request(pgn), address)
         while loop.time() < end_s:
             for letter in self.arrived:

@@ -59,7 +59,7 @@ async def _estop(
         listen_to(bus, operator)
         if watch:
             return await _watch(operator)
-        late = await _press(operator, reason, timeout_s)
+        late = await press(operator, reason, timeout_s)
         return _tell(operator, late, as_json, keys is not None)
     finally:
         bus.close()
@@ -78,7 +78,7 @@ def listen_to(bus: CanBus, operator: Operator) -> None:
     bus.subscribe(lambda frame: operator.hear(loop.time(), frame))
 
 
-async def _press(operator: Operator, reason: Reason, timeout_s: float) -> list[Robot]:
+async def press(operator: Operator, reason: Reason, timeout_s: float) -> list[Robot]:
     """Repeat until every live robot stands stopped; returns those that do not."""
     loop = asyncio.get_running_loop()
     begun_s = dot_s = loop.time()

@@ -177,6 +177,49 @@ def order(
 
 
 @app.command()
+def say(
+    phrase: Annotated[
+        list[str] | None, typer.Argument(help="What you want, in words; none: a conversation.")
+    ] = None,
+    interface: Interface = "socketcand", channel: Channel = "can0", bitrate: Bitrate = 250_000,
+    host: Host = "127.0.0.1", port: Port = 0, key: OperatorKey = None,
+    places: Annotated[
+        Path | None, typer.Option(help="TOML with named places; none: the launch's.")
+    ] = None,
+    by: Annotated[str | None, typer.Option(help="Which robot answers questions, or any.")] = None,
+    log: Annotated[
+        Path | None, typer.Option(help="Ask a run folder or a log instead of a bus.")
+    ] = None,
+    read: Annotated[bool, typer.Option("--read", help="Only show how it is understood.")] = False,
+    queue: Annotated[Path, typer.Option(help="Where goals wait for an idle robot.")] = Path(
+        "runs/queue.json"
+    ),
+    wait: Annotated[
+        bool, typer.Option("--wait/--no-wait", help="Stay until what is queued was given.")
+    ] = True,
+    yes: Annotated[bool, typer.Option("--yes", help="Say yes to what is asked back.")] = False,
+    endpoint: Annotated[
+        str | None, typer.Option(help="OpenAI-compatible URL for what the grammar cannot read.")
+    ] = None,
+    model: Annotated[str, typer.Option(help="Of the endpoint.")] = "default",
+    timeout: Annotated[float, typer.Option(help="Seconds to wait for a robot's word.")] = 5.0,
+    json: Json = False,
+) -> None:  # fmt: skip
+    """Tell or ask the fleet something in plain language. Ambiguous or unsafe: exit 3 and a question.
+
+    Example: headland say "send the nearest robot to the gate"
+    """
+    from tools.say import Options
+    from tools.say import say as command
+
+    bus = (interface, channel, bitrate, host, port)
+    options = Options(
+        bus, key, places, queue, by, endpoint, model, timeout, wait, yes, read, log, json
+    )
+    raise SystemExit(command(phrase or [], options))
+
+
+@app.command()
 def inspect(
     source: Annotated[Path | None, typer.Argument(help="Run folder or log; none: a live bus.")] = None,
     interface: Interface = "socketcand", channel: Channel = "can0", bitrate: Bitrate = 250_000,
@@ -185,18 +228,22 @@ def inspect(
     mermaid: Annotated[bool, typer.Option("--mermaid", help="Print the state machine.")] = False,
     why: Annotated[str | None, typer.Option(help="How a section (S7) came to its owner.")] = None,
     traces: Annotated[int | None, typer.Option(help="Ask this robot for its newest traces.")] = None,
+    plain: Annotated[bool, typer.Option("--plain", help="Text, also at a terminal.")] = False,
+    speed: Annotated[float, typer.Option(help="Of a log on the screen; 0: show its end.")] = 0.0,
+    picture: Annotated[Path | None, typer.Option(help="Write the screen as an SVG.")] = None,
     json: Json = False,
 ) -> None:  # fmt: skip
     """Show each robot's state, peers, sections, vector clock, and the path of states that led there.
+
+    At a terminal this is a screen (`q` ends it); otherwise, and with --plain, text.
 
     Example: headland inspect runs/run --why S7
     """
     from tools.inspection import inspect as command
 
+    bus = (interface, channel, bitrate, host, port)
     raise SystemExit(
-        command(
-            source, interface, channel, bitrate, host, port, seconds, mermaid, why, json, traces
-        )
+        command(source, *bus, seconds, mermaid, why, json, traces, plain, speed, picture)
     )
 
 
@@ -206,7 +253,7 @@ app.add_typer(keys_app, name="keys")
 @app.command()
 def chaos(
     seeds: Annotated[str, typer.Option(help="FIRST:END, or one seed.")] = "0:20",
-    profile: Annotated[str, typer.Option(help="Kinds of trouble: all, bus, crash, stop.")] = "all",
+    profile: Annotated[str, typer.Option(help="all, bus, crash, stop, body or protocol.")] = "all",
     jobs: Annotated[int, typer.Option(help="Processes at a time (0: one a core).")] = 0,
     seconds: Annotated[float | None, typer.Option(help="Begin no run after this long.")] = None,
     out: Annotated[Path, typer.Option(help="Folder for results and reproductions.")] = Path(
@@ -215,6 +262,10 @@ def chaos(
     mutants: Annotated[
         bool, typer.Option("--mutants", help="Look for planted bugs instead: all must be found.")
     ] = False,
+    scenario: Annotated[
+        Path | None,
+        typer.Option(help="Judge this scenario file instead, written by hand or found."),
+    ] = None,
     json: Json = False,
 ) -> None:
     """Give a fleet bad luck, judge from outside whether it kept the rules. Exit 0 when it did.
@@ -223,8 +274,35 @@ def chaos(
     Example: headland chaos --seeds 0:1000 --profile stop --jobs 2
     """
     from tools.chaos import chaos as command
+    from tools.chaos import judge_file
 
+    if scenario is not None:
+        raise SystemExit(judge_file(scenario, json))
     raise SystemExit(command(seeds, profile, jobs, seconds, out, mutants, json))
+
+
+@app.command()
+def fuzz(
+    targets: Annotated[list[str] | None, typer.Argument(help="Decoders; none: all.")] = None,
+    runs: Annotated[int, typer.Option(help="Executions of each target.")] = 100_000,
+    seconds: Annotated[float | None, typer.Option(help="At most this long for each target.")] = None,
+    seed: Annotated[int, typer.Option(help="Of what is tried.")] = 1,
+    engine: Annotated[str, typer.Option(help="auto, plain or atheris (pip install atheris).")] = "auto",
+    keep: Annotated[bool, typer.Option("--keep", help="New inputs join the corpus.")] = False,
+    again: Annotated[Path | None, typer.Option("--input", help="Run one input again.")] = None,
+    out: Annotated[Path, typer.Option(help="Folder for what breaks something.")] = Path("runs/fuzz"),
+    json: Json = False,
+) -> None:  # fmt: skip
+    """Any bytes into every decoder, from a corpus in the tree. Exit 0 when no promise was broken.
+
+    Example: headland fuzz frame sync --runs 1000000
+    """
+    from tools.fuzz import fuzz as command
+    from tools.fuzz import replay as once
+
+    if again is not None:
+        raise SystemExit(once((targets or [""])[0], again))
+    raise SystemExit(command(targets or [], runs, seconds, seed, engine, keep, out, json))
 
 
 @app.command()

@@ -3,7 +3,9 @@
 import asyncio
 import json
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from importlib.util import find_spec
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +16,7 @@ from rich.table import Table
 from agent.fsm import to_mermaid
 from agent.letters import LOG_PGN
 from agent.lifecycle import TABLE, State
+from protocol.bus import CanBus
 from protocol.frame import Frame
 from sim.candump import read_candump
 from tools.attachment import AttachError, attach
@@ -30,6 +33,7 @@ class SourceError(Exception):
 def inspect(
     source: Path | None, interface: str, channel: str, bitrate: int, host: str, port: int,
     seconds: float, mermaid: bool, why: str | None, as_json: bool, traces_of: int | None = None,
+    plain: bool = False, speed: float = 0.0, picture: Path | None = None,
 ) -> int:  # fmt: skip
     if mermaid:
         print(to_mermaid(TABLE, State.DISCONNECTED))
@@ -39,6 +43,11 @@ def inspect(
         if traces_of is not None:
             return _traces(traces_of, interface, channel, bitrate, host, port, seconds, as_json)
         section = _section(why)
+        if picture is not None:
+            return _draw(inspector, source, picture)
+        if _screen_wanted(plain or as_json or section is not None):
+            bus = (interface, channel, bitrate, host, port)
+            return _screen(inspector, source, lambda: attach(*bus), speed)
         if source is not None:
             for t_us, frame in frames_of(source):
                 inspector.hear(t_us / 1e6, frame)
@@ -54,6 +63,56 @@ def inspect(
     else:
         _show(Console(), inspector.to_dict())
     return 0
+
+
+def _screen_wanted(text_wanted: bool) -> bool:
+    """Only people at a terminal get a screen; scripts and pipes get text."""
+    if text_wanted or not (sys.stdout.isatty() and sys.stdin.isatty()):
+        return False
+    if find_spec("textual") is None:
+        print(
+            "headland: text only: pip install 'headland[operator]' for the screen", file=sys.stderr
+        )
+        return False
+    return True
+
+
+def _draw(inspector: Inspector, source: Path | None, picture: Path) -> int:
+    if source is None:
+        raise SourceError("--picture needs a run folder or a log")
+    if find_spec("textual") is None:
+        raise SourceError("--picture needs textual: pip install 'headland[operator]'")
+    from tools.feed import from_log
+    from tools.screen import InspectScreen, draw
+
+    frames = list(frames_of(source))
+    try:
+        draw(InspectScreen(inspector, str(source), from_log(frames, inspector, True)), picture)
+    except OSError as problem:
+        raise SourceError(f"--picture {picture}: {problem.strerror}") from None
+    return 0
+
+
+def _screen(
+    inspector: Inspector, source: Path | None, open_bus: Callable[[], CanBus], speed: float
+) -> int:
+    from tools.feed import from_bus, from_log
+    from tools.screen import InspectScreen
+
+    if source is None:
+        asyncio.run(_try(open_bus))  # a wrong address is one line, before the screen
+        feed, title = from_bus(open_bus, inspector), "live bus"
+    else:
+        frames = frames_of(source)
+        first = next(frames, None)  # a file that is no log is one line, too
+        rest = chain([] if first is None else [first], frames)
+        feed, title = from_log(rest, inspector, speed == 0), str(source)
+    InspectScreen(inspector, title, feed, speed or 1.0).run()
+    return 0
+
+
+async def _try(open_bus: Callable[[], CanBus]) -> None:
+    open_bus().close()
 
 
 def _section(why: str | None) -> int | None:
@@ -148,17 +207,38 @@ async def _ask_traces(
 
 
 def _why(inspector: Inspector, section: int, as_json: bool) -> int:
-    chain = list(inspector.why(section))
+    found = list(inspector.why(section))
     if as_json:
-        print(json.dumps(chain))
-    for step in [] if as_json else chain:
-        print(
-            f"{step['t_s']:12.6f} s  robot {step['said_by']}: {step['frame']} {step['phase']} "
-            f"epoch {step['epoch']} bid {step['bid']} lamport {step['lamport']} owner {step['owner']}"
-        )
-    if not chain:
+        print(json.dumps(found))
+    elif found:
+        print(f"S{section}: {found[-1]['text']}")
+        steps = {(step["t_s"], step["data"]): n for n, step in enumerate(found, 1)}
+        for number, step in enumerate(found, 1):
+            print(f"{number:3}. {_frame_line(step)}{_again(step)}")
+            for cause in step["because"]:
+                print(f"       because {_cause(cause, steps)}")
+            for rival in step["rivals"]:
+                print(f"       against {_frame_line(rival)}")
+    if not found:
         print(f"headland: nothing was heard of S{section}", file=sys.stderr)
-    return 0 if chain else 1
+    return 0 if found else 1
+
+
+def _frame_line(heard: dict[str, Any]) -> str:
+    who = "a device" if heard["said_by"] is None else f"robot {heard['said_by']}"
+    frame = f"{heard['id']}#{heard['data']}"
+    return f"{heard['t_s']:.6f} s  {who:8}  {heard['frame']} {frame}  {heard['text']}"
+
+
+def _cause(heard: dict[str, Any], steps: dict[tuple[float, str], int]) -> str:
+    number = steps.get((heard["t_s"], heard["data"]))
+    if number is None:
+        return _frame_line(heard)
+    return f"of {number}., and {heard['text'].rsplit('; now ', 1)[-1]}"
+
+
+def _again(step: dict[str, Any]) -> str:
+    return f" (said {step['again']} times more)" if step["again"] else ""
 
 
 def table_of(seen: dict[str, Any]) -> Table:

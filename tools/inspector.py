@@ -10,16 +10,18 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from agent.lifecycle import State
-from crdt import FieldAllocationCRDT, Phase, Progress
+from crdt import FieldAllocationCRDT, Progress
 from crdt.register import pack
 from protocol.codec import Malformed, decode
 from protocol.fleet_frames import Heartbeat, LeaderElectionVote, Member, Pose, VectorSlice
 from protocol.frame import Frame
-from protocol.safety_frames import AllImplementsStop, EmergencyReset, EmergencyStop, OperatorCommand
+from protocol.operator_frames import Matter, OperatorReport
+from protocol.safety_frames import AllImplementsStop, EmergencyReset, EmergencyStop
 from protocol.work_frames import StateSyncResponse, TaskClaim, WorkProgress
+from tools.bus_load import BIT_RATE, BusLoad, bits_of
+from tools.causality import Causality
 
 TRANSITIONS_MAX = 64  # newest kept a robot; a path longer than that is not read by anybody
-CHAIN_MAX = 4096  # frames kept that wrote a register, newest first, over all sections
 SILENT_S = 1.0  # a robot not heard for longer is shown as silent
 
 
@@ -45,6 +47,9 @@ class Seen:
     speed_m_s: float = 0.0
     stopped: bool = False
     left: bool = False
+    started: bool = True  # until a heartbeat says that it is not
+    question: int = 0  # number of what it asks its operators; 0: nothing
+    goal: tuple[float, float] | None = None  # where an operator has sent it, and it is not yet
     incarnation: int = 0
     health: float = 1.0
     operations: int = 0
@@ -69,14 +74,14 @@ class Inspector:
         self.bits = 0
         self.first_s: float | None = None
         self.now_s = 0.0
-        self._chain: deque[tuple[float, int, str, TaskClaim | StateSyncResponse]] = deque(
-            maxlen=CHAIN_MAX
-        )
+        self.causality = Causality()
+        self.load = BusLoad()
 
     def hear(self, t_s: float, frame: Frame) -> None:
         self.first_s = t_s if self.first_s is None else self.first_s
         self.now_s = t_s
-        self.bits += 80 + 10 * len(frame.data)  # worst-case stuffing (Davis et al. 2007)
+        self.bits += bits_of(len(frame.data))
+        self.load.hear(t_s, len(frame.data))
         source, message = decode(frame)
         if isinstance(message, Malformed):
             self.malformed[message.reason] += 1
@@ -86,6 +91,7 @@ class Inspector:
         if isinstance(message, Member):
             self._member(t_s, source, message)
         slot = self.slot_of.get(source)
+        self.causality.hear(t_s, frame, slot, message)
         if isinstance(message, EmergencyStop):
             self.stops.setdefault(message[:3], t_s)
         elif isinstance(message, EmergencyReset):
@@ -114,6 +120,7 @@ class Inspector:
             case Heartbeat():
                 robot.health, robot.operations = message.health, message.operations
                 robot.digest, robot.left = message.digest, message.leaving
+                robot.started = message.started
                 robot.clock[robot.slot] = message.operations
                 self._state(t_s, robot, message.state, kind)
             case VectorSlice():
@@ -124,15 +131,14 @@ class Inspector:
                 key = pack(
                     message.epoch, message.phase, message.bid, message.lamport, message.owner
                 )
-                if self.allocation.apply(message.section, key):
-                    self._chain.append((t_s, robot.slot, kind, message))
+                self.allocation.apply(message.section, key)
             case WorkProgress():
                 self.progress.apply(message.section, message.block, message.bits)
             case LeaderElectionVote():
                 votes = self.votes.setdefault((message.election, message.term), {})
                 votes.setdefault(robot.slot, message.candidate)
-            case OperatorCommand():
-                pass
+            case OperatorReport():
+                _operator_report(robot, message)
 
     def _state(self, t_s: float, robot: Seen, state: int, kind: str) -> None:
         name = State(state).name
@@ -147,14 +153,9 @@ class Inspector:
         return sorted(set(self.stops) - set(self.cleared))
 
     def why(self, section: int) -> Iterator[dict[str, Any]]:
-        """The frames by which a section came to its owner, oldest first."""
-        for t_s, slot, kind, message in self._chain:
-            if message.section == section:
-                yield {
-                    "t_s": round(t_s, 6), "said_by": slot, "frame": kind,
-                    "phase": Phase(message.phase).name, "epoch": message.epoch,
-                    "bid": message.bid, "lamport": message.lamport, "owner": message.owner,
-                }  # fmt: skip
+        """The frames by which a section came to its owner, oldest first; each with what led to it."""
+        for step in self.causality.chain(section):
+            yield step.to_dict()
 
     def to_dict(self) -> dict[str, Any]:
         span_s = max(self.now_s - (self.first_s or 0.0), 1e-9)
@@ -175,7 +176,7 @@ class Inspector:
                 f"{election}/{term}": dict(sorted(votes.items()))
                 for (election, term), votes in sorted(self.votes.items())
             },
-            "bus_load_worst_case": round(self.bits / (span_s * 250_000), 4),
+            "bus_load_worst_case": round(self.bits / (span_s * BIT_RATE), 4),
             "seconds": round(span_s, 3),
         }
 
@@ -186,6 +187,7 @@ class Inspector:
             "silent": self.now_s - robot.last_s > SILENT_S and not robot.left, "left": robot.left,
             "x_m": round(robot.x_m, 2), "y_m": round(robot.y_m, 2),
             "speed_m_s": round(robot.speed_m_s, 2), "stopped": robot.stopped,
+            "started": robot.started, "question": robot.question, "goal": robot.goal,
             "incarnation": robot.incarnation, "digest": f"{robot.digest:06x}",
             "peers": peers, "clock": {str(s): robot.clock[s] for s in sorted(robot.clock)},
             "sections": [f"S{s}" for s in self.allocation.assigned_sections(robot.slot)],
@@ -194,3 +196,18 @@ class Inspector:
                 for t in robot.transitions
             ],
         }  # fmt: skip
+
+
+def _operator_report(robot: Seen, m: OperatorReport) -> None:
+    """What it asks, and where it was sent."""
+    match m.matter:
+        case Matter.REFUSED:
+            return
+        case Matter.ASKING | Matter.WAITING:
+            robot.question = m.number
+            return
+        case Matter.UNDER_WAY:
+            robot.goal = (m.x_m, m.y_m)
+        case Matter.ARRIVED | Matter.WORKING | Matter.STOPPED:
+            robot.goal = None
+    robot.question = 0

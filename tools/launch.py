@@ -28,6 +28,7 @@ from sim.scenario import ScenarioError, load
 from sim.setting import Setting
 from tools.attachment import CHANNEL
 from tools.inspector import SILENT_S, Inspector
+from tools.language.places import Places
 from tools.warmup import warm
 
 HOST = "127.0.0.1"
@@ -71,6 +72,7 @@ class Launch:
         body_port = transport.get_extra_info("sockname")[1]
         where = {"host": HOST, "port": hub.port, "channel": CHANNEL, "pid": os.getpid()}
         (self.out / "bus.json").write_text(json.dumps(where))
+        (self.out / "places.toml").write_text(self._places())
         self.console.print(
             f"bus: socketcand {HOST}:{hub.port} channel {CHANNEL}   "
             f"(python -m can.viewer -i socketcand -c {CHANNEL} --host={HOST} --port={hub.port})"
@@ -92,6 +94,12 @@ class Launch:
         if end.is_set():
             return INTERRUPTED
         return 0 if finished and not self.world.contacts else UNFINISHED
+
+    def _places(self) -> str:
+        """What people can name when they speak to this fleet."""
+        field = self.setting.field
+        named = {"gate": field.gate, **self.setting.scenario.places}
+        return Places.write(named, {section.name: section.ends[0] for section in field.sections})
 
     def _heard(self, log: CandumpWriter, t_us: int, frame: Frame) -> None:
         self.inspector.hear(t_us / 1e6, frame)

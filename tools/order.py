@@ -70,14 +70,14 @@ async def _order(
             print(f"headland: robot {slot} is not heard; heard: {heard}", file=sys.stderr)
             return NOT_ALL
         question = robot.question
-        obeyed = await _say(operator, robot, what, goal, timeout_s)
+        obeyed = await convey(operator, robot, what, goal, timeout_s)
         _tell(robot, what, question is not None, obeyed, keyring is not None, as_json)
         return 0 if obeyed else NOT_ALL
     finally:
         can_bus.close()
 
 
-async def _say(
+async def convey(
     operator: Operator, robot: Robot, what: str, goal: tuple[float, float] | None, timeout_s: float
 ) -> bool:
     """Until the robot says that it obeys, or that it cannot."""

@@ -300,3 +300,24 @@ def test_boxes_that_come_and_go_are_never_touched(seed: int) -> None:
         assert any(r.matter is Matter.ASKING for _, r in reports)
 
     play(story, load("small").changed(3, seed))
+
+
+def test_a_tractor_asks_too_and_drives_home_on_its_turning_circle() -> None:
+    async def story(cluster: Cluster, reports: Reports) -> None:
+        home = cluster.world.body(ROBOT).position
+        await until_at_work(cluster, ROBOT)
+        assert not reports, "its own fleet and its own fences are nothing to ask about"
+        box = put_box_before(cluster, ROBOT, 7.0)
+        await asked(cluster, ROBOT)
+        cluster.world.remove_box(box)
+        await elapse(2.0)
+        order(cluster, Command.GO_HOME)
+        loop = asyncio.get_running_loop()
+        while loop.time() < LIMIT_S and matters(reports)[-1:] != [Matter.ARRIVED]:
+            await elapse(0.5)
+        x_m, y_m = cluster.world.body(ROBOT).position
+        assert hypot(x_m - home[0], y_m - home[1]) < 0.6
+        order(cluster, Command.CONTINUE)
+        await finished(cluster)
+
+    play(story, load("small").changed(2, 1, drive="ackermann"))

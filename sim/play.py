@@ -1,0 +1,235 @@
+"""One scenario under the eyes of every checker: they see bodies, words, disks and what people do.
+
+Nothing here asks a robot what it believes, but for the bytes of its replicas in the end (L1).
+"""
+
+from collections import Counter
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from agent.config import MS, S, beat_of
+from agent.field_work import LEAD_M
+from sim import scenario as kinds
+from sim.checkers import ExclusiveWorkChecker
+from sim.cluster import Cluster
+from sim.disk import Disk, LogJournal
+from sim.drill_run import DrillRun
+from sim.expedition import Expedition, Moment
+from sim.outcome import Outcome
+from sim.parade import Parade
+from sim.scenario import Fault, Scenario
+from sim.stop_watch import motions
+from sim.swarm import Swarm
+from sim.tape import STANDS, lost
+from sim.trouble import is_link_trouble, setting_of, span_of
+from sim.witness import Witness
+from sim.word_rules import Broken
+from sim.world import World
+
+SLACK_US = 20 * MS  # a control tick, and a frame in the way
+RELEASED_S = 12.0  # after the last reset nobody may still stand stopped
+SETTLED_US = 3 * S  # links and members without trouble for so long: everybody hears everybody
+EXCUSED_US = 3 * S  # who is pushed, or has a box dropped before it, may touch something so long
+ON_LINE_M = 0.2  # closer than this to a line is on it; who comes to another line passes further off
+TOUCH_M = 0.02  # deeper than this is a contact; bodies of robots are measured to a centimetre
+
+
+class Enough(Exception):
+    """Something was found, and no more is asked for."""
+
+
+class Play:
+    def __init__(self, scenario: Scenario, first_only: bool = False) -> None:
+        """`first_only`: the run ends within a second of the first rule that is broken."""
+        self.first_only = first_only
+        self.scenario, self.span = scenario, span_of(scenario)
+        self.setting = setting_of(scenario)
+        self.witness = Witness(scenario.fleet.robots)
+        self.broken: list[Broken] = []
+        self.outcome: Outcome | None = None
+        self._silences: dict[int, list[int]] = {}  # dead robot -> watches of those who must stand
+        self._trouble_us = 0  # the newest trouble of a link or of a member
+        self._excused: list[tuple[int, int]] = []  # robot and when: pushed, or a box before it
+
+    def run(self) -> "Play":
+        kind = DrillRun if self.scenario.mission == "drill" else Expedition
+        run = kind(self.setting, attach=self._attach)
+        run.recorder = self.witness
+        if self.first_only:
+            run.told = self._enough
+        try:
+            self.outcome = run.run()
+        except Enough:
+            self._moved()
+        except Exception as problem:  # an assertion of a robot, or of the simulation: both count
+            text = f"{type(problem).__name__}: {problem}"
+            self.broken.append(Broken("S15", self.cluster.host.now_us() / 1e6, text))
+        if self.outcome is not None:
+            self._judge(self.outcome)
+        self.broken += self.witness.broken
+        self.broken.sort(key=lambda broken: broken.t_s)
+        return self
+
+    def _enough(self, moment: Moment) -> None:
+        moved = self.cluster.stops.violations or self.silence.violations
+        if self.broken or self.witness.broken or moved:
+            raise Enough
+
+    @property
+    def faults(self) -> Counter[str]:
+        """How many of each kind there were before the calm."""
+        return Counter(f.kind for f in self.scenario.fault if f.at_s <= self.span.calm_s)
+
+    def _attach(self, cluster: Cluster) -> None:
+        self.cluster = cluster
+        for slot in range(self.scenario.fleet.robots):
+            cluster.journals[slot] = LogJournal(Disk())
+        self.silence = motions(cluster.world)
+        cluster.on_power = self._power
+        order = cluster.order
+
+        def ordered(message: Any) -> None:
+            self.witness.words.ordered(message, cluster.host.now_us())
+            order(message)
+
+        cluster.order = ordered  # type: ignore[method-assign]
+        for fault in self.scenario.fault:
+            self._watch(fault)
+        span = self.span
+        if any(isinstance(f, kinds.Reset) and f.at_s == span.again_s for f in self.scenario.fault):
+            self._at(round((span.again_s + RELEASED_S) * 1e6), self._all_released)
+
+    def _at(self, t_us: int, call: Callable[[], object]) -> None:
+        assert isinstance(self.cluster.host, Swarm)
+        self.cluster.host.at(t_us, call)
+
+    def _watch(self, fault: Fault) -> None:
+        """What the checkers have to do at a fault: before it at its time, after it a moment later."""
+        at_us = round(fault.at_s * 1e6)
+        if is_link_trouble(fault):
+            self._at(at_us, self._troubled)
+        match fault:
+            case kinds.Estop(robot=robot):
+                self._at(at_us, partial(self._pressed, robot))
+            case kinds.Pushed(robot=robot):
+                self._at(at_us, partial(self._excuse, (robot,)))
+            case kinds.Box():
+                self._at(at_us, partial(self._excuse, tuple(range(self.scenario.fleet.robots))))
+
+    # ---------------------------------------------------------------- while it runs
+
+    def _now_us(self) -> int:
+        now_us = self.cluster.host.now_us()
+        self.cluster.world.advance(now_us)
+        return now_us
+
+    def _troubled(self) -> None:
+        self._trouble_us = self.cluster.host.now_us()
+        for slot in list(self._silences):
+            self._heard_of(slot)
+
+    def _excuse(self, slots: tuple[int, ...]) -> None:
+        now_us = self.cluster.host.now_us()
+        self._excused += [(slot, now_us) for slot in slots]
+
+    def _pressed(self, slot: int) -> None:
+        if self.cluster.is_up(slot):
+            self.witness.words.pressed(slot, self._now_us())
+
+    @property
+    def _bound_us(self) -> int:
+        return beat_of(self.scenario.fleet.robots).silence_us + SLACK_US
+
+    def _dies(self, slot: int) -> None:
+        """S6: where everybody heard everybody, all others must stand until it is back."""
+        cluster, now_us = self.cluster, self._now_us()
+        calm = now_us - self._trouble_us > SETTLED_US
+        if cluster.is_up(slot) and calm and self.scenario.fleet.silence == "stop":
+            others = [robot.slot for robot in cluster.running if robot.slot != slot]
+            watch = self.silence.press(now_us, self._bound_us, others)
+            self._silences.setdefault(slot, []).append(watch)
+        self._trouble_us = now_us
+
+    def _heard_of(self, slot: int) -> None:
+        """It is back, or nobody can say any longer who hears whom."""
+        for number in self._silences.pop(slot, []):
+            self.silence.release(number)
+
+    def _power(self, slot: int, on: bool) -> None:
+        """A robot is about to be switched on or to die."""
+        if not on:
+            self._dies(slot)
+            return
+        now_us = self._now_us()
+        for dead in list(self._silences):  # who boots has never heard the dead ones
+            self._heard_of(dead)
+        self._trouble_us = now_us
+        recalled = self.cluster.journals[slot].load()
+        if not recalled:
+            self.witness.forget(slot)
+            return
+        missing = lost(self.witness.told[slot], recalled)
+        if missing and not (missing == STANDS and slot in self.witness.released):
+            self._add("S13", now_us / 1e6, f"robot {slot} forgets {missing}")
+
+    def _all_released(self) -> None:
+        now_us, speakers = self.cluster.host.now_us(), self.witness.words.speakers
+        up = [robot.slot for robot in self.cluster.running]
+        standing = [slot for slot in up if speakers[slot].stopped]
+        if standing:
+            self._add("L2", now_us / 1e6, f"robots {standing} still stand stopped")
+        votes = [speakers[slot].votes for slot in up]
+        for election in sorted({number for known in votes for number in known}):
+            newest = [known[election] for known in votes if election in known]
+            term = max(vote.term for vote in newest)
+            tally = Counter(vote.candidate for vote in newest if vote.term == term)
+            if max(tally.values()) * 2 <= len(up):
+                self._add("L7", now_us / 1e6, f"no leader of election {election}: {dict(tally)}")
+
+    # ---------------------------------------------------------------- in the end
+
+    def _judge(self, outcome: Outcome) -> None:
+        world, end_s = self.cluster.world, outcome.simulated_s
+        self._moved()
+        self._contacts()
+        if self.scenario.fleet.silence == "stop":
+            if isinstance(world, Parade):
+                found = world.together
+            else:
+                found = self._exclusive(world)
+            for violation in found[:1]:
+                self._add("S7", violation.t_us / 1e6, f"robots {violation.slots}: {violation.what}")
+        if not outcome.replicas_equal:
+            self._add("L1", end_s, "replicas differ")
+        if not outcome.finished or outcome.coverage < 0.9999:
+            what = f"finished: {outcome.finished}, coverage {outcome.coverage:.2%}"
+            self._add("L5", end_s, what)
+
+    def _moved(self) -> None:
+        for rule, checker in (("S1", self.cluster.stops), ("S6", self.silence)):
+            for violation in checker.violations[:1]:
+                self._add(rule, violation.t_us / 1e6, f"robots {violation.slots}: {violation.what}")
+
+    def _contacts(self) -> None:
+        for contact in self.cluster.world.contacts:
+            slots = {contact.first, contact.second}
+            excused = any(
+                slot in slots and 0 <= contact.t_us - at_us < EXCUSED_US
+                for slot, at_us in self._excused
+            )
+            if contact.depth_m > TOUCH_M and not excused:
+                depth_cm = contact.depth_m * 100
+                what = f"robot {contact.first} {depth_cm:.0f} cm into {contact.against}"
+                self._add("S17", contact.t_us / 1e6, what)
+                return
+
+    def _exclusive(self, world: World) -> list[Any]:
+        field = self.setting.field
+        sections = {number: list(section.swaths) for number, section in enumerate(field.sections)}
+        tracks = {slot: body.track for slot, body in world.robots.items()}
+        checker = ExclusiveWorkChecker(sections, ON_LINE_M, least_m=LEAD_M + 0.5)
+        return list(checker.violations(tracks))
+
+    def _add(self, rule: str, t_s: float, what: str) -> None:
+        self.broken.append(Broken(rule, t_s, what))

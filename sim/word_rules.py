@@ -1,0 +1,166 @@
+"""Rules about what robots say, judged from their words and from what people did.
+
+S2 and S3: who has held a stop does not say that it is released before an operator has cleared that
+very stop. S4: after a reset nobody works before a start. S8: a press makes a stop of a new name. S9:
+what a robot has said of a register, of progress, of its operations it never takes back, over restarts
+too; so a released claim does not return (S11). S16: one vote a term, one leader a term.
+"""
+
+from collections import Counter, defaultdict
+from typing import NamedTuple
+
+from agent.config import STOP_SPACING_US
+from agent.lifecycle import State
+from crdt import Phase
+from crdt.register import pack
+from crdt.stops import StopDot
+from protocol.fleet_frames import Heartbeat, LeaderElectionVote, Member, Pose
+from protocol.messages import Message
+from protocol.safety_frames import Command, EmergencyReset, EmergencyStop, OperatorCommand
+from protocol.work_frames import StateSyncResponse, TaskClaim, WorkProgress
+
+EVERYBODY = 255
+HALF_U16 = 0x8000  # operations are counted modulo 2^16 on the wire
+NEVER_US = -1
+
+
+class Broken(NamedTuple):
+    """A rule that was broken."""
+
+    rule: str
+    t_s: float
+    what: str
+
+
+class Speaker:
+    """What one robot has said so far, since it last lost its memory."""
+
+    def __init__(self) -> None:
+        self.incarnation = -1
+        self.operations = -1
+        self.registers: dict[int, int] = {}
+        self.progress: dict[tuple[int, int], int] = {}
+        self.dots: set[StopDot] = set()  # every stop that it has pressed or echoed
+        self.stopped = False
+        self.stopped_us = NEVER_US  # since when it says so
+        self.reset_us = NEVER_US  # the newest order that it be reset, and started
+        self.start_us = NEVER_US
+        self.asks_start = False  # it was reset, and has not been started since
+        self.pressed_us = NEVER_US
+        self.state = State.DISCONNECTED
+        self.votes: dict[int, LeaderElectionVote] = {}  # newest of each election
+
+
+class WordRules:
+    def __init__(self, robots: int) -> None:
+        self.robots = robots
+        self.speakers: defaultdict[int, Speaker] = defaultdict(Speaker)
+        self.broken: list[Broken] = []
+        self.cleared: set[StopDot] = set()
+        self._votes: dict[tuple[int, int, int], int] = {}  # voter, election, term -> candidate
+        self._tally: Counter[tuple[int, int, int]] = Counter()  # election, term, candidate
+
+    # ---------------------------------------------------------------- what people do
+
+    def pressed(self, slot: int, now_us: int) -> None:
+        """Called before the robot is told."""
+        speaker = self.speakers[slot]
+        if now_us - speaker.pressed_us >= STOP_SPACING_US or speaker.pressed_us == NEVER_US:
+            speaker.pressed_us = now_us
+
+    def ordered(self, order: Message, now_us: int) -> None:
+        """An operator's frame, whether anybody hears it or not."""
+        if isinstance(order, EmergencyReset):
+            self.cleared.add(StopDot(order.slot, order.incarnation, order.counter))
+        elif isinstance(order, OperatorCommand):
+            for slot in range(self.robots):
+                if order.target in (slot, EVERYBODY):
+                    if order.command == Command.MANUAL_RESET:
+                        self.speakers[slot].reset_us = now_us
+                    elif order.command == Command.START:
+                        self.speakers[slot].start_us = now_us
+
+    def forgets(self, slot: int) -> None:
+        """Its memory is lost: from here it is another robot of the same slot."""
+        self.speakers[slot] = Speaker()
+        for key in [key for key in self._votes if key[0] == slot]:
+            del self._votes[key]
+
+    # ---------------------------------------------------------------- what robots say
+
+    def said(self, slot: int, now_us: int, message: Message) -> None:
+        speaker = self.speakers[slot]
+        kind = type(message)
+        if kind is Pose:
+            self._pose(slot, speaker, now_us, message)  # type: ignore[arg-type]
+        elif isinstance(message, EmergencyStop):
+            self._stop(slot, speaker, now_us, message)
+        elif isinstance(message, Heartbeat):
+            ahead = (message.operations - speaker.operations) & 0xFFFF
+            if speaker.operations >= 0 and ahead >= HALF_U16:
+                self._add("S9", now_us, f"robot {slot} counts its operations back")
+            speaker.operations = message.operations
+        elif isinstance(message, TaskClaim | StateSyncResponse):
+            m = message
+            key = pack(m.epoch, Phase(m.phase), m.bid, m.lamport, m.owner)
+            if key < speaker.registers.get(m.section, 0):
+                self._add("S9", now_us, f"robot {slot} takes back what it said of S{m.section}")
+            speaker.registers[m.section] = key
+        elif isinstance(message, WorkProgress):
+            place = message.section, message.block
+            if speaker.progress.get(place, 0) & ~message.bits:
+                self._add("S9", now_us, f"robot {slot} takes back units of S{message.section}")
+            speaker.progress[place] = message.bits
+        elif isinstance(message, LeaderElectionVote):
+            self._vote(slot, speaker, now_us, message)
+        elif isinstance(message, Member):
+            if message.incarnation != speaker.incarnation and speaker.incarnation >= 0:
+                self._add("S8", now_us, f"robot {slot} changes its incarnation, memory kept")
+            speaker.incarnation = message.incarnation
+
+    def _pose(self, slot: int, speaker: Speaker, now_us: int, pose: Pose) -> None:
+        if pose.stopped and not speaker.stopped:
+            speaker.stopped_us = now_us
+        elif speaker.stopped and not pose.stopped:
+            speaker.asks_start = True
+            if speaker.reset_us < speaker.stopped_us:
+                self._add("S2", now_us, f"robot {slot} is released, and nobody has reset it")
+        if not pose.stopped and speaker.dots:
+            held = speaker.dots - self.cleared
+            if held:
+                self._add("S3", now_us, f"robot {slot} is released from {sorted(held)[0]}")
+            speaker.dots.clear()
+        if speaker.asks_start and speaker.start_us > speaker.stopped_us:
+            speaker.asks_start = False
+        if speaker.asks_start and pose.state == State.WORKING:
+            self._add("S4", now_us, f"robot {slot} works after a reset without a start")
+            speaker.asks_start = False
+        speaker.stopped, speaker.state = pose.stopped, State(pose.state)
+
+    def _stop(self, slot: int, speaker: Speaker, now_us: int, stop: EmergencyStop) -> None:
+        dot = StopDot(stop.slot, stop.incarnation, stop.counter)
+        if stop.slot == slot and not stop.echo and speaker.pressed_us == now_us:
+            if dot in speaker.dots or dot in self.cleared:
+                self._add("S8", now_us, f"robot {slot} gives a new stop an old name, {dot}")
+            speaker.pressed_us = NEVER_US + 1
+        speaker.dots.add(dot)
+
+    def _vote(self, slot: int, speaker: Speaker, now_us: int, vote: LeaderElectionVote) -> None:
+        key = slot, vote.election, vote.term
+        before = self._votes.get(key)
+        if before is None:
+            self._votes[key] = vote.candidate
+            tally = vote.election, vote.term, vote.candidate
+            self._tally[tally] += 1
+            if self._tally[tally] * 2 > self.robots:
+                for (election, term, candidate), votes in self._tally.items():
+                    same = (election, term) == tally[:2] and candidate != vote.candidate
+                    if same and votes * 2 > self.robots:
+                        self._add("S16", now_us, f"two leaders in term {term}")
+        elif before != vote.candidate:
+            self._add("S16", now_us, f"robot {slot} votes twice in term {vote.term}")
+        speaker.votes[vote.election] = vote
+
+    def _add(self, rule: str, now_us: int, what: str) -> None:
+        if not any(broken.rule == rule for broken in self.broken):  # the first of each will do
+            self.broken.append(Broken(rule, now_us / 1e6, what))

@@ -1,0 +1,78 @@
+"""What became of one phrase."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from tools.language.answer import Answer
+from tools.language.intent import AnyIntent, plain
+from tools.language.question import Question, Reason
+from tools.language.weighing import Order
+
+DONE, NOT_OBEYED, ASKED_BACK = 0, 1, 3
+
+
+@dataclass
+class Outcome:
+    phrase: str
+    intents: tuple[AnyIntent, ...] = ()
+    question: Question | None = None
+    orders: list[tuple[Order, str | None]] = field(default_factory=list)  # None: not obeyed
+    stopped: list[int] | None = (
+        None  # robots that confirmed a stop of all; None: none was asked for
+    )
+    not_stopped: list[int] = field(default_factory=list)
+    queued: list[str] = field(default_factory=list)
+    answers: list[Answer] = field(default_factory=list)
+    told_by: str = "the bus"
+    by_model: bool = False  # a language model turned the phrase into intents
+
+    @property
+    def code(self) -> int:
+        if self.question is not None:
+            return ASKED_BACK
+        refused = any(word is None for _, word in self.orders)
+        nobody = self.stopped == []
+        return NOT_OBEYED if refused or self.not_stopped or nobody else DONE
+
+    def to_dict(self) -> dict[str, Any]:
+        asked = self.question
+        return {
+            "phrase": self.phrase, "intents": [plain(intent) for intent in self.intents],
+            "by_model": self.by_model,
+            "asked_back": None if asked is None else {
+                "reason": asked.reason.value, "text": asked.text, "instead": list(asked.instead)
+            },
+            "orders": [
+                {"robot": o.slot, "order": o.what, "place": o.place, "obeyed": word is not None,
+                 "says": word} for o, word in self.orders
+            ],
+            "stopped": self.stopped, "not_stopped": self.not_stopped, "queued": self.queued,
+            "answers": [answer.value for answer in self.answers], "told_by": self.told_by,
+        }  # fmt: skip
+
+    def lines(self) -> list[str]:
+        """For people."""
+        if self.question is not None:
+            kind = self.question.reason
+            return (
+                [str(self.question)]
+                if kind is Reason.NOT_UNDERSTOOD
+                else [f"{kind}: {self.question}"]
+            )
+        lines = [_order_line(order, word) for order, word in self.orders]
+        if self.stopped is not None:
+            lines.append(f"stopped: {', '.join(map(str, self.stopped)) or 'nobody is heard'}")
+        if self.not_stopped:
+            lines.append(
+                f"NOT STOPPED: {', '.join(map(str, self.not_stopped))}: use the switch on the machine"
+            )
+        lines += [f"queued until a robot is idle: {name}" for name in self.queued]
+        source = f"{self.told_by}: " if self.told_by != "the bus" and self.answers else ""
+        return lines + [source + answer.text for answer in self.answers] or ["done"]
+
+
+def _order_line(order: Order, word: str | None) -> str:
+    where = "" if order.place is None else f" {order.place[0]:g}, {order.place[1]:g}"
+    if word is None:
+        return f"robot {order.slot}: DOES NOT OBEY {order.what}{where}"
+    return f"robot {order.slot}: {order.what}{where}; it says: {word}"

@@ -1,0 +1,144 @@
+"""From a phrase to intents, or to a question. Knows the language and the names of places, no fleet."""
+
+import re
+from collections import Counter
+from difflib import get_close_matches
+
+from pydantic import ValidationError
+
+from tools.language.grammar import NotANumber, UnknownPlace, Unreadable, derivations
+from tools.language.intent import INTENTS_MAX, AnyIntent, Control, Goal
+from tools.language.places import Places
+from tools.language.question import Question, Reason
+from tools.language.vocabulary import (
+    DOUBTFUL,
+    KNOWN_WORDS,
+    NEGATIONS,
+    NUMBERS,
+    SEQUENCES,
+    UNSAFE,
+    WORDS,
+    tokens_of,
+    words_of,
+)
+
+PHRASE_MAX = 400  # characters; nobody gives one order in more
+TOKENS_MAX = 40
+LIKE = 0.7  # likeness of a word that was probably meant
+STOPS = frozenset(word for kind in ("STOP", "ESTOP") for word in WORDS[kind].split("|"))
+STOP_NOW = "stop all"
+EXAMPLES = ("send the nearest robot to 12, -4", "where is robot 2", "robot 2 go home")
+
+
+def read(text: str, places: Places) -> tuple[AnyIntent, ...] | Question:
+    """The one meaning of a phrase; whatever has none, or two, is a question."""
+    if len(text) > PHRASE_MAX:
+        return Question(
+            Reason.NOT_UNDERSTOOD, f"more than {PHRASE_MAX} characters: say less at once"
+        )
+    words = words_of(text)
+    tokens = tokens_of(words, places.groups)
+    if not tokens:
+        return Question(Reason.NOT_UNDERSTOOD, "nothing was said", EXAMPLES)
+    if len(tokens) > TOKENS_MAX:
+        return Question(Reason.NOT_UNDERSTOOD, "that is too much at once: say one order")
+    try:
+        meanings = derivations(tokens)
+    except UnknownPlace as problem:
+        return _unread(words, places) or _no_place(str(problem), places)
+    except Unreadable:
+        return _unread(words, places) or _not_understood(words, places)
+    except NotANumber as problem:
+        return Question(
+            Reason.UNKNOWN_ROBOT, f"{problem}: robots and sections have whole numbers from 0"
+        )
+    except ValidationError as problem:
+        return _out_of_range(problem)
+    if len(meanings) > 1:
+        return Question(Reason.AMBIGUOUS, "that can be read in two ways: say it in shorter orders")
+    return together(meanings[0])
+
+
+def together(intents: tuple[AnyIntent, ...]) -> tuple[AnyIntent, ...] | Question:
+    """Orders of one phrase must not contradict each other, nor depend on their order."""
+    if len(intents) > INTENTS_MAX:
+        return Question(Reason.NOT_UNDERSTOOD, f"more than {INTENTS_MAX} orders at once")
+    told: Counter[object] = Counter()
+    for intent in intents:
+        if isinstance(intent, Goal):
+            told[intent.robot] += 1
+        elif isinstance(intent, Control):
+            told.update([intent.robots] if isinstance(intent.robots, str) else set(intent.robots))
+    unclear = {"all", "unnamed", "several"} & set(told)
+    if (unclear and sum(told.values()) > 1) or any(
+        n > 1 and who != "nearest" for who, n in told.items()
+    ):
+        return Question(
+            Reason.AMBIGUOUS, "two orders for one robot in one phrase: which of them?",
+            (STOP_NOW, "one order at a time"),
+        )  # fmt: skip
+    return intents
+
+
+def _out_of_range(problem: ValidationError) -> Question:
+    error = problem.errors()[0]
+    reason = Reason.UNKNOWN_PLACE if error["loc"][-1] in ("x_m", "y_m") else Reason.UNKNOWN_ROBOT
+    return Question(reason, f"{error['input']}: {error['msg'][0].lower()}{error['msg'][1:]}")
+
+
+def _no_place(name: str, places: Places) -> Question:
+    like = places.like(name)
+    known = ", ".join(places.named[:8]) or "none are named; say metres east, north"
+    text = f"no place {name!r}" + (f"; did you mean {', '.join(like)}?" if like else f": {known}")
+    return Question(Reason.UNKNOWN_PLACE, text)
+
+
+def _unread(words: list[str], places: Places) -> Question | None:
+    """A phrase that could be dangerous to half understand gets the reason by which it is refused."""
+    said = set(words) - {w for group in places.groups for w in group}
+    stops = said & {"stop", "halt", "freeze", "brake"}
+    if found := said & NEGATIONS:
+        return Question(
+            Reason.AMBIGUOUS, f"{_first(found, words)!r}: say what shall be done, not what shall not",
+            (STOP_NOW,) if stops else (),
+        )  # fmt: skip
+    if found := said & DOUBTFUL.keys():
+        word = _first(found, words)
+        return Question(Reason.AMBIGUOUS, f"{word!r} can mean two things", DOUBTFUL[word])
+    if found := said & UNSAFE:
+        instead = ("headland reset, with the operator's key",) if "reset" in found else (STOP_NOW,)
+        return Question(
+            Reason.UNSAFE,
+            f"{_first(found, words)!r}: nothing that weakens safety is obeyed",
+            instead,
+        )
+    if found := said & SEQUENCES:
+        return Question(
+            Reason.AMBIGUOUS, f"{_first(found, words)!r}: no conditions, choices or sequences; "
+            "say one thing, and the next when it is done", (STOP_NOW,) if stops else (),
+        )  # fmt: skip
+    return None
+
+
+def _not_understood(words: list[str], places: Places) -> Question:
+    """What was probably meant is offered, never done."""
+    known = [*KNOWN_WORDS, *{w for group in places.groups for w in group}]
+    meant, changed = [], False
+    for word in words:
+        if word in known or word in NUMBERS or not word.isalpha() or re.fullmatch(r"r\d+", word):
+            meant.append(word)
+            continue
+        like = get_close_matches(word, known, n=1, cutoff=LIKE)
+        changed = changed or bool(like)
+        meant += like
+    if set(words) & {"stop", "halt", "freeze", "brake"}:
+        return Question(
+            Reason.NOT_UNDERSTOOD, "not understood, and nothing was stopped",
+            (STOP_NOW, "stop robot 2"),
+        )  # fmt: skip
+    instead = (" ".join(meant),) if changed else EXAMPLES
+    return Question(Reason.NOT_UNDERSTOOD, "not understood, nothing was done", instead)
+
+
+def _first(found: set[str], words: list[str]) -> str:
+    return next(word for word in words if word in found)
