@@ -25,10 +25,10 @@ from sim.delivery_setting import DeliverySetting
 from sim.faults import FaultPlan
 from sim.host import Handle, Host, LoopHost, Script, follow
 from sim.parcels import CarrierBody
+from sim.play import TOUCH_M
 from sim.swarm import Swarm
 from sim.trace import Recorder
 from sim.truth import TrackPoint
-from sim.verdict import TOUCH_M
 
 LOOK_US = 500_000
 QUIET_US = 4 * S  # after the last parcel replicas must be equal within this
