@@ -28,6 +28,8 @@ UNTOUCHED_M = 0.2  # from where it was to be fetched: nobody has moved it
 FULL_AT = 0.99  # of a battery
 IDLE_CHARGE = 0.5  # who has nothing to do charges below this
 HOME_US = 5 * S  # who has nothing to do for so long makes room
+NEARER_M = 0.05
+STALLED_US = 1 * S  # within reach, and no nearer for so long
 MISSING_US = 3 * S  # at a place where no parcel lies: it is believed
 SHUN_US = 30 * S  # a bay that gives nothing, a task whose parcel is not found
 GIVES_US = 5 * S  # a bay has so long to show that it charges
@@ -51,6 +53,7 @@ class Delivery(Errands):
         self._shunned_us: dict[int, int] = {}  # bays, and tasks, by section
         self._tried: dict[int, int] = {}  # task: places where its parcel was not
         self._told_aboard = -1
+        self._nearest: tuple[float, int] = (0.0, 0)  # to the goal, within reach of it, and when
         self._last: dict[int, Point] = {}  # where each robot was last seen
 
     @property
@@ -227,17 +230,23 @@ class Delivery(Errands):
         return self._handling(section, view)._replace(covered=wish.covered)
 
     def _beside(self, view: FleetView) -> bool:
-        """Another body is where we want to be, and the arm reaches over."""
+        """Something is where we want to be, a body that we may know nothing of; the arm reaches over."""
         section = self.section
         if section is None or section >= TASKS_MAX or self.goal is None:
             return False
         x_m, y_m = self.goal
-        width_m = 2 * self.floor.radius_m
-        if not any(hypot(x_m - p[0], y_m - p[1]) < width_m for p in self._last.values()):
-            return False
+        away_m = hypot(x_m - view.here.x_m, y_m - view.here.y_m)
         if self._load != section:
-            return section in view.here.parcels
-        return hypot(x_m - view.here.x_m, y_m - view.here.y_m) < BESIDE_M
+            reached = section in view.here.parcels
+        else:
+            reached = away_m < BESIDE_M
+        nearer = away_m < self._nearest[0] - NEARER_M
+        if not reached or nearer:
+            self._nearest = (away_m, view.now_us)
+            return False
+        width_m = 2 * self.floor.radius_m
+        taken = any(hypot(x_m - p[0], y_m - p[1]) < width_m for p in self._last.values())
+        return taken or view.now_us - self._nearest[1] > STALLED_US
 
     def _near_end(self, section: int, view: FleetView) -> bool:
         """The next section is claimed on the last leg, not before: until then it may be re-planned."""
