@@ -29,6 +29,7 @@ from sim.play import TOUCH_M
 from sim.swarm import Swarm
 from sim.trace import Recorder
 from sim.truth import TrackPoint
+from sim.warehouse_scenario import TaskRow
 
 LOOK_US = 500_000
 QUIET_US = 4 * S  # after the last parcel replicas must be equal within this
@@ -91,6 +92,7 @@ class HaulCluster(Cluster):
         self.truth.is_up = self.is_up
         self.truth.place_of = lambda slot: self.world.body(slot).position
         self.missions: dict[int, Delivery] = {}
+        self._ordered: set[int] = set()
         self.segment.taps.append(self._appears)
 
     def _appears(self, t_us: int, frame: Frame) -> None:
@@ -129,9 +131,11 @@ class HaulCluster(Cluster):
         robot.shell.body = CarrierBody(robot.shell.body, slot, self.truth, self.host.now_us)
         return robot
 
-    def task(self, number: int) -> None:
-        """An operator's device orders the transport of one more parcel."""
-        self.inject(TaskOrder(number, *self.place.order(self.place.house, self.place.rows[number])))
+    def task(self, row: TaskRow) -> None:
+        """An operator's device orders the transport of one more parcel, by the next free number."""
+        number = max((*self.truth.dropoff, *self._ordered), default=-1) + 1
+        self._ordered.add(number)
+        self.inject(TaskOrder(number, *self.place.order(self.place.house, row)))
 
     @property
     def finished(self) -> bool:
@@ -222,10 +226,10 @@ class Haul:
                 world.at(until_us, partial(world.remove_box, number))
 
     def _arrivals(self, cluster: HaulCluster) -> Script[None]:
-        for number, row in enumerate(self.setting.rows):
+        for row in sorted(self.setting.rows, key=lambda row: row.at_s):
             if row.at_s:
                 yield round(row.at_s * S)
-                cluster.task(number)
+                cluster.task(row)
 
     def _outages(self, cluster: HaulCluster) -> Script[None]:
         for outage in sorted(self.setting.scenario.warehouse.outage, key=lambda o: o.at_s):
