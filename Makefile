@@ -1,4 +1,4 @@
-# make demo   sets everything up and lets six robots work a real field (about a minute)
+# make demo   sets everything up and lets six robots work a real field, on a map in your browser
 # make test   sets everything up, checks style and types, runs the tests
 # make check  style and types only      make bench  every figure our documents claim, quickly
 # make clean  removes what the others made
@@ -25,7 +25,7 @@ $(VENV)/installed: pyproject.toml
 	@touch $@
 
 demo: setup
-	$(BIN)/headland run
+	$(BIN)/headland run --map
 
 check: setup
 	$(BIN)/ruff check .

@@ -41,6 +41,12 @@ class Cause(Enum):
     MEMBER_SILENT = _Rule(
         Severity.PROTECTIVE, Clears.BY_POLICY, "a member stopped speaking without leaving"
     )
+    BACKBONE_LOST = _Rule(
+        Severity.PROTECTIVE, Clears.WHEN_GONE, "no other segment is reached and the policy is stop"
+    )
+    BACKBONE_CREEP = _Rule(
+        Severity.SLOW, Clears.WHEN_GONE, "no other segment is reached and the policy is slow"
+    )
     BUS_OFF = _Rule(Severity.PROTECTIVE, Clears.WHEN_GONE, "the controller left the bus")
     ERROR_PASSIVE = _Rule(
         Severity.PROTECTIVE, Clears.WHEN_GONE, "the controller has been error passive for 1 s"

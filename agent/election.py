@@ -72,6 +72,12 @@ class Election:
         self._spacing_us = min(2 * self._spacing_us, SPACING_US_MAX)
         return vote
 
+    def fence(self, term: int, now_us: int) -> None:
+        """That term was there already, before we came: ours has to be later."""
+        if (term >= self.term and self.leader is None) or term > self.term:
+            self._open(term + 1)
+            self.see(now_us)
+
     # ---------------------------------------------------------------- what
 
     def call(self, live: frozenset[int]) -> LeaderElectionVote | None:

@@ -76,6 +76,12 @@ class Errands:
             slot * GOALS_MAX + k: 1 for slot, own in self.goals.items() for k in range(len(own))
         }
 
+    @property
+    def rest_of_way(self) -> list[Point]:
+        """What is left of the path, or of the lane of a joint plan."""
+        tracker = self._lane if self.accords.bound else self._tracker
+        return [] if tracker is None else tracker.rest_of_way
+
     # ---------------------------------------------------------------- what a mission is asked
 
     def choose(self, view: FleetView) -> Choice | None:

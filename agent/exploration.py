@@ -67,7 +67,7 @@ class Exploration:
         self.last_merge = MergeResult(0, 0, 0)
         self.over = False  # no frontier that we could reach, when we last looked
         self.switched = 0  # targets left for better ones
-        self._waypoints: list[XY] = []
+        self.rest_of_way: list[XY] = []
         self._legs: list[XY] = []  # of an order: places still to go to
         self._station: XY | None = None
         self._chosen: Frontier | None = None
@@ -244,12 +244,12 @@ class Exploration:
         assert self._station is not None
         self.chart.hear()
         path = self.chart.grid.plan((view.here.x_m, view.here.y_m), self._station)
-        self._waypoints = [] if path is None else path[1:]
+        self.rest_of_way = [] if path is None else path[1:]
 
     def _end_task(self, status: Status) -> None:
         if self.task is not None:
             self.history.append(self.task._replace(status=status))
-        self.task, self._chosen, self._station, self._waypoints = None, None, None, []
+        self.task, self._chosen, self._station, self.rest_of_way = None, None, None, []
         self._choose_us = 0
 
     def begin(self, section: int, view: FleetView) -> None:
@@ -328,7 +328,7 @@ class Exploration:
         if view.now_us > self._nearest_us + STUCK_US:
             self._shunned_us[self.task.section] = view.now_us + SHUNNED_US
             return Status.FAILED
-        if (not self._waypoints and not self._arrived_us) or self._blocked():
+        if (not self.rest_of_way and not self._arrived_us) or self._blocked():
             self._plan(view)
         if self.task.kind is not Kind.EXPLORE_FRONTIER:
             return None
@@ -365,9 +365,9 @@ class Exploration:
 
     def _blocked(self) -> bool:
         """Whether something solid has turned up on the way."""
-        if not self._waypoints:
+        if not self.rest_of_way:
             return False
-        cells = [self._cell(at) for at in self._waypoints]
+        cells = [self._cell(at) for at in self.rest_of_way]
         solid = self.chart.grid.tight.blocked
         return any(bool(solid[cell]) for cell in cells[:-1])
 
@@ -380,16 +380,16 @@ class Exploration:
             if not self._arrived_us:
                 self._arrived_us = view.now_us
             return STILL._replace(turn_rad_s=TURN_RAD_S)
-        while len(self._waypoints) > 1 and self._near(self._waypoints[0], view):
-            self._waypoints.pop(0)
-        if not self._waypoints:
+        while len(self.rest_of_way) > 1 and self._near(self.rest_of_way[0], view):
+            self.rest_of_way.pop(0)
+        if not self.rest_of_way:
             return STILL._replace(turn_rad_s=TURN_RAD_S)
-        x, y = self._waypoints[0]
+        x, y = self.rest_of_way[0]
         dx_m, dy_m = x - here.x_m, y - here.y_m
         next_m = max(hypot(dx_m, dy_m), 1e-6)
         rest_m = next_m + sum(
             hypot(b[0] - a[0], b[1] - a[1])
-            for a, b in zip(self._waypoints, self._waypoints[1:], strict=False)
+            for a, b in zip(self.rest_of_way, self.rest_of_way[1:], strict=False)
         )
         if rest_m < self._nearest_m - NEARER_M:
             self._nearest_m, self._nearest_us = rest_m, view.now_us

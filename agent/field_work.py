@@ -84,6 +84,12 @@ class FieldWork:
     def section_units(self) -> Mapping[int, int]:
         return {section.id: section.units for section in self.field.sections}
 
+    @property
+    def rest_of_way(self) -> list[Point]:
+        """What is left of the leg we drive, and the legs after it."""
+        now = [] if self.tracker is None else self.tracker.rest_of_way
+        return [*now, *(point for leg in self.legs for point in leg.points)]
+
     # ---------------------------------------------------------------- choosing
 
     def choose(self, view: FleetView) -> Choice | None:

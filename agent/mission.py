@@ -4,7 +4,7 @@ The peer owns claims, time and safety; a mission owns geometry. A mission never 
 done comes back as units covered, which the peer records and announces.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple, Protocol, runtime_checkable
 
 from agent.lifecycle import State
@@ -93,6 +93,16 @@ class Talk(Protocol):
     def hear(self, slot: int, m: Accord, now_us: int) -> None: ...
     def say(self, now_us: int) -> list[Accord]:
         """What is due with this beat."""
+        ...
+
+
+@runtime_checkable
+class Underway(Protocol):
+    """A mission that can tell where its robot means to drive; for people who watch, not for peers."""
+
+    @property
+    def rest_of_way(self) -> Sequence[tuple[float, float]]:
+        """What is left of the way, nearest point first, metres."""
         ...
 
 

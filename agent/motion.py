@@ -75,6 +75,7 @@ class Motion:
         self.reach_m = 2 * limits.speed_m_s * horizon_s + 2 * limits.radius_m
         self.sensed = Sensed(fences, limits.radius_m) if looks else None
         self.strange: list[tuple[float, float]] = []  # seen at the last control period
+        self.others: list[Other] = []  # within reach at the last control period
         # Who asks before going on needs to know every wall beforehand.
         self.lookout: Lookout | None = None
         if not (looks or self.sensing):
@@ -128,6 +129,7 @@ class Motion:
                 share = 0.5
             others.append(Other(slot, dx_m, dy_m, pose.state))
             near.append((dx_m, dy_m, vx_m_s, vy_m_s, combined_m, share))
+        self.others = others
         near.sort(key=lambda row: row[0] * row[0] + row[1] * row[1])
         return near[:NEIGHBOURS_MAX], others
 

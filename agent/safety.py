@@ -13,7 +13,7 @@ from agent.authority import Authority
 from agent.cause import Cause, Severity
 from agent.config import MEMBERSHIP_STABLE_US, MS, STOP_REPEAT_US, STOP_SPACING_US, S
 from agent.effects import HALT, Drive, Effect, Persist, Send, Trace
-from crdt.stops import StopDot, StopSet
+from crdt.stops import FarDot, FarStopSet, StopDot, StopSet
 from protocol.authentication import Keyring
 from protocol.operator_frames import OperatorGoal
 from protocol.safety_frames import (
@@ -27,6 +27,7 @@ from protocol.safety_frames import (
 )  # fmt: skip
 
 STOPS_KEY, COUNTER_KEY, HOLD_KEY = "stops", "stop_counter", "hold"
+FAR_KEY = "far_stops"  # of other segments
 FREE, HELD, LATCHED = (
     b"\0",
     b"\1",
@@ -63,7 +64,7 @@ class Safety:
     ) -> None:
         self.slot, self.incarnation = slot, incarnation & 0xFF
         self.policy, self.authority = policy, Authority(slot, keyring)
-        self.stops = StopSet()
+        self.stops, self.far = StopSet(), FarStopSet()
         self.counter = int.from_bytes(recalled.get(COUNTER_KEY, b""), "little")
         self._causes: dict[Cause, str] = {Cause.NOT_STARTED: "boot"}
         self._expires_us: dict[Cause, int] = {}
@@ -81,9 +82,11 @@ class Safety:
         try:
             if STOPS_KEY in recalled:
                 self.stops = StopSet.deserialize(recalled[STOPS_KEY])
+            if FAR_KEY in recalled:
+                self.far = FarStopSet.deserialize(recalled[FAR_KEY])
         except ValueError:
             self._causes[Cause.BOOT_UNCONFIRMED] = "the stop set on disk is unreadable"
-        if self.stops.latched or recalled.get(HOLD_KEY) == LATCHED:
+        if self.stops.latched or self.far.latched or recalled.get(HOLD_KEY) == LATCHED:
             self._causes[Cause.STOP_DOT] = "latched before the restart"
         self.held = recalled.get(HOLD_KEY, FREE) != FREE
 
@@ -186,6 +189,45 @@ class Safety:
             Trace("safety", "", "HEARD_STOP", "LATCHED", f"dot {dot}"),
         ]
 
+    def latch_far(self, dot: FarDot, now_us: int) -> Sequence[Effect]:
+        """A stop of another segment, believed: brake, remember."""
+        if not self.far.press(dot):
+            return ()
+        self._causes[Cause.STOP_DOT] = f"{dot.segment}/{dot.slot}.{dot.incarnation}.{dot.counter}"
+        return [
+            HALT,
+            Persist(FAR_KEY, self.far.serialize()),
+            self.remember_hold(),
+            Trace("safety", "", "HEARD_STOP", "LATCHED", f"{dot}"),
+        ]
+
+    def clear_far(self, dot: FarDot) -> Sequence[Effect]:
+        """A reset that holds in all segments, believed."""
+        if not self.far.clear(dot):
+            return ()
+        cleared = Trace("safety", "", "CLEARED", "", f"{dot}")
+        return [Persist(FAR_KEY, self.far.serialize()), self.remember_hold(), cleared]
+
+    def press_near(self, dot: StopDot, now_us: int) -> Sequence[Effect]:
+        """A stop of this segment that we have missed, told from elsewhere and believed."""
+        if not self.stops.press(dot):
+            return ()
+        self._causes[Cause.STOP_DOT] = f"{dot.slot}.{dot.incarnation}.{dot.counter}"
+        echo = Send(self._stop(dot, Reason.OPERATOR_INTERVENTION, echo=True))
+        return [
+            HALT,
+            echo,
+            *self._remember(),
+            Trace("safety", "", "HEARD_STOP", "LATCHED", f"{dot}"),
+        ]
+
+    def clear_near(self, dot: StopDot, who: str) -> Sequence[Effect]:
+        if not self.stops.clear(dot):
+            return ()
+        self._own.pop(dot, None)
+        self._echoes.pop(dot, None)
+        return [*self._remember(), Trace("safety", "", "CLEARED", "", f"dot {dot} by {who}")]
+
     def beat(self, slot: int, stopped: bool, now_us: int) -> Sequence[Effect]:
         """A member's beat: its stopped bit is an echo of every stop; one without it has not heard."""
         active = self.stops.active
@@ -216,11 +258,7 @@ class Safety:
         if not self.authority.agreed(m, now_us):
             return ()
         dot = StopDot(m.slot, m.incarnation, m.counter)
-        if not self.stops.clear(dot):
-            return ()
-        self._own.pop(dot, None)
-        self._echoes.pop(dot, None)
-        return [*self._remember(), Trace("safety", "", "CLEARED", "", f"dot {dot} by {m.operator}")]
+        return self.clear_near(dot, f"{m.operator}")
 
     def receive_implements_stop(
         self, source: int, m: AllImplementsStop, now_us: int
@@ -246,7 +284,7 @@ class Safety:
 
     def manual_reset(self, now_us: int) -> bool:
         """Unlatch. Refused while a dot is not cleared or a cause that never clears is there."""
-        if self.stops.latched or Cause.DISK_ERROR in self._causes:
+        if self.stops.latched or self.far.latched or Cause.DISK_ERROR in self._causes:
             return False
         for cause in (Cause.STOP_DOT, Cause.BOOT_UNCONFIRMED):
             self._causes.pop(cause, None)

@@ -67,6 +67,11 @@ class Tracker:
         self.arrived = self.off_m <= ARRIVED_M
         self.along_m = self.total_m if self.arrived else max(0.0, self.total_m - 2 * ARRIVED_M)
 
+    @property
+    def rest_of_way(self) -> list[Point]:
+        """The points we have not passed."""
+        return self.points[self.piece + 1 :]
+
     def velocity(self, x_m: float, y_m: float) -> Point:
         """The wanted velocity at this position; call `locate` first."""
         if not self.lengths_m or self.piece >= len(self.lengths_m):

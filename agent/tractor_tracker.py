@@ -50,6 +50,13 @@ class TractorTracker:
         self.along_m = self.off_m = self.off_rad = self.gap_m = 0.0
         self.arrived = False
 
+    @property
+    def rest_of_way(self) -> list[tuple[float, float]]:
+        """The points we have not passed, about one a metre."""
+        rest = self.way[self.row + 1 :, :2]
+        metre = max(1, round(rest.shape[0] / max(self.total_m - self.along_m, 1.0)))
+        return [(float(x), float(y)) for x, y in (*rest[:-1:metre], *rest[-1:])]
+
     def locate(self, x_m: float, y_m: float, heading_rad: float) -> None:
         """The nearest place on the way, not beyond the next change of gear, never back."""
         way = self.way

@@ -5,11 +5,11 @@ the dots that it names and no other, so an old reset can never mask a new stop (
 raised and cleared "up to" can: see `tests/models`).
 """
 
-from collections.abc import Iterable
 from struct import Struct
-from typing import NamedTuple
+from typing import Any, Generic, NamedTuple, TypeVar
 
 ENTRY = Struct("<BBB")
+FAR_ENTRY = Struct("<BBBH")
 DOTS_MAX = 4096  # a season's presses; beyond it cleared dots are forgotten oldest first
 
 
@@ -21,45 +21,67 @@ class StopDot(NamedTuple):
     counter: int
 
 
-class StopSet:
+class FarDot(NamedTuple):
+    """One press in another segment of the fleet."""
+
+    slot: int
+    incarnation: int
+    counter: int
+    segment: int
+
+
+D = TypeVar("D", StopDot, FarDot)
+Self = TypeVar("Self", bound="DotSet[Any]")
+
+
+class DotSet(Generic[D]):
+    """Dots of one kind; `entry` is how one is laid out in bytes."""
+
+    entry: Struct
+    kind: type[D]
+
     def __init__(self) -> None:
-        self._pressed: dict[StopDot, None] = {}
-        self._cleared: dict[StopDot, None] = {}
+        self._pressed: dict[D, None] = {}
+        self._cleared: dict[D, None] = {}
 
     @property
     def latched(self) -> bool:
-        return bool(self.active)
+        return any(dot not in self._cleared for dot in self._pressed)
 
     @property
-    def active(self) -> frozenset[StopDot]:
+    def active(self) -> frozenset[D]:
         """Pressed and not cleared."""
         return frozenset(self._pressed.keys() - self._cleared.keys())
 
-    def press(self, dot: StopDot) -> bool:
+    @property
+    def cleared(self) -> frozenset[D]:
+        return frozenset(self._cleared)
+
+    def press(self, dot: D) -> bool:
         """Join one press; True where it was new and is not cleared already."""
         new = dot not in self._pressed and dot not in self._cleared
         self._pressed.setdefault(dot)
         self._trim()
         return new
 
-    def clear(self, dot: StopDot) -> bool:
+    def clear(self, dot: D) -> bool:
         """Join one clearance; True where it was new."""
         new = dot not in self._cleared
         self._cleared.setdefault(dot)
         self._trim()
         return new
 
-    def is_cleared(self, dot: StopDot) -> bool:
+    def is_cleared(self, dot: D) -> bool:
         return dot in self._cleared
 
-    def merge(self, other: "StopSet") -> None:
+    def merge(self, other: "DotSet[D]") -> None:
         for dot in other._pressed:
             self.press(dot)
         for dot in other._cleared:
             self.clear(dot)
 
     def __eq__(self, other: object) -> bool:
-        if not isinstance(other, StopSet):
+        if not isinstance(other, DotSet):
             return NotImplemented
         return (self._pressed.keys(), self._cleared.keys()) == (
             other._pressed.keys(),
@@ -76,27 +98,35 @@ class StopSet:
             self._pressed.pop(dot, None)
 
     def serialize(self) -> bytes:
-        """Count of pressed (u16), then pressed and cleared dots of 3 bytes, sorted."""
-        pressed, cleared = sorted(self._pressed), sorted(self._cleared)
-        dots = [ENTRY.pack(*dot) for dot in (*pressed, *cleared)]
-        return len(pressed).to_bytes(2, "little") + b"".join(dots)
+        """Count of pressed (u16), then pressed and cleared dots of one entry each, sorted."""
+        dots = [*sorted(self._pressed), *sorted(self._cleared)]
+        count = len(self._pressed).to_bytes(2, "little")
+        return count + b"".join(self.entry.pack(*dot) for dot in dots)
 
     @classmethod
-    def deserialize(cls, data: bytes) -> "StopSet":
+    def deserialize(cls: type[Self], data: bytes) -> Self:
         """ValueError where the bytes are not a stop set: the caller must then stay stopped."""
-        if len(data) < 2 or (len(data) - 2) % ENTRY.size:
+        if len(data) < 2 or (len(data) - 2) % cls.entry.size:
             raise ValueError("not a stop set")
-        dots = [StopDot(*fields) for fields in ENTRY.iter_unpack(data[2:])]
-        pressed = int.from_bytes(data[:2], "little")
-        if pressed > len(dots):
+        dots = [cls.kind(*fields) for fields in cls.entry.iter_unpack(data[2:])]
+        count = int.from_bytes(data[:2], "little")
+        if count > len(dots):
             raise ValueError("not a stop set")
         stops = cls()
-        _fill(stops, dots[:pressed], dots[pressed:])
+        for dot in dots[:count]:
+            stops.press(dot)
+        for dot in dots[count:]:
+            stops.clear(dot)
         return stops
 
 
-def _fill(stops: StopSet, pressed: Iterable[StopDot], cleared: Iterable[StopDot]) -> None:
-    for dot in pressed:
-        stops.press(dot)
-    for dot in cleared:
-        stops.clear(dot)
+class StopSet(DotSet[StopDot]):
+    """Of this segment."""
+
+    entry, kind = ENTRY, StopDot
+
+
+class FarStopSet(DotSet[FarDot]):
+    """Of all other segments."""
+
+    entry, kind = FAR_ENTRY, FarDot

@@ -82,6 +82,11 @@ class Keyring:
         self._answered_us: dict[int, int] = {}
         self._questions = 0
 
+    @property
+    def keys(self) -> Keys:
+        """For tags of another kind: `protocol/fleet_tags.py`."""
+        return self._keys
+
     # ---------------------------------------------------------------- frames
 
     def sign(self, message: Signed) -> Signed:

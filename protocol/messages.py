@@ -29,6 +29,7 @@ from protocol.safety_frames import (
     Freshness,
     OperatorCommand,
 )  # fmt: skip
+from protocol.segment_frames import FleetReset, FleetStop, GatewayBeat, SegmentSummary
 from protocol.work_frames import (
     Digests,
     StateSyncRequest,
@@ -44,6 +45,7 @@ Message = (
     | StateSyncRequest | StateSyncResponse | Digests | VectorSlice | WorkProgress | Accord
     | MapPatch | MapDigests
     | TaskOrder | TaskBookDigest | TaskBid | Itinerary | PlanOffer | PlanRow
+    | FleetStop | FleetReset | GatewayBeat | SegmentSummary
     | AddressClaimed | Request | Acknowledgment | TransportManagement | TransportData
 )  # fmt: skip
 
@@ -59,6 +61,8 @@ class Group(NamedTuple):
 GROUPS = (
     Group(EmergencyStop, 0xFF00, 0, 8, "EMERGENCY_STOP"),
     Group(EmergencyReset, 0xFF01, 1, 8, "EMERGENCY_RESET"),
+    Group(FleetStop, 0xFF30, 0, 8, "FLEET_STOP"),
+    Group(FleetReset, 0xFF31, 1, 8, "FLEET_RESET"),
     Group(OperatorGoal, 0xFF06, 1, 8, "OPERATOR_GOAL"),  # so that it leaves before its SET_GOAL
     Group(OperatorCommand, 0xFF02, 2, 8, "OPERATOR_COMMAND"),
     Group(Challenge, 0xFF03, 2, 8, "CHALLENGE"),
@@ -84,6 +88,8 @@ GROUPS = (
     Group(Itinerary, 0xFF23, 7, 8, "ITINERARY"),
     Group(PlanOffer, 0xFF24, 5, 8, "PLAN_OFFER"),
     Group(PlanRow, 0xFF25, 6, 8, "PLAN_ROW"),
+    Group(GatewayBeat, 0xFF32, 6, 8, "GATEWAY_BEAT"),
+    Group(SegmentSummary, 0xFF33, 7, 8, "SEGMENT_SUMMARY"),
     Group(AddressClaimed, 0xEE00, 6, 8, "ADDRESS_CLAIMED"),
     Group(Request, 0xEA00, 6, 3, "REQUEST"),
     Group(Acknowledgment, 0xE800, 6, 8, "ACKNOWLEDGMENT"),

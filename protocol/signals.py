@@ -46,6 +46,7 @@ from protocol.safety_frames import (
     Reason,
     Switch,
 )
+from protocol.segment_frames import FleetReset, FleetStop, GatewayBeat, SegmentSummary
 from protocol.work_frames import (
     Digests,
     StateSyncRequest,
@@ -156,6 +157,22 @@ SIGNALS: dict[type[Message], tuple[Signal, ...]] = {
     MapDigests: (
         Signal("node", 0, 13), Signal("salt", 13, 3),
         *(Signal(f"digests_{k}", 16 + 3 * k, 3) for k in range(16)),
+    ),
+    FleetStop: (
+        Signal("segment", 0, 16), Signal("slot", 16, 8), Signal("incarnation", 24, 8),
+        Signal("counter", 32, 8), Signal("tag", 40, 24),
+    ),
+    FleetReset: (
+        Signal("segment", 0, 15), Signal("part", 15, 1), Signal("slot", 16, 8),
+        Signal("incarnation", 24, 8), Signal("counter", 32, 8), Signal("half", 40, 24),
+    ),
+    GatewayBeat: (
+        Signal("candidate", 0, 8), Signal("flags", 8, 8), Signal("term", 16, 16),
+        Signal("reached", 32, 16), Signal("lot", 48, 16),
+    ),
+    SegmentSummary: (
+        Signal("segment", 0, 16), Signal("live", 16, 8), Signal("silent", 24, 8),
+        Signal("halted", 32, 8), Signal("done", 40, 8), Signal("digest", 48, 16),
     ),
     AddressClaimed: (Signal("name", 0, 64),),
     Request: (Signal("pgn", 0, 24),),

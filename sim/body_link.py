@@ -10,6 +10,7 @@ from typing import cast
 
 from agent.effects import Drive
 from agent.ports import Observation
+from sim.intent_link import IntentRelay
 from sim.world import World
 
 TELL_US = 20_000  # one world step
@@ -28,6 +29,7 @@ class BodyServer(asyncio.DatagramProtocol):
         self.world, self.zero_us = world, zero_us
         self.addresses: dict[int, Address] = {}
         self.malformed = 0
+        self.relay = IntentRelay()
         self._transport: asyncio.DatagramTransport | None = None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
@@ -37,6 +39,8 @@ class BodyServer(asyncio.DatagramProtocol):
         return round(asyncio.get_running_loop().time() * 1e6) - self.zero_us
 
     def datagram_received(self, data: bytes, address: Address) -> None:
+        if self.relay.take(data, address, self._transport):
+            return
         if len(data) != DRIVE.size or data[:4] not in (MAGIC_DRIVE, MAGIC_HELLO):
             self.malformed += 1
             return
@@ -108,6 +112,11 @@ class RemoteBody(asyncio.DatagramProtocol):
 
     def drive(self, command: Drive, now_us: int) -> None:
         self._send(MAGIC_DRIVE, command)
+
+    def tell(self, data: bytes) -> None:
+        """To whoever watches; see `sim.intent_link`."""
+        if self._transport is not None and not self._transport.is_closing():
+            self._transport.sendto(data)
 
     def _send(self, magic: bytes, c: Drive) -> None:
         if self._transport is not None and not self._transport.is_closing():

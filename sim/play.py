@@ -29,8 +29,10 @@ from sim.world import World
 
 SLACK_US = 20 * MS  # a control tick, and a frame in the way
 RELEASED_S = 12.0  # after the last reset nobody may still stand stopped
+DELIVERED_US = 120 * MS  # a stop, where all are on one bus, whatever is lost: 20 copies, and a tick
 SETTLED_US = 3 * S  # links and members without trouble for so long: everybody hears everybody
 EXCUSED_US = 3 * S  # who is pushed, or has a box dropped before it, may touch something so long
+LOSSY = (kinds.Loss, kinds.Omission, kinds.Duplicate, kinds.Errors)  # copies are lost, nobody is
 ON_LINE_M = 0.2  # closer than this to a line is on it; who comes to another line passes further off
 TOUCH_M = 0.02  # deeper than this is a contact; bodies of robots are measured to a centimetre
 
@@ -50,6 +52,7 @@ class Play:
         self.outcome: Outcome | None = None
         self._silences: dict[int, list[int]] = {}  # dead robot -> watches of those who must stand
         self._trouble_us = 0  # the newest trouble of a link or of a member
+        self._cut_us = SETTLED_US  # until then, not everybody need be able to hear
         self._excused: list[tuple[int, int]] = []  # robot and when: pushed, or a box before it
 
     def run(self) -> "Play":
@@ -72,7 +75,7 @@ class Play:
         return self
 
     def _enough(self, moment: Moment) -> None:
-        moved = self.cluster.stops.violations or self.silence.violations
+        moved = any(checker.violations for _, checker in self._moving)
         if self.broken or self.witness.broken or moved:
             raise Enough
 
@@ -85,7 +88,7 @@ class Play:
         self.cluster = cluster
         for slot in range(self.scenario.fleet.robots):
             cluster.journals[slot] = LogJournal(Disk())
-        self.silence = motions(cluster.world)
+        self.silence, self.delivery = motions(cluster.world), motions(cluster.world)
         cluster.on_power = self._power
         order = cluster.order
 
@@ -108,7 +111,9 @@ class Play:
         """What the checkers have to do at a fault: before it at its time, after it a moment later."""
         at_us = round(fault.at_s * 1e6)
         if is_link_trouble(fault):
-            self._at(at_us, self._troubled)
+            lossy = isinstance(fault, LOSSY)
+            over_us = 0 if lossy else at_us + round(getattr(fault, "for_s", 0.0) * S) + SETTLED_US
+            self._at(at_us, partial(self._troubled, over_us))
         match fault:
             case kinds.Estop(robot=robot):
                 self._at(at_us, partial(self._pressed, robot))
@@ -124,8 +129,9 @@ class Play:
         self.cluster.world.advance(now_us)
         return now_us
 
-    def _troubled(self) -> None:
+    def _troubled(self, over_us: int) -> None:
         self._trouble_us = self.cluster.host.now_us()
+        self._cut_us = max(self._cut_us, over_us)
         for slot in list(self._silences):
             self._heard_of(slot)
 
@@ -134,8 +140,22 @@ class Play:
         self._excused += [(slot, now_us) for slot in slots]
 
     def _pressed(self, slot: int) -> None:
-        if self.cluster.is_up(slot):
-            self.witness.words.pressed(slot, self._now_us())
+        if not self.cluster.is_up(slot):
+            return
+        now_us = self._now_us()
+        self.witness.words.pressed(slot, now_us)
+        if now_us >= self._cut_us and self._one_bus:
+            up = [robot.slot for robot in self.cluster.running]
+            watch = self.delivery.press(now_us, DELIVERED_US, up)
+            self._at(now_us + self._bound_us, partial(self.delivery.release, watch))
+
+    @property
+    def _one_bus(self) -> bool:
+        """All that are switched on are on one bus that works."""
+        wire = self.cluster.segment.wire
+        nodes = [wire.nodes[robot.bus.node] for robot in self.cluster.running]
+        off = any(node.off_until_us is not None or node.tec for node in nodes)
+        return not wire.faults.deaf and not off and len({node.island for node in nodes}) == 1
 
     @property
     def _bound_us(self) -> int:
@@ -165,6 +185,7 @@ class Play:
         for dead in list(self._silences):  # who boots has never heard the dead ones
             self._heard_of(dead)
         self._trouble_us = now_us
+        self._cut_us = max(self._cut_us, now_us + SETTLED_US)
         recalled = self.cluster.journals[slot].load()
         if not recalled:
             self.witness.forget(slot)
@@ -206,8 +227,12 @@ class Play:
             what = f"finished: {outcome.finished}, coverage {outcome.coverage:.2%}"
             self._add("L5", end_s, what)
 
+    @property
+    def _moving(self) -> list[tuple[str, Any]]:
+        return [("S1", self.cluster.stops), ("S1", self.delivery), ("S6", self.silence)]
+
     def _moved(self) -> None:
-        for rule, checker in (("S1", self.cluster.stops), ("S6", self.silence)):
+        for rule, checker in self._moving:
             for violation in checker.violations[:1]:
                 self._add(rule, violation.t_us / 1e6, f"robots {violation.slots}: {violation.what}")
 

@@ -4,7 +4,7 @@ import asyncio
 import itertools
 import time
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from enum import Enum
 from pathlib import Path
 from random import Random
@@ -217,8 +217,11 @@ class Survey:
     def __init__(
         self, scenario: ArenaScenario, sharing: Sharing = Sharing.FLEET, out: Path | None = None,
         orders: Sequence[Order] = (), until: float = 2.0,
+        attach: Callable[[Cluster], None] | None = None,
     ) -> None:  # fmt: skip
-        """`until`: end when this share has been seen; above 1: when the fleet says it is over."""
+        """`until`: end when this share has been seen; above 1: when the fleet says it is over;
+        `attach` is given the cluster before anybody is switched on."""
+        self.attach = attach
         self.setting, self.sharing, self.out = ArenaSetting(scenario), sharing, out
         self.orders, self.until = orders, until
         self.seen = Seen(self.setting)
@@ -254,6 +257,8 @@ class Survey:
         cluster.segment.taps.append(self._tap)
         if log is not None:
             cluster.segment.taps.append(log.write)
+        if self.attach is not None:
+            self.attach(cluster)
         cluster.boot_all()
         script = asyncio.create_task(FaultPlan(cluster).run())
         try:

@@ -149,6 +149,11 @@ class World:
             self._obstacles[row] = 0.0
             self._physics.remove(shape)
 
+    def obstacles(self) -> list[list[float]]:
+        """What stands in the world besides fences and robots, as rows of `sim.walls`."""
+        rows: list[list[float]] = self._standing.tolist()
+        return rows
+
     def at(self, t_us: int, action: Callable[[], None]) -> None:
         """Do something at the first step at or after `t_us`; in order of time, then of asking."""
         heappush(self._due, (t_us, self._asked, action))

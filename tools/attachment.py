@@ -1,12 +1,14 @@
 """Attaching to a bus as a device that is not a robot: the options of can_logger, one-line errors."""
 
 import json
+import socket
 from pathlib import Path
 
 from protocol.bus import CanBus, open_bus
 
 LAUNCH = Path("runs/launch/bus.json")  # where a launch leaves the address of its bus
 CHANNEL = "can0"  # of the bus of a launch
+REACH_S = 2.0  # a server on this or the next machine answers within milliseconds
 TOOL_ADDRESS = 249  # off-board service tool (J1939 preferred addresses, industry group 0)
 
 
@@ -33,9 +35,20 @@ def attach(interface: str, channel: str, bitrate: int, host: str, port: int) -> 
         if port == 0:
             host, port, channel = address_of_launch()
         options = {"host": host, "port": port}
+        _reach(host, port)
     try:
         return open_bus(interface, channel, bitrate, **options)
     except Exception as problem:  # python-can interfaces raise what they like
         where = f"{host}:{port}" if interface == "socketcand" else channel
         reason = str(problem).splitlines()[0] if str(problem) else type(problem).__name__
         raise AttachError(f"cannot open {interface} at {where}: {reason}") from None
+
+
+def _reach(host: str, port: int) -> None:
+    """python-can tries a closed port for ten seconds and prints each try; one try is enough here."""
+    try:
+        socket.create_connection((host, port), REACH_S).close()
+    except (OSError, OverflowError) as problem:
+        raise AttachError(
+            f"cannot open socketcand at {host}:{port}: {problem}; is a launch running there?"
+        ) from None

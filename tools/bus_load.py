@@ -29,6 +29,11 @@ class BusLoad:
         self._bins[-1] += bits_of(data_bytes)
 
     @property
+    def whole(self) -> int | None:
+        """Changes when a second is over."""
+        return self._second
+
+    @property
     def shares(self) -> list[float]:
         return [bits / self.bitrate for bits in self._bins]
 

@@ -7,6 +7,7 @@ import time
 from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from sim.scenario_text import to_toml
 from sim.shrink import shrink
 from sim.trouble import PROFILES, draw
 from sim.verdict import RULES, Verdict, judge
+from tools.campaign import ClusterError, room, workers
 
 FAILED, WRONG = 1, 2
 MUTANT_CPU_S = 600.0  # the budget within which every planted bug must be found
@@ -27,7 +29,7 @@ MUTANT_CPU_S = 600.0  # the budget within which every planted bug must be found
 
 def chaos(
     seeds: str, profile: str, jobs: int, seconds: float | None, out: Path, mutants: bool,
-    as_json: bool,
+    as_json: bool, cluster: str = "",
 ) -> int:  # fmt: skip
     console = Console(stderr=as_json)
     try:
@@ -41,7 +43,11 @@ def chaos(
     jobs = jobs or os.cpu_count() or 1
     if mutants:
         return _mutants(console, numbers, jobs, out, as_json)
-    verdicts = _campaign(console, numbers, profile, jobs, seconds)
+    try:
+        verdicts = _campaign(console, numbers, profile, jobs, seconds, cluster)
+    except ClusterError as problem:
+        print(f"headland: {problem}", file=sys.stderr)
+        return WRONG
     report = _report(verdicts, profile)
     failed = [verdict for verdict in verdicts if not verdict.ok]
     if failed:
@@ -78,12 +84,12 @@ def _range(text: str) -> range:
     return range(int(first), int(end) if colon else int(first) + 1)
 
 
-def _judge(seed: int, profile: str) -> Verdict:
+def judged(seed: int, profile: str) -> Verdict:
     return judge(draw(seed, profile))
 
 
 def _campaign(
-    console: Console, seeds: range, profile: str, jobs: int, seconds: float | None
+    console: Console, seeds: range, profile: str, jobs: int, seconds: float | None, cluster: str
 ) -> list[Verdict]:
     """Verdicts in order of seeds; stops handing out work when the time is over."""
     verdicts: list[Verdict] = []
@@ -91,17 +97,17 @@ def _campaign(
     with (
         Progress(TextColumn("{task.description}"), TimeElapsedColumn(), console=console,
                  transient=True) as progress,
-        ProcessPoolExecutor(jobs) as pool,
+        workers(jobs, cluster) as pool,
     ):  # fmt: skip
         bar = progress.add_task("")
         todo: Iterator[int] = iter(seeds)
         running: set[Future[Verdict]] = set()
         while True:
-            while len(running) < 2 * jobs and time.monotonic() < end_s:
+            while len(running) < room(jobs, cluster) and time.monotonic() < end_s:
                 seed = next(todo, None)
                 if seed is None:
                     break
-                running.add(pool.submit(_judge, seed, profile))
+                running.add(pool.submit(judged, seed, profile))
             if not running:
                 break
             done, running = wait(running, return_when=FIRST_COMPLETED)
@@ -112,11 +118,18 @@ def _campaign(
     return sorted(verdicts, key=lambda verdict: verdict.seed)
 
 
+def campaign_hash(verdicts: list[Verdict]) -> str:
+    """Of every run's trace and of every rule it broke: equal wherever the runs ran."""
+    told = [(v.seed, v.trace_hash, [(b.rule, b.what) for b in v.broken]) for v in verdicts]
+    return sha256(repr(told).encode()).hexdigest()[:16]
+
+
 def _report(verdicts: list[Verdict], profile: str) -> dict[str, Any]:
     faults: Counter[str] = sum((v.faults for v in verdicts), Counter())
     hours = sum(v.robots * v.simulated_s for v in verdicts) / 3600
     return {
-        "profile": profile, "runs": len(verdicts), "robot_hours": round(hours, 2),
+        "profile": profile, "hash": campaign_hash(verdicts), "runs": len(verdicts),
+        "robot_hours": round(hours, 2),
         "faults": dict(faults.most_common()), "failed": [v.seed for v in verdicts if not v.ok],
         "broken": [
             {"seed": v.seed, "rule": b.rule, "t_s": round(b.t_s, 3), "what": b.what}

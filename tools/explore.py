@@ -11,6 +11,7 @@ from agent.fleet_task import FleetFullError
 from sim.arena import load_arena
 from sim.scenario import ScenarioError
 from sim.survey import Sharing, Survey, SurveyOutcome
+from tools.keeping import Keeping
 from tools.map_picture import draw_maps, film
 
 UNFINISHED, WRONG = 1, 2  # exit codes; 0 only for a run without a flaw
@@ -23,25 +24,30 @@ def explore(
     try:
         out.mkdir(parents=True, exist_ok=True)
         survey = Survey(load_arena(scenario).changed(robots, seed), Sharing.FLEET, out)
+        survey.attach = keeping = Keeping(survey.setting, out)
         with console.status(f"{survey.setting.scenario.name}: exploring"):
-            outcome = survey.run()
+            try:
+                outcome = survey.run()
+            finally:
+                keeping.close()
     except (ScenarioError, FleetFullError) as problem:
         print(f"headland: {problem}", file=sys.stderr)
         return WRONG
     except OSError as problem:
         print(f"headland: --out: {problem}", file=sys.stderr)
         return WRONG
-    (out / "report.json").write_text(json.dumps(outcome.to_dict(), indent=1) + "\n")
+    report = {**outcome.to_dict(), "log_hash": keeping.log_hash}
+    (out / "report.json").write_text(json.dumps(report, indent=1) + "\n")
     told = "\n".join(f"at {now_s:.1f} s\n\n{text}" for now_s, text in survey.reports)
     (out / "fleet.md").write_text(told, encoding="utf-8")
     draw_maps(survey, outcome, out / "maps.png")
     if animate:
         film(survey, out / "maps.gif")
     if as_json:
-        print(json.dumps(outcome.to_dict()))
+        print(json.dumps(report))
     else:
         console.print(outcome_table(outcome))
-        names = "report.json, fleet.md, maps.png, can.log and trace.jsonl"
+        names = "report.json, fleet.md, maps.png, can.log, run.mcap and trace.jsonl"
         console.print(f"{names}{', maps.gif' if animate else ''} are in {out}")
     return 0 if outcome.success else UNFINISHED
 

@@ -19,6 +19,7 @@ from agent.lifecycle import TABLE, State
 from protocol.bus import CanBus
 from protocol.frame import Frame
 from sim.candump import read_candump
+from sim.mcap_log import McapMissing, read_frames
 from tools.attachment import AttachError, attach
 from tools.inspector import Inspector
 
@@ -125,12 +126,21 @@ def _section(why: str | None) -> int | None:
 
 
 def frames_of(source: Path) -> Iterator[tuple[int, Frame]]:
-    """Frames of a run folder, a candump log, or any log python-can reads (.asc .blf .csv .trc)."""
+    """Frames of a run folder, a candump log, an MCAP, or any log python-can reads (.asc .blf .csv
+    .trc)."""
     path = source / "can.log" if source.is_dir() else source
+    if source.is_dir() and not path.is_file():
+        path = source / "run.mcap"
     if not path.is_file():
         raise SourceError(f"{source}: no such log, and no run folder with a can.log in it")
     if path.suffix == ".log":
         yield from read_candump(path)
+        return
+    if path.suffix == ".mcap":
+        try:
+            yield from read_frames(path)
+        except (McapMissing, ValueError) as problem:
+            raise SourceError(f"{path}: {problem}") from None
         return
     try:
         for message in can.LogReader(path):

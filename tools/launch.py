@@ -22,12 +22,13 @@ from protocol.frame import Frame
 from sim.body_link import BodyServer
 from sim.candump import CandumpWriter
 from sim.coverage_truth import coverage, sample_points
-from sim.fieldbus import segment
+from sim.fieldbus import forget, segment
 from sim.hub import Hub
 from sim.scenario import ScenarioError, load
 from sim.setting import Setting
 from tools.attachment import CHANNEL
 from tools.inspector import SILENT_S, Inspector
+from tools.keeping import Keeping
 from tools.language.places import Places
 from tools.warmup import warm
 
@@ -35,6 +36,7 @@ HOST = "127.0.0.1"
 LOOK_S = 0.5
 TELL_S = 5.0  # a status line this often
 QUIET_LOOKS = 6  # all done for this many looks in a row: finished
+MAP_NICE = 5  # of the map's process, beside the robots'
 GRACE_S = 3.0  # between asking a robot to leave and killing it
 UNFINISHED, WRONG, INTERRUPTED = 1, 2, 130
 NO_KEYS = "[yellow]keys: NONE: anybody on the bus can stop and release this fleet[/yellow]"
@@ -42,8 +44,11 @@ NO_KEYS = "[yellow]keys: NONE: anybody on the bus can stop and release this flee
 
 class Launch:
     def __init__(
-        self, setting: Setting, name: str, out: Path, console: Console, keys: Path | None
-    ) -> None:
+        self, setting: Setting, name: str, out: Path, console: Console, keys: Path | None,
+        page_port: int | None = None,
+    ) -> None:  # fmt: skip
+        self.page_port, self.log_hash = page_port, ""
+        self.map: asyncio.subprocess.Process | None = None
         self.keys = None if keys is None else str(keys.absolute())
         self.setting, self.name, self.out, self.console = setting, name, out, console
         self.inspector = Inspector()
@@ -61,16 +66,20 @@ class Launch:
             self.setting.scenario.bus.bitrate,
             self.setting.scenario.run.seed,
         )
-        log = CandumpWriter(self.out / "can.log")
-        wire.taps.append(lambda t_us, frame: self._heard(log, t_us, frame))
         hub = Hub(wire, CHANNEL)
         await hub.start(HOST, port)
+        log, keeping = CandumpWriter(self.out / "can.log"), Keeping(self.setting, self.out)
+        wire.taps += [keeping.write, lambda t_us, frame: self._heard(log, t_us, frame)]
         zero_us = round(loop.time() * 1e6)
         transport, bodies = await loop.create_datagram_endpoint(
             lambda: BodyServer(self.world, zero_us), local_addr=(HOST, 0)
         )
         body_port = transport.get_extra_info("sockname")[1]
-        where = {"host": HOST, "port": hub.port, "channel": CHANNEL, "pid": os.getpid()}
+        where = {
+            "host": HOST, "port": hub.port, "channel": CHANNEL, "pid": os.getpid(),
+            "body_port": body_port, "folder": str(self.out.absolute()),
+        }  # fmt: skip
+        bodies.relay.keep = lambda intent: keeping.tell(round(loop.time() * 1e6), intent)
         (self.out / "bus.json").write_text(json.dumps(where))
         (self.out / "places.toml").write_text(self._places())
         self.console.print(
@@ -81,6 +90,8 @@ class Launch:
             self.console.print(NO_KEYS)
         stepping = asyncio.create_task(bodies.run())
         try:
+            if self.page_port is not None:
+                await self._start_map()
             await self._start_all(hub.port, body_port)
             finished = await self._watch(end, seconds)
         finally:
@@ -88,7 +99,11 @@ class Launch:
             stepping.cancel()
             await hub.stop()
             transport.close()
+            wire.taps.clear()
+            forget(wire.channel)  # another launch of this process begins anew
             log.close()
+            keeping.close()
+            self.log_hash = keeping.log_hash
             (self.out / "bus.json").unlink(missing_ok=True)
         self._report(bodies.now_us() / 1e6, finished)
         if end.is_set():
@@ -124,6 +139,15 @@ class Launch:
             process.stdin.write(json.dumps(order).encode() + b"\n")
             self.processes[slot] = process
             self.console.print(f"robot {slot}: process {process.pid}")
+
+    async def _start_map(self) -> None:
+        """A process of its own, and a polite one: the bus and the robots go first."""
+        words = ["map", str(self.out), "--page-port", str(self.page_port)]
+        words += [] if self.keys is None else ["--keys", self.keys]
+        self.map = await asyncio.create_subprocess_exec(
+            sys.executable, "-m", "tools.headland", *words, start_new_session=True,
+            stdout=2 if self.console.stderr else None, preexec_fn=lambda: os.nice(MAP_NICE),
+        )  # fmt: skip
 
     async def _watch(self, end: asyncio.Event, seconds: float | None) -> bool:
         loop = asyncio.get_running_loop()
@@ -163,7 +187,8 @@ class Launch:
         self.console.print(f"{elapsed_s:6.0f} s  {done}/{sections} sections  {states}")
 
     async def _end_all(self) -> None:
-        running = [p for p in self.processes.values() if p.returncode is None]
+        everybody = [*self.processes.values(), *([self.map] if self.map is not None else [])]
+        running = [p for p in everybody if p.returncode is None]
         for process in running:
             with contextlib.suppress(ProcessLookupError):
                 process.terminate()
@@ -190,13 +215,13 @@ class Launch:
             "contacts": len(self.world.contacts), "robots_ended": sorted(self.gone), "touched": touched,
             "silence_policy": self.setting.scenario.fleet.silence,
             "authenticated": self.setting.keys is not None,
-            **self.inspector.to_dict(),
+            "log_hash": self.log_hash, **self.inspector.to_dict(),
         }  # fmt: skip
         (self.out / "report.json").write_text(json.dumps(report, indent=1) + "\n")
         verdict = "finished" if finished else "not finished"
         self.console.print(
             f"{verdict} after {elapsed_s:.0f} s: coverage {truth.share:.2%}, "
-            f"{len(self.world.contacts)} contacts; report.json and can.log are in {self.out}"
+            f"{len(self.world.contacts)} contacts; report.json, can.log and run.mcap are in {self.out}"
         )
         if self.setting.keys is None:
             self.console.print(NO_KEYS)
@@ -205,8 +230,9 @@ class Launch:
 
 def launch(
     scenario: str, robots: int | None, seed: int | None, out: Path, port: int,
-    seconds: float | None, as_json: bool, keys: Path | None = None,
+    seconds: float | None, as_json: bool, keys: Path | None = None, page_port: int | None = None,
 ) -> int:  # fmt: skip
+    """`page_port`: of a map beside it."""
     console = Console(stderr=as_json, highlight=False, soft_wrap=True)
     try:
         setting = Setting(load(scenario).changed(robots, seed, keys))
@@ -224,7 +250,7 @@ def launch(
     for old in out.glob("robot*.sqlite*"):
         old.unlink()  # a launch is a new job; a restart of one robot keeps its journal
     warm(setting.turn_radius_m > 0.0)  # once here, not in every robot at once
-    running = Launch(setting, scenario, out, console, keys)
+    running = Launch(setting, scenario, out, console, keys, page_port)
     begun = time.monotonic()
     try:
         code = asyncio.run(running.run(port, seconds))

@@ -9,9 +9,11 @@ from secrets import randbelow
 
 from agent.lifecycle import State
 from agent.ports import Bus
+from crdt.stops import FarDot
 from protocol.authentication import Keyring, Signed
 from protocol.codec import Malformed, decode, encode
 from protocol.fleet_frames import Heartbeat, Member, Pose
+from protocol.fleet_tags import FleetTags, plain_reset
 from protocol.frame import Frame
 from protocol.messages import GROUP_OF, Message
 from protocol.network_frames import Request
@@ -23,6 +25,7 @@ from protocol.safety_frames import (
     EmergencyStop,
     OperatorCommand,
 )
+from protocol.segment_frames import FleetStop
 from protocol.work_frames import REGISTERS, STOPS, StateSyncRequest
 from tools.attachment import TOOL_ADDRESS
 
@@ -53,6 +56,7 @@ class Operator:
         self.slot_of: dict[int, int] = {}
         self.unknown: dict[int, float] = {}  # addresses that beat and have not said who they are
         self.stops: set[tuple[int, int, int]] = set()
+        self.far_stops: set[FarDot] = set()  # of a fleet of several segments
         self.now_s = 0.0
 
     def hear(self, now_s: float, frame: Frame) -> None:
@@ -68,6 +72,9 @@ class Operator:
             ).address = source
         if isinstance(message, EmergencyStop):
             self.stops.add(message[:3])
+        if isinstance(message, FleetStop):
+            far = FarDot(message.slot, message.incarnation, message.counter, message.segment)
+            self.far_stops.add(far)
         if isinstance(message, Challenge):
             self._prove(source, message)
         slot = self.slot_of.get(source)
@@ -134,6 +141,13 @@ class Operator:
 
     def stop(self, message: EmergencyStop) -> None:
         self.send(message if self.keyring is None else self.keyring.sign(message))
+
+    def clear_far(self, dot: FarDot) -> None:
+        """In all segments; twice, because a frame may be lost."""
+        tags = None if self.keyring is None else FleetTags(self.keyring.keys)
+        halves = plain_reset(dot) if tags is None else tags.reset(dot)
+        for half in (*halves, *halves):
+            self.send(half)
 
     def clear(self, dot: tuple[int, int, int]) -> None:
         self._order(EmergencyReset(*dot, self.slot))

@@ -11,9 +11,11 @@ from rich.live import Live
 
 from protocol.bus import CanBus
 from protocol.frame import Frame
+from sim.recording import FramesDigest
 from tools.attachment import AttachError, attach
 from tools.inspection import SourceError, frames_of, table_of
 from tools.inspector import Inspector
+from tools.livemap.command import show_map
 
 WRONG = 2
 LOOK_S = 0.25  # of the recording, between two looks of the screen
@@ -22,9 +24,14 @@ PICTURES_A_SECOND = 8
 
 def replay(
     log: Path, speed: float, interface: str, channel: str, bitrate: int, host: str, port: int,
-    as_json: bool,
+    as_json: bool, page_port: int | None = None,
 ) -> int:  # fmt: skip
-    console, inspector = Console(stderr=as_json), Inspector()
+    """`page_port`: of the same log in the map."""
+    if page_port is not None:
+        return show_map(
+            log, interface, channel, bitrate, host, port, None, None, page_port, as_json, speed
+        )
+    console, inspector, digest = Console(stderr=as_json), Inspector(), FramesDigest()
     try:
         if speed < 0:
             raise SourceError(f"--speed {speed:g}: 0 for at once, 1 for the recorded speed")
@@ -33,16 +40,21 @@ def replay(
             def look() -> None:
                 live.update(table_of(inspector.to_dict()))
 
+            def hear(t_us: int, frame: Frame) -> None:
+                inspector.hear(t_us / 1e6, frame)
+                digest.write(t_us, frame)
+
             asyncio.run(
-                _play(inspector, log, speed, _opener(interface, channel, bitrate, host, port), look)
+                _play(hear, log, speed, _opener(interface, channel, bitrate, host, port), look)
             )
     except (AttachError, SourceError) as problem:
         print(f"headland: {problem}", file=sys.stderr)
         return WRONG
     if as_json:
-        print(json.dumps(inspector.to_dict()))
+        print(json.dumps({**inspector.to_dict(), "log_hash": digest.hex}))
     else:
         console.print(table_of(inspector.to_dict()))
+        console.print(f"hash of the frames: {digest.hex}", highlight=False)
     return 0
 
 
@@ -54,7 +66,7 @@ def _opener(
 
 
 async def _play(
-    inspector: Inspector,
+    hear: Callable[[int, Frame], None],
     log: Path,
     speed: float,
     open_bus: Callable[[], CanBus | None],
@@ -68,7 +80,9 @@ async def _play(
             first_s = t_s if first_s is None else first_s
             if speed > 0:
                 await asyncio.sleep(max(0.0, begun_s + (t_s - first_s) / speed - loop.time()))
-            _hear(inspector, bus, t_s, frame)
+            hear(t_us, frame)
+            if bus is not None:
+                bus.send(frame)
             if t_s - looked_s >= LOOK_S * max(speed, 1.0):
                 looked_s = t_s
                 if speed > 0:
@@ -76,9 +90,3 @@ async def _play(
     finally:
         if bus is not None:
             bus.close()
-
-
-def _hear(inspector: Inspector, bus: CanBus | None, t_s: float, frame: Frame) -> None:
-    inspector.hear(t_s, frame)
-    if bus is not None:
-        bus.send(frame)

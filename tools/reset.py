@@ -43,7 +43,7 @@ async def _reset(
         listen_to(bus, operator)
         await operator.listen(LISTEN_S, stops=True)
         cleared = sorted(operator.stops)
-        left = await _release(operator, start, timeout_s)
+        left = await release(operator, start, timeout_s)
         if as_json:
             print(json.dumps({
                 "cleared": [list(dot) for dot in cleared], "not_released": left,
@@ -72,13 +72,15 @@ def operator_keyring(key: Path | None, timeout_s: float) -> Keyring | None:
         raise AttachError(f"--operator-key {problem}") from None
 
 
-async def _release(operator: Operator, start: bool, timeout_s: float) -> list[int]:
+async def release(operator: Operator, start: bool, timeout_s: float) -> list[int]:
     """Clear, reset machine by machine, and start; returns the robots that still stand latched."""
     loop = asyncio.get_running_loop()
     begun_s = loop.time()
     while True:
         for dot in sorted(operator.stops):
             operator.clear(dot)
+        for far in sorted(operator.far_stops):
+            operator.clear_far(far)
         operator.send(AllImplementsStop(0, Switch.PERMIT))
         await asyncio.sleep(STEP_S)
         for robot in operator.live:

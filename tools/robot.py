@@ -17,6 +17,7 @@ from agent.sqlite_journal import SqliteJournal
 from protocol.bus import open_bus
 from sim.body_link import RemoteBody
 from sim.cluster import make_peer
+from sim.intent_link import tell
 from sim.scenario import load
 from sim.setting import Setting
 
@@ -44,6 +45,7 @@ async def run(order: dict[str, Any]) -> None:
     )
     shell = Shell(peer, bus, body, journal)
     task = asyncio.create_task(shell.run())
+    telling = asyncio.create_task(tell(peer, body.tell))
     waiting = asyncio.create_task(end.wait())
     print(f"robot {slot} is up", flush=True)
     await asyncio.wait({task, waiting}, return_when=asyncio.FIRST_COMPLETED)
@@ -52,6 +54,7 @@ async def run(order: dict[str, Any]) -> None:
         await asyncio.sleep(GOODBYE_S)
         task.cancel()
     waiting.cancel()
+    telling.cancel()
     bus.close()
     transport.close()
     journal.close()

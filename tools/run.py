@@ -14,10 +14,13 @@ from agent.lifecycle import State
 from sim.can_log import open_log
 from sim.expedition import Expedition, Moment
 from sim.outcome import Outcome
+from sim.recording import Recording
 from sim.scenario import ScenarioError, load
 from sim.setting import Setting
 from sim.work_geojson import write_geojson
 from sim.work_record import record_of
+from tools.keeping import Keeping
+from tools.livemap.command import MapThread, ServerError
 from tools.picture import draw_field
 
 NO_KEYS = "[yellow]NONE: anybody on the bus can stop and release this fleet[/yellow]"
@@ -34,7 +37,9 @@ def run(
     logs: Sequence[Path] = (),
     feature: str | None = None,
     drive: str | None = None,
+    page_port: int | None = None,
 ) -> int:
+    """`page_port`: of a map that shows the run, and stays after its end."""
     console = Console(stderr=as_json)
     try:
         setting = Setting(load(scenario).changed(robots, seed, keys, feature, drive))
@@ -43,14 +48,22 @@ def run(
             raise OSError(f"{out} is not a folder")
         for log in logs:
             open_log(log).close()  # so that what is wrong is known before the run, not after
-    except ScenarioError as problem:
+        shown = None if page_port is None else MapThread(Recording(), setting.field.name, page_port)
+        keeping = Keeping(setting, out, None if shown is None else shown.server.recording)
+    except (ScenarioError, ServerError) as problem:
         print(f"headland: {problem}", file=sys.stderr)
         return WRONG
     except (OSError, ValueError) as problem:
         print(f"headland: --out or --log: {problem}", file=sys.stderr)
         return WRONG
-    outcome, expedition = _watch(console, setting, out, logs)
-    (out / "report.json").write_text(json.dumps(outcome.to_dict(), indent=1) + "\n")
+    if shown is not None:
+        console.print(f"map: {shown.url}")
+    try:
+        outcome, expedition = _watch(console, setting, out, logs, keeping)
+    finally:
+        keeping.close()
+    report = {**outcome.to_dict(), "log_hash": keeping.log_hash}
+    (out / "report.json").write_text(json.dumps(report, indent=1) + "\n")
     tracks = {s: [(x, y, tool) for _, x, y, tool in t] for s, t in expedition.tracks.items()}
     title = f"{setting.field.name}: {outcome.robots} robots, {outcome.makespan_s:.0f} s"
     draw_field(setting.field, tracks, title, out / "field.png")
@@ -58,15 +71,21 @@ def run(
     work = record_of(setting.field, expedition.tracks, outcome.finished, started)
     write_geojson(work, out / "work.geojson")
     if as_json:
-        print(json.dumps(outcome.to_dict()))
+        print(json.dumps(report), flush=True)
     else:
         console.print(outcome_table(outcome))
-        console.print(f"report.json, field.png, work.geojson, can.log and trace.jsonl are in {out}")
+        console.print(
+            "report.json, field.png, work.geojson, can.log, trace.jsonl"
+            f"{' and run.mcap' if keeping.mcap else ''} are in {out}"
+        )
+    if shown is not None:
+        console.print(f"the map stays at {shown.url} until Ctrl-C")
+        shown.join()
     return 0 if outcome.success else UNFINISHED
 
 
 def _watch(
-    console: Console, setting: Setting, out: Path, logs: Sequence[Path]
+    console: Console, setting: Setting, out: Path, logs: Sequence[Path], keeping: Keeping
 ) -> tuple[Outcome, Expedition]:
     with Progress(
         TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>5.1f} %"),
@@ -83,7 +102,7 @@ def _watch(
             note = f"{moment.simulated_s:.0f} s, {moment.done}/{moment.sections} sections, {counts}"
             progress.update(bar, completed=moment.progress, note=note)
 
-        expedition = Expedition(setting, out, told, logs)
+        expedition = Expedition(setting, out, told, logs, attach=keeping)
         return expedition.run(), expedition
 
 

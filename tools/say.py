@@ -10,6 +10,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from protocol.authentication import Keyring
 from protocol.bus import CanBus
 from tools.attachment import LAUNCH, AttachError, attach
 from tools.inspection import SourceError, frames_of
@@ -83,19 +84,21 @@ class _Conversation:
             async for each in phrases:
                 self.tell(await self._without_bus(each, inspector))
             return self.code
+        keyring = operator_keyring(self.options.key, self.options.timeout_s)
         bus = attach(*self.options.bus)
         try:
-            await self._on_bus(bus, phrases, phrase is None)
+            await self._on_bus(bus, keyring, phrases, phrase is None)
         finally:
             bus.close()
         return self.code
 
-    async def _on_bus(self, bus: CanBus, phrases: AsyncIterator[str], talking: bool) -> None:
+    async def _on_bus(
+        self, bus: CanBus, keyring: Keyring | None, phrases: AsyncIterator[str], talking: bool
+    ) -> None:
         from tools.speaker import Speaker
 
         options = self.options
         queue = GoalQueue(options.queue)
-        keyring = operator_keyring(options.key, options.timeout_s)
         speaker = Speaker(
             bus, keyring, self.places, queue, self.read, self.ask, options.timeout_s, options.by
         )

@@ -15,12 +15,13 @@ from rich.text import Text
 from textual.app import App, ComposeResult
 from textual.binding import Binding, BindingType
 from textual.containers import Horizontal, Vertical
-from textual.widgets import DataTable, Footer, Sparkline, Static
+from textual.widgets import Footer, Sparkline, Static
 
 from tools.inspector import Inspector, Seen
 from tools.lifecycle_picture import LIT, picture
+from tools.rows import Cell, Rows
 
-LOOKS_A_SECOND = 5  # the eye does not read faster, and the fleet shares this machine
+LOOKS_A_SECOND = 4  # the eye does not read faster, and the fleet shares this machine
 TRANSITIONS_SHOWN = 12
 FLEET = ("robot", "state", "at", "m/s", "works", "peers", "digest")
 SECTIONS = ("section", "phase", "owner", "units")
@@ -36,7 +37,8 @@ class InspectScreen(App[None]):
     CSS = """
     #top { height: 3fr; } #bottom { height: 2fr; }
     #left { width: 3fr; } #right { width: 4fr; }
-    DataTable { height: 1fr; border: round $primary; }
+    Rows { height: 1fr; border: round $primary; background: $background; }
+    Rows:focus { border: round $accent; }
     #machine, #path, #why { border: round $primary; height: auto; padding: 0 1; }
     #path, #why { height: 1fr; overflow-y: auto; }
     #loadbox { width: 2fr; border: round $primary; }
@@ -55,8 +57,10 @@ class InspectScreen(App[None]):
         self.speed = speed  # of a log; times real time
         self.running = asyncio.Event()  # a paused log gives no frames
         self.running.set()
-        self.shown: dict[str, dict[str, tuple[Any, ...]]] = {}  # table -> key -> cells as shown
+        self.shown: dict[str, str] = {}  # texts, as they were last drawn
         self.why_of: int | None = None
+        self.load_drawn: int | None = None  # second of the newest bin that is whole
+        self.drawn = ("", "")  # state of the machine's picture, and the one before
         self.fed = False  # the log is at its end
         self.run_when_ready: Callable[[], Awaitable[None]] | None = None
 
@@ -64,13 +68,13 @@ class InspectScreen(App[None]):
         yield Static(id="stops")
         with Horizontal(id="top"):
             with Vertical(id="left"):
-                yield DataTable(id="fleet", cursor_type="row")
+                yield Rows(FLEET, id="fleet")
             with Vertical(id="right"):
                 yield Static(id="machine")
                 yield Static(id="path")
         with Horizontal(id="bottom"):
-            yield DataTable(id="sections", cursor_type="row")
-            yield DataTable(id="frames", cursor_type="none")
+            yield Rows(SECTIONS, id="sections")
+            yield Rows(FRAMES, id="frames")
             with Vertical(id="loadbox"):
                 yield Static(id="share")
                 yield Sparkline(id="load", summary_function=max)
@@ -78,11 +82,6 @@ class InspectScreen(App[None]):
         yield Footer()
 
     def on_mount(self) -> None:
-        for name, columns in (("fleet", FLEET), ("sections", SECTIONS), ("frames", FRAMES)):
-            table = self.query_one(f"#{name}", DataTable)
-            table.border_title = name
-            for column in columns:
-                table.add_column(column, key=column)
         self.query_one("#loadbox").border_title = "bus load, worst-case stuffing"
         self.query_one("#fleet").focus()
         self.run_worker(self._fed())
@@ -104,58 +103,59 @@ class InspectScreen(App[None]):
         return None if slot is None else self.inspector.robots.get(int(slot))
 
     def _chosen(self, name: str) -> str | None:
-        table = self.query_one(f"#{name}", DataTable)
-        if not table.row_count:
-            return None
-        return table.coordinate_to_cell_key(table.cursor_coordinate).row_key.value
+        return self.query_one(f"#{name}", Rows).chosen
 
     def look(self) -> None:
         """Bring the screen up to what was heard. Only cells that differ are touched."""
+        if not self.is_running:
+            return
         seen = self.inspector.to_dict()
-        self._table("fleet", {str(r["slot"]): _fleet_row(r) for r in seen["robots"]})
-        self._table("sections", {n: _section_row(n, s) for n, s in seen["sections"].items()})
-        chosen = self.chosen
-        own: Counter[str] = Counter() if chosen is None else chosen.frames
-        self._table(
-            "frames", {k: (k, str(n), str(own[k] or "")) for k, n in seen["frames"].items()}
-        )
-        self._robot(chosen)
-        self._load(seen)
-        stops = self.query_one("#stops", Static)
-        stops.display = bool(seen["latched"])
-        stops.update(f" EMERGENCY STOP latched: {', '.join(seen['latched'])}")
+        with self.batch_update():
+            self._rows("fleet", [_fleet_row(robot) for robot in seen["robots"]])
+            self._rows("sections", [_section_row(n, s) for n, s in seen["sections"].items()])
+            chosen = self.chosen
+            own: Counter[str] = Counter() if chosen is None else chosen.frames
+            self._rows(
+                "frames", [(k, str(n), str(own[k] or "")) for k, n in seen["frames"].items()]
+            )
+            self._robot(chosen)
+            self._load(seen)
+            stops = self.query_one("#stops", Static)
+            stops.display = bool(seen["latched"])
+            self._text("stops", f" EMERGENCY STOP latched: {', '.join(seen['latched'])}")
 
-    def _table(self, name: str, rows: dict[str, tuple[Any, ...]]) -> None:
-        table, shown = self.query_one(f"#{name}", DataTable), self.shown.setdefault(name, {})
-        columns = [column.key for column in table.ordered_columns]
-        fresh = rows.keys() - shown.keys()
-        for key, cells in rows.items():
-            before = shown.get(key)
-            if before is None:
-                table.add_row(*cells, key=key)
-            for column, cell, was in zip(columns, cells, before or cells, strict=True):
-                if cell != was:
-                    table.update_cell(key, column, cell, update_width=True)
-            shown[key] = cells
-        if fresh:
-            table.sort(columns[0], key=_in_order)
+    def _rows(self, name: str, rows: list[tuple[str, ...]]) -> None:
+        self.query_one(f"#{name}", Rows).show(sorted(rows, key=lambda row: _in_order(row[0])))
+
+    def _text(self, name: str, text: str | Text) -> None:
+        """Only what differs is drawn; only what has another number of lines is laid out anew."""
+        plain = text if isinstance(text, str) else text.plain
+        before = self.shown.get(name)
+        if text == before and isinstance(text, str):
+            return
+        lines = -1 if before is None else before.count("\n")
+        self.shown[name] = plain
+        self.query_one(f"#{name}", Static).update(text, layout=lines != plain.count("\n"))
 
     def _robot(self, robot: Seen | None) -> None:
         machine, path = self.query_one("#machine", Static), self.query_one("#path", Static)
         if robot is None:
-            machine.update("no robot is heard yet")
+            self._text("machine", "no robot is heard yet")
             return
-        taken = robot.transitions[-1] if robot.transitions else None
         machine.border_title = f"robot {robot.slot}"
-        machine.update(picture(robot.state, "" if taken is None else taken.source))
+        state = (robot.state, robot.transitions[-1].source if robot.transitions else "")
+        if state != self.drawn:
+            self.drawn = state
+            self._text("machine", picture(*state))
         if self.why_of is not None:
             path.border_title = f"why S{self.why_of}"
-            path.update(self._why_text(self.why_of))
+            self._text("path", self._why_text(self.why_of))
             return
-        path.border_title = "transitions"
+        path.border_title = "transitions, newest first"
         newest = list(robot.transitions)[: -TRANSITIONS_SHOWN - 1 : -1]
-        path.update(
-            "\n".join(f"{t.t_s:10.3f} s  {t.source} → {t.target}  by {t.heard_by}" for t in newest)
+        self._text(
+            "path",
+            "\n".join(f"{t.t_s:10.3f} s  {t.source} → {t.target}  by {t.heard_by}" for t in newest),
         )
 
     def _why_text(self, section: int) -> Text:
@@ -170,24 +170,28 @@ class InspectScreen(App[None]):
 
     def _load(self, seen: dict[str, Any]) -> None:
         load = self.inspector.load
-        self.query_one("#share", Static).update(
+        self._text(
+            "share",
             f"{load.newest:.1%} now, {seen['bus_load_worst_case']:.1%} on average, "
-            f"{max(load.shares):.1%} at most"
+            f"{max(load.shares):.1%} at most",
         )
-        self.query_one("#load", Sparkline).data = load.shares
+        if load.whole != self.load_drawn:
+            self.load_drawn = load.whole
+            self.query_one("#load", Sparkline).data = load.shares
         paused = "  PAUSED" if not self.running.is_set() else ""
         end = "  end of the log" if self.fed else ""
         malformed = f"  malformed {sum(seen['malformed'].values())}" if seen["malformed"] else ""
-        self.query_one("#status", Static).update(
-            f"{self.sub_title}  {self.inspector.now_s:.1f} s{paused}{end}{malformed}"
+        self._text(
+            "status",
+            f"{self.sub_title}  {self.inspector.now_s:.1f} s{paused}{end}{malformed}",
         )
 
     # ---------------------------------------------------------------- keys
 
-    def on_data_table_row_highlighted(self, event: DataTable.RowHighlighted) -> None:
-        if event.data_table.id == "fleet":
+    def on_rows_moved(self) -> None:
+        if self.focused is not None and self.focused.id == "fleet":
             self.why_of = None
-            self._robot(self.chosen)
+        self.look()
 
     def action_pause(self) -> None:
         if self.running.is_set():
@@ -233,16 +237,16 @@ def _in_order(name: str) -> tuple[str, int]:
     return letters, int(name[len(letters) :] or 0)
 
 
-def _fleet_row(robot: dict[str, Any]) -> tuple[Any, ...]:
+def _fleet_row(robot: dict[str, Any]) -> tuple[str, ...]:
     state = "silent" if robot["silent"] else "left" if robot["left"] else robot["state"]
-    shown = sorted(robot["sections"], key=lambda name: int(name[1:]))
+    shown = sorted(robot["sections"], key=_in_order)
     return (
-        str(robot["slot"]), Text(state, style=LIT.get(state, "dim")),
+        str(robot["slot"]), Cell.styled(state, LIT.get(state, "dim")),
         f"{robot['x_m']:.1f}, {robot['y_m']:.1f}", f"{robot['speed_m_s']:.2f}",
         " ".join(shown), str(len(robot["peers"])), robot["digest"],
     )  # fmt: skip
 
 
-def _section_row(name: str, section: dict[str, Any]) -> tuple[Any, ...]:
+def _section_row(name: str, section: dict[str, Any]) -> tuple[str, ...]:
     owner = "" if section["owner"] is None else str(section["owner"])
     return name, section["phase"], owner, str(section["units"])

@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from crdt.stops import StopDot, StopSet
+from crdt.stops import FarDot, FarStopSet, StopDot, StopSet
 
 dots = st.builds(StopDot, st.integers(0, 3), st.integers(0, 1), st.integers(0, 3))
 acts = st.lists(st.tuples(st.booleans(), dots), max_size=30)
@@ -39,3 +39,14 @@ def test_bytes_and_back(history: list[tuple[bool, StopDot]]) -> None:
 def test_an_old_reset_does_not_mask_a_new_stop() -> None:
     stops = make([(True, StopDot(1, 0, 1)), (False, StopDot(1, 0, 1)), (True, StopDot(1, 0, 2))])
     assert stops.latched
+
+
+@given(st.sets(st.builds(FarDot, *[st.integers(0, 255)] * 3, st.integers(1, 0x7FFF)), max_size=20))
+def test_dots_of_other_segments(dots: set[FarDot]) -> None:
+    stops = FarStopSet()
+    for k, dot in enumerate(sorted(dots)):
+        stops.press(dot)
+        if k % 2:
+            stops.clear(dot)
+    again = FarStopSet.deserialize(stops.serialize())
+    assert again == stops and again.active == stops.active

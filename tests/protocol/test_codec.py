@@ -34,6 +34,7 @@ from protocol.safety_frames import (
     Freshness,
     OperatorCommand,
 )  # fmt: skip
+from protocol.segment_frames import FleetReset, FleetStop, GatewayBeat, SegmentSummary
 from protocol.work_frames import (
     Digests,
     StateSyncRequest,
@@ -73,6 +74,12 @@ KINDS: dict[Any, st.SearchStrategy[Any]] = {
     Accord: st.builds(Accord, u16, st.integers(0, 2), st.integers(0, 2), u16, u16, u8),
     Member: st.builds(Member, u8, u16, u24, u8),
     VectorSlice: st.builds(VectorSlice, u8, st.tuples(*[u8] * 7)),
+    FleetStop: st.builds(FleetStop, st.integers(1, 0x7FFF), u8, u8, u8, u24),
+    FleetReset: st.builds(FleetReset, st.integers(1, 0x7FFF), st.integers(0, 1), u8, u8, u8, u24),
+    GatewayBeat: st.builds(GatewayBeat, st.integers(124, 127), st.integers(0, 3), u16, u16, u16),
+    SegmentSummary: st.builds(
+        SegmentSummary, st.integers(1, 0x7FFF), u8, u8, u8, st.integers(0, 250), u16
+    ),
     AddressClaimed: st.builds(AddressClaimed, st.integers(0, (1 << 64) - 1)),
     Request: st.builds(Request, u24),
     Acknowledgment: st.builds(Acknowledgment, st.integers(0, 3), u8, u8, u24),

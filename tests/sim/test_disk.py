@@ -78,3 +78,17 @@ def test_the_campaign_finds_what_is_said_before_it_is_written(tapes: dict[int, T
     late += [e for e in tape if type(e) is tuple]
     found = {problem.split()[0] for problem in power_cuts.log_states(late, 300, Random(SEED))}
     assert found, f"seed {SEED}"
+
+
+def test_a_batch_behind_a_damaged_one_stays_lost() -> None:
+    """Found by the fuzz target `journal`: a new batch as long as the damaged one made it fit again."""
+    disk = Disk()
+    journal = LogJournal(disk)
+    journal.write([Persist("key", b"first")])
+    journal.write([Persist("old", b"value")])
+    image = bytearray(disk.read())
+    image[20] ^= 0xFF
+    again = LogJournal(Disk(bytes(image)))
+    assert again.load() == {}
+    again.write([Persist("key", b"other")])
+    assert LogJournal(Disk(again.disk.read())).load() == {"key": b"other"}

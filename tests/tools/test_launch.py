@@ -85,6 +85,11 @@ async def orders(folder: Path) -> None:
         told = json.loads(text)
         assert (got, told["answer"]) in ((code, answer), (code, "ARRIVED")), (words, text)
         assert told["obeyed"] is (code == 0) and not told["signed"]
+    got, text = await call(folder, "say", "where is robot 1", "--by", "0", "--json")
+    told = json.loads(text)
+    assert got == 0 and told["told_by"] == "robot 0" and told["answers"][0][0]["slot"] == 1, text
+    got, text = await call(folder, "say", "stop robot 7", "--json")
+    assert got == 3 and json.loads(text)["asked_back"]["reason"] == "unknown robot", text
     got, text = await call(folder, "order", "9", "wait")
     assert got == 1 and "robot 9 is not heard" in text and text.count("\n") == 1
 

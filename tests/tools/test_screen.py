@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("textual", reason="the extra `operator` is not installed")
 
 from textual.pilot import Pilot
-from textual.widgets import DataTable, Static
+from textual.widgets import Static
 
 from agent.lifecycle import TABLE, State
 from protocol.bus import CanBus
@@ -21,6 +21,7 @@ from sim.setting import Setting
 from tools.feed import from_bus, from_log
 from tools.inspector import Inspector
 from tools.lifecycle_picture import edges_from, picture
+from tools.rows import Rows
 from tools.screen import InspectScreen, draw
 
 SIZE = (150, 42)
@@ -49,9 +50,8 @@ def text_of(screen: InspectScreen, name: str) -> str:
     return str(screen.query_one(f"#{name}", Static).render())
 
 
-def rows_of(screen: InspectScreen, name: str) -> list[list[str]]:
-    table = screen.query_one(f"#{name}", DataTable)
-    return [[str(cell) for cell in table.get_row_at(row)] for row in range(table.row_count)]
+def rows_of(screen: InspectScreen, name: str) -> list[tuple[str, ...]]:
+    return screen.query_one(f"#{name}", Rows).rows
 
 
 async def fed(screen: InspectScreen, pilot: Pilot[None]) -> None:
@@ -97,7 +97,7 @@ def test_the_screen_as_a_picture(frames: list[tuple[int, Frame]], tmp_path: Path
     draw(InspectScreen(inspector, "a run", from_log(frames, inspector, at_once=True)), path)
     drawn = path.read_text()
     assert drawn.startswith("<svg") and "WORKING" in drawn and "TaskClaim" in drawn
-    assert "url(" not in drawn, "nothing is loaded from elsewhere"
+    assert "@font-face" not in drawn and 'url("' not in drawn, "nothing is loaded from elsewhere"
 
 
 def test_a_stop_is_large_and_a_paused_log_stands_still(frames: list[tuple[int, Frame]]) -> None:

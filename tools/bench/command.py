@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from tools.bench.figure import Figure
+from tools.campaign import ClusterError, workers
 
 BENCHES = {
     "wire": "bus load, deliveries, response times against their bounds, decoding",
@@ -24,35 +25,60 @@ BENCHES = {
     "orca": "avoidance against RVO2",
     "corridor": "swaps in passages, dead ends, and a hundred robots in rooms",
     "motion": "the thesis experiment: way driven against way planned",
+    "scale": "many segments: stops across them, bus share, heals, memory, campaigns on a cluster",
+    "operator": "the map in a browser, and stops with its page open",
     "lidar": "range sensing against pymunk, world steps",
+    "phrases": "plain language, misspellings, why, the inspector's screen",
+    "chaos": "the speed of simulated trouble, campaigns, planted bugs, decoders",
 }
 MISSED, WRONG = 1, 2
 
 
-def bench(name: str, quick: bool, seed: int, as_json: bool) -> int:
-    """0 when every figure holds its target."""
+def bench(name: str, quick: bool, seed: int, as_json: bool, cluster: str = "") -> int:
+    """0 when every figure holds its target. `cluster`: benches run on the workers of a scheduler."""
     if name != "all" and name not in BENCHES:
         known = ", ".join((*BENCHES, "all"))
         print(f"headland: no bench {name}: choose one of {known}", file=sys.stderr)
         return WRONG
     found: list[Figure] = []
     console = Console(stderr=as_json)
-    for each in BENCHES if name == "all" else (name,):
-        with console.status(f"{each}: {BENCHES[each]}"):
-            for figure in _figures(each, quick, seed):
-                found.append(figure)
-                if as_json:
-                    print(
-                        json.dumps({"bench": each, **figure._asdict()}, ensure_ascii=False),
-                        flush=True,
-                    )
-                else:
-                    console.print(_line(figure), highlight=False)
+    names = tuple(BENCHES) if name == "all" else (name,)
+    try:
+        for each, figure in _measured(names, quick, seed, cluster, console):
+            found.append(figure)
+            if as_json:
+                told = {"bench": each, **figure._asdict()}
+                print(json.dumps(told, ensure_ascii=False), flush=True)
+            else:
+                console.print(_line(figure), highlight=False)
+    except ClusterError as problem:
+        print(f"headland: {problem}", file=sys.stderr)
+        return WRONG
     missed = [figure for figure in found if figure.holds is False]
     if not as_json:
         targets = sum(figure.holds is not None for figure in found)
         console.print(f"{len(found)} figures, {targets} with a target, {len(missed)} missed")
     return MISSED if missed else 0
+
+
+def _measured(
+    names: tuple[str, ...], quick: bool, seed: int, cluster: str, console: Console
+) -> Iterator[tuple[str, Figure]]:
+    if not cluster:
+        for each in names:
+            with console.status(f"{each}: {BENCHES[each]}"):
+                for figure in _figures(each, quick, seed):
+                    yield each, figure
+        return
+    with workers(cluster=cluster) as pool, console.status(f"{len(names)} benches at {cluster}"):
+        runs = {each: pool.submit(_all_figures, each, quick, seed) for each in names}
+        for each, run in runs.items():
+            for figure in run.result():
+                yield each, figure
+
+
+def _all_figures(name: str, quick: bool, seed: int) -> list[Figure]:
+    return list(_figures(name, quick, seed))
 
 
 def _figures(name: str, quick: bool, seed: int) -> Iterator[Figure]:

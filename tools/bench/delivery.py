@@ -56,7 +56,7 @@ def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
     yield decision(costs, seed)
     yield from streams(costs, quick, seed)
     yield from batteries(costs, quick, seed)
-    yield from trouble(2 if quick else 20, seed)
+    yield from trouble(1 if quick else 20, seed)
     for (robots, tasks), target in SIZES.items():
         opposed = not quick or (robots, tasks) == (10, 50)
         seeds = range(seed, seed + (1 if quick or tasks > 200 else 2))

@@ -1,0 +1,77 @@
+"""Which sections concern a segment: its own, and those at the border that neighbours share with it.
+
+Every section belongs to one segment, its home, which alone decides about it. A home lends sections at
+its border to neighbours: these keep a copy under a number of their own and may ask for them; the copy
+follows what the home has decided. So what a robot holds is bounded by its area and its borders, and
+does not grow with the fleet. In a register an owner is one byte: robots of a neighbour appear there
+together under one number, that of the neighbour.
+"""
+
+from collections.abc import Mapping
+from functools import cached_property
+from typing import NamedTuple
+
+GUEST_FIRST = 108  # owners of other segments in registers; slots of robots are below
+NEIGHBOURS_MAX = 16  # up to the numbers of gateways
+
+
+class Place(NamedTuple):
+    """A section of the whole fleet."""
+
+    segment: int
+    section: int
+
+
+class Area:
+    def __init__(
+        self,
+        segment: int,
+        home: int,
+        lent: Mapping[int, frozenset[int]] | None = None,
+        borrowed: Mapping[int, Place] | None = None,
+    ) -> None:
+        """`home`: sections 0 .. home-1 are this segment's. `lent`: home section -> neighbours that
+        share it. `borrowed`: section number here -> where its home is."""
+        self.segment, self.home = segment, home
+        self.lent, self.borrowed = dict(lent or {}), dict(borrowed or {})
+        assert all(0 <= section < home for section in self.lent)
+        assert all(section >= home for section in self.borrowed), "numbers of copies are above"
+        assert all(place.segment != segment for place in self.borrowed.values())
+        assert len(self.neighbours) <= NEIGHBOURS_MAX, "a register cannot name more neighbours"
+
+    @cached_property
+    def neighbours(self) -> tuple[int, ...]:
+        """Segments that share a section with this one, sorted."""
+        borrowed = {place.segment for place in self.borrowed.values()}
+        return tuple(sorted(borrowed.union(*self.lent.values())))
+
+    @cached_property
+    def number_of(self) -> dict[Place, int]:
+        """The number here of every section that is shared or borrowed."""
+        numbers = {place: section for section, place in self.borrowed.items()}
+        return numbers | {Place(self.segment, section): section for section in self.lent}
+
+    def place_of(self, section: int) -> Place:
+        return self.borrowed.get(section, Place(self.segment, section))
+
+    def shared_with(self, neighbour: int) -> list[int]:
+        """Numbers here of all sections that we and this neighbour both hold."""
+        lent = [s for s, segments in self.lent.items() if neighbour in segments]
+        borrowed = [s for s, place in self.borrowed.items() if place.segment == neighbour]
+        return sorted(lent + borrowed)
+
+    def concerned(self, section: int) -> tuple[int, ...]:
+        """The neighbours that have to know of a change of this section."""
+        place = self.borrowed.get(section)
+        return tuple(sorted(self.lent.get(section, ()))) if place is None else (place.segment,)
+
+    def guest(self, segment: int) -> int:
+        """How registers here name the robots of a neighbour."""
+        return GUEST_FIRST + self.neighbours.index(segment)
+
+    def segment_of(self, owner: int) -> int:
+        """Whose robot an owner in a register here is; 0: nobody's that we know."""
+        if owner < GUEST_FIRST:
+            return self.segment
+        index = owner - GUEST_FIRST
+        return self.neighbours[index] if index < len(self.neighbours) else 0

@@ -1,0 +1,103 @@
+"""All that was heard of a run, in memory, while it grows or after its end: frames, intents, things.
+
+Columns instead of objects: 21 bytes a frame, so that hours of a full bus fit. One thread may append
+while others read: a row is there once `count` says so.
+"""
+
+from array import array
+from bisect import bisect_left
+from collections.abc import Iterable
+from hashlib import blake2b
+from typing import Any
+
+from protocol.frame import Frame
+from sim.scene import Scene
+
+FRAMES_MAX = 8_000_000  # 168 MB; two hours of a full bus, half a day of a quiet one
+DROP = FRAMES_MAX // 4  # of the oldest, when it is full
+Row = tuple[int, Frame]
+Notes = list[tuple[int, dict[str, Any]]]  # microseconds, plain values
+
+
+class Recording:
+    def __init__(self, scene: Scene | None = None) -> None:
+        self.scene = scene
+        self.first, self.count = 0, 0  # frames `first` .. `count` - 1 are kept
+        self.intents: Notes = []  # of a robot each, see `sim.intent`
+        self.things: Notes = []  # what stands in the world from then on: {"rows": [...]}
+        self.ended = False  # nothing more will come
+        self.digest = FramesDigest()
+        self._t_us, self._identifiers = array("q"), array("I")
+        self._lengths, self._data = bytearray(), bytearray()
+
+    def write(self, t_us: int, frame: Frame) -> None:
+        """The next frame; what is older than the one before it is as old as that."""
+        self._t_us.append(max(t_us, self._t_us[-1]) if self._t_us else t_us)
+        self._identifiers.append(frame.identifier)
+        self._lengths.append(len(frame.data))
+        self._data += frame.data.ljust(8, b"\0")
+        self.digest.write(t_us, frame)
+        self.count += 1
+        if self.count - self.first > FRAMES_MAX:
+            self._drop()
+
+    def close(self) -> None:
+        self.ended = True
+
+    def _drop(self) -> None:
+        del (
+            self._t_us[:DROP],
+            self._identifiers[:DROP],
+            self._lengths[:DROP],
+            self._data[: 8 * DROP],
+        )
+        self.first += DROP
+        for notes in (self.intents, self.things):
+            del notes[: bisect_left(notes, self.from_us, key=lambda note: note[0])]
+
+    def tell(self, t_us: int, intent: dict[str, Any]) -> None:
+        self.intents.append((t_us, intent))
+
+    def place(self, t_us: int, rows: Iterable[Iterable[float]]) -> None:
+        """Obstacles as rows of `sim.walls`: shape, x, y, half sides, cosine and sine."""
+        self.things.append((t_us, {"rows": [list(row) for row in rows]}))
+
+    def __getitem__(self, number: int) -> Row:
+        at = number - self.first
+        data = bytes(self._data[8 * at : 8 * at + self._lengths[at]])
+        return self._t_us[at], Frame(self._identifiers[at], data)
+
+    def t_us(self, number: int) -> int:
+        return self._t_us[number - self.first]
+
+    @property
+    def from_us(self) -> int:
+        return self._t_us[0] if self._t_us else 0
+
+    @property
+    def until_us(self) -> int:
+        """Of the newest row of any kind."""
+        ends = [self.t_us(self.count - 1)] if self.count > self.first else [0]
+        ends += [notes[-1][0] for notes in (self.intents, self.things) if notes]
+        return max(ends)
+
+
+class FramesDigest:
+    """One hash of all frames in their order: the same run, whatever the format of its log.
+
+    Times are not in it: formats round them in their own ways.
+    """
+
+    def __init__(self) -> None:
+        self._hash = blake2b(digest_size=8)
+
+    def write(self, t_us: int, frame: Frame) -> None:
+        self._hash.update(frame.identifier.to_bytes(4, "little") + bytes((len(frame.data),)))
+        self._hash.update(frame.data)
+
+    def close(self) -> None:
+        """Nothing to close; a digest may stand wherever a log does."""
+
+    @property
+    def hex(self) -> str:
+        return self._hash.hexdigest()

@@ -1,0 +1,97 @@
+"""Bad luck from seeds, every profile a little, and every story of a bug that bad luck once found.
+
+`headland chaos` runs thousands; here it is only seen to work. A failure is reproduced with
+`headland chaos --seeds SEED --profile PROFILE`, a story with `headland chaos --scenario FILE`.
+"""
+
+from collections import Counter
+from pathlib import Path
+from typing import get_args
+
+import pytest
+from pydantic import BaseModel
+
+from sim.mutants import MUTANTS, planted
+from sim.scenario import Fault, Scenario, load
+from sim.scenario_text import to_toml
+from sim.shrink import shrink
+from sim.trouble import DRAWS, PROFILES, draw, span_of, with_faults
+from sim.verdict import RULES, judge
+
+STORIES = sorted((Path(__file__).parent / "stories").glob("*.toml"))
+
+
+@pytest.mark.parametrize(
+    ("profile", "seed"), [("protocol", 1), ("protocol", 9), ("all", 5), ("stop", 3), ("body", 2)]
+)
+def test_every_rule_is_kept(profile: str, seed: int) -> None:
+    verdict = judge(draw(seed, profile))
+    assert verdict.ok, f"profile {profile}, seed {seed}: {verdict.broken}"
+    assert verdict.simulated_s > span_of(draw(seed, profile)).calm_s
+
+
+@pytest.mark.parametrize("path", STORIES, ids=lambda path: path.stem)
+def test_a_bug_that_was_found_stays_away(path: Path) -> None:
+    verdict = judge(load(str(path)))
+    assert verdict.ok, verdict.broken
+
+
+@pytest.mark.parametrize("name", ["stop-without-brake", "gate-open", "reset-clears-all"])
+def test_a_planted_bug_is_found(name: str) -> None:
+    """A few of them; all with `headland chaos --mutants`."""
+    with planted(name):
+        found = [judge(draw(s, MUTANTS[name].profile), first_only=True).broken for s in range(6)]
+    assert any(found), name
+
+
+def test_a_failure_is_made_small() -> None:
+    """Of many faults, those without which the rule is kept; what judges it here is cheap."""
+    scenario = draw(12, "protocol")
+
+    def fails(candidate: Scenario) -> bool:
+        return any(fault.kind == "crash" for fault in candidate.fault)
+
+    if not fails(scenario):
+        scenario = with_faults(scenario, [*scenario.fault, *draw(13, "crash").fault])
+    small, runs = shrink(scenario, fails)
+    drawn = [fault for fault in small.fault if fault.at_s <= span_of(small).calm_s]
+    assert [fault.kind for fault in drawn] == ["crash"] and runs <= 80
+    assert small.fleet.robots <= scenario.fleet.robots
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+def test_what_is_drawn_can_be_written_by_hand(profile: str, tmp_path: Path) -> None:
+    """Printed as TOML and read again, a scenario is the same; and every kind of it is drawn."""
+    seen: Counter[str] = Counter()
+    for seed in range(40):
+        scenario = draw(seed, profile)
+        path = tmp_path / "drawn.toml"
+        path.write_text(to_toml(scenario))
+        again = load(str(path))
+        assert again.fault == scenario.fault and again.fleet == scenario.fleet
+        assert draw(seed, profile) == scenario, "the same seed, the same luck"
+        seen.update(fault.kind for fault in scenario.fault)
+    assert all(_kinds_of(name) & set(seen) for name in PROFILES[profile].weights)
+
+
+def _kinds_of(name: str) -> set[str]:
+    """The kinds of fault that a draw of this name makes."""
+    return {"haste": {"order"}}.get(name, {name})
+
+
+def test_every_kind_of_fault_is_drawn_and_played() -> None:
+    kinds = {get_args(kind.model_fields["kind"].annotation)[0] for kind in _faults()}
+    drawn = {kind for name in DRAWS for kind in _kinds_of(name)}
+    assert kinds - drawn == {"heal", "restart"}  # these come with a cut and a crash
+    played = {fault.kind for path in STORIES for fault in load(str(path)).fault}
+    assert kinds <= played
+
+
+def _faults() -> tuple[type[BaseModel], ...]:
+    union, _ = get_args(Fault)
+    return get_args(union)
+
+
+def test_every_rule_has_a_place_in_the_documents() -> None:
+    text = (Path(__file__).parents[2] / "docs" / "chaos.md").read_text()
+    assert all(f"| {rule} |" in text for rule in RULES)

@@ -1,0 +1,127 @@
+"""Chaos: how fast trouble is simulated, what campaigns and planted bugs showed, what decoders took.
+
+Everything here is measured in the run; a long campaign has its own command (`headland chaos`), and a
+short one here shows the rate at which it goes.
+"""
+
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from sim.cluster import Cluster
+from sim.drill_setting import DrillSetting, drill
+from sim.fuzz_targets import TARGETS
+from sim.host import Script
+from sim.mutants import MUTANTS, planted
+from sim.parade import CommandChecker
+from sim.swarm import Swarm
+from sim.trouble import draw
+from sim.verdict import Verdict, judge
+from sim.witness import Witness
+from tools.bench.figure import Figure
+from tools.fuzz import every
+
+SIZES = ((5, 1000.0), (20, 100.0), (50, 20.0), (100, 5.0))  # robots, simulated s per CPU s wanted
+SETTLED_S = 8.0  # a fleet has joined and works: booting is not what is asked for
+SHARE_S = 2.0  # CPU time given to each size, --quick
+QUICK_MUTANTS = ("gate-open", "reset-clears-all", "silence-unnoticed", "progress-replaced")
+HOURS_WANTED, BUGS_WANTED, BUDGET_S = 20_000.0, 20, 600.0
+EXECUTIONS_CI, EXECUTIONS = 100_000, 10_000_000
+NOTHING = "nothing: our own figure"
+
+
+def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
+    judge(draw(seed, "all"))  # compiled kernels are loaded before any clock starts
+    for robots, wanted in SIZES:
+        rate = speed(robots, seed, SHARE_S if quick else 10 * SHARE_S)
+        yield Figure(
+            f"simulated seconds per CPU second, protocol only, {robots} robots", rate, "s/s",
+            f">= {wanted:.0f}", rate >= wanted, NOTHING,
+            "whole core, wire model, words and commands judged; 20 beats a second up to 30 robots",
+        )  # fmt: skip
+    yield from _campaign("protocol", 3 if quick else 200, seed)
+    yield from _campaign("all", 2 if quick else 100, seed)
+    yield from _bugs(QUICK_MUTANTS if quick else tuple(MUTANTS), quick)
+    yield from _decoders(quick, seed)
+
+
+def speed(robots: int, seed: int, cpu_s: float) -> float:
+    """Simulated seconds per CPU second of a drill that works, without faults, under its checkers."""
+    swarm, setting = Swarm(), DrillSetting(drill(robots, seed))
+    witness = Witness(robots)
+    cluster = Cluster(setting, f"speed {robots}", witness, swarm)
+    checker: CommandChecker = setting.parade.checker()
+    measured: list[float] = []
+
+    def main() -> Script[None]:
+        cluster.boot_all()
+        yield round(SETTLED_S * 1e6)
+        begun_s, begun_us = time.process_time(), swarm.now_us()
+        while (spent_s := time.process_time() - begun_s) < cpu_s:
+            yield swarm.now_us() + 200_000
+        measured.append((swarm.now_us() - begun_us) / 1e6 / spent_s)
+
+    swarm.run(main())
+    cluster.end()
+    assert not checker.violations and not witness.broken
+    return measured[0]
+
+
+def _campaign(profile: str, runs: int, seed: int) -> Iterator[Figure]:
+    begun_s = time.process_time()
+    verdicts: list[Verdict] = [judge(draw(s, profile)) for s in range(seed, seed + runs)]
+    cpu_s = time.process_time() - begun_s
+    seconds = sum(v.robots * v.simulated_s for v in verdicts)
+    broken = sum(not v.ok for v in verdicts)
+    faults = sum(sum(v.faults.values()) for v in verdicts)
+    scope = f"{runs} runs of profile {profile}, {faults} faults, every rule judged"
+    yield Figure(f"robot-seconds per CPU second, profile {profile}", seconds / cpu_s, "s/s",
+                 ">= 300" if profile == "all" else "none",  # 6 robots at 50 s a CPU second
+                 seconds / cpu_s >= 300 if profile == "all" else None, NOTHING, scope)  # fmt: skip
+    hours = seconds / 3600
+    yield Figure(f"runs that broke a rule, profile {profile}", broken, "runs", "0", broken == 0,
+                 NOTHING, scope)  # fmt: skip
+    enough = profile == "protocol"
+    yield Figure(
+        f"robot-hours judged in this run, profile {profile}", hours, "h",
+        f">= {HOURS_WANTED:.0f}" if enough else "none", hours >= HOURS_WANTED if enough else None,
+        NOTHING, scope,
+    )  # fmt: skip
+
+
+def _bugs(names: tuple[str, ...], quick: bool) -> Iterator[Figure]:
+    found, slowest_s = 0, 0.0
+    for name in names:
+        begun_s = time.process_time()
+        with planted(name):
+            seeds = range(400)
+            for number in seeds:
+                hit = not judge(draw(number, MUTANTS[name].profile), first_only=True).ok
+                spent_s = time.process_time() - begun_s
+                if hit or spent_s > BUDGET_S or (quick and number == 3):
+                    break
+        found += hit
+        slowest_s = max(slowest_s, spent_s)
+    wanted = len(names) if quick else BUGS_WANTED
+    scope = f"{len(names)} of the {len(MUTANTS)} bugs of sim/mutants.py"
+    yield Figure("planted bugs found", found, "bugs", f">= {wanted}", found >= wanted, NOTHING,
+                 scope)  # fmt: skip
+    yield Figure("slowest hunt for a planted bug", slowest_s, "CPU s", f"<= {BUDGET_S:.0f}",
+                 slowest_s <= BUDGET_S, NOTHING, scope)  # fmt: skip
+
+
+def _decoders(quick: bool, seed: int) -> Iterator[Figure]:
+    with tempfile.TemporaryDirectory() as scratch:
+        fast = every(["frame"], EXECUTIONS_CI if quick else EXECUTIONS, seed, Path(scratch))
+        others = [name for name in TARGETS if name != "frame"]
+        slow = every(others, 300 if quick else 100_000, seed, Path(scratch))
+        rows = [*fast, *slow]
+    done, wanted = sum(row.executions for row in rows), EXECUTIONS_CI if quick else EXECUTIONS
+    crashes = sum(not row.ok for row in rows)
+    engines = ", ".join(sorted({row.engine for row in rows}))
+    scope = f"{len(rows)} targets of sim/fuzz_targets.py, engine {engines}"
+    yield Figure("decoder executions", done, "runs", f">= {wanted}", done >= wanted, NOTHING, scope)
+    yield Figure(
+        "decoders that broke a promise", crashes, "targets", "0", crashes == 0, NOTHING, scope
+    )

@@ -1,0 +1,153 @@
+"""`headland bridge`: a gateway between a bus and the rest of the fleet, over Eclipse Zenoh.
+
+Start two or more on a segment: one leads, all carry stops, and another leads when that one dies.
+"""
+
+import asyncio
+import json
+import secrets
+import signal
+import sys
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from agent.area import Area, Place
+from agent.gateway import Gateway, Publish
+from agent.gateway_shell import GatewayShell
+from agent.ports import Bus
+from protocol.backbone import Kind
+from protocol.name import Name
+from protocol.segment_frames import SEGMENT_MAX
+from protocol.zenoh_link import LinkError, ZenohBus, ZenohLink, configure
+from tools.attachment import AttachError, attach
+
+GATEWAY_FUNCTION = 66  # of a NAME: a device that joins networks
+TELL_S = 5.0  # a status line this often
+WRONG = 2
+
+
+class ZenohBackbone:
+    """One segment's end of the backbone. Keys: headland/FLEET/SEGMENT/KIND[/TARGET]."""
+
+    def __init__(self, link: ZenohLink, fleet: str, segment: int) -> None:
+        self.link, self.fleet, self.segment = link, fleet, segment
+        self.sent = 0
+
+    def publish(self, message: Publish) -> None:
+        self.sent += 1
+        target = f"/{message.target}" if message.target else ""
+        key = f"headland/{self.fleet}/{self.segment}/{message.kind.name.lower()}{target}"
+        self.link.put(key, message.data, message.kind in (Kind.STOPS, Kind.RESETS))
+
+    def subscribe(self, callback: Callable[[bytes], None]) -> None:
+        root = f"headland/{self.fleet}/*"
+        self.link.subscribe(f"{root}/stops", callback, keep=True)
+        self.link.subscribe(f"{root}/resets", callback, keep=True)
+        self.link.subscribe(f"{root}/summary", callback)
+        self.link.subscribe(f"{root}/work/{self.segment}", callback)
+
+    def close(self) -> None:
+        self.link.close()
+
+
+def read_area(segment: int, file: Path | None) -> Area:
+    """A TOML file of the borders; none: a segment that shares no section. Raises AttachError.
+
+    home = 40                                       # sections 0 to 39 are this segment's
+    lent = [{ section = 39, to = [2] }]             # shared with segment 2
+    borrowed = [{ section = 40, of = 2, there = 0 }]  # here 40, at its home, segment 2, section 0
+    """
+    if not 1 <= segment <= SEGMENT_MAX:
+        raise AttachError(f"--segment {segment}: a number from 1 to {SEGMENT_MAX}")
+    if file is None:
+        return Area(segment, 0)
+    try:
+        told = tomllib.loads(file.read_text())
+        return Area(
+            segment,
+            int(told.get("home", 0)),
+            {int(row["section"]): frozenset(map(int, row["to"])) for row in told.get("lent", ())},
+            {
+                int(row["section"]): Place(int(row["of"]), int(row["there"]))
+                for row in told.get("borrowed", ())
+            },
+        )
+    except (OSError, ValueError, KeyError, TypeError, AssertionError) as problem:
+        raise AttachError(f"{file} does not describe an area: {problem}") from None
+
+
+def open_bus_of(
+    interface: str, channel: str, bitrate: int, host: str, port: int, link: ZenohLink, key: str
+) -> Bus:
+    """A CAN bus, or for `-i zenoh` the one that robots on the backbone share."""
+    if interface == "zenoh":
+        return ZenohBus(link, key)
+    return attach(interface, channel, bitrate, host, port)
+
+
+async def carry(
+    area: Area, bus: Bus, backbone: ZenohBackbone, as_json: bool, seconds: float | None
+) -> None:
+    """Until a signal, or for so long."""
+    loop = asyncio.get_running_loop()
+    end = asyncio.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, end.set)
+    if seconds is not None:
+        loop.call_later(seconds, end.set)
+
+    def now_us() -> int:
+        return round(loop.time() * 1e6)
+
+    boot = secrets.randbits(32)
+    name = Name(boot & 0x1FFFFF, function=GATEWAY_FUNCTION, arbitrary_address=0)
+    gateway = Gateway(area, name, boot, now_us())
+
+    def at(t_us: int, call: Callable[[], None]) -> asyncio.TimerHandle:
+        return loop.call_at(t_us / 1e6, call)
+
+    shell = GatewayShell(gateway, bus, backbone, now_us, at)
+    shell.begin()
+    shown: object = None
+    while not end.is_set():
+        status = gateway.status(now_us())
+        if (status["number"], status["leads"], status["reached"]) != shown:
+            shown = (status["number"], status["leads"], status["reached"])
+            print(json.dumps(status) if as_json else _line(status), flush=True)
+        try:
+            await asyncio.wait_for(end.wait(), 0.2)
+        except TimeoutError:
+            continue
+    shell.end()
+
+
+def _line(status: dict[str, Any]) -> str:
+    if status["number"] is None:
+        return f"segment {status['segment']}: listening who is there"
+    role = "leads" if status["leads"] else "stands by"
+    reached = ", ".join(map(str, status["reached"])) or "none: this segment is alone"
+    return f"segment {status['segment']}: gateway {status['number']} {role}; reaches {reached}"
+
+
+def bridge(
+    segment: int, interface: str, channel: str, bitrate: int, host: str, port: int, fleet: str,
+    connect: list[str], listen: list[str], mode: str, config: Path | None, area: Path | None,
+    seconds: float | None, as_json: bool,
+) -> int:  # fmt: skip
+    async def run() -> None:
+        if not connect and not listen and config is None:
+            raise AttachError("name the backbone: --zenoh tcp/HOST:PORT, or --listen tcp/HOST:PORT")
+        place = read_area(segment, area)
+        link = ZenohLink(configure(connect, listen, mode, config), asyncio.get_running_loop())
+        key = f"headland/{fleet}/{segment}/bus"
+        bus = open_bus_of(interface, channel, bitrate, host, port, link, key)
+        await carry(place, bus, ZenohBackbone(link, fleet, segment), as_json, seconds)
+
+    try:
+        asyncio.run(run())
+    except (AttachError, LinkError) as problem:
+        print(f"headland: {problem}", file=sys.stderr)
+        return WRONG
+    return 0

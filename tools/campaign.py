@@ -1,0 +1,50 @@
+"""Where the runs of a campaign run: processes of this machine, or the workers of a Dask cluster.
+
+A run is a pure function of its seed, so where it ran does not show in its result.
+"""
+
+import os
+from collections.abc import Iterator
+from concurrent.futures import Executor, ProcessPoolExecutor
+from contextlib import contextmanager, suppress
+from typing import Any
+
+CONNECT_S = "5s"
+
+
+class ClusterError(Exception):
+    """One line for the person: what is wrong and what to do."""
+
+
+@contextmanager
+def workers(jobs: int = 0, cluster: str = "") -> Iterator[Executor]:
+    """`cluster`: address of a Dask scheduler, tcp/HOST:PORT or tcp://HOST:PORT; none: processes here.
+
+    Raises ClusterError.
+    """
+    if not cluster:
+        with ProcessPoolExecutor(jobs or os.cpu_count() or 1) as pool:
+            yield pool
+        return
+    try:
+        from distributed import Client
+    except ImportError:
+        raise ClusterError("--cluster needs the package distributed: headland[backbone]") from None
+    address = cluster.replace("tcp/", "tcp://", 1) if cluster.startswith("tcp/") else cluster
+    try:
+        client: Any = Client(address, timeout=CONNECT_S, set_as_default=False)  # type: ignore[no-untyped-call]
+    except (OSError, ValueError, TimeoutError):
+        raise ClusterError(
+            f"no Dask scheduler answers at {cluster}: start one with 'dask scheduler', and workers "
+            f"where headland is installed with 'dask worker {address}'"
+        ) from None
+    try:
+        yield client.get_executor(pure=False)
+    finally:
+        with suppress(OSError, TimeoutError):
+            client.close()
+
+
+def room(jobs: int = 0, cluster: str = "") -> int:
+    """How many runs to hand out at a time."""
+    return 2 * (jobs or os.cpu_count() or 1) if not cluster else 64

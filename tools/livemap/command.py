@@ -1,0 +1,245 @@
+"""`headland map`: the fleet in a browser, from a live bus, a launch, or a recording of either."""
+
+import asyncio
+import contextlib
+import json
+import socket
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
+
+from protocol.bus import CanBus
+from protocol.frame import Frame
+from sim.intent_link import Watching
+from sim.mcap_log import McapMissing, add_notes, read_recording
+from sim.recording import Recording
+from sim.scenario import ScenarioError
+from sim.scene import Scene, in_folder, scene_named
+from tools.attachment import LAUNCH, AttachError, attach
+from tools.estop import keyring_of
+from tools.inspection import SourceError, frames_of
+from tools.keeping import MCAP
+from tools.livemap.panel import Panel
+
+if TYPE_CHECKING:
+    from tools.livemap.server import MapServer
+
+HOST = "127.0.0.1"  # nobody else can see it; there is no option for more
+WRONG = 2
+RECORDED_SPEED = 10.0
+NO_SERVER = "the map needs the operator extra: pip install 'headland[operator]'"
+
+
+def show_map(
+    source: Path | None, interface: str, channel: str, bitrate: int, host: str, port: int,
+    keys: Path | None, scenario: str | None, page_port: int, as_json: bool,
+    speed: float = RECORDED_SPEED,
+) -> int:  # fmt: skip
+    """`speed`: of a recording, times real time; 0: as usual."""
+    console = Console(stderr=as_json, highlight=False, soft_wrap=True)
+    try:
+        scene = None if scenario is None else scene_named(scenario)
+        launch = _launch_of(source, interface, port)
+        with contextlib.closing(listen(page_port)) as listener:
+            if source is None or launch is not None:
+                where = (interface, channel, bitrate, host, port)
+                return _live(scene, launch, where, keys, listener, console, as_json)
+            with console.status(f"reading {source}"):
+                recording = recorded(source, scene)
+            server = make_server(recording, str(source), False, speed or RECORDED_SPEED)
+            _announce(console, as_json, listener)
+            asyncio.run(serve(server, listener))
+    except (AttachError, SourceError, ScenarioError, McapMissing, ServerError) as problem:
+        print(f"headland: {problem}", file=sys.stderr)
+        return WRONG
+    return 0
+
+
+class ServerError(Exception):
+    """One line for the person."""
+
+
+def make_server(
+    recording: Recording, title: str, follow: bool, speed: float, panel: Panel | None = None
+) -> "MapServer":
+    try:
+        from tools.livemap.server import MapServer
+    except ImportError:
+        raise ServerError(NO_SERVER) from None
+    return MapServer(recording, title, follow, speed, panel)
+
+
+def listen(port: int) -> socket.socket:
+    """A socket on loopback; raises ServerError where it is taken."""
+    listener = socket.socket()
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listener.bind((HOST, port))
+        listener.listen()
+    except OSError as problem:
+        listener.close()
+        raise ServerError(
+            f"--page-port {port}: {problem.strerror}; choose another, or 0 for any free one"
+        ) from None
+    return listener
+
+
+def url_of(listener: socket.socket) -> str:
+    return f"http://{HOST}:{listener.getsockname()[1]}/"
+
+
+def _announce(console: Console, as_json: bool, listener: socket.socket) -> None:
+    if as_json:
+        print(json.dumps({"map": url_of(listener)}), flush=True)
+    else:
+        console.print(f"map: {url_of(listener)}   (Ctrl-C ends it)")
+
+
+async def serve(server: "MapServer", listener: socket.socket) -> None:
+    """Until Ctrl-C, or the task is cancelled."""
+    import uvicorn
+
+    config = uvicorn.Config(
+        server.app, log_level="warning", lifespan="off", ws_per_message_deflate=False,
+        access_log=False, timeout_graceful_shutdown=1,
+    )  # fmt: skip
+    index = asyncio.create_task(server.keep_index())
+    web = uvicorn.Server(config)
+    try:
+        await web.serve([listener])
+    finally:
+        index.cancel()
+        listener.close()
+
+
+class MapThread:
+    """The map beside a run in virtual time, which has the main thread for itself."""
+
+    def __init__(self, recording: Recording, title: str, page_port: int) -> None:
+        """Raises ServerError."""
+        self.server = make_server(recording, title, True, RECORDED_SPEED)
+        self.listener = listen(page_port)
+        self.url = url_of(self.listener)
+        self._thread = threading.Thread(target=self._run, daemon=True, name="map")
+        self._thread.start()
+
+    def _run(self) -> None:
+        asyncio.run(serve(self.server, self.listener))
+
+    def join(self) -> None:
+        """Until Ctrl-C."""
+        with contextlib.suppress(KeyboardInterrupt):
+            self._thread.join()
+
+
+# -------------------------------------------------------------------- recordings
+
+
+def recorded(source: Path, scene: Scene | None) -> Recording:
+    """Of a run folder or any log. Raises SourceError and McapMissing."""
+    path = source / MCAP if source.is_dir() and not (source / "can.log").is_file() else source
+    try:
+        if path.suffix == ".mcap":
+            recording = read_recording(path)
+        else:
+            recording = Recording(_scene_beside(source))
+            for t_us, frame in frames_of(source):
+                recording.write(t_us, frame)
+            beside = (source if source.is_dir() else source.parent) / MCAP
+            if beside.is_file():
+                add_notes(recording, beside)
+    except ValueError as problem:
+        raise SourceError(f"{source}: {problem}") from None
+    except OSError as problem:
+        raise SourceError(f"{source}: cannot be read: {problem.strerror}") from None
+    recording.scene = scene or recording.scene
+    recording.close()
+    return recording
+
+
+def _scene_beside(source: Path) -> Scene | None:
+    try:
+        scene: Scene = json.loads(in_folder(source).read_text(encoding="utf-8"))
+        return scene
+    except (OSError, ValueError):
+        return None
+
+
+# -------------------------------------------------------------------- live
+
+
+def _launch_of(source: Path | None, interface: str, port: int) -> dict[str, Any] | None:
+    """Where the bus of a running launch is: the one in that folder, or the newest."""
+    if interface != "socketcand" or port != 0:
+        return None
+    path = LAUNCH if source is None else source / LAUNCH.name
+    try:
+        where: dict[str, Any] = json.loads(path.read_text())
+        return where
+    except (OSError, ValueError):
+        return None
+
+
+def _live(
+    scene: Scene | None, launch: dict[str, Any] | None, where: tuple[str, str, int, str, int],
+    keys: Path | None, listener: socket.socket, console: Console, as_json: bool,
+) -> int:  # fmt: skip
+    keyring = keyring_of(keys)
+    interface, channel, bitrate, host, port = where
+    if launch is not None:
+        host, port, channel = str(launch["host"]), int(launch["port"]), str(launch["channel"])
+        scene = scene or _scene_beside(Path(str(launch.get("folder", "."))))
+    title = f"launch {host}:{port}" if interface == "socketcand" else f"{interface} {channel}"
+
+    async def run() -> None:
+        bus = attach(interface, channel, bitrate, host, port)
+        recording, panel = Recording(scene), Panel(bus, keyring)
+        server = make_server(recording, title, True, 1.0, panel)
+        with _hearing(bus, recording, panel):
+            body_port = None if launch is None else launch.get("body_port")
+            watching = asyncio.create_task(_watch(recording, host, body_port))
+            asking = asyncio.create_task(panel.keep_asking())
+            _announce(console, as_json, listener)
+            try:
+                await serve(server, listener)
+            finally:
+                watching.cancel()
+                asking.cancel()
+
+    asyncio.run(run())
+    return 0
+
+
+@contextlib.contextmanager
+def _hearing(bus: CanBus, recording: Recording, panel: Panel) -> Iterator[None]:
+    loop = asyncio.get_running_loop()
+
+    def heard(frame: Frame) -> None:
+        now_s = loop.time()
+        recording.write(round(now_s * 1e6), frame)
+        panel.hear(now_s, frame)
+
+    bus.subscribe(heard)
+    try:
+        yield
+    finally:
+        bus.close()
+
+
+async def _watch(recording: Recording, host: str, body_port: int | None) -> None:
+    """What the robots of a launch mean to do; on another bus nobody tells."""
+    if body_port is None:
+        return
+    loop = asyncio.get_running_loop()
+    transport, watching = await loop.create_datagram_endpoint(
+        lambda: Watching(lambda intent: recording.tell(round(loop.time() * 1e6), intent)),
+        remote_addr=(host, int(body_port)),
+    )
+    try:
+        await watching.run()
+    finally:
+        transport.close()

@@ -1,0 +1,416 @@
+// Drawing: the ground that seldom changes on a canvas of its own, the robots over it in each picture.
+
+export const COLOURS = [
+  "#4cc2ff", "#ffb347", "#5be37d", "#ff8ac2", "#b89bff", "#ffe24b", "#2fd6c4", "#d9a07a", "#9fb4ff", "#c2e05a",
+  "#1f8fd0", "#c97f1e", "#2fa457", "#cf5b95", "#8867d9", "#c9ae1c", "#189c8e", "#a06f4c", "#6f86d6", "#8fae30",
+];
+export const colourOf = (slot) => COLOURS[slot % COLOURS.length];
+const GROUND = "#0e1316", FIELD = "#18221d", HOLE = "#0a0e10", FENCE = "#7d8f86", FREE_LINE = "#31423a";
+const BLOCK_UNITS = 40, GROUND_MS = 90, MARGIN_PX = 40, BAR_PX = 84; // the bar of layers lies over the foot
+const BOX = 1, DISC = 2; // shapes of things, as rows of sim/walls.py
+const UNKNOWN = 0, OPEN = 1; // values of cells, crdt/sighting.py
+
+export class Field {
+  constructor(canvas) {
+    this.canvas = canvas;
+    this.pen = canvas.getContext("2d");
+    this.ground = document.createElement("canvas");
+    this.view = { x: 0, y: 0, scale: 4 }; // metres in the middle, pixels a metre
+    this.layers = { path: true, velocity: true, orca: false, sections: true, trail: true };
+    this.chosen = null;
+    this.fitted = false;
+    this.scene = null;
+    this.forget();
+  }
+
+  forget() {
+    this.sections = new Map(); // id -> {phase, owner}
+    this.done = new Map(); // id -> array of bits, one for each unit
+    this.trails = new Map();
+    this.known = new Set(); // cells of an explored map
+    this.stale = true;
+    this.groundAt = 0;
+    if (this.cells) this.cells.pen.clearRect(0, 0, this.cells.canvas.width, this.cells.canvas.height);
+  }
+
+  setScene(scene) {
+    this.scene = scene;
+    this.units = new Map();
+    this.unitCount = 0;
+    this.grid = this.cells = null;
+    if (!scene) return;
+    for (const section of scene.sections) {
+      const lines = [];
+      section.swaths.forEach((swath, k) => cut(swath, section.units[k], lines));
+      this.units.set(section.id, lines);
+      this.unitCount += lines.length;
+    }
+    if (scene.grid) this.grid = gridPicture(scene.grid);
+    if (scene.cells) this.cells = layer(scene.cells);
+    this.fitted = false;
+    this.stale = true;
+  }
+
+  // ---------------------------------------------------------------- news
+
+  take(told) {
+    for (const [id, phase, owner] of told.sections ?? []) { this.sections.set(id, { phase, owner }); this.stale = true; }
+    for (const [id, block, hex] of told.units ?? []) this.cover(id, block, BigInt("0x" + hex));
+    for (const patch of told.cells ?? []) this.paint(patch);
+    if (told.things) this.things = told.things;
+    for (const robot of told.robots) {
+      const trail = this.trails.get(robot.s) ?? [];
+      const last = trail[trail.length - 1];
+      if (!last || Math.hypot(robot.x - last[0], robot.y - last[1]) > 0.4) trail.push([robot.x, robot.y]);
+      if (trail.length > 160) trail.shift();
+      this.trails.set(robot.s, trail);
+    }
+    if (!this.fitted && (this.scene || told.robots.length)) this.fit(told.robots);
+  }
+
+  cover(id, block, bits) {
+    const done = this.done.get(id) ?? [];
+    for (let k = 0; bits; k++, bits >>= 1n) if (bits & 1n) done[block * BLOCK_UNITS + k] = true;
+    this.done.set(id, done);
+    this.stale = true;
+  }
+
+  get workDone() {
+    const cells = this.scene?.cells;
+    if (cells) return this.known.size / (cells.rows * cells.columns);
+    let count = 0;
+    for (const done of this.done.values()) for (const each of done) if (each) count++;
+    return this.unitCount ? count / this.unitCount : null;
+  }
+
+  paint([row, column, ...values]) {
+    const { pen, canvas } = this.cells;
+    for (let k = 0; k < 16; k++) {
+      const value = values[k];
+      if (value === UNKNOWN) continue;
+      this.known.add((row + (k >> 2)) * canvas.width + column + (k % 4));
+      pen.fillStyle = value === OPEN ? "#2c3f4a" : "#dfe9ee";
+      pen.fillRect(column + (k % 4), canvas.height - 1 - (row + (k >> 2)), 1, 1);
+    }
+    this.stale = true;
+  }
+
+  // ---------------------------------------------------------------- looking
+
+  fit(robots = []) {
+    const points = [...(this.scene?.rings ?? []).flat(), ...robots.map((r) => [r.x, r.y])];
+    const grid = this.scene?.grid;
+    if (grid) points.push(grid.origin, [grid.origin[0] + grid.columns * grid.cell_m, grid.origin[1] + grid.rows * grid.cell_m]);
+    if (!points.length) return;
+    const xs = points.map((p) => p[0]), ys = points.map((p) => p[1]);
+    const [west, east, south, north] = [Math.min(...xs), Math.max(...xs), Math.min(...ys), Math.max(...ys)];
+    const wide = Math.max(east - west, 3), high = Math.max(north - south, 3);
+    this.view = {
+      x: (west + east) / 2, y: (south + north) / 2,
+      scale: Math.min((this.canvas.clientWidth - 2 * MARGIN_PX) / wide, (this.canvas.clientHeight - MARGIN_PX - BAR_PX) / high),
+    };
+    this.view.y -= (BAR_PX - MARGIN_PX) / 2 / this.view.scale;
+    this.fitted = this.stale = true;
+  }
+
+  zoom(factor, atX, atY) {
+    const [x, y] = this.toField(atX, atY), view = this.view;
+    view.scale = Math.min(Math.max(view.scale * factor, 0.05), 400);
+    const [x2, y2] = this.toField(atX, atY);
+    view.x += x - x2; view.y += y - y2;
+    this.stale = true; this.groundAt = 0;
+  }
+
+  pan(dx, dy) {
+    this.view.x -= dx / this.view.scale; this.view.y += dy / this.view.scale;
+    this.stale = true; this.groundAt = 0;
+  }
+
+  toField(px, py) {
+    const { x, y, scale } = this.view;
+    return [x + (px - this.canvas.clientWidth / 2) / scale, y - (py - this.canvas.clientHeight / 2) / scale];
+  }
+
+  toScreen(x, y) {
+    const view = this.view;
+    return [this.canvas.clientWidth / 2 + (x - view.x) * view.scale, this.canvas.clientHeight / 2 - (y - view.y) * view.scale];
+  }
+
+  at(px, py, robots) {
+    let best = null, nearest = 26;
+    for (const robot of robots) {
+      const [x, y] = this.toScreen(robot.x, robot.y), distance = Math.hypot(x - px, y - py);
+      if (distance < nearest) { nearest = distance; best = robot.s; }
+    }
+    return best;
+  }
+
+  // ---------------------------------------------------------------- drawing
+
+  draw(told) {
+    const { canvas, pen } = this, dense = window.devicePixelRatio || 1;
+    const width = Math.round(canvas.clientWidth * dense), height = Math.round(canvas.clientHeight * dense);
+    if (canvas.width !== width || canvas.height !== height) {
+      for (const each of [canvas, this.ground]) { each.width = width; each.height = height; }
+      this.stale = true; this.groundAt = 0;
+    }
+    const now = performance.now();
+    if (this.stale && now - this.groundAt > GROUND_MS) {
+      this.groundAt = now; this.stale = false;
+      const under = this.ground.getContext("2d");
+      under.setTransform(dense, 0, 0, dense, 0, 0);
+      this.drawGround(under);
+    }
+    pen.setTransform(1, 0, 0, 1, 0, 0);
+    pen.drawImage(this.ground, 0, 0);
+    pen.setTransform(dense, 0, 0, dense, 0, 0);
+    this.drawThings(pen);
+    if (told) this.drawRobots(pen, told);
+  }
+
+  trace(pen, points, close) {
+    points.forEach(([x, y], k) => { const [a, b] = this.toScreen(x, y); if (k) pen.lineTo(a, b); else pen.moveTo(a, b); });
+    if (close) pen.closePath();
+  }
+
+  drawGround(pen) {
+    const scene = this.scene, scale = this.view.scale;
+    pen.fillStyle = GROUND;
+    pen.fillRect(0, 0, this.canvas.clientWidth, this.canvas.clientHeight);
+    pen.lineJoin = pen.lineCap = "round";
+    if (!scene) { this.drawMesh(pen); return; }
+    scene.rings.forEach((ring, k) => {
+      pen.beginPath(); this.trace(pen, ring, true);
+      pen.fillStyle = k ? HOLE : FIELD; pen.fill();
+    });
+    for (const [picture, from] of [[this.grid, scene.grid], [this.cells, scene.cells]]) {
+      if (!picture) continue;
+      const [x, y] = this.toScreen(from.origin[0], from.origin[1] + from.rows * from.cell_m);
+      pen.imageSmoothingEnabled = false;
+      pen.drawImage(picture.canvas, x, y, from.columns * from.cell_m * scale, from.rows * from.cell_m * scale);
+    }
+    if (this.layers.sections) this.drawSections(pen);
+    pen.strokeStyle = FENCE; pen.lineWidth = 1.6;
+    for (const ring of scene.rings) { pen.beginPath(); this.trace(pen, ring, true); pen.stroke(); }
+    for (const [slot, gx, gy] of scene.goals) {
+      const [x, y] = this.toScreen(gx, gy);
+      pen.strokeStyle = colourOf(slot); pen.lineWidth = 2;
+      pen.strokeRect(x - 5, y - 5, 10, 10);
+    }
+    if (scene.gate) {
+      const [x, y] = this.toScreen(...scene.gate);
+      pen.fillStyle = "#e6edf0"; pen.beginPath();
+      pen.moveTo(x, y - 8); pen.lineTo(x + 7, y + 6); pen.lineTo(x - 7, y + 6); pen.fill();
+    }
+  }
+
+  drawMesh(pen) {
+    pen.strokeStyle = "#1b2429"; pen.lineWidth = 1; pen.beginPath();
+    const step = 10, [west, north] = this.toField(0, 0), [east, south] = this.toField(this.canvas.clientWidth, this.canvas.clientHeight);
+    if ((east - west) / step > 200) return;
+    for (let x = Math.ceil(west / step) * step; x < east; x += step) this.trace(pen, [[x, south], [x, north]]);
+    for (let y = Math.ceil(south / step) * step; y < north; y += step) this.trace(pen, [[west, y], [east, y]]);
+    pen.stroke();
+  }
+
+  drawSections(pen) {
+    const wide = Math.max(this.scene.width_m * this.view.scale * 0.92, 1.5);
+    const bands = new Map(), lines = new Map();
+    for (const section of this.scene.sections) {
+      const { phase = "FREE", owner = null } = this.sections.get(section.id) ?? {};
+      const units = this.units.get(section.id), done = this.done.get(section.id) ?? [];
+      const band = owner === null ? -1 : owner;
+      for (let k = 0; k < units.length; k++) if (done[k]) push(bands, band, units[k]);
+      if (phase !== "DONE") for (const swath of section.swaths) push(lines, `${phase} ${owner ?? ""}`, swath);
+    }
+    pen.lineCap = "butt";
+    for (const [owner, pieces] of bands) {
+      pen.strokeStyle = owner < 0 ? "#6d7b74" : colourOf(owner); pen.lineWidth = wide; pen.globalAlpha = 0.42;
+      pen.beginPath(); for (const piece of pieces) this.trace(pen, piece); pen.stroke();
+    }
+    pen.globalAlpha = 1;
+    for (const [key, pieces] of lines) {
+      const [phase, owner] = key.split(" ");
+      const free = phase === "FREE" || owner === "";
+      pen.strokeStyle = free ? FREE_LINE : colourOf(Number(owner));
+      pen.lineWidth = phase === "STARTED" ? 1.8 : 1.1;
+      pen.setLineDash(phase === "CLAIMED" ? [7, 5] : []);
+      pen.beginPath(); for (const piece of pieces) this.trace(pen, piece); pen.stroke();
+    }
+    pen.setLineDash([]);
+    if (this.view.scale > 5) this.drawNames(pen);
+    pen.lineCap = "round";
+  }
+
+  drawNames(pen) {
+    pen.font = "11px system-ui, sans-serif"; pen.textAlign = "center"; pen.textBaseline = "middle"; pen.fillStyle = "#c6d3cc";
+    for (const section of this.scene.sections) {
+      const units = this.units.get(section.id), line = units[units.length >> 1];
+      if (line) pen.fillText(`S${section.id}`, ...this.toScreen(...line[0]));
+    }
+  }
+
+  drawThings(pen) {
+    const scale = this.view.scale;
+    pen.fillStyle = "#ff9d3c"; pen.strokeStyle = "#2a1600"; pen.lineWidth = 2;
+    for (const [shape, x, y, halfX, halfY, cos, sin] of this.things ?? []) {
+      pen.beginPath();
+      if (shape === DISC) pen.arc(...this.toScreen(x, y), Math.max(halfX * scale, 3), 0, 2 * Math.PI);
+      else if (shape === BOX) this.trace(pen, [[-1, -1], [1, -1], [1, 1], [-1, 1]].map(([a, b]) =>
+        [x + a * halfX * cos - b * halfY * sin, y + a * halfX * sin + b * halfY * cos]), true);
+      pen.fill(); pen.stroke();
+    }
+  }
+
+  drawRobots(pen, told) {
+    const robots = told.robots.filter((r) => !r.left), where = new Map(robots.map((r) => [r.s, r]));
+    const radius = Math.max((this.scene?.radius_m ?? 0.5) * this.view.scale, 10);
+    pen.lineCap = pen.lineJoin = "round";
+    if (this.layers.trail) this.drawTrails(pen, robots);
+    if (told.islands.length > 1) this.drawIslands(pen, told.islands, where, radius);
+    for (const robot of robots) {
+      const chosen = robot.s === this.chosen;
+      if (this.layers.path && robot.path?.length) this.drawPath(pen, robot, chosen);
+      if ((this.layers.orca || chosen) && robot.near) this.drawNear(pen, robot, where, radius, chosen);
+      for (const [x, y] of robot.strange ?? []) cross(pen, ...this.toScreen(x, y), "#ff9d3c");
+    }
+    const standing = told.stop.stopped.length > 0;
+    for (const robot of robots) this.drawBody(pen, robot, radius, standing);
+  }
+
+  drawTrails(pen, robots) {
+    pen.lineWidth = 2;
+    for (const robot of robots) {
+      const trail = this.trails.get(robot.s) ?? [], parts = 8;
+      for (let k = 0; k < parts; k++) {
+        const from = Math.floor(trail.length * k / parts), to = Math.floor(trail.length * (k + 1) / parts) + 1;
+        pen.globalAlpha = 0.75 * (k + 1) / parts; pen.strokeStyle = colourOf(robot.s);
+        pen.beginPath(); this.trace(pen, trail.slice(from, to)); pen.stroke();
+      }
+    }
+    pen.globalAlpha = 1;
+  }
+
+  drawPath(pen, robot, chosen) {
+    pen.strokeStyle = colourOf(robot.s); pen.globalAlpha = chosen ? 1 : 0.85; pen.lineWidth = chosen ? 3 : 1.8;
+    pen.setLineDash([3, 6]);
+    pen.beginPath(); this.trace(pen, [[robot.x, robot.y], ...robot.path]); pen.stroke();
+    pen.setLineDash([]);
+    const [x, y] = this.toScreen(...robot.path[robot.path.length - 1]);
+    pen.beginPath(); pen.arc(x, y, 4, 0, 2 * Math.PI); pen.stroke();
+    pen.globalAlpha = 1;
+  }
+
+  drawNear(pen, robot, where, radius, chosen) {
+    const [x, y] = this.toScreen(robot.x, robot.y);
+    pen.strokeStyle = chosen ? "#ffffff" : "#9fb0b8"; pen.lineWidth = chosen ? 1.6 : 1; pen.globalAlpha = chosen ? 0.9 : 0.45;
+    pen.setLineDash([2, 4]);
+    for (const slot of robot.near) {
+      const other = where.get(slot);
+      if (!other) continue;
+      const [a, b] = this.toScreen(other.x, other.y);
+      pen.beginPath(); pen.moveTo(x, y); pen.lineTo(a, b); pen.stroke();
+      if (chosen) { pen.beginPath(); pen.arc(a, b, radius + 5, 0, 2 * Math.PI); pen.stroke(); }
+    }
+    pen.setLineDash([]); pen.globalAlpha = 1;
+  }
+
+  drawIslands(pen, islands, where, radius) {
+    islands.forEach((island, k) => {
+      const tint = ["#ffb020", "#6ad1ff", "#d08bff", "#8dff9a"][k % 4];
+      const here = island.filter((slot) => where.has(slot)).map((slot) => this.toScreen(where.get(slot).x, where.get(slot).y));
+      pen.strokeStyle = tint; pen.lineWidth = 3; pen.globalAlpha = 0.35;
+      pen.beginPath();
+      for (let i = 1; i < here.length; i++) { pen.moveTo(...here[i - 1]); pen.lineTo(...here[i]); }
+      pen.stroke(); pen.globalAlpha = 1;
+      for (const [x, y] of here) {
+        pen.strokeStyle = tint; pen.lineWidth = 3;
+        pen.beginPath(); pen.arc(x, y, radius + 6, 0, 2 * Math.PI); pen.stroke();
+        label(pen, "ABCDEFGH"[k % 8], x + radius + 8, y - radius - 8, tint);
+      }
+    });
+  }
+
+  drawBody(pen, robot, radius, standing) {
+    const [x, y] = this.toScreen(robot.x, robot.y), heading = robot.h ?? robot.c, chosen = robot.s === this.chosen;
+    const dark = robot.silent || robot.state === "DISCONNECTED";
+    if (this.layers.velocity && !dark) {
+      const vx = robot.vx ?? robot.v * Math.cos(robot.c), vy = robot.vy ?? robot.v * Math.sin(robot.c);
+      const long = Math.hypot(vx, vy);
+      if (long > 0.05) arrow(pen, x, y, vx / long, -vy / long, radius + 6 + long * 14);
+    }
+    pen.fillStyle = dark ? "#5b666c" : colourOf(robot.s);
+    pen.strokeStyle = robot.stopped ? "#f5222d" : chosen ? "#fff" : "#0a0f12";
+    pen.lineWidth = robot.stopped ? 5 : chosen ? 3 : 2;
+    pen.beginPath(); pen.arc(x, y, radius, 0, 2 * Math.PI); pen.fill(); pen.stroke();
+    pen.save(); // a nose, so that the heading is seen where it stands
+    pen.translate(x, y); pen.rotate(-heading);
+    pen.beginPath(); pen.moveTo(radius * 1.62, 0); pen.lineTo(radius * 0.9, -radius * 0.62); pen.lineTo(radius * 0.9, radius * 0.62); pen.closePath();
+    pen.fillStyle = robot.stopped ? "#f5222d" : "#ffffff"; pen.fill(); pen.lineWidth = 1.5; pen.strokeStyle = "#0a0f12"; pen.stroke();
+    pen.restore();
+    pen.fillStyle = dark ? "#fff" : "#081014"; pen.font = `700 ${Math.max(11, Math.min(radius * 1.1, 26))}px system-ui, sans-serif`;
+    pen.textAlign = "center"; pen.textBaseline = "middle";
+    pen.fillText(String(robot.s), x, y + 0.5);
+    if (robot.silent) label(pen, "silent", x, y + radius + 14, "#ffd884");
+    else if (robot.asks) {
+      const [matter, ax, ay] = robot.asks;
+      label(pen, "?", ...this.toScreen(ax, ay), "#ffb020", 22);
+      label(pen, matter === "ASKING" ? "asks what to do" : "waits", x, y + radius + 14, "#ffb020");
+    } else if (standing && !robot.stopped) label(pen, "NOT STOPPED", x, y + radius + 14, "#ff6a70");
+  }
+}
+
+function push(map, key, value) { const list = map.get(key); if (list) list.push(value); else map.set(key, [value]); }
+
+// A polyline in `count` pieces of equal length: the units of progress.
+function cut(line, count, into) {
+  const ends = [0];
+  for (let k = 1; k < line.length; k++) ends.push(ends[k - 1] + Math.hypot(line[k][0] - line[k - 1][0], line[k][1] - line[k - 1][1]));
+  const total = ends[ends.length - 1];
+  let k = 1;
+  const along = (at) => {
+    while (k < line.length - 1 && ends[k] < at) k++;
+    const share = (at - ends[k - 1]) / Math.max(ends[k] - ends[k - 1], 1e-9);
+    return [line[k - 1][0] + (line[k][0] - line[k - 1][0]) * share, line[k - 1][1] + (line[k][1] - line[k - 1][1]) * share];
+  };
+  let from = line[0];
+  for (let unit = 1; unit <= count; unit++) {
+    const first = k, at = total * unit / count, to = along(at);
+    into.push([from, ...line.slice(first, k), to]);
+    from = to;
+  }
+}
+
+function layer({ rows, columns }) {
+  const canvas = document.createElement("canvas");
+  canvas.width = columns; canvas.height = rows;
+  return { canvas, pen: canvas.getContext("2d") };
+}
+
+function gridPicture(grid) {
+  const picture = layer(grid), bits = atob(grid.walls);
+  for (let k = 0; k < grid.rows * grid.columns; k++) {
+    const wall = bits.charCodeAt(k >> 3) & (128 >> (k & 7));
+    picture.pen.fillStyle = wall ? "#8fa1aa" : "#182126";
+    picture.pen.fillRect(k % grid.columns, grid.rows - 1 - Math.floor(k / grid.columns), 1, 1);
+  }
+  return picture;
+}
+
+function arrow(pen, x, y, ux, uy, long) {
+  const ax = x + ux * long, ay = y + uy * long;
+  pen.strokeStyle = pen.fillStyle = "#ffffff"; pen.lineWidth = 2.2;
+  pen.beginPath(); pen.moveTo(x, y); pen.lineTo(ax, ay); pen.stroke();
+  pen.beginPath(); pen.moveTo(ax + ux * 7, ay + uy * 7); pen.lineTo(ax - uy * 4.5, ay + ux * 4.5); pen.lineTo(ax + uy * 4.5, ay - ux * 4.5); pen.fill();
+}
+
+function cross(pen, x, y, colour) {
+  pen.strokeStyle = colour; pen.lineWidth = 2;
+  pen.beginPath(); pen.moveTo(x - 4, y - 4); pen.lineTo(x + 4, y + 4); pen.moveTo(x + 4, y - 4); pen.lineTo(x - 4, y + 4); pen.stroke();
+}
+
+function label(pen, text, x, y, colour, size = 12) {
+  pen.font = `600 ${size}px system-ui, sans-serif`; pen.textAlign = "center"; pen.textBaseline = "middle";
+  pen.lineWidth = 4; pen.strokeStyle = "#0a0f12"; pen.strokeText(text, x, y);
+  pen.fillStyle = colour; pen.fillText(text, x, y);
+}

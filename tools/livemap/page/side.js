@@ -1,0 +1,162 @@
+// Everything that is text: the header, the fleet's table, one robot, the line of time.
+
+import { colourOf } from "./field.js";
+
+export const $ = (id) => document.getElementById(id);
+const STATES = ["DISCONNECTED", "IDLE", "SYNCHRONIZING", "WORKING", "EMERGENCY_STOP"];
+const words = (name) => name.toLowerCase().replaceAll("_", " ");
+const HISTORY = 120; // looks at the load of the bus, two a second
+
+function node(tag, text, kind) {
+  const made = document.createElement(tag);
+  if (text !== undefined) made.textContent = text;
+  if (kind) made.className = kind;
+  return made;
+}
+
+export function clock(seconds) {
+  const s = Math.max(0, seconds), h = Math.floor(s / 3600), m = Math.floor((s % 3600) / 60);
+  const rest = (s % 60).toFixed(1).padStart(4, "0");
+  return h ? `${h}:${String(m).padStart(2, "0")}:${rest}` : `${m}:${rest}`;
+}
+
+export class Side {
+  constructor(choose) {
+    this.choose = choose;
+    this.rows = new Map();
+    this.loads = [];
+    this.owned = new Map(); // slot -> sections it has begun
+  }
+
+  forget() { this.loads = []; this.owned.clear(); this.sections = new Map(); }
+
+  take(told) {
+    this.sections ??= new Map();
+    for (const [id, phase, owner] of told.sections ?? []) this.sections.set(id, { phase, owner });
+    if (told.sections) {
+      this.owned.clear();
+      for (const [id, { phase, owner }] of this.sections)
+        if (owner !== null && (phase === "STARTED" || phase === "CLAIMED")) {
+          const text = phase === "STARTED" ? `S${id}` : `(S${id})`;
+          this.owned.set(owner, this.owned.has(owner) ? `${this.owned.get(owner)} ${text}` : text);
+        }
+    }
+  }
+
+  show(told, field) {
+    this.showStates(told);
+    this.showFleet(told, field.chosen);
+    const work = field.workDone;
+    $("work-bar").style.width = `${100 * (work ?? 0)}%`;
+    $("work").textContent = work === null ? "–" : `${(100 * work).toFixed(1)} %`;
+    $("load").textContent = `${(100 * told.load).toFixed(0)} %`;
+    this.loads.push(told.load);
+    if (this.loads.length > HISTORY) this.loads.shift();
+    this.drawLoad();
+    const rows = Object.entries(told.frames).map(([kind, count]) => {
+      const row = node("tr");
+      row.append(node("td", words(kind)), node("td", String(count), "number"));
+      return row;
+    });
+    const all = node("tr");
+    all.append(node("td", "all frames"), node("td", String(told.total), "number"));
+    $("kinds").replaceChildren(...rows, all);
+  }
+
+  showStates(told) {
+    const counts = new Map();
+    for (const robot of told.robots) {
+      const state = robot.silent ? "silent" : robot.left ? "left" : robot.state;
+      counts.set(state, (counts.get(state) ?? 0) + 1);
+    }
+    $("states").replaceChildren(...[...counts].map(([state, count]) => node("span", `${count} ${words(state)}`, `pill ${state}`)));
+  }
+
+  showFleet(told, chosen) {
+    const body = $("fleet").tBodies[0];
+    for (const robot of told.robots) {
+      let row = this.rows.get(robot.s);
+      if (!row) {
+        row = node("tr");
+        for (let k = 0; k < 5; k++) row.append(node("td"));
+        row.cells[0].append(node("span", undefined, "dot"));
+        row.cells[0].firstChild.style.background = colourOf(robot.s);
+        row.cells[2].append(node("span"));
+        row.cells[3].className = "number";
+        row.addEventListener("click", () => this.choose(robot.s));
+        row.dataset.slot = robot.s;
+        this.rows.set(robot.s, row);
+        const after = [...body.rows].find((other) => Number(other.dataset.slot) > robot.s);
+        body.insertBefore(row, after ?? null);
+      }
+      const state = robot.silent ? "silent" : robot.left ? "left" : robot.state;
+      row.className = robot.s === chosen ? "chosen" : "";
+      row.cells[1].textContent = String(robot.s);
+      row.cells[2].firstChild.textContent = words(state);
+      row.cells[2].firstChild.className = `pill ${state}`;
+      row.cells[3].textContent = robot.v.toFixed(1);
+      row.cells[4].textContent = this.owned.get(robot.s) ?? "";
+    }
+    for (const [slot, row] of this.rows)
+      if (!told.robots.some((robot) => robot.s === slot)) { row.remove(); this.rows.delete(slot); }
+  }
+
+  drawLoad() {
+    const canvas = $("load-line"), pen = canvas.getContext("2d"), high = canvas.height;
+    pen.clearRect(0, 0, canvas.width, high);
+    pen.fillStyle = "#1d272d"; pen.fillRect(0, 0, canvas.width, high);
+    pen.strokeStyle = "#ffb020"; pen.setLineDash([2, 3]);
+    pen.beginPath(); pen.moveTo(0, high * 0.3); pen.lineTo(canvas.width, high * 0.3); pen.stroke(); pen.setLineDash([]);
+    pen.strokeStyle = "#4cc2ff"; pen.lineWidth = 1.5; pen.beginPath();
+    this.loads.forEach((load, k) => pen.lineTo(k * canvas.width / HISTORY, high - 1 - Math.min(load, 1) * (high - 2)));
+    pen.stroke();
+  }
+
+  showOne(robot, live) {
+    $("one").hidden = !robot;
+    if (!robot) return;
+    $("one-name").textContent = `robot ${robot.slot}`;
+    $("machine").replaceChildren(...STATES.map((state) => {
+      const item = node("li", words(state), `pill ${state}`);
+      if (state === robot.state) item.classList.add("now");
+      return item;
+    }));
+    const facts = {
+      place: `${robot.x_m.toFixed(1)}, ${robot.y_m.toFixed(1)} m`, speed: `${robot.speed_m_s.toFixed(2)} m/s`,
+      sections: robot.sections.join(" ") || "none", holds: live?.holds?.map(words).join(", ") || "nothing",
+      hears: (live?.hears ?? robot.peers).filter((slot) => slot !== robot.slot).join(" ") || "nobody", address: robot.address, health: `${(100 * robot.health).toFixed(0)} %`,
+      digest: robot.digest, clock: Object.entries(robot.clock).map(([slot, count]) => `${slot}:${count}`).join(" "),
+    };
+    $("facts").replaceChildren(...Object.entries(facts).flatMap(([name, value]) => [node("dt", name), node("dd", String(value))]));
+    $("path").replaceChildren(...robot.transitions.slice().reverse().map((step) =>
+      node("li", `${clock(step.t_s - this.from)}  ${words(step.from)} → ${words(step.to)}`)));
+  }
+
+  showStop(stop, robots) {
+    const standing = stop.stopped.length > 0;
+    document.querySelector("main").classList.toggle("stopped", standing);
+    $("stopped").hidden = !standing;
+    if (!standing) return;
+    const moving = stop.moving.length ? `NOT STOPPED: ${stop.moving.join(" ")}` : `all ${stop.stopped.length} robots stand`;
+    $("stopped-who").textContent = moving;
+    const last = stop.latched[stop.latched.length - 1];
+    const by = !last ? "" : last.slot >= 128 ? "by an operator's device" : `by robot ${last.slot}`;
+    $("stopped-why").textContent = last ? `pressed ${by}${last.reason ? `: ${words(last.reason)}` : ""}` : "";
+  }
+
+  showSplit(islands) {
+    $("split").hidden = islands.length < 2;
+    $("split-who").textContent = islands.map((island, k) => `${"ABCDEFGH"[k % 8]}: ${island.join(" ")}`).join("   |   ");
+  }
+
+  drawMarks(told, events) {
+    const canvas = $("marks"), pen = canvas.getContext("2d"), span = Math.max(told.until - told.from, 1e-6);
+    canvas.width = canvas.clientWidth;
+    pen.clearRect(0, 0, canvas.width, canvas.height);
+    for (const [t, kind] of events) {
+      pen.fillStyle = kind === "stop" ? "#f5222d" : "#4fd17c";
+      const x = 8 + (canvas.width - 16) * (t - told.from) / span;
+      pen.beginPath(); pen.moveTo(x, 12); pen.lineTo(x - 5, 1); pen.lineTo(x + 5, 1); pen.fill();
+    }
+  }
+}

@@ -1,0 +1,86 @@
+"""The map's operator device on a live bus: stops at once, releases with the operator's key."""
+
+import asyncio
+from pathlib import Path
+from typing import Any
+
+from protocol.authentication import Keyring
+from protocol.bus import CanBus
+from protocol.frame import Frame
+from protocol.safety_frames import Reason
+from tools.attachment import AttachError
+from tools.estop import press
+from tools.operator_device import Operator
+from tools.reset import LISTEN_S, operator_keyring, release
+
+CONFIRM_S = 10.0  # repeated until every live robot has echoed, at most this long
+RELEASE_S = 5.0
+ASK_S = 5.0  # who is there; an answer may have come before we were on the bus
+
+
+class PanelError(Exception):
+    """One line for the person."""
+
+
+class Panel:
+    def __init__(self, bus: CanBus, keyring: Keyring | None) -> None:
+        """`keyring`: of a stop panel of a fleet with keys."""
+        self.bus, self.signed = bus, keyring is not None
+        self.stopper = Operator(bus, keyring)
+        self._listeners = [self.stopper]
+        self._pressing: asyncio.Task[list[int]] | None = None
+        self._releasing = asyncio.Lock()
+
+    def hear(self, now_s: float, frame: Frame) -> None:
+        for operator in self._listeners:
+            operator.hear(now_s, frame)
+
+    async def keep_asking(self) -> None:
+        """Who is there, and what has been done: what a listener that came late has not heard."""
+        first = True
+        while True:
+            self.stopper.ask_who()
+            if first:
+                self.stopper.ask_work()
+                self.stopper.ask_stops()
+            first = False
+            await asyncio.sleep(ASK_S if self.stopper.robots else LISTEN_S)
+
+    async def stop(self) -> dict[str, Any]:
+        """Press, and tell who has not confirmed. A second press meanwhile waits for the same answer."""
+        if self._pressing is None or self._pressing.done():
+            self._pressing = asyncio.create_task(self._press())
+        late = await asyncio.shield(self._pressing)
+        live = [robot.slot for robot in self.stopper.live]
+        return {
+            "stopped": [slot for slot in live if slot not in late], "late": late,
+            "heard": bool(live), "signed": self.signed,
+        }  # fmt: skip
+
+    async def _press(self) -> list[int]:
+        for robot in self.stopper.robots.values():
+            robot.echoed = False
+        late = await press(self.stopper, Reason.OPERATOR_INTERVENTION, CONFIRM_S)
+        return [robot.slot for robot in late]
+
+    async def reset(self, key: str, start: bool) -> dict[str, Any]:
+        """`key`: path of the operator's key file; empty for a fleet without keys."""
+        if self._releasing.locked():
+            raise PanelError("a reset is under way")
+        async with self._releasing:
+            try:
+                keyring = operator_keyring(Path(key).expanduser() if key else None, RELEASE_S)
+            except AttachError as problem:
+                raise PanelError(str(problem)) from None
+            operator = Operator(self.bus, keyring)
+            self._listeners.append(operator)
+            try:
+                await operator.listen(LISTEN_S, stops=True)
+                cleared = sorted(operator.stops)
+                left = await release(operator, start, RELEASE_S)
+            finally:
+                self._listeners.remove(operator)
+            return {
+                "cleared": [".".join(map(str, dot)) for dot in cleared], "late": left,
+                "heard": bool(operator.live), "signed": keyring is not None, "started": start,
+            }  # fmt: skip

@@ -1,0 +1,28 @@
+"""Options that several commands share."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+Interface = Annotated[
+    str, typer.Option("-i", "--interface", help="python-can interface, as for can_logger.")
+]
+Channel = Annotated[str, typer.Option("-c", "--channel", help="Channel of the interface.")]
+Bitrate = Annotated[int, typer.Option("-b", "--bitrate", help="Bit rate of the bus, bit/s.")]
+Host = Annotated[str, typer.Option("--host", help="Host of a socketcand interface.")]
+Port = Annotated[
+    int, typer.Option("--port", help="Port of a socketcand interface (0: the newest launch).")
+]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
+Cluster = Annotated[
+    str, typer.Option(help="Address of a Dask scheduler; none: processes of this machine.")
+]
+KeyFile = Annotated[Path | None, typer.Option("--keys", help="The fleet's key file.")]
+OperatorKey = Annotated[
+    Path | None, typer.Option("--operator-key", help="The operator's key file.")
+]
+Map = Annotated[bool, typer.Option("--map", help="Show it in a browser.")]
+PagePort = Annotated[
+    int, typer.Option("--page-port", help="Port of the map's page, on loopback (0: any free one).")
+]
