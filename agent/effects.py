@@ -28,6 +28,7 @@ class Drive(NamedTuple):
     vy_m_s: float
     turn_rad_s: float = 0.0
     tool_on: bool = False  # the implement is lowered and working
+    handle: int = -1  # a carrier's parcel to pick up here, or to put down; -1: none
 
 
 HALT = Drive(0.0, 0.0)

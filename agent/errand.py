@@ -189,8 +189,7 @@ class Errands:
         if tracker is None or abs(tracker.off_m) > LOST_M:
             self.replanning.forget()
             why = "lost" if tracker is not None else "after plan" if self._planned else "goal"
-            path = self.hazards.path(at, goal) or self.floor.route.path(at, goal)
-            return self._set_out(path, why, now_us)
+            return self._set_out(self._way(at, goal), why, now_us)
         self.replanning.look(here, tracker)
         old = self.replanning.restored(here, now_us)
         if old is not None:
@@ -202,6 +201,9 @@ class Errands:
             if detour is not None:
                 return self._set_out(detour, "blocked", now_us)
         return tracker
+
+    def _way(self, at: Point, goal: Point) -> tuple[Point, ...]:
+        return self.hazards.path(at, goal) or self.floor.route.path(at, goal)
 
     def _set_out(self, path: tuple[Point, ...], why: str, now_us: int) -> Tracker:
         self.followed.append(Followed(now_us, path, why))

@@ -4,7 +4,7 @@ The peer owns claims, time and safety; a mission owns geometry. A mission never 
 done comes back as units covered, which the peer records and announces.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple, Protocol, runtime_checkable
 
 from agent.lifecycle import State
@@ -12,6 +12,7 @@ from agent.membership import Neighbour
 from agent.ports import Observation
 from crdt import FieldAllocationCRDT, Progress
 from protocol.accord_frames import Accord
+from protocol.messages import Message
 
 
 class FleetView(NamedTuple):
@@ -49,6 +50,7 @@ class Wish(NamedTuple):
     given_up: bool = False  # the section goes back unfinished, for whoever wants it
     near_end: bool = False  # claim the next section now, so that no time is lost
     hold: bool = False  # stand, and let the others go round
+    handle: int = -1  # a parcel to pick up here, or to put down; -1: none
 
 
 STILL = Wish(0.0, 0.0)
@@ -112,6 +114,19 @@ class Agreeing(Protocol):
     def accords(self) -> Talk: ...
     def attend(self, view: FleetView, state: State) -> None:
         """Each control period, in every state, before anything is asked of the mission."""
+        ...
+
+
+@runtime_checkable
+class Conversing(Protocol):
+    """A mission with frames of its own."""
+
+    def hear(self, slot: int | None, message: Message, now_us: int) -> None:
+        """`slot`: None for a device that is not a member."""
+        ...
+
+    def say(self, now_us: int) -> Iterable[Message]:
+        """With each beat."""
         ...
 
 

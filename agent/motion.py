@@ -93,7 +93,7 @@ class Motion:
         self, here: Observation, wish: Wish, neighbours: Mapping[int, Neighbour], now_us: int
     ) -> Drive:
         if wish.hold:  # who stands is gone round; nobody is hurt by it
-            return HALT
+            return HALT._replace(handle=wish.handle)
         rows, others = self._rows(here, neighbours, now_us)
         if self.sensed is not None:
             rows = self._look(here, rows)
@@ -112,7 +112,7 @@ class Motion:
         vx_m_s, vy_m_s = self.avoidance.velocity(
             (here.x_m, here.y_m), (here.vx_m_s, here.vy_m_s), wanted, rows
         )
-        return Drive(vx_m_s, vy_m_s, wish.turn_rad_s, tool_on)
+        return Drive(vx_m_s, vy_m_s, wish.turn_rad_s, tool_on, wish.handle)
 
     def _rows(
         self, here: Observation, neighbours: Mapping[int, Neighbour], now_us: int

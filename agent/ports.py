@@ -8,6 +8,17 @@ from protocol.frame import Frame
 from protocol.health import Health
 
 
+class Lying(NamedTuple):
+    """A parcel within reach, as a carrier's scanner sees it."""
+
+    x_m: float
+    y_m: float
+    on_robot: bool  # on a robot that is dead
+
+
+NOTHING_SEEN: Mapping[int, Lying] = {}
+
+
 class Observation(NamedTuple):
     """What the robot's own sensors say now. Field frame: x east, y north, metres."""
 
@@ -21,6 +32,8 @@ class Observation(NamedTuple):
     ] = ()  # one per ray, counter-clockwise from the heading; inf: nothing
     battery: float = 1.0  # share of a full charge
     bodies: tuple[tuple[float, float], ...] = ()  # others in sight, metres east and north of us
+    load: int = -1  # of a carrier: the parcel that is aboard; -1: none
+    parcels: Mapping[int, Lying] = NOTHING_SEEN  # and those within its reach
 
 
 class Bus(Protocol):

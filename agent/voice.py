@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from agent.config import BEATS, CONTROL_PERIOD_US, Beat, S
 from agent.effects import Effect, Persist, Send
 from agent.lifecycle import State
-from agent.mission import Swept
+from agent.mission import Conversing, Swept
 from crdt.progress import BLOCK_UNITS
 from protocol.fleet_frames import NOBODY, Heartbeat, Member, Pose, VectorSlice
 from protocol.map_frames import MapPatch
@@ -71,6 +71,8 @@ class Voice:
         effects += peer.elect(now_us)
         if peer.agreeing is not None:
             effects += [Send(word) for word in peer.agreeing.accords.say(now_us)]
+        if isinstance(peer.mission, Conversing):
+            effects += [Send(word) for word in peer.mission.say(now_us)]
         if peer.roll_call.answer_due:
             peer.roll_call.answer_due = False
             effects.append(Send(self.member(peer)))

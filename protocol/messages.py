@@ -3,6 +3,14 @@
 from typing import NamedTuple
 
 from protocol.accord_frames import Accord
+from protocol.delivery_frames import (
+    Itinerary,
+    PlanOffer,
+    PlanRow,
+    TaskBid,
+    TaskBookDigest,
+    TaskOrder,
+)  # fmt: skip
 from protocol.fleet_frames import Heartbeat, LeaderElectionVote, Member, Pose, VectorSlice
 from protocol.map_frames import MapDigests, MapPatch
 from protocol.network_frames import (
@@ -36,6 +44,7 @@ Message = (
     | LeaderElectionVote | TaskClaim | Pose | Heartbeat | Member
     | StateSyncRequest | StateSyncResponse | Digests | VectorSlice | WorkProgress | Accord
     | MapPatch | MapDigests
+    | TaskOrder | TaskBookDigest | TaskBid | Itinerary | PlanOffer | PlanRow
     | FleetStop | FleetReset | GatewayBeat | SegmentSummary
     | AddressClaimed | Request | Acknowledgment | TransportManagement | TransportData
 )  # fmt: skip
@@ -73,6 +82,12 @@ GROUPS = (
     Group(VectorSlice, 0xFF12, 7, 8, "VECTOR_SLICE"),
     Group(MapPatch, 0xFF16, 7, 8, "MAP_PATCH"),
     Group(MapDigests, 0xFF17, 7, 8, "MAP_DIGESTS"),
+    Group(TaskOrder, 0xFF20, 6, 8, "TASK_ORDER"),
+    Group(TaskBookDigest, 0xFF21, 7, 8, "TASK_BOOK"),
+    Group(TaskBid, 0xFF22, 5, 8, "TASK_BID"),
+    Group(Itinerary, 0xFF23, 7, 8, "ITINERARY"),
+    Group(PlanOffer, 0xFF24, 5, 8, "PLAN_OFFER"),
+    Group(PlanRow, 0xFF25, 6, 8, "PLAN_ROW"),
     Group(GatewayBeat, 0xFF32, 6, 8, "GATEWAY_BEAT"),
     Group(SegmentSummary, 0xFF33, 7, 8, "SEGMENT_SUMMARY"),
     Group(AddressClaimed, 0xEE00, 6, 8, "ADDRESS_CLAIMED"),

@@ -70,6 +70,18 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         return timer
 
 
+class WallLoop(asyncio.SelectorEventLoop):
+    """Real time that begins at 0, as virtual time does."""
+
+    def __init__(self) -> None:
+        self._zero_s = 0.0
+        super().__init__()
+        self._zero_s = super().time()
+
+    def time(self) -> float:
+        return super().time() - self._zero_s
+
+
 async def elapse(seconds: float) -> None:
     """Let virtual time pass. On any other loop this is an error: a test waits for no wall clock."""
     assert isinstance(asyncio.get_running_loop(), VirtualLoop), "only on a virtual clock"

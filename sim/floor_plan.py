@@ -68,3 +68,16 @@ def office() -> str:
             for column in range(round(west / cell_m), round(east / cell_m)):
                 cells[row][column] = "#"
     return "\n".join("".join(row) for row in reversed(cells))
+
+
+def warehouse(
+    blocks: int = 5, rows: int = 6, shelf: int = 8, deep: int = 2, aisle: int = 1, side: int = 4
+) -> str:
+    """Shelves of `shelf` by `deep` cells, `blocks` beside each other and `rows` behind each other,
+    aisles of `aisle` cells between them and a hall of `side` cells in the west and the east."""
+    width = 2 * side + blocks * shelf + (blocks - 1) * aisle
+    lines = ["." * width] * aisle
+    for _ in range(rows):
+        run = ("." * aisle).join("#" * shelf for _ in range(blocks))
+        lines += ["." * side + run + "." * side] * deep + ["." * width] * aisle
+    return "\n".join(lines)

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from tools import bus_commands, coverage, keys, trial_commands
+from tools import bus_commands, coverage, keys, tasks, trial_commands
 from tools.options import Bitrate, Channel, Host, Json, KeyFile, Map, PagePort, Port
 
 HELP = "A leaderless robot fleet on a CAN bus: every robot is a peer, none is in charge."
@@ -29,6 +29,11 @@ def run(
     log: Annotated[
         list[Path] | None, typer.Option(help="A further CAN log: .asc .blf .csv .log .trc")
     ] = None,
+    live: Annotated[
+        bool, typer.Option("--live", help="A warehouse in real time, for more tasks to be added.")
+    ] = False,
+    port: Annotated[int, typer.Option(help="With --live: of the bus (0: any free one).")] = 0,
+    seconds: Annotated[float | None, typer.Option(help="With --live: end after this long.")] = None,
     keys: KeyFile = None,
     show_map: Map = False,
     page_port: PagePort = 8700,
@@ -37,9 +42,15 @@ def run(
     """Work a scenario to its end in virtual time, as fast as it can go. A field file is one, too.
 
     Example: headland run oxted --robots 8 --seed 3 --out runs/eight
+    Example: headland run warehouse --live, then elsewhere: headland task add 9.5,2.5 1.5,8.5
     """
+    from sim.warehouse_scenario import is_warehouse
     from tools.run import run as command
 
+    if is_warehouse(scenario):
+        from tools.haul import haul
+
+        raise SystemExit(haul(scenario, robots, seed, out, json, keys, live, port, seconds))
     page = page_port if show_map else None
     raise SystemExit(
         command(scenario, robots, seed, out, json, keys, log or [], feature, drive, page)
@@ -166,6 +177,7 @@ app.add_typer(bus_commands.app)
 app.add_typer(trial_commands.app)
 app.add_typer(coverage.app, name="coverage")
 app.add_typer(keys.app, name="keys")
+app.add_typer(tasks.app, name="task")
 
 
 def main() -> None:

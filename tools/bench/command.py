@@ -19,6 +19,7 @@ BENCHES = {
     "durability": "SIGKILLs and power cuts of the journal",
     "forgery": "forged, replayed and stale orders",
     "coverage": "plans against the lower bound and the mission's planner",
+    "delivery": "plans against PyVRP and OR-Tools, streams, batteries, trouble",
     "exploration": "speed-up, overlap, maps on the bus, equal maps",
     "theta": "paths against plain Theta* and the optimum",
     "orca": "avoidance against RVO2",

@@ -1,0 +1,345 @@
+"""The mission of carrying parcels: one robot's part, from its itinerary to the load in its hands.
+
+A task is a section with two units: picked up, delivered. A visit of a charger bay is a section too, and
+is claimed like one. Only who stands where a parcel lies can pick it up: claims avoid waste, the parcel
+itself sees to it that it is carried by one robot. A parcel of a robot that died lies where that robot
+stands; who takes the task over fetches it from there.
+"""
+
+from collections.abc import Iterable, Mapping
+from math import hypot
+
+from agent.config import LEASE_US, MS, S
+from agent.cost_matrix import FULL
+from agent.dispatch import Dispatch, Message
+from agent.errand import Errands
+from agent.lifecycle import State
+from agent.mission import Choice, FleetView, Wish
+from agent.path_requests import AHEAD_S, PathRequests, Urgency
+from agent.task_book import TASKS_MAX
+from agent.warehouse import SECTIONS_END, Warehouse
+from crdt import Phase
+
+Point = tuple[float, float]
+PICKED, DELIVERED = 0, 1  # units of a task
+REACH_M = 1.2  # of the arm, from the robot's middle to the parcel's
+BESIDE_M = 1.0  # nearer than this is near enough where another body is in the way
+UNTOUCHED_M = 0.2  # from where it was to be fetched: nobody has moved it
+FULL_AT = 0.99  # of a battery
+IDLE_CHARGE = 0.5  # who has nothing to do charges below this
+HOME_US = 5 * S  # who has nothing to do for so long makes room
+NEARER_M = 0.05
+STALLED_US = 1 * S  # within reach, and no nearer for so long
+MISSING_US = 3 * S  # at a place where no parcel lies: it is believed
+SHUN_US = 30 * S  # a bay that gives nothing, a task whose parcel is not found
+GIVES_US = 5 * S  # a bay has so long to show that it charges
+
+
+class Delivery(Errands):
+    def __init__(
+        self, slot: int, house: Warehouse, home: Point, speed_m_s: float, deceleration_m_s2: float,
+        now_us: int, seed: int,
+    ) -> None:  # fmt: skip
+        super().__init__(slot, {}, house.floor, speed_m_s, deceleration_m_s2)
+        self.house, self.home = house, home
+        self.dispatch = Dispatch(slot, house, now_us, seed)
+        self.paths = PathRequests(house.floor.route)
+        self.section: int | None = None  # a task or a bay under way
+        self.waited_us = 0  # for new itineraries, by the rule of scenario C
+        self._load = -1
+        self._since_us: int | None = None  # we stand where we are to handle or charge
+        self._idle_us: int | None = None
+        self._level = 0.0  # of the battery when we began to charge
+        self._shunned_us: dict[int, int] = {}  # bays, and tasks, by section
+        self._tried: dict[int, int] = {}  # task: places where its parcel was not
+        self._told_aboard = -1
+        self._nearest: tuple[float, int] = (0.0, 0)  # to the goal, within reach of it, and when
+        self._last: dict[int, Point] = {}  # where each robot was last seen
+
+    @property
+    def section_units(self) -> Mapping[int, int]:
+        return {}
+
+    # ---------------------------------------------------------------- frames
+
+    def hear(self, slot: int | None, message: Message, now_us: int) -> None:
+        self.dispatch.hear(slot, message, now_us)
+
+    def say(self, now_us: int) -> Iterable[Message]:
+        return self.dispatch.say(now_us)
+
+    # ---------------------------------------------------------------- each control period
+
+    def attend(self, view: FleetView, state: State) -> None:
+        for slot, neighbour in view.neighbours.items():
+            self._last[slot] = (neighbour.pose.x_m, neighbour.pose.y_m)
+        self._load = view.here.load
+        self.dispatch.left = round(view.here.battery * FULL)
+        able = state in (State.IDLE, State.WORKING, State.SYNCHRONIZING)
+        self.dispatch.tick(view, able)
+        self.paths.work()
+        super().attend(view, state)
+
+    @property
+    def stops(self) -> list[str]:
+        """The itinerary as the mission writes it: [P5, D5, C1]."""
+        found = []
+        if self.section is not None and self.section >= TASKS_MAX:
+            found.append(f"C{self.house.bay_of(self.section)}")
+        elif self.section is not None:
+            found += [f"P{self.section}"] * (self._load != self.section) + [f"D{self.section}"]
+        for task in self.dispatch.itinerary:
+            found += [f"P{task}", f"D{task}"]
+        return found
+
+    # ---------------------------------------------------------------- choosing
+
+    def choose(self, view: FleetView) -> Choice | None:
+        if self._load >= 0 and view.allocation.phase_of(self._load) is not Phase.DONE:
+            return self._claim(
+                self._load, view
+            )  # from an earlier life, or after an operator's order
+        task = self._next(view)
+        if task is None:
+            low = view.here.battery < IDLE_CHARGE and not self.dispatch.round.active
+            return self._charge(view, None) if low else None
+        if self._must_charge(task, view):
+            return self._charge(view, task)
+        if self._waits(task, view):
+            self.waited_us += 50 * MS
+            return None
+        return self._claim(task, view)
+
+    def _next(self, view: FleetView) -> int | None:
+        """The first of our itinerary that may be had."""
+        for task in self.dispatch.itinerary:
+            if task == self.section or self._shunned_us.get(task, 0) > view.now_us:
+                continue
+            owner = view.allocation.owner_of(task)
+            if owner is None or (owner != self.slot and self._lapsed(owner, view)):
+                return task
+        return None
+
+    def _lapsed(self, owner: int, view: FleetView) -> bool:
+        if owner in view.live:
+            return False
+        return view.now_us - view.silent_since_us.get(owner, -LEASE_US) >= LEASE_US
+
+    def _claim(self, task: int, view: FleetView) -> Choice | None:
+        owner = view.allocation.owner_of(task)
+        if owner is not None and owner != self.slot:
+            if not self._lapsed(owner, view) and self._load != task:
+                return None
+            return Choice(task, 0, takeover=True)
+        return Choice(task, 0)
+
+    def _waits(self, task: int, view: FleetView) -> bool:
+        """Scenario C: a task shorter than what is left of the re-plan waits for it."""
+        left_us = self.dispatch.round.left_us(view.now_us)
+        if not left_us or self.dispatch.round.first.get(self.slot, [])[:1] == [task]:
+            return False  # no round; or the first of the auction's plan, which is as good a begin
+        here = self.dispatch.standing(view)
+        order = self.dispatch.book.tasks[task]
+        through = self.house.after(here._replace(ready_ms=0), self.house.trip(order), False)
+        return through.ready_ms * MS < left_us
+
+    def _must_charge(self, task: int, view: FleetView) -> bool:
+        """Before it is needed: behind the task a bay must still be within reach."""
+        if not self.house.carrier.runs_dry or not self.house.bays:
+            return False
+        trip = self.house.trip(self.dispatch.book.tasks[task])
+        then = self.house.after(self.dispatch.standing(view), trip, False)
+        return then.left < self.house.home(trip.dropoff)
+
+    def _charge(self, view: FleetView, task: int | None) -> Choice | None:
+        """The visit of the bay that is least out of the way; None: all are taken."""
+        here, best = (view.here.x_m, view.here.y_m), None
+        onward = None if task is None else self._pickup(task, view)
+        for bay, place in enumerate(self.house.bays):
+            section = self.house.visit(bay, view.allocation)
+            if section is None or view.allocation.owner_of(section) is not None:
+                continue
+            if self._shunned_us.get(TASKS_MAX + bay, 0) > view.now_us:
+                continue
+            way_m = self.house.way_m(here, place)
+            way_m += 0.0 if onward is None else self.house.way_m(place, onward)
+            if best is None or way_m < best[0]:
+                best = (way_m, section)
+        return None if best is None else Choice(best[1], min(int(best[0] / 10), 31))
+
+    # ---------------------------------------------------------------- the section under way
+
+    def _places(self, task: int, view: FleetView) -> list[Point]:
+        """Where a parcel may be, the likeliest first: where it was to be fetched; with the robots that
+        had begun with it, the last one first; where it was to go."""
+        trip = self.house.trip(self.dispatch.book.tasks[task])
+        workers = [w for w in reversed(self.dispatch.workers.get(task, [])) if w not in view.live]
+        bodies = [self._last[w] for w in workers if w in self._last]
+        if view.progress.bits(task, 0) & 1:
+            return [*bodies, trip.dropoff, trip.pickup]
+        return [trip.pickup, *bodies, trip.dropoff]
+
+    def _pickup(self, task: int, view: FleetView) -> Point:
+        places = self._places(task, view)
+        return places[self._tried.get(task, 0) % len(places)]
+
+    def begin(self, section: int, view: FleetView) -> None:
+        self.section, self._since_us = section, None
+        self._level = view.here.battery
+
+    def approach(self, section: int, view: FleetView) -> Wish:
+        self._go(self._goal(section, view))
+        return self._drive(view)[0]
+
+    def _goal(self, section: int, view: FleetView) -> Point:
+        if section >= TASKS_MAX:
+            return self.house.bays[self.house.bay_of(section)]
+        if self._load == section:
+            return self.house.trip(self.dispatch.book.tasks[section]).dropoff
+        return self._pickup(section, view)
+
+    def _go(self, goal: Point) -> None:
+        if goal != self.goal:
+            self.goal, self._tracker, self._since_us = goal, None, None
+
+    def work(self, view: FleetView) -> Wish:
+        self._idle_us = None
+        if self.section is None:  # kept over a stop
+            held = view.allocation.assigned_sections(view.slot)
+            self.begin(held[0], view)
+        section = self.section
+        assert section is not None
+        if section < TASKS_MAX and self._delivered(section, view):
+            self._through()
+            return Wish(0.0, 0.0, covered=(PICKED, DELIVERED), finished=True)
+        self._go(self._goal(section, view))
+        wish, arrived = self._drive(view)
+        self._plan_ahead(section, view)
+        if self._load == section and self._told_aboard != section:
+            self._told_aboard = section
+            wish = wish._replace(covered=(PICKED,))
+        if not (
+            arrived or self._beside(view)
+        ):  # within reach it handles also in a round: that ends
+            self._since_us = None
+            return wish._replace(near_end=self._near_end(section, view))
+        if self._since_us is None:
+            self._since_us = view.now_us
+        if section >= TASKS_MAX:
+            return self._charging(section, view)
+        return self._handling(section, view)._replace(covered=wish.covered)
+
+    def _beside(self, view: FleetView) -> bool:
+        """Something is where we want to be, a body that we may know nothing of; the arm reaches over."""
+        section = self.section
+        if section is None or section >= TASKS_MAX or self.goal is None:
+            return False
+        x_m, y_m = self.goal
+        away_m = hypot(x_m - view.here.x_m, y_m - view.here.y_m)
+        if self._load != section:
+            reached = section in view.here.parcels
+        else:
+            reached = away_m < BESIDE_M
+        nearer = away_m < self._nearest[0] - NEARER_M
+        if not reached or nearer:
+            self._nearest = (away_m, view.now_us)
+            return False
+        width_m = 2 * self.floor.radius_m
+        taken = any(hypot(x_m - p[0], y_m - p[1]) < width_m for p in self._last.values())
+        return taken or view.now_us - self._nearest[1] > STALLED_US
+
+    def _near_end(self, section: int, view: FleetView) -> bool:
+        """The next section is claimed on the last leg, not before: until then it may be re-planned."""
+        if section >= TASKS_MAX or self._load != section or self.goal is None:
+            return False
+        left_m = hypot(self.goal[0] - view.here.x_m, self.goal[1] - view.here.y_m)
+        return left_m < self.speed_m_s
+
+    def _plan_ahead(self, section: int, view: FleetView) -> None:
+        """The path behind the one under way, when that is nearly driven."""
+        tracker = self._tracker
+        if tracker is None or self.goal is None:
+            return
+        if tracker.total_m - tracker.along_m > AHEAD_S * self.speed_m_s:
+            return
+        if section < TASKS_MAX and self._load != section:
+            onward: Point | None = self.house.trip(self.dispatch.book.tasks[section]).dropoff
+        else:
+            task = self._next(view)
+            onward = None if task is None else self._pickup(task, view)
+        if onward is not None and onward != self.goal:
+            self.paths.ask(self.goal, onward, Urgency.AHEAD)
+
+    def _way(self, at: Point, goal: Point) -> tuple[Point, ...]:
+        return self.paths.take(at, goal)
+
+    def _delivered(self, task: int, view: FleetView) -> bool:
+        """It has been carried, and lies, for us to see, within reach of its dropoff."""
+        seen = view.here.parcels.get(task)
+        if seen is None or seen.on_robot:
+            return False
+        pickup, dropoff = self.house.trip(self.dispatch.book.tasks[task])
+        carried = self._told_aboard == task or view.progress.bits(task, 0) & 1
+        if not carried and hypot(pickup[0] - seen.x_m, pickup[1] - seen.y_m) < UNTOUCHED_M:
+            return False
+        return hypot(dropoff[0] - seen.x_m, dropoff[1] - seen.y_m) < REACH_M
+
+    def _handling(self, task: int, view: FleetView) -> Wish:
+        """Load, or unload. The world says what has come of it: what is aboard, and what lies where."""
+        assert self._since_us is not None
+        if self._load != task and task not in view.here.parcels:
+            if view.now_us - self._since_us > MISSING_US:
+                return self._missing(task, view)
+            return Wish(0.0, 0.0)
+        return Wish(0.0, 0.0, handle=task)
+
+    def _missing(self, task: int, view: FleetView) -> Wish:
+        """No parcel here: the next place, and after the last one others may, or we again later."""
+        tried = self._tried[task] = self._tried.get(task, 0) + 1
+        self._since_us = None
+        if tried % len(self._places(task, view)):
+            return Wish(0.0, 0.0)
+        self._shunned_us[task] = view.now_us + SHUN_US
+        self._through()
+        return Wish(0.0, 0.0, given_up=True)
+
+    def _charging(self, section: int, view: FleetView) -> Wish:
+        assert self._since_us is not None
+        battery = view.here.battery
+        wish = Wish(0.0, 0.0)
+        if battery >= FULL_AT:
+            self._through()
+            return wish._replace(finished=True)
+        docked_us = round(self.house.carrier.dock_s * S) + GIVES_US
+        if view.now_us - self._since_us > docked_us:
+            if battery <= self._level + 0.002:  # it gives nothing: leave it to who mends it
+                bay = self.house.bay_of(section)
+                self._shunned_us[TASKS_MAX + bay] = view.now_us + 20 * SHUN_US
+                self._through()
+                return wish._replace(given_up=True)
+            self._since_us, self._level = view.now_us - docked_us + GIVES_US, battery
+        return wish
+
+    def _through(self) -> None:
+        if self.section is not None and self.section in self.dispatch.itinerary:
+            self.dispatch.itinerary.remove(self.section)
+        self.section, self.goal, self._tracker, self._since_us = None, None, None, None
+        self._calls = (0, 0)
+
+    def abandon(self) -> None:
+        self._through()
+
+    def rest(self, view: FleetView) -> Wish:
+        """Nothing to do: go where we were switched on, so that we stand in nobody's way."""
+        self.section = None
+        if self._idle_us is None:
+            self._idle_us = view.now_us
+        away_m = hypot(self.home[0] - view.here.x_m, self.home[1] - view.here.y_m)
+        low = self.house.carrier.runs_dry and self.dispatch.left < self.house.home(self.home)
+        if view.now_us - self._idle_us < HOME_US or away_m < 1.0 or low:
+            return super().rest(view)
+        self._go(self.home)
+        return self._drive(view)[0]
+
+
+assert SECTIONS_END > TASKS_MAX

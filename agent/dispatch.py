@@ -1,0 +1,378 @@
+"""Who is to carry what, settled among peers: itineraries told, tasks auctioned, plans made together.
+
+Each robot alone says its own itinerary: what it means to begin, in its order. A task that is in nobody's
+is open. Up to `t_max` open ones are auctioned one after the other: each robot bids what the task would
+cost it, and is silent if it has heard of less (scenario B). More are planned anew by all (scenarios A
+and C, `agent/plan_round.py`). All of this is soft: before a task is begun its register is claimed, and
+what is told too late, twice or never is only waste for a moment.
+
+What a silent robot had keeps its owner for a lease; then it is auctioned, the last of its order first,
+and comes behind what the winner has already: own work first, also in a split.
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+from agent.auction import Planner
+from agent.config import LEASE_US, MS, S
+from agent.cost_matrix import FULL
+from agent.lifecycle import State
+from agent.mission import FleetView
+from agent.plan_round import SLICE_US, Frozen, PlanRound
+from agent.task_book import TaskBook
+from agent.warehouse import Standing, Warehouse
+from agent.workload import IMPOSSIBLE_MS
+from crdt import Phase
+from protocol.delivery_frames import (
+    NO_TASK,
+    Itinerary,
+    PlanOffer,
+    PlanRow,
+    TaskBid,
+    TaskBookDigest,
+    TaskOrder,
+)
+
+LOOK_US = 250 * MS  # between two looks for open tasks
+BIDS_US = 300 * MS  # bids for a task are collected this long: six beats of a small fleet
+AWARDED_US = 2 * S  # the winner has told its itinerary by then
+TOLD_US = 5 * S  # an itinerary is told again this often
+STABLE_US = 500 * MS  # more than t_max open tasks for so long call a round
+STAGGER_US = 150 * MS  # lower slots call it first
+BOOT_US = 3 * S  # so long the whole fleet is waited for before the first plan
+AGAIN_US = 5 * S  # between two rounds
+FRAMES_A_BEAT = 4
+MOVES_A_TASK = 2_000  # of the search; and
+REPLAN_US = (2 * S, 10 * S)  # as long as this at least and at most
+Message = TaskOrder | TaskBookDigest | TaskBid | Itinerary | PlanOffer | PlanRow
+
+
+class Told(NamedTuple):
+    """The itinerary of another, as far as it was heard."""
+
+    version: int
+    tasks: dict[int, int]  # position: task
+    length: int
+    left: int  # millionths of a battery
+    whole: tuple[int, ...]  # the last one that was heard whole
+
+
+class Auction(NamedTuple):
+    task: int
+    closes_us: int
+    best: tuple[int, int] | None  # cost, slot
+    mine: TaskBid | None  # still to be said
+
+
+class Dispatch:
+    def __init__(self, slot: int, house: Warehouse, now_us: int, seed: int) -> None:
+        self.slot, self.house = slot, house
+        self.book = TaskBook(slot, house.tasks, now_us)
+        self.round = PlanRound(slot, seed)
+        self.itinerary: list[int] = []  # tasks that we mean to begin, not those begun
+        self.told: dict[int, Told] = {}
+        self.added: dict[int, int] = {}  # task: when we first knew of it; of tasks after the start
+        self.left = FULL
+        self._version, self._tell_us, self._telling = 0, now_us + TOLD_US, 0
+        self._auction: Auction | None = None
+        self._awarded: dict[int, int] = {}  # task: until when its winner is waited for
+        self._born_us, self._look_us, self._many_us, self._round_us = now_us, now_us, 0, 0
+        self._done: set[int] = set()
+        self.workers: dict[int, list[int]] = {}  # task: who began with it, as far as we saw
+        self._calls: list[PlanOffer] = []  # heard, to be answered at the next look
+
+    # ---------------------------------------------------------------- what there is to do
+
+    def tick(self, view: FleetView, able: bool) -> None:
+        """Each control period. `able`: we can work."""
+        now_us = view.now_us
+        self.round.tick(now_us)
+        for offer in self._calls:
+            if self.round.wanted(offer):
+                self.round.join(offer, self._frozen(view, able), now_us)
+                self._provisional(able)
+        self._calls.clear()
+        if self.round.adopted is not None:
+            self._adopt(view)
+        self._close(view, able)
+        if now_us < self._look_us:
+            return
+        self._look_us = now_us + LOOK_US
+        self._tidy(view)
+        if self.round.active:
+            return
+        fresh, orphans = self._open(view)
+        self._consider(fresh, orphans, view, able)
+
+    def _consider(self, fresh: list[int], orphans: list[int], view: FleetView, able: bool) -> None:
+        now_us = view.now_us
+        if len(fresh) <= self.house.t_max:
+            self._many_us = now_us
+        whole = len(view.live) >= len(view.live | view.silent_since_us.keys()) > 1
+        if now_us - self._born_us < BOOT_US and not (whole and now_us - self._born_us > S):
+            return  # not everybody is here yet
+        due_us = max(self._many_us + STABLE_US, self._round_us) + STAGGER_US * self._order(view)
+        if len(fresh) > self.house.t_max and now_us >= self._round_us:
+            if now_us >= due_us:
+                self._round_us = now_us + AGAIN_US
+                replan_us = min(
+                    max(len(fresh) * MOVES_A_TASK // 15_000 * SLICE_US, REPLAN_US[0]), REPLAN_US[1]
+                )
+                self.round.call(self._frozen(view, able), replan_us, now_us)
+                self._provisional(able)
+        elif self._auction is None and (fresh or orphans):
+            self._open_auction(fresh[0] if fresh else orphans[0], not fresh, view, able)
+
+    def _order(self, view: FleetView) -> int:
+        return sum(slot < self.slot for slot in view.live)
+
+    def _open(self, view: FleetView) -> tuple[list[int], list[int]]:
+        """Tasks in nobody's itinerary; and those whose owner is silent and has lost its lease, the last
+        of its order first."""
+        allocation, now_us = view.allocation, view.now_us
+        holder: dict[int, int] = {}
+        for slot, told in self.told.items():
+            for task in told.whole:
+                holder.setdefault(task, slot)
+        own = set(self.itinerary)
+        fresh: list[int] = []
+        orphans: list[tuple[int, int]] = []
+        for task in self.book.tasks:
+            if task in self._done or task in own or self._awarded.get(task, 0) > now_us:
+                continue
+            phase = allocation.phase_of(task)
+            if phase is Phase.DONE:
+                self._done.add(task)
+                continue
+            owner = self._holder(task, phase, holder, view)
+            if owner == self.slot and phase is Phase.FREE:
+                self.itinerary.insert(0, task)  # we had begun with it: we find out where it is
+            if owner == self.slot or owner in view.live:
+                continue
+            if owner is None:
+                fresh.append(task)
+            elif now_us - view.silent_since_us.get(owner, now_us - LEASE_US) >= LEASE_US:
+                order = self.told[owner].whole if owner in self.told else ()
+                orphans.append((order.index(task) if task in order else -1, task))
+        return sorted(fresh), [task for _, task in sorted(orphans, reverse=True)]
+
+    def _holder(
+        self, task: int, phase: Phase, holder: dict[int, int], view: FleetView
+    ) -> int | None:
+        """Who has a task or means to: by its register, by the parcel's last carrier, by what was told."""
+        if phase is not Phase.FREE:
+            owner = view.allocation.owner_of(task)
+            if phase is Phase.STARTED and owner is not None:
+                self._began(task, owner)
+            return owner
+        if view.progress.bits(task, 0):  # picked up, and given back: its carrier has it aboard
+            return self.workers.get(task, [view.allocation.entry(task).owner])[-1]
+        return holder.get(task)
+
+    def _began(self, task: int, owner: int) -> None:
+        workers = self.workers.setdefault(task, [])
+        if not workers or workers[-1] != owner:
+            workers.append(owner)
+
+    def _tidy(self, view: FleetView) -> None:
+        """Out of our itinerary: what is no longer free, and what a lower slot has told as its own."""
+        lower = {
+            task
+            for slot, told in self.told.items()
+            if slot < self.slot and slot in view.live
+            for task in told.whole
+        }
+        kept = []
+        for task in self.itinerary:
+            owner = view.allocation.owner_of(task)
+            gone = owner is not None and (owner == self.slot or owner in view.live)
+            if view.allocation.phase_of(task) is Phase.DONE or gone or task in lower:
+                continue
+            kept.append(task)
+        self.itinerary = kept
+        for slot in [s for s in self.told if s not in view.live and s not in view.silent_since_us]:
+            del self.told[slot]  # it left, and said so
+
+    # ---------------------------------------------------------------- scenario B
+
+    def _open_auction(self, task: int, behind: bool, view: FleetView, able: bool) -> None:
+        bid = self._bid(task, behind, view) if able else None
+        best = None if bid is None else (bid.cost_ms, self.slot)
+        self._auction = Auction(task, view.now_us + BIDS_US, best, bid)
+
+    def standing(self, view: FleetView) -> Standing:
+        """When and where we are free for the next task."""
+        here = Standing(self.slot, (view.here.x_m, view.here.y_m), 0, self.left)
+        return self.through(here, view)
+
+    def _bid(self, task: int, behind: bool, view: FleetView) -> TaskBid | None:
+        """None where we cannot do it."""
+        if not self.house.known(self.book.tasks[task]):
+            return None
+        order = [*self.itinerary, task]
+        trips = [self.house.trip(self.book.tasks[t]) for t in order]
+        planner = Planner(self.house.work(trips, [self.standing(view)]))
+        last = len(order) - 1
+        place, cost_ms = planner.inserted(0, range(last), last, last if behind else 0)
+        if cost_ms >= IMPOSSIBLE_MS:
+            return None
+        return TaskBid(task, min(cost_ms, 0xFFFFFFFF), min(place, 0xFF), int(behind))
+
+    def _heard_bid(self, slot: int, bid: TaskBid, now_us: int) -> None:
+        if bid.task not in self.book.tasks:
+            return
+        told = (bid.cost_ms, slot)
+        auction = self._auction
+        if auction is None or auction.task != bid.task:
+            self._awarded[bid.task] = now_us + BIDS_US + AWARDED_US  # others are at it
+            return
+        if auction.best is None or told < auction.best:
+            self._auction = auction._replace(best=told, mine=None)
+
+    def _close(self, view: FleetView, able: bool) -> None:
+        auction, now_us = self._auction, view.now_us
+        if auction is None or now_us < auction.closes_us:
+            return
+        self._auction = None
+        if auction.best is None:
+            return
+        self._awarded[auction.task] = now_us + AWARDED_US
+        if auction.best[1] == self.slot and auction.task not in self.itinerary:
+            behind = auction.mine is not None and bool(auction.mine.round)
+            bid = self._bid(auction.task, behind, view) if able else None
+            place = len(self.itinerary) if bid is None else bid.place
+            self.itinerary.insert(place, auction.task)
+            self._changed(now_us)
+
+    # ---------------------------------------------------------------- scenarios A and C
+
+    def _frozen(self, view: FleetView, able: bool) -> Frozen:
+        """The problem as we see it: free tasks of the living, and when and where each will be free."""
+        robots = [self.standing(view)] if able else []
+        for slot in sorted(view.live - {self.slot}):
+            neighbour = view.neighbours.get(slot)
+            if neighbour is not None and neighbour.pose.state in (
+                State.IDLE,
+                State.WORKING,
+                State.SYNCHRONIZING,
+            ):
+                robots.append(self._standing_of(slot, view))
+        robots.sort()
+        fresh, _ = self._open(view)
+        planned = {t for s, told in self.told.items() if s in view.live for t in told.whole}
+        wanted = sorted({*fresh, *self.itinerary, *planned} & self.book.tasks.keys())
+        tasks = [
+            task for task in wanted
+            if view.allocation.phase_of(task) is Phase.FREE
+            and not view.progress.bits(task, 0)
+            and self.house.known(self.book.tasks[task])
+        ]  # fmt: skip
+        trips = [self.house.trip(self.book.tasks[task]) for task in tasks]
+        work = self.house.work(trips, robots)
+        return Frozen(tuple(r.slot for r in robots), tuple(tasks), work)
+
+    def _standing_of(self, slot: int, view: FleetView) -> Standing:
+        pose = view.neighbours[slot].pose
+        left = self.told[slot].left if slot in self.told else FULL
+        return self.through(Standing(slot, (pose.x_m, pose.y_m), 0, left), view)
+
+    def through(self, standing: Standing, view: FleetView) -> Standing:
+        """After what a robot has claimed or begun: a task to its dropoff, a charge to the full."""
+        for section in view.allocation.assigned_sections(standing.slot):
+            order = self.book.tasks.get(section)
+            if order is not None and self.house.known(order):
+                loaded = bool(view.progress.bits(section, 0))
+                standing = self.house.after(standing, self.house.trip(order), loaded)
+            elif order is None and self.house.bays:
+                carrier, bay = self.house.carrier, self.house.bays[self.house.bay_of(section)]
+                charge_ms = round((carrier.dock_s + carrier.charge_s) * 1000)
+                standing = Standing(standing.slot, bay, standing.ready_ms + charge_ms, FULL)
+        return standing
+
+    def _provisional(self, able: bool) -> None:
+        """At the boot the auction's plan, which all compute alike, holds until there is a better one."""
+        if not self.itinerary and able:
+            self.itinerary = list(self.round.first.get(self.slot, []))
+
+    def _adopt(self, view: FleetView) -> None:
+        rows, self.round.adopted = self.round.adopted, None
+        assert rows is not None
+        planned = {task for row in rows.values() for task in row}
+        kept = [task for task in self.itinerary if task not in planned]
+        self.itinerary = [*rows.get(self.slot, []), *kept]
+        for slot, row in rows.items():
+            if slot != self.slot:
+                old = self.told.get(slot)
+                left, version = (FULL, 0) if old is None else (old.left, old.version)
+                self.told[slot] = Told(version, {}, 0, left, tuple(row))
+        self._tidy(view)
+        self._changed(view.now_us)
+
+    # ---------------------------------------------------------------- frames
+
+    def _changed(self, now_us: int) -> None:
+        self._version = (self._version + 1) & 0xFF
+        self._telling, self._tell_us = 0, now_us
+
+    def hear(self, slot: int | None, message: Message, now_us: int) -> None:
+        if isinstance(message, TaskOrder | TaskBookDigest):
+            self.book.hear(message, now_us)
+        elif slot is None:
+            return
+        elif isinstance(message, TaskBid):
+            self._heard_bid(slot, message, now_us)
+        elif isinstance(message, Itinerary):
+            self._heard_itinerary(slot, message)
+        elif isinstance(message, PlanOffer) and self.round.wanted(message):
+            self._calls.append(message)
+        else:
+            self.round.hear(slot, message, now_us)
+
+    def _heard_itinerary(self, slot: int, m: Itinerary) -> None:
+        left = m.battery * FULL // 255
+        old = self.told.get(slot)
+        whole = () if old is None else old.whole
+        tasks = (
+            old.tasks
+            if old is not None and (old.version, old.length) == (m.version, m.length)
+            else {}
+        )
+        tasks[m.first] = m.task
+        if m.after != NO_TASK:
+            tasks[m.first + 1] = m.after
+        if all(k in tasks for k in range(m.length)):
+            whole = tuple(tasks[k] for k in range(m.length))
+        self.told[slot] = Told(m.version, tasks, m.length, left, whole)
+
+    def say(self, now_us: int) -> Iterator[Message]:
+        """With our beat."""
+        yield from self.book.say(now_us)
+        yield from self.round.say(now_us)
+        auction = self._auction
+        if auction is not None and auction.mine is not None:
+            yield auction.mine
+            self._auction = auction._replace(mine=None)
+        if now_us >= self._tell_us:
+            yield from self._tell(now_us)
+
+    def _tell(self, now_us: int) -> Iterator[Itinerary]:
+        own = self.itinerary[:0xFF]
+        if self._telling == 0:
+            self._version = (self._version + 1) & 0xFF
+            self._saying: Sequence[int] = tuple(own)
+        saying = [*self._saying, NO_TASK, NO_TASK]
+        length = len(self._saying)
+        for _ in range(FRAMES_A_BEAT):
+            first = self._telling
+            yield Itinerary(
+                self._version,
+                first,
+                length,
+                self.left * 255 // FULL,
+                saying[first],
+                saying[first + 1],
+            )
+            self._telling += 2
+            if self._telling >= length:
+                self._telling, self._tell_us = 0, now_us + TOLD_US
+                return

@@ -1,0 +1,92 @@
+"""The tasks there are: a map from number to pickup and dropoff that only grows, joined by maximum.
+
+Who knows a task that another's digest lacks repeats its order, unless somebody else has just done so.
+"""
+
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple
+from zlib import crc32
+
+from agent.config import MS, S
+from protocol.delivery_frames import BUCKET_TASKS, TaskBookDigest, TaskOrder
+
+TASKS_MAX = 0x6000  # sections from here on are visits of charger bays
+DIGEST_US = 1 * S  # between two digests of one peer; a bucket each
+AGAIN_US = 400 * MS  # an order that was just heard is not repeated
+ORDERS_A_BEAT = 2  # so that a late joiner of 500 tasks does not fill the bus
+
+
+class Order(NamedTuple):
+    """A task: cells of the floor."""
+
+    pickup: int
+    dropoff: int
+
+
+class TaskBook:
+    def __init__(self, slot: int, tasks: Mapping[int, Order], now_us: int) -> None:
+        """`tasks`: what every robot was given before the start."""
+        self.tasks = dict(tasks)
+        self.added = 0  # grows with every change: who keeps something made of the book compares it
+        self._due: dict[int, int] = {}  # task to tell again, and from when
+        self._heard_us: dict[int, int] = {}
+        self._slot, self._bucket = slot, slot
+        self._digest_us = now_us + DIGEST_US + slot * 37 * MS  # not all in the same beat
+
+    def __contains__(self, task: int) -> bool:
+        return task in self.tasks
+
+    def free_number(self) -> int:
+        return max(self.tasks, default=-1) + 1
+
+    def hear(self, message: TaskOrder | TaskBookDigest, now_us: int) -> None:
+        if isinstance(message, TaskOrder):
+            self._order(message, now_us)
+        elif message.bucket < -(-TASKS_MAX // BUCKET_TASKS):
+            self._compare(message, now_us)
+
+    def _order(self, message: TaskOrder, now_us: int) -> None:
+        if message.task >= TASKS_MAX:
+            return
+        self._heard_us[message.task] = now_us
+        self._due.pop(message.task, None)
+        order, known = Order(message.pickup, message.dropoff), self.tasks.get(message.task)
+        if known is None or order > known:
+            self.tasks[message.task] = order
+            self.added += 1
+            self._due[message.task] = now_us + AGAIN_US  # once more, for who missed it
+        elif order < known:
+            self._due[message.task] = now_us
+
+    def _compare(self, message: TaskBookDigest, now_us: int) -> None:
+        bits, check = self._digest(message.bucket)
+        lacking = bits & ~message.bits
+        if not lacking and bits == message.bits and check != message.check:
+            lacking = bits  # one number, two tasks: the greater is for all
+        for k in range(BUCKET_TASKS):
+            task = message.bucket * BUCKET_TASKS + k
+            if lacking >> k & 1 and now_us - self._heard_us.get(task, -AGAIN_US) >= AGAIN_US:
+                self._due.setdefault(task, now_us + self._slot % 8 * 50 * MS)
+
+    def _digest(self, bucket: int) -> tuple[int, int]:
+        bits, found = 0, []
+        for k in range(BUCKET_TASKS):
+            order = self.tasks.get(bucket * BUCKET_TASKS + k)
+            if order is not None:
+                bits |= 1 << k
+                found.append((k, *order))
+        return bits, crc32(repr(found).encode()) & 0xFF
+
+    def say(self, now_us: int) -> Iterator[TaskOrder | TaskBookDigest]:
+        """With our beat."""
+        told = [task for task, due_us in self._due.items() if due_us <= now_us][:ORDERS_A_BEAT]
+        for task in told:
+            del self._due[task]
+            self._heard_us[task] = now_us
+            yield TaskOrder(task, *self.tasks[task])
+        if now_us >= self._digest_us:
+            self._digest_us = now_us + DIGEST_US
+            buckets = max(self.tasks, default=0) // BUCKET_TASKS + 1
+            self._bucket = (self._bucket + 1) % buckets
+            bits, check = self._digest(self._bucket)
+            yield TaskBookDigest(self._bucket, check, bits)

@@ -1,0 +1,375 @@
+"""Compiled: what a sequence of tasks takes, the auction, and the search for a better plan.
+
+A plan is `route` (robots, room) with `size` (robots,). What a route takes is found by walking along it,
+ten tasks or so; with batteries the walk keeps for every bay where it could have charged last the best
+label (time, energy used), and drops those that are worse in both.
+"""
+
+from math import exp
+
+import numpy as np
+from numba import njit
+
+IMPOSSIBLE = 1 << 40
+LABELS = 8  # kept at each task; more than four were never open at once
+SEGMENT = 3  # tasks moved together at most
+
+
+@njit(cache=True)
+def _keep(times, used, count, time, energy):  # type: ignore[no-untyped-def]
+    """Add a label unless one is as good; those it beats go. The count."""
+    for k in range(count):
+        if times[k] <= time and used[k] <= energy:
+            return count
+    kept = 0
+    for k in range(count):
+        if times[k] < time or used[k] < energy:
+            times[kept], used[kept] = times[k], used[k]
+            kept += 1
+    if kept == LABELS:  # the slowest makes room
+        worst = 0
+        for k in range(1, kept):
+            if times[k] > times[worst]:
+                worst = k
+        if times[worst] <= time:
+            return kept
+        times[worst], used[worst] = time, energy
+        return kept
+    times[kept], used[kept] = time, energy
+    return kept + 1
+
+
+@njit(cache=True)
+def span_charging(r, seq, n, ready, lead_bay_ms, lead, power):  # type: ignore[no-untyped-def]
+    """When a robot is through a sequence, bays visited where it pays; IMPOSSIBLE where it runs dry."""
+    (capacity, dock, rate, left, lead_e, link_e, home, lead_bay_e, to_bay_ms, to_bay_e,
+     from_bay_ms, from_bay_e, link) = power  # fmt: skip
+    bays = from_bay_ms.shape[0]
+    times, used = np.empty(LABELS, np.int64), np.empty(LABELS, np.int64)
+    new_times, new_used = np.empty(LABELS, np.int64), np.empty(LABELS, np.int64)
+    times[0], used[0], count = ready[r], capacity - left[r], 1
+    for k in range(n):
+        j = seq[k]
+        i = seq[k - 1] if k > 0 else -1
+        step_ms = link[i, j] if k > 0 else lead[r, j]
+        step_e = link_e[i, j] if k > 0 else lead_e[r, j]
+        fresh = 0
+        for m in range(count):
+            if used[m] + step_e + home[j] <= capacity:
+                fresh = _keep(new_times, new_used, fresh, times[m] + step_ms, used[m] + step_e)
+            for c in range(bays):
+                there_ms = to_bay_ms[i, c] if k > 0 else lead_bay_ms[r, c]
+                there_e = to_bay_e[i, c] if k > 0 else lead_bay_e[r, c]
+                if used[m] + there_e > capacity or from_bay_e[c, j] + home[j] > capacity:
+                    continue
+                charge_ms = dock + int((used[m] + there_e) * rate)
+                time = times[m] + there_ms + charge_ms + from_bay_ms[c, j]
+                fresh = _keep(new_times, new_used, fresh, time, from_bay_e[c, j])
+        if fresh == 0:
+            return IMPOSSIBLE
+        count = fresh
+        for m in range(count):
+            times[m], used[m] = new_times[m], new_used[m]
+    best = times[0]
+    for m in range(1, count):
+        best = min(best, times[m])
+    return best
+
+
+@njit(cache=True)
+def span(r, seq, n, ready, lead, link, lead_bay_ms, power, charging):  # type: ignore[no-untyped-def]
+    """When robot `r` is through the first `n` tasks of a sequence."""
+    if n == 0:
+        return ready[r]
+    if charging:
+        return span_charging(r, seq, n, ready, lead_bay_ms, lead, power)
+    time = ready[r] + lead[r, seq[0]]
+    for k in range(1, n):
+        time += link[seq[k - 1], seq[k]]
+    return time
+
+
+@njit(cache=True)
+def _put(seq, n, task, at, out):  # type: ignore[no-untyped-def]
+    for k in range(at):
+        out[k] = seq[k]
+    out[at] = task
+    for k in range(at, n):
+        out[k + 1] = seq[k]
+
+
+@njit(cache=True)
+def best_place(r, seq, n, task, first, ready, lead, link, lead_bay_ms, power, charging, out):  # type: ignore[no-untyped-def]
+    """Where in a route a task is through the earliest for the robot, and when; not before `first`."""
+    best, place = IMPOSSIBLE, n
+    for at in range(first, n + 1):
+        _put(seq, n, task, at, out)
+        time = span(r, out, n + 1, ready, lead, link, lead_bay_ms, power, charging)
+        if time < best:
+            best, place = time, at
+    return best, place
+
+
+@njit(cache=True)
+def auction(route, size, free, ready, lead, link, lead_bay_ms, power, charging):  # type: ignore[no-untyped-def]
+    """Sequential auction: each time the bid of earliest finish; ties to the lower task, then robot.
+
+    `free`: tasks to be given away, in ascending order. What nobody can do stays out; how many did.
+    """
+    robots, room = route.shape
+    out = np.empty(room + 1, np.int64)
+    bid = np.full((len(free), robots), IMPOSSIBLE, np.int64)
+    place = np.zeros((len(free), robots), np.int64)
+    given = np.zeros(len(free), np.bool_)
+    for t in range(len(free)):
+        for r in range(robots):
+            bid[t, r], place[t, r] = best_place(
+                r,
+                route[r],
+                size[r],
+                free[t],
+                0,
+                ready,
+                lead,
+                link,
+                lead_bay_ms,
+                power,
+                charging,
+                out,
+            )
+    for left in range(len(free), 0, -1):
+        best, winner, taker = IMPOSSIBLE, -1, -1
+        for t in range(len(free)):
+            if given[t]:
+                continue
+            for r in range(robots):
+                if bid[t, r] < best:
+                    best, winner, taker = bid[t, r], t, r
+        if winner < 0:
+            return left
+        _put(route[taker], size[taker], free[winner], place[winner, taker], out)
+        size[taker] += 1
+        route[taker, : size[taker]] = out[: size[taker]]
+        given[winner] = True
+        for t in range(len(free)):
+            if not given[t]:
+                bid[t, taker], place[t, taker] = best_place(
+                    taker, route[taker], size[taker], free[t], 0, ready, lead, link, lead_bay_ms,
+                    power, charging, out,
+                )  # fmt: skip
+    return 0
+
+
+@njit(cache=True)
+def _weight(time, scale):  # type: ignore[no-untyped-def]
+    """The eighth power: nearly the maximum, and yet every second of every robot counts."""
+    x = time / scale
+    x *= x
+    x *= x
+    return x * x
+
+
+@njit(cache=True)
+def _moved(route, size, a, ia, b, ib, kind, la, lb, new_a, new_b):  # type: ignore[no-untyped-def]
+    """Two routes after a move, into `new_a` and `new_b`; their sizes, or -1 where it is none.
+
+    Task `ia` of route `a` is to come right behind place `ib` of route `b` (-1: at its head).
+    kind 0: a segment of `la` goes over. 1: segments change places. 2: all that follows does.
+    """
+    na, nb = size[a], size[b]
+    if kind == 2:
+        if a == b:
+            return -1, -1
+        n = 0
+        for k in range(ia):
+            new_a[n] = route[a, k]
+            n += 1
+        for k in range(ib + 1, nb):
+            new_a[n] = route[b, k]
+            n += 1
+        m = 0
+        for k in range(ib + 1):
+            new_b[m] = route[b, k]
+            m += 1
+        for k in range(ia, na):
+            new_b[m] = route[a, k]
+            m += 1
+        return n, m
+    if kind == 0:
+        lb = 0
+    start = ib + 1  # of the other segment
+    if ia + la > na or start + lb > nb:
+        return -1, -1
+    if a == b:
+        return _moved_within(route[a], na, ia, start, la, lb, new_a)
+    n = 0
+    for k in range(ia):
+        new_a[n] = route[a, k]
+        n += 1
+    for k in range(start, start + lb):
+        new_a[n] = route[b, k]
+        n += 1
+    for k in range(ia + la, na):
+        new_a[n] = route[a, k]
+        n += 1
+    m = 0
+    for k in range(start):
+        new_b[m] = route[b, k]
+        m += 1
+    for k in range(ia, ia + la):
+        new_b[m] = route[a, k]
+        m += 1
+    for k in range(start + lb, nb):
+        new_b[m] = route[b, k]
+        m += 1
+    return n, m
+
+
+@njit(cache=True)
+def _moved_within(seq, count, ia, start, la, lb, out):  # type: ignore[no-untyped-def]
+    """The same inside one route: [ia, ia + la) and [start, start + lb) change places."""
+    if start < ia:
+        lo, llo, hi, lhi = start, lb, ia, la
+    else:
+        lo, llo, hi, lhi = ia, la, start, lb
+    if lo + llo > hi or (lo + llo == hi and lhi == 0):
+        return -1, -1
+    n = 0
+    for k in range(lo):
+        out[n] = seq[k]
+        n += 1
+    for k in range(hi, hi + lhi):
+        out[n] = seq[k]
+        n += 1
+    for k in range(lo + llo, hi):
+        out[n] = seq[k]
+        n += 1
+    for k in range(lo, lo + llo):
+        out[n] = seq[k]
+        n += 1
+    for k in range(hi + lhi, count):
+        out[n] = seq[k]
+        n += 1
+    return n, 0
+
+
+@njit(cache=True)
+def _next(state):  # type: ignore[no-untyped-def]
+    """xorshift64*: the same dice on every machine."""
+    x = state[0]
+    x ^= x >> np.uint64(12)
+    x ^= x << np.uint64(25)
+    x ^= x >> np.uint64(27)
+    state[0] = x
+    return (x * np.uint64(2685821657736338717)) >> np.uint64(33)
+
+
+@njit(cache=True)
+def _below(state, n):  # type: ignore[no-untyped-def]
+    return int(_next(state) % np.uint64(n))
+
+
+@njit(cache=True)
+def _propose(route, size, of, at, near, state, new_a, new_b):  # type: ignore[no-untyped-def]
+    """A move by the dice, carried out in `new_a` and `new_b`: both routes and their sizes; a size
+    below 0: it was none."""
+    tasks = len(of)
+    j = _below(state, tasks)
+    a, ia = of[j], at[j]
+    p = near[j, _below(state, near.shape[1])]
+    b, ib = (p - tasks, -1) if p >= tasks else (of[p], at[p])
+    if a < 0 or b < 0:
+        return a, b, -1, -1
+    kind = _below(state, 3)
+    la, lb = 1 + _below(state, SEGMENT), 1 + _below(state, SEGMENT)
+    n, m = _moved(route, size, a, ia, b, ib, kind, la, lb, new_a, new_b)
+    return a, b, n, m
+
+
+@njit(cache=True)
+def _accepted(before_a, before_b, ta, tb, same, scale, temperature, state):  # type: ignore[no-untyped-def]
+    """Whether two routes may take `ta` and `tb` instead: always for the better, else by the dice."""
+    gain = _weight(ta, scale) - _weight(before_a, scale)
+    if not same:
+        gain += _weight(tb, scale) - _weight(before_b, scale)
+    gain *= scale / 8.0
+    if gain <= 0.0:
+        return True
+    dice = (_next(state) & np.uint64(0xFFFFFF)) / 16777216.0
+    return dice < exp(-gain / temperature)
+
+
+@njit(cache=True)
+def _write(route, size, times, of, at, r, tasks, n, time):  # type: ignore[no-untyped-def]
+    times[r], size[r] = time, n
+    for k in range(n):
+        route[r, k] = tasks[k]
+        of[tasks[k]], at[tasks[k]] = r, k
+
+
+@njit(cache=True)
+def search(  # type: ignore[no-untyped-def]
+    route, size, near, moves, hot, cold, state, ready, lead, link, lead_bay_ms, power, charging
+):
+    """Simulated annealing from a plan, in place: `moves` tries, from temperature `hot` to `cold`.
+
+    `near` (tasks, n): whom a task may follow, a task or robots' heads as tasks + robot. The best plan
+    that was met, by makespan and then by total, is what `route` holds at the end.
+    """
+    robots, room = route.shape
+    times = np.empty(robots, np.int64)
+    of, at = np.full(len(link), -1, np.int64), np.zeros(len(link), np.int64)
+    for r in range(robots):
+        time = span(r, route[r], size[r], ready, lead, link, lead_bay_ms, power, charging)
+        _write(route, size, times, of, at, r, route[r].copy(), size[r], time)
+    total = times.sum()
+    best_most, best_total = times.max(), total
+    if total == 0:
+        return
+    scale = total / robots
+    best_route, best_size = route.copy(), size.copy()
+    new_a, new_b = np.empty(2 * room + 2, np.int64), np.empty(2 * room + 2, np.int64)
+    cooling = (cold / hot) ** (1.0 / max(moves, 1))
+    temperature = hot * scale
+    for _ in range(moves):
+        temperature *= cooling
+        a, b, n, m = _propose(route, size, of, at, near, state, new_a, new_b)
+        if n < 0 or n > room or m > room:
+            continue
+        ta = span(a, new_a, n, ready, lead, link, lead_bay_ms, power, charging)
+        tb = times[b]
+        if a != b:
+            tb = span(b, new_b, m, ready, lead, link, lead_bay_ms, power, charging)
+        if ta >= IMPOSSIBLE or tb >= IMPOSSIBLE:
+            continue
+        if not _accepted(times[a], times[b], ta, tb, a == b, scale, temperature, state):
+            continue
+        total += ta - times[a]
+        _write(route, size, times, of, at, a, new_a, n, ta)
+        if a != b:
+            total += tb - times[b]
+            _write(route, size, times, of, at, b, new_b, m, tb)
+        if max(ta, tb) > best_most:
+            continue
+        most = times.max()
+        if most < best_most or (most == best_most and total < best_total):
+            best_most, best_total = most, total
+            best_route[:], best_size[:] = route, size
+    route[:], size[:] = best_route, best_size
+
+
+@njit(cache=True)
+def least_waiting(r, seq, n, task, first, ready, lead, link, lead_bay_ms, power, charging, out):  # type: ignore[no-untyped-def]
+    """Where in a route a task makes all tasks of the route wait the least in sum, and how much more."""
+    before = 0
+    for k in range(1, n + 1):
+        before += span(r, seq, k, ready, lead, link, lead_bay_ms, power, charging)
+    best, place = IMPOSSIBLE, n
+    for at in range(first, n + 1):
+        _put(seq, n, task, at, out)
+        after = 0
+        for k in range(1, n + 2):
+            after += span(r, out, k, ready, lead, link, lead_bay_ms, power, charging)
+        if after - before < best:
+            best, place = after - before, at
+    return best, place

@@ -1,0 +1,313 @@
+"""One run of a delivering fleet from power-up to the last parcel, and what came of it in truth."""
+
+import itertools
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from random import Random
+from typing import Any, NamedTuple
+
+from agent.config import S
+from agent.core import Peer
+from agent.delivery import Delivery
+from agent.identity import Identity
+from agent.task_book import TASKS_MAX, Order
+from crdt import Phase
+from protocol.codec import Malformed, decode_once
+from protocol.delivery_frames import TaskOrder
+from protocol.frame import Frame
+from protocol.name import fleet_name
+from sim.can_log import open_log
+from sim.cluster import Cluster, Record, Robot
+from sim.delivery_setting import DeliverySetting
+from sim.faults import FaultPlan
+from sim.host import Handle, Host, LoopHost, Script, follow
+from sim.parcels import CarrierBody
+from sim.play import TOUCH_M
+from sim.swarm import Swarm
+from sim.trace import Recorder
+from sim.truth import TrackPoint
+from sim.warehouse_scenario import TaskRow
+
+LOOK_US = 500_000
+QUIET_US = 4 * S  # after the last parcel replicas must be equal within this
+
+_numbers = itertools.count()
+
+
+class HaulMoment(NamedTuple):
+    simulated_s: float
+    delivered: int
+    tasks: int
+    itineraries: Mapping[int, list[str]]
+
+
+class HaulOutcome(NamedTuple):
+    scenario: str
+    robots: int
+    seed: int
+    tasks: int
+    delivered: int
+    finished: bool  # every parcel lies at its dropoff, and every running replica knows it
+    makespan_s: float  # until the last parcel was put down
+    latency_s: float  # the mean from a task's appearing to its delivery
+    flaws: Mapping[str, int]  # twice, lost, by_two, again
+    empty: tuple[int, ...]  # robots whose battery ever was
+    lowest_battery: float
+    charges: int
+    contacts: int  # deeper than 2 cm: bodies are measured to a centimetre
+    closest_m: float
+    travel_m: float
+    rounds: int  # of planning, streamed plans
+    agreements: int  # rounds in jams, the most that one robot saw
+    ahead: int  # paths that were planned before they were needed, and used
+    waited_s: float  # for new itineraries, all robots
+    replicas_equal: bool
+    bus_load: float
+    frames: Mapping[str, int]
+    malformed: int
+    trace_hash: str
+    simulated_s: float
+    wall_s: float
+
+    @property
+    def success(self) -> bool:
+        return (
+            self.finished and not any(self.flaws.values()) and not self.empty and not self.contacts
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        plain = {**self._asdict(), "flaws": dict(self.flaws), "frames": dict(self.frames)}
+        return {**plain, "success": self.success}
+
+
+class HaulCluster(Cluster):
+    def __init__(
+        self, setting: DeliverySetting, channel: str, record: Record | None, host: Host
+    ) -> None:
+        super().__init__(setting, channel, record, host)
+        self.place, self.truth = setting, setting.parcels()
+        self.truth.is_up = self.is_up
+        self.truth.place_of = lambda slot: self.world.body(slot).position
+        self.missions: dict[int, Delivery] = {}
+        self._ordered: set[int] = set()
+        self.segment.taps.append(self._appears)
+
+    def _appears(self, t_us: int, frame: Frame) -> None:
+        """Whoever orders a transport puts a parcel there."""
+        _, message = decode_once(frame)
+        if isinstance(message, TaskOrder):
+            order = Order(message.pickup, message.dropoff)
+            if message.task < TASKS_MAX and self.place.house.known(order):
+                trip = self.place.house.trip(order)
+                self.truth.appear(message.task, trip.pickup, trip.dropoff, t_us)
+
+    def make(
+        self, slot: int, now_us: int, recalled: Mapping[str, bytes], first_boot: bool, lot: str
+    ) -> Peer:
+        setting, scenario = self.place, self.place.scenario
+        identity = Identity(
+            slot=slot, members=frozenset(range(scenario.fleet.robots)),
+            name=fleet_name(scenario.name, slot), field_hash=setting.config_hash,
+            silence=setting.silence, started=True, first_boot=first_boot,
+        )  # fmt: skip
+        mission = self.missions[slot] = setting.delivery(slot, now_us)
+        rng = Random(f"{scenario.run.seed}/peer/{slot}{lot}")
+        return Peer(
+            identity,
+            rng,
+            now_us,
+            recalled,
+            mission,
+            setting.motion(slot),
+            setting.keyring(slot, lot),
+        )
+
+    def boot(self, slot: int) -> Robot:
+        robot = super().boot(slot)
+        assert robot.shell.body is not None
+        robot.shell.body = CarrierBody(robot.shell.body, slot, self.truth, self.host.now_us)
+        return robot
+
+    def task(self, row: TaskRow) -> None:
+        """An operator's device orders the transport of one more parcel, by the next free number."""
+        number = max((*self.truth.dropoff, *self._ordered), default=-1) + 1
+        self._ordered.add(number)
+        self.inject(TaskOrder(number, *self.place.order(self.place.house, row)))
+
+    @property
+    def finished(self) -> bool:
+        tasks = self.truth.dropoff
+        if len(tasks) < len(self.place.rows):
+            return False  # they have not come yet
+        return self.truth.delivered_us.keys() == tasks.keys() and all(
+            robot.peer.allocation.phase_of(task) is Phase.DONE
+            for robot in self.running
+            for task in tasks
+        )
+
+
+class Haul:
+    def __init__(
+        self, setting: DeliverySetting, out: Path | None = None,
+        told: Callable[[HaulMoment], None] | None = None,
+        watch: Callable[[HaulCluster], None] | None = None, forever: bool = False,
+    ) -> None:  # fmt: skip
+        """`watch` is given the cluster twice a second. `forever`: more tasks may come at any time."""
+        self.forever = forever
+        self.setting, self.out, self.told, self.watch = setting, out, told, watch
+        self.kinds: Counter[str] = Counter()
+        self.malformed = 0
+        self.tracks: dict[int, list[TrackPoint]] = {}
+        self.cluster: HaulCluster | None = None
+        self.ended = False  # by a person
+        self.attach: Callable[[HaulCluster], None] | None = None
+
+    def run(self) -> HaulOutcome:
+        swarm = Swarm()
+        return swarm.run(self._play(swarm))
+
+    async def live(self, attach: Callable[[HaulCluster], None]) -> HaulOutcome:
+        """In the running loop's time, which begins at 0. `attach`: who else is on the bus."""
+        host = LoopHost()
+        self.attach = attach
+        try:
+            return await follow(self._play(host))
+        finally:
+            await host.close()
+
+    def _play(self, host: Host) -> Script[HaulOutcome]:
+        started_s = time.perf_counter()
+        recorder = Recorder(self.out / "trace.jsonl" if self.out else None)
+        cluster = HaulCluster(self.setting, f"haul {next(_numbers)}", recorder, host)
+        self.cluster = cluster
+        log = open_log(self.out / "can.log") if self.out else None
+
+        def tap(t_us: int, frame: Frame) -> None:
+            _, message = decode_once(frame)
+            self.kinds[type(message).__name__] += 1
+            self.malformed += isinstance(message, Malformed)
+            if log is not None:
+                log.write(t_us, frame)
+
+        cluster.segment.taps.append(tap)
+        if self.attach is not None:
+            self.attach(cluster)
+        cluster.boot_all()
+        scripts = [
+            host.spawn(FaultPlan(cluster).script()), host.spawn(self._boxes(cluster)),
+            host.spawn(self._arrivals(cluster)), host.spawn(self._outages(cluster)),
+        ]  # fmt: skip
+        try:
+            yield from self._until_finished(cluster, scripts)
+            outcome = self._measure(cluster, recorder, time.perf_counter() - started_s)
+        finally:
+            cluster.end()
+            recorder.close()
+            if log is not None:
+                log.close()
+        return outcome
+
+    def _boxes(self, cluster: HaulCluster) -> Script[None]:
+        """The scenario's random obstacles; a box never falls on a robot."""
+        for box in self.setting.boxes():
+            yield round(box.at_s * S)
+            world = cluster.world
+            world.advance(cluster.host.now_us())
+            near = min(
+                (abs(b.position[0] - box.x_m) + abs(b.position[1] - box.y_m))
+                for b in world.robots.values()
+            )
+            if near > 2.0:
+                number = world.add_box(box.x_m, box.y_m, box.size_m)
+                until_us = cluster.host.now_us() + round(box.for_s * S)
+                world.at(until_us, partial(world.remove_box, number))
+
+    def _arrivals(self, cluster: HaulCluster) -> Script[None]:
+        for row in sorted(self.setting.rows, key=lambda row: row.at_s):
+            if row.at_s:
+                yield round(row.at_s * S)
+                cluster.task(row)
+
+    def _outages(self, cluster: HaulCluster) -> Script[None]:
+        for outage in sorted(self.setting.scenario.warehouse.outage, key=lambda o: o.at_s):
+            yield round(outage.at_s * S)
+            if outage.bay < len(cluster.truth.bays):
+                cluster.truth.bays[outage.bay].works = False
+
+    def _until_finished(self, cluster: HaulCluster, scripts: list[Handle]) -> Script[None]:
+        host, limit_us = cluster.host, round(self.setting.scenario.run.time_limit_s * S)
+        while host.now_us() < limit_us:
+            yield host.now_us() + LOOK_US
+            cluster.check()
+            for script in scripts:
+                script.check()
+            if self.watch is not None:
+                self.watch(cluster)
+            if self.told is not None:
+                self.told(self._moment(cluster))
+            over = all(script.done() for script in scripts) and cluster.finished
+            if (over and not self.forever) or self.ended:
+                break
+        quiet_us = host.now_us() + QUIET_US
+        while not cluster.replicas_equal and host.now_us() < quiet_us:
+            yield host.now_us() + LOOK_US // 5
+
+    def _moment(self, cluster: HaulCluster) -> HaulMoment:
+        running = {robot.slot for robot in cluster.running}
+        return HaulMoment(
+            cluster.host.now_us() / S, len(cluster.truth.delivered_us), len(cluster.truth.dropoff),
+            {slot: m.stops for slot, m in cluster.missions.items() if slot in running},
+        )  # fmt: skip
+
+    def _measure(self, cluster: HaulCluster, recorder: Recorder, wall_s: float) -> HaulOutcome:
+        truth, world, scenario = cluster.truth, cluster.world, self.setting.scenario
+        now_us = cluster.host.now_us()
+        world.advance(now_us)
+        self.tracks = {slot: body.track.points for slot, body in world.robots.items()}
+        waits_s = [
+            (t_us - truth.appeared_us[task]) / S for task, t_us in truth.delivered_us.items()
+        ]
+        missions = cluster.missions.values()
+        wire = cluster.segment.wire
+        return HaulOutcome(
+            scenario=scenario.name,
+            robots=scenario.fleet.robots,
+            seed=scenario.run.seed,
+            tasks=len(truth.dropoff),
+            delivered=len(truth.delivered_us),
+            finished=cluster.finished,
+            makespan_s=max(truth.delivered_us.values(), default=0) / S,
+            latency_s=sum(waits_s) / max(len(waits_s), 1),
+            flaws=truth.flaws,
+            empty=tuple(sorted(truth.empty)),
+            lowest_battery=min(truth.lowest.values(), default=1.0),
+            charges=_charges(cluster),
+            contacts=sum(contact.depth_m > TOUCH_M for contact in world.contacts),
+            closest_m=world.closest_m,
+            travel_m=sum(body.track.driven_m for body in world.robots.values()),
+            rounds=sum(m.dispatch.round.streamed for m in missions),
+            agreements=max((m.accords.rounds for m in missions), default=0),
+            ahead=sum(m.paths.used for m in missions),
+            waited_s=sum(m.waited_us for m in missions) / S,
+            replicas_equal=cluster.replicas_equal,
+            bus_load=wire.busy_us / max(now_us, 1),
+            frames=dict(self.kinds.most_common()),
+            malformed=self.malformed,
+            trace_hash=recorder.digest,
+            simulated_s=now_us / S,
+            wall_s=wall_s,
+        )
+
+
+def _charges(cluster: HaulCluster) -> int:
+    """Visits of bays that were done, as a running replica knows."""
+    for robot in cluster.running:
+        allocation = robot.peer.allocation
+        return sum(
+            section >= TASKS_MAX and allocation.phase_of(section) is Phase.DONE
+            for section in allocation.sections()
+        )
+    return 0

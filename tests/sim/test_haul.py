@@ -1,0 +1,166 @@
+"""Whole peers that carry parcels: what is true of parcels and batteries at the end, whatever happens."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import pytest
+
+from protocol.codec import decode_once
+from protocol.delivery_frames import PlanRow
+from sim.delivery_setting import DeliverySetting
+from sim.haul import Haul, HaulCluster, HaulOutcome
+from sim.scenario import Crash, Heal, Loss, Partition, Restart
+from sim.warehouse_scenario import Outage, WarehouseScenario
+
+MAP = """
+............
+..###..###..
+............
+..###..###..
+............
+"""
+NOTHING = {"twice": 0, "lost": 0, "by_two": 0, "again": 0}
+
+
+def scenario(
+    robots: int = 3, seed: int = 1, faults: Sequence[Any] = (), battery: dict[str, float] | None = None,
+    loss: float = 0.0, **table: Any,
+) -> WarehouseScenario:  # fmt: skip
+    print(f"seed {seed}")
+    return WarehouseScenario.model_validate({
+        "name": "test", "mission": "delivery", "fault": list(faults),
+        "warehouse": {"map": MAP, "random_tasks": 6, "handle_s": 1.0, **table},
+        "battery": battery or {}, "bus": {"loss": loss},
+        "fleet": {"robots": robots, "radius_m": 0.3, "speed_m_s": 1.0, "acceleration_m_s2": 2.0,
+                  "silence": "continue"},
+        "run": {"seed": seed, "time_limit_s": 400.0},
+    })  # fmt: skip
+
+
+def play(given: WarehouseScenario, watch: Any = None) -> tuple[HaulOutcome, Haul]:
+    run = Haul(DeliverySetting(given), watch=watch)
+    outcome = run.run()
+    print(outcome)
+    assert outcome.flaws == NOTHING
+    assert not outcome.empty
+    assert outcome.contacts == 0
+    return outcome, run
+
+
+def test_a_boot_with_many_tasks_is_planned_by_all_and_one_plan_is_streamed() -> None:
+    outcome, _ = play(scenario())
+    assert outcome.finished and outcome.replicas_equal
+    assert outcome.rounds == 1
+    assert outcome.ahead > 0  # paths were there before they were needed
+
+
+def test_the_same_seed_gives_the_same_run() -> None:
+    given = scenario(robots=2, random_tasks=3)
+    assert play(given)[0].trace_hash == play(given)[0].trace_hash
+
+
+def test_tasks_in_a_trickle_are_auctioned_one_by_one() -> None:
+    outcome, _ = play(scenario(random_tasks=5, random_over_s=40.0))
+    assert outcome.finished
+    assert outcome.rounds == 0
+    assert outcome.frames["TaskBid"] >= 5
+
+
+class KillsTheCarrier:
+    """Kills the first robot that has a parcel aboard."""
+
+    def __init__(self) -> None:
+        self.killed: int | None = None
+
+    def __call__(self, cluster: HaulCluster) -> None:
+        if self.killed is None and cluster.truth.aboard:
+            self.killed = min(cluster.truth.aboard)
+            cluster.kill(self.killed)
+
+
+def test_a_parcel_of_a_robot_that_died_is_fetched_from_where_it_died() -> None:
+    killer = KillsTheCarrier()
+    outcome, run = play(scenario(), killer)
+    assert outcome.finished
+    assert run.cluster is not None
+    taken = [e for e in run.cluster.truth.events if e.what == "taken"]
+    assert len(taken) == 1 and taken[0].slot != killer.killed
+
+
+def test_a_carrier_that_restarts_brings_what_it_has_aboard() -> None:
+    class Restarts(KillsTheCarrier):
+        def __call__(self, cluster: HaulCluster) -> None:
+            was = self.killed
+            super().__call__(cluster)
+            if was is not None and not cluster.is_up(was):
+                cluster.boot(was)
+
+    outcome, run = play(scenario(), Restarts())
+    assert outcome.finished
+    assert run.cluster is not None
+    assert not [e for e in run.cluster.truth.events if e.what == "taken"]
+
+
+def test_a_split_with_parcels_in_flight_delivers_each_once() -> None:
+    faults = [
+        Partition(at_s=8.0, kind="partition", islands=[[0], [1, 2]]),
+        Heal(at_s=60.0, kind="heal"),
+    ]
+    outcome, _ = play(scenario(faults=faults, random_tasks=8))
+    assert outcome.finished and outcome.replicas_equal
+
+
+def test_the_elected_dies_as_it_begins_to_stream_and_the_next_best_does() -> None:
+    given = scenario(robots=4, random_tasks=8)
+    run = Haul(DeliverySetting(given))
+    killed: list[int] = []
+
+    def attach(cluster: HaulCluster) -> None:
+        def tap(t_us: int, frame: Any) -> None:
+            source, message = decode_once(frame)
+            if isinstance(message, PlanRow) and not killed:
+                slots = [r.slot for r in cluster.running if r.peer.address == source]
+                killed.extend(slots)
+                cluster.kill(slots[0])
+
+        cluster.segment.taps.append(tap)
+
+    run.attach = attach
+    outcome = run.run()
+    print(outcome)
+    assert killed
+    assert outcome.rounds == 1  # of those that live
+    assert outcome.finished and outcome.flaws == NOTHING
+
+
+def test_batteries_are_charged_before_they_are_needed_also_when_a_bay_is_lost() -> None:
+    given = scenario(
+        robots=2, random_tasks=10, bays=[(0.5, 2.5), (11.5, 2.5)], outage=[Outage(bay=0, at_s=5.0)],
+        battery={"range_m": 50.0, "charge_s": 10.0, "dock_s": 2.0, "reserve": 0.15},
+    )  # fmt: skip
+    outcome, _ = play(given)
+    assert outcome.finished
+    assert outcome.charges > 0
+    assert outcome.lowest_battery > 0.0
+
+
+def test_boxes_fall_and_frames_are_lost() -> None:
+    outcome, _ = play(scenario(loss=0.05, boxes_a_minute=10.0, boxes_until_s=40.0, box_s=8.0))
+    assert outcome.finished
+
+
+def test_a_robot_dies_and_comes_back_while_frames_are_lost() -> None:
+    faults = [
+        Loss(at_s=1.0, kind="loss", rate=0.2),
+        Crash(at_s=12.0, kind="crash", robot=1),
+        Restart(at_s=30.0, kind="restart", robot=1),
+    ]
+    outcome, _ = play(scenario(faults=faults))
+    assert outcome.finished
+
+
+@pytest.mark.parametrize("seed", [2, 3])
+def test_one_wide_halls_do_not_lock(seed: int) -> None:
+    hall = "......\n.####.\n......\n.####.\n......"
+    outcome, _ = play(scenario(robots=3, seed=seed, map=hall, random_tasks=6))
+    assert outcome.finished

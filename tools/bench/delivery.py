@@ -1,0 +1,178 @@
+"""Deliveries: plans against PyVRP and OR-Tools, streams, batteries, and whole peers in trouble."""
+
+import time
+from collections.abc import Iterator
+from random import Random
+
+import numpy as np
+
+from agent.auction import Planner
+from agent.cost_matrix import FULL, Carrier, CostMatrix, Trip, workload
+from agent.floor import Floor
+from agent.nav_mesh import Mesh, Point
+from agent.workload import Workload
+from sim.delivery_setting import DeliverySetting
+from sim.floor_plan import warehouse
+from sim.haul import Haul
+from tools.bench.delivery_trouble import bad_luck
+from tools.bench.figure import Figure
+from tools.bench.routing_opponents import bound_ms, ortools_plan, pyvrp_makespan
+from tools.bench.task_stream import arrivals, latency_s, least_travel, least_waiting
+
+SIZES = {(10, 50): 1.10, (10, 100): 1.08, (20, 200): 1.10, (50, 500): 1.15}  # and the target
+MOVES = 1_000_000  # of one peer's search
+OPPONENT_S = 10.0
+TIGHT_M = 900.0  # of a battery, where a task is 230 m on the average
+VISITS = 6  # of a bay that OR-Tools may use
+WHERE = (
+    "warehouse of 164 x 342 m, random starts, pickups and dropoffs; ways of the planning map, 1 m/s"
+)
+
+
+def building() -> CostMatrix:
+    """As large as the map warehouse-20-40-10-2-2 of the reference, and drawn alike."""
+    floor = Floor.drawn(warehouse(20, 40, 10, 2, 2, 51), 1.0, 0.3)
+    return CostMatrix(Mesh(floor.inflated, floor.origin, floor.fine_m))
+
+
+def places(costs: CostMatrix, count: int, rng: Random) -> list[Point]:
+    mesh = costs.mesh
+    free = np.argwhere(~mesh.blocked)
+    found = (free[rng.randrange(len(free))].tolist() for _ in range(count))
+    return [
+        (mesh.origin[0] + (c + 0.5) * mesh.cell_m, mesh.origin[1] + (r + 0.5) * mesh.cell_m)
+        for r, c in found
+    ]
+
+
+def instance(costs: CostMatrix, robots: int, tasks: int, seed: int) -> Workload:
+    rng = Random(f"{seed}/delivery/{robots}/{tasks}")
+    trips = [Trip(*places(costs, 2, rng)) for _ in range(tasks)]
+    return workload(costs, Carrier(1.0, 0.0), trips, places(costs, robots, rng), [0] * robots)
+
+
+def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
+    costs = building()
+    yield decision(costs, seed)
+    yield from streams(costs, quick, seed)
+    yield from batteries(costs, quick, seed)
+    yield from trouble(1 if quick else 20, seed)
+    for (robots, tasks), target in SIZES.items():
+        opposed = not quick or (robots, tasks) == (10, 50)
+        seeds = range(seed, seed + (1 if quick or tasks > 200 else 2))
+        opponent_s = 2.0 if quick else OPPONENT_S
+        yield from plans(costs, robots, tasks, target, seeds, opponent_s if opposed else 0.0)
+
+
+def decision(costs: CostMatrix, seed: int) -> Figure:
+    """What one peer computes when a task is told: two rows of the matrix, and the bids of all."""
+    rng = Random(f"{seed}/decision")
+    trips = [Trip(*places(costs, 2, rng)) for _ in range(500)]
+    robots, carrier = places(costs, 50, rng), Carrier(1.0, 5.0)
+    planner = Planner(workload(costs, carrier, trips, robots, [0] * 50))
+    plan = planner.auctioned()
+    took_ms = []
+    for _ in range(20):
+        new = Trip(*places(costs, 2, rng))
+        began = time.process_time()
+        for slot, own in enumerate(plan):
+            order = [*(trips[t] for t in own), new]
+            bid = Planner(workload(costs, carrier, order, [robots[slot]], [0]))
+            bid.inserted(0, range(len(own)), len(own))
+        took_ms.append((time.process_time() - began) * 1000)
+    value = float(np.median(took_ms[1:]))
+    return Figure("decision of a peer for one new task, 50 robots, 500 tasks", value, "ms", "<= 50",
+                  value <= 50, "-", "CPU, median of 19; two searches of the planning map and the bids "
+                  "of all 50 robots, although each computes only its own")  # fmt: skip
+
+
+def streams(costs: CostMatrix, quick: bool, seed: int) -> Iterator[Figure]:
+    for robots, tasks in [(10, 200)] if quick else [(10, 200), (20, 400)]:
+        work = instance(costs, robots, tasks, seed)
+        for load in (0.7, 1.1):
+            at_ms = arrivals(work, load, Random(f"{seed}/stream/{load}"))
+            ours, theirs = (latency_s(work, at_ms, p) for p in (least_waiting, least_travel))
+            share = ours / theirs
+            yield Figure(f"mean latency in a stream, {robots} robots, {tasks} tasks, load {load}",
+                         share, "x", "<= 0.50", share <= 0.5, "insertion of least extra travel",
+                         f"{ours:.0f} s against {theirs:.0f} s; no congestion; {WHERE}")  # fmt: skip
+
+
+def batteries(costs: CostMatrix, quick: bool, seed: int) -> Iterator[Figure]:
+    """Tight: a full battery lasts for three tasks or four."""
+    for tasks in (50,) if quick else (50, 100):
+        rng = Random(f"{seed}/battery/{tasks}")
+        trips = [Trip(*places(costs, 2, rng)) for _ in range(tasks)]
+        starts, bays = places(costs, 10, rng), places(costs, 4, rng)
+        carrier = Carrier(1.0, 0.0, battery_m=TIGHT_M, dock_s=100.0, charge_s=0.0, reserve=0.0)
+        work = workload(costs, carrier, trips, starts, [0] * 10, bays, [FULL] * 10)
+        planner = Planner(work)
+        seconds = 4.0 if quick else OPPONENT_S
+        began = time.process_time()
+        plan = planner.improved(planner.auctioned(), seed, MOVES // 2)
+        cpu_s = time.process_time() - began
+        worth = planner.worth(plan)
+        theirs = ortools_plan(work, seconds, balanced=True, bays=VISITS)
+        name = f"last finish with tight batteries, 10 robots, {tasks} tasks"
+        scope = (f"{WHERE}; {TIGHT_M:.0f} m a battery, 100 s a charge, 4 bays, each of them may turn "
+                 f"out to give nothing; {worth.makespan_ms / 1000:.0f} s; {cpu_s:.1f} s CPU")  # fmt: skip
+        if not worth.feasible or theirs is None:
+            missed = "ours: none" if not worth.feasible else "OR-Tools found no plan"
+            yield Figure(name, 0.0, "x", "<= 1.10", worth.feasible, missed, scope)
+            continue
+        value = worth.makespan_ms / theirs.makespan_ms
+        yield Figure(name, value, "x", "<= 1.10", value <= 1.10,
+                     f"OR-Tools, {seconds:.0f} s, energy as a dimension", scope)  # fmt: skip
+
+
+def trouble(runs: int, seed: int) -> Iterator[Figure]:
+    """Whole peers on the wire: what a person would find on the floor in the end."""
+    flaws, finished, empty = 0, 0, 0
+    for k in range(seed, seed + runs):
+        run = Haul(DeliverySetting(bad_luck(k)))
+        outcome = run.run()
+        flaws += sum(outcome.flaws.values()) + outcome.contacts
+        finished += outcome.finished
+        empty += len(outcome.empty)
+    where = (f"{runs} runs, 4 robots, 10 tasks; 5 % of frames lost, a split, a death, a restart, boxes; "
+             "judged by where parcels are")  # fmt: skip
+    yield Figure("deliveries done twice, lost or by two robots, and contacts", flaws, "", "= 0",
+                 flaws == 0, "-", where)  # fmt: skip
+    yield Figure("robots whose battery was empty", empty, "", "= 0", empty == 0, "-", where)
+    share = finished / runs
+    yield Figure("runs in which every parcel arrived", share, "share", "", None, "-", where)
+
+
+def plans(
+    costs: CostMatrix, robots: int, tasks: int, target: float, seeds: range, seconds: float
+) -> Iterator[Figure]:
+    ours, rivals, travels, cpu_s = [], [], [], []
+    for seed in seeds:
+        work = instance(costs, robots, tasks, seed)
+        planner, bound = Planner(work), bound_ms(work)
+        planner.improved(planner.auctioned(), seed, 1)  # compiled
+        began = time.process_time()
+        first = planner.auctioned()
+        plan = planner.improved(first, seed, MOVES)
+        cpu_s.append(time.process_time() - began)
+        worth = planner.worth(plan)
+        ours.append(worth.makespan_ms / bound)
+        if seconds:
+            most = planner.worth(first).makespan_ms
+            rivals.append(worth.makespan_ms / pyvrp_makespan(work, most, seconds, seed))
+            total = ortools_plan(work, seconds, balanced=False)
+            travels.append(worth.total_ms / (worth.total_ms if total is None else total.total_ms))
+    name = f"{robots} robots, {tasks} tasks"
+    scope = f"{WHERE}; {len(seeds)} seeds; one peer's search, {MOVES:,} moves, {np.mean(cpu_s):.2f} s CPU"
+    value = float(np.mean(ours))
+    yield Figure(f"makespan over the relaxation bound, {name}", value, "x", f"<= {target:.2f}",
+                 value <= target, "assignment relaxation, shared by all robots", scope)  # fmt: skip
+    if not seconds:
+        return
+    value = float(np.mean(rivals))
+    yield Figure(f"makespan against PyVRP, {name}", value, "x", "<= 1.05", value <= 1.05,
+                 f"PyVRP, {seconds:.0f} s, four limits of the route's duration by bisection",
+                 scope)  # fmt: skip
+    value = float(np.mean(travels))
+    yield Figure(f"total travel against OR-Tools, {name}", value, "x", "<= 1.10", value <= 1.10,
+                 f"OR-Tools, {seconds:.0f} s, total travel alone", scope)  # fmt: skip

@@ -1,0 +1,185 @@
+"""`headland run` of a warehouse: to the last parcel in virtual time, or live for tasks to be added."""
+
+import asyncio
+import json
+import os
+import signal
+import sys
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from sim.clock import WallLoop
+from sim.delivery_setting import DeliverySetting
+from sim.haul import Haul, HaulCluster, HaulMoment, HaulOutcome
+from sim.hub import Hub
+from sim.scenario import ScenarioError
+from sim.warehouse_scenario import load_warehouse
+from tools.attachment import CHANNEL, LAUNCH
+
+UNFINISHED, WRONG, INTERRUPTED = 1, 2, 130
+HOST = "127.0.0.1"
+
+
+def haul(
+    scenario: str, robots: int | None, seed: int | None, out: Path, as_json: bool,
+    keys: Path | None, live: bool, port: int, seconds: float | None,
+) -> int:  # fmt: skip
+    console = Console(stderr=as_json)
+    try:
+        setting = DeliverySetting(load_warehouse(scenario).changed(robots, seed, keys))
+        out.mkdir(parents=True, exist_ok=True)
+    except ScenarioError as problem:
+        print(f"headland: {problem}", file=sys.stderr)
+        return WRONG
+    except OSError as problem:
+        print(f"headland: --out: {problem}", file=sys.stderr)
+        return WRONG
+    try:
+        outcome, run, interrupted = _watch(console, setting, out, live, port, seconds)
+    except OSError as problem:
+        print(f"headland: --port {port}: {problem}; choose another or 0", file=sys.stderr)
+        return WRONG
+    (out / "report.json").write_text(json.dumps(outcome.to_dict(), indent=1) + "\n")
+    draw_warehouse(setting, run, outcome, out / "warehouse.png")
+    if as_json:
+        print(json.dumps(outcome.to_dict()))
+    else:
+        console.print(outcome_table(outcome))
+        console.print(f"report.json, warehouse.png, can.log and trace.jsonl are in {out}")
+    if interrupted:
+        return INTERRUPTED
+    return 0 if outcome.success else UNFINISHED
+
+
+def _watch(
+    console: Console, setting: DeliverySetting, out: Path, live: bool, port: int,
+    seconds: float | None,
+) -> tuple[HaulOutcome, Haul, bool]:  # fmt: skip
+    with Progress(
+        TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}/{task.total}"),
+        TextColumn("{task.fields[note]}"), TimeElapsedColumn(), console=console, transient=True,
+    ) as progress:  # fmt: skip
+        bar = progress.add_task(setting.scenario.name, total=len(setting.rows), note="")
+
+        def told(moment: HaulMoment) -> None:
+            plans = "  ".join(
+                f"{slot} [{', '.join(stops[:3])}{', ...' if len(stops) > 3 else ''}]"
+                for slot, stops in moment.itineraries.items()
+            )
+            note = f"{moment.simulated_s:.0f} s  {plans}"
+            progress.update(bar, completed=moment.delivered, total=moment.tasks, note=note)
+
+        run = Haul(setting, out, told, forever=live)
+        if not live:
+            return run.run(), run, False
+        with asyncio.Runner(loop_factory=WallLoop) as runner:
+            outcome, interrupted = runner.run(_live(console, run, port, seconds))
+        return outcome, run, interrupted
+
+
+async def _live(
+    console: Console, run: Haul, port: int, seconds: float | None
+) -> tuple[HaulOutcome, bool]:
+    """In real time, on a bus that tools can attach to."""
+    loop = asyncio.get_running_loop()
+    interrupted = False
+    hubs: list[Hub] = []
+
+    def end(by_person: bool = True) -> None:
+        nonlocal interrupted
+        interrupted, run.ended = by_person, True
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, end)
+    if seconds is not None:
+        loop.call_later(seconds, end, False)
+
+    def attach(cluster: HaulCluster) -> None:
+        hubs.append(Hub(cluster.segment, CHANNEL))
+        starting = loop.create_task(_open(hubs[0], port, console))
+        starting.add_done_callback(lambda task: None if task.exception() is None else end(False))
+
+    try:
+        return await run.live(attach), interrupted
+    finally:
+        for hub in hubs:
+            await hub.stop()
+        LAUNCH.unlink(missing_ok=True)
+
+
+async def _open(hub: Hub, port: int, console: Console) -> None:
+    await hub.start(HOST, port)
+    where = {"host": HOST, "port": hub.port, "channel": CHANNEL, "pid": os.getpid()}
+    LAUNCH.parent.mkdir(parents=True, exist_ok=True)
+    LAUNCH.write_text(json.dumps(where))
+    console.print(f"bus: socketcand {HOST}:{hub.port} channel {CHANNEL}")
+
+
+def outcome_table(outcome: HaulOutcome) -> Table:
+    table = Table(
+        title=f"{outcome.scenario}: {outcome.robots} robots, seed {outcome.seed}", show_header=False
+    )
+    table.add_column(style="bold")
+    table.add_column()
+    flaws = ", ".join(f"{n} {what}" for what, n in outcome.flaws.items())
+    empty = "never" if not outcome.empty else f"[red]robots {outcome.empty}[/red]"
+    rows: list[tuple[str, Any]] = [
+        ("without a flaw", "[green]yes[/green]" if outcome.success else "[red]no[/red]"),
+        (
+            "delivered",
+            f"{outcome.delivered} of {outcome.tasks} parcels in {outcome.makespan_s:.1f} s",
+        ),
+        ("mean latency", f"{outcome.latency_s:.1f} s from a task's appearing to its delivery"),
+        ("deliveries done twice, lost, by two, moved again", flaws),
+        (
+            "battery empty",
+            f"{empty} (lowest {outcome.lowest_battery:.0%}, {outcome.charges} charges)",
+        ),
+        ("contacts", f"{outcome.contacts} (closest {outcome.closest_m:.2f} m)"),
+        ("plans of all together", str(outcome.rounds)),
+        ("agreements in jams", str(outcome.agreements)),
+        ("paths planned ahead", str(outcome.ahead)),
+        ("driven", f"{outcome.travel_m:.0f} m"),
+        ("replicas", "equal" if outcome.replicas_equal else "[red]differ[/red]"),
+        ("bus load", f"{outcome.bus_load:.1%}"),
+        ("frames", ", ".join(f"{n} {kind}" for kind, n in outcome.frames.items())),
+        ("trace hash", outcome.trace_hash),
+        ("computed in", f"{outcome.wall_s:.1f} s"),
+    ]
+    for row in rows:
+        table.add_row(*row)
+    return table
+
+
+def draw_warehouse(setting: DeliverySetting, run: Haul, outcome: HaulOutcome, out: Path) -> None:
+    """One PNG: walls, bays, and where each robot drove."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    floor = setting.floor
+    rows, columns = floor.walls.shape
+    west, south = floor.origin
+    box = (west, west + columns * floor.cell_m, south, south + rows * floor.cell_m)
+    figure, axes = pyplot.subplots(figsize=(11, 7), dpi=110)
+    axes.imshow(floor.walls, origin="lower", extent=box, cmap="Greys", alpha=0.5)
+    colours = pyplot.get_cmap("tab10")
+    for slot, track in sorted(run.tracks.items()):
+        axes.plot([p[1] for p in track], [p[2] for p in track], color=colours(slot % 10),
+                  linewidth=0.7, alpha=0.7, label=f"robot {slot}")  # fmt: skip
+    for number, (x_m, y_m) in enumerate(setting.house.bays):
+        axes.annotate(f"C{number}", (x_m, y_m), ha="center", va="center", fontsize=7)
+    axes.set_title(f"{outcome.scenario}: {outcome.delivered} parcels, {outcome.makespan_s:.0f} s")
+    axes.set_xlabel("east, m")
+    axes.set_ylabel("north, m")
+    axes.set_aspect("equal")
+    if len(run.tracks) <= 10:
+        axes.legend(loc="upper right", fontsize=7)
+    figure.tight_layout()
+    figure.savefig(out)
+    pyplot.close(figure)
