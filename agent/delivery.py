@@ -271,7 +271,8 @@ class Delivery(Errands):
             self.paths.ask(self.goal, onward, Urgency.AHEAD)
 
     def _way(self, at: Point, goal: Point) -> tuple[Point, ...]:
-        return self.paths.take(at, goal)
+        ahead = self.paths.take(at, goal)
+        return self.hazards.path(at, goal) or ahead
 
     def _delivered(self, task: int, view: FleetView) -> bool:
         """It has been carried, and lies, for us to see, within reach of its dropoff."""

@@ -17,7 +17,8 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from agent.grid_search import _push, _sift, sees
+from agent.grid_search import sees
+from agent.heap import close_gap, push
 
 Point = tuple[float, float]
 Box = tuple[int, int, int, int]  # rows [r0, r1) and columns [c0, c1)
@@ -33,19 +34,19 @@ def spread(indptr, indices, data, nodes, cost):  # type: ignore[no-untyped-def]
     room = len(indices) + len(nodes) + 1
     keys, heap, size = np.empty(room), np.empty(room, np.int64), 0
     for node in nodes:
-        _push(keys, heap, size, cost[node], node)
+        push(keys, heap, size, cost[node], node)
         size += 1
     while size > 0:
         key, node = keys[0], heap[0]
         size -= 1
-        _sift(keys, heap, size)
+        close_gap(keys, heap, size)
         if key > cost[node]:
             continue
         for k in range(indptr[node], indptr[node + 1]):
             other = indices[k]
             if key + data[k] < cost[other]:
                 cost[other] = key + data[k]
-                _push(keys, heap, size, cost[other], other)
+                push(keys, heap, size, cost[other], other)
                 size += 1
 
 

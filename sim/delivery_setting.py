@@ -5,13 +5,14 @@ from random import Random
 
 import numpy as np
 
+from agent.config import BRAKING_SHARE
 from agent.cost_matrix import Carrier
 from agent.delivery import Delivery
 from agent.floor import Floor, FloorError
 from agent.task_book import Order
 from agent.warehouse import Warehouse
 from protocol.authentication import Keyring
-from sim.errand_setting import BRAKING_SHARE, ErrandSetting, scattered
+from sim.errand_setting import ErrandSetting, scattered
 from sim.key_file import FLEET, KeyFileError, read
 from sim.parcels import Parcels
 from sim.scenario import Box, ScenarioError
