@@ -8,6 +8,14 @@ from math import pi
 from typing import NamedTuple
 
 from protocol.accord_frames import Accord, Answer, Say
+from protocol.delivery_frames import (
+    Itinerary,
+    PlanOffer,
+    PlanRow,
+    TaskBid,
+    TaskBookDigest,
+    TaskOrder,
+)
 from protocol.fleet_frames import (
     COURSES,
     LENGTH_M,
@@ -173,6 +181,27 @@ SIGNALS: dict[type[Message], tuple[Signal, ...]] = {
     SegmentSummary: (
         Signal("segment", 0, 16), Signal("live", 16, 8), Signal("silent", 24, 8),
         Signal("halted", 32, 8), Signal("done", 40, 8), Signal("digest", 48, 16),
+    ),
+    TaskOrder: (
+        Signal("task", 0, 16), Signal("pickup", 16, 16), Signal("dropoff", 32, 16),
+        Signal("check", 48, 16),
+    ),
+    TaskBookDigest: (Signal("bucket", 0, 8), Signal("check", 8, 8), Signal("bits", 16, 48)),
+    TaskBid: (
+        Signal("task", 0, 16), Signal("cost_ms", 16, 32, unit="ms"), Signal("place", 48, 8),
+        Signal("round", 56, 8),
+    ),
+    Itinerary: (
+        Signal("version", 0, 8), Signal("first", 8, 8), Signal("length", 16, 8),
+        Signal("battery", 24, 8), Signal("task", 32, 16), Signal("after", 48, 16),
+    ),
+    PlanOffer: (
+        Signal("round", 0, 8), Signal("replan", 8, 8), Signal("cost_ms", 16, 32, unit="ms"),
+        Signal("digest", 48, 16),
+    ),
+    PlanRow: (
+        Signal("round", 0, 8), Signal("slot", 8, 8), Signal("first", 16, 8),
+        Signal("length", 24, 8), Signal("task", 32, 16), Signal("after", 48, 16),
     ),
     AddressClaimed: (Signal("name", 0, 64),),
     Request: (Signal("pgn", 0, 24),),

@@ -283,7 +283,7 @@ def test_the_scenario_that_ships_is_finished_without_a_flaw() -> None:
 def test_boxes_that_come_and_go_are_never_touched(seed: int) -> None:
     async def story(cluster: Cluster, reports: Reports) -> None:
         boxes = random_temporary_obstacle_generator(
-            seed, Setting(cluster.scenario).field.polygon, every_s=8.0, from_s=10.0, until_s=200.0
+            seed, Setting(cluster.scenario).field.polygon, every_s=5.0, from_s=10.0, until_s=200.0
         )
         schedule(cluster.world, boxes)
         rng = Random(seed)
