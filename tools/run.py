@@ -41,7 +41,7 @@ def run(
     drive: str | None = None,
     page_port: int | None = None,
 ) -> int:
-    """`page_port`: of a map that shows the run, and stays after its end."""
+    """`page_port`: of a map that shows the run, and at a terminal stays after its end."""
     console = Console(stderr=as_json)
     try:
         changed = load_mission(scenario).changed(robots, seed, keys, feature, drive)
@@ -84,7 +84,7 @@ def run(
             "report.json, field.png, work.geojson, can.log, trace.jsonl"
             f"{' and run.mcap' if keeping.mcap else ''} are in {out}"
         )
-    if shown is not None:
+    if shown is not None and sys.stdout.isatty():  # with nobody to press Ctrl-C it would never end
         console.print(f"the map stays at {shown.url} until Ctrl-C")
         shown.join()
     return 0 if outcome.success else UNFINISHED
