@@ -18,6 +18,7 @@ from agent.hazards import Hazards
 from agent.lifecycle import State
 from agent.membership import Neighbour
 from agent.mission import STILL, Choice, FleetView, Wish
+from agent.next_way import NextWay
 from agent.replanning import Replanning
 from agent.tracker import Tracker
 from crdt import Phase as Claimed
@@ -38,6 +39,7 @@ DEAD_US = (
 SETTLED_M = 0.1  # this near to a node of the route, it is reached
 ACQUAINTED_US = 1 * S  # after joining, until everybody near has been heard, by many beats
 AGE_MAX_US = 500 * MS  # a robot moves on as it last said for so long: 10 beats, 30 % of them lost
+CLAIM_S = 0.5  # a claim is contested for half of it: the next goal is ours when we are at this one
 LOST_M = 0.8  # this far off the path, another is planned
 
 
@@ -70,6 +72,8 @@ class Errands:
         self.answer = Answer.GRANT
         self.hazards = Hazards(floor, chart)
         self.replanning = Replanning(self.hazards, speed_m_s, deceleration_m_s2)
+        self.next_way = NextWay(self.hazards)
+        self._near_m = speed_m_s**2 / (2 * deceleration_m_s2) + CLAIM_S * speed_m_s
         self.followed: list[Followed] = []  # the record of what was driven along
         self._tracker: Tracker | None = None  # on the way to the goal
         self._lane: Tracker | None = None  # on the way of a plan
@@ -112,10 +116,20 @@ class Errands:
         self._go_for(section)
         wish, arrived = self._drive(view)
         if not arrived:
-            return wish
+            return wish._replace(near_end=self._look_ahead(section))
         self.goal, self._tracker = None, None
         self._calls = (0, 0)
         return wish._replace(covered=(0,), finished=True, near_end=True)
+
+    def _look_ahead(self, section: int) -> bool:
+        """Whether the goal is near. Then the way on from it is searched, too."""
+        tracker, own = self._tracker, self.goals[self.slot]
+        if tracker is None or tracker.total_m - tracker.along_m > self._near_m:
+            return False
+        following = section - self.slot * GOALS_MAX + 1
+        if following < len(own):
+            self.next_way.prepare(own[following - 1], own[following])
+        return True
 
     def admits(self, goal: Point) -> bool:
         return self.floor.route.admits(goal)
@@ -203,7 +217,8 @@ class Errands:
         return tracker
 
     def _way(self, at: Point, goal: Point) -> tuple[Point, ...]:
-        return self.hazards.path(at, goal) or self.floor.route.path(at, goal)
+        prepared = self.next_way.take(at, goal)
+        return prepared or self.hazards.path(at, goal) or self.floor.route.path(at, goal)
 
     def _set_out(self, path: tuple[Point, ...], why: str, now_us: int) -> Tracker:
         self.followed.append(Followed(now_us, path, why))

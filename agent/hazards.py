@@ -71,6 +71,11 @@ class Hazards:
         """Whether anything is believed to stand anywhere."""
         return self.map is not None and self.map.standing
 
+    @property
+    def changes(self) -> int:
+        """Other than before where something came or went."""
+        return 0 if self.map is None else self.map.grid.changes
+
     def told(self) -> list[XY]:
         """Middles of what others say stands."""
         if self.map is None:

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from agent.config import NEIGHBOUR_RANGE_M, NEIGHBOURS_MAX
 from agent.half_planes import beside_agent, beside_wall
 from agent.linear_program import DX, DY, ONE, PX, PY, ZERO, solve, violation
-from agent.nearest import insert
+from agent.nearest import take
 from agent.obstacle_tree import NO_WALLS, ObstacleTree
 from agent.orca_fleet import WALLS_MAX, near_walls
 from agent.stopping_room import before_agent
@@ -39,7 +39,7 @@ FENCES_MAX = 64  # fences near a robot; the nearest are kept
 FENCE_SLACK_M = 2.0  # near fences are looked for again after this much travel
 CREEP_M_S = 0.5  # a body inside its margin to a fence leaves it no faster than this
 
-# the head: written at each call, then once
+# the head: written at each call up to NOW_S, the rows in use when they change, the rest once
 X, Y, VX, VY, WANT_X, WANT_Y, NOW_S, FIRST_ROW, LAST_ROW, RANGE = range(10)
 RADIUS, SPEED_MAX, HORIZON, WALL_HORIZON, DT, AGE_MAX, COS, SIN = range(10, 18)
 NEIGHBOURS, FENCES, FENCE_RADIUS, FENCE_REACH, BRAKING, GATHERED_X, GATHERED_Y = range(18, 25)
@@ -58,8 +58,9 @@ NEAR_AT = SCRATCH_AT + 2 * 2 * LINES_MAX
 SQUARES_AT = NEAR_AT + WALLS_MAX  # after as many int64; then as many float32
 SIZE = SQUARES_AT + WALLS_MAX // 2
 
-_CALL = Struct("10d")
-_ROW = Struct("8d")
+_CALL, _ROWS_IN_USE, _ROW = Struct("7d"), Struct("3d"), Struct("8d")
+_ROWS_AT = 8 * FIRST_ROW
+_write_call = _CALL.pack_into
 
 
 FENCE_S = (
@@ -107,12 +108,8 @@ def _nearest(work, near, squares):  # type: ignore[no-untyped-def]
         dx = f32(work[at + ROW_X] + work[at + ROW_VX] * age - x)
         dy = f32(work[at + ROW_Y] + work[at + ROW_VY] * age - y)
         square = dx * dx + dy * dy
-        if square >= reach:
-            continue
-        insert(near, squares, count, most, at, square)
-        count = min(count + 1, most)
-        if count == most:
-            reach = squares[count - 1]
+        if square < reach:
+            count, reach = take(near, squares, count, most, reach, at, square)
     return count
 
 
@@ -248,6 +245,8 @@ class Avoidance:
         work[STOPPING] = stopping_m_s2
         work[GATHERED_X] = work[GATHERED_Y] = inf
         self._last = 0
+        self._open = walls.root < 0  # no walls but fences
+        self._use_known()
 
     def fence(self, fences: NDArray[np.float64]) -> None:
         """Other fences from now on: what is sensed, where nothing is known beforehand."""
@@ -262,18 +261,27 @@ class Avoidance:
                        radius_m, share, heard_s, 0.0)  # fmt: skip
         if slot >= self._last:
             self._last = slot + 1
+            self._use_known()
 
     def forget(self, slot: int) -> None:
         self._work[HEAD + slot * ROW_COLUMNS + ROW_RADIUS] = UNKNOWN
 
     def among_known(self, at: XY, own: XY, wanted: XY, now_s: float) -> XY:
         """The velocity to take among the known peers, from place, own and wanted velocity."""
-        # One by one: stars in this call would cost a tenth of all.
+        # One by one, and all in one function: stars and calls would cost a tenth of all.
         x, y = at
         vx, vy = own
         wx, wy = wanted
-        _CALL.pack_into(self._work, 0, x, y, vx, vy, wx, wy, now_s, 0, self._last, self.range_m)  # type: ignore[arg-type]
+        work = self._work
+        _write_call(work, 0, x, y, vx, vy, wx, wy, now_s)  # type: ignore[arg-type]
+        if self._open:
+            vx, vy = velocity(work)
+            if vx == vx:  # a number: the fences were those that matter
+                return vx, vy
         return self._run(at)
+
+    def _use_known(self) -> None:
+        _ROWS_IN_USE.pack_into(self._work, _ROWS_AT, 0, self._last, self.range_m)  # type: ignore[arg-type]
 
     def velocity(self, at: XY, own: XY, wanted: XY, rows: list[tuple[float, ...]]) -> XY:
         """The same from `rows` alone: dx, dy, vx, vy, combined radius, share; at any distance. And
@@ -285,9 +293,11 @@ class Avoidance:
             _ROW.pack_into(self._work, 8 * (HEAD + (PEERS_MAX + k) * ROW_COLUMNS), at[0] + dx,  # type: ignore[arg-type]
                            at[1] + dy, vx, vy, combined - self.radius_m, share, 0.0,
                            moved_on_s)  # fmt: skip
-        _CALL.pack_into(self._work, 0, *at, *own, *wanted, 0.0, PEERS_MAX, PEERS_MAX + count,  # type: ignore[arg-type]
-                        inf)  # fmt: skip
-        return self._run(at)
+        _write_call(self._work, 0, *at, *own, *wanted, 0.0)  # type: ignore[arg-type]
+        _ROWS_IN_USE.pack_into(self._work, _ROWS_AT, PEERS_MAX, PEERS_MAX + count, inf)  # type: ignore[arg-type]
+        found = self._run(at)
+        self._use_known()
+        return found
 
     def _run(self, at: XY) -> XY:
         x, y = self._kernel()
@@ -297,7 +307,7 @@ class Avoidance:
         return x, y
 
     def _kernel(self) -> XY:
-        if self.walls.root < 0:
+        if self._open:
             x, y = velocity(self._work)
         else:
             x, y = velocity_among_walls(self._work, self.walls.table, self.walls.root)
