@@ -143,6 +143,10 @@ class OccupancyGrid:
         self._seen[cells[:, 0], cells[:, 1]] = False
         return self.settle(cells)
 
+    def doubt(self, row: int, column: int) -> None:
+        """Being free there is no longer known: three more looks will tell."""
+        self.evidence[row, column] = max(self.evidence[row, column], 0)
+
     def unseen(self, scans: int) -> Changes:
         """Solid cells (n, 2), by our own sensors, that none of the last `scans` scans has touched."""
         age = (self.scan - self._stamps.astype(np.int64)) % SCANS_MAX

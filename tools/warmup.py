@@ -39,9 +39,12 @@ def _avoidance() -> None:
 
 
 def _coverage() -> None:
+    from agent.coverage_approach import lay
     from agent.coverage_team import Team
 
-    team = Team(np.zeros((10, 10), dtype=np.bool_), [(0, 0), (0, 1), (1, 0)])
+    team = Team(np.zeros((6, 6), dtype=np.bool_), [(0, 0), (3, 3)])
+    grid = team.grid  # the ways to far runs, which only larger places have
+    lay(grid.free, grid.free, grid.width, team.number((0, 0)), team.number((5, 5)), grid.queue)
     while team.remaining():
         team.advance()
 
