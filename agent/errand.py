@@ -14,10 +14,12 @@ from typing import NamedTuple
 from agent.accord import Accords, Phase
 from agent.config import MS, S
 from agent.floor import Floor
-from agent.hazards import Hazards
+from agent.hazards import RANGE_M, Hazards
 from agent.lifecycle import State
 from agent.membership import Neighbour
 from agent.mission import STILL, Choice, FleetView, Wish
+from agent.next_way import NextWay
+from agent.ports import Observation
 from agent.replanning import Replanning
 from agent.tracker import Tracker
 from crdt import Phase as Claimed
@@ -38,6 +40,8 @@ DEAD_US = (
 SETTLED_M = 0.1  # this near to a node of the route, it is reached
 ACQUAINTED_US = 1 * S  # after joining, until everybody near has been heard, by many beats
 AGE_MAX_US = 500 * MS  # a robot moves on as it last said for so long: 10 beats, 30 % of them lost
+CLAIM_S = 0.5  # a claim is contested for half of it: the next goal is ours when we are at this one
+CLOSE_M = RANGE_M + 2.0  # whom our rays can meet, wherever it has driven since its last beat
 LOST_M = 0.8  # this far off the path, another is planned
 
 
@@ -70,12 +74,15 @@ class Errands:
         self.answer = Answer.GRANT
         self.hazards = Hazards(floor, chart)
         self.replanning = Replanning(self.hazards, speed_m_s, deceleration_m_s2)
+        self.next_way = NextWay(self.hazards)
+        self._near_m = speed_m_s**2 / (2 * deceleration_m_s2) + CLAIM_S * speed_m_s
         self.followed: list[Followed] = []  # the record of what was driven along
         self._tracker: Tracker | None = None  # on the way to the goal
         self._lane: Tracker | None = None  # on the way of a plan
         self._lane_of = (-1, -1, -1)  # round, first and last node of the lane
         self._gone_on: tuple[float, int] = (0.0, 0)  # along the path, since when
         self._planned = False  # a joint plan was driven since the last path
+        self._close: list[Neighbour] = []  # who was last heard within `CLOSE_M`
         self._alone_us = 0  # when we last heard nobody
         self._calls: tuple[int, int] = (0, 0)  # in a row without arriving, not before
 
@@ -112,10 +119,20 @@ class Errands:
         self._go_for(section)
         wish, arrived = self._drive(view)
         if not arrived:
-            return wish
+            return wish._replace(near_end=self._look_ahead(section))
         self.goal, self._tracker = None, None
         self._calls = (0, 0)
         return wish._replace(covered=(0,), finished=True, near_end=True)
+
+    def _look_ahead(self, section: int) -> bool:
+        """Whether the goal is near. Then the way on from it is searched, too."""
+        tracker, own = self._tracker, self.goals[self.slot]
+        if tracker is None or tracker.total_m - tracker.along_m > self._near_m:
+            return False
+        following = section - self.slot * GOALS_MAX + 1
+        if following < len(own):
+            self.next_way.prepare(own[following - 1], own[following])
+        return True
 
     def admits(self, goal: Point) -> bool:
         return self.floor.route.admits(goal)
@@ -138,7 +155,8 @@ class Errands:
     def attend(self, view: FleetView, state: State) -> None:
         """Each control period, in every state: our part in a round."""
         here = view.here
-        around = [_now_at(n, view.now_us) for n in view.neighbours.values()]
+        self._close = [n for n in view.neighbours.values() if _within(n, here, CLOSE_M)]
+        around = [_now_at(n, view.now_us) for n in self._close]
         reach_m = self.replanning.horizon_m + self.floor.radius_m
         if state is State.DISCONNECTED:  # who knows nobody takes everybody for a box
             self._alone_us = view.now_us
@@ -203,7 +221,8 @@ class Errands:
         return tracker
 
     def _way(self, at: Point, goal: Point) -> tuple[Point, ...]:
-        return self.hazards.path(at, goal) or self.floor.route.path(at, goal)
+        prepared = self.next_way.take(at, goal)
+        return prepared or self.hazards.path(at, goal) or self.floor.route.path(at, goal)
 
     def _set_out(self, path: tuple[Point, ...], why: str, now_us: int) -> Tracker:
         self.followed.append(Followed(now_us, path, why))
@@ -261,8 +280,7 @@ class Errands:
         reach_m = 2 * self.floor.lattice.pitch_m + 2 * self.floor.radius_m
         here = view.here
         return any(
-            hypot(n.pose.x_m - here.x_m, n.pose.y_m - here.y_m) < reach_m
-            for n in view.neighbours.values()
+            hypot(n.pose.x_m - here.x_m, n.pose.y_m - here.y_m) < reach_m for n in self._close
         )
 
     def _head_on(self, tracker: Tracker, view: FleetView) -> bool:
@@ -270,7 +288,7 @@ class Errands:
         here, lattice = view.here, self.floor.lattice
         around = [
             n.pose
-            for n in view.neighbours.values()
+            for n in self._close
             if hypot(n.pose.x_m - here.x_m, n.pose.y_m - here.y_m) < 2 * LOOK_M
         ]
         if not around:
@@ -296,6 +314,11 @@ def _now_at(neighbour: Neighbour, now_us: int) -> Point:
     pose, heard_us = neighbour
     way_m = pose.speed_m_s * min(now_us - heard_us, AGE_MAX_US) / S
     return pose.x_m + way_m * cos(pose.course_rad), pose.y_m + way_m * sin(pose.course_rad)
+
+
+def _within(neighbour: Neighbour, here: Observation, reach_m: float) -> bool:
+    pose = neighbour.pose
+    return abs(pose.x_m - here.x_m) < reach_m and abs(pose.y_m - here.y_m) < reach_m
 
 
 def _onward(course_rad: float, speed_m_s: float, ux: float, uy: float) -> float:

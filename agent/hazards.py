@@ -62,6 +62,8 @@ class Hazards:
             if not (self.hits or told):
                 return
             self.map = HazardMap(self.floor, self.sync)
+        elif not (self.hits or told or self.map.awake):
+            return  # nothing is there, and nothing has come: looks would change nothing
         if self.sync is not None:
             self._version = self.sync.chart.version
         self.map.take_in(here, known, now_us, told)
@@ -70,6 +72,11 @@ class Hazards:
     def standing(self) -> bool:
         """Whether anything is believed to stand anywhere."""
         return self.map is not None and self.map.standing
+
+    @property
+    def changes(self) -> int:
+        """Other than before where something came or went."""
+        return 0 if self.map is None else self.map.grid.changes
 
     def told(self) -> list[XY]:
         """Middles of what others say stands."""
@@ -102,10 +109,27 @@ class HazardMap(SurveyMap):
         self._walls = int(np.count_nonzero(floor.fine))
         self._open = ~binary_dilation(floor.fine, iterations=WALL_CELLS)
         self._records = np.zeros(floor.fine.shape, dtype=np.int64)  # as they were when last read
+        self._standing = (0, False)  # at that count of changes, whether anything stands
+        self._told = (-1, False)  # at that version of the chart, whether it says that anything does
 
     @property
     def standing(self) -> bool:
-        return int(np.count_nonzero(self.grid.solid)) > self._walls
+        changes = self.grid.changes
+        if changes != self._standing[0]:
+            self._standing = changes, int(np.count_nonzero(self.grid.solid)) > self._walls
+        return self._standing[1]
+
+    @property
+    def awake(self) -> bool:
+        """Whether there is anything to keep up to date: what stands, or what somebody says stands."""
+        if self.standing or self.grid.obstacles:
+            return True
+        if self.sync is None:
+            return False
+        version = self.sync.chart.version
+        if version != self._told[0]:
+            self._told = version, bool(((self.fleet.keys() & VALUE) == OBSTACLE).any())
+        return self._told[1]
 
     def take_in(
         self, here: Observation, robots: list[Sequence[float]], now_us: int, told: bool
@@ -142,10 +166,13 @@ class HazardMap(SurveyMap):
                 record.observer, cell,
             )  # fmt: skip
             self.grid.place(obstacle, now_us)
+            self.grid.doubt(row, column)  # it was free when we looked; has it been since?
         self._records = keys.copy()
 
     def _no_robots(self, robots: list[Sequence[float]]) -> None:
         """Where a robot that is heard stands, nothing else does: it was seen before it was heard."""
+        if not self.standing:
+            return
         cell_m = self.geometry.cell_m
         for x_m, y_m in robots:
             reach_m = self.radius_m + cell_m * sqrt(0.5)

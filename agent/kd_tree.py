@@ -9,7 +9,7 @@ from numba import njit
 
 from agent.agent_table import NEIGHBOURS, RANGE, X, Y
 from agent.linear_program import HALF, ZERO
-from agent.nearest import insert
+from agent.nearest import take
 
 f32 = np.float32
 LEAF = 10  # agents in a leaf of the tree
@@ -105,12 +105,8 @@ def near_agents(agents, me, order, bounds, nodes, stack, waiting, near, squares)
             other = order[i]
             dx, dy = x - agents[other, X], y - agents[other, Y]
             square = dx * dx + dy * dy
-            if other == me or square >= reach:
-                continue
-            insert(near, squares, count, most, other, square)
-            count = min(count + 1, most)
-            if count == most:
-                reach = squares[count - 1]
+            if other != me and square < reach:
+                count, reach = take(near, squares, count, most, reach, other, square)
     return count
 
 

@@ -61,17 +61,20 @@ class Motion:
         gives_way: bool = True,
         keep_right_rad: float = 0.0,
         looks: bool = False,
+        stops: bool = False,
     ) -> None:
         """`fences`: segments nobody passes, (n, 4): ax, ay, bx, by in metres; None: those that the
         range sensors see, kept by a robot among walls that it does not know. `gives_way`: False
         where the mission itself settles who goes first. `looks`: what the range sensors see and
-        nobody has announced is an obstacle; the fences must be all there is."""
+        nobody has announced is an obstacle; the fences must be all there is. `stops`: never be
+        where a robot ahead that halts could be touched."""
         self.slot, self.limits = slot, limits
         self.sensing = fences is None
         fences = np.empty((0, 4)) if fences is None else fences
         self.avoidance = Avoidance(
             limits.radius_m + fence_m, limits.speed_m_s, 0.5 * limits.acceleration_m_s2,
             horizon_s, CONTROL_PERIOD_US / S, fences, keep_right_rad=keep_right_rad,
+            stopping_m_s2=limits.acceleration_m_s2 if stops else 0.0,
         )  # fmt: skip
         # Nobody further away can be met within the horizon, both at full speed.
         self.reach_m = 2 * limits.speed_m_s * horizon_s + 2 * limits.radius_m
@@ -125,14 +128,15 @@ class Motion:
             if abs(dx_m) > self.reach_m or abs(dy_m) > self.reach_m:
                 continue
             speed_m_s, share = pose.speed_m_s, 1.0
-            vx_m_s = vy_m_s = 0.0
+            vx_m_s = vy_m_s = moved_on_s = 0.0
             age_us = now_us - heard_us
             if speed_m_s > STANDING_M_S and age_us < AGE_MAX_US and not pose.stopped:
                 vx_m_s, vy_m_s = speed_m_s * cos(pose.course_rad), speed_m_s * sin(pose.course_rad)
-                dx_m, dy_m = dx_m + vx_m_s * age_us / S, dy_m + vy_m_s * age_us / S
+                moved_on_s = age_us / S
+                dx_m, dy_m = dx_m + vx_m_s * moved_on_s, dy_m + vy_m_s * moved_on_s
                 share = self.right.share(slot, self.state, pose.state, age_us, now_us)
             others.append(Other(slot, dx_m, dy_m, pose.state))
-            near.append((dx_m, dy_m, vx_m_s, vy_m_s, combined_m, share))
+            near.append((dx_m, dy_m, vx_m_s, vy_m_s, combined_m, share, moved_on_s))
         self.others = others
         near.sort(key=lambda row: row[0] * row[0] + row[1] * row[1])
         return near[:NEIGHBOURS_MAX], others

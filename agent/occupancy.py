@@ -13,7 +13,7 @@ the way. Solid is what sensors have seen, a fixed map, or an obstacle that has n
 import zlib
 from collections.abc import Sequence
 from itertools import pairwise
-from math import hypot, isfinite, pi
+from math import hypot, isfinite
 from struct import Struct
 from typing import NamedTuple
 
@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.inflation import Changes, Grid, Inflation, cell_of
-from agent.ray_evidence import LEAST, MOST, SOLID, weigh_scan
+from agent.ray_evidence import LEAST, MOST, SOLID, room_for, weigh_scan
 from agent.theta_star import Waypoints
 
 XY = tuple[float, float]
@@ -36,9 +36,16 @@ EDGE = 1e-9  # of a cell, so that a place on the far edge of the grid is in it
 _HEAD = Struct("<4sIIdddddI")  # magic, rows, columns, origin, cell, body, inflation, obstacles
 _OBSTACLE = Struct("<dddqqII")
 MAGIC = b"HLM1"
-_CELL = np.dtype([("evidence", np.int8), ("seen", np.bool_), ("stamp", np.uint16)])
 SCANS_MAX = (1 << 16) - 1  # that stamps tell apart: 55 minutes at 20 Hz
 NO_DISCS = np.empty((0, 3))
+
+
+# evidence, whether solid by it, and the last scan that weighed the cell
+Memory = tuple[NDArray[np.int8], Grid, NDArray[np.uint16]]
+
+
+def memory_of(shape: tuple[int, ...]) -> Memory:
+    return np.zeros(shape, np.int8), np.zeros(shape, np.bool_), np.zeros(shape, np.uint16)
 
 
 class Obstacle(NamedTuple):
@@ -67,26 +74,26 @@ class OccupancyGrid:
         *,
         cell_m: float = CELL_M,
         inflation_m: float = INFLATION_M,
+        memory: Memory | None = None,
     ) -> None:
-        """`fixed`: (rows, columns), True for walls that are known and never seen away."""
+        """`fixed`: (rows, columns), True for walls that are known and never seen away. `memory`:
+        where evidence, what is seen solid, and stamps are kept, all zero; None: by itself."""
         assert rows > 0 and columns > 0 and cell_m > 0 and body_radius_m >= 0 and inflation_m >= 0
         self.origin_m, self.cell_m = origin_m, cell_m
         self.body_radius_m, self.inflation_m = body_radius_m, inflation_m
         shape = rows, columns
         self.fixed: Grid = np.zeros(shape, np.bool_) if fixed is None else fixed.astype(np.bool_)
         assert self.fixed.shape == shape
-        # In one place, because a scan touches cells all over it, and all three of each.
-        cells = np.zeros(shape, dtype=_CELL)
-        self.evidence: NDArray[np.int8] = cells["evidence"]
+        # By itself: of most cells a scan asks no more than whether they are known to be free.
+        self.evidence, self._seen, self._stamps = memory or memory_of(shape)
         self.obstacles: dict[tuple[int, int], Obstacle] = {}
-        self._seen: Grid = cells["seen"]  # solid by evidence
         self._told = np.zeros(shape, dtype=np.int32)  # how many obstacles stand on a cell
         self._placed: set[tuple[int, int]] = set()
-        self._stamps: NDArray[np.uint16] = cells["stamp"]  # the last scan that weighed it
-        self._scan = 0  # 1 to SCANS_MAX, over and over
-        self._angles: Floats = np.empty(0)  # of the rays of a scan
-        self._toggled: Changes = np.empty((0, 3), dtype=np.int64)  # room for what it changes
+        self.scan = 0  # 1 to SCANS_MAX, over and over
+        self._room = (0, 0.0)  # rays of a scan and their range that there is room for
+        self._toggled: Changes = np.empty((0, 3), dtype=np.int64)  # what it changes
         self.solid: Grid = self.fixed.copy()
+        self.changes = 0  # of cells, solid or free, since the beginning
         self._layer()
 
     def _layer(self) -> None:
@@ -96,7 +103,7 @@ class OccupancyGrid:
 
     # What is there
 
-    def observe(self, at: XY, heading_rad: float, ranges_m: Sequence[float], range_max_m: float,
+    def observe(self, at: XY, heading_rad: float, ranges_m: Sequence[float] | Floats, range_max_m: float,
                 others: Sequence[tuple[float, float, float]] | Floats = ()) -> int:  # fmt: skip
         """A scan of equal angles counter-clockwise from the heading; how many cells changed state.
 
@@ -104,27 +111,26 @@ class OccupancyGrid:
         not obstacles of the map: they drive away, and ORCA keeps from them.
         """
         assert range_max_m > 0
-        count = len(ranges_m)
-        x, y = self._cells(at)
-        if not (isfinite(x) and isfinite(y) and isfinite(heading_rad)) or count == 0:
+        x_m, y_m = at
+        ranges = np.asarray(ranges_m, dtype=np.float64)
+        count = ranges.size
+        if not isfinite(x_m + y_m + heading_rad) or count == 0:
             return 0
-        if self._angles.size != count:
-            self._angles = np.arange(count, dtype=np.float64) * (2 * pi / count)
-        ranges = np.array(ranges_m, dtype=np.float64) / self.cell_m
-        far = range_max_m / self.cell_m
-        discs = NO_DISCS
-        if len(others):
-            corner = np.array((*self.origin_m, 0.0))
-            discs = (np.asarray(others, dtype=np.float64) - corner) / self.cell_m
-        # Rays pass fewer cells than the grid has, and fewer than one a side of a cell.
-        rows, columns = self.evidence.shape
-        room = min(rows * columns, count * (2 * int(min(far, rows + columns)) + 4))
-        if len(self._toggled) < room:
-            self._toggled = np.empty((room, 3), dtype=np.int64)
-        self._scan = self._scan % SCANS_MAX + 1
-        changed = weigh_scan(self.evidence, self._seen, self._stamps, self._scan, x, y,
-                             heading_rad + self._angles, ranges, far, discs, self._toggled)  # fmt: skip
-        return self._settle(self._toggled[:changed, :2]) if changed else 0
+        room = self._room
+        if count > room[0] or range_max_m > room[1]:
+            room = self._make_room(count, range_max_m)
+        discs = np.asarray(others, dtype=np.float64) if len(others) else NO_DISCS
+        self.scan = self.scan % SCANS_MAX + 1
+        changed = weigh_scan(self.evidence, self._seen, self._stamps, self.scan, *self.origin_m,
+                             self.cell_m, x_m, y_m, heading_rad, ranges, range_max_m, discs,
+                             self._toggled)  # fmt: skip
+        return self.settle(self._toggled[:changed]) if changed else 0
+
+    def _make_room(self, rays: int, range_max_m: float) -> tuple[int, float]:
+        room = room_for(rays, range_max_m / self.cell_m, *self.evidence.shape)
+        self._toggled = np.empty((room, 3), dtype=np.int64)
+        self._room = rays, range_max_m
+        return self._room
 
     @property
     def seen(self) -> Grid:
@@ -135,18 +141,22 @@ class OccupancyGrid:
         """Nobody knows any more what is on these cells (n, 2); how many changed."""
         self.evidence[cells[:, 0], cells[:, 1]] = 0
         self._seen[cells[:, 0], cells[:, 1]] = False
-        return self._settle(cells)
+        return self.settle(cells)
+
+    def doubt(self, row: int, column: int) -> None:
+        """Being free there is no longer known: three more looks will tell."""
+        self.evidence[row, column] = max(self.evidence[row, column], 0)
 
     def unseen(self, scans: int) -> Changes:
         """Solid cells (n, 2), by our own sensors, that none of the last `scans` scans has touched."""
-        age = (self._scan - self._stamps.astype(np.int64)) % SCANS_MAX
+        age = (self.scan - self._stamps.astype(np.int64)) % SCANS_MAX
         return np.argwhere(self._seen & (age >= scans))
 
     def wall(self, cells: Grid) -> int:
         """Walls that are known from others, instead of those told before; how many cells changed."""
         other = np.argwhere(cells != self.fixed)
         self.fixed[:] = cells
-        return self._settle(other)
+        return self.settle(other)
 
     def place(self, obstacle: Obstacle, now_us: int) -> int:
         """Take an obstacle in, or another state of one that is known; how many cells changed."""
@@ -190,10 +200,10 @@ class OccupancyGrid:
         gap = np.hypot(x - np.clip(x, c, c + 1), y - np.clip(y, r, r + 1))
         cells = np.column_stack((r, c))[gap <= radius]
         self._told[cells[:, 0], cells[:, 1]] += way
-        return self._settle(cells)
+        return self.settle(cells)
 
-    def _settle(self, cells: Changes) -> int:
-        """Bring `solid` and the layers in line at these cells; how many changed."""
+    def settle(self, cells: Changes) -> int:
+        """Bring `solid` and the layers in line at these cells (n, 2 or more); how many changed."""
         r, c = cells[:, 0], cells[:, 1]
         now = self.fixed[r, c] | self._seen[r, c] | (self._told[r, c] > 0)
         other = now != self.solid[r, c]
@@ -201,6 +211,7 @@ class OccupancyGrid:
             return 0
         toggled = np.column_stack((r, c, now))[other].astype(np.int64)
         self.solid[toggled[:, 0], toggled[:, 1]] = toggled[:, 2] != 0
+        self.changes += len(toggled)
         self.tight.toggle(toggled)
         self.wide.toggle(toggled)
         return len(toggled)
@@ -318,7 +329,7 @@ class OccupancyGrid:
         grid.evidence[:] = np.clip(weights, LEAST, MOST).reshape(shape)
         was = np.unpackbits(seen, count=rows * columns).astype(np.bool_).reshape(shape)
         grid._seen[:] = (grid.evidence >= SOLID) | (was & (grid.evidence >= 0))
-        grid._settle(np.argwhere(grid._seen))
+        grid.settle(np.argwhere(grid._seen))
         for k in range(told):
             obstacle = Obstacle(*_OBSTACLE.unpack_from(body, k * _OBSTACLE.size))
             if all(map(isfinite, obstacle[:3])) and obstacle.radius_m >= 0:

@@ -26,9 +26,10 @@ from numpy.typing import NDArray
 from agent.config import NEIGHBOUR_RANGE_M, NEIGHBOURS_MAX
 from agent.half_planes import beside_agent, beside_wall
 from agent.linear_program import DX, DY, ONE, PX, PY, ZERO, solve, violation
-from agent.nearest import insert
+from agent.nearest import take
 from agent.obstacle_tree import NO_WALLS, ObstacleTree
 from agent.orca_fleet import WALLS_MAX, near_walls
+from agent.stopping_room import before_agent
 
 f32 = np.float32
 XY = tuple[float, float]
@@ -38,25 +39,28 @@ FENCES_MAX = 64  # fences near a robot; the nearest are kept
 FENCE_SLACK_M = 2.0  # near fences are looked for again after this much travel
 CREEP_M_S = 0.5  # a body inside its margin to a fence leaves it no faster than this
 
-# the head: written at each call, then once
+# the head: written at each call up to NOW_S, the rows in use when they change, the rest once
 X, Y, VX, VY, WANT_X, WANT_Y, NOW_S, FIRST_ROW, LAST_ROW, RANGE = range(10)
 RADIUS, SPEED_MAX, HORIZON, WALL_HORIZON, DT, AGE_MAX, COS, SIN = range(10, 18)
 NEIGHBOURS, FENCES, FENCE_RADIUS, FENCE_REACH, BRAKING, GATHERED_X, GATHERED_Y = range(18, 25)
+STOPPING = 25  # deceleration to stop with before others; 0: that is not asked of us
 HEAD = 26  # even: rows stay aligned
-# a row of a neighbour; the last column pads it to a cache line
-ROW_X, ROW_Y, ROW_VX, ROW_VY, ROW_RADIUS, ROW_SHARE, ROW_HEARD_S, ROW_COLUMNS = *range(7), 8
+# a row of a neighbour, a cache line; MOVED_ON_S: of its way since it was heard this is in its place
+ROW_X, ROW_Y, ROW_VX, ROW_VY, ROW_RADIUS, ROW_SHARE, ROW_HEARD_S, ROW_MOVED_ON_S = range(8)
+ROW_COLUMNS = 8
 UNKNOWN = -1.0  # radius of a row that is free
 ROWS = PEERS_MAX + GIVEN_MAX
 FENCE_AT = HEAD + ROWS * ROW_COLUMNS
-LINES_MAX = FENCES_MAX + WALLS_MAX + NEIGHBOURS_MAX
+LINES_MAX = FENCES_MAX + WALLS_MAX + 2 * NEIGHBOURS_MAX
 # scratch, so that no call allocates (0.05 us an array): twice LINES_MAX lines of four float32
 SCRATCH_AT = FENCE_AT + FENCES_MAX * 4
 NEAR_AT = SCRATCH_AT + 2 * 2 * LINES_MAX
 SQUARES_AT = NEAR_AT + WALLS_MAX  # after as many int64; then as many float32
 SIZE = SQUARES_AT + WALLS_MAX // 2
 
-_CALL = Struct("10d")
-_ROW = Struct("7d")
+_CALL, _ROWS_IN_USE, _ROW = Struct("7d"), Struct("3d"), Struct("8d")
+_ROWS_AT = 8 * FIRST_ROW
+_write_call = _CALL.pack_into
 
 
 FENCE_S = (
@@ -104,19 +108,33 @@ def _nearest(work, near, squares):  # type: ignore[no-untyped-def]
         dx = f32(work[at + ROW_X] + work[at + ROW_VX] * age - x)
         dy = f32(work[at + ROW_Y] + work[at + ROW_VY] * age - y)
         square = dx * dx + dy * dy
-        if square >= reach:
-            continue
-        insert(near, squares, count, most, at, square)
-        count = min(count + 1, most)
-        if count == most:
-            reach = squares[count - 1]
+        if square < reach:
+            count, reach = take(near, squares, count, most, reach, at, square)
     return count
+
+
+@njit(cache=True, error_model="numpy")
+def _stop_lines(work, near, count, lines, hard):  # type: ignore[no-untyped-def]
+    """Half-planes within which we can stop before each of the nearest, after the `hard` ones."""
+    for k in range(count):
+        at = near[k]
+        age, ux, uy = work[NOW_S] - work[at + ROW_HEARD_S], work[at + ROW_VX], work[at + ROW_VY]
+        if age > work[AGE_MAX]:
+            age, ux, uy = 0.0, 0.0, 0.0
+        dx = work[at + ROW_X] + ux * age - work[X]
+        dy = work[at + ROW_Y] + uy * age - work[Y]
+        hard += before_agent(dx, dy, ux, uy, work[RADIUS] + work[at + ROW_RADIUS],
+                             age + work[at + ROW_MOVED_ON_S], work[STOPPING], work[SPEED_MAX],
+                             lines, hard)  # fmt: skip
+    return hard
 
 
 @njit(cache=True, error_model="numpy")
 def _choose(work, lines, hard, spare, near, squares):  # type: ignore[no-untyped-def]
     """Half-planes of the neighbours after the `hard` ones, and the velocity of them all."""
     count = _nearest(work, near, squares)
+    if work[STOPPING] > 0.0:
+        hard = _stop_lines(work, near, count, lines, hard)
     vx, vy, now = f32(work[VX]), f32(work[VY]), work[NOW_S]
     wx, wy, radius = f32(work[WANT_X]), f32(work[WANT_Y]), f32(work[RADIUS])
     per_horizon, per_step = ONE / f32(work[HORIZON]), ONE / f32(work[DT])
@@ -204,12 +222,15 @@ class Avoidance:
         range_m: float = NEIGHBOUR_RANGE_M,
         age_max_s: float = 1.0,
         keep_right_rad: float = 0.0,
+        stopping_m_s2: float = 0.0,
     ) -> None:
         """`radius_m` is kept from `fences` ((n, 4): ax, ay, bx, by) by braking, and from `walls`.
 
         A peer not heard for `age_max_s` counts as standing where it was. `keep_right_rad` turns
         the wanted velocity to the right where a robot is in its way: without it two robots head on
         stop before each other for ever. A few hundredths will do; it must be equal fleet-wide.
+        `stopping_m_s2`: never be where braking by this does not stop us before another robot that
+        halts (`agent/stopping_room.py`); 0: rely on what they do, as plain ORCA does.
         """
         assert radius_m >= 0 and horizon_s > 0 and dt_s > 0 and 0 <= keep_right_rad < pi / 4
         self.radius_m, self.range_m, self.walls = radius_m, range_m, walls
@@ -221,8 +242,11 @@ class Avoidance:
         work[COS], work[SIN] = cos(keep_right_rad), sin(keep_right_rad)
         work[NEIGHBOURS], work[FENCE_RADIUS], work[BRAKING] = NEIGHBOURS_MAX, radius_m, braking_m_s2
         work[FENCE_REACH] = radius_m + speed_max_m_s**2 / (2 * braking_m_s2) + speed_max_m_s * dt_s
+        work[STOPPING] = stopping_m_s2
         work[GATHERED_X] = work[GATHERED_Y] = inf
         self._last = 0
+        self._open = walls.root < 0  # no walls but fences
+        self._use_known()
 
     def fence(self, fences: NDArray[np.float64]) -> None:
         """Other fences from now on: what is sensed, where nothing is known beforehand."""
@@ -234,32 +258,46 @@ class Avoidance:
         """The newest pose of a peer; `share` of the avoidance is ours (1: it will not give way)."""
         assert 0 <= slot < PEERS_MAX and 0.0 <= share <= 1.0 and radius_m >= 0.0
         _ROW.pack_into(self._work, 8 * (HEAD + slot * ROW_COLUMNS), x_m, y_m, vx_m_s, vy_m_s,  # type: ignore[arg-type]
-                       radius_m, share, heard_s)  # fmt: skip
+                       radius_m, share, heard_s, 0.0)  # fmt: skip
         if slot >= self._last:
             self._last = slot + 1
+            self._use_known()
 
     def forget(self, slot: int) -> None:
         self._work[HEAD + slot * ROW_COLUMNS + ROW_RADIUS] = UNKNOWN
 
     def among_known(self, at: XY, own: XY, wanted: XY, now_s: float) -> XY:
         """The velocity to take among the known peers, from place, own and wanted velocity."""
-        # One by one: stars in this call would cost a tenth of all.
+        # One by one, and all in one function: stars and calls would cost a tenth of all.
         x, y = at
         vx, vy = own
         wx, wy = wanted
-        _CALL.pack_into(self._work, 0, x, y, vx, vy, wx, wy, now_s, 0, self._last, self.range_m)  # type: ignore[arg-type]
+        work = self._work
+        _write_call(work, 0, x, y, vx, vy, wx, wy, now_s)  # type: ignore[arg-type]
+        if self._open:
+            vx, vy = velocity(work)
+            if vx == vx:  # a number: the fences were those that matter
+                return vx, vy
         return self._run(at)
 
+    def _use_known(self) -> None:
+        _ROWS_IN_USE.pack_into(self._work, _ROWS_AT, 0, self._last, self.range_m)  # type: ignore[arg-type]
+
     def velocity(self, at: XY, own: XY, wanted: XY, rows: list[tuple[float, ...]]) -> XY:
-        """The same from `rows` alone: dx, dy, vx, vy, combined radius, share; at any distance."""
+        """The same from `rows` alone: dx, dy, vx, vy, combined radius, share; at any distance. And
+        for how long, in seconds, it was moved on since it was heard, where stopping is asked for."""
         count = min(len(rows), GIVEN_MAX)
         for k in range(count):
-            dx, dy, vx, vy, combined, share = rows[k]
+            dx, dy, vx, vy, combined, share = rows[k][:6]
+            moved_on_s = rows[k][6] if len(rows[k]) > 6 else 0.0
             _ROW.pack_into(self._work, 8 * (HEAD + (PEERS_MAX + k) * ROW_COLUMNS), at[0] + dx,  # type: ignore[arg-type]
-                           at[1] + dy, vx, vy, combined - self.radius_m, share, 0.0)  # fmt: skip
-        _CALL.pack_into(self._work, 0, *at, *own, *wanted, 0.0, PEERS_MAX, PEERS_MAX + count,  # type: ignore[arg-type]
-                        inf)  # fmt: skip
-        return self._run(at)
+                           at[1] + dy, vx, vy, combined - self.radius_m, share, 0.0,
+                           moved_on_s)  # fmt: skip
+        _write_call(self._work, 0, *at, *own, *wanted, 0.0)  # type: ignore[arg-type]
+        _ROWS_IN_USE.pack_into(self._work, _ROWS_AT, PEERS_MAX, PEERS_MAX + count, inf)  # type: ignore[arg-type]
+        found = self._run(at)
+        self._use_known()
+        return found
 
     def _run(self, at: XY) -> XY:
         x, y = self._kernel()
@@ -269,7 +307,7 @@ class Avoidance:
         return x, y
 
     def _kernel(self) -> XY:
-        if self.walls.root < 0:
+        if self._open:
             x, y = velocity(self._work)
         else:
             x, y = velocity_among_walls(self._work, self.walls.table, self.walls.root)

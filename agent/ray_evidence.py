@@ -6,7 +6,7 @@ known to be free needs two, so that one false echo does not close a corridor. A 
 after at most `MOST + 1` looks through it: 0.35 s at 20 Hz, a box that leaves is soon forgotten.
 """
 
-from math import floor
+from math import floor, pi
 
 import numpy as np
 from numba import njit
@@ -14,6 +14,12 @@ from numba import njit
 HIT, MISS = 3, 1
 MOST, LEAST, SOLID = 6, -3, 2
 BEYOND_CELLS = 0.05  # a hit is this much further: on the border of two cells it is the far one
+
+
+def room_for(rays: int, range_cells: float, rows: int, columns: int) -> int:
+    """How many cells a scan may change: its rays pass fewer than the grid has, and fewer than one a
+    side of a cell."""
+    return min(rows * columns, rays * (2 * int(min(range_cells, rows + columns)) + 4))
 
 
 @njit(cache=True, error_model="numpy")
@@ -43,42 +49,56 @@ def _weigh(evidence, solid, stamps, scan, r, c, change, toggled, count):  # type
 
 
 @njit(cache=True, error_model="numpy")
-def weigh_scan(evidence, solid, stamps, scan, x, y, angles, ranges, range_max, discs, toggled):  # type: ignore[no-untyped-def]
+def _pass(evidence, solid, stamps, scan, x, y, dx, dy, far, toggled, count):  # type: ignore[no-untyped-def]
+    """Weigh the cells that a ray leaves on its other side before `far`."""
+    rows, columns = evidence.shape
+    r, c = floor(y), floor(x)
+    step_r, step_c = (1 if dy > 0.0 else -1), (1 if dx > 0.0 else -1)
+    each_r, each_c = abs(1.0 / dy), abs(1.0 / dx)  # infinite along an axis
+    next_r = (r + (dy > 0.0) - y) / dy if dy != 0.0 else np.inf
+    next_c = (c + (dx > 0.0) - x) / dx if dx != 0.0 else np.inf
+    while min(next_r, next_c) < far and 0 <= r < rows and 0 <= c < columns:
+        if evidence[r, c] != LEAST:  # most cells of most scans are known to be free
+            count = _weigh(evidence, solid, stamps, scan, r, c, -MISS, toggled, count)
+        # Which side it leaves by cannot be foretold: both are worked out, and nothing jumps.
+        sideways = next_c < next_r
+        c += step_c if sideways else 0
+        r += 0 if sideways else step_r
+        further_c, further_r = next_c + each_c, next_r + each_r
+        next_c = further_c if sideways else next_c
+        next_r = next_r if sideways else further_r
+    return count
+
+
+@njit(cache=True, error_model="numpy")
+def weigh_scan(  # type: ignore[no-untyped-def]
+    evidence, solid, stamps, scan, corner_x, corner_y, cell, at_x, at_y, heading, ranges, range_max,
+    discs, toggled,
+):  # fmt: skip
     """Take in one scan; how many rows of `toggled` (row, column, solid) are filled.
 
-    Position, ranges and `discs` (n, 3: x, y, radius; hits inside are no obstacles) in cells from
-    the corner of the grid; `angles` in the frame of the grid. A range of `range_max` or more, or
-    none at all, is no hit. Hits are weighed first: a ray that grazes a wall does not erase it.
+    All in metres and radians; `ranges` are at equal angles counter-clockwise from the heading. A
+    range of `range_max` or more, or none at all, is no hit, nor is one inside of `discs` (n, 3: x, y,
+    radius). Hits are weighed first: a ray that grazes a wall does not erase it.
     """
     rows, columns = evidence.shape
-    count = 0
-    ways = np.empty((ranges.size, 2))
-    for n in range(ranges.size):
-        ways[n, 0], ways[n, 1] = np.cos(angles[n]), np.sin(angles[n])
+    x, y, most = (at_x - corner_x) / cell, (at_y - corner_y) / cell, range_max / cell
+    count, rays = 0, ranges.size
+    ways = np.empty((rays, 2))
+    for n in range(rays):
+        angle = heading + n * (2 * pi / rays)
+        ways[n, 0], ways[n, 1] = np.cos(angle), np.sin(angle)
         if not 0.0 <= ranges[n] < range_max:
             continue
-        far = ranges[n] + BEYOND_CELLS
+        far = ranges[n] / cell + BEYOND_CELLS
         hx, hy = x + far * ways[n, 0], y + far * ways[n, 1]
         r, c = floor(hy), floor(hx)
-        if 0 <= r < rows and 0 <= c < columns and not _ignored(discs, hx, hy):
+        inside = 0 <= r < rows and 0 <= c < columns
+        if inside and not _ignored(discs, corner_x + hx * cell, corner_y + hy * cell):
             count = _weigh(evidence, solid, stamps, scan, r, c, HIT, toggled, count)
-    for n in range(ranges.size):
-        if ranges[n] < 0.0 or ranges[n] != ranges[n]:
-            continue
-        dx, dy = ways[n, 0], ways[n, 1]
-        far = min(ranges[n], range_max)
-        r, c = floor(y), floor(x)
-        step_r, step_c = (1 if dy > 0.0 else -1), (1 if dx > 0.0 else -1)
-        each_r, each_c = abs(1.0 / dy), abs(1.0 / dx)  # infinite along an axis
-        next_r = (r + (dy > 0.0) - y) / dy if dy != 0.0 else np.inf
-        next_c = (c + (dx > 0.0) - x) / dx if dx != 0.0 else np.inf
-        # The last cell counts as passed only where the ray leaves it on the other side.
-        while min(next_r, next_c) < far and 0 <= r < rows and 0 <= c < columns:
-            count = _weigh(evidence, solid, stamps, scan, r, c, -MISS, toggled, count)
-            if next_c < next_r:
-                c += step_c
-                next_c += each_c
-            else:
-                r += step_r
-                next_r += each_r
+    for n in range(rays):
+        if ranges[n] >= 0.0:  # not where it is not a number
+            far = min(ranges[n] / cell, most)
+            count = _pass(evidence, solid, stamps, scan, x, y, ways[n, 0], ways[n, 1], far,
+                          toggled, count)  # fmt: skip
     return count

@@ -10,6 +10,7 @@ from math import atan2, hypot, pi, sin, sqrt
 
 Point = tuple[float, float]
 
+POINT_M = 1e-9  # a segment shorter than this is a point
 CLOSE_GAIN_1_S = (
     2.0  # cross-track error is closed with this rate; 20 Hz control is stable below ~10
 )
@@ -31,6 +32,12 @@ class Tracker:
         self.points = points
         self.speed_m_s, self.deceleration_m_s2 = speed_m_s, deceleration_m_s2
         self.lengths_m = [hypot(b[0] - a[0], b[1] - a[1]) for a, b in itertools.pairwise(points)]
+        self._pieces = [  # where each segment begins, its direction, its length
+            (a[0], a[1], (b[0] - a[0]) / length_m, (b[1] - a[1]) / length_m, length_m)
+            if length_m >= POINT_M
+            else (a[0], a[1], 0.0, 0.0, length_m)
+            for (a, b), length_m in zip(itertools.pairwise(points), self.lengths_m, strict=True)
+        ]
         self.starts_m = [0.0]
         for length_m in self.lengths_m:
             self.starts_m.append(self.starts_m[-1] + length_m)
@@ -45,22 +52,23 @@ class Tracker:
     def locate(self, x_m: float, y_m: float) -> None:
         """Project a position; may move on to later segments, never back to earlier ones."""
         while self.piece < len(self.lengths_m):
-            (ax, ay), (bx, by) = self.points[self.piece], self.points[self.piece + 1]
-            length_m = self.lengths_m[self.piece]
-            if length_m < 1e-9:
+            ax, ay, ux, uy, length_m = self._pieces[self.piece]
+            if length_m < POINT_M:
                 self.piece += 1
                 continue
-            ux, uy = (bx - ax) / length_m, (by - ay) / length_m
             t_m = (x_m - ax) * ux + (y_m - ay) * uy
             self.off_m = (y_m - ay) * ux - (x_m - ax) * uy
-            self.gap_m = hypot(self.off_m, max(-t_m, t_m - length_m, 0.0))
-            last = self.piece == len(self.lengths_m) - 1
-            if t_m >= length_m - (0.0 if last else ARRIVED_M) and not last:
+            last = self.piece == len(self._pieces) - 1
+            if t_m >= length_m - ARRIVED_M and not last:
                 self.piece += 1
                 continue
-            self.along_m = self.starts_m[self.piece] + min(max(t_m, 0.0), length_m)
+            beyond_m = -t_m if t_m < 0.0 else t_m - length_m if t_m > length_m else 0.0
+            self.gap_m = hypot(self.off_m, beyond_m) if beyond_m else abs(self.off_m)
+            t_m = 0.0 if t_m < 0.0 else length_m if t_m > length_m else t_m
+            self.along_m = self.starts_m[self.piece] + t_m
             at_end = last and self.total_m - self.along_m <= ARRIVED_M
-            self.arrived = at_end and hypot(x_m - bx, y_m - by) <= BESIDE_M
+            x_end, y_end = self.points[-1]
+            self.arrived = at_end and hypot(x_m - x_end, y_m - y_end) <= BESIDE_M
             return
         x_end, y_end = self.points[-1]  # nothing but a point is left
         self.off_m = self.gap_m = hypot(x_m - x_end, y_m - y_end)
@@ -74,11 +82,9 @@ class Tracker:
 
     def velocity(self, x_m: float, y_m: float) -> Point:
         """The wanted velocity at this position; call `locate` first."""
-        if not self.lengths_m or self.piece >= len(self.lengths_m):
+        if self.piece >= len(self._pieces):
             return self._towards(x_m, y_m, self.points[-1])
-        (ax, ay), (bx, by) = self.points[self.piece], self.points[self.piece + 1]
-        length_m = self.lengths_m[self.piece]
-        ux, uy = (bx - ax) / length_m, (by - ay) / length_m
+        ax, ay, ux, uy, length_m = self._pieces[self.piece]
         t_m = (x_m - ax) * ux + (y_m - ay) * uy
         if abs(self.off_m) > 1.0 or t_m < -1.0 or t_m > length_m:  # far: go where it can be joined
             join_m = min(max(t_m, 0.0) + 0.5, length_m)
@@ -95,11 +101,10 @@ class Tracker:
         found: list[tuple[float, float, float, float]] = []
         along_m = self.along_m
         for piece in range(self.piece, len(self.lengths_m)):
-            length_m, start_m = self.lengths_m[piece], self.starts_m[piece]
-            if length_m < 1e-9:
+            start_m = self.starts_m[piece]
+            ax, ay, ux, uy, length_m = self._pieces[piece]
+            if length_m < POINT_M:
                 continue
-            (ax, ay), (bx, by) = self.points[piece], self.points[piece + 1]
-            ux, uy = (bx - ax) / length_m, (by - ay) / length_m
             while along_m <= start_m + length_m:
                 if along_m > self.along_m + reach_m:
                     return found

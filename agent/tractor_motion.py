@@ -74,7 +74,7 @@ class TractorMotion(Motion):
         if wish.vx_m_s == 0.0 and wish.vy_m_s == 0.0:
             return 0.0
         facing: list[tuple[float, ...]] = []
-        for dx_m, dy_m, vx_m_s, vy_m_s, combined_m, _ in rows:
+        for dx_m, dy_m, vx_m_s, vy_m_s, combined_m, *_ in rows:
             combined_m += DISC_M
             gap_m = hypot(dx_m, dy_m)
             if gap_m < combined_m + 0.02:  # too near already: away from it, and nothing else

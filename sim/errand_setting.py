@@ -111,6 +111,7 @@ class ErrandSetting:
         return Motion(
             slot, limits, self.floor.fences, fence_m=self.floor.margin_m / 2,
             horizon_s=HORIZON_S, gives_way=False, keep_right_rad=KEEP_RIGHT_RAD, looks=True,
+            stops=self.agrees,
         )  # fmt: skip
 
     def world(self) -> World:

@@ -18,7 +18,7 @@ import pymunk
 from numpy.typing import NDArray
 
 from sim.body import RobotBody
-from sim.lidar import RANGE, Lidar, scan
+from sim.lidar import RANGE, Lidar, scan, scan_all
 from sim.physics import Physics
 from sim.proximity import (
     FENCE,
@@ -245,3 +245,11 @@ class World:
         scan(self.motion, index, fences.floats, fences.ints, fences.blocked, self._standing,
              self.lidar.range_m, self._beams)  # fmt: skip
         return tuple(self._beams[RANGE, : self.lidar.rays].tolist())
+
+    def ranges_of_all(self) -> NDArray[np.float32]:
+        """(robots, rays): the same of every robot at once, in order of adding."""
+        assert self.lidar is not None
+        fences, found = self._fences, np.empty((len(self.motion), self.lidar.rays), np.float32)
+        scan_all(self.motion, fences.floats, fences.ints, fences.blocked, self._standing,
+                 self.lidar.range_m, self._beams, found)  # fmt: skip
+        return found

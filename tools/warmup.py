@@ -15,6 +15,7 @@ def _paths() -> None:
     planner = Planner(blocked)
     planner.plan((0, 0), (7, 7))
     planner.update([(4, 4, False)])
+    planner.plan_plain((0, 0), (7, 7))  # the last resort of a search
 
 
 def _map() -> None:
@@ -38,9 +39,12 @@ def _avoidance() -> None:
 
 
 def _coverage() -> None:
+    from agent.coverage_approach import lay
     from agent.coverage_team import Team
 
     team = Team(np.zeros((6, 6), dtype=np.bool_), [(0, 0), (3, 3)])
+    grid = team.grid  # the ways to far runs, which only larger places have
+    lay(grid.free, grid.free, grid.width, team.number((0, 0)), team.number((5, 5)), grid.queue)
     while team.remaining():
         team.advance()
 
@@ -55,6 +59,29 @@ def _agreement() -> None:
     search(floor.lattice.near, [0, 2], [2, 0], [0.0, 0.0])
     here = Observation(1.5, 0.5, 0.0, 0.0, 0.0, (0.5, 1.0, 1.5))
     Sensed(floor.fences, 0.35).strange(here, 5.0, [(0.5, 0.5)])
+
+
+def _exploration() -> None:
+    from agent.frontier import frontiers, wave_from
+
+    values = np.zeros((12, 12), dtype=np.int64)
+    values[:, :6] = 1  # free; the rest is unknown
+    frontiers(values, wave_from(values == 1, (5, 1)), 3)
+
+
+def _delivery() -> None:
+    from agent.auction import Planner
+    from agent.cost_matrix import Carrier, CostMatrix, Trip, workload
+    from agent.floor import Floor
+    from agent.nav_mesh import Mesh
+
+    floor = Floor.drawn("......\n..##..\n......", 1.0, 0.3)
+    costs = CostMatrix(Mesh(floor.inflated, floor.origin, floor.fine_m))
+    trips = [Trip((0.5, 0.5), (5.5, 0.5)), Trip((5.5, 2.5), (0.5, 2.5))]
+    planner = Planner(workload(costs, Carrier(1.0, 2.0), trips, [(0.5, 1.5)], [0]))
+    first = planner.auctioned()
+    planner.inserted(0, first[0][:1], first[0][1])
+    planner.improved(first, 1, 10)
 
 
 def _wire() -> None:
@@ -79,6 +106,29 @@ def _world() -> None:
     coverage(raster, {0: world.body(0).track}, 2.0)
 
 
+def _fleets() -> None:
+    """What simulations of many robots compute for all of them at once."""
+    from agent.agent_table import AGENT_COLUMNS
+    from agent.obstacle_tree import obstacle_tree
+    from agent.occupancy_fleet import OccupancyFleet
+    from agent.orca import Avoidance
+    from agent.orca_fleet import Fleet
+    from sim.lidar import Lidar
+    from sim.vehicle import Chassis
+    from sim.world import World
+
+    ring = [(0.0, 0.0), (20.0, 0.0), (20.0, 20.0), (0.0, 20.0)]
+    walls = obstacle_tree([ring[::-1]])
+    Fleet(np.ones((2, AGENT_COLUMNS), dtype=np.float32), 0.05, walls).step()
+    Avoidance(0.5, 2.0, 1.0, 4.0, 0.05, np.zeros((0, 4)), walls=walls).among_known(
+        (5.0, 5.0), (0.0, 0.0), (1.0, 0.0), 0.0
+    )
+    world = World([ring], 0, Lidar(8, 4.0))
+    world.add_robot(0, (5.0, 5.0), 0.5, Chassis())
+    maps = OccupancyFleet(1, np.zeros((100, 100), dtype=np.bool_), (0.0, 0.0), 0.5, 0.7)
+    maps.observe(world.motion[:, :3], world.ranges_of_all(), 4.0)
+
+
 def _turns() -> None:
     from agent.turn_route import Pose, TurnRoute
 
@@ -95,8 +145,11 @@ PARTS: tuple[tuple[str, Callable[[], None]], ...] = (
     ("avoidance", _avoidance),
     ("coverage", _coverage),
     ("agreement", _agreement),
+    ("exploration", _exploration),
+    ("delivery", _delivery),
     ("wire", _wire),
     ("world", _world),
+    ("fleets", _fleets),
     ("turns", _turns),
 )
 
@@ -104,7 +157,8 @@ PARTS: tuple[tuple[str, Callable[[], None]], ...] = (
 def warm(steering: bool) -> None:
     """Compile what is not compiled; a fraction of a second where everything is."""
     for name, part in PARTS:
-        if steering or name != "turns":  # only bodies that steer plan turns
+        # Only bodies that steer plan turns, and only simulations compute for all robots at once.
+        if name != "fleets" and (steering or name != "turns"):
             part()
 
 
@@ -115,7 +169,7 @@ def main() -> int:
         start_s = time.perf_counter()
         with console.status(f"compiling {name} ..."):
             part()
-        console.print(f"{name:10} {time.perf_counter() - start_s:6.1f} s")
+        console.print(f"{name:11} {time.perf_counter() - start_s:6.1f} s")
     total_s = time.perf_counter() - begun_s
     console.print(f"ready after {total_s:.1f} s; a first start without this takes that much longer")
     return 0

@@ -8,6 +8,7 @@ import pytest
 from agent.config import CONTROL_PERIOD_US, S
 from agent.floor import Floor
 from agent.hazards import BELIEVED_S, Hazards
+from agent.ray_evidence import LEAST
 from protocol.map_sync import MapSync
 from sim.errand_setting import ErrandSetting
 from sim.world import World
@@ -130,3 +131,19 @@ def test_a_closed_way_is_none(width: int) -> None:
         two.world.add_box(BOX[0], k + 0.5, 0.96)
     two.elapse(3.0)
     assert two.robots[0].path((2.5, y_m), (13.5, y_m)) is None
+
+
+def test_what_was_free_when_we_passed_may_stand_there_now() -> None:
+    """What a robot saw free long ago is no better than what another tells now."""
+    two = Two(places=(AT, (8.5, 2.5)))
+    first = two.world.add_box(10.5, 1.0, 0.5)  # and so both have a grid
+    two.elapse(2.0)
+    far = two.robots[1]
+    assert far.map is not None
+    row, column = far.map.geometry.cell((BOX[0] + 0.2, BOX[1]))
+    assert far.map.grid.evidence[row, column] == LEAST
+    two.world.body(1).teleport(*GOAL)
+    two.world.remove_box(first)
+    two.world.add_box(*BOX, 0.6)
+    two.elapse(3.0)
+    assert two.gap_m(1) > 0.3 + HALL.radius_m, "clear of the box"

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from agent.inflation import Inflation
 from agent.occupancy import CELL_M, INFLATION_M, Obstacle, OccupancyGrid
+from agent.occupancy_fleet import OccupancyFleet
 from agent.ray_evidence import HIT, MISS, MOST, weigh_scan
 
 BODY_M = 0.30
@@ -52,7 +53,7 @@ def test_a_ray_weighs_the_cells_it_passes(seed: int) -> None:
     hits = bool(rng.integers(2))
     far = length + 1.0 if hits else length
     toggled = np.empty((100, 3), dtype=np.int64)
-    count = weigh_scan(evidence, solid, stamps, 1, x, y, np.array([angle]), np.array([length]), far,
+    count = weigh_scan(evidence, solid, stamps, 1, 0.0, 0.0, 1.0, x, y, angle, np.array([length]), far,
                        np.empty((0, 3)), toggled)  # fmt: skip
     t = np.arange(0, length - 0.02, 0.001)
     r, c = np.floor(y + t * sin(angle)).astype(int), np.floor(x + t * cos(angle)).astype(int)
@@ -254,3 +255,25 @@ def test_a_damaged_file_is_refused(noise: bytes, where: int, value: int) -> None
         assert grid.solid.size <= 1 << 24
     with pytest.raises(ValueError, match="not a map"):
         OccupancyGrid.from_bytes(b"", 0)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_maps_of_many_at_once_are_what_each_alone_would_have(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    fixed = rng.random((30, 40)) < 0.05
+    fleet = OccupancyFleet(5, fixed, (-1.0, 2.0), 0.3, 0.5)
+    alone = [OccupancyGrid(30, 40, (-1.0, 2.0), 0.3, fixed) for _ in range(5)]
+    for _ in range(30):
+        places = rng.uniform((-0.8, 2.2, -pi), (6.8, 7.8, pi), (5, 3))
+        ranges = rng.uniform(0.2, 4.0, (5, 24)).astype(np.float32)
+        ranges[rng.random((5, 24)) < 0.2] = inf
+        news = fleet.observe(places, ranges, 3.0)
+        for k, grid in enumerate(alone):
+            others = [(x, y, 0.5) for j, (x, y, _) in enumerate(places.tolist()) if j != k]
+            x, y, heading = places[k].tolist()
+            assert news[k] == grid.observe((x, y), heading, ranges[k].tolist(), 3.0, others)
+    for one, other in zip(fleet.grids, alone, strict=True):
+        assert np.array_equal(one.evidence, other.evidence)
+        assert np.array_equal(one.seen, other.seen)
+        assert np.array_equal(one.tight.blocked, other.tight.blocked)
+        assert np.array_equal(one.unseen(3), other.unseen(3))

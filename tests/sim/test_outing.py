@@ -24,6 +24,12 @@ def test_everybody_gets_through_whatever_is_lost(layout: str) -> None:
     assert result.finished and result.contacts == 0
 
 
+def test_who_drives_behind_a_robot_that_halts_for_a_round_does_not_touch_it() -> None:
+    """The follower used to expect that it goes on, and touched it by 2 mm."""
+    result = trial("swap 3:3", 0.3, True, 1)
+    assert result.finished and result.contacts == 0
+
+
 def test_orca_by_itself_does_not() -> None:
     """What the rounds of agreement are for; it touches nobody either."""
     result = trial("swap 1:1", 0.0, False, 3)
@@ -60,8 +66,13 @@ def test_a_parked_robot_clears_a_corridor_and_returns() -> None:
 def test_goals_one_after_the_other() -> None:
     floor = Floor.drawn(office(), 0.2, 0.35)
     goals = [[(7.0, 2.0), (11.0, 9.0), (1.0, 1.0)]]
-    outcome = Outing(ErrandSetting.made("tour", floor, [(1.0, 1.0)], goals)).run()
+    outing = Outing(ErrandSetting.made("tour", floor, [(1.0, 1.0)], goals))
+    outcome = outing.run()
     assert outcome.finished and not outcome.contacts
+    set_out_s = [way.t_us / 1e6 for way in outing.followed[0]]
+    assert [way.why for way in outing.followed[0]] == ["goal"] * 3
+    for leg, next_s in zip(outcome.legs, set_out_s[1:], strict=False):
+        assert next_s - leg.arrived_s <= 0.1, "the next goal was claimed, and the way to it known"
     arrived = [leg.arrived_s for leg in outcome.legs]
     assert arrived == sorted(arrived)
     assert all(leg.rmse_m < 0.06 and not leg.replans for leg in outcome.legs)

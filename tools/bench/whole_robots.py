@@ -19,6 +19,7 @@ from agent.config import CONTROL_PERIOD_US, NEIGHBOUR_RANGE_M, NEIGHBOURS_MAX, S
 from agent.effects import Drive
 from agent.obstacle_tree import obstacle_tree
 from agent.occupancy import CELL_M, OccupancyGrid
+from agent.occupancy_fleet import OccupancyFleet
 from agent.orca_fleet import Fleet
 from agent.tracker import Tracker
 from sim.lidar import Lidar
@@ -76,11 +77,9 @@ class Crowd:
         self.world = World([boundary, *racks()], seed, Lidar(RAYS, RANGE_M))
         chassis = Chassis(speed_m_s=SPEED_M_S, acceleration_m_s2=ACCELERATION_M_S2)
         blocked = solid()
-        rows, columns = blocked.shape
-        self.grids: list[OccupancyGrid] = []
+        self.maps = OccupancyFleet(ROBOTS, blocked, (0.0, 0.0), RADIUS_M, RADIUS_M + CELL_M)
         for slot in range(ROBOTS):
             self.world.add_robot(slot, self._start(), RADIUS_M, chassis)
-            self.grids.append(OccupancyGrid(rows, columns, (0.0, 0.0), RADIUS_M, blocked))
         agents = np.zeros((ROBOTS, column.AGENT_COLUMNS), dtype=np.float32)
         agents[:, column.RADIUS] = RADIUS_M + MARGIN_M
         agents[:, column.SPEED_MAX], agents[:, column.RANGE] = SPEED_M_S, NEIGHBOUR_RANGE_M
@@ -118,19 +117,12 @@ class Crowd:
         motion = world.motion
         agents[:, column.X : column.Y + 1] = motion[:, :2]
         agents[:, column.VX : column.VY + 1] = motion[:, 3:5]
-        places = motion[:, :2]
-        near = np.hypot(places[:, None, 0] - places[None, :, 0],
-                        places[:, None, 1] - places[None, :, 1]) < RANGE_M + RADIUS_M  # fmt: skip
-        discs = np.column_stack((places, np.full(ROBOTS, RADIUS_M + CELL_M)))
-        for slot in range(ROBOTS):
-            here = world.body(slot).sense(now_us)
-            at = here.x_m, here.y_m
-            near[slot, slot] = False
-            grid = self.grids[slot]
-            others = discs[near[slot]]
-            news = grid.observe(at, here.heading_rad, here.ranges_m, RANGE_M, others)
-            tracker = self._way(slot, at, grid, news > 0)
-            agents[slot, column.WANT_X], agents[slot, column.WANT_Y] = tracker.velocity(*at)
+        news = self.maps.observe(motion[:, :3], world.ranges_of_all(), RANGE_M)
+        wanted = []
+        for slot, at in enumerate(motion[:, :2].tolist()):
+            tracker = self._way(slot, tuple(at), self.maps.grids[slot], news[slot] > 0)
+            wanted.append(tracker.velocity(*at))
+        agents[:, column.WANT_X : column.WANT_Y + 1] = wanted
         self.fleet.step(move=False)
         chosen = agents[:, column.NEW_VX : column.NEW_VY + 1].tolist()
         for slot, (vx_m_s, vy_m_s) in enumerate(chosen):
