@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from math import cos, hypot, sin
 from typing import NamedTuple
 
-from agent.accord import Accords, Phase
+from agent.accord import Accords
 from agent.config import MS, S
 from agent.floor import Floor
 from agent.hazards import Hazards
@@ -19,6 +19,7 @@ from agent.lifecycle import State
 from agent.membership import Neighbour
 from agent.mission import STILL, Choice, FleetView, Wish
 from agent.replanning import Replanning
+from agent.round_phase import Phase
 from agent.tracker import Tracker
 from crdt import Phase as Claimed
 from protocol.accord_frames import Answer
@@ -169,7 +170,7 @@ class Errands:
         """What is wanted now, and whether the goal has been reached."""
         if self.accords.bound:
             self._tracker, self._planned = None, True  # afterwards we begin from somewhere else
-            return (self._along_plan(view) if self.accords.phase is Phase.MOVE else HOLD), False
+            return (self._along_plan(view) if self.accords.phase is Phase.GO else HOLD), False
         if self.goal is None:
             return HOLD, False
         here = view.here
