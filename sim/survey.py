@@ -20,6 +20,7 @@ from agent.fleet_report import fleet_status, serialize_for_llm
 from agent.fleet_task import Order
 from agent.identity import Identity
 from agent.lifecycle import State
+from agent.lone_exploration import LoneExploration
 from agent.motion import Limits, Motion
 from agent.survey_map import SurveyMap
 from crdt.hybrid_clock import HybridClock
@@ -126,10 +127,8 @@ class SurveyCluster(Cluster):
         limits = Limits(fleet.radius_m, fleet.speed_m_s, braking_m_s2)
         sync = self._sync(slot, now_us)
         chart = SurveyMap(sync, place.geometry, fleet.radius_m, scenario.arena.range_m)
-        alone = self.sharing is Sharing.NONE
-        mission = Exploration(
-            chart, limits, fleet.robots, scenario.arena.robots_max, self.orders, alone
-        )
+        kind = LoneExploration if self.sharing is Sharing.NONE else Exploration
+        mission = kind(chart, limits, fleet.robots, scenario.arena.robots_max, self.orders)
         self.missions[slot] = mission
         identity = Identity(
             slot=slot, members=frozenset(range(fleet.robots)),
