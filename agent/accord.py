@@ -18,7 +18,6 @@ called again, without those that have meanwhile fallen silent. So nobody is park
 """
 
 from collections.abc import Iterable, Mapping
-from enum import Enum
 from typing import NamedTuple
 from zlib import crc32
 
@@ -29,6 +28,7 @@ from scipy.optimize import linear_sum_assignment
 from agent.config import MS, S
 from agent.joint_plan import JointPlan, Turn, search
 from agent.lattice import FINE, Lattice, components
+from agent.round_phase import CALM_US, Phase, after, ahead
 from protocol.accord_frames import Accord, Answer, Say
 
 Point = tuple[float, float]
@@ -38,17 +38,8 @@ HURRY_US = 100 * MS  # a word that others wait for is repeated this often,
 HURRIED_US = (
     350 * MS
 )  # a step on the route: four words, so that 1 % miss all of them where 30 % are lost
-CALM_US = 2 * S  # and a word that they have probably heard is repeated this often, for who has not
 SEATS = 3  # pitches round a place in which a node is looked for
 AFAR = 1 << 24  # cost of a node that is none of ours; more than all squares of a map
-_MOD = 1 << 16
-
-
-class Phase(Enum):
-    FREE = "everybody drives as they like"
-    GATHER = "standing, saying where, hearing the others"
-    AGREE = "the plan is made, the others' digests are awaited"
-    MOVE = "on the way along the route of the plan"
 
 
 class Place(NamedTuple):
@@ -84,13 +75,13 @@ class Accords:
     def call(self, now_us: int) -> None:
         """We get no further: a new round."""
         self.called += 1
-        self._begin((self.round + 1) % _MOD, now_us)
+        self._begin(after(self.round), now_us)
 
     def hear(self, slot: int, m: Accord, now_us: int) -> None:
-        ahead = (m.round - self.round) % _MOD
-        if ahead >= _MOD // 2 or m.say == Say.BODY:
+        later = ahead(m.round, self.round)
+        if later is None or m.say == Say.BODY:
             return  # a round that is over, or a word of a fleet on a grid
-        if ahead:
+        if later:
             self._begin(m.round, now_us)
         if m.say == Say.PLACE:
             if m.first < len(self.lattice) and m.second < len(self.lattice):
@@ -179,10 +170,10 @@ class Accords:
         if self.phase is Phase.AGREE:
             own = self._digests[self.slot]
             if all(self._digests.get(slot) == own for slot in self.order):
-                self.phase, self._since_us = Phase.MOVE, now_us
-        if self.phase is Phase.MOVE and self._over:
+                self.phase, self._since_us = Phase.GO, now_us
+        if self.phase is Phase.GO and self._over:
             self.phase = Phase.FREE
-        patience_us = PATIENCE_US if self.phase is Phase.MOVE else PATIENCE_US // 2
+        patience_us = PATIENCE_US if self.phase is Phase.GO else PATIENCE_US // 2
         if self.bound and now_us - max(self._since_us, self._progress_us) > patience_us:
             self.call(now_us)
 
@@ -197,7 +188,7 @@ class Accords:
         digest = self._digests.get(self.slot)
         if digest is not None and self._due(Say.PLAN, self.phase is Phase.AGREE, now_us):
             words.append(Accord(self.round, Say.PLAN, 0, digest & 0xFFFF, digest >> 16, 0))
-        hurried = self.phase is Phase.MOVE and now_us - self._since_us < HURRIED_US
+        hurried = self.phase is Phase.GO and now_us - self._since_us < HURRIED_US
         if self.index >= 0 and self._due(Say.AT, hurried, now_us):
             words.append(Accord(self.round, Say.AT, 0, self.index + 1, 0, 0))
         return words

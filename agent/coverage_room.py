@@ -15,8 +15,8 @@ from agent.coverage_approach import lay
 from agent.coverage_cut import cut
 from agent.coverage_polish import polish
 from agent.coverage_state import NONE, Grid, Numbers
-from agent.coverage_step import FAR, fill_field
-from agent.coverage_walk import measure, walk
+from agent.coverage_step import FAR, WALL, flood
+from agent.coverage_walk import measure, measure_runs, walk
 
 Costs = NDArray[np.int32]
 Mask = NDArray[np.uint8]
@@ -67,9 +67,9 @@ def cut_room(grid: Grid, inside: Mask, places: Numbers, costing: Costing) -> Sha
     todo = inside & (1 - grid.covered)
     if not todo.any():
         return None
-    ways = np.full((places.size, inside.size), NONE, np.int32)
+    ways = np.tile(_dry(grid), (places.size, 1))
     for row, place in zip(ways, places, strict=True):
-        fill_field(grid.free, grid.width, row, place, NONE, FAR, grid.queue)
+        flood(grid.width, row, place, grid.queue)
     ways *= costing.step  # what is not in this room is not asked for
     nothing = [np.empty(0, np.int32) for _ in places]
     best = draft = _draft(grid, inside, todo, places, ways, nothing, costing)
@@ -81,6 +81,11 @@ def cut_room(grid: Grid, inside: Mask, places: Numbers, costing: Costing) -> Sha
                 break
             best = draft
     return _share(grid, inside, places, best, costing)
+
+
+def _dry(grid: Grid) -> Costs:
+    """A field before it is flooded."""
+    return np.where(grid.free == 1, np.int32(NONE), np.int32(WALL))
 
 
 def _orders(grid: Grid, inside: Mask, todo: Mask, places: Numbers, turns: bool) -> Iterator[Costs]:
@@ -139,7 +144,7 @@ def _approached(
     costing: Costing,
 ) -> _Draft:
     """Lay the ways to a draft's runs, the longest first, and cut what is left of the walk."""
-    left, after, laid = todo.copy(), ways.copy(), list(draft.laid)
+    left, after, laid, dry = todo.copy(), ways.copy(), list(draft.laid), _dry(grid)
     begins = {mate: cells[0] for mate, cells in draft.runs().items()}
     for mate in range(places.size):
         laid[mate] = np.empty(0, np.int32)
@@ -149,8 +154,8 @@ def _approached(
             continue
         laid[mate] = way[left[way] == 1]
         left[way] = 0
-        after[mate] = NONE
-        fill_field(grid.free, grid.width, after[mate], way[-1], NONE, FAR, grid.queue)
+        after[mate] = dry
+        flood(grid.width, after[mate], way[-1], grid.queue)
         after[mate] = (after[mate] + way.size) * costing.step
     if not left.any():
         return draft
@@ -158,11 +163,12 @@ def _approached(
 
 
 def _share(grid: Grid, inside: Mask, places: Numbers, draft: _Draft, costing: Costing) -> Share:
-    runs, orders, alongs, cuts = draft.runs(), [], [], [0]
+    runs, orders, cuts = draft.runs(), [], [0]
     for mate in range(places.size):
         cells = runs.get(mate, np.empty(0, np.int32))
         order = np.concatenate([draft.laid[mate], cells])
         orders.append(order)
-        alongs.append(measure(inside, grid.width, order, costing.step, costing.turn))
         cuts.append(cuts[-1] + order.size)
-    return Share(draft.bound, np.concatenate(orders), np.concatenate(alongs), cuts)
+    whole = np.concatenate(orders)
+    along = measure_runs(inside, grid.width, whole, np.array(cuts), costing.step, costing.turn)
+    return Share(draft.bound, whole, along, cuts)

@@ -18,6 +18,7 @@ from numba import njit
 from agent.coverage_state import NONE
 
 FAR = 1 << 30  # no limit
+WALL = -2  # in a field to be flooded
 UNKNOWN = 1 << 20  # steps, where the field ends: more than a padded grid of 2048 x 2048 has corners
 
 
@@ -39,6 +40,25 @@ def fill_field(free, width, field, goal, place, limit, queue):  # type: ignore[n
             near = cell + step
             if free[near] and field[near] == NONE:
                 field[near] = field[cell] + 1
+                queue[tail] = near
+                tail += 1
+
+
+@njit(cache=True)
+def flood(width, field, source, queue):  # type: ignore[no-untyped-def]
+    """Steps from `source` for all cells; before, walls are `WALL` and all others -1.
+
+    As `fill_field` without its limits, and with one look at each neighbour: half the time.
+    """
+    field[source], queue[0], head, tail = 0, source, 0, 1
+    while head < tail:
+        cell = queue[head]
+        head += 1
+        ahead = field[cell] + 1
+        for step in (-width, width, -1, 1):
+            near = cell + step
+            if field[near] == NONE:
+                field[near] = ahead
                 queue[tail] = near
                 tail += 1
 

@@ -176,38 +176,54 @@ def _join_pieces(free, width, links, piece, root, ring, size):  # type: ignore[n
 
 @njit(cache=True)
 def steps_between(free, width, a, b, near):  # type: ignore[no-untyped-def]
-    """Steps from a to b; FAR where there is no way."""
+    """Steps from a to b; FAR where there is no way. A search from a that ends at b."""
     if abs(a - b) == 1 or abs(a - b) == width:
         return 1
     stamp, distance, queue = near
-    radius = 8
-    while True:
-        stamp[0] += 1
-        found = reach(free, width, a, radius, stamp, stamp[0], distance, queue)
-        if stamp[b] == stamp[0]:
-            return distance[b]
-        if distance[queue[found - 1]] < radius:
-            return FAR
-        radius *= 4
+    stamp[0] += 1
+    turn = stamp[0]
+    queue[0], head, tail = a, 0, 1
+    stamp[a], distance[a] = turn, 0
+    while head < tail:
+        cell = queue[head]
+        head += 1
+        for step in (-width, width, -1, 1):
+            beside = cell + step
+            if free[beside] and stamp[beside] != turn:
+                if beside == b:
+                    return distance[cell] + 1
+                stamp[beside], distance[beside] = turn, distance[cell] + 1
+                queue[tail] = beside
+                tail += 1
+    return 0 if a == b else FAR
 
 
 @njit(cache=True)
-def measure(free, width, order, unit, turn):  # type: ignore[no-untyped-def]
-    """The cost before each cell of a walk: `unit` a step, `turn` a quarter turn.
+def measure_runs(free, width, order, cuts, unit, turn):  # type: ignore[no-untyped-def]
+    """The cost before each cell of each run order[cuts[k]:cuts[k + 1]]: `unit` a step, `turn` a
+    quarter turn.
 
     Of the way to a cell that is not next door only the length counts, and one quarter turn.
     """
     near = memory(free.size)
     along = np.zeros(order.size, np.int32)
-    for i in range(1, order.size):
-        steps = steps_between(free, width, order[i - 1], order[i], near)
-        cost = steps * unit
-        if i > 1 and turn:
-            before, ahead = order[i - 1] - order[i - 2], order[i] - order[i - 1]
-            if steps > 1 or before != ahead:
-                cost += 2 * turn if before == -ahead else turn
-        along[i] = along[i - 1] + cost
+    for k in range(cuts.size - 1):
+        first = cuts[k]
+        for i in range(first + 1, cuts[k + 1]):
+            steps = steps_between(free, width, order[i - 1], order[i], near)
+            cost = steps * unit
+            if i > first + 1 and turn:
+                before, ahead = order[i - 1] - order[i - 2], order[i] - order[i - 1]
+                if steps > 1 or before != ahead:
+                    cost += 2 * turn if before == -ahead else turn
+            along[i] = along[i - 1] + cost
     return along
+
+
+@njit(cache=True)
+def measure(free, width, order, unit, turn):  # type: ignore[no-untyped-def]
+    """The same of one walk."""
+    return measure_runs(free, width, order, np.array([0, order.size]), unit, turn)
 
 
 @njit(cache=True)

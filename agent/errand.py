@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from math import cos, hypot, sin
 from typing import NamedTuple
 
-from agent.accord import Accords, Phase
+from agent.accord import Accords
 from agent.config import MS, S
 from agent.floor import Floor
 from agent.hazards import RANGE_M, Hazards
@@ -21,6 +21,7 @@ from agent.mission import STILL, Choice, FleetView, Wish
 from agent.next_way import NextWay
 from agent.ports import Observation
 from agent.replanning import Replanning
+from agent.round_phase import Phase
 from agent.tracker import Tracker
 from crdt import Phase as Claimed
 from protocol.accord_frames import Answer
@@ -187,7 +188,7 @@ class Errands:
         """What is wanted now, and whether the goal has been reached."""
         if self.accords.bound:
             self._tracker, self._planned = None, True  # afterwards we begin from somewhere else
-            return (self._along_plan(view) if self.accords.phase is Phase.MOVE else HOLD), False
+            return (self._along_plan(view) if self.accords.phase is Phase.GO else HOLD), False
         if self.goal is None:
             return HOLD, False
         here = view.here

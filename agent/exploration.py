@@ -29,7 +29,7 @@ from agent.motion import Limits
 from agent.survey_map import SurveyMap
 from crdt import Phase
 from crdt.occupancy import SIDE, MergeResult, corner_of
-from crdt.sighting import FREE
+from crdt.sighting import FREE, UNKNOWN
 
 XY = tuple[float, float]
 CHOOSE_US = 250 * MS  # between two looks for a target by a robot without one
@@ -53,12 +53,10 @@ class Exploration:
         robots: int,
         robots_max: int = ROBOTS_MAX,
         orders: Sequence[Order] = (),
-        alone: bool = False,
     ) -> None:
-        """`alone`: nothing is known of others; the nearest frontier is the one to go to."""
         if robots > robots_max:
             raise FleetFullError(robots_max)
-        self.chart, self.limits, self.alone = chart, limits, alone
+        self.chart, self.limits = chart, limits
         self.orders = {ORDERS_FIRST + k: order for k, order in enumerate(orders)}
         geometry = chart.geometry
         self.view_cells = int(min(VIEW_MAX_M, VIEW_SHARE * chart.range_m) / geometry.cell_m)
@@ -153,12 +151,12 @@ class Exploration:
         here = self._cell((view.here.x_m, view.here.y_m))
         values = self.chart.values()
         passable = self._passable(values, here)
-        wave = wave_from(passable, here)
+        seen_by = self.chart.seen_by()
+        theirs = (seen_by >= 0) & (seen_by != view.slot) & (self.chart.own() == UNKNOWN)
+        wave = wave_from(passable, here, dear=theirs)
         found = [f for f in frontiers(values, wave, self.view_cells) if self._open(f.patch, view)]
         self.over = not found
-        if self.alone:
-            return min(found, key=lambda f: (int(wave[f.station]), f.patch), default=None)
-        rivals = self._rivals(view, passable, values)
+        rivals = self._rivals(view, passable, seen_by)
         choosing = Choosing(view.slot, self.chart.geometry.cell_m, self.view_cells)
         return choosing.best(found, wave, rivals, current)
 
@@ -169,12 +167,12 @@ class Exploration:
         phase, owner = view.allocation.phase_of(patch), view.allocation.owner_of(patch)
         if phase is Phase.DONE:
             return False
-        if owner is None or owner == view.slot or self.alone:
+        if owner is None or owner == view.slot:
             return True
         since_us = view.silent_since_us.get(owner)
         return since_us is not None and view.now_us - since_us >= LEASE_US
 
-    def _rivals(self, view: FleetView, passable: Grid, values: Values) -> list[Rival]:
+    def _rivals(self, view: FleetView, passable: Grid, seen_by: Values) -> list[Rival]:
         """Live robots, each with the ways from where it is, and what it has claimed."""
         rivals = []
         for slot in sorted(view.live - {view.slot}):
@@ -185,7 +183,8 @@ class Exploration:
             claimed = [s for s in view.allocation.assigned_sections(slot) if s < ORDERS_FIRST]
             target = self._middle(claimed[-1]) if claimed else None
             was, passable[at] = bool(passable[at]), True
-            rivals.append(Rival(slot, wave_from(passable, target or at), target))
+            theirs = (seen_by >= 0) & (seen_by != slot)
+            rivals.append(Rival(slot, wave_from(passable, target or at, dear=theirs), target))
             passable[at] = was
         return rivals
 
@@ -196,13 +195,16 @@ class Exploration:
         """Where a section is, for whoever asks; the same for all peers."""
         if section in self.orders:
             return self.orders[section].points[0]
-        row, column = corner_of(section)
+        row, column = corner_of(self.patch_of(section))
         geometry = self.chart.geometry
         half_m = SIDE / 2 * geometry.cell_m
         return (
             geometry.origin_m[0] + column * geometry.cell_m + half_m,
             geometry.origin_m[1] + row * geometry.cell_m + half_m,
         )
+
+    def patch_of(self, section: int) -> int:
+        return section
 
     def kind_of(self, section: int) -> Kind:
         order = self.orders.get(section)
@@ -333,9 +335,8 @@ class Exploration:
         if self.task.kind is not Kind.EXPLORE_FRONTIER:
             return None
         due = view.now_us >= self._reassign_us
-        here = self._cell((view.here.x_m, view.here.y_m))
         values = self.chart.values()
-        row, column = corner_of(self.task.section)
+        row, column = corner_of(self.patch_of(self.task.section))
         area = values[max(row - 1, 0) : row + SIDE + 1, max(column - 1, 0) : column + SIDE + 1]
         if not (area == 0).any():
             return Status.COMPLETED  # seen on the way, by whoever
@@ -345,7 +346,6 @@ class Exploration:
             return None
         self._reassign_us = view.now_us + REASSIGN_US
         best = self._best(view, self.task.section)
-        assert here is not None
         if best is None or best.patch == self.task.section:
             return None if best is not None else Status.COMPLETED
         self.switched += 1

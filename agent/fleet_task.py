@@ -7,6 +7,7 @@ from typing import NamedTuple
 XY = tuple[float, float]
 ROBOTS_MAX = 10  # the mission's default; a record of the map has room for 32 observers
 ORDERS_FIRST = 0xFF00  # sections of orders; patches of the map are below
+ORDERS_MAX = 64  # of the 256 sections that are left for them
 
 
 class FleetFullError(ValueError):

@@ -24,6 +24,7 @@ Steps = NDArray[np.int32]
 XY = tuple[float, float]
 STRAIGHT, DIAGONAL = 5, 7  # a step of a cell in the wave's units: sqrt(2) to 1 %
 NEVER = np.int32(1 << 30)
+DEAR = 3  # times: a step among cells that another saw and we would see again
 SEPARATION_M = 0.5  # between the targets of two robots
 HYSTERESIS = 0.15  # so much better must another target be than the one under way
 GAIN_M = 0.01  # a cell that would be seen is worth so much way; a full view of a metre about 3 m
@@ -46,19 +47,20 @@ class Rival(NamedTuple):
 
 
 @njit(cache=True)
-def _spread(passable, wave, r0, c0, reach):  # type: ignore[no-untyped-def]
-    """Shortest ways from a cell in steps of 5 and 7, by Dial's buckets (1969)."""
+def _spread(passable, dear, times, wave, r0, c0, reach):  # type: ignore[no-untyped-def]
+    """Least ways from a cell in steps of 5 and 7, into dear cells `times` that: Dial's buckets (1969)."""
     rows, columns = passable.shape
     cells = rows * columns
     # A cell enters a bucket at most once for each of its neighbours.
     items = np.empty(8 * cells + 1, np.int32)
     follow = np.empty(8 * cells + 1, np.int32)
-    heads = np.full(DIAGONAL + 1, -1, np.int32)
+    buckets = times * DIAGONAL + 1
+    heads = np.full(buckets, -1, np.int32)
     wave[r0, c0] = 0
     items[0], follow[0], heads[0] = r0 * columns + c0, -1, 0
     count, waiting, now = 1, 1, 0
     while waiting:
-        bucket = now % (DIAGONAL + 1)
+        bucket = now % buckets
         entry = heads[bucket]
         if entry < 0:
             now += 1
@@ -77,22 +79,28 @@ def _spread(passable, wave, r0, c0, reach):  # type: ignore[no-untyped-def]
                     continue
                 if dr != 0 and dc != 0 and not (passable[r, j] and passable[i, c]):
                     continue
-                way = now + (DIAGONAL if dr != 0 and dc != 0 else STRAIGHT)
+                step = DIAGONAL if dr != 0 and dc != 0 else STRAIGHT
+                way = now + (times * step if dear[i, j] else step)
                 if way < wave[i, j]:
                     wave[i, j] = way
                     items[count] = i * columns + j
-                    follow[count] = heads[way % (DIAGONAL + 1)]
-                    heads[way % (DIAGONAL + 1)] = count
+                    follow[count] = heads[way % buckets]
+                    heads[way % buckets] = count
                     count += 1
                     waiting += 1
 
 
-def wave_from(passable: Grid, at: Cell, reach_cells: float = 1e8) -> Steps:
-    """(rows, columns): way from a cell in fifths of a cell, `NEVER` where there is none."""
+def wave_from(
+    passable: Grid, at: Cell, reach_cells: float = 1e8, dear: Grid | None = None
+) -> Steps:
+    """(rows, columns): way from a cell in fifths of a cell, `NEVER` where there is none; cells that
+    are `dear` count as `DEAR`."""
     rows, columns = passable.shape
     assert 0 <= at[0] < rows and 0 <= at[1] < columns
     wave = np.full(passable.shape, NEVER, dtype=np.int32)
-    _spread(passable, wave, at[0], at[1], min(int(STRAIGHT * reach_cells), int(NEVER)))
+    dear = np.zeros_like(passable) if dear is None else dear
+    reach = min(int(STRAIGHT * reach_cells), int(NEVER))
+    _spread(passable, dear, DEAR, wave, at[0], at[1], reach)
     return wave
 
 

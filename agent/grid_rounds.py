@@ -15,7 +15,6 @@ bus is cut, and they work: their part is kept for them until ours is done and th
 """
 
 from collections.abc import Iterable, Mapping
-from enum import Enum
 from typing import NamedTuple
 
 import numpy as np
@@ -24,6 +23,7 @@ from numpy.typing import NDArray
 from agent.config import LEASE_US, MS, S
 from agent.grid_course import Course, Terms, course_of
 from agent.grid_ground import NONE, Ground
+from agent.round_phase import CALM_US, Phase, after, ahead
 from crdt.progress import BLOCK_UNITS, Progress
 from protocol.accord_frames import Accord, Answer, Say
 
@@ -31,22 +31,13 @@ SETTLE_US = 300 * MS  # a view that has not changed for so long: boots come in b
 BOOT_US = 3 * S  # who hears nobody for so long after its start is alone: two heartbeats (1.4 s)
 STAGGER_US = 20 * MS  # by rank, so that one calls and the others hear it
 HURRY_US, HURRY_ROBOT_US = 200 * MS, 8 * MS  # between repeats: a tenth of the bus for all together
-CALM_US = 2 * S
 PATIENCE_US = 5 * S  # longer than a sync (2 s) or a protective stop (2 s) and the way to the cell
 PLAIN_US = 1 * S  # after which who cannot agree on what is kept for others keeps nothing
 OBSTACLE_US = 20 * S  # what stood there may have gone on since
 SPARE_US = 5 * S  # what is told of in a round is told to all well within: they forget it together
 AGAIN_MAX = 2  # seen there so often it is taken to stay, until the crew changes
 ANYBODY = 0xFFFF  # a body that nobody has announced
-_MOD = 1 << 16
 FOREVER = 1 << 62
-
-
-class Phase(Enum):
-    FREE = "no round yet"
-    GATHER = "standing, saying where, hearing the others"
-    AGREE = "the plan is made, the others' digests are awaited"
-    GO = "driving the plan"
 
 
 class Place(NamedTuple):
@@ -95,7 +86,7 @@ class GridRounds:
 
     def call(self, now_us: int) -> None:
         self.called += 1
-        self._begin((self.round + 1) % _MOD, now_us)
+        self._begin(after(self.round), now_us)
 
     def _begin(self, number: int, now_us: int) -> None:
         self._remember()
@@ -110,10 +101,10 @@ class GridRounds:
         if m.say == Say.BODY:
             self._hear_body(m, now_us)
             return
-        ahead = (m.round - self.round) % _MOD
-        if ahead >= _MOD // 2:
+        later = ahead(m.round, self.round)
+        if later is None:
             return  # a round that is over
-        if ahead:
+        if later:
             self._begin(m.round, now_us)
         if m.say == Say.PLACE:
             if m.first < len(self.ground):

@@ -11,9 +11,10 @@ from random import Random
 
 from agent.config import CONTROL_PERIOD_US, MS, S
 from agent.grid_ground import NONE, Ground
-from agent.grid_rounds import ANYBODY, Crew, GridRounds, Phase
+from agent.grid_rounds import ANYBODY, Crew, GridRounds
 from agent.lifecycle import State
 from agent.mission import STILL, Choice, FleetView, Swept, Wish
+from agent.round_phase import Phase
 from crdt import Phase as Claimed
 from protocol.accord_frames import Answer
 

@@ -58,6 +58,10 @@ class SurveyMap:
         own = self.own()
         return np.where(own != UNKNOWN, own, self.fleet.values())
 
+    def seen_by(self) -> Values:
+        """(rows, columns): the slot whose record stands in the fleet's map, -1 where there is none."""
+        return np.where(self.fleet.values() != UNKNOWN, self.fleet.observers(), -1)
+
     def admits(self, at: tuple[float, float]) -> bool:
         """Whether a robot may be sent there, as far as is known."""
         row, column = self.geometry.cell(at)

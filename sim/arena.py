@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.ndimage import binary_dilation, label
 
-from agent.fleet_task import ROBOTS_MAX
+from agent.fleet_task import ORDERS_MAX, ROBOTS_MAX, Kind
+from agent.fleet_task import Order as Task
 from agent.safety import SilencePolicy
 from crdt.allocation import FieldAllocationCRDT
 from crdt.occupancy import Geometry
@@ -39,10 +40,22 @@ class ArenaTable(_Table):
     robots_max: int = Field(default=ROBOTS_MAX, ge=1, le=32)
 
 
+class OrderTable(_Table):
+    """A task for the fleet, besides what is to be explored: whoever is nearest and free does it."""
+
+    kind: Literal["navigate_to", "patrol"]
+    points: list[XY] = Field(min_length=1, max_length=64)  # metres east and north of the middle
+
+    @property
+    def order(self) -> Task:
+        return Task(Kind(self.kind), tuple(self.points))
+
+
 class ArenaScenario(Scenario):
     mission: Literal["exploration"] = "exploration"  # type: ignore[assignment]
     field: FieldTable = FieldTable(file="")  # there is none
     arena: ArenaTable
+    order: list[OrderTable] = Field(default=[], max_length=ORDERS_MAX)
 
 
 def load_arena(name: str) -> ArenaScenario:
@@ -63,6 +76,13 @@ class ArenaSetting(Setting):
                 f"{scenario.name}: arena.starts: {len(table.starts)} places for "
                 f"{scenario.fleet.robots} robots"
             )
+        half_m = (table.width_m / 2, table.height_m / 2)
+        for number, order in enumerate(scenario.order):
+            if any(abs(x) >= half_m[0] or abs(y) >= half_m[1] for x, y in order.points):
+                raise ScenarioError(
+                    f"{scenario.name}: order.{number}.points: outside of the arena, which reaches "
+                    f"{half_m[0]:g} m east and west, {half_m[1]:g} m north and south"
+                )
         self.starts = list(table.starts)
         self.order = Order(table.merge_strategy)
         rows, columns = (round(m / table.cell_m) for m in (table.height_m, table.width_m))

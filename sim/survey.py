@@ -20,6 +20,7 @@ from agent.fleet_report import fleet_status, serialize_for_llm
 from agent.fleet_task import Order
 from agent.identity import Identity
 from agent.lifecycle import State
+from agent.lone_exploration import LoneExploration
 from agent.motion import Limits, Motion
 from agent.survey_map import SurveyMap
 from crdt.hybrid_clock import HybridClock
@@ -126,10 +127,8 @@ class SurveyCluster(Cluster):
         limits = Limits(fleet.radius_m, fleet.speed_m_s, braking_m_s2)
         sync = self._sync(slot, now_us)
         chart = SurveyMap(sync, place.geometry, fleet.radius_m, scenario.arena.range_m)
-        alone = self.sharing is Sharing.NONE
-        mission = Exploration(
-            chart, limits, fleet.robots, scenario.arena.robots_max, self.orders, alone
-        )
+        kind = LoneExploration if self.sharing is Sharing.NONE else Exploration
+        mission = kind(chart, limits, fleet.robots, scenario.arena.robots_max, self.orders)
         self.missions[slot] = mission
         identity = Identity(
             slot=slot, members=frozenset(range(fleet.robots)),
@@ -211,6 +210,16 @@ class Seen:
         return self.again / self.cells
 
 
+class Still(NamedTuple):
+    """One picture of the film."""
+
+    now_s: float
+    slot: int  # whose map it is
+    values: Values
+    first: NDArray[np.int64]  # who saw each cell first; -1: nobody yet
+    places: Mapping[int, tuple[float, float]]
+
+
 class Survey:
     """One run."""
 
@@ -223,14 +232,15 @@ class Survey:
         `attach` is given the cluster before anybody is switched on."""
         self.attach = attach
         self.setting, self.sharing, self.out = ArenaSetting(scenario), sharing, out
-        self.orders, self.until = orders, until
+        self.orders = [*(table.order for table in scenario.order), *orders]
+        self.until = until
         self.seen = Seen(self.setting)
         self.kinds: Counter[str] = Counter()
         self.map_bits = self.map_bytes = self.malformed = 0
         self.news_us = 0  # when the map last had news on the bus
         self.charts: dict[int, Values] = {}
         self.joined: OccupancyMap | None = None
-        self.films: list[tuple[float, Values, dict[int, tuple[float, float]]]] = []
+        self.films: list[Still] = []
         self.tracks: dict[int, list[TrackPoint]] = {}
         self.reports: list[tuple[float, str]] = []  # seconds, what the first robot would tell
 
@@ -299,18 +309,16 @@ class Survey:
         return most_s, overlap, end_s, loop.time() - last_s
 
     def _note(self, cluster: SurveyCluster, now_s: float) -> None:
-        """Each five seconds: the report of a robot, another one each time, and the maps."""
+        """Each two seconds: the report of a robot, another one each time, and the maps."""
         if not cluster.running or (self.reports and now_s < self.reports[-1][0] + REPORT_S):
             return
         robot = cluster.running[len(self.reports) % len(cluster.running)]
         mission = cluster.missions[robot.slot]
         status = fleet_status(robot.peer, mission, round(now_s * 1e6))
         self.reports.append((now_s, serialize_for_llm(status, ages=True)))
-        self.films.append((now_s, mission.chart.values(), dict(self._places(cluster))))
-
-    @staticmethod
-    def _places(cluster: SurveyCluster) -> list[tuple[int, tuple[float, float]]]:
-        return [(slot, body.position) for slot, body in cluster.world.robots.items()]
+        places = {slot: body.position for slot, body in cluster.world.robots.items()}
+        first = self.seen.first.copy()
+        self.films.append(Still(now_s, robot.slot, mission.chart.values(), first, places))
 
     def _measure(
         self, cluster: SurveyCluster, recorder: Recorder,

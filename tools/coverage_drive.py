@@ -6,7 +6,6 @@ from pathlib import Path
 
 from pydantic import ValidationError
 from rich.console import Console
-from rich.table import Table
 
 from agent.config import PEERS_MAX
 from agent.coverage_team import TURN_COST_MAX
@@ -14,6 +13,7 @@ from sim.grid_fleet import GridFleet, GridOutcome
 from sim.grid_map import GridFileError, Instance
 from sim.grid_setting import STEP_S, GridSetting
 from sim.scenario import Crash, Fault, Heal, Join, Partition
+from tools.fact_table import fact_table
 
 LIMIT_FACTOR = 4.0  # times what one robot alone would need at best, and a minute
 SILENCE = ("stop", "slow", "continue")
@@ -107,7 +107,6 @@ def driven(setting: GridSetting, out: Path | None, as_json: bool) -> int:
 
 
 def _print(outcome: GridOutcome) -> None:
-    table = Table(title=f"{outcome.robots} peers on {outcome.map}", show_header=False)
     rows = {
         "makespan": f"{outcome.makespan_s:.1f} s = {outcome.makespan_s / STEP_S:.0f} steps",
         "over the lower bound": f"{outcome.ratio:.3f}",
@@ -121,6 +120,4 @@ def _print(outcome: GridOutcome) -> None:
         "frames": ", ".join(f"{n} {kind}" for kind, n in list(outcome.frames.items())[:5]),
         "finished": f"{outcome.finished}",
     }
-    for name, value in rows.items():
-        table.add_row(name, value)
-    Console().print(table)
+    Console().print(fact_table(f"{outcome.robots} peers on {outcome.map}", rows.items()))

@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.table import Table
 
 from sim.grid_judge import Court, Verdict, judge, lower_bound
 from sim.grid_map import Cell, Instance
 from sim.grid_plan import Plan, write_plan
 from sim.grid_run import Arrival, Death, work
+from tools.fact_table import fact_table
 
 WALL, DIRT, CLEAN, ROBOT, WRECK = "█", "·", " ", "o", "x"
 COLORS = {ROBOT: "\x1b[1;32mo\x1b[0m", WRECK: "\x1b[1;31mx\x1b[0m", DIRT: "\x1b[33m·\x1b[0m"}
@@ -103,7 +103,5 @@ def _print(title: str, report: dict[str, Any], as_json: bool) -> None:
     if as_json:
         print(json.dumps(report))
         return
-    table = Table(title=title, show_header=False)
-    for name, value in report.items():
-        table.add_row(name.replace("_", " "), str(value))
-    Console().print(table)
+    facts = ((name.replace("_", " "), str(value)) for name, value in report.items())
+    Console().print(fact_table(title, facts))

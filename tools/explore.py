@@ -11,6 +11,7 @@ from agent.fleet_task import FleetFullError
 from sim.arena import load_arena
 from sim.scenario import ScenarioError
 from sim.survey import Sharing, Survey, SurveyOutcome
+from tools.fact_table import run_table
 from tools.keeping import Keeping
 from tools.map_picture import draw_maps, film
 
@@ -53,14 +54,9 @@ def explore(
 
 
 def outcome_table(outcome: SurveyOutcome) -> Table:
-    title = f"{outcome.scenario}: {outcome.robots} robots, seed {outcome.seed}"
-    table = Table(title=title, show_header=False)
-    table.add_column(style="bold")
-    table.add_column()
     equal = "equal, bit for bit" if outcome.maps_equal else "[red]differ[/red]"
     tasks = ", ".join(f"{count} {status}" for status, count in sorted(outcome.tasks.items()))
-    for row in (
-        ("without a flaw", "[green]yes[/green]" if outcome.success else "[red]no[/red]"),
+    facts = [
         (
             "explored",
             f"{outcome.explored:.1%} of what can be seen; {outcome.right:.1%} of it right",
@@ -73,10 +69,6 @@ def outcome_table(outcome: SurveyOutcome) -> Table:
         ("driven", f"{outcome.travel_m:.0f} m"),
         ("map on the bus", f"{outcome.map_load:.1%}, {outcome.map_bytes_per_m2:.0f} bytes/m2"),
         ("bus load", f"{outcome.bus_load:.1%} at worst-case stuffing"),
-        ("frames", ", ".join(f"{n} {kind}" for kind, n in outcome.frames.items())),
         ("malformed frames", str(outcome.malformed)),
-        ("trace hash", outcome.trace_hash),
-        ("computed in", f"{outcome.wall_s:.1f} s"),
-    ):
-        table.add_row(*row)
-    return table
+    ]
+    return run_table(outcome, facts)

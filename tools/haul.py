@@ -6,7 +6,6 @@ import os
 import signal
 import sys
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
@@ -19,6 +18,7 @@ from sim.hub import Hub
 from sim.scenario import ScenarioError
 from sim.warehouse_scenario import load_warehouse
 from tools.attachment import CHANNEL, LAUNCH
+from tools.fact_table import run_table
 
 UNFINISHED, WRONG, INTERRUPTED = 1, 2, 130
 HOST = "127.0.0.1"
@@ -120,15 +120,9 @@ async def _open(hub: Hub, port: int, console: Console) -> None:
 
 
 def outcome_table(outcome: HaulOutcome) -> Table:
-    table = Table(
-        title=f"{outcome.scenario}: {outcome.robots} robots, seed {outcome.seed}", show_header=False
-    )
-    table.add_column(style="bold")
-    table.add_column()
     flaws = ", ".join(f"{n} {what}" for what, n in outcome.flaws.items())
     empty = "never" if not outcome.empty else f"[red]robots {outcome.empty}[/red]"
-    rows: list[tuple[str, Any]] = [
-        ("without a flaw", "[green]yes[/green]" if outcome.success else "[red]no[/red]"),
+    facts = [
         (
             "delivered",
             f"{outcome.delivered} of {outcome.tasks} parcels in {outcome.makespan_s:.1f} s",
@@ -146,13 +140,8 @@ def outcome_table(outcome: HaulOutcome) -> Table:
         ("driven", f"{outcome.travel_m:.0f} m"),
         ("replicas", "equal" if outcome.replicas_equal else "[red]differ[/red]"),
         ("bus load", f"{outcome.bus_load:.1%}"),
-        ("frames", ", ".join(f"{n} {kind}" for kind, n in outcome.frames.items())),
-        ("trace hash", outcome.trace_hash),
-        ("computed in", f"{outcome.wall_s:.1f} s"),
     ]
-    for row in rows:
-        table.add_row(*row)
-    return table
+    return run_table(outcome, facts)
 
 
 def draw_warehouse(setting: DeliverySetting, run: Haul, outcome: HaulOutcome, out: Path) -> None:

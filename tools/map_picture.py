@@ -23,6 +23,17 @@ def _label(axes: Any, title: str) -> None:
     axes.tick_params(labelsize=7)
 
 
+def _who(axes: Any, survey: Survey, first: NDArray[np.int64], title: str, colours: Any) -> None:
+    """Each cell in the colour of the robot that saw it first."""
+    picture = np.ones((*first.shape, 3))
+    for slot in np.unique(first[first >= 0]).tolist():
+        picture[first == slot] = colours(slot % 10)[:3]
+    picture[first < 0] = 0.85
+    picture[survey.setting.solid] = 0.1
+    axes.imshow(picture, origin="lower", extent=_extent(survey))
+    _label(axes, title)
+
+
 def _extent(survey: Survey) -> tuple[float, float, float, float]:
     rows, columns, (west, south), cell_m = survey.setting.geometry
     return west, west + columns * cell_m, south, south + rows * cell_m
@@ -48,13 +59,8 @@ def draw_maps(survey: Survey, outcome: SurveyOutcome, out: Path) -> None:
     for slot, track in survey.tracks.items():
         xy = np.array([(x, y) for _, x, y, _ in track])
         places[0].plot(xy[:, 0], xy[:, 1], color=colours(slot % 10), linewidth=0.8)
-    first = np.ones((*survey.seen.first.shape, 3))
-    for slot in slots:
-        first[survey.seen.first == slot] = colours(slot % 10)[:3]
-    first[survey.seen.first < 0] = 0.85
-    first[survey.setting.solid] = 0.1
-    places[1].imshow(first, origin="lower", extent=_extent(survey))
-    _label(places[1], f"who saw it first; {100 * outcome.overlap_end:.0f} % seen again by another")
+    again = f"{100 * outcome.overlap_end:.0f} % seen again by another"
+    _who(places[1], survey, survey.seen.first, f"who saw it first; {again}", colours)
     for axes, slot in zip(places[2:], slots, strict=False):
         _plain(axes, survey, survey.charts[slot], f"what robot {slot} saw itself")
     for axes in places[2 + len(slots) :]:
@@ -68,22 +74,26 @@ def draw_maps(survey: Survey, outcome: SurveyOutcome, out: Path) -> None:
 
 
 def film(survey: Survey, out: Path) -> None:
-    """A GIF: the map of one robot after the other, as it grows, with all robots on it."""
+    """A GIF of both as they grow: the map of one robot after the other, and who saw what first."""
     import matplotlib
 
     matplotlib.use("Agg")
     from matplotlib import pyplot
     from matplotlib.animation import FuncAnimation, PillowWriter
 
-    figure, axes = pyplot.subplots(figsize=(5, 5), dpi=80)
+    figure, (left, right) = pyplot.subplots(1, 2, figsize=(9, 5), dpi=80)
     colours = pyplot.get_cmap("tab10")
 
     def draw(number: int) -> None:
-        now_s, values, places = survey.films[number]
-        axes.clear()
-        _plain(axes, survey, values, f"{now_s:.0f} s")
-        for slot, (x_m, y_m) in places.items():
-            axes.plot([x_m], [y_m], "o", color=colours(slot % 10), markersize=5)
+        still = survey.films[number]
+        left.clear()
+        right.clear()
+        _plain(left, survey, still.values, f"{still.now_s:.0f} s, as robot {still.slot} knows it")
+        _who(right, survey, still.first, "who saw it first", colours)
+        for slot, (x_m, y_m) in still.places.items():
+            for axes, edge in ((left, "none"), (right, "black")):
+                axes.plot([x_m], [y_m], "o", color=colours(slot % 10), markeredgecolor=edge,
+                          markersize=5)  # fmt: skip
 
     movie = FuncAnimation(figure, draw, frames=len(survey.films))
     movie.save(out, writer=PillowWriter(fps=1000 // FRAME_MS))

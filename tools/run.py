@@ -21,10 +21,11 @@ from sim.scenario import Scenario, ScenarioError
 from sim.setting import Setting
 from sim.work_geojson import write_geojson
 from sim.work_record import record_of
+from tools.fact_table import NO_KEYS, run_table
 from tools.keeping import Keeping
 from tools.livemap.command import MapThread, ServerError
 from tools.picture import draw_field
-from tools.run_errands import NO_KEYS, run_errands
+from tools.run_errands import run_errands
 
 UNFINISHED, WRONG = 1, 2  # exit codes; 0 only for a run without a flaw
 
@@ -122,17 +123,10 @@ def _watch(
 
 
 def outcome_table(outcome: Outcome) -> Table:
-    table = Table(
-        title=f"{outcome.scenario}: {outcome.robots} robots, seed {outcome.seed}", show_header=False
-    )
-    table.add_column(style="bold")
-    table.add_column()
-    verdict = "[green]yes[/green]" if outcome.success else "[red]no[/red]"
     sections = f"{outcome.sections} sections" + ("" if outcome.finished else ", not all done")
     overlap = f"{outcome.worked_twice:.1%} of the area overlaps"
     worst = f"{outcome.bus_load_worst_case:.1%}"
-    rows = [
-        ("without a flaw", verdict),
+    facts = [
         ("coverage", f"{outcome.coverage:.2%} of the area that can be worked ({sections})"),
         ("makespan", f"{outcome.makespan_s:.1f} s of {outcome.simulated_s:.0f} s simulated"),
         ("duplicate work", f"{outcome.units_twice} units announced twice; {overlap}"),
@@ -141,15 +135,10 @@ def outcome_table(outcome: Outcome) -> Table:
         ("replicas", "equal" if outcome.replicas_equal else "[red]differ[/red]"),
         ("driven", f"{outcome.travel_m:.0f} m for {outcome.work_m:.0f} m of swaths"),
         ("bus load", f"{outcome.bus_load:.1%} ({worst} at worst-case stuffing)"),
-        ("frames", ", ".join(f"{n} {kind}" for kind, n in outcome.frames.items())),
         ("malformed frames", str(outcome.malformed)),
         ("refused frames", f"{outcome.refused} without authority, or before their sender's proof"),
         ("claims lost", str(outcome.claims_lost)),
         ("silence policy", outcome.silence_policy),
         ("authentication", "keys" if outcome.authenticated else NO_KEYS),
-        ("trace hash", outcome.trace_hash),
-        ("computed in", f"{outcome.wall_s:.1f} s"),
     ]  # fmt: skip
-    for row in rows:
-        table.add_row(*row)
-    return table
+    return run_table(outcome, facts)

@@ -13,9 +13,9 @@ from rich.table import Table
 
 from sim.errand_setting import ErrandSetting
 from sim.outing import Moment, Outing, OutingOutcome
+from tools.fact_table import NO_KEYS, run_table
 from tools.path_picture import draw_paths
 
-NO_KEYS = "[yellow]NONE: anybody on the bus can stop and release this fleet[/yellow]"
 UNFINISHED = 1  # exit code; 0 only for a run without a flaw
 
 
@@ -50,10 +50,6 @@ def run_errands(
 
 
 def outcome_table(outcome: OutingOutcome) -> Table:
-    title = f"{outcome.scenario}: {outcome.robots} robots, seed {outcome.seed}"
-    table = Table(title=title, show_header=False)
-    table.add_column(style="bold")
-    table.add_column()
     reached = [leg for leg in outcome.legs if isfinite(leg.arrived_s)]
     errors_m = [leg.rmse_m for leg in reached if isfinite(leg.rmse_m)]
     last_s = [t_s for t_s in outcome.arrived_s if isfinite(t_s)]
@@ -61,8 +57,7 @@ def outcome_table(outcome: OutingOutcome) -> Table:
         f"; last goals after {median(last_s):.0f} s (median), {max(last_s):.0f} s" if last_s else ""
     )
     planned = f"{sum(leg.replans for leg in outcome.legs)} paths planned anew on the way"
-    for row in (
-        ("without a flaw", "[green]yes[/green]" if outcome.success else "[red]no[/red]"),
+    facts = [
         ("goals", f"{len(reached)} of {len(outcome.legs)} reached{ends}"),
         ("contacts", f"{outcome.contacts} (closest {outcome.closest_m:.2f} m)"),
         ("paths", f"RMSE {fmean(errors_m) if errors_m else 0.0:.3f} m; {planned}"),
@@ -71,11 +66,7 @@ def outcome_table(outcome: OutingOutcome) -> Table:
         ("replicas", "equal" if outcome.replicas_equal else "[red]differ[/red]"),
         ("driven", f"{outcome.travel_m:.0f} m in {outcome.simulated_s:.0f} s simulated"),
         ("bus load", f"{outcome.bus_load:.1%}"),
-        ("frames", ", ".join(f"{n} {kind}" for kind, n in outcome.frames.items())),
         ("malformed frames", str(outcome.malformed)),
         ("authentication", "keys" if outcome.authenticated else NO_KEYS),
-        ("trace hash", outcome.trace_hash),
-        ("computed in", f"{outcome.wall_s:.1f} s"),
-    ):
-        table.add_row(*row)
-    return table
+    ]
+    return run_table(outcome, facts)

@@ -2,9 +2,10 @@
 
 from random import Random
 
-from agent.accord import Accords, Phase
+from agent.accord import Accords
 from agent.config import MS, S
 from agent.floor import Floor
+from agent.round_phase import Phase
 from protocol.accord_frames import Accord, Answer, Say
 from sim.floor_plan import CORRIDOR
 
@@ -50,7 +51,7 @@ class Fleet:
     def _move(self, slot: int) -> None:
         own = self.accords[slot]
         if (
-            own.phase is Phase.MOVE
+            own.phase is Phase.GO
             and self.now_us % S == slot * BEAT_US
             and own.permitted > own.index
         ):
@@ -82,7 +83,7 @@ def test_two_that_call_at_once_have_called_one_round() -> None:
         own.call(0)
     fleet.run(1.0)
     assert [own.round for own in fleet.accords] == [1, 1]
-    assert [own.phase for own in fleet.accords] == [Phase.MOVE] * 2
+    assert [own.phase for own in fleet.accords] == [Phase.GO] * 2
     assert fleet.accords[0].plan == fleet.accords[1].plan
 
 

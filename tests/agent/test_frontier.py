@@ -9,6 +9,7 @@ from scipy.sparse import lil_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from agent.frontier import (
+    DEAR,
     DIAGONAL,
     NEVER,
     SEPARATION_M,
@@ -48,6 +49,20 @@ def test_a_wave_is_dijkstra(passable: Grid, r: int, c: int) -> None:
     wave, slow = wave_from(passable, (r, c)), slow_wave(passable, (r, c))
     found = {(i, j): int(wave[i, j]) for i, j in np.argwhere(wave < NEVER).tolist()}
     assert found == slow
+
+
+def test_a_way_among_what_others_saw_counts_more() -> None:
+    passable, theirs = np.ones((1, 6), dtype=np.bool_), np.zeros((1, 6), dtype=np.bool_)
+    theirs[0, 2:4] = True
+    wave = wave_from(passable, (0, 0), dear=theirs)
+    assert (wave[0] / STRAIGHT).tolist() == [
+        0,
+        1,
+        1 + DEAR,
+        1 + 2 * DEAR,
+        2 + 2 * DEAR,
+        3 + 2 * DEAR,
+    ]
 
 
 @given(arrays(np.bool_, (7, 8), elements=st.booleans()), st.integers(0, 3))

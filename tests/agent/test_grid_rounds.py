@@ -7,7 +7,8 @@ import pytest
 
 from agent.config import MS, S
 from agent.grid_ground import Ground
-from agent.grid_rounds import ANYBODY, Crew, GridRounds, Phase
+from agent.grid_rounds import ANYBODY, Crew, GridRounds
+from agent.round_phase import Phase
 from crdt import Progress
 from protocol.accord_frames import Accord, Answer, Say
 

@@ -78,6 +78,24 @@ def test_orders_are_carried_out_by_somebody() -> None:
             assert min((a - x) ** 2 + (b - y) ** 2 for a, b in ends) < 0.2**2
 
 
+@pytest.mark.parametrize("name", ["dropout", "split"])
+def test_what_ships_with_troubles_ends_well(name: str) -> None:
+    survey = Survey(load_arena(name))
+    outcome = survey.run()
+    assert outcome.success, outcome
+    ends = [(x, y) for track in survey.tracks.values() for _, x, y, _ in track]
+    for order in survey.orders:
+        for x, y in order.points:
+            assert min((a - x) ** 2 + (b - y) ** 2 for a, b in ends) < 0.2**2
+
+
+def test_orders_out_of_the_arena_are_refused() -> None:
+    scenario = load_arena("split")
+    away = scenario.order[0].model_copy(update={"points": [(4.6, 0.0)]})
+    with pytest.raises(ScenarioError, match=r"order\.0\.points: outside of the arena"):
+        Survey(scenario.model_copy(update={"order": [away]}))
+
+
 def test_without_sharing_everybody_sees_everything() -> None:
     scenario = load_arena("arena").changed(2, 1)
     alone, shared = Survey(scenario, Sharing.NONE).run(), Survey(scenario).run()

@@ -1,0 +1,51 @@
+"""The table of what came of a run: a fact a row, its name before it."""
+
+from collections.abc import Iterable, Mapping
+from typing import Protocol
+
+from rich.table import Table
+
+NO_KEYS = "[yellow]NONE: anybody on the bus can stop and release this fleet[/yellow]"
+Fact = tuple[str, str]  # name, and what is to be said, with rich's markup
+
+
+class Ran(Protocol):
+    """What outcomes of all kinds of runs tell."""
+
+    @property
+    def scenario(self) -> str: ...
+    @property
+    def robots(self) -> int: ...
+    @property
+    def seed(self) -> int: ...
+    @property
+    def success(self) -> bool: ...
+    @property
+    def frames(self) -> Mapping[str, int]: ...
+    @property
+    def trace_hash(self) -> str: ...
+    @property
+    def wall_s(self) -> float: ...
+
+
+def fact_table(title: str, facts: Iterable[Fact]) -> Table:
+    table = Table(title=title, show_header=False)
+    table.add_column(style="bold")
+    table.add_column()
+    for name, fact in facts:
+        table.add_row(name, fact)
+    return table
+
+
+def run_table(ran: Ran, facts: Iterable[Fact]) -> Table:
+    """The table of a scenario's run: whether it was without a flaw, `facts`, how to know it again."""
+    return fact_table(
+        f"{ran.scenario}: {ran.robots} robots, seed {ran.seed}",
+        [
+            ("without a flaw", "[green]yes[/green]" if ran.success else "[red]no[/red]"),
+            *facts,
+            ("frames", ", ".join(f"{n} {kind}" for kind, n in ran.frames.items())),
+            ("trace hash", ran.trace_hash),
+            ("computed in", f"{ran.wall_s:.1f} s"),
+        ],
+    )
