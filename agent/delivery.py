@@ -11,7 +11,8 @@ from math import hypot
 
 from agent.config import LEASE_US, MS, S
 from agent.cost_matrix import FULL
-from agent.dispatch import Dispatch, Message
+from agent.cut_off import CutOff
+from agent.dispatch import Dispatch, Dispatched
 from agent.errand import Errands
 from agent.lifecycle import State
 from agent.mission import Choice, FleetView, Wish
@@ -19,6 +20,8 @@ from agent.path_requests import AHEAD_S, PathRequests, Urgency
 from agent.task_book import TASKS_MAX
 from agent.warehouse import SECTIONS_END, Warehouse
 from crdt import Phase
+from protocol.map_sync import MapSync
+from protocol.messages import Message
 
 Point = tuple[float, float]
 PICKED, DELIVERED = 0, 1  # units of a task
@@ -38,12 +41,16 @@ GIVES_US = 5 * S  # a bay has so long to show that it charges
 class Delivery(Errands):
     def __init__(
         self, slot: int, house: Warehouse, home: Point, speed_m_s: float, deceleration_m_s2: float,
-        now_us: int, seed: int,
+        now_us: int, seed: int, chart: MapSync | None = None,
     ) -> None:  # fmt: skip
-        super().__init__(slot, {}, house.floor, speed_m_s, deceleration_m_s2)
+        super().__init__(
+            slot, {}, house.floor, speed_m_s, deceleration_m_s2, chart=chart, now_us=now_us
+        )
         self.house, self.home = house, home
         self.dispatch = Dispatch(slot, house, now_us, seed)
         self.paths = PathRequests(house.floor.route)
+        self.hazards.reach_m = BESIDE_M
+        self.cut_off = CutOff(self.hazards)
         self.section: int | None = None  # a task or a bay under way
         self.waited_us = 0  # for new itineraries, by the rule of scenario C
         self._load = -1
@@ -54,7 +61,6 @@ class Delivery(Errands):
         self._tried: dict[int, int] = {}  # task: places where its parcel was not
         self._told_aboard = -1
         self._nearest: tuple[float, int] = (0.0, 0)  # to the goal, within reach of it, and when
-        self._last: dict[int, Point] = {}  # where each robot was last seen
 
     @property
     def section_units(self) -> Mapping[int, int]:
@@ -63,22 +69,46 @@ class Delivery(Errands):
     # ---------------------------------------------------------------- frames
 
     def hear(self, slot: int | None, message: Message, now_us: int) -> None:
-        self.dispatch.hear(slot, message, now_us)
+        super().hear(slot, message, now_us)
+        if isinstance(message, Dispatched):
+            self.dispatch.hear(slot, message, now_us)
 
     def say(self, now_us: int) -> Iterable[Message]:
-        return self.dispatch.say(now_us)
+        return [*super().say(now_us), *self.dispatch.say(now_us)]
 
     # ---------------------------------------------------------------- each control period
 
     def attend(self, view: FleetView, state: State) -> None:
-        for slot, neighbour in view.neighbours.items():
-            self._last[slot] = (neighbour.pose.x_m, neighbour.pose.y_m)
         self._load = view.here.load
         self.dispatch.left = round(view.here.battery * FULL)
         able = state in (State.IDLE, State.WORKING, State.SYNCHRONIZING)
-        self.dispatch.tick(view, able)
+        self.dispatch.tick(view, able and not self._stranded(view))
         self.paths.work()
         super().attend(view, state)
+
+    def _stranded(self, view: FleetView) -> bool:
+        """We cannot do more than we have begun: what we cannot get to, and whether we get on at all."""
+        at, now_us = (view.here.x_m, view.here.y_m), view.now_us
+        if self.cut_off.due(now_us):
+            self.cut_off.look(at, self._goals(view), now_us)
+            self.dispatch.cut = self.cut_off.sections
+        charging = self.section is not None and self.section >= TASKS_MAX and self._since_us
+        busy = self.section is not None and not charging
+        still = self.cut_off.stands_still(at, busy, now_us)
+        return still or self._load in self.cut_off.sections
+
+    def _goals(self, view: FleetView) -> dict[int, list[Point]]:
+        """Of each task that is not done, where its parcel is and where it goes; and of each bay."""
+        found = {TASKS_MAX + bay: [place] for bay, place in enumerate(self.house.bays)}
+        for task, order in self.dispatch.book.tasks.items():
+            if view.allocation.phase_of(task) is Phase.DONE or not self.house.known(order):
+                continue
+            found[task] = [self.house.trip(order).dropoff]
+            owner = view.allocation.owner_of(task)
+            aboard = owner in view.live and view.progress.bits(task, 0) & 1
+            if task != self._load and not aboard:
+                found[task].append(self._pickup(task, view))
+        return found
 
     @property
     def stops(self) -> list[str]:
@@ -161,6 +191,8 @@ class Delivery(Errands):
                 continue
             if self._shunned_us.get(TASKS_MAX + bay, 0) > view.now_us:
                 continue
+            if TASKS_MAX + bay in self.cut_off.sections:
+                continue
             way_m = self.house.way_m(here, place)
             way_m += 0.0 if onward is None else self.house.way_m(place, onward)
             if best is None or way_m < best[0]:
@@ -174,7 +206,7 @@ class Delivery(Errands):
         had begun with it, the last one first; where it was to go."""
         trip = self.house.trip(self.dispatch.book.tasks[task])
         workers = [w for w in reversed(self.dispatch.workers.get(task, [])) if w not in view.live]
-        bodies = [self._last[w] for w in workers if w in self._last]
+        bodies = [self.bodies.dead[w] for w in workers if w in self.bodies.dead]
         if view.progress.bits(task, 0) & 1:
             return [*bodies, trip.dropoff, trip.pickup]
         return [trip.pickup, *bodies, trip.dropoff]
@@ -212,6 +244,10 @@ class Delivery(Errands):
         if section < TASKS_MAX and self._delivered(section, view):
             self._through()
             return Wish(0.0, 0.0, covered=(PICKED, DELIVERED), finished=True)
+        if self._hopeless(section):
+            self._shunned_us[section] = view.now_us + SHUN_US
+            self._through()
+            return Wish(0.0, 0.0, given_up=True)
         self._go(self._goal(section, view))
         wish, arrived = self._drive(view)
         self._plan_ahead(section, view)
@@ -229,6 +265,12 @@ class Delivery(Errands):
             return self._charging(section, view)
         return self._handling(section, view)._replace(covered=wish.covered)
 
+    def _hopeless(self, section: int) -> bool:
+        """It cannot be got to, and nothing of it is aboard."""
+        if section >= TASKS_MAX:
+            section = TASKS_MAX + self.house.bay_of(section)
+        return section in self.cut_off.sections and section != self._load
+
     def _beside(self, view: FleetView) -> bool:
         """Something is where we want to be, a body that we may know nothing of; the arm reaches over."""
         section = self.section
@@ -245,7 +287,9 @@ class Delivery(Errands):
             self._nearest = (away_m, view.now_us)
             return False
         width_m = 2 * self.floor.radius_m
-        taken = any(hypot(x_m - p[0], y_m - p[1]) < width_m for p in self._last.values())
+        others = [(n.pose.x_m, n.pose.y_m) for n in view.neighbours.values()]
+        others += self.bodies.dead.values()
+        taken = any(hypot(x_m - p[0], y_m - p[1]) < width_m for p in others)
         return taken or view.now_us - self._nearest[1] > STALLED_US
 
     def _near_end(self, section: int, view: FleetView) -> bool:

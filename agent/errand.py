@@ -7,11 +7,12 @@ agreement (`agent/accord.py`), and drives the route of the joint plan until it i
 A goal is a section of the shared state with one unit, so that what was reached stays reached.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from math import cos, hypot, sin
 from typing import NamedTuple
 
 from agent.accord import Accords, Phase
+from agent.bodies import DEAD_US, Bodies
 from agent.config import MS, S
 from agent.floor import Floor
 from agent.hazards import Hazards
@@ -21,8 +22,9 @@ from agent.mission import STILL, Choice, FleetView, Wish
 from agent.replanning import Replanning
 from agent.tracker import Tracker
 from crdt import Phase as Claimed
-from protocol.accord_frames import Answer
+from protocol.accord_frames import Answer, Fallen
 from protocol.map_sync import MapSync
+from protocol.messages import Message
 
 Point = tuple[float, float]
 GOALS_MAX = 512  # of a robot: a section's number is its slot times this, and the goal's number
@@ -32,10 +34,8 @@ STALL_US = 2 * S
 CALLS_US = (2 * S, 4 * S, 8 * S, 16 * S)  # between two calls of ours that brought us nowhere
 LOOK_M = 2.5  # how far ahead a passage is looked into
 BESIDE_PATH_M = 0.5  # a robot nearer to the path than this is on it
-DEAD_US = (
-    5 * S
-)  # a member silent for this long is not waited for in a round: its body is in the way
 SETTLED_M = 0.1  # this near to a node of the route, it is reached
+STRAYED_M = 0.5  # a body may have rolled so far after its last beat
 ACQUAINTED_US = 1 * S  # after joining, until everybody near has been heard, by many beats
 AGE_MAX_US = 500 * MS  # a robot moves on as it last said for so long: 10 beats, 30 % of them lost
 LOST_M = 0.8  # this far off the path, another is planned
@@ -59,6 +59,7 @@ class Errands:
         deceleration_m_s2: float,
         agrees: bool = True,
         chart: MapSync | None = None,
+        now_us: int = 0,
     ) -> None:
         """`goals`: of every robot, in their order. `agrees`: False for ORCA by itself. `chart`: the
         fleet's map, where it has one."""
@@ -68,6 +69,7 @@ class Errands:
         self.accords = Accords(slot, floor.lattice, floor.radius_m)
         self.goal: Point | None = None
         self.answer = Answer.GRANT
+        self.bodies = Bodies(slot, now_us)
         self.hazards = Hazards(floor, chart)
         self.replanning = Replanning(self.hazards, speed_m_s, deceleration_m_s2)
         self.followed: list[Followed] = []  # the record of what was driven along
@@ -138,25 +140,41 @@ class Errands:
     def attend(self, view: FleetView, state: State) -> None:
         """Each control period, in every state: our part in a round."""
         here = view.here
-        around = [_now_at(n, view.now_us) for n in view.neighbours.values()]
+        self.bodies.look(view)
+        dead = self.bodies.dead
+        around = [_now_at(n, view.now_us) for s, n in view.neighbours.items() if s not in dead]
         reach_m = self.replanning.horizon_m + self.floor.radius_m
         if state is State.DISCONNECTED:  # who knows nobody takes everybody for a box
             self._alone_us = view.now_us
         if view.now_us - self._alone_us > ACQUAINTED_US:
-            self.hazards.look(here, reach_m, around, view.now_us)
+            self.hazards.look(here, reach_m, around, view.now_us, dead)
         silent = view.silent_since_us
-        dead = {s for s, since_us in silent.items() if view.now_us - since_us > DEAD_US}
-        bodies = {
-            s: (view.neighbours[s].pose.x_m, view.neighbours[s].pose.y_m)
-            for s in dead
-            if s in view.neighbours
-        }
+        gone = {s for s, since_us in silent.items() if view.now_us - since_us > DEAD_US}
         stopped = state is State.EMERGENCY_STOP
         self.accords.tick(
             (here.x_m, here.y_m), hypot(here.vx_m_s, here.vy_m_s), self.goal,
             Answer.STOPPED if stopped else self.answer,
-            (view.live | silent.keys()) - dead, bodies, view.now_us,
+            (view.live | silent.keys()) - gone, dead, self._things(dead), view.now_us,
         )  # fmt: skip
+
+    def _things(self, dead: Mapping[int, Point]) -> list[Point]:
+        """What our rays hit that is none of the bodies: those are known to all, to the last bit."""
+        near_m = self.floor.radius_m + STRAYED_M
+        return [
+            hit
+            for hit in self.hazards.hits
+            if all(hypot(hit[0] - x_m, hit[1] - y_m) > near_m for x_m, y_m in dead.values())
+        ]
+
+    # ---------------------------------------------------------------- frames
+
+    def hear(self, slot: int | None, message: Message, now_us: int) -> None:
+        if isinstance(message, Fallen):
+            self.bodies.hear(message, now_us)
+
+    def say(self, now_us: int) -> Iterable[Message]:
+        """With each beat."""
+        return self.bodies.say(self.accords.waiting, now_us)
 
     # ---------------------------------------------------------------- driving
 

@@ -12,6 +12,7 @@ from agent.floor import Floor, FloorError
 from agent.task_book import Order
 from agent.warehouse import Warehouse
 from protocol.authentication import Keyring
+from protocol.map_sync import MapSync
 from sim.errand_setting import ErrandSetting, scattered
 from sim.key_file import FLEET, KeyFileError, read
 from sim.parcels import Parcels
@@ -103,12 +104,19 @@ class DeliverySetting(ErrandSetting):
     def section_count(self) -> int:
         return len(self.rows)
 
-    def delivery(self, slot: int, now_us: int) -> Delivery:
+    def delivery(self, slot: int, now_us: int, chart: MapSync | None = None) -> Delivery:
         fleet = self.scenario.fleet
         braking_m_s2 = BRAKING_SHARE * fleet.acceleration_m_s2
         seed = self.scenario.run.seed * 1000 + slot
         return Delivery(
-            slot, self.house, self.starts[slot], fleet.speed_m_s, braking_m_s2, now_us, seed
+            slot,
+            self.house,
+            self.starts[slot],
+            fleet.speed_m_s,
+            braking_m_s2,
+            now_us,
+            seed,
+            chart,
         )
 
     def parcels(self) -> Parcels:

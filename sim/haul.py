@@ -113,7 +113,8 @@ class HaulCluster(Cluster):
             name=fleet_name(scenario.name, slot), field_hash=setting.config_hash,
             silence=setting.silence, started=True, first_boot=first_boot,
         )  # fmt: skip
-        mission = self.missions[slot] = setting.delivery(slot, now_us)
+        chart = setting.chart(slot, now_us)
+        mission = self.missions[slot] = setting.delivery(slot, now_us, chart)
         rng = Random(f"{scenario.run.seed}/peer/{slot}{lot}")
         return Peer(
             identity,
@@ -123,6 +124,7 @@ class HaulCluster(Cluster):
             mission,
             setting.motion(slot),
             setting.keyring(slot, lot),
+            chart,
         )
 
     def boot(self, slot: int) -> Robot:

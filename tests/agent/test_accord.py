@@ -41,6 +41,7 @@ class Fleet:
                     self.answers[slot],
                     self.live,
                     bodies,
+                    (),
                     self.now_us,
                 )
                 self._move(slot)

@@ -1,0 +1,82 @@
+"""Where members stand that have fallen silent: what is in the way, and where a dead robot's load is.
+
+Who hears a last beat knows the place; who was away then, or has restarted since, is told (`Fallen`).
+For each member the latest word counts, by stamps of a clock that the fleet shares, so that all come to
+know the same place, to the last bit: joint plans are made round it. A member that is heard is no body.
+"""
+
+from collections.abc import Iterable, Mapping
+
+from agent.config import MS, S
+from agent.mission import FleetView
+from crdt.hybrid_clock import HybridClock
+from protocol.accord_frames import STAMP_MAX, Fallen
+
+Point = tuple[float, float]
+DEAD_US = 5 * S  # a member silent for this long is a body: nobody waits for its word in a round
+TICK_US = 250 * MS  # of the common clock
+TOLD_US = 5 * S  # a body is told again this often by somebody, for who was away
+HURRY_US = 300 * MS  # and where a round waits for all to know the same
+SPACED_US = 40 * MS  # slots in their order, so that one tells and the others hear it
+WORDS_A_BEAT = 2
+
+
+class Bodies:
+    def __init__(self, slot: int, now_us: int) -> None:
+        self.slot = slot
+        self.clock = HybridClock(now_us, TICK_US, STAMP_MAX)
+        self.known: dict[int, Fallen] = {}
+        self.dead: Mapping[int, Point] = {}  # bodies that stand now
+        self._due_us: dict[int, int] = {}  # slot: when we tell of it
+        self._heard_us: dict[int, int] = {}  # last beat that our own record is of
+
+    def look(self, view: FleetView) -> None:
+        """Each control period: who has fallen silent, and who is back."""
+        now_us = view.now_us
+        for slot, since_us in view.silent_since_us.items():
+            neighbour = view.neighbours.get(slot)
+            if neighbour is None or now_us - since_us <= DEAD_US:
+                continue
+            if self._heard_us.get(slot) != neighbour.heard_us:
+                self._heard_us[slot] = neighbour.heard_us
+                stamp = self.clock.read(neighbour.heard_us)
+                word = Fallen(neighbour.pose.x_m, neighbour.pose.y_m, slot, stamp)
+                # As it travels: what we know and what is told are the same numbers.
+                self._join(Fallen.unpack(word.pack()), now_us)
+        self.dead = {
+            slot: (word.x_m, word.y_m)
+            for slot, word in sorted(self.known.items())
+            if slot not in view.live and self._silent(slot, view)
+        }
+
+    def _silent(self, slot: int, view: FleetView) -> bool:
+        """Not only between two beats; a member that we never heard is known by others' word."""
+        since_us = view.silent_since_us.get(slot)
+        return since_us is None or view.now_us - since_us > DEAD_US
+
+    def hear(self, word: Fallen, now_us: int) -> None:
+        if word.slot == self.slot:
+            return
+        self.clock.witness(word.stamp, now_us)
+        self._join(word, now_us)
+
+    def _join(self, word: Fallen, now_us: int) -> None:
+        known = self.known.get(word.slot)
+        wait_us = TOLD_US
+        if known is None or _rank(word) > _rank(known):
+            self.known[word.slot] = word
+        elif word != known:
+            wait_us = 0  # who says so knows less
+        self._due_us[word.slot] = now_us + wait_us + self.slot * SPACED_US
+
+    def say(self, hurried: bool, now_us: int) -> Iterable[Fallen]:
+        """With our beat. `hurried`: a round waits for all to know the same."""
+        soon_us = TOLD_US - HURRY_US if hurried else 0
+        due = [slot for slot in self.dead if self._due_us.get(slot, 0) - soon_us <= now_us]
+        for slot in due[:WORDS_A_BEAT]:
+            self._due_us[slot] = now_us + TOLD_US + self.slot * SPACED_US
+            yield self.known[slot]
+
+
+def _rank(word: Fallen) -> tuple[int, float, float]:
+    return word.stamp, word.x_m, word.y_m
