@@ -41,6 +41,7 @@ HURRIED_US = (
     350 * MS
 )  # a step on the route: four words, so that 1 % miss all of them where 30 % are lost
 CALM_US = 2 * S  # and a word that they have probably heard is repeated this often, for who has not
+KEPT_M = 0.15  # between bodies by avoidance: nobody gets onto a node that is nearer to one
 SEEN_MAX = 6  # nodes that one robot may name: what a box and a body cover
 SEATS = 3  # pitches round a place in which a node is looked for
 AFAR = 1 << 24  # cost of a node that is none of ours; more than all squares of a map
@@ -234,11 +235,13 @@ class Accords:
 
     def _see(self, things: Iterable[Point]) -> None:
         """Nodes that cannot be driven to for what we see; the nearest of a crowd."""
-        reach_m = hypot(self.radius_m, self.lattice.pitch_m / 2)
-        nodes = {int(n) for thing in things for n in self.lattice.within(thing, reach_m)}
-        own = self._places[self.slot].node
+        own, standing = self._places[self.slot].node, list(things)
+        reach_m = hypot(self.radius_m, self.lattice.pitch_m / 2)  # also from the middle of an edge
+        nodes = {int(n) for thing in standing for n in self.lattice.within(thing, reach_m)} - {own}
+        beside_m = self.radius_m + KEPT_M
+        nodes |= {own for thing in standing if self.lattice.distance_m(own, thing) < beside_m}
         gap = self.lattice.points - self.lattice.points[own]
-        near = sorted(nodes - {own}, key=lambda n: (float((gap[n] ** 2).sum()), n))
+        near = sorted(nodes, key=lambda n: (float((gap[n] ** 2).sum()), n))
         self._seen = near[:SEEN_MAX]
         self._things.update(self._seen)
 
@@ -254,7 +257,7 @@ class Accords:
         self._said_us.pop(Say.PLAN, None)
         order = self.order = tuple(sorted(self._places))
         places = [self._places[slot] for slot in order]
-        body_m = 2 * self.radius_m
+        body_m = 2 * self.radius_m + KEPT_M
         bodies = [
             self.lattice.told(p.node, p.detail) for p in places if p.answer is not Answer.GRANT
         ]

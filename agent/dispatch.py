@@ -10,16 +10,16 @@ What a silent robot had keeps its owner for a lease; then it is auctioned, the l
 and comes behind what the winner has already: own work first, also in a split.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 from agent.auction import Planner
 from agent.config import LEASE_US, MS, S
 from agent.cost_matrix import FULL
 from agent.lifecycle import State
-from agent.mission import FleetView
+from agent.mission import FleetView, Record
 from agent.plan_round import SLICE_US, Frozen, PlanRound
-from agent.task_book import TaskBook
+from agent.task_book import Order, TaskBook
 from agent.warehouse import Standing, Warehouse
 from agent.workload import IMPOSSIBLE_MS
 from crdt import Phase
@@ -67,9 +67,12 @@ class Auction(NamedTuple):
 
 
 class Dispatch:
-    def __init__(self, slot: int, house: Warehouse, now_us: int, seed: int) -> None:
+    def __init__(
+        self, slot: int, house: Warehouse, now_us: int, seed: int, recalled: Mapping[int, Order]
+    ) -> None:
+        """`recalled`: tasks that were told in an earlier life."""
         self.slot, self.house = slot, house
-        self.book = TaskBook(slot, house.tasks, now_us)
+        self.book = TaskBook(slot, {**house.tasks, **recalled}, now_us)
         self.round = PlanRound(slot, seed)
         self.itinerary: list[int] = []  # tasks that we mean to begin, not those begun
         self.told: dict[int, Told] = {}
@@ -328,12 +331,17 @@ class Dispatch:
         self._version = (self._version + 1) & 0xFF
         self._telling, self._tell_us = 0, now_us
 
-    def hear(self, slot: int | None, message: Dispatched, now_us: int) -> None:
+    def hear(self, slot: int | None, message: Dispatched, now_us: int) -> Sequence[Record]:
         if isinstance(message, TaskOrder | TaskBookDigest):
-            self.book.hear(message, now_us)
-        elif slot is None:
-            return
-        elif isinstance(message, TaskBid):
+            return self.book.hear(message, now_us)
+        if slot is not None:
+            self._heard(slot, message, now_us)
+        return ()
+
+    def _heard(
+        self, slot: int, message: TaskBid | Itinerary | PlanOffer | PlanRow, now_us: int
+    ) -> None:
+        if isinstance(message, TaskBid):
             self._heard_bid(slot, message, now_us)
         elif isinstance(message, Itinerary):
             self._heard_itinerary(slot, message)

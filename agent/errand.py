@@ -18,7 +18,7 @@ from agent.floor import Floor
 from agent.hazards import Hazards
 from agent.lifecycle import State
 from agent.membership import Neighbour
-from agent.mission import STILL, Choice, FleetView, Wish
+from agent.mission import STILL, Choice, FleetView, Record, Wish
 from agent.replanning import Replanning
 from agent.tracker import Tracker
 from crdt import Phase as Claimed
@@ -35,7 +35,6 @@ CALLS_US = (2 * S, 4 * S, 8 * S, 16 * S)  # between two calls of ours that broug
 LOOK_M = 2.5  # how far ahead a passage is looked into
 BESIDE_PATH_M = 0.5  # a robot nearer to the path than this is on it
 SETTLED_M = 0.1  # this near to a node of the route, it is reached
-STRAYED_M = 0.5  # a body may have rolled so far after its last beat
 ACQUAINTED_US = 1 * S  # after joining, until everybody near has been heard, by many beats
 AGE_MAX_US = 500 * MS  # a robot moves on as it last said for so long: 10 beats, 30 % of them lost
 LOST_M = 0.8  # this far off the path, another is planned
@@ -78,6 +77,7 @@ class Errands:
         self._lane_of = (-1, -1, -1)  # round, first and last node of the lane
         self._gone_on: tuple[float, int] = (0.0, 0)  # along the path, since when
         self._planned = False  # a joint plan was driven since the last path
+        self._around: dict[int, Point] = {}  # robots that are heard, where they should be now
         self._alone_us = 0  # when we last heard nobody
         self._calls: tuple[int, int] = (0, 0)  # in a row without arriving, not before
 
@@ -141,36 +141,30 @@ class Errands:
         """Each control period, in every state: our part in a round."""
         here = view.here
         self.bodies.look(view)
-        dead = self.bodies.dead
-        around = [_now_at(n, view.now_us) for s, n in view.neighbours.items() if s not in dead]
+        dead, silent = self.bodies.dead, view.silent_since_us
+        gone = {s for s, since_us in silent.items() if view.now_us - since_us > DEAD_US}
+        self._around = {
+            s: _now_at(n, view.now_us) for s, n in view.neighbours.items() if s not in gone
+        }
+        around = list(self._around.values())
         reach_m = self.replanning.horizon_m + self.floor.radius_m
         if state is State.DISCONNECTED:  # who knows nobody takes everybody for a box
             self._alone_us = view.now_us
         if view.now_us - self._alone_us > ACQUAINTED_US:
             self.hazards.look(here, reach_m, around, view.now_us, dead)
-        silent = view.silent_since_us
-        gone = {s for s, since_us in silent.items() if view.now_us - since_us > DEAD_US}
         stopped = state is State.EMERGENCY_STOP
         self.accords.tick(
             (here.x_m, here.y_m), hypot(here.vx_m_s, here.vy_m_s), self.goal,
             Answer.STOPPED if stopped else self.answer,
-            (view.live | silent.keys()) - gone, dead, self._things(dead), view.now_us,
+            (view.live | silent.keys()) - gone, dead, self.hazards.hits, view.now_us,
         )  # fmt: skip
-
-    def _things(self, dead: Mapping[int, Point]) -> list[Point]:
-        """What our rays hit that is none of the bodies: those are known to all, to the last bit."""
-        near_m = self.floor.radius_m + STRAYED_M
-        return [
-            hit
-            for hit in self.hazards.hits
-            if all(hypot(hit[0] - x_m, hit[1] - y_m) > near_m for x_m, y_m in dead.values())
-        ]
 
     # ---------------------------------------------------------------- frames
 
-    def hear(self, slot: int | None, message: Message, now_us: int) -> None:
+    def hear(self, slot: int | None, message: Message, now_us: int) -> Sequence[Record]:
         if isinstance(message, Fallen):
             self.bodies.hear(message, now_us)
+        return ()
 
     def say(self, now_us: int) -> Iterable[Message]:
         """With each beat."""
@@ -278,18 +272,17 @@ class Errands:
     def _near(self, view: FleetView) -> bool:
         reach_m = 2 * self.floor.lattice.pitch_m + 2 * self.floor.radius_m
         here = view.here
-        return any(
-            hypot(n.pose.x_m - here.x_m, n.pose.y_m - here.y_m) < reach_m
-            for n in view.neighbours.values()
-        )
+        near = [*self._around.values(), *self.bodies.dead.values()]
+        return any(hypot(x_m - here.x_m, y_m - here.y_m) < reach_m for x_m, y_m in near)
 
     def _head_on(self, tracker: Tracker, view: FleetView) -> bool:
         """Somebody stands in, or comes out of, a passage that we are about to enter."""
         here, lattice = view.here, self.floor.lattice
         around = [
             n.pose
-            for n in view.neighbours.values()
-            if hypot(n.pose.x_m - here.x_m, n.pose.y_m - here.y_m) < 2 * LOOK_M
+            for s, n in view.neighbours.items()
+            if s in self._around
+            and hypot(n.pose.x_m - here.x_m, n.pose.y_m - here.y_m) < 2 * LOOK_M
         ]
         if not around:
             return False

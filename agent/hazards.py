@@ -15,7 +15,7 @@ from math import hypot, inf, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation, label
+from scipy.ndimage import binary_dilation, center_of_mass, label
 
 from agent.config import CONTROL_PERIOD_US, S
 from agent.floor import Floor
@@ -85,6 +85,10 @@ class Hazards:
             return []
         return [(o.x_m, o.y_m) for o in self.map.grid.obstacles.values()]
 
+    def things(self) -> list[XY]:
+        """Middles of all that stands and is no wall."""
+        return [] if self.map is None else self.map.things()
+
     def path(self, at: XY, goal: XY) -> tuple[XY, ...] | None:
         """Round everything; None: there is no way at present."""
         if self.map is None or not self.map.standing:
@@ -139,6 +143,15 @@ class HazardMap(SurveyMap):
         self._no_robots(robots)
         self._no_longer()
         self.tell(here, now_us)
+
+    def things(self) -> list[XY]:
+        parts, count = label(self.grid.solid & self._open, np.ones((3, 3), dtype=np.int8))
+        if not count:
+            return []
+        middles = center_of_mass(parts > 0, parts, range(1, count + 1))
+        west, south = self.geometry.origin_m
+        cell_m = self.geometry.cell_m
+        return [(west + (c + 0.5) * cell_m, south + (r + 0.5) * cell_m) for r, c in middles]
 
     def places(self, at: XY, goals: Sequence[XY], reach_m: float) -> list[XY | None]:
         """For each goal the place nearest to it, within reach of it, that can be driven to."""

@@ -11,7 +11,7 @@ from agent import bulletin
 from agent.cause import Cause
 from agent.config import S
 from agent.directive import DIRECTED
-from agent.effects import HALT, Effect, Trace
+from agent.effects import HALT, Effect, Persist, Trace
 from agent.membership import Neighbour
 from agent.mission import Conversing
 from protocol.accord_frames import Accord, Fallen
@@ -235,7 +235,7 @@ class Hearing:
         if slot is None and not isinstance(m, TaskOrder):  # an order may come from any device
             return self._stranger(source, now_us)
         if isinstance(self.peer.mission, Conversing):
-            self.peer.mission.hear(slot, m, now_us)
+            return [Persist(*record) for record in self.peer.mission.hear(slot, m, now_us)]
         return ()
 
     def _work(self, source: int, slot: int | None, m: Any, now_us: int) -> Sequence[Effect]:

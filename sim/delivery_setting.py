@@ -1,5 +1,6 @@
 """A delivering fleet of a scenario file: building, places of the robots, tasks, and true parcels."""
 
+from collections.abc import Mapping
 from functools import cached_property
 from random import Random
 
@@ -104,7 +105,9 @@ class DeliverySetting(ErrandSetting):
     def section_count(self) -> int:
         return len(self.rows)
 
-    def delivery(self, slot: int, now_us: int, chart: MapSync | None = None) -> Delivery:
+    def delivery(
+        self, slot: int, now_us: int, chart: MapSync | None, recalled: Mapping[str, bytes]
+    ) -> Delivery:
         fleet = self.scenario.fleet
         braking_m_s2 = BRAKING_SHARE * fleet.acceleration_m_s2
         seed = self.scenario.run.seed * 1000 + slot
@@ -116,8 +119,8 @@ class DeliverySetting(ErrandSetting):
             braking_m_s2,
             now_us,
             seed,
-            chart,
-        )
+            chart, recalled,
+        )  # fmt: skip
 
     def parcels(self) -> Parcels:
         truth = Parcels(self.carrier, self.house.bays)
