@@ -31,7 +31,7 @@ class DeliverySetting(ErrandSetting):
     def __init__(self, scenario: WarehouseScenario) -> None:
         """Raises ScenarioError where the warehouse cannot be used."""
         name, table, fleet = scenario.name, scenario.warehouse, scenario.fleet
-        floor = _floor(scenario)
+        floor = floor_of(scenario)
         rng = Random(f"{scenario.run.seed}/warehouse")
         try:
             starts = scattered(floor, fleet.robots, rng, APART_M)
@@ -148,7 +148,7 @@ class DeliverySetting(ErrandSetting):
         return found
 
 
-def _floor(scenario: WarehouseScenario) -> Floor:
+def floor_of(scenario: WarehouseScenario) -> Floor:
     table = scenario.warehouse
     path = scenario.folder / table.map  # an absolute one stays as it is
     try:

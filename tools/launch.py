@@ -25,6 +25,7 @@ from sim.coverage_truth import coverage, sample_points
 from sim.fieldbus import forget, segment
 from sim.hub import Hub
 from sim.scenario import ScenarioError, load
+from sim.warehouse_scenario import is_warehouse
 from sim.setting import Setting
 from tools.attachment import CHANNEL
 from tools.inspector import SILENT_S, Inspector
@@ -236,6 +237,11 @@ def launch(
 ) -> int:  # fmt: skip
     """`page_port`: of a map beside it."""
     console = Console(stderr=as_json, highlight=False, soft_wrap=True)
+    if is_warehouse(scenario):
+        return _wrong(
+            f"{scenario}: the world of a launch has no parcels; headland run {scenario} --live runs it "
+            "in real time, in one process, on a bus that tools attach to"
+        )
     try:
         setting = Setting(load(scenario).changed(robots, seed, keys))
         out.mkdir(parents=True, exist_ok=True)
