@@ -25,8 +25,8 @@ from sim.coverage_truth import coverage, sample_points
 from sim.fieldbus import forget, segment
 from sim.hub import Hub
 from sim.scenario import ScenarioError, load
-from sim.warehouse_scenario import is_warehouse
 from sim.setting import Setting
+from sim.warehouse_scenario import is_warehouse
 from tools.attachment import CHANNEL
 from tools.inspector import SILENT_S, Inspector
 from tools.keeping import Keeping

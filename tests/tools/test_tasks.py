@@ -117,7 +117,7 @@ def test_what_is_wrong_with_a_file_is_said_by_line(
 
 
 def test_a_place_without_floor_and_a_launch_are_refused_in_one_line(tmp_path: Path) -> None:
-    code, said = asyncio.run(call(tmp_path, "task", "add", "-1,0", "1,1"))
+    code, said = asyncio.run(call(tmp_path, "task", "add", "99,1", "1,1"))
     assert (code, said.count("\n")) == (2, 1) and "no floor" in said
     code, said = asyncio.run(call(tmp_path, "launch", "warehouse"))
     assert (code, said.count("\n")) == (2, 1) and "run warehouse --live" in said
