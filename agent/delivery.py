@@ -132,11 +132,9 @@ class Delivery(Errands):
     # ---------------------------------------------------------------- choosing
 
     def choose(self, view: FleetView) -> Choice | None:
-        if (
-            self._load in self.dispatch.book
-            and view.allocation.phase_of(self._load) is not Phase.DONE
-        ):
-            return self._claim(self._load, view)  # from an earlier life, or after an order
+        load = self._load  # from an earlier life, or after an operator's order
+        if load in self.dispatch.book and view.allocation.phase_of(load) is not Phase.DONE:
+            return self._claim(load, view)
         task = self._next(view)
         if task is None:
             low = view.here.battery < IDLE_CHARGE and not self.dispatch.round.active
@@ -254,10 +252,7 @@ class Delivery(Errands):
             return Wish(0.0, 0.0, covered=(PICKED, DELIVERED), finished=True)
         if self._hopeless(section):
             return self._given_up(section, view)
-        if UNDER_WAY in self.cut_off.sections and section not in (
-            self._load,
-            *self.cut_off.sections,
-        ):
+        if UNDER_WAY in self.cut_off.sections and self._load != section < TASKS_MAX:
             return self._missing(section, view)
         self._go(self._goal(section, view))
         if self._search_ends(section, view):
@@ -267,9 +262,8 @@ class Delivery(Errands):
         if self._load == section and self._told_aboard != section:
             self._told_aboard = section
             wish = wish._replace(covered=(PICKED,))
-        if not (
-            arrived or self._beside(view)
-        ):  # within reach it handles also in a round: that ends
+        # Within reach it handles also in a round: that ends.
+        if not (arrived or self._beside(view)):
             self._since_us = None
             return wish._replace(near_end=self._near_end(section, view))
         if self._since_us is None:
