@@ -6,8 +6,9 @@ until the round is over:
 
     PLACE  where I stand and where I want to be. What one robot says of itself is said by it alone,
            so all who have heard everybody know the same, whatever was lost on the way.
-    PLAN   the digest of the joint plan that I computed from it (`agent/joint_plan.py`). Nobody
-           moves before all digests are equal.
+    BODY   a node on which I see something that is no member of the fleet.
+    PLAN   the digest of the joint plan that I computed from it (`agent/joint_plan.py`) and from where
+           silent members stand (`agent/bodies.py`). Nobody moves before all digests are equal.
     AT     how far I am on my route. A robot drives to a node when those that come before it there
            have gone on; the order is the plan's, the time is everybody's own.
 
@@ -18,6 +19,7 @@ called again, without those that have meanwhile fallen silent. So nobody is park
 """
 
 from collections.abc import Iterable, Mapping
+from math import hypot
 from typing import NamedTuple
 from zlib import crc32
 
@@ -38,6 +40,8 @@ HURRY_US = 100 * MS  # a word that others wait for is repeated this often,
 HURRIED_US = (
     350 * MS
 )  # a step on the route: four words, so that 1 % miss all of them where 30 % are lost
+KEPT_M = 0.15  # between bodies by avoidance: nobody gets onto a node that is nearer to one
+SEEN_MAX = 6  # nodes that one robot may name: what a box and a body cover
 SEATS = 3  # pitches round a place in which a node is looked for
 AFAR = 1 << 24  # cost of a node that is none of ours; more than all squares of a map
 
@@ -64,6 +68,9 @@ class Accords:
         self.rounds = 0  # rounds that we took part in
         self.unsolved = 0  # rounds without a plan: nobody could be brought to where it wants
         self._places: dict[int, Place] = {}
+        self._things: set[int] = set()  # nodes on which something stands that is no member
+        self._seen: list[int] = []  # those of them that we have said
+        self._used: object = None  # bodies and things that the plan was made round
         self._digests: dict[int, int] = {}
         self._reached: dict[int, int] = {}  # index of the node reached; -1: not on the route yet
         self._since_us = 0  # of this phase, or of our own last progress in it
@@ -79,16 +86,19 @@ class Accords:
 
     def hear(self, slot: int, m: Accord, now_us: int) -> None:
         later = ahead(m.round, self.round)
-        if later is None or m.say == Say.BODY:
-            return  # a round that is over, or a word of a fleet on a grid
+        if later is None:
+            return  # a round that is over
         if later:
             self._begin(m.round, now_us)
         if m.say == Say.PLACE:
             if m.first < len(self.lattice) and m.second < len(self.lattice):
                 place = Place(m.first, m.second, Answer(m.answer), m.detail)
                 self._places.setdefault(slot, place)
+        elif m.say == Say.BODY:
+            if m.first < len(self.lattice):
+                self._things.add(m.first)
         elif m.say == Say.PLAN:
-            self._digests.setdefault(slot, m.first | m.second << 16)
+            self._digests[slot] = m.first | m.second << 16
         elif m.first - 1 > self._reached.get(slot, -1):
             self._reached[slot] = m.first - 1
             self._progress_us = now_us
@@ -97,6 +107,8 @@ class Accords:
         self.round, self.phase, self.plan = number, Phase.GATHER, None
         self.rounds += 1
         self._places.clear()
+        self._things.clear()
+        self._seen, self._used = [], None
         self._digests.clear()
         self._reached.clear()
         self._said_us.clear()
@@ -108,6 +120,11 @@ class Accords:
     def bound(self) -> bool:
         """Whether a round says what we do: stand, or drive our route."""
         return self.phase is not Phase.FREE and not self._arrived
+
+    @property
+    def waiting(self) -> bool:
+        """Whether all must come to know the same before anybody moves."""
+        return self.phase in (Phase.GATHER, Phase.AGREE)
 
     @property
     def route(self) -> tuple[int, ...]:
@@ -156,18 +173,21 @@ class Accords:
         answer: Answer,
         peers: Iterable[int],
         dead: Mapping[int, Point],
+        things: Iterable[Point],
         now_us: int,
     ) -> None:
-        """One control period. `peers`: who is expected to take part; `dead`: bodies that do not."""
+        """One control period. `peers`: who is expected to take part; `dead`: bodies that do not;
+        `things`: what else we see standing."""
         if self.phase is Phase.GATHER:
             if self.slot not in self._places and speed_m_s < STANDS_M_S:
                 node, detail = self.lattice.tell(at)
                 wants = node if goal is None or answer else self.lattice.nearest(goal)
                 self._places[self.slot] = Place(node, wants, answer, detail)
+                self._see(things)
             if self._places.keys() >= {self.slot, *peers}:
-                self._compute(dead)
                 self.phase, self._since_us = Phase.AGREE, now_us
         if self.phase is Phase.AGREE:
+            self._compute(dead)
             own = self._digests[self.slot]
             if all(self._digests.get(slot) == own for slot in self.order):
                 self.phase, self._since_us = Phase.GO, now_us
@@ -185,6 +205,8 @@ class Accords:
             words.append(
                 Accord(self.round, Say.PLACE, place.answer, place.node, place.goal, place.detail)
             )
+        if self._seen and self._due(Say.BODY, self.phase is not Phase.GO, now_us):
+            words += [Accord(self.round, Say.BODY, 0, node, 0, 0) for node in self._seen]
         digest = self._digests.get(self.slot)
         if digest is not None and self._due(Say.PLAN, self.phase is Phase.AGREE, now_us):
             words.append(Accord(self.round, Say.PLAN, 0, digest & 0xFFFF, digest >> 16, 0))
@@ -202,16 +224,37 @@ class Accords:
 
     # ---------------------------------------------------------------- the plan
 
+    def _see(self, things: Iterable[Point]) -> None:
+        """Nodes that cannot be driven to for what we see; the nearest of a crowd."""
+        own, standing = self._places[self.slot].node, list(things)
+        reach_m = hypot(self.radius_m, self.lattice.pitch_m / 2)  # also from the middle of an edge
+        nodes = {int(n) for thing in standing for n in self.lattice.within(thing, reach_m)} - {own}
+        beside_m = self.radius_m + KEPT_M
+        nodes |= {own for thing in standing if self.lattice.distance_m(own, thing) < beside_m}
+        gap = self.lattice.points - self.lattice.points[own]
+        near = sorted(nodes, key=lambda n: (float((gap[n] ** 2).sum()), n))
+        self._seen = near[:SEEN_MAX]
+        self._things.update(self._seen)
+
     def _compute(self, dead: Mapping[int, Point]) -> None:
-        """The joint plan of all that have said their place. A pure function of what was said."""
+        """The joint plan of all that have said their place. A pure function of what was said, made
+        anew when more is heard of what stands in the way: in the end all have heard the same."""
+        bodies_used = {s: at for s, at in dead.items() if s not in self._places}
+        used = bodies_used, frozenset(self._things)
+        if used == self._used:
+            return
+        self._used = used
+        self._reached.clear()
+        self._said_us.pop(Say.PLAN, None)
         order = self.order = tuple(sorted(self._places))
         places = [self._places[slot] for slot in order]
-        body_m = 2 * self.radius_m
+        body_m = 2 * self.radius_m + KEPT_M
         bodies = [
             self.lattice.told(p.node, p.detail) for p in places if p.answer is not Answer.GRANT
         ]
-        bodies += [dead[slot] for slot in sorted(dead) if slot not in self._places]
+        bodies += bodies_used.values()
         blocked = {int(n) for body in bodies for n in self.lattice.within(body, body_m)}
+        blocked |= self._things
         movers = [k for k, p in enumerate(places) if p.answer is Answer.GRANT]
         routes: list[tuple[int, ...]] = [(p.node,) for p in places]
         turns: list[tuple[Turn | None, ...]] = [(None,) for _ in places]

@@ -6,22 +6,28 @@ itself sees to it that it is carried by one robot. A parcel of a robot that died
 stands; who takes the task over fetches it from there.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from math import hypot
 
 from agent.config import LEASE_US, MS, S
-from agent.cost_matrix import FULL
-from agent.dispatch import Dispatch, Message
+from agent.cost_matrix import FULL, Trip
+from agent.cut_off import CutOff
+from agent.dispatch import Dispatch, Dispatched
 from agent.errand import Errands
 from agent.lifecycle import State
-from agent.mission import Choice, FleetView, Wish
+from agent.mission import Choice, FleetView, Record, Wish
 from agent.path_requests import AHEAD_S, PathRequests, Urgency
-from agent.task_book import TASKS_MAX
-from agent.warehouse import SECTIONS_END, Warehouse
+from agent.task_book import TASKS_MAX, recalled_orders
+from agent.warehouse import SECTIONS_END, Standing, Warehouse
+from agent.whereabouts import Whereabouts
 from crdt import Phase
+from protocol.map_sync import MapSync
+from protocol.messages import Message
 
 Point = tuple[float, float]
 PICKED, DELIVERED = 0, 1  # units of a task
+NOTHING_RECALLED: Mapping[str, bytes] = {}
+UNDER_WAY = -1  # stands for the goal of now where sections are looked at
 REACH_M = 1.2  # of the arm, from the robot's middle to the parcel's
 BESIDE_M = 1.0  # nearer than this is near enough where another body is in the way
 UNTOUCHED_M = 0.2  # from where it was to be fetched: nobody has moved it
@@ -38,12 +44,18 @@ GIVES_US = 5 * S  # a bay has so long to show that it charges
 class Delivery(Errands):
     def __init__(
         self, slot: int, house: Warehouse, home: Point, speed_m_s: float, deceleration_m_s2: float,
-        now_us: int, seed: int,
+        now_us: int, seed: int, chart: MapSync | None = None,
+        recalled: Mapping[str, bytes] = NOTHING_RECALLED,
     ) -> None:  # fmt: skip
-        super().__init__(slot, {}, house.floor, speed_m_s, deceleration_m_s2)
+        super().__init__(
+            slot, {}, house.floor, speed_m_s, deceleration_m_s2, chart=chart, now_us=now_us
+        )
         self.house, self.home = house, home
-        self.dispatch = Dispatch(slot, house, now_us, seed)
-        self.paths = PathRequests(house.floor.route)
+        self.dispatch = Dispatch(slot, house, now_us, seed, recalled_orders(recalled))
+        self.paths = PathRequests(super()._way)
+        self.hazards.reach_m = BESIDE_M
+        self.cut_off = CutOff(self.hazards)
+        self.whereabouts = Whereabouts(house, self.dispatch.book, self.hazards, self.bodies)
         self.section: int | None = None  # a task or a bay under way
         self.waited_us = 0  # for new itineraries, by the rule of scenario C
         self._load = -1
@@ -51,10 +63,8 @@ class Delivery(Errands):
         self._idle_us: int | None = None
         self._level = 0.0  # of the battery when we began to charge
         self._shunned_us: dict[int, int] = {}  # bays, and tasks, by section
-        self._tried: dict[int, int] = {}  # task: places where its parcel was not
         self._told_aboard = -1
         self._nearest: tuple[float, int] = (0.0, 0)  # to the goal, within reach of it, and when
-        self._last: dict[int, Point] = {}  # where each robot was last seen
 
     @property
     def section_units(self) -> Mapping[int, int]:
@@ -62,23 +72,50 @@ class Delivery(Errands):
 
     # ---------------------------------------------------------------- frames
 
-    def hear(self, slot: int | None, message: Message, now_us: int) -> None:
-        self.dispatch.hear(slot, message, now_us)
+    def hear(self, slot: int | None, message: Message, now_us: int) -> Sequence[Record]:
+        if isinstance(message, Dispatched):
+            return self.dispatch.hear(slot, message, now_us)
+        return super().hear(slot, message, now_us)
 
     def say(self, now_us: int) -> Iterable[Message]:
-        return self.dispatch.say(now_us)
+        return [*super().say(now_us), *self.dispatch.say(now_us)]
 
     # ---------------------------------------------------------------- each control period
 
     def attend(self, view: FleetView, state: State) -> None:
-        for slot, neighbour in view.neighbours.items():
-            self._last[slot] = (neighbour.pose.x_m, neighbour.pose.y_m)
         self._load = view.here.load
         self.dispatch.left = round(view.here.battery * FULL)
         able = state in (State.IDLE, State.WORKING, State.SYNCHRONIZING)
-        self.dispatch.tick(view, able)
+        self.dispatch.tick(view, able and not self._stranded(view))
         self.paths.work()
         super().attend(view, state)
+
+    def _stranded(self, view: FleetView) -> bool:
+        """We cannot do more than we have begun: what we cannot get to, and whether we get on at all."""
+        at, now_us = (view.here.x_m, view.here.y_m), view.now_us
+        if self.cut_off.due(now_us):
+            self.cut_off.look(at, self._goals(view), now_us)
+            self.dispatch.cut = self.cut_off.sections
+        charging = self.section is not None and self.section >= TASKS_MAX and self._since_us
+        busy = self.section is not None and not charging
+        still = self.cut_off.stands_still(at, busy, now_us)
+        return still or self._load in self.cut_off.sections
+
+    def _goals(self, view: FleetView) -> dict[int, list[Point]]:
+        """Of each task that is not done, where its parcel is and where it goes; and of each bay."""
+        found = {TASKS_MAX + bay: [place] for bay, place in enumerate(self.house.bays)}
+        if self.goal is not None:
+            found[UNDER_WAY] = [self.goal]
+        for task, order in self.dispatch.book.tasks.items():
+            if view.allocation.phase_of(task) is Phase.DONE or not self.house.known(order):
+                continue
+            found[task] = [self.house.trip(order).dropoff]
+            owner = view.allocation.owner_of(task)
+            aboard = owner in view.live and view.progress.bits(task, 0) & 1
+            if task != self._load and not aboard:
+                workers = self.dispatch.workers.get(task, [])
+                found[task].append(self.whereabouts.likeliest(task, workers, view))
+        return found
 
     @property
     def stops(self) -> list[str]:
@@ -95,10 +132,9 @@ class Delivery(Errands):
     # ---------------------------------------------------------------- choosing
 
     def choose(self, view: FleetView) -> Choice | None:
-        if self._load >= 0 and view.allocation.phase_of(self._load) is not Phase.DONE:
-            return self._claim(
-                self._load, view
-            )  # from an earlier life, or after an operator's order
+        load = self._load  # from an earlier life, or after an operator's order
+        if load in self.dispatch.book and view.allocation.phase_of(load) is not Phase.DONE:
+            return self._claim(load, view)
         task = self._next(view)
         if task is None:
             low = view.here.battery < IDLE_CHARGE and not self.dispatch.round.active
@@ -145,11 +181,22 @@ class Delivery(Errands):
 
     def _must_charge(self, task: int, view: FleetView) -> bool:
         """Before it is needed: behind the task a bay must still be within reach."""
+        return self._runs_low(task, self._pickup(task, view), self.dispatch.standing(view))
+
+    def _runs_low(self, task: int, pickup: Point, standing: Standing) -> bool:
         if not self.house.carrier.runs_dry or not self.house.bays:
             return False
-        trip = self.house.trip(self.dispatch.book.tasks[task])
-        then = self.house.after(self.dispatch.standing(view), trip, False)
-        return then.left < self.house.home(trip.dropoff)
+        dropoff = self.house.trip(self.dispatch.book.tasks[task]).dropoff
+        then = self.house.after(standing, Trip(pickup, dropoff), False)
+        return then.left < self.house.home(dropoff)
+
+    def _search_ends(self, section: int, view: FleetView) -> bool:
+        """Looking for a parcel takes longer than any plan knew: before the next place, a bay."""
+        if section == self._load or not self.whereabouts.searching(section):
+            return False
+        assert self.goal is not None
+        here = Standing(self.slot, (view.here.x_m, view.here.y_m), 0, self.dispatch.left)
+        return self._runs_low(section, self.goal, here)
 
     def _charge(self, view: FleetView, task: int | None) -> Choice | None:
         """The visit of the bay that is least out of the way; None: all are taken."""
@@ -161,6 +208,8 @@ class Delivery(Errands):
                 continue
             if self._shunned_us.get(TASKS_MAX + bay, 0) > view.now_us:
                 continue
+            if TASKS_MAX + bay in self.cut_off.sections:
+                continue
             way_m = self.house.way_m(here, place)
             way_m += 0.0 if onward is None else self.house.way_m(place, onward)
             if best is None or way_m < best[0]:
@@ -169,19 +218,8 @@ class Delivery(Errands):
 
     # ---------------------------------------------------------------- the section under way
 
-    def _places(self, task: int, view: FleetView) -> list[Point]:
-        """Where a parcel may be, the likeliest first: where it was to be fetched; with the robots that
-        had begun with it, the last one first; where it was to go."""
-        trip = self.house.trip(self.dispatch.book.tasks[task])
-        workers = [w for w in reversed(self.dispatch.workers.get(task, [])) if w not in view.live]
-        bodies = [self._last[w] for w in workers if w in self._last]
-        if view.progress.bits(task, 0) & 1:
-            return [*bodies, trip.dropoff, trip.pickup]
-        return [trip.pickup, *bodies, trip.dropoff]
-
     def _pickup(self, task: int, view: FleetView) -> Point:
-        places = self._places(task, view)
-        return places[self._tried.get(task, 0) % len(places)]
+        return self.whereabouts.next(task, self.dispatch.workers.get(task, []), view)
 
     def begin(self, section: int, view: FleetView) -> None:
         self.section, self._since_us = section, None
@@ -212,15 +250,20 @@ class Delivery(Errands):
         if section < TASKS_MAX and self._delivered(section, view):
             self._through()
             return Wish(0.0, 0.0, covered=(PICKED, DELIVERED), finished=True)
+        if self._hopeless(section):
+            return self._given_up(section, view)
+        if UNDER_WAY in self.cut_off.sections and self._load != section < TASKS_MAX:
+            return self._missing(section, view)
         self._go(self._goal(section, view))
+        if self._search_ends(section, view):
+            return self._given_up(section, view)
         wish, arrived = self._drive(view)
         self._plan_ahead(section, view)
         if self._load == section and self._told_aboard != section:
             self._told_aboard = section
             wish = wish._replace(covered=(PICKED,))
-        if not (
-            arrived or self._beside(view)
-        ):  # within reach it handles also in a round: that ends
+        # Within reach it handles also in a round: that ends.
+        if not (arrived or self._beside(view)):
             self._since_us = None
             return wish._replace(near_end=self._near_end(section, view))
         if self._since_us is None:
@@ -229,6 +272,12 @@ class Delivery(Errands):
             return self._charging(section, view)
         return self._handling(section, view)._replace(covered=wish.covered)
 
+    def _hopeless(self, section: int) -> bool:
+        """It cannot be got to, and nothing of it is aboard."""
+        if section >= TASKS_MAX:
+            section = TASKS_MAX + self.house.bay_of(section)
+        return section in self.cut_off.sections and section != self._load
+
     def _beside(self, view: FleetView) -> bool:
         """Something is where we want to be, a body that we may know nothing of; the arm reaches over."""
         section = self.section
@@ -236,16 +285,15 @@ class Delivery(Errands):
             return False
         x_m, y_m = self.goal
         away_m = hypot(x_m - view.here.x_m, y_m - view.here.y_m)
-        if self._load != section:
-            reached = section in view.here.parcels
-        else:
-            reached = away_m < BESIDE_M
+        reached = away_m < BESIDE_M or (self._load != section and section in view.here.parcels)
         nearer = away_m < self._nearest[0] - NEARER_M
         if not reached or nearer:
             self._nearest = (away_m, view.now_us)
             return False
         width_m = 2 * self.floor.radius_m
-        taken = any(hypot(x_m - p[0], y_m - p[1]) < width_m for p in self._last.values())
+        others = [(n.pose.x_m, n.pose.y_m) for n in view.neighbours.values()]
+        others += self.bodies.dead.values()
+        taken = any(hypot(x_m - p[0], y_m - p[1]) < width_m for p in others)
         return taken or view.now_us - self._nearest[1] > STALLED_US
 
     def _near_end(self, section: int, view: FleetView) -> bool:
@@ -271,8 +319,7 @@ class Delivery(Errands):
             self.paths.ask(self.goal, onward, Urgency.AHEAD)
 
     def _way(self, at: Point, goal: Point) -> tuple[Point, ...]:
-        ahead = self.paths.take(at, goal)
-        return self.hazards.path(at, goal) or ahead
+        return self.paths.take(at, goal)
 
     def _delivered(self, task: int, view: FleetView) -> bool:
         """It has been carried, and lies, for us to see, within reach of its dropoff."""
@@ -296,11 +343,14 @@ class Delivery(Errands):
 
     def _missing(self, task: int, view: FleetView) -> Wish:
         """No parcel here: the next place, and after the last one others may, or we again later."""
-        tried = self._tried[task] = self._tried.get(task, 0) + 1
+        assert self.goal is not None
         self._since_us = None
-        if tried % len(self._places(task, view)):
+        if self.whereabouts.looked(task, self.goal):
             return Wish(0.0, 0.0)
-        self._shunned_us[task] = view.now_us + SHUN_US
+        return self._given_up(task, view)
+
+    def _given_up(self, section: int, view: FleetView) -> Wish:
+        self._shunned_us[section] = view.now_us + SHUN_US
         self._through()
         return Wish(0.0, 0.0, given_up=True)
 
@@ -322,7 +372,7 @@ class Delivery(Errands):
         return wish
 
     def _through(self) -> None:
-        if self.section is not None and self.section in self.dispatch.itinerary:
+        if self.section in self.dispatch.itinerary:
             self.dispatch.itinerary.remove(self.section)
         self.section, self.goal, self._tracker, self._since_us = None, None, None, None
         self._calls = (0, 0)

@@ -10,16 +10,16 @@ What a silent robot had keeps its owner for a lease; then it is auctioned, the l
 and comes behind what the winner has already: own work first, also in a split.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 from agent.auction import Planner
 from agent.config import LEASE_US, MS, S
 from agent.cost_matrix import FULL
 from agent.lifecycle import State
-from agent.mission import FleetView
+from agent.mission import FleetView, Record
 from agent.plan_round import SLICE_US, Frozen, PlanRound
-from agent.task_book import TaskBook
+from agent.task_book import Order, TaskBook
 from agent.warehouse import Standing, Warehouse
 from agent.workload import IMPOSSIBLE_MS
 from crdt import Phase
@@ -40,11 +40,13 @@ TOLD_US = 5 * S  # an itinerary is told again this often
 STABLE_US = 500 * MS  # more than t_max open tasks for so long call a round
 STAGGER_US = 150 * MS  # lower slots call it first
 BOOT_US = 3 * S  # so long the whole fleet is waited for before the first plan
+RESIGN_US = 2 * S  # a protective stop that ends is no reason
+NOBODY_US = 5 * S  # a task for which nobody bids is called again after so long
 AGAIN_US = 5 * S  # between two rounds
 FRAMES_A_BEAT = 4
 MOVES_A_TASK = 2_000  # of the search; and
 REPLAN_US = (2 * S, 10 * S)  # as long as this at least and at most
-Message = TaskOrder | TaskBookDigest | TaskBid | Itinerary | PlanOffer | PlanRow
+Dispatched = TaskOrder | TaskBookDigest | TaskBid | Itinerary | PlanOffer | PlanRow
 
 
 class Told(NamedTuple):
@@ -65,9 +67,12 @@ class Auction(NamedTuple):
 
 
 class Dispatch:
-    def __init__(self, slot: int, house: Warehouse, now_us: int, seed: int) -> None:
+    def __init__(
+        self, slot: int, house: Warehouse, now_us: int, seed: int, recalled: Mapping[int, Order]
+    ) -> None:
+        """`recalled`: tasks that were told in an earlier life."""
         self.slot, self.house = slot, house
-        self.book = TaskBook(slot, house.tasks, now_us)
+        self.book = TaskBook(slot, {**house.tasks, **recalled}, now_us)
         self.round = PlanRound(slot, seed)
         self.itinerary: list[int] = []  # tasks that we mean to begin, not those begun
         self.told: dict[int, Told] = {}
@@ -78,14 +83,21 @@ class Dispatch:
         self._awarded: dict[int, int] = {}  # task: until when its winner is waited for
         self._born_us, self._look_us, self._many_us, self._round_us = now_us, now_us, 0, 0
         self._done: set[int] = set()
+        self.cut: frozenset[int] = frozenset()  # tasks that we cannot get to
+        self._able_us = now_us  # when we last could work
         self.workers: dict[int, list[int]] = {}  # task: who began with it, as far as we saw
         self._calls: list[PlanOffer] = []  # heard, to be answered at the next look
 
     # ---------------------------------------------------------------- what there is to do
 
     def tick(self, view: FleetView, able: bool) -> None:
-        """Each control period. `able`: we can work."""
+        """Each control period. `able`: we can work; who cannot for long leaves its tasks to others."""
         now_us = view.now_us
+        if able:
+            self._able_us = now_us
+        elif self.itinerary and now_us - self._able_us > RESIGN_US:
+            self.itinerary = []
+            self._changed(now_us)
         self.round.tick(now_us)
         for offer in self._calls:
             if self.round.wanted(offer):
@@ -138,7 +150,9 @@ class Dispatch:
         fresh: list[int] = []
         orphans: list[tuple[int, int]] = []
         for task in self.book.tasks:
-            if task in self._done or task in own or self._awarded.get(task, 0) > now_us:
+            if task in self._done or task in own or task in self.cut:
+                continue
+            if self._awarded.get(task, 0) > now_us:
                 continue
             phase = allocation.phase_of(task)
             if phase is Phase.DONE:
@@ -186,7 +200,8 @@ class Dispatch:
         for task in self.itinerary:
             owner = view.allocation.owner_of(task)
             gone = owner is not None and (owner == self.slot or owner in view.live)
-            if view.allocation.phase_of(task) is Phase.DONE or gone or task in lower:
+            done = view.allocation.phase_of(task) is Phase.DONE
+            if done or gone or task in lower or task in self.cut:
                 continue
             kept.append(task)
         self.itinerary = kept
@@ -207,7 +222,7 @@ class Dispatch:
 
     def _bid(self, task: int, behind: bool, view: FleetView) -> TaskBid | None:
         """None where we cannot do it."""
-        if not self.house.known(self.book.tasks[task]):
+        if not self.house.known(self.book.tasks[task]) or task in self.cut:
             return None
         order = [*self.itinerary, task]
         trips = [self.house.trip(self.book.tasks[t]) for t in order]
@@ -235,6 +250,7 @@ class Dispatch:
             return
         self._auction = None
         if auction.best is None:
+            self._awarded[auction.task] = now_us + NOBODY_US
             return
         self._awarded[auction.task] = now_us + AWARDED_US
         if auction.best[1] == self.slot and auction.task not in self.itinerary:
@@ -266,6 +282,7 @@ class Dispatch:
             if view.allocation.phase_of(task) is Phase.FREE
             and not view.progress.bits(task, 0)
             and self.house.known(self.book.tasks[task])
+            and task not in self.cut
         ]  # fmt: skip
         trips = [self.house.trip(self.book.tasks[task]) for task in tasks]
         work = self.house.work(trips, robots)
@@ -314,12 +331,17 @@ class Dispatch:
         self._version = (self._version + 1) & 0xFF
         self._telling, self._tell_us = 0, now_us
 
-    def hear(self, slot: int | None, message: Message, now_us: int) -> None:
+    def hear(self, slot: int | None, message: Dispatched, now_us: int) -> Sequence[Record]:
         if isinstance(message, TaskOrder | TaskBookDigest):
-            self.book.hear(message, now_us)
-        elif slot is None:
-            return
-        elif isinstance(message, TaskBid):
+            return self.book.hear(message, now_us)
+        if slot is not None:
+            self._heard(slot, message, now_us)
+        return ()
+
+    def _heard(
+        self, slot: int, message: TaskBid | Itinerary | PlanOffer | PlanRow, now_us: int
+    ) -> None:
+        if isinstance(message, TaskBid):
             self._heard_bid(slot, message, now_us)
         elif isinstance(message, Itinerary):
             self._heard_itinerary(slot, message)
@@ -344,7 +366,7 @@ class Dispatch:
             whole = tuple(tasks[k] for k in range(m.length))
         self.told[slot] = Told(m.version, tasks, m.length, left, whole)
 
-    def say(self, now_us: int) -> Iterator[Message]:
+    def say(self, now_us: int) -> Iterator[Dispatched]:
         """With our beat."""
         yield from self.book.say(now_us)
         yield from self.round.say(now_us)

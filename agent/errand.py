@@ -7,25 +7,27 @@ agreement (`agent/accord.py`), and drives the route of the joint plan until it i
 A goal is a section of the shared state with one unit, so that what was reached stays reached.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from math import cos, hypot, sin
 from typing import NamedTuple
 
 from agent.accord import Accords
+from agent.bodies import DEAD_US, Bodies
 from agent.config import MS, S
 from agent.floor import Floor
 from agent.hazards import RANGE_M, Hazards
 from agent.lifecycle import State
 from agent.membership import Neighbour
-from agent.mission import STILL, Choice, FleetView, Wish
+from agent.mission import STILL, Choice, FleetView, Record, Wish
 from agent.next_way import NextWay
 from agent.ports import Observation
 from agent.replanning import Replanning
 from agent.round_phase import Phase
 from agent.tracker import Tracker
 from crdt import Phase as Claimed
-from protocol.accord_frames import Answer
+from protocol.accord_frames import Answer, Fallen
 from protocol.map_sync import MapSync
+from protocol.messages import Message
 
 Point = tuple[float, float]
 GOALS_MAX = 512  # of a robot: a section's number is its slot times this, and the goal's number
@@ -35,9 +37,6 @@ STALL_US = 2 * S
 CALLS_US = (2 * S, 4 * S, 8 * S, 16 * S)  # between two calls of ours that brought us nowhere
 LOOK_M = 2.5  # how far ahead a passage is looked into
 BESIDE_PATH_M = 0.5  # a robot nearer to the path than this is on it
-DEAD_US = (
-    5 * S
-)  # a member silent for this long is not waited for in a round: its body is in the way
 SETTLED_M = 0.1  # this near to a node of the route, it is reached
 ACQUAINTED_US = 1 * S  # after joining, until everybody near has been heard, by many beats
 AGE_MAX_US = 500 * MS  # a robot moves on as it last said for so long: 10 beats, 30 % of them lost
@@ -64,6 +63,7 @@ class Errands:
         deceleration_m_s2: float,
         agrees: bool = True,
         chart: MapSync | None = None,
+        now_us: int = 0,
     ) -> None:
         """`goals`: of every robot, in their order. `agrees`: False for ORCA by itself. `chart`: the
         fleet's map, where it has one."""
@@ -73,6 +73,7 @@ class Errands:
         self.accords = Accords(slot, floor.lattice, floor.radius_m)
         self.goal: Point | None = None
         self.answer = Answer.GRANT
+        self.bodies = Bodies(slot, now_us)
         self.hazards = Hazards(floor, chart)
         self.replanning = Replanning(self.hazards, speed_m_s, deceleration_m_s2)
         self.next_way = NextWay(self.hazards)
@@ -83,7 +84,9 @@ class Errands:
         self._lane_of = (-1, -1, -1)  # round, first and last node of the lane
         self._gone_on: tuple[float, int] = (0.0, 0)  # along the path, since when
         self._planned = False  # a joint plan was driven since the last path
-        self._close: list[Neighbour] = []  # who was last heard within `CLOSE_M`
+        self._around: dict[
+            int, Point
+        ] = {}  # who was last heard within `CLOSE_M`: where it should be now
         self._alone_us = 0  # when we last heard nobody
         self._calls: tuple[int, int] = (0, 0)  # in a row without arriving, not before
 
@@ -156,26 +159,37 @@ class Errands:
     def attend(self, view: FleetView, state: State) -> None:
         """Each control period, in every state: our part in a round."""
         here = view.here
-        self._close = [n for n in view.neighbours.values() if _within(n, here, CLOSE_M)]
-        around = [_now_at(n, view.now_us) for n in self._close]
+        self.bodies.look(view)
+        dead, silent = self.bodies.dead, view.silent_since_us
+        gone = {s for s, since_us in silent.items() if view.now_us - since_us > DEAD_US}
+        self._around = {
+            s: _now_at(n, view.now_us)
+            for s, n in view.neighbours.items()
+            if s not in gone and _within(n, here, CLOSE_M)
+        }
+        around = list(self._around.values())
         reach_m = self.replanning.horizon_m + self.floor.radius_m
         if state is State.DISCONNECTED:  # who knows nobody takes everybody for a box
             self._alone_us = view.now_us
         if view.now_us - self._alone_us > ACQUAINTED_US:
-            self.hazards.look(here, reach_m, around, view.now_us)
-        silent = view.silent_since_us
-        dead = {s for s, since_us in silent.items() if view.now_us - since_us > DEAD_US}
-        bodies = {
-            s: (view.neighbours[s].pose.x_m, view.neighbours[s].pose.y_m)
-            for s in dead
-            if s in view.neighbours
-        }
+            self.hazards.look(here, reach_m, around, view.now_us, dead)
         stopped = state is State.EMERGENCY_STOP
         self.accords.tick(
             (here.x_m, here.y_m), hypot(here.vx_m_s, here.vy_m_s), self.goal,
             Answer.STOPPED if stopped else self.answer,
-            (view.live | silent.keys()) - dead, bodies, view.now_us,
+            (view.live | silent.keys()) - gone, dead, self.hazards.hits, view.now_us,
         )  # fmt: skip
+
+    # ---------------------------------------------------------------- frames
+
+    def hear(self, slot: int | None, message: Message, now_us: int) -> Sequence[Record]:
+        if isinstance(message, Fallen):
+            self.bodies.hear(message, now_us)
+        return ()
+
+    def say(self, now_us: int) -> Iterable[Message]:
+        """With each beat."""
+        return self.bodies.say(self.accords.waiting, now_us)
 
     # ---------------------------------------------------------------- driving
 
@@ -280,17 +294,17 @@ class Errands:
     def _near(self, view: FleetView) -> bool:
         reach_m = 2 * self.floor.lattice.pitch_m + 2 * self.floor.radius_m
         here = view.here
-        return any(
-            hypot(n.pose.x_m - here.x_m, n.pose.y_m - here.y_m) < reach_m for n in self._close
-        )
+        near = [*self._around.values(), *self.bodies.dead.values()]
+        return any(hypot(x_m - here.x_m, y_m - here.y_m) < reach_m for x_m, y_m in near)
 
     def _head_on(self, tracker: Tracker, view: FleetView) -> bool:
         """Somebody stands in, or comes out of, a passage that we are about to enter."""
         here, lattice = view.here, self.floor.lattice
         around = [
             n.pose
-            for n in self._close
-            if hypot(n.pose.x_m - here.x_m, n.pose.y_m - here.y_m) < 2 * LOOK_M
+            for s, n in view.neighbours.items()
+            if s in self._around
+            and hypot(n.pose.x_m - here.x_m, n.pose.y_m - here.y_m) < 2 * LOOK_M
         ]
         if not around:
             return False

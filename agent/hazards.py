@@ -10,11 +10,12 @@ when something first turns up; as long as nothing does, ways are planned on the 
 share.
 """
 
-from collections.abc import Iterable, Sequence
-from math import hypot, sqrt
+from collections.abc import Iterable, Mapping, Sequence
+from math import hypot, inf, sqrt
 
 import numpy as np
-from scipy.ndimage import binary_dilation
+from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation, center_of_mass, label
 
 from agent.config import CONTROL_PERIOD_US, S
 from agent.floor import Floor
@@ -33,6 +34,9 @@ BELIEVED_S = 30  # what nobody has looked at for so long may have gone: go and s
 REFRESH_S = BELIEVED_S // 2  # what still stands is told again, before others forget it
 WALL_CELLS = 1  # echoes this near to a wall are the wall: errors of range and of place
 FORGET_US = 1 * S  # how often old sights are looked for
+BODY = -1  # the number of a silent member among obstacles; others are numbered by their cell
+FOREVER_US = 1 << 62
+NOBODY: Mapping[int, XY] = {}
 UNSEEN_SCANS = BELIEVED_S * S // CONTROL_PERIOD_US
 
 
@@ -43,29 +47,33 @@ def geometry_of(floor: Floor) -> Geometry:
 
 
 class Hazards:
-    def __init__(self, floor: Floor, sync: MapSync | None = None) -> None:
-        """`sync`: None where nothing is shared."""
-        self.floor, self.sync = floor, sync
+    def __init__(self, floor: Floor, sync: MapSync | None = None, reach_m: float = 0.0) -> None:
+        """`sync`: None where nothing is shared. `reach_m`: so near to a goal is near enough where
+        something stands on it."""
+        self.floor, self.sync, self.reach_m = floor, sync, reach_m
         self.sensed = Sensed(floor.fences, floor.radius_m)
         self.hits: list[XY] = []  # what our rays hit just now and neither wall nor robot explains
         self.map: HazardMap | None = None
         self._version = 0
 
     def look(
-        self, here: Observation, reach_m: float, robots: Iterable[Sequence[float]], now_us: int
-    ) -> None:
-        """One control period; `robots`: x, y of those that were heard."""
+        self, here: Observation, reach_m: float, robots: Iterable[Sequence[float]], now_us: int,
+        bodies: Mapping[int, XY] = NOBODY,
+    ) -> None:  # fmt: skip
+        """One control period; `robots`: x, y of those that were heard; `bodies`: of those that stand
+        silent, by slot."""
         known = list(robots)
         self.hits = self.sensed.strange(here, reach_m, known)
         told = self.sync is not None and self.sync.chart.version != self._version
         if self.map is None:
-            if not (self.hits or told):
+            if not (self.hits or told or bodies):
                 return
             self.map = HazardMap(self.floor, self.sync)
         elif not (self.hits or told or self.map.awake):
             return  # nothing is there, and nothing has come: looks would change nothing
         if self.sync is not None:
             self._version = self.sync.chart.version
+        self.map.stand(bodies, now_us)
         self.map.take_in(here, known, now_us, told)
 
     @property
@@ -84,12 +92,25 @@ class Hazards:
             return []
         return [(o.x_m, o.y_m) for o in self.map.grid.obstacles.values()]
 
+    def things(self) -> list[XY]:
+        """Middles of all that stands and is no wall."""
+        return [] if self.map is None else self.map.things()
+
     def path(self, at: XY, goal: XY) -> tuple[XY, ...] | None:
         """Round everything; None: there is no way at present."""
         if self.map is None or not self.map.standing:
             return self.floor.route.path(at, goal)
         found = self.map.grid.plan(at, goal)
+        if found is None and self.reach_m:
+            (place,) = self.map.places(at, [goal], self.reach_m)
+            found = None if place is None else self.map.grid.plan(at, place)
         return None if found is None else tuple(found)
+
+    def reaches(self, at: XY, goals: Sequence[XY]) -> list[bool]:
+        """Which goals can be got to, or near enough to, round everything that stands now."""
+        if self.map is None or not self.map.standing:
+            return [True] * len(goals)
+        return [place is not None for place in self.map.places(at, goals, self.reach_m)]
 
 
 class HazardMap(SurveyMap):
@@ -108,6 +129,7 @@ class HazardMap(SurveyMap):
         self._forgot_us = 0
         self._walls = int(np.count_nonzero(floor.fine))
         self._open = ~binary_dilation(floor.fine, iterations=WALL_CELLS)
+        self._bodies: dict[int, XY] = {}
         self._records = np.zeros(floor.fine.shape, dtype=np.int64)  # as they were when last read
         self._standing = (0, False)  # at that count of changes, whether anything stands
         self._told = (-1, False)  # at that version of the chart, whether it says that anything does
@@ -145,6 +167,60 @@ class HazardMap(SurveyMap):
         self._no_robots(robots)
         self._no_longer()
         self.tell(here, now_us)
+
+    def things(self) -> list[XY]:
+        parts, count = label(self.grid.solid & self._open, np.ones((3, 3), dtype=np.int8))
+        if not count:
+            return []
+        middles = center_of_mass(parts > 0, parts, range(1, count + 1))
+        west, south = self.geometry.origin_m
+        cell_m = self.geometry.cell_m
+        return [(west + (c + 0.5) * cell_m, south + (r + 0.5) * cell_m) for r, c in middles]
+
+    def places(self, at: XY, goals: Sequence[XY], reach_m: float) -> list[XY | None]:
+        """For each goal the place nearest to it, within reach of it, that can be driven to."""
+        parts = label(~self.grid.tight.blocked)[0]
+        room_m = self.radius_m + self.grid.inflation_m + self.geometry.cell_m
+        _, own = self._disc(at, room_m)
+        mine = np.unique(parts[own[:, 0], own[:, 1]])
+        mine = mine[mine > 0]
+        found: list[XY | None] = []
+        for goal in goals:
+            gaps, cells = self._disc(goal, max(reach_m, self.geometry.cell_m))
+            ours = np.isin(parts[cells[:, 0], cells[:, 1]], mine)
+            if not len(mine):
+                found.append(goal)  # something stands right beside us: we cannot tell from here
+            elif not ours.any():
+                found.append(None)
+            else:
+                best = int(np.argmin(np.where(ours, gaps, inf)))
+                found.append(self.geometry.centre(*cells[best].tolist()))
+        return found
+
+    def _disc(self, at: XY, reach_m: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """Cells (n, 2) whose middles are within reach of a place, and how far off each is, metres."""
+        low, high = (self.geometry.cell((at[0] + d, at[1] + d)) for d in (-reach_m, reach_m))
+        rows, columns = self.grid.solid.shape
+        r, c = np.mgrid[
+            max(low[0], 0) : min(high[0] + 1, rows), max(low[1], 0) : min(high[1] + 1, columns)
+        ].reshape(2, -1)
+        west, south = self.geometry.origin_m
+        cell_m = self.geometry.cell_m
+        gaps = np.hypot(west + (c + 0.5) * cell_m - at[0], south + (r + 0.5) * cell_m - at[1])
+        near = gaps <= reach_m
+        return gaps[near], np.column_stack((r, c))[near]
+
+    def stand(self, bodies: Mapping[int, XY], now_us: int) -> None:
+        """Silent members stand until they are heard, or until we look at their place and it is free."""
+        if bodies == self._bodies:
+            return
+        for slot in self._bodies.keys() - bodies.keys():
+            self.grid.remove(slot, BODY)
+        for slot, (x_m, y_m) in bodies.items():
+            if self._bodies.get(slot) != (x_m, y_m):
+                body = Obstacle(x_m, y_m, self.radius_m, 0, FOREVER_US, slot, BODY)
+                self.grid.place(body, now_us)
+        self._bodies = dict(bodies)
 
     def hear_all(self, now_us: int) -> None:
         """Take what others say stands, or has gone, into our own grid as temporary obstacles."""
@@ -192,8 +268,8 @@ class HazardMap(SurveyMap):
 
     def _no_longer(self) -> None:
         """What we look at ourselves we need not be told of."""
-        for owner, cell in list(self.grid.obstacles):
-            row, column = divmod(cell, self.geometry.columns)
+        for (owner, cell), standing in list(self.grid.obstacles.items()):
+            row, column = self.geometry.cell((standing.x_m, standing.y_m))
             if self.grid.evidence[row, column] == LEAST:
                 self.grid.remove(owner, cell)
 

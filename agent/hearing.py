@@ -11,10 +11,10 @@ from agent import bulletin
 from agent.cause import Cause
 from agent.config import S
 from agent.directive import DIRECTED
-from agent.effects import HALT, Effect, Trace
+from agent.effects import HALT, Effect, Persist, Trace
 from agent.membership import Neighbour
 from agent.mission import Conversing
-from protocol.accord_frames import Accord
+from protocol.accord_frames import Accord, Fallen
 from protocol.codec import Malformed
 from protocol.delivery_frames import (
     Itinerary,
@@ -50,7 +50,7 @@ from protocol.work_frames import (
 if TYPE_CHECKING:
     from agent.core import Peer
 
-DELIVERY = (TaskOrder, TaskBookDigest, TaskBid, Itinerary, PlanOffer, PlanRow)
+OF_MISSIONS = (Fallen, TaskOrder, TaskBookDigest, TaskBid, Itinerary, PlanOffer, PlanRow)
 OUTSIDER = -1  # a device that is not a member: it has agreed with nobody about anything
 TELL_SPACING_US = 2 * S  # a snapshot of 1,000 entries takes 2.1 s at the share that sync may use
 EVERYBODY = 0xFF  # target of an operator's command
@@ -82,7 +82,7 @@ class Hearing:
             LeaderElectionVote: self._vote,
             VectorSlice: self._slice,
             Accord: self._accord,
-            **dict.fromkeys(DELIVERY, self._delivery),
+            **dict.fromkeys(OF_MISSIONS, self._mission),
             AddressClaimed: self._address,
             Malformed: self._malformed,
         }
@@ -231,11 +231,11 @@ class Hearing:
             self.peer.agreeing.accords.hear(slot, m, now_us)
         return ()
 
-    def _delivery(self, source: int, slot: int | None, m: Any, now_us: int) -> Sequence[Effect]:
+    def _mission(self, source: int, slot: int | None, m: Any, now_us: int) -> Sequence[Effect]:
         if slot is None and not isinstance(m, TaskOrder):  # an order may come from any device
             return self._stranger(source, now_us)
         if isinstance(self.peer.mission, Conversing):
-            self.peer.mission.hear(slot, m, now_us)
+            return [Persist(*record) for record in self.peer.mission.hear(slot, m, now_us)]
         return ()
 
     def _work(self, source: int, slot: int | None, m: Any, now_us: int) -> Sequence[Effect]:

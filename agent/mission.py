@@ -14,6 +14,8 @@ from crdt import FieldAllocationCRDT, Progress
 from protocol.accord_frames import Accord
 from protocol.messages import Message
 
+Record = tuple[str, bytes]  # of durable memory
+
 
 class FleetView(NamedTuple):
     """What a peer knows of the fleet when it decides. Read only."""
@@ -121,8 +123,9 @@ class Agreeing(Protocol):
 class Conversing(Protocol):
     """A mission with frames of its own."""
 
-    def hear(self, slot: int | None, message: Message, now_us: int) -> None:
-        """`slot`: None for a device that is not a member."""
+    def hear(self, slot: int | None, message: Message, now_us: int) -> Sequence[Record]:
+        """`slot`: None for a device that is not a member. What is returned must be durable before
+        anything more is said."""
         ...
 
     def say(self, now_us: int) -> Iterable[Message]:

@@ -29,6 +29,7 @@ MARGIN_M = 0.15  # POSE rounds to 0.05 m, a drive takes a period to act, wheels 
 HORIZON_S = 4.0  # how far ahead two moving robots agree to be clear of each other
 STANDING_M_S = 0.05  # slower than this a neighbour cannot be relied on to give way
 AGE_MAX_US = 1 * S  # an older pose is not moved on: the robot may have stopped
+UNHEARD_US = 5 * S  # a neighbour that was heard so long ago may be anywhere
 FENCE_M = 0.2  # kept from fences and holes
 FIELD_RADIUS_M = 0.8  # of the bodies that the distances of giving way are meant for
 
@@ -130,6 +131,8 @@ class Motion:
             speed_m_s, share = pose.speed_m_s, 1.0
             vx_m_s = vy_m_s = moved_on_s = 0.0
             age_us = now_us - heard_us
+            if self.sensed is not None and age_us > UNHEARD_US:
+                continue  # wherever it is by now, it is seen
             if speed_m_s > STANDING_M_S and age_us < AGE_MAX_US and not pose.stopped:
                 vx_m_s, vy_m_s = speed_m_s * cos(pose.course_rad), speed_m_s * sin(pose.course_rad)
                 moved_on_s = age_us / S

@@ -4,10 +4,11 @@ The next goal's path is asked for while the robot is still `AHEAD_S` from the on
 is there when it arrives. A path that was planned ahead is used if it begins near where the robot is then.
 """
 
+from collections.abc import Callable
 from enum import IntEnum
 from math import hypot
 
-from agent.route import Point, Route
+from agent.route import Point
 
 AHEAD_S = 10.0
 NEAR_M = 0.3
@@ -21,8 +22,9 @@ class Urgency(IntEnum):
 
 
 class PathRequests:
-    def __init__(self, route: Route) -> None:
-        self.route = route
+    def __init__(self, path: Callable[[Point, Point], tuple[Point, ...]]) -> None:
+        """`path`: what plans a way, round all that stands then."""
+        self.path = path
         self.planned = self.used = 0  # ahead
         self._waiting: dict[tuple[Point, Point], Urgency] = {}
         self._ready: dict[Point, tuple[Point, ...]] = {}  # goal: path
@@ -38,7 +40,7 @@ class PathRequests:
             return
         request = min(self._waiting, key=lambda asked: self._waiting[asked])
         del self._waiting[request]
-        self._ready[request[1]] = self.route.path(*request)
+        self._ready[request[1]] = self.path(*request)
         self.planned += 1
         while len(self._ready) > KEPT:
             del self._ready[next(iter(self._ready))]
@@ -49,4 +51,4 @@ class PathRequests:
         if path is not None and hypot(path[0][0] - start[0], path[0][1] - start[1]) < NEAR_M:
             self.used += 1
             return (start, *path[1:])
-        return self.route.path(start, goal)
+        return self.path(start, goal)

@@ -4,6 +4,7 @@ Who knows a task that another's digest lacks repeats its order, unless somebody 
 """
 
 from collections.abc import Iterator, Mapping
+from struct import Struct
 from typing import NamedTuple
 from zlib import crc32
 
@@ -13,6 +14,7 @@ from protocol.delivery_frames import BUCKET_TASKS, TaskBookDigest, TaskOrder
 TASKS_MAX = 0x6000  # sections from here on are visits of charger bays
 DIGEST_US = 1 * S  # between two digests of one peer; a bucket each
 AGAIN_US = 400 * MS  # an order that was just heard is not repeated
+KEY, LAYOUT = "order/", Struct("<HH")  # of a durable record
 ORDERS_A_BEAT = 2  # so that a late joiner of 500 tasks does not fill the bus
 
 
@@ -21,6 +23,20 @@ class Order(NamedTuple):
 
     pickup: int
     dropoff: int
+
+
+def recalled_orders(recalled: Mapping[str, bytes]) -> dict[int, Order]:
+    """Tasks that were told while running, from durable memory. What does not parse is left out."""
+    found = {}
+    for key, raw in sorted(recalled.items()):
+        number = key.removeprefix(KEY)
+        if key.startswith(KEY) and number.isdecimal() and len(raw) == LAYOUT.size:
+            found[int(number)] = Order(*LAYOUT.unpack(raw))
+    return found
+
+
+def record(task: int, order: Order) -> tuple[str, bytes]:
+    return f"{KEY}{task}", LAYOUT.pack(*order)
 
 
 class TaskBook:
@@ -39,15 +55,19 @@ class TaskBook:
     def free_number(self) -> int:
         return max(self.tasks, default=-1) + 1
 
-    def hear(self, message: TaskOrder | TaskBookDigest, now_us: int) -> None:
+    def hear(
+        self, message: TaskOrder | TaskBookDigest, now_us: int
+    ) -> tuple[tuple[str, bytes], ...]:
+        """What is returned must be durable before anybody hears that we know it."""
         if isinstance(message, TaskOrder):
-            self._order(message, now_us)
-        elif message.bucket < -(-TASKS_MAX // BUCKET_TASKS):
+            return self._order(message, now_us)
+        if message.bucket < -(-TASKS_MAX // BUCKET_TASKS):
             self._compare(message, now_us)
+        return ()
 
-    def _order(self, message: TaskOrder, now_us: int) -> None:
+    def _order(self, message: TaskOrder, now_us: int) -> tuple[tuple[str, bytes], ...]:
         if message.task >= TASKS_MAX:
-            return
+            return ()
         self._heard_us[message.task] = now_us
         self._due.pop(message.task, None)
         order, known = Order(message.pickup, message.dropoff), self.tasks.get(message.task)
@@ -55,8 +75,10 @@ class TaskBook:
             self.tasks[message.task] = order
             self.added += 1
             self._due[message.task] = now_us + AGAIN_US  # once more, for who missed it
-        elif order < known:
+            return (record(message.task, order),)
+        if order < known:
             self._due[message.task] = now_us
+        return ()
 
     def _compare(self, message: TaskBookDigest, now_us: int) -> None:
         bits, check = self._digest(message.bucket)

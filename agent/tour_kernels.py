@@ -177,27 +177,13 @@ def _moved(route, size, a, ia, b, ib, kind, la, lb, new_a, new_b):  # type: igno
     kind 0: a segment of `la` goes over. 1: segments change places. 2: all that follows does.
     """
     na, nb = size[a], size[b]
-    if kind == 2:
-        if a == b:
-            return -1, -1
-        n = 0
-        for k in range(ia):
-            new_a[n] = route[a, k]
-            n += 1
-        for k in range(ib + 1, nb):
-            new_a[n] = route[b, k]
-            n += 1
-        m = 0
-        for k in range(ib + 1):
-            new_b[m] = route[b, k]
-            m += 1
-        for k in range(ia, na):
-            new_b[m] = route[a, k]
-            m += 1
-        return n, m
+    start = ib + 1  # of the other segment
     if kind == 0:
         lb = 0
-    start = ib + 1  # of the other segment
+    elif kind == 2:
+        if a == b:
+            return -1, -1
+        la, lb = na - ia, nb - start
     if ia + la > na or start + lb > nb:
         return -1, -1
     if a == b:

@@ -5,6 +5,8 @@ from enum import IntEnum
 from struct import Struct
 from typing import NamedTuple
 
+from protocol.fleet_frames import LENGTH_M
+
 ACCORD = Struct("<HBHHB")
 assert ACCORD.size == 8
 
@@ -16,7 +18,7 @@ class Say(IntEnum):
     PLAN = 1  # the digest of the plan that I computed: `first` low, `second` high half
     AT = 2  # I have reached the `first`-th node of my route, counted from 1; 0: not yet on it
     BODY = 3  # on a grid: something stands in cell `first`; `second`: its slot, 0xFFFF: nobody's;
-    # `detail`: 1 where it is taken to stay
+    # `detail`: 1 where it is taken to stay. Else: something that I see stands on node `first`
     # On a grid PLACE has a cell as `first` and a digest of what is covered as `second` and `detail`;
     # AT has a step of the plan as `first` and the low half of the plan's digest as `second`.
 
@@ -59,3 +61,34 @@ class Accord(NamedTuple):
         if mixed & 15 > max(Say) or mixed >> 4 > max(Answer):
             raise ValueError("range")
         return cls(number, mixed & 15, mixed >> 4, first, second, detail)
+
+
+PLACES = 1 << 16  # offset of coordinates, as in POSE
+STAMP_MAX = (1 << 22) - 1
+
+
+class Fallen(NamedTuple):
+    """Where a member stands that has fallen silent, as its last beat said. Priority 6.
+
+    bits    field  unit, meaning
+    0..16   x_m    0.05 m, offset 2^16, as in POSE
+    17..33  y_m    the same
+    34..41  slot   of the silent member
+    42..63  stamp  quarters of a second of the fleet's common clock: when that beat was heard; the
+                   latest word of a member counts
+    """
+
+    x_m: float
+    y_m: float
+    slot: int
+    stamp: int
+
+    def pack(self) -> bytes:
+        x, y = round(self.x_m / LENGTH_M) + PLACES, round(self.y_m / LENGTH_M) + PLACES
+        return (x | y << 17 | self.slot << 34 | self.stamp << 42).to_bytes(8, "little")
+
+    @classmethod
+    def unpack(cls, data: bytes) -> "Fallen":
+        word = int.from_bytes(data, "little")
+        x, y = (word & 0x1FFFF) - PLACES, (word >> 17 & 0x1FFFF) - PLACES
+        return cls(x * LENGTH_M, y * LENGTH_M, word >> 34 & 0xFF, word >> 42)

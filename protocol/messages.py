@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from protocol.accord_frames import Accord
+from protocol.accord_frames import Accord, Fallen
 from protocol.delivery_frames import (
     Itinerary,
     PlanOffer,
@@ -42,7 +42,7 @@ Message = (
     EmergencyStop | EmergencyReset | OperatorCommand | AllImplementsStop | Challenge | Freshness
     | OperatorGoal | OperatorReport
     | LeaderElectionVote | TaskClaim | Pose | Heartbeat | Member
-    | StateSyncRequest | StateSyncResponse | Digests | VectorSlice | WorkProgress | Accord
+    | StateSyncRequest | StateSyncResponse | Digests | VectorSlice | WorkProgress | Accord | Fallen
     | MapPatch | MapDigests
     | TaskOrder | TaskBookDigest | TaskBid | Itinerary | PlanOffer | PlanRow
     | FleetStop | FleetReset | GatewayBeat | SegmentSummary
@@ -77,6 +77,7 @@ GROUPS = (
     Group(StateSyncRequest, 0xFF0C, 6, 8, "STATE_SYNC_REQUEST"),
     Group(WorkProgress, 0xFF13, 6, 8, "WORK_PROGRESS"),
     Group(Accord, 0xFF15, 6, 8, "ACCORD"),
+    Group(Fallen, 0xFF18, 6, 8, "FALLEN"),
     Group(StateSyncResponse, 0xFF0D, 7, 8, "STATE_SYNC_RESPONSE"),
     Group(Digests, 0xFF0E, 7, 8, "DIGESTS"),
     Group(VectorSlice, 0xFF12, 7, 8, "VECTOR_SLICE"),

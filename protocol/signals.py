@@ -7,7 +7,7 @@ of the message's field and gives its value as `raw * scale + offset`. Reserved b
 from math import pi
 from typing import NamedTuple
 
-from protocol.accord_frames import Accord, Answer, Say
+from protocol.accord_frames import Accord, Answer, Fallen, Say
 from protocol.delivery_frames import (
     Itinerary,
     PlanOffer,
@@ -157,6 +157,10 @@ SIGNALS: dict[type[Message], tuple[Signal, ...]] = {
         Signal("round", 0, 16), Signal("say", 16, 4, choices=_members(Say)),
         Signal("answer", 20, 4, choices=_members(Answer)), Signal("first", 24, 16),
         Signal("second", 40, 16), Signal("detail", 56, 8),
+    ),
+    Fallen: (
+        Signal("x_m", 0, 17, LENGTH_M, _LOW, "m"), Signal("y_m", 17, 17, LENGTH_M, _LOW, "m"),
+        Signal("slot", 34, 8), Signal("stamp", 42, 22, 0.25, 0, "s"),
     ),
     MapPatch: (
         Signal("patch", 0, 16), Signal("time", 16, 13, unit="s"), Signal("level", 29, 4),

@@ -1,5 +1,6 @@
 """A delivering fleet of a scenario file: building, places of the robots, tasks, and true parcels."""
 
+from collections.abc import Mapping
 from functools import cached_property
 from random import Random
 
@@ -12,6 +13,7 @@ from agent.floor import Floor, FloorError
 from agent.task_book import Order
 from agent.warehouse import Warehouse
 from protocol.authentication import Keyring
+from protocol.map_sync import MapSync
 from sim.errand_setting import ErrandSetting, scattered
 from sim.key_file import FLEET, KeyFileError, read
 from sim.parcels import Parcels
@@ -29,7 +31,7 @@ class DeliverySetting(ErrandSetting):
     def __init__(self, scenario: WarehouseScenario) -> None:
         """Raises ScenarioError where the warehouse cannot be used."""
         name, table, fleet = scenario.name, scenario.warehouse, scenario.fleet
-        floor = _floor(scenario)
+        floor = floor_of(scenario)
         rng = Random(f"{scenario.run.seed}/warehouse")
         try:
             starts = scattered(floor, fleet.robots, rng, APART_M)
@@ -103,13 +105,22 @@ class DeliverySetting(ErrandSetting):
     def section_count(self) -> int:
         return len(self.rows)
 
-    def delivery(self, slot: int, now_us: int) -> Delivery:
+    def delivery(
+        self, slot: int, now_us: int, chart: MapSync | None, recalled: Mapping[str, bytes]
+    ) -> Delivery:
         fleet = self.scenario.fleet
         braking_m_s2 = BRAKING_SHARE * fleet.acceleration_m_s2
         seed = self.scenario.run.seed * 1000 + slot
         return Delivery(
-            slot, self.house, self.starts[slot], fleet.speed_m_s, braking_m_s2, now_us, seed
-        )
+            slot,
+            self.house,
+            self.starts[slot],
+            fleet.speed_m_s,
+            braking_m_s2,
+            now_us,
+            seed,
+            chart, recalled,
+        )  # fmt: skip
 
     def parcels(self) -> Parcels:
         truth = Parcels(self.carrier, self.house.bays)
@@ -137,7 +148,7 @@ class DeliverySetting(ErrandSetting):
         return found
 
 
-def _floor(scenario: WarehouseScenario) -> Floor:
+def floor_of(scenario: WarehouseScenario) -> Floor:
     table = scenario.warehouse
     path = scenario.folder / table.map  # an absolute one stays as it is
     try:

@@ -98,11 +98,11 @@ class ErrandSetting:
         clock = HybridClock(now_us, S, TIME_MAX)
         return MapSync(slot, OccupancyMap(geometry, Order.LATEST_UPDATE), clock, now_us)
 
-    def mission(self, slot: int, chart: MapSync | None = None) -> Errands:
+    def mission(self, slot: int, chart: MapSync | None = None, now_us: int = 0) -> Errands:
         fleet = self.scenario.fleet
         braking_m_s2 = BRAKING_SHARE * fleet.acceleration_m_s2
         return Errands(
-            slot, self.goals, self.floor, fleet.speed_m_s, braking_m_s2, self.agrees, chart
+            slot, self.goals, self.floor, fleet.speed_m_s, braking_m_s2, self.agrees, chart, now_us
         )
 
     def motion(self, slot: int) -> Motion:

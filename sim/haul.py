@@ -24,6 +24,7 @@ from sim.cluster import Cluster, Record, Robot
 from sim.delivery_setting import DeliverySetting
 from sim.faults import FaultPlan
 from sim.host import Handle, Host, LoopHost, Script, follow
+from sim.order_desk import OrderDesk
 from sim.parcels import CarrierBody
 from sim.play import TOUCH_M
 from sim.swarm import Swarm
@@ -32,6 +33,8 @@ from sim.truth import TrackPoint
 from sim.warehouse_scenario import TaskRow
 
 LOOK_US = 500_000
+DESK_US = 500_000  # between two calls of an order that is not confirmed
+CUT_OFF_US = 60 * S  # what robots cannot get to for so long they will not: no box stands longer
 QUIET_US = 4 * S  # after the last parcel replicas must be equal within this
 
 _numbers = itertools.count()
@@ -50,6 +53,7 @@ class HaulOutcome(NamedTuple):
     seed: int
     tasks: int
     delivered: int
+    unreachable: tuple[int, ...]  # tasks that nobody could get to, as the robots say
     finished: bool  # every parcel lies at its dropoff, and every running replica knows it
     makespan_s: float  # until the last parcel was put down
     latency_s: float  # the mean from a task's appearing to its delivery
@@ -74,9 +78,11 @@ class HaulOutcome(NamedTuple):
 
     @property
     def success(self) -> bool:
-        return (
-            self.finished and not any(self.flaws.values()) and not self.empty and not self.contacts
-        )
+        return self.finished and not self.flawed
+
+    @property
+    def flawed(self) -> bool:
+        return any(self.flaws.values()) or bool(self.empty) or self.contacts > 0
 
     def to_dict(self) -> dict[str, Any]:
         plain = {**self._asdict(), "flaws": dict(self.flaws), "frames": dict(self.frames)}
@@ -92,12 +98,14 @@ class HaulCluster(Cluster):
         self.truth.is_up = self.is_up
         self.truth.place_of = lambda slot: self.world.body(slot).position
         self.missions: dict[int, Delivery] = {}
-        self._ordered: set[int] = set()
+        self.desk = OrderDesk(len(setting.house.tasks))
         self.segment.taps.append(self._appears)
 
     def _appears(self, t_us: int, frame: Frame) -> None:
         """Whoever orders a transport puts a parcel there."""
-        _, message = decode_once(frame)
+        source, message = decode_once(frame)
+        if not isinstance(message, Malformed):
+            self.desk.hear(source, message)
         if isinstance(message, TaskOrder):
             order = Order(message.pickup, message.dropoff)
             if message.task < TASKS_MAX and self.place.house.known(order):
@@ -113,7 +121,8 @@ class HaulCluster(Cluster):
             name=fleet_name(scenario.name, slot), field_hash=setting.config_hash,
             silence=setting.silence, started=True, first_boot=first_boot,
         )  # fmt: skip
-        mission = self.missions[slot] = setting.delivery(slot, now_us)
+        chart = setting.chart(slot, now_us)
+        mission = self.missions[slot] = setting.delivery(slot, now_us, chart, recalled)
         rng = Random(f"{scenario.run.seed}/peer/{slot}{lot}")
         return Peer(
             identity,
@@ -123,6 +132,7 @@ class HaulCluster(Cluster):
             mission,
             setting.motion(slot),
             setting.keyring(slot, lot),
+            chart,
         )
 
     def boot(self, slot: int) -> Robot:
@@ -132,10 +142,15 @@ class HaulCluster(Cluster):
         return robot
 
     def task(self, row: TaskRow) -> None:
-        """An operator's device orders the transport of one more parcel, by the next free number."""
-        number = max((*self.truth.dropoff, *self._ordered), default=-1) + 1
-        self._ordered.add(number)
-        self.inject(TaskOrder(number, *self.place.order(self.place.house, row)))
+        """An operator's device orders the transport of one more parcel."""
+        self.desk.order([self.place.order(self.place.house, row)])
+
+    def desk_script(self) -> Script[None]:
+        """Orders are said until they are confirmed."""
+        while True:
+            for order in self.desk.due():
+                self.inject(order)
+            yield self.host.now_us() + DESK_US
 
     @property
     def finished(self) -> bool:
@@ -147,6 +162,21 @@ class HaulCluster(Cluster):
             for robot in self.running
             for task in tasks
         )
+
+    @property
+    def unreachable(self) -> frozenset[int]:
+        """Tasks that are not done and cannot be, as the running robots say: who has the parcel aboard
+        does not get to its dropoff, or nobody gets to both places."""
+        cut = {robot.slot: self.missions[robot.slot].cut_off.sections for robot in self.running}
+        found = set()
+        for task in self.truth.dropoff.keys() - self.truth.delivered_us.keys():
+            aboard = [
+                cut[slot] for slot, t in self.truth.aboard.items() if t == task and slot in cut
+            ]
+            asked = aboard or list(cut.values())
+            if asked and all(task in own for own in asked):
+                found.add(task)
+        return frozenset(found)
 
 
 class Haul:
@@ -196,6 +226,7 @@ class Haul:
         if self.attach is not None:
             self.attach(cluster)
         cluster.boot_all()
+        desk = host.spawn(cluster.desk_script())
         scripts = [
             host.spawn(FaultPlan(cluster).script()), host.spawn(self._boxes(cluster)),
             host.spawn(self._arrivals(cluster)), host.spawn(self._outages(cluster)),
@@ -204,6 +235,7 @@ class Haul:
             yield from self._until_finished(cluster, scripts)
             outcome = self._measure(cluster, recorder, time.perf_counter() - started_s)
         finally:
+            desk.cancel()
             cluster.end()
             recorder.close()
             if log is not None:
@@ -239,6 +271,7 @@ class Haul:
 
     def _until_finished(self, cluster: HaulCluster, scripts: list[Handle]) -> Script[None]:
         host, limit_us = cluster.host, round(self.setting.scenario.run.time_limit_s * S)
+        hope_us = 0  # when something could last be got to
         while host.now_us() < limit_us:
             yield host.now_us() + LOOK_US
             cluster.check()
@@ -248,7 +281,11 @@ class Haul:
                 self.watch(cluster)
             if self.told is not None:
                 self.told(self._moment(cluster))
-            over = all(script.done() for script in scripts) and cluster.finished
+            left = cluster.truth.dropoff.keys() - cluster.truth.delivered_us.keys()
+            if not left or left != cluster.unreachable:
+                hope_us = host.now_us()
+            done = cluster.finished or host.now_us() - hope_us > CUT_OFF_US
+            over = all(script.done() for script in scripts) and done
             if (over and not self.forever) or self.ended:
                 break
         quiet_us = host.now_us() + QUIET_US
@@ -278,6 +315,7 @@ class Haul:
             seed=scenario.run.seed,
             tasks=len(truth.dropoff),
             delivered=len(truth.delivered_us),
+            unreachable=tuple(sorted(cluster.unreachable)),
             finished=cluster.finished,
             makespan_s=max(truth.delivered_us.values(), default=0) / S,
             latency_s=sum(waits_s) / max(len(waits_s), 1),

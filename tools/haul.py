@@ -20,7 +20,7 @@ from sim.warehouse_scenario import load_warehouse
 from tools.attachment import CHANNEL, LAUNCH
 from tools.fact_table import run_table
 
-UNFINISHED, WRONG, INTERRUPTED = 1, 2, 130
+UNFINISHED, WRONG, UNREACHABLE, INTERRUPTED = 1, 2, 3, 130
 HOST = "127.0.0.1"
 
 
@@ -52,7 +52,16 @@ def haul(
         console.print(f"report.json, warehouse.png, can.log and trace.jsonl are in {out}")
     if interrupted:
         return INTERRUPTED
-    return 0 if outcome.success else UNFINISHED
+    return exit_code(outcome)
+
+
+def exit_code(outcome: HaulOutcome) -> int:
+    """3: nothing is wrong but that what is left cannot be got to."""
+    if outcome.success:
+        return 0
+    left = outcome.tasks - outcome.delivered
+    walled_in = left and left == len(outcome.unreachable) and not outcome.flawed
+    return UNREACHABLE if walled_in else UNFINISHED
 
 
 def _watch(
@@ -127,6 +136,7 @@ def outcome_table(outcome: HaulOutcome) -> Table:
             "delivered",
             f"{outcome.delivered} of {outcome.tasks} parcels in {outcome.makespan_s:.1f} s",
         ),
+        ("unreachable", ", ".join(f"task {n}" for n in outcome.unreachable) or "none"),
         ("mean latency", f"{outcome.latency_s:.1f} s from a task's appearing to its delivery"),
         ("deliveries done twice, lost, by two, moved again", flaws),
         (

@@ -27,6 +27,7 @@ from sim.hub import Hub
 from sim.scenario import ScenarioError, load
 from sim.setting import Setting
 from sim.standing import leave_standing
+from sim.warehouse_scenario import is_warehouse
 from tools.attachment import CHANNEL
 from tools.inspector import SILENT_S, Inspector
 from tools.keeping import Keeping
@@ -238,6 +239,11 @@ def launch(
 ) -> int:  # fmt: skip
     """`page_port`: of a map beside it."""
     console = Console(stderr=as_json, highlight=False, soft_wrap=True)
+    if is_warehouse(scenario):
+        return _wrong(
+            f"{scenario}: the world of a launch has no parcels; headland run {scenario} --live runs it "
+            "in real time, in one process, on a bus that tools attach to"
+        )
     try:
         setting = Setting(load(scenario).changed(robots, seed, keys))
         out.mkdir(parents=True, exist_ok=True)

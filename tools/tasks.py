@@ -9,11 +9,12 @@ from typing import Annotated
 import typer
 
 from agent.cost_matrix import Carrier
-from agent.floor import Floor
+from agent.task_book import Order
 from agent.warehouse import Warehouse
-from protocol.codec import decode, encode
-from protocol.delivery_frames import BUCKET_TASKS, TaskBookDigest, TaskOrder
+from protocol.codec import Malformed, decode, encode
 from protocol.frame import Frame
+from sim.delivery_setting import floor_of
+from sim.order_desk import OrderDesk
 from sim.scenario import ScenarioError
 from sim.warehouse_scenario import TaskRow, load_warehouse, read_tasks
 from tools.attachment import TOOL_ADDRESS, AttachError, attach
@@ -44,7 +45,7 @@ def add(
     try:
         rows = _rows(pickup, dropoff, file)
         house = _house(scenario)
-        orders = [(_cell(house, row.pickup), _cell(house, row.dropoff)) for row in rows]
+        orders = [Order(_cell(house, row.pickup), _cell(house, row.dropoff)) for row in rows]
         known = asyncio.run(_order(orders, (interface, channel, bitrate, host, port)))
     except (ScenarioError, AttachError) as problem:
         print(f"headland: {problem}", file=sys.stderr)
@@ -75,14 +76,7 @@ def _point(text: str) -> tuple[float, float]:
 
 
 def _house(name: str) -> Warehouse:
-    scenario = load_warehouse(name)
-    path = scenario.folder / scenario.warehouse.map
-    try:
-        text = path.read_text(encoding="utf-8")
-        floor = Floor.drawn(text, scenario.warehouse.cell_m, scenario.fleet.radius_m)
-    except (OSError, ValueError) as problem:
-        raise ScenarioError(f"{name}: warehouse.map: {problem}") from None
-    return Warehouse(floor, Carrier(1.0, 0.0))
+    return Warehouse(floor_of(load_warehouse(name)), Carrier(1.0, 0.0))
 
 
 def _cell(house: Warehouse, at: tuple[float, float]) -> int:
@@ -92,45 +86,30 @@ def _cell(house: Warehouse, at: tuple[float, float]) -> int:
     return cell
 
 
-class Listener:
-    """What the robots say that they know."""
-
-    def __init__(self) -> None:
-        self.known: set[int] = set()
-        self.digests = 0
-
-    def hear(self, frame: Frame) -> None:
-        _, message = decode(frame)
-        if isinstance(message, TaskBookDigest):
-            self.digests += 1
-            base = message.bucket * BUCKET_TASKS
-            self.known |= {base + k for k in range(BUCKET_TASKS) if message.bits >> k & 1}
-        elif isinstance(message, TaskOrder):
-            self.known.add(message.task)
-
-
-async def _order(
-    orders: list[tuple[int, int]], where: tuple[str, str, int, str, int]
-) -> dict[int, bool]:
-    """Task numbers, and whether a robot has said that it knows them."""
+async def _order(orders: list[Order], where: tuple[str, str, int, str, int]) -> dict[int, bool]:
+    """Task numbers, and whether two robots, or all there are, have said that they know them."""
     bus = attach(*where)
-    listener = Listener()
-    bus.subscribe(listener.hear)
+    desk = OrderDesk()
+
+    def hear(frame: Frame) -> None:
+        source, message = decode(frame)
+        if not isinstance(message, Malformed):
+            desk.hear(source, message)
+
+    bus.subscribe(hear)
     loop = asyncio.get_running_loop()
     try:
         await asyncio.sleep(LISTEN_S)
-        if not listener.digests:
+        if not desk.robots:
             raise AttachError(
                 "no delivering fleet is heard on this bus: headland run warehouse --live"
             )
-        first = max(listener.known, default=-1) + 1
-        wanted = {first + k: order for k, order in enumerate(orders)}
+        desk.order(orders)
         end_s = loop.time() + CONFIRM_S
-        while loop.time() < end_s and not wanted.keys() <= listener.known:
-            for number, order in wanted.items():
-                if number not in listener.known:
-                    bus.send(encode(TaskOrder(number, *order), TOOL_ADDRESS))
+        while loop.time() < end_s and desk.due():
+            for order in desk.due():
+                bus.send(encode(order, TOOL_ADDRESS))
             await asyncio.sleep(0.5)
-        return {number: number in listener.known for number in wanted}
+        return {number: desk.confirmed(number) for number in desk.numbers}
     finally:
         bus.close()

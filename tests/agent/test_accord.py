@@ -22,6 +22,8 @@ class Fleet:
         self.answers = [Answer.GRANT] * len(at)
         self.accords = [Accords(slot, FLOOR.lattice, 0.35) for slot in range(len(at))]
         self.dead: set[int] = set()
+        self.unaware: set[int] = set()  # of where the dead stand
+        self.things: dict[int, list[Point]] = {}  # what a robot sees standing
         self.now_us = 0
 
     @property
@@ -32,8 +34,8 @@ class Fleet:
         until_us = self.now_us + round(seconds * S)
         while self.now_us < until_us:
             self.now_us += BEAT_US
-            bodies = {slot: self.at[slot] for slot in self.dead}
             for slot in self.live:
+                bodies = {s: self.at[s] for s in self.dead if slot not in self.unaware}
                 own = self.accords[slot]
                 own.tick(
                     self.at[slot],
@@ -42,6 +44,7 @@ class Fleet:
                     self.answers[slot],
                     self.live,
                     bodies,
+                    self.things.get(slot, ()),
                     self.now_us,
                 )
                 self._move(slot)
@@ -137,3 +140,42 @@ def test_words_of_an_old_round_are_not_heard_and_bad_nodes_do_no_harm() -> None:
     assert 1 not in own._places
     own.hear(1, Accord(3, Say.AT, 0, 9, 0, 0), 0)
     assert own.round == 3 and own.phase is Phase.GATHER
+
+
+def test_who_learns_late_where_a_body_stands_plans_anew_in_the_same_round() -> None:
+    """Found: digests never agreed where one robot had restarted and did not know of a dead one."""
+    fleet = Fleet([(0.5, 0.5), (5.5, 0.5), (2.5, 0.5)], [(3.5, 0.5), None, None], 0.0, 1)
+    fleet.dead, fleet.unaware = {2}, {1}
+    fleet.accords[0].call(0)
+    fleet.run(2.0)
+    assert {own.phase for own in fleet.accords[:2]} == {Phase.AGREE}
+    fleet.unaware = set()
+    fleet.run(20.0)
+    assert [own.round for own in fleet.accords[:2]] == [1, 1]
+    assert fleet.at[0] == (3.5, 0.5)
+    assert FLOOR.lattice.nearest((2.5, 0.5)) not in fleet.accords[0].route
+
+
+def test_what_one_robot_sees_standing_is_gone_round_by_all() -> None:
+    for seed in range(5):
+        fleet = Fleet([(0.5, 0.5), (5.5, 0.5)], [(3.5, 0.5), None], 0.4, seed)
+        fleet.things = {1: [(2.5, 0.5)]}
+        fleet.accords[0].call(0)
+        fleet.run(60.0)
+        print("seed", seed, fleet.at)
+        assert fleet.at[0] == (3.5, 0.5)
+        assert FLOOR.lattice.nearest((2.5, 0.5)) not in fleet.accords[0].route
+
+
+def test_nobody_is_sent_to_a_node_that_is_nearer_to_a_body_than_avoidance_lets_it() -> None:
+    """Found: a robot could not get onto its first node, 0.68 m from a body, and all waited for it."""
+    beside = FLOOR.lattice.point(FLOOR.lattice.nearest((3.5, 0.5)))
+    fleet = Fleet(
+        [beside, (8.5, 2.5), (beside[0] - 0.8, beside[1])], [(5.5, 0.5), None, None], 0, 1
+    )
+    fleet.dead = {2}
+    fleet.accords[0].call(0)
+    fleet.run(1.0)
+    body = fleet.at[2]
+    for own in fleet.accords[:2]:
+        assert all(FLOOR.lattice.distance_m(node, body) >= 2 * 0.35 + 0.15 for node in own.route)

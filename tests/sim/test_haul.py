@@ -5,12 +5,16 @@ from typing import Any
 
 import pytest
 
+from agent.config import S
+from agent.warehouse import Warehouse
 from protocol.codec import decode_once
 from protocol.delivery_frames import PlanRow
 from sim.delivery_setting import DeliverySetting
 from sim.haul import Haul, HaulCluster, HaulOutcome
 from sim.scenario import Crash, Heal, Loss, Partition, Restart
-from sim.warehouse_scenario import Outage, WarehouseScenario
+from sim.warehouse_scenario import Outage, TaskRow, WarehouseScenario
+from tools.bench.delivery_trouble import bad_luck
+from tools.haul import UNREACHABLE, exit_code
 
 MAP = """
 ............
@@ -163,4 +167,64 @@ def test_a_robot_dies_and_comes_back_while_frames_are_lost() -> None:
 def test_one_wide_halls_do_not_lock(seed: int) -> None:
     hall = "......\n.####.\n......\n.####.\n......"
     outcome, _ = play(scenario(robots=3, seed=seed, map=hall, random_tasks=6))
+    assert outcome.finished
+
+
+def test_a_parcel_behind_a_dead_body_is_reported_and_the_rest_is_delivered() -> None:
+    """The only way into a dead end is taken for good: nobody waits for ever, and nobody lies."""
+    dead_end = "########....\n........####\n########....\n########....\n"
+
+    class Blocks:
+        done = False
+
+        def __call__(self, cluster: HaulCluster) -> None:
+            for robot in cluster.running:
+                x_m, y_m = cluster.world.body(robot.slot).position
+                if not self.done and y_m > 2.0 and x_m < 6.5 and not cluster.truth.aboard:
+                    self.done = True
+                    cluster.kill(robot.slot)
+
+    given = scenario(robots=2, seed=1, map=dead_end, random_tasks=0, tasks=None)
+    setting = DeliverySetting(given)
+    rows = [((0.5, 2.5), (9.5, 0.5)), ((10.5, 0.5), (9.5, 1.5))]
+    setting.rows = [TaskRow(*row) for row in rows]
+    orders = {k: setting.order(setting.house, row) for k, row in enumerate(setting.rows)}
+    setting.house = Warehouse(setting.floor, setting.carrier, (), orders)
+    killer = Blocks()
+    run = Haul(setting, watch=killer)
+    outcome = run.run()
+    print(outcome)
+    assert killer.done
+    assert outcome.flaws == NOTHING and not outcome.contacts
+    assert outcome.delivered == 1
+    assert outcome.unreachable == (0,)
+    assert outcome.simulated_s < 300.0  # it does not wait for the time limit
+    assert exit_code(outcome) == UNREACHABLE
+
+
+def test_tasks_that_were_added_while_running_survive_the_restart_of_everybody() -> None:
+    class Restarts:
+        done = False
+
+        def __call__(self, cluster: HaulCluster) -> None:
+            if not self.done and cluster.host.now_us() > 12 * S and cluster.desk.numbers:
+                self.done = True
+                assert not cluster.desk.due()
+                cluster.desk.wanted.clear()  # the device that ordered them has gone home
+                for slot in range(3):
+                    cluster.kill(slot)
+                for slot in range(3):
+                    cluster.boot(slot)
+
+    restarts = Restarts()
+    outcome, _ = play(scenario(random_tasks=4, random_over_s=8.0), restarts)
+    assert restarts.done
+    assert outcome.tasks == 4 and outcome.finished
+
+
+@pytest.mark.parametrize("seed", [1, 11, 18])
+def test_every_parcel_arrives_through_loss_a_split_a_death_and_a_restart(seed: int) -> None:
+    """1: a body that who restarted did not know of. 11: a node too near to a body. 18: a robot that
+    drove on in a split and died where nobody had heard it."""
+    outcome, _ = play(bad_luck(seed))
     assert outcome.finished

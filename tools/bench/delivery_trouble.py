@@ -36,6 +36,6 @@ def bad_luck(seed: int) -> WarehouseScenario:
             "robots": ROBOTS, "radius_m": 0.3, "speed_m_s": 1.0, "acceleration_m_s2": 2.0,
             "silence": "continue",
         },
-        "run": {"seed": seed, "time_limit_s": 300.0},
+        "run": {"seed": seed, "time_limit_s": 600.0},
     }  # fmt: skip
     return WarehouseScenario.model_validate(document)
