@@ -131,6 +131,23 @@ def replay(
 
 
 @app.command()
+def report(
+    source: Annotated[Path, typer.Argument(help="Run folder or log.")] = Path("runs/run"),
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", help="The page; none: in the run's folder.")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Write a run as one HTML page: tracks, errors, sections, bus load, states, stops, events.
+
+    Example: headland report runs/run -o report.html
+    """
+    from tools.report.command import report as command
+
+    raise SystemExit(command(source, out, json))
+
+
+@app.command()
 def export(
     run: Annotated[Path, typer.Argument(help="Folder of a run.")],
     isoxml: Annotated[
