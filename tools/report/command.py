@@ -12,7 +12,7 @@ from rich.console import Console
 from sim.mcap_log import McapMissing
 from tools.inspection import SourceError
 from tools.report.chapter import Chapter, chapters
-from tools.report.evidence import gather
+from tools.report.evidence import Evidence, gather
 from tools.report.page import page
 
 WRONG = 2
@@ -33,8 +33,7 @@ def report(source: Path, out: Path | None, as_json: bool) -> int:
             for chapter in chapters(evidence):
                 status.update(f"{source}: {chapter.title.lower()}")
                 found.append(chapter)
-        title = f"Headland: {evidence.name}"
-        _write(out, page(title, evidence.figures, found, quote(out.with_suffix("").name)), found)
+        write(out, evidence, found)
     except (SourceError, McapMissing) as problem:
         print(f"headland: {problem}", file=sys.stderr)
         return WRONG
@@ -60,7 +59,8 @@ def _place(source: Path) -> Path:
     return source / PAGE if source.is_dir() else source.with_suffix(".html")
 
 
-def _write(out: Path, text: str, found: Sequence[Chapter]) -> None:
+def write(out: Path, evidence: Evidence, found: Sequence[Chapter]) -> None:
+    """The page, and the folder of its name beside it. OSError."""
     folder = out.with_suffix("")
     folder.mkdir(parents=True, exist_ok=True)
     for chapter in found:
@@ -71,4 +71,5 @@ def _write(out: Path, text: str, found: Sequence[Chapter]) -> None:
                 writer = csv.writer(file, lineterminator="\n")
                 writer.writerow(chapter.values[0])
                 writer.writerows(chapter.values[1])
-    out.write_text(text, encoding="utf-8")
+    title = f"Headland: {evidence.name}"
+    out.write_text(page(title, evidence.figures, found, quote(folder.name)), encoding="utf-8")

@@ -56,7 +56,7 @@ def _figures(figures: dict[str, Any]) -> str:
         for key, value in figures.items()
         if isinstance(value, str | int | float | bool)
     ]
-    return verdict + _table((("figure", "value"), rows), len(rows))
+    return verdict + table_of((("figure", "value"), rows), len(rows))
 
 
 def _chapter(chapter: Chapter, beside: str) -> str:
@@ -69,7 +69,7 @@ def _chapter(chapter: Chapter, beside: str) -> str:
         data = b64encode(chapter.picture).decode()
         parts.append(f'<img alt="{escape(chapter.title)}" src="data:image/png;base64,{data}">\n')
     if chapter.table is not None:
-        parts.append(_table(chapter.table, ROWS_MAX))
+        parts.append(table_of(chapter.table, ROWS_MAX))
     names = [f"{chapter.name}.{kind}" for kind in files(chapter)]
     if names:
         links = ", ".join(
@@ -88,7 +88,7 @@ def files(chapter: Chapter) -> Iterable[str]:
         yield "csv"
 
 
-def _table(table: Table, most: int) -> str:
+def table_of(table: Table, most: int) -> str:
     head, rows = table
     cells = "".join(f"<th>{escape(str(name))}</th>" for name in head)
     lines = "".join(
