@@ -5,6 +5,7 @@ with the years, stays free to be the judge of it in our tests.
 """
 
 from collections.abc import Iterator
+import sys
 from pathlib import Path
 
 from protocol.identifier import GLOBAL_ADDRESS, NULL_ADDRESS, Identifier
@@ -20,7 +21,11 @@ def dbc(out: Path | None) -> int:
     if out is None:
         print(to_dbc(), end="")
     else:
-        out.write_text(to_dbc(), encoding="ascii")
+        try:
+            out.write_text(to_dbc(), encoding="ascii")
+        except OSError as problem:
+            print(f"headland: {out}: cannot be written: {problem.strerror}", file=sys.stderr)
+            return 2
         print(f"{len(GROUPS)} frames in {out}")
     return 0
 

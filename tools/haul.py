@@ -94,6 +94,7 @@ async def _live(
     loop = asyncio.get_running_loop()
     interrupted = False
     hubs: list[Hub] = []
+    opening: list[asyncio.Task[None]] = []
 
     def end(by_person: bool = True) -> None:
         nonlocal interrupted
@@ -108,10 +109,15 @@ async def _live(
         keeping(cluster)
         hubs.append(Hub(cluster.segment, CHANNEL))
         starting = loop.create_task(_open(hubs[0], port, console))
+        opening.append(starting)
         starting.add_done_callback(lambda task: None if task.exception() is None else end(False))
 
     try:
-        return await run.live(attach), interrupted
+        outcome = await run.live(attach)
+        problem = opening[0].exception() if opening and opening[0].done() else None
+        if problem is not None:
+            raise problem
+        return outcome, interrupted
     finally:
         for hub in hubs:
             await hub.stop()
