@@ -1,12 +1,13 @@
 # make demo   sets everything up and lets six robots work a real field, on a map in your browser
 # make test   sets everything up, checks style and types, runs the tests
 # make check  style and types only      make bench  every figure our documents claim, quickly
+# make site   the documents as a site in build/site
 # make clean  removes what the others made
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test check bench setup clean
+.PHONY: demo test check bench site setup clean
 .DEFAULT_GOAL := demo
 
 setup: $(VENV)/installed
@@ -36,6 +37,11 @@ test: check
 
 bench: setup
 	$(BIN)/headland bench all --quick
+
+site: setup
+	$(BIN)/python -m tools.handbook docs
+	$(BIN)/mkdocs build --strict --quiet
+	@echo "the site is in build/site/index.html"
 
 clean:
 	rm -rf $(VENV) runs build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -4,7 +4,7 @@ import itertools
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from agent.config import S
 from sim.bus_tally import BusTally
@@ -58,6 +58,15 @@ class Expedition:
         self.truth: Coverage | None = None
         self.recorder: Recorder | None = None  # none: a new one
         self.faults: list[tuple[float, str]] = []
+
+    @property
+    def told_faults(self) -> list[dict[str, Any]]:
+        """What was done to the fleet, and when, as plain values."""
+        planned = sorted(self.setting.scenario.fault, key=lambda fault: fault.at_s)
+        return [
+            {"t_s": t_s, **fault.model_dump(mode="json", exclude={"at_s"})}
+            for (t_s, _), fault in zip(self.faults, planned, strict=False)
+        ]
 
     def run(self) -> Outcome:
         """Virtual time, as fast as it goes."""

@@ -32,6 +32,7 @@ class Intent(NamedTuple):
     hears: tuple[int, ...]  # the members that it takes for live, itself included
     strange: tuple[XY, ...]  # obstacles that it sees and nobody has announced
     holds: tuple[str, ...]  # why it does not move, if it may not
+    tool: bool  # it wants its implement down
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, rounded to what can be seen."""
@@ -42,7 +43,7 @@ class Intent(NamedTuple):
             "path": [[round(x, 2), round(y, 2)] for x, y in self.path],
             "avoids": list(self.avoids), "hears": list(self.hears),
             "strange": [[round(x, 2), round(y, 2)] for x, y in self.strange],
-            "holds": list(self.holds),
+            "holds": list(self.holds), "tool": self.tool,
         }  # fmt: skip
 
 
@@ -70,4 +71,5 @@ def intent_of(peer: Peer) -> Intent | None:
         hears=tuple(sorted(peer.membership.live)),
         strange=tuple(strange[:STRANGE_MAX]),
         holds=tuple(cause.name for cause, _ in peer.safety.causes),
+        tool=peer.wish.tool_on,
     )

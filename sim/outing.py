@@ -94,9 +94,11 @@ class Outing:
         out: Path | None = None,
         told: Callable[[Moment], None] | None = None,
         logs: Sequence[Path] = (),
+        attach: Callable[[Cluster], None] | None = None,
     ) -> None:
-        """`out`: where trace.jsonl and can.log go; `told` is called every half second."""
-        self.setting, self.told = setting, told
+        """`out`: where trace.jsonl and can.log go; `told` is called every half second; `attach` is
+        given the cluster before anybody is switched on."""
+        self.setting, self.told, self.attach = setting, told, attach
         self.logs = [*([out / "can.log"] if out else []), *logs]
         self.tracks: dict[int, NDArray[np.float64]] = {}  # (n, 4): microseconds, x, y, -
         self.followed: dict[int, list[Followed]] = {}
@@ -114,6 +116,8 @@ class Outing:
         cluster = Cluster(self.setting, f"outing {next(_numbers)}", self._note, host)
         self._tally.open(self.logs)
         cluster.segment.taps.append(self._tally.tap)
+        if self.attach is not None:
+            self.attach(cluster)
         cluster.boot_all()
         script = host.spawn(FaultPlan(cluster).script())
         limit_us = round(self.setting.scenario.run.time_limit_s * S)

@@ -1,6 +1,7 @@
 """Scenario files: TOML, validated; a wrong one gets one line that says which key and why."""
 
 import tomllib
+from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar
@@ -221,9 +222,14 @@ class Scenario(_Table):
     def changed(
         self, robots: int | None = None, seed: int | None = None, keys: Path | None = None,
         feature: str | None = None, drive: str | None = None,
+        faults: Sequence[Mapping[str, Any]] | None = None, time_limit_s: float | None = None,
     ) -> Self:  # fmt: skip
         """The same with some of it replaced. ScenarioError where out of range."""
         document = self.model_dump(exclude_unset=True)
+        if faults is not None:
+            document["fault"] = list(faults)
+        if time_limit_s is not None:
+            document.setdefault("run", {})["time_limit_s"] = time_limit_s
         if robots is not None:
             document.setdefault("fleet", {})["robots"] = robots
         if keys is not None:

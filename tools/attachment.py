@@ -1,6 +1,7 @@
 """Attaching to a bus as a device that is not a robot: the options of can_logger, one-line errors."""
 
 import json
+import logging
 import socket
 from pathlib import Path
 
@@ -10,6 +11,8 @@ LAUNCH = Path("runs/launch/bus.json")  # where a launch leaves the address of it
 CHANNEL = "can0"  # of the bus of a launch
 REACH_S = 2.0  # a server on this or the next machine answers within milliseconds
 TOOL_ADDRESS = 249  # off-board service tool (J1939 preferred addresses, industry group 0)
+# What python-can logs when an interface cannot be opened, it also raises: one line is enough.
+logging.getLogger("can").addHandler(logging.NullHandler())
 
 
 class AttachError(Exception):

@@ -81,7 +81,10 @@ def _range(text: str) -> range:
     first, colon, end = text.partition(":")
     if not first.isdigit() or (colon and not end.isdigit()):
         raise ValueError(f"--seeds {text}: a seed, or FIRST:END as in 0:1000")
-    return range(int(first), int(end) if colon else int(first) + 1)
+    seeds = range(int(first), int(end) if colon else int(first) + 1)
+    if not seeds:
+        raise ValueError(f"--seeds {text}: there is no seed from {first} to before {end}")
+    return seeds
 
 
 def judged(seed: int, profile: str) -> Verdict:

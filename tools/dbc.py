@@ -4,6 +4,7 @@ The text is written here: the format is a page long, and cantools, whose writer 
 with the years, stays free to be the judge of it in our tests.
 """
 
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -20,7 +21,11 @@ def dbc(out: Path | None) -> int:
     if out is None:
         print(to_dbc(), end="")
     else:
-        out.write_text(to_dbc(), encoding="ascii")
+        try:
+            out.write_text(to_dbc(), encoding="ascii")
+        except OSError as problem:
+            print(f"headland: {out}: cannot be written: {problem.strerror}", file=sys.stderr)
+            return 2
         print(f"{len(GROUPS)} frames in {out}")
     return 0
 

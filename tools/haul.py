@@ -19,6 +19,7 @@ from sim.scenario import ScenarioError
 from sim.warehouse_scenario import load_warehouse
 from tools.attachment import CHANNEL, LAUNCH
 from tools.fact_table import run_table
+from tools.keeping import Keeping
 
 UNFINISHED, WRONG, UNREACHABLE, INTERRUPTED = 1, 2, 3, 130
 HOST = "127.0.0.1"
@@ -32,6 +33,7 @@ def haul(
     try:
         setting = DeliverySetting(load_warehouse(scenario).changed(robots, seed, keys))
         out.mkdir(parents=True, exist_ok=True)
+        keeping = Keeping(setting, out)
     except ScenarioError as problem:
         print(f"headland: {problem}", file=sys.stderr)
         return WRONG
@@ -39,17 +41,20 @@ def haul(
         print(f"headland: --out: {problem}", file=sys.stderr)
         return WRONG
     try:
-        outcome, run, interrupted = _watch(console, setting, out, live, port, seconds)
+        outcome, run, interrupted = _watch(console, setting, out, live, port, seconds, keeping)
     except OSError as problem:
         print(f"headland: --port {port}: {problem}; choose another or 0", file=sys.stderr)
         return WRONG
-    (out / "report.json").write_text(json.dumps(outcome.to_dict(), indent=1) + "\n")
+    finally:
+        keeping.close()
+    report = {**outcome.to_dict(), "log_hash": keeping.log_hash}
+    (out / "report.json").write_text(json.dumps(report, indent=1) + "\n")
     draw_warehouse(setting, run, outcome, out / "warehouse.png")
     if as_json:
-        print(json.dumps(outcome.to_dict()))
+        print(json.dumps(report))
     else:
         console.print(outcome_table(outcome))
-        console.print(f"report.json, warehouse.png, can.log and trace.jsonl are in {out}")
+        console.print(f"report.json, warehouse.png, can.log, run.mcap and trace.jsonl are in {out}")
     if interrupted:
         return INTERRUPTED
     return exit_code(outcome)
@@ -66,7 +71,7 @@ def exit_code(outcome: HaulOutcome) -> int:
 
 def _watch(
     console: Console, setting: DeliverySetting, out: Path, live: bool, port: int,
-    seconds: float | None,
+    seconds: float | None, keeping: Keeping,
 ) -> tuple[HaulOutcome, Haul, bool]:  # fmt: skip
     with Progress(
         TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}/{task.total}"),
@@ -83,20 +88,22 @@ def _watch(
             progress.update(bar, completed=moment.delivered, total=moment.tasks, note=note)
 
         run = Haul(setting, out, told, forever=live)
+        run.attach = keeping
         if not live:
             return run.run(), run, False
         with asyncio.Runner(loop_factory=WallLoop) as runner:
-            outcome, interrupted = runner.run(_live(console, run, port, seconds))
+            outcome, interrupted = runner.run(_live(console, run, port, seconds, keeping))
         return outcome, run, interrupted
 
 
 async def _live(
-    console: Console, run: Haul, port: int, seconds: float | None
+    console: Console, run: Haul, port: int, seconds: float | None, keeping: Keeping
 ) -> tuple[HaulOutcome, bool]:
     """In real time, on a bus that tools can attach to."""
     loop = asyncio.get_running_loop()
     interrupted = False
     hubs: list[Hub] = []
+    opening: list[asyncio.Task[None]] = []
 
     def end(by_person: bool = True) -> None:
         nonlocal interrupted
@@ -108,12 +115,18 @@ async def _live(
         loop.call_later(seconds, end, False)
 
     def attach(cluster: HaulCluster) -> None:
+        keeping(cluster)
         hubs.append(Hub(cluster.segment, CHANNEL))
         starting = loop.create_task(_open(hubs[0], port, console))
+        opening.append(starting)
         starting.add_done_callback(lambda task: None if task.exception() is None else end(False))
 
     try:
-        return await run.live(attach), interrupted
+        outcome = await run.live(attach)
+        problem = opening[0].exception() if opening and opening[0].done() else None
+        if problem is not None:
+            raise problem
+        return outcome, interrupted
     finally:
         for hub in hubs:
             await hub.stop()

@@ -1,13 +1,16 @@
 """The one command. Each sub-command imports what it needs when it is called: `--help` stays quick."""
 
+import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from tools import bus_commands, coverage, keys, tasks, trial_commands
-from tools.options import Bitrate, Channel, Host, Json, KeyFile, Map, PagePort, Port
+from tools.options import PORT_MAX, Bitrate, Channel, Host, Json, KeyFile, Map, PagePort, Port
 
+WRONG, INTERRUPTED = 2, 130
+WRONG_WORDS: Any = typer.BadParameter.__base__  # click's UsageError, wherever typer keeps its click
 HELP = "A leaderless robot fleet on a CAN bus: every robot is a peer, none is in charge."
 app = typer.Typer(
     help=HELP, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None
@@ -32,7 +35,9 @@ def run(
     live: Annotated[
         bool, typer.Option("--live", help="A warehouse in real time, for more tasks to be added.")
     ] = False,
-    port: Annotated[int, typer.Option(help="With --live: of the bus (0: any free one).")] = 0,
+    port: Annotated[
+        int, typer.Option(min=0, max=PORT_MAX, help="With --live: of the bus (0: any free one).")
+    ] = 0,
     seconds: Annotated[float | None, typer.Option(help="With --live: end after this long.")] = None,
     keys: KeyFile = None,
     show_map: Map = False,
@@ -89,7 +94,9 @@ def launch(
     robots: Annotated[int | None, typer.Option(help="Instead of the scenario's number.")] = None,
     seed: Annotated[int | None, typer.Option(help="Instead of the scenario's seed.")] = None,
     out: Annotated[Path, typer.Option(help="Folder of this launch.")] = Path("runs/launch"),
-    port: Annotated[int, typer.Option(help="Port of the bus hub (0: any free one).")] = 0,
+    port: Annotated[
+        int, typer.Option(min=0, max=PORT_MAX, help="Port of the bus hub (0: any free one).")
+    ] = 0,
     seconds: Annotated[float | None, typer.Option(help="End after this long.")] = None,
     keys: KeyFile = None,
     show_map: Map = False,
@@ -128,6 +135,23 @@ def replay(
 
     page = page_port if show_map else None
     raise SystemExit(command(log, speed, interface, channel, bitrate, host, port, json, page))
+
+
+@app.command()
+def report(
+    source: Annotated[Path, typer.Argument(help="Run folder or log.")] = Path("runs/run"),
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", help="The page; none: in the run's folder.")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Write a run as one HTML page: tracks, errors, sections, bus load, states, stops, events.
+
+    Example: headland report runs/run -o report.html
+    """
+    from tools.report.command import report as command
+
+    raise SystemExit(command(source, out, json))
 
 
 @app.command()
@@ -181,10 +205,26 @@ app.add_typer(tasks.app, name="task")
 
 
 def main() -> None:
+    """Whatever a person can cause is one line; the exit code is that of the command."""
     try:
-        app()
-    except KeyboardInterrupt:
-        raise SystemExit(130) from None
+        raise SystemExit(app(prog_name="headland", standalone_mode=False))
+    except (KeyboardInterrupt, typer.Abort):
+        raise SystemExit(INTERRUPTED) from None
+    except WRONG_WORDS as problem:
+        context = problem.ctx
+        where = "headland" if context is None else context.command_path
+        if (
+            type(problem).__name__ == "NoArgsIsHelpError"
+        ):  # no word at all: the help, not a reproach
+            problem.show()
+        else:
+            line = " ".join(problem.format_message().split()).rstrip(".")
+            print(f"headland: {line}; see: {where} --help", file=sys.stderr)
+        raise SystemExit(WRONG) from None
+    except OSError as problem:  # a full disk, a folder that is none: what no command expected
+        name = "" if problem.filename is None else f"{problem.filename}: "
+        print(f"headland: {name}{problem.strerror or problem}", file=sys.stderr)
+        raise SystemExit(WRONG) from None
 
 
 if __name__ == "__main__":

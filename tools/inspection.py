@@ -128,7 +128,15 @@ def _section(why: str | None) -> int | None:
 
 def frames_of(source: Path) -> Iterator[tuple[int, Frame]]:
     """Frames of a run folder, a candump log, an MCAP, or any log python-can reads (.asc .blf .csv
-    .trc)."""
+    .trc). SourceError, also where there is no frame in it."""
+    number = -1
+    for number, row in enumerate(_frames_of(source)):
+        yield row
+    if number < 0:
+        raise SourceError(f"{source}: no CAN frame is in it: not a log, or nothing was said")
+
+
+def _frames_of(source: Path) -> Iterator[tuple[int, Frame]]:
     path = source / "can.log" if source.is_dir() else source
     if source.is_dir() and not path.is_file():
         path = source / "run.mcap"

@@ -32,6 +32,7 @@ from tools.attachment import CHANNEL
 from tools.inspector import SILENT_S, Inspector
 from tools.keeping import Keeping
 from tools.language.places import Places
+from tools.livemap.command import ServerError, listen
 from tools.warmup import warm
 
 HOST = "127.0.0.1"
@@ -246,10 +247,12 @@ def launch(
         )
     try:
         setting = Setting(load(scenario).changed(robots, seed, keys))
+        if page_port is not None:
+            listen(page_port).close()  # what is taken is known before the robots start
         out.mkdir(parents=True, exist_ok=True)
         lock = (out / "lock").open("w")
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except ScenarioError as problem:
+    except (ScenarioError, ServerError) as problem:
         return _wrong(str(problem))
     except BlockingIOError:
         return _wrong(

@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+PORT_MAX = 65535
 Interface = Annotated[
     str, typer.Option("-i", "--interface", help="python-can interface, as for can_logger.")
 ]
@@ -12,7 +13,10 @@ Channel = Annotated[str, typer.Option("-c", "--channel", help="Channel of the in
 Bitrate = Annotated[int, typer.Option("-b", "--bitrate", help="Bit rate of the bus, bit/s.")]
 Host = Annotated[str, typer.Option("--host", help="Host of a socketcand interface.")]
 Port = Annotated[
-    int, typer.Option("--port", help="Port of a socketcand interface (0: the newest launch).")
+    int,
+    typer.Option(
+        "--port", min=0, max=PORT_MAX, help="Port of a socketcand interface (0: the newest launch)."
+    ),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
 Cluster = Annotated[
@@ -24,5 +28,11 @@ OperatorKey = Annotated[
 ]
 Map = Annotated[bool, typer.Option("--map", help="Show it in a browser.")]
 PagePort = Annotated[
-    int, typer.Option("--page-port", help="Port of the map's page, on loopback (0: any free one).")
+    int,
+    typer.Option(
+        "--page-port",
+        min=0,
+        max=PORT_MAX,
+        help="Port of the map's page, on loopback (0: any free one).",
+    ),
 ]

@@ -69,7 +69,7 @@ def run(
         outcome, expedition = _watch(console, setting, out, logs, keeping)
     finally:
         keeping.close()
-    report = {**outcome.to_dict(), "log_hash": keeping.log_hash}
+    report = {**outcome.to_dict(), "log_hash": keeping.log_hash, "faults": expedition.told_faults}
     (out / "report.json").write_text(json.dumps(report, indent=1) + "\n")
     tracks = {s: [(x, y, tool) for _, x, y, tool in t] for s, t in expedition.tracks.items()}
     title = f"{setting.field.name}: {outcome.robots} robots, {outcome.makespan_s:.0f} s"

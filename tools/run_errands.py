@@ -14,6 +14,7 @@ from rich.table import Table
 from sim.errand_setting import ErrandSetting
 from sim.outing import Moment, Outing, OutingOutcome
 from tools.fact_table import NO_KEYS, run_table
+from tools.keeping import Keeping
 from tools.path_picture import draw_paths
 
 UNFINISHED = 1  # exit code; 0 only for a run without a flaw
@@ -22,7 +23,8 @@ UNFINISHED = 1  # exit code; 0 only for a run without a flaw
 def run_errands(
     console: Console, setting: ErrandSetting, out: Path, logs: Sequence[Path], as_json: bool
 ) -> int:
-    outing = Outing(setting, out, None, logs)
+    keeping = Keeping(setting, out)
+    outing = Outing(setting, out, None, logs, keeping)
     with Progress(
         TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[note]}"),
         TimeElapsedColumn(), console=console, transient=True,
@@ -37,14 +39,18 @@ def run_errands(
             progress.update(bar, completed=moment.reached, note=note)
 
         outing.told = told
-        outcome = outing.run()
-    (out / "report.json").write_text(json.dumps(outcome.to_dict(), indent=1) + "\n")
+        try:
+            outcome = outing.run()
+        finally:
+            keeping.close()
+    report = {**outcome.to_dict(), "log_hash": keeping.log_hash}
+    (out / "report.json").write_text(json.dumps(report, indent=1) + "\n")
     pictures = draw_paths(outing, outcome, out)
     if as_json:
-        print(json.dumps(outcome.to_dict()))
+        print(json.dumps(report))
     else:
         console.print(outcome_table(outcome))
-        names = f"report.json, {len(pictures)} pictures of paths, can.log and trace.jsonl"
+        names = f"report.json, {len(pictures)} pictures of paths, can.log, run.mcap and trace.jsonl"
         console.print(f"{names} are in {out}")
     return 0 if outcome.success else UNFINISHED
 

@@ -14,7 +14,7 @@ app = typer.Typer()
 def chaos(
     seeds: Annotated[str, typer.Option(help="FIRST:END, or one seed.")] = "0:20",
     profile: Annotated[str, typer.Option(help="all, bus, crash, stop, body or protocol.")] = "all",
-    jobs: Annotated[int, typer.Option(help="Processes at a time (0: one a core).")] = 0,
+    jobs: Annotated[int, typer.Option(min=0, help="Processes at a time (0: one a core).")] = 0,
     seconds: Annotated[float | None, typer.Option(help="Begin no run after this long.")] = None,
     out: Annotated[Path, typer.Option(help="Folder for results and reproductions.")] = Path(
         "runs/chaos"
@@ -45,7 +45,7 @@ def chaos(
 @app.command()
 def fuzz(
     targets: Annotated[list[str] | None, typer.Argument(help="Decoders; none: all.")] = None,
-    runs: Annotated[int, typer.Option(help="Executions of each target.")] = 100_000,
+    runs: Annotated[int, typer.Option(min=1, help="Executions of each target.")] = 100_000,
     seconds: Annotated[float | None, typer.Option(help="At most this long for each target.")] = None,
     seed: Annotated[int, typer.Option(help="Of what is tried.")] = 1,
     engine: Annotated[str, typer.Option(help="auto, plain or atheris (pip install atheris).")] = "auto",

@@ -165,10 +165,10 @@ def recorded(source: Path, scene: Scene | None) -> Recording:
 
 def _scene_beside(source: Path) -> Scene | None:
     try:
-        scene: Scene = json.loads(in_folder(source).read_text(encoding="utf-8"))
-        return scene
+        scene = json.loads(in_folder(source).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
+    return scene if isinstance(scene, dict) else None
 
 
 # -------------------------------------------------------------------- live

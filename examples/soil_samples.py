@@ -1,0 +1,146 @@
+"""A mission of one's own: a sample of soil is taken at each post of a field, by whoever is near.
+
+A post is a section of the shared state with one unit, so that claims, hand-overs, stops and the record
+of what is done are those that field work has. `docs/missions.md` goes through it.
+"""
+
+from collections.abc import Mapping, Sequence
+from math import hypot
+
+from agent.config import S
+from agent.mission import STILL, Choice, FleetView, Wish
+from agent.route import Route
+from agent.tracker import Tracker
+from crdt import Phase
+from sim.cluster import Cluster
+from sim.scenario import load
+from sim.setting import Setting
+from sim.swarm import Swarm
+
+Point = tuple[float, float]
+DIG_US = 3 * S
+
+
+class SoilSamples:
+    """The `Mission` port of `agent/mission.py`."""
+
+    def __init__(
+        self, posts: Sequence[Point], route: Route, speed_m_s: float, braking_m_s2: float
+    ) -> None:
+        self.posts, self.route = posts, route
+        self.speed_m_s, self.braking_m_s2 = speed_m_s, braking_m_s2
+        self.section, self.goal = -1, (0.0, 0.0)
+        self.tracker: Tracker | None = None
+        self.there_us: int | None = None
+
+    @property
+    def section_units(self) -> Mapping[int, int]:
+        return dict.fromkeys(range(len(self.posts)), 1)
+
+    @property
+    def rest_of_way(self) -> list[Point]:
+        """For the map and the report."""
+        return [] if self.tracker is None else self.tracker.rest_of_way
+
+    def choose(self, view: FleetView) -> Choice | None:
+        """The nearest post that is free, or whose owner is silent for good."""
+        open_posts = [
+            (hypot(x - view.here.x_m, y - view.here.y_m), section, free)
+            for section, (x, y) in enumerate(self.posts)
+            if (free := view.allocation.phase_of(section) is Phase.FREE)
+            or self._orphan(section, view)
+        ]
+        if not open_posts:
+            return None
+        away_m, section, free = min(open_posts)
+        return Choice(section, bid=min(31, int(away_m / 5.0)), takeover=not free)
+
+    def _orphan(self, section: int, view: FleetView) -> bool:
+        owner = view.allocation.owner_of(section)
+        held = view.allocation.phase_of(section) in (Phase.CLAIMED, Phase.STARTED)
+        since_us = view.silent_since_us.get(-1 if owner is None else owner)
+        return held and since_us is not None and view.now_us - since_us > 20 * S
+
+    def approach(self, section: int, view: FleetView) -> Wish:
+        return self.travel(self.posts[section], view)
+
+    def begin(self, section: int, view: FleetView) -> None:
+        self.section, self.there_us = section, None
+
+    def work(self, view: FleetView) -> Wish:
+        wish = self.travel(self.posts[self.section], view)
+        if self.tracker is None or not self.tracker.arrived:
+            return wish
+        self.there_us = view.now_us if self.there_us is None else self.there_us
+        if view.now_us - self.there_us < DIG_US:
+            return STILL._replace(hold=True)
+        return STILL._replace(covered=(0,), finished=True)
+
+    def travel(self, goal: Point, view: FleetView) -> Wish:
+        here = (view.here.x_m, view.here.y_m)
+        if self.tracker is None or self.goal != goal:
+            way = list(self.route.path(here, goal))
+            self.goal, self.tracker = goal, Tracker(way, self.speed_m_s, self.braking_m_s2)
+        self.tracker.locate(*here)
+        return Wish(*self.tracker.velocity(*here))
+
+    def admits(self, goal: Point) -> bool:
+        return self.route.admits(goal)
+
+    def abandon(self) -> None:
+        self.section, self.tracker = -1, None
+
+    def interrupted(self) -> None:
+        """A stop came between: dig anew."""
+        self.there_us = None
+
+    def rest(self, view: FleetView) -> Wish:
+        return STILL
+
+
+class SoilSetting(Setting):
+    """A field whose work is not swaths but posts."""
+
+    posts: Sequence[Point] = (
+        (-25.0, -15.0),
+        (0.0, -15.0),
+        (25.0, -15.0),
+        (25.0, 15.0),
+        (0.0, 15.0),
+        (-25.0, 15.0),
+    )
+
+    @property
+    def section_count(self) -> int:
+        return len(self.posts)
+
+    def mission(self, slot: int) -> SoilSamples:  # type: ignore[override]
+        fleet = self.scenario.fleet
+        return SoilSamples(self.posts, self.route, fleet.speed_m_s, 0.5 * fleet.acceleration_m_s2)
+
+
+def sample(robots: int = 3, seed: int = 1, limit_s: float = 300.0) -> tuple[float, Cluster]:
+    """Until every replica knows that every post is done; seconds, and the cluster as it was then."""
+    swarm = Swarm()
+    cluster = Cluster(SoilSetting(load("small").changed(robots, seed)), "soil", None, swarm)
+
+    def play():  # type: ignore[no-untyped-def]
+        cluster.boot_all()
+        while not cluster.finished and swarm.now_us() < limit_s * S:
+            yield swarm.now_us() + S // 2
+            cluster.check()
+        cluster.world.advance(swarm.now_us())
+        return swarm.now_us() / S
+
+    try:
+        return swarm.run(play()), cluster
+    finally:
+        cluster.end()
+
+
+if __name__ == "__main__":
+    seconds, fleet = sample()
+    allocation = fleet.robots[0].peer.allocation
+    owners = {f"S{section}": allocation.owner_of(section) for section in allocation.sections()}
+    told = f"{allocation.done_count()} samples in {seconds:.0f} s"
+    print(f"{told}, {len(fleet.world.contacts)} contacts, by {owners}")

@@ -1,0 +1,259 @@
+"""The chapters of a report: a picture, a short table, all values as CSV; or why there is none."""
+
+from collections.abc import Iterator, Sequence
+from math import isfinite
+from statistics import median
+from typing import Any, NamedTuple
+
+from sim.scene import Scene
+from tools.report import drawing
+from tools.report.evidence import Evidence
+from tools.report.followed import Following, followed
+from tools.report.history import SILENT, Event, History, Stop
+
+ROWS_MAX = 40  # of a table on the page; the CSV has them all
+Table = tuple[Sequence[str], Sequence[Sequence[Any]]]  # head, rows
+
+
+class Chapter(NamedTuple):
+    name: str  # of its files
+    title: str
+    about: str
+    picture: bytes | None = None  # PNG
+    table: Table | None = None  # on the page
+    values: Table | None = None  # in the CSV
+    missing: str = ""  # why there is nothing to see
+
+
+def chapters(evidence: Evidence) -> Iterator[Chapter]:
+    recording = evidence.recording
+    if recording is None:
+        yield Chapter("frames", "The run", "", missing="A campaign keeps verdicts and no frames: run "
+                      "its reproduction with headland run, and report that.")  # fmt: skip
+        yield _campaign(evidence)
+        return
+    history = History(evidence.zero_us)
+    for number in range(recording.first, recording.count):
+        t_us, frame = recording[number]
+        history.hear(t_us / 1e6, frame)
+    history.close()
+    faults = _faults(evidence)
+    scene = recording.scene
+    marks = [*faults, *(e for e in history.seen if e.kind in ("stop", "reset"))]
+    bitrate = (scene or {}).get("bitrate", history.load.bitrate)
+    yield _tracks(scene, history)
+    yield from _planned(scene, followed(recording.intents, evidence.zero_us))
+    yield _sections(history, marks)
+    yield _load(history, bitrate if isinstance(bitrate, int) and bitrate > 0 else 250_000, marks)
+    yield _states(history, marks)
+    yield _stops(history)
+    yield _events(evidence, faults, history)
+
+
+def _faults(evidence: Evidence) -> list[Event]:
+    found = []
+    for fault in evidence.faults or []:
+        rest = {k: v for k, v in fault.items() if k not in ("t_s", "kind", "robot")}
+        who = f"robot {fault['robot']}" if "robot" in fault else ""
+        what = ", ".join(f"{key} {value}" for key, value in rest.items())
+        found.append(Event(float(fault["t_s"]), f"fault: {fault.get('kind', '?')}", who, what))
+    return found
+
+
+def _drawn(draw: Any, scene: Scene | None, *what: Any) -> bytes:
+    """Over its ground; without one where the scene cannot be read."""
+    try:
+        return drawing.png_of(draw(scene, *what))
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError):
+        return drawing.png_of(draw(None, *what))
+
+
+def _tracks(scene: Scene | None, history: History) -> Chapter:
+    title, about = (
+        "Tracks",
+        "Where each robot said that it was, to 5 cm; the disc is its last place.",
+    )
+    if not history.places:
+        return Chapter("tracks", title, about, missing="No robot has said where it is.")
+    rows = [
+        (slot, f"{p.t_s:.3f}", f"{p.x_m:.2f}", f"{p.y_m:.2f}", f"{p.speed_m_s:.2f}", int(p.stopped))
+        for slot, track in sorted(history.places.items()) for p in track
+    ]  # fmt: skip
+    head = ("robot", "t_s", "x_m", "y_m", "speed_m_s", "stopped")
+    return Chapter("tracks", title, about, _drawn(drawing.tracks, scene, history.places),
+                   values=(head, rows))  # fmt: skip
+
+
+def _planned(scene: Scene | None, robots: Sequence[Following]) -> Iterator[Chapter]:
+    title = "Planned against executed"
+    about = (
+        "Dotted: the ways that the robots planned. Solid: where they drove on them. The error is the "
+        "distance to the line followed at that moment, five times a second, while moving; giving way "
+        "to others counts as error. "
+    )
+    if not any(robot.samples for robot in robots):
+        yield Chapter("planned", title, about, missing="Planned ways go beside the bus, into run.mcap "
+                      "(headland[operator]); this recording has none.")  # fmt: skip
+        return
+    head = (
+        "robot",
+        "RMSE, m",
+        "implement down, m",
+        "implement up, m",
+        "worst, m",
+        "samples",
+        "ways",
+    )
+    table = [
+        (r.slot, _metres(r.rmse_m()), _metres(r.rmse_m(True)), _metres(r.rmse_m(False)),
+         _metres(r.worst_m), len(r.samples), len(r.lines))
+        for r in robots
+    ]  # fmt: skip
+    yield Chapter("planned", title, about, _drawn(drawing.planned, scene, robots), (head, table),
+                  (head, table))  # fmt: skip
+    rows = [
+        (r.slot, f"{s.t_s:.3f}", f"{s.x_m:.3f}", f"{s.y_m:.3f}", f"{s.off_m:.4f}", int(s.tool))
+        for r in robots for s in r.samples
+    ]  # fmt: skip
+    yield Chapter("errors", "The same over time", "", drawing.png_of(drawing.errors(robots)),
+                  values=(("robot", "t_s", "x_m", "y_m", "off_m", "implement_down"), rows))  # fmt: skip
+
+
+def _metres(value: float) -> str:
+    return f"{value:.3f}" if isfinite(value) else "-"
+
+
+def _sections(history: History, marks: Sequence[Event]) -> Chapter:
+    title = "Sections by owner and phase"
+    about = (
+        "A row for each section (goals of errands and frontiers of a map are sections, too), in the "
+        "owner's colour: pale claimed, full begun, faint done. Red lines are faults, stops and resets."
+    )
+    if not history.held:
+        return Chapter("sections", title, about, missing="No section was claimed.")
+    shown = len({span.who for span in history.held})
+    if shown > drawing.ROWS_MAX:
+        about += f" The first {drawing.ROWS_MAX} of {shown} are drawn."
+    rows = [
+        (f"S{s.who}", s.what, "" if s.owner is None else s.owner, f"{s.from_s:.3f}",
+         f"{s.until_s:.3f}") for s in history.held
+    ]  # fmt: skip
+    owners: dict[int, list[float]] = {}
+    for span in history.held:
+        if span.owner is not None and span.what == "STARTED":
+            owners.setdefault(span.owner, []).append(span.until_s - span.from_s)
+    table = [(slot, len(spans), f"{sum(spans):.1f}") for slot, spans in sorted(owners.items())]
+    picture = drawing.png_of(drawing.gantt(history.held, history.now_s, marks))
+    return Chapter("sections", title, about, picture, (("robot", "begun", "at work, s"), table),
+                   (("section", "phase", "owner", "from_s", "until_s"), rows))  # fmt: skip
+
+
+def _load(history: History, bitrate: int, marks: Sequence[Event]) -> Chapter:
+    width_s, bins = history.bins(drawing.BINS)
+    about = (
+        f"At worst-case stuffing, of {bitrate} bit/s, {width_s} s a step, by kind of frame. "
+        f"A dotted line, where there is one, is {drawing.FULL:.0%}."
+    )
+    kinds = sorted({kind for _, bits in bins for kind in bits})
+    rows = [
+        (second, *(f"{bits[kind] / (width_s * bitrate):.5f}" for kind in kinds),
+         f"{bits.total() / (width_s * bitrate):.5f}") for second, bits in bins
+    ]  # fmt: skip
+    shares = [bits.total() / (width_s * bitrate) for _, bits in bins]
+    table = [(f"{median(shares):.1%}", f"{max(shares):.1%}", sum(history.malformed.values()))]
+    picture = drawing.png_of(drawing.load(width_s, bins, bitrate, marks))
+    return Chapter("load", "Bus load", about, picture,
+                   (("median", "most", "frames that nobody can read"), table),
+                   (("t_s", *kinds, "all"), rows))  # fmt: skip
+
+
+def _states(history: History, marks: Sequence[Event]) -> Chapter:
+    about = "As each robot's beat said it. Grey: nothing was heard of it for more than a second."
+    if not history.states:
+        return Chapter("states", "States", about, missing="No robot has said its state.")
+    rows = [
+        (s.who, s.what, f"{s.from_s:.3f}", f"{s.until_s:.3f}") for s in history.states
+    ]  # fmt: skip
+    names = [n for n in drawing.STATES if any(s.what == n for s in history.states)]
+    table = []
+    for slot in sorted({s.who for s in history.states}):
+        sums = dict.fromkeys(names, 0.0)
+        for span in history.states:
+            if span.who == slot:
+                sums[span.what] = sums.get(span.what, 0.0) + span.until_s - span.from_s
+        table.append((slot, *(f"{sums[name]:.1f}" for name in names)))
+    head = ("robot", *(f"{name.lower()}, s" for name in names))
+    picture = drawing.png_of(drawing.states(history.states, history.now_s, marks))
+    return Chapter("states", "States", about, picture, (head, table),
+                   (("robot", "state", "from_s", "until_s"), rows))  # fmt: skip
+
+
+def _stops(history: History) -> Chapter:
+    about = (
+        "From the first frame of each press, as it was heard on the bus: when each robot that was there "
+        "said it again, when its beat said that it is stopped, when that beat had no speed left. Beats "
+        "come each 50 to 100 ms, so that much of the last two is waiting for the beat."
+    )
+    if not history.pressed:
+        return Chapter("stops", "Stops", about, missing="Nobody pressed a stop.")
+    head = ("at, s", "by", "reason", "robots", "last echo, ms", "all say stopped, ms", "all stand, ms",
+            "cleared at, s")  # fmt: skip
+    table = [
+        (f"{s.t_s:.3f}", s.by, s.reason, len(s.present), _last(s, s.echo_s), _last(s, s.latch_s),
+         _last(s, s.still_s), "-" if s.cleared_s is None else f"{s.cleared_s:.3f}")
+        for s in history.pressed
+    ]  # fmt: skip
+    rows = [
+        (".".join(map(str, s.dot)), f"{s.t_s:.6f}", s.by, s.reason, slot,
+         *(f"{of[slot]:.6f}" if slot in of else "" for of in (s.echo_s, s.latch_s, s.still_s)))
+        for s in history.pressed for slot in s.present
+    ]  # fmt: skip
+    columns = ("dot", "t_s", "by", "reason", "robot", "echo_s", "stopped_s", "stands_s")
+    return Chapter("stops", "Stops", about, drawing.png_of(drawing.latencies(history.pressed)),
+                   (head, table), (columns, rows))  # fmt: skip
+
+
+def _last(stop: Stop, times_s: dict[int, float]) -> str:
+    if not times_s:
+        return "-" if not stop.present else f"nobody of {len(stop.present)}"
+    lacks = len(stop.present) - len(times_s)
+    return f"{max(times_s.values()) * 1e3:.1f}" + (f" (without {lacks})" if lacks else "")
+
+
+def _events(evidence: Evidence, faults: Sequence[Event], history: History) -> Chapter:
+    told = sorted([*faults, *history.seen], key=lambda event: event.t_s)
+    rows = [(f"{e.t_s:.3f}", e.kind, e.who, e.what) for e in told]
+    about = (
+        "Faults that were done to it, and what the bus showed: silences, stops, orders, questions."
+    )
+    if evidence.faults is None:
+        about += (
+            " What was done to it is not known here: only headland run writes it into report.json."
+        )
+    elif not faults:
+        about += " Nothing was done to it."
+    silent = {s.who for s in history.states if s.what == SILENT}
+    if silent:
+        about += f" Silent for a while: robots {', '.join(map(str, sorted(silent)))}."
+    if not rows:
+        return Chapter("events", "Chaos and other events", about, missing="Nothing happened.")
+    head = ("t, s", "what", "who", "")
+    return Chapter("events", "Chaos and other events", about, table=(head, rows),
+                   values=(("t_s", "kind", "who", "what"), rows))  # fmt: skip
+
+
+def _campaign(evidence: Evidence) -> Chapter:
+    told = evidence.campaign
+    broken = [b for b in told.get("broken", []) if isinstance(b, dict)]
+    rows = [tuple(b.get(key, "") for key in ("seed", "rule", "t_s", "what")) for b in broken]
+    faults = told.get("faults")
+    kinds = faults if isinstance(faults, dict) else {}
+    injected = ", ".join(f"{count} {kind}" for kind, count in kinds.items())
+    about = (
+        f"{told.get('runs')} runs, {told.get('robot_hours')} robot-hours, hash {told.get('hash')}. "
+        f"Injected: {injected or 'nothing'}. Reproduction: {told.get('reproduction') or 'none needed'}."
+    )
+    if not rows:
+        return Chapter("chaos", "Chaos", about, missing="Every rule was kept.")
+    head = ("seed", "rule", "t_s", "what")
+    return Chapter("chaos", "Chaos", about, table=(head, rows), values=(head, rows))

@@ -1,0 +1,75 @@
+"""`headland report`: a run as one HTML page with its pictures, and PNG and CSV beside it."""
+
+import csv
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from urllib.parse import quote
+
+from rich.console import Console
+
+from sim.mcap_log import McapMissing
+from tools.inspection import SourceError
+from tools.report.chapter import Chapter, chapters
+from tools.report.evidence import Evidence, gather
+from tools.report.page import page
+
+WRONG = 2
+PAGE = "report.html"
+
+
+def report(source: Path, out: Path | None, as_json: bool) -> int:
+    console = Console(stderr=True)
+    out = _place(source) if out is None else out
+    try:
+        if out.suffix not in (".html", ".htm"):
+            raise SourceError(
+                f"-o {out}: a page ends in .html; its pictures go into a folder beside"
+            )
+        with console.status(f"reading {source}") as status:
+            evidence = gather(source)
+            found = []
+            for chapter in chapters(evidence):
+                status.update(f"{source}: {chapter.title.lower()}")
+                found.append(chapter)
+        write(out, evidence, found)
+    except (SourceError, McapMissing) as problem:
+        print(f"headland: {problem}", file=sys.stderr)
+        return WRONG
+    except OSError as problem:
+        print(f"headland: {problem.filename or out}: {problem.strerror}; choose another place with -o",
+              file=sys.stderr)  # fmt: skip
+        return WRONG
+    without = [chapter.name for chapter in found if chapter.missing]
+    if as_json:
+        names = [chapter.name for chapter in found if not chapter.missing]
+        told = {"page": str(out), "files": str(out.with_suffix(""))}
+        print(json.dumps({**told, "chapters": names, "without": without}))
+        return 0
+    for chapter in found:
+        if chapter.missing:
+            print(f"without {chapter.title.lower()}: {chapter.missing}")
+    print(f"{out}; its pictures and values are in {out.with_suffix('')}")
+    return 0
+
+
+def _place(source: Path) -> Path:
+    """In the run's folder; beside a log, with its name, so that two logs have two pages."""
+    return source / PAGE if source.is_dir() else source.with_suffix(".html")
+
+
+def write(out: Path, evidence: Evidence, found: Sequence[Chapter]) -> None:
+    """The page, and the folder of its name beside it. OSError."""
+    folder = out.with_suffix("")
+    folder.mkdir(parents=True, exist_ok=True)
+    for chapter in found:
+        if chapter.picture is not None:
+            (folder / f"{chapter.name}.png").write_bytes(chapter.picture)
+        if chapter.values is not None:
+            with (folder / f"{chapter.name}.csv").open("w", newline="", encoding="utf-8") as file:
+                writer = csv.writer(file, lineterminator="\n")
+                writer.writerow(chapter.values[0])
+                writer.writerows(chapter.values[1])
+    title = f"Headland: {evidence.name}"
+    out.write_text(page(title, evidence.figures, found, quote(folder.name)), encoding="utf-8")
