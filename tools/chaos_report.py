@@ -67,11 +67,12 @@ def _campaigns(campaigns: list[Result]) -> Iterable[str]:
         for c in campaigns
     ]  # fmt: skip
     total, drills = sum(hours.values()), hours["protocol"]
+    runs = sum(c["runs"] for c in campaigns)
     broken = [b for c in campaigns for b in c["broken"]]
     verdict = "reached" if drills >= HOURS_WANTED and not broken else "**missed**"
     yield "## Campaigns"
     yield (
-        f"{total:.1f} robot-hours judged in {sum(c['runs'] for c in campaigns)} runs, {drills:.1f} of them "
+        f"{total:.1f} robot-hours judged in {runs} runs, {drills:.1f} of them "
         f"protocol only (wanted: {HOURS_WANTED}, {verdict}); {len(broken)} rules broken."
     )
     yield _table(
