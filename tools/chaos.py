@@ -19,6 +19,7 @@ from sim.mutants import MUTANTS
 from sim.scenario import ScenarioError, load
 from sim.scenario_text import to_toml
 from sim.shrink import shrink
+from sim.standing import leave_standing
 from sim.trouble import PROFILES, draw
 from sim.verdict import RULES, Verdict, judge
 from tools.campaign import ClusterError, room, workers
@@ -46,6 +47,7 @@ def chaos(
         print(f"headland: {problem}", file=sys.stderr)
         return WRONG
     jobs, begun_s = jobs or os.cpu_count() or 1, _cpu_s()
+    leave_standing()  # and the workers inherit it
     if mutants:
         rows = hunt_all(console, only, jobs, seconds, out, as_json)
         found = sum(row["found"] for row in rows)
