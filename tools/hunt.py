@@ -19,7 +19,7 @@ from sim.verdict import judge
 from tools.fingerprint import fingerprint
 
 MUTANT_CPU_S = 600.0  # the budget within which every planted bug must be found
-TURN_CPU_S = 60.0  # then the next one has its turn: those that are soon found do not wait
+TURN_CPU_S = 20.0  # then the next one has its turn: those that are soon found do not wait
 RESULTS = "mutants.json"
 Row = dict[str, Any]
 
