@@ -79,13 +79,13 @@ class Cause(Enum):
         Severity.LATCHED, Clears.BY_RESET, "durable memory was lost or is unreadable"
     )
 
-    @property
-    def severity(self) -> Severity:
-        return self.value.severity
+    severity: Severity
+    clears: Clears
 
-    @property
-    def clears(self) -> Clears:
-        return self.value.clears
+    def __init__(self, severity: Severity, clears: Clears, why: str) -> None:
+        self.severity, self.clears = severity, clears  # read with every beat of a standing fleet
+
+    __hash__ = object.__hash__  # members are their own identity; Enum's hash is a call in Python
 
 
 def cause_table() -> str:

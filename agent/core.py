@@ -21,10 +21,10 @@ from agent.joining import CLAIM_PGN, Joining
 from agent.letters import Letter, Letters
 from agent.lifecycle import TABLE, Event, State
 from agent.membership import Membership, Neighbour
-from agent.mission import STILL, Agreeing, Choice, FleetView, Mission, Wish
+from agent.mission import STILL, Agreeing, Choice, Conversing, FleetView, Mission, Wish
 from agent.motion import Mover
 from agent.pause import pause_of
-from agent.ports import Observation
+from agent.ports import Observation, Timed
 from agent.records import Records
 from agent.roll_call import MEMBER_PGN, MEMBER_REQUEST, RollCall
 from agent.safety import Safety
@@ -65,6 +65,7 @@ class Peer:
         self.beat = config.beat_of(len(identity.members))
         self.mission, self.motion = mission, motion
         self.agreeing = mission if isinstance(mission, Agreeing) else None
+        self.conversing = mission if isinstance(mission, Conversing) else None
         self.records = Records(recalled, identity.first_boot, rng)
         self.allocation = FieldAllocationCRDT(identity.field_hash)
         self.progress = Progress(mission.section_units if mission else {})
@@ -95,6 +96,10 @@ class Peer:
         self.directive, self.check = Directive(self), SelfCheck(self, now_us)
         self.pause = pause_of(self, motion)
         self._hearing, self._working = Hearing(self), Working(self)
+        self.beats = self._hearing.beats
+        self._timed: tuple[Timed, ...] = (self.membership, self.joining)
+        joined = *self._timed, self.sync, self.letters, self.roll_call
+        self._timed_joined: tuple[Timed, ...] = (*joined, chart) if chart is not None else joined
         if self.records.lost:
             self.safety.raise_cause(Cause.BOOT_UNCONFIRMED, now_us, "durable memory was lost")
         if identity.started and not self.safety.latched and not self.safety.held:
@@ -116,8 +121,7 @@ class Peer:
         """A frame from the bus. An addressed one that is not for us is not heard."""
         identifier = frame.identifier
         if identifier >> 16 & 0xFF >= 240:
-            source, message = decode_once(frame)
-            return self.hear(source, message, now_us)
+            return self.hear(*decode_once(frame), now_us)
         destination = identifier >> 8 & 0xFF
         is_request = identifier >> 16 & 0xFF == REQUEST_PF
         if is_request and frame.data == MEMBER_REQUEST:
@@ -129,8 +133,8 @@ class Peer:
         if self.joining.joined and isinstance(message, Letter):
             effects = [*effects, *self.letters.receive(source, destination, message, now_us)]
         if is_request and isinstance(message, Request):
-            asked = self._asked(message.pgn, destination == GLOBAL_ADDRESS, now_us)
-            effects = [*effects, *asked]
+            everybody = destination == GLOBAL_ADDRESS
+            effects = [*effects, *self._asked(message.pgn, everybody, now_us)]
         return effects
 
     def _asked(self, pgn: int, everybody: bool, now_us: int) -> Sequence[Effect]:
@@ -178,24 +182,22 @@ class Peer:
     @property
     def deadline_us(self) -> int:
         """When `tick` next has something to do, if nothing arrives before."""
-        deadline = min(self.voice.deadline_us, self.safety.deadline_us)
-        others = [self.membership.deadline_us, self.joining.deadline_us]
-        if self.joining.joined:  # what has no address to speak from does not wait for its turn
-            others += [self.sync.deadline_us, self.letters.deadline_us, self.roll_call.deadline_us]
-            if self.chart is not None:
-                others.append(self.chart.deadline_us)
+        deadline_us = min(self.voice.deadline_us, self.safety.deadline_us)
+        parts = self._timed_joined if self.joining.joined else self._timed  # no address, no turn
         if self.lifecycle.state is State.IDLE and self.safety.may_move:
-            others.append(self.claims.deadline_us)  # otherwise a due claim waits for these
-        for other in others:
-            if other is not None and other < deadline:
-                deadline = other
-        return deadline
+            parts = (*parts, self.claims)  # otherwise a due claim waits for the others
+        for part in parts:
+            due_us = part.deadline_us
+            if due_us is not None and due_us < deadline_us:
+                deadline_us = due_us
+        return deadline_us
 
     def tick(self, now_us: int) -> Sequence[Effect]:
         effects: list[Effect] = [*self._remember_boot(), *self.safety.tick(now_us)]
         if self.membership.tick(now_us):
             effects += self.membership_changed(now_us)
-        effects += self._join(now_us)
+        if self.joining.due(now_us):
+            effects += self._join(now_us)
         if self.joining.joined:
             effects += [Send(message) for message in self.sync.tick(now_us)]
             effects += self._synchronize(now_us)
@@ -394,6 +396,5 @@ class Peer:
 
     def fire(self, event: Event, why: str) -> list[Effect]:
         source, target = self.lifecycle.fire(event)
-        if source is target:
-            return []
-        return [Trace("lifecycle", source.name, event.name, target.name, why)]
+        told = Trace("lifecycle", source.name, event.name, target.name, why)
+        return [] if source is target else [told]

@@ -13,7 +13,7 @@ from agent.config import S
 from agent.directive import DIRECTED
 from agent.effects import HALT, Effect, Persist, Trace
 from agent.membership import Neighbour
-from agent.mission import Conversing
+from agent.ports import Beat
 from protocol.accord_frames import Accord, Fallen
 from protocol.codec import Malformed
 from protocol.delivery_frames import (
@@ -92,6 +92,31 @@ class Hearing:
     ) -> Sequence[Effect]:
         handler = self._handlers.get(type(message))
         return () if handler is None else handler(source, slot, message, now_us)
+
+    def beats(
+        self, beats: Sequence[Beat], local: Callable[[int], int] | None = None
+    ) -> list[Effect]:
+        """Calm beats that have waited for our turn, each as if heard when it came.
+
+        `local`: from the bus's clock to ours, where they differ. What `Peer.hear` does for a beat,
+        without what only a stop can need: who stands stopped has its beats at once.
+        """
+        peer, effects = self.peer, list[Effect]()
+        membership, own = peer.membership, peer.slot
+        slot_of, signs, neighbours = membership.slot_of, membership.signs_us, membership.neighbours
+        for source, message, t_us, seen in beats:
+            slot = slot_of.get(source)
+            if local is not None:
+                t_us = local(t_us)
+                seen = None if seen is None else Neighbour(seen.pose, t_us)
+            if seen is not None and slot in signs:
+                signs[slot] = t_us
+                neighbours[slot] = seen
+                if seen.pose.heard == own:
+                    peer.check.reflected_us = t_us
+            else:
+                effects += peer.hear(source, message, t_us)
+        return effects
 
     def stop(self, source: int, message: EmergencyStop, now_us: int) -> Sequence[Effect]:
         peer = self.peer
@@ -234,8 +259,8 @@ class Hearing:
     def _mission(self, source: int, slot: int | None, m: Any, now_us: int) -> Sequence[Effect]:
         if slot is None and not isinstance(m, TaskOrder):  # an order may come from any device
             return self._stranger(source, now_us)
-        if isinstance(self.peer.mission, Conversing):
-            return [Persist(*record) for record in self.peer.mission.hear(slot, m, now_us)]
+        if self.peer.conversing is not None:
+            return [Persist(*record) for record in self.peer.conversing.hear(slot, m, now_us)]
         return ()
 
     def _work(self, source: int, slot: int | None, m: Any, now_us: int) -> Sequence[Effect]:

@@ -33,6 +33,13 @@ class Joining:
     def deadline_us(self) -> int | None:
         return None if self.away else self.machine.deadline_us
 
+    def due(self, now_us: int) -> bool:
+        """`tick` has something to do."""
+        if not self.joined or self.lost_address:
+            return True
+        due_us = self.deadline_us
+        return due_us is not None and now_us >= due_us
+
     def tick(self, now_us: int) -> Sequence[Effect]:
         if self.away:
             return ()

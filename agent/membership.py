@@ -5,11 +5,10 @@ it leaves is *silent* after `beat.silence_us`; what silence means is decided els
 brake; allocation: wait for the lease). There is no suspicion level and no vote: on one bus segment
 everybody hears everybody, so a second opinion would carry no information.
 
-Members are kept in order of their last sign of life, so that the oldest is found at once: the cost
-of a tick does not grow with the fleet.
+The oldest sign of life is looked for only when it may have become silence, a few times a second: what
+is heard a thousand times a second, a sign, costs one write.
 """
 
-from collections import OrderedDict
 from enum import Enum, auto
 from typing import NamedTuple
 
@@ -44,7 +43,8 @@ class Membership:
         self.silent: frozenset[int] = frozenset()
         self.slot_of: dict[int, int] = {}  # source address -> slot, from MEMBER frames
         self.strangers = 0  # frames of addresses that have not said which member they are
-        self._heard_us: OrderedDict[int, int] = OrderedDict()  # live others, oldest sign first
+        self.signs_us: dict[int, int] = {}  # live others: their last sign of life
+        self._oldest_us = now_us  # no sign of theirs is older
 
     def bind(self, source: int, slot: int, incarnation: int, now_us: int) -> bool:
         """A MEMBER frame: this address now speaks for that slot. False: not of this fleet."""
@@ -63,13 +63,14 @@ class Membership:
 
     def heard(self, slot: int, now_us: int) -> bool:
         """A sign of life. True when this changed the membership."""
-        heard = self._heard_us
+        heard = self.signs_us
         if slot in heard:
             heard[slot] = now_us
-            heard.move_to_end(slot)
             return False
         if self.standing[slot] is Standing.LEFT:
             return False  # the tail of a farewell; a new MEMBER frame brings it back
+        if not heard:
+            self._oldest_us = now_us
         heard[slot] = now_us
         self._stand(slot, Standing.LIVE, now_us)
         return True
@@ -84,7 +85,7 @@ class Membership:
         self.neighbours[slot] = Neighbour(pose, now_us)
 
     def leave(self, slot: int, now_us: int) -> None:
-        self._heard_us.pop(slot, None)
+        self.signs_us.pop(slot, None)
         self.neighbours.pop(slot, None)
         self._stand(slot, Standing.LEFT, now_us)
 
@@ -97,23 +98,24 @@ class Membership:
 
     @property
     def deadline_us(self) -> int | None:
-        """When the oldest sign of life becomes silence, if nothing arrives before."""
-        for heard_us in self._heard_us.values():
-            return heard_us + self.silence_us
-        return None
+        """When the oldest sign of life may become silence; `tick` puts that off in good time."""
+        return self._oldest_us + self.silence_us if self.signs_us else None
 
     def tick(self, now_us: int) -> list[int]:
         """The members that have just fallen silent."""
-        fallen: list[int] = []
-        while (deadline := self.deadline_us) is not None and deadline <= now_us:
-            slot, _ = self._heard_us.popitem(last=False)
+        heard, silent_us = self.signs_us, now_us - self.silence_us
+        if not heard or self._oldest_us > now_us - self.silence_us // 2:
+            return []
+        fallen = sorted((us, slot) for slot, us in heard.items() if us <= silent_us)
+        for _, slot in fallen:
+            del heard[slot]
             self._stand(slot, Standing.SILENT, now_us)
-            fallen.append(slot)
-        return fallen
+        self._oldest_us = min(heard.values(), default=now_us)
+        return [slot for _, slot in fallen]
 
     def forget_all(self, now_us: int) -> None:
         """We left the fleet ourselves: nobody's silence means anything to us now."""
-        self._heard_us.clear()
+        self.signs_us.clear()
         for slot in self.standing:
             self._stand(slot, Standing.ABSENT, now_us)
 

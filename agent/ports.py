@@ -1,11 +1,13 @@
 """What a peer's shell needs from outside, and the facts that come in. SI units, field frame."""
 
 from collections.abc import Callable, Iterable, Mapping
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 from agent.effects import Drive, Persist
+from agent.membership import Neighbour
 from protocol.frame import Frame
 from protocol.health import Health
+from protocol.messages import Message
 
 
 class Lying(NamedTuple):
@@ -36,6 +38,22 @@ class Observation(NamedTuple):
     parcels: Mapping[int, Lying] = NOTHING_SEEN  # and those within its reach
 
 
+class Timed(Protocol):
+    """A part of a peer that wants to be asked at a certain time."""
+
+    @property
+    def deadline_us(self) -> int | None: ...
+
+
+class Beat(NamedTuple):
+    """A calm beat or heartbeat on a shelf: of somebody who neither stands stopped nor leaves."""
+
+    source: int
+    message: Message
+    t_us: int  # of the bus
+    seen: Neighbour | None  # of a pose: what becomes known of its sender
+
+
 class Bus(Protocol):
     """A CAN interface. Frames a node sends are not delivered to itself."""
 
@@ -51,6 +69,15 @@ class Bus(Protocol):
     def health(self) -> Health: ...
 
     def close(self) -> None: ...
+
+
+@runtime_checkable
+class Shelving(Protocol):
+    """A bus that can keep calm beats for later: a simulated one, which hands over thousands a second."""
+
+    def shelve(self, shelf: list[Beat] | None) -> None:
+        """From now on they are put on the shelf, and not called back for; None: they are again."""
+        ...
 
 
 class Body(Protocol):

@@ -35,7 +35,7 @@ class RollCall:
 
     @property
     def deadline_us(self) -> int | None:
-        return min(self._ask_us.values(), default=None)
+        return min(self._ask_us.values()) if self._ask_us else None
 
     def power_up(self) -> None:
         self.answer_due = self._everybody_asked = False

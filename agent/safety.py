@@ -94,11 +94,13 @@ class Safety:
 
     @property
     def latched(self) -> bool:
-        return self.severity is Severity.LATCHED
+        return bool(self._causes) and self.severity is Severity.LATCHED
 
     @property
     def severity(self) -> Severity:
-        return max((cause.severity for cause in self._causes), default=Severity.CLEAR)
+        if not self._causes:
+            return Severity.CLEAR
+        return max(cause.severity for cause in self._causes)
 
     @property
     def causes(self) -> tuple[tuple[Cause, str], ...]:
@@ -117,7 +119,7 @@ class Safety:
 
     @property
     def may_move(self) -> bool:
-        return self.severity <= Severity.SLOW
+        return not self._causes or self.severity <= Severity.SLOW
 
     may_work = may_move
 
@@ -320,6 +322,8 @@ class Safety:
     @property
     def deadline_us(self) -> int:
         deadline = self._repeat_us
+        if not self._causes:  # what expires is a cause
+            return deadline
         if self._settles:
             deadline = min(deadline, self._stable_us + MEMBERSHIP_STABLE_US)
         for expires_us in self._expires_us.values():

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 
 from agent.core import Peer
 from agent.effects import Drive, Effect, Persist, Send, Trace
-from agent.ports import Body, Bus, Journal
+from agent.ports import Beat, Body, Bus, Journal, Shelving
 from protocol.codec import encode
 from protocol.fleet_frames import Pose
 from protocol.frame import Frame
@@ -48,6 +48,14 @@ class Shell:
         self._disk_failed = False
         self._taken = True  # the bus took the last frame
         self._frozen_until_us = 0  # 0: not frozen
+        self._shelving = bus if isinstance(bus, Shelving) else None
+        self._shelf: list[Beat] = []  # calm beats, for the next turn
+        self._shelved = False  # they come there
+
+    @property
+    def _local(self) -> Callable[[int], int] | None:
+        """From the time of the bus to ours; None: they are the same."""
+        return None
 
     @staticmethod
     def now_us() -> int:
@@ -102,7 +110,9 @@ class Shell:
 
     def operate(self, act: Callable[[Peer, int], Sequence[Effect]]) -> None:
         """An operator call between two inputs: `shell.operate(lambda peer, now: peer.start(now))`."""
+        self._catch_up()
         self.perform(act(self.peer, self.clock()))
+        self._attend()
         self._nudge()
 
     def _arrive(self, frame: Frame) -> None:
@@ -122,17 +132,38 @@ class Shell:
             self._nudge()
 
     def _hear(self, frame: Frame) -> None:
+        if self._shelf:
+            self._catch_up()
         effects = self.peer.receive(frame, self.clock())
         if effects:
             self.perform(effects)
         elif frame.identifier >> 8 & 0x3FFFF == BEAT_PGN:
             return  # nine frames in ten; nothing came of it, so the deadline is where it was
+        self._attend()
         if self.peer.deadline_us < self._armed_us:
             self._nudge()
 
+    def _attend(self) -> None:
+        """Beats may wait, unless we stand stopped, where each is an echo or asks for one."""
+        wait = self._listening and not self._frozen_until_us and not self.peer.safety.latched
+        if wait is not self._shelved:
+            self._shelved = wait
+            if self._shelving is not None:
+                self._shelving.shelve(self._shelf if wait else None)
+
+    def _catch_up(self) -> None:
+        """Take in the beats that have waited."""
+        if self._shelf:
+            effects = self.peer.beats(self._shelf, self._local)
+            self._shelf.clear()
+            if effects:
+                self.perform(effects)
+
     def freeze(self, for_s: float) -> None:
         """Fault: this process hears and does nothing for a while, then goes on as if nothing was."""
+        self._catch_up()
         self._frozen_until_us = self.clock() + round(for_s * 1e6)
+        self._attend()
         self._nudge()
 
     def _nudge(self) -> None:
@@ -166,8 +197,12 @@ class Shell:
     def turn(self) -> None:
         """Tick, if something is due."""
         now_us, peer = self.clock(), self.peer
-        if now_us >= peer.deadline_us:
-            self.perform(peer.check.bus(self.bus.health, self._taken, now_us))
+        self._catch_up()
+        if now_us >= self._armed_us or now_us >= peer.deadline_us:
+            effects = peer.check.bus(self.bus.health, self._taken, now_us)
+            if effects:
+                self.perform(effects)
             if self.body is not None and peer.wants_observation(now_us):
                 peer.observe(self.body.sense(now_us), now_us)
             self.perform(peer.tick(now_us))
+        self._attend()

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from agent.config import BEATS, CONTROL_PERIOD_US, Beat, S
 from agent.effects import Effect, Persist, Send
 from agent.lifecycle import State
-from agent.mission import Conversing, Swept
+from agent.mission import Swept
 from crdt.progress import BLOCK_UNITS
 from protocol.fleet_frames import NOBODY, Heartbeat, Member, Pose, VectorSlice
 from protocol.map_frames import MapPatch
@@ -45,7 +45,8 @@ class Voice:
 
     @property
     def deadline_us(self) -> int:
-        return min(self.next_pose_us, self.next_control_us)
+        pose_us, control_us = self.next_pose_us, self.next_control_us
+        return pose_us if pose_us < control_us else control_us
 
     def control_due(self, now_us: int) -> bool:
         if now_us < self.next_control_us:
@@ -71,8 +72,8 @@ class Voice:
         effects += peer.elect(now_us)
         if peer.agreeing is not None:
             effects += [Send(word) for word in peer.agreeing.accords.say(now_us)]
-        if isinstance(peer.mission, Conversing):
-            effects += [Send(word) for word in peer.mission.say(now_us)]
+        if peer.conversing is not None:
+            effects += [Send(word) for word in peer.conversing.say(now_us)]
         if peer.roll_call.answer_due:
             peer.roll_call.answer_due = False
             effects.append(Send(self.member(peer)))

@@ -62,8 +62,10 @@ class AddressClaim:
 
     @property
     def deadline_us(self) -> int | None:
-        times = [t for t in (self._next_us, self._answer_us) if t is not None]
-        return min(times, default=None)
+        next_us, answer_us = self._next_us, self._answer_us
+        if next_us is None or answer_us is None:
+            return answer_us if next_us is None else next_us
+        return min(next_us, answer_us)
 
     def restart(self, now_us: int) -> None:
         """Power up, or back on the bus."""

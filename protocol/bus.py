@@ -9,6 +9,8 @@ import can
 from protocol.frame import Frame
 from protocol.health import Health, told_by
 
+ACTIVE = can.BusState.ACTIVE
+
 
 class CanBus:
     """Any python-can bus. What cannot be used is counted, and nothing here raises while running."""
@@ -19,6 +21,7 @@ class CanBus:
         self.refused = 0  # frames the driver did not take
         self._told = Health.ACTIVE  # by error frames
         self._notifier: can.Notifier | None = None
+        self._shelve: Callable[[Any], None] | None = getattr(bus, "shelve", None)
         self._submit: Callable[[Frame], bool] | None = getattr(bus, "submit", None)
 
     def send(self, frame: Frame) -> bool:
@@ -36,6 +39,11 @@ class CanBus:
         self.refused += not taken
         return taken
 
+    def shelve(self, shelf: Any) -> None:
+        """See `agent.ports.Shelving`; where the interface cannot, everything is called back for."""
+        if self._shelve is not None:
+            self._shelve(shelf)
+
     @property
     def health(self) -> Health:
         """Of the controller: what the interface says, or else its error frames."""
@@ -43,7 +51,7 @@ class CanBus:
             state = self.bus.state
         except (NotImplementedError, can.CanError, OSError):
             return self._told
-        if state is can.BusState.ACTIVE:
+        if state is ACTIVE:
             return self._told
         return Health.OFF if state is can.BusState.ERROR else Health.PASSIVE
 

@@ -34,7 +34,20 @@ _HEADS = {
 def encode(message: Message, source: int, destination: int = 255) -> Frame:
     head, addressed = _HEADS[type(message)]
     assert 0 <= source <= 255 and 0 <= destination <= 255
-    return Frame(head | (destination << 8 if addressed else 0) | source, message.pack())
+    return Frame(head | (destination << 8 if addressed else 0) | source, packed(message))
+
+
+_packed: tuple[Message | None, bytes] = (None, b"")  # the newest
+
+
+def packed(message: Message) -> bytes:
+    """The data of a message; whoever else wants them of the one just sent gets them for nothing."""
+    global _packed
+    last, data = _packed
+    if last is not message:
+        data = message.pack()
+        _packed = (message, data)
+    return data
 
 
 def decode(frame: Frame) -> tuple[int, Message | Malformed]:

@@ -309,14 +309,13 @@ class Sync:
 
     @property
     def deadline_us(self) -> int | None:
-        times = []
-        if self._queue or self._digests:
-            times.append(self._speak_us)
-        if self._ask_us is not None:
-            times.append(self._ask_us)
+        due_us = self._ask_us
+        if (self._queue or self._digests) and (due_us is None or self._speak_us < due_us):
+            due_us = self._speak_us
         if self.synchronizing:
-            times.append(self._learned_us + PATIENCE_US)
-        return min(times, default=None)
+            patience_us = self._learned_us + PATIENCE_US
+            due_us = patience_us if due_us is None else min(due_us, patience_us)
+        return due_us
 
     def tick(self, now_us: int) -> Iterable[Said]:
         """What to send now: one frame at most."""

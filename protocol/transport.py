@@ -100,6 +100,8 @@ class Transport:
 
     @property
     def deadline_us(self) -> int | None:
+        if not self._receiving and not self._sending:
+            return None
         due = [session.due_us for session in self._receiving.values()]
         due += [session.due_us for session in self._sending.values()]
         return min(due, default=None)

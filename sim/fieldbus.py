@@ -11,18 +11,23 @@ import os
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, Protocol
 
 import can
 from can import BusABC, CanOperationError, CanProtocol, Message
 
+from agent.membership import Neighbour
+from agent.ports import Beat
+from protocol.codec import decode_once
+from protocol.fleet_frames import Heartbeat, Pose
 from protocol.frame import Frame
 from sim.wire import PASSIVE, Wire
 
 RX_QUEUE_MAX = 8192  # frames kept for a program that does not read; then the newest are dropped
 POLL_S = 0.002  # how often a program without an event loop looks at the wire
 
+ACTIVE = can.BusState.ACTIVE
 Tap = Callable[[int, Frame], None]  # microseconds, frame
 
 
@@ -37,6 +42,16 @@ class Alarm(Protocol):
     def cancel(self) -> None: ...
 
 
+def calm(frame: Frame, t_us: int) -> Beat | None:
+    """A beat that may wait for the turns of those who hear it."""
+    source, message = decode_once(frame)
+    if type(message) is Pose and not message.stopped:
+        return Beat(source, message, t_us, Neighbour(message, t_us))
+    if type(message) is Heartbeat and not message.stopped and not message.leaving:
+        return Beat(source, message, t_us, None)
+    return None
+
+
 class Segment:
     """One channel: the wire, the buses on it, and what drives its time."""
 
@@ -47,6 +62,8 @@ class Segment:
         self.channel, self.bitrate = channel, bitrate
         self.wire = Wire(seed, 1_000_000 // bitrate)
         self.buses: dict[int, FieldBus] = {}
+        self.ears: dict[int, Callable[[Frame], None]] = {}  # of buses that are listened to
+        self.shelves: dict[int, list[Beat]] = {}  # and of those that take calm beats later
         self.taps: list[Tap] = []
         self.lock = threading.RLock()  # programs without an event loop send and receive in threads
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -98,14 +115,31 @@ class Segment:
 
     def pump(self) -> None:
         """Deliver everything that has ended by now."""
+        buses, ears, shelves = self.buses, self.ears, self.shelves
         for t_us, frame, _, receivers in self.wire.advance(self.now_us()):
             for tap in self.taps:
                 tap(t_us, frame)
-            buses = self.buses
+            if shelves:
+                beat = calm(frame, t_us)
+                if beat is not None:
+                    receivers = tuple(self._put(beat, receivers))
             for node in receivers:
-                bus = buses.get(node)
-                if bus is not None:
-                    bus._deliver(t_us, frame)
+                ear = ears.get(node)
+                if ear is not None:
+                    ear(frame)
+                elif node in buses:
+                    buses[node]._deliver(t_us, frame)
+
+    def _put(self, beat: Beat, receivers: Iterable[int]) -> list[int]:
+        """On the shelves of those who have one; returns the others."""
+        others, shelves = [], self.shelves
+        for node in receivers:
+            shelf = shelves.get(node)
+            if shelf is None:
+                others.append(node)
+            else:
+                shelf.append(beat)
+        return others
 
 
 _segments: dict[str, Segment] = {}
@@ -157,6 +191,15 @@ class FieldBus(BusABC):
     def subscribe(self, callback: Callable[[Frame], None]) -> None:
         """Every frame is given to this callback in the loop's thread, and no longer queued."""
         self._callback = callback
+        if self._open:
+            self.segment.ears[self.node] = callback
+
+    def shelve(self, shelf: list[Beat] | None) -> None:
+        """See `agent.ports.Shelving`."""
+        if shelf is not None and self._open:
+            self.segment.shelves[self.node] = shelf
+        else:
+            self.segment.shelves.pop(self.node, None)
 
     def submit(self, frame: Frame) -> bool:
         """Queue a frame without a `can.Message`; False where the node cannot take it."""
@@ -224,13 +267,16 @@ class FieldBus(BusABC):
         node = self.segment.wire.nodes.get(self.node)
         if node is None or node.off_until_us is not None:
             return can.BusState.ERROR
-        return can.BusState.PASSIVE if max(node.tec, node.rec) > PASSIVE else can.BusState.ACTIVE
+        quiet = node.tec <= PASSIVE and node.rec <= PASSIVE
+        return ACTIVE if quiet else can.BusState.PASSIVE
 
     def shutdown(self) -> None:
         if self._open:
             self._open = False
             self.segment.wire.detach(self.node)
             self.segment.buses.pop(self.node, None)
+            self.segment.ears.pop(self.node, None)
+            self.segment.shelves.pop(self.node, None)
             if self._fd is not None:
                 os.close(self._fd)
                 self._fd = None

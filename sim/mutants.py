@@ -180,11 +180,11 @@ def _never_expires_body(right: Any) -> Any:
 
 
 def _ten_times(right: Any) -> Any:
-    def deadline_us(self: Membership) -> int | None:
-        heard_us = next(iter(self._heard_us.values()), None)
-        return None if heard_us is None else heard_us + 10 * self.silence_us
+    def init(self: Membership, *args: Any) -> None:
+        right(self, *args)
+        self.silence_us *= 10
 
-    return property(deadline_us)
+    return init
 
 
 def _open(right: Any) -> Any:
@@ -226,7 +226,7 @@ MUTANTS: dict[str, Mutant] = {
     "silence-ten-times": Mutant(
         "silence is noticed after ten times the limit",
         Membership,
-        "deadline_us",
+        "__init__",
         _ten_times,
         "stop",
     ),

@@ -10,7 +10,7 @@ from math import cos, inf, sin
 from typing import NamedTuple
 
 from agent.config import ACTUATOR_TTL_US, LEASE_US, S
-from agent.effects import Drive
+from agent.effects import HALT, Drive
 from agent.mission import STILL, Choice, FleetView, Wish
 from agent.motion import Limits, Motion
 from agent.ports import Observation
@@ -240,8 +240,12 @@ class Straight(Motion):
     def __init__(self, slot: int) -> None:
         self.slot, self.limits = slot, Limits(0.5, SPEED_M_S, 1.0)
         self.lookout = None
+        self._wish, self._drive = STILL, HALT
 
     def drive(
         self, here: Observation, wish: Wish, neighbours: Mapping[int, object], now_us: int
     ) -> Drive:
-        return Drive(wish.vx_m_s, wish.vy_m_s, wish.turn_rad_s, wish.tool_on)
+        if wish is not self._wish:
+            self._wish = wish
+            self._drive = Drive(wish.vx_m_s, wish.vy_m_s, wish.turn_rad_s, wish.tool_on)
+        return self._drive

@@ -85,7 +85,7 @@ class Play:
         return Counter(f.kind for f in self.scenario.fault if f.at_s <= self.span.calm_s)
 
     def _attach(self, cluster: Cluster) -> None:
-        self.cluster = cluster
+        self.cluster, self.witness.clock = cluster, cluster.host.now_us
         for slot in range(self.scenario.fleet.robots):
             cluster.journals[slot] = LogJournal(Disk())
         self.silence, self.delivery = motions(cluster.world), motions(cluster.world)

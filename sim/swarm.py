@@ -47,18 +47,30 @@ class SwarmShell(Shell):
 
     def drift(self, ppm: float) -> None:
         """From now on this robot's clock runs so much too fast."""
+        self._catch_up()
         self._base_us, self._since_us = self.local_us(), self.swarm.now_us()
         self._rate = 1.0 + ppm * 1e-6
         self._nudge()
 
     def jump(self, by_s: float) -> None:
         """From now on this robot's clock shows so much more."""
+        self._catch_up()
         self._base_us, self._since_us = self.local_us() + round(by_s * 1e6), self.swarm.now_us()
         self._nudge()
 
     def local_us(self) -> int:
         """This robot's clock."""
-        return self._base_us + int((self.swarm.now_us() - self._since_us) * self._rate)
+        return self._shown_at(self.swarm.time_us)
+
+    def _shown_at(self, t_us: int) -> int:
+        if self._rate == 1.0:
+            return self._base_us + t_us - self._since_us
+        return self._base_us + int((t_us - self._since_us) * self._rate)
+
+    @property
+    def _local(self) -> Callable[[int], int] | None:
+        same = self._rate == 1.0 and self._base_us == self._since_us
+        return None if same else self._shown_at
 
     def _at(self, local_us: int) -> int:
         """When its clock will show that."""
@@ -154,13 +166,13 @@ class ScriptHandle:
 
 class Swarm:
     def __init__(self) -> None:
-        self._now_us = 0
+        self.time_us = 0
         self._order = 0
         self._timers: list[tuple[int, int, Timer]] = []
         self._ready: deque[Call] = deque()
 
     def now_us(self) -> int:
-        return self._now_us
+        return self.time_us
 
     def soon(self, call: Call) -> None:
         self._ready.append(call)
@@ -193,8 +205,8 @@ class Swarm:
             if not ready:
                 while timers[0][2].cancelled:
                     heappop(timers)
-                self._now_us = max(self._now_us, timers[0][0])
-            while timers and timers[0][0] <= self._now_us:
+                self.time_us = max(self.time_us, timers[0][0])
+            while timers and timers[0][0] <= self.time_us:
                 timer = heappop(timers)[2]
                 if not timer.cancelled:
                     ready.append(timer.call)

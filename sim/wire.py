@@ -16,7 +16,7 @@ from random import Random
 from typing import NamedTuple
 
 from protocol.frame import Frame
-from sim.bits import BIT_US, frame_bits, worst_bits
+from sim.bits import BIT_US, WORST_BITS, frame_bits
 
 QUEUE_MAX = 256  # frames a node may have waiting: 0.15 s of a whole bus for itself
 ERROR_US = 31 * BIT_US  # error flag, its superposition and delimiter, interframe space
@@ -24,6 +24,9 @@ PASSIVE = 127  # above this a node is error passive
 BUS_OFF_TEC = 256
 SUSPEND_US = 8 * BIT_US  # an error passive node waits so long after its own frame (ISO 11898-1)
 RECOVERY_US = 128 * 11 * BIT_US  # 128 times 11 recessive bits
+
+
+_tuple = tuple.__new__
 
 
 class Delivery(NamedTuple):
@@ -82,6 +85,8 @@ class Wire:
         self._waiting: set[int] = set()  # nodes with something to send
         self._next_node = 0
         self._now_us = 0  # the latest time that we were told
+        self._next_us: int | None = None
+        self._next_known = False  # nothing has changed since that was found
 
     # ---------------------------------------------------------------- nodes
 
@@ -96,6 +101,7 @@ class Wire:
         self.nodes.pop(number, None)
         self._off.pop(number, None)
         self._waiting.discard(number)
+        self._next_known = False
         for island, (_, node, _, _) in list(self._sending.items()):
             if node == number:
                 del self._sending[island]
@@ -137,38 +143,53 @@ class Wire:
         known = self._start_us.get(island)
         if known is None or start_us < known:
             self._start_us[island] = start_us
+            self._next_known = False
 
     @property
     def next_us(self) -> int | None:
         """When something happens next by itself."""
-        candidates = [end for end, _, _, _ in self._sending.values()]
-        candidates += [
-            start for island, start in self._start_us.items() if island not in self._sending
-        ]
-        candidates += self._off.values()
-        return min(candidates) if candidates else None
+        if self._next_known:
+            return self._next_us
+        sending, next_us = self._sending, None
+        for busy in sending.values():
+            if next_us is None or busy[0] < next_us:
+                next_us = busy[0]
+        for island, start_us in self._start_us.items():
+            if island not in sending and (next_us is None or start_us < next_us):
+                next_us = start_us
+        for until_us in self._off.values():
+            if next_us is None or until_us < next_us:
+                next_us = until_us
+        self._next_us, self._next_known = next_us, True
+        return next_us
 
     def advance(self, now_us: int) -> list[Delivery]:
         """Everything that ends until now, in order."""
         deliveries: list[Delivery] = []
         self._now_us = max(self._now_us, now_us)
         while (t_us := self.next_us) is not None and t_us <= now_us:
+            self._next_known = False
             for island in sorted(self._sending):
                 if self._sending[island][0] <= t_us:
-                    deliveries += self._end(island, t_us)
-            for number in [n for n, until_us in self._off.items() if until_us <= t_us]:
-                del self._off[number]
-                node = self.nodes[number]
-                node.off_until_us, node.tec, node.rec = None, 0, 0
+                    self._end(island, t_us, deliveries)
+            if self._off:
+                self._recover(t_us)
             for island in sorted(self._start_us):
                 if self._start_us[island] <= t_us and island not in self._sending:
                     self._arbitrate(island, t_us)
         return deliveries
 
+    def _recover(self, t_us: int) -> None:
+        """Nodes whose time off the bus is over."""
+        for number in [n for n, until_us in self._off.items() if until_us <= t_us]:
+            del self._off[number]
+            node = self.nodes[number]
+            node.off_until_us, node.tec, node.rec = None, 0, 0
+
     def _arbitrate(self, island: int, t_us: int) -> None:
         del self._start_us[island]
-        best: tuple[int, int, int] | None = None
-        later_us: list[int] = []
+        best: tuple[int, int, Frame] | None = None  # no two have one order
+        sender, later_us = -1, list[int]()
         for number in self._waiting:
             node = self.nodes[number]
             if node.island != island:
@@ -176,36 +197,37 @@ class Wire:
             if node.ready_us > t_us:
                 later_us.append(node.ready_us)
                 continue
-            identifier, order, _ = node.queue[0]
-            if best is None or (identifier, order) < best[:2]:
-                best = (identifier, order, number)
+            head = node.queue[0]
+            if best is None or head < best:
+                best, sender = head, number
         if best is None:
             if later_us:
                 self._start_us[island] = min(later_us)
             return
-        frame = self.nodes[best[2]].queue[0][2]
-        bits = frame_bits(frame.identifier, frame.data)
-        self.worst_us += worst_bits(len(frame.data)) * self.bit_us
+        frame = best[2]
+        identifier, data = frame
+        bits = frame_bits(identifier, data)
+        self.worst_us += WORST_BITS[len(data)] * self.bit_us
         broken = self.faults.error > 0.0 and self._rng["error"].random() < self.faults.error
         if broken:  # somewhere inside the frame, then everybody shouts
             length_us = self._rng["error"].randrange(1, bits) * self.bit_us + ERROR_US
         else:
             length_us = bits * self.bit_us
         self.busy_us += length_us
-        self._sending[island] = (t_us + length_us, best[2], frame, broken)
+        self._sending[island] = (t_us + length_us, sender, frame, broken)
 
-    def _end(self, island: int, t_us: int) -> list[Delivery]:
+    def _end(self, island: int, t_us: int, deliveries: list[Delivery]) -> None:
         _, number, frame, broken = self._sending.pop(island)
         self._free_us[island] = t_us
         node = self.nodes[number]
-        deliveries: list[Delivery] = []
         if node.tec > PASSIVE:
             node.ready_us = t_us + SUSPEND_US
         if broken:
             self.errors += 1
             self._punish(number, node, t_us)
         else:
-            node.tec = max(0, node.tec - 1)
+            if node.tec:
+                node.tec -= 1
             if self.errors:
                 self._heal_receivers(number, node.island)
             node.sent += 1
@@ -219,10 +241,9 @@ class Wire:
                 self._drop_head(node, frame)
             if not node.queue:
                 self._waiting.discard(number)
-            deliveries.append(Delivery(t_us, frame, number, self._hearers(number)))
+            deliveries.append(_tuple(Delivery, (t_us, frame, number, self._hearers(number))))
         if self._waiting and any(self.nodes[n].island == island for n in self._waiting):
             self._start_us[island] = t_us
-        return deliveries
 
     @staticmethod
     def _drop_head(node: Node, frame: Frame) -> None:
@@ -261,6 +282,7 @@ class Wire:
         node = self.nodes[number]
         node.tec, node.off_until_us = BUS_OFF_TEC, until_us
         self._off[number] = until_us
+        self._next_known = False
         node.queue.clear()
         self._waiting.discard(number)
 

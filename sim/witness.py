@@ -1,6 +1,7 @@
 """Sees every effect of every robot at the edge of its shell: what was told, and how its life went."""
 
 from collections import defaultdict
+from collections.abc import Callable
 
 from agent.effects import Effect, Send, Trace
 from agent.lifecycle import TABLE
@@ -16,6 +17,7 @@ class Witness(Recorder):
         self.words = WordRules(robots)
         self.told: defaultdict[int, list[Message]] = defaultdict(list)
         self.released: set[int] = set()  # reset by a person, and not yet shown in a pose
+        self.clock: Callable[[], int] | None = None  # a person's; robots' own may run differently
         self._edges_broken: list[Broken] = []
         self._edges = {
             (source.name, event.name.lower(), target.name)
@@ -28,6 +30,8 @@ class Witness(Recorder):
 
     def __call__(self, slot: int, now_us: int, effect: Effect) -> None:
         super().__call__(slot, now_us, effect)
+        if self.clock is not None:
+            now_us = self.clock()
         if isinstance(effect, Send):
             message = effect.message
             self.words.said(slot, now_us, message)

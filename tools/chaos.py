@@ -5,8 +5,8 @@ import os
 import sys
 import time
 from collections import Counter
-from collections.abc import Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from collections.abc import Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -15,58 +15,99 @@ from rich.console import Console
 from rich.progress import Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from sim.mutants import MUTANTS, planted
+from sim.mutants import MUTANTS
 from sim.scenario import ScenarioError, load
 from sim.scenario_text import to_toml
 from sim.shrink import shrink
+from sim.standing import leave_standing
 from sim.trouble import PROFILES, draw
 from sim.verdict import RULES, Verdict, judge
 from tools.campaign import ClusterError, room, workers
+from tools.chaos_report import ReportError, report
+from tools.fingerprint import fingerprint
+from tools.hunt import hunt_all
 
 FAILED, WRONG = 1, 2
-MUTANT_CPU_S = 600.0  # the budget within which every planted bug must be found
 
 
 def chaos(
     seeds: str, profile: str, jobs: int, seconds: float | None, out: Path, mutants: bool,
-    as_json: bool, cluster: str = "",
+    as_json: bool, cluster: str = "", only: Sequence[str] = (),
 ) -> int:  # fmt: skip
     console = Console(stderr=as_json)
     try:
         numbers = _range(seeds)
+        for name in only:
+            if name not in MUTANTS:
+                raise ValueError(f"no planted bug {name}: choose of {', '.join(MUTANTS)}")
         if profile not in PROFILES:
             raise ValueError(f"no profile {profile}: choose one of {', '.join(PROFILES)}")
         out.mkdir(parents=True, exist_ok=True)
     except (ValueError, OSError) as problem:
         print(f"headland: {problem}", file=sys.stderr)
         return WRONG
-    jobs = jobs or os.cpu_count() or 1
+    jobs, begun_s = jobs or os.cpu_count() or 1, _cpu_s()
+    leave_standing()  # and the workers inherit it
     if mutants:
-        return _mutants(console, numbers, jobs, out, as_json)
+        rows = hunt_all(console, only, jobs, seconds, out, as_json)
+        found = sum(row["found"] for row in rows)
+        console.print(f"{found} of {len(rows)} planted bugs found")
+        return 0 if found == len(rows) else FAILED
     try:
         verdicts = _campaign(console, numbers, profile, jobs, seconds, cluster)
     except ClusterError as problem:
         print(f"headland: {problem}", file=sys.stderr)
         return WRONG
-    report = _report(verdicts, profile)
+    told = _report(verdicts, profile)
+    told |= {
+        "seeds": _played(verdicts),
+        "code": fingerprint(),
+        "cpu_s": round(_cpu_s() - begun_s, 1),
+    }
     failed = [verdict for verdict in verdicts if not verdict.ok]
     if failed:
-        report["reproduction"] = _reproduce(console, failed[0], profile, out)
-    (out / "chaos.json").write_text(json.dumps(report, indent=1) + "\n")
+        told["reproduction"] = _reproduce(console, failed[0], profile, out)
+    (out / "chaos.json").write_text(json.dumps(told, indent=1) + "\n")
     if as_json:
-        print(json.dumps(report))
+        print(json.dumps(told))
     else:
-        _show(console, report)
+        _show(console, told)
     return FAILED if failed else 0
 
 
-def judge_file(path: Path, as_json: bool) -> int:
-    """A scenario of its own, with faults written by hand or found by a campaign."""
+def _played(verdicts: list[Verdict]) -> tuple[int, int]:
+    """Seeds are handed out in order: first, and one after the last."""
+    seeds = [verdict.seed for verdict in verdicts]
+    return min(seeds, default=0), max(seeds, default=-1) + 1
+
+
+def _cpu_s() -> float:
+    """Of this process and of its workers that have ended."""
+    times = os.times()
+    return times.user + times.system + times.children_user + times.children_system
+
+
+def tell_report(folder: Path) -> int:
+    try:
+        print(report(folder), end="")
+    except ReportError as problem:
+        print(f"headland: {problem}", file=sys.stderr)
+        return WRONG
+    return 0
+
+
+def judge_file(path: Path, as_json: bool, golden: bool = False) -> int:
+    """A scenario of its own, with faults written by hand or found by a campaign.
+
+    `golden`: its trace hash is kept beside it, and has to be the same from now on.
+    """
     try:
         verdict = judge(load(str(path)))
     except ScenarioError as problem:
         print(f"headland: {problem}", file=sys.stderr)
         return WRONG
+    if golden and verdict.ok:
+        path.with_suffix(".trace").write_text(f"{verdict.trace_hash}\n")
     if as_json:
         print(json.dumps(_report([verdict], str(path))))
     else:
@@ -174,47 +215,3 @@ def _show(console: Console, report: dict[str, Any]) -> None:
         )
     if not report["broken"]:
         console.print("every rule kept")
-
-
-# -------------------------------------------------------------------- planted bugs
-
-
-def _hunt(name: str, seeds: range) -> dict[str, Any]:
-    """How soon a planted bug is found."""
-    begun_s = time.process_time()
-    mutant, number = MUTANTS[name], 0
-    with planted(name):
-        for number, seed in enumerate(seeds, 1):
-            if time.process_time() - begun_s > MUTANT_CPU_S:
-                break
-            verdict = judge(draw(seed, mutant.profile), first_only=True)
-            if not verdict.ok:
-                return {
-                    "mutant": name, "about": mutant.about, "found": True, "runs": number,
-                    "cpu_s": round(time.process_time() - begun_s, 1),
-                    "rule": verdict.broken[0].rule,
-                }  # fmt: skip
-    return {"mutant": name, "about": mutant.about, "found": False,
-            "runs": number,
-            "cpu_s": round(time.process_time() - begun_s, 1), "rule": ""}  # fmt: skip
-
-
-def _mutants(console: Console, seeds: range, jobs: int, out: Path, as_json: bool) -> int:
-    rows: list[dict[str, Any]] = []
-    judge(draw(0, "all"))  # so that no hunt pays for loading compiled kernels
-    with ProcessPoolExecutor(jobs) as pool:
-        futures = [pool.submit(_hunt, name, seeds) for name in MUTANTS]
-        for future in futures:
-            row = future.result()
-            rows.append(row)
-            if as_json:
-                print(json.dumps(row), flush=True)
-            else:
-                found = f"[green]{row['rule']:4}[/]" if row["found"] else "[red]NOT FOUND[/]"
-                console.print(f"{found} {row['runs']:3} runs {row['cpu_s']:6.1f} s  "
-                              f"{row['mutant']}: {row['about']}")  # fmt: skip
-    (out / "mutants.json").write_text(json.dumps(rows, indent=1) + "\n")
-    missed = [row["mutant"] for row in rows if not row["found"]]
-    if not as_json:
-        console.print(f"{len(rows) - len(missed)} of {len(rows)} planted bugs found")
-    return FAILED if missed else 0

@@ -68,6 +68,8 @@ def fuzz(
             console.print(f"{verdict} {row.target:12} {row.executions:>10} runs {row.cpu_s:7.1f} s")
             if not row.ok:
                 console.print(f"  {row.why}: headland fuzz {row.target} --input {row.crash}")
+    results = {"seed": seed, "fuzzed": [row._asdict() for row in rows]}
+    (out / "fuzz.json").write_text(json.dumps(results, indent=1) + "\n")
     if not as_json:
         console.print(f"{sum(row.executions for row in rows)} executions with {engine}")
     return FAILED if any(not row.ok for row in rows) else 0

@@ -26,6 +26,16 @@ def chaos(
         Path | None,
         typer.Option(help="Judge this scenario file instead, written by hand or found."),
     ] = None,
+    only: Annotated[
+        list[str] | None, typer.Option(help="With --mutants: this planted bug; may be repeated.")
+    ] = None,
+    golden: Annotated[
+        bool, typer.Option("--golden", help="With --scenario: keep its trace hash beside it.")
+    ] = False,
+    report: Annotated[
+        Path | None,
+        typer.Option(help="Print a report, in Markdown, of the results in this folder."),
+    ] = None,
     cluster: Cluster = "",
     json: Json = False,
 ) -> None:
@@ -35,11 +45,15 @@ def chaos(
     Example: headland chaos --seeds 0:1000 --profile stop --jobs 2
     """
     from tools.chaos import chaos as command
-    from tools.chaos import judge_file
+    from tools.chaos import judge_file, tell_report
 
+    if report is not None:
+        raise SystemExit(tell_report(report))
     if scenario is not None:
-        raise SystemExit(judge_file(scenario, json))
-    raise SystemExit(command(seeds, profile, jobs, seconds, out, mutants, json, cluster))
+        raise SystemExit(judge_file(scenario, json, golden))
+    raise SystemExit(
+        command(seeds, profile, jobs, seconds, out, mutants, json, cluster, only or ())
+    )
 
 
 @app.command()

@@ -18,6 +18,7 @@ from sim.shrink import shrink
 from sim.trouble import DRAWS, PROFILES, draw, span_of, with_faults
 from sim.verdict import RULES, judge
 
+ROOT = Path(__file__).parents[2]
 STORIES = sorted((Path(__file__).parent / "stories").glob("*.toml"))
 
 
@@ -34,6 +35,11 @@ def test_every_rule_is_kept(profile: str, seed: int) -> None:
 def test_a_bug_that_was_found_stays_away(path: Path) -> None:
     verdict = judge(load(str(path)))
     assert verdict.ok, verdict.broken
+    golden = path.with_suffix(".trace").read_text().strip()
+    assert verdict.trace_hash == golden, (
+        f"{path.stem} is played differently. If that is meant: "
+        f"headland chaos --scenario {path.relative_to(ROOT)} --golden"
+    )
 
 
 @pytest.mark.parametrize("name", ["stop-without-brake", "gate-open", "reset-clears-all"])

@@ -35,8 +35,14 @@ TROUBLE: list[Fault] = [
 ]
 
 
+LIMIT_S = 95.0
+
+
 def play(robots: int, seed: int, faults: list[Fault], swarm: bool) -> Outcome:
-    scenario = load("small").changed(robots, seed).model_copy(update={"fault": faults})
+    """Until all that goes wrong has gone wrong, and is over for a while."""
+    plain = load("small").changed(robots, seed)
+    run = plain.run.model_copy(update={"time_limit_s": LIMIT_S})
+    scenario = plain.model_copy(update={"fault": faults, "run": run})
     return Expedition(Setting(scenario), swarm=swarm).run()
 
 

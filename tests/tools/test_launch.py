@@ -10,6 +10,8 @@ import pytest
 
 from tests.tools.launching import WAIT_S, call, robots_up, start, states
 
+HANG_S, TRIES = 1.5, 10  # longer than any silence is tolerated; looks until all are back
+
 
 async def gone(pids: list[int]) -> None:
     """The kernel tells when a process has ended, ours or not."""
@@ -55,6 +57,21 @@ async def orders(folder: Path) -> None:
     assert got == 1 and "robot 9 is not heard" in text and text.count("\n") == 1
 
 
+async def hangs(folder: Path, pid: int) -> None:
+    """A process stands still longer than silence is tolerated, and goes on: a robot, whose silence the
+    others notice, or the one that is the bus, where all fall silent. Then all are members again."""
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        async with asyncio.timeout(HANG_S):
+            await asyncio.Event().wait()
+    except TimeoutError:
+        os.kill(pid, signal.SIGCONT)
+    for _ in range(TRIES):
+        if set((now := await states(folder)).values()) <= {"IDLE", "WORKING"} and len(now) == 3:
+            return
+    raise AssertionError(f"after SIGSTOP and SIGCONT of {pid}: {now}")
+
+
 @pytest.mark.skipif(not hasattr(os, "pidfd_open"), reason="orphans are watched by pidfd, of Linux")
 def test_kill_stop_release_and_leave_no_orphans(tmp_path: Path) -> None:
     async def story() -> None:
@@ -64,6 +81,8 @@ def test_kill_stop_release_and_leave_no_orphans(tmp_path: Path) -> None:
             again, text = await call(tmp_path, "launch", "small")
             assert again == 2 and "another launch" in text and text.count("\n") == 1
             await orders(tmp_path)
+            await hangs(tmp_path, pids[1])
+            await hangs(tmp_path, launch.pid)
             os.kill(pids[2], signal.SIGKILL)
             code, text = await call(tmp_path, "estop", "--json")
             assert code == 0, text

@@ -1,0 +1,49 @@
+"""The report is what its results say, and a regenerated one is the committed one."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tools.chaos import chaos
+from tools.chaos_report import ReportError, report
+from tools.fuzz import fuzz
+from tools.hunt import RESULTS, hunt_all
+
+DOCS = Path(__file__).parents[2] / "docs"
+
+
+def test_the_committed_report_is_the_one_of_the_committed_results() -> None:
+    again = "headland chaos --report docs/chaos_runs > docs/chaos_report.md"
+    assert report(DOCS / "chaos_runs") == (DOCS / "chaos_report.md").read_text(), again
+
+
+def test_a_campaign_and_fuzzing_make_a_report(tmp_path: Path) -> None:
+    assert chaos("4", "stop", 1, None, tmp_path, False, True) == 0
+    assert fuzz(["frame"], 50, None, 1, "plain", False, tmp_path, True) == 0
+    text = report(tmp_path)
+    told = json.loads((tmp_path / "chaos.json").read_text())
+    assert told["seeds"] == [4, 5] and told["cpu_s"] > 0.0
+    assert f"{told['robot_hours']:.1f} robot-hours judged in 1 runs" in text
+    assert "| frame | 50 |" in text and "**missed**" in text
+
+
+def test_hours_are_not_counted_twice(tmp_path: Path) -> None:
+    row: dict[str, Any] = {"profile": "all", "seeds": [0, 10], "robot_hours": 1.0}
+    (tmp_path / "a.json").write_text(json.dumps(row))
+    (tmp_path / "b.json").write_text(json.dumps(row | {"seeds": [9, 12]}))
+    with pytest.raises(ReportError, match="seed 9 of all"):
+        report(tmp_path)
+
+
+def test_a_hunt_goes_on_where_it_stopped(tmp_path: Path) -> None:
+    from rich.console import Console
+
+    console, names = Console(quiet=True), ["gate-open"]
+    assert hunt_all(console, names, 1, 0.0, tmp_path, False)[0]["runs"] == 0
+    (row,) = hunt_all(console, names, 1, 30.0, tmp_path, False)
+    assert row["found"] and row["rule"]
+    written = (tmp_path / RESULTS).read_text()
+    assert hunt_all(console, names, 1, 30.0, tmp_path, False) == [row]
+    assert (tmp_path / RESULTS).read_text() == written, "what was found is not looked for again"

@@ -1,0 +1,127 @@
+"""`headland chaos --report FOLDER`: what campaigns, hunts and fuzzing showed, from their results alone.
+
+The folder holds the JSON files that `headland chaos` and `headland fuzz` have written, under any names.
+"""
+
+import json
+from collections import Counter
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+HOURS_WANTED, BUGS_WANTED, RUNS_WANTED = 20_000, 20, 10_000_000  # of the issue's table
+Result = dict[str, Any]
+
+
+class ReportError(ValueError):
+    """One line for the person: what is wrong with the results."""
+
+
+def report(folder: Path) -> str:
+    """Markdown. Raises ReportError."""
+    results = list(_results(folder))
+    campaigns = [result for _, result in results if "robot_hours" in result]
+    hunts = [result for _, result in results if "mutants" in result]
+    fuzzed = [row for _, result in results for row in result.get("fuzzed", [])]
+    _no_seed_twice(campaigns)
+    parts = [
+        "# Chaos: what was found, and what was not",
+        f"Written by `headland chaos --report {folder.name}` from {len(results)} result files; nothing "
+        "here is typed in. What the words mean: [chaos.md](chaos.md).",
+        *_campaigns(campaigns), *_hunts(hunts), *_fuzzed(fuzzed),
+    ]  # fmt: skip
+    return "\n\n".join(parts) + "\n"
+
+
+def _results(folder: Path) -> Iterable[tuple[Path, Result]]:
+    paths = sorted(folder.glob("*.json"))
+    if not paths:
+        raise ReportError(f"no results in {folder}: headland chaos --out {folder} makes some")
+    for path in paths:
+        try:
+            yield path, dict(json.loads(path.read_text()))
+        except (ValueError, TypeError):
+            raise ReportError(
+                f"{path} is not a result of headland chaos or headland fuzz"
+            ) from None
+
+
+def _no_seed_twice(campaigns: list[Result]) -> None:
+    """Hours are not counted twice."""
+    seen: set[tuple[str, int]] = set()
+    for campaign in campaigns:
+        first, end = campaign["seeds"]
+        runs = {(campaign["profile"], seed) for seed in range(first, end)}
+        if seen & runs:
+            raise ReportError(f"seed {min(seen & runs)[1]} of {campaign['profile']} is there twice")
+        seen |= runs
+
+
+def _campaigns(campaigns: list[Result]) -> Iterable[str]:
+    hours: Counter[str] = Counter()
+    for c in campaigns:
+        hours[c["profile"]] += c["robot_hours"]
+    rows = [
+        (c["profile"], f"{c['seeds'][0]} to {c['seeds'][1] - 1}", c["runs"], f"{c['robot_hours']:.1f}",
+         f"{c['cpu_s'] / 3600:.2f}", len(c["failed"]), c["code"], c["hash"])
+        for c in campaigns
+    ]  # fmt: skip
+    total, drills = sum(hours.values()), hours["protocol"]
+    runs = sum(c["runs"] for c in campaigns)
+    broken = [b for c in campaigns for b in c["broken"]]
+    verdict = "reached" if drills >= HOURS_WANTED and not broken else "**missed**"
+    yield "## Campaigns"
+    yield (
+        f"{total:.1f} robot-hours judged in {runs} runs, {drills:.1f} of them "
+        f"protocol only (wanted: {HOURS_WANTED}, {verdict}); {len(broken)} rules broken."
+    )
+    yield _table(
+        ("profile", "seeds", "runs", "robot-hours", "CPU hours", "failed", "code", "hash"), rows
+    )
+    if broken:
+        yield _table(("seed", "rule", "at s", "what"),
+                     [(b["seed"], b["rule"], b["t_s"], b["what"]) for b in broken])  # fmt: skip
+    faults: Counter[str] = Counter()
+    for c in campaigns:
+        faults.update(c["faults"])
+    yield f"### Faults injected: {sum(faults.values())}"
+    yield _table(("kind", "times"), faults.most_common())
+    if total and not broken:
+        yield (
+            f"No broken rule in {total:.0f} hours bounds their rate at {3 / total:.1e} an hour with 95 % "
+            "confidence (rule of three), under this mix of faults only."
+        )
+
+
+def _hunts(hunts: list[Result]) -> Iterable[str]:
+    rows = [(row, hunt["code"]) for hunt in hunts for row in hunt["mutants"]]
+    found = sum(row["found"] for row, _ in rows)
+    verdict = "reached" if found >= BUGS_WANTED else "**missed**"
+    yield "## Planted bugs"
+    yield f"{found} of {len(rows)} found (wanted: {BUGS_WANTED} of {BUGS_WANTED}, {verdict})."
+    order = sorted(rows, key=lambda pair: (not pair[0]["found"], pair[0]["cpu_s"]))
+    yield _table(
+        ("bug", "what", "found by", "runs", "CPU s", "code"),
+        [(r["mutant"], r["about"], r["rule"] or "**not found**", r["runs"], r["cpu_s"], code)
+         for r, code in order],
+    )  # fmt: skip
+
+
+def _fuzzed(fuzzed: list[Result]) -> Iterable[str]:
+    runs, cpu_s, crashes = Counter[str](), Counter[str](), Counter[str]()
+    for row in fuzzed:
+        runs[row["target"]] += row["executions"]
+        cpu_s[row["target"]] += row["cpu_s"]
+        crashes[row["target"]] += bool(row["crash"])
+    total = sum(runs.values())
+    verdict = "reached" if total >= RUNS_WANTED and not sum(crashes.values()) else "**missed**"
+    yield "## Decoders"
+    broken = sum(crashes.values())
+    yield f"{total} executions (wanted: {RUNS_WANTED}, {verdict}); {broken} broken promises."
+    rows = [(t, n, f"{cpu_s[t]:.0f}", crashes[t]) for t, n in runs.most_common()]
+    yield _table(("target", "executions", "CPU s", "broken"), rows)
+
+
+def _table(head: tuple[str, ...], rows: Iterable[tuple[Any, ...]]) -> str:
+    lines = [head, ("---",) * len(head), *rows]
+    return "\n".join("| " + " | ".join(str(cell) for cell in line) + " |" for line in lines)

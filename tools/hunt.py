@@ -1,0 +1,89 @@
+"""`headland chaos --mutants`: how soon is each planted bug found? In slices, if it must be.
+
+What was found is kept in `mutants.json`; another call goes on with the rest, each hunt at the seed at
+which it stopped, so that a budget of CPU time can be spent a few minutes at a time.
+"""
+
+import json
+import time
+from collections.abc import Iterable
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from sim.mutants import MUTANTS, planted
+from sim.trouble import draw
+from sim.verdict import judge
+from tools.fingerprint import fingerprint
+
+MUTANT_CPU_S = 600.0  # the budget within which every planted bug must be found
+TURN_CPU_S = 20.0  # then the next one has its turn: those that are soon found do not wait
+RESULTS = "mutants.json"
+Row = dict[str, Any]
+
+
+def hunt(row: Row, end_s: float) -> Row:
+    """Go on looking for a planted bug, for a turn, or until it is found or the time is over."""
+    before_s, begun_s = row["cpu_s"], time.process_time()
+    most_s = min(MUTANT_CPU_S, before_s + TURN_CPU_S)
+    mutant = MUTANTS[row["mutant"]]
+    with planted(row["mutant"]):
+        while not row["found"] and row["cpu_s"] <= most_s and time.monotonic() < end_s:
+            verdict = judge(draw(row["runs"], mutant.profile), first_only=True)
+            row["runs"] += 1
+            row["cpu_s"] = round(before_s + time.process_time() - begun_s, 1)
+            if not verdict.ok:
+                row["found"], row["rule"] = True, verdict.broken[0].rule
+    return row
+
+
+def hunt_all(
+    console: Console,
+    only: Iterable[str],
+    jobs: int,
+    seconds: float | None,
+    out: Path,
+    as_json: bool,
+) -> list[Row]:
+    """All planted bugs, or those named; rows of those that are not hunted to the end come along."""
+    rows = {name: _fresh(name) for name in only or MUTANTS}
+    path = out / RESULTS
+    if path.exists():
+        kept = {row["mutant"]: row for row in json.loads(path.read_text())["mutants"]}
+        rows = kept | {name: kept.get(name, row) for name, row in rows.items()}
+    judge(draw(0, "all"))  # so that no hunt pays for loading compiled kernels
+    end_s = time.monotonic() + (seconds if seconds is not None else float("inf"))
+    with ProcessPoolExecutor(jobs) as pool:
+        while time.monotonic() < end_s:
+            waiting = [rows[name] for name in (only or MUTANTS) if _is_open(rows[name])]
+            waiting.sort(key=lambda row: float(row["cpu_s"]))
+            if not waiting:
+                break
+            for future in [pool.submit(hunt, row, end_s) for row in waiting[:jobs]]:
+                row = future.result()
+                rows[row["mutant"]] = row
+                _tell(console, row, as_json)
+            results = {"code": fingerprint(), "budget_s": MUTANT_CPU_S, "mutants": [*rows.values()]}
+            path.write_text(json.dumps(results, indent=1) + "\n")
+    return list(rows.values())
+
+
+def _fresh(name: str) -> Row:
+    return {"mutant": name, "about": MUTANTS[name].about, "found": False, "runs": 0, "cpu_s": 0.0,
+            "rule": ""}  # fmt: skip
+
+
+def _is_open(row: Row) -> bool:
+    return not row["found"] and row["cpu_s"] <= MUTANT_CPU_S
+
+
+def _tell(console: Console, row: Row, as_json: bool) -> None:
+    if as_json:
+        print(json.dumps(row), flush=True)
+        return
+    unfound = "[yellow]not yet  [/]" if _is_open(row) else "[red]NOT FOUND[/]"
+    found = f"[green]{row['rule']:4}[/]" if row["found"] else unfound
+    console.print(f"{found} {row['runs']:3} runs {row['cpu_s']:6.1f} s  "
+                  f"{row['mutant']}: {row['about']}")  # fmt: skip
