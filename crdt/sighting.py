@@ -32,7 +32,9 @@ SECOND_HAND = (
     0.8  # of the confidence, when read by somebody else; never stored, so never compounded
 )
 RATE = 50  # of DECAYED, in thousandths a second
-_LOGS = [round(1000 * log((k + 1) / LEVELS)) + round(1000 * log(LEVELS)) for k in range(LEVELS)]
+_LOGS = [
+    round(1000 * log(k + 1)) for k in range(LEVELS)
+]  # of confidence, from level 0 up; rounded once
 
 
 class Order(Enum):

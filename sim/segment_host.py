@@ -27,6 +27,7 @@ from protocol.safety_frames import Reason
 from sim.fieldbus import FieldBus, segment
 from sim.hub import Hub
 from sim.segment_fleet import FIELD_HASH, ring_area
+from sim.standing import leave_standing
 
 CHANNEL = "can0"
 
@@ -56,6 +57,7 @@ class SegmentHost:
 
     async def run(self, port: int) -> None:
         await self.hub.start("0.0.0.0", port)
+        leave_standing()
         self.tasks = [asyncio.create_task(shell.run()) for shell in self.shells]
         print(json.dumps({"port": self.hub.port}), flush=True)
         reader = asyncio.StreamReader()

@@ -22,6 +22,7 @@ from protocol.backbone import Kind
 from protocol.name import Name
 from protocol.segment_frames import SEGMENT_MAX
 from protocol.zenoh_link import LinkError, ZenohBus, ZenohLink, configure
+from sim.standing import leave_standing
 from tools.attachment import AttachError, attach
 
 GATEWAY_FUNCTION = 66  # of a NAME: a device that joins networks
@@ -43,12 +44,14 @@ class ZenohBackbone:
         self.link.put(key, message.data, message.kind in (Kind.STOPS, Kind.RESETS))
 
     def subscribe(self, callback: Callable[[bytes], None]) -> None:
-        root = f"headland/{self.fleet}/*"
-        self.link.subscribe(f"{root}/stops", callback, keep=True)
-        self.link.subscribe(f"{root}/resets", callback, keep=True)
-        self.link.subscribe(f"{root}/summary", callback)
-        self.link.subscribe(f"{root}/map", callback)
-        self.link.subscribe(f"{root}/work/{self.segment}", callback)
+        def key(kind: Kind) -> str:
+            return f"headland/{self.fleet}/*/{kind.name.lower()}"
+
+        for kind in (Kind.STOPS, Kind.RESETS):
+            self.link.subscribe(key(kind), callback, keep=True)
+        for kind in (Kind.SUMMARY, Kind.MAP):
+            self.link.subscribe(key(kind), callback)
+        self.link.subscribe(f"{key(Kind.WORK)}/{self.segment}", callback)
 
     def close(self) -> None:
         self.link.close()
@@ -125,6 +128,7 @@ async def carry(
         return loop.call_at(t_us / 1e6, call)
 
     shell = GatewayShell(gateway, bus, backbone, now_us, at)
+    leave_standing()
     shell.begin()
     shown: object = None
     while not end.is_set():

@@ -26,6 +26,7 @@ from sim.fieldbus import forget, segment
 from sim.hub import Hub
 from sim.scenario import ScenarioError, load
 from sim.setting import Setting
+from sim.standing import leave_standing
 from tools.attachment import CHANNEL
 from tools.inspector import SILENT_S, Inspector
 from tools.keeping import Keeping
@@ -94,6 +95,7 @@ class Launch:
             if self.page_port is not None:
                 await self._start_map()
             await self._start_all(hub.port, body_port)
+            leave_standing()
             finished = await self._watch(end, seconds)
         finally:
             await self._end_all()

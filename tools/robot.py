@@ -20,6 +20,7 @@ from sim.cluster import make_peer
 from sim.intent_link import tell
 from sim.scenario import load
 from sim.setting import Setting
+from sim.standing import leave_standing
 
 GOODBYE_S = 0.2  # for the farewell frame to leave
 
@@ -50,6 +51,7 @@ async def run(order: dict[str, Any]) -> None:
         int(order["segment"]),
     )
     shell = Shell(peer, bus, body, journal)
+    leave_standing()
     task = asyncio.create_task(shell.run())
     telling = asyncio.create_task(tell(peer, body.tell))
     waiting = asyncio.create_task(end.wait())

@@ -44,6 +44,14 @@ def weight(order: Order, s: Sighting) -> tuple[float, ...]:
     return faded - RATE * (now - s.time), s.time, s.level, s.observer, s.value
 
 
+def test_a_faded_confidence_is_rounded_once() -> None:
+    """Found by the model below: two roundings put level 8 a thousandth too high, and it tied with a
+    level 10 of four seconds before."""
+    older, newer = Sighting(1, 10, 4, 0), Sighting(1, 8, 8, 0)
+    assert weight(Order.DECAYED, older) > weight(Order.DECAYED, newer)
+    assert make([(4, 4, older), (4, 4, newer)], Order.DECAYED).sighting(4, 4) == older
+
+
 @given(looks, orders)
 def test_it_is_the_slow_model(found: list[Look], order: Order) -> None:
     model: dict[tuple[int, int], Sighting] = {}

@@ -19,6 +19,7 @@ from sim.mcap_log import McapMissing, add_notes, read_recording
 from sim.recording import Recording
 from sim.scenario import ScenarioError
 from sim.scene import Scene, in_folder, scene_named
+from sim.standing import leave_standing
 from tools.attachment import LAUNCH, AttachError, attach
 from tools.estop import keyring_of
 from tools.inspection import SourceError, frames_of
@@ -109,6 +110,7 @@ async def serve(server: "MapServer", listener: socket.socket) -> None:
     )  # fmt: skip
     index = asyncio.create_task(server.keep_index())
     web = uvicorn.Server(config)
+    leave_standing()  # the page presses stops, too
     try:
         await web.serve([listener])
     finally:
