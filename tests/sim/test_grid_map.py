@@ -99,7 +99,9 @@ def test_the_gate_is_one_place() -> None:
     assert max(row + column for row, column in starts) <= 2
 
 
-@pytest.mark.parametrize("walls", [room_walls(31, 31, 7, 3), room_walls(20, 33, 5, 1), rack_walls(32, 32)])
+@pytest.mark.parametrize(
+    "walls", [room_walls(31, 31, 7, 3), room_walls(20, 33, 5, 1), rack_walls(32, 32)]
+)
 def test_buildings_are_one_room_with_walls(walls: Walls) -> None:
     """Every door is open on both sides, and aisles are joined."""
     free = int((~walls).sum())
