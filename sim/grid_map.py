@@ -158,6 +158,31 @@ def random_walls(rows: int, columns: int, wall_probability: float, seed: int) ->
     )
 
 
+def room_walls(rows: int, columns: int, room: int, seed: int) -> Walls:
+    """Square rooms of `room` cells, each with a door of one cell to each neighbour."""
+    rng = Random(f"{seed}/rooms/{rows}/{columns}/{room}")
+    walls = np.zeros((rows, columns), dtype=np.bool_)
+    walls[room :: room + 1, :] = True
+    walls[:, room :: room + 1] = True
+    for top in range(0, rows, room + 1):
+        for left in range(0, columns, room + 1):
+            high, wide = min(room, rows - top), min(room, columns - left)
+            if left + room < columns:
+                walls[top + rng.randrange(high), left + room] = False
+            if top + room < rows:
+                walls[top + room, left + rng.randrange(wide)] = False
+    return walls
+
+
+def rack_walls(rows: int, columns: int) -> Walls:
+    """A warehouse: racks of 2 x 6 cells, aisles of one cell between them, two cells all round."""
+    walls = np.zeros((rows, columns), dtype=np.bool_)
+    for top in range(2, rows - 3, 3):
+        for left in range(2, columns - 7, 7):
+            walls[top : top + 2, left : left + 6] = True
+    return walls
+
+
 def largest_room(walls: Walls) -> list[Cell]:
     """The cells of the largest 4-connected free region, row by row."""
     unseen = {(int(r), int(c)) for r, c in np.argwhere(~walls)}

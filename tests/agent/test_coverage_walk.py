@@ -14,7 +14,8 @@ from scipy.optimize import linear_sum_assignment
 from agent.coverage_approach import lay
 from agent.coverage_cut import assign, cut
 from agent.coverage_polish import polish
-from agent.coverage_walk import measure, walk
+from agent.coverage_step import WALL, fill_field, flood
+from agent.coverage_walk import measure, memory, steps_between, walk
 
 Mask = NDArray[np.uint8]
 
@@ -143,3 +144,23 @@ def test_a_laid_way_is_a_shortest_one(side: int, seed: int) -> None:
     way = lay(free, free, width, start, end, np.empty(free.size, np.int32)).tolist()
     steps = steps_from(free, width, start)
     assert len(way) == steps[end] and [steps[cell] for cell in way] == list(range(1, len(way) + 1))
+
+
+@given(st.integers(4, 24), st.integers(4, 24), st.floats(0.0, 0.5), st.integers(0, 99))
+@settings(deadline=None, max_examples=40)
+def test_searches_agree_on_steps(rows: int, columns: int, share: float, seed: int) -> None:
+    """The search that ends where it arrives, the flood, and the field with limits."""
+    walls = np.random.default_rng(seed).random((rows, columns)) < share
+    walls[0, 0] = False
+    free = np.ascontiguousarray(np.pad(~walls, 1).astype(np.uint8).ravel())
+    width = columns + 2
+    source, queue = width + 1, np.empty(free.size, np.int32)
+    plain = np.full(free.size, -1, np.int32)
+    fill_field(free, width, plain, source, -1, 1 << 30, queue)
+    flooded = np.where(free == 1, np.int32(-1), np.int32(WALL))
+    flood(width, flooded, source, queue)
+    assert (flooded[free == 1] == plain[free == 1]).all()
+    near = memory(free.size)
+    for cell in np.flatnonzero(free).tolist():
+        steps = steps_between(free, width, source, cell, near)
+        assert steps == (plain[cell] if plain[cell] >= 0 else 1 << 30)

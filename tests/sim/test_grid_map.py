@@ -10,15 +10,18 @@ from hypothesis import strategies as st
 from sim.grid_map import (
     GridFileError,
     Instance,
+    Walls,
     gate_starts,
     largest_room,
     map_text,
     mcpp_text,
     parse_map,
     parse_roots,
+    rack_walls,
     random_starts,
     random_walls,
     read_instance,
+    room_walls,
     write_instance,
 )
 
@@ -94,3 +97,12 @@ def test_random_maps_are_the_same_for_a_seed() -> None:
 def test_the_gate_is_one_place() -> None:
     starts = gate_starts(np.zeros((30, 30), dtype=np.bool_), 6)
     assert max(row + column for row, column in starts) <= 2
+
+
+@pytest.mark.parametrize(
+    "walls", [room_walls(31, 31, 7, 3), room_walls(20, 33, 5, 1), rack_walls(32, 32)]
+)
+def test_buildings_are_one_room_with_walls(walls: Walls) -> None:
+    """Every door is open on both sides, and aisles are joined."""
+    free = int((~walls).sum())
+    assert len(largest_room(walls)) == free < walls.size

@@ -219,8 +219,9 @@ def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
     small = [one for one in everything if one.instance.walls.size <= 128 * 128]
     yield from against_the_mission(small if quick else everything)
     yield from deaths(small, seeds)
-    yield from joins([one for one in everything if one.instance.walls.size < 128 * 128][:12])
-    yield from turns(runs)
+    smaller = [one for one in everything if one.instance.walls.size < 128 * 128]
+    yield from joins(smaller[: 4 if quick else 12])
+    yield from turns([one for one in runs if one.instance.walls.size <= 128 * 128 or not quick])
     yield from planning([one.instance for one in everything if len(one.instance.starts) == 100])
     faults = sum(one.faults for one in everything)
     yield Figure(

@@ -10,7 +10,14 @@ from typing import NamedTuple
 
 from sim.grid_fleet import GridFleet, GridOutcome
 from sim.grid_judge import judge
-from sim.grid_map import Instance, random_starts, random_walls
+from sim.grid_map import (
+    Instance,
+    gate_starts,
+    rack_walls,
+    random_starts,
+    random_walls,
+    room_walls,
+)
 from sim.grid_run import work
 from sim.grid_setting import STEP_S, GridSetting
 from sim.scenario import Crash, Fault, Heal, Join, Loss, Partition
@@ -52,6 +59,17 @@ def scattered(side: int, robots: int, seed: int) -> Instance:
     return Instance(
         f"random {side}x{side} k={robots}", walls, random_starts(walls, robots, seed)
     )  # fmt: skip
+
+
+def troubled(seed: int) -> list[Instance]:
+    """Maps for trouble: open ones, rooms with doors, a warehouse whose aisles hold one robot."""
+    rooms, racks = room_walls(31, 31, 7, seed), rack_walls(32, 32)
+    return [
+        scattered(32, ROBOTS, seed),
+        scattered(32, 12, seed + 1),
+        Instance(f"rooms 31x31 k={ROBOTS}", rooms, random_starts(rooms, ROBOTS, seed)),
+        Instance(f"warehouse 32x32 k={ROBOTS}", racks, gate_starts(racks, ROBOTS)),
+    ]
 
 
 def _ratio(name: str, value: float, target: float | None, against: str, scope: str) -> Figure:
@@ -104,7 +122,7 @@ def with_trouble(instance: Instance, seed: int, done: list[Drive], quick: bool) 
         Heal(at_s=half_s / 2 + SPLIT_S, kind="heal"),
     ])  # fmt: skip
     done += [plain, dead, cut]
-    name, least = instance.name, plain.outcome.makespan_s
+    name, least = f"{instance.name}, seed {seed}", plain.outcome.makespan_s
     against = "the same run without trouble"
     scope = f"{SCOPE}; {name}"
     share = dead.outcome.makespan_s / least
@@ -126,8 +144,10 @@ def with_trouble(instance: Instance, seed: int, done: list[Drive], quick: bool) 
         return
     late = [Join(at_s=half_s, kind="join", robot=slot) for slot in slots[robots // 2 :]]
     joined = drive(instance, seed, late)
-    noisy = drive(instance, seed, [Loss(at_s=0.0, kind="loss", rate=0.05)])
-    done += [joined, noisy]
+    noise = Loss(at_s=0.0, kind="loss", rate=0.05)
+    noisy = drive(instance, seed, [noise])
+    dead_in_noise = drive(instance, seed, [noise, Crash(at_s=half_s, kind="crash", robot=victim)])
+    done += [joined, noisy, dead_in_noise]
     share = (joined.outcome.makespan_s - half_s) / (joined.outcome.bound_s - half_s)
     text = (
         f"{scope}; half of them start, as many join at half time: their rest over the others' own"
@@ -135,6 +155,9 @@ def with_trouble(instance: Instance, seed: int, done: list[Drive], quick: bool) 
     yield _ratio(f"whole peers, joins, {name}", share, None, "half of them alone, bound", text)
     share = noisy.outcome.makespan_s / least
     yield _ratio(f"whole peers, 5 % of all frames lost, {name}", share, None, against, scope)
+    share = dead_in_noise.outcome.makespan_s / least
+    name = f"whole peers, a death at half time and 5 % of all frames lost, {name}"
+    yield _ratio(name, share, 1.2, against, scope)
 
 
 def figures(
@@ -146,9 +169,9 @@ def figures(
     yield from on_maps(small[:1] if quick else small, seed, done)
     if not quick:
         yield from on_fields(fields, seed, done)
-    for number in range(1 if quick else 4):
-        side = 20 if quick else 32
-        yield from with_trouble(scattered(side, ROBOTS, seed + number), seed, done, quick)
+    for instance in [scattered(20, ROBOTS, seed)] if quick else troubled(seed):
+        for number in range(1 if quick else 2):
+            yield from with_trouble(instance, seed + number, done, quick)
     yield from _faults(done)
 
 
