@@ -86,9 +86,7 @@ def _cell(house: Warehouse, at: tuple[float, float]) -> int:
     return cell
 
 
-async def _order(
-    orders: list[Order], where: tuple[str, str, int, str, int]
-) -> dict[int, bool]:
+async def _order(orders: list[Order], where: tuple[str, str, int, str, int]) -> dict[int, bool]:
     """Task numbers, and whether two robots, or all there are, have said that they know them."""
     bus = attach(*where)
     desk = OrderDesk()
