@@ -31,10 +31,6 @@ class CutOff:
     def look(self, at: Point, goals: Mapping[int, Sequence[Point]], now_us: int) -> None:
         """When due. `goals`: of each section, the places that all must be got to."""
         self._look_us = now_us + LOOK_US
-        if not self.hazards.standing:
-            self._since_us.clear()
-            self.sections = frozenset()
-            return
         places = [(section, place) for section, own in goals.items() for place in own]
         reached = self.hazards.reaches(at, [place for _, place in places])
         cut = {section for (section, _), there in zip(places, reached, strict=True) if not there}

@@ -11,7 +11,7 @@ from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
+from scipy.ndimage import distance_transform_edt, label
 
 from agent.lattice import Lattice
 from agent.route import Route
@@ -60,6 +60,12 @@ class Floor:
         gap_m = (distance_transform_edt(~self.fine) - 0.5) * self.fine_m
         blocked: NDArray[np.bool_] = gap_m < self.radius_m + self.margin_m - 1e-9
         return blocked
+
+    @cached_property
+    def parts(self) -> NDArray[np.int32]:
+        """Floors that no way joins, numbered from 1; 0 where no centre of a body may be."""
+        parts: NDArray[np.int32] = label(~self.inflated)[0]
+        return parts
 
     @cached_property
     def route(self) -> Route:

@@ -54,6 +54,7 @@ class Hazards:
         self.sensed = Sensed(floor.fences, floor.radius_m)
         self.hits: list[XY] = []  # what our rays hit just now and neither wall nor robot explains
         self.map: HazardMap | None = None
+        self._geometry = geometry_of(floor)
         self._version = 0
 
     def look(
@@ -102,15 +103,45 @@ class Hazards:
             return self.floor.route.path(at, goal)
         found = self.map.grid.plan(at, goal)
         if found is None and self.reach_m:
-            (place,) = self.map.places(at, [goal], self.reach_m)
+            (place,) = self.places(at, [goal], self.map.parts())
             found = None if place is None else self.map.grid.plan(at, place)
         return None if found is None else tuple(found)
 
     def reaches(self, at: XY, goals: Sequence[XY]) -> list[bool]:
         """Which goals can be got to, or near enough to, round everything that stands now."""
-        if self.map is None or not self.map.standing:
-            return [True] * len(goals)
-        return [place is not None for place in self.map.places(at, goals, self.reach_m)]
+        parts = None if self.map is None or not self.map.standing else self.map.parts()
+        found = self.places(at, goals, self.floor.parts if parts is None else parts)
+        return [place is not None for place in found]
+
+    def places(self, at: XY, goals: Sequence[XY], parts: NDArray[np.int32]) -> list[XY | None]:
+        """For each goal the place nearest to it, within reach of it, that can be driven to."""
+        floor = self.floor
+        _, own = self._disc(at, floor.radius_m + floor.margin_m + floor.fine_m)
+        mine = np.unique(parts[own[:, 0], own[:, 1]])
+        mine = mine[mine > 0]
+        found: list[XY | None] = []
+        for goal in goals:
+            gaps, cells = self._disc(goal, max(self.reach_m, floor.fine_m))
+            ours = np.isin(parts[cells[:, 0], cells[:, 1]], mine)
+            if not len(mine):
+                found.append(goal)  # something stands right beside us: we cannot tell from here
+            elif not ours.any():
+                found.append(None)
+            else:
+                best = int(np.argmin(np.where(ours, gaps, inf)))
+                found.append(self._geometry.centre(*cells[best].tolist()))
+        return found
+
+    def _disc(self, at: XY, reach_m: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """Cells (n, 2) whose middles are within reach of a place, and how far off each is, metres."""
+        rows, columns, (west, south), cell_m = self._geometry
+        low, high = (self._geometry.cell((at[0] + d, at[1] + d)) for d in (-reach_m, reach_m))
+        r, c = np.mgrid[
+            max(low[0], 0) : min(high[0] + 1, rows), max(low[1], 0) : min(high[1] + 1, columns)
+        ].reshape(2, -1)
+        gaps = np.hypot(west + (c + 0.5) * cell_m - at[0], south + (r + 0.5) * cell_m - at[1])
+        near = gaps <= reach_m
+        return gaps[near], np.column_stack((r, c))[near]
 
 
 class HazardMap(SurveyMap):
@@ -177,38 +208,10 @@ class HazardMap(SurveyMap):
         cell_m = self.geometry.cell_m
         return [(west + (c + 0.5) * cell_m, south + (r + 0.5) * cell_m) for r, c in middles]
 
-    def places(self, at: XY, goals: Sequence[XY], reach_m: float) -> list[XY | None]:
-        """For each goal the place nearest to it, within reach of it, that can be driven to."""
-        parts = label(~self.grid.tight.blocked)[0]
-        room_m = self.radius_m + self.grid.inflation_m + self.geometry.cell_m
-        _, own = self._disc(at, room_m)
-        mine = np.unique(parts[own[:, 0], own[:, 1]])
-        mine = mine[mine > 0]
-        found: list[XY | None] = []
-        for goal in goals:
-            gaps, cells = self._disc(goal, max(reach_m, self.geometry.cell_m))
-            ours = np.isin(parts[cells[:, 0], cells[:, 1]], mine)
-            if not len(mine):
-                found.append(goal)  # something stands right beside us: we cannot tell from here
-            elif not ours.any():
-                found.append(None)
-            else:
-                best = int(np.argmin(np.where(ours, gaps, inf)))
-                found.append(self.geometry.centre(*cells[best].tolist()))
-        return found
-
-    def _disc(self, at: XY, reach_m: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Cells (n, 2) whose middles are within reach of a place, and how far off each is, metres."""
-        low, high = (self.geometry.cell((at[0] + d, at[1] + d)) for d in (-reach_m, reach_m))
-        rows, columns = self.grid.solid.shape
-        r, c = np.mgrid[
-            max(low[0], 0) : min(high[0] + 1, rows), max(low[1], 0) : min(high[1] + 1, columns)
-        ].reshape(2, -1)
-        west, south = self.geometry.origin_m
-        cell_m = self.geometry.cell_m
-        gaps = np.hypot(west + (c + 0.5) * cell_m - at[0], south + (r + 0.5) * cell_m - at[1])
-        near = gaps <= reach_m
-        return gaps[near], np.column_stack((r, c))[near]
+    def parts(self) -> NDArray[np.int32]:
+        """Floors that are apart at present, numbered from 1; 0 where no centre may be."""
+        parts: NDArray[np.int32] = label(~self.grid.tight.blocked)[0]
+        return parts
 
     def stand(self, bodies: Mapping[int, XY], now_us: int) -> None:
         """Silent members stand until they are heard, or until we look at their place and it is free."""
