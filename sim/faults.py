@@ -87,7 +87,8 @@ class FaultPlan:
             case kinds.Errors(rate=rate):
                 wire.faults.error = rate
             case kinds.BusOff(robot=robot, for_s=for_s):
-                wire.bus_off(cluster.node_of(robot), now_us + round(for_s * S))
+                if cluster.is_up(robot):  # a dead robot's controller is off already
+                    wire.bus_off(cluster.node_of(robot), now_us + round(for_s * S))
             case kinds.Estop(robot=robot, reason=reason):
                 cluster.press(robot, Reason[reason])
             case kinds.Reset():

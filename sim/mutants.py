@@ -187,6 +187,14 @@ def _ten_times(right: Any) -> Any:
     return init
 
 
+def _unnoticed(right: Any) -> Any:
+    def tick(self: Membership, now_us: int) -> list[int]:
+        self._oldest_us = now_us
+        return []
+
+    return tick
+
+
 def _open(right: Any) -> Any:
     return lambda self, wanted, now_us: wanted
 
@@ -222,7 +230,7 @@ MUTANTS: dict[str, Mutant] = {
         "stop",
     ),
     "no-echo-single-shot": Mutant("a stop is said once", Safety, "_press", _single_shot, "stop"),
-    "silence-unnoticed": Mutant("nobody falls silent", Membership, "tick", _constant([]), "stop"),
+    "silence-unnoticed": Mutant("nobody falls silent", Membership, "tick", _unnoticed, "stop"),
     "silence-ten-times": Mutant(
         "silence is noticed after ten times the limit",
         Membership,

@@ -102,9 +102,13 @@ def _hunts(hunts: list[Result]) -> Iterable[str]:
     order = sorted(rows, key=lambda pair: (not pair[0]["found"], pair[0]["cpu_s"]))
     yield _table(
         ("bug", "what", "found by", "runs", "CPU s", "code"),
-        [(r["mutant"], r["about"], r["rule"] or "**not found**", r["runs"], r["cpu_s"], code)
+        [(r["mutant"], r["about"], r["rule"] or _missed(r), r["runs"], r["cpu_s"], code)
          for r, code in order],
     )  # fmt: skip
+
+
+def _missed(row: Result) -> str:
+    return "**not found**" if row["runs"] else "not hunted"
 
 
 def _fuzzed(fuzzed: list[Result]) -> Iterable[str]:
