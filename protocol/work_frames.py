@@ -33,17 +33,11 @@ class TaskClaim(NamedTuple):
     owner: int
 
     def pack(self) -> bytes:
-        low, high = self.lamport & 0xFFFF, self.lamport >> 16
-        return CLAIM.pack(
-            self.section, self.epoch, self.phase | self.bid << 3, low, high, self.owner
-        )
+        return _packed(self)
 
     @classmethod
     def unpack(cls, data: bytes) -> "TaskClaim":
-        section, epoch, mixed, low, high, owner = CLAIM.unpack(data)
-        if mixed & 7 not in PHASES:
-            raise ValueError("range")
-        return cls(section, epoch, mixed & 7, mixed >> 3, low | high << 16, owner)
+        return cls(*_register(data))
 
 
 class StateSyncResponse(NamedTuple):
@@ -57,17 +51,23 @@ class StateSyncResponse(NamedTuple):
     owner: int
 
     def pack(self) -> bytes:
-        low, high = self.lamport & 0xFFFF, self.lamport >> 16
-        return CLAIM.pack(
-            self.section, self.epoch, self.phase | self.bid << 3, low, high, self.owner
-        )
+        return _packed(self)
 
     @classmethod
     def unpack(cls, data: bytes) -> "StateSyncResponse":
-        section, epoch, mixed, low, high, owner = CLAIM.unpack(data)
-        if mixed & 7 not in PHASES:
-            raise ValueError("range")
-        return cls(section, epoch, mixed & 7, mixed >> 3, low | high << 16, owner)
+        return cls(*_register(data))
+
+
+def _packed(told: TaskClaim | StateSyncResponse) -> bytes:
+    low, high = told.lamport & 0xFFFF, told.lamport >> 16
+    return CLAIM.pack(told.section, told.epoch, told.phase | told.bid << 3, low, high, told.owner)
+
+
+def _register(data: bytes) -> tuple[int, int, int, int, int, int]:
+    section, epoch, mixed, low, high, owner = CLAIM.unpack(data)
+    if mixed & 7 not in PHASES:
+        raise ValueError("range")
+    return section, epoch, mixed & 7, mixed >> 3, low | high << 16, owner
 
 
 class StateSyncRequest(NamedTuple):

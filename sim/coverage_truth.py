@@ -129,7 +129,7 @@ def _swung(rx, ry, was_x, was_y, cx, cy):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _reach(a, b, margin, origin, side, count):  # type: ignore[no-untyped-def]
+def cells_near(a, b, margin, origin, side, count):  # type: ignore[no-untyped-def]
     """First and one past the last column, or row, that a stroke comes near to."""
     first = int((min(a, b) - margin - origin) / side)
     last = int((max(a, b) + margin - origin) / side)
@@ -149,9 +149,9 @@ def _sweep(strokes, width, place, cells, first_us, driven, again):  # type: igno
             continue
         cx, cy = (bx - ax) / length, (by - ay) / length
         turned = (was_x != 0.0 or was_y != 0.0) and was_x * cx + was_y * cy > BACK_COS
-        for r in range(*_reach(ay, by, half, south, side, rows)):
+        for r in range(*cells_near(ay, by, half, south, side, rows)):
             ry = south + (r + 0.5) * side - ay
-            for c in range(*_reach(ax, bx, half, west, side, columns)):
+            for c in range(*cells_near(ax, bx, half, west, side, columns)):
                 if not cells[r, c]:
                     continue
                 rx = west + (c + 0.5) * side - ax

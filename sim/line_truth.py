@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from sim.coverage_truth import Floats, Tracks, strokes_of
+from sim.coverage_truth import Floats, Tracks, cells_near, strokes_of
 from sim.truth import Track, TrackPoint
 
 Polyline = Sequence[tuple[float, float]]
@@ -79,13 +79,6 @@ def _samples(number: int, line: Polyline) -> Floats:
 
 
 @njit(cache=True, error_model="numpy")
-def _reach(a, b, margin, origin, side, count):  # type: ignore[no-untyped-def]
-    first = int((min(a, b) - margin - origin) / side)
-    last = int((max(a, b) + margin - origin) / side)
-    return max(first, 0), min(last, count - 1) + 1
-
-
-@njit(cache=True, error_model="numpy")
 def _pass(strokes, tolerance, place, shape, samples, begins, at_us):  # type: ignore[no-untyped-def]
     """Note when a stroke (from, to, when, ...) first passes along each sample."""
     west, south, side = place
@@ -95,8 +88,8 @@ def _pass(strokes, tolerance, place, shape, samples, begins, at_us):  # type: ig
         if length == 0.0:
             continue
         cx, cy = (bx - ax) / length, (by - ay) / length
-        for r in range(*_reach(ay, by, tolerance, south, side, shape[0])):
-            for c in range(*_reach(ax, bx, tolerance, west, side, shape[1])):
+        for r in range(*cells_near(ay, by, tolerance, south, side, shape[0])):
+            for c in range(*cells_near(ax, bx, tolerance, west, side, shape[1])):
                 bucket = r * shape[1] + c
                 for n in range(begins[bucket], begins[bucket + 1]):
                     rx, ry = samples[n, 0] - ax, samples[n, 1] - ay

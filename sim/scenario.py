@@ -103,19 +103,20 @@ class Freeze(_Fault):
     for_s: float = Field(gt=0.0)
 
 
-class Loss(_Fault):
+class _Rated(_Fault):
+    rate: float = Field(ge=0.0, le=1.0)
+
+
+class Loss(_Rated):
     kind: Literal["loss"]
-    rate: float = Field(ge=0.0, le=1.0)
 
 
-class Omission(_Fault):
+class Omission(_Rated):
     kind: Literal["omission"]
-    rate: float = Field(ge=0.0, le=1.0)
 
 
-class Duplicate(_Fault):
+class Duplicate(_Rated):
     kind: Literal["duplicate"]
-    rate: float = Field(ge=0.0, le=1.0)
 
 
 class Errors(_Fault):

@@ -1,0 +1,47 @@
+"""A `headland launch` begun by a test, in a folder of its own: its robots and their states."""
+
+import asyncio
+import json
+import os
+import sys
+from asyncio.subprocess import PIPE, STDOUT, Process
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+WAIT_S = 60.0  # for what takes a second on a quiet machine
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
+
+
+async def start(folder: Path, *words: str) -> Process:
+    return await asyncio.create_subprocess_exec(
+        sys.executable, "-m", "tools.headland", *words,
+        cwd=folder, stdout=PIPE, stderr=STDOUT, env=ENVIRONMENT,
+    )  # fmt: skip
+
+
+async def call(folder: Path, *words: str) -> tuple[int, str]:
+    process = await start(folder, *words)
+    async with asyncio.timeout(WAIT_S):
+        out, _ = await process.communicate()
+    assert process.returncode is not None
+    return process.returncode, out.decode()
+
+
+async def robots_up(launch: Process, count: int) -> list[int]:
+    """Process ids of the robots, once all of them are working."""
+    pids: list[int] = []
+    assert launch.stdout is not None
+    async with asyncio.timeout(WAIT_S):
+        async for raw in launch.stdout:
+            line = raw.decode()
+            if line.startswith("robot ") and "process" in line:
+                pids.append(int(line.split()[-1]))
+            if line.count("WORKING") == count:
+                return pids
+    raise AssertionError("the launch ended early")
+
+
+async def states(folder: Path) -> dict[int, str]:
+    code, out = await call(folder, "inspect", "--seconds", "1.5", "--json")
+    assert code == 0, out
+    return {r["slot"]: r["state"] for r in json.loads(out)["robots"] if not r["silent"]}
