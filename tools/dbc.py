@@ -4,8 +4,8 @@ The text is written here: the format is a page long, and cantools, whose writer 
 with the years, stays free to be the judge of it in our tests.
 """
 
-from collections.abc import Iterator
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 from protocol.identifier import GLOBAL_ADDRESS, NULL_ADDRESS, Identifier

@@ -213,7 +213,9 @@ def main() -> None:
     except WRONG_WORDS as problem:
         context = problem.ctx
         where = "headland" if context is None else context.command_path
-        if type(problem).__name__ == "NoArgsIsHelpError":  # no word at all: the help, not a reproach
+        if (
+            type(problem).__name__ == "NoArgsIsHelpError"
+        ):  # no word at all: the help, not a reproach
             problem.show()
         else:
             line = " ".join(problem.format_message().split()).rstrip(".")

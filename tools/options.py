@@ -30,6 +30,9 @@ Map = Annotated[bool, typer.Option("--map", help="Show it in a browser.")]
 PagePort = Annotated[
     int,
     typer.Option(
-        "--page-port", min=0, max=PORT_MAX, help="Port of the map's page, on loopback (0: any free one)."
+        "--page-port",
+        min=0,
+        max=PORT_MAX,
+        help="Port of the map's page, on loopback (0: any free one).",
     ),
 ]
