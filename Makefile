@@ -40,7 +40,7 @@ bench: setup
 
 site: setup
 	$(BIN)/python -m tools.handbook docs
-	$(BIN)/mkdocs build --strict --quiet
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 	@echo "the site is in build/site/index.html"
 
 clean:

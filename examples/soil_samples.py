@@ -13,6 +13,7 @@ from agent.route import Route
 from agent.tracker import Tracker
 from crdt import Phase
 from sim.cluster import Cluster
+from sim.host import Script
 from sim.scenario import load
 from sim.setting import Setting
 from sim.swarm import Swarm
@@ -73,7 +74,7 @@ class SoilSamples:
             return wish
         self.there_us = view.now_us if self.there_us is None else self.there_us
         if view.now_us - self.there_us < DIG_US:
-            return STILL._replace(hold=True)
+            return STILL._replace(tool_on=True)  # the auger is down
         return STILL._replace(covered=(0,), finished=True)
 
     def travel(self, goal: Point, view: FleetView) -> Wish:
@@ -91,7 +92,7 @@ class SoilSamples:
         self.section, self.tracker = -1, None
 
     def interrupted(self) -> None:
-        """A stop came between: dig anew."""
+        """The auger is up, or a stop came between: dig anew."""
         self.there_us = None
 
     def rest(self, view: FleetView) -> Wish:
@@ -124,7 +125,7 @@ def sample(robots: int = 3, seed: int = 1, limit_s: float = 300.0) -> tuple[floa
     swarm = Swarm()
     cluster = Cluster(SoilSetting(load("small").changed(robots, seed)), "soil", None, swarm)
 
-    def play():  # type: ignore[no-untyped-def]
+    def play() -> Script[float]:
         cluster.boot_all()
         while not cluster.finished and swarm.now_us() < limit_s * S:
             yield swarm.now_us() + S // 2

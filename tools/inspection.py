@@ -129,10 +129,11 @@ def _section(why: str | None) -> int | None:
 def frames_of(source: Path) -> Iterator[tuple[int, Frame]]:
     """Frames of a run folder, a candump log, an MCAP, or any log python-can reads (.asc .blf .csv
     .trc). SourceError, also where there is no frame in it."""
-    number = -1
-    for number, row in enumerate(_frames_of(source)):
+    empty = True
+    for row in _frames_of(source):
+        empty = False
         yield row
-    if number < 0:
+    if empty:
         raise SourceError(f"{source}: no CAN frame is in it: not a log, or nothing was said")
 
 

@@ -16,6 +16,7 @@ from agent.lifecycle import TABLE, State
 from crdt import Phase
 from protocol.messages import GROUPS
 from sim.errand_scenario import load_mission
+from sim.host import Script
 from sim.setting import Setting
 from tools import handbook
 
@@ -94,7 +95,7 @@ def test_a_dead_robot_s_post_is_taken_over() -> None:
     setting = example["SoilSetting"](example["load"]("small").changed(3, 1))
     cluster = cluster_type(setting, "soil, a death", None, swarm)
 
-    def play():  # type: ignore[no-untyped-def]
+    def play() -> Script[None]:
         cluster.boot_all()
         yield 4 * S
         cluster.kill(1)

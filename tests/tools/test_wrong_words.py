@@ -21,43 +21,40 @@ run small --seed -1 | run small --robots 9999 | run small --robots 0 | run small
 run small --keys nowhere | run small --keys bin.json | run small --feature zzz | run small --wild
 run small --map --page-port TAKEN | run small --map --page-port 99999 | run small --page-port -1
 run rooms --map | run rooms --out file/x | run warehouse --out file/x | run warehouse --robots 9999
-run warehouse --live --port TAKEN --seconds 1
-explore nowhere | explore bin.toml | explore arena --out file/x | explore arena --robots 999 | explore oxted
-launch nowhere | launch small --out file/x | launch small --port TAKEN --seconds 1
-launch small --port 99999 | launch small --segment 99999 | launch warehouse | launch rooms
-launch small --map --page-port TAKEN
-replay nowhere | replay noise.log | replay noise.mcap | replay noise.blf | replay text.asc | replay empty.log
-replay folder | replay file | replay noise.log -i nonsense | replay runx
-report nowhere | report noise.log | report noise.mcap | report noise.blf | report text.asc | report folder
-report file | report runx | report | report empty.log -o page.pdf
-export nowhere --geojson x | export folder | export folder --geojson x | export runy --geojson x
-dbc file/x | dbc folder
-inspect nowhere | inspect noise.mcap | inspect noise.blf | inspect folder --picture x.svg | inspect empty.log
-inspect --picture x.svg | inspect empty.log --why S99999999 | inspect empty.log --why | inspect --traces 3
-inspect -i nonsense | inspect --port 1 | inspect --port 99999 | inspect runx | inspect -i socketcan -c nocan9
-inspect -i slcan -c /dev/nothing
-map nowhere | map noise.mcap | map folder | map empty.log --scenario nowhere --page-port 0
-map empty.log --page-port TAKEN | map --port 1 | map -i socketcan -c nocan9 | map --keys nowhere -i virtual
-estop --port 1 | estop --keys nowhere | estop --keys bin.json --port 1 | estop --reason BORED
-reset --operator-key nowhere | reset --operator-key bin.json | reset --port 1
-order | order 1 | order x wait | order 1 set-goal | order 1 set-goal 1,x | order -1 wait | order 999 wait --port 1
+run warehouse --live --port TAKEN --seconds 1 | explore nowhere | explore bin.toml
+explore arena --out file/x | explore arena --robots 999 | explore oxted | launch nowhere
+launch small --out file/x | launch small --port TAKEN --seconds 1 | launch small --port 99999
+launch small --segment 99999 | launch warehouse | launch rooms
+launch small --map --page-port TAKEN | replay nowhere | replay noise.log | replay noise.mcap
+replay noise.blf | replay text.asc | replay empty.log | replay folder | replay file
+replay noise.log -i nonsense | replay runx | report nowhere | report noise.log | report noise.mcap
+report noise.blf | report text.asc | report folder | report file | report runx
+report empty.log -o page.pdf | export nowhere --geojson x | export folder
+export folder --geojson x | export runy --geojson x | dbc file/x | dbc folder | inspect nowhere
+inspect noise.mcap | inspect noise.blf | inspect folder --picture x.svg | inspect empty.log
+inspect --picture x.svg | inspect empty.log --why S99999999 | inspect empty.log --why
+inspect --traces 3 | inspect -i nonsense | inspect --port 1 | inspect --port 99999 | inspect runx
+inspect -i socketcan -c nocan9 | inspect -i slcan -c /dev/nothing | map nowhere | map noise.mcap
+map folder | map empty.log --scenario nowhere --page-port 0 | map empty.log --page-port TAKEN
+map --port 1 | map -i socketcan -c nocan9 | map --keys nowhere -i virtual | estop --port 1
+estop --keys nowhere | estop --keys bin.json --port 1 | estop --reason BORED
+reset --operator-key nowhere | reset --operator-key bin.json | reset --port 1 | order | order 1
+order x wait | order 1 set-goal | order 1 set-goal 1,x | order -1 wait | order 999 wait --port 1
 say status --log nowhere | say status --log noise.mcap | say status --log empty.log
-say status --places nowhere --read | say "go home" --places bin.toml --read
-bridge | bridge --segment 0 | bridge --segment 1 --port 1 | bridge --segment 1 --config nowhere --port 1
+say status --places nowhere --read | say "go home" --places bin.toml --read | bridge
+bridge --segment 0 | bridge --segment 1 --port 1 | bridge --segment 1 --config nowhere --port 1
 bridge --segment 1 --area nowhere --port 1 | bridge --segment 1 --mode wild --port 1
-chaos --seeds x | chaos --seeds 5:1 | chaos --profile wild | chaos --out file/x | chaos --scenario nowhere
-chaos --scenario bin.toml | chaos --jobs -1
-fuzz wild | fuzz --input nowhere | fuzz frame --input nowhere | fuzz --engine wild | fuzz --runs -5 frame
-bench wild
-coverage solve nowhere | coverage solve bin.map | coverage solve --H 0 --W 5 | coverage replay nowhere
-coverage solve --H 8 --W 8 --agents 2 --out file/x | coverage replay bin.json | coverage replay list.json
-coverage drive nowhere | coverage solve --H 8 --W 8 --wall-prob 7
-keys new file/x | keys new folder --device 3 | keys rotate folder | keys show nowhere | keys show bin.json
-keys show list.json | keys show folder
+chaos --seeds x | chaos --seeds 5:1 | chaos --profile wild | chaos --out file/x
+chaos --scenario nowhere | chaos --scenario bin.toml | chaos --jobs -1 | fuzz wild
+fuzz --input nowhere | fuzz frame --input nowhere | fuzz --engine wild | fuzz --runs -5 frame
+bench wild | coverage solve nowhere | coverage solve bin.map | coverage solve --H 0 --W 5
+coverage replay nowhere | coverage solve --H 8 --W 8 --agents 2 --out file/x
+coverage replay bin.json | coverage replay list.json | coverage drive nowhere
+coverage solve --H 8 --W 8 --wall-prob 7 | keys new file/x | keys new folder --device 3
+keys rotate folder | keys show nowhere | keys show bin.json | keys show list.json | keys show folder
 task add | task add 1,2 | task add a b | task add --file nowhere | task add --file bin.csv
 task add 1,2 3,4 --scenario nowhere | task add 1,2 3,4 --scenario small | task add 99,99 1.5,8.5
-task add 9.5,2.5 1.5,8.5 --port 1
-wild | --wild
+task add 9.5,2.5 1.5,8.5 --port 1 | wild | --wild
 """
 CASES = [case.strip() for line in WORDS.strip().splitlines() for case in line.split(" | ")]
 
