@@ -29,7 +29,7 @@ from agent.linear_program import DX, DY, ONE, PX, PY, ZERO, solve, violation
 from agent.nearest import take
 from agent.obstacle_tree import NO_WALLS, ObstacleTree
 from agent.orca_fleet import WALLS_MAX, near_walls
-from agent.stopping_room import before_agent
+from agent.stopping_room import before_agent, within_grip
 
 f32 = np.float32
 XY = tuple[float, float]
@@ -116,6 +116,8 @@ def _nearest(work, near, squares):  # type: ignore[no-untyped-def]
 @njit(cache=True, error_model="numpy")
 def _stop_lines(work, near, count, lines, hard):  # type: ignore[no-untyped-def]
     """Half-planes within which we can stop before each of the nearest, after the `hard` ones."""
+    own = sqrt(work[VX] * work[VX] + work[VY] * work[VY]) + work[STOPPING] * work[DT]
+    own = min(own, work[SPEED_MAX])
     for k in range(count):
         at = near[k]
         age, ux, uy = work[NOW_S] - work[at + ROW_HEARD_S], work[at + ROW_VX], work[at + ROW_VY]
@@ -124,15 +126,15 @@ def _stop_lines(work, near, count, lines, hard):  # type: ignore[no-untyped-def]
         dx = work[at + ROW_X] + ux * age - work[X]
         dy = work[at + ROW_Y] + uy * age - work[Y]
         hard += before_agent(dx, dy, ux, uy, work[RADIUS] + work[at + ROW_RADIUS],
-                             age + work[at + ROW_MOVED_ON_S], work[STOPPING], work[SPEED_MAX],
-                             lines, hard)  # fmt: skip
+                             age + work[at + ROW_MOVED_ON_S], work[STOPPING], own,
+                             work[SPEED_MAX], lines, hard)  # fmt: skip
     return hard
 
 
 @njit(cache=True, error_model="numpy")
 def _choose(work, lines, hard, spare, near, squares):  # type: ignore[no-untyped-def]
     """Half-planes of the neighbours after the `hard` ones, and the velocity of them all."""
-    count = _nearest(work, near, squares)
+    count, first = _nearest(work, near, squares), hard
     if work[STOPPING] > 0.0:
         hard = _stop_lines(work, near, count, lines, hard)
     vx, vy, now = f32(work[VX]), f32(work[VY]), work[NOW_S]
@@ -154,7 +156,10 @@ def _choose(work, lines, hard, spare, near, squares):  # type: ignore[no-untyped
                 wx, wy = (f32(work[WANT_X] * work[COS] + work[WANT_Y] * work[SIN]),
                           f32(work[WANT_Y] * work[COS] - work[WANT_X] * work[SIN]))  # fmt: skip
                 break
-    return solve(lines, hard + count, hard, f32(work[SPEED_MAX]), wx, wy, spare)
+    wx, wy = solve(lines, hard + count, hard, f32(work[SPEED_MAX]), wx, wy, spare)
+    if hard > first and work[STOPPING] > 0.0:
+        return within_grip(wx, wy, vx, vy, f32(work[STOPPING] * work[DT]), lines, first, hard)
+    return wx, wy
 
 
 @njit(cache=True, error_model="numpy")

@@ -9,6 +9,11 @@ drives away was heard is behind where it can stop.
 
 Both brake by at least `braking`, and know it of each other: they are of one fleet. Standing is always
 permitted, so these half-planes never contradict each other.
+
+Wheels have one grip for braking and for swerving. So the room towards a body is what braking straight
+takes of it at the speed that we may have, not at the part of it towards the body; and where a swerve is
+asked for that the wheels do not reach in a period, and what they reach is too fast, we brake straight,
+which from where we may be is always in time.
 """
 
 from math import sqrt
@@ -16,7 +21,7 @@ from math import sqrt
 import numpy as np
 from numba import njit
 
-from agent.linear_program import DX, DY, PX, PY
+from agent.linear_program import DX, DY, PX, PY, violation
 
 f32 = np.float32
 REACTION_S = 0.1  # two control periods: what was decided is in force, and the wheels follow
@@ -26,9 +31,10 @@ SAID_M_S = 0.025  # a beat rounds the speed by so much
 
 
 @njit(cache=True, error_model="numpy")
-def before_agent(px, py, ux, uy, radius, age, braking, speed, lines, k):  # type: ignore[no-untyped-def]
+def before_agent(px, py, ux, uy, radius, age, braking, own, speed, lines, k):  # type: ignore[no-untyped-def]
     """Half-plane k against a body at (px, py) from here that moves with (ux, uy) and was heard `age`
-    seconds ago; `radius`: of both, and the margin. How many were written: none where `speed` is safe.
+    seconds ago; `radius`: of both, and the margin; `own`: our speed after the next period at most. How
+    many were written: none where `speed` is safe.
     """
     distance = sqrt(px * px + py * py)
     if distance < 1e-9:
@@ -41,9 +47,25 @@ def before_agent(px, py, ux, uy, radius, age, braking, speed, lines, k):  # type
         room -= -away * REACTION_S + away * away / (2.0 * braking)
     limit = 0.0
     if room > 0.0:
-        limit = braking * (sqrt(REACTION_S * REACTION_S + 2.0 * room / braking) - REACTION_S)
+        limit = room / (REACTION_S + own / (2.0 * braking))
     if limit >= speed:
         return 0
     lines[k, PX], lines[k, PY] = f32(px * limit), f32(py * limit)
     lines[k, DX], lines[k, DY] = f32(-py), f32(px)
     return 1
+
+
+@njit(cache=True, error_model="numpy")
+def within_grip(wx, wy, vx, vy, change, lines, first, end):  # type: ignore[no-untyped-def]
+    """(wx, wy), or braking straight from (vx, vy), where what a `change` of velocity reaches on the way
+    to it breaks one of the half-planes from `first` on."""
+    cx, cy = wx - vx, wy - vy
+    asked = sqrt(cx * cx + cy * cy)
+    if asked <= change:
+        return wx, wy
+    rx, ry = f32(vx + cx * change / asked), f32(vy + cy * change / asked)
+    for k in range(first, end):
+        if violation(lines, k, rx, ry) > f32(0.0):
+            left = f32(max(1.0 - change / max(sqrt(vx * vx + vy * vy), 1e-9), 0.0))
+            return vx * left, vy * left
+    return wx, wy
