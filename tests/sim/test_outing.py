@@ -25,7 +25,7 @@ def test_everybody_gets_through_whatever_is_lost(layout: str) -> None:
 
 
 def test_who_drives_behind_a_robot_that_halts_for_a_round_does_not_touch_it() -> None:
-    """The follower used to expect that it goes on, and touched it by 2 mm."""
+    """Here a follower that expected it to go on was once seen to touch it by 2 mm."""
     result = trial("swap 3:3", 0.3, True, 1)
     assert result.finished and result.contacts == 0
 
