@@ -160,7 +160,7 @@ SIGNALS: dict[type[Message], tuple[Signal, ...]] = {
     ),
     Fallen: (
         Signal("x_m", 0, 17, LENGTH_M, _LOW, "m"), Signal("y_m", 17, 17, LENGTH_M, _LOW, "m"),
-        Signal("slot", 34, 8), Signal("stamp", 42, 22, 0.25, 0, "s"),
+        Signal("slot", 34, 8), Signal("stamp", 42, 22),
     ),
     MapPatch: (
         Signal("patch", 0, 16), Signal("time", 16, 13, unit="s"), Signal("level", 29, 4),

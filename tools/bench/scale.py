@@ -39,7 +39,7 @@ def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
     if quick:
         yield from cluster(range(seed, seed + 2), warm=False)
     else:
-        yield from cluster(range(seed, seed + 24))
+        yield from cluster(range(seed, seed + 48))  # fewer end with one worker idle
         size = 100, 100
         yield from traffic(_apart(order, *size, seed, 0, S), size)  # a quarter of an hour
 
