@@ -149,11 +149,7 @@ class Safety:
 
     def _press(self, reason: Reason, now_us: int) -> Sequence[Effect]:
         self._pressed_us = now_us
-        self.counter += 1
-        dot = StopDot(self.slot, self.incarnation, self.counter & 0xFF)
-        while self.stops.is_cleared(dot):  # 256 presses ago the counter was here: never reuse a dot
-            self.counter += 1
-            dot = dot._replace(counter=self.counter & 0xFF)
+        dot, self.counter = self.stops.unused(self.slot, self.incarnation, self.counter)
         self.stops.press(dot)
         self._causes[Cause.STOP_DOT] = f"pressed here: {reason.name}"
         self._own[dot], self._repeat_us = REPEATS_MAX, now_us + STOP_REPEAT_US

@@ -50,3 +50,14 @@ def test_dots_of_other_segments(dots: set[FarDot]) -> None:
             stops.clear(dot)
     again = FarStopSet.deserialize(stops.serialize())
     assert again == stops and again.active == stops.active
+
+
+def test_a_button_is_never_worn_out() -> None:
+    """After 256 presses that were cleared the next one was looked for without end: that robot hung."""
+    stops, counter, pressed = StopSet(), 250, list[StopDot]()
+    for _ in range(6000):
+        dot, counter = stops.unused(3, 255, counter)
+        assert stops.press(dot) and stops.latched
+        stops.clear(dot)
+        pressed.append(dot)
+    assert len(set(pressed[-4000:])) == 4000
