@@ -212,10 +212,12 @@ def _done(fleet: SegmentFleet, number: int) -> set[int]:
 
 def cluster(seeds: range, warm: bool = True) -> Iterator[Figure]:
     """Two workers against one process. Their times are compared only if `warm`: with a run before."""
+    from dask import config
     from distributed import LocalCluster
 
     make: Any = LocalCluster  # untyped
     with (
+        config.set({"distributed.worker.profile.enabled": False}),  # it takes 6 % of a worker
         make(n_workers=2, threads_per_worker=1, dashboard_address=None, processes=True) as two,
         workers(cluster=two.scheduler_address) as far,
         workers(1) as here,
