@@ -6,10 +6,10 @@ a section is done when all its cells are covered, whoever was there.
 """
 
 from collections.abc import Mapping
-from math import hypot
+from math import cos, hypot, sin
 from random import Random
 
-from agent.config import CONTROL_PERIOD_US, MS, S
+from agent.config import ACTUATOR_TTL_US, CONTROL_PERIOD_US, MS, S
 from agent.grid_ground import NONE, Ground
 from agent.grid_rounds import ANYBODY, Crew, GridRounds
 from agent.lifecycle import State
@@ -21,7 +21,8 @@ from protocol.accord_frames import Answer
 COVERED = 0.1  # of a cell: a cell is covered by whose centre comes so near to its own
 BOUND = 0.5  # of the way into a cell: from there on a robot goes on, and says that it is there
 CLOSE = 0.1  # of a cell: who follows another round a corner may begin so much too early
-ASTRIDE = 0.2  # of a cell: a body so far off the middle blocks the next cell, too
+ASTRIDE = 0.3  # of a cell: a body so far off the middle blocks the next cell, too: 0.7 is for it,
+# of which the guard keeps 0.6, and a cell is covered from 0.1
 NEAR = 0.8  # of a cell: a body so near to a cell's middle is in it
 BACK_US = 1500 * MS  # held up on the way for so long: back, and wait
 GATHER_BACK_US = 200 * MS  # the same where all come to a stop: who is before us does not go on
@@ -147,15 +148,18 @@ class GridWork:
                     self._tell(number, view)
 
     def _meet_wreck(self, view: FleetView) -> None:
-        """One that fell silent by itself stands where it was last seen."""
+        """One that fell silent by itself stands where its last command was void."""
         owing = self.accords.owing(view.progress, view.silent_since_us)
         if len(owing) != 1 or owing[0] not in view.neighbours:
             return
         pose = view.neighbours[owing[0]].pose
-        row, column = self.ground.cell_at(pose.x_m, pose.y_m)
+        on_m = pose.speed_m_s * ACTUATOR_TTL_US / S
+        at_x_m = pose.x_m + on_m * cos(pose.course_rad)
+        at_y_m = pose.y_m + on_m * sin(pose.course_rad)
+        row, column = self.ground.cell_at(at_x_m, at_y_m)
         x_m, y_m = self.ground.centre_of((row, column))
         cells = [(row, column)]
-        for off_m, step in ((pose.x_m - x_m, (0, 1)), (y_m - pose.y_m, (1, 0))):
+        for off_m, step in ((at_x_m - x_m, (0, 1)), (y_m - at_y_m, (1, 0))):
             if abs(off_m) > ASTRIDE * self.ground.cell_m:
                 sign = 1 if off_m > 0 else -1
                 cells.append((row + sign * step[0], column + sign * step[1]))
