@@ -25,9 +25,10 @@ class Wait(NamedTuple):
 
     robot: int
     step: int
+    leaves: int  # its step out of the cell: `step`, or the one after it where it goes as we come
 
 
-FREE = Wait(NONE, 0)
+FREE = Wait(NONE, 0, 0)
 
 
 class Course:
@@ -77,7 +78,8 @@ class Course:
         for robot, cell in zip(moved.tolist(), after[moved].tolist(), strict=True):
             other = int(self._in[cell])
             if other not in (NONE, robot):
-                waits[robot] = Wait(other, int(self._left[cell]))
+                left = int(self._left[cell])
+                waits[robot] = Wait(other, left - 1 if left == step else left, left)
             if self._wanted[cell]:
                 self._wanted[cell] = False
                 self.owner[cell] = robot
@@ -105,8 +107,7 @@ class Course:
     def wait(self, robot: int, step: int) -> Wait:
         """What must be before a robot begins its step. A cell that is left in the same step may be
         followed into; one that was left before has to be free."""
-        other, left = self._waits[step].get(robot, FREE)
-        return FREE if other == NONE else Wait(other, left - 1 if left == step else left)
+        return self._waits[step].get(robot, FREE)
 
 
 _KEPT: dict[object, tuple[Ground, Course]] = {}  # a ground kept keeps its id

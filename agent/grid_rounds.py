@@ -142,10 +142,32 @@ class GridRounds:
         self._reached[self.slot] = max(step, self._reached.get(self.slot, 0))
 
     def may(self, step: int) -> bool:
-        """Whether we may begin that step of ours."""
+        """Whether we may begin that step of ours: the cell is free, or who is in it may leave it.
+
+        Those that move on together are a chain, whose first finds its cell free, or a ring.
+        """
         assert self.course is not None
-        wait = self.course.wait(self.me, step)
-        return wait.robot == NONE or self.reached(wait.robot) >= wait.step
+        robot, chain = self.me, set[int]()
+        while robot not in chain:
+            chain.add(robot)
+            wait = self.course.wait(robot, step)
+            if wait.robot == NONE or self.reached(wait.robot) >= wait.leaves:
+                return True
+            if self.reached(wait.robot) < wait.step:
+                return False
+            robot = wait.robot
+        return True
+
+    def leaving(self, step: int) -> tuple[int, int]:
+        """Where who is in the cell of our step was the step before it leaves, and where it goes.
+
+        Twice -1: it has gone.
+        """
+        assert self.course is not None
+        other, _, leaves = self.course.wait(self.me, step)
+        if other == NONE or self.reached(other) >= leaves:
+            return NONE, NONE
+        return self.course.place(other, max(0, leaves - 2)), self.course.place(other, leaves)
 
     def passed(self, slot: int) -> list[int]:
         """Cells that a robot has certainly gone through: up to the one before it said it was at."""

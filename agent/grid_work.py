@@ -6,10 +6,10 @@ a section is done when all its cells are covered, whoever was there.
 """
 
 from collections.abc import Mapping
-from math import hypot
+from math import cos, hypot, sin
 from random import Random
 
-from agent.config import CONTROL_PERIOD_US, MS, S
+from agent.config import ACTUATOR_TTL_US, CONTROL_PERIOD_US, MS, S
 from agent.grid_ground import NONE, Ground
 from agent.grid_rounds import ANYBODY, Crew, GridRounds
 from agent.lifecycle import State
@@ -20,9 +20,12 @@ from protocol.accord_frames import Answer
 
 COVERED = 0.1  # of a cell: a cell is covered by whose centre comes so near to its own
 BOUND = 0.5  # of the way into a cell: from there on a robot goes on, and says that it is there
-ASTRIDE = 0.2  # of a cell: a body so far off the middle blocks the next cell, too
+CLOSE = 0.1  # of a cell: who follows another round a corner may begin so much too early
+ASTRIDE = 0.3  # of a cell: a body so far off the middle blocks the next cell, too: 0.7 is for it,
+# of which the guard keeps 0.6, and a cell is covered from 0.1
 NEAR = 0.8  # of a cell: a body so near to a cell's middle is in it
 BACK_US = 1500 * MS  # held up on the way for so long: back, and wait
+GATHER_BACK_US = 200 * MS  # the same where all come to a stop: who is before us does not go on
 WAIT_US = 1 * S  # there, before the next try; both by lot up to twice as long
 STUCK_US = 4 * S  # then what stands there goes by no plan of ours
 TELL_US = 20 * MS  # by rank: one tells what a dead robot covered, and the others hear it
@@ -145,15 +148,18 @@ class GridWork:
                     self._tell(number, view)
 
     def _meet_wreck(self, view: FleetView) -> None:
-        """One that fell silent by itself stands where it was last seen."""
+        """One that fell silent by itself stands where its last command was void."""
         owing = self.accords.owing(view.progress, view.silent_since_us)
         if len(owing) != 1 or owing[0] not in view.neighbours:
             return
         pose = view.neighbours[owing[0]].pose
-        row, column = self.ground.cell_at(pose.x_m, pose.y_m)
+        on_m = pose.speed_m_s * ACTUATOR_TTL_US / S
+        at_x_m = pose.x_m + on_m * cos(pose.course_rad)
+        at_y_m = pose.y_m + on_m * sin(pose.course_rad)
+        row, column = self.ground.cell_at(at_x_m, at_y_m)
         x_m, y_m = self.ground.centre_of((row, column))
         cells = [(row, column)]
-        for off_m, step in ((pose.x_m - x_m, (0, 1)), (y_m - pose.y_m, (1, 0))):
+        for off_m, step in ((at_x_m - x_m, (0, 1)), (y_m - at_y_m, (1, 0))):
             if abs(off_m) > ASTRIDE * self.ground.cell_m:
                 sign = 1 if off_m > 0 else -1
                 cells.append((row + sign * step[0], column + sign * step[1]))
@@ -187,14 +193,14 @@ class GridWork:
                 self._arrive()
             elif self._held_us and self._turns_back(left_m, now_us):
                 return STILL
-        if self._from == self._to and now_us >= self._wait_us and self._next():
+        if self._from == self._to and now_us >= self._wait_us and self._next(view):
             # Past the middle, and on from there with what is left of the period.
             nx, ny = self.ground.centre(self._to)
             ex, ey = (nx - x_m) / self.ground.cell_m, (ny - y_m) / self.ground.cell_m
             rest_m = max(0.0, speed_m - left_m)
             dx, dy = dx + ex * rest_m, dy + ey * rest_m
             left_m = hypot(dx, dy)
-        if self._from == self._to and self._strange_us and self._is_stuck(now_us):
+        if (self._from == self._to or self._held_us) and self._is_stuck(now_us):
             self._report(view)
         scale = min(1.0, speed_m / left_m) / PERIOD_S if left_m > 1e-6 else 0.0
         return Wish(dx * scale, dy * scale, tool_on=True)
@@ -210,7 +216,7 @@ class GridWork:
             self._strange_us = 0
         self._onward = False
 
-    def _next(self) -> bool:
+    def _next(self, view: FleetView) -> bool:
         """Set out for the next cell of the plan, if we may. Waiting is what others make us do: steps
         of the plan in which we stand are over at once."""
         rounds = self.accords
@@ -219,7 +225,7 @@ class GridWork:
         while rounds.course.reaches(self._step + 1):
             to = rounds.course.place(rounds.me, self._step + 1)
             if to != self._from:
-                if not rounds.may(self._step + 1):
+                if not (rounds.may(self._step + 1) and self._is_behind(to, view)):
                     break
                 self._to, self._onward = to, True
                 rounds.reach(self._step)
@@ -228,10 +234,28 @@ class GridWork:
         rounds.reach(self._step)
         return False
 
+    def _is_behind(self, to: int, view: FleetView) -> bool:
+        """Whether who is to leave that cell as we come has got as far as its middle, as we see it.
+
+        It says that it is there half a cell early; from the side we would come before it.
+        """
+        cell_m, (before, on) = self.ground.cell_m, self.accords.leaving(self._step + 1)
+        if on == NONE:
+            return True
+        (x_m, y_m), (on_x_m, on_y_m) = self.ground.centre(to), self.ground.centre(on)
+        for bx_m, by_m in view.here.bodies:
+            dx_m, dy_m = view.here.x_m + bx_m - x_m, view.here.y_m + by_m - y_m
+            if CLOSE * cell_m < hypot(dx_m, dy_m) < NEAR * cell_m:
+                out_m = (dx_m * (on_x_m - x_m) + dy_m * (on_y_m - y_m)) / cell_m
+                if before == on or out_m < CLOSE * cell_m:
+                    return False
+        return True
+
     def _turns_back(self, left_m: float, now_us: int) -> bool:
         """Held up: to the other end, so that others can pass. Not where we have said that we come."""
         bound = self._onward and left_m <= (1.0 - BOUND) * self.ground.cell_m
-        if bound or now_us - self._held_us < BACK_US:
+        back_us = BACK_US if self.accords.going else GATHER_BACK_US
+        if bound or now_us - self._held_us < back_us:
             return False
         self._from, self._to = self._to, self._from
         self._held_us, self._onward = 0, not self._onward and self._is_next(self._to)
@@ -245,7 +269,8 @@ class GridWork:
         return rounds.course.place(rounds.me, self._step + 1) == number
 
     def _is_stuck(self, now_us: int) -> bool:
-        return self.accords.going and now_us - self._strange_us > STUCK_US
+        since_us = self._strange_us
+        return self.accords.going and since_us > 0 and now_us - since_us > STUCK_US
 
     def _report(self, view: FleetView) -> None:
         """What is in the cell that we may enter, and does not go away, is an obstacle."""

@@ -149,9 +149,10 @@ class GridCluster(Cluster):
         return {ground.number(cell) for cell in found}
 
     def _near(self, at: tuple[float, float]) -> Any:
-        """Cells in which there is no room beside a body."""
+        """Cells in which there is no room beside a body, or perhaps none: others know its place by
+        its last beat, and how far it ran on then to 0.1 of a cell."""
         off = np.abs(self.grid_world._centres - at)
-        return (off < 0.7 * self.place.ground.cell_m).all(axis=1)
+        return (off < 0.8 * self.place.ground.cell_m).all(axis=1)
 
 
 class Witness:

@@ -84,9 +84,12 @@ def parse_plan(text: str, name: str = "plan") -> Plan:
     """A plan, or GridFileError. Whether it is a good one is the judge's business."""
     try:
         document = json.loads(text)
+        if not isinstance(document, dict):
+            raise GridFileError("not a plan file (no object of H, W, starts, ...)")
         rows, columns = document["H"], document["W"]
         starts, actions = document["starts"], document["per_agent_actions"]
-        if not _integers([rows, columns]) or not 0 < rows * columns <= CELLS_MAX:
+        sizes = _integers([rows, columns]) and min(rows, columns) > 0
+        if not sizes or rows * columns > CELLS_MAX:
             raise GridFileError(f"H and W are not the sizes of a map of up to {CELLS_MAX} cells")
         walls = _mask(document["walls"], rows, columns, "walls")
         dirt = _mask(document["dirt"], rows, columns, "dirt") if "dirt" in document else ~walls

@@ -46,8 +46,7 @@ def solve(
 
     try:
         instance = _instance(map, agents, seed, (height, width, wall_prob), gate)
-        if not 0.0 <= turn_cost <= 100.0:
-            raise GridFileError("--turn-cost is 0 to 100 steps")
+        _check_turn_cost(turn_cost)
         events = _deaths(die or [], instance), _arrivals(join or [], instance)
         if export is not None:
             if export.suffix not in (".map", ".mcpp"):
@@ -84,6 +83,7 @@ def replay(
     try:
         if not 0.0 <= delay <= 60.0:
             raise GridFileError("--delay is 0 to 60 seconds")
+        _check_turn_cost(turn_cost)
         found = read_plan(path)
     except GridFileError as error:
         typer.echo(f"headland: {error}", err=True)
@@ -166,6 +166,14 @@ def _instance(
     except ValueError as error:
         raise GridFileError(str(error)) from error
     return Instance(path.stem if path else f"random-{seed}", walls, starts)
+
+
+def _check_turn_cost(steps: float) -> None:
+    from agent.coverage_team import TURN_COST_MAX
+    from sim.grid_map import GridFileError
+
+    if not 0.0 <= steps <= TURN_COST_MAX:
+        raise GridFileError(f"--turn-cost is 0 to {TURN_COST_MAX:.0f} steps")
 
 
 def _numbers(text: str, form: str) -> list[int]:

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from sim.grid_fleet import GridFleet, GridOutcome
 from sim.grid_judge import judge
-from sim.grid_map import Instance, gate_starts, random_starts, random_walls
+from sim.grid_map import Instance, gate_starts, rack_walls, random_starts, random_walls
 from sim.grid_run import work
 from sim.grid_setting import STEP_S, GridSetting
 from sim.scenario import BusOff, Crash, Estop, Fault, Heal, Join, Loss, Partition, Reset, Restart
@@ -98,6 +98,17 @@ def test_corridors_full_of_robots() -> None:
     starts = [(4, column) for column in range(0, 13, 2)] + [(3, 0), (3, 6)]
     outcome = play(Instance("comb", walls, starts))
     assert outcome.success and outcome.closest_m >= 2.0, outcome
+
+
+def test_a_death_among_aisles_of_one_robot() -> None:
+    """Who follows another round a corner comes after it: three once met at a crossing, and stood."""
+    walls = rack_walls(22, 22)
+    instance = Instance("warehouse", walls, gate_starts(walls, 8))
+    plain = play(instance)
+    assert plain.success and plain.closest_m > 0.6 * 4.0, "the plan keeps apart, not the guard"
+    dead = play(instance, Crash(at_s=plain.makespan_s / 2, kind="crash", robot=2))
+    assert dead.success and dead.rounds == 2, dead
+    assert dead.makespan_s <= (1.0 + 0.5 / 7) * plain.makespan_s + 12.0, "its share, and a round"
 
 
 @pytest.mark.parametrize("seed", range(3))

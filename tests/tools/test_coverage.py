@@ -76,6 +76,7 @@ def test_a_plan_with_faults_is_not_exit_0(tmp_path: Path) -> None:
     ["solve", "--agents", "3", "--join", "0,99@1"], ["solve", "--agents", "3", "--turn-cost", "-1"],
     ["solve", "--agents", "3", "--export", "x.txt"], ["replay", "none.json", "--delay", "-1"],
     ["solve", "--agents", "9", "--H", "2000", "--W", "3000"],
+    ["replay", "none.json", "--turn-cost", "nan"], ["replay", "none.json", "--turn-cost", "-1"],
 ])  # fmt: skip
 def test_bad_input_is_one_line(
     words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -84,3 +85,18 @@ def test_bad_input_is_one_line(
     done = call(*words)
     assert done.exit_code == 2 and "Traceback" not in done.output
     assert done.output.strip().count("\n") == 0 and "headland:" in done.output
+
+
+@pytest.mark.parametrize("change", [
+    {"H": -2, "W": -2}, {"starts": []}, {"starts": [[9, 0]]},
+    {"per_agent_actions": [[5]]}, {"died": [0.5]}, {"walls": [[0, 0], [0, 2]]}, None,
+])  # fmt: skip
+def test_a_bad_plan_is_one_line(change: dict[str, object] | None, tmp_path: Path) -> None:
+    good = {"H": 2, "W": 2, "walls": [[0, 0], [0, 0]], "starts": [[0, 0]]}
+    good |= {"per_agent_actions": [[4, 2, 3]]}
+    plan = tmp_path / "plan.json"
+    plan.write_text(json.dumps(good))
+    assert call("replay", plan).exit_code == 0
+    plan.write_text(json.dumps([] if change is None else {**good, **change}))
+    done = call("replay", plan)
+    assert done.exit_code == 2 and done.output.strip().count("\n") == 0
