@@ -1,6 +1,7 @@
 """One scenario under the eyes of every checker: they see bodies, words, disks and what people do.
 
-Nothing here asks a robot what it believes, but for the bytes of its replicas in the end (L1).
+Nothing here asks a robot what it believes, but for its replicas: in the end (L1), and after a restart,
+before it has heard anybody (S13).
 """
 
 from collections import Counter
@@ -21,7 +22,7 @@ from sim.parade import Parade
 from sim.scenario import Fault, Scenario
 from sim.stop_watch import motions
 from sim.swarm import Swarm
-from sim.tape import STANDS, lost
+from sim.tape import STANDS, lost, unknown
 from sim.trouble import is_link_trouble, setting_of, span_of
 from sim.witness import Witness
 from sim.word_rules import Broken
@@ -119,6 +120,8 @@ class Play:
                 self._at(at_us, partial(self._pressed, robot))
             case kinds.Pushed(robot=robot):
                 self._at(at_us, partial(self._excuse, (robot,)))
+            case kinds.ClockJump(robot=robot):
+                self._at(at_us, partial(self.witness.words.leaps, robot))
             case kinds.Box():
                 self._at(at_us, partial(self._excuse, tuple(range(self.scenario.fleet.robots))))
 
@@ -193,6 +196,16 @@ class Play:
         missing = lost(self.witness.told[slot], recalled)
         if missing and not (missing == STANDS and slot in self.witness.released):
             self._add("S13", now_us / 1e6, f"robot {slot} forgets {missing}")
+        self._at(now_us, partial(self._reads, slot))
+
+    def _reads(self, slot: int) -> None:
+        """It has read its disk, and heard nobody yet."""
+        peer = self.cluster.robots[slot].peer
+        missing = unknown(self.witness.told[slot], peer.allocation, peer.progress)
+        if missing:
+            self._add(
+                "S13", self.cluster.host.now_us() / 1e6, f"robot {slot} does not read {missing}"
+            )
 
     def _all_released(self) -> None:
         now_us, speakers = self.cluster.host.now_us(), self.witness.words.speakers
