@@ -7,6 +7,7 @@ before it has heard anybody (S13).
 from collections import Counter
 from collections.abc import Callable
 from functools import partial
+from math import hypot
 from typing import Any
 
 from agent.config import MS, S, beat_of
@@ -14,6 +15,7 @@ from agent.field_work import LEAD_M
 from sim import scenario as kinds
 from sim.checkers import ExclusiveWorkChecker
 from sim.cluster import Cluster
+from sim.coverage_truth import coverage, sample_points
 from sim.disk import Disk, LogJournal
 from sim.drill_run import DrillRun
 from sim.expedition import Expedition, Moment
@@ -29,12 +31,15 @@ from sim.word_rules import Broken
 from sim.world import World
 
 SLACK_US = 20 * MS  # a control tick, and a frame in the way
-RELEASED_S = 12.0  # after the last reset nobody may still stand stopped
+RELEASED_S = 12.0  # after the last reset nobody may still stand stopped, and all have been told all
 DELIVERED_US = 120 * MS  # a stop, where all are on one bus, whatever is lost: 20 copies, and a tick
 SETTLED_US = 3 * S  # links and members without trouble for so long: everybody hears everybody
 EXCUSED_US = 3 * S  # who is pushed, or has a box dropped before it, may touch something so long
 LOSSY = (kinds.Loss, kinds.Omission, kinds.Duplicate, kinds.Errors)  # copies are lost, nobody is
 ON_LINE_M = 0.2  # closer than this to a line is on it; who comes to another line passes further off
+# What is left where a machine is dead in the end: units of 5 m that it may stand on (3 m of a way on
+# which it may have come to rest, and two bodies beside it), and half an implement.
+DEAD_M = 12.0
 TOUCH_M = 0.02  # deeper than this is a contact; bodies of robots are measured to a centimetre
 
 
@@ -54,6 +59,7 @@ class Play:
         self._silences: dict[int, list[int]] = {}  # dead robot -> watches of those who must stand
         self._trouble_us = 0  # the newest trouble of a link or of a member
         self._cut_us = SETTLED_US  # until then, not everybody need be able to hear
+        self._settled = False  # `RELEASED_S` are over
         self._excused: list[tuple[int, int]] = []  # robot and when: pushed, or a box before it
 
     def run(self) -> "Play":
@@ -209,6 +215,8 @@ class Play:
 
     def _all_released(self) -> None:
         now_us, speakers = self.cluster.host.now_us(), self.witness.words.speakers
+        self._settled = True
+        self.witness.words.questions.clear()
         up = [robot.slot for robot in self.cluster.running]
         standing = [slot for slot in up if speakers[slot].stopped]
         if standing:
@@ -236,9 +244,32 @@ class Play:
                 self._add("S7", violation.t_us / 1e6, f"robots {violation.slots}: {violation.what}")
         if not outcome.replicas_equal:
             self._add("L1", end_s, "replicas differ")
-        if not outcome.finished or outcome.coverage < 0.9999:
+        questions = self.witness.words.questions
+        if self._settled and questions.total() > self.scenario.fleet.robots:
+            what = (
+                f"long after the calm began robots still ask for what they lack: {dict(questions)}"
+            )
+            self._add("L1", end_s, what)
+        if not outcome.finished or not (
+            outcome.coverage >= 0.9999 or self._left_for_the_dead(world)
+        ):
             what = f"finished: {outcome.finished}, coverage {outcome.coverage:.2%}"
             self._add("L5", end_s, what)
+
+    def _left_for_the_dead(self, world: World | Parade) -> bool:
+        """All that was not worked lies about machines that nobody has switched on again."""
+        slots = range(self.scenario.fleet.robots)
+        dead = [world.robots[s] for s in slots if not self.cluster.is_up(s)]
+        if not dead or isinstance(world, Parade):
+            return False
+        field = self.setting.field
+        raster = sample_points(field.polygon, field.implement_width_m, field.overlap_m)
+        tracks = {slot: body.track for slot, body in world.robots.items()}
+        missed = coverage(raster, tracks, field.implement_width_m).uncovered
+        places = [body.track.points[-1] for body in dead]
+        return all(
+            any(hypot(x_m - at[1], y_m - at[2]) < DEAD_M for at in places) for x_m, y_m in missed
+        )
 
     @property
     def _moving(self) -> list[tuple[str, Any]]:

@@ -25,7 +25,7 @@ RULES = {
     "S15": "no exception, whatever arrives",
     "S16": "one vote and one leader a term",
     "S17": "no two bodies touch",
-    "L1": "replicas are equal in the end",
+    "L1": "replicas are equal in the end, and nobody goes on asking",
     "L2": "after the resets nobody stands stopped",
     "L5": "the work is finished in time, all of it",
     "L7": "there is a leader in the end",

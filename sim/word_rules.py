@@ -18,7 +18,7 @@ from crdt.stops import StopDot
 from protocol.fleet_frames import Heartbeat, LeaderElectionVote, Member, Pose
 from protocol.messages import Message
 from protocol.safety_frames import Command, EmergencyReset, EmergencyStop, OperatorCommand
-from protocol.work_frames import StateSyncResponse, TaskClaim, WorkProgress
+from protocol.work_frames import StateSyncRequest, StateSyncResponse, TaskClaim, WorkProgress
 
 EVERYBODY = 255
 HALF_U16 = 0x8000  # operations are counted modulo 2^16 on the wire
@@ -60,6 +60,7 @@ class WordRules:
         self.speakers: defaultdict[int, Speaker] = defaultdict(Speaker)
         self.broken: list[Broken] = []
         self.cleared: set[StopDot] = set()
+        self.questions: Counter[int] = Counter()  # of each robot, for what it lacks
         self._votes: dict[tuple[int, int, int], int] = {}  # voter, election, term -> candidate
         self._tally: Counter[tuple[int, int, int]] = Counter()  # election, term, candidate
 
@@ -120,6 +121,8 @@ class WordRules:
             if speaker.progress.get(place, 0) & ~message.bits:
                 self._add("S9", now_us, f"robot {slot} takes back units of S{message.section}")
             speaker.progress[place] = message.bits
+        elif kind is StateSyncRequest:
+            self.questions[slot] += 1
         elif isinstance(message, LeaderElectionVote):
             self._vote(slot, speaker, now_us, message)
         elif isinstance(message, Member):

@@ -32,6 +32,16 @@ def line(port: int) -> tuple[SocketcandLink, list[Frame]]:
     return link, heard
 
 
+async def talk(name: str, hub: Hub, link: SocketcandLink, heard: list[Frame]) -> None:
+    other, got, answer = FieldBus(name), list[Frame](), Frame(0x18FF1181, b"")
+    other.subscribe(got.append)
+    await until(lambda: all(client.bus is not None for client in hub.clients), link)
+    assert link.send(BEAT)
+    other.submit(answer)
+    await until(lambda: got == [BEAT] and heard[-1:] == [answer], link)
+    other.shutdown()
+
+
 def test_frames_go_both_ways_and_again_after_a_restart_of_the_hub() -> None:
     async def main() -> None:
         name = "link restart"
@@ -42,13 +52,7 @@ def test_frames_go_both_ways_and_again_after_a_restart_of_the_hub() -> None:
         for life in (1, 2):
             await link.up()
             assert link.health is Health.ACTIVE and link.connections == life
-            other, got = FieldBus(name), list[Frame]()
-            other.subscribe(got.append)
-            await until(lambda h=hub: all(c.bus is not None for c in h.clients), link)
-            assert link.send(BEAT)
-            other.submit(Frame(0x18FF1181, b""))
-            await until(lambda g=got: g == [BEAT] and heard[-1:] == [Frame(0x18FF1181, b"")], link)
-            other.shutdown()
+            await talk(name, hub, link, heard)
             port = hub.port
             await hub.stop()
             forget(name)
