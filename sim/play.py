@@ -12,6 +12,7 @@ from typing import Any
 
 from agent.config import MS, S, beat_of
 from agent.field_work import LEAD_M
+from protocol.frame import Frame
 from sim import scenario as kinds
 from sim.checkers import ExclusiveWorkChecker
 from sim.cluster import Cluster
@@ -34,8 +35,10 @@ SLACK_US = 20 * MS  # a control tick, and a frame in the way
 RELEASED_S = 12.0  # after the last reset nobody may still stand stopped, and all have been told all
 DELIVERED_US = 120 * MS  # a stop, where all are on one bus, whatever is lost: 20 copies, and a tick
 SETTLED_US = 3 * S  # links and members without trouble for so long: everybody hears everybody
+LEFT_US = 50 * MS  # what was under way when an address was lost is on the bus by then
 EXCUSED_US = 3 * S  # who is pushed, or has a box dropped before it, may touch something so long
 LOSSY = (kinds.Loss, kinds.Omission, kinds.Duplicate, kinds.Errors)  # copies are lost, nobody is
+CLAIM_PF = 0xEE  # of an identifier: ADDRESS_CLAIMED
 ON_LINE_M = 0.2  # closer than this to a line is on it; who comes to another line passes further off
 # What is left where a machine is dead in the end: units of 5 m that it may stand on (3 m of a way on
 # which it may have come to rest, and two bodies beside it), and half an implement.
@@ -59,6 +62,7 @@ class Play:
         self._silences: dict[int, list[int]] = {}  # dead robot -> watches of those who must stand
         self._trouble_us = 0  # the newest trouble of a link or of a member
         self._cut_us = SETTLED_US  # until then, not everybody need be able to hear
+        self._lost: dict[int, tuple[int, bytes]] = {}  # address: since when, by whom (its NAME)
         self._settled = False  # `RELEASED_S` are over
         self._excused: list[tuple[int, int]] = []  # robot and when: pushed, or a box before it
 
@@ -97,6 +101,7 @@ class Play:
             cluster.journals[slot] = LogJournal(Disk())
         self.silence, self.delivery = motions(cluster.world), motions(cluster.world)
         cluster.on_power = self._power
+        cluster.segment.taps.append(self._overheard)
         order = cluster.order
 
         def ordered(message: Any) -> None:
@@ -117,6 +122,8 @@ class Play:
     def _watch(self, fault: Fault) -> None:
         """What the checkers have to do at a fault: before it at its time, after it a moment later."""
         at_us = round(fault.at_s * 1e6)
+        if isinstance(fault, kinds.Clone) and fault.wins:  # before it is trouble itself
+            self._at(at_us, partial(self._loses_address, fault.robot))
         if is_link_trouble(fault):
             lossy = isinstance(fault, LOSSY)
             over_us = 0 if lossy else at_us + round(getattr(fault, "for_s", 0.0) * S) + SETTLED_US
@@ -143,6 +150,30 @@ class Play:
         self._cut_us = max(self._cut_us, over_us)
         for slot in list(self._silences):
             self._heard_of(slot)
+
+    def _loses_address(self, slot: int) -> None:
+        """S18: where it must hear the better claim, it says nothing more from there."""
+        cluster, now_us = self.cluster, self.cluster.host.now_us()
+        faults = cluster.segment.wire.faults
+        if not cluster.is_up(slot) or faults.loss or faults.omission:
+            return
+        peer = cluster.robots[slot].peer
+        if now_us >= self._cut_us and self._one_bus and peer.address is not None:
+            name = peer.identity.name.pack().to_bytes(8, "little")
+            self._lost[peer.address] = now_us + LEFT_US, name
+
+    def _overheard(self, t_us: int, frame: Frame) -> None:
+        """Every frame on the bus."""
+        address = frame.identifier & 0xFF
+        if address not in self._lost:
+            return
+        since_us, name = self._lost[address]
+        if frame.identifier >> 16 & 0xFF == CLAIM_PF:
+            if frame.data == name or t_us >= since_us:  # claimed again, by who may not know of it
+                del self._lost[address]
+        elif t_us >= since_us:
+            del self._lost[address]
+            self._add("S18", t_us / 1e6, f"address {address} is lost and spoken from")
 
     def _excuse(self, slots: tuple[int, ...]) -> None:
         now_us = self.cluster.host.now_us()

@@ -25,6 +25,7 @@ RULES = {
     "S15": "no exception, whatever arrives",
     "S16": "one vote and one leader a term",
     "S17": "no two bodies touch",
+    "S18": "who has lost its address says nothing from it",
     "L1": "replicas are equal in the end, and nobody goes on asking",
     "L2": "after the resets nobody stands stopped",
     "L5": "the work is finished in time, all of it",
