@@ -6,6 +6,7 @@ The ways lead round them, and the units under them cannot be worked while they s
 from shapely.geometry import LineString
 from shapely.geometry import Point as Spot
 
+from agent.coasting import Coasting
 from agent.field import Section
 from agent.mission import FleetView
 from agent.route import Route
@@ -18,29 +19,34 @@ CORNER = 0.71  # of a cell: its corner is so far from its middle
 
 
 class Blockage:
-    def __init__(self, route: Route, radius_m: float, beside_m: float = BLOCKED_M) -> None:
+    def __init__(
+        self, route: Route, radius_m: float, deceleration_m_s2: float, beside_m: float = BLOCKED_M
+    ) -> None:
         """`beside_m`: kept from a silent body."""
         self.route, self.radius_m = route, radius_m
         self.body_m = 2 * radius_m + beside_m
         self.way = route  # the same with everything that stands in it
         self.things: frozenset[Point] = frozenset()
+        self.coasting = Coasting(radius_m, deceleration_m_s2)
+        self.bodies: tuple[Point, ...] = ()  # where silent members may stand
         self._silent: tuple[int, ...] = ()
-        self._bodies: tuple[Point, ...] = ()
         self._units: dict[tuple[int, bool], frozenset[int]] = {}  # (section, things too)
 
     def look(self, view: FleetView) -> frozenset[Point] | None:
         """What is new since the last look; None where a silent body came or went."""
-        silent = tuple(sorted(slot for slot in view.silent_since_us if slot in view.neighbours))
-        if silent == self._silent and view.things == self.things:
+        self.coasting.look(view.neighbours, view.here, view.now_us)
+        places = {slot: self.coasting.places(slot) for slot in sorted(view.silent_since_us)}
+        silent = tuple(slot for slot in places if places[slot] is not None)
+        bodies = tuple(place for slot in silent for place in places[slot] or ())
+        if silent == self._silent and bodies == self.bodies and view.things == self.things:
             return frozenset()
+        # Fewer places than before, seen to be free, are no reason to leave the way we are on.
         new = view.things - self.things if silent == self._silent else None
-        self._silent, self.things = silent, view.things
-        poses = [view.neighbours[slot].pose for slot in silent]
-        self._bodies = tuple((pose.x_m, pose.y_m) for pose in poses)
+        self._silent, self.bodies, self.things = silent, bodies, view.things
         self._units.clear()
         self.way = self.route
-        if self._bodies:
-            self.way = self.way.round(self._bodies, self.body_m)
+        if self.bodies:
+            self.way = self.way.round(self.bodies, self.body_m)
         if self.things:
             self.way = self.way.round(sorted(self.things), self._beside_m)
         return new
@@ -59,11 +65,11 @@ class Blockage:
 
     def units(self, section: Section, things_too: bool) -> frozenset[int]:
         """Units that cannot be worked for a silent body, or also for a thing."""
-        if not self._bodies and not (things_too and self.things):
+        if not self.bodies and not (things_too and self.things):
             return frozenset()
         key = section.id, things_too
         if key not in self._units:
-            bodies = [(Spot(at), self.body_m) for at in self._bodies]
+            bodies = [(Spot(at), self.body_m) for at in self.bodies]
             if things_too:
                 bodies += [(Spot(at), self.radius_m + THING_M) for at in self.things]
             self._units[key] = frozenset(

@@ -7,11 +7,10 @@ and a place that is seen to be free is told to be: a robot may have driven on wh
 """
 
 from collections.abc import Iterable
-from math import atan2, floor, hypot, pi
 
+from agent.coasting import seen_through
 from agent.config import MS, S
 from agent.mission import FleetView
-from agent.ports import Observation
 from crdt.hybrid_clock import HybridClock
 from protocol.accord_frames import PLACES, STAMP_MAX, Fallen
 from protocol.fleet_frames import LENGTH_M
@@ -25,7 +24,6 @@ SPACED_US = 40 * MS  # slots in their order, so that one tells and the others he
 WORDS_A_BEAT = 2
 NOWHERE_M = -PLACES * LENGTH_M  # of a body that is not where it was: x and y
 SURE_M = 2.0  # nearer than this two neighbouring rays are less than a body's radius apart
-BEYOND_M = 0.4  # a ray that goes so much further than a place has passed it
 
 
 class Bodies:
@@ -56,7 +54,7 @@ class Bodies:
             if slot not in view.live and self._silent(slot, view) and word.x_m > NOWHERE_M
         }
         for slot, place in list(self.dead.items()):
-            if seen_through(view.here, place):  # it drove on unheard, or somebody has moved it
+            if seen_through(view.here, place, SURE_M):  # it drove on unheard, or was moved
                 gone = Fallen(NOWHERE_M, NOWHERE_M, slot, self.clock.read(now_us))
                 self._join(gone, now_us)
                 self._due_us[slot] = now_us
@@ -89,16 +87,6 @@ class Bodies:
         for slot in due[:WORDS_A_BEAT]:
             self._due_us[slot] = now_us + TOLD_US + self.slot * SPACED_US
             yield self.known[slot]
-
-
-def seen_through(here: Observation, place: Point) -> bool:
-    """Whether the rays on both sides of a place, two each, pass it: nothing as wide as a body is near."""
-    dx_m, dy_m = place[0] - here.x_m, place[1] - here.y_m
-    distance_m, count = hypot(dx_m, dy_m), len(here.ranges_m)
-    if not count or distance_m > SURE_M:
-        return False
-    turn = floor((atan2(dy_m, dx_m) - here.heading_rad) / (2 * pi / count))
-    return all(here.ranges_m[(turn + k) % count] > distance_m + BEYOND_M for k in (-1, 0, 1, 2))
 
 
 def _rank(word: Fallen) -> tuple[int, float, float]:

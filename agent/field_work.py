@@ -77,7 +77,7 @@ class FieldWork:
         self.worked: set[int] = set()  # units of the current section done since it was begun
         self.heading_to: int | Point | None = None  # section or place an approach path leads to
         self.parking = Parking(field, radius_m)
-        self.blockage = Blockage(route, radius_m, self.beside_m)
+        self.blockage = Blockage(route, radius_m, deceleration_m_s2, self.beside_m)
         self._plan: dict[int, list[Job]] = {}
 
     @property

@@ -1,19 +1,21 @@
 """What the range sensors see in the way that nobody told us of: no fence, no robot, so perhaps a person.
 
 An echo is explained where a known fence or hole is, and where a known robot may be between its last
-pose and where that leads. What is not explained and lies within stopping distance along the motion
-is in the way. From then on all unexplained echoes near by are remembered, as points, until the two
-rays on either side of one both pass it: a body wider than the gap between two rays is not lost out
-of sight while it stands. Narrower ones than that gap at stopping distance can be missed.
+pose and where that leads, or may have come to rest (`agent/coasting.py`). What is not explained and
+lies within stopping distance along the motion is in the way. From then on all unexplained echoes near
+by are remembered, as points, until the two rays on either side of one both pass it: a body wider than
+the gap between two rays is not lost out of sight while it stands. Narrower ones than that gap at
+stopping distance can be missed.
 """
 
 from collections.abc import Mapping, Sequence
-from math import atan2, ceil, cos, floor, hypot, pi, sin
+from math import atan2, ceil, cos, dist, floor, hypot, pi, sin
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.coasting import Coasting
 from agent.config import ACTUATOR_TTL_US, CONTROL_PERIOD_US, S
 from agent.giving_way import distances_m
 from agent.membership import Neighbour
@@ -29,7 +31,6 @@ FENCE_TOLERANCE_M = (
     0.25  # an echo this near to a fence is the fence: maps and poses are not perfect
 )
 ROBOT_TOLERANCE_M = 0.35  # round a known robot: POSE rounds, courses bend between two beats
-AGE_MAX_US = 1 * S  # a robot that has been silent for longer stands where it can have got by then
 WATCH_M = 8.0  # points are remembered up to here; a robot looks no further
 CHAIN_M = 1.5  # echoes this close together are one thing
 GRAIN_M = 0.25  # side of a grain
@@ -47,11 +48,12 @@ class Sighting(NamedTuple):
 
 class Lookout:
     def __init__(
-        self, radius_m: float, deceleration_m_s2: float, fences: NDArray[np.float64]
-    ) -> None:
-        """`fences`: known segments, (n, 4): ax, ay, bx, by in metres."""
+        self, radius_m: float, deceleration_m_s2: float, fences: NDArray[np.float64],
+        coasting: Coasting,
+    ) -> None:  # fmt: skip
+        """`fences`: known segments, (n, 4): ax, ay, bx, by in metres. `coasting`: kept by our motion."""
         self.radius_m, self.deceleration_m_s2 = radius_m, deceleration_m_s2
-        self.fences = fences
+        self.fences, self.coasting = fences, coasting
         self.points: dict[Grain, tuple[Point, int]] = {}  # the newest in each, and when it was seen
 
     def stopping_m(self, speed_m_s: float) -> float:
@@ -132,15 +134,19 @@ class Lookout:
     ) -> list[Point]:
         """Those that neither a robot nor a fence explains."""
         left = echoes
-        for pose, heard_us in neighbours.values():
+        near_m = self.radius_m + ROBOT_TOLERANCE_M
+        for slot, (pose, heard_us) in neighbours.items():
             if not left:
                 return []
             if max(abs(pose.x_m - here.x_m), abs(pose.y_m - here.y_m)) > 2 * WATCH_M:
                 continue
-            age_s = min(now_us - heard_us, AGE_MAX_US) / S
+            places = self.coasting.places(slot)
+            if places is not None:
+                left = [e for e in left if all(dist(e, place) > near_m for place in places)]
+                continue
+            age_s = (now_us - heard_us) / S
             way_m = pose.speed_m_s * age_s
             course = cos(pose.course_rad), sin(pose.course_rad)
-            near_m = self.radius_m + ROBOT_TOLERANCE_M
             left = [e for e in left if _gap_m(e, (pose.x_m, pose.y_m), course, way_m) > near_m]
         if not left or self.fences.size == 0:
             return list(left)

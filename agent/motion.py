@@ -2,7 +2,8 @@
 
 The pipeline of one control period ends here, except for the safety gate, which comes after and is
 the last word. Neighbours are believed where their last beat puts them, moved on by its age, with a
-margin for what the wire rounds off. A neighbour that stands takes no share: we avoid it alone.
+margin for what the wire rounds off. A neighbour that stands takes no share: we avoid it alone. Where
+one may have come to rest that says nothing any more is `agent/coasting.py`.
 """
 
 from collections.abc import Mapping
@@ -12,6 +13,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.coasting import Coasting
 from agent.config import CONTROL_PERIOD_US, NEIGHBOURS_MAX, S
 from agent.effects import HALT, Drive
 from agent.giving_way import GivingWay, Other
@@ -30,6 +32,7 @@ HORIZON_S = 4.0  # how far ahead two moving robots agree to be clear of each oth
 STANDING_M_S = 0.05  # slower than this a neighbour cannot be relied on to give way
 AGE_MAX_US = 1 * S  # an older pose is not moved on: the robot may have stopped
 UNHEARD_US = 5 * S  # a neighbour that was heard so long ago may be anywhere
+PLACES_MAX = 4  # of a silent member, the nearest: 1.5 m of its way, what is met before standing
 FENCE_M = 0.2  # kept from fences and holes
 FIELD_RADIUS_M = 0.8  # of the bodies that the distances of giving way are meant for
 
@@ -81,13 +84,14 @@ class Motion:
         self.reach_m = 2 * limits.speed_m_s * horizon_s + 2 * limits.radius_m
         self.sensed = Sensed(fences, limits.radius_m) if looks else None
         self.right = RightOfWay()
+        self.coasting = Coasting(limits.radius_m, limits.acceleration_m_s2)
         self.state = State.IDLE  # ours, as the beat says
         self.strange: list[tuple[float, float]] = []  # seen at the last control period
         self.others: list[Other] = []  # within reach at the last control period
         # Who asks before going on needs to know every wall beforehand.
         self.lookout: Lookout | None = None
         if not (looks or self.sensing):
-            self.lookout = Lookout(limits.radius_m, limits.acceleration_m_s2, fences)
+            self.lookout = Lookout(limits.radius_m, limits.acceleration_m_s2, fences, self.coasting)
         self.giving_way: GivingWay | None = None
         if gives_way:
             scale = limits.radius_m / FIELD_RADIUS_M if self.sensing else 1.0
@@ -124,6 +128,7 @@ class Motion:
         near: list[tuple[float, ...]] = []
         others: list[Other] = []
         combined_m = 2 * self.limits.radius_m + MARGIN_M
+        self.coasting.look(neighbours, here, now_us)
         for slot, (pose, heard_us) in neighbours.items():
             dx_m, dy_m = pose.x_m - here.x_m, pose.y_m - here.y_m
             if abs(dx_m) > self.reach_m or abs(dy_m) > self.reach_m:
@@ -133,6 +138,13 @@ class Motion:
             age_us = now_us - heard_us
             if self.sensed is not None and age_us > UNHEARD_US:
                 continue  # wherever it is by now, it is seen
+            places = self.coasting.places(slot)
+            if places is not None:
+                offsets = [(x_m - here.x_m, y_m - here.y_m) for x_m, y_m in places]
+                offsets.sort(key=lambda d: d[0] * d[0] + d[1] * d[1])
+                others += [Other(slot, *offset, pose.state) for offset in offsets[:1]]
+                near += [(*d, 0.0, 0.0, combined_m, 1.0, 0.0) for d in offsets[:PLACES_MAX]]
+                continue
             if speed_m_s > STANDING_M_S and age_us < AGE_MAX_US and not pose.stopped:
                 vx_m_s, vy_m_s = speed_m_s * cos(pose.course_rad), speed_m_s * sin(pose.course_rad)
                 moved_on_s = age_us / S

@@ -45,7 +45,7 @@ class TractorMotion(Motion):
     ) -> None:  # fmt: skip
         """`fences`: known segments (n, 4), metres; only the lookout asks for them."""
         super().__init__(slot, limits, np.empty((0, 4)))
-        self.lookout = Lookout(limits.radius_m, limits.acceleration_m_s2, fences)
+        self.lookout = Lookout(limits.radius_m, limits.acceleration_m_s2, fences, self.coasting)
         self.escape = Escape(turns, limits.radius_m, steering)
         self.given = 0
         self._anchor, self._anchor_us = (0.0, 0.0), 0

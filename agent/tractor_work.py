@@ -142,12 +142,7 @@ class TractorWork(FieldWork):
         else:
             if view.now_us < self._again_us:
                 return False
-            silent = [
-                (n.pose.x_m, n.pose.y_m)
-                for slot, n in view.neighbours.items()
-                if slot in view.silent_since_us
-            ]
-            standing = [*self.bodies, *silent, *view.things]
+            standing = [*self.bodies, *self.blockage.bodies, *view.things]
             pieces = self.turns.way(here, start, standing, self.reach_m)
             if pieces == []:  # we are there
                 self.joined = True

@@ -1,18 +1,22 @@
 """One scenario under the eyes of every checker: they see bodies, words, disks and what people do.
 
-Nothing here asks a robot what it believes, but for the bytes of its replicas in the end (L1).
+Nothing here asks a robot what it believes, but for its replicas: in the end (L1), and after a restart,
+before it has heard anybody (S13).
 """
 
 from collections import Counter
 from collections.abc import Callable
 from functools import partial
+from math import hypot
 from typing import Any
 
 from agent.config import MS, S, beat_of
 from agent.field_work import LEAD_M
+from protocol.frame import Frame
 from sim import scenario as kinds
 from sim.checkers import ExclusiveWorkChecker
 from sim.cluster import Cluster
+from sim.coverage_truth import coverage, sample_points
 from sim.disk import Disk, LogJournal
 from sim.drill_run import DrillRun
 from sim.expedition import Expedition, Moment
@@ -21,19 +25,24 @@ from sim.parade import Parade
 from sim.scenario import Fault, Scenario
 from sim.stop_watch import motions
 from sim.swarm import Swarm
-from sim.tape import STANDS, lost
+from sim.tape import STANDS, lost, unknown
 from sim.trouble import is_link_trouble, setting_of, span_of
 from sim.witness import Witness
 from sim.word_rules import Broken
 from sim.world import World
 
 SLACK_US = 20 * MS  # a control tick, and a frame in the way
-RELEASED_S = 12.0  # after the last reset nobody may still stand stopped
+RELEASED_S = 12.0  # after the last reset nobody may still stand stopped, and all have been told all
 DELIVERED_US = 120 * MS  # a stop, where all are on one bus, whatever is lost: 20 copies, and a tick
 SETTLED_US = 3 * S  # links and members without trouble for so long: everybody hears everybody
+LEFT_US = 50 * MS  # what was under way when an address was lost is on the bus by then
 EXCUSED_US = 3 * S  # who is pushed, or has a box dropped before it, may touch something so long
 LOSSY = (kinds.Loss, kinds.Omission, kinds.Duplicate, kinds.Errors)  # copies are lost, nobody is
+CLAIM_PF = 0xEE  # of an identifier: ADDRESS_CLAIMED
 ON_LINE_M = 0.2  # closer than this to a line is on it; who comes to another line passes further off
+# What is left where a machine is dead in the end: units of 5 m that it may stand on (3 m of a way on
+# which it may have come to rest, and two bodies beside it), and half an implement.
+DEAD_M = 12.0
 TOUCH_M = 0.02  # deeper than this is a contact; bodies of robots are measured to a centimetre
 
 
@@ -53,6 +62,8 @@ class Play:
         self._silences: dict[int, list[int]] = {}  # dead robot -> watches of those who must stand
         self._trouble_us = 0  # the newest trouble of a link or of a member
         self._cut_us = SETTLED_US  # until then, not everybody need be able to hear
+        self._lost: dict[int, tuple[int, bytes]] = {}  # address: since when, by whom (its NAME)
+        self._settled = False  # `RELEASED_S` are over
         self._excused: list[tuple[int, int]] = []  # robot and when: pushed, or a box before it
 
     def run(self) -> "Play":
@@ -90,6 +101,7 @@ class Play:
             cluster.journals[slot] = LogJournal(Disk())
         self.silence, self.delivery = motions(cluster.world), motions(cluster.world)
         cluster.on_power = self._power
+        cluster.segment.taps.append(self._overheard)
         order = cluster.order
 
         def ordered(message: Any) -> None:
@@ -110,6 +122,8 @@ class Play:
     def _watch(self, fault: Fault) -> None:
         """What the checkers have to do at a fault: before it at its time, after it a moment later."""
         at_us = round(fault.at_s * 1e6)
+        if isinstance(fault, kinds.Clone) and fault.wins:  # before it is trouble itself
+            self._at(at_us, partial(self._loses_address, fault.robot))
         if is_link_trouble(fault):
             lossy = isinstance(fault, LOSSY)
             over_us = 0 if lossy else at_us + round(getattr(fault, "for_s", 0.0) * S) + SETTLED_US
@@ -119,6 +133,8 @@ class Play:
                 self._at(at_us, partial(self._pressed, robot))
             case kinds.Pushed(robot=robot):
                 self._at(at_us, partial(self._excuse, (robot,)))
+            case kinds.ClockJump(robot=robot):
+                self._at(at_us, partial(self.witness.words.leaps, robot))
             case kinds.Box():
                 self._at(at_us, partial(self._excuse, tuple(range(self.scenario.fleet.robots))))
 
@@ -134,6 +150,30 @@ class Play:
         self._cut_us = max(self._cut_us, over_us)
         for slot in list(self._silences):
             self._heard_of(slot)
+
+    def _loses_address(self, slot: int) -> None:
+        """S18: where it must hear the better claim, it says nothing more from there."""
+        cluster, now_us = self.cluster, self.cluster.host.now_us()
+        faults = cluster.segment.wire.faults
+        if not cluster.is_up(slot) or faults.loss or faults.omission:
+            return
+        peer = cluster.robots[slot].peer
+        if now_us >= self._cut_us and self._one_bus and peer.address is not None:
+            name = peer.identity.name.pack().to_bytes(8, "little")
+            self._lost[peer.address] = now_us + LEFT_US, name
+
+    def _overheard(self, t_us: int, frame: Frame) -> None:
+        """Every frame on the bus."""
+        address = frame.identifier & 0xFF
+        if address not in self._lost:
+            return
+        since_us, name = self._lost[address]
+        if frame.identifier >> 16 & 0xFF == CLAIM_PF:
+            if frame.data == name or t_us >= since_us:  # claimed again, by who may not know of it
+                del self._lost[address]
+        elif t_us >= since_us:
+            del self._lost[address]
+            self._add("S18", t_us / 1e6, f"address {address} is lost and spoken from")
 
     def _excuse(self, slots: tuple[int, ...]) -> None:
         now_us = self.cluster.host.now_us()
@@ -193,9 +233,21 @@ class Play:
         missing = lost(self.witness.told[slot], recalled)
         if missing and not (missing == STANDS and slot in self.witness.released):
             self._add("S13", now_us / 1e6, f"robot {slot} forgets {missing}")
+        self._at(now_us, partial(self._reads, slot))
+
+    def _reads(self, slot: int) -> None:
+        """It has read its disk, and heard nobody yet."""
+        peer = self.cluster.robots[slot].peer
+        missing = unknown(self.witness.told[slot], peer.allocation, peer.progress)
+        if missing:
+            self._add(
+                "S13", self.cluster.host.now_us() / 1e6, f"robot {slot} does not read {missing}"
+            )
 
     def _all_released(self) -> None:
         now_us, speakers = self.cluster.host.now_us(), self.witness.words.speakers
+        self._settled = True
+        self.witness.words.questions.clear()
         up = [robot.slot for robot in self.cluster.running]
         standing = [slot for slot in up if speakers[slot].stopped]
         if standing:
@@ -223,9 +275,32 @@ class Play:
                 self._add("S7", violation.t_us / 1e6, f"robots {violation.slots}: {violation.what}")
         if not outcome.replicas_equal:
             self._add("L1", end_s, "replicas differ")
-        if not outcome.finished or outcome.coverage < 0.9999:
+        questions = self.witness.words.questions
+        if self._settled and questions.total() > self.scenario.fleet.robots:
+            what = (
+                f"long after the calm began robots still ask for what they lack: {dict(questions)}"
+            )
+            self._add("L1", end_s, what)
+        if not outcome.finished or not (
+            outcome.coverage >= 0.9999 or self._left_for_the_dead(world)
+        ):
             what = f"finished: {outcome.finished}, coverage {outcome.coverage:.2%}"
             self._add("L5", end_s, what)
+
+    def _left_for_the_dead(self, world: World | Parade) -> bool:
+        """All that was not worked lies about machines that nobody has switched on again."""
+        slots = range(self.scenario.fleet.robots)
+        dead = [world.robots[s] for s in slots if not self.cluster.is_up(s)]
+        if not dead or isinstance(world, Parade):
+            return False
+        field = self.setting.field
+        raster = sample_points(field.polygon, field.implement_width_m, field.overlap_m)
+        tracks = {slot: body.track for slot, body in world.robots.items()}
+        missed = coverage(raster, tracks, field.implement_width_m).uncovered
+        places = [body.track.points[-1] for body in dead]
+        return all(
+            any(hypot(x_m - at[1], y_m - at[2]) < DEAD_M for at in places) for x_m, y_m in missed
+        )
 
     @property
     def _moving(self) -> list[tuple[str, Any]]:

@@ -21,7 +21,7 @@ from agent.records import (
     VOTE,
 )  # fmt: skip
 from agent.safety import HOLD_KEY, LATCHED, STOPS_KEY
-from crdt import Phase
+from crdt import FieldAllocationCRDT, Phase, Progress
 from crdt.register import pack
 from crdt.stops import StopDot, StopSet
 from protocol.fleet_frames import Heartbeat, LeaderElectionVote, Member, Pose
@@ -118,6 +118,26 @@ def lost(revealed: Iterable[Message], recalled: Mapping[str, bytes]) -> str:
         return f"stops {sorted(forgotten)}"
     if stopped and recalled.get(HOLD_KEY) != LATCHED:
         return STANDS
+    return ""
+
+
+def unknown(
+    revealed: Iterable[Message], allocation: FieldAllocationCRDT, progress: Progress
+) -> str:
+    """What this robot has told of its own work and its replicas do not hold after a restart, before
+    anybody has told it anything: what is on a disk and is not read is lost as well. Empty: nothing."""
+    owned = set[int]()
+    for m in revealed:
+        if isinstance(m, TaskClaim):
+            owned.add(m.section)
+            if (allocation.key(m.section) or 0) < pack(
+                m.epoch, Phase(m.phase), m.bid, m.lamport, m.owner
+            ):
+                return f"S{m.section} {Phase(m.phase).name}"
+        if not isinstance(m, WorkProgress) or m.section not in owned:
+            continue
+        if m.bits & ~progress.bits(m.section, m.block):
+            return f"units of S{m.section}"
     return ""
 
 

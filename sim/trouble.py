@@ -37,6 +37,8 @@ SPANS = {
     "drill": Span(120.0, 600.0),  # and a drill 180 s
 }
 
+CLOSE_S = 3.0  # links stay bad for seconds: what happens so soon after, happens in the middle of it
+
 Draw = Callable[[Random, int, float, float], list[Fault]]  # dice, robots, when, until when
 
 
@@ -190,6 +192,7 @@ class Profile(NamedTuple):
     weights: dict[str, float]
     about: str
     mission: str = "field"
+    together: float = 0.0  # chance that a fault comes within `CLOSE_S` of one that was drawn before
 
 
 OFTEN = {"estop": 2.0, "crash": 2.0, "partition": 2.0, "join": 0.5}
@@ -208,7 +211,7 @@ PROFILES = {
     "stop": Profile((2, 5), (2, 8), {"estop": 4.0, "reset": 2.0, "haste": 2.0, "partition": 1.0,
                                      "crash": 1.0,
                                      "loss": 1.0, "freeze": 1.0, "babble": 0.5},
-                    "presses and resets in the middle of trouble"),
+                    "presses and resets in the middle of trouble", together=0.5),
     "body": Profile((2, 4), (2, 8), {"box": 3.0, "pushed": 3.0, "crash_working": 1.0,
                                      "freeze": 1.0, "estop": 1.0},
                     "dropped boxes, pushed robots, dead ones in the way"),
@@ -224,7 +227,10 @@ def draw(seed: int, profile: str = "all") -> Scenario:
     names = sorted(kind.weights)
     faults: list[Fault] = []
     for name in rng.choices(names, [kind.weights[n] for n in names], k=rng.randint(*kind.faults)):
-        at_s = round(rng.uniform(span.first_s, span.calm_s - 0.5), 3)
+        at_s = rng.uniform(span.first_s, span.calm_s - 0.5)
+        if kind.together and faults and rng.random() < kind.together:
+            at_s = min(rng.choice(faults).at_s + rng.uniform(0.0, CLOSE_S), span.calm_s - 0.5)
+        at_s = round(at_s, 3)
         faults += DRAWS[name](rng, robots, at_s, span.calm_s)
     plain = drill(robots, seed) if kind.mission == "drill" else load("yard").changed(robots, seed)
     return with_faults(plain, faults)

@@ -3,13 +3,14 @@
 S2 and S3: who has held a stop does not say that it is released before an operator has cleared that
 very stop. S4: after a reset nobody works before a start. S8: a press makes a stop of a new name. S9:
 what a robot has said of a register, of progress, of its operations it never takes back, over restarts
-too; so a released claim does not return (S11). S16: one vote a term, one leader a term.
+too; so a released claim does not return (S11). S7: nobody starts what it has claimed before everybody
+had the time to claim it better. S16: one vote a term, one leader a term.
 """
 
 from collections import Counter, defaultdict
 from typing import NamedTuple
 
-from agent.config import STOP_SPACING_US
+from agent.config import CONTENTION_US, STOP_SPACING_US
 from agent.lifecycle import State
 from crdt import Phase
 from crdt.register import pack
@@ -17,11 +18,12 @@ from crdt.stops import StopDot
 from protocol.fleet_frames import Heartbeat, LeaderElectionVote, Member, Pose
 from protocol.messages import Message
 from protocol.safety_frames import Command, EmergencyReset, EmergencyStop, OperatorCommand
-from protocol.work_frames import StateSyncResponse, TaskClaim, WorkProgress
+from protocol.work_frames import StateSyncRequest, StateSyncResponse, TaskClaim, WorkProgress
 
 EVERYBODY = 255
 HALF_U16 = 0x8000  # operations are counted modulo 2^16 on the wire
 NEVER_US = -1
+CONTESTED_US = CONTENTION_US * 98 // 100  # by the robot's clock, which may drift by half a percent
 
 
 class Broken(NamedTuple):
@@ -40,6 +42,7 @@ class Speaker:
         self.operations = -1
         self.registers: dict[int, int] = {}
         self.progress: dict[tuple[int, int], int] = {}
+        self.claimed_us: dict[int, int] = {}  # section: when it said that it wants it
         self.dots: set[StopDot] = set()  # every stop that it has pressed or echoed
         self.stopped = False
         self.stopped_us = NEVER_US  # since when it says so
@@ -57,6 +60,7 @@ class WordRules:
         self.speakers: defaultdict[int, Speaker] = defaultdict(Speaker)
         self.broken: list[Broken] = []
         self.cleared: set[StopDot] = set()
+        self.questions: Counter[int] = Counter()  # of each robot, for what it lacks
         self._votes: dict[tuple[int, int, int], int] = {}  # voter, election, term -> candidate
         self._tally: Counter[tuple[int, int, int]] = Counter()  # election, term, candidate
 
@@ -79,6 +83,10 @@ class WordRules:
                         self.speakers[slot].reset_us = now_us
                     elif order.command == Command.START:
                         self.speakers[slot].start_us = now_us
+
+    def leaps(self, slot: int) -> None:
+        """Its clock is set: how long it waits after a claim cannot be told from outside."""
+        self.speakers[slot].claimed_us.clear()
 
     def forgets(self, slot: int) -> None:
         """Its memory is lost: from here it is another robot of the same slot."""
@@ -106,11 +114,15 @@ class WordRules:
             if key < speaker.registers.get(m.section, 0):
                 self._add("S9", now_us, f"robot {slot} takes back what it said of S{m.section}")
             speaker.registers[m.section] = key
+            if kind is TaskClaim and m.owner == slot:
+                self._claim(slot, speaker, now_us, m.section, Phase(m.phase))
         elif isinstance(message, WorkProgress):
             place = message.section, message.block
             if speaker.progress.get(place, 0) & ~message.bits:
                 self._add("S9", now_us, f"robot {slot} takes back units of S{message.section}")
             speaker.progress[place] = message.bits
+        elif kind is StateSyncRequest:
+            self.questions[slot] += 1
         elif isinstance(message, LeaderElectionVote):
             self._vote(slot, speaker, now_us, message)
         elif isinstance(message, Member):
@@ -144,6 +156,15 @@ class WordRules:
                 self._add("S8", now_us, f"robot {slot} gives a new stop an old name, {dot}")
             speaker.pressed_us = NEVER_US + 1
         speaker.dots.add(dot)
+
+    def _claim(self, slot: int, speaker: Speaker, now_us: int, section: int, phase: Phase) -> None:
+        if phase is Phase.CLAIMED:
+            speaker.claimed_us[section] = now_us
+            return
+        since_us = speaker.claimed_us.pop(section, None)
+        waited = since_us is None or now_us - since_us >= CONTESTED_US
+        if phase is Phase.STARTED and not waited:
+            self._add("S7", now_us, f"robot {slot} starts S{section}, which is contested still")
 
     def _vote(self, slot: int, speaker: Speaker, now_us: int, vote: LeaderElectionVote) -> None:
         key = slot, vote.election, vote.term

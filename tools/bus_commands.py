@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from tools.options import (
+    PORT_MAX,
     Bitrate,
     Channel,
     Host,
@@ -122,6 +123,23 @@ def say(
         bus, key, places, queue, by, endpoint, model, timeout, wait, yes, read, log, json
     )
     raise SystemExit(command(phrase or [], options))
+
+
+@app.command()
+def hub(
+    host: Host = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=0, max=PORT_MAX, help="0: any free one.")] = 29536,
+    bitrate: Bitrate = 250_000,
+    seed: Annotated[int, typer.Option(help="Of the wire's chance.")] = 1,
+    json: Json = False,
+) -> None:
+    """Run a simulated bus by itself: who is on it stands while it is gone, and comes back alone.
+
+    Example: headland hub, then in another terminal: headland launch small --hub 29536
+    """
+    from tools.hub import hub as command
+
+    raise SystemExit(command(host, port, bitrate, seed, json))
 
 
 @app.command()

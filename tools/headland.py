@@ -104,6 +104,9 @@ def launch(
     segment: Annotated[
         int, typer.Option(min=0, max=0x7FFF, help="Of a fleet of several, for headland bridge.")
     ] = 0,
+    hub: Annotated[
+        int, typer.Option(min=0, max=PORT_MAX, help="Port of a bus by itself: headland hub.")
+    ] = 0,
     json: Json = False,
 ) -> None:
     """Run every robot as a process of its own, in real time, on a bus others can attach to.
@@ -113,7 +116,9 @@ def launch(
     from tools.launch import launch as command
 
     page = page_port if show_map else None
-    raise SystemExit(command(scenario, robots, seed, out, port, seconds, json, keys, page, segment))
+    raise SystemExit(
+        command(scenario, robots, seed, out, port, seconds, json, keys, page, segment, hub)
+    )
 
 
 @app.command()

@@ -1,8 +1,8 @@
 """`headland launch`: N robot processes on one simulated bus and world, in real time.
 
-This process owns the wire and the world and starts the robots; it decides nothing for them. Killing
-any robot must not stop the work. Ctrl-C ends all of them; robots end by themselves when this
-process dies, because the pipe on their stdin does.
+This process owns the world and, unless it is told of a hub that runs by itself, the wire. It starts the
+robots and decides nothing for them. Killing any robot must not stop the work. Ctrl-C ends all of them;
+robots end by themselves when this process dies, because the pipe on their stdin does.
 """
 
 import asyncio
@@ -22,8 +22,6 @@ from protocol.frame import Frame
 from sim.body_link import BodyServer
 from sim.candump import CandumpWriter
 from sim.coverage_truth import coverage, sample_points
-from sim.fieldbus import forget, segment
-from sim.hub import Hub
 from sim.scenario import ScenarioError, load
 from sim.setting import Setting
 from sim.standing import leave_standing
@@ -32,6 +30,7 @@ from tools.attachment import CHANNEL
 from tools.inspector import SILENT_S, Inspector
 from tools.keeping import Keeping
 from tools.language.places import Places
+from tools.launch_bus import LaunchBus, OutsideHub, OwnHub
 from tools.livemap.command import ServerError, listen
 from tools.warmup import warm
 
@@ -52,6 +51,7 @@ class Launch:
     ) -> None:  # fmt: skip
         self.page_port, self.log_hash = page_port, ""
         self.segment = 0  # of a fleet of several; 0: there are no others
+        self.hub_port = 0  # of a hub that runs by itself; 0: ours
         self.map: asyncio.subprocess.Process | None = None
         self.keys = None if keys is None else str(keys.absolute())
         self.setting, self.name, self.out, self.console = setting, name, out, console
@@ -65,30 +65,24 @@ class Launch:
         end = asyncio.Event()
         for number in (signal.SIGINT, signal.SIGTERM):
             loop.add_signal_handler(number, end.set)
-        wire = segment(
-            f"launch {os.getpid()}",
-            self.setting.scenario.bus.bitrate,
-            self.setting.scenario.run.seed,
-        )
-        hub = Hub(wire, CHANNEL)
-        await hub.start(HOST, port)
+        bus = self._bus(port)
         log, keeping = CandumpWriter(self.out / "can.log"), Keeping(self.setting, self.out)
-        wire.taps += [keeping.write, lambda t_us, frame: self._heard(log, t_us, frame)]
+        await bus.start([keeping.write, lambda t_us, frame: self._heard(log, t_us, frame)])
         zero_us = round(loop.time() * 1e6)
         transport, bodies = await loop.create_datagram_endpoint(
             lambda: BodyServer(self.world, zero_us), local_addr=(HOST, 0)
         )
         body_port = transport.get_extra_info("sockname")[1]
         where = {
-            "host": HOST, "port": hub.port, "channel": CHANNEL, "pid": os.getpid(),
+            "host": HOST, "port": bus.port, "channel": CHANNEL, "pid": os.getpid(),
             "body_port": body_port, "folder": str(self.out.absolute()),
         }  # fmt: skip
         bodies.relay.keep = lambda intent: keeping.tell(round(loop.time() * 1e6), intent)
         (self.out / "bus.json").write_text(json.dumps(where))
         (self.out / "places.toml").write_text(self._places())
         self.console.print(
-            f"bus: socketcand {HOST}:{hub.port} channel {CHANNEL}   "
-            f"(python -m can.viewer -i socketcand -c {CHANNEL} --host={HOST} --port={hub.port})"
+            f"bus: socketcand {HOST}:{bus.port} channel {CHANNEL}   "
+            f"(python -m can.viewer -i socketcand -c {CHANNEL} --host={HOST} --port={bus.port})"
         )
         if self.setting.keys is None:
             self.console.print(NO_KEYS)
@@ -96,16 +90,14 @@ class Launch:
         try:
             if self.page_port is not None:
                 await self._start_map()
-            await self._start_all(hub.port, body_port)
+            await self._start_all(bus.port, body_port)
             leave_standing()
             finished = await self._watch(end, seconds)
         finally:
             await self._end_all()
             stepping.cancel()
-            await hub.stop()
+            await bus.stop()
             transport.close()
-            wire.taps.clear()
-            forget(wire.channel)  # another launch of this process begins anew
             log.close()
             keeping.close()
             self.log_hash = keeping.log_hash
@@ -114,6 +106,12 @@ class Launch:
         if end.is_set():
             return INTERRUPTED
         return 0 if finished and not self.world.contacts else UNFINISHED
+
+    def _bus(self, port: int) -> LaunchBus:
+        if self.hub_port:
+            return OutsideHub(HOST, self.hub_port)
+        scenario = self.setting.scenario
+        return OwnHub(HOST, port, scenario.bus.bitrate, scenario.run.seed)
 
     def _places(self) -> str:
         """What people can name when they speak to this fleet."""
@@ -236,9 +234,9 @@ class Launch:
 def launch(
     scenario: str, robots: int | None, seed: int | None, out: Path, port: int,
     seconds: float | None, as_json: bool, keys: Path | None = None, page_port: int | None = None,
-    segment: int = 0,
+    segment: int = 0, hub_port: int = 0,
 ) -> int:  # fmt: skip
-    """`page_port`: of a map beside it."""
+    """`page_port`: of a map beside it. `hub_port`: of a bus that runs by itself."""
     console = Console(stderr=as_json, highlight=False, soft_wrap=True)
     if is_warehouse(scenario):
         return _wrong(
@@ -264,11 +262,13 @@ def launch(
         old.unlink()  # a launch is a new job; a restart of one robot keeps its journal
     warm(setting.turn_radius_m > 0.0)  # once here, not in every robot at once
     running = Launch(setting, scenario, out, console, keys, page_port)
-    running.segment = segment
+    running.segment, running.hub_port = segment, hub_port
     begun = time.monotonic()
     try:
         code = asyncio.run(running.run(port, seconds))
     except OSError as problem:
+        if hub_port:
+            return _wrong(f"--hub {hub_port}: {problem.strerror or problem}")
         return _wrong(
             f"--port {port}: {problem.strerror or problem}; choose another or 0 for any free one"
         )

@@ -10,11 +10,12 @@ import secrets
 import signal
 import sys
 from pathlib import Path
+from random import Random
 from typing import Any
 
 from agent.shell import Shell
 from agent.sqlite_journal import SqliteJournal
-from protocol.bus import open_bus
+from protocol.socketcand_link import SocketcandLink
 from sim.body_link import RemoteBody
 from sim.cluster import make_peer
 from sim.intent_link import tell
@@ -35,12 +36,14 @@ async def run(order: dict[str, Any]) -> None:
     loop.add_signal_handler(signal.SIGTERM, end.set)
     loop.add_signal_handler(signal.SIGINT, lambda: None)  # the launcher decides
     loop.add_reader(sys.stdin, end.set)  # nothing more is ever written: readable means the end
-    address = (order["host"], int(order["body_port"]))
+    address = (order.get("body_host", order["host"]), int(order["body_port"]))
     transport, body = await loop.create_datagram_endpoint(
         lambda: RemoteBody(slot), remote_addr=address
     )
     await body.ready()
-    bus = open_bus("socketcand", order["channel"], host=order["host"], port=int(order["bus_port"]))
+    rng = Random(f"line of robot {slot}")
+    bus = SocketcandLink(order["host"], int(order["bus_port"]), order["channel"], rng)
+    await bus.up()
     peer = make_peer(
         setting,
         slot,

@@ -6,7 +6,8 @@ from random import Random
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.bodies import DEAD_US, NOWHERE_M, Bodies, seen_through
+from agent.bodies import DEAD_US, NOWHERE_M, SURE_M, Bodies
+from agent.coasting import seen_through
 from agent.config import MS, S
 from agent.membership import Neighbour
 from agent.mission import FleetView
@@ -88,12 +89,12 @@ def test_a_place_that_is_seen_to_be_free_is_told_to_be() -> None:
 
 def test_a_body_that_is_there_is_not_seen_through() -> None:
     here = HERE._replace(ranges_m=(inf,) * 36)
-    assert seen_through(here, (1.5, 0.2))
+    assert seen_through(here, (1.5, 0.2), SURE_M)
     for k in range(36):  # one ray that ends before it is enough
         ranges = [inf] * 36
         ranges[k] = 1.2
         angle = k * 2 * pi / 36
         beside = angle < 0.3 or angle > 2 * pi - 0.15
         if beside:
-            assert not seen_through(HERE._replace(ranges_m=tuple(ranges)), (1.5, 0.2))
-    assert not seen_through(here, (2.5, 0.0))  # too far off to be sure
+            assert not seen_through(HERE._replace(ranges_m=tuple(ranges)), (1.5, 0.2), SURE_M)
+    assert not seen_through(here, (2.5, 0.0), SURE_M)  # too far off to be sure

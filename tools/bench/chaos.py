@@ -24,8 +24,8 @@ from tools.fuzz import every
 
 SIZES = ((5, 1000.0), (20, 100.0), (50, 20.0), (100, 5.0))  # robots, simulated s per CPU s wanted
 SETTLED_S = 8.0  # a fleet has joined and works: booting is not what is asked for
-SHARE_S = 2.0  # CPU time given to each size, --quick
-QUICK_MUTANTS = ("gate-open", "reset-clears-all", "silence-unnoticed", "progress-replaced")
+SHARE_S = 1.5  # CPU time given to each size, --quick
+QUICK_MUTANTS = ("stop-without-brake", "fsync-forgotten", "claims-uncontested")
 HOURS_WANTED, BUGS_WANTED, BUDGET_S = 20_000.0, 20, 600.0
 EXECUTIONS_CI, EXECUTIONS = 100_000, 10_000_000
 NOTHING = "nothing: our own figure"
@@ -40,8 +40,8 @@ def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
             f">= {wanted:.0f}", rate >= wanted, NOTHING,
             "whole core, wire model, words and commands judged; 20 beats a second up to 30 robots",
         )  # fmt: skip
-    yield from _campaign("protocol", 3 if quick else 200, seed)
-    yield from _campaign("all", 2 if quick else 100, seed)
+    yield from _campaign("protocol", 2 if quick else 200, seed)
+    yield from _campaign("all", 1 if quick else 100, seed + 1)
     yield from _bugs(QUICK_MUTANTS if quick else tuple(MUTANTS), quick)
     yield from _decoders(quick, seed)
 
@@ -94,13 +94,14 @@ def _bugs(names: tuple[str, ...], quick: bool) -> Iterator[Figure]:
     found, slowest_s = 0, 0.0
     for name in names:
         begun_s = time.process_time()
-        with planted(name):
-            seeds = range(400)
-            for number in seeds:
-                hit = not judge(draw(number, MUTANTS[name].profile), first_only=True).ok
-                spent_s = time.process_time() - begun_s
-                if hit or spent_s > BUDGET_S or (quick and number == 3):
-                    break
+        for number in range(400):
+            scenario = draw(number, MUTANTS[name].profile)
+            with planted(name):
+                hit = not judge(scenario, first_only=True).ok
+            hit = hit and judge(scenario).ok  # and the right code keeps the rules
+            spent_s = time.process_time() - begun_s
+            if hit or spent_s > BUDGET_S or (quick and number == 3):
+                break
         found += hit
         slowest_s = max(slowest_s, spent_s)
     wanted = len(names) if quick else BUGS_WANTED

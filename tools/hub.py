@@ -1,0 +1,53 @@
+"""`headland hub`: a simulated bus as a process of its own, which may end and be started again.
+
+Robots of `headland launch --hub PORT`, python-can's own tools and ours attach to it. Whoever is on it
+stands while it is gone, and comes back by itself.
+"""
+
+import asyncio
+import json
+import os
+import signal
+import sys
+
+from rich.console import Console
+
+from sim.fieldbus import segment
+from sim.hub import Hub
+from sim.standing import leave_standing
+from tools.attachment import CHANNEL
+
+WRONG, INTERRUPTED = 2, 130
+
+
+async def _serve(host: str, port: int, bitrate: int, seed: int, as_json: bool) -> None:
+    loop, end = asyncio.get_running_loop(), asyncio.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, end.set)
+    served = Hub(segment(f"hub {os.getpid()}", bitrate, seed), CHANNEL)
+    await served.start(host, port)
+    where = {"host": host, "port": served.port, "channel": CHANNEL, "pid": os.getpid()}
+    if as_json:
+        print(json.dumps(where), flush=True)
+    else:
+        Console(highlight=False, soft_wrap=True).print(
+            f"bus: socketcand {host}:{served.port} channel {CHANNEL}; Ctrl-C ends it. Robots on it: "
+            f"headland launch --hub {served.port}"
+        )
+        sys.stdout.flush()
+    leave_standing()
+    await end.wait()
+    await served.stop()
+
+
+def hub(host: str, port: int, bitrate: int, seed: int, as_json: bool) -> int:
+    try:
+        asyncio.run(_serve(host, port, bitrate, seed, as_json))
+    except OSError as problem:
+        print(
+            f"headland: --port {port}: {problem.strerror or problem}; choose another or 0 for any free "
+            "one",
+            file=sys.stderr,
+        )
+        return WRONG
+    return INTERRUPTED

@@ -1,0 +1,71 @@
+"""The bus of a launch: a hub of its own, or one that runs as `headland hub` and may come and go."""
+
+import asyncio
+import os
+from collections.abc import Callable
+from random import Random
+from typing import Protocol
+
+from protocol.frame import Frame
+from protocol.socketcand_link import ANSWER_S, SocketcandLink
+from sim.fieldbus import forget, segment
+from sim.hub import Hub
+from tools.attachment import CHANNEL
+
+Tap = Callable[[int, Frame], None]  # microseconds since the bus began, for us
+
+
+class LaunchBus(Protocol):
+    port: int
+
+    async def start(self, taps: list[Tap]) -> None:
+        """Raises OSError."""
+        ...
+
+    async def stop(self) -> None: ...
+
+
+class OwnHub:
+    def __init__(self, host: str, port: int, bitrate: int, seed: int) -> None:
+        self.host, self.port = host, port
+        self.wire = segment(f"launch {os.getpid()}", bitrate, seed)
+        self.hub = Hub(self.wire, CHANNEL)
+
+    async def start(self, taps: list[Tap]) -> None:
+        await self.hub.start(self.host, self.port)
+        self.port = self.hub.port
+        self.wire.taps += taps
+
+    async def stop(self) -> None:
+        await self.hub.stop()
+        self.wire.taps.clear()
+        forget(self.wire.channel)  # another launch of this process begins anew
+
+
+class OutsideHub:
+    """We listen on it like anybody; what is said while it is gone, nobody hears."""
+
+    def __init__(self, host: str, port: int) -> None:
+        self.host, self.port = host, port
+        self.link = SocketcandLink(host, port, CHANNEL, Random(f"listening at {port}"))
+
+    async def start(self, taps: list[Tap]) -> None:
+        loop = asyncio.get_running_loop()
+        zero_s = loop.time()
+
+        def heard(frame: Frame) -> None:
+            t_us = round((loop.time() - zero_s) * 1e6)
+            for tap in taps:
+                tap(t_us, frame)
+
+        self.link.subscribe(heard)
+        try:
+            async with asyncio.timeout(ANSWER_S):
+                await self.link.up()
+        except TimeoutError:
+            raise OSError(
+                f"no hub answers at {self.host}:{self.port}; headland hub starts one"
+            ) from None
+
+    async def stop(self) -> None:
+        self.link.close()
