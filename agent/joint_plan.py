@@ -5,7 +5,8 @@ depth-first search over whole configurations, whose next one is made by PIBT. Wh
 circle, constraints are added robot by robot until every successor has been tried, so the search is
 complete: it finds a plan wherever one exists on the lattice, and says that there is none otherwise.
 Both within `STEPS_MAX`; a pure function of its arguments, so that all robots compute the same.
-The first plan found is seldom a good one. `planned` makes some, and takes the one that is fairest.
+The first plan found is seldom a good one. `planned` makes some, shortens each (`agent/timetable.py`),
+and takes the one that is fairest.
 
 A plan is driven without a common clock. What is kept of it is each robot's route, and in which
 order robots visit each node: whoever comes after somebody waits until that one has gone on.
@@ -19,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.pibt import NOWHERE, grown, step, ways
+from agent.timetable import Timetable
 
 Ints = NDArray[np.int32]
 STEPS_MAX = 20_000  # searched configurations, a few seconds; hard jams of ten take some hundreds
@@ -26,6 +28,7 @@ TRIES_MAX = 16  # plans of which one is taken, and
 TRIED_MAX = (
     160  # robots in all of them: a robot that computes longer than 0.1 s is missed by the others
 )
+PUT_BACK_MAX = 200  # robots in each of them: 0.3 ms each among a hundred, most are never needed
 TRIED_SALT = 1 << 16  # between the salts of two tries: rounds are counted in 16 bits
 
 
@@ -124,7 +127,8 @@ def planned(
 ) -> "JointPlan | None":
     """The fairest of up to `TRIES_MAX` plans: the least sum of squared waits, so that no long wait of
     one is paid for with short ones of others. Who waited long in the best one goes first in the next."""
-    free = ways(near, np.array(goals, dtype=np.int32))[np.arange(len(starts)), starts]
+    far = ways(near, np.array(goals, dtype=np.int32))
+    free = far[np.arange(len(starts)), starts]
     urgency = np.zeros(len(starts))
     best: tuple[float, JointPlan] | None = None
     most = STEPS_MAX
@@ -134,13 +138,14 @@ def planned(
             if best is None:
                 return None
             continue
-        plan = JointPlan.of(steps)
-        waits = plan.arrivals(goals) - free
+        table = Timetable(near, far, goals, JointPlan.of(steps).tracks())
+        table.shorten(PUT_BACK_MAX)
+        waits = table.arrivals() - free
         cost = float((waits * waits).sum())
         if best is None:
             most = 2 * len(steps) + len(starts)  # a try that leads astray is not worth its time
         if best is None or cost < best[0]:
-            best = cost, plan
+            best = cost, JointPlan.of(table.steps)
             urgency = waits.astype(np.float64)
     assert best is not None
     return best[1]
@@ -177,15 +182,15 @@ class JointPlan(NamedTuple):
                 visitor[node] = Turn(i, len(routes[i]) - 1)
         return cls(tuple(map(tuple, routes)), tuple(map(tuple, turns)))
 
-    def arrivals(self, goals: Sequence[int]) -> NDArray[np.int64]:
-        """When each robot first is at its goal, where every move takes one unit of time."""
+    def times(self) -> list[list[int]]:
+        """When each robot is at each node of its route, where every move takes one unit of time."""
         times = [[0] for _ in self.routes]
         pending = [(i, 1) for i, route in enumerate(self.routes) if len(route) > 1]
         while pending:
             late = []
             for i, k in pending:
-                own, turns, route = times[i], self.turns[i], self.routes[i]
-                while k < len(route):
+                own, turns = times[i], self.turns[i]
+                while k < len(turns):
                     turn = turns[k]
                     if turn is None:
                         own.append(own[-1] + 1)
@@ -197,8 +202,24 @@ class JointPlan(NamedTuple):
                     k += 1
             assert late != pending, "robots wait for each other in a circle"
             pending = late
-        first = [route.index(goal) for route, goal in zip(self.routes, goals, strict=True)]
-        return np.array([own[k] for own, k in zip(times, first, strict=True)], dtype=np.int64)
+        return times
+
+    def tracks(self) -> list[list[int]]:
+        """Each robot's node at each unit of time, until the last has come to its end."""
+        times = self.times()
+        units = np.arange(max(own[-1] for own in times) + 1)
+        return [
+            np.array(route)[np.searchsorted(own, units, side="right") - 1].tolist()
+            for route, own in zip(self.routes, times, strict=True)
+        ]
+
+    def arrivals(self, goals: Sequence[int]) -> NDArray[np.int64]:
+        """When each robot first is at its goal."""
+        first = [
+            own[route.index(goal)]
+            for own, route, goal in zip(self.times(), self.routes, goals, strict=True)
+        ]
+        return np.array(first, dtype=np.int64)
 
     def permitted(self, robot: int, reached: Sequence[int]) -> int:
         """The furthest node of its route a robot may drive to, when these have been reached."""

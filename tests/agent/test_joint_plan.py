@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from agent.floor import Floor
 from agent.joint_plan import JointPlan, planned, search
 from agent.pibt import ways
+from agent.timetable import Timetable
 from sim.floor_plan import CORRIDOR, DEAD_END, JUNCTION, rooms
 
 DRAWINGS = {"corridor": CORRIDOR, "junction": JUNCTION, "dead end": DEAD_END}
@@ -110,3 +111,27 @@ def test_the_fairest_of_some_plans(robots: int, seed: int) -> None:
     waits = [each.arrivals(goals) - free for each in (plan, JointPlan.of(first))]
     assert (waits[0] >= 0).all() and (waits[0] ** 2).sum() <= (waits[1] ** 2).sum()
     assert plan == planned(lattice.near, starts, goals, seed), "a pure function"
+
+
+@settings(max_examples=40, deadline=None)
+@given(robots=st.integers(1, 9), seed=st.integers(0, 10**6))
+def test_nobody_comes_later_when_robots_are_put_back(robots: int, seed: int) -> None:
+    name = ["corridor", "dead end"][seed % 2]
+    lattice, rng = LATTICES[name], Random(seed)
+    starts = rng.sample(range(len(lattice)), robots)
+    goals = rng.sample(range(len(lattice)), robots)
+    steps = search(lattice.near, starts, goals, [0.0] * robots, seed)
+    assert steps is not None, f"seed {seed}"
+    first = JointPlan.of(steps)
+    far = ways(lattice.near, np.array(goals, dtype=np.int32))
+    table = Timetable(lattice.near, far, goals, first.tracks())
+    assert table.arrivals().tolist() == first.arrivals(goals).tolist()
+    table.shorten(100)
+    after = JointPlan.of(table.steps)
+    drive(after, rng)
+    assert [route[-1] for route in after.routes] == goals
+    assert (after.arrivals(goals) <= table.arrivals()).all()
+    assert (table.arrivals() <= first.arrivals(goals)).all()
+    for at, to in zip(table.steps, table.steps[1:], strict=False):
+        for node, following in zip(at.tolist(), to.tolist(), strict=True):
+            assert node == following or following in lattice.near[node]

@@ -27,7 +27,7 @@ from tools.bench.map_kinds import data_folder
 
 CELL_M, RADIUS_M = 1.0, 0.35
 ROBOTS, SIDE, LIMIT_S = 100, 64, 900.0
-QUICK_ROBOTS, QUICK_SIDE = 12, 24  # of whole peers
+QUICK_ROBOTS, QUICK_SIDE = 8, 16  # of whole peers
 SEEDS, QUICK_SEEDS = 100, 5  # of joint plans
 WAIT_SHARE = 3.0
 XY = tuple[float, float]
