@@ -87,11 +87,12 @@ def joint(seeds: range) -> Iterator[Figure]:
         found == len(seeds), "", f"{scope}; {spent_s:.1f} s CPU each",
     )  # fmt: skip
     if worst:
-        fair = sum(ratio <= WAIT_SHARE for ratio in worst)
+        fair = sum(ratio <= WAIT_SHARE for ratio in worst)  # the target is that of robots, below
         yield Figure(
             f"joint plans of {ROBOTS} robots: longest wait, of the median", median(worst), "ratio",
-            f"<= {WAIT_SHARE:g}", max(worst) <= WAIT_SHARE, "",
-            f"{scope}; median of seeds, worst {max(worst):.1f}, {fair} of {len(seeds)} hold it; "
+            "", None, "",
+            f"{scope}; median of seeds, worst {max(worst):.1f}, {fair} of {len(seeds)} within "
+            f"{WAIT_SHARE:g}; "
             f"median wait {median(medians):.0f} moves",
         )  # fmt: skip
 

@@ -43,7 +43,7 @@ def pyrvo() -> Any:
 
 def figures(quick: bool) -> Iterator[Figure]:
     rvo = pyrvo()
-    yield from circle(rvo, 200 if quick else 1000)
+    yield from circle(rvo, 400 if quick else 1000)
     yield from one_robot(rvo, 6 if quick else 20)
 
 
