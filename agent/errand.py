@@ -54,6 +54,10 @@ class Followed(NamedTuple):
 
 
 class Errands:
+    passes = (
+        True  # a goal on the way of a joint plan is reached; who has to stay there comes back to it
+    )
+
     def __init__(
         self,
         slot: int,
@@ -280,7 +284,7 @@ class Errands:
 
     def _at_goal(self, at: Point) -> bool:
         """Who has been at its goal has been there, wherever the plan takes it then."""
-        goal = self.goal
+        goal = self.goal if self.passes else None
         return goal is not None and hypot(goal[0] - at[0], goal[1] - at[1]) < SETTLED_M
 
     # ---------------------------------------------------------------- when to call a round
