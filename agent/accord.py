@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from agent.config import MS, S
-from agent.joint_plan import JointPlan, Turn, search
+from agent.joint_plan import JointPlan, Turn, planned
 from agent.lattice import FINE, Lattice, components
 from agent.round_phase import CALM_US, Phase, after, ahead
 from protocol.accord_frames import Accord, Answer, Say
@@ -319,8 +319,7 @@ def _plan_of(
     goals = [g if component[g] == component[s] else s for s, g in zip(starts, goals, strict=True)]
     if len(set(goals)) < len(goals):
         return None
-    steps = search(near, starts, goals, [0.0] * len(places), salt)
-    return None if steps is None else JointPlan.of(steps)
+    return planned(near, starts, goals, salt)
 
 
 def seats(

@@ -42,6 +42,8 @@ GIVES_US = 5 * S  # a bay has so long to show that it charges
 
 
 class Delivery(Errands):
+    passes = False  # it handles parcels where it stands
+
     def __init__(
         self, slot: int, house: Warehouse, home: Point, speed_m_s: float, deceleration_m_s2: float,
         now_us: int, seed: int, chart: MapSync | None = None,

@@ -54,6 +54,10 @@ class Followed(NamedTuple):
 
 
 class Errands:
+    passes = (
+        True  # a goal on the way of a joint plan is reached; who has to stay there comes back to it
+    )
+
     def __init__(
         self,
         slot: int,
@@ -202,7 +206,8 @@ class Errands:
         """What is wanted now, and whether the goal has been reached."""
         if self.accords.bound:
             self._tracker, self._planned = None, True  # afterwards we begin from somewhere else
-            return (self._along_plan(view) if self.accords.phase is Phase.GO else HOLD), False
+            wish = self._along_plan(view) if self.accords.phase is Phase.GO else HOLD
+            return wish, self._at_goal((view.here.x_m, view.here.y_m))
         if self.goal is None:
             return HOLD, False
         here = view.here
@@ -251,6 +256,10 @@ class Errands:
         accords, here = self.accords, view.here
         first, last = max(accords.index, 0), accords.permitted
         route = accords.route
+        for index in range(accords.index + 1, last):  # it brakes for its goal, though it goes on
+            if self._at_goal(self.floor.lattice.point(route[index])):
+                last = index
+                break
         if self._lane is None or self._lane_of != (accords.round, first, last):
             points = [self.floor.lattice.point(node) for node in route[first : last + 1]]
             self._lane = Tracker(points, self.speed_m_s, self.deceleration_m_s2)
@@ -272,6 +281,11 @@ class Errands:
         if hypot(x_m - here.x_m, y_m - here.y_m) < SETTLED_M / 2:
             return HOLD
         return Wish(*lane.velocity(here.x_m, here.y_m))
+
+    def _at_goal(self, at: Point) -> bool:
+        """Who has been at its goal has been there, wherever the plan takes it then."""
+        goal = self.goal if self.passes else None
+        return goal is not None and hypot(goal[0] - at[0], goal[1] - at[1]) < SETTLED_M
 
     # ---------------------------------------------------------------- when to call a round
 

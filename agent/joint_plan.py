@@ -5,6 +5,8 @@ depth-first search over whole configurations, whose next one is made by PIBT. Wh
 circle, constraints are added robot by robot until every successor has been tried, so the search is
 complete: it finds a plan wherever one exists on the lattice, and says that there is none otherwise.
 Both within `STEPS_MAX`; a pure function of its arguments, so that all robots compute the same.
+The first plan found is seldom a good one. `planned` makes some, shortens each (`agent/timetable.py`),
+and takes the one that is fairest.
 
 A plan is driven without a common clock. What is kept of it is each robot's route, and in which
 order robots visit each node: whoever comes after somebody waits until that one has gone on.
@@ -18,9 +20,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.pibt import NOWHERE, grown, step, ways
+from agent.timetable import Timetable
 
 Ints = NDArray[np.int32]
 STEPS_MAX = 20_000  # searched configurations, a few seconds; hard jams of ten take some hundreds
+TRIES_MAX = 16  # plans of which one is taken, and
+TRIED_MAX = (
+    160  # robots in all of them: a robot that computes longer than 0.1 s is missed by the others
+)
+PUT_BACK_MAX = 200  # robots in each of them: 0.3 ms each among a hundred, most are never needed
+TRIED_SALT = 1 << 16  # between the salts of two tries: rounds are counted in 16 bits
 
 
 class _Configuration:
@@ -35,12 +44,17 @@ class _Configuration:
 
 
 def search(
-    near: Ints, starts: Sequence[int], goals: Sequence[int], urgency: Sequence[float], salt: int = 0
+    near: Ints,
+    starts: Sequence[int],
+    goals: Sequence[int],
+    urgency: Sequence[float],
+    salt: int = 0,
+    most: int = STEPS_MAX,
 ) -> list[Ints] | None:
     """Configurations from starts to goals, one step after the other; None: there is no plan.
 
     `near`: the lattice, (nodes, 4); nodes of starts are distinct, and so are those of goals.
-    `urgency`: who goes first; equal ones in their order.
+    `urgency`: who goes first; equal ones in their order. `most`: configurations that are searched.
     """
     first, last = np.array(starts, dtype=np.int32), np.array(goals, dtype=np.int32)
     assert len(set(starts)) == len(starts) and len(set(goals)) == len(goals)
@@ -54,7 +68,7 @@ def search(
     root = _Configuration(first, None, priority)
     known = {first.tobytes(): root}
     stack = [root]
-    for number in range(STEPS_MAX):
+    for number in range(most):
         if not stack:
             return None
         here = stack[-1]
@@ -108,6 +122,35 @@ def _steps(last: _Configuration) -> list[Ints]:
     return steps[::-1]
 
 
+def planned(
+    near: Ints, starts: Sequence[int], goals: Sequence[int], salt: int = 0
+) -> "JointPlan | None":
+    """The fairest of up to `TRIES_MAX` plans: the least sum of squared waits, so that no long wait of
+    one is paid for with short ones of others. Who waited long in the best one goes first in the next."""
+    far = ways(near, np.array(goals, dtype=np.int32))
+    free = far[np.arange(len(starts)), starts]
+    urgency = np.zeros(len(starts))
+    best: tuple[float, JointPlan] | None = None
+    most = STEPS_MAX
+    for number in range(max(1, min(TRIES_MAX, TRIED_MAX // max(len(starts), 1)))):
+        steps = search(near, starts, goals, urgency.tolist(), salt + number * TRIED_SALT, most)
+        if steps is None:
+            if best is None:
+                return None
+            continue
+        table = Timetable(near, far, goals, JointPlan.of(steps).tracks())
+        table.shorten(PUT_BACK_MAX)
+        waits = table.arrivals() - free
+        cost = float((waits * waits).sum())
+        if best is None:
+            most = 2 * len(steps) + len(starts)  # a try that leads astray is not worth its time
+        if best is None or cost < best[0]:
+            best = cost, JointPlan.of(table.steps)
+            urgency = waits.astype(np.float64)
+    assert best is not None
+    return best[1]
+
+
 class Turn(NamedTuple):
     """Before a move: this robot must have reached its `node`-th node."""
 
@@ -138,6 +181,45 @@ class JointPlan(NamedTuple):
                 turns[i].append(gone)
                 visitor[node] = Turn(i, len(routes[i]) - 1)
         return cls(tuple(map(tuple, routes)), tuple(map(tuple, turns)))
+
+    def times(self) -> list[list[int]]:
+        """When each robot is at each node of its route, where every move takes one unit of time."""
+        times = [[0] for _ in self.routes]
+        pending = [(i, 1) for i, route in enumerate(self.routes) if len(route) > 1]
+        while pending:
+            late = []
+            for i, k in pending:
+                own, turns = times[i], self.turns[i]
+                while k < len(turns):
+                    turn = turns[k]
+                    if turn is None:
+                        own.append(own[-1] + 1)
+                    elif turn.node < len(times[turn.robot]):
+                        own.append(max(own[-1], times[turn.robot][turn.node]) + 1)
+                    else:
+                        late.append((i, k))
+                        break
+                    k += 1
+            assert late != pending, "robots wait for each other in a circle"
+            pending = late
+        return times
+
+    def tracks(self) -> list[list[int]]:
+        """Each robot's node at each unit of time, until the last has come to its end."""
+        times = self.times()
+        units = np.arange(max(own[-1] for own in times) + 1)
+        return [
+            np.array(route)[np.searchsorted(own, units, side="right") - 1].tolist()
+            for route, own in zip(self.routes, times, strict=True)
+        ]
+
+    def arrivals(self, goals: Sequence[int]) -> NDArray[np.int64]:
+        """When each robot first is at its goal."""
+        first = [
+            own[route.index(goal)]
+            for own, route, goal in zip(self.times(), self.routes, goals, strict=True)
+        ]
+        return np.array(first, dtype=np.int64)
 
     def permitted(self, robot: int, reached: Sequence[int]) -> int:
         """The furthest node of its route a robot may drive to, when these have been reached."""

@@ -51,12 +51,12 @@ def _coverage() -> None:
 
 def _agreement() -> None:
     from agent.floor import Floor
-    from agent.joint_plan import search
+    from agent.joint_plan import planned
     from agent.ports import Observation
     from agent.sensed import Sensed
 
     floor = Floor.drawn("...\n...", 1.0, 0.35)
-    search(floor.lattice.near, [0, 2], [2, 0], [0.0, 0.0])
+    planned(floor.lattice.near, [0, 2], [2, 0])  # one of them has to wait: it is put back, too
     here = Observation(1.5, 0.5, 0.0, 0.0, 0.0, (0.5, 1.0, 1.5))
     Sensed(floor.fences, 0.35).strange(here, 5.0, [(0.5, 0.5)])
 

@@ -7,7 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from agent.floor import Floor
-from agent.joint_plan import JointPlan, search
+from agent.joint_plan import JointPlan, planned, search
+from agent.pibt import ways
+from agent.timetable import Timetable
 from sim.floor_plan import CORRIDOR, DEAD_END, JUNCTION, rooms
 
 DRAWINGS = {"corridor": CORRIDOR, "junction": JUNCTION, "dead end": DEAD_END}
@@ -75,3 +77,61 @@ def test_equal_arguments_equal_plans() -> None:
     one, two = (search(lattice.near, starts, goals, [0.0] * 9, 3) for _ in range(2))
     assert one is not None and two is not None
     assert all(np.array_equal(a, b) for a, b in zip(one, two, strict=True))
+
+
+def unit_moves(plan: JointPlan, goals: list[int]) -> list[int]:
+    """When each robot first is at its goal, where all that may move at once, a unit of time each."""
+    count = len(plan.routes)
+    reached, now = [0] * count, 0
+    found = [0 if plan.routes[i][0] == goals[i] else -1 for i in range(count)]
+    while any(reached[i] < len(plan.routes[i]) - 1 for i in range(count)):
+        before, now = list(reached), now + 1
+        for i in range(count):
+            if plan.permitted(i, before) > before[i]:
+                reached[i] += 1
+                if found[i] < 0 and plan.routes[i][reached[i]] == goals[i]:
+                    found[i] = now
+        assert reached != before, "a deadlock"
+    return found
+
+
+@settings(max_examples=30, deadline=None)
+@given(robots=st.integers(1, 8), seed=st.integers(0, 10**6))
+def test_the_fairest_of_some_plans(robots: int, seed: int) -> None:
+    lattice, rng = LATTICES["corridor"], Random(seed)
+    starts = rng.sample(range(len(lattice)), robots)
+    goals = rng.sample(range(len(lattice)), robots)
+    first = search(lattice.near, starts, goals, [0.0] * robots, seed)
+    plan = planned(lattice.near, starts, goals, seed)
+    assert first is not None and plan is not None, f"seed {seed}"
+    assert [(route[0], route[-1]) for route in plan.routes] == list(zip(starts, goals, strict=True))
+    drive(plan, rng)
+    assert plan.arrivals(goals).tolist() == unit_moves(plan, goals)
+    free = ways(lattice.near, np.array(goals, dtype=np.int32))[np.arange(robots), starts]
+    waits = [each.arrivals(goals) - free for each in (plan, JointPlan.of(first))]
+    assert (waits[0] >= 0).all() and (waits[0] ** 2).sum() <= (waits[1] ** 2).sum()
+    assert plan == planned(lattice.near, starts, goals, seed), "a pure function"
+
+
+@settings(max_examples=40, deadline=None)
+@given(robots=st.integers(1, 9), seed=st.integers(0, 10**6))
+def test_nobody_comes_later_when_robots_are_put_back(robots: int, seed: int) -> None:
+    name = ["corridor", "dead end"][seed % 2]
+    lattice, rng = LATTICES[name], Random(seed)
+    starts = rng.sample(range(len(lattice)), robots)
+    goals = rng.sample(range(len(lattice)), robots)
+    steps = search(lattice.near, starts, goals, [0.0] * robots, seed)
+    assert steps is not None, f"seed {seed}"
+    first = JointPlan.of(steps)
+    far = ways(lattice.near, np.array(goals, dtype=np.int32))
+    table = Timetable(lattice.near, far, goals, first.tracks())
+    assert table.arrivals().tolist() == first.arrivals(goals).tolist()
+    table.shorten(100)
+    after = JointPlan.of(table.steps)
+    drive(after, rng)
+    assert [route[-1] for route in after.routes] == goals
+    assert (after.arrivals(goals) <= table.arrivals()).all()
+    assert (table.arrivals() <= first.arrivals(goals)).all()
+    for at, to in zip(table.steps, table.steps[1:], strict=False):
+        for node, following in zip(at.tolist(), to.tolist(), strict=True):
+            assert node == following or following in lattice.near[node]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import label
 
-from tools.bench import exploration, theta
+from tools.bench import crowd, exploration, theta
 from tools.bench.map_kinds import KINDS, read, small_maps
 from tools.bench.optimum import Judge
 
@@ -46,3 +46,13 @@ def test_a_map_file_is_read(tmp_path: Path) -> None:
 
 def test_the_order_of_merging_maps_does_not_matter() -> None:
     assert exploration.merge_orders(1_000, 3).holds
+
+
+def test_a_hundred_robots_in_rooms_have_a_plan_that_brings_all_to_their_goals() -> None:
+    arrived, *_ = crowd.joint(range(2))
+    assert arrived.holds, arrived
+
+
+def test_who_waits_hardly_at_all_does_not_make_the_others_wait_too_long() -> None:
+    assert crowd.unfairness([0.0, 0.5, 2.0]) == 2.0
+    assert crowd.unfairness([10.0, 20.0, 60.0]) == 3.0

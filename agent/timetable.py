@@ -1,0 +1,128 @@
+"""When each robot of a joint plan is on which node, and each of them put back into gaps of the others.
+
+A move takes one unit of time and both of its nodes for as long: nobody follows anybody closely, so a
+timetable is a run of the plan's order, and any change that keeps the nodes of robots apart keeps that.
+One robot at a time is taken out and put back where it is at its goal first, among the others as they
+are (a search in space and time, as in cooperative A*: Silver, AIIDE 2005; taking some out of a whole
+plan again and again: MAPF-LNS, Li et al., IJCAI 2021). Nobody ever comes later by it.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Ints = NDArray[np.int32]
+CELLS_MAX = 1 << 23  # nodes times units of time: 40 MB; longer plans are left as they are
+
+
+@njit(cache=True)
+def _hold(taken, track, robot, held):  # type: ignore[no-untyped-def]
+    """Take or give back the nodes of one robot."""
+    for t in range(taken.shape[0]):
+        taken[t, track[robot, t]] = held
+        taken[t, track[robot, t + 1]] = held
+
+
+@njit(cache=True)
+def _earliest(start, goal, near, far, taken, came, layer, coming, latest):  # type: ignore[no-untyped-def]
+    """The first time, at most `latest`, from which on the robot can be at its goal; -1: none.
+
+    `came`: (times, nodes), from where each node was reached, -1 before and -1 again afterwards but for
+    what was reached; `layer`, `coming`: room for the nodes of a time.
+    """
+    free_from = taken.shape[0]
+    while free_from > 0 and not taken[free_from - 1, goal]:
+        free_from -= 1
+    if free_from > latest or far[start] > latest:
+        return -1
+    came[0, start], layer[0], count = start, start, 1
+    for t in range(latest):
+        if t >= free_from and came[t, goal] >= 0:
+            return t
+        found = 0
+        for k in range(count):  # who can stay stays: it waits before a gap, not on the way to it
+            at = layer[k]
+            if not taken[t, at] and t + 1 + far[at] <= latest:
+                came[t + 1, at], coming[found] = at, at
+                found += 1
+        for k in range(count):
+            at = layer[k]
+            if taken[t, at]:
+                continue
+            for side in range(4):
+                to = near[at, side]
+                if to < 0 or taken[t, to] or came[t + 1, to] >= 0 or t + 1 + far[to] > latest:
+                    continue
+                came[t + 1, to], coming[found] = at, to
+                found += 1
+        count = found
+        for k in range(count):
+            layer[k] = coming[k]
+        if count == 0:
+            return -1
+    return latest if came[latest, goal] >= 0 and latest >= free_from else -1
+
+
+@njit(cache=True)
+def _put_back(robot, goal, near, far, track, taken, came, layer, coming, latest):  # type: ignore[no-untyped-def]
+    """Find one robot a way that is at its goal by `latest`; False: its way stays as it is."""
+    _hold(taken, track, robot, False)
+    came[: latest + 1] = -1
+    end = _earliest(track[robot, 0], goal, near, far, taken, came, layer, coming, latest)
+    if end >= 0:
+        at = goal
+        for t in range(end, -1, -1):
+            track[robot, t] = at
+            at = came[t, at]
+        track[robot, end:] = goal
+    _hold(taken, track, robot, True)
+    return end >= 0
+
+
+class Timetable:
+    def __init__(
+        self, near: Ints, far: Ints, goals: Sequence[int], tracks: Sequence[Sequence[int]]
+    ) -> None:
+        """`far`: (robots, nodes), steps to each robot's goal. `tracks`: each robot's node at each
+        unit of time, from 0 on, all as long."""
+        self.near, self.far, self.goals = near, far, list(goals)
+        self.track: Ints = np.array(tracks, dtype=np.int32)
+        self._taken = np.zeros((self.track.shape[1] - 1, len(near)), dtype=np.bool_)
+        for robot in range(len(self.track)):
+            _hold(self._taken, self.track, robot, True)
+
+    def arrivals(self) -> NDArray[np.int64]:
+        """When each robot first is at its goal."""
+        there = self.track == np.array(self.goals, dtype=np.int32)[:, None]
+        found: NDArray[np.int64] = there.argmax(axis=1)
+        return found
+
+    def shorten(self, most: int) -> None:
+        """Put robots back, who waits longest first, until `most` were or nobody gains by it."""
+        if self.track.size == 0 or self._taken.size > CELLS_MAX:
+            return
+        nodes = len(self.near)
+        came = np.full((self.track.shape[1], nodes), -1, dtype=np.int32)
+        layer, coming = np.empty(nodes, dtype=np.int32), np.empty(nodes, dtype=np.int32)
+        tried = set[int]()  # since anybody last gained by it
+        for _ in range(most):
+            arrived = self.arrivals()
+            waits = arrived - self.far[np.arange(len(self.track)), self.track[:, 0]]
+            waits[list(tried)] = 0
+            robot = int(waits.argmax())
+            if waits[robot] == 0:
+                return
+            gained = _put_back(
+                robot, self.goals[robot], self.near, self.far[robot], self.track, self._taken,
+                came, layer, coming, int(arrived[robot]) - 1,
+            )  # fmt: skip
+            tried = {robot} if gained else tried | {robot}
+
+    @property
+    def steps(self) -> list[Ints]:
+        """Where all are, at each unit of time, as far as anybody moves."""
+        moves = (self.track[:, 1:] != self.track[:, :-1]).any(axis=0)
+        last = int(np.flatnonzero(moves)[-1]) + 1 if moves.any() else 0
+        return [np.ascontiguousarray(self.track[:, t]) for t in range(last + 1)]
