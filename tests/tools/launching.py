@@ -3,6 +3,7 @@
 import asyncio
 import json
 import os
+import re
 import sys
 from asyncio.subprocess import PIPE, STDOUT, Process
 from pathlib import Path
@@ -25,6 +26,17 @@ async def call(folder: Path, *words: str) -> tuple[int, str]:
         out, _ = await process.communicate()
     assert process.returncode is not None
     return process.returncode, out.decode()
+
+
+async def said(launch: Process, pattern: str) -> str:
+    """The first group, as soon as a line matches."""
+    assert launch.stdout is not None
+    async with asyncio.timeout(WAIT_S):
+        async for raw in launch.stdout:
+            found = re.search(pattern, raw.decode())
+            if found:
+                return found[1]
+    raise AssertionError("the launch ended early")
 
 
 async def robots_up(launch: Process, count: int) -> list[int]:
