@@ -13,7 +13,9 @@ from crdt import FieldAllocationCRDT
 
 FULL_AT = 0.99  # of a battery
 GIVES_US = 5 * S  # a bay has so long to show that it charges
-SHORT_US = 1 * S  # between two looks at whether a battery lasts: each is a search of the planning map
+SHORT_US = (
+    1 * S
+)  # between two looks at whether a battery lasts: each is a search of the planning map
 GAIN = 0.002  # of a battery, in that time
 
 
@@ -55,7 +57,11 @@ class Charging:
         return then.left < self.house.home(trip.dropoff) - self.house.reserve // 2
 
     def visit(
-        self, at: Point, onward: Point | None, allocation: FieldAllocationCRDT, shunned: Container[int]
+        self,
+        at: Point,
+        onward: Point | None,
+        allocation: FieldAllocationCRDT,
+        shunned: Container[int],
     ) -> Choice | None:
         """Of the bay that is least out of the way; None: all are taken. `shunned`: TASKS_MAX and bays."""
         best = None

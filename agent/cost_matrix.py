@@ -97,7 +97,9 @@ class CostMatrix:
         self._places = np.concatenate((self._places, np.array(new)))
         self._boxes = np.append(self._boxes, [self.mesh.box(point) for point in new])
         total = count + len(new)
-        if total > len(self._table):  # seldom: copying the whole for two places takes longer than they
+        if total > len(
+            self._table
+        ):  # seldom: copying the whole for two places takes longer than they
             larger = np.zeros((total + total // 8 + ROOM,) * 2)
             larger[:count, :count] = self._table[:count, :count]
             self._table = larger

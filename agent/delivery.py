@@ -20,7 +20,7 @@ from agent.lifecycle import State
 from agent.mission import Choice, FleetView, Record, Wish
 from agent.path_requests import AHEAD_S, PathRequests
 from agent.task_book import TASKS_MAX, recalled_orders, stop_names
-from agent.warehouse import SECTIONS_END, Standing, Warehouse
+from agent.warehouse import Standing, Warehouse
 from agent.whereabouts import Whereabouts
 from crdt import Phase
 from protocol.map_sync import MapSync
@@ -35,8 +35,7 @@ BESIDE_M = 1.0  # nearer than this is near enough where another body is in the w
 UNTOUCHED_M = 0.2  # from where it was to be fetched: nobody has moved it
 IDLE_CHARGE = 0.5  # who has nothing to do charges below this
 HOME_US = 5 * S  # who has nothing to do for so long makes room
-NEARER_M = 0.05
-STALLED_US = 1 * S  # within reach, and no nearer for so long
+STALLED_US, NEARER_M = 1 * S, 0.05  # within reach, and no nearer for so long
 MISSING_US = 3 * S  # at a place where no parcel lies: it is believed
 SHUN_US = 30 * S  # a bay that gives nothing, a task whose parcel is not found
 
@@ -192,7 +191,10 @@ class Delivery(Errands):
         return Standing(self.slot, (view.here.x_m, view.here.y_m), 0, self.dispatch.left)
 
     def _falls_short(self, task: int, view: FleetView) -> bool:
-        loaded, dropoff = task == self._load, self.house.trip(self.dispatch.book.tasks[task]).dropoff
+        loaded, dropoff = (
+            task == self._load,
+            self.house.trip(self.dispatch.book.tasks[task]).dropoff,
+        )
         trip = Trip(dropoff if loaded else self._pickup(task, view), dropoff)
         return self.charging.falls_short(self._here(view), trip, loaded)
 
@@ -388,11 +390,9 @@ class Delivery(Errands):
         if self._idle_us is None:
             self._idle_us = view.now_us
         away_m = hypot(self.home[0] - view.here.x_m, self.home[1] - view.here.y_m)
-        low = self.house.carrier.runs_dry and self.dispatch.left < self.house.home(self.home)
-        if view.now_us - self._idle_us < HOME_US or away_m < 1.0 or low:
+        if view.now_us - self._idle_us < HOME_US or away_m < 1.0:
+            return super().rest(view)
+        if self.house.carrier.runs_dry and self.dispatch.left < self.house.home(self.home):
             return super().rest(view)
         self._go(self.home)
         return self._drive(view)[0]
-
-
-assert SECTIONS_END > TASKS_MAX

@@ -71,7 +71,7 @@ class Floor:
     def cells(self) -> int:
         """Of the map as it was drawn."""
         rows, columns = self.walls.shape
-        return (rows - 2) * (columns - 2)
+        return int((rows - 2) * (columns - 2))
 
     def holds(self, x_m: float, y_m: float) -> bool:
         """Whether the middle of a body may be there."""

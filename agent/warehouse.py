@@ -17,6 +17,7 @@ from agent.workload import Whole, Workload
 from crdt import FieldAllocationCRDT, Phase
 
 SECTIONS_END = 0x8000  # names begin there
+assert SECTIONS_END > TASKS_MAX
 T_MAX = 4  # new tasks up to here are inserted, more are planned anew
 ORDER_MAX = 0xFFFF
 
@@ -135,7 +136,9 @@ class Warehouse:
 
     # ---------------------------------------------------------------- bays
 
-    def charged_between(self, standing: Standing, tasks: Iterable[int], orders: Mapping[int, Order]) -> list[int]:
+    def charged_between(
+        self, standing: Standing, tasks: Iterable[int], orders: Mapping[int, Order]
+    ) -> list[int]:
         """Sections in their order: tasks, and TASKS_MAX and a bay wherever a robot would have to charge
         first, by the rule by which it does when it is there."""
         found: list[int] = []
@@ -145,8 +148,10 @@ class Warehouse:
             if self.carrier.runs_dry and self.bays and then.left < self.home(trip.dropoff):
                 bay = min(
                     range(len(self.bays)),
-                    key=lambda b: self.way_m(standing.at, self.bays[b])
-                    + self.way_m(self.bays[b], trip.pickup),
+                    key=lambda b: (
+                        self.way_m(standing.at, self.bays[b])
+                        + self.way_m(self.bays[b], trip.pickup)
+                    ),
                 )
                 found.append(TASKS_MAX + bay)
                 then = self.after(Standing(standing.slot, self.bays[bay], 0, FULL), trip, False)

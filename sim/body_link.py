@@ -17,7 +17,7 @@ from sim.world import World
 TELL_US = 20_000  # one world step
 HELLO_S = 0.2  # a robot that has heard nothing yet says that it is there
 DRIVE = struct.Struct("<4sBdddBi")  # magic, slot, vx, vy, turn, implement, parcel to handle
-# magic, slot, x, y, heading, vx, vy, battery, load, parcels in reach; then these, and a float for each ray
+# magic, slot, x, y, heading, vx, vy, battery, load, parcels in reach; then these, and the rays
 SENSE = struct.Struct("<4sBddddddiB")
 LYING = struct.Struct("<idd?")  # task, x, y, on a robot
 PARCELS_MAX = 32  # told at once; within an arm's reach
@@ -47,7 +47,9 @@ def observation_of(data: bytes) -> Observation | None:
     lying = (LYING.unpack_from(data, SENSE.size + k * LYING.size) for k in range(count))
     parcels = {task: Lying(x_m, y_m, on_robot) for task, x_m, y_m, on_robot in lying}
     ranges_m = struct.unpack_from(f"<{rays}f", data, begin)
-    return Observation(*pose, ranges_m=ranges_m, battery=battery, load=load, parcels=parcels)
+    return Observation(*pose)._replace(
+        ranges_m=ranges_m, battery=battery, load=load, parcels=parcels
+    )
 
 
 class BodyServer(asyncio.DatagramProtocol):
@@ -145,7 +147,5 @@ class RemoteBody(asyncio.DatagramProtocol):
     def _send(self, magic: bytes, c: Drive) -> None:
         if self._transport is not None and not self._transport.is_closing():
             self._transport.sendto(
-                DRIVE.pack(
-                    magic, self.slot, c.vx_m_s, c.vy_m_s, c.turn_rad_s, c.tool_on, c.handle
-                )  # fmt: skip
+                DRIVE.pack(magic, self.slot, c.vx_m_s, c.vy_m_s, c.turn_rad_s, c.tool_on, c.handle)
             )

@@ -54,7 +54,9 @@ class Depot:
     def delivered(self) -> bool:
         """Every parcel lies at its dropoff, and those that were to come have come."""
         tasks = self.truth.dropoff
-        return len(tasks) >= len(self.setting.rows) and self.truth.delivered_us.keys() == tasks.keys()
+        return (
+            len(tasks) >= len(self.setting.rows) and self.truth.delivered_us.keys() == tasks.keys()
+        )
 
     # ---------------------------------------------------------------- what happens, by the clock
 

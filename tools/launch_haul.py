@@ -1,4 +1,4 @@
-"""`headland launch` of a warehouse: the world has parcels, arms and batteries, and each robot is a process.
+"""`headland launch` of a warehouse: each robot a process, in a world with parcels, arms, batteries.
 
 Transports may be ordered at any time, so it goes on until it is ended, by Ctrl-C or `--seconds`.
 """

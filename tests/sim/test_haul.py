@@ -69,6 +69,20 @@ def test_tasks_in_a_trickle_are_auctioned_one_by_one() -> None:
     assert outcome.frames["TaskBid"] >= 5
 
 
+@pytest.mark.parametrize(("count", "rounds"), [(4, 0), (5, 1)])
+def test_up_to_t_max_new_tasks_are_inserted_and_more_are_planned_anew(
+    count: int, rounds: int
+) -> None:
+    """Scenarios B and C, at the threshold; t_max is 4."""
+    setting = DeliverySetting(scenario(random_tasks=0))
+    setting.rows = [TaskRow((2.5 + k, 0.5), (1.5 + k, 4.5), 6.0) for k in range(count)]
+    outcome = Haul(setting).run()
+    print(outcome)
+    assert outcome.finished and not outcome.flawed
+    assert outcome.rounds == rounds
+    assert (outcome.frames.get("TaskBid", 0) > 0) is (rounds == 0)
+
+
 class KillsTheCarrier:
     """Kills the first robot that has a parcel aboard."""
 

@@ -15,7 +15,7 @@ from sim.haul import Haul, HaulCluster, HaulOutcome
 from sim.warehouse_scenario import TaskRow, WarehouseScenario
 from sim.world import World
 
-OPEN = "\n".join(["." * 24] * 5)
+OPEN = "\n".join(["." * 24] * 7)
 HALL = "\n".join(["...#" + "#" * 19 + "#", "." * 24, "...#" + "#" * 19 + "#"])
 NOTHING = {"twice": 0, "lost": 0, "by_two": 0, "again": 0}
 Box = tuple[float, float, float, float]  # from, until, x, y
@@ -25,8 +25,9 @@ class Alone(DeliverySetting):
     """One robot, tasks by hand, and boxes of 0.8 m that come and go."""
 
     def __init__(
-        self, drawing: str, start: tuple[float, float], rows: Sequence[TaskRow], boxes: Sequence[Box] = (),
-        bays: Sequence[tuple[float, float]] = (), battery: dict[str, float] | None = None,
+        self, drawing: str, start: tuple[float, float], rows: Sequence[TaskRow],
+        boxes: Sequence[Box] = (), bays: Sequence[tuple[float, float]] = (),
+        battery: dict[str, float] | None = None,
     ) -> None:  # fmt: skip
         super().__init__(WarehouseScenario.model_validate({
             "name": "alone", "mission": "delivery",
@@ -63,21 +64,22 @@ def play(setting: Alone, watch: object = None) -> tuple[Haul, HaulOutcome, list[
     return run, outcome, [path.why for path in run.cluster.missions[0].followed]
 
 
-ACROSS = [TaskRow((1.5, 2.5), (22.5, 2.5))]  # twenty metres with the parcel aboard
+ACROSS = [TaskRow((1.5, 3.5), (22.5, 3.5))]  # twenty metres with the parcel aboard
 
 
 def test_boxes_that_appear_and_leave_before_they_matter_cost_no_path() -> None:
     """Far ahead for seconds, right beside the way for long, and on it for less than is looked at."""
-    boxes = [(4.0, 9.0, 19.5, 2.5), (2.0, inf, 11.5, 4.3), (12.02, 12.11, 12.5, 2.5)]
-    _, _, without = play(Alone(OPEN, (0.5, 2.5), ACROSS))
-    _, outcome, why = play(Alone(OPEN, (0.5, 2.5), ACROSS, boxes))
+    boxes = [(4.0, 9.0, 19.5, 3.5), (2.0, inf, 11.5, 5.5), (12.02, 12.11, 12.5, 3.5)]
+    _, _, without = play(Alone(OPEN, (0.5, 3.5), ACROSS))
+    _, outcome, why = play(Alone(OPEN, (0.5, 3.5), ACROSS, boxes))
     assert why == without and set(why) == {"goal"}
     assert outcome.contacts == 0
 
 
-def test_a_box_that_stays_costs_one_path() -> None:
-    _, _, why = play(Alone(OPEN, (0.5, 2.5), ACROSS, [(2.0, inf, 12.5, 2.5)]))
-    assert why.count("blocked") == 1 and "lost" not in why
+def test_a_box_that_stays_costs_a_path_or_two() -> None:
+    """One when it is seen, one more where its far side is seen only from beside it."""
+    _, _, why = play(Alone(OPEN, (0.5, 3.5), ACROSS, [(2.0, inf, 12.5, 3.5)]))
+    assert 1 <= why.count("blocked") <= 2 and "lost" not in why
 
 
 def test_the_next_path_is_planned_ten_seconds_ahead_and_used() -> None:
@@ -88,7 +90,9 @@ def test_the_next_path_is_planned_ten_seconds_ahead_and_used() -> None:
         planned_s.extend([cluster.host.now_us() / S] * (paths.planned - len(planned_s)))
 
     run, outcome, _ = play(
-        Alone(OPEN, (1.5, 1.5), [TaskRow((21.5, 2.5), (1.5, 2.5)), TaskRow((1.5, 4.5), (21.5, 0.5))]),
+        Alone(
+            OPEN, (1.5, 1.5), [TaskRow((21.5, 2.5), (1.5, 2.5)), TaskRow((1.5, 4.5), (21.5, 0.5))]
+        ),
         watch,
     )
     assert run.cluster is not None
@@ -101,11 +105,12 @@ def test_the_next_path_is_planned_ten_seconds_ahead_and_used() -> None:
 
 @pytest.mark.parametrize("reserve", [0.0, 0.15])
 def test_a_carrier_that_is_held_up_charges_with_its_parcel_aboard(reserve: float) -> None:
-    """Its battery would have lasted for the task, not for a box in the only way for three minutes."""
+    """Its battery would last for the task, not for a box in the only way for more than a minute."""
     setting = Alone(
-        HALL, (1.5, 1.5), [TaskRow((2.5, 2.5), (22.5, 1.5))], [(1.0, 190.0, 12.5, 1.5)],
+        HALL, (1.5, 1.5), [TaskRow((2.5, 2.5), (22.5, 1.5))], [(1.0, 85.0, 12.5, 1.5)],
         bays=[(0.5, 0.5)],
-        battery={"range_m": 200.0, "standby_s": 200.0, "dock_s": 1.0, "charge_s": 10.0, "reserve": reserve},
+        battery={"range_m": 1000.0, "standby_s": 100.0, "dock_s": 1.0, "charge_s": 10.0,
+                 "reserve": reserve},
     )  # fmt: skip
     run, outcome, _ = play(setting)
     assert run.cluster is not None

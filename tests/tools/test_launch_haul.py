@@ -6,7 +6,7 @@ import os
 import signal
 from pathlib import Path
 
-from tests.tools.launching import WAIT_S, call, said, start
+from tests.tools.launching import WAIT_S, call, delivered, said, start
 
 SCENARIO = """
 name = "yard"
@@ -45,8 +45,10 @@ def test_a_launched_warehouse_takes_orders_and_outlives_a_robot(tmp_path: Path) 
             assert [json.loads(line) for line in text.splitlines()] == [
                 {"task": 0, "known": True}, {"task": 1, "known": True},
             ]  # fmt: skip
-            await said(launch, r"(2/2) parcels")
-            code, text = await call(tmp_path, "inspect", "--seconds", "1.5", "--json", "--port", port)
+            await delivered(int(port), 2)
+            code, text = await call(
+                tmp_path, "inspect", "--seconds", "1.5", "--json", "--port", port
+            )
             assert code == 0, text
             launch.send_signal(signal.SIGINT)
             async with asyncio.timeout(WAIT_S):

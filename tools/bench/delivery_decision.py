@@ -111,6 +111,7 @@ class OnePeer:
         frame = encode(TaskOrder(task, cells[0], cells[1]), SENDER)
         began_s = time.process_time()
         _, message = decode(frame)
+        assert isinstance(message, TaskOrder)
         self.mission.hear(None, message, self.now_us)
         bids = self.period()
         took_ms = (time.process_time() - began_s) * 1000

@@ -20,6 +20,7 @@ from sim.warehouse_scenario import WarehouseScenario
 
 ROBOTS = 4
 CALM_S = 60.0  # boxes fall until then
+MIXED = "mixed"
 Faults = list[dict[str, Any]]
 Draw = Callable[[Random], Faults]
 
@@ -63,17 +64,16 @@ def scenario(
     return WarehouseScenario.model_validate(document)
 
 
-def _one_way(rng: Random) -> Faults:
-    """Some do not hear some others, who hear them; for good in one of three."""
+def _one_way(rng: Random, heals: bool = True) -> Faults:
+    """Some do not hear some others, who hear them."""
     at_s = rng.uniform(2.0, 40.0)
     pairs = rng.sample([(a, b) for a in range(ROBOTS) for b in range(ROBOTS) if a != b], 3)
     cuts: Faults = [
         {"at_s": at_s, "kind": "one_way", "sender": a, "receiver": b}
         for a, b in pairs[: rng.randint(1, 3)]
     ]
-    if rng.random() < 2 / 3:
-        cuts.append({"at_s": at_s + rng.uniform(2.0, 60.0), "kind": "heal"})
-    return cuts
+    healed_s = at_s + rng.uniform(2.0, 60.0)
+    return cuts + ([{"at_s": healed_s, "kind": "heal"}] if heals else [])
 
 
 def _split(rng: Random) -> Faults:
@@ -144,8 +144,10 @@ class CarrierDies:
             cluster.kill(aboard[0])
 
 
-def single(kind: str, seed: int) -> Haul:
-    """A run with one trouble."""
+def troubled(kind: str, seed: int) -> Haul:
+    """A run with one trouble, or with all of `bad_luck`."""
+    if kind == MIXED:
+        return Haul(DeliverySetting(bad_luck(seed)))
     rng = Random(f"{seed}/{kind}")
     outage: Faults = []
     if kind == "charger":
@@ -170,9 +172,11 @@ def told(kind: str, seed: int, outcome: HaulOutcome) -> dict[str, Any]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--kinds", default=",".join(TROUBLES), help="troubles, or mixed")
+    parser.add_argument("--kinds", default=",".join(TROUBLES), help=f"troubles, or {MIXED}")
     parser.add_argument("--seeds", default="0:20", help="FIRST:END")
-    parser.add_argument("--out", type=Path, required=True, help="JSON lines; those in it are not run")
+    parser.add_argument(
+        "--out", type=Path, required=True, help="JSON lines; those in it are not run"
+    )
     asked = parser.parse_args()
     first, end = (int(part) for part in asked.seeds.split(":"))
     lines = asked.out.read_text().splitlines() if asked.out.exists() else []
@@ -181,9 +185,9 @@ def main() -> None:
         for kind in asked.kinds.split(","):
             if (kind, seed) in known:
                 continue
-            run = Haul(DeliverySetting(bad_luck(seed))) if kind == "mixed" else single(kind, seed)
+            outcome = troubled(kind, seed).run()
             with asked.out.open("a") as out:
-                out.write(json.dumps(told(kind, seed, run.run())) + "\n")
+                out.write(json.dumps(told(kind, seed, outcome)) + "\n")
 
 
 if __name__ == "__main__":
