@@ -14,6 +14,7 @@ from sim.haul import Haul, HaulCluster, HaulOutcome
 from sim.scenario import Crash, Heal, Loss, Partition, Restart
 from sim.warehouse_scenario import Outage, TaskRow, WarehouseScenario
 from tools.haul import UNREACHABLE, exit_code
+from tools.inspector import Inspector
 
 MAP = """
 ............
@@ -55,6 +56,30 @@ def test_a_boot_with_many_tasks_is_planned_by_all_and_one_plan_is_streamed() -> 
     assert outcome.finished and outcome.replicas_equal
     assert outcome.rounds == 1
     assert outcome.ahead > 0  # paths were there before they were needed
+
+
+def test_a_listener_on_the_bus_reads_every_itinerary_and_battery() -> None:
+    """What `headland inspect` shows of a fleet that is at work is what its robots mean to do."""
+    inspector, checked = Inspector(), [0]
+
+    def watch(cluster: HaulCluster) -> None:
+        told = {r["slot"]: r for r in inspector.to_dict()["robots"] if "itinerary" in r}
+        for slot, mission in cluster.missions.items():
+            if slot in told and cluster.host.now_us() > 12 * S:
+                means = [s for s in mission.stops if s[0] == "D"]
+                heard = [s for s in told[slot]["itinerary"] if s[0] == "D"]
+                # what was claimed or put down within the last beat is not told yet
+                assert abs(len(means) - len(heard)) <= 1, (mission.stops, told[slot])
+                assert abs(told[slot]["battery"] - cluster.truth.battery[slot]) < 0.2
+                checked[0] += means == heard
+
+    run = Haul(DeliverySetting(scenario(random_tasks=9, bays=[(0.5, 0.5)], battery={"range_m": 90.0})))
+    run.watch = watch
+    run.attach = lambda cluster: cluster.segment.taps.append(
+        lambda t_us, frame: inspector.hear(t_us / S, frame)
+    )
+    assert run.run().finished
+    assert checked[0] > 40
 
 
 def test_the_same_seed_gives_the_same_run() -> None:
