@@ -11,7 +11,7 @@ from functools import partial
 from math import hypot
 
 from agent.charging import Bay, Charging
-from agent.config import LEASE_US, MS, S
+from agent.config import MS, S
 from agent.cost_matrix import FULL, Trip
 from agent.cut_off import CutOff
 from agent.dispatch import Dispatch, Dispatched
@@ -155,19 +155,15 @@ class Delivery(Errands):
             if task == self.section or self._shunned_us.get(task, 0) > view.now_us:
                 continue
             owner = view.allocation.owner_of(task)
-            if owner is None or (owner != self.slot and self._lapsed(owner, view)):
+            away = owner is not None and self.dispatch.absence.leaves(owner, task, view)
+            if owner is None or (owner != self.slot and away):
                 return task
         return None
-
-    def _lapsed(self, owner: int, view: FleetView) -> bool:
-        if owner in view.live:
-            return False
-        return view.now_us - view.silent_since_us.get(owner, -LEASE_US) >= LEASE_US
 
     def _claim(self, task: int, view: FleetView) -> Choice | None:
         owner = view.allocation.owner_of(task)
         if owner is not None and owner != self.slot:
-            if not self._lapsed(owner, view) and self._load != task:
+            if not self.dispatch.absence.leaves(owner, task, view) and self._load != task:
                 return None
             return Choice(task, 0, takeover=True)
         return Choice(task, 0)

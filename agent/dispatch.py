@@ -13,8 +13,9 @@ and comes behind what the winner has already: own work first, also in a split.
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
+from agent.absence import Absence
 from agent.auction import Planner
-from agent.config import LEASE_US, MS, S
+from agent.config import MS, S
 from agent.cost_matrix import FULL
 from agent.lifecycle import State
 from agent.mission import FleetView, Record
@@ -64,6 +65,7 @@ class Dispatch:
         self.round = PlanRound(slot, seed)
         self.itinerary: list[int] = []  # tasks that we mean to begin, not those begun
         self.telling = Telling(now_us)
+        self.absence = Absence()
         self.added: dict[int, int] = {}  # task: when we first knew of it; of tasks after the start
         self.left = FULL
         self._auction: Auction | None = None
@@ -110,6 +112,7 @@ class Dispatch:
             self._plan_stops(view)
 
     def _look(self, view: FleetView, able: bool) -> None:
+        self.absence.look(view)
         self._tidy(view)
         if not self.round.active:
             fresh, orphans = self._open(view)
@@ -168,11 +171,9 @@ class Dispatch:
             owner = self._holder(task, phase, holder, view)
             if owner == self.slot and phase is Phase.FREE:
                 self.itinerary.insert(0, task)  # we had begun with it: we find out where it is
-            if owner == self.slot or owner in view.live:
-                continue
             if owner is None:
                 fresh.append(task)
-            elif now_us - view.silent_since_us.get(owner, now_us - LEASE_US) >= LEASE_US:
+            elif owner != self.slot and self.absence.leaves(owner, task, view):
                 order = self.told[owner].whole if owner in self.told else ()
                 orphans.append((order.index(task) if task in order else -1, task))
         return sorted(fresh), [task for _, task in sorted(orphans, reverse=True)]
@@ -206,7 +207,8 @@ class Dispatch:
         kept = []
         for task in self.itinerary:
             owner = view.allocation.owner_of(task)
-            gone = owner is not None and (owner == self.slot or owner in view.live)
+            held = owner in view.live and not self.absence.leaves(owner, task, view)
+            gone = owner is not None and (owner == self.slot or held)
             done = view.allocation.phase_of(task) is Phase.DONE
             if done or gone or task in lower or task in self.cut:
                 continue

@@ -10,6 +10,7 @@ from agent.warehouse import Warehouse
 from protocol.codec import decode_once
 from protocol.delivery_frames import PlanRow
 from sim.delivery_setting import DeliverySetting
+from sim.disk import MemoryJournal
 from sim.haul import Haul, HaulCluster, HaulOutcome
 from sim.scenario import Crash, Heal, Loss, Partition, Restart
 from sim.warehouse_scenario import Outage, TaskRow, WarehouseScenario
@@ -73,7 +74,9 @@ def test_a_listener_on_the_bus_reads_every_itinerary_and_battery() -> None:
                 assert abs(told[slot]["battery"] - cluster.truth.battery[slot]) < 0.2
                 checked[0] += means == heard
 
-    run = Haul(DeliverySetting(scenario(random_tasks=9, bays=[(0.5, 0.5)], battery={"range_m": 90.0})))
+    run = Haul(
+        DeliverySetting(scenario(random_tasks=9, bays=[(0.5, 0.5)], battery={"range_m": 90.0}))
+    )
     run.watch = watch
     run.attach = lambda cluster: cluster.segment.taps.append(
         lambda t_us, frame: inspector.hear(t_us / S, frame)
@@ -141,6 +144,26 @@ def test_a_carrier_that_restarts_brings_what_it_has_aboard() -> None:
     assert outcome.finished
     assert run.cluster is not None
     assert not [e for e in run.cluster.truth.events if e.what == "taken"]
+
+
+def test_what_a_stopped_robot_has_not_picked_up_is_left_to_others() -> None:
+    """Found by chaos: who has lost its memory stands stopped until a person comes, and kept its task."""
+
+    class LosesItsMemory:
+        slot: int | None = None
+
+        def __call__(self, cluster: HaulCluster) -> None:
+            begun = [s for s, m in cluster.missions.items() if m.section is not None]
+            if self.slot is None and begun and not cluster.truth.aboard:
+                self.slot = begun[0]
+                cluster.kill(self.slot)
+                cluster.journals[self.slot] = MemoryJournal()
+                cluster.boot(self.slot)
+
+    forgetful = LosesItsMemory()
+    outcome, _ = play(scenario(), forgetful)
+    assert forgetful.slot is not None
+    assert outcome.finished
 
 
 def test_a_split_with_parcels_in_flight_delivers_each_once() -> None:

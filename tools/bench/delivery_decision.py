@@ -120,11 +120,14 @@ class OnePeer:
         return took_ms, [bid.task for bid in bids] == [task]
 
 
-def decisions(floor: Floor, costs: CostMatrix, tasks: int, seed: int) -> Iterator[Figure]:
+def decisions(
+    floor: Floor, costs: CostMatrix, peers: range, tasks: int, seed: int
+) -> Iterator[Figure]:
+    """`tasks`: decisions of each of those peers, and one more."""
     of, rng = fleet(floor, costs, seed), Random(f"{seed}/new tasks")
     cells = [cell for cell in range(floor.cells) if of.house.cell(of.house.place(cell)) == cell]
     took_ms, silent = [], 0
-    for slot in range(ROBOTS):
+    for slot in peers:
         peer = OnePeer(of, slot)
         places = [of.house.place(cell) for cell in rng.sample(cells, 2 * (tasks + 1))]
         trips = [Trip(a, b) for a, b in pairwise(places)][::2]
@@ -135,7 +138,7 @@ def decisions(floor: Floor, costs: CostMatrix, tasks: int, seed: int) -> Iterato
                 took_ms.append(ms)
     took_ms.sort()
     where = (
-        f"CPU of one peer from the order's frame to its bid's; {len(took_ms)} decisions of {ROBOTS} "
+        f"CPU of one peer from the order's frame to its bid's; {len(took_ms)} decisions of {len(peers)} "
         f"peers, {silent} without a bid; each with its own matrix of {2 * TASKS} places"
     )
     middle, worst = took_ms[len(took_ms) // 2], took_ms[-1]

@@ -89,8 +89,16 @@ def _split(rng: Random) -> Faults:
 def _restart(*disks: str) -> Draw:
     def draw(rng: Random) -> Faults:
         robot, at_s = rng.randrange(ROBOTS), rng.uniform(2.0, 60.0)
-        back = {"at_s": at_s + rng.uniform(0.05, 40.0), "kind": "restart", "robot": robot}
-        return [{"at_s": at_s, "kind": "crash", "robot": robot}, back | {"disk": rng.choice(disks)}]
+        back: dict[str, Any] = {
+            "at_s": at_s + rng.uniform(0.05, 40.0), "kind": "restart", "robot": robot,
+        }  # fmt: skip
+        found = [
+            {"at_s": at_s, "kind": "crash", "robot": robot},
+            back | {"disk": rng.choice(disks)},
+        ]
+        if "lost" in disks and rng.random() < 0.5:  # who has lost its memory waits for a person
+            found.append({"at_s": back["at_s"] + rng.uniform(5.0, 60.0), "kind": "reset"})
+        return found
 
     return draw
 
@@ -121,7 +129,7 @@ TROUBLES: dict[str, Draw] = {
     "split": _split,
     "carrier": _none,  # one that has a parcel aboard dies for good
     "restart": _restart("kept", "torn"),
-    "no disk": _restart("lost"),
+    "no disk": _restart("lost"),  # a person lets it go on in every other run
     "freeze": _freezes,
     "charger": _none,  # one of two bays gives nothing any more
     "pushed": _pushes,
