@@ -266,6 +266,8 @@ def launch(
     console = Console(stderr=as_json, highlight=False, soft_wrap=True)
     try:
         setting = setting_of(scenario, robots, seed, keys)
+        if segment and not isinstance(setting, Setting):
+            return _wrong(f"--segment: {scenario} is a warehouse, and those are not bridged: leave it out")
         if page_port is not None:
             listen(page_port).close()  # what is taken is known before the robots start
         out.mkdir(parents=True, exist_ok=True)

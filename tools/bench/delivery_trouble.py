@@ -92,10 +92,7 @@ def _restart(*disks: str) -> Draw:
         back: dict[str, Any] = {
             "at_s": at_s + rng.uniform(0.05, 40.0), "kind": "restart", "robot": robot,
         }  # fmt: skip
-        found = [
-            {"at_s": at_s, "kind": "crash", "robot": robot},
-            back | {"disk": rng.choice(disks)},
-        ]
+        found = [{"at_s": at_s, "kind": "crash", "robot": robot}, back | {"disk": rng.choice(disks)}]
         if "lost" in disks and rng.random() < 0.5:  # who has lost its memory waits for a person
             found.append({"at_s": back["at_s"] + rng.uniform(5.0, 60.0), "kind": "reset"})
         return found
@@ -126,6 +123,7 @@ def _none(rng: Random) -> Faults:
 TROUBLES: dict[str, Draw] = {
     "loss": _none,  # 10 to 30 % of all frames, in each receiver by itself
     "one way": _one_way,
+    "deaf": lambda rng: _one_way(rng, heals=False),
     "split": _split,
     "carrier": _none,  # one that has a parcel aboard dies for good
     "restart": _restart("kept", "torn"),
