@@ -267,7 +267,9 @@ def launch(
     try:
         setting = setting_of(scenario, robots, seed, keys)
         if segment and not isinstance(setting, Setting):
-            return _wrong(f"--segment: {scenario} is a warehouse, and those are not bridged: leave it out")
+            return _wrong(
+                f"--segment: {scenario} is a warehouse, and they are not bridged: leave it out"
+            )
         if page_port is not None:
             listen(page_port).close()  # what is taken is known before the robots start
         out.mkdir(parents=True, exist_ok=True)

@@ -92,7 +92,10 @@ def _restart(*disks: str) -> Draw:
         back: dict[str, Any] = {
             "at_s": at_s + rng.uniform(0.05, 40.0), "kind": "restart", "robot": robot,
         }  # fmt: skip
-        found = [{"at_s": at_s, "kind": "crash", "robot": robot}, back | {"disk": rng.choice(disks)}]
+        found = [
+            {"at_s": at_s, "kind": "crash", "robot": robot},
+            back | {"disk": rng.choice(disks)},
+        ]
         if "lost" in disks and rng.random() < 0.5:  # who has lost its memory waits for a person
             found.append({"at_s": back["at_s"] + rng.uniform(5.0, 60.0), "kind": "reset"})
         return found
