@@ -8,7 +8,7 @@ until the round is over:
            so all who have heard everybody know the same, whatever was lost on the way.
     BODY   a node on which I see something that is no member of the fleet.
     PLAN   the digest of the joint plan that I computed from it (`agent/joint_plan.py`) and from where
-           silent members stand (`agent/bodies.py`). Nobody moves before all digests are equal.
+           silent members stand (`agent/bodies.py`). Nobody moves before all who move have the same.
     AT     how far I am on my route. A robot drives to a node when those that come before it there
            have gone on; the order is the plan's, the time is everybody's own.
 
@@ -189,13 +189,18 @@ class Accords:
         if self.phase is Phase.AGREE:
             self._compute(dead)
             own = self._digests[self.slot]
-            if all(self._digests.get(slot) == own for slot in self.order):
+            movers = [s for s in self.order if self._places[s].answer is Answer.GRANT]
+            if all(self._digests.get(slot) == own for slot in movers):
                 self.phase, self._since_us = Phase.GO, now_us
         if self.phase is Phase.GO and self._over:
             self.phase = Phase.FREE
         patience_us = PATIENCE_US if self.phase is Phase.GO else PATIENCE_US // 2
         if self.bound and now_us - max(self._since_us, self._progress_us) > patience_us:
-            self.call(now_us)
+            place = self._places.get(self.slot)
+            if self.phase is Phase.AGREE and place is not None and place.answer is Answer.DEAF:
+                self.phase = Phase.FREE  # it cannot agree; the others have done what they did
+            else:
+                self.call(now_us)
 
     def say(self, now_us: int) -> list[Accord]:
         """What is due with this beat."""

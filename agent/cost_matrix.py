@@ -5,6 +5,7 @@ a point that is not in the matrix, a robot's place above all, is a row more and 
 """
 
 from collections.abc import Sequence
+from copy import copy
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +15,7 @@ from agent.nav_mesh import Mesh, Point
 from agent.workload import Power, Whole, Workload
 
 FULL = 1_000_000  # energy is counted in millionths of a full battery
+ROOM = 16  # points that may come before the table grows again, and an eighth of it
 FIELDS_KEPT = 64  # searches of the mesh from places of late: robots stand, or wait, for a while
 
 
@@ -61,11 +63,24 @@ class CostMatrix:
         self._onto = np.zeros(0, dtype=np.int64)
         self._onto_m = np.zeros(0)
         self._begins = np.zeros(0, dtype=np.int64)
-        self.between_m = np.zeros((0, 0))
+        self._table = np.zeros((0, 0))  # with room for more
         self.extend(points)
 
     def __len__(self) -> int:
         return len(self._number)
+
+    @property
+    def between_m(self) -> NDArray[np.float64]:
+        """(points, points) metres."""
+        count = len(self._number)
+        return self._table[:count, :count]
+
+    def twin(self) -> "CostMatrix":
+        """The same of another peer: as much is known, and what comes is not shared."""
+        other = copy(self)
+        other._table = self._table.copy()
+        other._fields, other._number = dict(self._fields), dict(self._number)
+        return other
 
     def extend(self, points: Sequence[Point]) -> None:
         """More points of interest; those that are known cost nothing."""
@@ -81,11 +96,15 @@ class CostMatrix:
         self._onto_m = np.concatenate((self._onto_m, *(metres for _, metres in attached)))
         self._places = np.concatenate((self._places, np.array(new)))
         self._boxes = np.append(self._boxes, [self.mesh.box(point) for point in new])
-        larger = np.zeros((count + len(new),) * 2)
-        larger[:count, :count] = self.between_m
-        for k, point in enumerate(new):
-            larger[count + k, :] = larger[:, count + k] = self._row(point)
-        self.between_m = larger
+        total = count + len(new)
+        if total > len(
+            self._table
+        ):  # seldom: copying the whole for two places takes longer than they
+            larger = np.zeros((total + total // 8 + ROOM,) * 2)
+            larger[:count, :count] = self._table[:count, :count]
+            self._table = larger
+        for k, point in enumerate(new, start=count):
+            self._table[k, :total] = self._table[:total, k] = self._row(point)
 
     def metres(self, starts: Sequence[Point], goals: Sequence[Point]) -> NDArray[np.float64]:
         """(starts, goals); goals are points of interest, other starts get a row of their own."""

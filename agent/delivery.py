@@ -7,18 +7,20 @@ stands; who takes the task over fetches it from there.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
 from math import hypot
 
-from agent.config import LEASE_US, MS, S
+from agent.charging import Bay, Charging
+from agent.config import MS, S
 from agent.cost_matrix import FULL, Trip
 from agent.cut_off import CutOff
 from agent.dispatch import Dispatch, Dispatched
 from agent.errand import Errands
 from agent.lifecycle import State
 from agent.mission import Choice, FleetView, Record, Wish
-from agent.path_requests import AHEAD_S, PathRequests, Urgency
-from agent.task_book import TASKS_MAX, recalled_orders
-from agent.warehouse import SECTIONS_END, Standing, Warehouse
+from agent.path_requests import AHEAD_S, PathRequests
+from agent.task_book import TASKS_MAX, recalled_orders, stop_names
+from agent.warehouse import Standing, Warehouse
 from agent.whereabouts import Whereabouts
 from crdt import Phase
 from protocol.map_sync import MapSync
@@ -31,14 +33,11 @@ UNDER_WAY = -1  # stands for the goal of now where sections are looked at
 REACH_M = 1.2  # of the arm, from the robot's middle to the parcel's
 BESIDE_M = 1.0  # nearer than this is near enough where another body is in the way
 UNTOUCHED_M = 0.2  # from where it was to be fetched: nobody has moved it
-FULL_AT = 0.99  # of a battery
 IDLE_CHARGE = 0.5  # who has nothing to do charges below this
 HOME_US = 5 * S  # who has nothing to do for so long makes room
-NEARER_M = 0.05
-STALLED_US = 1 * S  # within reach, and no nearer for so long
+STALLED_US, NEARER_M = 1 * S, 0.05  # within reach, and no nearer for so long
 MISSING_US = 3 * S  # at a place where no parcel lies: it is believed
 SHUN_US = 30 * S  # a bay that gives nothing, a task whose parcel is not found
-GIVES_US = 5 * S  # a bay has so long to show that it charges
 
 
 class Delivery(Errands):
@@ -55,15 +54,16 @@ class Delivery(Errands):
         self.house, self.home = house, home
         self.dispatch = Dispatch(slot, house, now_us, seed, recalled_orders(recalled))
         self.paths = PathRequests(super()._way)
+        self.replanning.path = partial(self.paths.urgent, self.hazards.path)
         self.hazards.reach_m = BESIDE_M
         self.cut_off = CutOff(self.hazards)
+        self.charging = Charging(house)
         self.whereabouts = Whereabouts(house, self.dispatch.book, self.hazards, self.bodies)
         self.section: int | None = None  # a task or a bay under way
         self.waited_us = 0  # for new itineraries, by the rule of scenario C
         self._load = -1
         self._since_us: int | None = None  # we stand where we are to handle or charge
         self._idle_us: int | None = None
-        self._level = 0.0  # of the battery when we began to charge
         self._shunned_us: dict[int, int] = {}  # bays, and tasks, by section
         self._told_aboard = -1
         self._nearest: tuple[float, int] = (0.0, 0)  # to the goal, within reach of it, and when
@@ -122,21 +122,24 @@ class Delivery(Errands):
     @property
     def stops(self) -> list[str]:
         """The itinerary as the mission writes it: [P5, D5, C1]."""
-        found = []
+        begun, itinerary = [], self.dispatch.itinerary
         if self.section is not None and self.section >= TASKS_MAX:
-            found.append(f"C{self.house.bay_of(self.section)}")
+            begun.append(TASKS_MAX + self.house.bay_of(self.section))
         elif self.section is not None:
-            found += [f"P{self.section}"] * (self._load != self.section) + [f"D{self.section}"]
-        for task in self.dispatch.itinerary:
-            found += [f"P{task}", f"D{task}"]
-        return found
+            begun.append(self.section)
+        ahead = self.dispatch.telling.stops
+        if [stop for stop in ahead if stop < TASKS_MAX and stop in itinerary] != itinerary:
+            ahead = itinerary  # it has just changed
+        left = [s for s in ahead if s not in begun and (s >= TASKS_MAX or s in itinerary)]
+        return stop_names(begun, left, self._load)
 
     # ---------------------------------------------------------------- choosing
 
     def choose(self, view: FleetView) -> Choice | None:
         load = self._load  # from an earlier life, or after an operator's order
         if load in self.dispatch.book and view.allocation.phase_of(load) is not Phase.DONE:
-            return self._claim(load, view)
+            bay = self._charge(view, load) if self._falls_short(load, view) else None
+            return bay or self._claim(load, view)
         task = self._next(view)
         if task is None:
             low = view.here.battery < IDLE_CHARGE and not self.dispatch.round.active
@@ -154,19 +157,15 @@ class Delivery(Errands):
             if task == self.section or self._shunned_us.get(task, 0) > view.now_us:
                 continue
             owner = view.allocation.owner_of(task)
-            if owner is None or (owner != self.slot and self._lapsed(owner, view)):
+            away = owner is not None and self.dispatch.absence.leaves(owner, task, view)
+            if owner is None or (owner != self.slot and away):
                 return task
         return None
-
-    def _lapsed(self, owner: int, view: FleetView) -> bool:
-        if owner in view.live:
-            return False
-        return view.now_us - view.silent_since_us.get(owner, -LEASE_US) >= LEASE_US
 
     def _claim(self, task: int, view: FleetView) -> Choice | None:
         owner = view.allocation.owner_of(task)
         if owner is not None and owner != self.slot:
-            if not self._lapsed(owner, view) and self._load != task:
+            if not self.dispatch.absence.leaves(owner, task, view) and self._load != task:
                 return None
             return Choice(task, 0, takeover=True)
         return Choice(task, 0)
@@ -182,41 +181,46 @@ class Delivery(Errands):
         return through.ready_ms * MS < left_us
 
     def _must_charge(self, task: int, view: FleetView) -> bool:
-        """Before it is needed: behind the task a bay must still be within reach."""
-        return self._runs_low(task, self._pickup(task, view), self.dispatch.standing(view))
-
-    def _runs_low(self, task: int, pickup: Point, standing: Standing) -> bool:
-        if not self.house.carrier.runs_dry or not self.house.bays:
-            return False
         dropoff = self.house.trip(self.dispatch.book.tasks[task]).dropoff
-        then = self.house.after(standing, Trip(pickup, dropoff), False)
-        return then.left < self.house.home(dropoff)
+        trip = Trip(self._pickup(task, view), dropoff)
+        return self.charging.before(self.dispatch.standing(view), trip)
+
+    def _here(self, view: FleetView) -> Standing:
+        return Standing(self.slot, (view.here.x_m, view.here.y_m), 0, self.dispatch.left)
+
+    def _falls_short(self, task: int, view: FleetView) -> bool:
+        loaded, dropoff = (
+            task == self._load,
+            self.house.trip(self.dispatch.book.tasks[task]).dropoff,
+        )
+        trip = Trip(dropoff if loaded else self._pickup(task, view), dropoff)
+        return self.charging.falls_short(self._here(view), trip, loaded)
+
+    def _short(self, section: int, view: FleetView) -> bool:
+        """Under way, once a second: held up longer than any plan knew. A bay comes first."""
+        untold = self._load == section != self._told_aboard  # that it is aboard must be known
+        if section >= TASKS_MAX or untold or not self.charging.due(view.now_us):
+            return False
+        return self._falls_short(section, view) and self._charge(view, section) is not None
 
     def _search_ends(self, section: int, view: FleetView) -> bool:
         """Looking for a parcel takes longer than any plan knew: before the next place, a bay."""
         if section == self._load or not self.whereabouts.searching(section):
             return False
         assert self.goal is not None
-        here = Standing(self.slot, (view.here.x_m, view.here.y_m), 0, self.dispatch.left)
-        return self._runs_low(section, self.goal, here)
+        dropoff = self.house.trip(self.dispatch.book.tasks[section]).dropoff
+        return self.charging.before(self._here(view), Trip(self.goal, dropoff))
 
     def _charge(self, view: FleetView, task: int | None) -> Choice | None:
-        """The visit of the bay that is least out of the way; None: all are taken."""
-        here, best = (view.here.x_m, view.here.y_m), None
-        onward = None if task is None else self._pickup(task, view)
-        for bay, place in enumerate(self.house.bays):
-            section = self.house.visit(bay, view.allocation)
-            if section is None or view.allocation.owner_of(section) is not None:
-                continue
-            if self._shunned_us.get(TASKS_MAX + bay, 0) > view.now_us:
-                continue
-            if TASKS_MAX + bay in self.cut_off.sections:
-                continue
-            way_m = self.house.way_m(here, place)
-            way_m += 0.0 if onward is None else self.house.way_m(place, onward)
-            if best is None or way_m < best[0]:
-                best = (way_m, section)
-        return None if best is None else Choice(best[1], min(int(best[0] / 10), 31))
+        """A visit of a bay, on the way to what is next; None: all are taken."""
+        onward = None
+        if task is not None and task == self._load:
+            onward = self.house.trip(self.dispatch.book.tasks[task]).dropoff
+        elif task is not None:
+            onward = self._pickup(task, view)
+        shunned = {s for s, until_us in self._shunned_us.items() if until_us > view.now_us}
+        shunned |= self.cut_off.sections
+        return self.charging.visit((view.here.x_m, view.here.y_m), onward, view.allocation, shunned)
 
     # ---------------------------------------------------------------- the section under way
 
@@ -225,7 +229,6 @@ class Delivery(Errands):
 
     def begin(self, section: int, view: FleetView) -> None:
         self.section, self._since_us = section, None
-        self._level = view.here.battery
 
     def approach(self, section: int, view: FleetView) -> Wish:
         self._go(self._goal(section, view))
@@ -259,6 +262,9 @@ class Delivery(Errands):
         self._go(self._goal(section, view))
         if self._search_ends(section, view):
             return self._given_up(section, view)
+        if self._short(section, view):
+            self._through()
+            return Wish(0.0, 0.0, given_up=True)  # what is aboard stays aboard
         wish, arrived = self._drive(view)
         self._plan_ahead(section, view)
         if self._load == section and self._told_aboard != section:
@@ -270,8 +276,9 @@ class Delivery(Errands):
             return wish._replace(near_end=self._near_end(section, view))
         if self._since_us is None:
             self._since_us = view.now_us
+            self.charging.begin(view.here.battery)
         if section >= TASKS_MAX:
-            return self._charging(section, view)
+            return self._at_bay(section, view)
         return self._handling(section, view)._replace(covered=wish.covered)
 
     def _hopeless(self, section: int) -> bool:
@@ -318,7 +325,7 @@ class Delivery(Errands):
             task = self._next(view)
             onward = None if task is None else self._pickup(task, view)
         if onward is not None and onward != self.goal:
-            self.paths.ask(self.goal, onward, Urgency.AHEAD)
+            self.paths.ask(self.goal, onward)
 
     def _way(self, at: Point, goal: Point) -> tuple[Point, ...]:
         return self.paths.take(at, goal)
@@ -356,22 +363,15 @@ class Delivery(Errands):
         self._through()
         return Wish(0.0, 0.0, given_up=True)
 
-    def _charging(self, section: int, view: FleetView) -> Wish:
-        assert self._since_us is not None
-        battery = view.here.battery
-        wish = Wish(0.0, 0.0)
-        if battery >= FULL_AT:
-            self._through()
-            return wish._replace(finished=True)
-        docked_us = round(self.house.carrier.dock_s * S) + GIVES_US
-        if view.now_us - self._since_us > docked_us:
-            if battery <= self._level + 0.002:  # it gives nothing: leave it to who mends it
-                bay = self.house.bay_of(section)
-                self._shunned_us[TASKS_MAX + bay] = view.now_us + 20 * SHUN_US
-                self._through()
-                return wish._replace(given_up=True)
-            self._since_us, self._level = view.now_us - docked_us + GIVES_US, battery
-        return wish
+    def _at_bay(self, section: int, view: FleetView) -> Wish:
+        state = self.charging.look(view.here.battery, view.now_us)
+        if state is Bay.CHARGES:
+            return Wish(0.0, 0.0)
+        if state is Bay.DEAD:  # leave it to who mends it
+            bay = self.house.bay_of(section)
+            self._shunned_us[TASKS_MAX + bay] = view.now_us + 20 * SHUN_US
+        self._through()
+        return Wish(0.0, 0.0, finished=state is Bay.FULL, given_up=state is Bay.DEAD)
 
     def _through(self) -> None:
         if self.section in self.dispatch.itinerary:
@@ -388,11 +388,9 @@ class Delivery(Errands):
         if self._idle_us is None:
             self._idle_us = view.now_us
         away_m = hypot(self.home[0] - view.here.x_m, self.home[1] - view.here.y_m)
-        low = self.house.carrier.runs_dry and self.dispatch.left < self.house.home(self.home)
-        if view.now_us - self._idle_us < HOME_US or away_m < 1.0 or low:
+        if view.now_us - self._idle_us < HOME_US or away_m < 1.0:
+            return super().rest(view)
+        if self.house.carrier.runs_dry and self.dispatch.left < self.house.home(self.home):
             return super().rest(view)
         self._go(self.home)
         return self._drive(view)[0]
-
-
-assert SECTIONS_END > TASKS_MAX

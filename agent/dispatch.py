@@ -13,18 +13,19 @@ and comes behind what the winner has already: own work first, also in a split.
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
+from agent.absence import Absence
 from agent.auction import Planner
-from agent.config import LEASE_US, MS, S
+from agent.config import MS, S
 from agent.cost_matrix import FULL
 from agent.lifecycle import State
 from agent.mission import FleetView, Record
 from agent.plan_round import SLICE_US, Frozen, PlanRound
-from agent.task_book import Order, TaskBook
+from agent.task_book import TASKS_MAX, Order, TaskBook
+from agent.telling import STOPS_MAX, Telling, Told
 from agent.warehouse import Standing, Warehouse
 from agent.workload import IMPOSSIBLE_MS
 from crdt import Phase
 from protocol.delivery_frames import (
-    NO_TASK,
     Itinerary,
     PlanOffer,
     PlanRow,
@@ -36,27 +37,15 @@ from protocol.delivery_frames import (
 LOOK_US = 250 * MS  # between two looks for open tasks
 BIDS_US = 300 * MS  # bids for a task are collected this long: six beats of a small fleet
 AWARDED_US = 2 * S  # the winner has told its itinerary by then
-TOLD_US = 5 * S  # an itinerary is told again this often
 STABLE_US = 500 * MS  # more than t_max open tasks for so long call a round
 STAGGER_US = 150 * MS  # lower slots call it first
 BOOT_US = 3 * S  # so long the whole fleet is waited for before the first plan
 RESIGN_US = 2 * S  # a protective stop that ends is no reason
 NOBODY_US = 5 * S  # a task for which nobody bids is called again after so long
 AGAIN_US = 5 * S  # between two rounds
-FRAMES_A_BEAT = 4
 MOVES_A_TASK = 2_000  # of the search; and
 REPLAN_US = (2 * S, 10 * S)  # as long as this at least and at most
 Dispatched = TaskOrder | TaskBookDigest | TaskBid | Itinerary | PlanOffer | PlanRow
-
-
-class Told(NamedTuple):
-    """The itinerary of another, as far as it was heard."""
-
-    version: int
-    tasks: dict[int, int]  # position: task
-    length: int
-    left: int  # millionths of a battery
-    whole: tuple[int, ...]  # the last one that was heard whole
 
 
 class Auction(NamedTuple):
@@ -75,10 +64,10 @@ class Dispatch:
         self.book = TaskBook(slot, {**house.tasks, **recalled}, now_us)
         self.round = PlanRound(slot, seed)
         self.itinerary: list[int] = []  # tasks that we mean to begin, not those begun
-        self.told: dict[int, Told] = {}
+        self.telling = Telling(now_us)
+        self.absence = Absence()
         self.added: dict[int, int] = {}  # task: when we first knew of it; of tasks after the start
         self.left = FULL
-        self._version, self._tell_us, self._telling = 0, now_us + TOLD_US, 0
         self._auction: Auction | None = None
         self._awarded: dict[int, int] = {}  # task: until when its winner is waited for
         self._born_us, self._look_us, self._many_us, self._round_us = now_us, now_us, 0, 0
@@ -87,6 +76,15 @@ class Dispatch:
         self._able_us = now_us  # when we last could work
         self.workers: dict[int, list[int]] = {}  # task: who began with it, as far as we saw
         self._calls: list[PlanOffer] = []  # heard, to be answered at the next look
+
+    @property
+    def told(self) -> dict[int, Told]:
+        return self.telling.told
+
+    @property
+    def deciding(self) -> int | None:
+        """The task that is auctioned, as far as we know; our bid for it is made."""
+        return None if self._auction is None else self._auction.task
 
     # ---------------------------------------------------------------- what there is to do
 
@@ -97,7 +95,7 @@ class Dispatch:
             self._able_us = now_us
         elif self.itinerary and now_us - self._able_us > RESIGN_US:
             self.itinerary = []
-            self._changed(now_us)
+            self.telling.changed(now_us)
         self.round.tick(now_us)
         for offer in self._calls:
             if self.round.wanted(offer):
@@ -107,14 +105,18 @@ class Dispatch:
         if self.round.adopted is not None:
             self._adopt(view)
         self._close(view, able)
-        if now_us < self._look_us:
-            return
-        self._look_us = now_us + LOOK_US
+        if now_us >= self._look_us:
+            self._look_us = now_us + LOOK_US
+            self._look(view, able)
+        if self.telling.due(now_us):
+            self._plan_stops(view)
+
+    def _look(self, view: FleetView, able: bool) -> None:
+        self.absence.look(view)
         self._tidy(view)
-        if self.round.active:
-            return
-        fresh, orphans = self._open(view)
-        self._consider(fresh, orphans, view, able)
+        if not self.round.active:
+            fresh, orphans = self._open(view)
+            self._consider(fresh, orphans, view, able)
 
     def _consider(self, fresh: list[int], orphans: list[int], view: FleetView, able: bool) -> None:
         now_us = view.now_us
@@ -134,6 +136,14 @@ class Dispatch:
                 self._provisional(able)
         elif self._auction is None and (fresh or orphans):
             self._open_auction(fresh[0] if fresh else orphans[0], not fresh, view, able)
+
+    def _plan_stops(self, view: FleetView) -> None:
+        """What we tell and show: with the bay that we are at, or that we shall have to go to."""
+        held = view.allocation.assigned_sections(self.slot)
+        at_bay = [TASKS_MAX + self.house.bay_of(s) for s in held if s >= TASKS_MAX]
+        known = [t for t in self.itinerary if self.house.known(self.book.tasks[t])]
+        ahead = self.house.charged_between(self.standing(view), known, self.book.tasks)
+        self.telling.stops = (at_bay + ahead)[:STOPS_MAX]
 
     def _order(self, view: FleetView) -> int:
         return sum(slot < self.slot for slot in view.live)
@@ -161,11 +171,9 @@ class Dispatch:
             owner = self._holder(task, phase, holder, view)
             if owner == self.slot and phase is Phase.FREE:
                 self.itinerary.insert(0, task)  # we had begun with it: we find out where it is
-            if owner == self.slot or owner in view.live:
-                continue
             if owner is None:
                 fresh.append(task)
-            elif now_us - view.silent_since_us.get(owner, now_us - LEASE_US) >= LEASE_US:
+            elif owner != self.slot and self.absence.leaves(owner, task, view):
                 order = self.told[owner].whole if owner in self.told else ()
                 orphans.append((order.index(task) if task in order else -1, task))
         return sorted(fresh), [task for _, task in sorted(orphans, reverse=True)]
@@ -199,7 +207,8 @@ class Dispatch:
         kept = []
         for task in self.itinerary:
             owner = view.allocation.owner_of(task)
-            gone = owner is not None and (owner == self.slot or owner in view.live)
+            held = owner in view.live and not self.absence.leaves(owner, task, view)
+            gone = owner is not None and (owner == self.slot or held)
             done = view.allocation.phase_of(task) is Phase.DONE
             if done or gone or task in lower or task in self.cut:
                 continue
@@ -258,7 +267,7 @@ class Dispatch:
             bid = self._bid(auction.task, behind, view) if able else None
             place = len(self.itinerary) if bid is None else bid.place
             self.itinerary.insert(place, auction.task)
-            self._changed(now_us)
+            self.telling.changed(now_us)
 
     # ---------------------------------------------------------------- scenarios A and C
 
@@ -323,17 +332,17 @@ class Dispatch:
                 left, version = (FULL, 0) if old is None else (old.left, old.version)
                 self.told[slot] = Told(version, {}, 0, left, tuple(row))
         self._tidy(view)
-        self._changed(view.now_us)
+        self.telling.changed(view.now_us)
 
     # ---------------------------------------------------------------- frames
 
-    def _changed(self, now_us: int) -> None:
-        self._version = (self._version + 1) & 0xFF
-        self._telling, self._tell_us = 0, now_us
-
     def hear(self, slot: int | None, message: Dispatched, now_us: int) -> Sequence[Record]:
         if isinstance(message, TaskOrder | TaskBookDigest):
-            return self.book.hear(message, now_us)
+            added = self.book.added
+            records = self.book.hear(message, now_us)
+            if self.book.added > added:
+                self._look_us = now_us  # all who have heard it bid at once, not one after the other
+            return records
         if slot is not None:
             self._heard(slot, message, now_us)
         return ()
@@ -344,27 +353,11 @@ class Dispatch:
         if isinstance(message, TaskBid):
             self._heard_bid(slot, message, now_us)
         elif isinstance(message, Itinerary):
-            self._heard_itinerary(slot, message)
+            self.telling.hear(slot, message)
         elif isinstance(message, PlanOffer) and self.round.wanted(message):
             self._calls.append(message)
         else:
             self.round.hear(slot, message, now_us)
-
-    def _heard_itinerary(self, slot: int, m: Itinerary) -> None:
-        left = m.battery * FULL // 255
-        old = self.told.get(slot)
-        whole = () if old is None else old.whole
-        tasks = (
-            old.tasks
-            if old is not None and (old.version, old.length) == (m.version, m.length)
-            else {}
-        )
-        tasks[m.first] = m.task
-        if m.after != NO_TASK:
-            tasks[m.first + 1] = m.after
-        if all(k in tasks for k in range(m.length)):
-            whole = tuple(tasks[k] for k in range(m.length))
-        self.told[slot] = Told(m.version, tasks, m.length, left, whole)
 
     def say(self, now_us: int) -> Iterator[Dispatched]:
         """With our beat."""
@@ -374,27 +367,4 @@ class Dispatch:
         if auction is not None and auction.mine is not None:
             yield auction.mine
             self._auction = auction._replace(mine=None)
-        if now_us >= self._tell_us:
-            yield from self._tell(now_us)
-
-    def _tell(self, now_us: int) -> Iterator[Itinerary]:
-        own = self.itinerary[:0xFF]
-        if self._telling == 0:
-            self._version = (self._version + 1) & 0xFF
-            self._saying: Sequence[int] = tuple(own)
-        saying = [*self._saying, NO_TASK, NO_TASK]
-        length = len(self._saying)
-        for _ in range(FRAMES_A_BEAT):
-            first = self._telling
-            yield Itinerary(
-                self._version,
-                first,
-                length,
-                self.left * 255 // FULL,
-                saying[first],
-                saying[first + 1],
-            )
-            self._telling += 2
-            if self._telling >= length:
-                self._telling, self._tell_us = 0, now_us + TOLD_US
-                return
+        yield from self.telling.say(now_us, self.left)

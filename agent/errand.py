@@ -39,6 +39,7 @@ LOOK_M = 2.5  # how far ahead a passage is looked into
 BESIDE_PATH_M = 0.5  # a robot nearer to the path than this is on it
 SETTLED_M = 0.1  # this near to a node of the route, it is reached
 ACQUAINTED_US = 1 * S  # after joining, until everybody near has been heard, by many beats
+VOUCHED_US = 3 * S  # in a fleet of ten each member is named by some other ten times in that
 AGE_MAX_US = 500 * MS  # a robot moves on as it last said for so long: 10 beats, 30 % of them lost
 CLAIM_S = 0.5  # a claim is contested for half of it: the next goal is ours when we are at this one
 CLOSE_M = RANGE_M + 2.0  # whom our rays can meet, wherever it has driven since its last beat
@@ -92,6 +93,7 @@ class Errands:
             int, Point
         ] = {}  # who was last heard within `CLOSE_M`: where it should be now
         self._alone_us = 0  # when we last heard nobody
+        self._vouched_us: dict[int, int] = {}  # slot: when another last said that it hears it
         self._calls: tuple[int, int] = (0, 0)  # in a row without arriving, not before
 
     @property
@@ -178,11 +180,24 @@ class Errands:
         if view.now_us - self._alone_us > ACQUAINTED_US:
             self.hazards.look(here, reach_m, around, view.now_us, dead)
         stopped = state is State.EMERGENCY_STOP
+        answer = Answer.DEAF if self._deaf(gone, view) else self.answer
         self.accords.tick(
             (here.x_m, here.y_m), hypot(here.vx_m_s, here.vy_m_s), self.goal,
-            Answer.STOPPED if stopped else self.answer,
+            Answer.STOPPED if stopped else answer,
             (view.live | silent.keys()) - gone, dead, self.hazards.hits, view.now_us,
         )  # fmt: skip
+
+    def _deaf(self, gone: set[int], view: FleetView) -> bool:
+        """Whether others hear a member that we have not heard for long: a round needs all to hear all."""
+        if not gone:
+            return False
+        for pose, heard_us in view.neighbours.values():
+            self._vouched_us[pose.heard] = max(self._vouched_us.get(pose.heard, 0), heard_us)
+        return any(
+            self._vouched_us.get(s, 0) > view.silent_since_us[s] + DEAD_US
+            and view.now_us - self._vouched_us[s] < VOUCHED_US
+            for s in gone
+        )
 
     # ---------------------------------------------------------------- frames
 

@@ -67,6 +67,19 @@ class Floor:
         parts: NDArray[np.int32] = label(~self.inflated)[0]
         return parts
 
+    @property
+    def cells(self) -> int:
+        """Of the map as it was drawn."""
+        rows, columns = self.walls.shape
+        return int((rows - 2) * (columns - 2))
+
+    def holds(self, x_m: float, y_m: float) -> bool:
+        """Whether the middle of a body may be there."""
+        row = int((y_m - self.origin[1]) // self.fine_m)
+        column = int((x_m - self.origin[0]) // self.fine_m)
+        rows, columns = self.inflated.shape
+        return 0 <= row < rows and 0 <= column < columns and not self.inflated[row, column]
+
     @cached_property
     def route(self) -> Route:
         return Route(self.inflated, *self.origin, self.fine_m)

@@ -109,16 +109,31 @@ class Hazards:
 
     def reaches(self, at: XY, goals: Sequence[XY]) -> list[bool]:
         """Which goals can be got to, or near enough to, round everything that stands now."""
-        parts = None if self.map is None or not self.map.standing else self.map.parts()
-        found = self.places(at, goals, self.floor.parts if parts is None else parts)
-        return [place is not None for place in found]
+        standing = self.map is not None and self.map.standing
+        parts = self.map.parts() if standing and self.map is not None else self.floor.parts
+        mine, there = self._beside(at, parts), np.zeros(len(goals), dtype=np.bool_)
+        if len(goals) and len(mine):  # most are on our floor itself: one look for all of them
+            _, _, origin, cell_m = self._geometry
+            c, r = ((np.array(goals) - origin) // cell_m).astype(np.int64).T
+            rows, columns = parts.shape
+            inside = (r >= 0) & (r < rows) & (c >= 0) & (c < columns)
+            there[inside] = np.isin(parts[r[inside], c[inside]], mine)
+        left = [k for k, known in enumerate(there.tolist()) if not known]
+        for k, place in zip(left, self.places(at, [goals[k] for k in left], parts), strict=True):
+            there[k] = place is not None
+        found: list[bool] = there.tolist()
+        return found
+
+    def _beside(self, at: XY, parts: NDArray[np.int32]) -> NDArray[np.int32]:
+        """The numbers of the floors that a robot there is on; none where something is beside it."""
+        floor = self.floor
+        _, own = self._disc(at, floor.radius_m + floor.margin_m + floor.fine_m)
+        mine: NDArray[np.int32] = np.unique(parts[own[:, 0], own[:, 1]])
+        return mine[mine > 0]
 
     def places(self, at: XY, goals: Sequence[XY], parts: NDArray[np.int32]) -> list[XY | None]:
         """For each goal the place nearest to it, within reach of it, that can be driven to."""
-        floor = self.floor
-        _, own = self._disc(at, floor.radius_m + floor.margin_m + floor.fine_m)
-        mine = np.unique(parts[own[:, 0], own[:, 1]])
-        mine = mine[mine > 0]
+        floor, mine = self.floor, self._beside(at, parts)
         found: list[XY | None] = []
         for goal in goals:
             gaps, cells = self._disc(goal, max(self.reach_m, floor.fine_m))

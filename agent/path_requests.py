@@ -1,24 +1,20 @@
-"""A robot's requests to its own planner: one path a control period, who is blocked first.
+"""A robot's requests to its own planner: what cannot wait first, and otherwise one path a control period.
 
-The next goal's path is asked for while the robot is still `AHEAD_S` from the one under way, so that it
-is there when it arrives. A path that was planned ahead is used if it begins near where the robot is then.
+Who is blocked, or has a goal and no path, is answered at once; what is planned ahead waits for a period
+in which nothing of that kind was. The next goal's path is asked for while the robot is still `AHEAD_S`
+from the one under way, so that it is there when it arrives, and is used if it begins near by then.
 """
 
 from collections.abc import Callable
-from enum import IntEnum
 from math import hypot
+from typing import TypeVar
 
 from agent.route import Point
 
+T = TypeVar("T")
 AHEAD_S = 10.0
 NEAR_M = 0.3
 KEPT = 4  # paths planned ahead that are not used go, oldest first
-
-
-class Urgency(IntEnum):
-    BLOCKED = 0
-    NEXT = 1
-    AHEAD = 2
 
 
 class PathRequests:
@@ -26,19 +22,22 @@ class PathRequests:
         """`path`: what plans a way, round all that stands then."""
         self.path = path
         self.planned = self.used = 0  # ahead
-        self._waiting: dict[tuple[Point, Point], Urgency] = {}
+        self.at_once = 0  # searches that could not wait
+        self._spent = False  # this control period had one
+        self._waiting: dict[tuple[Point, Point], None] = {}
         self._ready: dict[Point, tuple[Point, ...]] = {}  # goal: path
 
-    def ask(self, start: Point, goal: Point, urgency: Urgency) -> None:
+    def ask(self, start: Point, goal: Point) -> None:
+        """Ahead."""
         if goal not in self._ready:
-            known = self._waiting.get((start, goal), urgency)
-            self._waiting[start, goal] = min(known, urgency)
+            self._waiting.setdefault((start, goal))
 
     def work(self) -> None:
-        """Each control period: the most urgent one, the first of equals."""
-        if not self._waiting:
+        """Each control period: the first of those that wait."""
+        spent, self._spent = self._spent, False
+        if spent or not self._waiting:
             return
-        request = min(self._waiting, key=lambda asked: self._waiting[asked])
+        request = next(iter(self._waiting))
         del self._waiting[request]
         self._ready[request[1]] = self.path(*request)
         self.planned += 1
@@ -51,4 +50,10 @@ class PathRequests:
         if path is not None and hypot(path[0][0] - start[0], path[0][1] - start[1]) < NEAR_M:
             self.used += 1
             return (start, *path[1:])
-        return self.path(start, goal)
+        return self.urgent(self.path, start, goal)
+
+    def urgent(self, path: Callable[[Point, Point], T], start: Point, goal: Point) -> T:
+        """Before everything that waits."""
+        self._spent = True
+        self.at_once += 1
+        return path(start, goal)

@@ -6,6 +6,7 @@ one that is still far away, since it may be gone before we are there. The path t
 for `KEPT_US`, and is taken up again without a search where what stood on it has gone.
 """
 
+from collections.abc import Callable
 from math import hypot
 
 from agent.config import S
@@ -26,6 +27,7 @@ NEAR_M = 0.7  # a robot this near to its kept path may go back to it; further of
 class Replanning:
     def __init__(self, hazards: Hazards, speed_m_s: float, deceleration_m_s2: float) -> None:
         self.hazards, self.radius_m = hazards, hazards.floor.radius_m
+        self.path: Callable[[Point, Point], tuple[Point, ...] | None] = hazards.path
         self.horizon_m = max(
             speed_m_s**2 / (2 * deceleration_m_s2) + BEYOND_M, HORIZON_S * speed_m_s
         )
@@ -66,7 +68,7 @@ class Replanning:
     ) -> tuple[Point, ...] | None:
         """Another path, round what stands there now; None: there is none, so wait on the old one."""
         self._ticks, self._not_before_us = 0, now_us + AGAIN_US
-        path = self.hazards.path(at, goal)
+        path = self.path(at, goal)
         if path is None:
             return None
         self._kept, self._clear = (left, now_us + KEPT_US, left.along_m + self.horizon_m), 0

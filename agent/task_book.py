@@ -3,7 +3,7 @@
 Who knows a task that another's digest lacks repeats its order, unless somebody else has just done so.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from struct import Struct
 from typing import NamedTuple
 from zlib import crc32
@@ -37,6 +37,18 @@ def recalled_orders(recalled: Mapping[str, bytes]) -> dict[int, Order]:
 
 def record(task: int, order: Order) -> tuple[str, bytes]:
     return f"{KEY}{task}", LAYOUT.pack(*order)
+
+
+def stop_names(begun: Iterable[int], ahead: Iterable[int], load: int) -> list[str]:
+    """An itinerary as the mission writes it: [P5, D5, C1]. `ahead`: tasks, or TASKS_MAX and a bay;
+    `load`: the task whose parcel is aboard, which need not be picked up."""
+    found = []
+    for stop in (*begun, *ahead):
+        if stop >= TASKS_MAX:
+            found.append(f"C{stop - TASKS_MAX}")
+        else:
+            found += [f"P{stop}"] * (stop != load) + [f"D{stop}"]
+    return found
 
 
 class TaskBook:

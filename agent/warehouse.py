@@ -1,6 +1,7 @@
 """What every robot of a delivering fleet is told before it starts: the building and what it costs."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from copy import copy
 from functools import cached_property
 from typing import NamedTuple
 from zlib import crc32
@@ -16,6 +17,7 @@ from agent.workload import Whole, Workload
 from crdt import FieldAllocationCRDT, Phase
 
 SECTIONS_END = 0x8000  # names begin there
+assert SECTIONS_END > TASKS_MAX
 T_MAX = 4  # new tasks up to here are inserted, more are planned anew
 ORDER_MAX = 0xFFFF
 
@@ -48,6 +50,12 @@ class Warehouse:
         mesh = Mesh(floor.inflated, floor.origin, floor.fine_m)
         known = [self.place(cell) for order in self.tasks.values() for cell in order]
         return CostMatrix(mesh, [*self.bays, *known])
+
+    def twin(self) -> "Warehouse":
+        """The same of another peer, as in a process of its own."""
+        other = copy(self)
+        other.costs = self.costs.twin()
+        return other
 
     @property
     def check(self) -> int:
@@ -127,6 +135,29 @@ class Warehouse:
         return round(self.carrier.reserve * FULL)
 
     # ---------------------------------------------------------------- bays
+
+    def charged_between(
+        self, standing: Standing, tasks: Iterable[int], orders: Mapping[int, Order]
+    ) -> list[int]:
+        """Sections in their order: tasks, and TASKS_MAX and a bay wherever a robot would have to charge
+        first, by the rule by which it does when it is there."""
+        found: list[int] = []
+        for task in tasks:
+            trip = self.trip(orders[task])
+            then = self.after(standing, trip, False)
+            if self.carrier.runs_dry and self.bays and then.left < self.home(trip.dropoff):
+                bay = min(
+                    range(len(self.bays)),
+                    key=lambda b: (
+                        self.way_m(standing.at, self.bays[b])
+                        + self.way_m(self.bays[b], trip.pickup)
+                    ),
+                )
+                found.append(TASKS_MAX + bay)
+                then = self.after(Standing(standing.slot, self.bays[bay], 0, FULL), trip, False)
+            found.append(task)
+            standing = then
+        return found
 
     def visit(self, bay: int, allocation: FieldAllocationCRDT) -> int | None:
         """The section of the next visit of a bay: claimed like a task, and done when it is left."""

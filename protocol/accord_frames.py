@@ -29,6 +29,7 @@ class Answer(IntEnum):
     GRANT = 0
     STOPPED = 1  # refused: an emergency stop, a hold, a fault: it does not move
     BUSY = 2  # refused: it is in the middle of something that must not move, a drop or a charge
+    DEAF = 3  # refused: it does not hear a member that others hear, so it cannot agree with all
 
 
 class Accord(NamedTuple):
@@ -37,7 +38,7 @@ class Accord(NamedTuple):
     byte  field   type  meaning
     0..1  round   u16   a later round (modulo 2^16) makes earlier ones void
     2     say     bits  bits 0-3: 0 PLACE, 1 PLAN, 2 AT, 3 BODY; bits 4-7: answer, 0 GRANT,
-                        1 STOPPED, 2 BUSY
+                        1 STOPPED, 2 BUSY, 3 DEAF
     3..4  first   u16   see `Say`
     5..6  second  u16
     7     detail  u8    of PLACE: sixteenths of the pitch east (bits 0-3) and north (4-7) of the

@@ -6,20 +6,50 @@ late datagram is what a lost or late sensor reading or command is: commands expi
 
 import asyncio
 import struct
+from collections.abc import Callable
 from typing import cast
 
 from agent.effects import Drive
-from agent.ports import Observation
+from agent.ports import Body, Lying, Observation
 from sim.intent_link import IntentRelay
 from sim.world import World
 
 TELL_US = 20_000  # one world step
 HELLO_S = 0.2  # a robot that has heard nothing yet says that it is there
-DRIVE = struct.Struct("<4sBdddB")  # magic, slot, vx, vy, turn, implement
-SENSE = struct.Struct("<4sBddddd")  # magic, slot, x, y, heading, vx, vy; then a float for each ray
+DRIVE = struct.Struct("<4sBdddBi")  # magic, slot, vx, vy, turn, implement, parcel to handle
+# magic, slot, x, y, heading, vx, vy, battery, load, parcels in reach; then these, and the rays
+SENSE = struct.Struct("<4sBddddddiB")
+LYING = struct.Struct("<idd?")  # task, x, y, on a robot
+PARCELS_MAX = 32  # told at once; within an arm's reach
 RAY = struct.Struct("<f")
 MAGIC_DRIVE, MAGIC_HELLO, MAGIC_SENSE = b"HLDr", b"HLHi", b"HLSe"
 Address = tuple[str, int]
+
+
+def sense_bytes(slot: int, seen: Observation) -> bytes:
+    parcels = sorted(seen.parcels.items())[:PARCELS_MAX]
+    head = SENSE.pack(
+        MAGIC_SENSE, slot, *seen[:5], seen.battery, seen.load, len(parcels)
+    )  # fmt: skip
+    lying = b"".join(LYING.pack(task, *where) for task, where in parcels)
+    return head + lying + struct.pack(f"<{len(seen.ranges_m)}f", *seen.ranges_m)
+
+
+def observation_of(data: bytes) -> Observation | None:
+    """None where it is not what `sense_bytes` makes."""
+    if len(data) < SENSE.size:
+        return None
+    _, _, *pose, battery, load, count = SENSE.unpack_from(data)
+    begin = SENSE.size + count * LYING.size
+    rays = (len(data) - begin) // RAY.size
+    if rays < 0 or len(data) != begin + rays * RAY.size:
+        return None
+    lying = (LYING.unpack_from(data, SENSE.size + k * LYING.size) for k in range(count))
+    parcels = {task: Lying(x_m, y_m, on_robot) for task, x_m, y_m, on_robot in lying}
+    ranges_m = struct.unpack_from(f"<{rays}f", data, begin)
+    return Observation(*pose)._replace(
+        ranges_m=ranges_m, battery=battery, load=load, parcels=parcels
+    )
 
 
 class BodyServer(asyncio.DatagramProtocol):
@@ -27,6 +57,7 @@ class BodyServer(asyncio.DatagramProtocol):
 
     def __init__(self, world: World, zero_us: int) -> None:
         self.world, self.zero_us = world, zero_us
+        self.body: Callable[[int], Body] = world.body  # or one with an arm and a battery
         self.addresses: dict[int, Address] = {}
         self.malformed = 0
         self.relay = IntentRelay()
@@ -44,7 +75,7 @@ class BodyServer(asyncio.DatagramProtocol):
         if len(data) != DRIVE.size or data[:4] not in (MAGIC_DRIVE, MAGIC_HELLO):
             self.malformed += 1
             return
-        magic, slot, vx_m_s, vy_m_s, turn_rad_s, tool_on = DRIVE.unpack(data)
+        magic, slot, vx_m_s, vy_m_s, turn_rad_s, tool_on, handle = DRIVE.unpack(data)
         if slot not in self.world.robots or not all(
             abs(v) < 1e3 for v in (vx_m_s, vy_m_s, turn_rad_s)
         ):
@@ -52,8 +83,8 @@ class BodyServer(asyncio.DatagramProtocol):
             return
         self.addresses[slot] = address
         if magic == MAGIC_DRIVE:
-            drive = Drive(vx_m_s, vy_m_s, turn_rad_s, tool_on == 1)
-            self.world.body(slot).drive(drive, self.now_us())
+            drive = Drive(vx_m_s, vy_m_s, turn_rad_s, tool_on == 1, handle)
+            self.body(slot).drive(drive, self.now_us())
 
     async def run(self) -> None:
         """Step the world in real time and tell every robot that has asked."""
@@ -62,11 +93,9 @@ class BodyServer(asyncio.DatagramProtocol):
             now_us = self.now_us()
             self.world.advance(now_us)
             for slot, address in self.addresses.items():
-                seen = self.world.body(slot).sense(now_us)
+                seen = self.body(slot).sense(now_us)
                 if self._transport is not None:
-                    rays = struct.pack(f"<{len(seen.ranges_m)}f", *seen.ranges_m)
-                    head = SENSE.pack(MAGIC_SENSE, slot, *seen[:5])
-                    self._transport.sendto(head + rays, address)
+                    self._transport.sendto(sense_bytes(slot, seen), address)
             next_s = max(next_s + TELL_US / 1e6, loop.time())
             await asyncio.sleep(next_s - loop.time())
 
@@ -87,14 +116,11 @@ class RemoteBody(asyncio.DatagramProtocol):
         """The world is gone; commands expire there, and the launcher ends us."""
 
     def datagram_received(self, data: bytes, address: Address) -> None:
-        rays = (len(data) - SENSE.size) // RAY.size
-        if rays < 0 or len(data) != SENSE.size + rays * RAY.size:
-            return
-        if data[:4] == MAGIC_SENSE and data[4] == self.slot:
-            _, _, *fields = SENSE.unpack_from(data)
-            ranges_m = struct.unpack_from(f"<{rays}f", data, SENSE.size)
-            self.seen = Observation(*fields)._replace(ranges_m=ranges_m)
-            self.first.set()
+        if data[:4] == MAGIC_SENSE and data[4:5] == bytes([self.slot]):
+            seen = observation_of(data)
+            if seen is not None:
+                self.seen = seen
+                self.first.set()
 
     async def ready(self) -> None:
         """Say hello until the first observation comes."""
@@ -121,5 +147,5 @@ class RemoteBody(asyncio.DatagramProtocol):
     def _send(self, magic: bytes, c: Drive) -> None:
         if self._transport is not None and not self._transport.is_closing():
             self._transport.sendto(
-                DRIVE.pack(magic, self.slot, c.vx_m_s, c.vy_m_s, c.turn_rad_s, c.tool_on)
+                DRIVE.pack(magic, self.slot, c.vx_m_s, c.vy_m_s, c.turn_rad_s, c.tool_on, c.handle)
             )

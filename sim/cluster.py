@@ -99,7 +99,7 @@ def make_peer(
     motion, keyring = setting.motion(slot), setting.keyring(slot, lot)
     if isinstance(setting, ErrandSetting):
         chart = setting.chart(slot, now_us)
-        errands = setting.mission(slot, chart, now_us)
+        errands = setting.mission(slot, chart, now_us, recalled)
         return Peer(identity, rng, now_us, recalled, errands, motion, keyring, chart)
     parts = identity, rng, now_us, recalled, setting.mission(slot), motion, keyring
     return SegmentPeer(Area(segment, setting.section_count), *parts) if segment else Peer(*parts)

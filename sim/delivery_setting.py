@@ -14,7 +14,7 @@ from agent.task_book import Order
 from agent.warehouse import Warehouse
 from protocol.authentication import Keyring
 from protocol.map_sync import MapSync
-from sim.errand_setting import ErrandSetting, scattered
+from sim.errand_setting import NOTHING, ErrandSetting, scattered
 from sim.key_file import FLEET, KeyFileError, read
 from sim.parcels import Parcels
 from sim.scenario import Box, ScenarioError
@@ -105,20 +105,15 @@ class DeliverySetting(ErrandSetting):
     def section_count(self) -> int:
         return len(self.rows)
 
-    def delivery(
-        self, slot: int, now_us: int, chart: MapSync | None, recalled: Mapping[str, bytes]
-    ) -> Delivery:
+    def mission(
+        self, slot: int, chart: MapSync | None = None, now_us: int = 0,
+        recalled: Mapping[str, bytes] = NOTHING,
+    ) -> Delivery:  # fmt: skip
         fleet = self.scenario.fleet
         braking_m_s2 = BRAKING_SHARE * fleet.acceleration_m_s2
         seed = self.scenario.run.seed * 1000 + slot
         return Delivery(
-            slot,
-            self.house,
-            self.starts[slot],
-            fleet.speed_m_s,
-            braking_m_s2,
-            now_us,
-            seed,
+            slot, self.house, self.starts[slot], fleet.speed_m_s, braking_m_s2, now_us, seed,
             chart, recalled,
         )  # fmt: skip
 

@@ -4,7 +4,7 @@ setting = ErrandSetting.drawn("swap", DRAWING, starts=[(0.5, 0.5)], goals=[[(9.5
 outcome = Outing(setting).run()
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from random import Random
 
@@ -31,6 +31,7 @@ from sim.world import World
 
 Point = tuple[float, float]
 HORIZON_S = 1.0  # indoor robots stop from full speed in half of it; a longer one closes corridors
+NOTHING: Mapping[str, bytes] = {}
 KEEP_RIGHT_RAD = 0.05  # breaks the symmetry of two that meet head on in the open
 
 
@@ -98,7 +99,11 @@ class ErrandSetting:
         clock = HybridClock(now_us, S, TIME_MAX)
         return MapSync(slot, OccupancyMap(geometry, Order.LATEST_UPDATE), clock, now_us)
 
-    def mission(self, slot: int, chart: MapSync | None = None, now_us: int = 0) -> Errands:
+    def mission(
+        self, slot: int, chart: MapSync | None = None, now_us: int = 0,
+        recalled: Mapping[str, bytes] = NOTHING,
+    ) -> Errands:  # fmt: skip
+        """`recalled`: what its durable memory has kept."""
         fleet = self.scenario.fleet
         braking_m_s2 = BRAKING_SHARE * fleet.acceleration_m_s2
         return Errands(

@@ -1,5 +1,6 @@
 """A scenario's faults, carried out on a cluster at their times."""
 
+from collections.abc import Callable
 from math import hypot
 from random import Random
 
@@ -14,6 +15,7 @@ from sim import scenario as kinds
 from sim.cluster import OPERATOR, Cluster
 from sim.disk import Disk, LogJournal
 from sim.drill_setting import DrillSetting
+from sim.errand_setting import ErrandSetting
 from sim.fieldbus import FieldBus
 from sim.host import Script, follow
 from sim.setting import Setting
@@ -143,21 +145,30 @@ class FaultPlan:
     def _push(self, robot: int, dx_m: float, dy_m: float) -> None:
         """As far as there is room: people do not push machines through fences or into each other."""
         body, bodies = self.cluster.world.body(robot), self.cluster.world.robots.values()
-        setting = self.cluster.setting
-        if isinstance(setting, Setting) and not isinstance(setting, DrillSetting):
-            inside = setting.floor_space(body.radius_m)
-            others = [other for other in bodies if other is not body]
-            for share in (1.0, 0.5, 0.25):
-                x_m, y_m = body.position[0] + share * dx_m, body.position[1] + share * dy_m
-                free = all(
-                    hypot(x_m - at[0], y_m - at[1]) > 2 * body.radius_m + PUSHED_APART_M
-                    for at in (other.position for other in others)
-                )
-                if free and inside.contains(Point(x_m, y_m)):
-                    body.push(share * dx_m, share * dy_m)
-                    return
-        else:
+        holds = self._space(body.radius_m)
+        if holds is None:
             body.push(dx_m, dy_m)
+            return
+        others = [other.position for other in bodies if other is not body]
+        for share in (1.0, 0.5, 0.25):
+            x_m, y_m = body.position[0] + share * dx_m, body.position[1] + share * dy_m
+            free = all(
+                hypot(x_m - at[0], y_m - at[1]) > 2 * body.radius_m + PUSHED_APART_M
+                for at in others
+            )
+            if free and holds(x_m, y_m):
+                body.push(share * dx_m, share * dy_m)
+                return
+
+    def _space(self, radius_m: float) -> Callable[[float, float], bool] | None:
+        """Where the middle of a body can be; None: there is no world."""
+        setting = self.cluster.setting
+        if isinstance(setting, ErrandSetting):
+            return setting.floor.holds
+        if not isinstance(setting, Setting) or isinstance(setting, DrillSetting):
+            return None
+        inside = setting.floor_space(radius_m)
+        return lambda x_m, y_m: bool(inside.contains(Point(x_m, y_m)))
 
     def _box(self, x_m: float, y_m: float, size_m: float, for_s: float) -> Script[None]:
         until_us = self._now_us() + round(for_s * S)

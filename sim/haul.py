@@ -4,36 +4,29 @@ import itertools
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping
-from functools import partial
 from pathlib import Path
-from random import Random
 from typing import Any, NamedTuple
 
 from agent.config import S
 from agent.core import Peer
 from agent.delivery import Delivery
-from agent.identity import Identity
-from agent.task_book import TASKS_MAX, Order
+from agent.task_book import TASKS_MAX
 from crdt import Phase
 from protocol.codec import Malformed, decode_once
-from protocol.delivery_frames import TaskOrder
 from protocol.frame import Frame
-from protocol.name import fleet_name
 from sim.can_log import open_log
 from sim.cluster import Cluster, Record, Robot
 from sim.delivery_setting import DeliverySetting
+from sim.depot import Depot
 from sim.faults import FaultPlan
 from sim.host import Handle, Host, LoopHost, Script, follow
-from sim.order_desk import OrderDesk
 from sim.parcels import CarrierBody
 from sim.play import TOUCH_M
 from sim.swarm import Swarm
 from sim.trace import Recorder
 from sim.truth import TrackPoint
-from sim.warehouse_scenario import TaskRow
 
 LOOK_US = 500_000
-DESK_US = 500_000  # between two calls of an order that is not confirmed
 CUT_OFF_US = 60 * S  # what robots cannot get to for so long they will not: no box stands longer
 QUIET_US = 4 * S  # after the last parcel replicas must be equal within this
 
@@ -94,46 +87,19 @@ class HaulCluster(Cluster):
         self, setting: DeliverySetting, channel: str, record: Record | None, host: Host
     ) -> None:
         super().__init__(setting, channel, record, host)
-        self.place, self.truth = setting, setting.parcels()
-        self.truth.is_up = self.is_up
-        self.truth.place_of = lambda slot: self.world.body(slot).position
+        self.place = setting
+        self.depot = Depot(setting, self.world, host.now_us, self.is_up, self.inject)
+        self.truth, self.desk = self.depot.truth, self.depot.desk
         self.missions: dict[int, Delivery] = {}
-        self.desk = OrderDesk(len(setting.house.tasks))
-        self.segment.taps.append(self._appears)
-
-    def _appears(self, t_us: int, frame: Frame) -> None:
-        """Whoever orders a transport puts a parcel there."""
-        source, message = decode_once(frame)
-        if not isinstance(message, Malformed):
-            self.desk.hear(source, message)
-        if isinstance(message, TaskOrder):
-            order = Order(message.pickup, message.dropoff)
-            if message.task < TASKS_MAX and self.place.house.known(order):
-                trip = self.place.house.trip(order)
-                self.truth.appear(message.task, trip.pickup, trip.dropoff, t_us)
+        self.segment.taps.append(self.depot.hear)
 
     def make(
         self, slot: int, now_us: int, recalled: Mapping[str, bytes], first_boot: bool, lot: str
     ) -> Peer:
-        setting, scenario = self.place, self.place.scenario
-        identity = Identity(
-            slot=slot, members=frozenset(range(scenario.fleet.robots)),
-            name=fleet_name(scenario.name, slot), field_hash=setting.config_hash,
-            silence=setting.silence, started=True, first_boot=first_boot,
-        )  # fmt: skip
-        chart = setting.chart(slot, now_us)
-        mission = self.missions[slot] = setting.delivery(slot, now_us, chart, recalled)
-        rng = Random(f"{scenario.run.seed}/peer/{slot}{lot}")
-        return Peer(
-            identity,
-            rng,
-            now_us,
-            recalled,
-            mission,
-            setting.motion(slot),
-            setting.keyring(slot, lot),
-            chart,
-        )
+        peer = super().make(slot, now_us, recalled, first_boot, lot)
+        assert isinstance(peer.mission, Delivery)
+        self.missions[slot] = peer.mission
+        return peer
 
     def boot(self, slot: int) -> Robot:
         robot = super().boot(slot)
@@ -141,26 +107,12 @@ class HaulCluster(Cluster):
         robot.shell.body = CarrierBody(robot.shell.body, slot, self.truth, self.host.now_us)
         return robot
 
-    def task(self, row: TaskRow) -> None:
-        """An operator's device orders the transport of one more parcel."""
-        self.desk.order([self.place.order(self.place.house, row)])
-
-    def desk_script(self) -> Script[None]:
-        """Orders are said until they are confirmed."""
-        while True:
-            for order in self.desk.due():
-                self.inject(order)
-            yield self.host.now_us() + DESK_US
-
     @property
     def finished(self) -> bool:
-        tasks = self.truth.dropoff
-        if len(tasks) < len(self.place.rows):
-            return False  # they have not come yet
-        return self.truth.delivered_us.keys() == tasks.keys() and all(
+        return self.depot.delivered and all(
             robot.peer.allocation.phase_of(task) is Phase.DONE
             for robot in self.running
-            for task in tasks
+            for task in self.truth.dropoff
         )
 
     @property
@@ -226,11 +178,9 @@ class Haul:
         if self.attach is not None:
             self.attach(cluster)
         cluster.boot_all()
-        desk = host.spawn(cluster.desk_script())
-        scripts = [
-            host.spawn(FaultPlan(cluster).script()), host.spawn(self._boxes(cluster)),
-            host.spawn(self._arrivals(cluster)), host.spawn(self._outages(cluster)),
-        ]  # fmt: skip
+        desk = host.spawn(cluster.depot.calls())
+        scripts = [host.spawn(FaultPlan(cluster).script())]
+        scripts += [host.spawn(script) for script in cluster.depot.events()]
         try:
             yield from self._until_finished(cluster, scripts)
             outcome = self._measure(cluster, recorder, time.perf_counter() - started_s)
@@ -241,33 +191,6 @@ class Haul:
             if log is not None:
                 log.close()
         return outcome
-
-    def _boxes(self, cluster: HaulCluster) -> Script[None]:
-        """The scenario's random obstacles; a box never falls on a robot."""
-        for box in self.setting.boxes():
-            yield round(box.at_s * S)
-            world = cluster.world
-            world.advance(cluster.host.now_us())
-            near = min(
-                (abs(b.position[0] - box.x_m) + abs(b.position[1] - box.y_m))
-                for b in world.robots.values()
-            )
-            if near > 2.0:
-                number = world.add_box(box.x_m, box.y_m, box.size_m)
-                until_us = cluster.host.now_us() + round(box.for_s * S)
-                world.at(until_us, partial(world.remove_box, number))
-
-    def _arrivals(self, cluster: HaulCluster) -> Script[None]:
-        for row in sorted(self.setting.rows, key=lambda row: row.at_s):
-            if row.at_s:
-                yield round(row.at_s * S)
-                cluster.task(row)
-
-    def _outages(self, cluster: HaulCluster) -> Script[None]:
-        for outage in sorted(self.setting.scenario.warehouse.outage, key=lambda o: o.at_s):
-            yield round(outage.at_s * S)
-            if outage.bay < len(cluster.truth.bays):
-                cluster.truth.bays[outage.bay].works = False
 
     def _until_finished(self, cluster: HaulCluster, scripts: list[Handle]) -> Script[None]:
         host, limit_us = cluster.host, round(self.setting.scenario.run.time_limit_s * S)

@@ -79,16 +79,16 @@ class LoopHost:
         await asyncio.gather(*tasks, return_exceptions=True)
 
 
-async def follow(script: Script[T]) -> T:
-    """A script on the running loop's clock."""
+async def follow(script: Script[T], zero_us: int = 0) -> T:
+    """A script on the running loop's clock, or on one that was 0 at `zero_us` of it."""
     loop = asyncio.get_running_loop()
     try:
         while True:
             until_us = next(script)
-            while until_us <= round(loop.time() * 1e6):
+            while until_us + zero_us <= round(loop.time() * 1e6):
                 until_us = next(script)
             due = loop.create_future()
-            loop.call_at(until_us / 1e6, _reach, due)
+            loop.call_at((until_us + zero_us) / 1e6, _reach, due)
             await due
     except StopIteration as end:
         return end.value  # type: ignore[no-any-return]

@@ -294,6 +294,12 @@ def _show(console: Console, seen: dict[str, Any]) -> None:
     console.print(table_of(seen))
     done = sum(1 for s in seen["sections"].values() if s["phase"] == "DONE")
     console.print(f"sections heard of: {len(seen['sections'])}, done: {done}")
+    for robot in seen["robots"]:
+        if "itinerary" in robot:
+            stops, battery = ", ".join(robot["itinerary"]), robot["battery"]
+            console.print(
+                f"robot {robot['slot']}: \\[{stops}]  battery {battery:.0%}", highlight=False
+            )
     console.print(f"frames: {', '.join(f'{n} {k}' for k, n in seen['frames'].items())}")
     console.print(f"bus load at worst-case stuffing: {seen['bus_load_worst_case']:.1%}")
     if seen["latched"]:

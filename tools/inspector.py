@@ -10,9 +10,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from agent.lifecycle import State
-from crdt import FieldAllocationCRDT, Progress
+from agent.task_book import TASKS_MAX, stop_names
+from crdt import FieldAllocationCRDT, Phase, Progress
 from crdt.register import pack
 from protocol.codec import Malformed, decode
+from protocol.delivery_frames import NO_TASK, Itinerary
 from protocol.fleet_frames import Heartbeat, LeaderElectionVote, Member, Pose, VectorSlice
 from protocol.frame import Frame
 from protocol.operator_frames import Matter, OperatorReport
@@ -54,6 +56,9 @@ class Seen:
     health: float = 1.0
     operations: int = 0
     digest: int = 0
+    plan_version: int = -1  # of the itinerary that is being told, and its sections by position
+    plan: dict[int, int] = field(default_factory=dict)
+    battery: float | None = None  # None: it tells of none
     clock: dict[int, int] = field(default_factory=dict)  # low bytes of its vector clock, as sliced
     transitions: deque[Transition] = field(default_factory=lambda: deque(maxlen=TRANSITIONS_MAX))
     frames: Counter[str] = field(default_factory=Counter)
@@ -137,6 +142,8 @@ class Inspector:
             case LeaderElectionVote():
                 votes = self.votes.setdefault((message.election, message.term), {})
                 votes.setdefault(robot.slot, message.candidate)
+            case Itinerary():
+                _itinerary(robot, message)
             case OperatorReport():
                 _operator_report(robot, message)
 
@@ -180,6 +187,22 @@ class Inspector:
             "seconds": round(span_s, 3),
         }
 
+    def _delivering(self, robot: Seen) -> dict[str, Any]:
+        """Of robots that carry parcels alone."""
+        if robot.battery is None:
+            return {}
+        return {"itinerary": self.itinerary(robot), "battery": round(robot.battery, 2)}
+
+    def itinerary(self, robot: Seen) -> list[str]:
+        """What it is at and means to do, as far as it has told: [P5, D5, C1]."""
+        own = [s for s in self.allocation.assigned_sections(robot.slot) if s < TASKS_MAX]
+        ahead = [
+            stop for _, stop in sorted(robot.plan.items())
+            if stop >= TASKS_MAX or self.allocation.phase_of(stop) is Phase.FREE
+        ]  # fmt: skip
+        aboard = next((s for s in own if self.progress.bits(s, 0) & 1), -1)
+        return stop_names(own, ahead, aboard)
+
     def _robot_dict(self, robot: Seen) -> dict[str, Any]:
         peers = sorted(s for s in robot.clock if s != robot.slot)
         return {
@@ -191,11 +214,22 @@ class Inspector:
             "incarnation": robot.incarnation, "digest": f"{robot.digest:06x}",
             "peers": peers, "clock": {str(s): robot.clock[s] for s in sorted(robot.clock)},
             "sections": [f"S{s}" for s in self.allocation.assigned_sections(robot.slot)],
+            **self._delivering(robot),
             "transitions": [
                 {"t_s": round(t.t_s, 3), "from": t.source, "to": t.target, "by": t.heard_by}
                 for t in robot.transitions
             ],
         }  # fmt: skip
+
+
+def _itinerary(robot: Seen, m: Itinerary) -> None:
+    if m.version != robot.plan_version:
+        robot.plan_version, robot.plan = m.version, {}
+    robot.battery = m.battery / 255
+    if m.task != NO_TASK:
+        robot.plan[m.first] = m.task
+    if m.after != NO_TASK:
+        robot.plan[m.first + 1] = m.after
 
 
 def _operator_report(robot: Seen, m: OperatorReport) -> None:

@@ -22,16 +22,16 @@ from protocol.frame import Frame
 from sim.body_link import BodyServer
 from sim.candump import CandumpWriter
 from sim.coverage_truth import coverage, sample_points
-from sim.scenario import ScenarioError, load
+from sim.scenario import ScenarioError
 from sim.setting import Setting
 from sim.standing import leave_standing
-from sim.warehouse_scenario import is_warehouse
 from tools.attachment import CHANNEL
 from tools.inspector import SILENT_S, Inspector
 from tools.keeping import Keeping
 from tools.language.places import Places
 from tools.launch_bus import LaunchBus, OutsideHub, OwnHub
 from tools.livemap.command import ServerError, listen
+from tools.robot import AnySetting, setting_of
 from tools.warmup import warm
 
 HOST = "127.0.0.1"
@@ -45,8 +45,10 @@ NO_KEYS = "[yellow]keys: NONE: anybody on the bus can stop and release this flee
 
 
 class Launch:
+    endless = False  # goes on when all is done: more may come
+
     def __init__(
-        self, setting: Setting, name: str, out: Path, console: Console, keys: Path | None,
+        self, setting: AnySetting, name: str, out: Path, console: Console, keys: Path | None,
         page_port: int | None = None,
     ) -> None:  # fmt: skip
         self.page_port, self.log_hash = page_port, ""
@@ -77,6 +79,7 @@ class Launch:
             "host": HOST, "port": bus.port, "channel": CHANNEL, "pid": os.getpid(),
             "body_port": body_port, "folder": str(self.out.absolute()),
         }  # fmt: skip
+        going_on = self._furnish(bodies, bus)
         bodies.relay.keep = lambda intent: keeping.tell(round(loop.time() * 1e6), intent)
         (self.out / "bus.json").write_text(json.dumps(where))
         (self.out / "places.toml").write_text(self._places())
@@ -95,7 +98,8 @@ class Launch:
             finished = await self._watch(end, seconds)
         finally:
             await self._end_all()
-            stepping.cancel()
+            for task in (stepping, *going_on):
+                task.cancel()
             await bus.stop()
             transport.close()
             log.close()
@@ -105,7 +109,21 @@ class Launch:
         self._report(bodies.now_us() / 1e6, finished)
         if end.is_set():
             return INTERRUPTED
-        return 0 if finished and not self.world.contacts else UNFINISHED
+        return 0 if finished and not self.flawed else UNFINISHED
+
+    # ---------------------------------------------------------------- what another mission has otherwise
+
+    @property
+    def flawed(self) -> bool:
+        return bool(self.world.contacts)
+
+    def _furnish(self, bodies: BodyServer, bus: LaunchBus) -> list["asyncio.Task[None]"]:
+        """What else is in the world; tasks that go on until the end."""
+        return []
+
+    def _progress(self) -> tuple[int, int, str]:
+        """How much is done, of how much, of what."""
+        return self.inspector.allocation.done_count(), self.setting.section_count, "sections"
 
     def _bus(self, port: int) -> LaunchBus:
         if self.hub_port:
@@ -115,6 +133,7 @@ class Launch:
 
     def _places(self) -> str:
         """What people can name when they speak to this fleet."""
+        assert isinstance(self.setting, Setting)
         field = self.setting.field
         named = {"gate": field.gate, **self.setting.scenario.places}
         return Places.write(named, {section.name: section.ends[0] for section in field.sections})
@@ -156,7 +175,7 @@ class Launch:
         loop = asyncio.get_running_loop()
         begun_s = told_s = loop.time()
         quiet = 0
-        while not end.is_set() and quiet < QUIET_LOOKS:
+        while not end.is_set() and (self.endless or quiet < QUIET_LOOKS):
             if seconds is not None and loop.time() - begun_s >= seconds:
                 break
             with contextlib.suppress(TimeoutError):
@@ -166,11 +185,11 @@ class Launch:
             if len(self.gone) == len(self.processes):
                 self.console.print("every robot process has ended")
                 break
-            done = self.inspector.allocation.done_count()
-            quiet = quiet + 1 if done == len(self.setting.field.sections) else 0
+            done, all_of_it, _ = self._progress()
+            quiet = quiet + 1 if done == all_of_it else 0
             if loop.time() - told_s >= TELL_S:
                 told_s = loop.time()
-                self._tell(told_s - begun_s, done)
+                self._tell(told_s - begun_s)
         return quiet >= QUIET_LOOKS
 
     def _notice_deaths(self) -> None:
@@ -181,13 +200,13 @@ class Launch:
                 how = f"signal {-code}" if code < 0 else f"exit code {code}; see robot{slot}.log"
                 self.console.print(f"robot {slot} has ended ({how}); the others go on")
 
-    def _tell(self, elapsed_s: float, done: int) -> None:
+    def _tell(self, elapsed_s: float) -> None:
         states = " ".join(
             f"{slot}:{seen.state if self.inspector.now_s - seen.last_s < SILENT_S else 'silent'}"
             for slot, seen in sorted(self.inspector.robots.items())
         )
-        sections = len(self.setting.field.sections)
-        self.console.print(f"{elapsed_s:6.0f} s  {done}/{sections} sections  {states}")
+        done, all_of_it, what = self._progress()
+        self.console.print(f"{elapsed_s:6.0f} s  {done}/{all_of_it} {what}  {states}")
 
     async def _end_all(self) -> None:
         everybody = [*self.processes.values(), *([self.map] if self.map is not None else [])]
@@ -205,26 +224,31 @@ class Launch:
                 await process.wait()
 
     def _report(self, elapsed_s: float, finished: bool) -> None:
+        assert isinstance(self.setting, Setting)
         field = self.setting.field
         raster = sample_points(field.polygon, field.implement_width_m, field.overlap_m)
         tracks = {slot: body.track for slot, body in self.world.robots.items()}
         truth = coverage(raster, tracks, field.implement_width_m)
+        verdict = f"coverage {truth.share:.2%}, {len(self.world.contacts)} contacts"
+        self._write(elapsed_s, finished, {"coverage": truth.share}, verdict)
+
+    def _write(self, elapsed_s: float, finished: bool, of_it: dict[str, Any], verdict: str) -> None:
         touched = [
             {"t_s": c.t_us / 1e6, "robot": c.first, "against": c.against, "depth_m": c.depth_m}
             for c in self.world.contacts
         ]
         report: dict[str, Any] = {
-            "finished": finished, "seconds": round(elapsed_s, 1), "coverage": truth.share,
+            "finished": finished, "seconds": round(elapsed_s, 1), **of_it,
             "contacts": len(self.world.contacts), "robots_ended": sorted(self.gone), "touched": touched,
             "silence_policy": self.setting.scenario.fleet.silence,
             "authenticated": self.setting.keys is not None,
             "log_hash": self.log_hash, **self.inspector.to_dict(),
         }  # fmt: skip
         (self.out / "report.json").write_text(json.dumps(report, indent=1) + "\n")
-        verdict = "finished" if finished else "not finished"
+        how = "finished" if finished else "not finished"
         self.console.print(
-            f"{verdict} after {elapsed_s:.0f} s: coverage {truth.share:.2%}, "
-            f"{len(self.world.contacts)} contacts; report.json, can.log and run.mcap are in {self.out}"
+            f"{how} after {elapsed_s:.0f} s: {verdict}; "
+            f"report.json, can.log and run.mcap are in {self.out}"
         )
         if self.setting.keys is None:
             self.console.print(NO_KEYS)
@@ -238,13 +262,12 @@ def launch(
 ) -> int:  # fmt: skip
     """`page_port`: of a map beside it. `hub_port`: of a bus that runs by itself."""
     console = Console(stderr=as_json, highlight=False, soft_wrap=True)
-    if is_warehouse(scenario):
-        return _wrong(
-            f"{scenario}: the world of a launch has no parcels; headland run {scenario} --live runs it "
-            "in real time, in one process, on a bus that tools attach to"
-        )
     try:
-        setting = Setting(load(scenario).changed(robots, seed, keys))
+        setting = setting_of(scenario, robots, seed, keys)
+        if segment and not isinstance(setting, Setting):
+            return _wrong(
+                f"--segment: {scenario} is a warehouse, and they are not bridged: leave it out"
+            )
         if page_port is not None:
             listen(page_port).close()  # what is taken is known before the robots start
         out.mkdir(parents=True, exist_ok=True)
@@ -260,8 +283,9 @@ def launch(
         return _wrong(f"--out: {problem}")
     for old in out.glob("robot*.sqlite*"):
         old.unlink()  # a launch is a new job; a restart of one robot keeps its journal
-    warm(setting.turn_radius_m > 0.0)  # once here, not in every robot at once
-    running = Launch(setting, scenario, out, console, keys, page_port)
+    warm(isinstance(setting, Setting) and setting.turn_radius_m > 0.0)  # not in every robot at once
+    kind = Launch if isinstance(setting, Setting) else _haul()
+    running = kind(setting, scenario, out, console, keys, page_port)
     running.segment, running.hub_port = segment, hub_port
     begun = time.monotonic()
     try:
@@ -277,6 +301,12 @@ def launch(
     if as_json:
         print(json.dumps({**running.report, "wall_s": round(time.monotonic() - begun, 1)}))
     return code
+
+
+def _haul() -> type[Launch]:
+    from tools.launch_haul import HaulLaunch
+
+    return HaulLaunch
 
 
 def _wrong(message: str) -> int:

@@ -8,7 +8,7 @@ from typing import Protocol
 
 from protocol.frame import Frame
 from protocol.socketcand_link import ANSWER_S, SocketcandLink
-from sim.fieldbus import forget, segment
+from sim.fieldbus import FieldBus, forget, segment
 from sim.hub import Hub
 from tools.attachment import CHANNEL
 
@@ -17,10 +17,13 @@ Tap = Callable[[int, Frame], None]  # microseconds since the bus began, for us
 
 class LaunchBus(Protocol):
     port: int
+    taps: list[Tap]  # told of every frame, ours too
 
     async def start(self, taps: list[Tap]) -> None:
         """Raises OSError."""
         ...
+
+    def say(self, frame: Frame) -> None: ...
 
     async def stop(self) -> None: ...
 
@@ -30,11 +33,18 @@ class OwnHub:
         self.host, self.port = host, port
         self.wire = segment(f"launch {os.getpid()}", bitrate, seed)
         self.hub = Hub(self.wire, CHANNEL)
+        self.taps = self.wire.taps
+        self._desk: FieldBus | None = None
 
     async def start(self, taps: list[Tap]) -> None:
         await self.hub.start(self.host, self.port)
         self.port = self.hub.port
-        self.wire.taps += taps
+        self.taps += taps
+
+    def say(self, frame: Frame) -> None:
+        if self._desk is None:
+            self._desk = FieldBus(self.wire.channel)
+        self._desk.submit(frame)
 
     async def stop(self) -> None:
         await self.hub.stop()
@@ -48,17 +58,22 @@ class OutsideHub:
     def __init__(self, host: str, port: int) -> None:
         self.host, self.port = host, port
         self.link = SocketcandLink(host, port, CHANNEL, Random(f"listening at {port}"))
+        self.taps: list[Tap] = []
+        self._zero_s = 0.0
+
+    def _heard(self, frame: Frame) -> None:
+        t_us = round((asyncio.get_running_loop().time() - self._zero_s) * 1e6)
+        for tap in self.taps:
+            tap(t_us, frame)
+
+    def say(self, frame: Frame) -> None:
+        if self.link.send(frame):
+            self._heard(frame)  # a hub tells nobody what it said itself
 
     async def start(self, taps: list[Tap]) -> None:
-        loop = asyncio.get_running_loop()
-        zero_s = loop.time()
-
-        def heard(frame: Frame) -> None:
-            t_us = round((loop.time() - zero_s) * 1e6)
-            for tap in taps:
-                tap(t_us, frame)
-
-        self.link.subscribe(heard)
+        self.taps += taps
+        self._zero_s = asyncio.get_running_loop().time()
+        self.link.subscribe(self._heard)
         try:
             async with asyncio.timeout(ANSWER_S):
                 await self.link.up()

@@ -18,18 +18,32 @@ from agent.sqlite_journal import SqliteJournal
 from protocol.socketcand_link import SocketcandLink
 from sim.body_link import RemoteBody
 from sim.cluster import make_peer
+from sim.delivery_setting import DeliverySetting
 from sim.intent_link import tell
 from sim.scenario import load
 from sim.setting import Setting
 from sim.standing import leave_standing
+from sim.warehouse_scenario import is_warehouse, load_warehouse
 
 GOODBYE_S = 0.2  # for the farewell frame to leave
+
+
+AnySetting = Setting | DeliverySetting
+
+
+def setting_of(
+    scenario: str, robots: int | None, seed: int | None, keys: Path | None
+) -> AnySetting:
+    """A field's, or a warehouse's. Raises ScenarioError."""
+    if is_warehouse(scenario):
+        return DeliverySetting(load_warehouse(scenario).changed(robots, seed, keys))
+    return Setting(load(scenario).changed(robots, seed, keys))
 
 
 async def run(order: dict[str, Any]) -> None:
     slot = int(order["slot"])
     keys = None if order["keys"] is None else Path(order["keys"])
-    setting = Setting(load(order["scenario"]).changed(order["robots"], order["seed"], keys))
+    setting = setting_of(order["scenario"], order["robots"], order["seed"], keys)
     journal, recalled = SqliteJournal.opened(Path(order["journal"]))
     loop = asyncio.get_running_loop()
     end = asyncio.Event()

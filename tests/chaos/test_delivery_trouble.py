@@ -4,7 +4,7 @@ import pytest
 
 from sim.delivery_setting import DeliverySetting
 from sim.haul import Haul
-from tools.bench.delivery_trouble import bad_luck
+from tools.bench.delivery_trouble import bad_luck, troubled
 
 
 @pytest.mark.parametrize("seed", [11, 18])
@@ -13,4 +13,11 @@ def test_every_parcel_arrives(seed: int) -> None:
     and in one run of three, a body that who had restarted did not know of."""
     outcome = Haul(DeliverySetting(bad_luck(seed))).run()
     print(f"seed {seed}", outcome)
+    assert outcome.finished and not outcome.flawed
+
+
+def test_who_is_deaf_to_another_for_good_keeps_nobody_from_delivering() -> None:
+    """Found: rounds of agreement never ended, and five of ten parcels lay for good."""
+    outcome = troubled("deaf", 0).run()
+    print(outcome)
     assert outcome.finished and not outcome.flawed

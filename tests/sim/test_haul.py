@@ -10,10 +10,12 @@ from agent.warehouse import Warehouse
 from protocol.codec import decode_once
 from protocol.delivery_frames import PlanRow
 from sim.delivery_setting import DeliverySetting
+from sim.disk import MemoryJournal
 from sim.haul import Haul, HaulCluster, HaulOutcome
 from sim.scenario import Crash, Heal, Loss, Partition, Restart
 from sim.warehouse_scenario import Outage, TaskRow, WarehouseScenario
 from tools.haul import UNREACHABLE, exit_code
+from tools.inspector import Inspector
 
 MAP = """
 ............
@@ -57,6 +59,32 @@ def test_a_boot_with_many_tasks_is_planned_by_all_and_one_plan_is_streamed() -> 
     assert outcome.ahead > 0  # paths were there before they were needed
 
 
+def test_a_listener_on_the_bus_reads_every_itinerary_and_battery() -> None:
+    """What `headland inspect` shows of a fleet that is at work is what its robots mean to do."""
+    inspector, checked = Inspector(), [0]
+
+    def watch(cluster: HaulCluster) -> None:
+        told = {r["slot"]: r for r in inspector.to_dict()["robots"] if "itinerary" in r}
+        for slot, mission in cluster.missions.items():
+            if slot in told and cluster.host.now_us() > 12 * S:
+                means = [s for s in mission.stops if s[0] == "D"]
+                heard = [s for s in told[slot]["itinerary"] if s[0] == "D"]
+                # what was claimed or put down within the last beat is not told yet
+                assert abs(len(means) - len(heard)) <= 1, (mission.stops, told[slot])
+                assert abs(told[slot]["battery"] - cluster.truth.battery[slot]) < 0.2
+                checked[0] += means == heard
+
+    run = Haul(
+        DeliverySetting(scenario(random_tasks=9, bays=[(0.5, 0.5)], battery={"range_m": 90.0}))
+    )
+    run.watch = watch
+    run.attach = lambda cluster: cluster.segment.taps.append(
+        lambda t_us, frame: inspector.hear(t_us / S, frame)
+    )
+    assert run.run().finished
+    assert checked[0] > 40
+
+
 def test_the_same_seed_gives_the_same_run() -> None:
     given = scenario(robots=2, random_tasks=3)
     assert play(given)[0].trace_hash == play(given)[0].trace_hash
@@ -67,6 +95,20 @@ def test_tasks_in_a_trickle_are_auctioned_one_by_one() -> None:
     assert outcome.finished
     assert outcome.rounds == 0
     assert outcome.frames["TaskBid"] >= 5
+
+
+@pytest.mark.parametrize(("count", "rounds"), [(4, 0), (5, 1)])
+def test_up_to_t_max_new_tasks_are_inserted_and_more_are_planned_anew(
+    count: int, rounds: int
+) -> None:
+    """Scenarios B and C, at the threshold; t_max is 4."""
+    setting = DeliverySetting(scenario(random_tasks=0))
+    setting.rows = [TaskRow((2.5 + k, 0.5), (1.5 + k, 4.5), 6.0) for k in range(count)]
+    outcome = Haul(setting).run()
+    print(outcome)
+    assert outcome.finished and not outcome.flawed
+    assert outcome.rounds == rounds
+    assert (outcome.frames.get("TaskBid", 0) > 0) is (rounds == 0)
 
 
 class KillsTheCarrier:
@@ -102,6 +144,26 @@ def test_a_carrier_that_restarts_brings_what_it_has_aboard() -> None:
     assert outcome.finished
     assert run.cluster is not None
     assert not [e for e in run.cluster.truth.events if e.what == "taken"]
+
+
+def test_what_a_stopped_robot_has_not_picked_up_is_left_to_others() -> None:
+    """Found by chaos: who has lost its memory stands stopped until a person comes, and kept its task."""
+
+    class LosesItsMemory:
+        slot: int | None = None
+
+        def __call__(self, cluster: HaulCluster) -> None:
+            begun = [s for s, m in cluster.missions.items() if m.section is not None]
+            if self.slot is None and begun and not cluster.truth.aboard:
+                self.slot = begun[0]
+                cluster.kill(self.slot)
+                cluster.journals[self.slot] = MemoryJournal()
+                cluster.boot(self.slot)
+
+    forgetful = LosesItsMemory()
+    outcome, _ = play(scenario(), forgetful)
+    assert forgetful.slot is not None
+    assert outcome.finished
 
 
 def test_a_split_with_parcels_in_flight_delivers_each_once() -> None:

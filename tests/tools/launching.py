@@ -3,9 +3,17 @@
 import asyncio
 import json
 import os
+import re
 import sys
 from asyncio.subprocess import PIPE, STDOUT, Process
 from pathlib import Path
+
+from crdt import FieldAllocationCRDT
+from crdt.register import pack
+from protocol.codec import decode
+from protocol.frame import Frame
+from protocol.work_frames import StateSyncResponse, TaskClaim
+from tools.attachment import CHANNEL, attach
 
 ROOT = Path(__file__).parents[2]
 WAIT_S = 60.0  # for what takes a second on a quiet machine
@@ -25,6 +33,38 @@ async def call(folder: Path, *words: str) -> tuple[int, str]:
         out, _ = await process.communicate()
     assert process.returncode is not None
     return process.returncode, out.decode()
+
+
+async def said(launch: Process, pattern: str) -> str:
+    """The first group, as soon as a line matches."""
+    assert launch.stdout is not None
+    async with asyncio.timeout(WAIT_S):
+        async for raw in launch.stdout:
+            found = re.search(pattern, raw.decode())
+            if found:
+                return found[1]
+    raise AssertionError("the launch ended early")
+
+
+async def delivered(port: int, count: int) -> None:
+    """Listens on the bus until so many tasks are done."""
+    allocation, done = FieldAllocationCRDT(), asyncio.Event()
+    bus = attach("socketcand", CHANNEL, 250_000, "127.0.0.1", port)
+
+    def hear(frame: Frame) -> None:
+        _, message = decode(frame)
+        if isinstance(message, TaskClaim | StateSyncResponse):
+            fields = message.epoch, message.phase, message.bid, message.lamport, message.owner
+            allocation.apply(message.section, pack(*fields))
+        if allocation.done_count() >= count:
+            done.set()
+
+    bus.subscribe(hear)
+    try:
+        async with asyncio.timeout(WAIT_S):
+            await done.wait()
+    finally:
+        bus.close()
 
 
 async def robots_up(launch: Process, count: int) -> list[int]:

@@ -2,19 +2,15 @@
 
 import asyncio
 import json
-import os
 import signal
-import sys
-from asyncio.subprocess import PIPE, STDOUT, Process
 from pathlib import Path
 
 import pytest
 
 from sim.scenario import ScenarioError
 from sim.warehouse_scenario import TaskRow, read_tasks
+from tests.tools.launching import WAIT_S, call, delivered, said, start
 
-ROOT = Path(__file__).parents[2]
-WAIT_S = 90.0  # for what takes a few seconds on a quiet machine
 SCENARIO = """
 name = "yard"
 mission = "delivery"
@@ -31,44 +27,20 @@ robots = 2
 CSV = "pickup_x_m,pickup_y_m,dropoff_x_m,dropoff_y_m,at_s\n1.5,0.5,6.5,2.5,\n2.5,0.5,5.5,1.5,7.5\n"
 
 
-async def start(folder: Path, *words: str) -> Process:
-    return await asyncio.create_subprocess_exec(
-        sys.executable, "-m", "tools.headland", *words, cwd=folder, stdout=PIPE, stderr=STDOUT,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-    )  # fmt: skip
-
-
-async def call(folder: Path, *words: str) -> tuple[int, str]:
-    process = await start(folder, *words)
-    async with asyncio.timeout(WAIT_S):
-        out, _ = await process.communicate()
-    assert process.returncode is not None
-    return process.returncode, out.decode()
-
-
-async def bus(live: Process) -> str:
-    assert live.stdout is not None
-    async with asyncio.timeout(WAIT_S):
-        async for raw in live.stdout:
-            line = raw.decode()
-            if "socketcand" in line:
-                return line.split(":")[-1].split()[0]
-    raise AssertionError("the run ended early")
-
-
 def test_tasks_that_are_added_while_running_are_known_and_carried(tmp_path: Path) -> None:
     (tmp_path / "yard.toml").write_text(SCENARIO)
     (tmp_path / "more.csv").write_text(CSV)
 
     async def play() -> tuple[int, str, dict[str, object]]:
-        words = ("run", "yard.toml", "--live", "--seconds", "45", "--out", "out")
-        live = await start(tmp_path, *words)
+        live = await start(tmp_path, "run", "yard.toml", "--live", "--out", "out")
         try:
-            port = await bus(live)
+            port = await said(live, r"socketcand \S+:(\d+)")
             added = await call(
                 tmp_path, "task", "add", "--file", "more.csv", "--scenario", "yard.toml",
                 "--port", port, "--json",
             )  # fmt: skip
+            await delivered(int(port), 2)
+            live.send_signal(signal.SIGINT)
             async with asyncio.timeout(WAIT_S):
                 await live.communicate()
         finally:
@@ -77,10 +49,10 @@ def test_tasks_that_are_added_while_running_are_known_and_carried(tmp_path: Path
                 await live.wait()
         return *added, json.loads((tmp_path / "out" / "report.json").read_text())
 
-    code, said, report = asyncio.run(play())
-    print(said, report)
+    code, text, report = asyncio.run(play())
+    print(text, report)
     assert code == 0
-    assert [json.loads(line) for line in said.splitlines()] == [
+    assert [json.loads(line) for line in text.splitlines()] == [
         {"task": 0, "known": True}, {"task": 1, "known": True},
     ]  # fmt: skip
     assert report["delivered"] == report["tasks"] == 2
@@ -116,8 +88,6 @@ def test_what_is_wrong_with_a_file_is_said_by_line(
         read_tasks(tmp_path / name)
 
 
-def test_a_place_without_floor_and_a_launch_are_refused_in_one_line(tmp_path: Path) -> None:
-    code, said = asyncio.run(call(tmp_path, "task", "add", "99,1", "1,1"))
-    assert (code, said.count("\n")) == (2, 1) and "no floor" in said
-    code, said = asyncio.run(call(tmp_path, "launch", "warehouse"))
-    assert (code, said.count("\n")) == (2, 1) and "run warehouse --live" in said
+def test_a_place_without_floor_is_refused_in_one_line(tmp_path: Path) -> None:
+    code, text = asyncio.run(call(tmp_path, "task", "add", "99,1", "1,1"))
+    assert (code, text.count("\n")) == (2, 1) and "no floor" in text

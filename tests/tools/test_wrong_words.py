@@ -24,7 +24,8 @@ run rooms --map | run rooms --out file/x | run warehouse --out file/x | run ware
 run warehouse --live --port TAKEN --seconds 1 | explore nowhere | explore bin.toml
 explore arena --out file/x | explore arena --robots 999 | explore oxted | launch nowhere
 launch small --out file/x | launch small --port TAKEN --seconds 1 | launch small --port 99999
-launch small --segment 99999 | launch warehouse | launch rooms
+launch small --segment 99999 | launch rooms | launch warehouse --segment 2
+launch warehouse --out file/x | launch warehouse --robots 9999
 launch small --map --page-port TAKEN | replay nowhere | replay noise.log | replay noise.mcap
 replay noise.blf | replay text.asc | replay empty.log | replay folder | replay file
 replay noise.log -i nonsense | replay runx | report nowhere | report noise.log | report noise.mcap
