@@ -1,4 +1,4 @@
-"""`headland compile`: makes the core of `tools/compiled_core.py`; a C compiler and mypy are needed once."""
+"""`headland compile`: makes what `tools/compiled_core.py` finds. Needs mypy and a C compiler."""
 
 import io
 import shutil
@@ -40,7 +40,10 @@ def files(group: dict[str, str]) -> list[str]:
 
 
 def build(folder: Path, group: dict[str, str] = GROUP) -> Iterator[tuple[str, int, int]]:
-    """Makes a core there of modules, named by package; tells of each step, how many there are. Raises CompileError."""
+    """Makes a core of these modules there; tells of each step: what, how many are done, of how many.
+
+    Raises CompileError.
+    """
     try:
         from mypyc.build import mypycify
         from setuptools._distutils.ccompiler import new_compiler
@@ -52,6 +55,9 @@ def build(folder: Path, group: dict[str, str] = GROUP) -> Iterator[tuple[str, in
     customize_compiler(compiler)
     if shutil.which(compiler.compiler_so[0]) is None:
         raise CompileError(f"no C compiler {compiler.compiler_so[0]}: apt-get install gcc")
+    headers = sysconfig.get_paths()["include"]
+    if not Path(headers, "Python.h").exists():
+        raise CompileError(f"no Python.h in {headers}: apt-get install python3-dev")
     scratch = folder.with_suffix(".making")
     shutil.rmtree(scratch, ignore_errors=True)
     try:
@@ -60,7 +66,7 @@ def build(folder: Path, group: dict[str, str] = GROUP) -> Iterator[tuple[str, in
         modules = _translated(mypycify, files(group), scratch / "c")
         total, done = sum(len(module.sources) for module in modules), 0
         for module in modules:
-            include = [*module.include_dirs, sysconfig.get_paths()["include"]]
+            include = [*module.include_dirs, headers]
             objects: list[str] = []
             for source in module.sources:
                 yield Path(source).stem.removeprefix("__native_").replace("___", "."), done, total
@@ -79,9 +85,7 @@ def build(folder: Path, group: dict[str, str] = GROUP) -> Iterator[tuple[str, in
         shutil.rmtree(scratch, ignore_errors=True)
 
 
-def _translated(
-    mypycify: Callable[..., list[Any]], sources: list[str], folder: Path
-) -> list[Any]:
+def _translated(mypycify: Callable[..., list[Any]], sources: list[str], folder: Path) -> list[Any]:
     """The C sources, as extensions. What mypyc says is told only where it refuses."""
     said = io.StringIO()
     try:

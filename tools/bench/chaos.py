@@ -28,11 +28,11 @@ NOTHING = "nothing: our own figure"
 def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
     for robots, wanted in SIZES:
         speed = measured(robots, seed, SHARE_S if quick else 10 * SHARE_S)
-        how = "compiled core" if speed.compiled else "interpreted; `headland compile` makes it faster"
+        how = "compiled core" if speed.compiled else "interpreted: see `headland compile`"
         yield Figure(
             f"simulated seconds per CPU second, protocol only, {robots} robots", speed.rate, "s/s",
             f">= {wanted:.0f}", speed.rate >= wanted, NOTHING,
-            f"whole core, wire model, words and commands judged; 20 beats a second up to 30 robots; {how}",
+            f"whole core, wire, words and commands judged; 20 beats a second up to 30 robots; {how}",
         )  # fmt: skip
     judge(draw(seed, "all"))  # compiled kernels are loaded before any clock starts
     yield from _campaign("protocol", 3 if quick else 200, seed)
