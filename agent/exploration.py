@@ -7,9 +7,7 @@ The map is the progress, and exploration is over for a robot when it sees no fro
 """
 
 from collections.abc import Mapping, Sequence
-from math import hypot, sqrt
-
-import numpy as np
+from math import hypot
 
 from agent.config import LEASE_US, MS, S
 from agent.fleet_task import (
@@ -24,23 +22,19 @@ from agent.fleet_task import (
 from agent.frontier import Choosing, Frontier, Rival, Values, frontiers, wave_from
 from agent.inflation import Cell, Grid
 from agent.lifecycle import State
-from agent.mission import STILL, Choice, FleetView, Wish
+from agent.mission import Choice, FleetView, Wish
 from agent.motion import Limits
 from agent.survey_map import SurveyMap
+from agent.survey_way import TURN_ROUND, XY, SurveyWay
 from crdt import Phase
 from crdt.occupancy import SIDE, MergeResult, corner_of
 from crdt.sighting import FREE, UNKNOWN
 
-XY = tuple[float, float]
 CHOOSE_US = 250 * MS  # between two looks for a target by a robot without one
 CHECK_US = 500 * MS  # between two looks whether the frontier under way is still one
 REASSIGN_US = 5 * S  # the mission's: how often another target may be taken instead
 LOOK_ROUND_US = 500 * MS  # at the station: at `TURN_RAD_S` every gap between 36 rays is swept twice
-TURN_RAD_S = 0.8  # a robot turns as it drives, so that its rays leave no cell between them
-STUCK_US = 8 * S  # without getting nearer: the target has failed
 SHUNNED_US = 30 * S  # and is left to others for so long
-NEARER_M = 0.1
-AT_M = 0.12  # of a waypoint
 VIEW_SHARE = 0.5  # of the sensors' range: from a station a frontier is seen from so far
 VIEW_MAX_M = 1.0
 
@@ -65,13 +59,10 @@ class Exploration:
         self.last_merge = MergeResult(0, 0, 0)
         self.over = False  # no frontier that we could reach, when we last looked
         self.switched = 0  # targets left for better ones
-        self.rest_of_way: list[XY] = []
+        self._way = SurveyWay(chart, limits)
         self._legs: list[XY] = []  # of an order: places still to go to
-        self._station: XY | None = None
-        self._chosen: Frontier | None = None
         self._shunned_us: dict[int, int] = {}
-        self._choose_us = self._check_us = self._reassign_us = self._arrived_us = 0
-        self._nearest_m, self._nearest_us = np.inf, 0
+        self._choose_us = self._check_us = self._reassign_us = 0
         self._merge_us = 0
 
     @property
@@ -82,6 +73,10 @@ class Exploration:
     def progress_percent(self) -> float:
         """Share of the map's cells that anybody has seen."""
         return 100.0 * self.chart.fleet.progress
+
+    @property
+    def rest_of_way(self) -> Sequence[XY]:
+        return self._way.rest
 
     # ---------------------------------------------------------------- seeing
 
@@ -108,11 +103,6 @@ class Exploration:
                 passable[r, c] = values[r, c] == FREE
             passable[here] = True
         return passable
-
-    def _cell(self, at: XY) -> Cell:
-        rows, columns, _, _ = self.chart.geometry
-        row, column = self.chart.geometry.cell(at)
-        return min(max(row, 0), rows - 1), min(max(column, 0), columns - 1)
 
     # ---------------------------------------------------------------- choosing
 
@@ -148,7 +138,7 @@ class Exploration:
         return None
 
     def _best(self, view: FleetView, current: int | None) -> Frontier | None:
-        here = self._cell((view.here.x_m, view.here.y_m))
+        here = self._way.cell((view.here.x_m, view.here.y_m))
         values = self.chart.values()
         passable = self._passable(values, here)
         seen_by = self.chart.seen_by()
@@ -179,7 +169,7 @@ class Exploration:
             neighbour = view.neighbours.get(slot)
             if neighbour is None or neighbour.pose.stopped:
                 continue
-            at = self._cell((neighbour.pose.x_m, neighbour.pose.y_m))
+            at = self._way.cell((neighbour.pose.x_m, neighbour.pose.y_m))
             claimed = [s for s in view.allocation.assigned_sections(slot) if s < ORDERS_FIRST]
             target = self._middle(claimed[-1]) if claimed else None
             was, passable[at] = bool(passable[at]), True
@@ -189,7 +179,7 @@ class Exploration:
         return rivals
 
     def _middle(self, patch: int) -> Cell:
-        return self._cell(self.place_of(patch))
+        return self._way.cell(self.place_of(patch))
 
     def place_of(self, section: int) -> XY:
         """Where a section is, for whoever asks; the same for all peers."""
@@ -212,8 +202,9 @@ class Exploration:
 
     def _bid(self, view: FleetView) -> int:
         """The private cost: metres to the station, in 31 steps of a geometric scale."""
-        assert self._station is not None
-        way_m = hypot(self._station[0] - view.here.x_m, self._station[1] - view.here.y_m)
+        assert self._way.station is not None
+        x, y = self._way.station
+        way_m = hypot(x - view.here.x_m, y - view.here.y_m)
         bid = 0
         while bid < 31 and way_m > 0.1 * 1.25**bid:
             bid += 1
@@ -222,13 +213,13 @@ class Exploration:
     # ---------------------------------------------------------------- tasks
 
     def _aim(self, frontier: Frontier, view: FleetView) -> None:
-        self._chosen, self._legs = frontier, []
-        self._head_for(self.chart.geometry.centre(*frontier.station), view)
+        self._legs = []
+        self._way.head_for(self.chart.geometry.centre(*frontier.station), view)
         self._begin_task(frontier.patch, view)
 
     def _pursue(self, section: int, order: Order, view: FleetView) -> None:
-        self._chosen, self._legs = None, list(order.points[1:])
-        self._head_for(order.points[0], view)
+        self._legs = list(order.points[1:])
+        self._way.head_for(order.points[0], view)
         self._begin_task(section, view)
 
     def _begin_task(self, section: int, view: FleetView) -> None:
@@ -237,21 +228,11 @@ class Exploration:
             view.now_us,
         )  # fmt: skip
 
-    def _head_for(self, station: XY, view: FleetView) -> None:
-        self._station, self._arrived_us = station, 0
-        self._nearest_m, self._nearest_us = np.inf, view.now_us
-        self._plan(view)
-
-    def _plan(self, view: FleetView) -> None:
-        assert self._station is not None
-        self.chart.hear()
-        path = self.chart.grid.plan((view.here.x_m, view.here.y_m), self._station)
-        self.rest_of_way = [] if path is None else path[1:]
-
     def _end_task(self, status: Status) -> None:
         if self.task is not None:
             self.history.append(self.task._replace(status=status))
-        self.task, self._chosen, self._station, self.rest_of_way = None, None, None, []
+        self.task = None
+        self._way.end()
         self._choose_us = 0
 
     def begin(self, section: int, view: FleetView) -> None:
@@ -261,13 +242,13 @@ class Exploration:
         self.task = self.task._replace(status=Status.ACTIVE)
         self._check_us = view.now_us + CHECK_US
         self._reassign_us = view.now_us + REASSIGN_US
-        self._nearest_us = view.now_us
+        self._way.has_time(view.now_us)
 
     def _resume(self, section: int, view: FleetView) -> None:
         if section in self.orders:
             self._pursue(section, self.orders[section], view)
         else:
-            self._head_for(self.place_of(section), view)
+            self._way.head_for(self.place_of(section), view)
             self._begin_task(section, view)
 
     def abandon(self) -> None:
@@ -280,24 +261,24 @@ class Exploration:
 
     def approach(self, section: int, view: FleetView) -> Wish:
         self._see(view)
-        return self._drive(view)
+        return self._way.drive(view)
 
     def admits(self, goal: XY) -> bool:
         return self.chart.admits(goal)
 
     def travel(self, goal: XY, view: FleetView) -> Wish:
         self._see(view)
-        if goal != self._station:
-            self._head_for(goal, view)
-        elif self._blocked():
-            self._plan(view)
-        return self._drive(view)
+        if goal != self._way.station:
+            self._way.head_for(goal, view)
+        elif self._way.blocked:
+            self._way.plan(view.here)
+        return self._way.drive(view)
 
     def rest(self, view: FleetView) -> Wish:
         self._see(view)
         if self.task is not None:
             self._end_task(Status.FAILED)  # its claim was lost before it began
-        return STILL._replace(turn_rad_s=TURN_RAD_S)
+        return TURN_ROUND
 
     def work(self, view: FleetView) -> Wish:
         self._see(view)
@@ -310,12 +291,12 @@ class Exploration:
             gone = self._check(view)
             if gone is not None:
                 self._end_task(gone)
-                return Wish(0.0, 0.0, TURN_RAD_S, given_up=True)
-        wish = self._drive(view)
-        if not self._arrived_us or now_us < self._arrived_us + self._look_us:
+                return TURN_ROUND._replace(given_up=True)
+        wish = self._way.drive(view)
+        if not self._way.arrived_us or now_us < self._way.arrived_us + self._look_us:
             return wish
         if self._legs:
-            self._head_for(self._legs.pop(0), view)
+            self._way.head_for(self._legs.pop(0), view)
             return wish
         self._end_task(Status.COMPLETED)
         return wish._replace(finished=True)
@@ -327,11 +308,11 @@ class Exploration:
     def _check(self, view: FleetView) -> Status | None:
         """Whether the task under way is to be given back, and as what."""
         assert self.task is not None
-        if view.now_us > self._nearest_us + STUCK_US:
+        if self._way.stuck(view.now_us):
             self._shunned_us[self.task.section] = view.now_us + SHUNNED_US
             return Status.FAILED
-        if (not self.rest_of_way and not self._arrived_us) or self._blocked():
-            self._plan(view)
+        if (not self._way.rest and not self._way.arrived_us) or self._way.blocked:
+            self._way.plan(view.here)
         if self.task.kind is not Kind.EXPLORE_FRONTIER:
             return None
         due = view.now_us >= self._reassign_us
@@ -362,39 +343,3 @@ class Exploration:
                     if section < ORDERS_FIRST and hypot(a - x, b - y) < 0.5:
                         return True
         return False
-
-    def _blocked(self) -> bool:
-        """Whether something solid has turned up on the way."""
-        if not self.rest_of_way:
-            return False
-        cells = [self._cell(at) for at in self.rest_of_way]
-        solid = self.chart.grid.tight.blocked
-        return any(bool(solid[cell]) for cell in cells[:-1])
-
-    def _drive(self, view: FleetView) -> Wish:
-        here = view.here
-        if self._station is None:
-            return STILL._replace(turn_rad_s=TURN_RAD_S)
-        left_m = hypot(self._station[0] - here.x_m, self._station[1] - here.y_m)
-        if left_m < AT_M:
-            if not self._arrived_us:
-                self._arrived_us = view.now_us
-            return STILL._replace(turn_rad_s=TURN_RAD_S)
-        while len(self.rest_of_way) > 1 and self._near(self.rest_of_way[0], view):
-            self.rest_of_way.pop(0)
-        if not self.rest_of_way:
-            return STILL._replace(turn_rad_s=TURN_RAD_S)
-        x, y = self.rest_of_way[0]
-        dx_m, dy_m = x - here.x_m, y - here.y_m
-        next_m = max(hypot(dx_m, dy_m), 1e-6)
-        rest_m = next_m + sum(
-            hypot(b[0] - a[0], b[1] - a[1])
-            for a, b in zip(self.rest_of_way, self.rest_of_way[1:], strict=False)
-        )
-        if rest_m < self._nearest_m - NEARER_M:
-            self._nearest_m, self._nearest_us = rest_m, view.now_us
-        speed_m_s = min(self.limits.speed_m_s, sqrt(self.limits.acceleration_m_s2 * rest_m))
-        return Wish(dx_m / next_m * speed_m_s, dy_m / next_m * speed_m_s, TURN_RAD_S)
-
-    def _near(self, at: XY, view: FleetView) -> bool:
-        return hypot(at[0] - view.here.x_m, at[1] - view.here.y_m) < AT_M

@@ -16,7 +16,7 @@ class LoneExploration(Exploration):
         return section & (1 << PATCH_BITS) - 1
 
     def _best(self, view: FleetView, current: int | None) -> Frontier | None:
-        here = self._cell((view.here.x_m, view.here.y_m))
+        here = self._way.cell((view.here.x_m, view.here.y_m))
         values = self.chart.values()
         wave = wave_from(self._passable(values, here), here)
         named = (

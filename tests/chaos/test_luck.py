@@ -46,8 +46,9 @@ def test_a_bug_that_was_found_stays_away(path: Path) -> None:
 def test_a_planted_bug_is_found(name: str) -> None:
     """A few of them; all with `headland chaos --mutants`."""
     with planted(name):
-        found = [judge(draw(s, MUTANTS[name].profile), first_only=True).broken for s in range(6)]
-    assert any(found), name
+        profile = MUTANTS[name].profile
+        found = any(judge(draw(s, profile), first_only=True).broken for s in range(6))
+    assert found, name
 
 
 def test_a_failure_is_made_small() -> None:

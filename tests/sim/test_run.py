@@ -34,7 +34,10 @@ def test_the_same_seed_is_the_same_run_in_another_process_with_other_hashes() ->
     code = (
         "from sim.expedition import Expedition; from sim.scenario import load; "
         "from sim.setting import Setting; "
-        "print(Expedition(Setting(load('small').changed(3, 5))).run().trace_hash)"
+        "plain = load('small').changed(3, 5); "
+        "limit = plain.run.model_copy(update={'time_limit_s': 60}); "
+        "scenario = plain.model_copy(update={'run': limit}); "
+        "print(Expedition(Setting(scenario)).run().trace_hash)"
     )
     hashes = {
         subprocess.run(

@@ -42,6 +42,6 @@ async def robots_up(launch: Process, count: int) -> list[int]:
 
 
 async def states(folder: Path) -> dict[int, str]:
-    code, out = await call(folder, "inspect", "--seconds", "1.5", "--json")
+    code, out = await call(folder, "inspect", "--seconds", "0.6", "--json")
     assert code == 0, out
     return {r["slot"]: r["state"] for r in json.loads(out)["robots"] if not r["silent"]}

@@ -1,7 +1,10 @@
 """One measured figure, as `headland bench` prints it: one JSON object a line."""
 
 import json
+from collections.abc import Sequence
 from typing import NamedTuple
+
+import numpy as np
 
 
 class Figure(NamedTuple):
@@ -15,3 +18,8 @@ class Figure(NamedTuple):
 
     def to_json(self) -> str:
         return json.dumps(self._asdict(), ensure_ascii=False)
+
+
+def percentile(values: Sequence[float], share: float) -> float:
+    """Of `values` by nearest rank: the least one that `share` of them do not exceed."""
+    return float(np.quantile(values, share, method="inverted_cdf"))

@@ -24,7 +24,7 @@ from sim.recording import Recording
 from sim.scenario import load
 from sim.setting import Setting
 from tools.bench.browser import browser, missing, open_page, until
-from tools.bench.figure import Figure
+from tools.bench.figure import Figure, percentile
 from tools.bench.stop import _Presses
 from tools.keeping import Keeping
 from tools.livemap.command import MapThread, listen, recorded
@@ -154,7 +154,7 @@ def map_presses(count: int) -> Iterator[Figure]:
                 asyncio.run(running.run(0, None))
         times = sorted(running.times_s)
         complete = len(times) == count
-        p999_s = times[min(len(times) - 1, int(0.999 * len(times)))] if times else 0.0
+        p999_s = percentile(times, 0.999) if times else 0.0
         scope = f"6 processes on the hub, {len(times)} of {count} presses; load {os.getloadavg()[0]:.1f}"
         if isinstance(running, _Watched):
             scope += f"; {running.pictures_a_second:.1f} pictures/s meanwhile"

@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 from protocol.safety_frames import Reason
 from sim.bridged_segments import BridgedSegments, write_area
 from sim.segment_fleet import SegmentFleet
-from tools.bench.figure import Figure
+from tools.bench.figure import Figure, percentile
 from tools.campaign import workers
 from tools.chaos import campaign_hash, judged
 
@@ -69,17 +69,19 @@ def presses(count: int, seed: int) -> Iterator[Figure]:
             took_ms = sorted(fleet.press_and_wait(1 + k % 3) for k in range(count))
     finally:
         fleet.close()
-    worst = took_ms[min(round(0.999 * count), count - 1)]
+    high_ms = percentile(took_ms, 0.999)
     against = f"eclipse-zenoh {version('eclipse-zenoh')}, hubs and gateways as processes, loopback"
     scope = "from the press to the zero command of the last robot of three segments, six robots"
     yield Figure(
-        f"press to zero command in another segment, p99.9 of {count}", worst, "ms",
-        f"<= {PRESS_MS:.0f}", worst <= PRESS_MS, against, scope,
+        f"press to zero command in another segment, p99.9 of {count}", high_ms, "ms",
+        f"<= {PRESS_MS:.0f}", high_ms <= PRESS_MS, against, scope,
     )  # fmt: skip
     yield Figure(
         f"press to zero command in another segment, median of {count}",
         statistics.median(took_ms), "ms", "", None, against, scope,
     )  # fmt: skip
+    yield Figure(f"press to zero command in another segment, longest of {count}", took_ms[-1], "ms",
+                 "", None, against, scope)  # fmt: skip
 
 
 # -------------------------------------------------------------------- orders of magnitude
