@@ -16,7 +16,8 @@ from tools.compiled_core import FOLDER, SUFFIX, place
 from tools.fingerprint import ROOT
 
 WRONG = 1
-LEVEL = "2"  # of optimization; 3 takes longer and gains nothing that could be measured
+LEVEL = "2"  # of optimization
+CACHE = FOLDER.with_name("core_types")  # of mypy: `make check` has other options, and one of its own
 # What turns and frames go through. Not: modules of kernels (numba has those), of constants and
 # protocols alone, what is seldom called, and what mypyc refuses (constrained type variables).
 GROUP = {
@@ -91,8 +92,9 @@ def _translated(mypycify: Callable[..., list[Any]], sources: list[str], folder: 
     try:
         with chdir(ROOT), redirect_stdout(said), redirect_stderr(said):
             return mypycify(
-                sources, opt_level=LEVEL, debug_level="0", multi_file=True, target_dir=str(folder)
-            )
+                [f"--cache-dir={CACHE}", *sources],
+                opt_level=LEVEL, debug_level="0", multi_file=True, target_dir=str(folder),
+            )  # fmt: skip
     except SystemExit:
         wrong = [line for line in said.getvalue().splitlines() if " error: " in line]
         raise CompileError(f"mypyc refuses the sources: {(wrong or ['?'])[0]}") from None
@@ -102,7 +104,8 @@ def compile_core(remove: bool) -> int:
     console = Console()
     if remove:
         there = FOLDER.is_dir()
-        shutil.rmtree(FOLDER, ignore_errors=True)
+        for folder in (FOLDER, CACHE):
+            shutil.rmtree(folder, ignore_errors=True)
         console.print(f"removed {FOLDER}" if there else "there was no compiled core")
         return 0
     folder, begun_s = place(), time.monotonic()

@@ -12,7 +12,7 @@ from tools import compiled_core
 from tools.compile import CompileError, build
 from tools.compiled_core import Finder, place
 
-RUNS = [("protocol", 3), ("protocol", 4), ("all", 1), ("stop", 2), ("crash", 5)]
+RUNS = [("protocol", 3), ("all", 1), ("stop", 2), ("crash", 5)]
 SMALL = {"crdt": "digest progress clock", "protocol": "fleet_frames"}  # half a minute to compile
 PLAY = """
 import json, sys
