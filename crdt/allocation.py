@@ -39,7 +39,7 @@ ROWS = np.dtype([("section", "<u2"), ("epoch", "u1"), ("mixed", "u1"), ("low", "
 assert ROWS.itemsize == ENTRY.size == 8
 PHASES = np.isin(np.arange(8), [int(phase) for phase in Phase])  # those that exist
 HELD = (Phase.CLAIMED, Phase.STARTED)
-BY_NUMBER = {int(phase): phase for phase in Phase}  # calling an Enum is slow, and missions ask of every section
+BY_NUMBER = {int(phase): phase for phase in Phase}  # calling an Enum is slow; missions ask often
 
 
 class FieldAllocationCRDT:
