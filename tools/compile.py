@@ -17,9 +17,7 @@ from tools.fingerprint import ROOT
 
 WRONG = 1
 LEVEL = "2"  # of optimization
-CACHE = FOLDER.with_name(
-    "core_types"
-)  # of mypy: `make check` has other options, and one of its own
+CACHE = FOLDER.with_name("core_types")  # of mypy: that of `make check` has other options
 # What turns and frames go through. Not: modules of kernels (numba has those), of constants and
 # protocols alone, what is seldom called, and what mypyc refuses (constrained type variables).
 GROUP = {
