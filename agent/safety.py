@@ -121,8 +121,6 @@ class Safety:
     def may_move(self) -> bool:
         return not self._causes or self.severity <= Severity.SLOW
 
-    may_work = may_move
-
     def echoed(self, dot: StopDot) -> frozenset[int]:
         return frozenset(self._echoes.get(dot, ()))
 

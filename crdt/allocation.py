@@ -39,6 +39,7 @@ ROWS = np.dtype([("section", "<u2"), ("epoch", "u1"), ("mixed", "u1"), ("low", "
 assert ROWS.itemsize == ENTRY.size == 8
 PHASES = np.isin(np.arange(8), [int(phase) for phase in Phase])  # those that exist
 HELD = (Phase.CLAIMED, Phase.STARTED)
+BY_NUMBER = {int(phase): phase for phase in Phase}  # calling an Enum is slow; missions ask often
 
 
 class FieldAllocationCRDT:
@@ -161,7 +162,7 @@ class FieldAllocationCRDT:
         return Claim.unpack(self._keys.get(section, pack(0, Phase.FREE, 0, 0, 0)))
 
     def phase_of(self, section: int) -> Phase:
-        return Phase(phase_of(self._keys.get(section, 0)))
+        return BY_NUMBER[phase_of(self._keys.get(section, 0))]
 
     def owner_of(self, section: int) -> int | None:
         """The slot that holds or finished a section; None where it is free."""

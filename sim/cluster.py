@@ -130,6 +130,7 @@ class Cluster:
         self.journals: dict[int, Journal] = {}
         self.boots: Counter[int] = Counter()
         self.on_power: Callable[[int, bool], None] | None = None  # robot, switched on; told before
+        self.on_order: Callable[[Message], None] | None = None  # told before anybody hears of it
         self._tool: FieldBus | None = None
         self._keyring = setting.keyring(OPERATOR, "operator")
 
@@ -219,6 +220,8 @@ class Cluster:
 
     def order(self, message: Signed) -> None:
         """The same from the operator's device: where the fleet has keys with a tag, and twice."""
+        if self.on_order is not None:
+            self.on_order(message)
         self.stops.ordered(message)
         if self._keyring is None:
             self.inject(message)

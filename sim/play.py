@@ -102,13 +102,8 @@ class Play:
         self.silence, self.delivery = motions(cluster.world), motions(cluster.world)
         cluster.on_power = self._power
         cluster.segment.taps.append(self._overheard)
-        order = cluster.order
-
-        def ordered(message: Any) -> None:
-            self.witness.words.ordered(message, cluster.host.now_us())
-            order(message)
-
-        cluster.order = ordered  # type: ignore[method-assign]
+        words, now_us = self.witness.words, cluster.host.now_us
+        cluster.on_order = lambda message: words.ordered(message, now_us())
         for fault in self.scenario.fault:
             self._watch(fault)
         span = self.span

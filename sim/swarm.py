@@ -33,8 +33,10 @@ class SwarmShell(Shell):
     """A shell that takes its turns from a swarm."""
 
     swarm: "Swarm"
-    _over = _nudged = False
-    _base_us = _since_us = 0
+    _over = False
+    _nudged = False
+    _base_us = 0
+    _since_us = 0
     _rate = 1.0
 
     def begin(self) -> None:

@@ -38,7 +38,7 @@ class Delivery(NamedTuple):
     receivers: tuple[int, ...]
 
 
-@dataclass(slots=True)
+@dataclass
 class Node:
     name: str
     island: int = 0

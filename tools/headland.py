@@ -202,6 +202,20 @@ def warmup() -> None:
     raise SystemExit(command())
 
 
+@app.command(name="compile")
+def compile_core(
+    remove: Annotated[bool, typer.Option("--remove", help="Delete what was compiled.")] = False,
+) -> None:
+    """Make machine code of what simulations spend their time in. Campaigns then use it by themselves.
+
+    Takes some minutes and a C compiler; results stay the same, bit for bit.
+    Example: headland compile
+    """
+    from tools.compile import compile_core as command
+
+    raise SystemExit(command(remove))
+
+
 app.add_typer(bus_commands.app)
 app.add_typer(trial_commands.app)
 app.add_typer(coverage.app, name="coverage")

@@ -44,6 +44,10 @@ def chaos(
     The first failing seed is made small and saved as a scenario.
     Example: headland chaos --seeds 0:1000 --profile stop --jobs 2
     """
+    from tools.compiled_core import use
+
+    if not mutants:  # no bug can be planted in machine code
+        use()
     from tools.chaos import chaos as command
     from tools.chaos import judge_file, tell_report
 

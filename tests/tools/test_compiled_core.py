@@ -1,0 +1,75 @@
+"""Simulated from machine code, a run is the same to the last effect; what is stale is never used."""
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tools import compiled_core
+from tools.compile import CompileError, build
+from tools.compiled_core import Finder, place
+
+RUNS = [("protocol", 3), ("all", 1), ("stop", 2), ("crash", 5)]
+SMALL = {"crdt": "digest progress clock", "protocol": "fleet_frames"}  # half a minute to compile
+PLAY = """
+import json, sys
+from pathlib import Path
+from tools.compiled_core import use
+used = use(Path(sys.argv[1])) if len(sys.argv) > 1 else False
+from sim.trouble import draw
+from sim.verdict import judge
+hashes = [judge(draw(seed, profile)).trace_hash for profile, seed in json.loads(sys.stdin.read())]
+import crdt.digest
+print(json.dumps([used, crdt.digest.__file__, hashes]))
+"""
+
+
+def play(*folder: str) -> tuple[bool, str, list[str]]:
+    done = subprocess.run(
+        [sys.executable, "-c", PLAY, *folder], input=json.dumps(RUNS), text=True,
+        capture_output=True, timeout=200,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    used, file, hashes = json.loads(done.stdout)
+    return used, file, hashes
+
+
+@pytest.fixture(scope="module")
+def core(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The one that `headland compile` has made of these sources, or a small one."""
+    if place().is_dir():
+        return place()
+    if shutil.which("cc") is None and shutil.which("gcc") is None:
+        pytest.skip("no C compiler here")
+    folder = tmp_path_factory.mktemp("core") / "small"
+    try:
+        for _ in build(folder, SMALL):
+            pass
+    except CompileError as problem:
+        pytest.skip(str(problem))
+    return folder
+
+
+def test_compiled_and_interpreted_runs_have_the_same_trace_hashes(core: Path) -> None:
+    used, file, compiled = play(str(core))
+    assert used and Path(file).parent.parent == core
+    used, file, interpreted = play()
+    assert not used and file.endswith(".py")
+    assert compiled == interpreted, RUNS
+
+
+def test_changed_sources_have_no_core(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = place()
+    monkeypatch.setattr(compiled_core, "fingerprint", lambda: "0" * 12)
+    assert place() != before and not Finder(place()).files
+
+
+def test_a_process_that_has_begun_interpreted_goes_on_so(core: Path) -> None:
+    import crdt.digest
+
+    assert crdt.digest.__file__.endswith(".py")
+    assert not compiled_core.use(core)
+    assert not any(isinstance(finder, Finder) for finder in sys.meta_path)

@@ -1,0 +1,89 @@
+"""How fast a drill is simulated. A process of its own: what is imported compiled stays so.
+
+Example: python -m tools.bench.drill_speed 5 --seed 1 --cpu-s 4
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import time
+from typing import TYPE_CHECKING, NamedTuple
+
+from tools.compiled_core import OFF, use
+from tools.fingerprint import ROOT
+
+if TYPE_CHECKING:
+    from sim.host import Script
+
+SETTLED_S = 8.0  # a fleet has joined and works: booting is not what is asked for
+WORKS_S = 120.0  # no robot is without work until then: 8 sections of 20 units, a second each
+SLICE_US = 200_000  # of simulated time, between two looks at the clock
+
+
+class Speed(NamedTuple):
+    rate: float  # simulated seconds per CPU second
+    compiled: bool
+    frames: int  # on the wire, with those of joining
+    simulated_s: float
+
+
+def measured(robots: int, seed: int, cpu_s: float, interpreted: bool = False) -> Speed:
+    """In a fresh process."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), **({OFF: "1"} if interpreted else {})}
+    done = subprocess.run(
+        [sys.executable, "-m", __spec__.name, f"{robots}", "--seed", f"{seed}",
+         "--cpu-s", f"{cpu_s}"],
+        env=environment, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    return Speed(**json.loads(done.stdout))
+
+
+def speed(robots: int, seed: int, cpu_s: float) -> Speed:
+    """Here and now: drills that work, without faults, under their checkers, one after another."""
+    compiled = use()
+    simulated_s = spent_s = 0.0
+    frames = 0
+    while spent_s < cpu_s:
+        worked = _drill(robots, seed, cpu_s - spent_s)
+        simulated_s, spent_s = simulated_s + worked[0], spent_s + worked[1]
+        frames, seed = frames + worked[2], seed + 1
+    return Speed(simulated_s / spent_s, compiled, frames, simulated_s)
+
+
+def _drill(robots: int, seed: int, cpu_s: float) -> tuple[float, float, int]:
+    """(simulated, CPU) seconds of a fleet at work, and frames from its start to its end."""
+    from sim.cluster import Cluster
+    from sim.drill_setting import DrillSetting, drill
+    from sim.swarm import Swarm
+    from sim.witness import Witness
+
+    swarm, setting = Swarm(), DrillSetting(drill(robots, seed))
+    witness = Witness(robots)
+    cluster = Cluster(setting, f"speed {robots}/{seed}", witness, swarm)
+    checker = setting.parade.checker()
+    spent: list[float] = []
+
+    def main() -> "Script[None]":
+        cluster.boot_all()
+        yield round(SETTLED_S * 1e6)
+        begun_s = time.process_time()
+        while swarm.now_us() < WORKS_S * 1e6 and time.process_time() - begun_s < cpu_s:
+            yield swarm.now_us() + SLICE_US
+        spent.append(time.process_time() - begun_s)
+
+    swarm.run(main())
+    frames = cluster.segment.wire.frames
+    cluster.end()
+    assert not checker.violations and not witness.broken
+    return swarm.now_us() / 1e6 - SETTLED_S, spent[0], frames
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("robots", type=int)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--cpu-s", type=float, default=4.0)
+    given = parser.parse_args()
+    print(json.dumps(speed(given.robots, given.seed, given.cpu_s)._asdict()))

@@ -1,0 +1,128 @@
+"""`headland compile`: makes what `tools/compiled_core.py` finds. Needs mypy and a C compiler."""
+
+import io
+import shutil
+import sys
+import sysconfig
+import time
+from collections.abc import Callable, Iterator
+from contextlib import chdir, redirect_stderr, redirect_stdout
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from tools.compiled_core import FOLDER, SUFFIX, place
+from tools.fingerprint import ROOT
+
+WRONG = 1
+LEVEL = "2"  # of optimization
+CACHE = FOLDER.with_name("core_types")  # of mypy: that of `make check` has other options
+# What turns and frames go through. Not: modules of kernels (numba has those), of constants and
+# protocols alone, what is seldom called, and what mypyc refuses (constrained type variables).
+GROUP = {
+    "crdt": "allocation clock digest progress register",
+    "protocol": "accord_frames address bus codec delivery_frames divergence fleet_frames identifier "
+    "map_frames messages network_frames operator_frames replica safety_frames segment_frames sync "
+    "transport work_frames",
+    "agent": "area authority beyond bulletin claims core directive election fleet_stops fsm hearing "
+    "joining letters membership pause records roll_call safety segment_peer self_check shell voice "
+    "working",
+    "sim": "cluster fieldbus parade swarm trace wire witness word_rules",
+}  # fmt: skip
+
+
+class CompileError(Exception):
+    """One line for the person: what is wrong and what to do."""
+
+
+def files(group: dict[str, str]) -> list[str]:
+    return [f"{package}/{name}.py" for package, names in group.items() for name in names.split()]
+
+
+def build(folder: Path, group: dict[str, str] = GROUP) -> Iterator[tuple[str, int, int]]:
+    """Makes a core of these modules there; tells of each step: what, how many are done, of how many.
+
+    Raises CompileError.
+    """
+    try:
+        from mypyc.build import mypycify
+        from setuptools._distutils.ccompiler import new_compiler
+        from setuptools._distutils.errors import CCompilerError
+        from setuptools._distutils.sysconfig import customize_compiler
+    except ImportError as problem:
+        raise CompileError(f"{problem.name} is needed: pip install mypy setuptools") from None
+    compiler: Any = new_compiler()
+    customize_compiler(compiler)
+    if shutil.which(compiler.compiler_so[0]) is None:
+        raise CompileError(f"no C compiler {compiler.compiler_so[0]}: apt-get install gcc")
+    headers = sysconfig.get_paths()["include"]
+    if not Path(headers, "Python.h").exists():
+        raise CompileError(f"no Python.h in {headers}: apt-get install python3-dev")
+    scratch = folder.with_suffix(".making")
+    shutil.rmtree(scratch, ignore_errors=True)
+    try:
+        scratch.mkdir(parents=True)
+        yield "types and C", 0, 0
+        modules = _translated(mypycify, files(group), scratch / "c")
+        total, done = sum(len(module.sources) for module in modules), 0
+        for module in modules:
+            include = [*module.include_dirs, headers]
+            objects: list[str] = []
+            for source in module.sources:
+                yield Path(source).stem.removeprefix("__native_").replace("___", "."), done, total
+                objects += compiler.compile(
+                    [source], output_dir=f"{scratch}/o", include_dirs=include,
+                    extra_postargs=module.extra_compile_args,
+                )  # fmt: skip
+                done += 1
+            target = scratch / "core" / (module.name.replace(".", "/") + SUFFIX)
+            compiler.link_shared_object(objects, str(target))
+        shutil.rmtree(folder, ignore_errors=True)
+        (scratch / "core").rename(folder)
+    except (CCompilerError, OSError) as problem:
+        raise CompileError(f"the core was not made: {problem}") from None
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+
+
+def _translated(mypycify: Callable[..., list[Any]], sources: list[str], folder: Path) -> list[Any]:
+    """The C sources, as extensions. What mypyc says is told only where it refuses."""
+    said = io.StringIO()
+    try:
+        with chdir(ROOT), redirect_stdout(said), redirect_stderr(said):
+            return mypycify(
+                [f"--cache-dir={CACHE}", *sources],
+                opt_level=LEVEL, debug_level="0", multi_file=True, target_dir=str(folder),
+            )  # fmt: skip
+    except SystemExit:
+        wrong = [line for line in said.getvalue().splitlines() if " error: " in line]
+        raise CompileError(f"mypyc refuses the sources: {(wrong or ['?'])[0]}") from None
+
+
+def compile_core(remove: bool) -> int:
+    console = Console()
+    if remove:
+        there = FOLDER.is_dir()
+        for folder in (FOLDER, CACHE):
+            shutil.rmtree(folder, ignore_errors=True)
+        console.print(f"removed {FOLDER}" if there else "there was no compiled core")
+        return 0
+    folder, begun_s = place(), time.monotonic()
+    if folder.is_dir():
+        console.print(f"there is one of these sources: {folder}")
+        return 0
+    try:
+        with console.status("") as status:
+            for name, done, total in build(folder):
+                status.update(f"compiling {name} ... {done} of {total or '?'}")
+    except CompileError as problem:
+        print(f"headland: {problem}", file=sys.stderr)
+        return WRONG
+    for other in FOLDER.iterdir():  # of other sources: never found again
+        if other != folder:
+            shutil.rmtree(other, ignore_errors=True)
+    size_mb = sum(file.stat().st_size for file in folder.glob("**/*.so")) / 1e6
+    spent_s = time.monotonic() - begun_s
+    console.print(f"{len(files(GROUP))} modules, {size_mb:.1f} MB, {spent_s:.0f} s: {folder}")
+    return 0
