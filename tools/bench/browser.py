@@ -72,9 +72,10 @@ def until(driver: "Chrome", script: str, seconds: float = WAIT_S) -> Any:
     from selenium.common.exceptions import TimeoutException
     from selenium.webdriver.support.ui import WebDriverWait
 
+    loaded = "document.readyState === 'complete'"  # before, the page's own script may not have run
     try:
         return WebDriverWait(driver, seconds, 0.1).until(
-            lambda page: page.execute_script(f"return {script};")
+            lambda page: page.execute_script(f"return {loaded} && ({script});")
         )
     except TimeoutException:
         raise TimeoutError(f"never true in the page: {script}") from None

@@ -47,9 +47,9 @@ def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
     yield map_help()
     with tempfile.TemporaryDirectory() as folder:
         yield from map_recording(
-            Path(folder), 40.0 if quick else 300.0, 6.0 if quick else 30.0, seed
+            Path(folder), 10.0 if quick else 300.0, 4.0 if quick else 30.0, seed
         )
-    yield from map_presses(8 if quick else 300)
+    yield from map_presses(2 if quick else 300)
 
 
 def map_help() -> Figure:
