@@ -36,6 +36,10 @@ class CompileError(Exception):
     """One line for the person: what is wrong and what to do."""
 
 
+class ToolMissingError(CompileError):
+    """Nothing is wrong with the sources: this machine cannot compile."""
+
+
 def files(group: dict[str, str]) -> list[str]:
     return [f"{package}/{name}.py" for package, names in group.items() for name in names.split()]
 
@@ -51,14 +55,14 @@ def build(folder: Path, group: dict[str, str] = GROUP) -> Iterator[tuple[str, in
         from setuptools._distutils.errors import CCompilerError
         from setuptools._distutils.sysconfig import customize_compiler
     except ImportError as problem:
-        raise CompileError(f"{problem.name} is needed: pip install mypy setuptools") from None
+        raise ToolMissingError(f"{problem.name} is needed: pip install mypy setuptools") from None
     compiler: Any = new_compiler()
     customize_compiler(compiler)
     if shutil.which(compiler.compiler_so[0]) is None:
-        raise CompileError(f"no C compiler {compiler.compiler_so[0]}: apt-get install gcc")
+        raise ToolMissingError(f"no C compiler {compiler.compiler_so[0]}: apt-get install gcc")
     headers = sysconfig.get_paths()["include"]
     if not Path(headers, "Python.h").exists():
-        raise CompileError(f"no Python.h in {headers}: apt-get install python3-dev")
+        raise ToolMissingError(f"no Python.h in {headers}: apt-get install python3-dev")
     scratch = folder.with_suffix(".making")
     shutil.rmtree(scratch, ignore_errors=True)
     try:

@@ -6,6 +6,8 @@ from socket import socket
 
 import pytest
 
+pytest.importorskip("zenoh", reason="the extra `backbone` is not installed")
+
 from sim.bridged_segments import BridgedSegments, write_area
 
 LIMIT_S = 120.0  # for what takes seconds on a machine of its own

@@ -10,7 +10,7 @@ from sim.segment_fleet import SegmentFleet
 from tools.campaign import ClusterError, workers
 from tools.chaos import chaos
 
-distributed = pytest.importorskip("distributed", reason="the package distributed is not installed")
+distributed = pytest.importorskip("distributed", reason="the extra `backbone` is not installed")
 
 
 @pytest.fixture(scope="module")

@@ -1,7 +1,6 @@
 """Simulated from machine code, a run is the same to the last effect; what is stale is never used."""
 
 import json
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -9,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tools import compiled_core
-from tools.compile import CompileError, build
+from tools.compile import ToolMissingError, build
 from tools.compiled_core import Finder, place
 
 RUNS = [("protocol", 3), ("all", 1), ("stop", 2), ("crash", 5)]
@@ -42,13 +41,11 @@ def core(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The one that `headland compile` has made of these sources, or a small one."""
     if place().is_dir():
         return place()
-    if shutil.which("cc") is None and shutil.which("gcc") is None:
-        pytest.skip("no C compiler here")
     folder = tmp_path_factory.mktemp("core") / "small"
     try:
         for _ in build(folder, SMALL):
             pass
-    except CompileError as problem:
+    except ToolMissingError as problem:
         pytest.skip(str(problem))
     return folder
 

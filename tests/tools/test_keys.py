@@ -2,20 +2,17 @@
 
 import asyncio
 import json
-import os
 import stat
 import subprocess
 import sys
-from asyncio.subprocess import PIPE, STDOUT
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 from sim.key_file import FLEET, OPERATOR, KeyFileError, counter, counter_path, fresh, read, write
-
-ROOT = Path(__file__).parents[2]
-ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
-WAIT_S = 60.0  # for what takes a second on a quiet machine
+from tests.tools import launching
+from tests.tools.launching import ENVIRONMENT, WAIT_S
 
 
 def headland(*words: str, folder: Path) -> "subprocess.CompletedProcess[str]":
@@ -108,29 +105,14 @@ def test_a_damaged_key_or_counter_is_noticed(tmp_path: Path) -> None:
         read(operator)
 
 
-@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="as the other tests of launches")
 def test_a_fleet_with_keys_is_stopped_and_released_by_those_that_hold_them(tmp_path: Path) -> None:
-    async def call(*words: str) -> tuple[int, str]:
-        process = await asyncio.create_subprocess_exec(
-            sys.executable, "-m", "tools.headland", *words,
-            cwd=tmp_path, stdout=PIPE, stderr=STDOUT, env=ENVIRONMENT,
-        )  # fmt: skip
-        async with asyncio.timeout(WAIT_S):
-            out, _ = await process.communicate()
-        return process.returncode or 0, out.decode()
+    call = partial(launching.call, tmp_path)
 
     async def story() -> None:
         keys(tmp_path)
-        launch = await asyncio.create_subprocess_exec(
-            sys.executable, "-m", "tools.headland", "launch", "small", "--keys", "fleet.json",
-            cwd=tmp_path, stdout=PIPE, stderr=STDOUT, env=ENVIRONMENT,
-        )  # fmt: skip
-        assert launch.stdout is not None
+        launch = await launching.start(tmp_path, "launch", "small", "--keys", "fleet.json")
         try:
-            async with asyncio.timeout(WAIT_S):
-                async for raw in launch.stdout:
-                    if raw.decode().count("WORKING") == 3:
-                        break
+            await launching.robots_up(launch, 3)
             code, text = await call("estop", "--json")
             assert code == 1 and not json.loads(text)["signed"], "braked, and nobody latched"
             code, text = await call("estop", "--keys", "fleet.json", "--json")

@@ -12,7 +12,7 @@ from tests.tools.launching import WAIT_S, robots_up, start, states
 
 
 def test_a_stop_of_another_segment_stops_a_launch(tmp_path: Path) -> None:
-    pytest.importorskip("zenoh", reason="the backbone needs the package eclipse-zenoh")
+    pytest.importorskip("zenoh", reason="the extra `backbone` is not installed")
     with socket() as free:
         free.bind(("127.0.0.1", 0))
         endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"

@@ -11,8 +11,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import httpx
 import pytest
+
+pytest.importorskip("httpx", reason="the extra `operator` is not installed")
+
+import httpx
 
 from sim import key_file
 from sim.expedition import Expedition

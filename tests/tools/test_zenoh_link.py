@@ -9,6 +9,8 @@ from socket import socket
 
 import pytest
 
+pytest.importorskip("zenoh", reason="the extra `backbone` is not installed")
+
 from agent.area import Area
 from agent.identity import Identity
 from agent.segment_peer import SegmentPeer
