@@ -1,8 +1,11 @@
 """An explorer's way to its station: planned on its own map, again where something solid has turned up."""
 
-from math import hypot, sqrt
+from collections.abc import Sequence
+from itertools import pairwise
+from math import ceil, dist, hypot, sqrt
 
 import numpy as np
+from numpy.typing import NDArray
 
 from agent.config import S
 from agent.inflation import Cell
@@ -12,6 +15,8 @@ from agent.ports import Observation
 from agent.survey_map import SurveyMap
 
 XY = tuple[float, float]
+Cells = tuple[NDArray[np.intp], NDArray[np.intp]]  # rows, columns
+SAMPLES = 2  # of a way for each cell: none that it crosses by more than its corner is left out
 TURN_RAD_S = 0.8  # a robot turns as it drives, so that its rays leave no cell between them
 STUCK_US = 8 * S  # without getting nearer: the target has failed
 NEARER_M = 0.1
@@ -25,6 +30,7 @@ class SurveyWay:
         self.station: XY | None = None
         self.arrived_us = 0  # when the station was reached; 0: not yet
         self.rest: list[XY] = []  # waypoints still to come
+        self._open: Cells = np.empty(0, np.intp), np.empty(0, np.intp)
         self._nearest_m, self._nearest_us = np.inf, 0
 
     def cell(self, at: XY) -> Cell:
@@ -42,8 +48,22 @@ class SurveyWay:
     def plan(self, here: Observation) -> None:
         assert self.station is not None
         self.chart.hear()
-        path = self.chart.grid.plan((here.x_m, here.y_m), self.station)
-        self.rest = [] if path is None else path[1:]
+        path = self.chart.grid.plan((here.x_m, here.y_m), self.station) or []
+        self.rest = path[1:]
+        rows, columns = self._along(path)
+        free = ~self.chart.grid.tight.blocked[rows, columns]  # a start may be carved out
+        self._open = rows[free], columns[free]
+
+    def _along(self, path: Sequence[XY]) -> Cells:
+        """Rows and columns of the cells under a way, some of them twice."""
+        if len(path) < 2:
+            return np.empty(0, np.intp), np.empty(0, np.intp)
+        rows, columns, (west_m, south_m), cell_m = self.chart.geometry
+        points = np.concatenate([
+            np.linspace(a, b, ceil(dist(a, b) / cell_m * SAMPLES) + 1) for a, b in pairwise(path)
+        ])  # fmt: skip
+        row, column = ((points - (west_m, south_m)) / cell_m).T[::-1].astype(np.intp)
+        return row.clip(0, rows - 1), column.clip(0, columns - 1)
 
     def end(self) -> None:
         self.station, self.rest = None, []
@@ -57,9 +77,8 @@ class SurveyWay:
 
     @property
     def blocked(self) -> bool:
-        """Whether something solid has turned up on the way."""
-        solid = self.chart.grid.tight.blocked
-        return any(bool(solid[self.cell(at)]) for at in self.rest[:-1])
+        """Whether something solid has turned up on the way since it was planned."""
+        return bool(self.rest) and bool(self.chart.grid.tight.blocked[self._open].any())
 
     def drive(self, view: FleetView) -> Wish:
         here = view.here

@@ -12,10 +12,9 @@ import shutil
 import subprocess
 import sys
 from asyncio.subprocess import DEVNULL, PIPE, Process
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from math import dist, hypot
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -24,13 +23,14 @@ from sim.body_link import BodyServer
 from sim.scenario import load
 from sim.setting import Setting
 from tests.tools.launching import ENVIRONMENT, ROOT, WAIT_S
+from tests.tools.watch import STANDING_M_S, Watch
 
 SCENARIO, ROBOTS = "yard", 3
 HUB_SIDE, FAR_SIDE = (0,), (1, 2)  # robots in the namespace of the hub, and in the other
 HUB, FAR = "hub", "far"
 BUS_NET, NETS = "10.79.0", {HUB: "10.79.1", FAR: "10.79.2"}  # of the bus; of the bodies
 BUS_PORT = 29536
-STANDING_M_S, STOOD_S, MOVED_M = 0.02, 2.0, 0.05
+STOOD_S, MOVED_M = 2.0, 0.05
 # A silence is noticed, and the body brakes: a second at full speed; more on a busy machine.
 CUT_S = beat_of(ROBOTS).silence_us / 1e6 + 3.0
 
@@ -79,30 +79,12 @@ def spaces() -> Iterator[None]:
             ip("netns", "del", space(side))
 
 
-class Yard:
-    """The world, and what robots say of themselves beside the bus."""
+class Yard(Watch):
+    """With its world, which knows the truth."""
 
     def __init__(self) -> None:
+        super().__init__(ROBOTS)
         self.world = Setting(load(SCENARIO).changed(ROBOTS, 1, None)).world()
-        self.now: dict[int, dict[str, Any]] = {}
-        self.news = asyncio.Event()
-
-    def told(self, intent: dict[str, Any]) -> None:
-        self.now[intent["slot"]] = intent
-        self.news.set()
-
-    async def until(self, what: str, holds: Callable[[], bool], limit_s: float = WAIT_S) -> None:
-        try:
-            async with asyncio.timeout(limit_s):
-                while len(self.now) < ROBOTS or not holds():
-                    self.news.clear()
-                    await self.news.wait()
-        except TimeoutError:
-            raise AssertionError(f"{what}: {self.now}, {self.speeds_m_s}") from None
-
-    async def for_s(self, seconds: float) -> None:
-        end_s = asyncio.get_running_loop().time() + seconds
-        await self.until("time passes", lambda: asyncio.get_running_loop().time() >= end_s)
 
     @property
     def places(self) -> dict[int, tuple[float, float]]:
@@ -118,11 +100,11 @@ class Yard:
     def stand(self) -> bool:
         return all(v < STANDING_M_S for v in self.speeds_m_s.values())
 
-    def work(self) -> bool:
-        return all(not i["holds"] and len(i["hears"]) == ROBOTS for i in self.now.values())
-
     def held(self, slot: int, cause: str) -> bool:
         return cause in self.now[slot]["holds"]
+
+    def __str__(self) -> str:
+        return f"{self.now}, {self.speeds_m_s}"
 
 
 async def enter(side: str, *words: str) -> Process:

@@ -5,61 +5,28 @@ import json
 import os
 import signal
 from asyncio.subprocess import Process
-from collections.abc import Callable
 from math import dist, hypot
 from pathlib import Path
-from typing import Any
 
 from sim.intent_link import Watching
 from tests.tools.launching import WAIT_S, call, robots_up, start
+from tests.tools.watch import STANDING_M_S, Watch
 
 ROBOTS = 3
-STANDING_M_S, STOOD_S = 0.02, 1.5  # standing for longer than an order to drive lives, many times
+STOOD_S = 1.5  # standing for longer than an order to drive lives, many times
 MOVED_M = 0.05
 
 
-class Watch:
-    """What each robot says it does, beside the bus: datagrams five times a second."""
-
-    def __init__(self) -> None:
-        self.now: dict[int, dict[str, Any]] = {}
-        self.news = asyncio.Event()
-
-    def heard(self, intent: dict[str, Any]) -> None:
-        self.now[intent["slot"]] = intent
-        self.news.set()
-
-    async def until(self, what: str, holds: Callable[[dict[str, Any]], bool]) -> None:
-        """Of all robots at once."""
-        try:
-            async with asyncio.timeout(WAIT_S):
-                while len(self.now) < ROBOTS or not all(map(holds, self.now.values())):
-                    self.news.clear()
-                    await self.news.wait()
-        except TimeoutError:
-            raise AssertionError(f"{what}: {self.now}") from None
-
-    async def for_s(self, seconds: float) -> None:
-        over = asyncio.get_running_loop().time() + seconds
-        while asyncio.get_running_loop().time() < over:
-            self.news.clear()
-            await self.news.wait()
-
-    @property
-    def places(self) -> dict[int, tuple[float, float]]:
-        return {slot: (i["x"], i["y"]) for slot, i in self.now.items()}
+def stand(watch: Watch) -> bool:
+    return all(i["holds"] and hypot(i["vx"], i["vy"]) < STANDING_M_S for i in watch.now.values())
 
 
-def stands(intent: dict[str, Any]) -> bool:
-    return bool(intent["holds"]) and hypot(intent["vx"], intent["vy"]) < STANDING_M_S
+def know_they_are_off(watch: Watch) -> bool:
+    return stand(watch) and all("BUS_OFF" in i["holds"] for i in watch.now.values())
 
 
-def knows_it_is_off(intent: dict[str, Any]) -> bool:
-    return stands(intent) and "BUS_OFF" in intent["holds"]
-
-
-def works(intent: dict[str, Any]) -> bool:
-    return not intent["holds"] and len(intent["hears"]) == ROBOTS
+def places(watch: Watch) -> dict[int, tuple[float, float]]:
+    return {slot: (i["x"], i["y"]) for slot, i in watch.now.items()}
 
 
 async def hub(folder: Path, port: int) -> tuple[Process, int]:
@@ -71,11 +38,11 @@ async def hub(folder: Path, port: int) -> tuple[Process, int]:
 
 
 async def stands_and_goes_on(watch: Watch, told: str) -> None:
-    await watch.until(f"{told}: they stand", knows_it_is_off)
-    before = watch.places
+    await watch.until(f"{told}: they stand", lambda: know_they_are_off(watch))
+    before = places(watch)
     await watch.for_s(STOOD_S)
-    moved_m = max(dist(before[slot], place) for slot, place in watch.places.items())
-    assert moved_m < MOVED_M and all(map(stands, watch.now.values())), watch.now
+    moved_m = max(dist(before[slot], place) for slot, place in places(watch).items())
+    assert moved_m < MOVED_M and stand(watch), watch
 
 
 def test_a_hub_that_is_killed_hangs_and_comes_back(tmp_path: Path) -> None:
@@ -88,24 +55,24 @@ def test_a_hub_that_is_killed_hangs_and_comes_back(tmp_path: Path) -> None:
             await robots_up(launch, ROBOTS)
             where = json.loads((tmp_path / "runs/launch/bus.json").read_text())
             assert where["port"] == port
-            watch = Watch()
+            watch = Watch(ROBOTS)
             transport, watching = await asyncio.get_running_loop().create_datagram_endpoint(
-                lambda: Watching(watch.heard), remote_addr=("127.0.0.1", where["body_port"])
+                lambda: Watching(watch.told), remote_addr=("127.0.0.1", where["body_port"])
             )
             telling = asyncio.create_task(watching.run())
-            await watch.until("they work", works)
+            await watch.until("they work", watch.work)
 
             os.kill(bus.pid, signal.SIGSTOP)  # it hangs: connections stay, nothing comes
             await stands_and_goes_on(watch, "a hub that hangs")
             os.kill(bus.pid, signal.SIGCONT)
-            await watch.until("they work after the hub hung", works)
+            await watch.until("they work after the hub hung", watch.work)
 
             bus.kill()
             await bus.wait()
             await stands_and_goes_on(watch, "a hub that was killed")
             bus, _ = await hub(tmp_path, port)
             processes.append(bus)
-            await watch.until("they work on the new hub", works)
+            await watch.until("they work on the new hub", watch.work)
             code, text = await call(tmp_path, "estop", "--json")  # and hear a stop on it
             assert code == 0 and len(json.loads(text)["stopped"]) == ROBOTS, text
             telling.cancel()
