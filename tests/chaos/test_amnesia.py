@@ -4,49 +4,30 @@ A robot without its memory must not pass for the one that had it: it takes a new
 latched until a person has looked, and says so over any further restart.
 """
 
-from collections.abc import Awaitable, Callable, Iterable
+from collections.abc import Iterable
 from random import Random
 
 import pytest
 
 from agent.cause import Cause
-from agent.effects import Effect, Persist, Send
+from agent.effects import Persist, Send
 from agent.lifecycle import State
 from agent.safety import HOLD_KEY, LATCHED
 from protocol.fleet_frames import Heartbeat, Member, Pose
 from protocol.messages import Message
 from protocol.safety_frames import Command, EmergencyReset, EmergencyStop, OperatorCommand
-from sim.clock import elapse, run_virtual
+from sim.clock import elapse
 from sim.cluster import OPERATOR, Cluster
 from sim.disk import Disk, LogJournal, MemoryJournal, PowerCut
 from sim.expedition import Expedition
 from sim.scenario import Crash, Fault, Reset, Restart, load
 from sim.setting import Setting
 from sim.tape import lost
-
-Story = Callable[[Cluster, list[tuple[int, Effect]]], Awaitable[None]]
+from tests.chaos.at_work import Done, Story, at_work
 
 
 def play(story: Story, seed: int = 3) -> None:
-    """Three robots at work; the story gets the cluster and everything its robots do."""
-    seen: list[tuple[int, Effect]] = []
-
-    async def main() -> None:
-        setting = Setting(load("small").changed(3, seed))
-        cluster = Cluster(
-            setting, f"amnesia {seed}", lambda slot, _, effect: seen.append((slot, effect))
-        )
-        for slot in range(3):
-            cluster.journals[slot] = LogJournal(Disk())
-        cluster.boot_all()
-        try:
-            await elapse(5.0)
-            await story(cluster, seen)
-            assert not cluster.stops.violations
-        finally:
-            await cluster.close()
-
-    run_virtual(main())
+    at_work(load("small").changed(3, seed), story, disks=True)
 
 
 def lose_power(cluster: Cluster, slot: int, rng: Random) -> None:
@@ -80,18 +61,18 @@ def stopped(cluster: Cluster) -> list[bool]:
     return [robot.peer.state is State.EMERGENCY_STOP for robot in cluster.running]
 
 
-def said(seen: Iterable[tuple[int, Effect]], slot: int) -> list[Message]:
+def said(seen: Iterable[Done], slot: int) -> list[Message]:
     return [e.message for s, e in seen if s == slot and isinstance(e, Send)]
 
 
-def incarnations(seen: Iterable[tuple[int, Effect]], slot: int) -> list[int]:
+def incarnations(seen: Iterable[Done], slot: int) -> list[int]:
     """As said on the bus, without repetitions, in order."""
     return list(dict.fromkeys(m.incarnation for m in said(seen, slot) if isinstance(m, Member)))
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_power_cut_keeps_the_latch_and_the_identity(seed: int) -> None:
-    async def story(cluster: Cluster, seen: list[tuple[int, Effect]]) -> None:
+    async def story(cluster: Cluster, seen: list[Done]) -> None:
         press(cluster, 1)
         await elapse(0.2)
         assert all(stopped(cluster))
@@ -111,7 +92,7 @@ def test_a_power_cut_keeps_the_latch_and_the_identity(seed: int) -> None:
 
 
 def test_a_restart_is_neither_a_reset_nor_a_start() -> None:
-    async def story(cluster: Cluster, seen: list[tuple[int, Effect]]) -> None:
+    async def story(cluster: Cluster, seen: list[Done]) -> None:
         press(cluster, 0)
         await elapse(0.2)
         for dot in cluster.robots[1].peer.safety.stops.active:
@@ -133,7 +114,7 @@ def test_a_restart_is_neither_a_reset_nor_a_start() -> None:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_lost_disk_is_a_new_identity_that_stands_until_a_person_came(seed: int) -> None:
-    async def story(cluster: Cluster, seen: list[tuple[int, Effect]]) -> None:
+    async def story(cluster: Cluster, seen: list[Done]) -> None:
         for _ in range(3):  # restarts in between do not make it forget that it has forgotten
             lose_disk(cluster, 1)
             for _ in range(2):
@@ -154,7 +135,7 @@ def test_a_lost_disk_is_a_new_identity_that_stands_until_a_person_came(seed: int
 
 
 def test_a_robot_that_forgot_a_stop_is_told_of_it() -> None:
-    async def story(cluster: Cluster, seen: list[tuple[int, Effect]]) -> None:
+    async def story(cluster: Cluster, seen: list[Done]) -> None:
         press(cluster, 1)
         await elapse(0.2)
         (dot,) = cluster.robots[0].peer.safety.stops.active
@@ -172,7 +153,7 @@ def test_a_robot_that_forgot_a_stop_is_told_of_it() -> None:
 def test_a_dot_that_was_used_before_stops_everybody_all_the_same() -> None:
     """The worst lot: the new incarnation is the old one, and its first dot was cleared long ago."""
 
-    async def story(cluster: Cluster, seen: list[tuple[int, Effect]]) -> None:
+    async def story(cluster: Cluster, seen: list[Done]) -> None:
         press(cluster, 1)
         await elapse(0.2)
         await release(cluster)
@@ -192,7 +173,7 @@ def test_a_dot_that_was_used_before_stops_everybody_all_the_same() -> None:
 
 @pytest.mark.parametrize("step", range(1, 9))
 def test_nothing_is_said_that_a_failing_disk_did_not_take(step: int) -> None:
-    async def story(cluster: Cluster, seen: list[tuple[int, Effect]]) -> None:
+    async def story(cluster: Cluster, seen: list[Done]) -> None:
         journal, peer = cluster.journals[2], cluster.robots[2].peer
         assert isinstance(journal, LogJournal)
         written = lost(said(seen, 2), journal.load())
@@ -219,7 +200,7 @@ def test_nothing_is_said_that_a_failing_disk_did_not_take(step: int) -> None:
 
 
 def test_a_power_cut_in_the_middle_of_a_write_ends_the_robot_and_nobody_else() -> None:
-    async def story(cluster: Cluster, seen: list[tuple[int, Effect]]) -> None:
+    async def story(cluster: Cluster, seen: list[Done]) -> None:
         journal = cluster.journals[2]
         assert isinstance(journal, LogJournal)
         journal.disk.cut_at = journal.disk.steps + 1

@@ -1,12 +1,11 @@
 """A fleet with keys at work: it is stopped and released as one without, and by nobody else."""
 
-from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from agent.effects import Effect, Send
+from agent.effects import Send
 from agent.lifecycle import State
 from protocol.authentication import Signed
 from protocol.safety_frames import (
@@ -16,14 +15,13 @@ from protocol.safety_frames import (
     Freshness,
     OperatorCommand,
 )  # fmt: skip
-from sim.clock import elapse, run_virtual
+from sim.clock import elapse
 from sim.cluster import OPERATOR, Cluster
 from sim.expedition import Expedition
 from sim.key_file import fresh, write
 from sim.scenario import Crash, Estop, Reset, Restart, load
 from sim.setting import Setting
-
-Story = Callable[[Cluster, list[Effect]], Awaitable[None]]
+from tests.chaos.at_work import Done, Story, at_work
 
 
 @pytest.fixture
@@ -33,20 +31,7 @@ def keys(tmp_path: Path) -> Path:
 
 
 def play(keys: Path, story: Story) -> None:
-    seen: list[Effect] = []
-
-    async def main() -> None:
-        setting = Setting(load("small").changed(3, 5, keys))
-        cluster = Cluster(setting, f"keys {keys}", lambda slot, now_us, effect: seen.append(effect))
-        cluster.boot_all()
-        try:
-            await elapse(5.0)
-            await story(cluster, seen)
-            assert not cluster.stops.violations
-        finally:
-            await cluster.close()
-
-    run_virtual(main())
+    at_work(load("small").changed(3, 5, keys), story)
 
 
 def states(cluster: Cluster) -> set[State]:
@@ -80,7 +65,7 @@ def test_a_robot_that_was_away_for_many_stops_follows_again(keys: Path) -> None:
 
 
 def test_frames_without_a_tag_brake_for_a_moment_and_release_nothing(keys: Path) -> None:
-    async def story(cluster: Cluster, seen: list[Effect]) -> None:
+    async def story(cluster: Cluster, seen: list[Done]) -> None:
         cluster.inject(EmergencyStop(OPERATOR, 1, 1, 1))
         await elapse(0.1)
         assert not any(r.peer.safety.may_move for r in cluster.running)
@@ -103,7 +88,7 @@ def test_frames_without_a_tag_brake_for_a_moment_and_release_nothing(keys: Path)
 
 
 def test_what_an_operator_said_once_releases_nothing_later(keys: Path) -> None:
-    async def story(cluster: Cluster, seen: list[Effect]) -> None:
+    async def story(cluster: Cluster, seen: list[Done]) -> None:
         heard: list[Any] = []
         order = cluster.order
 
@@ -134,12 +119,12 @@ def test_what_an_operator_said_once_releases_nothing_later(keys: Path) -> None:
 
 
 def test_proofs_nobody_asked_for_are_refused(keys: Path) -> None:
-    async def story(cluster: Cluster, seen: list[Effect]) -> None:
+    async def story(cluster: Cluster, seen: list[Done]) -> None:
         for n in range(20):
             cluster.inject(Freshness(OPERATOR, n, n))
         await elapse(0.5)
         rings = [r.peer.safety.authority.keyring for r in cluster.running]
         assert not any(ring._proven_us for ring in rings if ring is not None)
-        assert not any(isinstance(e, Send) and isinstance(e.message, Freshness) for e in seen)
+        assert not any(isinstance(e, Send) and isinstance(e.message, Freshness) for _, e in seen)
 
     play(keys, story)
