@@ -6,7 +6,7 @@ circle, constraints are added robot by robot until every successor has been trie
 complete: it finds a plan wherever one exists on the lattice, and says that there is none otherwise.
 Both within `STEPS_MAX`; a pure function of its arguments, so that all robots compute the same.
 The first plan found is seldom a good one. `planned` makes some, shortens each (`agent/timetable.py`),
-and takes the one that is fairest.
+and takes the one that is fairest; that of many robots is made fairer (`agent/regrouping.py`).
 
 A plan is driven without a common clock. What is kept of it is each robot's route, and in which
 order robots visit each node: whoever comes after somebody waits until that one has gone on.
@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.pibt import NOWHERE, grown, step, ways
+from agent.regrouping import regroup
 from agent.timetable import Timetable
 
 Ints = NDArray[np.int32]
@@ -29,6 +30,7 @@ TRIED_MAX = (
     160  # robots in all of them: a robot that computes longer than 0.1 s is missed by the others
 )
 PUT_BACK_MAX = 200  # robots in each of them: 0.3 ms each among a hundred, most are never needed
+FEW = 10  # robots: the fairest of their tries is good, and waits of more are worth more time than that
 TRIED_SALT = 1 << 16  # between the salts of two tries: rounds are counted in 16 bits
 
 
@@ -148,7 +150,11 @@ def planned(
             best = cost, JointPlan.of(table.steps)
             urgency = waits.astype(np.float64)
     assert best is not None
-    return best[1]
+    if len(starts) <= FEW:
+        return best[1]
+    table = Timetable(near, far, goals, best[1].tracks())
+    regroup(near, far, np.array(goals, dtype=np.int32), table.track, salt)
+    return JointPlan.of(table.steps)
 
 
 class Turn(NamedTuple):

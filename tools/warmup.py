@@ -57,6 +57,8 @@ def _agreement() -> None:
 
     floor = Floor.drawn("...\n...", 1.0, 0.35)
     planned(floor.lattice.near, [0, 2], [2, 0])  # one of them has to wait: it is put back, too
+    hall = Floor.drawn("\n".join(["....."] * 4), 1.0, 0.35)
+    planned(hall.lattice.near, list(range(12)), list(range(11, -1, -1)))  # many: in groups
     here = Observation(1.5, 0.5, 0.0, 0.0, 0.0, (0.5, 1.0, 1.5))
     Sensed(floor.fences, 0.35).strange(here, 5.0, [(0.5, 0.5)])
 
