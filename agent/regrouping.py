@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 Ints = NDArray[np.int32]
 GROUP_MAX = 8  # robots taken out together; 4 and 6 get stuck more often, 10 are seldom put back
-GROUPS_MAX = 300  # taken out in all; three times as many save 2 moves of the longest wait of 24
+GROUPS_EACH = 3  # groups for each robot; three times as many save 2 moves of the longest wait of 24
 LOOKS_MAX = (
     40_000_000  # nodes at a time that are looked at in all, 1 s; a hundred robots take a third
 )
@@ -274,5 +274,5 @@ def regroup(near: Ints, far: Ints, goals: Ints, track: Ints, salt: int) -> None:
     state = np.array([salt], dtype=np.uint64)
     _regrouped(
         near, far, goals, track, owner, waits, back, (np.concatenate(round_goals), bounds), room,
-        GROUPS_MAX, state,
+        GROUPS_EACH * count, state,
     )  # fmt: skip
