@@ -17,9 +17,11 @@ from agent.absence import Absence
 from agent.auction import Planner
 from agent.config import MS, S
 from agent.cost_matrix import FULL
-from agent.lifecycle import State
+from agent.freezing import anew, hastened
+from agent.haste import REPLAN_US as HASTE_US
+from agent.haste import Haste
 from agent.mission import FleetView, Record
-from agent.plan_round import SLICE_US, Frozen, PlanRound
+from agent.plan_round import SLICE_US, PlanRound
 from agent.task_book import TASKS_MAX, Order, TaskBook
 from agent.telling import STOPS_MAX, Telling, Told
 from agent.warehouse import Standing, Warehouse
@@ -66,9 +68,12 @@ class Dispatch:
         self.itinerary: list[int] = []  # tasks that we mean to begin, not those begun
         self.telling = Telling(now_us)
         self.absence = Absence()
-        self.added: dict[int, int] = {}  # task: when we first knew of it; of tasks after the start
+        self.haste = Haste(now_us)
         self.left = FULL
         self._auction: Auction | None = None
+        self._rival: tuple[int, tuple[int, int]] | None = (
+            None  # the first bid for a task, of another
+        )
         self._awarded: dict[int, int] = {}  # task: until when its winner is waited for
         self._born_us, self._look_us, self._many_us, self._round_us = now_us, now_us, 0, 0
         self._done: set[int] = set()
@@ -99,8 +104,7 @@ class Dispatch:
         self.round.tick(now_us)
         for offer in self._calls:
             if self.round.wanted(offer):
-                self.round.join(offer, self._frozen(view, able), now_us)
-                self._provisional(able)
+                self._begin_round(view, able, offer)
         self._calls.clear()
         if self.round.adopted is not None:
             self._adopt(view)
@@ -115,8 +119,9 @@ class Dispatch:
         self.absence.look(view)
         self._tidy(view)
         if not self.round.active:
-            fresh, orphans = self._open(view)
+            fresh, orphans = self.open(view)
             self._consider(fresh, orphans, view, able)
+        self._rival = None
 
     def _consider(self, fresh: list[int], orphans: list[int], view: FleetView, able: bool) -> None:
         now_us = view.now_us
@@ -132,10 +137,15 @@ class Dispatch:
                 replan_us = min(
                     max(len(fresh) * MOVES_A_TASK // 15_000 * SLICE_US, REPLAN_US[0]), REPLAN_US[1]
                 )
-                self.round.call(self._frozen(view, able), replan_us, now_us)
-                self._provisional(able)
+                self._begin_round(view, able, replan_us=replan_us)
         elif self._auction is None and (fresh or orphans):
-            self._open_auction(fresh[0] if fresh else orphans[0], not fresh, view, able)
+            self._open_auction([*fresh, *orphans], len(fresh), view, able)
+        elif self._auction is None:
+            means = {task for slot in view.live for task in self.means(slot)}
+            waiting = sum(view.allocation.phase_of(task) is Phase.FREE for task in means)
+            before_us = STAGGER_US * self._order(view)
+            if self.haste.due(now_us - before_us, self.book.added, waiting, len(view.live)):
+                self._begin_round(view, able, replan_us=HASTE_US, haste=True)
 
     def _plan_stops(self, view: FleetView) -> None:
         """What we tell and show: with the bay that we are at, or that we shall have to go to."""
@@ -148,7 +158,7 @@ class Dispatch:
     def _order(self, view: FleetView) -> int:
         return sum(slot < self.slot for slot in view.live)
 
-    def _open(self, view: FleetView) -> tuple[list[int], list[int]]:
+    def open(self, view: FleetView) -> tuple[list[int], list[int]]:
         """Tasks in nobody's itinerary; and those whose owner is silent and has lost its lease, the last
         of its order first."""
         allocation, now_us = view.allocation, view.now_us
@@ -219,9 +229,16 @@ class Dispatch:
 
     # ---------------------------------------------------------------- scenario B
 
-    def _open_auction(self, task: int, behind: bool, view: FleetView, able: bool) -> None:
-        bid = self._bid(task, behind, view) if able else None
+    def _open_auction(self, tasks: list[int], fresh: int, view: FleetView, able: bool) -> None:
+        """For the first, or for what another has bid for. `fresh`: so many of them, then orphans."""
+        rival = self._rival
+        if rival is not None and rival[0] not in tasks:
+            rival = None
+        task = tasks[0] if rival is None else rival[0]
+        bid = self._bid(task, tasks.index(task) >= fresh, view) if able else None
         best = None if bid is None else (bid.cost_ms, self.slot)
+        if rival is not None and (best is None or rival[1] < best):
+            best, bid = rival[1], None
         self._auction = Auction(task, view.now_us + BIDS_US, best, bid)
 
     def standing(self, view: FleetView) -> Standing:
@@ -237,7 +254,8 @@ class Dispatch:
         trips = [self.house.trip(self.book.tasks[t]) for t in order]
         planner = Planner(self.house.work(trips, [self.standing(view)]))
         last = len(order) - 1
-        place, cost_ms = planner.inserted(0, range(last), last, last if behind else 0)
+        first = last if behind else self.haste.held(self.itinerary, view.now_us)
+        place, cost_ms = planner.inserted(0, range(last), last, first)
         if cost_ms >= IMPOSSIBLE_MS:
             return None
         return TaskBid(task, min(cost_ms, 0xFFFFFFFF), min(place, 0xFF), int(behind))
@@ -248,7 +266,11 @@ class Dispatch:
         told = (bid.cost_ms, slot)
         auction = self._auction
         if auction is None or auction.task != bid.task:
-            self._awarded[bid.task] = now_us + BIDS_US + AWARDED_US  # others are at it
+            rival = (bid.task, told) if self._rival is None else self._rival
+            if auction or rival[0] != bid.task or self._awarded.get(bid.task, 0) > now_us:
+                self._awarded[bid.task] = now_us + BIDS_US + AWARDED_US  # others are at it
+            else:  # our control period is later
+                self._rival, self._look_us = min(rival, (bid.task, told)), now_us
             return
         if auction.best is None or told < auction.best:
             self._auction = auction._replace(best=told, mine=None)
@@ -271,36 +293,28 @@ class Dispatch:
 
     # ---------------------------------------------------------------- scenarios A and C
 
-    def _frozen(self, view: FleetView, able: bool) -> Frozen:
-        """The problem as we see it: free tasks of the living, and when and where each will be free."""
-        robots = [self.standing(view)] if able else []
-        for slot in sorted(view.live - {self.slot}):
-            neighbour = view.neighbours.get(slot)
-            if neighbour is not None and neighbour.pose.state in (
-                State.IDLE,
-                State.WORKING,
-                State.SYNCHRONIZING,
-            ):
-                robots.append(self._standing_of(slot, view))
-        robots.sort()
-        fresh, _ = self._open(view)
-        planned = {t for s, told in self.told.items() if s in view.live for t in told.whole}
-        wanted = sorted({*fresh, *self.itinerary, *planned} & self.book.tasks.keys())
-        tasks = [
-            task for task in wanted
-            if view.allocation.phase_of(task) is Phase.FREE
-            and not view.progress.bits(task, 0)
-            and self.house.known(self.book.tasks[task])
-            and task not in self.cut
-        ]  # fmt: skip
-        trips = [self.house.trip(self.book.tasks[task]) for task in tasks]
-        work = self.house.work(trips, robots)
-        return Frozen(tuple(r.slot for r in robots), tuple(tasks), work)
+    def _begin_round(
+        self, view: FleetView, able: bool, offer: PlanOffer | None = None, replan_us: int = 0,
+        haste: bool = False,
+    ) -> None:  # fmt: skip
+        """Join the one that is offered, or call one."""
+        haste = haste or (offer is not None and offer.hastens)
+        frozen = (hastened if haste else anew)(self, view, able)
+        self.haste.planned(view.now_us, self.book.added)
+        if offer is None:
+            self.round.call(frozen, replan_us, view.now_us)
+        else:
+            self.round.join(offer, frozen, view.now_us)
+        if not self.itinerary and able:
+            # At the boot the auction's plan, which all compute alike, holds until there is a better one.
+            self.itinerary = list(self.round.first.get(self.slot, []))
 
-    def _standing_of(self, slot: int, view: FleetView) -> Standing:
-        pose = view.neighbours[slot].pose
-        left = self.told[slot].left if slot in self.told else FULL
-        return self.through(Standing(slot, (pose.x_m, pose.y_m), 0, left), view)
+    def means(self, slot: int) -> Sequence[int]:
+        """The tasks that a robot means to begin, in its order, as far as we know."""
+        if slot == self.slot:
+            return self.itinerary
+        whole = self.told[slot].whole if slot in self.told else ()
+        return [stop for stop in whole if stop in self.book]
 
     def through(self, standing: Standing, view: FleetView) -> Standing:
         """After what a robot has claimed or begun: a task to its dropoff, a charge to the full."""
@@ -310,27 +324,40 @@ class Dispatch:
                 loaded = bool(view.progress.bits(section, 0))
                 standing = self.house.after(standing, self.house.trip(order), loaded)
             elif order is None and self.house.bays:
-                carrier, bay = self.house.carrier, self.house.bays[self.house.bay_of(section)]
-                charge_ms = round((carrier.dock_s + carrier.charge_s) * 1000)
-                standing = Standing(standing.slot, bay, standing.ready_ms + charge_ms, FULL)
+                standing = self._charged(standing, section)
         return standing
 
-    def _provisional(self, able: bool) -> None:
-        """At the boot the auction's plan, which all compute alike, holds until there is a better one."""
-        if not self.itinerary and able:
-            self.itinerary = list(self.round.first.get(self.slot, []))
+    def after_all(self, standing: Standing, tasks: Sequence[int]) -> Standing:
+        """After tasks of an itinerary, with the charges that they need."""
+        orders = self.book.tasks
+        known = [task for task in tasks if self.house.known(orders[task])]
+        for stop in self.house.charged_between(standing, known, orders):
+            if stop >= TASKS_MAX:
+                standing = self._charged(standing, stop)
+            else:
+                standing = self.house.after(standing, self.house.trip(orders[stop]), False)
+        return standing
+
+    def _charged(self, standing: Standing, section: int) -> Standing:
+        carrier, bay = self.house.carrier, self.house.bays[self.house.bay_of(section)]
+        charge_ms = round((carrier.dock_s + carrier.charge_s) * 1000)
+        return Standing(standing.slot, bay, standing.ready_ms + charge_ms, FULL)
 
     def _adopt(self, view: FleetView) -> None:
         rows, self.round.adopted = self.round.adopted, None
         assert rows is not None
         planned = {task for row in rows.values() for task in row}
-        kept = [task for task in self.itinerary if task not in planned]
-        self.itinerary = [*rows.get(self.slot, []), *kept]
         for slot, row in rows.items():
-            if slot != self.slot:
+            means = self.means(slot)
+            held = self.haste.held(means, view.now_us)
+            first = [task for task in means[:held] if task not in planned]
+            if slot == self.slot:
+                kept = [task for task in means[held:] if task not in planned]
+                self.itinerary = [*first, *row, *kept]
+            else:
                 old = self.told.get(slot)
                 left, version = (FULL, 0) if old is None else (old.left, old.version)
-                self.told[slot] = Told(version, {}, 0, left, tuple(row))
+                self.told[slot] = Told(version, {}, 0, left, (*first, *row))
         self._tidy(view)
         self.telling.changed(view.now_us)
 
@@ -340,7 +367,8 @@ class Dispatch:
         if isinstance(message, TaskOrder | TaskBookDigest):
             added = self.book.added
             records = self.book.hear(message, now_us)
-            if self.book.added > added:
+            if self.book.added > added and isinstance(message, TaskOrder):
+                self.haste.known(message.task, now_us)
                 self._look_us = now_us  # all who have heard it bid at once, not one after the other
             return records
         if slot is not None:

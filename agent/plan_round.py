@@ -1,9 +1,10 @@
 """Scenarios A and C: all robots search at once, each with its own seed; the cheapest plan is adopted.
 
 A round has four steps. Somebody calls it and says how long it takes. Everybody freezes the problem and
-starts from the same auction. When time is up each offers what its plan costs, in silence if it has heard
-of a better one; the least is elected, lower slots first among equals, and the term of that election is
-the number of the round: nothing of an older one is believed. The elected streams its plan row by row;
+starts from the same auction; or from what is planned, where tasks are only to wait less. When time is up
+each offers what its plan costs, in silence if it has heard of a better one; the least is elected, lower
+slots first among equals, and the term of that election is the number of the round: nothing of an older
+one is believed. The elected streams its plan row by row;
 where it falls silent the others elect the second best. Adopted is a plan whose digest is the offered.
 
 What each froze need not be the same to the metre: whose plan is adopted has planned for all.
@@ -17,12 +18,14 @@ from zlib import crc32
 
 from agent.auction import Planner
 from agent.config import MS
-from agent.workload import IMPOSSIBLE_MS, Itineraries, Workload
-from protocol.delivery_frames import NO_TASK, PlanOffer, PlanRow
+from agent.workload import Itineraries, Workload
+from protocol.delivery_frames import HASTENS, NO_TASK, PlanOffer, PlanRow
 
 SLICE_US = 50 * MS  # a control period
 SLICE_MOVES = 15_000  # of the search in each: 10 ms of a small computer's 50; and
 SLICE_MOVES_CHARGING = 3_000  # where routes are walked with bays: as long
+SLICE_MOVES_HASTE = 2_000  # more found nothing more
+WORTH = 0.99  # of the waiting before: a better plan is worth its frames
 REPLAN_UNIT_US = 250 * MS
 REPLAN_US_MAX = 255 * REPLAN_UNIT_US
 OFFERS_US = 500 * MS  # offers are collected this long; the bus is through with all in a tenth of it
@@ -41,6 +44,7 @@ class Frozen(NamedTuple):
     slots: tuple[int, ...]
     tasks: tuple[int, ...]
     work: Workload
+    plan: Itineraries | None = None  # to begin from, so that its tasks wait less; None: anew
 
 
 class Step(Enum):
@@ -61,6 +65,7 @@ class PlanRound:
         self._frozen: Frozen | None = None
         self._planner: Planner | None = None
         self._plan: Itineraries = []
+        self._hastens = False
         self._slices = self._done = self._calls = 0
         self._replan = 0
         self._offers: dict[int, tuple[int, int]] = {}  # slot: cost, digest
@@ -77,7 +82,7 @@ class PlanRound:
 
     def left_us(self, now_us: int) -> int:
         """Until new itineraries can be expected."""
-        if self.step is Step.REST:
+        if self.step is Step.REST or self._hastens:
             return 0
         return max(self.ends_us - now_us, 0) + (OFFERS_US if self.step is Step.SEARCH else 0)
 
@@ -101,7 +106,8 @@ class PlanRound:
         self.number, self.step, self._replan = number, Step.SEARCH, units
         self.ends_us = now_us + units * REPLAN_UNIT_US
         self._frozen, self._planner = frozen, Planner(frozen.work)
-        self._plan = self._planner.auctioned()
+        self._hastens = frozen.plan is not None
+        self._plan = self._planner.auctioned() if frozen.plan is None else frozen.plan
         self.first = self._rows()
         self._slices, self._done = units * REPLAN_UNIT_US // SLICE_US, 0
         self._offers, self._told, self._lengths = {}, {}, {}
@@ -129,19 +135,33 @@ class PlanRound:
         assert self._planner is not None
         if now_us < self.ends_us:
             if self._done < self._slices:
-                hot = HOT * (COLD / HOT) ** (self._done / self._slices)
-                cold = HOT * (COLD / HOT) ** ((self._done + 1) / self._slices)
-                moves = SLICE_MOVES if self._planner.work.power is None else SLICE_MOVES_CHARGING
-                self._plan = self._planner.improved(
-                    self._plan, self.seed + self._done, moves, (hot, cold)
-                )
+                self._plan = self._slice(self._planner)
                 self._done += 1
             return
         self.step, self.ends_us = Step.OFFER, now_us + OFFERS_US
         self._mine = self._rows()
-        worth = self._planner.worth(self._plan)
-        if worth.makespan_ms < IMPOSSIBLE_MS:
-            self._offers[self.slot] = (min(worth.makespan_ms, 0xFFFFFFFF), digest_of(self._mine))
+        cost_ms = self._cost_ms(self._planner)
+        if cost_ms is not None:
+            self._offers[self.slot] = (min(cost_ms, 0xFFFFFFFF), digest_of(self._mine))
+
+    def _slice(self, planner: Planner) -> Itineraries:
+        seed = self.seed + self._done
+        if self._hastens:
+            return planner.hastened(self._plan, seed, SLICE_MOVES_HASTE)
+        hot = HOT * (COLD / HOT) ** (self._done / self._slices)
+        cold = HOT * (COLD / HOT) ** ((self._done + 1) / self._slices)
+        moves = SLICE_MOVES if planner.work.power is None else SLICE_MOVES_CHARGING
+        return planner.improved(self._plan, seed, moves, (hot, cold))
+
+    def _cost_ms(self, planner: Planner) -> int | None:
+        """What our plan costs; None: it is none, or not worth its frames."""
+        if self._hastens:
+            assert self._frozen is not None and self._frozen.plan is not None
+            before_ms = planner.waiting_ms(self._frozen.plan)
+            cost_ms = planner.waiting_ms(self._plan)
+            return cost_ms if worth_streaming(before_ms, cost_ms) else None
+        worth = planner.worth(self._plan)
+        return worth.makespan_ms if worth.feasible else None
 
     def _rank(self) -> list[int]:
         return sorted(self._offers, key=lambda slot: (self._offers[slot], slot))
@@ -204,12 +224,19 @@ class PlanRound:
         if self.step is Step.SEARCH and self._calls:
             self._calls -= 1
             left_us = max(self.ends_us - now_us, 1)
-            yield PlanOffer(self.number, ceil(left_us / REPLAN_UNIT_US), 0, 0)
+            yield PlanOffer(
+                self.number, ceil(left_us / REPLAN_UNIT_US), HASTENS if self._hastens else 0, 0
+            )
         elif self.step is Step.OFFER and self._rank()[:1] == [self.slot]:
             yield PlanOffer(self.number, 0, *self._offers[self.slot])
         elif self.step is Step.STREAM:
             yield from self._queue[:ROWS_A_BEAT]
             del self._queue[:ROWS_A_BEAT]
+
+
+def worth_streaming(before_ms: int, after_ms: int) -> bool:
+    """Of what planned tasks wait in sum, and would wait."""
+    return after_ms < before_ms * WORTH
 
 
 def _newer(a: int, b: int) -> bool:

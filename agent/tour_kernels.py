@@ -40,14 +40,15 @@ def _keep(times, used, count, time, energy):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def span_charging(r, seq, n, ready, lead_bay_ms, lead, power):  # type: ignore[no-untyped-def]
-    """When a robot is through a sequence, bays visited where it pays; IMPOSSIBLE where it runs dry."""
+def _walk_charging(r, seq, n, ready, lead_bay_ms, lead, power):  # type: ignore[no-untyped-def]
+    """`walk` with bays visited where it pays; IMPOSSIBLE where it runs dry."""
     (capacity, dock, rate, left, lead_e, link_e, home, lead_bay_e, to_bay_ms, to_bay_e,
      from_bay_ms, from_bay_e, link) = power  # fmt: skip
     bays = from_bay_ms.shape[0]
     times, used = np.empty(LABELS, np.int64), np.empty(LABELS, np.int64)
     new_times, new_used = np.empty(LABELS, np.int64), np.empty(LABELS, np.int64)
     times[0], used[0], count = ready[r], capacity - left[r], 1
+    through, total = ready[r], 0
     for k in range(n):
         j = seq[k]
         i = seq[k - 1] if k > 0 else -1
@@ -66,31 +67,39 @@ def span_charging(r, seq, n, ready, lead_bay_ms, lead, power):  # type: ignore[n
                 time = times[m] + there_ms + charge_ms + from_bay_ms[c, j]
                 fresh = _keep(new_times, new_used, fresh, time, from_bay_e[c, j])
         if fresh == 0:
-            return IMPOSSIBLE
-        count = fresh
+            return IMPOSSIBLE, IMPOSSIBLE
+        count, through = fresh, new_times[0]
         for m in range(count):
             times[m], used[m] = new_times[m], new_used[m]
-    best = times[0]
-    for m in range(1, count):
-        best = min(best, times[m])
-    return best
+            through = min(through, times[m])
+        total += through
+    return through, total
+
+
+@njit(cache=True)
+def walk(r, seq, n, ready, lead, link, lead_bay_ms, power, charging):  # type: ignore[no-untyped-def]
+    """When robot `r` is through the first `n` tasks of a sequence, and the sum over them of when it is
+    through with each."""
+    if n == 0:
+        return ready[r], 0
+    if charging:
+        return _walk_charging(r, seq, n, ready, lead_bay_ms, lead, power)
+    time = ready[r] + lead[r, seq[0]]
+    total = time
+    for k in range(1, n):
+        time += link[seq[k - 1], seq[k]]
+        total += time
+    return time, total
 
 
 @njit(cache=True)
 def span(r, seq, n, ready, lead, link, lead_bay_ms, power, charging):  # type: ignore[no-untyped-def]
     """When robot `r` is through the first `n` tasks of a sequence."""
-    if n == 0:
-        return ready[r]
-    if charging:
-        return span_charging(r, seq, n, ready, lead_bay_ms, lead, power)
-    time = ready[r] + lead[r, seq[0]]
-    for k in range(1, n):
-        time += link[seq[k - 1], seq[k]]
-    return time
+    return walk(r, seq, n, ready, lead, link, lead_bay_ms, power, charging)[0]
 
 
 @njit(cache=True)
-def _put(seq, n, task, at, out):  # type: ignore[no-untyped-def]
+def put(seq, n, task, at, out):  # type: ignore[no-untyped-def]
     for k in range(at):
         out[k] = seq[k]
     out[at] = task
@@ -103,7 +112,7 @@ def best_place(r, seq, n, task, first, ready, lead, link, lead_bay_ms, power, ch
     """Where in a route a task is through the earliest for the robot, and when; not before `first`."""
     best, place = IMPOSSIBLE, n
     for at in range(first, n + 1):
-        _put(seq, n, task, at, out)
+        put(seq, n, task, at, out)
         time = span(r, out, n + 1, ready, lead, link, lead_bay_ms, power, charging)
         if time < best:
             best, place = time, at
@@ -147,7 +156,7 @@ def auction(route, size, free, ready, lead, link, lead_bay_ms, power, charging):
                     best, winner, taker = bid[t, r], t, r
         if winner < 0:
             return left
-        _put(route[taker], size[taker], free[winner], place[winner, taker], out)
+        put(route[taker], size[taker], free[winner], place[winner, taker], out)
         size[taker] += 1
         route[taker, : size[taker]] = out[: size[taker]]
         given[winner] = True
@@ -256,7 +265,7 @@ def _below(state, n):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _propose(route, size, of, at, near, state, new_a, new_b):  # type: ignore[no-untyped-def]
+def propose(route, size, of, at, near, state, new_a, new_b):  # type: ignore[no-untyped-def]
     """A move by the dice, carried out in `new_a` and `new_b`: both routes and their sizes; a size
     below 0: it was none."""
     tasks = len(of)
@@ -286,7 +295,7 @@ def _accepted(before_a, before_b, ta, tb, same, scale, temperature, state):  # t
 
 
 @njit(cache=True)
-def _write(route, size, times, of, at, r, tasks, n, time):  # type: ignore[no-untyped-def]
+def write(route, size, times, of, at, r, tasks, n, time):  # type: ignore[no-untyped-def]
     times[r], size[r] = time, n
     for k in range(n):
         route[r, k] = tasks[k]
@@ -307,7 +316,7 @@ def search(  # type: ignore[no-untyped-def]
     of, at = np.full(len(link), -1, np.int64), np.zeros(len(link), np.int64)
     for r in range(robots):
         time = span(r, route[r], size[r], ready, lead, link, lead_bay_ms, power, charging)
-        _write(route, size, times, of, at, r, route[r].copy(), size[r], time)
+        write(route, size, times, of, at, r, route[r].copy(), size[r], time)
     total = times.sum()
     best_most, best_total = times.max(), total
     if total == 0:
@@ -319,7 +328,7 @@ def search(  # type: ignore[no-untyped-def]
     temperature = hot * scale
     for _ in range(moves):
         temperature *= cooling
-        a, b, n, m = _propose(route, size, of, at, near, state, new_a, new_b)
+        a, b, n, m = propose(route, size, of, at, near, state, new_a, new_b)
         if n < 0 or n > room or m > room:
             continue
         ta = span(a, new_a, n, ready, lead, link, lead_bay_ms, power, charging)
@@ -331,10 +340,10 @@ def search(  # type: ignore[no-untyped-def]
         if not _accepted(times[a], times[b], ta, tb, a == b, scale, temperature, state):
             continue
         total += ta - times[a]
-        _write(route, size, times, of, at, a, new_a, n, ta)
+        write(route, size, times, of, at, a, new_a, n, ta)
         if a != b:
             total += tb - times[b]
-            _write(route, size, times, of, at, b, new_b, m, tb)
+            write(route, size, times, of, at, b, new_b, m, tb)
         if max(ta, tb) > best_most:
             continue
         most = times.max()
@@ -342,20 +351,3 @@ def search(  # type: ignore[no-untyped-def]
             best_most, best_total = most, total
             best_route[:], best_size[:] = route, size
     route[:], size[:] = best_route, best_size
-
-
-@njit(cache=True)
-def least_waiting(r, seq, n, task, first, ready, lead, link, lead_bay_ms, power, charging, out):  # type: ignore[no-untyped-def]
-    """Where in a route a task makes all tasks of the route wait the least in sum, and how much more."""
-    before = 0
-    for k in range(1, n + 1):
-        before += span(r, seq, k, ready, lead, link, lead_bay_ms, power, charging)
-    best, place = IMPOSSIBLE, n
-    for at in range(first, n + 1):
-        _put(seq, n, task, at, out)
-        after = 0
-        for k in range(1, n + 2):
-            after += span(r, out, k, ready, lead, link, lead_bay_ms, power, charging)
-        if after - before < best:
-            best, place = after - before, at
-    return best, place

@@ -12,6 +12,7 @@ ROW = Struct("<BBBBHH")
 assert all(layout.size == 8 for layout in (ORDER, BOOK, BID, ITINERARY, OFFER, ROW))
 
 BUCKET_TASKS = 48  # of a TASK_BOOK frame
+HASTENS = 1  # of a PLAN_OFFER frame
 NO_TASK = 0xFFFF  # fills an itinerary's last frame
 
 
@@ -116,7 +117,8 @@ class PlanOffer(NamedTuple):
     byte  field   type  meaning
     0     round   u8    counts the rounds of the fleet
     1     replan  u8    begin: how long the search takes, 0.25 s; 0: this is an offer
-    2..5  cost    u32   last finish of the offered plan, ms; less is better
+    2..5  cost    u32   last finish of the offered plan, ms; less is better. Where tasks are only to wait
+                        less: their waiting in sum. Of a begin: 1 where that is what is wanted
     6..7  digest  u16   of the plan
     """
 
@@ -124,6 +126,11 @@ class PlanOffer(NamedTuple):
     replan: int
     cost_ms: int
     digest: int
+
+    @property
+    def hastens(self) -> bool:
+        """It calls a round in which planned tasks are to wait less."""
+        return self.replan > 0 and self.cost_ms == HASTENS
 
     def pack(self) -> bytes:
         return OFFER.pack(*self)

@@ -5,34 +5,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from agent.auction import Planner
-from agent.cost_matrix import FULL, Carrier, CostMatrix, Trip, workload
-from agent.floor import Floor
-from agent.nav_mesh import Mesh
-from agent.workload import Workload
-
-MAP = "\n".join(["." * 14, "." * 3 + "#" * 8 + "." * 3] * 4 + ["." * 14])
-
-
-def costs() -> CostMatrix:
-    floor = Floor.drawn(MAP, 1.0, 0.3)
-    return CostMatrix(Mesh(floor.inflated, floor.origin, floor.fine_m))
-
-
-COSTS = costs()
-ROWS = (0, 2, 4, 6, 8)
-
-
-def trips(count: int, rng: np.random.Generator) -> list[Trip]:
-    def place() -> tuple[float, float]:
-        return float(rng.integers(14)) + 0.5, float(rng.choice(ROWS)) + 0.5
-
-    return [Trip(place(), place()) for _ in range(count)]
-
-
-def random_work(robots: int, tasks: int, seed: int) -> Workload:
-    rng = np.random.default_rng(seed)
-    starts = [trip.pickup for trip in trips(robots, rng)]
-    return workload(COSTS, Carrier(1.0, 2.0), trips(tasks, rng), starts, [0] * robots)
+from agent.cost_matrix import FULL, Carrier, workload
+from tests.agent.planning import COSTS, random_work, trips
 
 
 @settings(max_examples=40, deadline=None)

@@ -2,51 +2,12 @@
 
 from random import Random
 
-import numpy as np
 import pytest
 
-from agent.plan_round import SLICE_US, Frozen, PlanRound, Step, digest_of
+from agent.plan_round import PlanRound, Step, digest_of
 from agent.task_book import Order, TaskBook
-from agent.workload import Workload
 from protocol.delivery_frames import PlanRow
-
-
-def frozen(robots: int, tasks: int, seed: int) -> Frozen:
-    rng = np.random.default_rng(seed)
-    lead = rng.integers(1_000, 60_000, (robots, tasks))
-    link = rng.integers(1_000, 60_000, (tasks, tasks))
-    return Frozen(
-        tuple(range(robots)), tuple(100 + t for t in range(tasks)),
-        Workload(np.zeros(robots, dtype=np.int64), lead, link),
-    )  # fmt: skip
-
-
-def play(robots: int, loss: float, seed: int, dies_streaming: bool = False) -> list[PlanRound]:
-    """Until all are at rest; those that live."""
-    print(f"seed {seed}")
-    rng, problem = Random(seed), frozen(robots, 12, seed)
-    peers = {slot: PlanRound(slot, seed + slot) for slot in range(robots)}
-    peers[0].call(problem, 1_000_000, 0)
-    now_us = 0
-    for _ in range(400):
-        now_us += SLICE_US
-        for slot, peer in list(peers.items()):
-            peer.tick(now_us)
-            for said in list(peer.say(now_us)):
-                if dies_streaming and isinstance(said, PlanRow):
-                    del peers[slot]
-                    dies_streaming = False
-                    break
-                for other_slot, other in peers.items():
-                    if other_slot == slot or rng.random() < loss:
-                        continue
-                    if not isinstance(said, PlanRow) and other.wanted(said):
-                        other.join(said, problem, now_us)
-                    else:
-                        other.hear(slot, said, now_us)
-        if all(peer.step is Step.REST for peer in peers.values()):
-            break
-    return list(peers.values())
+from tests.agent.planning import frozen, play
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -97,6 +97,19 @@ def test_tasks_in_a_trickle_are_auctioned_one_by_one() -> None:
     assert outcome.frames["TaskBid"] >= 5
 
 
+def test_who_hears_a_bid_before_its_own_control_period_bids_too() -> None:
+    """Found by rounds over a queue: the first robot's bid kept all others out, and it did everything."""
+    carried: set[int] = set()
+
+    def watch(cluster: HaulCluster) -> None:
+        carried.update(cluster.truth.aboard)
+
+    outcome, _ = play(scenario(random_tasks=5, random_over_s=40.0), watch)
+    assert outcome.finished
+    assert len(carried) >= 2
+    assert outcome.makespan_s < 60.0  # the last task comes after 27 s
+
+
 @pytest.mark.parametrize(("count", "rounds"), [(4, 0), (5, 1)])
 def test_up_to_t_max_new_tasks_are_inserted_and_more_are_planned_anew(
     count: int, rounds: int
@@ -109,6 +122,19 @@ def test_up_to_t_max_new_tasks_are_inserted_and_more_are_planned_anew(
     assert outcome.finished and not outcome.flawed
     assert outcome.rounds == rounds
     assert (outcome.frames.get("TaskBid", 0) > 0) is (rounds == 0)
+
+
+@pytest.mark.parametrize("loss", [0.0, 0.1])
+def test_while_tasks_stream_in_faster_than_they_are_done_the_queue_is_planned_better(
+    loss: float,
+) -> None:
+    """One by one (t_max is out of reach): rounds are those that make tasks wait less. Nobody waits."""
+    outcome, run = play(scenario(random_tasks=16, random_over_s=36.0, t_max=99, loss=loss))
+    assert outcome.finished
+    assert outcome.rounds >= 1 and outcome.waited_s == 0
+    assert run.cluster is not None
+    for mission in run.cluster.missions.values():
+        assert not mission.dispatch.itinerary
 
 
 class KillsTheCarrier:

@@ -2,72 +2,32 @@
 
 import asyncio
 import json
-import signal
 from pathlib import Path
 
 import pytest
 
 from sim.scenario import ScenarioError
 from sim.warehouse_scenario import TaskRow, read_tasks
-from tests.tools.launching import WAIT_S, call, delivered, said, start
-
-SCENARIO = """
-name = "yard"
-mission = "delivery"
-[warehouse]
-map = '''
-........
-........
-........
-'''
-handle_s = 0.5
-[fleet]
-robots = 2
-"""
-CSV = "pickup_x_m,pickup_y_m,dropoff_x_m,dropoff_y_m,at_s\n1.5,0.5,6.5,2.5,\n2.5,0.5,5.5,1.5,7.5\n"
+from tests.tools.launching import call
+from tests.tools.yard import CSV, KNOWN, play
 
 
 def test_tasks_that_are_added_while_running_are_known_and_carried(tmp_path: Path) -> None:
-    (tmp_path / "yard.toml").write_text(SCENARIO)
-    (tmp_path / "more.csv").write_text(CSV)
-
-    async def play() -> tuple[int, str, dict[str, object]]:
-        live = await start(tmp_path, "run", "yard.toml", "--live", "--out", "out")
-        try:
-            port = await said(live, r"socketcand \S+:(\d+)")
-            added = await call(
-                tmp_path, "task", "add", "--file", "more.csv", "--scenario", "yard.toml",
-                "--port", port, "--json",
-            )  # fmt: skip
-            await delivered(int(port), 2)
-            live.send_signal(signal.SIGINT)
-            async with asyncio.timeout(WAIT_S):
-                await live.communicate()
-        finally:
-            if live.returncode is None:
-                live.send_signal(signal.SIGKILL)
-                await live.wait()
-        return *added, json.loads((tmp_path / "out" / "report.json").read_text())
-
-    code, text, report = asyncio.run(play())
-    print(text, report)
-    assert code == 0
-    assert [json.loads(line) for line in text.splitlines()] == [
-        {"task": 0, "known": True}, {"task": 1, "known": True},
-    ]  # fmt: skip
-    assert report["delivered"] == report["tasks"] == 2
-    assert report["success"]
+    told = play(tmp_path, "run", "yard.toml", "--live")
+    assert (told.code, told.lines) == (0, KNOWN)
+    assert told.report["delivered"] == told.report["tasks"] == 2
+    assert told.report["success"]
 
 
 def test_tasks_from_csv_and_json_lines_are_the_same(tmp_path: Path) -> None:
     keys = ("pickup_x_m", "pickup_y_m", "dropoff_x_m", "dropoff_y_m", "at_s")
     (tmp_path / "a.csv").write_text(CSV)
     lines = [
-        dict(zip(keys, (1.5, 0.5, 6.5, 2.5), strict=False)),
-        dict(zip(keys, (2.5, 0.5, 5.5, 1.5, 7.5), strict=True)),
+        dict(zip(keys, (1.5, 0.5, 3.5, 2.5), strict=False)),
+        dict(zip(keys, (2.5, 0.5, 4.5, 1.5, 7.5), strict=True)),
     ]
     (tmp_path / "a.jsonl").write_text("\n".join(json.dumps(line) for line in lines))
-    expected = [TaskRow((1.5, 0.5), (6.5, 2.5)), TaskRow((2.5, 0.5), (5.5, 1.5), 7.5)]
+    expected = [TaskRow((1.5, 0.5), (3.5, 2.5)), TaskRow((2.5, 0.5), (4.5, 1.5), 7.5)]
     assert read_tasks(tmp_path / "a.csv") == read_tasks(tmp_path / "a.jsonl") == expected
 
 

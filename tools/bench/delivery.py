@@ -16,7 +16,7 @@ from tools.bench.delivery_decision import ROBOTS, decisions
 from tools.bench.delivery_trouble import MIXED, TROUBLES, troubled
 from tools.bench.figure import Figure
 from tools.bench.routing_opponents import bound_ms, ortools_plan, pyvrp_makespan
-from tools.bench.task_stream import arrivals, latency_s, least_travel, least_waiting
+from tools.bench.task_stream import LeastWaiting, arrivals, latency_s, least_travel
 
 SIZES = {(10, 50): 1.10, (10, 100): 1.08, (20, 200): 1.10, (50, 500): 1.15}  # and the target
 MOVES = 1_000_000  # of one peer's search
@@ -69,7 +69,7 @@ def streams(costs: CostMatrix, quick: bool, seed: int) -> Iterator[Figure]:
             ours, theirs = [], []
             for k, work in works:
                 at_ms = arrivals(work, load, Random(f"{k}/stream/{load}"))
-                ours.append(latency_s(work, at_ms, least_waiting))
+                ours.append(latency_s(work, at_ms, LeastWaiting()))
                 theirs.append(latency_s(work, at_ms, least_travel))
             shares = [a / b for a, b in zip(ours, theirs, strict=True)]
             share = sum(ours) / sum(theirs)
