@@ -94,9 +94,10 @@ class Election:
     def receive(
         self, voter: int, vote: LeaderElectionVote, live: frozenset[int]
     ) -> LeaderElectionVote | None:
-        """Count a vote; answer with ours where its term is new to us."""
+        """Count a vote; answer with ours where its term is new to us, or ours new to the voter: who was
+        back before anybody missed it changes no view, and would keep to its first term for good."""
         if vote.term < self.term:
-            return None  # fenced
+            return self._vote(live) if self.slot in self.votes else None  # fenced
         answer = None
         if vote.term > self.term:
             self._open(vote.term)

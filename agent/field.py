@@ -61,6 +61,21 @@ class Section:
                     run = []
             first += count
 
+    def leads(self, first: int, last: int, lead_m: float) -> tuple[Polyline, Polyline]:
+        """The swath from `lead_m` before the first of these units, and to `lead_m` after the last; empty
+        where it does not reach so far."""
+        before = 0
+        for swath, count in zip(self.swaths, self.units_of, strict=True):
+            if first < before + count:
+                line = LineString(swath)
+                from_m = line.length * (first - before) / count
+                to_m = line.length * (last + 1 - before) / count
+                lead_in = _part(line, from_m - lead_m, from_m) if from_m >= lead_m else ()
+                fits = to_m + lead_m <= line.length
+                return lead_in, _part(line, to_m, to_m + lead_m) if fits else ()
+            before += count
+        raise AssertionError("no such unit")
+
     def unit_lines(self) -> Iterator[Polyline]:
         """The polyline of each unit, in the order of their numbers."""
         for swath, count in zip(self.swaths, self.units_of, strict=True):
@@ -157,5 +172,8 @@ def _length(line: Polyline) -> float:
 
 def _piece(swath: Polyline, first: int, last: int, count: int) -> Polyline:
     line = LineString(swath)
-    piece = substring(line, first / count, last / count, normalized=True)
-    return tuple((float(x), float(y)) for x, y in piece.coords)
+    return _part(line, line.length * first / count, line.length * last / count)
+
+
+def _part(line: LineString, from_m: float, to_m: float) -> Polyline:
+    return tuple((float(x), float(y)) for x, y in substring(line, from_m, to_m).coords)

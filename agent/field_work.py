@@ -25,6 +25,11 @@ NEAR_END_S = 5.0  # claim the next section when this much work is left
 
 LEAD_M = 0.3  # a stretch is entered before its first unit and left after its last: arriving at a
 # point within centimetres would leave that much of the work out
+STRAIGHT_M = 0.01  # a lead-in that begins closer to the line of its first unit does not turn
+SWUNG_M = (
+    0.15  # so far behind a corner the bar has swung round it; the tracker turns 6 cm before it
+)
+assert SWUNG_M < LEAD_M
 
 
 class Leg(NamedTuple):
@@ -37,11 +42,24 @@ class Leg(NamedTuple):
     units: tuple[int, ...] = ()
 
 
-def working_leg(points: tuple[Point, ...], units: tuple[int, ...]) -> Leg:
-    """A stretch of units with its lead-in and lead-out."""
-    first = _beyond(points[1], points[0])
-    last = _beyond(points[-2], points[-1])
-    return Leg((first, *points[1:-1], last), units)
+def working_leg(
+    points: tuple[Point, ...],
+    units: tuple[int, ...],
+    leads: tuple[tuple[Point, ...], tuple[Point, ...]] = ((), ()),
+) -> Leg:
+    """A stretch of units with its lead-in and lead-out.
+
+    `leads`: the swath before the first unit and after the last, `LEAD_M` of it. Where it turns there,
+    the leg follows it: the bar has to swing round a corner at which a unit begins or ends.
+    """
+    before, after = leads
+    first = (_beyond(points[1], points[0]),)
+    last = (_beyond(points[-2], points[-1]),)
+    if before and _distance(before[0], first[0]) > STRAIGHT_M:
+        first = before
+    if after and _distance(after[-1], last[0]) > STRAIGHT_M:
+        last = after
+    return Leg((*first, *points[1:-1], *last), units)
 
 
 def _beyond(a: Point, b: Point) -> Point:
@@ -324,14 +342,25 @@ class FieldWork:
             self.worst_m = max(self.worst_m, abs(self.tracker.off_m))
         piece_m = (self.tracker.total_m - 2 * LEAD_M) / len(self.leg.units)
         while self.unit < len(self.leg.units):
-            if self.tracker.along_m < LEAD_M + (self.unit + 1) * piece_m:
+            end_m = LEAD_M + (self.unit + 1) * piece_m
+            if self.tracker.along_m < end_m + (SWUNG_M if self._is_corner(end_m) else 0.0):
                 break
             begun_m = LEAD_M + self.unit * piece_m
-            if self.worst_m <= self.tolerance_m and self.lifted_to_m <= begun_m:
+            if self.worst_m <= self.tolerance_m and self._down_since(begun_m):
                 passed.append(self.leg.units[self.unit])
             self.unit += 1
             self.worst_m = abs(self.tracker.off_m)
         return passed
+
+    def _down_since(self, begun_m: float) -> bool:
+        """The implement is down since before this place; at a corner, since before it was turned."""
+        if self.unit == 0 and self._is_corner(begun_m):
+            return self.lifted_to_m < begun_m - STRAIGHT_M
+        return self.lifted_to_m <= begun_m
+
+    def _is_corner(self, at_m: float) -> bool:
+        assert self.tracker is not None
+        return any(abs(start_m - at_m) < STRAIGHT_M for start_m in self.tracker.starts_m[1:-1])
 
     def _legs(self, section: Section, view: FleetView) -> list[Leg]:
         """From here: the uncovered stretches of the section, nearest end first, joined by transits."""
@@ -359,7 +388,7 @@ class FieldWork:
         mine = self.worked if self.section is section else frozenset[int]()
         blocked = self._blocked(view, last) if self.section is section else frozenset[int]()
         return [
-            working_leg(points, units)
+            working_leg(points, units, section.leads(units[0], units[-1], LEAD_M))
             for points, units in section.stretches(
                 lambda unit: (
                     unit not in mine

@@ -1,11 +1,11 @@
-"""What a run without a world is made of: a scenario with `mission = "drill"`."""
+"""What a run without a world is made of: a scenario with `mission = "drill"`, or "sprint"."""
 
 from functools import cached_property
 from pathlib import Path
 
 from agent.safety import SilencePolicy
-from sim.parade import SECTIONS_A_ROBOT, Parade, Steady, Straight
-from sim.scenario import FieldTable, FleetTable, RunTable, Scenario
+from sim.parade import SECTIONS_A_ROBOT, SPRINT_SECTIONS, Parade, Steady, Straight
+from sim.scenario import DRILLS, FieldTable, FleetTable, RunTable, Scenario
 from sim.setting import Setting
 
 CONFIG_HASH = 1  # all peers have the same field: none
@@ -13,7 +13,7 @@ CONFIG_HASH = 1  # all peers have the same field: none
 
 class DrillSetting(Setting):
     def __init__(self, scenario: Scenario) -> None:
-        assert scenario.mission == "drill"
+        assert scenario.mission in DRILLS
         self.scenario, self.keys = scenario, None
         self.silence = SilencePolicy[scenario.fleet.silence.upper()]
 
@@ -30,18 +30,23 @@ class DrillSetting(Setting):
 
     @property
     def section_count(self) -> int:
-        return SECTIONS_A_ROBOT * self.scenario.fleet.robots
+        each = SPRINT_SECTIONS if self._crowded else SECTIONS_A_ROBOT
+        return each * self.scenario.fleet.robots
+
+    @property
+    def _crowded(self) -> bool:
+        return self.scenario.mission == "sprint"
 
     def mission(self, slot: int) -> Steady:  # type: ignore[override]
-        return Steady(self.parade, slot)
+        return Steady(self.parade, slot, self._crowded)
 
     def motion(self, slot: int) -> Straight:
         return Straight(slot)
 
 
-def drill(robots: int, seed: int) -> Scenario:
+def drill(robots: int, seed: int, mission: str = "drill", silence: str = "stop") -> Scenario:
     """A drill of so many robots, without faults."""
-    return Scenario(
-        name="drill", mission="drill", field=FieldTable(file="none"),
-        fleet=FleetTable(robots=robots, silence="stop"), run=RunTable(seed=seed), folder=Path(),
-    )  # fmt: skip
+    fleet = FleetTable.model_validate({"robots": robots, "silence": silence})
+    parts = {"mission": mission, "field": FieldTable(file="none"), "fleet": fleet,
+             "run": RunTable(seed=seed)}  # fmt: skip
+    return Scenario.model_validate({"name": mission, "folder": Path(), **parts})

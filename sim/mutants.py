@@ -219,50 +219,64 @@ def _no_progress_kept(right: Any) -> Any:
 
 MUTANTS: dict[str, Mutant] = {
     "stop-without-brake": Mutant(
-        "a heard stop does not brake", Safety, "receive_stop", _without_halt, "stop"
+        "a heard stop does not brake", Safety, "receive_stop", _without_halt, "press"
     ),
-    "gate-open": Mutant("the gate lets everything pass", Safety, "gate", _open, "stop"),
+    "gate-open": Mutant("the gate lets everything pass", Safety, "gate", _open, "press"),
     "reset-clears-all": Mutant(
         "a reset clears what it does not name, here and unseen",
         Safety,
         "manual_reset",
         _reset_starts,
-        "stop",
+        "press",
     ),
-    "no-echo-single-shot": Mutant("a stop is said once", Safety, "_press", _single_shot, "stop"),
-    "silence-unnoticed": Mutant("nobody falls silent", Membership, "tick", _unnoticed, "stop"),
+    "no-echo-single-shot": Mutant("a stop is said once", Safety, "_press", _single_shot, "press"),
+    "silence-unnoticed": Mutant("nobody falls silent", Membership, "tick", _unnoticed, "claims"),
     "silence-ten-times": Mutant(
         "silence is noticed after ten times the limit",
         Membership,
         "__init__",
         _ten_times,
-        "stop",
+        "claims",
     ),
-    "silence-harmless": Mutant("silence does not brake", Safety, "members", _constant(()), "stop"),
+    "silence-harmless": Mutant(
+        "silence does not brake", Safety, "members", _constant(()), "claims"
+    ),
     "latch-forgotten": Mutant(
-        "a restart forgets the latch and the hold", Safety, "_recall", _forgets_latch, "stop"
+        "a restart forgets the latch and the hold", Safety, "_recall", _forgets_latch, "press"
     ),
     "hold-forgotten": Mutant(
-        "a stop is not written down", StopSet, "serialize", _constant(b""), "stop"
+        "a stop is not written down", StopSet, "serialize", _constant(b""), "press"
     ),
     "fsync-forgotten": Mutant(
-        "the journal does not sync", LogJournal, "__init__", _unsynced, "crash"
+        "the journal does not sync", LogJournal, "__init__", _unsynced, "claims"
     ),
     "older-claim-wins": Mutant(
-        "the register that came first stays", FieldAllocationCRDT, "apply", _older_wins
+        "the register that came first stays", FieldAllocationCRDT, "apply", _older_wins, "split"
     ),
     "last-frame-wins": Mutant(
-        "the register that came last stays", FieldAllocationCRDT, "apply", _last_wins
+        "the register that came last stays", FieldAllocationCRDT, "apply", _last_wins, "split"
     ),
-    "progress-replaced": Mutant("progress is replaced, not joined", Progress, "apply", _replaces),
-    "lost-claims-kept": Mutant("a lost claim is worked on", Claims, "recheck", _constant([])),
-    "claims-uncontested": Mutant("a claim is work at once", claims, "CONTENTION_US", _value(0)),
-    "never-asks": Mutant("differences are not noticed", Divergence, "heard", _constant(False)),
-    "never-answers": Mutant("questions are not answered", Sync, "_question", _constant(None)),
-    "digest-constant": Mutant("every digest is the same", Divergence, "tell", _constant(7)),
-    "progress-unannounced": Mutant("progress is not told", Voice, "flush", _constant([])),
+    "progress-replaced": Mutant(
+        "progress is replaced, not joined", Progress, "apply", _replaces, "split"
+    ),
+    "lost-claims-kept": Mutant(
+        "a lost claim is worked on", Claims, "recheck", _constant([]), "split"
+    ),
+    "claims-uncontested": Mutant(
+        "a claim is work at once", claims, "CONTENTION_US", _value(0), "claims"
+    ),
+    "never-asks": Mutant(
+        "differences are not noticed", Divergence, "heard", _constant(False), "split"
+    ),
+    "never-answers": Mutant(
+        "questions are not answered", Sync, "_question", _constant(None), "split"
+    ),
+    "digest-constant": Mutant(
+        "every digest is the same", Divergence, "tell", _constant(7), "split"
+    ),
+    "progress-unannounced": Mutant("progress is not told", Voice, "flush", _constant([]), "split"),
     "progress-not-restored": Mutant(
-        "progress is not read from the journal", Records, "restore", _no_progress_kept, "crash"
+        "progress is not read from the journal", Records, "restore", _no_progress_kept, "claims"
     ),
     "covered-too-soon": Mutant("units that were not worked count", FieldWork, "_passed", _early),
     "avoidance-off": Mutant("nobody avoids anybody", Motion, "drive", _straight_on),
@@ -270,9 +284,9 @@ MUTANTS: dict[str, Mutant] = {
         "the actuator keeps the last command", RobotBody, "drive", _never_expires_body, "crash"
     ),
     "address-kept": Mutant(
-        "a lost address is kept without a claim", AddressClaim, "_move", _keeps_address
+        "a lost address is kept without a claim", AddressClaim, "_move", _keeps_address, "claims"
     ),
-    "strangers-unasked": Mutant("nobody asks who is who", RollCall, "answer_due", _deaf),
+    "strangers-unasked": Mutant("nobody asks who is who", RollCall, "answer_due", _deaf, "claims"),
 }
 
 

@@ -5,11 +5,11 @@ It gives a cluster what `sim/world.py` gives it. Who works where is known to the
 no checker has to ask a robot.
 """
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from math import cos, inf, sin
 from typing import NamedTuple
 
-from agent.config import ACTUATOR_TTL_US, LEASE_US, S
+from agent.config import ACTUATOR_TTL_US, CONTENTION_US, LEASE_US, MS, S
 from agent.effects import HALT, Drive
 from agent.mission import STILL, Choice, FleetView, Wish
 from agent.motion import Limits, Motion
@@ -25,7 +25,13 @@ from sim.world import World
 UNIT_US = 1 * S  # a unit takes this long
 UNITS = 20  # of a section: claims are made three times as often as in a field of short rows
 SECTIONS_A_ROBOT = 8
-BOTH_US = 1 * S  # two robots within this time in one section work there together
+SPRINT_SECTIONS = 3  # of a robot, in a sprint
+# Two robots within this time in one section work there together. A hand-over takes longer: what is
+# claimed is contested for 250 ms before it is work.
+BOTH_US = 200 * MS
+
+
+assert BOTH_US < CONTENTION_US
 
 
 class Watch(NamedTuple):
@@ -112,6 +118,9 @@ class Parade(World):
         self.units = dict.fromkeys(range(sections), UNITS)
         self.worked: set[tuple[int, int]] = set()
         self.together: list[Violation] = []  # S7
+        self.counts: Callable[[], bool] = lambda: (
+            True
+        )  # whether two in a section are wrong just now
         self.contacts: list[Contact] = []
         self._at_work: dict[int, tuple[int, int]] = {}  # section -> robot and when it last worked
 
@@ -143,7 +152,8 @@ class Parade(World):
     def works(self, slot: int, section: int, now_us: int) -> None:
         """A robot has its implement down in a section."""
         other, last_us = self._at_work.get(section, (slot, 0))
-        if other != slot and now_us - last_us < BOTH_US and len(self.together) < VIOLATIONS_MAX:
+        both = other != slot and now_us - last_us < BOTH_US
+        if both and len(self.together) < VIOLATIONS_MAX and self.counts():
             what = f"section {section} worked by both"
             self.together.append(Violation("S7", now_us, (other, slot), what))
         self._at_work[section] = (slot, now_us)
@@ -155,12 +165,15 @@ class Parade(World):
 
 
 class Steady:
-    """The mission: the next free section from a place of one's own, unit after unit by the clock."""
+    """The mission: the next free section from a place of one's own, unit after unit by the clock.
 
-    def __init__(self, parade: Parade, slot: int) -> None:
+    `crowded`: everybody looks from the first section on, so that every claim is contested.
+    """
+
+    def __init__(self, parade: Parade, slot: int, crowded: bool = False) -> None:
         self.parade, self.slot = parade, slot
         sections = len(parade.units)
-        first = slot * sections // len(parade.stands)
+        first = 0 if crowded else slot * sections // len(parade.stands)
         self._order = [(first + k) % sections for k in range(sections)]
         self._section: int | None = None
         self._worked: set[int] = set()  # of this section, since it was begun

@@ -14,7 +14,7 @@ from agent.config import MS, S, beat_of
 from agent.field_work import LEAD_M
 from protocol.frame import Frame
 from sim import scenario as kinds
-from sim.checkers import ExclusiveWorkChecker
+from sim.checkers import ExclusiveWorkChecker, Violation
 from sim.cluster import Cluster
 from sim.coverage_truth import coverage, sample_points
 from sim.disk import Disk, LogJournal
@@ -22,7 +22,7 @@ from sim.drill_run import DrillRun
 from sim.expedition import Expedition, Moment
 from sim.outcome import Outcome
 from sim.parade import Parade
-from sim.scenario import Fault, Scenario
+from sim.scenario import DRILLS, Fault, Scenario
 from sim.stop_watch import motions
 from sim.swarm import Swarm
 from sim.tape import STANDS, lost, unknown
@@ -67,7 +67,7 @@ class Play:
         self._excused: list[tuple[int, int]] = []  # robot and when: pushed, or a box before it
 
     def run(self) -> "Play":
-        kind = DrillRun if self.scenario.mission == "drill" else Expedition
+        kind = DrillRun if self.scenario.mission in DRILLS else Expedition
         run = kind(self.setting, attach=self._attach)
         run.recorder = self.witness
         if self.first_only:
@@ -76,6 +76,7 @@ class Play:
             self.outcome = run.run()
         except Enough:
             self._moved()
+            self._exclusive_work(self._together)
         except Exception as problem:  # an assertion of a robot, or of the simulation: both count
             text = f"{type(problem).__name__}: {problem}"
             self.broken.append(Broken("S15", self.cluster.host.now_us() / 1e6, text))
@@ -87,7 +88,7 @@ class Play:
 
     def _enough(self, moment: Moment) -> None:
         moved = any(checker.violations for _, checker in self._moving)
-        if self.broken or self.witness.broken or moved:
+        if self.broken or self.witness.broken or moved or self._together:
             raise Enough
 
     @property
@@ -99,6 +100,8 @@ class Play:
         self.cluster, self.witness.clock = cluster, cluster.host.now_us
         for slot in range(self.scenario.fleet.robots):
             cluster.journals[slot] = LogJournal(Disk())
+        if isinstance(cluster.world, Parade) and self.scenario.fleet.silence != "stop":
+            cluster.world.counts = self._all_told
         self.silence, self.delivery = motions(cluster.world), motions(cluster.world)
         cluster.on_power = self._power
         cluster.segment.taps.append(self._overheard)
@@ -192,6 +195,13 @@ class Play:
         off = any(node.off_until_us is not None or node.tec for node in nodes)
         return not wire.faults.deaf and not off and len({node.island for node in nodes}) == 1
 
+    def _all_told(self) -> bool:
+        """Everybody has heard everybody for so long that two sides of a split are one again."""
+        faults = self.cluster.segment.wire.faults
+        lossy = faults.loss or faults.omission or faults.error
+        calm = self.cluster.host.now_us() - self._trouble_us > SETTLED_US
+        return calm and self._one_bus and not lossy
+
     @property
     def _bound_us(self) -> int:
         return beat_of(self.scenario.fleet.robots).silence_us + SLACK_US
@@ -225,6 +235,7 @@ class Play:
         if not recalled:
             self.witness.forget(slot)
             return
+        self.witness.words.restarts(slot)
         missing = lost(self.witness.told[slot], recalled)
         if missing and not (missing == STANDS and slot in self.witness.released):
             self._add("S13", now_us / 1e6, f"robot {slot} forgets {missing}")
@@ -261,13 +272,8 @@ class Play:
         world, end_s = self.cluster.world, outcome.simulated_s
         self._moved()
         self._contacts()
-        if self.scenario.fleet.silence == "stop":
-            if isinstance(world, Parade):
-                found = world.together
-            else:
-                found = self._exclusive(world)
-            for violation in found[:1]:
-                self._add("S7", violation.t_us / 1e6, f"robots {violation.slots}: {violation.what}")
+        bodies = not isinstance(world, Parade) and self.scenario.fleet.silence == "stop"
+        self._exclusive_work(self._exclusive(world) if bodies else self._together)
         if not outcome.replicas_equal:
             self._add("L1", end_s, "replicas differ")
         questions = self.witness.words.questions
@@ -281,6 +287,17 @@ class Play:
         ):
             what = f"finished: {outcome.finished}, coverage {outcome.coverage:.2%}"
             self._add("L5", end_s, what)
+        else:
+            self._all_units_told(world)
+
+    def _all_units_told(self, world: World | Parade) -> None:
+        """What was worked is known to the fleet unit by unit, not only that sections are done."""
+        if not isinstance(world, Parade):
+            return
+        told = sum(bits.bit_count() for bits in self.witness.words.units.values())
+        untold = sum(world.units.values()) - told
+        if untold:
+            self._add("L5", world.now_us / 1e6, f"finished, and {untold} units were never told")
 
     def _left_for_the_dead(self, world: World | Parade) -> bool:
         """All that was not worked lies about machines that nobody has switched on again."""
@@ -305,6 +322,15 @@ class Play:
         for rule, checker in self._moving:
             for violation in checker.violations[:1]:
                 self._add(rule, violation.t_us / 1e6, f"robots {violation.slots}: {violation.what}")
+
+    @property
+    def _together(self) -> list[Violation]:
+        world = self.cluster.world
+        return world.together if isinstance(world, Parade) else []
+
+    def _exclusive_work(self, found: list[Violation]) -> None:
+        for violation in found[:1]:
+            self._add("S7", violation.t_us / 1e6, f"robots {violation.slots}: {violation.what}")
 
     def _contacts(self) -> None:
         for contact in self.cluster.world.contacts:

@@ -208,9 +208,12 @@ Fault = Annotated[
 ]  # fmt: skip
 
 
+DRILLS = ("drill", "sprint")  # no world, only work by the clock; a sprint is short and crowded
+
+
 class Scenario(_Table):
     name: str = Field(min_length=1, max_length=64)
-    mission: Literal["field", "drill"] = "field"  # a drill has no world, only work by the clock
+    mission: Literal["field", "drill", "sprint"] = "field"  # or one without a world: see DRILLS
     field: FieldTable
     fleet: FleetTable = FleetTable()
     bus: BusTable = BusTable()

@@ -112,7 +112,10 @@ def lost(revealed: Iterable[Message], recalled: Mapping[str, bytes]) -> str:
         ):  # the next frame after a stop: by now it is written down
             stopped = m.stopped
             told_stops |= sent
-    stops = StopSet.deserialize(recalled.get(STOPS_KEY, b"\0\0"))
+    try:
+        stops = StopSet.deserialize(recalled.get(STOPS_KEY, b"\0\0"))
+    except ValueError:
+        return "every stop: what is on the disk is none"
     forgotten = {dot for dot in told_stops - stops.active if not stops.is_cleared(dot)}
     if forgotten:
         return f"stops {sorted(forgotten)}"

@@ -5,13 +5,13 @@ and a start), and what comes after must be well within bounded time. The result 
 other: it can be printed, edited, shrunk and run again.
 """
 
-from collections.abc import Callable
 from random import Random
 from typing import NamedTuple
 
 from sim import scenario as kinds
+from sim.draws import CLUSTERS, DRAWS
 from sim.drill_setting import DrillSetting, drill
-from sim.scenario import Fault, Scenario, load
+from sim.scenario import DRILLS, Fault, Scenario, load
 from sim.setting import Setting
 
 
@@ -35,144 +35,11 @@ class Span(NamedTuple):
 SPANS = {
     "field": Span(40.0, 300.0),  # without trouble the yard takes 90 s
     "drill": Span(120.0, 600.0),  # and a drill 180 s
+    "sprint": Span(30.0, 240.0),  # and a sprint 70 s
 }
 
 CLOSE_S = 3.0  # links stay bad for seconds: what happens so soon after, happens in the middle of it
 
-Draw = Callable[[Random, int, float, float], list[Fault]]  # dice, robots, when, until when
-
-
-def _cut(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
-    slots = list(range(robots))
-    rng.shuffle(slots)
-    at = rng.randrange(1, robots)
-    healed_s = min(at_s + rng.choice((0.2, 2.0, 10.0)), end_s)
-    return [
-        kinds.Partition(at_s=at_s, kind="partition", islands=[slots[:at], slots[at:]]),
-        kinds.Heal(at_s=healed_s, kind="heal"),
-    ]
-
-
-def _one_way(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
-    sender, receiver = rng.sample(range(robots), 2)
-    return [kinds.OneWay(at_s=at_s, kind="one_way", sender=sender, receiver=receiver)]
-
-
-def _crash(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
-    robot, back_s = rng.randrange(robots), min(at_s + rng.uniform(0.05, 15.0), end_s)
-    disk = rng.choice(("kept", "kept", "torn", "torn", "lost"))
-    restart = {"at_s": back_s, "kind": "restart", "robot": robot, "disk": disk}
-    return [
-        kinds.Crash(at_s=at_s, kind="crash", robot=robot),
-        kinds.Restart.model_validate(restart),
-    ]
-
-
-def _freeze(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
-    for_s = rng.choice((0.05, 0.3, 1.0, 8.0))
-    return [kinds.Freeze(at_s=at_s, kind="freeze", robot=rng.randrange(robots), for_s=for_s)]
-
-
-def _rate(make: Callable[[float, float], Fault], most: float) -> Draw:
-    def draw(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
-        over_s = min(at_s + rng.uniform(1.0, 15.0), end_s)
-        return [make(at_s, rng.choice((0.01, 0.1, most))), make(over_s, 0.0)]
-
-    return draw
-
-
-def _bus_off(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
-    for_s, robot = rng.uniform(0.01, 4.0), rng.randrange(robots)
-    return [kinds.BusOff(at_s=at_s, kind="bus_off", robot=robot, for_s=for_s)]
-
-
-def _babble(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
-    priority, for_s = rng.randrange(8), rng.uniform(0.1, 3.0)
-    return [kinds.Babble(at_s=at_s, kind="babble", priority=priority, for_s=for_s)]
-
-
-def _clone(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
-    wins = rng.random() < 0.7
-    return [kinds.Clone(at_s=at_s, kind="clone", robot=rng.randrange(robots), wins=wins)]
-
-
-def _drift(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
-    ppm = rng.choice((-500.0, 500.0, -5000.0, 5000.0))
-    return [kinds.Drift(at_s=at_s, kind="drift", robot=rng.randrange(robots), ppm=ppm)]
-
-
-def _jump(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
-    robot, by_s = rng.randrange(robots), rng.choice((-1.0, -0.05, 0.05, 0.4, 5.0, 3600.0))
-    return [kinds.ClockJump(at_s=at_s, kind="clock_jump", robot=robot, by_s=by_s)]
-
-
-def _crash_working(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
-    robot, for_s = rng.randrange(robots), rng.uniform(0.05, max(0.1, end_s - at_s - 10.0))
-    disk = rng.choice(("kept", "torn", "lost"))
-    table = {"at_s": at_s, "kind": "crash_working", "robot": robot, "for_s": for_s, "disk": disk}
-    return [kinds.CrashWorking.model_validate(table)]
-
-
-def _join(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
-    return [kinds.Join(at_s=at_s, kind="join", robot=rng.randrange(robots))]
-
-
-def _box(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
-    x_m, y_m = rng.uniform(-YARD_M[0], YARD_M[0]), rng.uniform(-YARD_M[1], YARD_M[1])
-    size_m, for_s = rng.uniform(0.4, 1.5), min(rng.uniform(1.0, 15.0), end_s - at_s)
-    return [kinds.Box(at_s=at_s, kind="box", x_m=x_m, y_m=y_m, size_m=size_m, for_s=for_s)]
-
-
-def _push(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
-    dx_m, dy_m = rng.uniform(-4.0, 4.0), rng.uniform(-4.0, 4.0)
-    robot = rng.randrange(robots)
-    return [kinds.Pushed(at_s=at_s, kind="pushed", robot=robot, dx_m=dx_m, dy_m=dy_m)]
-
-
-def _haste(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
-    """A person resets or starts one machine, whatever still holds it: it must refuse."""
-    table = {"at_s": at_s, "kind": "order", "robot": rng.randrange(robots)}
-    order = rng.choice(("manual_reset", "manual_reset", "start"))
-    return [kinds.Order.model_validate(table | {"order": order})]
-
-
-def _press(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
-    return [kinds.Estop(at_s=at_s, kind="estop", robot=rng.randrange(robots))]
-
-
-def _release(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
-    return [kinds.Reset(at_s=at_s, kind="reset")]
-
-
-DRAWS: dict[str, Draw] = {
-    "partition": _cut,
-    "one_way": _one_way,
-    "crash": _crash,
-    "freeze": _freeze,
-    "loss": _rate(lambda at_s, rate: kinds.Loss(at_s=at_s, kind="loss", rate=rate), 0.4),
-    "omission": _rate(
-        lambda at_s, rate: kinds.Omission(at_s=at_s, kind="omission", rate=rate), 0.3
-    ),
-    "duplicate": _rate(
-        lambda at_s, rate: kinds.Duplicate(at_s=at_s, kind="duplicate", rate=rate), 0.3
-    ),
-    "errors": _rate(lambda at_s, rate: kinds.Errors(at_s=at_s, kind="errors", rate=rate), 0.3),
-    "bus_off": _bus_off,
-    "babble": _babble,
-    "clone": _clone,
-    "drift": _drift,
-    "clock_jump": _jump,
-    "crash_working": _crash_working,
-    "join": _join,
-    "box": _box,
-    "pushed": _push,
-    "estop": _press,
-    "reset": _release,
-    "haste": _haste,
-}
-
-
-YARD_M = 18.0, 12.0  # boxes fall within this of the middle
 BODIES = ("box", "pushed")  # of no use where there is no world
 LINKS = (kinds.Partition, kinds.Heal, kinds.OneWay, kinds.Loss, kinds.Omission, kinds.Errors,
          kinds.Duplicate, kinds.BusOff, kinds.Babble, kinds.Clone, kinds.Freeze, kinds.Drift,
@@ -193,6 +60,7 @@ class Profile(NamedTuple):
     about: str
     mission: str = "field"
     together: float = 0.0  # chance that a fault comes within `CLOSE_S` of one that was drawn before
+    silence: str = "stop"  # the policy
 
 
 OFTEN = {"estop": 2.0, "crash": 2.0, "partition": 2.0, "join": 0.5}
@@ -217,6 +85,23 @@ PROFILES = {
                     "dropped boxes, pushed robots, dead ones in the way"),
     "protocol": Profile((2, 8), (3, 30), {k: w for k, w in EVERYTHING.items() if k not in BODIES},
                         "every kind of fault, without a world: more hours, longer runs", "drill"),
+    "press": Profile((2, 4), (2, 8), {"burst": 4.0, "estop": 2.0, "reset": 4.0, "haste": 2.0,
+                                      "crash": 1.0, "blackout": 1.0, "freeze": 1.0,
+                                      "partition": 0.5},
+                     "short drills: presses in noise, resets, the power of all failing",
+                     "sprint", together=0.5),
+    "claims": Profile((2, 5), (1, 6), {"crash": 2.0, "crash_working": 1.0, "join": 1.0,
+                                       "freeze": 1.0, "errors": 1.0, "duplicate": 1.0,
+                                       "bus_off": 1.0, "babble": 0.5, "blackout": 0.5,
+                                       "clone": 1.0,
+                                       "estop": 1.0, "reset": 1.0},
+                      "short drills: all want the same section, and some die or come late",
+                      "sprint"),
+    "split": Profile((2, 5), (1, 6), {"split": 4.0, "one_way": 1.0, "crash": 2.0, "join": 1.0,
+                                      "loss": 1.0, "omission": 1.0, "freeze": 1.0, "bus_off": 1.0,
+                                      "estop": 0.5, "reset": 0.5},
+                     "short drills under the policy continue: both sides work on", "sprint",
+                     silence="continue"),
 }  # fmt: skip
 
 
@@ -231,9 +116,10 @@ def draw(seed: int, profile: str = "all") -> Scenario:
         if kind.together and faults and rng.random() < kind.together:
             at_s = min(rng.choice(faults).at_s + rng.uniform(0.0, CLOSE_S), span.calm_s - 0.5)
         at_s = round(at_s, 3)
-        faults += DRAWS[name](rng, robots, at_s, span.calm_s)
-    plain = drill(robots, seed) if kind.mission == "drill" else load("yard").changed(robots, seed)
-    return with_faults(plain, faults)
+        faults += (DRAWS | CLUSTERS)[name](rng, robots, at_s, span.calm_s)
+    if kind.mission == "field":
+        return with_faults(load("yard").changed(robots, seed), faults)
+    return with_faults(drill(robots, seed, kind.mission, kind.silence), faults)
 
 
 def span_of(scenario: Scenario) -> Span:
@@ -241,7 +127,7 @@ def span_of(scenario: Scenario) -> Span:
 
 
 def setting_of(scenario: Scenario) -> Setting:
-    return DrillSetting(scenario) if scenario.mission == "drill" else Setting(scenario)
+    return DrillSetting(scenario) if scenario.mission in DRILLS else Setting(scenario)
 
 
 def with_faults(scenario: Scenario, faults: list[Fault]) -> Scenario:

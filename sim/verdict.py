@@ -17,7 +17,7 @@ RULES = {
     "S3": "a reset clears what it names, and nothing else",
     "S4": "reset is not start",
     "S6": "where a member falls silent, everybody stands",
-    "S7": "one robot at a time in a section, under the stop policy",
+    "S7": "one robot at a time in a section; under other policies than stop, where all hear all",
     "S8": "no two stops of one name",
     "S9": "what was said is not taken back; a released claim does not return (S11)",
     "S13": "what was told is still known after a restart",

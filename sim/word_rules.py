@@ -40,7 +40,8 @@ class Speaker:
     def __init__(self) -> None:
         self.incarnation = -1
         self.operations = -1
-        self.registers: dict[int, int] = {}
+        self.registers: dict[int, int] = {}  # of all sections that it has spoken of
+        self.own: dict[int, int] = {}  # those that it wrote itself: they are on its disk
         self.progress: dict[tuple[int, int], int] = {}
         self.claimed_us: dict[int, int] = {}  # section: when it said that it wants it
         self.dots: set[StopDot] = set()  # every stop that it has pressed or echoed
@@ -60,6 +61,7 @@ class WordRules:
         self.speakers: defaultdict[int, Speaker] = defaultdict(Speaker)
         self.broken: list[Broken] = []
         self.cleared: set[StopDot] = set()
+        self.units: dict[tuple[int, int], int] = {}  # section and block: bits that anybody has told
         self.questions: Counter[int] = Counter()  # of each robot, for what it lacks
         self._votes: dict[tuple[int, int, int], int] = {}  # voter, election, term -> candidate
         self._tally: Counter[tuple[int, int, int]] = Counter()  # election, term, candidate
@@ -88,6 +90,13 @@ class WordRules:
         """Its clock is set: how long it waits after a claim cannot be told from outside."""
         self.speakers[slot].claimed_us.clear()
 
+    def restarts(self, slot: int) -> None:
+        """Memory kept. What it had from others, and has told again, was never written down."""
+        speaker = self.speakers[slot]
+        speaker.registers = dict(speaker.own)
+        mine = {place: b for place, b in speaker.progress.items() if place[0] in speaker.own}
+        speaker.progress = mine
+
     def forgets(self, slot: int) -> None:
         """Its memory is lost: from here it is another robot of the same slot."""
         self.speakers[slot] = Speaker()
@@ -114,6 +123,8 @@ class WordRules:
             if key < speaker.registers.get(m.section, 0):
                 self._add("S9", now_us, f"robot {slot} takes back what it said of S{m.section}")
             speaker.registers[m.section] = key
+            if kind is TaskClaim:
+                speaker.own[m.section] = key
             if kind is TaskClaim and m.owner == slot:
                 self._claim(slot, speaker, now_us, m.section, Phase(m.phase))
         elif isinstance(message, WorkProgress):
@@ -121,6 +132,7 @@ class WordRules:
             if speaker.progress.get(place, 0) & ~message.bits:
                 self._add("S9", now_us, f"robot {slot} takes back units of S{message.section}")
             speaker.progress[place] = message.bits
+            self.units[place] = self.units.get(place, 0) | message.bits
         elif kind is StateSyncRequest:
             self.questions[slot] += 1
         elif isinstance(message, LeaderElectionVote):

@@ -49,7 +49,7 @@ def chaos(
     jobs, begun_s = jobs or os.cpu_count() or 1, _cpu_s()
     leave_standing()  # and the workers inherit it
     if mutants:
-        rows = hunt_all(console, only, jobs, seconds, out, as_json)
+        rows = hunt_all(console, only, jobs, seconds, out, as_json, numbers.start)
         found = sum(row["found"] for row in rows)
         console.print(f"{found} of {len(rows)} planted bugs found")
         return 0 if found == len(rows) else FAILED

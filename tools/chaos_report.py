@@ -94,16 +94,24 @@ def _campaigns(campaigns: list[Result]) -> Iterable[str]:
 
 
 def _hunts(hunts: list[Result]) -> Iterable[str]:
-    rows = [(row, hunt["code"]) for hunt in hunts for row in hunt["mutants"]]
+    yield "## Planted bugs"
+    for first in sorted({row["first"] for hunt in hunts for row in hunt["mutants"]}):
+        yield from _hunted_from(first, hunts)
+
+
+def _hunted_from(first: int, hunts: list[Result]) -> Iterable[str]:
+    rows = [
+        (row, hunt["code"]) for hunt in hunts for row in hunt["mutants"] if row["first"] == first
+    ]
     found = sum(row["found"] for row, _ in rows)
     verdict = "reached" if found >= BUGS_WANTED else "**missed**"
-    yield "## Planted bugs"
+    yield f"### Seeds from {first} on"
     yield f"{found} of {len(rows)} found (wanted: {BUGS_WANTED} of {BUGS_WANTED}, {verdict})."
     order = sorted(rows, key=lambda pair: (not pair[0]["found"], pair[0]["cpu_s"]))
     yield _table(
-        ("bug", "what", "found by", "runs", "CPU s", "code"),
-        [(r["mutant"], r["about"], r["rule"] or _missed(r), r["runs"], r["cpu_s"], code)
-         for r, code in order],
+        ("bug", "what", "profile", "found by", "runs", "CPU s", "code"),
+        [(r["mutant"], r["about"], r["profile"], r["rule"] or _missed(r), r["runs"], r["cpu_s"],
+          code) for r, code in order],
     )  # fmt: skip
 
 

@@ -1,8 +1,10 @@
 """`headland chaos --mutants`: how soon is each planted bug found? In slices, if it must be.
 
-What was found is kept in `mutants.json`; another call goes on with the rest, each hunt at the seed at
-which it stopped, so that a budget of CPU time can be spent a few minutes at a time. A broken rule
-counts only where the same seed keeps it without the bug; what that costs is part of the time.
+Each is hunted in the profile that `sim/mutants.py` names, seed after seed from a first one. What was
+found is kept in `mutants.json`, or `mutants-FIRST.json` where the first seed is another than 0; another
+call goes on with the rest, each hunt at the seed at which it stopped, so that a budget of CPU time can be
+spent a few minutes at a time. A broken rule counts only where the same seed keeps it without the bug;
+what that costs is part of the time.
 """
 
 import json
@@ -21,8 +23,13 @@ from tools.fingerprint import fingerprint
 
 MUTANT_CPU_S = 600.0  # the budget within which every planted bug must be found
 TURN_CPU_S = 20.0  # then the next one has its turn: those that are soon found do not wait
-RESULTS = "mutants.json"
+WARM_S = 6.0  # simulated: robots are on their way by then
 Row = dict[str, Any]
+
+
+def warm_up() -> None:
+    """Compiled kernels are loaded: a few seconds of a run with bodies, and its raster."""
+    judge(draw(0, "all").changed(time_limit_s=WARM_S))
 
 
 def hunt(row: Row, end_s: float) -> Row:
@@ -31,7 +38,7 @@ def hunt(row: Row, end_s: float) -> Row:
     most_s = min(MUTANT_CPU_S, before_s + TURN_CPU_S)
     mutant = MUTANTS[row["mutant"]]
     while not row["found"] and row["cpu_s"] <= most_s and time.monotonic() < end_s:
-        scenario = draw(row["runs"], mutant.profile)
+        scenario = draw(row["first"] + row["runs"], mutant.profile)
         with planted(row["mutant"]):
             broken = judge(scenario, first_only=True).broken
         row["runs"] += 1
@@ -50,14 +57,15 @@ def hunt_all(
     seconds: float | None,
     out: Path,
     as_json: bool,
+    first: int = 0,
 ) -> list[Row]:
     """All planted bugs, or those named; rows of those that are not hunted to the end come along."""
-    rows = {name: _fresh(name) for name in only or MUTANTS}
-    path = out / RESULTS
+    rows = {name: _fresh(name, first) for name in only or MUTANTS}
+    path = out / (f"mutants-{first}.json" if first else "mutants.json")
     if path.exists():
         kept = {row["mutant"]: row for row in json.loads(path.read_text())["mutants"]}
         rows = kept | {name: kept.get(name, row) for name, row in rows.items()}
-    judge(draw(0, "all"))  # so that no hunt pays for loading compiled kernels
+    warm_up()  # so that no hunt pays for it
     end_s = time.monotonic() + (seconds if seconds is not None else float("inf"))
     with ProcessPoolExecutor(jobs) as pool:
         while time.monotonic() < end_s:
@@ -74,9 +82,10 @@ def hunt_all(
     return list(rows.values())
 
 
-def _fresh(name: str) -> Row:
-    return {"mutant": name, "about": MUTANTS[name].about, "found": False, "runs": 0, "cpu_s": 0.0,
-            "rule": ""}  # fmt: skip
+def _fresh(name: str, first: int) -> Row:
+    return {"mutant": name, "about": MUTANTS[name].about, "first": first,
+            "profile": MUTANTS[name].profile, "found": False, "runs": 0,
+            "cpu_s": 0.0, "rule": ""}  # fmt: skip
 
 
 def _is_open(row: Row) -> bool:

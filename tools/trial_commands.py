@@ -12,8 +12,13 @@ app = typer.Typer()
 
 @app.command()
 def chaos(
-    seeds: Annotated[str, typer.Option(help="FIRST:END, or one seed.")] = "0:20",
-    profile: Annotated[str, typer.Option(help="all, bus, crash, stop, body or protocol.")] = "all",
+    seeds: Annotated[
+        str, typer.Option(help="FIRST:END, or one seed. Hunts for planted bugs begin at FIRST.")
+    ] = "0:20",
+    profile: Annotated[
+        str,
+        typer.Option(help="all, bus, crash, stop, body, protocol, press, claims or split."),
+    ] = "all",
     jobs: Annotated[int, typer.Option(min=0, help="Processes at a time (0: one a core).")] = 0,
     seconds: Annotated[float | None, typer.Option(help="Begin no run after this long.")] = None,
     out: Annotated[Path, typer.Option(help="Folder for results and reproductions.")] = Path(

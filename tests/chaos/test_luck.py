@@ -11,11 +11,12 @@ from typing import get_args
 import pytest
 from pydantic import BaseModel
 
+from sim.draws import DRAWS
 from sim.mutants import MUTANTS, planted
 from sim.scenario import Crash, Fault, Scenario, load
 from sim.scenario_text import to_toml
 from sim.shrink import shrink
-from sim.trouble import DRAWS, PROFILES, draw, span_of, with_faults
+from sim.trouble import PROFILES, draw, span_of, with_faults
 from sim.verdict import RULES, judge
 
 ROOT = Path(__file__).parents[2]
@@ -83,7 +84,9 @@ def test_what_is_drawn_can_be_written_by_hand(profile: str, tmp_path: Path) -> N
 
 def _kinds_of(name: str) -> set[str]:
     """The kinds of fault that a draw of this name makes."""
-    return {"haste": {"order"}}.get(name, {name})
+    together = {"blackout": {"crash", "restart"}, "burst": {"omission", "estop"},
+                "split": {"partition", "heal"}}  # fmt: skip
+    return {"haste": {"order"}, **together}.get(name, {name})
 
 
 def test_every_kind_of_fault_is_drawn_and_played() -> None:

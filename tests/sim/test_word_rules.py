@@ -1,0 +1,61 @@
+"""What is wrong to say and what is not: memory kept, memory lost, work handed over."""
+
+from agent.config import MS, S
+from crdt import Phase
+from protocol.work_frames import StateSyncResponse, TaskClaim, WorkProgress
+from sim.parade import BOTH_US, Parade
+from sim.tape import lost
+from sim.word_rules import WordRules
+
+OWN, OTHER = 1, 2  # sections
+
+
+def _spoken() -> WordRules:
+    """Robot 0 has claimed a section, and told again what it had of another's."""
+    rules = WordRules(2)
+    rules.said(0, 1 * S, TaskClaim(OWN, 2, Phase.STARTED, 3, 9, 0))
+    rules.said(0, 1 * S, StateSyncResponse(OTHER, 2, Phase.STARTED, 3, 9, 1))
+    rules.said(0, 1 * S, WorkProgress(OTHER, 0, 0b111))
+    return rules
+
+
+def test_what_was_told_of_others_may_be_gone_after_a_restart() -> None:
+    rules = _spoken()
+    rules.restarts(0)
+    rules.said(0, 2 * S, StateSyncResponse(OTHER, 0, Phase.CLAIMED, 3, 1, 1))
+    rules.said(0, 2 * S, WorkProgress(OTHER, 0, 0b1))
+    assert not rules.broken
+
+
+def test_what_was_told_of_others_stands_without_a_restart() -> None:
+    rules = _spoken()
+    rules.said(0, 2 * S, StateSyncResponse(OTHER, 0, Phase.CLAIMED, 3, 1, 1))
+    assert [broken.rule for broken in rules.broken] == ["S9"]
+
+
+def test_what_it_wrote_itself_stands_over_restarts() -> None:
+    rules = _spoken()
+    rules.restarts(0)
+    rules.said(0, 2 * S, StateSyncResponse(OWN, 0, Phase.CLAIMED, 3, 1, 0))
+    assert [broken.rule for broken in rules.broken] == ["S9"]
+
+
+def test_a_section_that_is_handed_over_is_not_worked_by_two() -> None:
+    parade = Parade(2, 2)
+    parade.works(0, 0, 1 * S)
+    parade.works(1, 0, 1 * S + BOTH_US + 1 * MS)
+    assert not parade.together
+    parade.works(0, 0, 1 * S + BOTH_US + 50 * MS)
+    assert [violation.slots for violation in parade.together] == [(1, 0)]
+
+
+def test_two_sides_of_a_split_are_asked_only_once_they_are_one() -> None:
+    parade = Parade(2, 2)
+    parade.counts = lambda: False
+    parade.works(0, 0, 1 * S)
+    parade.works(1, 0, 1 * S)
+    assert not parade.together
+
+
+def test_a_disk_on_which_no_stops_can_be_read_has_lost_them() -> None:
+    assert "stop" in lost([], {"stops": b""})
