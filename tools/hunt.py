@@ -22,6 +22,7 @@ from sim.verdict import judge
 from tools.fingerprint import fingerprint
 
 MUTANT_CPU_S = 600.0  # the budget within which every planted bug must be found
+RESULTS = "mutants.json"
 TURN_CPU_S = 20.0  # then the next one has its turn: those that are soon found do not wait
 WARM_S = 6.0  # simulated: robots are on their way by then
 Row = dict[str, Any]
@@ -61,7 +62,7 @@ def hunt_all(
 ) -> list[Row]:
     """All planted bugs, or those named; rows of those that are not hunted to the end come along."""
     rows = {name: _fresh(name, first) for name in only or MUTANTS}
-    path = out / (f"mutants-{first}.json" if first else "mutants.json")
+    path = out / (f"mutants-{first}.json" if first else RESULTS)
     if path.exists():
         kept = {row["mutant"]: row for row in json.loads(path.read_text())["mutants"]}
         rows = kept | {name: kept.get(name, row) for name, row in rows.items()}

@@ -40,7 +40,7 @@ def test_hours_are_not_counted_twice(tmp_path: Path) -> None:
 def test_a_hunt_goes_on_where_it_stopped(tmp_path: Path) -> None:
     from rich.console import Console
 
-    console, names = Console(quiet=True), ["gate-open"]
+    console, names = Console(quiet=True), ["latch-forgotten"]
     assert hunt_all(console, names, 1, 0.0, tmp_path, False)[0]["runs"] == 0
     (row,) = hunt_all(console, names, 1, 30.0, tmp_path, False)
     assert row["found"] and row["rule"]
