@@ -47,14 +47,11 @@ def working_leg(
     units: tuple[int, ...],
     leads: tuple[tuple[Point, ...], tuple[Point, ...]] = ((), ()),
 ) -> Leg:
-    """A stretch of units with its lead-in and lead-out.
-
-    `leads`: the swath before the first unit and after the last, `LEAD_M` of it. Where it turns there,
-    the leg follows it: the bar has to swing round a corner at which a unit begins or ends.
-    """
+    """A stretch of units with its lead-in and lead-out. `leads`: the swath before and after it, `LEAD_M`
+    each; where that turns the leg follows it: the bar has to swing round a corner at a unit's end."""
     before, after = leads
-    first = (_beyond(points[1], points[0]),)
-    last = (_beyond(points[-2], points[-1]),)
+    first: tuple[Point, ...] = (_beyond(points[1], points[0]),)
+    last: tuple[Point, ...] = (_beyond(points[-2], points[-1]),)
     if before and _distance(before[0], first[0]) > STRAIGHT_M:
         first = before
     if after and _distance(after[-1], last[0]) > STRAIGHT_M:

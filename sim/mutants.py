@@ -221,7 +221,7 @@ MUTANTS: dict[str, Mutant] = {
     "stop-without-brake": Mutant(
         "a heard stop does not brake", Safety, "receive_stop", _without_halt, "press"
     ),
-    "gate-open": Mutant("the gate lets everything pass", Safety, "gate", _open, "press"),
+    "gate-open": Mutant("the gate lets everything pass", Safety, "gate", _open, "stop"),
     "reset-clears-all": Mutant(
         "a reset clears what it does not name, here and unseen",
         Safety,

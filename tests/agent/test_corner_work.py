@@ -3,7 +3,6 @@
 from math import hypot
 
 import numpy as np
-from pytest import approx
 from shapely.geometry import box
 
 from agent.config import CONTROL_PERIOD_US
@@ -88,6 +87,6 @@ def test_who_lifts_elsewhere_loses_the_unit_under_way_only() -> None:
 def test_a_stretch_follows_the_swath_round_a_corner_at_its_end() -> None:
     section = _field().section(0)
     before, after = section.leads(2, 3, LEAD_M)
-    assert before == ((approx(CORNER[0] - LEAD_M), CORNER[1]), CORNER) and after == ()
+    assert np.allclose(before, ((CORNER[0] - LEAD_M, CORNER[1]), CORNER)) and after == ()
     before, after = section.leads(0, 1, LEAD_M)
-    assert before == () and after == (CORNER, (CORNER[0], approx(CORNER[1] + LEAD_M)))
+    assert before == () and np.allclose(after, (CORNER, (CORNER[0], CORNER[1] + LEAD_M)))
