@@ -7,12 +7,12 @@ and never further from the line than the overlap allows; what was missed is work
 
 from collections.abc import Mapping
 from math import cos, hypot, inf, sin
-from typing import NamedTuple
 
 from agent.allocator import Job, Point, shares
 from agent.blockage import BLOCKED_M, Blockage
 from agent.config import LEASE_US
 from agent.field import Field, Section
+from agent.leg import LEAD_M, STRAIGHT_M, SWUNG_M, Leg, working_leg
 from agent.mission import STILL, Choice, FleetView, Wish
 from agent.parking import Parking
 from agent.route import Route
@@ -21,49 +21,6 @@ from crdt import Phase
 
 ASTRAY_M = 4.0  # further from its line than a swath is wide, a robot does not just drive back to it
 NEAR_END_S = 5.0  # claim the next section when this much work is left
-
-
-LEAD_M = 0.3  # a stretch is entered before its first unit and left after its last: arriving at a
-# point within centimetres would leave that much of the work out
-STRAIGHT_M = 0.01  # a lead-in that begins closer to the line of its first unit does not turn
-SWUNG_M = (
-    0.15  # so far behind a corner the bar has swung round it; the tracker turns 6 cm before it
-)
-assert SWUNG_M < LEAD_M
-
-
-class Leg(NamedTuple):
-    """A polyline to drive; `units` are passed in this order, and none means transit.
-
-    A leg with units is longer than they are by `LEAD_M` at both ends.
-    """
-
-    points: tuple[Point, ...]
-    units: tuple[int, ...] = ()
-
-
-def working_leg(
-    points: tuple[Point, ...],
-    units: tuple[int, ...],
-    leads: tuple[tuple[Point, ...], tuple[Point, ...]] = ((), ()),
-) -> Leg:
-    """A stretch of units with its lead-in and lead-out. `leads`: the swath before and after it, `LEAD_M`
-    each; where that turns the leg follows it: the bar has to swing round a corner at a unit's end."""
-    before, after = leads
-    first: tuple[Point, ...] = (_beyond(points[1], points[0]),)
-    last: tuple[Point, ...] = (_beyond(points[-2], points[-1]),)
-    if before and _distance(before[0], first[0]) > STRAIGHT_M:
-        first = before
-    if after and _distance(after[-1], last[0]) > STRAIGHT_M:
-        last = after
-    return Leg((*first, *points[1:-1], *last), units)
-
-
-def _beyond(a: Point, b: Point) -> Point:
-    """The point `LEAD_M` further than b, coming from a."""
-    length_m = max(hypot(b[0] - a[0], b[1] - a[1]), 1e-9)
-    share = LEAD_M / length_m
-    return b[0] + (b[0] - a[0]) * share, b[1] + (b[1] - a[1]) * share
 
 
 class FieldWork:

@@ -11,7 +11,8 @@ from agent.allocator import Point
 from agent.config import CONTROL_PERIOD_US, S
 from agent.dubins import shortest_m
 from agent.field import Field, Section
-from agent.field_work import FieldWork, Leg
+from agent.field_work import FieldWork
+from agent.leg import Leg
 from agent.lifecycle import State
 from agent.mission import STILL, FleetView, Wish
 from agent.route import Route

@@ -11,7 +11,7 @@ from math import hypot
 from typing import Any
 
 from agent.config import MS, S, beat_of
-from agent.field_work import LEAD_M
+from agent.leg import LEAD_M
 from protocol.frame import Frame
 from sim import scenario as kinds
 from sim.checkers import ExclusiveWorkChecker, Violation

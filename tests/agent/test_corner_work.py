@@ -7,7 +7,8 @@ from shapely.geometry import box
 
 from agent.config import CONTROL_PERIOD_US
 from agent.field import Field, Section
-from agent.field_work import LEAD_M, FieldWork
+from agent.field_work import FieldWork
+from agent.leg import LEAD_M
 from agent.mission import FleetView
 from agent.ports import Observation
 from agent.route import Route
