@@ -55,6 +55,8 @@ def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
     yield from batteries(costs, quick, seed)
     yield from trouble(quick, seed)
     for (robots, tasks), target in SIZES.items():
+        if quick and (robots, tasks) == (20, 200):
+            continue  # the larger one and the smaller ones say as much, in 50 s
         opposed = not quick or (robots, tasks) == (10, 50)
         seeds = range(seed, seed + (1 if quick or tasks > 200 else 2))
         opponent_s = 1.0 if quick else OPPONENT_S
