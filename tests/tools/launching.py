@@ -16,7 +16,7 @@ from protocol.work_frames import StateSyncResponse, TaskClaim
 from tools.attachment import CHANNEL, attach
 
 ROOT = Path(__file__).parents[2]
-WAIT_S = 60.0  # for what takes a second on a quiet machine
+WAIT_S = 180.0  # for what takes a second on a quiet machine with warm kernels
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
 
 
