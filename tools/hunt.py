@@ -64,8 +64,10 @@ def hunt_all(
     rows = {name: _fresh(name, first) for name in only or MUTANTS}
     path = out / (f"mutants-{first}.json" if first else RESULTS)
     if path.exists():
-        kept = {row["mutant"]: row for row in json.loads(path.read_text())["mutants"]}
-        rows = kept | {name: kept.get(name, row) for name, row in rows.items()}
+        then = json.loads(path.read_text())
+        if then["code"] == fingerprint():  # what other code was found with says nothing of this
+            kept = {row["mutant"]: row for row in then["mutants"]}
+            rows = kept | {name: kept.get(name, row) for name, row in rows.items()}
     warm_up()  # so that no hunt pays for it
     end_s = time.monotonic() + (seconds if seconds is not None else float("inf"))
     with ProcessPoolExecutor(jobs) as pool:
