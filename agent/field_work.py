@@ -12,7 +12,7 @@ from agent.allocator import Job, Point, shares
 from agent.blockage import BLOCKED_M, Blockage
 from agent.config import LEASE_US
 from agent.field import Field, Section
-from agent.leg import LEAD_M, STRAIGHT_M, SWUNG_M, Leg, working_leg
+from agent.leg import LEAD_M, STRAIGHT_M, SWUNG_M, Leads, Leg, working_leg
 from agent.mission import STILL, Choice, FleetView, Wish
 from agent.parking import Parking
 from agent.route import Route
@@ -25,6 +25,7 @@ NEAR_END_S = 5.0  # claim the next section when this much work is left
 
 class FieldWork:
     beside_m = BLOCKED_M  # left to a silent body
+    turns_on_the_spot = True  # where a swath has a corner, and swings its bar round it
 
     def __init__(
         self,
@@ -314,7 +315,14 @@ class FieldWork:
 
     def _is_corner(self, at_m: float) -> bool:
         assert self.tracker is not None
+        if not self.turns_on_the_spot:
+            return False
         return any(abs(start_m - at_m) < STRAIGHT_M for start_m in self.tracker.starts_m[1:-1])
+
+    def _leads(self, section: Section, units: tuple[int, ...]) -> Leads:
+        if not self.turns_on_the_spot:
+            return (), ()
+        return section.leads(units[0], units[-1], LEAD_M)
 
     def _legs(self, section: Section, view: FleetView) -> list[Leg]:
         """From here: the uncovered stretches of the section, nearest end first, joined by transits."""
@@ -342,7 +350,7 @@ class FieldWork:
         mine = self.worked if self.section is section else frozenset[int]()
         blocked = self._blocked(view, last) if self.section is section else frozenset[int]()
         return [
-            working_leg(points, units, section.leads(units[0], units[-1], LEAD_M))
+            working_leg(points, units, self._leads(section, units))
             for points, units in section.stretches(
                 lambda unit: (
                     unit not in mine

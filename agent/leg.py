@@ -12,6 +12,9 @@ SWUNG_M = 0.15  # so far behind a corner the bar is round it; the tracker turns 
 assert SWUNG_M < LEAD_M
 
 
+Leads = tuple[tuple[Point, ...], tuple[Point, ...]]  # what of the swath is before a stretch, and after
+
+
 class Leg(NamedTuple):
     """A polyline to drive; `units` are passed in this order, and none means transit.
 
@@ -25,7 +28,7 @@ class Leg(NamedTuple):
 def working_leg(
     points: tuple[Point, ...],
     units: tuple[int, ...],
-    leads: tuple[tuple[Point, ...], tuple[Point, ...]] = ((), ()),
+    leads: Leads = ((), ()),
 ) -> Leg:
     """A stretch of units with its lead-in and lead-out. `leads`: the swath before and after it, `LEAD_M`
     each; where that turns the leg follows it: the bar has to swing round a corner at a unit's end."""

@@ -38,6 +38,7 @@ HALF_PERIOD_S = CONTROL_PERIOD_US / S / 2  # the course is that of the middle of
 
 class TractorWork(FieldWork):
     beside_m = BLOCKED_M
+    turns_on_the_spot = False
 
     def __init__(
         self, field: Field, route: Route, turns: TurnRoute, radius_m: float, limits: Limits

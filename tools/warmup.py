@@ -84,6 +84,7 @@ def _delivery() -> None:
     first = planner.auctioned()
     planner.inserted(0, first[0][:1], first[0][1])
     planner.improved(first, 1, 10)
+    planner.hastened(first, 1, 10)
 
 
 def _wire() -> None:
