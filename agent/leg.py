@@ -12,7 +12,9 @@ SWUNG_M = 0.15  # so far behind a corner the bar is round it; the tracker turns 
 assert SWUNG_M < LEAD_M
 
 
-Leads = tuple[tuple[Point, ...], tuple[Point, ...]]  # what of the swath is before a stretch, and after
+Leads = tuple[
+    tuple[Point, ...], tuple[Point, ...]
+]  # what of the swath is before a stretch, and after
 
 
 class Leg(NamedTuple):
