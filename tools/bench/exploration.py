@@ -45,7 +45,7 @@ def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
     equal = sum(run.maps_equal for run in fleet) / len(fleet)
     yield Figure("runs with identical maps on all replicas after 2 s of quiet", equal, "share",
                  "= 1", equal == 1.0, "-", f"{len(fleet)} runs; bit for bit; {where}")  # fmt: skip
-    yield trouble(5 if quick else 50, seed)
+    yield trouble(3 if quick else 50, seed)
     yield merge_orders(ORDERS // 10 if quick else ORDERS, seed)
 
 
