@@ -44,6 +44,14 @@ def test_ways_that_cross_are_uncrossed() -> None:
     assert planner.waiting_ms(found) == 6 * near
 
 
+def test_no_sum_is_worth_a_later_last_finish() -> None:
+    """After 50 and 60 ms; the other way round after 10 and 70, which is less in sum."""
+    lead, link = np.array([[50, 10]]), np.array([[0, 10], [60, 0]])
+    planner = Planner(Workload(np.zeros(1, dtype=np.int64), lead, link))
+    assert planner.waiting_ms([[1, 0]]) < planner.waiting_ms([[0, 1]])
+    assert planner.hastened([[0, 1]], 1, 2_000) == [[0, 1]]
+
+
 @pytest.mark.parametrize("loss", [0.0, 0.3])
 @pytest.mark.parametrize("seed", range(3))
 def test_a_round_over_what_is_planned_is_adopted_by_all_or_ends(seed: int, loss: float) -> None:
