@@ -25,10 +25,10 @@ GROUP = {
     "protocol": "accord_frames address bus codec delivery_frames divergence fleet_frames identifier "
     "map_frames messages network_frames operator_frames replica safety_frames segment_frames sync "
     "transport work_frames",
-    "agent": "area authority beyond bulletin claims core directive election fleet_stops fsm hearing "
-    "joining letters membership pause records roll_call safety segment_peer self_check shell voice "
-    "working",
-    "sim": "cluster fieldbus parade swarm trace wire witness word_rules",
+    "agent": "area authority beyond bulletin claims core directive effects election fleet_stops fsm "
+    "hearing joining letters membership pause records roll_call safety segment_peer self_check shell "
+    "voice working",
+    "sim": "bits cluster fieldbus parade swarm trace wire witness word_rules",
 }  # fmt: skip
 
 
