@@ -50,11 +50,13 @@ def _coverage() -> None:
 
 
 def _agreement() -> None:
+    from agent.assignment import assigned
     from agent.floor import Floor
     from agent.joint_plan import planned
     from agent.ports import Observation
     from agent.sensed import Sensed
 
+    assigned(np.ones((2, 3)))
     floor = Floor.drawn("...\n...", 1.0, 0.35)
     planned(floor.lattice.near, [0, 2], [2, 0])  # one of them has to wait: it is put back, too
     hall = Floor.drawn("\n".join(["....."] * 4), 1.0, 0.35)
