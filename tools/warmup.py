@@ -176,10 +176,10 @@ def main(jobs: int) -> int:
     console, begun_s = Console(), time.perf_counter()
     numbers = range(len(PARTS))
     # Those behind it leave Ctrl-C to the one in front, which ends them.
-    with Pool(jobs or os.cpu_count(), signal.signal, (signal.SIGINT, signal.SIG_IGN)) as pool:
-        with console.status("compiling ..."):
-            for name, spent_s in pool.imap_unordered(_compiled, numbers):
-                console.print(f"{name:11} {spent_s:6.1f} s")
+    leave = signal.signal, (signal.SIGINT, signal.SIG_IGN)
+    with Pool(jobs or os.cpu_count(), *leave) as pool, console.status("compiling ..."):
+        for name, spent_s in pool.imap_unordered(_compiled, numbers):
+            console.print(f"{name:11} {spent_s:6.1f} s")
     total_s = time.perf_counter() - begun_s
     console.print(f"ready after {total_s:.1f} s; a first start without this takes longer")
     return 0
