@@ -28,7 +28,7 @@ GROUP = {
     "agent": "area authority beyond bulletin claims core directive effects election fleet_stops fsm "
     "hearing joining letters membership pause records roll_call safety segment_peer self_check shell "
     "voice working",
-    "sim": "bits cluster fieldbus parade swarm trace wire witness word_rules",
+    "sim": "bits bus_tally cluster fieldbus parade swarm trace wire witness word_rules",
 }  # fmt: skip
 
 
