@@ -125,7 +125,8 @@ class Peer:
         """A frame from the bus. An addressed one that is not for us is not heard."""
         identifier = frame.identifier
         if identifier >> 16 & 0xFF >= 240:
-            return self.hear(*decode_once(frame), now_us)
+            source, message = decode_once(frame)
+            return self.hear(source, message, now_us)
         destination = identifier >> 8 & 0xFF
         is_request = identifier >> 16 & 0xFF == REQUEST_PF
         if is_request and frame.data == MEMBER_REQUEST:
@@ -187,8 +188,7 @@ class Peer:
     def deadline_us(self) -> int:
         """When `tick` next has something to do, if nothing arrives before."""
         due_us = sooner(self.voice.deadline_us, self.safety.deadline_us)
-        due_us = sooner(due_us, self.membership.deadline_us)
-        due_us = sooner(due_us, self.joining.deadline_us)
+        due_us = sooner(sooner(due_us, self.membership.deadline_us), self.joining.deadline_us)
         if self.joining.joined:  # no address, no turn
             due_us = sooner(due_us, self.sync.deadline_us)
             due_us = sooner(due_us, self.letters.deadline_us)

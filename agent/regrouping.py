@@ -17,6 +17,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from agent.timetable import hold
+
 Ints = NDArray[np.int32]
 GROUP_MAX = 8  # robots taken out together; 4 and 6 get stuck more often, 10 are seldom put back
 GROUPS_EACH = 3  # groups for each robot; three times as many save 2 moves of the longest wait of 24
@@ -44,14 +46,6 @@ def _draw(state, below):  # type: ignore[no-untyped-def]
 def _price(wait):  # type: ignore[no-untyped-def]
     cube = float(wait) * float(wait) * float(wait)
     return cube * cube
-
-
-@njit(cache=True)
-def _hold(owner, track, robot, who):  # type: ignore[no-untyped-def]
-    """Give the nodes of one robot to itself, or to nobody."""
-    for t in range(owner.shape[0]):
-        owner[t, track[robot, t]] = who
-        owner[t, track[robot, t + 1]] = who
 
 
 @njit(cache=True)
@@ -195,7 +189,7 @@ def _regroup(group, near, far, goals, track, owner, waits, back, balls, room):  
     cost = 0.0
     for robot in group:
         cost += _price(waits[robot])
-        _hold(owner, track, robot, NOBODY)
+        hold(owner, track, robot, NOBODY)
     spent, done, looks = 0.0, 0, 0
     got = np.empty(len(group), np.int64)
     for robot in group:
@@ -211,17 +205,17 @@ def _regroup(group, near, far, goals, track, owner, waits, back, balls, room):  
             break
         got[done] = found - far[robot, track[robot, 0]]
         spent += _price(got[done])
-        _hold(owner, track, robot, robot)
+        hold(owner, track, robot, robot)
         done += 1
     if done == len(group):
         waits[group] = got
         return (1 if spent < cost else 0), looks
     for k in range(done):
-        _hold(owner, track, group[k], NOBODY)
+        hold(owner, track, group[k], NOBODY)
     for k in range(len(group)):
         track[group[k]] = before[k]
     for robot in group:
-        _hold(owner, track, robot, robot)
+        hold(owner, track, robot, robot)
     return -1, looks
 
 
@@ -264,7 +258,7 @@ def regroup(near: Ints, far: Ints, goals: Ints, track: Ints, salt: int) -> None:
         return
     owner = np.full((times - 1, nodes), NOBODY, dtype=np.int16)
     for robot in range(count):
-        _hold(owner, track, robot, robot)
+        hold(owner, track, robot, robot)
     waits = (track == goals[:, None]).argmax(axis=1) - far[np.arange(count), track[:, 0]]
     back = np.zeros((times, nodes), dtype=np.bool_)
     round_goals = [np.flatnonzero(row <= ASIDE_MAX) for row in far]

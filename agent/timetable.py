@@ -18,8 +18,8 @@ CELLS_MAX = 1 << 23  # nodes times units of time: 40 MB; longer plans are left a
 
 
 @njit(cache=True)
-def _hold(taken, track, robot, held):  # type: ignore[no-untyped-def]
-    """Take or give back the nodes of one robot."""
+def hold(taken, track, robot, held):  # type: ignore[no-untyped-def]
+    """Say of the nodes of one robot, whenever it is there, that they are `held`."""
     for t in range(taken.shape[0]):
         taken[t, track[robot, t]] = held
         taken[t, track[robot, t + 1]] = held
@@ -68,7 +68,7 @@ def _earliest(start, goal, near, far, taken, came, layer, coming, latest):  # ty
 @njit(cache=True)
 def _put_back(robot, goal, near, far, track, taken, came, layer, coming, latest):  # type: ignore[no-untyped-def]
     """Find one robot a way that is at its goal by `latest`; False: its way stays as it is."""
-    _hold(taken, track, robot, False)
+    hold(taken, track, robot, False)
     came[: latest + 1] = -1
     end = _earliest(track[robot, 0], goal, near, far, taken, came, layer, coming, latest)
     if end >= 0:
@@ -77,7 +77,7 @@ def _put_back(robot, goal, near, far, track, taken, came, layer, coming, latest)
             track[robot, t] = at
             at = came[t, at]
         track[robot, end:] = goal
-    _hold(taken, track, robot, True)
+    hold(taken, track, robot, True)
     return end >= 0
 
 
@@ -91,7 +91,7 @@ class Timetable:
         self.track: Ints = np.array(tracks, dtype=np.int32)
         self._taken = np.zeros((self.track.shape[1] - 1, len(near)), dtype=np.bool_)
         for robot in range(len(self.track)):
-            _hold(self._taken, self.track, robot, True)
+            hold(self._taken, self.track, robot, True)
 
     def arrivals(self) -> NDArray[np.int64]:
         """When each robot first is at its goal."""
