@@ -74,7 +74,7 @@ class Blockage:
                 bodies += [(Spot(at), self.radius_m + THING_M) for at in self.things]
             self._units[key] = frozenset(
                 unit
-                for unit, line in enumerate(section.unit_lines())
+                for unit, line in enumerate(section.unit_lines)
                 if any(LineString(line).distance(spot) < reach_m for spot, reach_m in bodies)
             )
         return self._units[key]

@@ -52,6 +52,7 @@ class FieldWork:
         self.parking = Parking(field, radius_m)
         self.blockage = Blockage(route, radius_m, deceleration_m_s2, self.beside_m)
         self._plan: dict[int, list[Job]] = {}
+        self._none_free = -1  # changes of the allocation when nothing was free
 
     @property
     def section_units(self) -> Mapping[int, int]:
@@ -81,12 +82,16 @@ class FieldWork:
         return self._orphan(view)
 
     def _jobs(self, view: FleetView) -> list[Job]:
+        if self._none_free == view.allocation.changes:
+            return []
         jobs = []
         for section in self.field.sections:
             if view.allocation.phase_of(section.id) is Phase.FREE:
                 left = 1.0 - view.progress.covered(section.id) / section.units
                 work_s = section.length_m * left / self.speed_m_s
                 jobs.append(Job(section.id, work_s, section.ends))
+        if not jobs:
+            self._none_free = view.allocation.changes
         return jobs
 
     def _anchors(self, view: FleetView) -> dict[int, Point]:

@@ -7,7 +7,6 @@ of a unit that is done and lies next to no open one.
 
 import itertools
 from collections.abc import Iterable, Sequence
-from functools import cached_property
 from math import hypot
 
 import numpy as np
@@ -33,11 +32,6 @@ class Parking:
         self.spot: Point | None = None  # where to go; none: stay
         self._looked_us: int | None = None
 
-    @cached_property
-    def _lines(self) -> list[list[Polyline]]:
-        """Of each section, the lines of its units; made when a robot first rests."""
-        return [list(section.unit_lines()) for section in self.field.sections]
-
     @property
     def room_m(self) -> float:
         """From the middle of a robot that rests to a line that is open."""
@@ -61,8 +55,8 @@ class Parking:
         self.spot, self._looked_us = None, None
 
     def _units(self, view: FleetView, done: bool) -> Iterable[Polyline]:
-        for section, lines in zip(self.field.sections, self._lines, strict=True):
-            for unit, line in enumerate(lines):
+        for section in self.field.sections:
+            for unit, line in enumerate(section.unit_lines):
                 if view.progress.has(section.id, unit) is done:
                     yield line
 

@@ -98,13 +98,27 @@ def watch(motion, floats, ints, obstacles, nearest, touches, near_m):  # type: i
 
 
 @njit(cache=True, error_model="numpy")
+def _is_inside(x, y, floats):  # type: ignore[no-untyped-def]
+    """Whether a line from there to the east crosses the fences an odd number of times."""
+    inside = False
+    for k in range(FIRST, floats.shape[0]):
+        ax, ay, dx, dy = floats[k]
+        if (ay > y) != (ay + dy > y) and ax + dx * (y - ay) / dy > x:
+            inside = not inside
+    return inside
+
+
+@njit(cache=True, error_model="numpy")
 def crossings(motion, floats, odd):  # type: ignore[no-untyped-def]
-    """Per robot 1 where a line from it to the east crosses the fences an odd number of times."""
+    """Per robot 1 where it is inside the fences."""
     for i in range(motion.shape[0]):
-        x, y = motion[i, X], motion[i, Y]
-        inside = False
-        for k in range(FIRST, floats.shape[0]):
-            ax, ay, dx, dy = floats[k]
-            if (ay > y) != (ay + dy > y) and ax + dx * (y - ay) / dy > x:
-                inside = not inside
-        odd[i] = 1 if inside else 0
+        odd[i] = 1 if _is_inside(motion[i, X], motion[i, Y], floats) else 0
+
+
+@njit(cache=True, error_model="numpy")
+def has_crossed(motion, floats, odd):  # type: ignore[no-untyped-def]
+    """Whether that has changed for anybody."""
+    for i in range(motion.shape[0]):
+        if (odd[i] != 0) != _is_inside(motion[i, X], motion[i, Y], floats):
+            return True
+    return False

@@ -30,6 +30,7 @@ from sim.proximity import (
     OBSTACLE,
     TOUCHES_MAX,
     crossings,
+    has_crossed,
     watch,
 )
 from sim.truth import Contact
@@ -301,6 +302,9 @@ class World:
 
     def _judge_sides(self) -> None:
         """A robot that got through a fence, or was carried over it, no longer touches it."""
+        known = self._grid is None and not self._outside
+        if known and not has_crossed(self.motion, self._fences.floats, self._side):
+            return
         through = set(np.flatnonzero(self._sides() != self._side).tolist())
         for index in sorted(through - self._outside):
             robot = next(r for r in self.robots.values() if r.index == index)

@@ -25,10 +25,12 @@ GROUP = {
     "protocol": "accord_frames address bus codec delivery_frames divergence fleet_frames identifier "
     "map_frames messages network_frames operator_frames replica safety_frames segment_frames sync "
     "transport work_frames",
-    "agent": "area authority beyond bulletin claims core directive election fleet_stops fsm hearing "
-    "joining letters membership pause records roll_call safety segment_peer self_check shell voice "
+    "agent": "allocator area authority beyond blockage bulletin claims coasting core directive election "
+    "field_work fleet_stops fsm giving_way hearing joining leg letters lookout membership motion orca "
+    "parking pause records right_of_way roll_call safety segment_peer self_check shell tracker voice "
     "working",
-    "sim": "cluster fieldbus parade swarm trace wire witness word_rules",
+    "sim": "body bus_tally checkers cluster disk fieldbus parade physics stop_watch swarm trace "
+    "truth wire witness word_rules world",
 }  # fmt: skip
 
 
