@@ -7,6 +7,7 @@ period does in `agent/working.py`. The order inside a turn is fixed: safety firs
 
 from collections.abc import Mapping, Sequence
 from random import Random
+from typing import Any
 
 from agent import config
 from agent.cause import Cause
@@ -19,12 +20,12 @@ from agent.hearing import Hearing
 from agent.identity import Identity
 from agent.joining import CLAIM_PGN, Joining
 from agent.letters import Letter, Letters
-from agent.lifecycle import TABLE, Event, State
+from agent.lifecycle import IDLE, SYNCHRONIZING, TABLE, WORKING, Event, State
 from agent.membership import Membership, Neighbour
 from agent.mission import STILL, Agreeing, Choice, Conversing, FleetView, Mission, Wish
 from agent.motion import Mover
 from agent.pause import pause_of
-from agent.ports import Observation, Timed
+from agent.ports import Observation
 from agent.records import Records
 from agent.roll_call import MEMBER_PGN, MEMBER_REQUEST, RollCall
 from agent.safety import Safety
@@ -45,7 +46,12 @@ from protocol.sync import Sync
 from protocol.work_frames import STOPS, StateSyncRequest, TaskClaim
 
 REQUEST_PF = 0xEA
+NOTHING_ROUND, _tuple = (frozenset[tuple[float, float]](), False), tuple.__new__
 NOTHING: Sequence[Effect] = ()  # an empty answer promises that `deadline_us` did not move earlier
+
+
+def sooner(due_us: int, other_us: int | None) -> int:
+    return due_us if other_us is None or due_us <= other_us else other_us
 
 
 class Peer:
@@ -64,8 +70,9 @@ class Peer:
         self.identity, self.slot = identity, identity.slot
         self.beat = config.beat_of(len(identity.members))
         self.mission, self.motion = mission, motion
-        self.agreeing = mission if isinstance(mission, Agreeing) else None
-        self.conversing = mission if isinstance(mission, Conversing) else None
+        asked: Any = mission  # a native core takes a protocol that is asked for for a base class
+        self.agreeing: Agreeing | None = asked if isinstance(asked, Agreeing) else None
+        self.conversing: Conversing | None = asked if isinstance(asked, Conversing) else None
         self.records = Records(recalled, identity.first_boot, rng)
         self.allocation = FieldAllocationCRDT(identity.field_hash)
         self.progress = Progress(mission.section_units if mission else {})
@@ -97,9 +104,6 @@ class Peer:
         self.pause = pause_of(self, motion)
         self._hearing, self._working = Hearing(self), Working(self)
         self.beats = self._hearing.beats
-        self._timed: tuple[Timed, ...] = (self.membership, self.joining)
-        joined = *self._timed, self.sync, self.letters, self.roll_call
-        self._timed_joined: tuple[Timed, ...] = (*joined, chart) if chart is not None else joined
         if self.records.lost:
             self.safety.raise_cause(Cause.BOOT_UNCONFIRMED, now_us, "durable memory was lost")
         if identity.started and not self.safety.latched and not self.safety.held:
@@ -182,15 +186,18 @@ class Peer:
     @property
     def deadline_us(self) -> int:
         """When `tick` next has something to do, if nothing arrives before."""
-        deadline_us = min(self.voice.deadline_us, self.safety.deadline_us)
-        parts = self._timed_joined if self.joining.joined else self._timed  # no address, no turn
-        if self.lifecycle.state is State.IDLE and self.safety.may_move:
-            parts = (*parts, self.claims)  # otherwise a due claim waits for the others
-        for part in parts:
-            due_us = part.deadline_us
-            if due_us is not None and due_us < deadline_us:
-                deadline_us = due_us
-        return deadline_us
+        due_us = sooner(self.voice.deadline_us, self.safety.deadline_us)
+        due_us = sooner(due_us, self.membership.deadline_us)
+        due_us = sooner(due_us, self.joining.deadline_us)
+        if self.joining.joined:  # no address, no turn
+            due_us = sooner(due_us, self.sync.deadline_us)
+            due_us = sooner(due_us, self.letters.deadline_us)
+            due_us = sooner(due_us, self.roll_call.deadline_us)
+            if self.chart is not None:
+                due_us = sooner(due_us, self.chart.deadline_us)
+        if self.lifecycle.state is IDLE and self.safety.may_move:
+            due_us = sooner(due_us, self.claims.deadline_us)  # otherwise it waits for the others
+        return due_us
 
     def tick(self, now_us: int) -> Sequence[Effect]:
         effects: list[Effect] = [*self._remember_boot(), *self.safety.tick(now_us)]
@@ -238,9 +245,9 @@ class Peer:
 
     def _synchronize(self, now_us: int) -> Sequence[Effect]:
         state = self.lifecycle.state
-        if self.sync.synchronizing and state in (State.IDLE, State.WORKING):
+        if self.sync.synchronizing and state in (IDLE, WORKING):
             return self.fire(Event.SYNC_RECEIVED, "digests differ")
-        if not self.sync.synchronizing and state is State.SYNCHRONIZING:
+        if not self.sync.synchronizing and state is SYNCHRONIZING:
             effects = [*self.fire(Event.SYNC_COMPLETE, "in step")]
             if self.claims.current is not None:
                 effects += self.fire(Event.CLAIMED, f"resumes S{self.claims.current}")
@@ -271,7 +278,7 @@ class Peer:
     def claim(
         self, section: int, bid: int, now_us: int, takeover: bool = False
     ) -> Sequence[Effect]:
-        if self.lifecycle.state not in (State.IDLE, State.WORKING):
+        if self.lifecycle.state not in (IDLE, WORKING):
             return NOTHING
         key = self.claims.claim(Choice(section, bid, takeover), now_us)
         return NOTHING if key is None else self.announce(section, key, "claim", now_us)
@@ -330,11 +337,12 @@ class Peer:
 
     def view(self, now_us: int) -> FleetView:
         assert self.here is not None
-        return FleetView(
+        things, leave_out = self.pause.round if self.pause is not None else NOTHING_ROUND
+        members = self.membership
+        return _tuple(FleetView, (
             self.slot, now_us, self.here, self.allocation, self.progress,
-            self.membership.live, self.membership.silent_since_us, self.membership.neighbours,
-            *(self.pause.round if self.pause is not None else ()),
-        )  # fmt: skip
+            members.live, members.silent_since_us, members.neighbours, things, leave_out,
+        ))  # fmt: skip
 
     def membership_changed(self, now_us: int) -> list[Effect]:
         """The live view changed: tell the parts that depend on it."""
@@ -372,25 +380,17 @@ class Peer:
             section, claim.epoch, claim.phase, claim.bid, claim.lamport, claim.owner
         )
         return [
-            *(
-                Persist(*record)
-                for record in self.records.operation(self.clock[self.slot], section, key)
-            ),
+            *(Persist(*r) for r in self.records.operation(self.clock[self.slot], section, key)),
             Send(message),
-            Trace(
-                "claim",
-                f"S{section}",
-                what.upper(),
-                Phase(claim.phase).name,
-                f"epoch {claim.epoch}",
-            ),
-        ]
+            Trace("claim", f"S{section}", what.upper(), Phase(claim.phase).name,
+                  f"epoch {claim.epoch}"),
+        ]  # fmt: skip
 
     def latch(self, why: str) -> list[Effect]:
         return self.fire(Event.EMERGENCY, why) if self.safety.latched else []
 
     def idle_if_free(self, why: str) -> list[Effect]:
-        if self.claims.current is None and self.lifecycle.state is State.WORKING:
+        if self.claims.current is None and self.lifecycle.state is WORKING:
             return self.fire(Event.TASK_COMPLETE, why)
         return []
 

@@ -112,7 +112,7 @@ class Hearing:
             if seen is not None and slot in signs:
                 signs[slot] = t_us
                 neighbours[slot] = seen
-                if seen.pose.heard == own:
+                if seen[0][6] == own:  # seen.pose.heard
                     peer.check.reflected_us = t_us
             else:
                 effects += peer.hear(source, message, t_us)

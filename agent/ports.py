@@ -38,13 +38,6 @@ class Observation(NamedTuple):
     parcels: Mapping[int, Lying] = NOTHING_SEEN  # and those within its reach
 
 
-class Timed(Protocol):
-    """A part of a peer that wants to be asked at a certain time."""
-
-    @property
-    def deadline_us(self) -> int | None: ...
-
-
 class Beat(NamedTuple):
     """A calm beat or heartbeat on a shelf: of somebody who neither stands stopped nor leaves."""
 

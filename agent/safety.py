@@ -93,6 +93,11 @@ class Safety:
     # ---------------------------------------------------------------- state
 
     @property
+    def free(self) -> bool:
+        """Nothing keeps it from moving as it wishes."""
+        return not self._causes
+
+    @property
     def latched(self) -> bool:
         return bool(self._causes) and self.severity is Severity.LATCHED
 
@@ -365,6 +370,8 @@ class Safety:
 
     def gate(self, wanted: Drive, now_us: int) -> Drive:
         """The last function before the actuator."""
+        if not self._causes:
+            return wanted
         severity = self.severity
         if severity >= Severity.PAUSE:
             return HALT

@@ -6,11 +6,11 @@ Deadlines advance from the deadline, not from now: no drift.
 
 from collections.abc import Iterable
 from math import atan2, hypot
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from agent.config import BEATS, CONTROL_PERIOD_US, Beat, S
-from agent.effects import Effect, Persist, Send
-from agent.lifecycle import State
+from agent.effects import Effect, Persist, Send, to_all
+from agent.lifecycle import EMERGENCY_STOP
 from agent.mission import Swept
 from crdt.progress import BLOCK_UNITS
 from protocol.fleet_frames import NOBODY, Heartbeat, Member, Pose, VectorSlice
@@ -20,9 +20,15 @@ from protocol.work_frames import WorkProgress
 if TYPE_CHECKING:
     from agent.core import Peer
 
-MEMBER_EVERY = 20  # heartbeats between two announcements of who we are, for those that missed it
+MEMBER_EVERY: Final = (
+    20  # heartbeats between two announcements of who we are, for those that missed it
+)
 FIRST_COUNTER, LAST_COUNTER, LEAVING_COUNTER = 251, 250, 255  # ISO 11783-7 heartbeat
+STANDS_M_S: Final = 0.02  # below the resolution of POSE the course is noise: say the heading
 PROGRESS_PERIOD_US = 2 * S  # covered units are announced together, at most this often
+
+
+_tuple = tuple.__new__
 
 
 class Voice:
@@ -65,7 +71,7 @@ class Voice:
     def speak(self, peer: "Peer", now_us: int) -> Iterable[Effect]:
         if not self.pose_due(now_us) or not peer.joining.joined:
             return ()  # the beat goes on in silence while we have no address
-        effects: list[Effect] = [Send(self._pose(peer))]
+        effects: list[Effect] = [to_all(self._pose(peer))]
         self.beats += 1
         if self.beats % self.beats_a_heartbeat == 0:
             effects += self._heartbeat(peer)
@@ -130,16 +136,14 @@ class Voice:
 
     def _pose(self, peer: "Peer") -> Pose:
         here, state = peer.here, peer.lifecycle.state
-        stopped = state is State.EMERGENCY_STOP
+        stopped = state is EMERGENCY_STOP
         heard = self._reflected(peer)
         if here is None:
             return Pose(0.0, 0.0, 0.0, 0.0, state, stopped, heard)
-        speed_m_s = hypot(here.vx_m_s, here.vy_m_s)
-        moving = (
-            speed_m_s > 0.02
-        )  # below the resolution of POSE the course is noise: send the heading
-        course_rad = atan2(here.vy_m_s, here.vx_m_s) if moving else here.heading_rad
-        return Pose(here.x_m, here.y_m, course_rad, speed_m_s, state, stopped, heard)
+        x_m, y_m, heading_rad, vx_m_s, vy_m_s = here[:5]
+        speed_m_s = hypot(vx_m_s, vy_m_s)
+        course_rad = atan2(vy_m_s, vx_m_s) if speed_m_s > STANDS_M_S else heading_rad
+        return _tuple(Pose, (x_m, y_m, course_rad, speed_m_s, state, stopped, heard))
 
     def _reflected(self, peer: "Peer") -> int:
         """A member that we hear, another with each beat: so it learns that it is heard."""
@@ -171,7 +175,7 @@ class Voice:
         return Heartbeat(
             counter=counter,
             state=state,
-            stopped=state is State.EMERGENCY_STOP,
+            stopped=state is EMERGENCY_STOP,
             held=not safety.may_move,
             started=safety.started,
             leaving=counter == LEAVING_COUNTER,

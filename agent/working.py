@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 from agent.config import ACTUATOR_TTL_US
 from agent.effects import Effect, Trace
-from agent.lifecycle import Event, State
+from agent.lifecycle import IDLE, WORKING, Event
 from agent.mission import STILL, FleetView, Sweeping, Wish
 from agent.motion import Motion
 
@@ -22,7 +22,7 @@ class Working:
     def start_due(self, now_us: int) -> Sequence[Effect]:
         """A claim whose contention window has passed becomes work."""
         peer = self.peer
-        if peer.lifecycle.state is not State.IDLE or not peer.safety.may_move:
+        if peer.lifecycle.state is not IDLE or not peer.safety.may_move:
             return ()
         if peer.directive.goal is not None:
             return ()
@@ -71,7 +71,7 @@ class Working:
         peer, now_us = self.peer, view.now_us
         assert peer.mission is not None
         state, claims = peer.lifecycle.state, peer.claims
-        if state not in (State.IDLE, State.WORKING) or not peer.safety.may_move:
+        if not (state is WORKING or state is IDLE) or not peer.safety.may_move:
             return STILL
         if peer.directive.goal is not None:
             return peer.directive.wish(view, effects)
@@ -84,7 +84,7 @@ class Working:
             choice = peer.mission.choose(view)
             if choice is not None:
                 effects += peer.claim(choice.section, choice.bid, now_us, choice.takeover)
-        if state is State.WORKING and claims.current is not None:
+        if state is WORKING and claims.current is not None:
             return self._work(view, claims.current, effects)
         if claims.next is not None:
             return peer.mission.approach(claims.next, view)

@@ -48,11 +48,12 @@ def short(total: int) -> int:
 class Sums:
     """The sums of one collection, one a bucket. Reads the collection; never changes it."""
 
-    __slots__ = ("_before", "_sums", "_values", "kind")
+    __slots__ = ("_before", "_sums", "_total", "_values", "kind")
 
     def __init__(self, kind: int, values: Mapping[int, int]) -> None:
         self.kind, self._values = kind, values
         self._sums = [0] * BUCKETS
+        self._total = 0  # of all buckets
         self._before: dict[int, int | None] = {}  # name -> the value that is still in the sums
 
     def changing(self, name: int, before: int | None) -> None:
@@ -72,9 +73,11 @@ class Sums:
                 if before is not None:
                     change -= entry_hash(kind, name, before)
                 sums[bucket] = (sums[bucket] + change) & MASK
+                self._total = (self._total + change) & MASK
             self._before.clear()
         return self._sums
 
     @property
     def total(self) -> int:
-        return sum(self.buckets()) & MASK
+        self.buckets()
+        return self._total

@@ -31,10 +31,14 @@ _HEADS = {
 }
 
 
+_tuple = tuple.__new__
+
+
 def encode(message: Message, source: int, destination: int = 255) -> Frame:
     head, addressed = _HEADS[type(message)]
     assert 0 <= source <= 255 and 0 <= destination <= 255
-    return Frame(head | (destination << 8 if addressed else 0) | source, packed(message))
+    identifier = head | (destination << 8 if addressed else 0) | source
+    return _tuple(Frame, (identifier, packed(message)))
 
 
 _packed: tuple[Message | None, bytes] = (None, b"")  # the newest

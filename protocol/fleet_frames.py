@@ -2,17 +2,20 @@
 
 from math import pi
 from struct import Struct
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
-STATES = 5  # values of agent.lifecycle.State
+STATES: Final = 5  # values of agent.lifecycle.State
 NOBODY = 255  # heard, in POSE
-LENGTH_M = 0.05  # unit of x and y in POSE
-SPEED_M_S = 0.05  # unit of the speed in POSE
-COURSES = 512  # steps of a full turn in POSE
-_COURSE_RAD = 2 * pi / COURSES
-_HALF = 1 << 16  # offset of the 17-bit coordinates
-_LOWEST_M = _HALF * LENGTH_M
-_WORD = Struct("<Q").unpack
+LENGTH_M: Final = 0.05  # unit of x and y in POSE
+SPEED_M_S: Final = 0.05  # unit of the speed in POSE
+COURSES: Final = 512  # steps of a full turn in POSE
+_COURSE_RAD: Final = 2 * pi / COURSES
+_HALF: Final = 1 << 16  # offset of the 17-bit coordinates
+_LAST: Final = 2 * _HALF - 1
+_ORIGIN: Final = _HALF + 0.5  # so that what is cut off is rounded
+_TURNED: Final = (1 << 20) * COURSES + 0.5  # nobody has turned as often: positive too
+_LOWEST_M: Final = _HALF * LENGTH_M
+_HALVES = Struct("<II").unpack
 _tuple = tuple.__new__
 
 HEARTBEAT = Struct("<BBBHHB")
@@ -44,30 +47,32 @@ class Pose(NamedTuple):
     heard: int
 
     def pack(self) -> bytes:
-        x, y = round(self.x_m / LENGTH_M) + _HALF, round(self.y_m / LENGTH_M) + _HALF
-        assert 0 <= x < 2 * _HALF and 0 <= y < 2 * _HALF, "outside of what POSE can say"
-        course = round(self.course_rad / _COURSE_RAD) % COURSES
-        speed = min(round(self.speed_m_s / SPEED_M_S), 255)
-        word = x | y << 17 | course << 34 | speed << 43 | self.state << 51
-        return (word | self.stopped << 54 | self.heard << 55).to_bytes(8, "little")
+        x_m, y_m, course_rad, speed_m_s, state, stopped, heard = self
+        x, y = int(x_m / LENGTH_M + _ORIGIN), int(y_m / LENGTH_M + _ORIGIN)  # rounded, being > 0
+        assert 0 <= x <= _LAST and 0 <= y <= _LAST, "outside of what POSE can say"
+        course = int(course_rad / _COURSE_RAD + _TURNED) & 0x1FF
+        speed = int(speed_m_s / SPEED_M_S + 0.5)
+        low = x | (y & 0x7FFF) << 17
+        high = y >> 15 | course << 2 | (speed if speed < 255 else 255) << 11 | state << 19
+        return (low | (high | stopped << 22 | heard << 23) << 32).to_bytes(8, "little")
 
     @classmethod
     def unpack(cls, data: bytes) -> "Pose":
-        (word,) = _WORD(data)
-        high = word >> 34  # the rest fits a machine word: nine frames in ten are this one
-        state = high >> 17 & 7
-        if state >= STATES or high >> 29:
+        halves: tuple[int, int] = _HALVES(data)  # nine frames in ten are this one
+        low, high = halves
+        state = high >> 19 & 7
+        if state >= STATES or high >> 31:
             raise ValueError("range")
         return _tuple(
             cls,
             (
-                (word & 0x1FFFF) * LENGTH_M - _LOWEST_M,
-                (word >> 17 & 0x1FFFF) * LENGTH_M - _LOWEST_M,
-                (high & 0x1FF) * _COURSE_RAD,
-                (high >> 9 & 0xFF) * SPEED_M_S,
+                float(low & 0x1FFFF) * LENGTH_M - _LOWEST_M,
+                float(low >> 17 | (high & 3) << 15) * LENGTH_M - _LOWEST_M,
+                float(high >> 2 & 0x1FF) * _COURSE_RAD,
+                float(high >> 11 & 0xFF) * SPEED_M_S,
                 state,
-                high >> 20 & 1 == 1,
-                high >> 21,
+                high >> 22 & 1 == 1,
+                high >> 23 & 0xFF,
             ),
         )
 

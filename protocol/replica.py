@@ -44,6 +44,9 @@ class Heard(NamedTuple):
     stale: bool  # ours is newer: the sender lacks something
 
 
+_tuple = tuple.__new__
+
+
 def entry_of(kind: int, name: int) -> int:
     return kind << NAME_BITS | name
 
@@ -93,7 +96,7 @@ class Replica:
     def _remember(self) -> None:
         history = self._history
         total = self.total
-        history[short(total)] = Moment(self.version, self.allocation.lamport, total)
+        history[short(total)] = _tuple(Moment, (self.version, self.allocation.lamport, total))
         if len(history) > HISTORY_MAX:
             del history[next(iter(history))]
 
@@ -145,7 +148,7 @@ class Replica:
             entry = entry_of(REGISTERS, section)
         if changed:
             self.note(entry)
-        return Heard(entry, changed, stale)
+        return _tuple(Heard, (entry, changed, stale))
 
     def say(self, entry: int) -> StateSyncResponse | WorkProgress:
         """The frame that tells an entry as it is now."""

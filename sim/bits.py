@@ -5,14 +5,14 @@ end of the CRC sequence. Then CRC delimiter, acknowledge slot and delimiter, sev
 and three bits interframe space, which are not stuffed.
 """
 
-import numpy as np
-from numba import njit
+from typing import Final
 
-BIT_US = 4  # at 250 kbit/s
-TAIL_BITS = 1 + 2 + 7 + 3  # CRC delimiter, acknowledge, end of frame, interframe space
-HEAD_BITS = 1 + 11 + 2 + 18 + 3 + 4  # SOF, base id, SRR and IDE, extension, RTR r1 r0, DLC
-CRC_BITS = 15
-CRC_POLYNOMIAL = 0x4599
+BIT_US: Final = 4  # at 250 kbit/s
+TAIL_BITS: Final = 1 + 2 + 7 + 3  # CRC delimiter, acknowledge, end of frame, interframe space
+HEAD_BITS: Final = 1 + 11 + 2 + 18 + 3 + 4  # SOF, base id, SRR and IDE, extension, RTR r1 r0, DLC
+CRC_BITS: Final = 15
+CRC_POLYNOMIAL: Final = 0x4599
+EQUAL_BITS_MAX: Final = 5
 
 
 def worst_bits(data_bytes: int) -> int:
@@ -24,56 +24,69 @@ def worst_bits(data_bytes: int) -> int:
 WORST_BITS = tuple(worst_bits(count) for count in range(9))  # by data bytes
 assert WORST_BITS[8] == 160 and WORST_BITS[0] == 80
 
+FREE: Final = -1  # before a frame there is no run of equal bits
 
-@njit(cache=True)
-def _stuffed(identifier, low, high, length):  # type: ignore[no-untyped-def]
-    bits = np.empty(128, dtype=np.uint8)
-    n = 0
-    bits[n] = 0
-    n += 1
-    for k in range(28, 17, -1):
-        bits[n] = (identifier >> k) & 1
-        n += 1
-    bits[n] = 1
-    bits[n + 1] = 1
-    n += 2
-    for k in range(17, -1, -1):
-        bits[n] = (identifier >> k) & 1
-        n += 1
-    for _ in range(3):
-        bits[n] = 0
-        n += 1
-    for k in range(3, -1, -1):
-        bits[n] = (length >> k) & 1
-        n += 1
-    for i in range(length):
-        byte = low >> 8 * i if i < 4 else high >> 8 * (i - 4)
-        for k in range(7, -1, -1):
-            bits[n] = (byte >> k) & 1
-            n += 1
-    crc = 0
-    for i in range(n):
-        feedback = bits[i] ^ (crc >> 14 & 1)
-        crc = (crc << 1) & 0x7FFF
-        if feedback:
-            crc ^= 0x4599
-    for k in range(14, -1, -1):
-        bits[n] = (crc >> k) & 1
-        n += 1
-    stuff, run, last = 0, 0, 2
-    for i in range(n):
-        if bits[i] == last:
-            run += 1
+
+def run_on(state: int, bits: int, count: int) -> tuple[int, int]:
+    """Stuffing over so many bits, the highest first: (state after them, bits stuffed).
+
+    A state is twice the length of the run of equal bits so far, 1 to 4, and the value of the last.
+    """
+    stuffed = 0
+    for k in range(count - 1, -1, -1):
+        bit = bits >> k & 1
+        if state == FREE or state & 1 != bit:
+            state = 2 | bit
         else:
-            run, last = 1, bits[i]
-        if run == 5:
-            stuff += 1
-            run, last = 1, 1 - last
-    return n + stuff
+            state += 2
+            if state >> 1 == EQUAL_BITS_MAX:
+                state, stuffed = 2 | 1 - bit, stuffed + 1
+    return state, stuffed
+
+
+def divided(crc: int, bits: int, count: int) -> int:
+    """The CRC register after so many bits more, the highest first."""
+    for k in range(count - 1, -1, -1):
+        feedback = (bits >> k ^ crc >> 14) & 1
+        crc = crc << 1 & 0x7FFF ^ (CRC_POLYNOMIAL if feedback else 0)
+    return crc
+
+
+def _stuffing(bits: int) -> bytes:
+    """For every state and value of so many bits: state after them, and 16 times what was stuffed."""
+    rows = (run_on(state, v, bits) if state > 1 else (0, 0) for state in range(10)
+            for v in range(1 << bits))  # fmt: skip
+    return bytes(state | stuffed << 4 for state, stuffed in rows)
+
+
+_BY_BYTE: Final = _stuffing(8)
+_BY_SEVEN: Final = _stuffing(7)  # the upper bits of a CRC
+_CRC: Final = [divided(0, byte, 8) for byte in range(256)]
+_heads: dict[int, tuple[int, int, int]] = {}  # of frames sent before
+HEADS_MAX = 4096  # a fleet has a hundred senders with a dozen kinds each
+
+
+def _head(identifier: int, length: int) -> tuple[int, int, int]:
+    """(CRC, state, bits stuffed) after the bits before the data."""
+    base, extension = identifier >> 18, identifier & 0x3FFFF
+    bits = ((base << 2 | 3) << 18 | extension) << 7 | length  # SOF is a 0 in front
+    return divided(0, bits, HEAD_BITS), *run_on(FREE, bits, HEAD_BITS)
 
 
 def frame_bits(identifier: int, data: bytes) -> int:
     """Bits on the wire from start of frame to the end of the interframe space."""
-    word = int.from_bytes(data, "little")  # two halves: integers are handed over faster than arrays
-    stuffed: int = _stuffed(identifier, word & 0xFFFFFFFF, word >> 32, len(data))
-    return stuffed + TAIL_BITS
+    length = len(data)
+    known = _heads.get(identifier << 4 | length)
+    if known is None:
+        if len(_heads) >= HEADS_MAX:
+            _heads.clear()
+        known = _heads[identifier << 4 | length] = _head(identifier, length)
+    crc, state, stuffed = known
+    for byte in data:
+        crc = crc << 8 & 0x7FFF ^ _CRC[(crc >> 7 ^ byte) & 0xFF]
+        step = _BY_BYTE[state << 8 | byte]
+        state, stuffed = step & 15, stuffed + (step >> 4)
+    step = _BY_SEVEN[state << 7 | crc >> 8]
+    stuffed += step >> 4
+    stuffed += _BY_BYTE[(step & 15) << 8 | crc & 0xFF] >> 4
+    return HEAD_BITS + 8 * length + CRC_BITS + stuffed + TAIL_BITS

@@ -46,13 +46,13 @@ class HostTimeBody:
     """A body that lives in the world's time, whatever its robot's clock says."""
 
     def __init__(self, body: Body, host: Host) -> None:
-        self._body, self._host = body, host
+        self._sense, self._drive, self._now_us = body.sense, body.drive, host.now_us
 
     def sense(self, now_us: int) -> Observation:
-        return self._body.sense(self._host.now_us())
+        return self._sense(self._now_us())
 
     def drive(self, command: Drive, now_us: int) -> None:
-        self._body.drive(command, self._host.now_us())
+        self._drive(command, self._now_us())
 
 
 class Robot:

@@ -11,23 +11,27 @@ import os
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable
-from typing import Any, Protocol
+from collections.abc import Callable
+from typing import Any, Final, Protocol
 
 import can
 from can import BusABC, CanOperationError, CanProtocol, Message
 
 from agent.membership import Neighbour
 from agent.ports import Beat
-from protocol.codec import decode_once
+from protocol.codec import decode
 from protocol.fleet_frames import Heartbeat, Pose
 from protocol.frame import Frame
+from protocol.messages import GROUP_OF
 from sim.wire import PASSIVE, Wire
 
 RX_QUEUE_MAX = 8192  # frames kept for a program that does not read; then the newest are dropped
 POLL_S = 0.002  # how often a program without an event loop looks at the wire
 
-ACTIVE = can.BusState.ACTIVE
+ACTIVE, SHAKEN, OFF = can.BusState.ACTIVE, can.BusState.PASSIVE, can.BusState.ERROR
+POSE_PGN: Final = GROUP_OF[Pose].pgn
+HEARTBEAT_PGN: Final = GROUP_OF[Heartbeat].pgn
+_tuple = tuple.__new__
 Tap = Callable[[int, Frame], None]  # microseconds, frame
 
 
@@ -44,11 +48,15 @@ class Alarm(Protocol):
 
 def calm(frame: Frame, t_us: int) -> Beat | None:
     """A beat that may wait for the turns of those who hear it."""
-    source, message = decode_once(frame)
+    group = frame[0] >> 8 & 0x3FFFF
+    if group != POSE_PGN and group != HEARTBEAT_PGN:
+        return None
+    source, message = decode(frame)
     if type(message) is Pose and not message.stopped:
-        return Beat(source, message, t_us, Neighbour(message, t_us))
+        seen = _tuple(Neighbour, (message, t_us))
+        return _tuple(Beat, (source, message, t_us, seen))
     if type(message) is Heartbeat and not message.stopped and not message.leaving:
-        return Beat(source, message, t_us, None)
+        return _tuple(Beat, (source, message, t_us, None))
     return None
 
 
@@ -68,18 +76,25 @@ class Segment:
         self.lock = threading.RLock()  # programs without an event loop send and receive in threads
         self._loop: asyncio.AbstractEventLoop | None = None
         self._clock = clock
+        self._now = clock.now_us if clock is not None else None
+        self._at = clock.at if clock is not None else None
+        self._fires: Callable[[], None] = self._fire
         self._timer: Alarm | None = None
         self._timer_us = 0
 
     def now_us(self) -> int:
-        if self._clock is not None:
-            return self._clock.now_us()
+        if self._now is not None:
+            return self._now()
         try:
             return round(asyncio.get_running_loop().time() * 1_000_000)
         except RuntimeError:
             return time.monotonic_ns() // 1000
 
     def submit(self, node: int, frame: Frame) -> bool:
+        if self._now is not None:  # one thread drives everything
+            accepted = self.wire.submit(node, frame, self._now())
+            self.arm()
+            return accepted
         with self.lock:
             accepted = self.wire.submit(node, frame, self.now_us())
             self.arm()
@@ -105,8 +120,8 @@ class Segment:
         self._timer_us = next_us
         if loop is not None:
             self._timer = loop.call_at(next_us / 1_000_000, self._fire)
-        elif self._clock is not None:
-            self._timer = self._clock.at(next_us, self._fire)
+        elif self._at is not None:
+            self._timer = self._at(next_us, self._fires)
 
     def _fire(self) -> None:
         self._timer = None
@@ -122,7 +137,7 @@ class Segment:
             if shelves:
                 beat = calm(frame, t_us)
                 if beat is not None:
-                    receivers = tuple(self._put(beat, receivers))
+                    receivers = self._put(beat, receivers)
             for node in receivers:
                 ear = ears.get(node)
                 if ear is not None:
@@ -130,13 +145,14 @@ class Segment:
                 elif node in buses:
                     buses[node]._deliver(t_us, frame)
 
-    def _put(self, beat: Beat, receivers: Iterable[int]) -> list[int]:
+    def _put(self, beat: Beat, receivers: tuple[int, ...]) -> tuple[int, ...]:
         """On the shelves of those who have one; returns the others."""
-        others, shelves = [], self.shelves
+        others: tuple[int, ...] = ()
+        shelves = self.shelves
         for node in receivers:
             shelf = shelves.get(node)
             if shelf is None:
-                others.append(node)
+                others = (*others, node)
             else:
                 shelf.append(beat)
         return others
@@ -266,9 +282,9 @@ class FieldBus(BusABC):
     def state(self) -> can.BusState:
         node = self.segment.wire.nodes.get(self.node)
         if node is None or node.off_until_us is not None:
-            return can.BusState.ERROR
+            return OFF
         quiet = node.tec <= PASSIVE and node.rec <= PASSIVE
-        return ACTIVE if quiet else can.BusState.PASSIVE
+        return ACTIVE if quiet else SHAKEN
 
     def shutdown(self) -> None:
         if self._open:

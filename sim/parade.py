@@ -13,7 +13,7 @@ from agent.config import ACTUATOR_TTL_US, CONTENTION_US, LEASE_US, MS, S
 from agent.effects import HALT, Drive
 from agent.mission import STILL, Choice, FleetView, Wish
 from agent.motion import Limits, Motion
-from agent.ports import Observation
+from agent.ports import NOTHING_SEEN, Observation
 from crdt import Phase
 from sim.body import RobotBody
 from sim.checkers import VIOLATIONS_MAX, Violation
@@ -32,6 +32,7 @@ BOTH_US = 200 * MS
 
 
 assert BOTH_US < CONTENTION_US
+_tuple = tuple.__new__
 
 
 class Watch(NamedTuple):
@@ -84,11 +85,13 @@ class Stand(RobotBody):
     def sense(self, now_us: int) -> Observation:
         angle = now_us * 1e-6 + self.slot
         x, y = cos(angle), sin(angle)
-        return Observation(self.x_m + x, self.y_m + y, angle % 6.28, -y, x)
+        x_m, y_m, course_rad = self.x_m + x, self.y_m + y, angle % 6.28
+        return _tuple(Observation, (x_m, y_m, course_rad, -y, x, (), 1.0, (), -1, NOTHING_SEEN))
 
     def drive(self, command: Drive, now_us: int) -> None:
         if self._moving:
-            self.parade.moved(self.slot, min(now_us, self._moving_us + ACTUATOR_TTL_US))
+            until_us = self._moving_us + ACTUATOR_TTL_US
+            self.parade.moved(self.slot, now_us if now_us < until_us else until_us)
         self._moving = command.vx_m_s != 0.0 or command.vy_m_s != 0.0 or command.turn_rad_s != 0.0
         if self._moving:
             self._moving_us = now_us

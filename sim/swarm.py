@@ -6,7 +6,6 @@ were set, behind what is ready; a woken shell takes its turn one round later), s
 gives the same trace hash: a test compares them.
 """
 
-from collections import deque
 from collections.abc import Callable
 from heapq import heappop, heappush
 from math import ceil
@@ -171,7 +170,7 @@ class Swarm:
         self.time_us = 0
         self._order = 0
         self._timers: list[tuple[int, int, Timer]] = []
-        self._ready: deque[Call] = deque()
+        self._ready: list[Call] = []
 
     def now_us(self) -> int:
         return self.time_us
@@ -202,19 +201,21 @@ class Swarm:
     def run(self, main: Script[T]) -> T:
         """Until the script ends. Time begins at 0."""
         handle = self.spawn(main)
-        timers, ready = self._timers, self._ready
+        timers = self._timers
         while not handle.done():
-            if not ready:
+            if not self._ready:
                 while timers[0][2].cancelled:
                     heappop(timers)
                 self.time_us = max(self.time_us, timers[0][0])
             while timers and timers[0][0] <= self.time_us:
                 timer = heappop(timers)[2]
                 if not timer.cancelled:
-                    ready.append(timer.call)
-            for _ in range(len(ready)):
-                ready.popleft()()
+                    self._ready.append(timer.call)
+            ready, self._ready = self._ready, []
+            for place, call in enumerate(ready):
+                call()
                 if handle.done():
+                    self._ready[:0] = ready[place + 1 :]
                     break
         value: T = handle.value
         return value

@@ -9,11 +9,10 @@ counters through error passive to bus-off and back, inconsistent omission. Chanc
 generator per kind of fault, so that removing one fault does not reshuffle the others.
 """
 
-from collections import Counter
 from dataclasses import dataclass, field
 from heapq import heappop, heappush
 from random import Random
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from protocol.frame import Frame
 from sim.bits import BIT_US, WORST_BITS, frame_bits
@@ -23,6 +22,8 @@ ERROR_US = 31 * BIT_US  # error flag, its superposition and delimiter, interfram
 PASSIVE = 127  # above this a node is error passive
 BUS_OFF_TEC = 256
 SUSPEND_US = 8 * BIT_US  # an error passive node waits so long after its own frame (ISO 11898-1)
+NEVER_US: Final = -1
+NO_FRAME = Frame(0, b"")
 RECOVERY_US = 128 * 11 * BIT_US  # 128 times 11 recessive bits
 
 
@@ -62,6 +63,24 @@ class Faults:
     deaf: set[tuple[int, int]] = field(default_factory=set)  # (sender, receiver) links that are cut
 
 
+class Island:
+    """A piece of the bus, and what goes on there."""
+
+    def __init__(self, number: int) -> None:
+        self.number = number
+        self.free_us = 0  # the last frame ended then
+        self.start_us = NEVER_US  # when arbitration is due
+        self.end_us = NEVER_US  # of the frame that is being sent
+        self.sender = 0
+        self.frame = NO_FRAME
+        self.broken = False
+
+    @property
+    def next_us(self) -> int:
+        """When something happens here, or `NEVER_US`."""
+        return self.start_us if self.end_us == NEVER_US else self.end_us
+
+
 class Wire:
     def __init__(self, seed: int | str = 0, bit_us: int = BIT_US) -> None:
         self.bit_us = bit_us
@@ -70,16 +89,12 @@ class Wire:
         self.frames = self.errors = 0
         self.busy_us = 0
         self.worst_us = 0  # the same frames at worst-case stuffing
-        self.by_group: Counter[int] = Counter()
+        self.by_group: dict[int, int] = {}  # frames of each parameter group
         self._rng = {
             k: Random(f"{seed}/wire/{k}") for k in ("loss", "omission", "duplicate", "error")
         }
         self._order = 0
-        self._free_us: dict[int, int] = {}  # island -> when its bus is free
-        self._sending: dict[
-            int, tuple[int, int, Frame, bool]
-        ] = {}  # island -> end, node, frame, broken
-        self._start_us: dict[int, int] = {}  # island -> when arbitration is due
+        self._islands = [Island(0)]  # by their numbers; one, unless the bus was cut
         self._audience: dict[int, tuple[int, ...]] = {}
         self._off: dict[int, int] = {}  # nodes in bus-off -> until when
         self._waiting: set[int] = set()  # nodes with something to send
@@ -102,18 +117,20 @@ class Wire:
         self._off.pop(number, None)
         self._waiting.discard(number)
         self._next_known = False
-        for island, (_, node, _, _) in list(self._sending.items()):
-            if node == number:
-                del self._sending[island]
+        for island in self._islands:
+            if island.sender == number:
+                island.end_us = NEVER_US
         self._audience.clear()
 
     def partition(self, *islands: set[int]) -> None:
         """Cut the bus: the named nodes fall into these islands, the others stay in the first."""
+        while len(self._islands) < len(islands):
+            self._islands.append(Island(len(self._islands)))
         for number, node in self.nodes.items():
             node.island = next((i for i, names in enumerate(islands) if number in names), 0)
         self._audience.clear()
         for number in self._waiting:  # what waits goes on in the new island
-            self._wish(self.nodes[number].island, self._now_us)
+            self._wish(self._islands[self.nodes[number].island], self._now_us)
 
     def heal(self) -> None:
         self.partition()
@@ -133,16 +150,17 @@ class Wire:
         self._now_us = max(self._now_us, now_us)
         heappush(node.queue, (frame.identifier, self._order, frame))
         self._waiting.add(number)
-        self._wish(node.island, now_us)
+        self._wish(self._islands[node.island], now_us)
         return True
 
-    def _wish(self, island: int, now_us: int) -> None:
-        if island in self._sending:
+    def _wish(self, island: Island, now_us: int) -> None:
+        if island.end_us != NEVER_US:
             return
-        start_us = max((now_us // self.bit_us + 1) * self.bit_us, self._free_us.get(island, 0))
-        known = self._start_us.get(island)
-        if known is None or start_us < known:
-            self._start_us[island] = start_us
+        start_us = (now_us // self.bit_us + 1) * self.bit_us
+        if start_us < island.free_us:
+            start_us = island.free_us
+        if island.start_us == NEVER_US or start_us < island.start_us:
+            island.start_us = start_us
             self._next_known = False
 
     @property
@@ -150,18 +168,16 @@ class Wire:
         """When something happens next by itself."""
         if self._next_known:
             return self._next_us
-        sending, next_us = self._sending, None
-        for busy in sending.values():
-            if next_us is None or busy[0] < next_us:
-                next_us = busy[0]
-        for island, start_us in self._start_us.items():
-            if island not in sending and (next_us is None or start_us < next_us):
-                next_us = start_us
-        for until_us in self._off.values():
-            if next_us is None or until_us < next_us:
-                next_us = until_us
-        self._next_us, self._next_known = next_us, True
-        return next_us
+        next_us = NEVER_US
+        for island in self._islands:
+            due_us = island.next_us
+            if due_us != NEVER_US and (next_us == NEVER_US or due_us < next_us):
+                next_us = due_us
+        if self._off:
+            back_us = min(self._off.values())
+            next_us = back_us if next_us == NEVER_US else min(next_us, back_us)
+        self._next_us, self._next_known = (None if next_us == NEVER_US else next_us), True
+        return self._next_us
 
     def advance(self, now_us: int) -> list[Delivery]:
         """Everything that ends until now, in order."""
@@ -169,13 +185,13 @@ class Wire:
         self._now_us = max(self._now_us, now_us)
         while (t_us := self.next_us) is not None and t_us <= now_us:
             self._next_known = False
-            for island in sorted(self._sending):
-                if self._sending[island][0] <= t_us:
+            for island in self._islands:
+                if NEVER_US < island.end_us <= t_us:
                     self._end(island, t_us, deliveries)
             if self._off:
                 self._recover(t_us)
-            for island in sorted(self._start_us):
-                if self._start_us[island] <= t_us and island not in self._sending:
+            for island in self._islands:
+                if NEVER_US < island.start_us <= t_us and island.end_us == NEVER_US:
                     self._arbitrate(island, t_us)
         return deliveries
 
@@ -186,13 +202,13 @@ class Wire:
             node = self.nodes[number]
             node.off_until_us, node.tec, node.rec = None, 0, 0
 
-    def _arbitrate(self, island: int, t_us: int) -> None:
-        del self._start_us[island]
+    def _arbitrate(self, island: Island, t_us: int) -> None:
+        island.start_us = NEVER_US
         best: tuple[int, int, Frame] | None = None  # no two have one order
         sender, later_us = -1, list[int]()
         for number in self._waiting:
             node = self.nodes[number]
-            if node.island != island:
+            if node.island != island.number:
                 continue
             if node.ready_us > t_us:
                 later_us.append(node.ready_us)
@@ -202,7 +218,7 @@ class Wire:
                 best, sender = head, number
         if best is None:
             if later_us:
-                self._start_us[island] = min(later_us)
+                island.start_us = min(later_us)
             return
         frame = best[2]
         identifier, data = frame
@@ -214,11 +230,12 @@ class Wire:
         else:
             length_us = bits * self.bit_us
         self.busy_us += length_us
-        self._sending[island] = (t_us + length_us, sender, frame, broken)
+        island.end_us, island.sender = t_us + length_us, sender
+        island.frame, island.broken = frame, broken
 
-    def _end(self, island: int, t_us: int, deliveries: list[Delivery]) -> None:
-        _, number, frame, broken = self._sending.pop(island)
-        self._free_us[island] = t_us
+    def _end(self, island: Island, t_us: int, deliveries: list[Delivery]) -> None:
+        number, frame, broken = island.sender, island.frame, island.broken
+        island.end_us, island.free_us = NEVER_US, t_us
         node = self.nodes[number]
         if node.tec > PASSIVE:
             node.ready_us = t_us + SUSPEND_US
@@ -232,7 +249,8 @@ class Wire:
                 self._heal_receivers(number, node.island)
             node.sent += 1
             self.frames += 1
-            self.by_group[frame.identifier >> 8 & 0x3FFFF] += 1
+            group = frame[0] >> 8 & 0x3FFFF
+            self.by_group[group] = self.by_group.get(group, 0) + 1
             repeated = (
                 self.faults.duplicate > 0
                 and self._rng["duplicate"].random() < self.faults.duplicate
@@ -242,8 +260,10 @@ class Wire:
             if not node.queue:
                 self._waiting.discard(number)
             deliveries.append(_tuple(Delivery, (t_us, frame, number, self._hearers(number))))
-        if self._waiting and any(self.nodes[n].island == island for n in self._waiting):
-            self._start_us[island] = t_us
+        for waiting in self._waiting:
+            if self.nodes[waiting].island == island.number:
+                island.start_us = t_us
+                break
 
     @staticmethod
     def _drop_head(node: Node, frame: Frame) -> None:
@@ -297,8 +317,12 @@ class Wire:
         faults = self.faults
         if faults.deaf:
             audience = tuple(n for n in audience if (sender, n) not in faults.deaf)
-        for rate, kind in ((faults.loss, "loss"), (faults.omission, "omission")):
-            if rate > 0.0:
-                chance = self._rng[kind].random
-                audience = tuple(n for n in audience if chance() >= rate)
+        if faults.loss > 0.0:
+            audience = self._lucky(audience, "loss", faults.loss)
+        if faults.omission > 0.0:
+            audience = self._lucky(audience, "omission", faults.omission)
         return audience
+
+    def _lucky(self, audience: tuple[int, ...], kind: str, rate: float) -> tuple[int, ...]:
+        chance = self._rng[kind].random
+        return tuple(n for n in audience if chance() >= rate)

@@ -11,7 +11,7 @@ from collections import Counter, defaultdict
 from typing import NamedTuple
 
 from agent.config import CONTENTION_US, STOP_SPACING_US
-from agent.lifecycle import State
+from agent.lifecycle import WORKING
 from crdt import Phase
 from crdt.register import pack
 from crdt.stops import StopDot
@@ -51,7 +51,6 @@ class Speaker:
         self.start_us = NEVER_US
         self.asks_start = False  # it was reset, and has not been started since
         self.pressed_us = NEVER_US
-        self.state = State.DISCONNECTED
         self.votes: dict[int, LeaderElectionVote] = {}  # newest of each election
 
 
@@ -156,10 +155,10 @@ class WordRules:
             speaker.dots.clear()
         if speaker.asks_start and speaker.start_us > speaker.stopped_us:
             speaker.asks_start = False
-        if speaker.asks_start and pose.state == State.WORKING:
+        if speaker.asks_start and pose.state == WORKING:
             self._add("S4", now_us, f"robot {slot} works after a reset without a start")
             speaker.asks_start = False
-        speaker.stopped, speaker.state = pose.stopped, State(pose.state)
+        speaker.stopped = pose.stopped
 
     def _stop(self, slot: int, speaker: Speaker, now_us: int, stop: EmergencyStop) -> None:
         dot = StopDot(stop.slot, stop.incarnation, stop.counter)
