@@ -8,6 +8,7 @@ of a unit that is done and lies next to no open one.
 import itertools
 from collections.abc import Iterable, Sequence
 from math import hypot
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,11 +20,13 @@ from agent.mission import FleetView
 
 Point = tuple[float, float]
 
-ROOM_M = 0.6  # between two hulls, beside a line that will be worked: ORCA's margin and tracking
-APART_M = 1.0  # between hulls of two that rest
-LOOK_US = 1 * S  # open lines change with units, and a unit takes seconds
-NEAR_MAX = 200  # places looked at, nearest first: a field has room near by or not at all
-SAMPLE_M = 1.0  # of open lines
+ROOM_M: Final = (
+    0.6  # between two hulls, beside a line that will be worked: ORCA's margin and tracking
+)
+APART_M: Final = 1.0  # between hulls of two that rest
+LOOK_US: Final = 1 * S  # open lines change with units, and a unit takes seconds
+NEAR_MAX: Final = 200  # places looked at, nearest first: a field has room near by or not at all
+SAMPLE_M: Final = 1.0  # of open lines
 
 
 class Parking:

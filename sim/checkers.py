@@ -7,7 +7,7 @@ names of invariants; ARCHITECTURE.md lists them.
 
 from collections.abc import Collection, Mapping, Sequence
 from math import inf
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from shapely.geometry import MultiPolygon, Polygon
@@ -18,7 +18,7 @@ from sim.line_truth import NEVER_US, SAMPLE_M, LineTruth, Polyline
 from sim.truth import Track
 from sim.world import STEP_US, World
 
-VIOLATIONS_MAX = 1_000  # a broken rule is broken at every step; the first thousand will do
+VIOLATIONS_MAX: Final = 1_000  # a broken rule is broken at every step; the first thousand will do
 
 
 class Violation(NamedTuple):

@@ -13,7 +13,8 @@ from collections.abc import Callable, Mapping, Sequence
 from hashlib import blake2b
 from heapq import heappop, heappush
 from math import cos, inf, sin
-from typing import Protocol
+from struct import Struct
+from typing import Final, Protocol
 
 import numpy as np
 import pymunk
@@ -39,11 +40,11 @@ from sim.walls import BOX, DISC, FREE, OBSTACLE_COLUMNS, OBSTACLES_MAX, XY, Grid
 
 __all__ = ["STEP_US", "RobotBody", "World"]
 
-CONTACTS_MAX = 10_000  # a run with more has failed long before; `contacts_lost` counts on
-APART_US = 200_000  # a contact is over after this long without overlap
+CONTACTS_MAX: Final = 10_000  # a run with more has failed long before; `contacts_lost` counts on
+APART_US: Final = 200_000  # a contact is over after this long without overlap
 # The engine makes so many steps after something was near, or was put somewhere: longer than it remembers
 # what touched (3 steps, `cpSpaceSetCollisionPersistence`).
-ENGINE_STEPS = 8
+ENGINE_STEPS: Final = 8
 
 
 class Guard(Protocol):
@@ -76,6 +77,7 @@ class World:
         self.near_m = NEAR_M  # inf: every step is the engine's
         self.rows = np.empty((0, COLUMNS))  # see sim.vehicle; one row a robot, in order of adding
         self.motion = np.empty((0, 7))
+        self.commands = self.places = memoryview(b"")  # both, for who reads or writes one row
         self.moved_us = np.empty(0, dtype=np.int64)  # the last step at whose end each robot moved
         self._seed = seed
         self._keys = np.empty(0, dtype=np.uint64)
@@ -89,6 +91,8 @@ class World:
         edges = [*ring_edges(rings), *(grid.edges() if grid is not None else ())]
         self._solid = Walls(edges) if grid is not None else self._fences
         self._beams = (lidar or Lidar()).beams()
+        self._seen = self._beams.data.cast("B")
+        self._echoes = Struct(f"{(lidar or Lidar()).rays}f").unpack_from
         self._nearest = np.array([inf, inf])
         self._touches = np.empty((TOUCHES_MAX, 3))
         self._touching: dict[tuple[int, int], Contact] = {}
@@ -125,6 +129,7 @@ class World:
         self._keys = np.append(self._keys, np.frombuffer(key, dtype=np.uint64))
         self.rows = np.vstack((self.rows, row_of(chassis)))
         self.motion = np.vstack((self.motion, (*at, heading_rad, 0.0, 0.0, 0.0, radius_m)))
+        self.commands, self.places = self.rows.data.cast("B"), self.motion.data.cast("B")
         self.moved_us = np.append(self.moved_us, np.int64(-1))
         self._side = np.append(self._side, np.int8(0))
         self._side[-1] = self._sides()[-1]
@@ -256,9 +261,11 @@ class World:
             self._record()
 
     def _record(self) -> None:
-        places, tools = self.motion[:, :2].tolist(), self.rows[:, TOOL].tolist()
-        for robot, (x_m, y_m), tool in zip(self.robots.values(), places, tools, strict=True):
-            robot.track.add(self.now_us, x_m, y_m, tool != 0.0)
+        tools = self.rows[:, TOOL].tolist()
+        for robot, place, tool in zip(
+            self.robots.values(), self.motion.tolist(), tools, strict=True
+        ):
+            robot.track.add(self.now_us, place[0], place[1], tool != 0.0)
 
     def _judge(self, touches: list[list[float]]) -> None:
         """Begin, deepen and end contacts; bodies that rest on each other stay one contact."""
@@ -319,7 +326,8 @@ class World:
         fences = self._fences
         scan(self.motion, index, fences.floats, fences.ints, fences.blocked, self._standing,
              self.lidar.range_m, self._beams)  # fmt: skip
-        return tuple(self._beams[RANGE, : self.lidar.rays].tolist())
+        ranges_m: tuple[float, ...] = self._echoes(self._seen, RANGE * self._beams.strides[0])
+        return ranges_m
 
     def ranges_of_all(self) -> NDArray[np.float32]:
         """(robots, rays): the same of every robot at once, in order of adding."""
