@@ -5,7 +5,7 @@ Nothing but a stop is believed from an address that has not said which member it
 """
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from agent import bulletin
 from agent.cause import Cause
@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from agent.core import Peer
 
 OF_MISSIONS = (Fallen, TaskOrder, TaskBookDigest, TaskBid, Itinerary, PlanOffer, PlanRow)
+TOLD_OF: Final = (StateSyncRequest, Digests, StateSyncResponse)
 OUTSIDER = -1  # a device that is not a member: it has agreed with nobody about anything
 TELL_SPACING_US = 2 * S  # a snapshot of 1,000 entries takes 2.1 s at the share that sync may use
 EVERYBODY = 0xFF  # target of an operator's command
@@ -104,18 +105,18 @@ class Hearing:
         peer, effects = self.peer, list[Effect]()
         membership, own = peer.membership, peer.slot
         slot_of, signs, neighbours = membership.slot_of, membership.signs_us, membership.neighbours
-        for source, message, t_us, seen in beats:
+        for beat in beats:
+            source, seen = beat[0], beat[3]
             slot = slot_of.get(source)
-            if local is not None:
-                t_us = local(t_us)
-                seen = None if seen is None else Neighbour(seen.pose, t_us)
+            if local is not None and seen is not None:
+                seen = Neighbour(seen.pose, local(seen.heard_us))
             if seen is not None and slot in signs:
-                signs[slot] = t_us
-                neighbours[slot] = seen
+                neighbours[slot] = seen  # a sign of life too
                 if seen[0][6] == own:  # seen.pose.heard
-                    peer.check.reflected_us = t_us
+                    peer.check.reflected_us = seen.heard_us
             else:
-                effects += peer.hear(source, message, t_us)
+                t_us = beat.t_us if local is None else local(beat.t_us)
+                effects += peer.hear(source, beat.message, t_us)
         return effects
 
     def stop(self, source: int, message: EmergencyStop, now_us: int) -> Sequence[Effect]:
@@ -283,7 +284,7 @@ class Hearing:
             if peer.mission is not None and peer.claims.current is None:
                 peer.mission.abandon()
             effects += peer.idle_if_free(f"lost S{section}")
-        if isinstance(m, StateSyncRequest | Digests | StateSyncResponse):
+        if isinstance(m, TOLD_OF):
             effects.append(Trace("sync", "", type(m).__name__, "", f"from {slot}"))
         return effects
 

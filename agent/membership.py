@@ -6,7 +6,7 @@ brake; allocation: wait for the lease). There is no suspicion level and no vote:
 everybody hears everybody, so a second opinion would carry no information.
 
 The oldest sign of life is looked for only when it may have become silence, a few times a second: what
-is heard a thousand times a second, a sign, costs one write.
+is heard a thousand times a second, a beat, costs one write, that of its sender's newest pose.
 """
 
 from enum import Enum, auto
@@ -43,7 +43,7 @@ class Membership:
         self.silent: frozenset[int] = frozenset()
         self.slot_of: dict[int, int] = {}  # source address -> slot, from MEMBER frames
         self.strangers = 0  # frames of addresses that have not said which member they are
-        self.signs_us: dict[int, int] = {}  # live others: their last sign of life
+        self.signs_us: dict[int, int] = {}  # live others: last sign of life, but for newer poses
         self._oldest_us = now_us  # no sign of theirs is older
 
     def bind(self, source: int, slot: int, incarnation: int, now_us: int) -> bool:
@@ -103,15 +103,24 @@ class Membership:
 
     def tick(self, now_us: int) -> list[int]:
         """The members that have just fallen silent."""
-        heard, silent_us = self.signs_us, now_us - self.silence_us
-        if not heard or self._oldest_us > now_us - self.silence_us // 2:
+        signs, silent_us = self.signs_us, now_us - self.silence_us
+        if not signs or self._oldest_us > now_us - self.silence_us // 2:
             return []
-        fallen = sorted((us, slot) for slot, us in heard.items() if us <= silent_us)
-        for _, slot in fallen:
-            del heard[slot]
+        neighbours, oldest_us = self.neighbours, now_us
+        fallen: list[tuple[int, int]] = []
+        for slot, us in signs.items():
+            seen = neighbours.get(slot)
+            if seen is not None and seen.heard_us > us:
+                us = signs[slot] = seen.heard_us
+            if us <= silent_us:
+                fallen.append((us, slot))
+            elif us < oldest_us:
+                oldest_us = us
+        self._oldest_us = oldest_us
+        for _, slot in sorted(fallen):
+            del signs[slot]
             self._stand(slot, Standing.SILENT, now_us)
-        self._oldest_us = min(heard.values(), default=now_us)
-        return [slot for _, slot in fallen]
+        return [slot for _, slot in sorted(fallen)]
 
     def forget_all(self, now_us: int) -> None:
         """We left the fleet ourselves: nobody's silence means anything to us now."""

@@ -36,6 +36,15 @@ def entry_hash(kind: int, name: int, value: int) -> int:
     return mix(place(kind, name) ^ value)
 
 
+@lru_cache(maxsize=HASHES_MAX)
+def change_of(kind: int, name: int, before: int | None, value: int) -> tuple[int, int]:
+    """(bucket, what is added to its sum) where an entry changes."""
+    change = entry_hash(kind, name, value)
+    if before is not None:
+        change -= entry_hash(kind, name, before)
+    return bucket_of(kind, name), change & MASK
+
+
 def bucket_of(kind: int, name: int) -> int:
     return place(kind, name) % BUCKETS
 
@@ -68,10 +77,7 @@ class Sums:
         if self._before:
             kind, sums = self.kind, self._sums
             for name, before in self._before.items():
-                bucket = bucket_of(kind, name)
-                change = entry_hash(kind, name, self._values[name])
-                if before is not None:
-                    change -= entry_hash(kind, name, before)
+                bucket, change = change_of(kind, name, before, self._values[name])
                 sums[bucket] = (sums[bucket] + change) & MASK
                 self._total = (self._total + change) & MASK
             self._before.clear()

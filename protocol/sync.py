@@ -24,7 +24,7 @@ A fresh join has T0 = 0 and the digest of nothing, which makes the answer a snap
 
 from collections import Counter, deque
 from collections.abc import Iterable
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from crdt import FieldAllocationCRDT, Progress
 from crdt.allocation import KIND as REGISTER
@@ -62,6 +62,7 @@ FRESH_US = 250 * MS  # an entry that was on the bus so lately needs no correctio
 GRACE_US = 100 * MS  # after a heartbeat period everybody has had time to contradict
 
 
+ENTRIES: Final = (TaskClaim, StateSyncResponse, WorkProgress)
 Said = StateSyncRequest | StateSyncResponse | WorkProgress | Digests
 
 
@@ -184,7 +185,7 @@ class Sync:
 
     def receive(self, slot: int, message: object, now_us: int) -> set[int]:
         """Any work frame; returns the sections whose register changed."""
-        if isinstance(message, TaskClaim | StateSyncResponse | WorkProgress):
+        if isinstance(message, ENTRIES):
             return self._entry(slot, message, now_us)
         if isinstance(message, StateSyncRequest):
             self._question(slot, message, now_us)

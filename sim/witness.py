@@ -3,7 +3,7 @@
 from collections import defaultdict
 from collections.abc import Callable
 
-from agent.effects import Effect, Send, Trace
+from agent.effects import Drive, Effect, Send, Trace
 from agent.lifecycle import TABLE
 from protocol.fleet_frames import Pose
 from protocol.messages import Message
@@ -30,6 +30,8 @@ class Witness(Recorder):
 
     def __call__(self, slot: int, now_us: int, effect: Effect) -> None:
         super().__call__(slot, now_us, effect)
+        if type(effect) is Drive:
+            return
         if self.clock is not None:
             now_us = self.clock()
         if isinstance(effect, Send):

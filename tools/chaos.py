@@ -24,6 +24,7 @@ from sim.trouble import PROFILES, draw
 from sim.verdict import RULES, Verdict, judge
 from tools.campaign import ClusterError, room, workers
 from tools.chaos_report import ReportError, report
+from tools.collector import patient
 from tools.fingerprint import fingerprint
 from tools.hunt import hunt_all
 
@@ -129,7 +130,8 @@ def _range(text: str) -> range:
 
 
 def judged(seed: int, profile: str) -> Verdict:
-    return judge(draw(seed, profile))
+    with patient():
+        return judge(draw(seed, profile))
 
 
 def _campaign(

@@ -11,6 +11,7 @@ import sys
 import time
 from typing import TYPE_CHECKING, NamedTuple
 
+from tools.collector import patient
 from tools.compiled_core import OFF, use
 from tools.fingerprint import ROOT
 
@@ -46,7 +47,8 @@ def speed(robots: int, seed: int, cpu_s: float) -> Speed:
     simulated_s = spent_s = 0.0
     frames = 0
     while spent_s < cpu_s:
-        worked = _drill(robots, seed, cpu_s - spent_s)
+        with patient():
+            worked = _drill(robots, seed, cpu_s - spent_s)
         simulated_s, spent_s = simulated_s + worked[0], spent_s + worked[1]
         frames, seed = frames + worked[2], seed + 1
     return Speed(simulated_s / spent_s, compiled, frames, simulated_s)

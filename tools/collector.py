@@ -1,0 +1,24 @@
+"""The collector of cyclic garbage, told how simulations live: millions of tuples that die by themselves,
+and one big cycle, a fleet, that is garbage when its run is over.
+
+Left to itself it looks through a fleet of a hundred robots some times a second: a fifth of the CPU time.
+"""
+
+import gc
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+YOUNG, MIDDLE, OLD = 50_000, 50, 1_000  # what has to come between two looks; CPython's: 700, 10, 10
+
+
+@contextmanager
+def patient() -> Iterator[None]:
+    """While one run lasts. What was there before is not looked at; what it leaves is collected."""
+    before = gc.get_threshold()
+    gc.freeze()
+    gc.set_threshold(YOUNG, MIDDLE, OLD)
+    try:
+        yield
+    finally:
+        gc.collect()
+        gc.set_threshold(*before)
