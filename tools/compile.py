@@ -19,7 +19,8 @@ WRONG = 1
 LEVEL = "2"  # of optimization
 CACHE = FOLDER.with_name("core_types")  # of mypy: that of `make check` has other options
 # What turns and frames go through. Not: modules of kernels (numba has those), of constants and
-# protocols alone, what is seldom called, and what mypyc refuses (constrained type variables).
+# protocols alone, what is seldom called, what mypyc refuses (constrained type variables), and
+# `sim/play.py`, on which mypyc 2 itself crashes. mypyc calls a `cached_property` each time.
 GROUP = {
     "crdt": "allocation clock digest progress register",
     "protocol": "accord_frames address bus codec delivery_frames divergence fleet_frames identifier "
