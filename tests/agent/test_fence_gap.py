@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from shapely.geometry import LineString, Point
 
@@ -16,12 +16,14 @@ def away_m(fence: tuple[float, ...], x: float, y: float) -> float:
     return float(LineString([fence[:2], fence[2:]]).distance(Point(x, y)))
 
 
+@settings(deadline=None)  # kernels are loaded
 @given(FENCES, PLACE, PLACE)
 def test_the_nearest_of_all(fences: list[tuple[float, ...]], x: float, y: float) -> None:
     wanted = min(away_m(fence, x, y) for fence in fences)
     assert gap_m(x, y, np.array(fences)) == pytest.approx(wanted, abs=1e-9)
 
 
+@settings(deadline=None)  # kernels are loaded
 @given(FENCES, PLACE, PLACE)
 def test_along_a_way_it_is_the_smallest_of_its_points(
     fences: list[tuple[float, ...]], x: float, y: float
@@ -31,6 +33,7 @@ def test_along_a_way_it_is_the_smallest_of_its_points(
     assert way_gap_m(x, y, 0.6, 0.8, 0.5, 3, table) == pytest.approx(wanted, abs=1e-9)
 
 
+@settings(deadline=None)  # kernels are loaded
 @given(FENCES, PLACE, PLACE, st.integers(1, 5), st.floats(1.0, 30.0))
 def test_the_nearest_are_gathered_in_order(
     fences: list[tuple[float, ...]], x: float, y: float, most: int, reach_m: float

@@ -26,7 +26,7 @@ QUICK_MUTANTS = ("hold-forgotten", "latch-forgotten", "claims-uncontested")
 HOURS_WANTED, BUGS_WANTED, BUDGET_S = 20_000.0, 20, 600.0
 EXECUTIONS_CI, EXECUTIONS = 100_000, 10_000_000
 NOTHING = "nothing: our own figure"
-RUNS = (("protocol", 200), ("all", 100), (FIELD, 10))
+RUNS = (("protocol", 1, 200), ("all", 1, 100), (FIELD, 2, 10))  # --quick, and in full
 CAMPAIGN_WANTED = {"all": 300.0, FIELD: 300.0}  # six robots at 50 s a CPU second
 COMPILED, INTERPRETED = "compiled core", "interpreted: see `headland compile`"
 
@@ -40,8 +40,8 @@ def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
             f">= {wanted:.0f}", speed.rate >= wanted, NOTHING,
             f"whole core, wire, words and commands judged; 20 beats a second up to 30 robots; {how}",
         )  # fmt: skip
-    for profile, runs in RUNS:
-        yield from _campaign(profile, 1 if quick else runs, seed)
+    for profile, few, runs in RUNS:
+        yield from _campaign(profile, few if quick else runs, seed)
     warm_up()  # before any clock starts
     yield from _bugs(QUICK_MUTANTS if quick else tuple(MUTANTS), quick)
     yield from _decoders(quick, seed)
