@@ -6,8 +6,10 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+# Bytecode is kept: the tests start hundreds of processes, and a third of a robot's start was compiling it.
+unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test check bench site setup clean
+.PHONY: demo test check kernels bench site setup clean
 .DEFAULT_GOAL := demo
 
 setup: $(VENV)/installed
@@ -32,7 +34,12 @@ check: setup
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 
-test: check
+# Once and beside the types: tests that begin together would each compile what they both need.
+kernels: setup
+	@$(BIN)/headland warmup
+
+test: setup
+	@$(MAKE) --no-print-directory --jobs=2 --output-sync=target check kernels
 	$(BIN)/python -m pytest -n 2 --dist worksteal
 
 bench: setup

@@ -25,8 +25,8 @@ from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
+from agent.assignment import assigned
 from agent.config import MS, S
 from agent.joint_plan import JointPlan, Turn, planned
 from agent.lattice import FINE, Lattice, components
@@ -351,8 +351,8 @@ def seats(
         home = lattice.component[own[np.argmin(_squares(lattice, own, point))]] if len(own) else -1
         mine = np.isin(nodes, own) & (lattice.component[nodes] == home)
         cost[row, mine] = weight * squares[mine]
-    rows, columns = linear_sum_assignment(cost)
-    if (cost[rows, columns] >= AFAR).any():
+    columns = assigned(cost)
+    if (cost[np.arange(len(at)), columns] >= AFAR).any():
         return None
     return [int(nodes[c]) for c in columns]
 

@@ -14,7 +14,8 @@ from math import hypot, inf
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
+
+from agent.assignment import NOBODY, assigned
 
 Point = tuple[float, float]
 
@@ -56,13 +57,13 @@ def shares(
         return result
     way_m = np.array([[_way(robots[slot], run) for run in runs] for slot in order])
     # Whole millimetres: equal on every machine, whatever the last bit of a square root says.
-    rows, columns = linear_sum_assignment(np.rint(way_m * 1000.0))
-    for row, column in zip(rows, columns, strict=True):
-        run = runs[column]
-        here = robots[order[row]]
+    for slot, column in zip(order, assigned(np.rint(way_m * 1000.0)), strict=True):
+        if column == NOBODY:
+            continue
+        run, here = runs[column], robots[slot]
         if _near(here, run[-1]) < _near(here, run[0]):
             run = run[::-1]
-        result[order[row]] = run
+        result[slot] = run
     return result
 
 

@@ -88,6 +88,11 @@ class Cause(Enum):
     __hash__ = object.__hash__  # members are their own identity; Enum's hash is a call in Python
 
 
+# Names of their own for what is asked for with every beat of a standing fleet.
+WORST, LEAST = Severity.LATCHED, Severity.SLOW
+NOT_STARTED, SILENT, CREEP = Cause.NOT_STARTED, Cause.MEMBER_SILENT, Cause.CREEP
+
+
 def cause_table() -> str:
     """The table in the documents."""
     rows = [f"| {c.name} | {c.severity.name} | {c.value.why} | {c.clears.value} |" for c in Cause]

@@ -10,8 +10,8 @@ from math import ceil
 from zlib import crc32
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt, label
 
 from agent.lattice import Lattice
 from agent.route import Route
@@ -57,14 +57,14 @@ class Floor:
     @cached_property
     def inflated(self) -> NDArray[np.bool_]:
         """The path grid: where no centre of a body may be."""
-        gap_m = (distance_transform_edt(~self.fine) - 0.5) * self.fine_m
+        gap_m = (scipy.ndimage.distance_transform_edt(~self.fine) - 0.5) * self.fine_m
         blocked: NDArray[np.bool_] = gap_m < self.radius_m + self.margin_m - 1e-9
         return blocked
 
     @cached_property
     def parts(self) -> NDArray[np.int32]:
         """Floors that no way joins, numbered from 1; 0 where no centre of a body may be."""
-        parts: NDArray[np.int32] = label(~self.inflated)[0]
+        parts: NDArray[np.int32] = scipy.ndimage.label(~self.inflated)[0]
         return parts
 
     @property

@@ -14,8 +14,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from math import hypot, inf, sqrt
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation, center_of_mass, label
 
 from agent.config import CONTROL_PERIOD_US, S
 from agent.floor import Floor
@@ -174,7 +174,7 @@ class HazardMap(SurveyMap):
         self.radius_m = floor.radius_m
         self._forgot_us = 0
         self._walls = int(np.count_nonzero(floor.fine))
-        self._open = ~binary_dilation(floor.fine, iterations=WALL_CELLS)
+        self._open = ~scipy.ndimage.binary_dilation(floor.fine, iterations=WALL_CELLS)
         self._bodies: dict[int, XY] = {}
         self._records = np.zeros(floor.fine.shape, dtype=np.int64)  # as they were when last read
         self._standing = (0, False)  # at that count of changes, whether anything stands
@@ -215,17 +215,19 @@ class HazardMap(SurveyMap):
         self.tell(here, now_us)
 
     def things(self) -> list[XY]:
-        parts, count = label(self.grid.solid & self._open, np.ones((3, 3), dtype=np.int8))
+        parts, count = scipy.ndimage.label(
+            self.grid.solid & self._open, np.ones((3, 3), dtype=np.int8)
+        )
         if not count:
             return []
-        middles = center_of_mass(parts > 0, parts, range(1, count + 1))
+        middles = scipy.ndimage.center_of_mass(parts > 0, parts, range(1, count + 1))
         west, south = self.geometry.origin_m
         cell_m = self.geometry.cell_m
         return [(west + (c + 0.5) * cell_m, south + (r + 0.5) * cell_m) for r, c in middles]
 
     def parts(self) -> NDArray[np.int32]:
         """Floors that are apart at present, numbered from 1; 0 where no centre may be."""
-        parts: NDArray[np.int32] = label(~self.grid.tight.blocked)[0]
+        parts: NDArray[np.int32] = scipy.ndimage.label(~self.grid.tight.blocked)[0]
         return parts
 
     def stand(self, bodies: Mapping[int, XY], now_us: int) -> None:

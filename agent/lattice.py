@@ -13,10 +13,8 @@ cannot both have one. In a map of cells as wide as the pitch nothing is lost.
 from math import hypot
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import label
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components, dijkstra
 
 Point = tuple[float, float]
 Near = NDArray[np.int32]  # (nodes, 4): east, north, west, south; -1 where there is none
@@ -89,7 +87,7 @@ def _laid(
 
     Where a passage has been missed, what lies on the way through it is worth more the next time.
     """
-    room = label(~blocked)[0]
+    room = scipy.ndimage.label(~blocked)[0]
     tall, wide = np.ones(blocked.shape), np.ones(blocked.shape)
     best: tuple[int, tuple[NDArray[np.intp], NDArray[np.intp], Near]] | None = None
     for _ in range(TRIES):
@@ -125,9 +123,9 @@ def _missed(
     b = np.concatenate((cells[:, 1:].ravel(), cells[1:].ravel()))
     free = (a >= 0) & (b >= 0)
     count = int(cells.max()) + 1
-    graph = coo_array((np.ones(free.sum()), (a[free], b[free])), shape=(count, count))
+    graph = scipy.sparse.coo_array((np.ones(free.sum()), (a[free], b[free])), shape=(count, count))
     starts = cells[rows[parts == home], columns[parts == home]]
-    far, before, _ = dijkstra(
+    far, before, _ = scipy.sparse.csgraph.dijkstra(
         graph, directed=False, indices=starts, unweighted=True, min_only=True,
         return_predecessors=True,
     )  # fmt: skip
@@ -192,6 +190,8 @@ def lines(blocked: NDArray[np.bool_], pitch: int, weight: NDArray[np.float64]) -
 def components(near: Near) -> NDArray[np.int32]:
     count = len(near)
     a, k = np.nonzero(near >= 0)
-    graph = coo_array((np.ones(len(a), dtype=np.int8), (a, near[a, k])), shape=(count, count))
-    labels: NDArray[np.int32] = connected_components(graph, directed=False)[1]
+    graph = scipy.sparse.coo_array(
+        (np.ones(len(a), dtype=np.int8), (a, near[a, k])), shape=(count, count)
+    )
+    labels: NDArray[np.int32] = scipy.sparse.csgraph.connected_components(graph, directed=False)[1]
     return labels

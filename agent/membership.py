@@ -111,7 +111,7 @@ class Membership:
         for slot, us in signs.items():
             seen = neighbours.get(slot)
             if seen is not None and seen.heard_us > us:
-                us = signs[slot] = seen.heard_us
+                us = seen.heard_us
             if us <= silent_us:
                 fallen.append((us, slot))
             elif us < oldest_us:

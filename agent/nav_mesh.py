@@ -13,9 +13,9 @@ from itertools import pairwise
 from math import ceil, hypot, inf
 
 import numpy as np
+import scipy
 from numba import njit
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
 
 from agent.grid_search import sees
 from agent.heap import close_gap, push
@@ -105,7 +105,7 @@ class Mesh:
         )
 
     @cached_property
-    def graph(self) -> csr_array:
+    def graph(self) -> "scipy.sparse.csr_array":
         """Metres between waypoints of one polygon."""
         rows, columns, lengths = [], [], []
         for own in self.inside:
@@ -118,7 +118,9 @@ class Mesh:
         keep = np.unique(np.minimum(a, b) * count + np.maximum(a, b), return_index=True)[1]
         a, b, length = a[keep], b[keep], np.concatenate(lengths)[keep]
         both = (np.concatenate((a, b)), np.concatenate((b, a)))
-        return csr_array((np.concatenate((length, length)), both), shape=(count, count))
+        return scipy.sparse.csr_array(
+            (np.concatenate((length, length)), both), shape=(count, count)
+        )
 
     # ---------------------------------------------------------------- reading
 

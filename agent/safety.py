@@ -10,7 +10,7 @@ from enum import Enum
 from math import hypot
 
 from agent.authority import Authority
-from agent.cause import Cause, Severity
+from agent.cause import CREEP, LEAST, NOT_STARTED, SILENT, WORST, Cause, Severity
 from agent.config import MEMBERSHIP_STABLE_US, MS, STOP_REPEAT_US, STOP_SPACING_US, S
 from agent.effects import HALT, Drive, Effect, Persist, Send, Trace
 from crdt.stops import FarDot, FarStopSet, StopDot, StopSet
@@ -99,7 +99,7 @@ class Safety:
 
     @property
     def latched(self) -> bool:
-        return bool(self._causes) and self.severity is Severity.LATCHED
+        return any(cause.severity is WORST for cause in self._causes)
 
     @property
     def severity(self) -> Severity:
@@ -120,11 +120,11 @@ class Safety:
 
     @property
     def started(self) -> bool:
-        return Cause.NOT_STARTED not in self._causes
+        return NOT_STARTED not in self._causes
 
     @property
     def may_move(self) -> bool:
-        return not self._causes or self.severity <= Severity.SLOW
+        return all(cause.severity is LEAST for cause in self._causes)
 
     def echoed(self, dot: StopDot) -> frozenset[int]:
         return frozenset(self._echoes.get(dot, ()))
@@ -231,9 +231,9 @@ class Safety:
 
     def beat(self, slot: int, stopped: bool, now_us: int) -> Sequence[Effect]:
         """A member's beat: its stopped bit is an echo of every stop; one without it has not heard."""
-        active = self.stops.active
+        active = self.stops.latched
         if stopped:
-            for dot in active:
+            for dot in self.stops.active if active else ():
                 self._echoes.setdefault(dot, set()).add(slot)
             return ()
         if self._own and self._again and now_us - self._pressed_us >= AGAIN_US:
@@ -340,9 +340,9 @@ class Safety:
     @property
     def _settles(self) -> bool:
         """A stable membership will change something."""
-        if Cause.MEMBER_SILENT in self._causes:
+        if SILENT in self._causes:
             return not self._silent or self.policy is not SilencePolicy.STOP
-        return Cause.CREEP in self._causes and not self._silent
+        return CREEP in self._causes and not self._silent
 
     def _end_silence(self, now_us: int) -> None:
         if not self._settles or now_us < self._stable_us + MEMBERSHIP_STABLE_US:

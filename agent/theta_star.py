@@ -14,8 +14,8 @@ from itertools import pairwise
 from math import floor, hypot
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import label
 
 from agent.corner_memory import CornerMemory
 from agent.grid_search import GridSearch, sees
@@ -62,7 +62,7 @@ class Planner:
         if way is not None:
             return [start, *way, goal]
         if self._regions is None:
-            self._regions = label(~self.blocked)[0]
+            self._regions = scipy.ndimage.label(~self.blocked)[0]
             if not self._joined(start, goal):
                 return None
         # Never seen: the corner search compares rounded lengths, the regions know for certain.

@@ -43,15 +43,16 @@ class DotSet(Generic[D]):
     def __init__(self) -> None:
         self._pressed: dict[D, None] = {}
         self._cleared: dict[D, None] = {}
+        self._active: set[D] = set()  # kept beside them: it is asked for in every control period
 
     @property
     def latched(self) -> bool:
-        return any(dot not in self._cleared for dot in self._pressed)
+        return bool(self._active)
 
     @property
     def active(self) -> frozenset[D]:
         """Pressed and not cleared."""
-        return frozenset(self._pressed.keys() - self._cleared.keys())
+        return frozenset(self._active)
 
     @property
     def cleared(self) -> frozenset[D]:
@@ -61,6 +62,8 @@ class DotSet(Generic[D]):
         """Join one press; True where it was new and is not cleared already."""
         new = dot not in self._pressed and dot not in self._cleared
         self._pressed.setdefault(dot)
+        if dot not in self._cleared:
+            self._active.add(dot)
         self._trim()
         return new
 
@@ -68,6 +71,7 @@ class DotSet(Generic[D]):
         """Join one clearance; True where it was new."""
         new = dot not in self._cleared
         self._cleared.setdefault(dot)
+        self._active.discard(dot)
         self._trim()
         return new
 

@@ -1,14 +1,11 @@
 """Between frames and messages. Decoding never raises: what cannot be read is a counted value."""
 
-from functools import lru_cache
 from struct import error as StructError
 from typing import NamedTuple
 
 from protocol.frame import Frame
 from protocol.identifier import Identifier
 from protocol.messages import GROUP_OF, GROUPS, Message
-
-DECODED_MAX = 8192  # frames remembered; a simulator decodes each frame once for all its receivers
 
 
 class Malformed(NamedTuple):
@@ -69,7 +66,17 @@ def decode(frame: Frame) -> tuple[int, Message | Malformed]:
         return identifier & 0xFF, RANGE
 
 
-decode_once = lru_cache(maxsize=DECODED_MAX)(decode)
+_decoded: tuple[Frame | None, tuple[int, Message | Malformed]] = (None, (0, UNKNOWN))  # the newest
+
+
+def decode_once(frame: Frame) -> tuple[int, Message | Malformed]:
+    """`decode`, for simulators: all receivers are given the very same frame, one after another."""
+    global _decoded
+    last, result = _decoded
+    if last is not frame:
+        result = decode(frame)
+        _decoded = (frame, result)
+    return result
 
 
 def destination_of(frame: Frame) -> int:

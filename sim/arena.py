@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 from pydantic import Field
-from scipy.ndimage import binary_dilation, label
 
 from agent.fleet_task import ORDERS_MAX, ROBOTS_MAX, Kind
 from agent.fleet_task import Order as Task
@@ -122,7 +122,7 @@ class ArenaSetting(Setting):
     @cached_property
     def open(self) -> NDArray[np.bool_]:
         """(rows, columns): cells that can be seen: free, and joined with the first start."""
-        regions, _ = label(~self.solid)
+        regions, _ = scipy.ndimage.label(~self.solid)
         found: NDArray[np.bool_] = regions == regions[self.geometry.cell(self.starts[0])]
         return found
 
@@ -131,10 +131,14 @@ class ArenaSetting(Setting):
         """(rows, columns): of `open`, what is in sight of where a body can stand."""
         cells = self.scenario.fleet.radius_m / self.geometry.cell_m
         reach = int(np.ceil(cells))
-        fat = binary_dilation(np.pad(self.solid, 1, constant_values=True), iterations=reach)
-        regions, _ = label(~fat[1:-1, 1:-1])
+        fat = scipy.ndimage.binary_dilation(
+            np.pad(self.solid, 1, constant_values=True), iterations=reach
+        )
+        regions, _ = scipy.ndimage.label(~fat[1:-1, 1:-1])
         home = regions == regions[self.geometry.cell(self.starts[0])]
-        found: NDArray[np.bool_] = binary_dilation(home, iterations=reach + 2) & self.open
+        found: NDArray[np.bool_] = (
+            scipy.ndimage.binary_dilation(home, iterations=reach + 2) & self.open
+        )
         return found
 
 

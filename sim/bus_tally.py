@@ -11,8 +11,7 @@ from sim.can_log import LogWriter, open_log
 
 class BusTally:
     def __init__(self) -> None:
-        self.kinds: Counter[str] = Counter()
-        self.malformed = 0
+        self._kinds: dict[type, int] = {}
         self._logs: list[LogWriter] = []
 
     def open(self, paths: Sequence[Path]) -> None:
@@ -22,10 +21,19 @@ class BusTally:
     def tap(self, t_us: int, frame: Frame) -> None:
         """One frame of the wire."""
         _, message = decode_once(frame)
-        self.kinds[type(message).__name__] += 1
-        self.malformed += isinstance(message, Malformed)
+        kind = type(message)
+        self._kinds[kind] = self._kinds.get(kind, 0) + 1
         for log in self._logs:
             log.write(t_us, frame)
+
+    @property
+    def kinds(self) -> Counter[str]:
+        """Frames of each kind of message."""
+        return Counter({kind.__name__: count for kind, count in self._kinds.items()})
+
+    @property
+    def malformed(self) -> int:
+        return self._kinds.get(Malformed, 0)
 
     def close(self) -> None:
         for log in self._logs:

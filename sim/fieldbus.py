@@ -19,7 +19,7 @@ from can import BusABC, CanOperationError, CanProtocol, Message
 
 from agent.membership import Neighbour
 from agent.ports import Beat
-from protocol.codec import decode
+from protocol.codec import decode_once
 from protocol.fleet_frames import Heartbeat, Pose
 from protocol.frame import Frame
 from protocol.messages import GROUP_OF
@@ -51,7 +51,7 @@ def calm(frame: Frame, t_us: int) -> Beat | None:
     group = frame[0] >> 8 & 0x3FFFF
     if group != POSE_PGN and group != HEARTBEAT_PGN:
         return None
-    source, message = decode(frame)
+    source, message = decode_once(frame)
     if type(message) is Pose and not message.stopped:
         seen = _tuple(Neighbour, (message, t_us))
         return _tuple(Beat, (source, message, t_us, seen))

@@ -192,14 +192,16 @@ def dbc(
 
 
 @app.command()
-def warmup() -> None:
+def warmup(
+    jobs: Annotated[int, typer.Option(min=0, help="Processes; 0: one for each core.")] = 0,
+) -> None:
     """Compile the kernels once, so that no robot waits for it.
 
     Example: headland warmup
     """
     from tools.warmup import main as command
 
-    raise SystemExit(command())
+    raise SystemExit(command(jobs))
 
 
 @app.command(name="compile")

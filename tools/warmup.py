@@ -1,8 +1,11 @@
 """`headland warmup`: compile the kernels once, so that no robot waits for it in the field."""
 
+import os
+import signal
 import time
 from collections.abc import Callable
 from math import inf
+from multiprocessing import Pool
 
 import numpy as np
 from rich.console import Console
@@ -54,11 +57,13 @@ def _coverage() -> None:
 
 
 def _agreement() -> None:
+    from agent.assignment import assigned
     from agent.floor import Floor
     from agent.joint_plan import planned
     from agent.ports import Observation
     from agent.sensed import Sensed
 
+    assigned(np.ones((2, 3)))
     floor = Floor.drawn("...\n...", 1.0, 0.35)
     planned(floor.lattice.near, [0, 2], [2, 0])  # one of them has to wait: it is put back, too
     hall = Floor.drawn("\n".join(["....."] * 4), 1.0, 0.35)
@@ -148,18 +153,19 @@ def _turns() -> None:
     route.way(Pose(9.0, 1.2, -1.57), Pose(9.0, 1.2, 1.57))
 
 
+# Longest first: two processes then end at about the same time.
 PARTS: tuple[tuple[str, Callable[[], None]], ...] = (
-    ("paths", _paths),
-    ("map", _map),
-    ("avoidance", _avoidance),
     ("coverage", _coverage),
-    ("agreement", _agreement),
-    ("exploration", _exploration),
+    ("paths", _paths),
     ("delivery", _delivery),
-    ("wire", _wire),
-    ("world", _world),
     ("fleets", _fleets),
+    ("agreement", _agreement),
     ("turns", _turns),
+    ("world", _world),
+    ("avoidance", _avoidance),
+    ("map", _map),
+    ("exploration", _exploration),
+    ("wire", _wire),
 )
 
 
@@ -171,14 +177,22 @@ def warm(steering: bool) -> None:
             part()
 
 
-def main() -> int:
-    console = Console()
-    begun_s = time.perf_counter()
-    for name, part in PARTS:
-        start_s = time.perf_counter()
-        with console.status(f"compiling {name} ..."):
-            part()
-        console.print(f"{name:11} {time.perf_counter() - start_s:6.1f} s")
+def main(jobs: int) -> int:
+    """`jobs`: processes beside each other, 0: one for each core."""
+    console, begun_s = Console(), time.perf_counter()
+    numbers = range(len(PARTS))
+    # Those behind it leave Ctrl-C to the one in front, which ends them.
+    leave = signal.signal, (signal.SIGINT, signal.SIG_IGN)
+    with Pool(jobs or os.cpu_count(), *leave) as pool, console.status("compiling ..."):
+        for name, spent_s in pool.imap_unordered(_compiled, numbers):
+            console.print(f"{name:11} {spent_s:6.1f} s")
     total_s = time.perf_counter() - begun_s
-    console.print(f"ready after {total_s:.1f} s; a first start without this takes that much longer")
+    console.print(f"ready after {total_s:.1f} s; a first start without this takes longer")
     return 0
+
+
+def _compiled(number: int) -> tuple[str, float]:
+    name, part = PARTS[number]
+    start_s = time.perf_counter()
+    part()
+    return name, time.perf_counter() - start_s

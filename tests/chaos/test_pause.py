@@ -110,6 +110,8 @@ def order(cluster: Cluster, command: Command, argument: int = 0) -> None:
 
 
 def test_a_robot_stops_asks_and_goes_on_when_the_way_is_free() -> None:
+    """Then once more, where it is told to wait: it stands without asking again."""
+
     async def story(cluster: Cluster, reports: Reports) -> None:
         await until_at_work(cluster, ROBOT)
         box = put_box_before(cluster, ROBOT, 7.0)
@@ -123,15 +125,9 @@ def test_a_robot_stops_asks_and_goes_on_when_the_way_is_free() -> None:
         cluster.world.remove_box(box)
         await elapse(1.5)
         assert cluster.robots[ROBOT].peer.safety.may_move
-        await finished(cluster)
         assert matters(reports) == [Matter.ASKING, Matter.GONE]
-        assert cluster.robots[ROBOT].peer.progress.fraction() == 1.0
+        reports.clear()
 
-    play(story, load("small"))
-
-
-def test_wait_keeps_it_standing_without_asking_again() -> None:
-    async def story(cluster: Cluster, reports: Reports) -> None:
         await until_at_work(cluster, ROBOT)
         box = put_box_before(cluster, ROBOT, 7.0)
         await asked(cluster, ROBOT)
@@ -141,6 +137,7 @@ def test_wait_keeps_it_standing_without_asking_again() -> None:
         cluster.world.remove_box(box)
         await finished(cluster)
         assert matters(reports) == [Matter.ASKING, Matter.WAITING, Matter.GONE]
+        assert cluster.robots[ROBOT].peer.progress.fraction() == 1.0
 
     play(story, load("small"))
 
@@ -188,9 +185,10 @@ def test_stop_gives_the_work_back_and_stands_until_a_start() -> None:
     play(story, load("small"))
 
 
-@pytest.mark.parametrize("command", [Command.GO_HOME, Command.SET_GOAL])
-def test_being_sent_elsewhere(command: Command) -> None:
-    async def story(cluster: Cluster, reports: Reports) -> None:
+def test_being_sent_elsewhere() -> None:
+    """Home; from there on with the work; then to a place in the field, and on again."""
+
+    async def sent(cluster: Cluster, reports: Reports, command: Command) -> None:
         peer = cluster.robots[ROBOT].peer
         goal = (20.0, -10.0) if command is Command.SET_GOAL else cluster.setting.starts[ROBOT]
         await until_at_work(cluster, ROBOT)
@@ -208,8 +206,13 @@ def test_being_sent_elsewhere(command: Command) -> None:
         assert hypot(x_m - goal[0], y_m - goal[1]) < 1.0 and peer.claims.current is None
         cluster.world.remove_box(box)
         order(cluster, Command.CONTINUE)
+        reports.clear()
+
+    async def story(cluster: Cluster, reports: Reports) -> None:
+        await sent(cluster, reports, Command.GO_HOME)
+        await sent(cluster, reports, Command.SET_GOAL)
         await finished(cluster)
-        assert peer.progress.fraction() == 1.0
+        assert cluster.robots[ROBOT].peer.progress.fraction() == 1.0
 
     play(story, load("small"))
 

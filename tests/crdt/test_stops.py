@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from crdt.stops import FarDot, FarStopSet, StopDot, StopSet
+from crdt.stops import DOTS_MAX, FarDot, FarStopSet, StopDot, StopSet
 
 dots = st.builds(StopDot, st.integers(0, 3), st.integers(0, 1), st.integers(0, 3))
 acts = st.lists(st.tuples(st.booleans(), dots), max_size=30)
@@ -54,10 +54,19 @@ def test_dots_of_other_segments(dots: set[FarDot]) -> None:
 
 def test_a_button_is_never_worn_out() -> None:
     """After 256 presses that were cleared the next one was looked for without end: that robot hung."""
-    stops, counter, pressed = StopSet(), 250, list[StopDot]()
-    for _ in range(6000):
-        dot, counter = stops.unused(3, 255, counter)
-        assert stops.press(dot) and stops.latched
-        stops.clear(dot)
-        pressed.append(dot)
-    assert len(set(pressed[-4000:])) == 4000
+    stops, counter, used = StopSet(), 250, list[StopDot]()
+
+    def press(count: int) -> None:
+        nonlocal counter
+        for _ in range(count):
+            dot, counter = stops.unused(3, 255, counter)
+            assert stops.press(dot) and stops.latched
+            stops.clear(dot)
+            used.append(dot)
+
+    press(600)  # into a third incarnation
+    for k in range(600, DOTS_MAX - 300):  # what as many further presses would leave
+        used.append(StopDot(3, 255 + k // 256 & 0xFF, 251 + k & 0xFF))
+        stops.clear(used[-1])
+    press(600)  # until the oldest are forgotten
+    assert len(set(used[-DOTS_MAX:])) == DOTS_MAX

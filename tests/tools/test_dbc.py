@@ -15,8 +15,10 @@ from protocol.identifier import Identifier
 from protocol.messages import GROUPS, Message
 from protocol.signals import SIGNALS, STATE
 from sim.candump import read_candump
+from sim.expedition import Expedition
+from sim.scenario import load
+from sim.setting import Setting
 from tools.dbc import pgn_key, to_dbc
-from tools.run import run
 
 cantools = pytest.importorskip("cantools", reason="cantools is not installed")
 
@@ -30,8 +32,11 @@ def by_group() -> dict[int, Any]:
 
 @pytest.fixture(scope="module")
 def short_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """From boot into the work: what comes later is of the same kinds."""
     out = tmp_path_factory.mktemp("run")
-    assert run("small", 3, 1, out, False) == 0
+    scenario = load("small").changed(3, 1)
+    limit = scenario.run.model_copy(update={"time_limit_s": 60.0})
+    Expedition(Setting(scenario.model_copy(update={"run": limit})), out).run()
     return out
 
 

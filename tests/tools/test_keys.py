@@ -12,6 +12,7 @@ import pytest
 
 from sim.key_file import FLEET, OPERATOR, KeyFileError, counter, counter_path, fresh, read, write
 from tests.tools import launching
+from tests.tools.complaint import Complaints
 from tests.tools.launching import ENVIRONMENT, WAIT_S
 
 
@@ -59,18 +60,25 @@ def spoil(path: Path, **changes: object) -> None:
     path.write_text(json.dumps({**json.loads(path.read_text()), **changes}))
 
 
-def test_wrong_key_files_get_one_line(tmp_path: Path) -> None:
+def test_wrong_key_files_get_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
     fleet, _ = keys(tmp_path)
-    run = ("run", "small", "--keys")
-    one_line(headland(*run, "nowhere.json", folder=tmp_path), "fleet.keys", "nowhere.json")
-    one_line(headland(*run, "operator.json", folder=tmp_path), "operator key", "is needed")
-    one_line(headland("reset", "--operator-key", "fleet.json", folder=tmp_path), "--operator-key")
-    one_line(headland("estop", "--keys", "no.json", "-i", "virtual", folder=tmp_path), "--keys")
+
+    def wrong(words: str, *says: str) -> None:
+        said = Complaints(monkeypatch, capfd).of(words, tmp_path)
+        assert said.code == 2 and all(s in said.line for s in says), said
+
+    run = "run small --keys"
+    wrong(f"{run} nowhere.json", "fleet.keys", "nowhere.json")
+    wrong(f"{run} operator.json", "operator key", "is needed")
+    wrong("reset --operator-key fleet.json", "--operator-key")
+    wrong("estop --keys no.json -i virtual", "--keys")
     fleet.chmod(0o640)
-    one_line(headland(*run, "fleet.json", folder=tmp_path), "others may read it", "chmod 600")
-    one_line(headland("keys", "show", "fleet.json", folder=tmp_path), "chmod 600")
-    one_line(headland("keys", "rotate", "nowhere", folder=tmp_path), "cannot be read")
-    one_line(headland("keys", "new", "new", "--device", "3", folder=tmp_path), "--device", "192")
+    wrong(f"{run} fleet.json", "others may read it", "chmod 600")
+    wrong("keys show fleet.json", "chmod 600")
+    wrong("keys rotate nowhere", "cannot be read")
+    wrong("keys new new --device 3", "--device", "192")
 
 
 @pytest.mark.parametrize(

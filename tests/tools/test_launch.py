@@ -5,9 +5,11 @@ import json
 import os
 import signal
 from pathlib import Path
+from socket import socket
 
 import pytest
 
+from tests.tools.complaint import Complaints
 from tests.tools.launching import WAIT_S, call, robots_up, start, states
 
 HANG_S, TRIES = 1.5, 10  # longer than any silence is tolerated; looks until all are back
@@ -117,12 +119,12 @@ def test_robots_end_when_the_launcher_is_killed(tmp_path: Path) -> None:
     asyncio.run(story())
 
 
-def test_a_port_in_use_is_one_line(tmp_path: Path) -> None:
-    async def story() -> None:
-        server = await asyncio.start_server(lambda r, w: None, "127.0.0.1", 0)
-        port = str(server.sockets[0].getsockname()[1])
-        code, text = await call(tmp_path, "launch", "small", "--port", port)
-        server.close()
-        assert code == 2 and "--port" in text and "Traceback" not in text, text
-
-    asyncio.run(story())
+def test_a_port_in_use_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        words = f"launch small --port {taken.getsockname()[1]}"
+        said = Complaints(monkeypatch, capfd).of(words, tmp_path)
+    assert said.code == 2 and "--port" in said.line

@@ -1,7 +1,6 @@
 """Whatever a person gets wrong is one line that begins with our name, never a traceback."""
 
 import os
-import shlex
 import socket
 import subprocess
 import sys
@@ -10,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tools import headland
+from tests.tools.complaint import Complaints
 
 ROOT = Path(__file__).parents[2]
 NOISE = bytes(range(256)) * 8  # neither text nor any format of ours
@@ -96,13 +95,8 @@ def test_one_line(
     words: str, place: Path, taken: str, monkeypatch: pytest.MonkeyPatch,
     capfd: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
-    monkeypatch.chdir(place)
-    monkeypatch.setattr(sys, "argv", ["headland", *shlex.split(words.replace("TAKEN", taken))])
-    with pytest.raises(SystemExit) as ended:
-        headland.main()
-    said = capfd.readouterr().err
-    assert ended.value.code in (1, 2), said
-    assert said.startswith("headland: ") and said.count("\n") == 1, said
+    said = Complaints(monkeypatch, capfd).of(words.replace("TAKEN", taken), place)
+    assert said.code in (1, 2), said
 
 
 def process(*words: str, **environment: str) -> "subprocess.CompletedProcess[str]":
