@@ -10,6 +10,7 @@ alive behind a cut, it works them from the other end (DESIGN, "Deciding who does
 """
 
 from collections.abc import Mapping, Sequence
+from math import hypot, inf
 from typing import NamedTuple
 
 import numpy as np
@@ -67,7 +68,10 @@ def shares(
 
 
 def _near(here: Point, job: Job) -> float:
-    return min(float(np.hypot(x - here[0], y - here[1])) for x, y in job.ends)
+    near_m = inf
+    for x, y in job.ends:
+        near_m = min(near_m, hypot(x - here[0], y - here[1]))
+    return near_m
 
 
 def _way(here: Point, run: Sequence[Job]) -> float:

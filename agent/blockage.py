@@ -3,6 +3,8 @@
 The ways lead round them, and the units under them cannot be worked while they stand there.
 """
 
+from typing import Final
+
 from shapely.geometry import LineString
 from shapely.geometry import Point as Spot
 
@@ -13,9 +15,11 @@ from agent.route import Route
 
 Point = tuple[float, float]
 
-BLOCKED_M = 0.4  # margin of ORCA and of tracking, round a body that stands on a swath
-THING_M = 0.4  # beside the hull on a way past a thing: what the lookout keeps, and half a grain
-CORNER = 0.71  # of a cell: its corner is so far from its middle
+BLOCKED_M: Final = 0.4  # margin of ORCA and of tracking, round a body that stands on a swath
+THING_M: Final = (
+    0.4  # beside the hull on a way past a thing: what the lookout keeps, and half a grain
+)
+CORNER: Final = 0.71  # of a cell: its corner is so far from its middle
 
 
 class Blockage:
@@ -74,7 +78,7 @@ class Blockage:
                 bodies += [(Spot(at), self.radius_m + THING_M) for at in self.things]
             self._units[key] = frozenset(
                 unit
-                for unit, line in enumerate(section.unit_lines())
+                for unit, line in enumerate(section.unit_lines)
                 if any(LineString(line).distance(spot) < reach_m for spot, reach_m in bodies)
             )
         return self._units[key]

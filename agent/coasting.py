@@ -8,6 +8,7 @@ it. So all of that way is kept clear, until rays pass through a place of it: nob
 
 from collections.abc import Mapping
 from math import atan2, ceil, cos, floor, hypot, pi, sin
+from typing import Final
 
 from agent.config import ACTUATOR_TTL_US, BEATS, CONTROL_PERIOD_US, MS, S
 from agent.membership import Neighbour
@@ -15,14 +16,16 @@ from agent.ports import Observation
 
 Point = tuple[float, float]
 
-GONE_QUIET_US = 1 * S  # everybody has braked for a younger silence, and moves the last beat on
+GONE_QUIET_US: Final = (
+    1 * S
+)  # everybody has braked for a younger silence, and moves the last beat on
 # Until it brakes: it notices that it hears nobody, and its last command is still in force. In fleets
 # of more than 30, where silence is noticed later, a body that was cut off may stand further on: what
 # no place here explains is a thing in the way (`agent/lookout.py`).
 DRIVES_ON_US = BEATS[0].silence_us + CONTROL_PERIOD_US + ACTUATOR_TTL_US
-SPACING_M = 0.5  # of places: a row of discs of 1.6 m is 2 cm narrower between two of them
-SURE_M = 4.0  # nothing is told from rays about places further off
-BEYOND_M = 0.4  # a ray that goes so much further than a place has passed it
+SPACING_M: Final = 0.5  # of places: a row of discs of 1.6 m is 2 cm narrower between two of them
+SURE_M: Final = 4.0  # nothing is told from rays about places further off
+BEYOND_M: Final = 0.4  # a ray that goes so much further than a place has passed it
 assert DRIVES_ON_US == 450 * MS
 
 
@@ -37,12 +40,13 @@ class Coasting:
     def look(self, neighbours: Mapping[int, Neighbour], here: Observation, now_us: int) -> None:
         """Once a control period."""
         for slot, neighbour in neighbours.items():
-            if now_us - neighbour.heard_us < GONE_QUIET_US:
+            _, heard_us = neighbour
+            if now_us - heard_us < GONE_QUIET_US:
                 if slot in self._places:
                     del self._places[slot], self._heard_us[slot]
                 continue
-            if self._heard_us.get(slot) != neighbour.heard_us:
-                self._heard_us[slot] = neighbour.heard_us
+            if self._heard_us.get(slot) != heard_us:
+                self._heard_us[slot] = heard_us
                 self._places[slot] = self._way(neighbour)
             places = self._places[slot]
             left = tuple(place for place in places if not self._passed(here, place))

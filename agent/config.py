@@ -4,31 +4,41 @@ Times are integer microseconds. Sources: `DESIGN` decisions, ISO 11783-5/-7, J19
 response-time analysis of Davis, Burns, Bril, Lukkien (2007) for 250 kbit/s.
 """
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
-MS = 1_000  # microseconds in a millisecond
-S = 1_000_000  # microseconds in a second
+MS: Final = 1_000  # microseconds in a millisecond
+S: Final = 1_000_000  # microseconds in a second
 
-BITRATE = 250_000  # bit/s, ISO 11783-2
-FRAME_US_MAX = 640  # 8 data bytes, 29-bit identifier, worst stuffing: 160 bits
+BITRATE: Final = 250_000  # bit/s, ISO 11783-2
+FRAME_US_MAX: Final = 640  # 8 data bytes, 29-bit identifier, worst stuffing: 160 bits
 
-PEERS_MAX = 108  # self-configurable addresses of industry group 2: 128 to 235 (ISO 11783-5)
+PEERS_MAX: Final = 108  # self-configurable addresses of industry group 2: 128 to 235 (ISO 11783-5)
 ADDRESS_FIRST, ADDRESS_LAST = 128, 235
 assert ADDRESS_LAST - ADDRESS_FIRST + 1 == PEERS_MAX
-OPERATOR_SLOT_FIRST = 128  # slots below are robots; operator devices have 128 to 254
+OPERATOR_SLOT_FIRST: Final = 128  # slots below are robots; operator devices have 128 to 254
 assert PEERS_MAX <= OPERATOR_SLOT_FIRST
 
-ACTUATOR_TTL_US = 100 * MS  # a drive command is void after two missed control periods
-CONTROL_PERIOD_US = 50 * MS  # sense, decide, drive
+ACTUATOR_TTL_US: Final = 100 * MS  # a drive command is void after two missed control periods
+CONTROL_PERIOD_US: Final = 50 * MS  # sense, decide, drive
 assert ACTUATOR_TTL_US >= 2 * CONTROL_PERIOD_US
 
-STOP_REPEAT_US = 5 * MS  # the source repeats a stop until all live members echoed: 13 % of the bus
-STOP_SPACING_US = 100 * MS  # new stop dots of one source are at least this far apart
-CONTENTION_US = 250 * MS  # a claim is contested this long; also ISO 11783-5 address contention
-CLAIM_AHEAD = 1  # sections claimed beyond the one being worked; the rest of a plan stays soft
-MEMBERSHIP_STABLE_US = 2 * S  # a protective stop ends only after this long without a change
-LEASE_US = 20 * S  # a silent owner keeps its sections this long; others do their own work first
-SYNC_TIMEOUT_US = 2 * S  # SYNCHRONIZING ends when digests agree, or after this without an answer
+STOP_REPEAT_US: Final = (
+    5 * MS
+)  # the source repeats a stop until all live members echoed: 13 % of the bus
+STOP_SPACING_US: Final = 100 * MS  # new stop dots of one source are at least this far apart
+CONTENTION_US: Final = (
+    250 * MS
+)  # a claim is contested this long; also ISO 11783-5 address contention
+CLAIM_AHEAD: Final = (
+    1  # sections claimed beyond the one being worked; the rest of a plan stays soft
+)
+MEMBERSHIP_STABLE_US: Final = 2 * S  # a protective stop ends only after this long without a change
+LEASE_US: Final = (
+    20 * S
+)  # a silent owner keeps its sections this long; others do their own work first
+SYNC_TIMEOUT_US: Final = (
+    2 * S
+)  # SYNCHRONIZING ends when digests agree, or after this without an answer
 
 
 class Beat(NamedTuple):
@@ -43,7 +53,7 @@ class Beat(NamedTuple):
 # Faster beats would not fit the bus. At these, worst-case stuffing, 20 peers take 28 %, 30 take 42 %,
 # 50 take 35 %, 108 take 40 %; claims, progress and who-is-who take one or two more. With a heartbeat a
 # second, 108 peers would take 43.
-BEATS = (
+BEATS: Final = (
     Beat(30, 50 * MS, 500 * MS, 300 * MS),
     Beat(50, 100 * MS, 1 * S, 500 * MS),
     Beat(PEERS_MAX, 200 * MS, 1_400 * MS, 1 * S),
@@ -67,10 +77,10 @@ def beat_of(peers: int) -> Beat:
     return next(beat for beat in BEATS if peers <= beat.peers_max)
 
 
-SPEED_MAX_M_S = 12.7  # what POSE can say: 8 bits of 0.05 m/s
-EXTENT_MAX_M = 3_276.0  # what POSE can say: 17 bits of 0.05 m around the origin
+SPEED_MAX_M_S: Final = 12.7  # what POSE can say: 8 bits of 0.05 m/s
+EXTENT_MAX_M: Final = 3_276.0  # what POSE can say: 17 bits of 0.05 m around the origin
 NEIGHBOURS_MAX = (
     10  # ORCA half-planes of robots, nearest first (van den Berg et al. 2011, section 6)
 )
-NEIGHBOUR_RANGE_M = 5.0  # the danger bubble of the warehouse document
-BRAKING_SHARE = 0.7  # of the acceleration is planned with; the rest is for corrections
+NEIGHBOUR_RANGE_M: Final = 5.0  # the danger bubble of the warehouse document
+BRAKING_SHARE: Final = 0.7  # of the acceleration is planned with; the rest is for corrections

@@ -76,11 +76,14 @@ class Section:
             before += count
         raise AssertionError("no such unit")
 
-    def unit_lines(self) -> Iterator[Polyline]:
-        """The polyline of each unit, in the order of their numbers."""
-        for swath, count in zip(self.swaths, self.units_of, strict=True):
-            for unit in range(count):
-                yield _piece(swath, unit, unit + 1, count)
+    @cached_property
+    def unit_lines(self) -> tuple[Polyline, ...]:
+        """The polyline of each unit, in the order of their numbers; cut once for all who ask."""
+        return tuple(
+            _piece(swath, unit, unit + 1, count)
+            for swath, count in zip(self.swaths, self.units_of, strict=True)
+            for unit in range(count)
+        )
 
 
 @dataclass(frozen=True)

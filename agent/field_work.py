@@ -7,6 +7,7 @@ and never further from the line than the overlap allows; what was missed is work
 
 from collections.abc import Mapping
 from math import cos, hypot, inf, sin
+from typing import Final
 
 from agent.allocator import Job, Point, shares
 from agent.blockage import BLOCKED_M, Blockage
@@ -19,8 +20,12 @@ from agent.route import Route
 from agent.tracker import Tracker
 from crdt import Phase
 
-ASTRAY_M = 4.0  # further from its line than a swath is wide, a robot does not just drive back to it
-NEAR_END_S = 5.0  # claim the next section when this much work is left
+ASTRAY_M: Final = (
+    4.0  # further from its line than a swath is wide, a robot does not just drive back to it
+)
+NEAR_END_S: Final = 5.0  # claim the next section when this much work is left
+
+_wish = tuple.__new__  # all fields at once: a third of the time, and one is made every period
 
 
 class FieldWork:
@@ -52,6 +57,7 @@ class FieldWork:
         self.parking = Parking(field, radius_m)
         self.blockage = Blockage(route, radius_m, deceleration_m_s2, self.beside_m)
         self._plan: dict[int, list[Job]] = {}
+        self._none_free = -1  # changes of the allocation when nothing was free
 
     @property
     def section_units(self) -> Mapping[int, int]:
@@ -81,12 +87,16 @@ class FieldWork:
         return self._orphan(view)
 
     def _jobs(self, view: FleetView) -> list[Job]:
+        if self._none_free == view.allocation.changes:
+            return []
         jobs = []
         for section in self.field.sections:
             if view.allocation.phase_of(section.id) is Phase.FREE:
                 left = 1.0 - view.progress.covered(section.id) / section.units
                 work_s = section.length_m * left / self.speed_m_s
                 jobs.append(Job(section.id, work_s, section.ends))
+        if not jobs:
+            self._none_free = view.allocation.changes
         return jobs
 
     def _anchors(self, view: FleetView) -> dict[int, Point]:
@@ -210,25 +220,26 @@ class FieldWork:
         missing = self._missing(view)
         if not missing:
             self.section = None
-            return wish._replace(covered=tuple(covered), finished=True, near_end=True)
+            return _covering(wish, covered, True, True)
         if self.tracker is None and not self.legs:
             self.legs = self._legs(self.section, view)
         left_s = missing * self.field.unit_m / self.speed_m_s
-        return wish._replace(covered=tuple(covered), near_end=left_s < NEAR_END_S)
+        return _covering(wish, covered, False, left_s < NEAR_END_S)
 
     def _missing(self, view: FleetView) -> int:
         """Units of the section that nobody has covered and that can be."""
         assert self.section is not None
         section = self.section
         known = view.progress.covered(section.id)
-        known += sum(1 for unit in self.worked if not view.progress.has(section.id, unit))
+        for unit in self.worked:
+            if not view.progress.has(section.id, unit):
+                known += 1
         if known == section.units:
             return 0
-        blocked = sum(
-            1
-            for unit in self._blocked(view, last=True)
-            if unit not in self.worked and not view.progress.has(section.id, unit)
-        )
+        blocked = 0
+        for unit in self._blocked(view, last=True):
+            if unit not in self.worked and not view.progress.has(section.id, unit):
+                blocked += 1
         return section.units - known - blocked
 
     def _look_round(self, view: FleetView) -> None:
@@ -278,7 +289,10 @@ class FieldWork:
         vx_m_s, vy_m_s = self.tracker.velocity(here.x_m, here.y_m)
         # Not sooner: before the leg's beginning it may be another robot's section.
         on_line = self.tracker.gap_m <= LEAD_M
-        return Wish(vx_m_s, vy_m_s, 0.0, bool(self.leg.units) and on_line), covered
+        tool_on = bool(self.leg.units) and on_line
+        return _wish(
+            Wish, (vx_m_s, vy_m_s, 0.0, tool_on, (), False, False, False, False, -1)
+        ), covered
 
     def _go_astray(self, view: FleetView) -> None:
         """What is left, planned anew from where we are."""
@@ -359,6 +373,13 @@ class FieldWork:
                 )
             )
         ]
+
+
+def _covering(wish: Wish, covered: list[int], finished: bool, near_end: bool) -> Wish:
+    """The wish of who works: these units were completed."""
+    vx_m_s, vy_m_s, turn_rad_s, tool_on, *_ = wish
+    held = (tuple(covered), finished, wish.given_up, near_end, wish.hold, wish.handle)
+    return _wish(Wish, (vx_m_s, vy_m_s, turn_rad_s, tool_on, *held))
 
 
 def _distance(a: Point, b: Point) -> float:

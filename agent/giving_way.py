@@ -9,26 +9,28 @@ after a longer patience, so a jam of two is resolved from at least one side.
 Somebody that wants nothing (idle, stopped, gone) is gone round the same way: by a point beside it.
 """
 
-from math import cos, hypot, pi, sin
-from typing import NamedTuple
+from math import ceil, cos, hypot, pi, sin
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from agent.config import MS, S
+from agent.fence_gap import way_gap_m
 from agent.lifecycle import State
 
 Point = tuple[float, float]
 
-WANTS_M_S = 0.1  # a robot that wants less than this is not stalled
-GOT_ON_M = 0.4  # moved this far: no stall
-PATIENCE_US = 1_500 * MS
-LONG_PATIENCE_US = 7 * S  # of the one that is not the first to give way
-NEAR_M = 1.2  # a gap wider than this stalls nobody
-APART_M = 5.0  # a refuge is left when the gap is this wide
-REFUGE_US = 10 * S  # or after this
-ROUND_US = 4 * S  # a detour round somebody that stands
-DIRECTIONS = 16
+WANTS_M_S: Final = 0.1  # a robot that wants less than this is not stalled
+GOT_ON_M: Final = 0.4  # moved this far: no stall
+PATIENCE_US: Final = 1_500 * MS
+LONG_PATIENCE_US: Final = 7 * S  # of the one that is not the first to give way
+NEAR_M: Final = 1.2  # a gap wider than this stalls nobody
+APART_M: Final = 5.0  # a refuge is left when the gap is this wide
+REFUGE_US: Final = 10 * S  # or after this
+ROUND_US: Final = 4 * S  # a detour round somebody that stands
+DIRECTIONS: Final = 16
+STEP_M: Final = 0.5  # of the way to a refuge
 RADII_M = (2.5, 4.5, 7.0)
 
 
@@ -135,19 +137,7 @@ class GivingWay:
                 return False
         if self.fences.size == 0:
             return True
-        steps = np.arange(0.5, length_m / self.scale + 0.25, 0.5) * self.scale
-        x, y = at[0] + ux * steps, at[1] + uy * steps
-        return bool(distances_m(x, y, self.fences).min() > self.radius_m + 0.15 * self.scale)
-
-
-def distances_m(
-    x: NDArray[np.float64], y: NDArray[np.float64], fences: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Distance of each point to each segment, (points, segments)."""
-    ax, ay, bx, by = fences.T
-    ex, ey = bx - ax, by - ay
-    square = np.maximum(ex * ex + ey * ey, 1e-18)  # a lone echo has no length
-    t = ((x[:, None] - ax) * ex + (y[:, None] - ay) * ey) / square
-    t = np.clip(t, 0.0, 1.0)
-    gap: NDArray[np.float64] = np.hypot(ax + t * ex - x[:, None], ay + t * ey - y[:, None])
-    return gap
+        step_m = STEP_M * self.scale
+        count = ceil((length_m / self.scale + STEP_M / 2 - STEP_M) / STEP_M)
+        near_m: float = way_gap_m(at[0], at[1], ux, uy, step_m, count, self.fences)
+        return near_m > self.radius_m + 0.15 * self.scale

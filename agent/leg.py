@@ -1,14 +1,18 @@
 """A polyline that a robot with an implement drives in one go: at work on a section, or on its way."""
 
 from math import dist, hypot
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from agent.allocator import Point
 
-LEAD_M = 0.3  # a stretch is entered before its first unit and left after its last: arriving at a
+LEAD_M: Final = (
+    0.3  # a stretch is entered before its first unit and left after its last: arriving at a
+)
 # point within centimetres would leave that much of the work out
-STRAIGHT_M = 0.01  # a lead-in that begins closer to the line of its first unit does not turn
-SWUNG_M = 0.15  # so far behind a corner the bar is round it; the tracker turns 6 cm before it
+STRAIGHT_M: Final = 0.01  # a lead-in that begins closer to the line of its first unit does not turn
+SWUNG_M: Final = (
+    0.15  # so far behind a corner the bar is round it; the tracker turns 6 cm before it
+)
 assert SWUNG_M < LEAD_M
 
 

@@ -10,32 +10,34 @@ stopping distance can be missed.
 
 from collections.abc import Mapping, Sequence
 from math import atan2, ceil, cos, dist, floor, hypot, pi, sin
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from agent.coasting import Coasting
 from agent.config import ACTUATOR_TTL_US, CONTROL_PERIOD_US, S
-from agent.giving_way import distances_m
+from agent.fence_gap import gap_m
 from agent.membership import Neighbour
 from agent.ports import Observation
 
 Point = tuple[float, float]
 Grain = tuple[int, int]  # a square of the ground: one point is remembered in each
 
-REACTION_S = (ACTUATOR_TTL_US + CONTROL_PERIOD_US) / S  # until a command to stand is in force
-MARGIN_M = 0.6  # left between the hull and what it stops for
-BESIDE_M = 0.15  # kept on either side; ORCA's margin
-FENCE_TOLERANCE_M = (
+REACTION_S: Final = (
+    ACTUATOR_TTL_US + CONTROL_PERIOD_US
+) / S  # until a command to stand is in force
+MARGIN_M: Final = 0.6  # left between the hull and what it stops for
+BESIDE_M: Final = 0.15  # kept on either side; ORCA's margin
+FENCE_TOLERANCE_M: Final = (
     0.25  # an echo this near to a fence is the fence: maps and poses are not perfect
 )
-ROBOT_TOLERANCE_M = 0.35  # round a known robot: POSE rounds, courses bend between two beats
-WATCH_M = 8.0  # points are remembered up to here; a robot looks no further
-CHAIN_M = 1.5  # echoes this close together are one thing
-GRAIN_M = 0.25  # side of a grain
-BEYOND_M = 0.4  # a ray that goes so much further than a point has passed it
-FORGET_US = 300 * S  # a point that nobody has looked at again for so long
+ROBOT_TOLERANCE_M: Final = 0.35  # round a known robot: POSE rounds, courses bend between two beats
+WATCH_M: Final = 8.0  # points are remembered up to here; a robot looks no further
+CHAIN_M: Final = 1.5  # echoes this close together are one thing
+GRAIN_M: Final = 0.25  # side of a grain
+BEYOND_M: Final = 0.4  # a ray that goes so much further than a point has passed it
+FORGET_US: Final = 300 * S  # a point that nobody has looked at again for so long
 
 
 class Sighting(NamedTuple):
@@ -71,18 +73,32 @@ class Lookout:
             return None
         if self.points:
             self._forget(here, now_us)
-        fastest_m_s = max((hypot(*motion) for motion in motions), default=0.0)
-        reach_m = self.reach_m(fastest_m_s)
-        if not self.points and min(here.ranges_m) > reach_m:
+        if not self.points and not self._is_strange(here, motions, neighbours, now_us):
             return None
-        if self.points or any(
-            self._strange(self._echoes(here, reach_m, motion), here, neighbours, now_us)
-            for motion in motions
-        ):
-            everything = self._echoes(here, WATCH_M, None)
-            self._remember(self._strange(everything, here, neighbours, now_us), now_us)
+        everything = self._echoes(here, WATCH_M, None)
+        self._remember(self._strange(everything, here, neighbours, now_us), now_us)
         seen = [self.ahead(here, motion, self.reach_m(hypot(*motion))) for motion in motions]
         return min((s for s in seen if s is not None), key=lambda s: s.free_m, default=None)
+
+    def _is_strange(
+        self,
+        here: Observation,
+        motions: Sequence[Point],
+        neighbours: Mapping[int, Neighbour],
+        now_us: int,
+    ) -> bool:
+        """Whether anything unexplained is in the way of one of the motions."""
+        fastest_m_s = 0.0
+        for vx_m_s, vy_m_s in motions:
+            fastest_m_s = max(fastest_m_s, hypot(vx_m_s, vy_m_s))
+        reach_m = self.reach_m(fastest_m_s)
+        if not motions or min(here.ranges_m) > reach_m:
+            return False
+        for motion in motions:
+            echoes = self._echoes(here, reach_m, motion)
+            if echoes and self._strange(echoes, here, neighbours, now_us):
+                return True
+        return False
 
     def reach_m(self, speed_m_s: float) -> float:
         """From the middle of the hull: further ahead nothing has to be looked for yet."""
@@ -109,20 +125,21 @@ class Lookout:
 
     def _echoes(self, here: Observation, reach_m: float, velocity: Point | None) -> list[Point]:
         """Echoes within reach; with a velocity, those in the strip along it."""
-        step_rad = 2 * pi / len(here.ranges_m)
-        speed_m_s = hypot(*velocity) if velocity is not None else 0.0
+        x_m, y_m, heading_rad, ranges_m = here.x_m, here.y_m, here.heading_rad, here.ranges_m
+        step_rad, has_velocity = 2 * pi / len(ranges_m), velocity is not None
+        vx_m_s, vy_m_s = (0.0, 0.0) if velocity is None else velocity
+        half_m = (self.radius_m + BESIDE_M) * hypot(vx_m_s, vy_m_s)
         echoes: list[Point] = []
-        for k, range_m in enumerate(here.ranges_m):
+        for k, range_m in enumerate(ranges_m):
             if range_m > reach_m:
                 continue
-            angle_rad = here.heading_rad + k * step_rad
+            angle_rad = heading_rad + k * step_rad
             dx_m, dy_m = range_m * cos(angle_rad), range_m * sin(angle_rad)
-            if velocity is not None:
-                along = dx_m * velocity[0] + dy_m * velocity[1]
-                across = abs(dy_m * velocity[0] - dx_m * velocity[1])
-                if along <= 0.0 or across > (self.radius_m + BESIDE_M) * speed_m_s:
+            if has_velocity:
+                along = dx_m * vx_m_s + dy_m * vy_m_s
+                if along <= 0.0 or abs(dy_m * vx_m_s - dx_m * vy_m_s) > half_m:
                     continue
-            echoes.append((here.x_m + dx_m, here.y_m + dy_m))
+            echoes.append((x_m + dx_m, y_m + dy_m))
         return echoes
 
     def _strange(
@@ -150,9 +167,7 @@ class Lookout:
             left = [e for e in left if _gap_m(e, (pose.x_m, pose.y_m), course, way_m) > near_m]
         if not left or self.fences.size == 0:
             return list(left)
-        x, y = np.array(left).T
-        clear = distances_m(x, y, self.fences).min(axis=1) > FENCE_TOLERANCE_M
-        return [echo for echo, free in zip(left, clear.tolist(), strict=True) if free]
+        return [e for e in left if gap_m(e[0], e[1], self.fences) > FENCE_TOLERANCE_M]
 
     # ---------------------------------------------------------------- memory
 

@@ -8,7 +8,7 @@ one may have come to rest that says nothing any more is `agent/coasting.py`.
 
 from collections.abc import Mapping
 from math import cos, hypot, sin
-from typing import NamedTuple, Protocol
+from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,14 +27,21 @@ from agent.right_of_way import RightOfWay
 from agent.sensed import Sensed
 from agent.sensed_fences import fences_of
 
-MARGIN_M = 0.15  # POSE rounds to 0.05 m, a drive takes a period to act, wheels slip
-HORIZON_S = 4.0  # how far ahead two moving robots agree to be clear of each other
-STANDING_M_S = 0.05  # slower than this a neighbour cannot be relied on to give way
-AGE_MAX_US = 1 * S  # an older pose is not moved on: the robot may have stopped
-UNHEARD_US = 5 * S  # a neighbour that was heard so long ago may be anywhere
-PLACES_MAX = 4  # of a silent member, the nearest: 1.5 m of its way, what is met before standing
-FENCE_M = 0.2  # kept from fences and holes
-FIELD_RADIUS_M = 0.8  # of the bodies that the distances of giving way are meant for
+MARGIN_M: Final = 0.15  # POSE rounds to 0.05 m, a drive takes a period to act, wheels slip
+HORIZON_S: Final = 4.0  # how far ahead two moving robots agree to be clear of each other
+STANDING_M_S: Final = 0.05  # slower than this a neighbour cannot be relied on to give way
+AGE_MAX_US: Final = 1 * S  # an older pose is not moved on: the robot may have stopped
+UNHEARD_US: Final = 5 * S  # a neighbour that was heard so long ago may be anywhere
+PLACES_MAX: Final = (
+    4  # of a silent member, the nearest: 1.5 m of its way, what is met before standing
+)
+FENCE_M: Final = 0.2  # kept from fences and holes
+FIELD_RADIUS_M: Final = 0.8  # of the bodies that the distances of giving way are meant for
+_tuple = tuple.__new__  # all fields at once: made every period, for every neighbour
+
+
+def _square(row: tuple[float, ...]) -> float:
+    return row[0] * row[0] + row[1] * row[1]
 
 
 class Limits(NamedTuple):
@@ -120,7 +127,7 @@ class Motion:
         vx_m_s, vy_m_s = self.avoidance.velocity(
             (here.x_m, here.y_m), (here.vx_m_s, here.vy_m_s), wanted, rows
         )
-        return Drive(vx_m_s, vy_m_s, wish.turn_rad_s, tool_on, wish.handle)
+        return _tuple(Drive, (vx_m_s, vy_m_s, wish.turn_rad_s, tool_on, wish.handle))
 
     def _rows(
         self, here: Observation, neighbours: Mapping[int, Neighbour], now_us: int
@@ -129,31 +136,33 @@ class Motion:
         others: list[Other] = []
         combined_m = 2 * self.limits.radius_m + MARGIN_M
         self.coasting.look(neighbours, here, now_us)
+        own_x_m, own_y_m, reach_m = here.x_m, here.y_m, self.reach_m
         for slot, (pose, heard_us) in neighbours.items():
-            dx_m, dy_m = pose.x_m - here.x_m, pose.y_m - here.y_m
-            if abs(dx_m) > self.reach_m or abs(dy_m) > self.reach_m:
+            pose_x_m, pose_y_m, course_rad, speed_m_s, state, stopped, _ = pose
+            dx_m, dy_m = pose_x_m - own_x_m, pose_y_m - own_y_m
+            if abs(dx_m) > reach_m or abs(dy_m) > reach_m:
                 continue
-            speed_m_s, share = pose.speed_m_s, 1.0
-            vx_m_s = vy_m_s = moved_on_s = 0.0
+            share, vx_m_s, vy_m_s, moved_on_s = 1.0, 0.0, 0.0, 0.0
             age_us = now_us - heard_us
             if self.sensed is not None and age_us > UNHEARD_US:
                 continue  # wherever it is by now, it is seen
             places = self.coasting.places(slot)
             if places is not None:
-                offsets = [(x_m - here.x_m, y_m - here.y_m) for x_m, y_m in places]
+                offsets = [(x_m - own_x_m, y_m - own_y_m) for x_m, y_m in places]
                 offsets.sort(key=lambda d: d[0] * d[0] + d[1] * d[1])
-                others += [Other(slot, *offset, pose.state) for offset in offsets[:1]]
+                others += [Other(slot, *offset, state) for offset in offsets[:1]]
                 near += [(*d, 0.0, 0.0, combined_m, 1.0, 0.0) for d in offsets[:PLACES_MAX]]
                 continue
-            if speed_m_s > STANDING_M_S and age_us < AGE_MAX_US and not pose.stopped:
-                vx_m_s, vy_m_s = speed_m_s * cos(pose.course_rad), speed_m_s * sin(pose.course_rad)
+            if speed_m_s > STANDING_M_S and age_us < AGE_MAX_US and not stopped:
+                vx_m_s, vy_m_s = speed_m_s * cos(course_rad), speed_m_s * sin(course_rad)
                 moved_on_s = age_us / S
                 dx_m, dy_m = dx_m + vx_m_s * moved_on_s, dy_m + vy_m_s * moved_on_s
-                share = self.right.share(slot, self.state, pose.state, age_us, now_us)
-            others.append(Other(slot, dx_m, dy_m, pose.state))
+                share = self.right.share(slot, self.state, state, age_us, now_us)
+            others.append(_tuple(Other, (slot, dx_m, dy_m, state)))
             near.append((dx_m, dy_m, vx_m_s, vy_m_s, combined_m, share, moved_on_s))
         self.others = others
-        near.sort(key=lambda row: row[0] * row[0] + row[1] * row[1])
+        if len(near) > 1:
+            near.sort(key=_square)
         return near[:NEIGHBOURS_MAX], others
 
     def _look(self, here: Observation, rows: list[tuple[float, ...]]) -> list[tuple[float, ...]]:

@@ -7,8 +7,8 @@ of a unit that is done and lies next to no open one.
 
 import itertools
 from collections.abc import Iterable, Sequence
-from functools import cached_property
 from math import hypot
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,11 +20,13 @@ from agent.mission import FleetView
 
 Point = tuple[float, float]
 
-ROOM_M = 0.6  # between two hulls, beside a line that will be worked: ORCA's margin and tracking
-APART_M = 1.0  # between hulls of two that rest
-LOOK_US = 1 * S  # open lines change with units, and a unit takes seconds
-NEAR_MAX = 200  # places looked at, nearest first: a field has room near by or not at all
-SAMPLE_M = 1.0  # of open lines
+ROOM_M: Final = (
+    0.6  # between two hulls, beside a line that will be worked: ORCA's margin and tracking
+)
+APART_M: Final = 1.0  # between hulls of two that rest
+LOOK_US: Final = 1 * S  # open lines change with units, and a unit takes seconds
+NEAR_MAX: Final = 200  # places looked at, nearest first: a field has room near by or not at all
+SAMPLE_M: Final = 1.0  # of open lines
 
 
 class Parking:
@@ -32,11 +34,6 @@ class Parking:
         self.field, self.radius_m = field, radius_m
         self.spot: Point | None = None  # where to go; none: stay
         self._looked_us: int | None = None
-
-    @cached_property
-    def _lines(self) -> list[list[Polyline]]:
-        """Of each section, the lines of its units; made when a robot first rests."""
-        return [list(section.unit_lines()) for section in self.field.sections]
 
     @property
     def room_m(self) -> float:
@@ -61,8 +58,8 @@ class Parking:
         self.spot, self._looked_us = None, None
 
     def _units(self, view: FleetView, done: bool) -> Iterable[Polyline]:
-        for section, lines in zip(self.field.sections, self._lines, strict=True):
-            for unit, line in enumerate(lines):
+        for section in self.field.sections:
+            for unit, line in enumerate(section.unit_lines):
                 if view.progress.has(section.id, unit) is done:
                     yield line
 

@@ -10,7 +10,7 @@ anew. An answer that names another question than the open one is not obeyed.
 
 from collections.abc import Sequence
 from math import hypot, sqrt
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from agent.cause import Cause
 from agent.config import MS, S
@@ -24,16 +24,16 @@ from protocol.safety_frames import Command
 if TYPE_CHECKING:
     from agent.core import Peer
 
-FREE_US = 1 * S  # the way is free for so long: it has left
-ASK_US = 1 * S  # the question is said again, for operators that come later
-NEAR_M = 3.0  # within this of the thing a robot that goes round it creeps
-CREEP_M_S = 1.0  # walking pace
-KEEP_M = 0.25  # a robot that goes round stops this far from what it drives at
-STUCK_US = 4 * S  # no way round: ask again
-STUCK_M_S = 0.05
-AHEAD_US = 100 * MS  # how much faster a robot can be when it is next asked
-STANDING_M_S = 0.02
-ANSWERS = (Command.WAIT, Command.CONTINUE, Command.REPLAN)
+FREE_US: Final = 1 * S  # the way is free for so long: it has left
+ASK_US: Final = 1 * S  # the question is said again, for operators that come later
+NEAR_M: Final = 3.0  # within this of the thing a robot that goes round it creeps
+CREEP_M_S: Final = 1.0  # walking pace
+KEEP_M: Final = 0.25  # a robot that goes round stops this far from what it drives at
+STUCK_US: Final = 4 * S  # no way round: ask again
+STUCK_M_S: Final = 0.05
+AHEAD_US: Final = 100 * MS  # how much faster a robot can be when it is next asked
+STANDING_M_S: Final = 0.02
+ANSWERS: Final = (Command.WAIT, Command.CONTINUE, Command.REPLAN)
 
 
 class Pause:

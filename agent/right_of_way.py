@@ -6,14 +6,18 @@ once: at every instant the two shares make one at least, as long as no state is 
 the times below. Where beats are not fresh, it is half each.
 """
 
+from typing import Final
+
 from agent.config import MS, S
 from agent.lifecycle import State
 
 HALF, LESS, MORE = 0.5, 0.25, 0.75
-YIELD_AFTER_US = 500 * MS  # of the same two states
-TRUST_AFTER_US = 2 * S  # ten beats of the largest fleet: 30 % lost all of them once in 170,000
-YIELD_ON_US = 1_500 * MS  # after they have changed
-FRESH_US = 300 * MS  # a beat older than this is not counted on
+YIELD_AFTER_US: Final = 500 * MS  # of the same two states
+TRUST_AFTER_US: Final = (
+    2 * S
+)  # ten beats of the largest fleet: 30 % lost all of them once in 170,000
+YIELD_ON_US: Final = 1_500 * MS  # after they have changed
+FRESH_US: Final = 300 * MS  # a beat older than this is not counted on
 assert YIELD_AFTER_US + YIELD_ON_US <= TRUST_AFTER_US
 
 

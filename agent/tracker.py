@@ -7,21 +7,24 @@ decides whether a unit counts as worked, so the correction is stiff.
 
 import itertools
 from math import atan2, hypot, pi, sin, sqrt
+from typing import Final
 
 Point = tuple[float, float]
 
-POINT_M = 1e-9  # a segment shorter than this is a point
-CLOSE_GAIN_1_S = (
+POINT_M: Final = 1e-9  # a segment shorter than this is a point
+CLOSE_GAIN_1_S: Final = (
     2.0  # cross-track error is closed with this rate; 20 Hz control is stable below ~10
 )
-ARRIVED_M = 0.06  # a few centimetres: what a body at creep speed covers in a control period
-ALIGN_M = 0.12  # this far off the line, it does not advance at all before it is back
-BESIDE_M = 0.3  # passing the end further away than this is not arriving
-SWING_M = 0.03  # how far a body may swing out at a corner; a third of the usual tolerance
-BEND_M = 2.0  # corners further apart than this do not make a bend
-BEND_SHARE = 0.5  # of the acceleration goes into following a bend, the rest into staying on it
-SAMPLE_M = 0.25  # of the line ahead: less than any body is wide
-CREEP_M_S = 0.1  # approach speed at the very end, so that arrival does not take for ever
+ARRIVED_M: Final = 0.06  # a few centimetres: what a body at creep speed covers in a control period
+ALIGN_M: Final = 0.12  # this far off the line, it does not advance at all before it is back
+BESIDE_M: Final = 0.3  # passing the end further away than this is not arriving
+SWING_M: Final = 0.03  # how far a body may swing out at a corner; a third of the usual tolerance
+BEND_M: Final = 2.0  # corners further apart than this do not make a bend
+BEND_SHARE: Final = (
+    0.5  # of the acceleration goes into following a bend, the rest into staying on it
+)
+SAMPLE_M: Final = 0.25  # of the line ahead: less than any body is wide
+CREEP_M_S: Final = 0.1  # approach speed at the very end, so that arrival does not take for ever
 
 
 class Tracker:

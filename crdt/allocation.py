@@ -49,6 +49,10 @@ class FieldAllocationCRDT:
         self._keys: dict[int, int] = {}
         self._sums = Sums(KIND, self._keys)
         self._done = 0
+        self._held: dict[int, list[int]] = {}  # by owner, what was asked for since the last change
+        self.changes = (
+            0  # grows with every register that grows: who looked then need not look again
+        )
 
     @staticmethod
     def hash_of(description: str) -> int:
@@ -121,6 +125,7 @@ class FieldAllocationCRDT:
             return False
         self._sums.changing(section, known)
         self._keys[section] = key
+        self._changed()
         if key >= DONE_BIT and (known is None or known < DONE_BIT):
             self._done += 1
         return True
@@ -138,8 +143,14 @@ class FieldAllocationCRDT:
         self._done += sum(key >= DONE_BIT for key in newer.values())
         self._done -= sum(key is not None and key >= DONE_BIT for key in before.values())
         self._keys.update(newer)
+        self._changed()
         self.lamport = max(self.lamport, other.lamport)
         return set(newer)
+
+    def _changed(self) -> None:
+        self.changes += 1
+        if self._held:
+            self._held.clear()
 
     def delta(self, cut: int) -> Iterator[tuple[int, int]]:
         """(section, key) written after Lamport time `cut`, in section order.
@@ -171,9 +182,12 @@ class FieldAllocationCRDT:
 
     def assigned_sections(self, owner: int) -> list[int]:
         """Sections claimed or started by a slot, not the finished ones."""
-        return sorted(
-            s for s, k in self._keys.items() if owner_of(k) == owner and phase_of(k) in HELD
-        )
+        held = self._held.get(owner)
+        if held is None:
+            held = self._held[owner] = sorted(
+                s for s, k in self._keys.items() if owner_of(k) == owner and phase_of(k) in HELD
+            )
+        return held.copy()
 
     def done_count(self) -> int:
         return self._done

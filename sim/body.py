@@ -8,9 +8,12 @@ from agent.effects import HALT, Drive
 from agent.ports import Observation
 from sim.truth import Track
 from sim.vehicle import (
+    COLUMNS,
+    COMMAND,
     COMMANDED_US,
     EXPIRES_US,
     HEADING,
+    MOTION,
     TOOL,
     VX,
     VY,
@@ -69,7 +72,8 @@ class RobotBody:
     def sense(self, now_us: int) -> Observation:
         world = self.world
         world.advance(now_us)
-        x_m, y_m, heading, vx_m_s, vy_m_s, _, _ = world.motion[self.index].tolist()
+        moved = MOTION.unpack_from(world.places, self.index * MOTION.size)
+        x_m, y_m, heading, vx_m_s, vy_m_s, _, _ = moved
         ranges_m = world.ranges(self.index)
         return Observation(x_m, y_m, remainder(heading, 2 * pi), vx_m_s, vy_m_s, ranges_m)
 
@@ -79,11 +83,11 @@ class RobotBody:
         self.world.advance(now_us)
         if self.frozen:
             return
-        row = self.world.rows[self.index]
-        row[WANT_X], row[WANT_Y] = command.vx_m_s, command.vy_m_s
-        row[WANT_TURN] = command.turn_rad_s
-        row[WANT_TOOL] = command.tool_on
-        row[EXPIRES_US] = now_us + ACTUATOR_TTL_US
+        vx_m_s, vy_m_s, turn_rad_s, tool_on, _ = command
+        COMMAND(
+            self.world.commands, self.index * 8 * COLUMNS, vx_m_s, vy_m_s, turn_rad_s, tool_on,
+            now_us + ACTUATOR_TTL_US,
+        )  # fmt: skip
 
     def commanded(self, now_us: int) -> Drive:
         """The command in force: one that is not renewed expires in the actuator."""

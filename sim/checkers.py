@@ -7,7 +7,7 @@ names of invariants; ARCHITECTURE.md lists them.
 
 from collections.abc import Collection, Mapping, Sequence
 from math import inf
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from shapely.geometry import MultiPolygon, Polygon
@@ -18,7 +18,7 @@ from sim.line_truth import NEVER_US, SAMPLE_M, LineTruth, Polyline
 from sim.truth import Track
 from sim.world import STEP_US, World
 
-VIOLATIONS_MAX = 1_000  # a broken rule is broken at every step; the first thousand will do
+VIOLATIONS_MAX: Final = 1_000  # a broken rule is broken at every step; the first thousand will do
 
 
 class Violation(NamedTuple):
@@ -83,7 +83,7 @@ class _Watch(NamedTuple):
 class MotionAfterStopChecker:
     """S1: between a stop's bound and its release, nobody is told to move and nobody moves.
 
-    Watches every step. A robot that is carried, or shoved by another, is not excused: say so when
+    Every step is watched. A robot that is carried, or shoved by another, is not excused: say so when
     pressing, by leaving it out of `slots`.
     """
 
@@ -92,7 +92,7 @@ class MotionAfterStopChecker:
         self.violations: list[Violation] = []
         self._watches: dict[int, _Watch] = {}
         self._pressed = 0
-        world.on_step.append(self._step)
+        world.guards.append(self)
 
     def press(
         self, t_us: int, bound_us: int, slots: Collection[int], standing_us: int | None = None
@@ -107,6 +107,7 @@ class MotionAfterStopChecker:
         self._pressed += 1
         silent_us = t_us + bound_us
         self._watches[self._pressed] = _Watch(frozenset(slots), silent_us, silent_us + longest_us)
+        self.world.guard()
         return self._pressed
 
     def release(self, number: int, slots: Collection[int] | None = None) -> None:
@@ -114,23 +115,28 @@ class MotionAfterStopChecker:
         watch = self._watches.pop(number)
         if slots is not None and watch.slots - frozenset(slots):
             self._watches[number] = watch._replace(slots=watch.slots - frozenset(slots))
+        self.world.guard()
 
-    def _step(self, world: World) -> None:
-        if not self._watches or len(self.violations) >= VIOLATIONS_MAX:
+    def limits(self) -> dict[int, tuple[float, float]]:
+        """Of those who must stand, see `sim.world.Guard`."""
+        limits: dict[int, tuple[float, float]] = {}
+        for watch in self._watches.values():
+            for slot in watch.slots:
+                silent_us, still_us = limits.get(slot, (inf, inf))
+                limits[slot] = min(silent_us, watch.silent_us), min(still_us, watch.still_us)
+        return limits
+
+    def look(self, world: World) -> None:
+        """After a step in which somebody moved that must not."""
+        if len(self.violations) >= VIOLATIONS_MAX:
             return
         now_us = world.now_us
         begun_us = now_us - STEP_US  # commands in force during the step were those at its beginning
-        silent_us: dict[int, float] = {}
-        still_us: dict[int, float] = {}
-        for watch in self._watches.values():
-            for slot in watch.slots:
-                silent_us[slot] = min(silent_us.get(slot, inf), watch.silent_us)
-                still_us[slot] = min(still_us.get(slot, inf), watch.still_us)
-        for slot in sorted(silent_us):
+        for slot, (silent_us, still_us) in sorted(self.limits().items()):
             body = world.robots[slot]
-            if begun_us >= silent_us[slot] and body.commanded_us == begun_us:
+            if begun_us >= silent_us and body.commanded_us == begun_us:
                 self._add(now_us, slot, "told to move after a stop")
-            if now_us >= still_us[slot] and body.moved_us == now_us:
+            if now_us >= still_us and body.moved_us == now_us:
                 self._add(now_us, slot, "moves after a stop")
 
     def _add(self, t_us: int, slot: int, what: str) -> None:

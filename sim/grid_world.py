@@ -5,7 +5,6 @@ at once, sees the others within two cells, and stands still when its commands st
 and who was where are judged from true places every `LOOK_US`, and know nothing of agents.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from math import inf
 
@@ -71,9 +70,7 @@ class GridWorld:
     def __init__(self, ground: Ground, radius_m: float) -> None:
         self.ground, self.radius_m = ground, radius_m
         self.robots: dict[int, GridBody] = {}
-        self.on_step: list[
-            Callable[[object], None]
-        ] = []  # never called: steps are not as fine here
+        self.guards: list[object] = []  # never called: steps are not as fine here
         self.places = np.empty((0, 2))  # at `since_us`
         self.speeds = np.empty((0, 2))
         self.since_us = np.empty(0, dtype=np.int64)
@@ -85,6 +82,9 @@ class GridWorld:
 
     def body(self, slot: int) -> GridBody:
         return self.robots[slot]
+
+    def guard(self) -> None:
+        """Who must stand is not watched here."""
 
     def add_robot(self, slot: int, number: int, now_us: int) -> GridBody:
         """A robot comes into the middle of a cell."""

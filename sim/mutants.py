@@ -129,6 +129,7 @@ def _last_wins(right: Any) -> Any:
             self._sums.changing(section, known)
             self._done -= (known >> 48) - (key >> 48)
             self._keys[section] = key
+            self._changed()
             return True
         return bool(right(self, section, key))
 

@@ -29,7 +29,7 @@ class Physics:
         self.space = pymunk.Space()
         self.space.collision_slop = SLOP_M
         self._robots: list[pymunk.Body] = []
-        self._inertia = np.zeros((0, 3))  # kg, kg, kg m2
+        self.inertia = np.zeros((0, 3))  # a row a robot: kg, kg, kg m2
         self._got, self._put = batch.Buffer(), batch.Buffer()
         self._forces = np.zeros((0, 3))
         self._order: slice | NDArray[np.intp] = slice(0)  # the rows of the robots
@@ -40,7 +40,7 @@ class Physics:
         body = pymunk.Body(MASS_KG, moment)
         body.position, body.angle = (x_m, y_m), heading_rad
         self._robots.append(body)
-        self._inertia = np.vstack((self._inertia, (MASS_KG, MASS_KG, moment)))
+        self.inertia = np.vstack((self.inertia, (MASS_KG, MASS_KG, moment)))
         self._add(pymunk.Circle(body, radius_m), body)
 
     def add_wall(self, a: XY, b: XY) -> pymunk.Shape:
@@ -61,9 +61,13 @@ class Physics:
     def remove(self, shape: pymunk.Shape) -> None:
         self.space.remove(shape)
 
-    def place(self, robot: int, x_m: float, y_m: float, heading_rad: float) -> None:
-        body = self._robots[robot]
-        body.position, body.angle = (x_m, y_m), heading_rad
+    def put(self, motion: Floats) -> None:
+        """Everybody as in `motion`, see `step`: they moved without us."""
+        for body, (x_m, y_m, angle, vx, vy, turn) in zip(
+            self._robots, motion[:, :6].tolist(), strict=True
+        ):
+            body.position, body.angle = (x_m, y_m), angle
+            body.velocity, body.angular_velocity = (vx, vy), turn
 
     def _lay_out(self) -> None:
         """pymunk lists the static body among the others: find each robot's row by its number."""
@@ -85,7 +89,7 @@ class Physics:
         """
         if self._stale:
             self._lay_out()
-        self._forces[self._order] = push * self._inertia
+        self._forces[self._order] = push * self.inertia
         batch.set_space_bodies(self.space, _PUT, self._put)
         self.space.step(dt_s)
         self._got.clear()

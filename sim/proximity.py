@@ -7,7 +7,7 @@ from math import inf, sqrt
 
 from numba import njit
 
-from sim.vehicle import RADIUS, VX, VY, X, Y
+from sim.vehicle import RADIUS, X, Y
 from sim.walls import AT_X, AT_Y, BOX, COS, FIRST, FREE, HALF_X, HALF_Y, HEAD, SHAPE, SIN
 
 TOUCHES_MAX = 1024  # overlaps at one instant; a hundred robots in one heap have about 300
@@ -27,7 +27,7 @@ def _to_segment(floats, k, x, y):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _to_walls(floats, ints, x, y, reach):  # type: ignore[no-untyped-def]
+def to_walls(floats, ints, x, y, reach):  # type: ignore[no-untyped-def]
     """Distance to the nearest segment; inf where there is none within reach."""
     if ints[0] == 0:
         return inf
@@ -46,7 +46,7 @@ def _to_walls(floats, ints, x, y, reach):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _to_obstacle(row, x, y):  # type: ignore[no-untyped-def]
+def to_obstacle(row, x, y):  # type: ignore[no-untyped-def]
     """Distance to a box or a disc, negative inside a disc, 0 inside a box."""
     px, py = x - row[AT_X], y - row[AT_Y]
     if row[SHAPE] != BOX:
@@ -57,29 +57,30 @@ def _to_obstacle(row, x, y):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def watch(motion, floats, ints, obstacles, moved_us, now_us, nearest, touches):  # type: ignore[no-untyped-def]
-    """Write overlaps to `touches` (first, second, depth in metres) and return how many there are.
+def watch(motion, floats, ints, obstacles, nearest, touches, near_m):  # type: ignore[no-untyped-def]
+    """Write overlaps to `touches` (first, second, depth in metres).
 
+    Returns twice how many there are, and 1 more where a gap is not larger than `near_m`.
     `nearest`: smallest gap seen so far between robots, and from a robot to anything else.
     """
     count = motion.shape[0]
-    found = 0
+    found, near = 0, 0
     for i in range(count):
         x, y, radius = motion[i, X], motion[i, Y], motion[i, RADIUS]
-        if motion[i, VX] ** 2 + motion[i, VY] ** 2 > STANDING_M_S**2:
-            moved_us[i] = now_us
         for j in range(i + 1, count):
             px, py, both = motion[j, X] - x, motion[j, Y] - y, motion[j, RADIUS] + radius
-            reach = both + max(nearest[NEAREST_ROBOT], 0.0)
+            reach = both + max(nearest[NEAREST_ROBOT], near_m)
             square = px * px + py * py
             if square >= reach * reach:
                 continue
             gap = sqrt(square) - both
+            near |= gap <= near_m
             nearest[NEAREST_ROBOT] = min(nearest[NEAREST_ROBOT], gap)
             if gap < 0.0 and found < TOUCHES_MAX:
                 touches[found, 0], touches[found, 1], touches[found, 2] = i, j, -gap
                 found += 1
-        gap = _to_walls(floats, ints, x, y, radius + LOOK_M) - radius
+        gap = to_walls(floats, ints, x, y, radius + LOOK_M) - radius
+        near |= gap <= near_m
         nearest[NEAREST_WALL] = min(nearest[NEAREST_WALL], gap)
         if gap < 0.0 and found < TOUCHES_MAX:
             touches[found, 0], touches[found, 1], touches[found, 2] = i, FENCE, -gap
@@ -87,22 +88,37 @@ def watch(motion, floats, ints, obstacles, moved_us, now_us, nearest, touches): 
         for k in range(obstacles.shape[0]):
             if obstacles[k, SHAPE] == FREE:
                 continue
-            gap = _to_obstacle(obstacles[k], x, y) - radius
+            gap = to_obstacle(obstacles[k], x, y) - radius
+            near |= gap <= near_m
             nearest[NEAREST_WALL] = min(nearest[NEAREST_WALL], gap)
             if gap < 0.0 and found < TOUCHES_MAX:
                 touches[found, 0], touches[found, 1], touches[found, 2] = i, OBSTACLE - k, -gap
                 found += 1
-    return found
+    return 2 * found + near
+
+
+@njit(cache=True, error_model="numpy")
+def _is_inside(x, y, floats):  # type: ignore[no-untyped-def]
+    """Whether a line from there to the east crosses the fences an odd number of times."""
+    inside = False
+    for k in range(FIRST, floats.shape[0]):
+        ax, ay, dx, dy = floats[k]
+        if (ay > y) != (ay + dy > y) and ax + dx * (y - ay) / dy > x:
+            inside = not inside
+    return inside
 
 
 @njit(cache=True, error_model="numpy")
 def crossings(motion, floats, odd):  # type: ignore[no-untyped-def]
-    """Per robot 1 where a line from it to the east crosses the fences an odd number of times."""
+    """Per robot 1 where it is inside the fences."""
     for i in range(motion.shape[0]):
-        x, y = motion[i, X], motion[i, Y]
-        inside = False
-        for k in range(FIRST, floats.shape[0]):
-            ax, ay, dx, dy = floats[k]
-            if (ay > y) != (ay + dy > y) and ax + dx * (y - ay) / dy > x:
-                inside = not inside
-        odd[i] = 1 if inside else 0
+        odd[i] = 1 if _is_inside(motion[i, X], motion[i, Y], floats) else 0
+
+
+@njit(cache=True, error_model="numpy")
+def has_crossed(motion, floats, odd):  # type: ignore[no-untyped-def]
+    """Whether that has changed for anybody."""
+    for i in range(motion.shape[0]):
+        if (odd[i] != 0) != _is_inside(motion[i, X], motion[i, Y], floats):
+            return True
+    return False

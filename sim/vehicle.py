@@ -23,6 +23,7 @@ key, step, wheel), so it depends on nothing else that happens in the world.
 
 from enum import IntEnum
 from math import atan, atan2, cos, exp, hypot, pi, sin, sqrt, tan
+from struct import Struct
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -87,8 +88,10 @@ WHEEL, GRIP = 5, 9  # four each: front left, front right, rear left, rear right;
 TOOL, BACKING, COMMANDED_US = 13, 14, 15  # implement down; last step told to move
 KIND, R, L, W, LIMIT, GAIN, BRAKE, SLIP, LEAD, STEER, STEER_S, REVERSE = range(16, 28)
 COLUMNS = 28
+COMMAND = Struct("5d").pack_into  # the first five, with a buffer and where the row begins
 # One row of motion: the first six as the physics engine has them.
 X, Y, HEADING, VX, VY, TURN, RADIUS = range(7)
+MOTION = Struct("7d")
 
 
 def row_of(chassis: Chassis) -> list[float]:

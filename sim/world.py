@@ -4,20 +4,24 @@ Nobody but a robot's own `sense` and `drive` reaches into it, and the checkers, 
 Time is lazy: whoever asks first brings the world to the instant it asks for. The same steps are
 made whoever asks and however often, so a run has one history.
 
-Each step: obstacles come and go, the wheels answer the commands in force (`sim.vehicle`), pymunk
-moves the bodies (`sim.physics`), and touches are judged from the new positions (`sim.proximity`).
+Each step: obstacles come and go, the wheels answer the commands in force (`sim.vehicle`), bodies move,
+and touches are judged from the new positions (`sim.proximity`). pymunk moves bodies where something is
+near (`sim.physics`); elsewhere they glide, with the same result (`sim.gliding`).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from hashlib import blake2b
 from heapq import heappop, heappush
 from math import cos, inf, sin
+from struct import Struct
+from typing import Final, Protocol
 
 import numpy as np
 import pymunk
 from numpy.typing import NDArray
 
 from sim.body import RobotBody
+from sim.gliding import CODES, GUARDED, NEAR, NEAR_M, SWITCHED, TRACK_US, glide, guarded
 from sim.lidar import RANGE, Lidar, scan, scan_all
 from sim.physics import Physics
 from sim.proximity import (
@@ -27,6 +31,7 @@ from sim.proximity import (
     OBSTACLE,
     TOUCHES_MAX,
     crossings,
+    has_crossed,
     watch,
 )
 from sim.truth import Contact
@@ -35,9 +40,23 @@ from sim.walls import BOX, DISC, FREE, OBSTACLE_COLUMNS, OBSTACLES_MAX, XY, Grid
 
 __all__ = ["STEP_US", "RobotBody", "World"]
 
-TRACK_US = 100_000  # positions are kept this often
-CONTACTS_MAX = 10_000  # a run with more has failed long before; `contacts_lost` counts on
-APART_US = 200_000  # a contact is over after this long without overlap
+CONTACTS_MAX: Final = 10_000  # a run with more has failed long before; `contacts_lost` counts on
+APART_US: Final = 200_000  # a contact is over after this long without overlap
+# The engine makes so many steps after something was near, or was put somewhere: longer than it remembers
+# what touched (3 steps, `cpSpaceSetCollisionPersistence`).
+ENGINE_STEPS: Final = 8
+
+
+class Guard(Protocol):
+    """A checker of who must not move."""
+
+    def limits(self) -> Mapping[int, tuple[float, float]]:
+        """Of slots: from when on no command to move may be in force, and no body move, microseconds."""
+        ...
+
+    def look(self, world: "World") -> None:
+        """After a step in which somebody broke what a guard said."""
+        ...
 
 
 class World:
@@ -54,19 +73,26 @@ class World:
         self.robots: dict[int, RobotBody] = {}
         self.contacts: list[Contact] = []
         self.contacts_lost = 0
-        self.on_step: list[Callable[[World], None]] = []  # checkers that must see every step
+        self.guards: list[Guard] = []  # call `guard` when what they say changes
+        self.near_m = NEAR_M  # inf: every step is the engine's
         self.rows = np.empty((0, COLUMNS))  # see sim.vehicle; one row a robot, in order of adding
         self.motion = np.empty((0, 7))
+        self.commands = self.places = memoryview(b"")  # both, for who reads or writes one row
         self.moved_us = np.empty(0, dtype=np.int64)  # the last step at whose end each robot moved
         self._seed = seed
         self._keys = np.empty(0, dtype=np.uint64)
         self._side = np.empty(0, dtype=np.int8)  # of the fences, where each robot was put
         self._push = np.empty((0, 3))
+        self._limits = np.empty((0, 2))  # see sim.gliding
+        self._engine_steps = 0  # that must be made
+        self._put = True  # bodies are not where the engine had them
         self._fences = Walls(ring_edges(rings), grid)
         self._grid = grid
         edges = [*ring_edges(rings), *(grid.edges() if grid is not None else ())]
         self._solid = Walls(edges) if grid is not None else self._fences
         self._beams = (lidar or Lidar()).beams()
+        self._seen = self._beams.data.cast("B")
+        self._echoes = Struct(f"{(lidar or Lidar()).rays}f").unpack_from
         self._nearest = np.array([inf, inf])
         self._touches = np.empty((TOUCHES_MAX, 3))
         self._touching: dict[tuple[int, int], Contact] = {}
@@ -74,7 +100,7 @@ class World:
         self._standing = self._obstacles[:0]  # up to the last row in use
         self._shapes: dict[int, tuple[int, pymunk.Shape]] = {}  # number: row, shape
         self._numbers = 0
-        self._due: list[tuple[int, int, Callable[[], None]]] = []  # see `at`
+        self._due: list[tuple[int, int, Callable[[], object]]] = []  # see `at`
         self._asked = 0
         self._outside: set[int] = set()
         self._physics = Physics()
@@ -103,18 +129,20 @@ class World:
         self._keys = np.append(self._keys, np.frombuffer(key, dtype=np.uint64))
         self.rows = np.vstack((self.rows, row_of(chassis)))
         self.motion = np.vstack((self.motion, (*at, heading_rad, 0.0, 0.0, 0.0, radius_m)))
+        self.commands, self.places = self.rows.data.cast("B"), self.motion.data.cast("B")
         self.moved_us = np.append(self.moved_us, np.int64(-1))
         self._side = np.append(self._side, np.int8(0))
         self._side[-1] = self._sides()[-1]
         self._physics.add_robot(*at, heading_rad, radius_m)
         self._push = np.zeros((len(self.motion), 3))
+        self.guard()
         robot.track.add(self.now_us, *at, False)
         return robot
 
     def place(self, robot: RobotBody, x_m: float, y_m: float, heading_rad: float) -> None:
         """Set a robot somewhere else: a fault, not a drive."""
         self.motion[robot.index, :3] = x_m, y_m, heading_rad
-        self._physics.place(robot.index, x_m, y_m, heading_rad)
+        self._put = True
 
     def add_box(
         self, x_m: float, y_m: float, side_m: float, depth_m: float | None = None,
@@ -154,39 +182,90 @@ class World:
         rows: list[list[float]] = self._standing.tolist()
         return rows
 
-    def at(self, t_us: int, action: Callable[[], None]) -> None:
+    def at(self, t_us: int, action: Callable[[], object]) -> None:
         """Do something at the first step at or after `t_us`; in order of time, then of asking."""
         heappush(self._due, (t_us, self._asked, action))
         self._asked += 1
 
+    def guard(self) -> None:
+        """What guards say has changed."""
+        self._limits = np.full((len(self.motion), 2), inf)
+        for guard in self.guards:
+            for slot, limits in guard.limits().items():
+                row = self._limits[self.robots[slot].index]
+                np.minimum(row, limits, out=row)
+
     def advance(self, now_us: int) -> None:
         """Step to the last whole step before `now_us`."""
         while self.now_us + STEP_US <= now_us:
-            self._step()
+            while self._due and self._due[0][0] <= self.now_us:
+                heappop(self._due)[2]()
+            if self._engine_steps or self._touching:
+                self._collide(self._roll())
+            else:
+                due_us = self._due[0][0] + STEP_US - 1 if self._due else now_us
+                self._glide(min(now_us, due_us), False)
 
-    def _step(self) -> None:
-        while self._due and self._due[0][0] <= self.now_us:
-            heappop(self._due)[2]()
-        if roll(self.rows, self.motion, self._keys, self.now_us, self._push):
+    def _glide(self, until_us: int, rolled: bool) -> None:
+        """On until there, or until there is something to be done."""
+        fences = self._solid
+        came = glide(
+            self.rows, self.motion, self._keys, self._push, self._physics.inertia, fences.floats,
+            fences.ints, self._standing, self.moved_us, self._nearest, self._limits, self.now_us,
+            until_us, rolled, self.near_m,
+        )  # fmt: skip
+        self.now_us, why = divmod(came, CODES)
+        self._put = True
+        if why == SWITCHED:
             self._record()
+            self._glide(until_us, True)
+        elif why == NEAR:
+            self._engine_steps = ENGINE_STEPS
+            self._collide(False)
+        else:
+            self._end_step(why == GUARDED)
+
+    def _roll(self) -> bool:
+        """The wheels of a step that is the engine's."""
+        return bool(roll(self.rows, self.motion, self._keys, self.now_us, self._push))
+
+    def _collide(self, switched: bool) -> None:
+        """The rest of a step in which bodies may touch."""
+        if switched:
+            self._record()
+        if self._put:
+            self._physics.put(self.motion)
+            self._put = False
         self._physics.step(self.motion, self._push, STEP_S)
         self.now_us += STEP_US
-        found = watch(
-            self.motion, self._solid.floats, self._solid.ints, self._standing, self.moved_us,
-            self.now_us, self._nearest, self._touches,
+        self._engine_steps = max(0, self._engine_steps - 1)
+        found, is_near = divmod(
+            watch(
+                self.motion, self._solid.floats, self._solid.ints, self._standing, self._nearest,
+                self._touches, self.near_m,
+            ),
+            2,
         )  # fmt: skip
+        if is_near:
+            self._engine_steps = ENGINE_STEPS
         if found or self._touching:
             self._judge(self._touches[:found].tolist())
+        self._end_step(guarded(self.rows, self.motion, self._limits, self.moved_us, self.now_us))
+
+    def _end_step(self, is_guarded: bool) -> None:
+        if is_guarded:
+            for guard in self.guards:
+                guard.look(self)
         if self.now_us % TRACK_US == 0:
             self._judge_sides()
             self._record()
-        for callback in self.on_step:
-            callback(self)
 
     def _record(self) -> None:
-        places, tools = self.motion[:, :2].tolist(), self.rows[:, TOOL].tolist()
-        for robot, (x_m, y_m), tool in zip(self.robots.values(), places, tools, strict=True):
-            robot.track.add(self.now_us, x_m, y_m, tool != 0.0)
+        tools = self.rows[:, TOOL].tolist()
+        for robot, place, tool in zip(
+            self.robots.values(), self.motion.tolist(), tools, strict=True
+        ):
+            robot.track.add(self.now_us, place[0], place[1], tool != 0.0)
 
     def _judge(self, touches: list[list[float]]) -> None:
         """Begin, deepen and end contacts; bodies that rest on each other stay one contact."""
@@ -230,6 +309,9 @@ class World:
 
     def _judge_sides(self) -> None:
         """A robot that got through a fence, or was carried over it, no longer touches it."""
+        known = self._grid is None and not self._outside
+        if known and not has_crossed(self.motion, self._fences.floats, self._side):
+            return
         through = set(np.flatnonzero(self._sides() != self._side).tolist())
         for index in sorted(through - self._outside):
             robot = next(r for r in self.robots.values() if r.index == index)
@@ -244,7 +326,8 @@ class World:
         fences = self._fences
         scan(self.motion, index, fences.floats, fences.ints, fences.blocked, self._standing,
              self.lidar.range_m, self._beams)  # fmt: skip
-        return tuple(self._beams[RANGE, : self.lidar.rays].tolist())
+        ranges_m: tuple[float, ...] = self._echoes(self._seen, RANGE * self._beams.strides[0])
+        return ranges_m
 
     def ranges_of_all(self) -> NDArray[np.float32]:
         """(robots, rays): the same of every robot at once, in order of adding."""

@@ -19,16 +19,19 @@ WRONG = 1
 LEVEL = "2"  # of optimization
 CACHE = FOLDER.with_name("core_types")  # of mypy: that of `make check` has other options
 # What turns and frames go through. Not: modules of kernels (numba has those), of constants and
-# protocols alone, what is seldom called, and what mypyc refuses (constrained type variables).
+# protocols alone, what is seldom called, what mypyc refuses (constrained type variables), and
+# `sim/play.py`, on which mypyc 2 itself crashes. mypyc calls a `cached_property` each time.
 GROUP = {
     "crdt": "allocation clock digest progress register",
     "protocol": "accord_frames address bus codec delivery_frames divergence fleet_frames identifier "
     "map_frames messages network_frames operator_frames replica safety_frames segment_frames sync "
     "transport work_frames",
-    "agent": "area authority beyond bulletin claims core directive effects election fleet_stops fsm "
-    "hearing joining letters membership pause records roll_call safety segment_peer self_check shell "
-    "voice working",
-    "sim": "bits bus_tally cluster fieldbus parade swarm trace wire witness word_rules",
+    "agent": "allocator area authority beyond blockage bulletin claims coasting core directive effects "
+    "election field_work fleet_stops fsm giving_way hearing joining leg letters lookout "
+    "membership motion orca parking pause records right_of_way roll_call safety segment_peer "
+    "self_check shell tracker voice working",
+    "sim": "bits body bus_tally checkers cluster disk fieldbus parade physics stop_watch swarm trace "
+    "truth wire witness word_rules world",
 }  # fmt: skip
 
 

@@ -4,6 +4,7 @@ import os
 import signal
 import time
 from collections.abc import Callable
+from math import inf
 from multiprocessing import Pool
 
 import numpy as np
@@ -30,9 +31,12 @@ def _map() -> None:
 
 
 def _avoidance() -> None:
+    from agent.fence_gap import gap_m, way_gap_m
     from agent.orca import Avoidance
 
     fences = np.array([[0.0, 0.0, 9.0, 0.0]])
+    gap_m(1.0, 1.0, fences)
+    way_gap_m(1.0, 1.0, 1.0, 0.0, 0.5, 3, fences)
     robot = Avoidance(0.5, 2.0, 1.0, 4.0, 0.05, fences)
     rows: list[tuple[float, ...]] = [
         (1.5, 0.1, -1.0, 0.0, 1.0, 0.5),
@@ -110,6 +114,8 @@ def _world() -> None:
     world.add_robot(0, (5.0, 5.0), 0.5, Chassis())
     world.body(0).drive(Drive(1.0, 0.0, 0.0, True), 0)
     world.advance(1_000_000)
+    world.near_m = inf  # and where something is near
+    world.advance(1_100_000)
     raster = sample_points(box(0, 0, 20, 20), 2.0, 0.2)
     coverage(raster, {0: world.body(0).track}, 2.0)
 

@@ -39,7 +39,7 @@ def view(
 
 
 def open_gap_m(at: tuple[float, float], open_sections: set[int]) -> float:
-    lines = [line for s in open_sections for line in FIELD.section(s).unit_lines()]
+    lines = [line for s in open_sections for line in FIELD.section(s).unit_lines]
     return float(min(LineString(line).distance(Spot(at)) for line in lines))
 
 

@@ -1,0 +1,75 @@
+"""How fast a campaign goes. A process of its own: what is imported compiled stays so.
+
+Example: python -m tools.bench.campaign_speed all --seed 1 --runs 20
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import time
+from typing import TYPE_CHECKING, NamedTuple
+
+from tools.compiled_core import OFF, use
+from tools.fingerprint import ROOT
+
+if TYPE_CHECKING:
+    from sim.scenario import Scenario
+
+FIELD = "field"  # instead of a profile: the yard, worked by six robots without trouble
+FIELD_ROBOTS = 6
+
+
+class Campaign(NamedTuple):
+    robot_s: float  # simulated: seconds of a run times its robots
+    cpu_s: float
+    runs: int
+    broken: int  # runs that broke a rule
+    faults: int
+    compiled: bool
+
+
+def measured(profile: str, runs: int, seed: int, interpreted: bool = False) -> Campaign:
+    """In a fresh process."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), **({OFF: "1"} if interpreted else {})}
+    done = subprocess.run(
+        [sys.executable, "-m", __spec__.name, profile, "--seed", f"{seed}", "--runs", f"{runs}"],
+        env=environment, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    return Campaign(**json.loads(done.stdout))
+
+
+def campaign(profile: str, runs: int, seed: int) -> Campaign:
+    """Here and now: every rule is judged, as `headland chaos` does it."""
+    compiled = use()
+    from sim.standing import leave_standing
+    from sim.verdict import judge
+    from tools.hunt import warm_up
+
+    warm_up()  # before any clock starts
+    leave_standing()
+    begun_s = time.process_time()
+    verdicts = [judge(_drawn(profile, s)) for s in range(seed, seed + runs)]
+    return Campaign(
+        sum(v.robots * v.simulated_s for v in verdicts), time.process_time() - begun_s, runs,
+        sum(not v.ok for v in verdicts), sum(v.faults.total() for v in verdicts), compiled,
+    )  # fmt: skip
+
+
+def _drawn(profile: str, seed: int) -> "Scenario":
+    from sim.scenario import load
+    from sim.trouble import draw, with_faults
+
+    if profile != FIELD:
+        return draw(seed, profile)
+    return with_faults(load("yard").changed(FIELD_ROBOTS, seed), [])
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("profile")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--runs", type=int, default=20)
+    given = parser.parse_args()
+    print(json.dumps(campaign(given.profile, given.runs, given.seed)._asdict()))
