@@ -6,7 +6,7 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-# Bytecode is kept: the tests start hundreds of processes, and a third of a robot's start was compiling it.
+# Bytecode is kept: the tests start hundreds of processes, and a quarter of a robot's start was compiling it.
 unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: demo test check kernels bench site setup clean

@@ -184,7 +184,7 @@ class CornerMemory:
         while True:
             self._ints[EXPANDED] = 0
             code = query(self._grid, self._index, self._corners, self._ints, self._floats,
-                         start[0], start[1], goal[0], goal[1])  # fmt: skip
+                         *map(float, (*start, *goal)))  # fmt: skip
             if code >= 0:
                 at = 2 * len(self._corners)
                 numbers = iter(self._floats[at : at + 2 * code].tolist())
