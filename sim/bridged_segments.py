@@ -67,15 +67,24 @@ class BridgedSegments:
 
     def start_hosts(self, robots: int = ROBOTS) -> None:
         for number in range(1, self.count + 1):
-            command = [*self.prefix(number), sys.executable, "-m", "sim.segment_host"]
-            host = self.hosts[number] = Program(command)
-            assert host.process.stdin is not None
-            order = {"segment": number, "segments": self.count, "home": HOME, "shared": SHARED,
-                     "robots": robots, "seed": self.seed}  # fmt: skip
-            host.process.stdin.write(json.dumps(order) + "\n")
+            self._start_host(number, robots, 0)
         for number, host in self.hosts.items():
             self.ports[number] = int(host.answer()["port"])
             self.gateways[number] = []
+
+    def _start_host(self, number: int, robots: int, port: int) -> None:
+        command = [*self.prefix(number), sys.executable, "-m", "sim.segment_host"]
+        host = self.hosts[number] = Program(command)
+        assert host.process.stdin is not None
+        order = {"segment": number, "segments": self.count, "home": HOME, "shared": SHARED,
+                 "robots": robots, "seed": self.seed, "port": port}  # fmt: skip
+        host.process.stdin.write(json.dumps(order) + "\n")
+
+    def restart_host(self, number: int, robots: int = ROBOTS) -> None:
+        """A hub and its robots are killed and started again, without memory, on the same port."""
+        self.hosts[number].kill()
+        self._start_host(number, robots, self.ports[number])
+        assert self.hosts[number].answer()["port"] == self.ports[number]
 
     def start_gateway(self, number: int, *options: str, area: Path | None = None) -> Program:
         borders = () if area is None else ("--area", str(area))

@@ -1,11 +1,14 @@
 """Attaching to a bus as a device that is not a robot: the options of can_logger, one-line errors."""
 
+import asyncio
 import json
 import logging
 import socket
 from pathlib import Path
+from random import Random
 
 from protocol.bus import CanBus, open_bus
+from protocol.socketcand_link import ANSWER_S, SocketcandLink
 
 LAUNCH = Path("runs/launch/bus.json")  # where a launch leaves the address of its bus
 CHANNEL = "can0"  # of the bus of a launch
@@ -29,6 +32,24 @@ def address_of_launch() -> tuple[str, int, str]:
             f"no bus given and no launch found in {LAUNCH.parent}: "
             "start one with 'headland launch', or name a bus with -i and -c"
         ) from None
+
+
+async def keep_attached(channel: str, host: str, port: int, seed: str) -> SocketcandLink:
+    """A socketcand bus that is attached again by itself when its server comes back.
+
+    Raises AttachError where there is none now.
+    """
+    if port == 0:
+        host, port, channel = address_of_launch()
+    _reach(host, port)
+    link = SocketcandLink(host, port, channel, Random(seed))
+    try:
+        async with asyncio.timeout(ANSWER_S):
+            await link.up()
+    except TimeoutError:
+        link.close()
+        raise AttachError(f"{host}:{port} is no socketcand server with a bus {channel}") from None
+    return link
 
 
 def attach(interface: str, channel: str, bitrate: int, host: str, port: int) -> CanBus:

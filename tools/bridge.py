@@ -1,6 +1,7 @@
 """`headland bridge`: a gateway between a bus and the rest of the fleet, over Eclipse Zenoh.
 
-Start two or more on a segment: one leads, all carry stops, and another leads when that one dies.
+Start two or more on a segment: one leads, all carry stops, and another leads when that one dies. A
+gateway on a socketcand bus is back by itself when the server of that bus is.
 """
 
 import asyncio
@@ -19,11 +20,12 @@ from agent.gateway_shell import GatewayShell
 from agent.map_relay import MapRelay
 from agent.ports import Bus
 from protocol.backbone import Kind
+from protocol.health import Health
 from protocol.name import Name
 from protocol.segment_frames import SEGMENT_MAX
 from protocol.zenoh_link import LinkError, ZenohBus, ZenohLink, configure
 from sim.standing import leave_standing
-from tools.attachment import AttachError, attach
+from tools.attachment import AttachError, attach, keep_attached
 
 GATEWAY_FUNCTION = 66  # of a NAME: a device that joins networks
 TELL_S = 5.0  # a status line this often
@@ -97,12 +99,14 @@ def read_map(segment: int, arena: str, now_us: int) -> MapRelay | None:
     return MapRelay(segment, setting.geometry, setting.order, now_us)
 
 
-def open_bus_of(
+async def open_bus_of(
     interface: str, channel: str, bitrate: int, host: str, port: int, link: ZenohLink, key: str
 ) -> Bus:
     """A CAN bus, or for `-i zenoh` the one that robots on the backbone share."""
     if interface == "zenoh":
         return ZenohBus(link, key)
+    if interface == "socketcand":
+        return await keep_attached(channel, host, port, key)
     return attach(interface, channel, bitrate, host, port)
 
 
@@ -132,9 +136,10 @@ async def carry(
     shell.begin()
     shown: object = None
     while not end.is_set():
-        status = gateway.status(now_us())
-        if (status["number"], status["leads"], status["reached"]) != shown:
-            shown = (status["number"], status["leads"], status["reached"])
+        status = {**gateway.status(now_us()), "bus": bus.health.name}
+        news = (status["number"], status["leads"], status["reached"], status["bus"])
+        if news != shown:
+            shown = news
             print(json.dumps(status) if as_json else _line(status), flush=True)
         try:
             await asyncio.wait_for(end.wait(), 0.2)
@@ -146,6 +151,8 @@ async def carry(
 def _line(status: dict[str, Any]) -> str:
     if status["number"] is None:
         return f"segment {status['segment']}: listening who is there"
+    if status["bus"] != Health.ACTIVE.name:
+        return f"segment {status['segment']}: its bus is {status['bus']}; it is tried again"
     role = "leads" if status["leads"] else "stands by"
     reached = ", ".join(map(str, status["reached"])) or "none: this segment is alone"
     return f"segment {status['segment']}: gateway {status['number']} {role}; reaches {reached}"
@@ -162,7 +169,7 @@ def bridge(
         place = read_area(segment, area)
         link = ZenohLink(configure(connect, listen, mode, config), asyncio.get_running_loop())
         key = f"headland/{fleet}/{segment}/bus"
-        bus = open_bus_of(interface, channel, bitrate, host, port, link, key)
+        bus = await open_bus_of(interface, channel, bitrate, host, port, link, key)
         await carry(place, bus, ZenohBackbone(link, fleet, segment), as_json, seconds, arena)
 
     try:

@@ -54,6 +54,14 @@ def test_a_stop_passes_in_both_directions(segments: BridgedSegments) -> None:
         host.ask({"do": "arm"})
 
 
+def test_gateways_are_back_when_their_bus_is(segments: BridgedSegments) -> None:
+    segments.restart_host(2)
+    segments.wait_reached(1, LIMIT_S)
+    segments.press_and_wait(1, limit_s=LIMIT_S)
+    for host in segments.hosts.values():
+        host.ask({"do": "arm"})
+
+
 def test_a_killed_gateway_is_replaced(segments: BridgedSegments) -> None:
     leader = segments.gateways[2][0]
     leader.process.kill()
