@@ -248,10 +248,7 @@ class Peer:
         if self.sync.synchronizing and state in (IDLE, WORKING):
             return self.fire(Event.SYNC_RECEIVED, "digests differ")
         if not self.sync.synchronizing and state is SYNCHRONIZING:
-            effects = [*self.fire(Event.SYNC_COMPLETE, "in step")]
-            if self.claims.current is not None:
-                effects += self.fire(Event.CLAIMED, f"resumes S{self.claims.current}")
-            return effects
+            return self.fire(Event.SYNC_COMPLETE, "in step")  # who may, goes on with its work
         return NOTHING
 
     # ---------------------------------------------------------------- operator calls
