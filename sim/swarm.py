@@ -77,7 +77,9 @@ class SwarmShell(Shell):
         """When its clock will show that."""
         if self._rate == 1.0:
             return local_us - self._base_us + self._since_us
-        return self._since_us + ceil((local_us - self._base_us) / self._rate)
+        t_us = self._since_us + ceil((local_us - self._base_us) / self._rate)
+        # A last bit may make that one microsecond too early: the robot would be woken again and again.
+        return t_us if self._shown_at(t_us) >= local_us else t_us + 1
 
     def _arm(self) -> None:
         self._armed_us = self.peer.deadline_us

@@ -19,7 +19,7 @@ from sim.scenario import (
     load,
 )
 from sim.setting import Setting
-from sim.swarm import Swarm
+from sim.swarm import Swarm, SwarmShell
 
 TROUBLE: list[Fault] = [
     Loss(at_s=10.0, kind="loss", rate=0.05),
@@ -69,3 +69,13 @@ def test_timers_of_one_instant_fire_in_the_order_they_were_set() -> None:
 
     assert swarm.run(main()) == 10
     assert seen == ["soon", "first", "second"]
+
+
+def test_a_clock_that_runs_fast_reaches_every_deadline() -> None:
+    """Found by `headland chaos`, profile protocol, seed 1130: by a last bit, time stood still."""
+    shell = SwarmShell.__new__(SwarmShell)
+    shell._base_us = shell._since_us = 117_798_000
+    for ppm in (5_000.0, -5_000.0, 37.0):
+        shell._rate = 1.0 + ppm * 1e-6
+        for deadline_us in (153_066_666, *range(153_000_000, 153_100_000, 7)):
+            assert shell._shown_at(shell._at(deadline_us)) >= deadline_us, (ppm, deadline_us)
