@@ -34,6 +34,15 @@ def _turn(order, at, first, last):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
+def _reverse(gaps, first, last):  # type: ignore[no-untyped-def]
+    """Reverse gaps[first..last]. Loops, here and below: numba takes seconds to compile slices."""
+    while first < last:
+        gaps[first], gaps[last] = gaps[last], gaps[first]
+        first += 1
+        last -= 1
+
+
+@njit(cache=True)
 def _gap(order, gaps, i):  # type: ignore[no-untyped-def]
     """Steps between order[i] and order[i + 1]; 0 beyond the ends."""
     return gaps[i] if 0 <= i < order.size - 1 else 0
@@ -74,7 +83,7 @@ def _untangle(free, width, order, at, gaps, i, near_a, near_b):  # type: ignore[
                 best, first, final = saved - rest, min(i + 1, j), max(i + 1, j) - 1
     if best > 0:
         _turn(order, at, first, final)
-        gaps[first:final] = gaps[first:final][::-1].copy()
+        _reverse(gaps, first, final - 1)
         _regap(free, width, order, gaps, first - 1, first - 1, near_a)
         _regap(free, width, order, gaps, final, final, near_a)
     return best
@@ -83,21 +92,29 @@ def _untangle(free, width, order, at, gaps, i, near_a, near_b):  # type: ignore[
 @njit(cache=True)
 def _move(free, width, order, at, gaps, first, last, to, turned, near):  # type: ignore[no-untyped-def]
     """Put order[first..last] behind place `to` (outside of it), turned round or not."""
-    stretch, inner = order[first : last + 1].copy(), gaps[first:last].copy()
-    if turned:
-        stretch, inner = stretch[::-1].copy(), inner[::-1].copy()
-    count = stretch.size
+    count = last + 1 - first
+    stretch, inner = np.empty(count, order.dtype), np.empty(count, gaps.dtype)
+    for k in range(count):
+        stretch[k] = order[last - k if turned else first + k]
+    for k in range(count - 1):
+        inner[k] = gaps[last - 1 - k if turned else first + k]
     low, high = (to + 1, last) if to < first else (first, to)
     if to < first:  # what was between goes up, and the stretch before it
-        order[to + 1 + count : last + 1] = order[to + 1 : first].copy()
-        gaps[to + 1 + count : last] = gaps[to + 1 : first - 1].copy()
+        for k in range(first - 1, to, -1):
+            order[k + count] = order[k]
+        for k in range(first - 2, to, -1):
+            gaps[k + count] = gaps[k]
         start = to + 1
     else:
-        order[first : to + 1 - count] = order[last + 1 : to + 1].copy()
-        gaps[first : to - count] = gaps[last + 1 : to].copy()
+        for k in range(last + 1, to + 1):
+            order[k - count] = order[k]
+        for k in range(last + 1, to):
+            gaps[k - count] = gaps[k]
         start = to + 1 - count
-    order[start : start + count] = stretch
-    gaps[start : start + count - 1] = inner
+    for k in range(count):
+        order[start + k] = stretch[k]
+    for k in range(count - 1):
+        gaps[start + k] = inner[k]
     for k in range(low, high + 1):
         at[order[k]] = k
     joint = start + count - 1 if to < first else start - 1

@@ -102,7 +102,7 @@ def velocities(agents, table, root, dt, known, counts, stack):  # type: ignore[n
     for me in range(agents.shape[0]):
         x, y, vx, vy = agents[me, X], agents[me, Y], agents[me, VX], agents[me, VY]
         radius, speed = agents[me, RADIUS], agents[me, SPEED_MAX]
-        hard = 0
+        hard = np.int64(0)  # a literal is a type of its own: compiled twice
         if root >= 0:
             horizon = agents[me, WALL_HORIZON]
             reach = horizon * speed + radius

@@ -196,7 +196,8 @@ def search(blocked, place, start, goal, radius):  # type: ignore[no-untyped-def]
     states = (int(blocked.shape[0] * side) + 2) * (int(blocked.shape[1] * side) + 2) * HEADINGS
     closed = np.zeros(states, dtype=np.bool_)
     nodes[0, :3], nodes[0, N_COST], nodes[0, N_PARENT], nodes[0, N_LENGTH] = start, 0.0, -1.0, 0.0
-    keys[0], ids[0], size, made, found = 0.0, 0, 1, 1, -1
+    keys[0], ids[0], found = 0.0, 0, -1
+    size, made = np.int64(1), np.int64(1)  # literals are types of their own: compiled twice
     best, best_leap = cost, leap.copy()
     left = NODES_MAX
     if cost < np.inf:
