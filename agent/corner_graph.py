@@ -63,7 +63,7 @@ def _verify(runs, columns, corners, y, x, found, begin, count):  # type: ignore[
         if not sure:
             corner = ~corner
         down, right = away(corners[corner, KIND])
-        cy, cx = corners[corner, AT_Y], corners[corner, AT_X]
+        cy, cx = np.int64(corners[corner, AT_Y]), np.int64(corners[corner, AT_X])
         dy, dx = cy - y, cx - x
         if (dy * down > 0 and dx * right > 0) or (dy * down < 0 and dx * right < 0):
             continue  # straight into the blocked cell, or straight away from it: nothing to bend
@@ -136,7 +136,8 @@ def _fill(runs, columns, index, corners, k, which, stack, slopes, found, pool, u
     count = _verify(runs, columns, corners, y0, x0, found, 0, count)
     if used + count > pool.size:
         return POOL_FULL
-    pool[used : used + count] = found[:count]
+    for n in range(count):  # numba takes seconds to compile slices
+        pool[used + n] = found[n]
     at = LISTS + which * LIST
     corners[k, at + FIRST], corners[k, at + COUNT], corners[k, at + SEEN] = used, count, logged
     corners[k, at + TOP], corners[k, at + BOTTOM] = min(i, reach[0], y) - 1, max(i, reach[0], y)

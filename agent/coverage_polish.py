@@ -65,7 +65,7 @@ def _untangle(free, width, order, at, gaps, i, near_a, near_b):  # type: ignore[
     """The best 2-opt change that removes the hop after place i; returns what it saves."""
     a, b, hop = order[i], order[i + 1], gaps[i]
     last = order.size - 1
-    best, first, final = 0, 0, 0
+    best, first, final = 0, np.int64(0), np.int64(0)  # literals are types of their own
     for step in (-width, width, -1, 1):
         c = a + step
         j = at[c]
@@ -126,7 +126,8 @@ def _move(free, width, order, at, gaps, first, last, to, turned, near):  # type:
 def _shift(free, width, order, at, gaps, i, near_a, near_b):  # type: ignore[no-untyped-def]
     """The best move of a stretch that begins after the hop at i; returns what it saves."""
     last, hop, a, b = order.size - 1, gaps[i], order[i], order[i + 1]
-    best, best_end, best_to, best_turned = 0, 0, 0, False
+    best_end, best_to, best_turned = np.int64(0), np.int64(0), np.bool_(False)
+    best = 0
     for end in range(i + 1, min(last, i + STRETCH_MAX) + 1):
         out = _gap(order, gaps, end)
         if end > i + 3 and out == 1:
@@ -173,7 +174,7 @@ def polish(free, width, order):  # type: ignore[no-untyped-def]
     for i in range(order.size):
         at[order[i]] = i
     gaps = np.zeros(order.size, np.int64)
-    _regap(free, width, order, gaps, 0, order.size - 2, near_a)
+    _regap(free, width, order, gaps, np.int64(0), order.size - 2, near_a)
     total = 0
     for _ in range(PASSES):
         before = total

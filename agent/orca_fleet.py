@@ -59,7 +59,7 @@ def near_walls(table, root, x, y, reach, stack, near, squares):  # type: ignore[
     The tree is walked in its own order: the side of the partition on which we are, the edge of the
     partition itself, the other side. A node that waits for its turn is on the stack as -2 - node.
     """
-    count, top = 0, 0
+    count, top, most = np.int64(0), 0, np.int64(WALLS_MAX)
     if root >= 0:
         stack[0], top = root, 1
     while top > 0:
@@ -83,7 +83,7 @@ def near_walls(table, root, x, y, reach, stack, near, squares):  # type: ignore[
         if side < ZERO:
             square = _to_edge(table, edge, b, x, y)
             if square < reach and (count < WALLS_MAX or square < squares[count - 1]):
-                insert(near, squares, count, WALLS_MAX, edge, square)
+                insert(near, squares, count, most, edge, square)
                 count = min(count + 1, WALLS_MAX)
         beyond = int(table[edge, RIGHT if side >= ZERO else LEFT])
         if beyond >= 0:
