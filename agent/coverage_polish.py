@@ -126,8 +126,8 @@ def _move(free, width, order, at, gaps, first, last, to, turned, near):  # type:
 def _shift(free, width, order, at, gaps, i, near_a, near_b):  # type: ignore[no-untyped-def]
     """The best move of a stretch that begins after the hop at i; returns what it saves."""
     last, hop, a, b = order.size - 1, gaps[i], order[i], order[i + 1]
-    best_end, best_to, best_turned = np.int64(0), np.int64(0), np.bool_(False)
-    best = 0
+    none = int(np.int64(0))  # a literal is a type of its own: compiled twice
+    best, best_end, best_to, best_turned = 0, none, none, none > 0
     for end in range(i + 1, min(last, i + STRETCH_MAX) + 1):
         out = _gap(order, gaps, end)
         if end > i + 3 and out == 1:

@@ -21,7 +21,7 @@ f32 = np.float32
 def _again(agents, me, known, hints, near, squares):  # type: ignore[no-untyped-def]
     """Sort those who were near anew: (how many are in range, square of the reach left, tie)."""
     x, y, most = agents[me, X], agents[me, Y], int(agents[me, NEIGHBOURS])
-    count, tie, reach = np.int64(0), False, agents[me, RANGE] * agents[me, RANGE]
+    count, tie, reach = int(np.int64(0)), False, agents[me, RANGE] * agents[me, RANGE]
     if most == 0:
         return 0, ZERO, False
     for k in range(hints):

@@ -59,7 +59,7 @@ def near_walls(table, root, x, y, reach, stack, near, squares):  # type: ignore[
     The tree is walked in its own order: the side of the partition on which we are, the edge of the
     partition itself, the other side. A node that waits for its turn is on the stack as -2 - node.
     """
-    count, top, most = np.int64(0), 0, np.int64(WALLS_MAX)
+    count, top, most = int(np.int64(0)), 0, int(np.int64(WALLS_MAX))  # not literals
     if root >= 0:
         stack[0], top = root, 1
     while top > 0:

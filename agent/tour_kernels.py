@@ -54,7 +54,7 @@ def _walk_charging(r, seq, n, ready, lead_bay_ms, lead, power):  # type: ignore[
         i = seq[k - 1] if k > 0 else -1
         step_ms = link[i, j] if k > 0 else lead[r, j]
         step_e = link_e[i, j] if k > 0 else lead_e[r, j]
-        fresh = np.int64(0)
+        fresh = 0
         for m in range(count):
             if used[m] + step_e + home[j] <= capacity:
                 fresh = _keep(new_times, new_used, fresh, times[m] + step_ms, used[m] + step_e)
@@ -147,7 +147,8 @@ def auction(route, size, free, ready, lead, link, lead_bay_ms, power, charging):
                 out,
             )
     for left in range(len(free), 0, -1):
-        best, winner, taker = IMPOSSIBLE, -1, np.int64(-1)  # a literal is a type of its own
+        best, winner = IMPOSSIBLE, -1
+        taker = int(np.int64(-1))  # a literal is a type of its own: compiled twice
         for t in range(len(free)):
             if given[t]:
                 continue
