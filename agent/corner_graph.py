@@ -63,7 +63,7 @@ def _verify(runs, columns, corners, y, x, found, begin, count):  # type: ignore[
         if not sure:
             corner = ~corner
         down, right = away(corners[corner, KIND])
-        cy, cx = corners[corner, AT_Y], corners[corner, AT_X]
+        cy, cx = np.int64(corners[corner, AT_Y]), np.int64(corners[corner, AT_X])
         dy, dx = cy - y, cx - x
         if (dy * down > 0 and dx * right > 0) or (dy * down < 0 and dx * right < 0):
             continue  # straight into the blocked cell, or straight away from it: nothing to bend
@@ -79,13 +79,13 @@ def in_sight(runs, columns, index, corners, y, x, stack, slopes, found):  # type
     uy, ux = y / UNIT + 0.5, x / UNIT + 0.5
     r, c = (y + UNIT // 2) // UNIT, (x + UNIT // 2) // UNIT
     a, b = runs[START, r, c], runs[END, r, c]
-    count = 0
+    count = np.int64(0)  # a literal would be a type of its own: all it is given to, compiled twice
     for step in (-1, 1):
         line = r if step < 0 else r + 1
         top, count = glance(runs, index, uy, ux, step, line, a, b, stack, slopes, found, count)
         if count >= 0:
-            count = look(runs, index, uy, ux, step, 0, runs.shape[2] - 1, stack, slopes, top, found,
-                         count)  # fmt: skip
+            count = look(runs, index, uy, ux, step, np.int64(0), runs.shape[2] - 1, stack, slopes, top,
+                         found, count)  # fmt: skip
         if count < 0:
             return count
     for n in range(count):  # the views were wider than they are: none is sure
@@ -113,16 +113,18 @@ def _fill(runs, columns, index, corners, k, which, stack, slopes, found, pool, u
     step, side = (-down, right) if which == 0 else (down, -right)
     row, c = (i if step > 0 else i - 1), (j if side > 0 else j - 1)
     a, b = runs[START, row, c], runs[END, row, c]
-    reach = stack[-1]
+    reach, none, one = stack[-1], np.int64(0), np.int64(1)
     reach[0], reach[1], reach[2] = i, j, j
     stack[0, 0] = i
     if side > 0:
         stack[0, 1], stack[0, 2], slopes[0, 0], slopes[0, 1] = j, b, 0.0, float(b - j)
-        count = look(runs, index, float(i), float(j), step, j, runs.shape[2] - 1, stack, slopes, 1,
-                     found, 0)  # fmt: skip
+        count = look(runs, index, float(i), float(j), step, np.int64(j), runs.shape[2] - 1, stack, slopes,
+                     one, found, none)  # fmt: skip
     else:
         stack[0, 1], stack[0, 2], slopes[0, 0], slopes[0, 1] = a, j, float(a - j), 0.0
-        count = look(runs, index, float(i), float(j), step, 0, j - 1, stack, slopes, 1, found, 0)
+        count = look(
+            runs, index, float(i), float(j), step, none, j - 1, stack, slopes, one, found, none
+        )
     if count < 0 or count + 2 > found.size:
         return VIEW_FULL
     x, y = _along(runs, i, j, side > 0), _along(columns, j, i, step > 0)
@@ -130,10 +132,12 @@ def _fill(runs, columns, index, corners, k, which, stack, slopes, found, pool, u
         if corner >= 0:
             found[count] = corner
             count += 1
-    count = _verify(runs, columns, corners, corners[k, AT_Y], corners[k, AT_X], found, 0, count)
+    y0, x0 = np.int64(corners[k, AT_Y]), np.int64(corners[k, AT_X])
+    count = _verify(runs, columns, corners, y0, x0, found, 0, count)
     if used + count > pool.size:
         return POOL_FULL
-    pool[used : used + count] = found[:count]
+    for n in range(count):  # numba takes seconds to compile slices
+        pool[used + n] = found[n]
     at = LISTS + which * LIST
     corners[k, at + FIRST], corners[k, at + COUNT], corners[k, at + SEEN] = used, count, logged
     corners[k, at + TOP], corners[k, at + BOTTOM] = min(i, reach[0], y) - 1, max(i, reach[0], y)
@@ -192,12 +196,12 @@ def _begin(tables, ints, cost, heap, view, r0, c0, r1, c1):  # type: ignore[no-u
         return VIEW_FULL
     if count >= keys.size:
         return HEAP_FULL
-    size = 0
+    size, parent = np.int64(0), np.int64(GOAL_NODE)
     for n in range(count):
         k = found[n]
         dy, dx = float(corners[k, AT_Y] - r0), float(corners[k, AT_X] - c0)
         g = sqrt(dy * dy + dx * dx)
-        size = _relax(corners, cost, keys, nodes, size, turn, k, GOAL_NODE, g, r1, c1)
+        size = _relax(corners, cost, keys, nodes, size, turn, k, parent, g, r1, c1)
     return size
 
 
@@ -210,7 +214,7 @@ def _search(tables, ints, cost, heap, pool, log, view, r0, c0, r1, c1):  # type:
     size = _begin(tables, ints, cost, heap, view, r0, c0, r1, c1)
     if size < 0:
         return size
-    turn, logged, used = ints[TURN], ints[LOGGED], ints[USED]
+    turn, logged, used = ints[TURN], ints[LOGGED], np.int64(ints[USED])
     best, last = inf, GOAL_NODE
     while size > 0:
         node, key = nodes[0], keys[0]
@@ -249,7 +253,9 @@ def _search(tables, ints, cost, heap, pool, log, view, r0, c0, r1, c1):  # type:
             dy, dx = corners[k, AT_Y] - y, corners[k, AT_X] - x
             if (ty * dx - tx * dy) * turning >= 0:
                 through = g + sqrt(float(dy * dy + dx * dx))
-                size = _relax(corners, cost, keys, nodes, size, turn, k, node, through, r1, c1)
+                size = _relax(
+                    corners, cost, keys, nodes, size, turn, k, np.int64(node), through, r1, c1
+                )
     found[0] = last
     return NO_PATH if last == GOAL_NODE else 1
 

@@ -131,7 +131,8 @@ def _exchanged(order, along, ways, robots, bound, cuts, tries):  # type: ignore[
                 done += 1
                 if better < bound:
                     bound, improved = better, True
-                    cuts[:] = trial
+                    for k in range(cuts.size):  # numba takes seconds to compile slices
+                        cuts[k] = trial[k]
                 else:
                     robots[i], robots[j] = robots[j], robots[i]
             if done >= tries:

@@ -34,6 +34,15 @@ def _turn(order, at, first, last):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
+def _reverse(gaps, first, last):  # type: ignore[no-untyped-def]
+    """Reverse gaps[first..last]. Loops, here and below: numba takes seconds to compile slices."""
+    while first < last:
+        gaps[first], gaps[last] = gaps[last], gaps[first]
+        first += 1
+        last -= 1
+
+
+@njit(cache=True)
 def _gap(order, gaps, i):  # type: ignore[no-untyped-def]
     """Steps between order[i] and order[i + 1]; 0 beyond the ends."""
     return gaps[i] if 0 <= i < order.size - 1 else 0
@@ -56,7 +65,7 @@ def _untangle(free, width, order, at, gaps, i, near_a, near_b):  # type: ignore[
     """The best 2-opt change that removes the hop after place i; returns what it saves."""
     a, b, hop = order[i], order[i + 1], gaps[i]
     last = order.size - 1
-    best, first, final = 0, 0, 0
+    best, first, final = 0, np.int64(0), np.int64(0)  # literals are types of their own
     for step in (-width, width, -1, 1):
         c = a + step
         j = at[c]
@@ -74,7 +83,7 @@ def _untangle(free, width, order, at, gaps, i, near_a, near_b):  # type: ignore[
                 best, first, final = saved - rest, min(i + 1, j), max(i + 1, j) - 1
     if best > 0:
         _turn(order, at, first, final)
-        gaps[first:final] = gaps[first:final][::-1].copy()
+        _reverse(gaps, first, final - 1)
         _regap(free, width, order, gaps, first - 1, first - 1, near_a)
         _regap(free, width, order, gaps, final, final, near_a)
     return best
@@ -83,21 +92,29 @@ def _untangle(free, width, order, at, gaps, i, near_a, near_b):  # type: ignore[
 @njit(cache=True)
 def _move(free, width, order, at, gaps, first, last, to, turned, near):  # type: ignore[no-untyped-def]
     """Put order[first..last] behind place `to` (outside of it), turned round or not."""
-    stretch, inner = order[first : last + 1].copy(), gaps[first:last].copy()
-    if turned:
-        stretch, inner = stretch[::-1].copy(), inner[::-1].copy()
-    count = stretch.size
+    count = last + 1 - first
+    stretch, inner = np.empty(count, order.dtype), np.empty(count, gaps.dtype)
+    for k in range(count):
+        stretch[k] = order[last - k if turned else first + k]
+    for k in range(count - 1):
+        inner[k] = gaps[last - 1 - k if turned else first + k]
     low, high = (to + 1, last) if to < first else (first, to)
     if to < first:  # what was between goes up, and the stretch before it
-        order[to + 1 + count : last + 1] = order[to + 1 : first].copy()
-        gaps[to + 1 + count : last] = gaps[to + 1 : first - 1].copy()
+        for k in range(first - 1, to, -1):
+            order[k + count] = order[k]
+        for k in range(first - 2, to, -1):
+            gaps[k + count] = gaps[k]
         start = to + 1
     else:
-        order[first : to + 1 - count] = order[last + 1 : to + 1].copy()
-        gaps[first : to - count] = gaps[last + 1 : to].copy()
+        for k in range(last + 1, to + 1):
+            order[k - count] = order[k]
+        for k in range(last + 1, to):
+            gaps[k - count] = gaps[k]
         start = to + 1 - count
-    order[start : start + count] = stretch
-    gaps[start : start + count - 1] = inner
+    for k in range(count):
+        order[start + k] = stretch[k]
+    for k in range(count - 1):
+        gaps[start + k] = inner[k]
     for k in range(low, high + 1):
         at[order[k]] = k
     joint = start + count - 1 if to < first else start - 1
@@ -109,7 +126,8 @@ def _move(free, width, order, at, gaps, first, last, to, turned, near):  # type:
 def _shift(free, width, order, at, gaps, i, near_a, near_b):  # type: ignore[no-untyped-def]
     """The best move of a stretch that begins after the hop at i; returns what it saves."""
     last, hop, a, b = order.size - 1, gaps[i], order[i], order[i + 1]
-    best, best_end, best_to, best_turned = 0, 0, 0, False
+    none = int(np.int64(0))  # a literal is a type of its own: compiled twice
+    best, best_end, best_to, best_turned = 0, none, none, none > 0
     for end in range(i + 1, min(last, i + STRETCH_MAX) + 1):
         out = _gap(order, gaps, end)
         if end > i + 3 and out == 1:
@@ -156,7 +174,7 @@ def polish(free, width, order):  # type: ignore[no-untyped-def]
     for i in range(order.size):
         at[order[i]] = i
     gaps = np.zeros(order.size, np.int64)
-    _regap(free, width, order, gaps, 0, order.size - 2, near_a)
+    _regap(free, width, order, gaps, np.int64(0), order.size - 2, near_a)
     total = 0
     for _ in range(PASSES):
         before = total

@@ -101,7 +101,7 @@ def _take_over(grid, walked, robots, robot):  # type: ignore[no-untyped-def]
     if far == 0:
         return
     reach[:] = NONE
-    fill_field(grid.free, grid.width, reach, robots.place[robot], NONE, far, grid.queue)
+    fill_field(grid.free, grid.width, reach, robots.place[robot], np.int64(NONE), far, grid.queue)
     won, owner, at = WON_MIN * walked.unit - 1, NONE, 0
     for other in range(robots.place.size):
         if low[other] >= high[other] - 1:
@@ -135,7 +135,7 @@ def _find_way(grid, robots, robot):  # type: ignore[no-untyped-def]
     if not known:
         if robots.fielded[robot] != NONE:
             wipe_field(grid.width, field, robots.fielded[robot], grid.queue)
-        fill_field(grid.free, grid.width, field, goal, place, FAR, grid.queue)
+        fill_field(grid.free, grid.width, field, goal, place, np.int64(FAR), grid.queue)
         robots.fielded[robot] = goal
     robots.way[robot] = field[place]
 

@@ -98,7 +98,8 @@ def _splice(free, width, links, piece, root, size, ends, one, near_a, near_b):  
     a, b = ends[one, 0], ends[one, 1]
     stamp_a, distance_a, queue_a = near_a
     stamp_b, distance_b, queue_b = near_b
-    best, at, after, mine, radius = FAR, NONE, NONE, a, 4
+    none = int(np.int64(NONE))  # a literal is a type of its own: compiled twice
+    best, at, after, mine, radius = FAR, none, none, a, int(np.int64(4))
     while True:
         stamp_a[0] += 1
         stamp_b[0] += 1

@@ -53,9 +53,9 @@ def build(agents, order, bounds, nodes, stack):  # type: ignore[no-untyped-def]
         if end - begin <= LEAF:
             continue
         if high_x - low_x > high_y - low_y:
-            middle = _split(agents, order, begin, end, X, HALF * (high_x + low_x))
+            middle = _split(agents, order, begin, end, np.int64(X), HALF * (high_x + low_x))
         else:
-            middle = _split(agents, order, begin, end, Y, HALF * (high_y + low_y))
+            middle = _split(agents, order, begin, end, np.int64(Y), HALF * (high_y + low_y))
         a, b = node + 1, node + 2 * (middle - begin)
         nodes[node, CHILD_A], nodes[node, CHILD_B] = a, b
         nodes[a, FIRST], nodes[a, LAST] = begin, middle
@@ -79,7 +79,7 @@ def near_agents(agents, me, order, bounds, nodes, stack, waiting, near, squares)
     """
     x, y, most = agents[me, X], agents[me, Y], int(agents[me, NEIGHBOURS])
     reach = agents[me, RANGE] * agents[me, RANGE]
-    count = 0
+    count = np.int64(0)  # a literal is a type of its own: compiled twice
     if most == 0:
         return 0
     waiting[0], stack[0], top = ZERO, 0, 1  # how far away each node on the stack is, squared

@@ -21,7 +21,7 @@ f32 = np.float32
 def _again(agents, me, known, hints, near, squares):  # type: ignore[no-untyped-def]
     """Sort those who were near anew: (how many are in range, square of the reach left, tie)."""
     x, y, most = agents[me, X], agents[me, Y], int(agents[me, NEIGHBOURS])
-    count, tie, reach = 0, False, agents[me, RANGE] * agents[me, RANGE]
+    count, tie, reach = int(np.int64(0)), False, agents[me, RANGE] * agents[me, RANGE]
     if most == 0:
         return 0, ZERO, False
     for k in range(hints):
@@ -101,4 +101,5 @@ def neighbours(agents, order, bounds, nodes, stack, known, counts):  # type: ign
                 count = near_agents(agents, me, order, bounds, nodes, inner, waiting, near[k],
                                     squares[k])  # fmt: skip
             counts[me] = count
-            known[me, :count] = near[k, :count]
+            for j in range(count):  # numba takes seconds to compile slices
+                known[me, j] = near[k, j]

@@ -59,7 +59,7 @@ def near_walls(table, root, x, y, reach, stack, near, squares):  # type: ignore[
     The tree is walked in its own order: the side of the partition on which we are, the edge of the
     partition itself, the other side. A node that waits for its turn is on the stack as -2 - node.
     """
-    count, top = 0, 0
+    count, top, most = int(np.int64(0)), 0, int(np.int64(WALLS_MAX))  # not literals
     if root >= 0:
         stack[0], top = root, 1
     while top > 0:
@@ -83,7 +83,7 @@ def near_walls(table, root, x, y, reach, stack, near, squares):  # type: ignore[
         if side < ZERO:
             square = _to_edge(table, edge, b, x, y)
             if square < reach and (count < WALLS_MAX or square < squares[count - 1]):
-                insert(near, squares, count, WALLS_MAX, edge, square)
+                insert(near, squares, count, most, edge, square)
                 count = min(count + 1, WALLS_MAX)
         beyond = int(table[edge, RIGHT if side >= ZERO else LEFT])
         if beyond >= 0:
@@ -102,7 +102,7 @@ def velocities(agents, table, root, dt, known, counts, stack):  # type: ignore[n
     for me in range(agents.shape[0]):
         x, y, vx, vy = agents[me, X], agents[me, Y], agents[me, VX], agents[me, VY]
         radius, speed = agents[me, RADIUS], agents[me, SPEED_MAX]
-        hard = 0
+        hard = np.int64(0)  # a literal is a type of its own: compiled twice
         if root >= 0:
             horizon = agents[me, WALL_HORIZON]
             reach = horizon * speed + radius

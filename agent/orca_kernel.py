@@ -79,7 +79,7 @@ def _fence_lines(work, lines):  # type: ignore[no-untyped-def]
 def _nearest(work, near, squares):  # type: ignore[no-untyped-def]
     """Offsets of the nearest rows in range, nearest first, moved on by their age."""
     x, y, now = work[X], work[Y], work[NOW_S]
-    reach, most, count = f32(work[RANGE] * work[RANGE]), int(work[NEIGHBOURS]), 0
+    reach, most, count = f32(work[RANGE] * work[RANGE]), int(work[NEIGHBOURS]), np.int64(0)
     for row in range(int(work[FIRST_ROW]), int(work[LAST_ROW])):
         at = HEAD + row * ROW_COLUMNS
         if work[at + ROW_RADIUS] < 0.0:

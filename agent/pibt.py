@@ -89,6 +89,7 @@ def _past(now, near, goals, pusher_at, puller_at):  # type: ignore[no-untyped-de
 @njit(cache=True)
 def _must_swap(now, near, far, goals, pusher, puller, pusher_at, puller_at):  # type: ignore[no-untyped-def]
     """Whether pushing on would only move both along a corridor, until one is past its goal."""
+    pusher_at, puller_at = np.int64(pusher_at), np.int64(puller_at)
     for _ in range(near.shape[0]):
         if far[pusher, puller_at] >= far[pusher, pusher_at]:
             break
@@ -106,6 +107,7 @@ def _must_swap(now, near, far, goals, pusher, puller, pusher_at, puller_at):  # 
 @njit(cache=True)
 def _can_swap(now, near, goals, pusher_at, puller_at):  # type: ignore[no-untyped-def]
     """Whether backing away leads to a place where three ways meet."""
+    pusher_at, puller_at = np.int64(pusher_at), np.int64(puller_at)
     first = pusher_at
     for _ in range(near.shape[0]):
         if puller_at == first:

@@ -83,7 +83,7 @@ def weigh_scan(  # type: ignore[no-untyped-def]
     """
     rows, columns = evidence.shape
     x, y, most = (at_x - corner_x) / cell, (at_y - corner_y) / cell, range_max / cell
-    count, rays = 0, ranges.size
+    count, rays = np.int64(0), ranges.size  # literals are types of their own: compiled twice
     ways = np.empty((rays, 2))
     for n in range(rays):
         angle = heading + n * (2 * pi / rays)
@@ -95,7 +95,7 @@ def weigh_scan(  # type: ignore[no-untyped-def]
         r, c = floor(hy), floor(hx)
         inside = 0 <= r < rows and 0 <= c < columns
         if inside and not _ignored(discs, corner_x + hx * cell, corner_y + hy * cell):
-            count = _weigh(evidence, solid, stamps, scan, r, c, HIT, toggled, count)
+            count = _weigh(evidence, solid, stamps, scan, r, c, np.int64(HIT), toggled, count)
     for n in range(rays):
         if ranges[n] >= 0.0:  # not where it is not a number
             far = min(ranges[n] / cell, most)

@@ -68,7 +68,7 @@ def _earliest(start, goal, near, far, taken, came, layer, coming, latest):  # ty
 @njit(cache=True)
 def _put_back(robot, goal, near, far, track, taken, came, layer, coming, latest):  # type: ignore[no-untyped-def]
     """Find one robot a way that is at its goal by `latest`; False: its way stays as it is."""
-    hold(taken, track, robot, False)
+    hold(taken, track, robot, np.bool_(False))  # a literal is a type of its own
     came[: latest + 1] = -1
     end = _earliest(track[robot, 0], goal, near, far, taken, came, layer, coming, latest)
     if end >= 0:
@@ -77,7 +77,7 @@ def _put_back(robot, goal, near, far, track, taken, came, layer, coming, latest)
             track[robot, t] = at
             at = came[t, at]
         track[robot, end:] = goal
-    hold(taken, track, robot, True)
+    hold(taken, track, robot, np.bool_(True))
     return end >= 0
 
 

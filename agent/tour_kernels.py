@@ -147,7 +147,8 @@ def auction(route, size, free, ready, lead, link, lead_bay_ms, power, charging):
                 out,
             )
     for left in range(len(free), 0, -1):
-        best, winner, taker = IMPOSSIBLE, -1, -1
+        best, winner = IMPOSSIBLE, -1
+        taker = int(np.int64(-1))  # a literal is a type of its own: compiled twice
         for t in range(len(free)):
             if given[t]:
                 continue
@@ -158,7 +159,8 @@ def auction(route, size, free, ready, lead, link, lead_bay_ms, power, charging):
             return left
         put(route[taker], size[taker], free[winner], place[winner, taker], out)
         size[taker] += 1
-        route[taker, : size[taker]] = out[: size[taker]]
+        for k in range(size[taker]):  # numba takes seconds to compile slices
+            route[taker, k] = out[k]
         given[winner] = True
         for t in range(len(free)):
             if not given[t]:
@@ -303,6 +305,14 @@ def write(route, size, times, of, at, r, tasks, n, time):  # type: ignore[no-unt
 
 
 @njit(cache=True)
+def _copy(route, size, to_route, to_size):  # type: ignore[no-untyped-def]
+    for r in range(len(size)):
+        to_size[r] = size[r]
+        for k in range(route.shape[1]):
+            to_route[r, k] = route[r, k]
+
+
+@njit(cache=True)
 def search(  # type: ignore[no-untyped-def]
     route, size, near, moves, hot, cold, state, ready, lead, link, lead_bay_ms, power, charging
 ):
@@ -349,5 +359,5 @@ def search(  # type: ignore[no-untyped-def]
         most = times.max()
         if most < best_most or (most == best_most and total < best_total):
             best_most, best_total = most, total
-            best_route[:], best_size[:] = route, size
-    route[:], size[:] = best_route, best_size
+            _copy(route, size, best_route, best_size)
+    _copy(best_route, best_size, route, size)

@@ -102,10 +102,10 @@ def flood(blocked, row, column):  # type: ignore[no-untyped-def]
     far = np.full((rows, columns), np.inf)
     buckets = np.empty((rows * columns * 9, 2), dtype=np.int32)
     far[row // FLOOD, column // FLOOD] = 0.0
-    buckets[0] = row // FLOOD, column // FLOOD
+    buckets[0, 0], buckets[0, 1] = row // FLOOD, column // FLOOD
     head, tail = 0, 1
     while head < tail and tail < buckets.shape[0] - 9:  # label correcting, nearly in order
-        r, c = buckets[head]
+        r, c = buckets[head, 0], buckets[head, 1]
         head += 1
         for i in range(-1, 2):
             for j in range(-1, 2):
@@ -115,7 +115,7 @@ def flood(blocked, row, column):  # type: ignore[no-untyped-def]
                 cost = far[r, c] + (1.4142135623730951 if i != 0 and j != 0 else 1.0) * FLOOD
                 if cost < far[nr, nc] - 1e-9:
                     far[nr, nc] = cost
-                    buckets[tail] = nr, nc
+                    buckets[tail, 0], buckets[tail, 1] = nr, nc
                     tail += 1
     return far
 
@@ -195,8 +195,10 @@ def search(blocked, place, start, goal, radius):  # type: ignore[no-untyped-def]
     side = place[2] / CELL_M
     states = (int(blocked.shape[0] * side) + 2) * (int(blocked.shape[1] * side) + 2) * HEADINGS
     closed = np.zeros(states, dtype=np.bool_)
-    nodes[0, :3], nodes[0, N_COST], nodes[0, N_PARENT], nodes[0, N_LENGTH] = start, 0.0, -1.0, 0.0
-    keys[0], ids[0], size, made, found = 0.0, 0, 1, 1, -1
+    nodes[0, N_X], nodes[0, N_Y], nodes[0, N_HEADING] = start[0], start[1], start[2]
+    nodes[0, N_COST], nodes[0, N_PARENT], nodes[0, N_LENGTH] = 0.0, -1.0, 0.0
+    keys[0], ids[0], found = 0.0, 0, -1
+    size, made = np.int64(1), np.int64(1)  # literals are types of their own: compiled twice
     best, best_leap = cost, leap.copy()
     left = NODES_MAX
     if cost < np.inf:
@@ -245,7 +247,8 @@ def _pieces(nodes, found, leap):  # type: ignore[no-untyped-def]
     while nodes[node, N_PARENT] >= 0.0:
         count, node = count + 1, int(nodes[node, N_PARENT])
     pieces = np.empty((count + 3, 2))
-    pieces[count:] = leap
+    for k in range(leap.shape[0]):  # numba takes seconds to compile slices
+        pieces[count + k, 0], pieces[count + k, 1] = leap[k, 0], leap[k, 1]
     node = found
     for k in range(count - 1, -1, -1):
         pieces[k, 0], pieces[k, 1] = nodes[node, N_CURVATURE], nodes[node, N_LENGTH]

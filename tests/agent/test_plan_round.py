@@ -7,7 +7,9 @@ import pytest
 from agent.plan_round import PlanRound, Step, digest_of
 from agent.task_book import Order, TaskBook
 from protocol.delivery_frames import PlanRow
-from tests.agent.planning import frozen, play
+from tests.agent.planning import frozen, play, short_search
+
+short_searches = pytest.fixture(autouse=True)(short_search)
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -22,6 +22,7 @@ from sim.key_file import fresh, write
 from sim.scenario import Crash, Estop, Reset, Restart, load
 from sim.setting import Setting
 from tests.chaos.at_work import Done, Story, at_work
+from tests.chaos.broad import broad
 
 
 @pytest.fixture
@@ -44,7 +45,7 @@ def press(cluster: Cluster, slot: int) -> None:
 
 def test_a_scenario_with_keys_is_stopped_reset_and_finished(keys: Path) -> None:
     faults = [Estop(at_s=30.0, kind="estop", robot=2), Reset(at_s=45.0, kind="reset")]
-    scenario = load("small").changed(None, None, keys).model_copy(update={"fault": faults})
+    scenario = broad().changed(None, None, keys).model_copy(update={"fault": faults})
     outcome = Expedition(Setting(scenario)).run()
     assert outcome.success and outcome.authenticated, outcome
     assert outcome.frames["Challenge"] >= 3 and outcome.frames["Freshness"] >= 3
@@ -59,7 +60,7 @@ def test_a_robot_that_was_away_for_many_stops_follows_again(keys: Path) -> None:
         Estop(at_s=40.0, kind="estop", robot=0),
         Reset(at_s=45.0, kind="reset"),
     ]
-    scenario = load("small").changed(None, None, keys).model_copy(update={"fault": faults})
+    scenario = broad().changed(None, None, keys).model_copy(update={"fault": faults})
     outcome = Expedition(Setting(scenario)).run()
     assert outcome.finished and outcome.replicas_equal and outcome.contacts == 0, outcome
 

@@ -9,8 +9,8 @@ from protocol.frame import Frame
 from sim.clock import elapse, run_virtual
 from sim.cluster import Cluster
 from sim.fieldbus import FieldBus
-from sim.scenario import load
 from sim.setting import Setting
+from tests.chaos.broad import broad
 
 SPOKEN = [  # parameter groups that peers listen to; a stop or an operator's hold would rightly
 # hold a fleet without keys
@@ -35,7 +35,7 @@ def nonsense(rng: Random) -> Frame:
 
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_fleet_works_beside_a_device_that_talks_nonsense(seed: int) -> None:
-    setting, rng = Setting(load("small").changed(None, seed)), Random(seed)
+    setting, rng = Setting(broad().changed(None, seed)), Random(seed)
 
     async def main() -> Cluster:
         cluster = Cluster(setting, f"noise {seed}")

@@ -22,6 +22,7 @@ from sim.key_file import fresh, write
 from sim.obstacles import random_temporary_obstacle_generator, schedule
 from sim.scenario import Scenario, load
 from sim.setting import Setting
+from tests.chaos.broad import broad
 
 Reports = list[tuple[int, OperatorReport]]
 Story = Callable[[Cluster, Reports], Awaitable[None]]
@@ -139,7 +140,7 @@ def test_a_robot_stops_asks_and_goes_on_when_the_way_is_free() -> None:
         assert matters(reports) == [Matter.ASKING, Matter.WAITING, Matter.GONE]
         assert cluster.robots[ROBOT].peer.progress.fraction() == 1.0
 
-    play(story, load("small"))
+    play(story, broad())
 
 
 @pytest.mark.parametrize("command", [Command.CONTINUE, Command.REPLAN])
@@ -163,7 +164,7 @@ def test_going_round(command: Command) -> None:
         fraction = peer.progress.fraction()
         assert fraction == 1.0 if command is Command.REPLAN else 0.9 < fraction < 1.0
 
-    play(story, load("small"))
+    play(story, broad())
 
 
 def test_stop_gives_the_work_back_and_stands_until_a_start() -> None:
@@ -182,7 +183,7 @@ def test_stop_gives_the_work_back_and_stands_until_a_start() -> None:
         assert peer.progress.fraction() == 1.0
         assert Matter.STOPPED in matters(reports)
 
-    play(story, load("small"))
+    play(story, broad())
 
 
 def test_being_sent_elsewhere() -> None:
@@ -214,7 +215,7 @@ def test_being_sent_elsewhere() -> None:
         await finished(cluster)
         assert cluster.robots[ROBOT].peer.progress.fraction() == 1.0
 
-    play(story, load("small"))
+    play(story, broad())
 
 
 def test_answers_to_another_question_and_mixed_up_places_do_nothing() -> None:
@@ -237,7 +238,7 @@ def test_answers_to_another_question_and_mixed_up_places_do_nothing() -> None:
         assert Cause.OBSTACLE_AHEAD in dict(cluster.robots[ROBOT].peer.safety.causes)
         assert set(matters(reports)) == {Matter.ASKING, Matter.REFUSED}
 
-    play(story, load("small"))
+    play(story, broad())
 
 
 def test_a_latched_robot_takes_no_order() -> None:
@@ -254,7 +255,7 @@ def test_a_latched_robot_takes_no_order() -> None:
             assert cluster.robots[ROBOT].peer.state is State.EMERGENCY_STOP
             assert cluster.robots[ROBOT].peer.claims.current == section
 
-    play(story, load("small"))
+    play(story, broad())
 
 
 def test_with_keys_only_an_operator_is_obeyed(tmp_path: Path) -> None:
@@ -274,7 +275,7 @@ def test_with_keys_only_an_operator_is_obeyed(tmp_path: Path) -> None:
             await elapse(0.2)
         assert matters(reports)[:2] == [Matter.ASKING, Matter.GOING_ROUND]
 
-    play(story, load("small").changed(3, 5, tmp_path / "fleet.json"))
+    play(story, broad().changed(3, 5, tmp_path / "fleet.json"))
 
 
 def test_the_scenario_that_ships_is_finished_without_a_flaw() -> None:
@@ -323,4 +324,4 @@ def test_a_tractor_asks_too_and_drives_home_on_its_turning_circle() -> None:
         order(cluster, Command.CONTINUE)
         await finished(cluster)
 
-    play(story, load("small").changed(2, 1, drive="ackermann"))
+    play(story, broad().changed(2, 1, drive="ackermann"))

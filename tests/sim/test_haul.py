@@ -14,6 +14,7 @@ from sim.disk import MemoryJournal
 from sim.haul import Haul, HaulCluster, HaulOutcome
 from sim.scenario import Crash, Heal, Loss, Partition, Restart
 from sim.warehouse_scenario import Outage, TaskRow, WarehouseScenario
+from tests.agent.planning import short_search
 from tools.haul import UNREACHABLE, exit_code
 from tools.inspector import Inspector
 
@@ -25,6 +26,9 @@ MAP = """
 ............
 """
 NOTHING = {"twice": 0, "lost": 0, "by_two": 0, "again": 0}
+
+
+short_searches = pytest.fixture(autouse=True)(short_search)
 
 
 def scenario(

@@ -11,6 +11,7 @@ from sim.expedition import Expedition
 from sim.outcome import Outcome
 from sim.scenario import Crash, Estop, Loss, Reset, Scenario, load
 from sim.setting import Setting
+from tests.chaos.broad import broad
 
 ROOT = Path(__file__).parents[2]
 
@@ -27,7 +28,7 @@ def test_a_fleet_finishes_a_field(seed: int) -> None:
 
 
 def test_one_robot_is_a_fleet() -> None:
-    assert play(load("small").changed(1, 1)).success
+    assert play(broad().changed(1, 1)).success
 
 
 def test_the_same_seed_is_the_same_run_in_another_process_with_other_hashes() -> None:
@@ -63,7 +64,7 @@ def test_a_crashed_robot_stops_nobody_for_long() -> None:
 
 def test_a_stop_stops_and_the_work_goes_on_after_reset_and_start() -> None:
     faults = [Estop(at_s=30.0, kind="estop", robot=2), Reset(at_s=45.0, kind="reset")]
-    scenario = load("small").model_copy(update={"fault": faults})
+    scenario = broad().model_copy(update={"fault": faults})
     outcome = play(scenario)
     assert outcome.success, outcome
     assert outcome.frames["EmergencyStop"] >= 3 and outcome.frames["EmergencyReset"] >= 1

@@ -31,11 +31,11 @@ TROUBLE: list[Fault] = [
     Restart(at_s=33.0, kind="restart", robot=2),
     Reset(at_s=45.0, kind="reset"),
     BusOff(at_s=60.0, kind="bus_off", robot=0, for_s=1.0),
-    Loss(at_s=90.0, kind="loss", rate=0.0),
+    Loss(at_s=64.0, kind="loss", rate=0.0),
 ]
 
 
-LIMIT_S = 95.0
+LIMIT_S = 68.0
 
 
 def play(robots: int, seed: int, faults: list[Fault], swarm: bool) -> Outcome:
