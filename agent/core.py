@@ -92,7 +92,7 @@ class Peer:
         self.letters = Letters(identity.component, frozenset((MEMBER_PGN, CLAIM_PGN)))
         self.sync = Sync(self.slot, self.allocation, self.progress)
         self.election = Election(
-            OPERATOR_GATEWAY, self.slot, identity.name.hash16, self.records.term
+            OPERATOR_GATEWAY, self.slot, identity.name.hash16, self.records.term, self.records.lost
         )
         self._led: Leader | None = None
         self.claims = Claims(self.slot, self.allocation)
@@ -195,8 +195,10 @@ class Peer:
             due_us = sooner(due_us, self.roll_call.deadline_us)
             if self.chart is not None:
                 due_us = sooner(due_us, self.chart.deadline_us)
-        if self.lifecycle.state is IDLE and self.safety.may_move:
-            due_us = sooner(due_us, self.claims.deadline_us)  # otherwise it waits for the others
+            if self.lifecycle.state is IDLE and self.safety.may_move:
+                due_us = sooner(
+                    due_us, self.claims.deadline_us
+                )  # otherwise it waits for the others
         return due_us
 
     def tick(self, now_us: int) -> Sequence[Effect]:
@@ -262,8 +264,9 @@ class Peer:
         if self.lifecycle.state is not State.EMERGENCY_STOP or not self.safety.manual_reset(now_us):
             return [Trace("safety", "LATCHED", "MANUAL_RESET", "LATCHED", "refused")]
         held = self.safety.hold(now_us)  # reset is not start
-        self.joining.rejoin(now_us)
-        self.roll_call.power_up()
+        if not self.safety.holds(Cause.BUS_OFF):  # else when the bus is back
+            self.joining.rejoin(now_us)
+            self.roll_call.power_up()
         return [*held, *self.fire(Event.MANUAL_RESET, "a person at this machine")]
 
     def start(self, now_us: int) -> Sequence[Effect]:

@@ -15,14 +15,18 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.config import MS, S
+from agent.config import CONTROL_PERIOD_US, MS, S
 from agent.fence_gap import way_gap_m
 from agent.lifecycle import State
 
 Point = tuple[float, float]
+PERIOD_S: Final = CONTROL_PERIOD_US / S
 
 WANTS_M_S: Final = 0.1  # a robot that wants less than this is not stalled
 GOT_ON_M: Final = 0.4  # moved this far: no stall
+GETS_ON: Final = (
+    0.4  # or so much of the way that was wanted: who creeps up to an end is in nobody's way
+)
 PATIENCE_US: Final = 1_500 * MS
 LONG_PATIENCE_US: Final = 7 * S  # of the one that is not the first to give way
 NEAR_M: Final = 1.2  # a gap wider than this stalls nobody
@@ -62,6 +66,7 @@ class GivingWay:
         self.given = 0  # how often we gave way
         self._anchor: Point = (0.0, 0.0)
         self._anchor_us = 0
+        self._wanted_m = 0.0  # the way that was wanted since then
         self._until_us = 0
         self._for: int | None = None  # whom we give way to
         self._refuge: Point = (0.0, 0.0)
@@ -71,10 +76,12 @@ class GivingWay:
         if now_us < self._until_us:
             return self._go(at, others)
         moved_m = hypot(at[0] - self._anchor[0], at[1] - self._anchor[1])
-        if moved_m > GOT_ON_M * self.scale or hypot(*wanted) < WANTS_M_S:
-            self._anchor, self._anchor_us = at, now_us
+        wanted_m_s = hypot(*wanted)
+        self._wanted_m += wanted_m_s * PERIOD_S
+        if moved_m > GOT_ON_M * self.scale or wanted_m_s < WANTS_M_S:
+            self._anchor, self._anchor_us, self._wanted_m = at, now_us, 0.0
             return None
-        if now_us - self._anchor_us < PATIENCE_US:
+        if now_us - self._anchor_us < PATIENCE_US or moved_m >= GETS_ON * self._wanted_m:
             return None
         close = [o for o in others if o.distance_m < 2 * self.radius_m + NEAR_M * self.scale]
         if not close:
@@ -96,7 +103,7 @@ class GivingWay:
         self.given += 1
         self._for, self._refuge = blocker.slot, refuge
         self._until_us = now_us + (ROUND_US if standing else REFUGE_US)
-        self._anchor_us = self._until_us
+        self._anchor_us, self._wanted_m = self._until_us, 0.0
         return self._go(at, others)
 
     def _go(self, at: Point, others: list[Other]) -> Point:

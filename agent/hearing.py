@@ -189,10 +189,12 @@ class Hearing:
 
     def _pose(self, source: int, slot: int | None, m: Pose, now_us: int) -> Sequence[Effect]:
         """A pose that the fast path in `Peer.hear` did not take: a stranger's, or a returning one's."""
-        if slot is None:
-            return self._stranger(source, now_us)
+        safety = self.peer.safety
+        if slot is None:  # whoever it is, it has not heard what stops us
+            self._stranger(source, now_us)
+            return safety.tell_stops(now_us) if safety.latched and not m.stopped else ()
         self.peer.membership.neighbours[slot] = Neighbour(m, now_us)
-        return self.peer.safety.beat(slot, m.stopped, now_us)
+        return safety.beat(slot, m.stopped, now_us)
 
     def _heartbeat(
         self, source: int, slot: int | None, m: Heartbeat, now_us: int

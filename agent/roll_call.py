@@ -23,6 +23,7 @@ SLOT_US = (
 AGAIN_US = 2 * S  # before the same address is asked again; doubles
 DOUBLINGS_MAX = 5  # up to a minute: a device that is no robot is left alone
 STRANGERS_MAX = 256  # addresses there are
+ASKED_ENOUGH = 3  # questions, in 6 s: who does not answer them is not waited for
 
 
 class RollCall:
@@ -36,6 +37,12 @@ class RollCall:
     @property
     def deadline_us(self) -> int | None:
         return min(self._ask_us.values()) if self._ask_us else None
+
+    @property
+    def wonders(self) -> bool:
+        """Somebody here may be a member at work, in a section of which we do not know."""
+        asked = self._asked
+        return any(asked.get(address, 0) < ASKED_ENOUGH for address in self._ask_us)
 
     def power_up(self) -> None:
         self.answer_due = self._everybody_asked = False

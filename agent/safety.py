@@ -28,15 +28,12 @@ from protocol.safety_frames import (
 
 STOPS_KEY, COUNTER_KEY, HOLD_KEY = "stops", "stop_counter", "hold"
 FAR_KEY = "far_stops"  # of other segments
-FREE, HELD, LATCHED = (
-    b"\0",
-    b"\1",
-    b"\2",
-)  # what HOLD_KEY remembers: a restart resets and starts nothing
+FREE, HELD, LATCHED = b"\0", b"\1", b"\2"  # in HOLD_KEY: a restart resets and starts nothing
 CREEP_M_S = 0.5
 UNAUTHENTICATED_HOLD_US = 1 * S  # a stop without a valid tag holds this long after its last frame
 IMPLEMENTS_HOLD_US = 3 * S  # the standard frame comes every second; three are missing
-REPEATS_MAX = 400  # 2 s of repetition; then the heartbeats' stopped bit carries the latch
+# 2 s; then the heartbeats' stopped bit carries the latch. 1 s by who knows nobody: it may have just come.
+REPEATS_MAX, REPEATS_ALONE = 400, 200
 AGAIN_US = 100 * MS  # 20 repeats: who still beats as if nothing was may know our dot as cleared
 AGAIN_MAX = 3  # further dots for one press; beyond it that member cannot hear us at all
 ANSWER_SPACING_US = 100 * MS  # a member that beats unlatched is told again at most this often
@@ -355,10 +352,10 @@ class Safety:
 
     def _repeat(self, now_us: int) -> Sequence[Effect]:
         """As the source: every 5 ms until every live member has echoed."""
-        sends: list[Effect] = []
-        others = self._live - {self.slot}
+        sends, others = list[Effect](), self._live - {self.slot}
         for dot, left in sorted(self._own.items()):
-            if left <= 0 or others <= self._echoes.get(dot, set()):
+            enough = left <= (0 if others else REPEATS_MAX - REPEATS_ALONE)
+            if enough or (others and others <= self._echoes.get(dot, set())):
                 del self._own[dot]
                 continue
             self._own[dot] = left - 1

@@ -3,7 +3,7 @@
 Then every state with every event and every cause, on a peer: it reacts as docs/stopping.md says.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from itertools import product
 from math import hypot
 from random import Random
@@ -13,18 +13,19 @@ import numpy as np
 import pytest
 
 from agent.cause import Cause, Clears, Severity
-from agent.config import S
+from agent.config import STOP_REPEAT_US, S
 from agent.core import Peer
-from agent.effects import HALT, Drive
+from agent.effects import HALT, Drive, Effect, Send
 from agent.fsm import Machine, matrix, to_mermaid
 from agent.identity import Identity
 from agent.lifecycle import TABLE, Event, State
 from agent.mission import Choice, FleetView, Wish
 from agent.motion import Limits, Motion
 from agent.ports import Observation
-from agent.safety import CREEP_M_S, SilencePolicy
+from agent.safety import CREEP_M_S, REPEATS_ALONE, SilencePolicy
+from protocol.fleet_frames import Pose
 from protocol.name import fleet_name
-from protocol.safety_frames import Reason
+from protocol.safety_frames import EmergencyReset, EmergencyStop, Reason
 
 # Copied from the mission's diagram by hand: (source, event, target).
 MISSION = {
@@ -262,3 +263,49 @@ def test_how_silence_ends(policy: SilencePolicy) -> None:
     assert safety.deadline_us == (12 * S if kept[policy] else safety.deadline_us)
     safety.tick(12 * S)
     assert held_by(peer) == set(), "heard again, and stable"
+
+
+def test_a_reset_while_the_bus_is_off_waits_for_the_bus() -> None:
+    """Found by `headland chaos`, profile protocol, seed 1689: it took an address that nobody could
+    hear of, lost it when the bus came back, and stayed IDLE without one, awake for good."""
+    peer = peer_in(State.IDLE, None)
+    pass_time(peer, 2 * S)
+    assert peer.joining.joined
+    peer.press(Reason.PERSON_IN_FIELD, 2 * S)
+    peer.bus_lost(2 * S)
+    (dot,) = peer.safety.stops.active
+    peer.safety.receive_reset(EmergencyReset(*dot, 200), 2 * S)
+    peer.manual_reset(2 * S)
+    assert peer.state is State.DISCONNECTED
+    for now_us in range(2 * S, 4 * S, 10_000):
+        peer.tick(now_us)
+        assert peer.state is State.DISCONNECTED and not peer.joining.joined
+    peer.bus_back(4 * S)
+    for now_us in range(4 * S, 6 * S, 10_000):
+        peer.tick(now_us)
+    assert peer.joining.joined and peer.state is not State.DISCONNECTED
+
+
+def stops_of(effects: Iterable[Effect]) -> list[EmergencyStop]:
+    sent = [effect.message for effect in effects if isinstance(effect, Send)]
+    return [message for message in sent if isinstance(message, EmergencyStop)]
+
+
+def test_who_knows_nobody_repeats_its_stop_for_a_second() -> None:
+    """Found by `headland chaos`, profile press, seed 3226: its only frame was lost."""
+    peer = peer_in(State.IDLE, None)
+    said = stops_of(peer.press(Reason.PERSON_IN_FIELD, 0))
+    for now_us in range(0, 3 * S, STOP_REPEAT_US):
+        said += stops_of(peer.safety.tick(now_us))
+    assert len(said) == 1 + REPEATS_ALONE
+    assert len(set(said)) == 2, "one stop; the repetition says who repeats it"
+
+
+def test_a_stranger_that_does_not_stand_is_told_of_the_stop() -> None:
+    peer = peer_in(State.IDLE, None)
+    peer.press(Reason.PERSON_IN_FIELD, 0)
+    moving = Pose(0.0, 0.0, 0.0, 2.0, State.WORKING, False, 0)
+    (told,) = stops_of(peer.hear(140, moving, S))
+    assert (told.slot, told.echo) == (0, True)
+    assert not stops_of(peer.hear(140, moving, S + 1)), "not at once again"
+    assert not stops_of(peer.hear(140, moving._replace(stopped=True), 2 * S))
