@@ -15,6 +15,9 @@ from agent.shell import Shell
 from sim.host import Script
 
 T = TypeVar("T")
+# Of callbacks in one instant. A wire brings a few frames at one time, a thawed robot a full inbox in one
+# round: who is woken so often asks again and again for what it does not do.
+ROUNDS_MAX = 10_000
 Call = Callable[[], object]
 
 
@@ -203,12 +206,16 @@ class Swarm:
     def run(self, main: Script[T]) -> T:
         """Until the script ends. Time begins at 0."""
         handle = self.spawn(main)
-        timers = self._timers
+        timers, rounds, instant_us = self._timers, 0, 0
         while not handle.done():
             if not self._ready:
                 while timers[0][2].cancelled:
                     heappop(timers)
                 self.time_us = max(self.time_us, timers[0][0])
+            if self.time_us != instant_us:
+                rounds, instant_us = 0, self.time_us
+            rounds += 1
+            assert rounds < ROUNDS_MAX, f"time stands still at {instant_us} us"
             while timers and timers[0][0] <= self.time_us:
                 timer = heappop(timers)[2]
                 if not timer.cancelled:

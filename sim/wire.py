@@ -70,6 +70,7 @@ class Island:
         self.number = number
         self.free_us = 0  # the last frame ended then
         self.start_us = NEVER_US  # when arbitration is due
+        self.begun_us = 0  # start of the frame that is being sent; may be a bit ahead of now
         self.end_us = NEVER_US  # of the frame that is being sent
         self.sender = 0
         self.frame = NO_FRAME
@@ -150,18 +151,33 @@ class Wire:
         self._now_us = max(self._now_us, now_us)
         heappush(node.queue, (frame.identifier, self._order, frame))
         self._waiting.add(number)
-        self._wish(self._islands[node.island], now_us)
+        island = self._islands[node.island]
+        self._wish(island, now_us)
+        # Who speaks into silence is not waited for: the arbitration is held now, and once more where
+        # somebody joins it before its bit has come. With errors it is held in its time, chance and all.
+        if island.start_us > now_us and self.faults.error == 0.0:
+            self._arbitrate(island, island.start_us)
+            self._next_known = False
         return True
 
     def _wish(self, island: Island, now_us: int) -> None:
         if island.end_us != NEVER_US:
-            return
+            if island.begun_us <= now_us:
+                return
+            self._withdraw(island)
         start_us = (now_us // self.bit_us + 1) * self.bit_us
         if start_us < island.free_us:
             start_us = island.free_us
         if island.start_us == NEVER_US or start_us < island.start_us:
             island.start_us = start_us
             self._next_known = False
+
+    def _withdraw(self, island: Island) -> None:
+        """The arbitration that was held ahead of its bit was not the last word."""
+        length_us = island.end_us - island.begun_us
+        self.busy_us -= length_us
+        self.worst_us -= WORST_BITS[len(island.frame[1])] * self.bit_us
+        island.start_us, island.end_us = island.begun_us, NEVER_US
 
     @property
     def next_us(self) -> int | None:
@@ -230,7 +246,7 @@ class Wire:
         else:
             length_us = bits * self.bit_us
         self.busy_us += length_us
-        island.end_us, island.sender = t_us + length_us, sender
+        island.begun_us, island.end_us, island.sender = t_us, t_us + length_us, sender
         island.frame, island.broken = frame, broken
 
     def _end(self, island: Island, t_us: int, deliveries: list[Delivery]) -> None:
@@ -315,6 +331,8 @@ class Wire:
             )
             self._audience[sender] = audience
         faults = self.faults
+        if self._off:  # it neither sends nor hears
+            audience = tuple(n for n in audience if n not in self._off)
         if faults.deaf:
             audience = tuple(n for n in audience if (sender, n) not in faults.deaf)
         if faults.loss > 0.0:

@@ -79,3 +79,18 @@ def test_a_clock_that_runs_fast_reaches_every_deadline() -> None:
         shell._rate = 1.0 + ppm * 1e-6
         for deadline_us in (153_066_666, *range(153_000_000, 153_100_000, 7)):
             assert shell._shown_at(shell._at(deadline_us)) >= deadline_us, (ppm, deadline_us)
+
+
+def test_a_run_in_which_time_stands_still_ends() -> None:
+    """Who asks to be woken and does not do what it was woken for."""
+    swarm = Swarm()
+
+    def again() -> None:
+        swarm.at(swarm.now_us(), again)
+
+    def main() -> Script[None]:
+        swarm.at(5, again)
+        yield 10
+
+    with pytest.raises(AssertionError, match="time stands still at 5 us"):
+        swarm.run(main())

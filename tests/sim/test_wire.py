@@ -164,3 +164,25 @@ def test_the_same_seed_gives_the_same_wire() -> None:
 
     assert play(1) == play(1)
     assert play(1) != play(2)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_who_speaks_into_silence_is_not_waited_for_and_nothing_else_changes(seed: int) -> None:
+    """Arbitration ahead of its bit against one in its time, which a chance of errors asks for."""
+    rng, ahead, in_time = Random(seed), Wire(), Wire()
+    in_time.faults.error = 1e-300
+    now_us, told = 0, {id(ahead): list[Delivery](), id(in_time): list[Delivery]()}
+    for wire in (ahead, in_time):
+        for _ in range(4):
+            wire.attach()
+    for _ in range(300):
+        now_us += rng.choice((0, 0, 1, 2, 3, 4, 5, 200, 900))
+        node, sent = rng.randrange(4), frame(rng.randrange(1 << 29), rng.randrange(256))
+        for wire in (ahead, in_time):
+            told[id(wire)] += wire.advance(now_us)
+            wire.submit(node, sent, now_us)
+    for wire in (ahead, in_time):
+        told[id(wire)] += drain(wire)
+    assert told[id(ahead)] == told[id(in_time)], f"seed {seed}"
+    counts = [(w.frames, w.busy_us, w.worst_us, w.by_group) for w in (ahead, in_time)]
+    assert counts[0] == counts[1], f"seed {seed}"
