@@ -26,6 +26,7 @@ from protocol.frame import Frame
 from protocol.messages import Message
 from protocol.name import fleet_name
 from protocol.safety_frames import Challenge, Reason
+from sim.acquaintance import Acquaintance
 from sim.disk import MemoryJournal
 from sim.errand_setting import ErrandSetting
 from sim.fieldbus import FieldBus, forget, segment
@@ -126,6 +127,7 @@ class Cluster:
         faults = self.segment.wire.faults
         faults.loss, faults.error = bus.loss, bus.error_rate
         faults.omission, faults.duplicate = bus.omission, bus.duplicate
+        self.acquaintance = Acquaintance(self.segment.wire)
         self.robots: dict[int, Robot] = {}
         self.journals: dict[int, Journal] = {}
         self.boots: Counter[int] = Counter()
@@ -143,6 +145,8 @@ class Cluster:
 
     def boot(self, slot: int) -> Robot:
         """Power a robot up with what its journal remembers."""
+        self.look()
+        self.acquaintance.boots(slot)
         journal = self.journals.setdefault(slot, MemoryJournal())
         if self.on_power is not None:
             self.on_power(slot, True)
@@ -174,6 +178,7 @@ class Cluster:
 
     def kill(self, slot: int) -> None:
         """Power off, without a word. The body stays where it is and its commands expire."""
+        self.look()
         robot = self.robots[slot]
         if self.on_power is not None and robot.running:
             self.on_power(slot, False)
@@ -188,19 +193,29 @@ class Cluster:
     def press(self, slot: int, reason: Reason = Reason.PERSON_IN_FIELD) -> None:
         """A person presses the stop of that robot; from now on it is watched who obeys.
 
-        Where silence stops everybody, everybody must; else those that can hear of it.
+        Those that can hear of it must; where silence stops, whoever has met that robot, too.
         """
         if not self.is_up(slot):
             return
+        self.look()
         members = [r for r in self.running if r.peer.state is not State.DISCONNECTED]
-        if self.setting.silence is not SilencePolicy.STOP:
-            nodes = {robot.bus.node for robot in members}
-            hearers = reached(self.segment.wire, self.node_of(slot), nodes)
-            members = [robot for robot in members if robot.bus.node in hearers]
+        nodes = {robot.bus.node for robot in members}
+        hearers = reached(self.segment.wire, self.node_of(slot), nodes)
+        silence = self.setting.silence is SilencePolicy.STOP
+        members = [
+            robot for robot in members
+            if robot.bus.node in hearers or (silence and self.acquaintance.met(robot.slot, slot))
+        ]  # fmt: skip
         now_us = self.host.now_us()
         self.world.advance(now_us)
         self.stops.pressed(now_us, {slot, *(robot.slot for robot in members)})
         self.robots[slot].shell.operate(lambda p, now: p.press(reason, now))
+
+    def look(self) -> None:
+        """Before anything changes about links or about who is there."""
+        there = self.segment.wire.nodes  # an asyncio task that was cancelled runs on for a moment
+        nodes = {r.slot: r.bus.node for r in self.running if r.bus.node in there}
+        self.acquaintance.look(self.host.now_us(), nodes)
 
     def node_of(self, slot: int) -> int:
         return self.robots[slot].bus.node

@@ -61,6 +61,7 @@ class FaultPlan:
     def _carry_out(self, fault: kinds.Fault) -> Script[None] | None:
         now_us = self._now_us()
         cluster, wire = self.cluster, self.cluster.segment.wire
+        cluster.look()
         if not isinstance(fault, kinds.Join) and self._absent(fault):
             return None  # what is not there yet cannot break
         match fault:

@@ -43,6 +43,7 @@ ON_LINE_M = 0.2  # closer than this to a line is on it; who comes to another lin
 # What is left where a machine is dead in the end: units of 5 m that it may stand on (3 m of a way on
 # which it may have come to rest, and two bodies beside it), and half an implement.
 DEAD_M = 12.0
+UNNOTICED_M = 0.3  # two control periods at full speed
 TOUCH_M = 0.02  # deeper than this is a contact; bodies of robots are measured to a centimetre
 
 
@@ -64,6 +65,9 @@ class Play:
         self._cut_us = SETTLED_US  # until then, not everybody need be able to hear
         self._lost: dict[int, tuple[int, bytes]] = {}  # address: since when, by whom (its NAME)
         self._settled = False  # `RELEASED_S` are over
+        self._left = list[
+            tuple[float, float, float]
+        ]()  # x, y, radius (m) of where ground may be left
         self._excused: list[tuple[int, int]] = []  # robot and when: pushed, or a box before it
 
     def run(self) -> "Play":
@@ -129,8 +133,9 @@ class Play:
         match fault:
             case kinds.Estop(robot=robot):
                 self._at(at_us, partial(self._pressed, robot))
-            case kinds.Pushed(robot=robot):
+            case kinds.Pushed(robot=robot, dx_m=dx_m, dy_m=dy_m):
                 self._at(at_us, partial(self._excuse, (robot,)))
+                self._at(at_us, partial(self._shoved, robot, hypot(dx_m, dy_m)))
             case kinds.ClockJump(robot=robot):
                 self._at(at_us, partial(self.witness.words.leaps, robot))
             case kinds.Box():
@@ -156,7 +161,8 @@ class Play:
         if not cluster.is_up(slot) or faults.loss or faults.omission:
             return
         peer = cluster.robots[slot].peer
-        if now_us >= self._cut_us and self._one_bus and peer.address is not None:
+        beside = cluster.segment.wire.nodes[cluster.node_of(slot)].island == 0  # the tool's piece
+        if now_us >= self._cut_us and self._one_bus and beside and peer.address is not None:
             name = peer.identity.name.pack().to_bytes(8, "little")
             self._lost[peer.address] = now_us + LEFT_US, name
 
@@ -176,6 +182,14 @@ class Play:
     def _excuse(self, slots: tuple[int, ...]) -> None:
         now_us = self.cluster.host.now_us()
         self._excused += [(slot, now_us) for slot in slots]
+
+    def _shoved(self, slot: int, by_m: float) -> None:
+        """An implement that is down is moved past a strip of ground, by less than a robot on its way
+        could tell from its speed."""
+        bodies = not isinstance(self.cluster.world, Parade)
+        if bodies and by_m < UNNOTICED_M and self.cluster.is_up(slot):
+            reach_m = self.setting.field.implement_width_m / 2 + 2 * UNNOTICED_M
+            self._left.append((*self.cluster.world.body(slot).position, reach_m))
 
     def _pressed(self, slot: int) -> None:
         if not self.cluster.is_up(slot):
@@ -207,11 +221,12 @@ class Play:
         return beat_of(self.scenario.fleet.robots).silence_us + SLACK_US
 
     def _dies(self, slot: int) -> None:
-        """S6: where everybody heard everybody, all others must stand until it is back."""
+        """S6: where links are calm, all that have met it must stand until it is back."""
         cluster, now_us = self.cluster, self._now_us()
         calm = now_us - self._trouble_us > SETTLED_US
         if cluster.is_up(slot) and calm and self.scenario.fleet.silence == "stop":
-            others = [robot.slot for robot in cluster.running if robot.slot != slot]
+            met = cluster.acquaintance.met
+            others = [robot.slot for robot in cluster.running if met(robot.slot, slot)]
             watch = self.silence.press(now_us, self._bound_us, others)
             self._silences.setdefault(slot, []).append(watch)
         self._trouble_us = now_us
@@ -282,9 +297,7 @@ class Play:
                 f"long after the calm began robots still ask for what they lack: {dict(questions)}"
             )
             self._add("L1", end_s, what)
-        if not outcome.finished or not (
-            outcome.coverage >= 0.9999 or self._left_for_the_dead(world)
-        ):
+        if not outcome.finished or not (outcome.coverage >= 0.9999 or self._accounted_for(world)):
             what = f"finished: {outcome.finished}, coverage {outcome.coverage:.2%}"
             self._add("L5", end_s, what)
         else:
@@ -299,19 +312,23 @@ class Play:
         if untold:
             self._add("L5", world.now_us / 1e6, f"finished, and {untold} units were never told")
 
-    def _left_for_the_dead(self, world: World | Parade) -> bool:
-        """All that was not worked lies about machines that nobody has switched on again."""
-        slots = range(self.scenario.fleet.robots)
-        dead = [world.robots[s] for s in slots if not self.cluster.is_up(s)]
-        if not dead or isinstance(world, Parade):
+    def _accounted_for(self, world: World | Parade) -> bool:
+        """All that was not worked lies about machines that nobody has switched on again, or where
+        somebody has moved one a little."""
+        if isinstance(world, Parade):
+            return False
+        slots, left = range(self.scenario.fleet.robots), [*self._left]
+        for body in (world.robots[slot] for slot in slots if not self.cluster.is_up(slot)):
+            left.append((*body.position, DEAD_M))
+        if not left:
             return False
         field = self.setting.field
         raster = sample_points(field.polygon, field.implement_width_m, field.overlap_m)
         tracks = {slot: body.track for slot, body in world.robots.items()}
         missed = coverage(raster, tracks, field.implement_width_m).uncovered
-        places = [body.track.points[-1] for body in dead]
         return all(
-            any(hypot(x_m - at[1], y_m - at[2]) < DEAD_M for at in places) for x_m, y_m in missed
+            any(hypot(x_m - at_x_m, y_m - at_y_m) < reach_m for at_x_m, at_y_m, reach_m in left)
+            for x_m, y_m in missed
         )
 
     @property

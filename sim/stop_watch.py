@@ -79,7 +79,9 @@ def reached(wire: Wire, sender: int, nodes: Collection[int]) -> set[int]:
     while ask and wire.faults.loss < 1.0:
         node = ask.pop()
         for other in nodes:
-            cut = wire.nodes[node].island != wire.nodes[other].island
+            here, there = wire.nodes[node], wire.nodes[other]
+            off = here.off_until_us is not None or there.off_until_us is not None
+            cut = off or here.island != there.island
             if other not in found and not cut and (node, other) not in wire.faults.deaf:
                 found.add(other)
                 ask.append(other)

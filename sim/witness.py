@@ -7,6 +7,7 @@ from agent.effects import Drive, Effect, Send, Trace
 from agent.lifecycle import TABLE
 from protocol.fleet_frames import Pose
 from protocol.messages import Message
+from protocol.work_frames import WorkProgress
 from sim.trace import Recorder
 from sim.word_rules import Broken, WordRules
 
@@ -42,6 +43,9 @@ class Witness(Recorder):
                 told = self.told[slot]
                 if told and isinstance(told[-1], Pose) and told[-1].stopped == message.stopped:
                     return  # says nothing new of what must be remembered
+            elif isinstance(message, WorkProgress):
+                own = self.words.speakers[slot].own_progress[message.section, message.block]
+                message = message._replace(bits=message.bits & own)
             self.told[slot].append(message)
         elif isinstance(effect, Trace) and effect.machine == "lifecycle":
             if effect.event == "MANUAL_RESET":

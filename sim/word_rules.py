@@ -43,6 +43,9 @@ class Speaker:
         self.registers: dict[int, int] = {}  # of all sections that it has spoken of
         self.own: dict[int, int] = {}  # those that it wrote itself: they are on its disk
         self.progress: dict[tuple[int, int], int] = {}
+        # Units that nobody had told before: its own work, on its disk before it is told. Those of
+        # others are told again to whoever lacks them, and are on no disk of the teller.
+        self.own_progress: dict[tuple[int, int], int] = {}
         self.claimed_us: dict[int, int] = {}  # section: when it said that it wants it
         self.dots: set[StopDot] = set()  # every stop that it has pressed or echoed
         self.stopped = False
@@ -63,7 +66,9 @@ class WordRules:
         self.units: dict[tuple[int, int], int] = {}  # section and block: bits that anybody has told
         self.questions: Counter[int] = Counter()  # of each robot, for what it lacks
         self._votes: dict[tuple[int, int, int], int] = {}  # voter, election, term -> candidate
-        self._tally: Counter[tuple[int, int, int]] = Counter()  # election, term, candidate
+        self._voters: defaultdict[tuple[int, int, int], set[int]] = defaultdict(
+            set
+        )  # of an election, a term and a candidate
 
     # ---------------------------------------------------------------- what people do
 
@@ -93,14 +98,15 @@ class WordRules:
         """Memory kept. What it had from others, and has told again, was never written down."""
         speaker = self.speakers[slot]
         speaker.registers = dict(speaker.own)
-        mine = {place: b for place, b in speaker.progress.items() if place[0] in speaker.own}
-        speaker.progress = mine
+        speaker.progress = dict(speaker.own_progress)
 
     def forgets(self, slot: int) -> None:
         """Its memory is lost: from here it is another robot of the same slot."""
         self.speakers[slot] = Speaker()
         for key in [key for key in self._votes if key[0] == slot]:
             del self._votes[key]
+        for voters in self._voters.values():
+            voters.discard(slot)
 
     # ---------------------------------------------------------------- what robots say
 
@@ -131,7 +137,10 @@ class WordRules:
             if speaker.progress.get(place, 0) & ~message.bits:
                 self._add("S9", now_us, f"robot {slot} takes back units of S{message.section}")
             speaker.progress[place] = message.bits
-            self.units[place] = self.units.get(place, 0) | message.bits
+            known = self.units.get(place, 0)
+            own = speaker.own_progress.get(place, 0)
+            speaker.own_progress[place] = own | message.bits & ~known
+            self.units[place] = known | message.bits
         elif kind is StateSyncRequest:
             self.questions[slot] += 1
         elif isinstance(message, LeaderElectionVote):
@@ -182,12 +191,12 @@ class WordRules:
         before = self._votes.get(key)
         if before is None:
             self._votes[key] = vote.candidate
-            tally = vote.election, vote.term, vote.candidate
-            self._tally[tally] += 1
-            if self._tally[tally] * 2 > self.robots:
-                for (election, term, candidate), votes in self._tally.items():
-                    same = (election, term) == tally[:2] and candidate != vote.candidate
-                    if same and votes * 2 > self.robots:
+            cast = vote.election, vote.term, vote.candidate
+            self._voters[cast].add(slot)
+            if len(self._voters[cast]) * 2 > self.robots:
+                for (election, term, candidate), voters in self._voters.items():
+                    same = (election, term) == cast[:2] and candidate != vote.candidate
+                    if same and len(voters) * 2 > self.robots:
                         self._add("S16", now_us, f"two leaders in term {term}")
         elif before != vote.candidate:
             self._add("S16", now_us, f"robot {slot} votes twice in term {vote.term}")

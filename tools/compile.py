@@ -30,8 +30,8 @@ GROUP = {
     "election field_work fleet_stops fsm giving_way hearing joining leg letters lookout "
     "membership motion orca parking pause records right_of_way roll_call safety segment_peer "
     "self_check shell tracker voice working",
-    "sim": "bits body bus_tally checkers cluster disk fieldbus parade physics stop_watch swarm trace "
-    "truth wire witness word_rules world",
+    "sim": "acquaintance bits body bus_tally checkers cluster disk fieldbus parade physics stop_watch "
+    "swarm trace truth wire witness word_rules world",
 }  # fmt: skip
 
 

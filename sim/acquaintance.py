@@ -1,0 +1,52 @@
+"""Who has met whom: what must be known to say whom a silence stops.
+
+Under the policy that stops where a member is silent, a robot stands whose bus is cut from those that it
+has met. One that was switched on behind the cut has never heard of them: it works, as a fleet does of
+which a machine is still in the barn. Told by links alone, no robot is asked.
+"""
+
+from collections.abc import Mapping
+
+from agent.config import S
+from sim.wire import Wire
+
+MET_US = 3 * S  # an address (0.25 s, ten times as much where it is contested), and who is who
+
+
+class Acquaintance:
+    def __init__(self, wire: Wire) -> None:
+        self.wire = wire
+        self._looked_us = 0
+        self._together_us: dict[tuple[int, int], int] = {}  # hearer, speaker: for how long by now
+        self._met: set[tuple[int, int]] = set()
+
+    def boots(self, slot: int) -> None:
+        """A new life has met nobody; an earlier one may have been met."""
+        self._met = {pair for pair in self._met if pair[0] != slot}
+        for pair in self._together_us:
+            if slot in pair:
+                self._together_us[pair] = 0
+
+    def look(self, now_us: int, node_of: Mapping[int, int]) -> None:
+        """Called before anything changes: as the links are now, they were since the last look.
+
+        `node_of`: the nodes of the robots that are switched on.
+        """
+        passed_us, self._looked_us = now_us - self._looked_us, now_us
+        faults, nodes = self.wire.faults, self.wire.nodes
+        lossy = faults.loss > 0 or faults.omission > 0
+        for hearer, to in node_of.items():
+            for speaker, by in node_of.items():
+                if hearer == speaker:
+                    continue
+                cut = nodes[to].island != nodes[by].island or (by, to) in faults.deaf
+                off = nodes[to].off_until_us is not None or nodes[by].off_until_us is not None
+                pair = hearer, speaker
+                since_us = self._together_us.get(pair, 0)
+                self._together_us[pair] = 0 if lossy or cut or off else since_us + passed_us
+                if self._together_us[pair] >= MET_US:
+                    self._met.add(pair)
+
+    def met(self, hearer: int, speaker: int) -> bool:
+        """In this life of the hearer, since its power came."""
+        return (hearer, speaker) in self._met
