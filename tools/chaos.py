@@ -1,11 +1,12 @@
 """`headland chaos`: bad luck by the thousand, judged from outside; the first failure made small."""
 
+import itertools
 import json
 import os
 import sys
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from hashlib import sha256
 from pathlib import Path
@@ -29,6 +30,7 @@ from tools.fingerprint import fingerprint
 from tools.hunt import hunt_all
 
 FAILED, WRONG = 1, 2
+KEEP_S = 30.0  # between two writings of what was shown so far: all that is lost with a process
 
 
 def chaos(
@@ -47,28 +49,34 @@ def chaos(
     except (ValueError, OSError) as problem:
         print(f"headland: {problem}", file=sys.stderr)
         return WRONG
-    jobs, begun_s = jobs or os.cpu_count() or 1, _cpu_s()
+    jobs = jobs or os.cpu_count() or 1
     leave_standing()  # and the workers inherit it
     if mutants:
         rows = hunt_all(console, only, jobs, seconds, out, as_json, numbers.start)
         found = sum(row["found"] for row in rows)
         console.print(f"{found} of {len(rows)} planted bugs found")
         return 0 if found == len(rows) else FAILED
+
+    def keep(verdicts: list[Verdict], cpu_s: float) -> dict[str, Any]:
+        told = _report(verdicts, profile)
+        told |= {
+            "seeds": _played(verdicts),
+            "code": fingerprint(),
+            "cpu_s": round(cpu_s, 1),
+        }
+        _write(out, told)
+        return told
+
     try:
-        verdicts = _campaign(console, numbers, profile, jobs, seconds, cluster)
+        verdicts, cpu_s = _campaign(console, numbers, profile, jobs, seconds, cluster, keep)
     except ClusterError as problem:
         print(f"headland: {problem}", file=sys.stderr)
         return WRONG
-    told = _report(verdicts, profile)
-    told |= {
-        "seeds": _played(verdicts),
-        "code": fingerprint(),
-        "cpu_s": round(_cpu_s() - begun_s, 1),
-    }
+    told = keep(verdicts, cpu_s)
     failed = [verdict for verdict in verdicts if not verdict.ok]
     if failed:
         told["reproduction"] = _reproduce(console, failed[0], profile, out)
-    (out / "chaos.json").write_text(json.dumps(told, indent=1) + "\n")
+        _write(out, told)
     if as_json:
         print(json.dumps(told))
     else:
@@ -76,16 +84,23 @@ def chaos(
     return FAILED if failed else 0
 
 
+def _write(out: Path, told: dict[str, Any]) -> None:
+    """Whole or not at all."""
+    written = out / "chaos.json.new"
+    written.write_text(json.dumps(told, indent=1) + "\n")
+    written.replace(out / "chaos.json")
+
+
+def _in_a_row(verdicts: list[Verdict], first: int) -> list[Verdict]:
+    """From the first seed on, without the runs that were quicker than one before them."""
+    done = {verdict.seed: verdict for verdict in verdicts}
+    return [done[seed] for seed in itertools.takewhile(done.__contains__, itertools.count(first))]
+
+
 def _played(verdicts: list[Verdict]) -> tuple[int, int]:
     """Seeds are handed out in order: first, and one after the last."""
     seeds = [verdict.seed for verdict in verdicts]
     return min(seeds, default=0), max(seeds, default=-1) + 1
-
-
-def _cpu_s() -> float:
-    """Of this process and of its workers that have ended."""
-    times = os.times()
-    return times.user + times.system + times.children_user + times.children_system
 
 
 def tell_report(folder: Path) -> int:
@@ -134,12 +149,20 @@ def judged(seed: int, profile: str) -> Verdict:
         return judge(draw(seed, profile))
 
 
+def _timed(seed: int, profile: str) -> tuple[Verdict, float]:
+    """And the CPU seconds that it took."""
+    begun_s = time.process_time()
+    return judged(seed, profile), time.process_time() - begun_s
+
+
 def _campaign(
-    console: Console, seeds: range, profile: str, jobs: int, seconds: float | None, cluster: str
-) -> list[Verdict]:
-    """Verdicts in order of seeds; stops handing out work when the time is over."""
-    verdicts: list[Verdict] = []
-    end_s = time.monotonic() + (seconds if seconds is not None else float("inf"))
+    console: Console, seeds: range, profile: str, jobs: int, seconds: float | None, cluster: str,
+    keep: Callable[[list[Verdict], float], object],
+) -> tuple[list[Verdict], float]:  # fmt: skip
+    """Verdicts in order of seeds, and their CPU seconds; stops handing out work when the time is over."""
+    verdicts, cpu_s = list[Verdict](), 0.0
+    kept_s = time.monotonic()
+    end_s = kept_s + (seconds if seconds is not None else float("inf"))
     with (
         Progress(TextColumn("{task.description}"), TimeElapsedColumn(), console=console,
                  transient=True) as progress,
@@ -147,21 +170,27 @@ def _campaign(
     ):  # fmt: skip
         bar = progress.add_task("")
         todo: Iterator[int] = iter(seeds)
-        running: set[Future[Verdict]] = set()
+        running: set[Future[tuple[Verdict, float]]] = set()
         while True:
             while len(running) < room(jobs, cluster) and time.monotonic() < end_s:
                 seed = next(todo, None)
                 if seed is None:
                     break
-                running.add(pool.submit(judged, seed, profile))
+                running.add(pool.submit(_timed, seed, profile))
             if not running:
                 break
             done, running = wait(running, return_when=FIRST_COMPLETED)
-            verdicts += [future.result() for future in done]
+            for future in done:
+                verdict, spent_s = future.result()
+                verdicts.append(verdict)
+                cpu_s += spent_s
+            if time.monotonic() - kept_s > KEEP_S:
+                kept_s = time.monotonic()
+                keep(_in_a_row(verdicts, seeds.start), cpu_s)
             bad = sum(not verdict.ok for verdict in verdicts)
             text = f"{profile}: {len(verdicts)} of {len(seeds)} seeds, {bad} failed"
             progress.update(bar, description=text)
-    return sorted(verdicts, key=lambda verdict: verdict.seed)
+    return sorted(verdicts, key=lambda verdict: verdict.seed), cpu_s
 
 
 def campaign_hash(verdicts: list[Verdict]) -> str:

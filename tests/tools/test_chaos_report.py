@@ -5,7 +5,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from rich.console import Console
 
+from sim.verdict import Verdict
+from tools import chaos as campaign
 from tools.chaos import chaos
 from tools.chaos_report import ReportError, report
 from tools.fuzz import fuzz
@@ -38,8 +41,6 @@ def test_hours_are_not_counted_twice(tmp_path: Path) -> None:
 
 
 def test_a_hunt_goes_on_where_it_stopped(tmp_path: Path) -> None:
-    from rich.console import Console
-
     console, names = Console(quiet=True), ["latch-forgotten"]
     assert hunt_all(console, names, 1, 0.0, tmp_path, False)[0]["runs"] == 0
     (row,) = hunt_all(console, names, 1, 30.0, tmp_path, False)
@@ -47,3 +48,19 @@ def test_a_hunt_goes_on_where_it_stopped(tmp_path: Path) -> None:
     written = (tmp_path / RESULTS).read_text()
     assert hunt_all(console, names, 1, 30.0, tmp_path, False) == [row]
     assert (tmp_path / RESULTS).read_text() == written, "what was found is not looked for again"
+
+
+def test_what_was_shown_so_far_is_kept_in_a_row(tmp_path: Path, monkeypatch: Any) -> None:
+    """A campaign whose process dies loses what was not yet written, and seeds behind a gap are not
+    counted: the row says which were played."""
+    monkeypatch.setattr(campaign, "KEEP_S", -1.0)
+    kept = list[tuple[list[int], float]]()
+
+    def keep(verdicts: list[Verdict], cpu_s: float) -> None:
+        kept.append(([verdict.seed for verdict in verdicts], cpu_s))
+
+    seeds = range(3, 6)
+    verdicts, cpu_s = campaign._campaign(Console(quiet=True), seeds, "press", 2, None, "", keep)
+    assert [verdict.seed for verdict in verdicts] == [*seeds]
+    assert all(row == [*seeds][: len(row)] for row, _ in kept)
+    assert kept[-1] == ([*seeds], cpu_s) and cpu_s > 0.0
