@@ -15,14 +15,16 @@ from numpy.typing import NDArray
 
 from agent.config import S
 from agent.field import Field, Polyline
+from agent.giving_way import NEAR_M
+from agent.leg import LEAD_M
 from agent.lifecycle import State
 from agent.mission import FleetView
 
 Point = tuple[float, float]
 
-ROOM_M: Final = (
-    0.6  # between two hulls, beside a line that will be worked: ORCA's margin and tracking
-)
+# Between two hulls, beside a line that will be worked: a robot that nears its end, a lead beyond it, is
+# not to take one that rests there for one in its way.
+ROOM_M: Final = NEAR_M + LEAD_M
 APART_M: Final = 1.0  # between hulls of two that rest
 LOOK_US: Final = 1 * S  # open lines change with units, and a unit takes seconds
 NEAR_MAX: Final = 200  # places looked at, nearest first: a field has room near by or not at all
