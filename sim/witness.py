@@ -44,7 +44,8 @@ class Witness(Recorder):
                 if told and isinstance(told[-1], Pose) and told[-1].stopped == message.stopped:
                     return  # says nothing new of what must be remembered
             elif isinstance(message, WorkProgress):
-                own = self.words.speakers[slot].own_progress[message.section, message.block]
+                own_progress = self.words.speakers[slot].own_progress
+                own = own_progress.get((message.section, message.block), 0)
                 message = message._replace(bits=message.bits & own)
             self.told[slot].append(message)
         elif isinstance(effect, Trace) and effect.machine == "lifecycle":

@@ -43,8 +43,8 @@ class Speaker:
         self.registers: dict[int, int] = {}  # of all sections that it has spoken of
         self.own: dict[int, int] = {}  # those that it wrote itself: they are on its disk
         self.progress: dict[tuple[int, int], int] = {}
-        # Units that nobody had told before: its own work, on its disk before it is told. Those of
-        # others are told again to whoever lacks them, and are on no disk of the teller.
+        # Units of sections it has claimed that nobody had told before: its own work, on its disk before
+        # it is told. Those of others are told again to whoever lacks them, and are on no disk of its.
         self.own_progress: dict[tuple[int, int], int] = {}
         self.claimed_us: dict[int, int] = {}  # section: when it said that it wants it
         self.dots: set[StopDot] = set()  # every stop that it has pressed or echoed
@@ -138,8 +138,9 @@ class WordRules:
                 self._add("S9", now_us, f"robot {slot} takes back units of S{message.section}")
             speaker.progress[place] = message.bits
             known = self.units.get(place, 0)
-            own = speaker.own_progress.get(place, 0)
-            speaker.own_progress[place] = own | message.bits & ~known
+            if message.section in speaker.own:
+                own = speaker.own_progress.get(place, 0)
+                speaker.own_progress[place] = own | message.bits & ~known
             self.units[place] = known | message.bits
         elif kind is StateSyncRequest:
             self.questions[slot] += 1
