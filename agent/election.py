@@ -16,7 +16,10 @@ OPERATOR_GATEWAY = 1  # who speaks for the fleet to an operator
 PLAN_STREAMER = 2  # who streams a batch plan
 TERM_MAX = 0xFFFF  # u16 on the wire; at one term a second it lasts 18 hours without a restart
 SETTLE_US = 1 * S  # the live view stands still for so long before it is voted upon
-SPACING_US, SPACING_US_MAX = 500 * MS, 30 * S  # between two votes of one peer
+SPACING_US, SPACING_US_MAX = (
+    500 * MS,
+    8 * S,
+)  # between two votes of one peer, terms without a leader
 AGAIN_US = (
     10 * S
 )  # between two times that the same is said: 100 robots take 0.6 % of the bus for it
@@ -83,9 +86,12 @@ class Election:
     def speak(self, now_us: int) -> LeaderElectionVote | None:
         """The vote that goes with this beat. Terms without a leader are opened ever more slowly."""
         vote = self._vote_to_say
-        if vote is None and now_us >= self._again_us and self.slot in self.votes:
-            vote = self._own
-        elif vote is None or now_us < self._say_us:
+        if vote is None:
+            if now_us < self._again_us or self.slot not in self.votes:
+                return None
+            self._again_us, self._say_us = now_us + AGAIN_US, now_us + SPACING_US
+            return self._own
+        if now_us < self._say_us:
             return None
         self._vote_to_say, self._again_us = None, now_us + AGAIN_US
         if self.leader is not None:

@@ -1,6 +1,7 @@
 """Elections: one vote a term, the newest term counts, and who was away for a moment is told of it."""
 
-from agent.election import AGAIN_US, PATIENCE, SETTLE_US, Election
+from agent.config import MS
+from agent.election import AGAIN_US, PATIENCE, SETTLE_US, SPACING_US, Election
 from protocol.fleet_frames import LeaderElectionVote
 
 BOTH = frozenset({0, 1})
@@ -67,3 +68,16 @@ def test_who_has_lost_its_memory_does_not_wait_for_ever_to_be_told_of_a_term() -
         back.tick(BOTH, settling * SETTLE_US)
         said += [vote for vote in [back.speak(settling * SETTLE_US)] if vote is not None]
     assert said == [_vote(0, 0)]
+
+
+def test_what_is_said_again_keeps_no_new_vote_waiting() -> None:
+    """Found by `headland chaos`, profile protocol, seed 20094: who had said its vote again for long
+    without a leader kept its vote of a new term to itself for half a minute."""
+    alone = Election(1, 1, 0, term=2)
+    alone._say(alone.call(BOTH))
+    now_us = 0
+    for _ in range(20):
+        while alone.speak(now_us) is None:
+            now_us += 100 * MS
+    alone.heard(0, _vote(3, 0), BOTH)
+    assert alone.speak(now_us + SPACING_US) == _vote(3, 0)
