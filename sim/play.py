@@ -248,6 +248,7 @@ class Play:
         self._cut_us = max(self._cut_us, now_us + SETTLED_US)
         recalled = self.cluster.journals[slot].load()
         if not recalled:
+            self.cluster.stops.forgets(slot)
             self.witness.forget(slot)
             return
         self.witness.words.restarts(slot)

@@ -34,6 +34,7 @@ class StopWatch:
         self.checker = motions(world)
         self.bound_us = beat_of(robots).silence_us + REACTION_US
         self._stages: dict[int, dict[int, Stage]] = {}  # press -> slot -> what was done since
+        self._know: dict[int, set[int]] = {}  # press -> those that have kept their memory since
 
     @property
     def violations(self) -> list[Violation]:
@@ -43,6 +44,7 @@ class StopWatch:
         """A stop that all of these have to obey."""
         number = self.checker.press(now_us, self.bound_us, slots)
         self._stages[number] = dict.fromkeys(slots, Stage.PRESSED)
+        self._know[number] = set(slots)
 
     def ordered(self, order: object) -> None:
         """A frame that an operator sends."""
@@ -52,6 +54,15 @@ class StopWatch:
             self._advance(order.target, Stage.CLEARED)
         elif isinstance(order, OperatorCommand) and order.command == Command.START:
             self._advance(order.target, Stage.RESET)
+
+    def forgets(self, slot: int) -> None:
+        """Its memory is lost. Where that of all is, nobody can show an operator what to clear: who then
+        resets and starts a machine that stands because it remembers nothing releases it."""
+        for number, know in self._know.items():
+            know.discard(slot)
+            stages = self._stages.get(number, {})
+            for other, stage in [] if know else list(stages.items()):
+                stages[other] = max(stage, Stage.CLEARED)
 
     def carried(self, slot: int) -> None:
         """A person moves this robot by hand: it no longer stands because it was told to."""
