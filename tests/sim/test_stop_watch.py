@@ -2,12 +2,17 @@
 
 from collections.abc import Awaitable, Callable
 
+import pytest
+
+from agent.config import S
 from agent.effects import Drive
 from protocol.safety_frames import Command, EmergencyReset, OperatorCommand
 from sim.clock import elapse, run_virtual
 from sim.cluster import OPERATOR, Cluster
+from sim.parade import Parade
 from sim.scenario import load
 from sim.setting import Setting
+from sim.stop_watch import StopWatch
 
 Story = Callable[[Cluster], Awaitable[None]]
 
@@ -102,3 +107,18 @@ def test_a_robot_that_is_pushed_by_hand_is_excused() -> None:
         await elapse(1.0)
 
     assert play(story).stops.violations == []
+
+
+@pytest.mark.parametrize("forgetful", [(), (0,), (0, 1)])
+def test_a_stop_that_nobody_remembers_needs_no_clearing(forgetful: tuple[int, ...]) -> None:
+    """Found by `headland chaos`, profile protocol, seed 30179: S1 was asked for a stop of which no
+    memory was left, so that no operator could be shown what to clear."""
+    parade = Parade(2, 2)
+    watch = StopWatch(parade, 2)
+    watch.pressed(0, (0, 1))
+    for slot in forgetful:
+        watch.forgets(slot)
+    for command in (Command.MANUAL_RESET, Command.START):
+        watch.ordered(OperatorCommand(command, 255, OPERATOR))
+    parade.moved(1, 10 * S)
+    assert bool(watch.violations) is (len(forgetful) < 2)
