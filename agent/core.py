@@ -196,9 +196,7 @@ class Peer:
             if self.chart is not None:
                 due_us = sooner(due_us, self.chart.deadline_us)
             if self.lifecycle.state is IDLE and self.safety.may_move:
-                due_us = sooner(
-                    due_us, self.claims.deadline_us
-                )  # otherwise it waits for the others
+                due_us = sooner(due_us, self.claims.deadline_us)  # else it waits for the others
         return due_us
 
     def tick(self, now_us: int) -> Sequence[Effect]:
@@ -237,6 +235,7 @@ class Peer:
             self.joining.lost_address = False
         elif self.joining.joined and not was_joined:
             self.safety.clear_cause(Cause.ADDRESS_LOST, now_us)
+            self.membership.unbind(self.joining.address)  # whoever it was, now it is we
             self.sync.joined(now_us, self.beat.heartbeat_us)
             effects += self.roll_call.joined()
             effects += self.fire(Event.FLEET_JOINED, f"address {self.joining.address}")
@@ -257,7 +256,9 @@ class Peer:
 
     def press(self, reason: Reason, now_us: int) -> Sequence[Effect]:
         """Emergency stop at this machine."""
-        return [*self.safety.press(reason, now_us), *self.latch("pressed here")]
+        self.joining.hurry(now_us)
+        pressed = self.safety.press(reason, now_us, self.membership.free)
+        return [*pressed, *self.latch("pressed here")]
 
     def manual_reset(self, now_us: int) -> Sequence[Effect]:
         """A person at this machine. Refused while any stop is not cleared or a cause persists."""
@@ -390,9 +391,8 @@ class Peer:
         return self.fire(Event.EMERGENCY, why) if self.safety.latched else []
 
     def idle_if_free(self, why: str) -> list[Effect]:
-        if self.claims.current is None and self.lifecycle.state is WORKING:
-            return self.fire(Event.TASK_COMPLETE, why)
-        return []
+        done = self.claims.current is None and self.lifecycle.state is WORKING
+        return self.fire(Event.TASK_COMPLETE, why) if done else []
 
     def fire(self, event: Event, why: str) -> list[Effect]:
         source, target = self.lifecycle.fire(event)

@@ -183,6 +183,8 @@ class Hearing:
 
     def _stranger(self, source: int, now_us: int) -> Sequence[Effect]:
         self.peer.membership.strangers += 1
+        if source == self.peer.joining.address:
+            return self.peer.joining.violated(now_us)
         if self.peer.joining.joined:
             self.peer.roll_call.stranger(source, now_us)
         return ()
@@ -191,8 +193,8 @@ class Hearing:
         """A pose that the fast path in `Peer.hear` did not take: a stranger's, or a returning one's."""
         safety = self.peer.safety
         if slot is None:  # whoever it is, it has not heard what stops us
-            self._stranger(source, now_us)
-            return safety.tell_stops(now_us) if safety.latched and not m.stopped else ()
+            told = safety.tell_stops(now_us) if safety.latched and not m.stopped else ()
+            return [*self._stranger(source, now_us), *told]
         self.peer.membership.neighbours[slot] = Neighbour(m, now_us)
         return safety.beat(slot, m.stopped, now_us)
 
@@ -213,6 +215,8 @@ class Hearing:
 
     def _member(self, source: int, slot: int | None, m: Member, now_us: int) -> Sequence[Effect]:
         peer = self.peer
+        if source == peer.joining.address:  # whoever has to move says it again from its next one
+            return peer.joining.violated(now_us)
         if m.config_hash != peer.identity.field_hash:
             peer.safety.raise_cause(Cause.CONFIG_MISMATCH, now_us, f"address {source}")
             return [HALT]

@@ -59,9 +59,18 @@ class Joining:
             self.joined, self.lost_address = False, True
         return effects
 
+    def violated(self, now_us: int) -> Sequence[Effect]:
+        """Somebody else speaks from our address."""
+        return self._sends(self.machine.violated(now_us))
+
     def changed_hands(self, source: int, message: AddressClaimed) -> bool:
         """Another NAME than before claims this address."""
         return self.machine.names.get(source, message.name) != message.name
+
+    def hurry(self, now_us: int) -> None:
+        """There is a stop to say."""
+        if not self.away:
+            self.machine.hurry(now_us)
 
     def rejoin(self, now_us: int) -> None:
         self.joined = self.lost_address = self.away = False

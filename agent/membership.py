@@ -57,9 +57,15 @@ class Membership:
         self.heard(slot, now_us)
         return True
 
-    def unbind(self, source: int) -> None:
+    def unbind(self, source: int | None) -> None:
         """The address has changed hands: believe nothing from it until it says who it is."""
-        self.slot_of.pop(source, None)
+        if source is not None:
+            self.slot_of.pop(source, None)
+
+    @property
+    def free(self) -> list[int]:
+        """Members whose newest pose says that they do not stand stopped."""
+        return [slot for slot, seen in self.neighbours.items() if not seen.pose.stopped]
 
     def heard(self, slot: int, now_us: int) -> bool:
         """A sign of life. True when this changed the membership."""

@@ -5,7 +5,7 @@ one decides. The gate is the last function before `Drive`. What each cause means
 is declared in `agent/cause.py`; the bounds are in `docs/stopping.md`.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from enum import Enum
 from math import hypot
 
@@ -70,9 +70,9 @@ class Safety:
         self._stable_us = now_us
         self._echoes: dict[StopDot, set[int]] = {}
         self._own: dict[StopDot, int] = {}  # dots we repeat as their source -> repeats left
-        self._repeat_us = FOREVER
-        self._pressed_us, self._again = -STOP_SPACING_US, 0
-        self._answered_us = -ANSWER_SPACING_US
+        self._free: set[int] = set()  # at our press, or since: members that did not stand stopped
+        self._repeat_us, self._again = FOREVER, 0
+        self._pressed_us, self._answered_us = -STOP_SPACING_US, -ANSWER_SPACING_US
         self._recall(recalled)
 
     def _recall(self, recalled: Mapping[str, bytes]) -> None:
@@ -140,11 +140,12 @@ class Safety:
 
     # ---------------------------------------------------------------- stops
 
-    def press(self, reason: Reason, now_us: int) -> Sequence[Effect]:
-        """Emergency stop here: brake, send, then remember. Braking waits for nobody."""
+    def press(self, reason: Reason, now_us: int, free: Collection[int] = ()) -> Sequence[Effect]:
+        """Emergency stop here: brake, send, then remember. Braking waits for nobody. `free`: members that
+        do not stand stopped. Of these a beat that says so is an echo; others have to say the dot."""
         if now_us - self._pressed_us < STOP_SPACING_US:
             return [HALT]  # the same hand on the same button
-        self._again = AGAIN_MAX
+        self._again, self._free = AGAIN_MAX, set(free)
         return self._press(reason, now_us)
 
     def _press(self, reason: Reason, now_us: int) -> Sequence[Effect]:
@@ -227,12 +228,14 @@ class Safety:
         return [*self._remember(), Trace("safety", "", "CLEARED", "", f"dot {dot} by {who}")]
 
     def beat(self, slot: int, stopped: bool, now_us: int) -> Sequence[Effect]:
-        """A member's beat: its stopped bit is an echo of every stop; one without it has not heard."""
+        """A member's beat: who stands and did not before has heard of our press; who moves has not."""
         active = self.stops.latched
         if stopped:
-            for dot in self.stops.active if active else ():
+            for dot in self._own if slot in self._free else ():
                 self._echoes.setdefault(dot, set()).add(slot)
             return ()
+        if active:
+            self._free.add(slot)
         if self._own and self._again and now_us - self._pressed_us >= AGAIN_US:
             self._again -= 1
             return self._press(Reason.OPERATOR_INTERVENTION, now_us)

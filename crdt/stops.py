@@ -43,16 +43,9 @@ class DotSet(Generic[D]):
     def __init__(self) -> None:
         self._pressed: dict[D, None] = {}
         self._cleared: dict[D, None] = {}
-        self._active: set[D] = set()  # kept beside them: it is asked for in every control period
-
-    @property
-    def latched(self) -> bool:
-        return bool(self._active)
-
-    @property
-    def active(self) -> frozenset[D]:
-        """Pressed and not cleared."""
-        return frozenset(self._active)
+        # Pressed and not cleared. Kept beside them, as values: both are asked for with every frame.
+        self.active: frozenset[D] = frozenset()
+        self.latched = False
 
     @property
     def cleared(self) -> frozenset[D]:
@@ -63,7 +56,7 @@ class DotSet(Generic[D]):
         new = dot not in self._pressed and dot not in self._cleared
         self._pressed.setdefault(dot)
         if dot not in self._cleared:
-            self._active.add(dot)
+            self._activate(self.active | {dot})
         self._trim()
         return new
 
@@ -71,9 +64,12 @@ class DotSet(Generic[D]):
         """Join one clearance; True where it was new."""
         new = dot not in self._cleared
         self._cleared.setdefault(dot)
-        self._active.discard(dot)
+        self._activate(self.active - {dot})
         self._trim()
         return new
+
+    def _activate(self, dots: frozenset[D]) -> None:
+        self.active, self.latched = dots, bool(dots)
 
     def is_cleared(self, dot: D) -> bool:
         return dot in self._cleared

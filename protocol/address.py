@@ -25,6 +25,9 @@ CONTENTION_US = 250 * MS
 DELAY_STEP_US = 600  # RTxD = rand(0..255) * 0.6 ms
 DEFENCES_MAX = 5  # in a second: two devices with one NAME would answer each other for ever
 S = 1_000_000
+# Between two claims because somebody else speaks from our address: a driver that gives us our own frames
+# back must not make us claim with every one of them.
+VIOLATION_US = 5 * S
 
 
 class State(Enum):
@@ -53,6 +56,7 @@ class AddressClaim:
         self._next_us: int | None = None
         self._answer_us: int | None = None  # everybody was asked: our turn
         self._defences: list[int] = []
+        self._violated_us = now_us - VIOLATION_US
         self.restart(now_us)
 
     @property
@@ -71,6 +75,12 @@ class AddressClaim:
         """Power up, or back on the bus."""
         self.state, self._answer_us = State.WAITING, None
         self._next_us = now_us + self._rng.randrange(256) * DELAY_STEP_US
+
+    def hurry(self, now_us: int) -> None:
+        """Claim at once: a random delay may be none, and who waits to say a stop must not wait longer
+        than others take to notice its silence, which a claim puts off."""
+        if self.state is State.WAITING:
+            self._next_us = now_us
 
     def tick(self, now_us: int) -> list[Claiming]:
         claims: list[Claiming] = []
@@ -102,6 +112,14 @@ class AddressClaim:
             return self._defend(now_us)
         self.losses += 1
         return self._move(now_us)
+
+    def violated(self, now_us: int) -> list[Claiming]:
+        """Somebody else speaks from our address: two parts of a bus have come together, in which nobody
+        had reason to object. A claim makes one of us move (ISO 11783-5, address violation)."""
+        if self.state is not State.HELD or now_us - self._violated_us < VIOLATION_US:
+            return []
+        self._violated_us = now_us
+        return [Claiming(AddressClaimed(self.number), self.candidate)]
 
     def asked(self, everybody: bool, now_us: int) -> list[Claiming]:
         """A request for address claimed. Where all were asked, each answers after its own random

@@ -83,7 +83,8 @@ class StopFleet:
         self._run(at_us)
         errors = self.wire.errors
         presser = self.rng.randrange(len(self.safeties))
-        self._effects(presser, self.safeties[presser].press(Reason.PERSON_IN_FIELD, at_us))
+        free = frozenset(range(len(self.safeties))) - {presser}
+        self._effects(presser, self.safeties[presser].press(Reason.PERSON_IN_FIELD, at_us, free))
         end_us = at_us + LIMIT_US
         while len(self.stood_us) < len(self.safeties) and self.now_us < end_us:
             self._step(end_us)

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from agent.cause import Cause, Clears, Severity
-from agent.config import STOP_REPEAT_US, S
+from agent.config import MS, STOP_REPEAT_US, S
 from agent.core import Peer
 from agent.effects import HALT, Drive, Effect, Send
 from agent.fsm import Machine, matrix, to_mermaid
@@ -23,7 +23,7 @@ from agent.mission import Choice, FleetView, Wish
 from agent.motion import Limits, Motion
 from agent.ports import Observation
 from agent.safety import CREEP_M_S, REPEATS_ALONE, SilencePolicy
-from protocol.fleet_frames import Pose
+from protocol.fleet_frames import Member, Pose
 from protocol.name import fleet_name
 from protocol.safety_frames import EmergencyReset, EmergencyStop, Reason
 
@@ -309,3 +309,18 @@ def test_a_stranger_that_does_not_stand_is_told_of_the_stop() -> None:
     assert (told.slot, told.echo) == (0, True)
     assert not stops_of(peer.hear(140, moving, S + 1)), "not at once again"
     assert not stops_of(peer.hear(140, moving._replace(stopped=True), 2 * S))
+
+
+@pytest.mark.parametrize("stood", [False, True])
+def test_who_stood_before_a_press_has_to_say_that_stop(stood: bool) -> None:
+    """Found by `headland chaos`, profile protocol, seed 203087: the only other robot stood already, had
+    not heard the stop, and passed for one that had; then the one that was pressed lost its memory."""
+    peer = peer_in(State.IDLE, None)
+    peer.hear(140, Member(1, 0, 1), 0)
+    pose = Pose(0.0, 0.0, 0.0, 0.0, State.EMERGENCY_STOP, True, 0)
+    peer.hear(140, pose._replace(stopped=stood), 0)
+    (stop,) = stops_of(peer.press(Reason.PERSON_IN_FIELD, 0))
+    peer.hear(140, pose, MS)
+    assert bool(stops_of(peer.safety.tick(STOP_REPEAT_US))) is stood
+    peer.hear(140, stop._replace(echo=True), STOP_REPEAT_US)
+    assert not stops_of(peer.safety.tick(2 * STOP_REPEAT_US))

@@ -5,7 +5,16 @@ from random import Random
 
 import pytest
 
-from protocol.address import DEFENCES_MAX, FIRST, LAST, AddressClaim, Claiming, State
+from protocol.address import (
+    CONTENTION_US,
+    DEFENCES_MAX,
+    FIRST,
+    LAST,
+    VIOLATION_US,
+    AddressClaim,
+    Claiming,
+    State,
+)
 from protocol.identifier import NULL_ADDRESS
 from protocol.name import Name, fleet_name
 
@@ -110,3 +119,42 @@ def test_everybody_asked_at_once_answers_once_each_and_spread() -> None:
     due = {m.deadline_us for m in bus.machines}
     bus.run(2 * S)
     assert bus.frames - before == 50 and len(due) > 30
+
+
+@pytest.mark.parametrize("who", [0, 1])
+def test_two_holders_that_come_together_are_told_apart(who: int) -> None:
+    """Found by `headland chaos`, profile protocol, seed 100523: each had claimed 140 in its own part of a
+    cut bus, and nobody claimed again when the parts were one."""
+    parts = [Bus(1), Bus(2)]
+    low, high = (part.add(fleet_name("f", 1 + k), 140) for k, part in enumerate(parts))
+    for part in parts:
+        part.run(S)
+    assert low.address == high.address == 140
+    bus = Bus()
+    bus.now_us, bus.machines = S, [low, high]
+    bus.put(who, bus.machines[who].violated(bus.now_us))  # it hears the other's beat
+    bus.run(2 * S)
+    assert low.address == 140 and high.address == 141
+
+
+def test_a_driver_that_gives_back_our_own_frames_makes_us_claim_seldom() -> None:
+    bus = Bus()
+    machine = bus.add(fleet_name("f", 1), 140)
+    assert not machine.violated(0)  # nothing is ours yet
+    bus.run(S)
+    beats_us = range(S, S + 2 * VIOLATION_US, 50_000)
+    assert sum(len(machine.violated(t_us)) for t_us in beats_us) == 2
+
+
+def test_who_is_in_a_hurry_claims_at_once() -> None:
+    """Found by `headland chaos`, profile protocol, seed 54067: pressed while it waited to claim, it said
+    so later than others would have noticed its silence, had its claim not been a sign of life."""
+    bus = Bus(5)
+    machine = bus.add(fleet_name("f", 1), 140)
+    assert machine.deadline_us and machine.deadline_us > 0
+    machine.hurry(0)
+    assert machine.deadline_us == 0
+    bus.run(CONTENTION_US)
+    assert machine.address == 140
+    machine.hurry(CONTENTION_US)
+    assert machine.address == 140
