@@ -19,10 +19,19 @@ class Acquaintance:
         self._looked_us = 0
         self._together_us: dict[tuple[int, int], int] = {}  # hearer, speaker: for how long by now
         self._met: set[tuple[int, int]] = set()
+        self._hangs_until_us: dict[int, int] = {}
+
+    def hangs(self, slot: int, until_us: int) -> None:
+        """Until then it says nothing, and hears it all at once in the end."""
+        self._hangs_until_us[slot] = max(until_us, self._hangs_until_us.get(slot, 0))
+
+    def is_hung(self, slot: int, now_us: int) -> bool:
+        return now_us < self._hangs_until_us.get(slot, 0)
 
     def boots(self, slot: int) -> None:
         """A new life has met nobody; an earlier one may have been met."""
         self._met = {pair for pair in self._met if pair[0] != slot}
+        self._hangs_until_us.pop(slot, None)
         for pair in self._together_us:
             if slot in pair:
                 self._together_us[pair] = 0
@@ -33,7 +42,7 @@ class Acquaintance:
         `node_of`: the nodes of the robots that are switched on.
         """
         passed_us, self._looked_us = now_us - self._looked_us, now_us
-        faults, nodes = self.wire.faults, self.wire.nodes
+        faults, nodes, hangs = self.wire.faults, self.wire.nodes, self._hangs_until_us
         lossy = faults.loss > 0 or faults.omission > 0
         for hearer, to in node_of.items():
             for speaker, by in node_of.items():
@@ -42,8 +51,11 @@ class Acquaintance:
                 cut = nodes[to].island != nodes[by].island or (by, to) in faults.deaf
                 off = nodes[to].off_until_us is not None or nodes[by].off_until_us is not None
                 pair = hearer, speaker
-                since_us = self._together_us.get(pair, 0)
-                self._together_us[pair] = 0 if lossy or cut or off else since_us + passed_us
+                together_us = self._together_us.get(pair, 0) + passed_us
+                hung_us = max(hangs.get(hearer, 0), hangs.get(speaker, 0))
+                if hung_us > now_us - passed_us:
+                    together_us = max(0, now_us - hung_us)
+                self._together_us[pair] = 0 if lossy or cut or off else together_us
                 if self._together_us[pair] >= MET_US:
                     self._met.add(pair)
 

@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from shapely.geometry import MultiPolygon, Polygon
 
-from agent.config import S
+from agent.config import ACTUATOR_TTL_US, S
 from sim.coverage_truth import Coverage, coverage, sample_points
 from sim.line_truth import NEVER_US, SAMPLE_M, LineTruth, Polyline
 from sim.truth import Track
@@ -80,6 +80,13 @@ class _Watch(NamedTuple):
     still_us: int  # from here on no body may move
 
 
+def lapse_us(lapsed_us: int | None, silent_us: int) -> int:
+    """How much later than `silent_us` the last command of who has died or hung before ends."""
+    if lapsed_us is None or lapsed_us >= silent_us:
+        return 0
+    return max(0, lapsed_us + ACTUATOR_TTL_US - silent_us)
+
+
 class MotionAfterStopChecker:
     """S1: between a stop's bound and its release, nobody is told to move and nobody moves.
 
@@ -91,6 +98,7 @@ class MotionAfterStopChecker:
         self.world = world
         self.violations: list[Violation] = []
         self._watches: dict[int, _Watch] = {}
+        self._lapsed_us: dict[int, int] = {}
         self._pressed = 0
         world.guards.append(self)
 
@@ -117,13 +125,20 @@ class MotionAfterStopChecker:
             self._watches[number] = watch._replace(slots=watch.slots - frozenset(slots))
         self.world.guard()
 
+    def lapses(self, slot: int, now_us: int) -> None:
+        """It has died or hangs: what it said last holds until it expires in the actuator."""
+        self._lapsed_us[slot] = now_us
+        self.world.guard()
+
     def limits(self) -> dict[int, tuple[float, float]]:
         """Of those who must stand, see `sim.world.Guard`."""
         limits: dict[int, tuple[float, float]] = {}
         for watch in self._watches.values():
             for slot in watch.slots:
                 silent_us, still_us = limits.get(slot, (inf, inf))
-                limits[slot] = min(silent_us, watch.silent_us), min(still_us, watch.still_us)
+                late_us = lapse_us(self._lapsed_us.get(slot), watch.silent_us)
+                silent_us = min(silent_us, watch.silent_us + late_us)
+                limits[slot] = silent_us, min(still_us, watch.still_us + late_us)
         return limits
 
     def look(self, world: World) -> None:

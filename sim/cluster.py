@@ -120,7 +120,7 @@ class Cluster:
         self.host: Host = self._loop_host if host is None else host
         self.scenario: Scenario = setting.scenario
         self.world = setting.world()
-        self.stops = StopWatch(self.world, self.scenario.fleet.robots)
+        self.stops = StopWatch(self.world, self.scenario.fleet.robots, self._up)
         bus, seed = self.scenario.bus, self.scenario.run.seed
         clock = host if isinstance(host, Swarm) else None
         self.segment = segment(channel, bitrate=bus.bitrate, seed=seed, clock=clock)
@@ -147,6 +147,7 @@ class Cluster:
         """Power a robot up with what its journal remembers."""
         self.look()
         self.acquaintance.boots(slot)
+        self.stops.boots(slot)
         journal = self.journals.setdefault(slot, MemoryJournal())
         if self.on_power is not None:
             self.on_power(slot, True)
@@ -186,6 +187,15 @@ class Cluster:
             robot.task.cancel()
         robot.shell.bus.close()
 
+    def _up(self) -> set[int]:
+        return {robot.slot for robot in self.running}
+
+    def freeze(self, slot: int, for_s: float) -> None:
+        """Its process does nothing for a while."""
+        self.look()
+        self.robots[slot].shell.freeze(for_s)
+        self.acquaintance.hangs(slot, self.host.now_us() + round(for_s * 1e6))
+
     def is_up(self, slot: int) -> bool:
         """Switched on; the buttons of a dead machine do nothing."""
         return slot in self.robots and self.robots[slot].running
@@ -193,14 +203,16 @@ class Cluster:
     def press(self, slot: int, reason: Reason = Reason.PERSON_IN_FIELD) -> None:
         """A person presses the stop of that robot; from now on it is watched who obeys.
 
-        Those that can hear of it must; where silence stops, whoever has met that robot, too.
+        Those that can hear of it must; where silence stops, whoever has met that robot, too. One that
+        hangs says nothing to anybody, or once.
         """
         if not self.is_up(slot):
             return
         self.look()
         members = [r for r in self.running if r.peer.state is not State.DISCONNECTED]
         nodes = {robot.bus.node for robot in members}
-        hearers = reached(self.segment.wire, self.node_of(slot), nodes)
+        hangs = self.acquaintance.is_hung(slot, self.host.now_us())
+        hearers = set() if hangs else reached(self.segment.wire, self.node_of(slot), nodes)
         silence = self.setting.silence is SilencePolicy.STOP
         members = [
             robot for robot in members
@@ -208,7 +220,8 @@ class Cluster:
         ]  # fmt: skip
         now_us = self.host.now_us()
         self.world.advance(now_us)
-        self.stops.pressed(now_us, {slot, *(robot.slot for robot in members)})
+        unheard = {robot.slot for robot in members if robot.bus.node not in hearers} - {slot}
+        self.stops.pressed(now_us, {slot, *(robot.slot for robot in members)}, unheard)
         self.robots[slot].shell.operate(lambda p, now: p.press(reason, now))
 
     def look(self) -> None:

@@ -80,7 +80,7 @@ class FaultPlan:
             case kinds.Join(robot=robot) if not cluster.is_up(robot):
                 cluster.boot(robot)
             case kinds.Freeze(robot=robot, for_s=for_s):
-                cluster.robots[robot].shell.freeze(for_s)
+                cluster.freeze(robot, for_s)
             case kinds.Loss(rate=rate):
                 wire.faults.loss = rate
             case kinds.Omission(rate=rate):

@@ -16,7 +16,7 @@ from agent.motion import Limits, Motion
 from agent.ports import NOTHING_SEEN, Observation
 from crdt import Phase
 from sim.body import RobotBody
-from sim.checkers import VIOLATIONS_MAX, Violation
+from sim.checkers import VIOLATIONS_MAX, Violation, lapse_us
 from sim.drill import SPACING_M, SPEED_M_S
 from sim.truth import Contact
 from sim.vehicle import Chassis
@@ -46,6 +46,7 @@ class CommandChecker:
     def __init__(self) -> None:
         self.violations: list[Violation] = []
         self._watches: dict[int, Watch] = {}
+        self._lapsed_us: dict[int, int] = {}
         self._pressed = 0
 
     def press(self, t_us: int, bound_us: int, slots: Collection[int]) -> int:
@@ -60,10 +61,17 @@ class CommandChecker:
         if slots is not None and watch.slots - frozenset(slots):
             self._watches[number] = watch._replace(slots=watch.slots - frozenset(slots))
 
+    def lapses(self, slot: int, now_us: int) -> None:
+        """It has died or hangs: what it said last holds until it expires in the actuator."""
+        self._lapsed_us[slot] = now_us
+
     def moved(self, slot: int, until_us: int) -> None:
         """A command to move was in force until then."""
         for watch in self._watches.values():
             if until_us > watch.silent_us and slot in watch.slots:
+                late_us = lapse_us(self._lapsed_us.get(slot), watch.silent_us)
+                if until_us <= watch.silent_us + late_us:
+                    continue
                 if len(self.violations) < VIOLATIONS_MAX:
                     self.violations.append(
                         Violation("S1", until_us, (slot,), "told to move after a stop")

@@ -63,7 +63,7 @@ class Play:
         self._silences: dict[int, list[int]] = {}  # dead robot -> watches of those who must stand
         self._trouble_us = 0  # the newest trouble of a link or of a member
         self._cut_us = SETTLED_US  # until then, not everybody need be able to hear
-        self._lost: dict[int, tuple[int, bytes]] = {}  # address: since when, by whom (its NAME)
+        self._lost: dict[int, tuple[int, bytes, int]] = {}  # address: since when, NAME, slot
         self._settled = False  # `RELEASED_S` are over
         self._left = list[
             tuple[float, float, float]
@@ -108,7 +108,6 @@ class Play:
             cluster.world.counts = self._all_told
         self.silence, self.delivery = motions(cluster.world), motions(cluster.world)
         cluster.on_power = self._power
-        cluster.segment.taps.append(self._overheard)
         words, now_us = self.witness.words, cluster.host.now_us
         cluster.on_order = lambda message: words.ordered(message, now_us())
         for fault in self.scenario.fault:
@@ -133,6 +132,8 @@ class Play:
         match fault:
             case kinds.Estop(robot=robot):
                 self._at(at_us, partial(self._pressed, robot))
+            case kinds.Freeze(robot=robot):
+                self._at(at_us, partial(self._lapses, robot))
             case kinds.Pushed(robot=robot, dx_m=dx_m, dy_m=dy_m):
                 self._at(at_us, partial(self._excuse, (robot,)))
                 self._at(at_us, partial(self._shoved, robot, hypot(dx_m, dy_m)))
@@ -164,14 +165,20 @@ class Play:
         beside = cluster.segment.wire.nodes[cluster.node_of(slot)].island == 0  # the tool's piece
         if now_us >= self._cut_us and self._one_bus and beside and peer.address is not None:
             name = peer.identity.name.pack().to_bytes(8, "little")
-            self._lost[peer.address] = now_us + LEFT_US, name
+            self._lost[peer.address] = now_us + LEFT_US, name, slot
+            self._overhear()
+
+    def _overhear(self) -> None:
+        """Listen to the bus, as long as there is a lost address to listen for."""
+        taps = [tap for tap in self.cluster.segment.taps if tap != self._overheard]
+        self.cluster.segment.taps = [*taps, *([self._overheard] if self._lost else [])]
 
     def _overheard(self, t_us: int, frame: Frame) -> None:
         """Every frame on the bus."""
         address = frame.identifier & 0xFF
         if address not in self._lost:
             return
-        since_us, name = self._lost[address]
+        since_us, name, _ = self._lost[address]
         if frame.identifier >> 16 & 0xFF == CLAIM_PF:
             if frame.data == name or t_us >= since_us:  # claimed again, by who may not know of it
                 del self._lost[address]
@@ -230,6 +237,12 @@ class Play:
             watch = self.silence.press(now_us, self._bound_us, others)
             self._silences.setdefault(slot, []).append(watch)
         self._trouble_us = now_us
+        self._lapses(slot)
+
+    def _lapses(self, slot: int) -> None:
+        if self.cluster.is_up(slot):
+            for checker in (self.cluster.stops.checker, self.silence, self.delivery):
+                checker.lapses(slot, self.cluster.host.now_us())
 
     def _heard_of(self, slot: int) -> None:
         """It is back, or nobody can say any longer who hears whom."""
@@ -242,6 +255,7 @@ class Play:
             self._dies(slot)
             return
         now_us = self._now_us()
+        self._lost = {address: lost for address, lost in self._lost.items() if lost[2] != slot}
         for dead in list(self._silences):  # who boots has never heard the dead ones
             self._heard_of(dead)
         self._trouble_us = now_us

@@ -4,7 +4,7 @@ A stop binds a robot until three things were done about it, in this order: an op
 reset that machine, and gave it a start. What a robot believes about any of this plays no part.
 """
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from enum import IntEnum
 
 from agent.config import MS, beat_of
@@ -30,45 +30,70 @@ class Stage(IntEnum):
 
 
 class StopWatch:
-    def __init__(self, world: World, robots: int) -> None:
+    def __init__(
+        self, world: World, robots: int, up: Callable[[], Collection[int]] | None = None
+    ) -> None:
+        """`up`: the robots that are switched on; all of them, where nothing is given."""
         self.checker = motions(world)
+        self._up = up if up is not None else lambda: range(robots)
         self.bound_us = beat_of(robots).silence_us + REACTION_US
         self._stages: dict[int, dict[int, Stage]] = {}  # press -> slot -> what was done since
-        self._know: dict[int, set[int]] = {}  # press -> those that have kept their memory since
+        self._know: dict[int, set[int]] = {}  # press -> who heard it and has kept its memory since
+        self._unheard: dict[int, frozenset[int]] = {}  # press -> those that have not heard it
 
     @property
     def violations(self) -> list[Violation]:
         return self.checker.violations
 
-    def pressed(self, now_us: int, slots: Collection[int]) -> None:
-        """A stop that all of these have to obey."""
+    def pressed(self, now_us: int, slots: Collection[int], unheard: Collection[int] = ()) -> None:
+        """A stop that all of these have to obey; `unheard`: some of them only because who was pressed
+        is silent to them."""
         number = self.checker.press(now_us, self.bound_us, slots)
         self._stages[number] = dict.fromkeys(slots, Stage.PRESSED)
-        self._know[number] = set(slots)
+        self._know[number] = set(slots) - set(unheard)
+        self._unheard[number] = frozenset(unheard)
 
     def ordered(self, order: object) -> None:
         """A frame that an operator sends."""
         if isinstance(order, EmergencyReset):
             self._advance(EVERYBODY, Stage.PRESSED)
         elif isinstance(order, OperatorCommand) and order.command == Command.MANUAL_RESET:
+            self._unremembered()
             self._advance(order.target, Stage.CLEARED)
         elif isinstance(order, OperatorCommand) and order.command == Command.START:
             self._advance(order.target, Stage.RESET)
 
     def forgets(self, slot: int) -> None:
-        """Its memory is lost. Where that of all is, nobody can show an operator what to clear: who then
-        resets and starts a machine that stands because it remembers nothing releases it."""
+        """Its memory is lost. Where that of all who heard is, nobody can show an operator what to clear:
+        who then resets and starts a machine that stands because it remembers nothing releases it; and
+        who stood because of a silence is free when that is over."""
         for number, know in self._know.items():
             know.discard(slot)
-            stages = self._stages.get(number, {})
-            for other, stage in [] if know else list(stages.items()):
-                stages[other] = max(stage, Stage.CLEARED)
+            for other in [] if know else self._unheard[number]:
+                self._free(number, other)
+
+    def _unremembered(self) -> None:
+        """A stop that only machines remember that are switched off is shown to no operator either. Who
+        boots with it in its memory tells it, and all stand again."""
+        up = set(self._up())
+        for number, stages in self._stages.items():
+            for slot, stage in [] if self._know[number] & up else list(stages.items()):
+                stages[slot] = max(stage, Stage.CLEARED)
+
+    def boots(self, slot: int) -> None:
+        """A new life has met nobody whose silence could stop it."""
+        for number, unheard in self._unheard.items():
+            if slot in unheard:
+                self._free(number, slot)
 
     def carried(self, slot: int) -> None:
         """A person moves this robot by hand: it no longer stands because it was told to."""
-        for number, stages in list(self._stages.items()):
-            if stages.pop(slot, None) is not None:
-                self.checker.release(number, (slot,))
+        for number in list(self._stages):
+            self._free(number, slot)
+
+    def _free(self, number: int, slot: int) -> None:
+        if self._stages.get(number, {}).pop(slot, None) is not None:
+            self.checker.release(number, (slot,))
 
     def _advance(self, target: int, at: Stage) -> None:
         for number, stages in list(self._stages.items()):

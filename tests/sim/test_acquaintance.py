@@ -45,3 +45,17 @@ def test_what_is_lost_or_heard_one_way_only_is_no_meeting() -> None:
     wire.faults.loss = 0.1
     known.look(20 * S, nodes)
     assert not known.met(1, 0)
+
+
+def test_one_that_hangs_meets_nobody_meanwhile() -> None:
+    """Found by `headland chaos`, profile protocol, seed 602014: S1 was asked of a robot that was
+    switched on while the one that was pressed hung."""
+    wire = Wire()
+    nodes = {slot: wire.attach() for slot in range(2)}
+    known = Acquaintance(wire)
+    known.hangs(0, 8 * S)
+    assert known.is_hung(0, 5 * S) and not known.is_hung(0, 8 * S)
+    known.look(8 * S + MET_US - 1, nodes)
+    assert not known.met(1, 0) and not known.met(0, 1)
+    known.look(8 * S + MET_US, nodes)
+    assert known.met(1, 0)

@@ -4,7 +4,7 @@ from collections.abc import Awaitable, Callable
 
 import pytest
 
-from agent.config import S
+from agent.config import MS, S
 from agent.effects import Drive
 from protocol.safety_frames import Command, EmergencyReset, OperatorCommand
 from sim.clock import elapse, run_virtual
@@ -122,3 +122,50 @@ def test_a_stop_that_nobody_remembers_needs_no_clearing(forgetful: tuple[int, ..
         watch.ordered(OperatorCommand(command, 255, OPERATOR))
     parade.moved(1, 10 * S)
     assert bool(watch.violations) is (len(forgetful) < 2)
+
+
+@pytest.mark.parametrize("memory", ["lost", "boots", "kept"])
+def test_who_has_not_heard_a_stop_is_held_by_a_silence_alone(memory: str) -> None:
+    """Found by `headland chaos`, profile protocol, seeds 100335 (who was pressed lost its memory), 52125
+    (who had not heard it was switched on anew): S1 asked for what nobody could know."""
+    parade = Parade(2, 2)
+    watch = StopWatch(parade, 2)
+    watch.pressed(0, (0, 1), unheard=(1,))
+    if memory == "lost":
+        watch.forgets(0)
+    elif memory == "boots":
+        watch.boots(1)
+    parade.moved(1, 10 * S)
+    assert bool(watch.violations) is (memory == "kept")
+    parade.moved(0, 10 * S)
+    assert watch.violations[-1].slots == (0,)
+
+
+@pytest.mark.parametrize("up", [{0, 1}, {1}])
+def test_a_stop_that_only_a_dead_machine_remembers_is_shown_to_nobody(up: set[int]) -> None:
+    """Found by `headland chaos`, profile protocol, seed 602173: S1 asked for the clearing of a stop that
+    was on the disk of a machine without power."""
+    parade = Parade(2, 2)
+    watch = StopWatch(parade, 2, lambda: up)
+    watch.pressed(0, (0, 1))
+    watch.forgets(1)
+    for command in (Command.MANUAL_RESET, Command.START):
+        watch.ordered(OperatorCommand(command, 1, OPERATOR))
+    parade.moved(1, 10 * S)
+    assert bool(watch.violations) is (0 in up)
+
+
+@pytest.mark.parametrize(("dies_ms", "until_ms", "broken"), [
+    (None, 420, True), (310, 410, False), (310, 411, True), (330, 421, True), (10, 321, True),
+])  # fmt: skip
+def test_what_a_dead_robot_said_last_expires_in_its_actuator(
+    dies_ms: int | None, until_ms: int, broken: bool
+) -> None:
+    """Found by `headland chaos`, profile crash, seeds 6022 and 6172: one that died just before it would
+    have noticed a silence drove for a tenth of a second more."""
+    checker = Parade(1, 1).checker()
+    checker.press(0, 320 * MS, [0])
+    if dies_ms is not None:
+        checker.lapses(0, dies_ms * MS)
+    checker.moved(0, until_ms * MS)
+    assert bool(checker.violations) is broken
