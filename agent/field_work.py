@@ -6,19 +6,19 @@ and never further from the line than the overlap allows; what was missed is work
 """
 
 from collections.abc import Mapping
-from math import cos, hypot, inf, sin
+from math import hypot, inf
 from typing import Final
 
-from agent.allocator import Job, Point, shares
+from agent.allocator import Point
+from agent.bar import Bar
 from agent.blockage import BLOCKED_M, Blockage
-from agent.config import LEASE_US
+from agent.choosing import Choosing
 from agent.field import Field, Section
-from agent.leg import LEAD_M, STRAIGHT_M, SWUNG_M, Leads, Leg, working_leg
+from agent.leg import LEAD_M, SEAM_M, STRAIGHT_M, SWUNG_M, Leads, Leg, working_leg
 from agent.mission import STILL, Choice, FleetView, Wish
 from agent.parking import Parking
 from agent.route import Route
 from agent.tracker import Tracker
-from crdt import Phase
 
 ASTRAY_M: Final = (
     4.0  # further from its line than a swath is wide, a robot does not just drive back to it
@@ -43,7 +43,7 @@ class FieldWork:
         self.field, self.route, self.radius_m = field, route, radius_m
         self.speed_m_s, self.deceleration_m_s2 = speed_m_s, deceleration_m_s2
         self.tolerance_m = field.tracking_tolerance_m
-        self.reserved: dict[int, list[int]] = {}  # silent member -> its sections, in its order
+        self.choosing = Choosing(field, speed_m_s)
         self.section: Section | None = None
         self.legs: list[Leg] = []
         self.tracker: Tracker | None = None
@@ -52,12 +52,12 @@ class FieldWork:
         self.worst_m = 0.0  # largest cross-track error inside the current unit
         self.lifted = False  # the implement was up since we last looked
         self.lifted_to_m = 0.0  # along the leg, until where it was
+        self.bar = Bar(field.implement_width_m)
+        self._tool_on = False  # as we wished last
         self.worked: set[int] = set()  # units of the current section done since it was begun
         self.heading_to: int | Point | None = None  # section or place an approach path leads to
         self.parking = Parking(field, radius_m)
         self.blockage = Blockage(route, radius_m, deceleration_m_s2, self.beside_m)
-        self._plan: dict[int, list[Job]] = {}
-        self._none_free = -1  # changes of the allocation when nothing was free
 
     @property
     def section_units(self) -> Mapping[int, int]:
@@ -72,52 +72,7 @@ class FieldWork:
     # ---------------------------------------------------------------- choosing
 
     def choose(self, view: FleetView) -> Choice | None:
-        self._reserve(view)
-        taken = {s for sections in self.reserved.values() for s in sections}
-        free = [j for j in self._jobs(view) if j.section not in taken]
-        if free:
-            self._plan = shares(free, self._anchors(view), self.speed_m_s)
-            mine = self._plan.get(view.slot)
-            if not mine:  # more robots than sections are left
-                return None
-            end = self._own_end(view)
-            return self._bid(
-                view, min(mine, key=lambda job: min(_distance(e, end) for e in job.ends))
-            )
-        return self._orphan(view)
-
-    def _jobs(self, view: FleetView) -> list[Job]:
-        if self._none_free == view.allocation.changes:
-            return []
-        jobs = []
-        for section in self.field.sections:
-            if view.allocation.phase_of(section.id) is Phase.FREE:
-                left = 1.0 - view.progress.covered(section.id) / section.units
-                work_s = section.length_m * left / self.speed_m_s
-                jobs.append(Job(section.id, work_s, section.ends))
-        if not jobs:
-            self._none_free = view.allocation.changes
-        return jobs
-
-    def _anchors(self, view: FleetView) -> dict[int, Point]:
-        """Where each live member will be free: the end of what it works, or where it stands."""
-        anchors: dict[int, Point] = {view.slot: self._own_end(view)}
-        for slot in sorted(view.live - {view.slot}):
-            neighbour = view.neighbours.get(slot)
-            owned = view.allocation.assigned_sections(slot)
-            if neighbour is None:
-                continue
-            pose = neighbour.pose
-            anchors[slot] = (pose.x_m, pose.y_m)
-            if owned:  # it will end where its course leads
-                course = (cos(pose.course_rad), sin(pose.course_rad))
-                anchors[slot] = max(
-                    self.field.section(owned[-1]).ends,
-                    key=lambda end: (
-                        (end[0] - pose.x_m) * course[0] + (end[1] - pose.y_m) * course[1]
-                    ),
-                )
-        return anchors
+        return self.choosing.choose(view, self._own_end(view))
 
     def _own_end(self, view: FleetView) -> Point:
         if self.legs:
@@ -125,38 +80,6 @@ class FieldWork:
         if self.tracker is not None:
             return self.tracker.points[-1]
         return view.here.x_m, view.here.y_m
-
-    def _reserve(self, view: FleetView) -> None:
-        """Keep a silent member's run for it; forget reservations of those that are back."""
-        silent = view.silent_since_us
-        for slot in [s for s in self.reserved if s not in silent]:
-            del self.reserved[slot]
-        for slot in silent:
-            if slot not in self.reserved:
-                self.reserved[slot] = [job.section for job in self._plan.get(slot, [])]
-
-    def _orphan(self, view: FleetView) -> Choice | None:
-        """Nothing is left but what silent members own or were going to do."""
-        for slot in sorted(view.silent_since_us, key=lambda s: view.silent_since_us[s]):
-            if view.now_us - view.silent_since_us[slot] < LEASE_US:
-                continue
-            for section in reversed(self.reserved.get(slot, [])):
-                if view.allocation.phase_of(section) is Phase.FREE:
-                    return self._bid(view, self._job(view, section))
-            for section in sorted(view.allocation.assigned_sections(slot), reverse=True):
-                return self._bid(view, self._job(view, section))._replace(takeover=True)
-        return None
-
-    def _job(self, view: FleetView, section: int) -> Job:
-        return Job(section, 0.0, self.field.section(section).ends)
-
-    def _bid(self, view: FleetView, job: Job) -> Choice:
-        """The private cost: metres to the nearer end, in 31 steps of a geometric scale."""
-        way_m = min(hypot(x - view.here.x_m, y - view.here.y_m) for x, y in job.ends)
-        bid = 0
-        while bid < 31 and way_m > 1.25**bid:
-            bid += 1
-        return Choice(job.section, bid)
 
     # ---------------------------------------------------------------- working
 
@@ -267,18 +190,27 @@ class FieldWork:
         return self.blockage.units(self.section, things_too=view.leave_out or not last)
 
     def _drive(self, view: FleetView) -> tuple[Wish, list[int]]:
-        here = view.here
+        here, at = view.here, (view.here.x_m, view.here.y_m)
         covered: list[int] = []
+        if self.bar.leaps(at, view.now_us, self.speed_m_s):
+            self.interrupted()
+        was_down, self._tool_on = self._tool_on, False
         while True:
             if self.tracker is None:
                 if not self.legs:
                     return STILL, covered
                 self.leg = self.legs.pop(0)
+                lead_m = LEAD_M if self.leg.units else 0.0
                 self.tracker = Tracker(
-                    list(self.leg.points), self.speed_m_s, self.deceleration_m_s2
+                    list(self.leg.points), self.speed_m_s, self.deceleration_m_s2, lead_m
                 )
-                self.unit, self.worst_m, self.lifted_to_m = 0, 0.0, 0.0
+                self.unit, self.worst_m, was_down = 0, 0.0, False
             self.tracker.locate(here.x_m, here.y_m)
+            if was_down and not self.lifted:
+                self.bar.draw(at, self.tracker.along_m, self.tracker.course)
+            else:
+                self.bar.lower(at)
+            self.lifted, self.lifted_to_m = False, self.bar.down_from_m
             covered += self._passed(view)
             if not self.tracker.arrived:
                 break
@@ -289,7 +221,7 @@ class FieldWork:
         vx_m_s, vy_m_s = self.tracker.velocity(here.x_m, here.y_m)
         # Not sooner: before the leg's beginning it may be another robot's section.
         on_line = self.tracker.gap_m <= LEAD_M
-        tool_on = bool(self.leg.units) and on_line
+        self._tool_on = tool_on = bool(self.leg.units) and on_line
         return _wish(
             Wish, (vx_m_s, vy_m_s, 0.0, tool_on, (), False, False, False, False, -1)
         ), covered
@@ -312,7 +244,7 @@ class FieldWork:
         piece_m = (self.tracker.total_m - 2 * LEAD_M) / len(self.leg.units)
         while self.unit < len(self.leg.units):
             end_m = LEAD_M + (self.unit + 1) * piece_m
-            if self.tracker.along_m < end_m + (SWUNG_M if self._is_corner(end_m) else 0.0):
+            if self.tracker.along_m < end_m + self._behind_m(end_m):
                 break
             begun_m = LEAD_M + self.unit * piece_m
             if self.worst_m <= self.tolerance_m and self._down_since(begun_m):
@@ -321,11 +253,18 @@ class FieldWork:
             self.worst_m = abs(self.tracker.off_m)
         return passed
 
+    def _behind_m(self, end_m: float) -> float:
+        """So far behind a unit's end all of the bar has passed it; who goes on passes the rest later."""
+        if self._is_corner(end_m):
+            return SWUNG_M
+        last = self.unit == len(self.leg.units) - 1
+        return self.bar.slant_m + SEAM_M if last and self.turns_on_the_spot else 0.0
+
     def _down_since(self, begun_m: float) -> bool:
         """The implement is down since before this place; at a corner, since before it was turned."""
         if self.unit == 0 and self._is_corner(begun_m):
             return self.lifted_to_m < begun_m - STRAIGHT_M
-        return self.lifted_to_m <= begun_m
+        return self.lifted_to_m <= begun_m + (SEAM_M if self.unit == 0 else 0.0)
 
     def _is_corner(self, at_m: float) -> bool:
         assert self.tracker is not None

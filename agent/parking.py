@@ -2,7 +2,8 @@
 
 Running away from whoever comes near ends in a corner, and a robot in a corner blocks the row that
 leads into it for good. So it leaves in time, for the nearest place with room on every side: the middle
-of a unit that is done and lies next to no open one.
+of a unit that is done and lies next to no open one. And it leaves where one that works stands beside it
+and does not get on: that one may have nowhere to go but past it.
 """
 
 import itertools
@@ -15,7 +16,8 @@ from numpy.typing import NDArray
 
 from agent.config import S
 from agent.field import Field, Polyline
-from agent.giving_way import NEAR_M
+from agent.giving_way import APART_M as PAST_M
+from agent.giving_way import GOT_ON_M, NEAR_M
 from agent.leg import LEAD_M
 from agent.lifecycle import State
 from agent.mission import FleetView
@@ -26,6 +28,9 @@ Point = tuple[float, float]
 # not to take one that rests there for one in its way.
 ROOM_M: Final = NEAR_M + LEAD_M
 APART_M: Final = 1.0  # between hulls of two that rest
+STUCK_US: Final = (
+    5 * S
+)  # who works has found no way round us by then (`agent/giving_way.py`: 1.5 s)
 LOOK_US: Final = 1 * S  # open lines change with units, and a unit takes seconds
 NEAR_MAX: Final = 200  # places looked at, nearest first: a field has room near by or not at all
 SAMPLE_M: Final = 1.0  # of open lines
@@ -36,6 +41,9 @@ class Parking:
         self.field, self.radius_m = field, radius_m
         self.spot: Point | None = None  # where to go; none: stay
         self._looked_us: int | None = None
+        self._beside: dict[
+            int, tuple[float, float, int]
+        ] = {}  # who works near us: where, since when
 
     @property
     def room_m(self) -> float:
@@ -49,6 +57,7 @@ class Parking:
         self._looked_us = view.now_us
         open_lines = _samples(self._units(view, done=False))
         here = (view.here.x_m, view.here.y_m)
+        self._watch(view)
         if self.spot is not None and self._free(self.spot, open_lines, view):
             return
         self.spot = None
@@ -58,6 +67,18 @@ class Parking:
     def forget(self) -> None:
         """There is work: the next rest looks again."""
         self.spot, self._looked_us = None, None
+        self._beside.clear()
+
+    def _watch(self, view: FleetView) -> None:
+        near_m, seen = 2 * self.radius_m + NEAR_M, dict[int, tuple[float, float, int]]()
+        for slot, (pose, _) in view.neighbours.items():
+            gap_m = hypot(pose.x_m - view.here.x_m, pose.y_m - view.here.y_m)
+            if pose.state != State.WORKING or gap_m > near_m:
+                continue
+            x_m, y_m, since_us = self._beside.get(slot, (pose.x_m, pose.y_m, view.now_us))
+            got_on = hypot(pose.x_m - x_m, pose.y_m - y_m) > GOT_ON_M
+            seen[slot] = (pose.x_m, pose.y_m, view.now_us) if got_on else (x_m, y_m, since_us)
+        self._beside = seen
 
     def _units(self, view: FleetView, done: bool) -> Iterable[Polyline]:
         for section in self.field.sections:
@@ -66,9 +87,13 @@ class Parking:
                     yield line
 
     def _free(self, at: Point, open_lines: NDArray[np.float64], view: FleetView) -> bool:
-        """Room to every open line, and nobody else that rests here."""
+        """Room to every open line, nobody else that rests here, and nobody whom we keep from work."""
         if _gap_m(at, open_lines) < self.room_m:
             return False
+        for x_m, y_m, since_us in self._beside.values():
+            stuck = view.now_us - since_us >= STUCK_US
+            if stuck and hypot(at[0] - x_m, at[1] - y_m) < 2 * self.radius_m + PAST_M:
+                return False
         here_m = hypot(at[0] - view.here.x_m, at[1] - view.here.y_m)
         apart_m = 2 * self.radius_m + APART_M
         for slot, neighbour in view.neighbours.items():

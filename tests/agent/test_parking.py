@@ -8,7 +8,7 @@ from shapely.geometry import Point as Spot
 from agent.lifecycle import State
 from agent.membership import Neighbour
 from agent.mission import FleetView
-from agent.parking import Parking
+from agent.parking import LOOK_US, STUCK_US, Parking
 from agent.ports import Observation
 from agent.swaths import divide
 from crdt import FieldAllocationCRDT, Progress
@@ -73,3 +73,22 @@ def test_without_open_work_nobody_moves() -> None:
     parking = Parking(FIELD, RADIUS_M)
     parking.look(view((-18.9, -12.9), set(), {}))
     assert parking.spot is None
+
+
+def test_who_rests_leaves_where_one_that_works_does_not_get_on() -> None:
+    """Found by `headland chaos`, profile stop, seed 6045: a robot rested, far from every open line, where
+    another had no way out of a corner but past it."""
+    corner, rests, open_sections = (-19.38, -13.46), (-18.6, -11.89), {8}
+    parking = Parking(FIELD, RADIUS_M)
+    seen = view(rests, open_sections, {2: (*corner, State.WORKING)})
+    for now_us in range(0, STUCK_US, LOOK_US):
+        parking.look(seen._replace(now_us=now_us))
+        assert parking.spot is None, "it may only be passing"
+    parking.look(seen._replace(now_us=STUCK_US))
+    assert parking.spot is not None
+    assert hypot(parking.spot[0] - corner[0], parking.spot[1] - corner[1]) > 5.0
+    moved = view(rests, open_sections, {2: (corner[0] + 2.0, corner[1], State.WORKING)})
+    other = Parking(FIELD, RADIUS_M)
+    for now_us, look in ((0, seen), (LOOK_US, moved), (STUCK_US, moved)):
+        other.look(look._replace(now_us=now_us))
+    assert other.spot is None, "it gets on"
