@@ -2,8 +2,8 @@
 
 Running away from whoever comes near ends in a corner, and a robot in a corner blocks the row that
 leads into it for good. So it leaves in time, for the nearest place with room on every side: the middle
-of a unit that is done and lies next to no open one. And it leaves where one that works stands beside it
-and does not get on: that one may have nowhere to go but past it.
+of a unit that is done and lies next to no open one. And it leaves where one that works is beside it and
+does not get on: that one may have nowhere to go but past it.
 """
 
 import itertools
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from agent.config import S
 from agent.field import Field, Polyline
 from agent.giving_way import APART_M as PAST_M
-from agent.giving_way import GOT_ON_M, NEAR_M
+from agent.giving_way import NEAR_M
 from agent.leg import LEAD_M
 from agent.lifecycle import State
 from agent.mission import FleetView
@@ -28,9 +28,8 @@ Point = tuple[float, float]
 # not to take one that rests there for one in its way.
 ROOM_M: Final = NEAR_M + LEAD_M
 APART_M: Final = 1.0  # between hulls of two that rest
-STUCK_US: Final = (
-    5 * S
-)  # who works has found no way round us by then (`agent/giving_way.py`: 1.5 s)
+STUCK_US: Final = 10 * S  # who works has found no way round us by then: two detours
+STRAY_M: Final = 4.0  # who goes to and fro within this does not get on: a detour is as long
 LOOK_US: Final = 1 * S  # open lines change with units, and a unit takes seconds
 NEAR_MAX: Final = 200  # places looked at, nearest first: a field has room near by or not at all
 SAMPLE_M: Final = 1.0  # of open lines
@@ -70,13 +69,13 @@ class Parking:
         self._beside.clear()
 
     def _watch(self, view: FleetView) -> None:
-        near_m, seen = 2 * self.radius_m + NEAR_M, dict[int, tuple[float, float, int]]()
+        near_m, seen = 2 * self.radius_m + PAST_M, dict[int, tuple[float, float, int]]()
         for slot, (pose, _) in view.neighbours.items():
             gap_m = hypot(pose.x_m - view.here.x_m, pose.y_m - view.here.y_m)
             if pose.state != State.WORKING or gap_m > near_m:
                 continue
             x_m, y_m, since_us = self._beside.get(slot, (pose.x_m, pose.y_m, view.now_us))
-            got_on = hypot(pose.x_m - x_m, pose.y_m - y_m) > GOT_ON_M
+            got_on = hypot(pose.x_m - x_m, pose.y_m - y_m) > STRAY_M
             seen[slot] = (pose.x_m, pose.y_m, view.now_us) if got_on else (x_m, y_m, since_us)
         self._beside = seen
 

@@ -62,7 +62,10 @@ class Safety:
         self.slot, self.incarnation = slot, incarnation & 0xFF
         self.policy, self.authority = policy, Authority(slot, keyring)
         self.stops, self.far = StopSet(), FarStopSet()
-        self.counter = int.from_bytes(recalled.get(COUNTER_KEY, b""), "little")
+        began = bytes(
+            (incarnation >> 8 & 0xFF,)
+        )  # a stop says the low byte of an incarnation alone
+        self.counter = int.from_bytes(recalled.get(COUNTER_KEY, began), "little")
         self._causes: dict[Cause, str] = {Cause.NOT_STARTED: "boot"}
         self._expires_us: dict[Cause, int] = {}
         self._live: frozenset[int] = frozenset({slot})
@@ -71,8 +74,8 @@ class Safety:
         self._echoes: dict[StopDot, set[int]] = {}
         self._own: dict[StopDot, int] = {}  # dots we repeat as their source -> repeats left
         self._free: set[int] = set()  # at our press, or since: members that did not stand stopped
-        self._repeat_us, self._again = FOREVER, 0
-        self._pressed_us, self._answered_us = -STOP_SPACING_US, -ANSWER_SPACING_US
+        self._repeat_us, self._again, self._pressed_us = FOREVER, 0, -STOP_SPACING_US
+        self._answered_us = -ANSWER_SPACING_US
         self._recall(recalled)
 
     def _recall(self, recalled: Mapping[str, bytes]) -> None:
@@ -204,18 +207,17 @@ class Safety:
         """A reset that holds in all segments, believed."""
         if not self.far.clear(dot):
             return ()
-        cleared = Trace("safety", "", "CLEARED", "", f"{dot}")
-        return [Persist(FAR_KEY, self.far.serialize()), self.remember_hold(), cleared]
+        remembered = [Persist(FAR_KEY, self.far.serialize()), self.remember_hold()]
+        return [*remembered, Trace("safety", "", "CLEARED", "", f"{dot}")]
 
     def press_near(self, dot: StopDot, now_us: int) -> Sequence[Effect]:
         """A stop of this segment that we have missed, told from elsewhere and believed."""
         if not self.stops.press(dot):
             return ()
         self._causes[Cause.STOP_DOT] = f"{dot.slot}.{dot.incarnation}.{dot.counter}"
-        echo = Send(self._stop(dot, Reason.OPERATOR_INTERVENTION, echo=True))
         return [
             HALT,
-            echo,
+            Send(self._stop(dot, Reason.OPERATOR_INTERVENTION, echo=True)),
             *self._remember(),
             Trace("safety", "", "HEARD_STOP", "LATCHED", f"{dot}"),
         ]
@@ -393,8 +395,5 @@ class Safety:
         return self.authority.sign(message)
 
     def _remember(self) -> list[Effect]:
-        return [
-            Persist(STOPS_KEY, self.stops.serialize()),
-            Persist(COUNTER_KEY, self.counter.to_bytes(4, "little")),
-            self.remember_hold(),
-        ]
+        stops, counter = self.stops.serialize(), self.counter.to_bytes(4, "little")
+        return [Persist(STOPS_KEY, stops), Persist(COUNTER_KEY, counter), self.remember_hold()]

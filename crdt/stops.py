@@ -126,7 +126,7 @@ class StopSet(DotSet[StopDot]):
     entry, kind = ENTRY, StopDot
 
     def unused(self, slot: int, incarnation: int, counter: int) -> tuple[StopDot, int]:
-        """The next dot after `counter` of presses that is not cleared, and the counter then.
+        """The next dot after `counter` that nobody has pressed or cleared, and the counter then.
 
         After 256 cleared presses the dots of the next incarnations are taken: as many as are ever
         remembered are fewer than there are.
@@ -135,7 +135,7 @@ class StopSet(DotSet[StopDot]):
             for _ in range(256):
                 counter += 1
                 dot = StopDot(slot, incarnation + ahead & 0xFF, counter & 0xFF)
-                if not self.is_cleared(dot):
+                if not (self.is_cleared(dot) or dot in self._pressed):
                     return dot, counter
         raise AssertionError("more dots are remembered than may be")
 

@@ -22,7 +22,7 @@ from agent.lifecycle import TABLE, Event, State
 from agent.mission import Choice, FleetView, Wish
 from agent.motion import Limits, Motion
 from agent.ports import Observation
-from agent.safety import CREEP_M_S, REPEATS_ALONE, SilencePolicy
+from agent.safety import CREEP_M_S, REPEATS_ALONE, Safety, SilencePolicy
 from protocol.fleet_frames import Member, Pose
 from protocol.name import fleet_name
 from protocol.safety_frames import EmergencyReset, EmergencyStop, Reason
@@ -324,3 +324,14 @@ def test_who_stood_before_a_press_has_to_say_that_stop(stood: bool) -> None:
     assert bool(stops_of(peer.safety.tick(STOP_REPEAT_US))) is stood
     peer.hear(140, stop._replace(echo=True), STOP_REPEAT_US)
     assert not stops_of(peer.safety.tick(2 * STOP_REPEAT_US))
+
+
+def test_a_life_without_memory_names_its_stops_anew() -> None:
+    """Found by `headland chaos`, profile protocol, seed 806733: the new incarnation, 39681, had the low
+    byte of the first, which is all that a stop says of it."""
+    names = set()
+    for incarnation in (1, 39681, 39682):
+        safety = Safety(0, incarnation, SilencePolicy.STOP, None, {}, 0)
+        (stop,) = stops_of(safety.press(Reason.PERSON_IN_FIELD, 0))
+        names.add((stop.incarnation, stop.counter))
+    assert len(names) == 3

@@ -87,7 +87,7 @@ def test_who_rests_leaves_where_one_that_works_does_not_get_on() -> None:
     parking.look(seen._replace(now_us=STUCK_US))
     assert parking.spot is not None
     assert hypot(parking.spot[0] - corner[0], parking.spot[1] - corner[1]) > 5.0
-    moved = view(rests, open_sections, {2: (corner[0] + 2.0, corner[1], State.WORKING)})
+    moved = view(rests, open_sections, {2: (corner[0] + 4.5, corner[1], State.WORKING)})
     other = Parking(FIELD, RADIUS_M)
     for now_us, look in ((0, seen), (LOOK_US, moved), (STUCK_US, moved)):
         other.look(look._replace(now_us=now_us))
