@@ -6,7 +6,10 @@ What happened is judged from the frames on the wire and from the world, not from
 from collections import defaultdict
 
 import pytest
+from shapely.geometry import LineString, Point
 
+from agent.config import S
+from agent.field import Polyline
 from crdt import Phase
 from protocol.codec import decode_once
 from protocol.frame import Frame
@@ -19,6 +22,7 @@ from sim.setting import Setting
 
 CUT_S, HEAL_S, END_S = 30.0, 80.0, 600.0
 ISLANDS = ([0, 1], [2, 3])
+BODY_M = 5.0  # three metres of coasting, and two bodies
 
 
 class Watch:
@@ -61,6 +65,17 @@ async def play(setting: Setting, watch: Watch) -> Cluster:
     return cluster
 
 
+def seemed_to_stand_on(cluster: Cluster, line: Polyline) -> bool:
+    """A robot was last heard so near that the other side took its body to stand there: such a unit is
+    left, and nobody comes back for it (`agent/blockage.py`)."""
+    return any(
+        LineString(line).distance(Point(x_m, y_m)) < BODY_M
+        for body in cluster.world.robots.values()
+        for t_us, x_m, y_m, _ in body.track
+        if abs(t_us / S - CUT_S) < 0.5
+    )
+
+
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_cut_and_heal(seed: int) -> None:
     setting, watch = Setting(split(seed)), Watch()
@@ -91,6 +106,9 @@ def test_cut_and_heal(seed: int) -> None:
         again = [t_s for t_s, _ in finishes if t_s > settled_s]
         assert len(again) <= 1, f"S{section} was finished twice after the heal; {replay}"
 
-    units = {s.id: s.units for s in setting.field.sections}
-    assert all(replicas[0].progress.covered(s) == n for s, n in units.items()), replay
+    for part in setting.field.sections:
+        for unit, line in enumerate(part.unit_lines):
+            covered = replicas[0].progress.has(part.id, unit)
+            where = f"S{part.id}, unit {unit}; {replay}"
+            assert covered or seemed_to_stand_on(cluster, line), where
     assert not cluster.world.contacts, f"{cluster.world.contacts}; {replay}"
