@@ -10,14 +10,14 @@ from math import hypot, inf
 from typing import Final
 
 from agent.allocator import Point
-from agent.bar import Bar
 from agent.blockage import BLOCKED_M, Blockage
 from agent.choosing import Choosing
 from agent.field import Field, Section
-from agent.leg import LEAD_M, SEAM_M, STRAIGHT_M, SWUNG_M, Leads, Leg, working_leg
+from agent.leg import LEAD_M, STRAIGHT_M, SWUNG_M, Leads, Leg, working_leg
 from agent.mission import STILL, Choice, FleetView, Wish
 from agent.parking import Parking
 from agent.route import Route
+from agent.shove import Shove
 from agent.tracker import Tracker
 
 ASTRAY_M: Final = (
@@ -52,8 +52,7 @@ class FieldWork:
         self.worst_m = 0.0  # largest cross-track error inside the current unit
         self.lifted = False  # the implement was up since we last looked
         self.lifted_to_m = 0.0  # along the leg, until where it was
-        self.bar = Bar(field.implement_width_m)
-        self._tool_on = False  # as we wished last
+        self.shove = Shove()
         self.worked: set[int] = set()  # units of the current section done since it was begun
         self.heading_to: int | Point | None = None  # section or place an approach path leads to
         self.parking = Parking(field, radius_m)
@@ -190,27 +189,20 @@ class FieldWork:
         return self.blockage.units(self.section, things_too=view.leave_out or not last)
 
     def _drive(self, view: FleetView) -> tuple[Wish, list[int]]:
-        here, at = view.here, (view.here.x_m, view.here.y_m)
+        here = view.here
         covered: list[int] = []
-        if self.bar.leaps(at, view.now_us, self.speed_m_s):
+        if self.shove.noticed((here.x_m, here.y_m), view.now_us, self.speed_m_s):
             self.interrupted()
-        was_down, self._tool_on = self._tool_on, False
         while True:
             if self.tracker is None:
                 if not self.legs:
                     return STILL, covered
                 self.leg = self.legs.pop(0)
-                lead_m = LEAD_M if self.leg.units else 0.0
                 self.tracker = Tracker(
-                    list(self.leg.points), self.speed_m_s, self.deceleration_m_s2, lead_m
+                    list(self.leg.points), self.speed_m_s, self.deceleration_m_s2
                 )
-                self.unit, self.worst_m, was_down = 0, 0.0, False
+                self.unit, self.worst_m, self.lifted_to_m = 0, 0.0, 0.0
             self.tracker.locate(here.x_m, here.y_m)
-            if was_down and not self.lifted:
-                self.bar.draw(at, self.tracker.along_m, self.tracker.course)
-            else:
-                self.bar.lower(at)
-            self.lifted, self.lifted_to_m = False, self.bar.down_from_m
             covered += self._passed(view)
             if not self.tracker.arrived:
                 break
@@ -221,7 +213,7 @@ class FieldWork:
         vx_m_s, vy_m_s = self.tracker.velocity(here.x_m, here.y_m)
         # Not sooner: before the leg's beginning it may be another robot's section.
         on_line = self.tracker.gap_m <= LEAD_M
-        self._tool_on = tool_on = bool(self.leg.units) and on_line
+        tool_on = bool(self.leg.units) and on_line
         return _wish(
             Wish, (vx_m_s, vy_m_s, 0.0, tool_on, (), False, False, False, False, -1)
         ), covered
@@ -244,7 +236,7 @@ class FieldWork:
         piece_m = (self.tracker.total_m - 2 * LEAD_M) / len(self.leg.units)
         while self.unit < len(self.leg.units):
             end_m = LEAD_M + (self.unit + 1) * piece_m
-            if self.tracker.along_m < end_m + self._behind_m(end_m):
+            if self.tracker.along_m < end_m + (SWUNG_M if self._is_corner(end_m) else 0.0):
                 break
             begun_m = LEAD_M + self.unit * piece_m
             if self.worst_m <= self.tolerance_m and self._down_since(begun_m):
@@ -253,18 +245,11 @@ class FieldWork:
             self.worst_m = abs(self.tracker.off_m)
         return passed
 
-    def _behind_m(self, end_m: float) -> float:
-        """So far behind a unit's end all of the bar has passed it; who goes on passes the rest later."""
-        if self._is_corner(end_m):
-            return SWUNG_M
-        last = self.unit == len(self.leg.units) - 1
-        return self.bar.slant_m + SEAM_M if last and self.turns_on_the_spot else 0.0
-
     def _down_since(self, begun_m: float) -> bool:
         """The implement is down since before this place; at a corner, since before it was turned."""
         if self.unit == 0 and self._is_corner(begun_m):
             return self.lifted_to_m < begun_m - STRAIGHT_M
-        return self.lifted_to_m <= begun_m + (SEAM_M if self.unit == 0 else 0.0)
+        return self.lifted_to_m <= begun_m
 
     def _is_corner(self, at_m: float) -> bool:
         assert self.tracker is not None

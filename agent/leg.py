@@ -13,10 +13,7 @@ STRAIGHT_M: Final = 0.01  # a lead-in that begins closer to the line of its firs
 SWUNG_M: Final = (
     0.15  # so far behind a corner the bar is round it; the tracker turns 6 cm before it
 )
-SEAM_M: Final = (
-    0.05  # so far behind the last unit a stretch ends; who begins there may lack that much
-)
-assert max(SWUNG_M, SEAM_M) < LEAD_M
+assert SWUNG_M < LEAD_M
 
 
 Leads = tuple[

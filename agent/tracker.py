@@ -17,9 +17,6 @@ CLOSE_GAIN_1_S: Final = (
 )
 ARRIVED_M: Final = 0.06  # a few centimetres: what a body at creep speed covers in a control period
 ALIGN_M: Final = 0.12  # this far off the line, it does not advance at all before it is back
-LEAD_ALIGN_M: Final = (
-    0.04  # the same before the work begins: who comes in at an angle leaves a corner
-)
 BESIDE_M: Final = 0.3  # passing the end further away than this is not arriving
 SWING_M: Final = 0.03  # how far a body may swing out at a corner; a third of the usual tolerance
 BEND_M: Final = 2.0  # corners further apart than this do not make a bend
@@ -33,16 +30,9 @@ CREEP_M_S: Final = 0.1  # approach speed at the very end, so that arrival does n
 class Tracker:
     """Progress along one polyline, at most `speed_m_s`."""
 
-    def __init__(
-        self,
-        points: list[Point],
-        speed_m_s: float,
-        deceleration_m_s2: float,
-        lead_m: float = 0.0,
-    ) -> None:
-        """`lead_m`: so much of the way is there to be straight behind it."""
+    def __init__(self, points: list[Point], speed_m_s: float, deceleration_m_s2: float) -> None:
         assert len(points) >= 1
-        self.points, self.lead_m = points, lead_m
+        self.points = points
         self.speed_m_s, self.deceleration_m_s2 = speed_m_s, deceleration_m_s2
         self.lengths_m = [hypot(b[0] - a[0], b[1] - a[1]) for a, b in itertools.pairwise(points)]
         self._pieces = [  # where each segment begins, its direction, its length
@@ -105,17 +95,9 @@ class Tracker:
         close_m_s = -CLOSE_GAIN_1_S * self.off_m
         close_m_s = min(max(close_m_s, -self.speed_m_s), self.speed_m_s)
         room_m_s = sqrt(self.speed_m_s**2 - close_m_s**2)
-        align_m = LEAD_ALIGN_M if self.along_m < self.lead_m else ALIGN_M
-        aligned = max(0.0, 1.0 - abs(self.off_m) / align_m)
+        aligned = max(0.0, 1.0 - abs(self.off_m) / ALIGN_M)
         forward_m_s = min(self._speed(length_m - t_m) * aligned, room_m_s)
         return ux * forward_m_s - uy * close_m_s, uy * forward_m_s + ux * close_m_s
-
-    @property
-    def course(self) -> Point:
-        """Of the segment we are on, a unit vector; (0, 0) where it is a point."""
-        if self.piece >= len(self._pieces):
-            return 0.0, 0.0
-        return self._pieces[self.piece][2:4]
 
     def ahead(self, reach_m: float) -> list[tuple[float, float, float, float]]:
         """Points of the line ahead, every `SAMPLE_M`, and its direction there: x, y, ux, uy."""
