@@ -74,7 +74,10 @@ class TurnRoute:
         return bool(piece_is_free(self.blocked, self.place, *at, *piece))
 
     def _search(self, blocked: NDArray[np.bool_], start: Pose, goal: Pose) -> list[Piece] | None:
-        found = search(blocked, self.place, np.array(start), np.array(goal), self.radius_m)
+        here, there = np.array(start), np.array(goal)
+        found = search(blocked, self.place, here, there, self.radius_m, False)
+        if not found.shape[0]:
+            found = search(blocked, self.place, here, there, self.radius_m, True)
         if not found.shape[0]:
             return None
         return [Piece(float(k), float(s)) for k, s in found if abs(s) > 1e-6]

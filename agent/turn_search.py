@@ -18,6 +18,7 @@ from agent.dubins import WORDS, step, words
 from agent.heap import close_gap, push
 
 PIECE_M = 0.9  # of the search; longer than the diagonal of a cell
+NUDGES_M = (0.3, 0.6)  # from the start, where no longer piece is free
 CELL_M = 0.5  # in which one pose a heading is kept
 HEADINGS = 36
 CHECK_M = 0.15  # between points looked up on the grid
@@ -177,8 +178,29 @@ def _grow(blocked, place, goal, radius, far, node, nodes, made, closed, best, ke
 
 
 @njit(cache=True, error_model="numpy")
-def search(blocked, place, start, goal, radius):  # type: ignore[no-untyped-def]
-    """Pieces (n, 2) of curvature and signed length from start to goal; n is 0 where none was found."""
+def _nudge(blocked, place, radius, nodes, made, keys, ids, size):  # type: ignore[no-untyped-def]
+    """Short pieces from the start, nose to a fence: they end in cells where poses may be known."""
+    for nudge_m in NUDGES_M:
+        for turn in range(6):
+            length, curvature = (-nudge_m if turn < 3 else nudge_m), (turn % 3 - 1) / radius
+            x, y, heading = nodes[0, N_X], nodes[0, N_Y], nodes[0, N_HEADING]
+            if not piece_is_free(blocked, place, x, y, heading, curvature, length):
+                continue
+            new = nodes[made]
+            new[N_X], new[N_Y], new[N_HEADING] = step(x, y, heading, curvature, length)
+            new[N_COST], new[N_PARENT] = abs(length) * BACK_COST, 0.0
+            new[N_CURVATURE], new[N_LENGTH] = curvature, length
+            push(keys, ids, size, new[N_COST], made)
+            size, made = size + 1, made + 1
+    return made, size
+
+
+@njit(cache=True, error_model="numpy")
+def search(blocked, place, start, goal, radius, nudged):  # type: ignore[no-untyped-def]
+    """Pieces (n, 2) of curvature and signed length from start to goal; n is 0 where none was found.
+
+    `nudged`: with shorter pieces from the start, too.
+    """
     lengths, curvatures, leap = np.empty((6, 3)), np.empty((6, 3)), np.empty((3, 2))
     cost = _leap(
         blocked, place, start[0], start[1], start[2], goal, radius, 0.0, lengths, curvatures, leap
@@ -201,6 +223,8 @@ def search(blocked, place, start, goal, radius):  # type: ignore[no-untyped-def]
     size, made = np.int64(1), np.int64(1)  # literals are types of their own: compiled twice
     best, best_leap = cost, leap.copy()
     left = NODES_MAX
+    if nudged:
+        made, size = _nudge(blocked, place, radius, nodes, made, keys, ids, size)
     if cost < np.inf:
         found, left = 0, BETTER_NODES
     for looked in range(NODES_MAX):
@@ -212,24 +236,15 @@ def search(blocked, place, start, goal, radius):  # type: ignore[no-untyped-def]
         close_gap(keys, ids, size)
         pose, spent, before = nodes[node, :3], nodes[node, N_COST], nodes[node, N_LENGTH]
         state = _state(place, blocked.shape, pose)
-        if closed[state]:
+        if closed[state] and nodes[node, N_PARENT] != 0.0:
             continue
         closed[state] = True
         near = hypot(goal[0] - pose[0], goal[1] - pose[1]) < LEAP_M
         if looked % (LEAP_NEAR if near else LEAP_EVERY) == 0:
             more = _leap(
-                blocked,
-                place,
-                pose[0],
-                pose[1],
-                pose[2],
-                goal,
-                radius,
-                before,
-                lengths,
-                curvatures,
-                leap,
-            )
+                blocked, place, pose[0], pose[1], pose[2], goal, radius, before, lengths,
+                curvatures, leap,
+            )  # fmt: skip
             if spent + more < best:
                 best, found, best_leap = spent + more, node, leap.copy()
                 left = min(left, BETTER_NODES)
