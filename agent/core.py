@@ -40,7 +40,7 @@ from protocol.frame import Frame
 from protocol.identifier import GLOBAL_ADDRESS
 from protocol.map_sync import MapSync
 from protocol.messages import Message
-from protocol.network_frames import Request
+from protocol.network_frames import AddressClaimed, Request
 from protocol.safety_frames import EmergencyStop, Reason
 from protocol.sync import Sync
 from protocol.work_frames import STOPS, StateSyncRequest, TaskClaim
@@ -157,7 +157,7 @@ class Peer:
             return self._hearing.stop(source, message, now_us)  # type: ignore[arg-type]
         membership = self.membership
         slot = membership.slot_of.get(source)
-        if slot is not None:
+        if slot is not None and (kind is not AddressClaimed or membership.stands(slot)):
             if membership.heard(slot, now_us):
                 return [
                     *self.membership_changed(now_us),
@@ -227,13 +227,13 @@ class Peer:
         return [Persist(*self.records.identity()), self.safety.remember_hold()]
 
     def _join(self, now_us: int) -> Sequence[Effect]:
-        was_joined = self.joining.joined
-        effects = [*self.joining.tick(now_us)]
-        if self.joining.lost_address:
+        effects, was_joined = list[Effect](), self.joining.joined
+        if self.joining.lost_address:  # before another one is ours, which may be in this very turn
             self.safety.raise_cause(Cause.ADDRESS_LOST, now_us)
             effects += [HALT, *self.fire(Event.BUS_LOST, "lost the address")]
             self.joining.lost_address = False
-        elif self.joining.joined and not was_joined:
+        effects += self.joining.tick(now_us)
+        if self.joining.joined and not was_joined:
             self.safety.clear_cause(Cause.ADDRESS_LOST, now_us)
             self.membership.unbind(self.joining.address)  # whoever it was, now it is we
             self.sync.joined(now_us, self.beat.heartbeat_us)

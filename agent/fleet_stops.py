@@ -12,12 +12,12 @@ from agent.cause import Cause
 from agent.config import MS
 from agent.effects import HALT, Effect, Send
 from agent.safety import ANSWER_SPACING_US, FOREVER, UNAUTHENTICATED_HOLD_US, Safety
-from crdt.stops import FarDot, StopDot
+from crdt.stops import FarDot, StopDot, turn
 from protocol.fleet_tags import FleetTags, plain_reset, plain_stop
 from protocol.segment_frames import FleetReset, FleetStop
 
 TURN_US = 3 * MS  # a frame behind the blocking of another, and some
-TOLD_MAX = 8  # stops of other segments told to who asks; any one of them holds
+TOLD_MAX = 8  # stops of all segments told at a time to who does not know them; in turns
 HALVES_MAX = 64  # resets of which one half was heard
 
 
@@ -32,6 +32,7 @@ class FleetStops:
         self._reset_due_us: dict[StopDot, int] = {}
         self._halves: dict[tuple[FarDot, int], int] = {}
         self._told_us = -ANSWER_SPACING_US
+        self._told: FarDot | None = None  # the last of those told
 
     # ---------------------------------------------------------------- what happened here
 
@@ -73,8 +74,10 @@ class FleetStops:
         if now_us - self._told_us < ANSWER_SPACING_US:
             return ()
         self._told_us = now_us
-        dots = [*sorted(map(self._far, self.safety.stops.active)), *sorted(self.safety.far.active)]
-        return [Send(self.say_stop(dot)) for dot in dots[:TOLD_MAX]]
+        held = [*map(self._far, self.safety.stops.active), *self.safety.far.active]
+        dots = turn(held, self._told, TOLD_MAX)
+        self._told = dots[-1] if dots else None
+        return [Send(self.say_stop(dot)) for dot in dots]
 
     def say_stop(self, dot: FarDot) -> FleetStop:
         return plain_stop(dot) if self.tags is None else self.tags.stop(dot)

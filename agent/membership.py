@@ -1,9 +1,11 @@
 """Who is in the fleet, as far as this peer hears: a fault detector over signs of life.
 
-Any frame of a member is a sign of life. A member that stops giving signs without having said that
-it leaves is *silent* after `beat.silence_us`; what silence means is decided elsewhere (safety:
-brake; allocation: wait for the lease). There is no suspicion level and no vote: on one bus segment
-everybody hears everybody, so a second opinion would carry no information.
+Any frame of a member is a sign of life, but for a claim of its address by one that may move: it has
+been off the bus, and can say nothing else for a quarter of a second, not even that it was stopped. A
+member that stops giving signs without having said that it leaves is *silent* after `beat.silence_us`;
+what silence means is decided elsewhere (safety: brake; allocation: wait for the lease). There is no
+suspicion level and no vote: on one bus segment everybody hears everybody, so a second opinion would
+carry no information.
 
 The oldest sign of life is looked for only when it may have become silence, a few times a second: what
 is heard a thousand times a second, a beat, costs one write, that of its sender's newest pose.
@@ -66,6 +68,11 @@ class Membership:
     def free(self) -> list[int]:
         """Members whose newest pose says that they do not stand stopped."""
         return [slot for slot, seen in self.neighbours.items() if not seen.pose.stopped]
+
+    def stands(self, slot: int) -> bool:
+        """Its newest pose says that it stands stopped."""
+        seen = self.neighbours.get(slot)
+        return seen is not None and seen.pose.stopped
 
     def heard(self, slot: int, now_us: int) -> bool:
         """A sign of life. True when this changed the membership."""

@@ -13,7 +13,7 @@ from agent.authority import Authority
 from agent.cause import CREEP, LEAST, NOT_STARTED, SILENT, WORST, Cause, Severity
 from agent.config import MEMBERSHIP_STABLE_US, MS, STOP_REPEAT_US, STOP_SPACING_US, S
 from agent.effects import HALT, Drive, Effect, Persist, Send, Trace
-from crdt.stops import FarDot, FarStopSet, StopDot, StopSet
+from crdt.stops import FarDot, FarStopSet, StopDot, StopSet, turn
 from protocol.authentication import Keyring
 from protocol.operator_frames import OperatorGoal
 from protocol.safety_frames import (
@@ -36,6 +36,7 @@ IMPLEMENTS_HOLD_US = 3 * S  # the standard frame comes every second; three are m
 REPEATS_MAX, REPEATS_ALONE = 400, 200
 AGAIN_US = 100 * MS  # 20 repeats: who still beats as if nothing was may know our dot as cleared
 AGAIN_MAX = 3  # further dots for one press; beyond it that member cannot hear us at all
+TOLD_MAX = 4  # stops told at a time to who does not know them: 2 ms of bus; in turns
 ANSWER_SPACING_US = 100 * MS  # a member that beats unlatched is told again at most this often
 FOREVER = 1 << 62
 STANDS = (Command.HOLD, Command.STOP, Command.WAIT)  # one tag is enough for what moves nobody
@@ -62,9 +63,8 @@ class Safety:
         self.slot, self.incarnation = slot, incarnation & 0xFF
         self.policy, self.authority = policy, Authority(slot, keyring)
         self.stops, self.far = StopSet(), FarStopSet()
-        began = bytes(
-            (incarnation >> 8 & 0xFF,)
-        )  # a stop says the low byte of an incarnation alone
+        # A stop says an incarnation's low byte alone: a life without memory counts from the other one.
+        began = bytes((incarnation >> 8 & 0xFF,))
         self.counter = int.from_bytes(recalled.get(COUNTER_KEY, began), "little")
         self._causes: dict[Cause, str] = {Cause.NOT_STARTED: "boot"}
         self._expires_us: dict[Cause, int] = {}
@@ -76,6 +76,7 @@ class Safety:
         self._free: set[int] = set()  # at our press, or since: members that did not stand stopped
         self._repeat_us, self._again, self._pressed_us = FOREVER, 0, -STOP_SPACING_US
         self._answered_us = -ANSWER_SPACING_US
+        self._told: StopDot | None = None  # the last of those told to who did not know them
         self._recall(recalled)
 
     def _recall(self, recalled: Mapping[str, bytes]) -> None:
@@ -146,8 +147,8 @@ class Safety:
     def press(self, reason: Reason, now_us: int, free: Collection[int] = ()) -> Sequence[Effect]:
         """Emergency stop here: brake, send, then remember. Braking waits for nobody. `free`: members that
         do not stand stopped. Of these a beat that says so is an echo; others have to say the dot."""
-        if now_us - self._pressed_us < STOP_SPACING_US:
-            return [HALT]  # the same hand on the same button
+        if 0 <= now_us - self._pressed_us < STOP_SPACING_US:
+            return [HALT]  # the same hand on the same button; a clock set back is no such hand
         self._again, self._free = AGAIN_MAX, set(free)
         return self._press(reason, now_us)
 
@@ -245,14 +246,12 @@ class Safety:
 
     def tell_stops(self, now_us: int) -> Sequence[Effect]:
         """The stops we hold, to whoever does not know them; seldom, whoever asks."""
-        active = self.stops.active
         if now_us - self._answered_us < ANSWER_SPACING_US:
             return ()
         self._answered_us = now_us
-        return [
-            Send(self._stop(dot, Reason.OPERATOR_INTERVENTION, echo=True))
-            for dot in sorted(active)[:4]
-        ]
+        dots = turn(self.stops.active, self._told, TOLD_MAX)
+        self._told = dots[-1] if dots else None
+        return [Send(self._stop(d, Reason.OPERATOR_INTERVENTION, echo=True)) for d in dots]
 
     def receive_reset(self, m: EmergencyReset, now_us: int) -> Sequence[Effect]:
         """Clears exactly the dot it names, pressed here or not yet heard of."""

@@ -5,6 +5,8 @@ the dots that it names and no other, so an old reset can never mask a new stop (
 raised and cleared "up to" can: see `tests/models`).
 """
 
+from bisect import bisect_right
+from collections.abc import Iterable
 from struct import Struct
 from typing import Any, Generic, NamedTuple, TypeVar
 
@@ -118,6 +120,14 @@ class DotSet(Generic[D]):
         for dot in dots[count:]:
             stops.clear(dot)
         return stops
+
+
+def turn(dots: Iterable[D], after: D | None, count: int) -> list[D]:
+    """The next ones behind that one, in their order and round again: who can say only some at a time
+    gets to all of them."""
+    row = sorted(dots)
+    k = 0 if after is None else bisect_right(row, after)
+    return (row[k:] + row[:k])[:count]
 
 
 class StopSet(DotSet[StopDot]):

@@ -23,8 +23,10 @@ from agent.mission import Choice, FleetView, Wish
 from agent.motion import Limits, Motion
 from agent.ports import Observation
 from agent.safety import CREEP_M_S, REPEATS_ALONE, Safety, SilencePolicy
+from crdt.stops import StopDot
 from protocol.fleet_frames import Member, Pose
 from protocol.name import fleet_name
+from protocol.network_frames import AddressClaimed
 from protocol.safety_frames import EmergencyReset, EmergencyStop, Reason
 
 # Copied from the mission's diagram by hand: (source, event, target).
@@ -286,6 +288,23 @@ def test_a_reset_while_the_bus_is_off_waits_for_the_bus() -> None:
     assert peer.joining.joined and peer.state is not State.DISCONNECTED
 
 
+@pytest.mark.parametrize("late_us", [10_000, 300_000])
+def test_an_address_that_is_lost_and_had_again_in_one_turn_is_had(late_us: int) -> None:
+    """Found by `headland chaos`, profile protocol, seed 2303982: its clock had been set back, so that
+    it took no turn from where it lost its address until the next one was its own; it stood,
+    DISCONNECTED, and spoke, for good."""
+    peer = peer_in(State.IDLE, None)
+    pass_time(peer, 2 * S)
+    address = peer.address
+    assert address is not None
+    peer.hear(address, AddressClaimed(peer.identity.name.pack() - 1), 2 * S)
+    for now_us in range(2 * S + late_us, 3 * S, 10_000):
+        peer.tick(now_us)
+    assert peer.address not in (None, address)
+    assert peer.joining.joined and peer.state is State.IDLE
+    assert Cause.ADDRESS_LOST not in held_by(peer)
+
+
 def stops_of(effects: Iterable[Effect]) -> list[EmergencyStop]:
     sent = [effect.message for effect in effects if isinstance(effect, Send)]
     return [message for message in sent if isinstance(message, EmergencyStop)]
@@ -301,6 +320,36 @@ def test_who_knows_nobody_repeats_its_stop_for_a_second() -> None:
     assert len(set(said)) == 2, "one stop; the repetition says who repeats it"
 
 
+@pytest.mark.parametrize("stood", [False, True])
+def test_a_claim_by_one_that_may_move_is_no_sign_of_life(stood: bool) -> None:
+    """Found by `headland chaos`, profile protocol, seed 1600653: who was pressed off the bus came back,
+    claimed its address, and could say the stop only 250 ms later; its claim put the silence off. A fleet
+    that is reset claims anew, and is not silent."""
+    peer = peer_in(State.WORKING, None)
+    name = fleet_name("total", 1).pack()
+    peer.hear(140, AddressClaimed(name), 0)
+    peer.hear(140, Member(1, 0, 1), 0)
+    pose, silence_us = Pose(0.0, 0.0, 0.0, 0.0, State.IDLE, stood, 0), peer.membership.silence_us
+    peer.hear(140, pose, 0)
+    peer.hear(140, AddressClaimed(name), silence_us - 1)
+    peer.tick(silence_us)
+    assert peer.membership.silent == (set() if stood else {1})
+    peer.hear(140, AddressClaimed(name), silence_us + 1)
+    assert peer.membership.silent == (set() if stood else {1}), (
+        "nor does it come back by that alone"
+    )
+    peer.hear(140, pose, silence_us + 2)
+    assert not peer.membership.silent
+
+
+@pytest.mark.parametrize("back_us", [0, -5 * S])
+def test_a_press_is_heard_though_the_clock_is_set_back(back_us: int) -> None:
+    peer = peer_in(State.IDLE, None)
+    assert stops_of(peer.press(Reason.PERSON_IN_FIELD, 9 * S))
+    assert not stops_of(peer.press(Reason.PERSON_IN_FIELD, 9 * S + 1)), "the same hand"
+    assert bool(stops_of(peer.press(Reason.PERSON_IN_FIELD, 9 * S + 2 + back_us))) is (back_us < 0)
+
+
 def test_a_stranger_that_does_not_stand_is_told_of_the_stop() -> None:
     peer = peer_in(State.IDLE, None)
     peer.press(Reason.PERSON_IN_FIELD, 0)
@@ -309,6 +358,21 @@ def test_a_stranger_that_does_not_stand_is_told_of_the_stop() -> None:
     assert (told.slot, told.echo) == (0, True)
     assert not stops_of(peer.hear(140, moving, S + 1)), "not at once again"
     assert not stops_of(peer.hear(140, moving._replace(stopped=True), 2 * S))
+
+
+def test_each_of_many_stops_is_told_in_turn() -> None:
+    """Found by `headland chaos`, profile protocol, seed 2403159: a robot told the first four of five
+    stops, again and again; those had been cleared where they were heard, behind a cut, and the fifth
+    had not."""
+    peer = peer_in(State.IDLE, None)
+    peer.hear(140, Member(1, 0, 1), 0)
+    dots = {StopDot(slot, 7, counter) for slot in range(2) for counter in range(5)}
+    for dot in dots:
+        peer.hear(140, EmergencyStop(*dot, 1, False, 0, 0), 0)
+    assert peer.safety.stops.active == dots
+    moving = Pose(0.0, 0.0, 0.0, 2.0, State.WORKING, False, 0)
+    told = [stops_of(peer.hear(140, moving, turn * S)) for turn in range(1, 4)]
+    assert {StopDot(*stop[:3]) for stops in told for stop in stops} == dots
 
 
 @pytest.mark.parametrize("stood", [False, True])

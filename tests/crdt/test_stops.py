@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from crdt.stops import DOTS_MAX, FarDot, FarStopSet, StopDot, StopSet
+from crdt.stops import DOTS_MAX, FarDot, FarStopSet, StopDot, StopSet, turn
 
 dots = st.builds(StopDot, st.integers(0, 3), st.integers(0, 1), st.integers(0, 3))
 acts = st.lists(st.tuples(st.booleans(), dots), max_size=30)
@@ -70,3 +70,13 @@ def test_a_button_is_never_worn_out() -> None:
         stops.clear(used[-1])
     press(600)  # until the oldest are forgotten
     assert len(set(used[-DOTS_MAX:])) == DOTS_MAX
+
+
+@given(st.sets(dots, max_size=20), st.integers(1, 8), st.none() | dots)
+def test_all_have_their_turn(held: set[StopDot], count: int, last: StopDot | None) -> None:
+    told = list[StopDot]()
+    while len(told) < len(held):
+        row = turn(held, last, count)
+        assert len(set(row)) == len(row) == min(count, len(held))
+        told, last = [*told, *row], row[-1]
+    assert set(told[: len(held)]) == held
