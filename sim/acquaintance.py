@@ -20,13 +20,19 @@ class Acquaintance:
         self._together_us: dict[tuple[int, int], int] = {}  # hearer, speaker: for how long by now
         self._met: set[tuple[int, int]] = set()
         self._hangs_until_us: dict[int, int] = {}
+        self._hangs_since_us: dict[int, int] = {}
 
-    def hangs(self, slot: int, until_us: int) -> None:
+    def hangs(self, slot: int, now_us: int, until_us: int) -> None:
         """Until then it says nothing, and hears it all at once in the end."""
+        if not self.is_hung(slot, now_us):
+            self._hangs_since_us[slot] = now_us
         self._hangs_until_us[slot] = max(until_us, self._hangs_until_us.get(slot, 0))
 
     def is_hung(self, slot: int, now_us: int) -> bool:
         return now_us < self._hangs_until_us.get(slot, 0)
+
+    def hung_since_us(self, slot: int, now_us: int) -> int | None:
+        return self._hangs_since_us[slot] if self.is_hung(slot, now_us) else None
 
     def boots(self, slot: int) -> None:
         """A new life has met nobody; an earlier one may have been met."""

@@ -181,6 +181,9 @@ class Cluster:
         """Power off, without a word. The body stays where it is and its commands expire."""
         self.look()
         robot = self.robots[slot]
+        hung_us = self.acquaintance.hung_since_us(slot, self.host.now_us())
+        if robot.running and hung_us is not None:
+            self.stops.dies_hung(slot, hung_us)
         if self.on_power is not None and robot.running:
             self.on_power(slot, False)
         if robot.task is not None:
@@ -194,7 +197,8 @@ class Cluster:
         """Its process does nothing for a while."""
         self.look()
         self.robots[slot].shell.freeze(for_s)
-        self.acquaintance.hangs(slot, self.host.now_us() + round(for_s * 1e6))
+        now_us = self.host.now_us()
+        self.acquaintance.hangs(slot, now_us, now_us + round(for_s * 1e6))
 
     def is_up(self, slot: int) -> bool:
         """Switched on; the buttons of a dead machine do nothing."""
@@ -221,7 +225,7 @@ class Cluster:
         now_us = self.host.now_us()
         self.world.advance(now_us)
         unheard = {robot.slot for robot in members if robot.bus.node not in hearers} - {slot}
-        self.stops.pressed(now_us, {slot, *(robot.slot for robot in members)}, unheard)
+        self.stops.pressed(now_us, {slot, *(robot.slot for robot in members)}, unheard, by=slot)
         self.robots[slot].shell.operate(lambda p, now: p.press(reason, now))
 
     def look(self) -> None:

@@ -61,13 +61,12 @@ class Play:
         self.broken: list[Broken] = []
         self.outcome: Outcome | None = None
         self._silences: dict[int, list[int]] = {}  # dead robot -> watches of those who must stand
+        self._delivering: dict[int, int] = {}  # watches of stops: until when they are being said
         self._trouble_us = 0  # the newest trouble of a link or of a member
         self._cut_us = SETTLED_US  # until then, not everybody need be able to hear
         self._lost: dict[int, tuple[int, bytes, int]] = {}  # address: since when, NAME, slot
         self._settled = False  # `RELEASED_S` are over
-        self._left = list[
-            tuple[float, float, float]
-        ]()  # x, y, radius (m) of where ground may be left
+        self._left: list[tuple[float, float, float]] = []  # x, y, radius (m) of ground left
         self._excused: list[tuple[int, int]] = []  # robot and when: pushed, or a box before it
 
     def run(self) -> "Play":
@@ -108,8 +107,7 @@ class Play:
             cluster.world.counts = self._all_told
         self.silence, self.delivery = motions(cluster.world), motions(cluster.world)
         cluster.on_power = self._power
-        words, now_us = self.witness.words, cluster.host.now_us
-        cluster.on_order = lambda message: words.ordered(message, now_us())
+        cluster.on_order = lambda m: self.witness.words.ordered(m, cluster.host.now_us())
         for fault in self.scenario.fault:
             self._watch(fault)
         span = self.span
@@ -138,6 +136,7 @@ class Play:
                 self._at(at_us, partial(self._excuse, (robot,)))
                 self._at(at_us, partial(self._shoved, robot, hypot(dx_m, dy_m)))
             case kinds.ClockJump(robot=robot):
+                self._at(at_us, self._interrupted)  # of whoever was pressed
                 self._at(at_us, partial(self.witness.words.leaps, robot))
             case kinds.Box():
                 self._at(at_us, partial(self._excuse, tuple(range(self.scenario.fleet.robots))))
@@ -152,6 +151,8 @@ class Play:
     def _troubled(self, over_us: int) -> None:
         self._trouble_us = self.cluster.host.now_us()
         self._cut_us = max(self._cut_us, over_us)
+        if over_us:
+            self._interrupted()
         for slot in list(self._silences):
             self._heard_of(slot)
 
@@ -187,8 +188,7 @@ class Play:
             self._add("S18", t_us / 1e6, f"address {address} is lost and spoken from")
 
     def _excuse(self, slots: tuple[int, ...]) -> None:
-        now_us = self.cluster.host.now_us()
-        self._excused += [(slot, now_us) for slot in slots]
+        self._excused += [(slot, self.cluster.host.now_us()) for slot in slots]
 
     def _shoved(self, slot: int, by_m: float) -> None:
         """An implement that is down is moved past a strip of ground, by less than a robot on its way
@@ -206,7 +206,19 @@ class Play:
         if now_us >= self._cut_us and self._one_bus:
             up = [robot.slot for robot in self.cluster.running]
             watch = self.delivery.press(now_us, DELIVERED_US, up)
-            self._at(now_us + self._bound_us, partial(self.delivery.release, watch))
+            self._delivering[watch] = now_us + DELIVERED_US
+            self._at(now_us + self._bound_us, partial(self._delivered, watch))
+
+    def _delivered(self, watch: int) -> None:
+        if self._delivering.pop(watch, None) is not None:
+            self.delivery.release(watch)
+
+    def _interrupted(self) -> None:
+        """A stop that is being said may not be said to its end: only the silence limit binds then."""
+        now_us = self.cluster.host.now_us()
+        for watch in [watch for watch, until_us in self._delivering.items() if now_us < until_us]:
+            self._delivered(watch)
+        self.cluster.stops.interrupted(now_us - DELIVERED_US)
 
     @property
     def _one_bus(self) -> bool:
@@ -241,6 +253,7 @@ class Play:
 
     def _lapses(self, slot: int) -> None:
         if self.cluster.is_up(slot):
+            self._interrupted()
             for checker in (self.cluster.stops.checker, self.silence, self.delivery):
                 checker.lapses(slot, self.cluster.host.now_us())
 
@@ -276,9 +289,8 @@ class Play:
         peer = self.cluster.robots[slot].peer
         missing = unknown(self.witness.told[slot], peer.allocation, peer.progress)
         if missing:
-            self._add(
-                "S13", self.cluster.host.now_us() / 1e6, f"robot {slot} does not read {missing}"
-            )
+            t_s = self.cluster.host.now_us() / 1e6
+            self._add("S13", t_s, f"robot {slot} does not read {missing}")
 
     def _all_released(self) -> None:
         now_us, speakers = self.cluster.host.now_us(), self.witness.words.speakers

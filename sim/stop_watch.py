@@ -14,7 +14,7 @@ from sim.parade import CommandChecker, Parade
 from sim.wire import Wire
 from sim.world import World
 
-EVERYBODY = 255
+EVERYBODY, NOBODY = 255, -1
 REACTION_US = 20 * MS  # a tick and a frame's jitter on top of the silence that stops in the end
 
 
@@ -38,6 +38,8 @@ class StopWatch:
         self._up = up if up is not None else lambda: range(robots)
         self.bound_us = beat_of(robots).silence_us + REACTION_US
         self._stages: dict[int, dict[int, Stage]] = {}  # press -> slot -> what was done since
+        self._pressed_us: dict[int, int] = {}
+        self._by: dict[int, int] = {}  # press -> who was pressed
         self._know: dict[int, set[int]] = {}  # press -> who heard it and has kept its memory since
         self._unheard: dict[int, frozenset[int]] = {}  # press -> those that have not heard it
 
@@ -45,10 +47,13 @@ class StopWatch:
     def violations(self) -> list[Violation]:
         return self.checker.violations
 
-    def pressed(self, now_us: int, slots: Collection[int], unheard: Collection[int] = ()) -> None:
-        """A stop that all of these have to obey; `unheard`: some of them only because who was pressed
-        is silent to them."""
+    def pressed(
+        self, now_us: int, slots: Collection[int], unheard: Collection[int] = (), by: int = NOBODY
+    ) -> None:
+        """A stop that all of these have to obey; `unheard`: some of them only because who was pressed,
+        `by`, is silent to them."""
         number = self.checker.press(now_us, self.bound_us, slots)
+        self._pressed_us[number], self._by[number] = now_us, by
         self._stages[number] = dict.fromkeys(slots, Stage.PRESSED)
         self._know[number] = set(slots) - set(unheard)
         self._unheard[number] = frozenset(unheard)
@@ -79,6 +84,20 @@ class StopWatch:
         for number, stages in self._stages.items():
             for slot, stage in [] if self._know[number] & up else list(stages.items()):
                 stages[slot] = max(stage, Stage.CLEARED)
+
+    def interrupted(self, since_us: int) -> None:
+        """A stop that was pressed since then may not have been heard but by who was pressed."""
+        for number, pressed_us in self._pressed_us.items():
+            if pressed_us > since_us:
+                self._unheard[number] |= self._know[number] - {self._by[number]}
+                self._know[number] &= {self._by[number]}
+
+    def dies_hung(self, slot: int, since_us: int) -> None:
+        """Its process hung since then: what was pressed meanwhile it has never read."""
+        for number, pressed_us in self._pressed_us.items():
+            if pressed_us >= since_us:
+                self._know[number].discard(slot)
+                self._unheard[number] |= {slot}
 
     def boots(self, slot: int) -> None:
         """A new life has met nobody whose silence could stop it."""

@@ -54,6 +54,7 @@ class Speaker:
         self.start_us = NEVER_US
         self.asks_start = False  # it was reset, and has not been started since
         self.pressed_us = NEVER_US
+        self.unnamed = False  # the stop pressed then has yet to be said
         self.votes: dict[int, LeaderElectionVote] = {}  # newest of each election
 
 
@@ -66,9 +67,8 @@ class WordRules:
         self.units: dict[tuple[int, int], int] = {}  # section and block: bits that anybody has told
         self.questions: Counter[int] = Counter()  # of each robot, for what it lacks
         self._votes: dict[tuple[int, int, int], int] = {}  # voter, election, term -> candidate
-        self._voters: defaultdict[tuple[int, int, int], set[int]] = defaultdict(
-            set
-        )  # of an election, a term and a candidate
+        # Of an election, a term and a candidate.
+        self._voters: defaultdict[tuple[int, int, int], set[int]] = defaultdict(set)
 
     # ---------------------------------------------------------------- what people do
 
@@ -76,7 +76,7 @@ class WordRules:
         """Called before the robot is told."""
         speaker = self.speakers[slot]
         if now_us - speaker.pressed_us >= STOP_SPACING_US or speaker.pressed_us == NEVER_US:
-            speaker.pressed_us = now_us
+            speaker.pressed_us, speaker.unnamed = now_us, True
 
     def ordered(self, order: Message, now_us: int) -> None:
         """An operator's frame, whether anybody hears it or not."""
@@ -172,10 +172,11 @@ class WordRules:
 
     def _stop(self, slot: int, speaker: Speaker, now_us: int, stop: EmergencyStop) -> None:
         dot = StopDot(stop.slot, stop.incarnation, stop.counter)
-        if stop.slot == slot and not stop.echo and speaker.pressed_us == now_us:
+        new = speaker.unnamed and speaker.pressed_us == now_us
+        if new and stop.slot == slot and not stop.echo:
             if dot in speaker.dots or dot in self.cleared:
                 self._add("S8", now_us, f"robot {slot} gives a new stop an old name, {dot}")
-            speaker.pressed_us = NEVER_US + 1
+            speaker.unnamed = False
         speaker.dots.add(dot)
 
     def _claim(self, slot: int, speaker: Speaker, now_us: int, section: int, phase: Phase) -> None:

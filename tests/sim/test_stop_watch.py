@@ -141,6 +141,32 @@ def test_who_has_not_heard_a_stop_is_held_by_a_silence_alone(memory: str) -> Non
     assert watch.violations[-1].slots == (0,)
 
 
+@pytest.mark.parametrize("since_us", [1 * S, 2 * S])
+def test_a_stop_that_was_hardly_said_is_known_to_who_was_pressed_alone(since_us: int) -> None:
+    """Thought of behind `headland chaos`, profile protocol, seed 1801786: the power of who was pressed
+    goes in the same moment, and its memory is lost."""
+    parade = Parade(2, 2)
+    watch = StopWatch(parade, 2)
+    watch.pressed(2 * S, (0, 1), by=0)
+    watch.interrupted(since_us)
+    watch.forgets(0)
+    parade.moved(1, 10 * S)
+    assert bool(watch.violations) is (since_us == 2 * S)
+
+
+@pytest.mark.parametrize("since_us", [1 * S, 2 * S + 1])
+def test_what_a_hung_process_has_not_read_its_next_life_does_not_know(since_us: int) -> None:
+    """Found by `headland chaos`, profile protocol, seed 1700617: the stop came while the process hung,
+    and its power went before it ran on."""
+    parade = Parade(2, 2)
+    watch = StopWatch(parade, 2)
+    watch.pressed(2 * S, (0, 1))
+    watch.dies_hung(1, since_us)
+    watch.boots(1)
+    parade.moved(1, 10 * S)
+    assert bool(watch.violations) is (since_us > 2 * S)
+
+
 @pytest.mark.parametrize("up", [{0, 1}, {1}])
 def test_a_stop_that_only_a_dead_machine_remembers_is_shown_to_nobody(up: set[int]) -> None:
     """Found by `headland chaos`, profile protocol, seed 602173: S1 asked for the clearing of a stop that

@@ -1,7 +1,8 @@
 """What is wrong to say and what is not: memory kept, memory lost, work handed over."""
 
-from agent.config import MS, S
+from agent.config import MS, STOP_SPACING_US, S
 from crdt import Phase
+from protocol.safety_frames import EmergencyStop
 from protocol.work_frames import StateSyncResponse, TaskClaim, WorkProgress
 from sim.parade import BOTH_US, Parade
 from sim.tape import lost
@@ -38,6 +39,28 @@ def test_what_it_wrote_itself_stands_over_restarts() -> None:
     rules.restarts(0)
     rules.said(0, 2 * S, StateSyncResponse(OWN, 0, Phase.CLAIMED, 3, 1, 0))
     assert [broken.rule for broken in rules.broken] == ["S9"]
+
+
+def _stop(rules: WordRules, t_us: int, counter: int) -> None:
+    rules.said(0, t_us, EmergencyStop(0, 1, counter, 1, False, 0, 0))
+
+
+def test_a_stop_is_repeated_while_the_same_hand_presses_again() -> None:
+    rules = WordRules(1)
+    rules.pressed(0, 1 * S)
+    _stop(rules, 1 * S, 1)
+    # Bounces: the next repetition is due in this very microsecond.
+    rules.pressed(0, 1 * S + 40 * MS)
+    _stop(rules, 1 * S + 40 * MS, 1)
+    assert not rules.broken
+
+
+def test_a_new_press_needs_a_new_name() -> None:
+    rules = WordRules(1)
+    for pressed_us in (1 * S, 1 * S + STOP_SPACING_US):
+        rules.pressed(0, pressed_us)
+        _stop(rules, pressed_us, 1)
+    assert [broken.rule for broken in rules.broken] == ["S8"]
 
 
 def test_a_section_that_is_handed_over_is_not_worked_by_two() -> None:
