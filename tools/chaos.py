@@ -26,7 +26,7 @@ from sim.verdict import RULES, Verdict, judge
 from tools.campaign import ClusterError, room, workers
 from tools.chaos_report import ReportError, report
 from tools.collector import patient
-from tools.fingerprint import fingerprint
+from tools.fingerprint import ROBOTS, fingerprint
 from tools.hunt import hunt_all
 
 FAILED, WRONG = 1, 2
@@ -62,6 +62,7 @@ def chaos(
         told |= {
             "seeds": _played(verdicts),
             "code": fingerprint(),
+            "robots": fingerprint(ROBOTS),
             "cpu_s": round(cpu_s, 1),
         }
         _write(out, told)

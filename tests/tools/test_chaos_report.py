@@ -40,6 +40,26 @@ def test_hours_are_not_counted_twice(tmp_path: Path) -> None:
         report(tmp_path)
 
 
+@pytest.mark.parametrize(("robots", "again", "broken"), [
+    ("same", [], 0), ("same", [7], 1), ("other", [], 1),
+])  # fmt: skip
+def test_a_false_alarm_is_one_that_the_same_robots_are_cleared_of(
+    tmp_path: Path, robots: str, again: list[int], broken: int
+) -> None:
+    what = {"seed": 7, "rule": "S1", "t_s": 1.0, "what": "moved"}
+    row: dict[str, Any] = {
+        "profile": "protocol", "seeds": [0, 10], "robot_hours": 30_000.0, "runs": 10, "cpu_s": 1.0,
+        "failed": [7], "broken": [what], "code": "before", "robots": "same", "hash": "", "faults": {},
+    }  # fmt: skip
+    once = {"seeds": [7, 8], "failed": again, "broken": [what] * len(again), "robots": robots}
+    (tmp_path / "a.json").write_text(json.dumps(row))
+    (tmp_path / "b.json").write_text(json.dumps(row | once | {"code": "after"}))
+    text = report(tmp_path)
+    assert "30000.0 robot-hours judged in 10 runs" in text and f"{broken} rules broken" in text
+    assert ("| 7 | S1 | moved | after |" in text) is (broken == 0)
+    assert ("reached" in text.split("Planted")[0]) is (broken == 0)
+
+
 def test_a_hunt_goes_on_where_it_stopped(tmp_path: Path) -> None:
     console, names = Console(quiet=True), ["latch-forgotten"]
     assert hunt_all(console, names, 1, 0.0, tmp_path, False)[0]["runs"] == 0
