@@ -203,7 +203,7 @@ class Play:
             return
         now_us = self._now_us()
         self.witness.words.pressed(slot, now_us)
-        if now_us >= self._cut_us and self._one_bus:
+        if now_us >= self._cut_us and self._one_bus and self.cluster.robots[slot].peer.address:
             up = [robot.slot for robot in self.cluster.running]
             watch = self.delivery.press(now_us, DELIVERED_US, up)
             self._delivering[watch] = now_us + DELIVERED_US
@@ -216,7 +216,7 @@ class Play:
     def _interrupted(self) -> None:
         """A stop that is being said may not be said to its end: only the silence limit binds then."""
         now_us = self.cluster.host.now_us()
-        for watch in [watch for watch, until_us in self._delivering.items() if now_us < until_us]:
+        for watch in [watch for watch, end_us in self._delivering.items() if now_us < end_us]:
             self._delivered(watch)
         self.cluster.stops.interrupted(now_us - DELIVERED_US)
 
