@@ -1,0 +1,73 @@
+"""One peer without a bus, in any state and held by any cause."""
+
+from collections.abc import Mapping
+from random import Random
+
+import numpy as np
+
+from agent.cause import Cause, Clears
+from agent.config import S
+from agent.core import Peer
+from agent.identity import Identity
+from agent.lifecycle import State
+from agent.mission import Choice, FleetView, Wish
+from agent.motion import Limits, Motion
+from agent.ports import Observation
+from agent.safety import SilencePolicy
+from protocol.name import fleet_name
+
+FULL = Wish(2.0, 0.0, 0.0, True)
+BY_TIME_US = 1 * S  # what is raised with a time holds so long here
+
+
+class Eager:
+    """A mission that always wants full speed."""
+
+    section_units: Mapping[int, int] = {0: 4}
+
+    def choose(self, view: FleetView) -> Choice | None:
+        return None
+
+    def approach(self, section: int, view: FleetView) -> Wish:
+        return FULL
+
+    def begin(self, section: int, view: FleetView) -> None: ...
+    def work(self, view: FleetView) -> Wish:
+        return FULL
+
+    def abandon(self) -> None: ...
+    def admits(self, goal: tuple[float, float]) -> bool:
+        return True
+
+    def travel(self, goal: tuple[float, float], view: FleetView) -> Wish:
+        return FULL
+
+    def interrupted(self) -> None: ...
+    def rest(self, view: FleetView) -> Wish:
+        return FULL
+
+
+def peer_in(state: State, cause: Cause | None, policy: SilencePolicy = SilencePolicy.STOP) -> Peer:
+    identity = Identity(
+        0, frozenset(range(3)), fleet_name("total", 0), 1, policy, started=True, first_boot=True
+    )
+    motion = Motion(0, Limits(0.8, 2.5, 1.5), np.empty((0, 4)))
+    peer = Peer(identity, Random(1), 0, {}, Eager(), motion)
+    peer.observe(Observation(0.0, 0.0, 0.0, 0.0, 0.0), 0)
+    peer.claims.current = 0 if state is State.WORKING else None
+    peer.lifecycle.state = state
+    if cause is not None:
+        timed = cause.clears is Clears.BY_TIMEOUT
+        peer.safety.raise_cause(cause, 0, "", BY_TIME_US if timed else 0)
+    return peer
+
+
+def held_by(peer: Peer) -> set[Cause]:
+    return {cause for cause, _ in peer.safety.causes}
+
+
+def pass_time(peer: Peer, until_us: int = 10 * S) -> None:
+    now_us = 0
+    while now_us < until_us:
+        now_us = max(now_us + 1, peer.deadline_us)
+        peer.tick(now_us)
