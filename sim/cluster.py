@@ -120,7 +120,7 @@ class Cluster:
         self.host: Host = self._loop_host if host is None else host
         self.scenario: Scenario = setting.scenario
         self.world = setting.world()
-        self.stops = StopWatch(self.world, self.scenario.fleet.robots, self._up)
+        self.stops = StopWatch(self.world, self.scenario.fleet.robots, self._up, self._mute)
         bus, seed = self.scenario.bus, self.scenario.run.seed
         clock = host if isinstance(host, Swarm) else None
         self.segment = segment(channel, bitrate=bus.bitrate, seed=seed, clock=clock)
@@ -192,6 +192,9 @@ class Cluster:
 
     def _up(self) -> set[int]:
         return {robot.slot for robot in self.running}
+
+    def _mute(self) -> set[int]:
+        return {robot.slot for robot in self.running if robot.peer.address is None}
 
     def freeze(self, slot: int, for_s: float) -> None:
         """Its process does nothing for a while."""

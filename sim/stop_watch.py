@@ -31,17 +31,24 @@ class Stage(IntEnum):
 
 class StopWatch:
     def __init__(
-        self, world: World, robots: int, up: Callable[[], Collection[int]] | None = None
+        self,
+        world: World,
+        robots: int,
+        up: Callable[[], Collection[int]] | None = None,
+        mute: Callable[[], Collection[int]] = tuple,
     ) -> None:
-        """`up`: the robots that are switched on; all of them, where nothing is given."""
+        """`up`: the robots that are switched on; all of them, where nothing is given. `mute`: those of
+        them that have no address."""
         self.checker = motions(world)
         self._up = up if up is not None else lambda: range(robots)
+        self._mute = mute
         self.bound_us = beat_of(robots).silence_us + REACTION_US
         self._stages: dict[int, dict[int, Stage]] = {}  # press -> slot -> what was done since
         self._pressed_us: dict[int, int] = {}
         self._by: dict[int, int] = {}  # press -> who was pressed
         self._know: dict[int, set[int]] = {}  # press -> who heard it and has kept its memory since
         self._unheard: dict[int, frozenset[int]] = {}  # press -> those that have not heard it
+        self._unsaid: set[int] = set()  # presses of who had no address to say it from
 
     @property
     def violations(self) -> list[Violation]:
@@ -57,10 +64,13 @@ class StopWatch:
         self._stages[number] = dict.fromkeys(slots, Stage.PRESSED)
         self._know[number] = set(slots) - set(unheard)
         self._unheard[number] = frozenset(unheard)
+        if by in self._mute():
+            self._unsaid.add(number)
 
     def ordered(self, order: object) -> None:
         """A frame that an operator sends."""
         if isinstance(order, EmergencyReset):
+            self._never_said()
             self._advance(EVERYBODY, Stage.PRESSED)
         elif isinstance(order, OperatorCommand) and order.command == Command.MANUAL_RESET:
             self._unremembered()
@@ -84,6 +94,14 @@ class StopWatch:
         for number, stages in self._stages.items():
             for slot, stage in [] if self._know[number] & up else list(stages.items()):
                 stages[slot] = max(stage, Stage.CLEARED)
+
+    def _never_said(self) -> None:
+        """A stop that is cleared while who was pressed still waits for an address: nobody else has heard
+        of it, or ever will."""
+        mute = self._mute()
+        for number in [number for number in self._unsaid if self._by[number] in mute]:
+            for slot in set(self._stages.get(number, ())) - {self._by[number]}:
+                self._free(number, slot)
 
     def interrupted(self, since_us: int) -> None:
         """A stop that was pressed since then may not have been heard but by who was pressed."""

@@ -167,6 +167,24 @@ def test_what_a_hung_process_has_not_read_its_next_life_does_not_know(since_us: 
     assert bool(watch.violations) is (since_us > 2 * S)
 
 
+@pytest.mark.parametrize("said", [False, True])
+def test_a_stop_that_is_cleared_before_it_could_be_said_holds_who_was_pressed_alone(
+    said: bool,
+) -> None:
+    """Found by `headland chaos`, profile protocol, seed 2612345: pressed while it claimed its address,
+    and cleared 77 ms later."""
+    parade, mute = Parade(2, 2), {0}
+    watch = StopWatch(parade, 2, mute=lambda: mute)
+    watch.pressed(0, (0, 1), by=0)
+    if said:
+        mute.clear()
+    watch.ordered(EmergencyReset(0, 1, 1, OPERATOR))
+    parade.moved(1, 10 * S)
+    assert bool(watch.violations) is said
+    parade.moved(0, 10 * S)
+    assert watch.violations[-1].slots == (0,)
+
+
 @pytest.mark.parametrize("up", [{0, 1}, {1}])
 def test_a_stop_that_only_a_dead_machine_remembers_is_shown_to_nobody(up: set[int]) -> None:
     """Found by `headland chaos`, profile protocol, seed 602173: S1 asked for the clearing of a stop that
