@@ -55,6 +55,7 @@ class Speaker:
         self.asks_start = False  # it was reset, and has not been started since
         self.pressed_us = NEVER_US
         self.unnamed = False  # the stop pressed then has yet to be said
+        self.old_name: StopDot | None = None  # all that it has said since
         self.votes: dict[int, LeaderElectionVote] = {}  # newest of each election
 
 
@@ -76,7 +77,7 @@ class WordRules:
         """Called before the robot is told."""
         speaker = self.speakers[slot]
         if now_us - speaker.pressed_us >= STOP_SPACING_US or speaker.pressed_us == NEVER_US:
-            speaker.pressed_us, speaker.unnamed = now_us, True
+            speaker.pressed_us, speaker.unnamed, speaker.old_name = now_us, True, None
 
     def ordered(self, order: Message, now_us: int) -> None:
         """An operator's frame, whether anybody hears it or not."""
@@ -112,6 +113,11 @@ class WordRules:
 
     def said(self, slot: int, now_us: int, message: Message) -> None:
         speaker = self.speakers[slot]
+        if speaker.old_name is not None and now_us > speaker.pressed_us:
+            self._add(
+                "S8", now_us, f"robot {slot} gives a new stop an old name, {speaker.old_name}"
+            )
+            speaker.old_name = None
         kind = type(message)
         if kind is Pose:
             self._pose(slot, speaker, now_us, message)  # type: ignore[arg-type]
@@ -174,9 +180,9 @@ class WordRules:
         dot = StopDot(stop.slot, stop.incarnation, stop.counter)
         new = speaker.unnamed and speaker.pressed_us == now_us
         if new and stop.slot == slot and not stop.echo:
-            if dot in speaker.dots or dot in self.cleared:
-                self._add("S8", now_us, f"robot {slot} gives a new stop an old name, {dot}")
-            speaker.unnamed = False
+            # An old one may be repeated in the very microsecond of the press, before the new one.
+            speaker.unnamed = dot in speaker.dots or dot in self.cleared
+            speaker.old_name = dot if speaker.unnamed else None
         speaker.dots.add(dot)
 
     def _claim(self, slot: int, speaker: Speaker, now_us: int, section: int, phase: Phase) -> None:
