@@ -35,6 +35,16 @@ def report(folder: Path) -> str:
     return "\n\n".join(parts) + "\n"
 
 
+def judged_hours(folder: Path, robots: str) -> tuple[float, int]:
+    """Robot-hours of `protocol` that these robots were judged by, and how many rules they broke. Raises
+    ReportError."""
+    campaigns, kept = _judged_again([r for _, r in _results(folder) if "robot_hours" in r])
+    _no_seed_twice(campaigns)
+    theirs = [c for c in campaigns if c["profile"] == "protocol" and c.get("robots") == robots]
+    broken = [b for c in theirs for b in c["broken"] if ("protocol", b["seed"]) not in kept]
+    return sum(c["robot_hours"] for c in theirs), len(broken)
+
+
 def _results(folder: Path) -> Iterable[tuple[Path, Result]]:
     paths = sorted(folder.glob("*.json"))
     if not paths:

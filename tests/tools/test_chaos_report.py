@@ -10,7 +10,7 @@ from rich.console import Console
 from sim.verdict import Verdict
 from tools import chaos as campaign
 from tools.chaos import chaos
-from tools.chaos_report import ReportError, report
+from tools.chaos_report import ReportError, judged_hours, report
 from tools.fuzz import fuzz
 from tools.hunt import RESULTS, hunt_all
 
@@ -58,6 +58,8 @@ def test_a_false_alarm_is_one_that_the_same_robots_are_cleared_of(
     assert "30000.0 robot-hours judged in 10 runs" in text and f"{broken} rules broken" in text
     assert ("| 7 | S1 | moved | after |" in text) is (broken == 0)
     assert ("reached" in text.split("Planted")[0]) is (broken == 0)
+    assert judged_hours(tmp_path, "same") == (30_000.0, broken)
+    assert judged_hours(tmp_path, "of tomorrow") == (0.0, 0), "they show nothing of other robots"
 
 
 def test_a_hunt_goes_on_where_it_stopped(tmp_path: Path) -> None:

@@ -31,7 +31,7 @@ PRESS_MS, SHARE, HEAL_S, MEMORY, SPEEDUP = 60.0, 0.15, 5.0, 1.5, 1.7
 
 def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
     yield from presses(30 if quick else 1_000, seed)
-    few, many = ((1, 20), (5, 20)) if quick else ((1, 100), (10, 100))
+    few, many = ((2, 40), (8, 40)) if quick else ((1, 100), (10, 100))
     small, great = _apart(order, *few, seed), _apart(order, *many, seed)
     yield from traffic(great, many)
     yield from heal(20 if quick else 100, seed)
