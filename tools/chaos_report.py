@@ -9,7 +9,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-HOURS_WANTED, BUGS_WANTED, RUNS_WANTED = 20_000, 20, 10_000_000  # of the issue's table
+HOURS_WANTED, BUGS_WANTED = 20_000, 20  # robot-hours, planted bugs
+RUNS_WANTED = 10_000_000  # of decoders
 Result = dict[str, Any]
 Kept = dict[tuple[str, int], str]  # profile and seed: code of the checkers that found nothing
 
@@ -21,11 +22,9 @@ class ReportError(ValueError):
 def report(folder: Path) -> str:
     """Markdown. Raises ReportError."""
     results = list(_results(folder))
-    campaigns = [result for _, result in results if "robot_hours" in result]
     hunts = [result for _, result in results if "mutants" in result]
     fuzzed = [row for _, result in results for row in result.get("fuzzed", [])]
-    campaigns, kept = _judged_again(campaigns)
-    _no_seed_twice(campaigns)
+    campaigns, kept = _judged(results)
     parts = [
         "# Chaos: what was found, and what was not",
         f"Written by `headland chaos --report {folder.name}` from {len(results)} result files; nothing "
@@ -38,8 +37,7 @@ def report(folder: Path) -> str:
 def judged_hours(folder: Path, robots: str) -> tuple[float, int]:
     """Robot-hours of `protocol` that these robots were judged by, and how many rules they broke. Raises
     ReportError."""
-    campaigns, kept = _judged_again([r for _, r in _results(folder) if "robot_hours" in r])
-    _no_seed_twice(campaigns)
+    campaigns, kept = _judged(_results(folder))
     theirs = [c for c in campaigns if c["profile"] == "protocol" and c.get("robots") == robots]
     broken = [b for c in theirs for b in c["broken"] if ("protocol", b["seed"]) not in kept]
     return sum(c["robot_hours"] for c in theirs), len(broken)
@@ -56,6 +54,12 @@ def _results(folder: Path) -> Iterable[tuple[Path, Result]]:
             raise ReportError(
                 f"{path} is not a result of headland chaos or headland fuzz"
             ) from None
+
+
+def _judged(results: Iterable[tuple[Path, Result]]) -> tuple[list[Result], Kept]:
+    campaigns, kept = _judged_again([result for _, result in results if "robot_hours" in result])
+    _no_seed_twice(campaigns)
+    return campaigns, kept
 
 
 def _judged_again(campaigns: list[Result]) -> tuple[list[Result], Kept]:
