@@ -135,6 +135,7 @@ class _Conversation:
         return reading, False
 
     async def _without_bus(self, phrase: str, inspector: Inspector | None) -> Outcome:
+        from tools.language.alarm import may_be_alarm
         from tools.language.answer import answer
         from tools.language.intent import Query
         from tools.language.view import as_heard
@@ -142,6 +143,8 @@ class _Conversation:
 
         reading, by_model = await self.read(phrase)
         if isinstance(reading, Question):
+            if self.options.read_only and may_be_alarm(phrase, self.places):
+                print("this may be an alarm: on a bus all robots would be held", file=sys.stderr)
             return Outcome(phrase, question=reading)
         outcome = Outcome(phrase, reading, by_model=by_model)
         if inspector is None:

@@ -17,6 +17,7 @@ from tools.correspondent import Correspondent
 from tools.estop import press
 from tools.inspector import Inspector
 from tools.language import view
+from tools.language.alarm import may_be_alarm
 from tools.language.answer import answer
 from tools.language.fleet_now import FleetNow
 from tools.language.goal_queue import GoalQueue, Queued
@@ -25,12 +26,14 @@ from tools.language.outcome import Outcome
 from tools.language.places import Places
 from tools.language.question import Question
 from tools.language.question import Reason as Why
+from tools.language.reading import read
 from tools.language.weighing import Order, Verdict, weigh
 from tools.operator_device import Operator, Robot
 from tools.order import LISTEN_S, convey
 
 REPEAT_S = 0.05  # a stop of all is said again: one control period
 PLAIN_STOP_S = 0.5  # then an emergency stop; a robot obeys within a control period and a bus delay
+HOLD_S = 3.0  # a hold is confirmed by a heartbeat: two of the slowest, every 1.4 s
 SERVE_S = 0.5  # the queue is looked at this often
 HEARD_S = 0.3  # by then we are on the bus
 PEER_S = 1.0  # a peer that does not answer within this is not waited for
@@ -71,9 +74,14 @@ class Speaker:
     # ---------------------------------------------------------------- one phrase
 
     async def say(self, phrase: str) -> Outcome:
-        reading, by_model = await self.read(phrase)
+        alarm = may_be_alarm(phrase, self.places)
+        # A language model takes seconds. What may be an alarm is read by the grammar alone.
+        reading, by_model = (read(phrase, self.places), False) if alarm else await self.read(phrase)
         if isinstance(reading, Question):
-            return Outcome(phrase, question=reading)
+            outcome = Outcome(phrase, question=reading)
+            if alarm:
+                await self._hold_all(outcome)
+            return outcome
         outcome = Outcome(phrase, reading, by_model=by_model)
         if stops_all(reading) and not by_model:
             await self._stop_all(outcome, reading)
@@ -82,6 +90,8 @@ class Speaker:
         verdict = weigh(reading, fleet, self.places)
         if isinstance(verdict, Question):
             outcome.question = verdict
+            if any(isinstance(i, Control) and i.action == "stop" for i in reading):
+                await self._hold_all(outcome)
             return outcome
         if by_model and not await self.ask(f"the model read: {_told(reading)}; obey?"):
             outcome.question = Question(Why.AMBIGUOUS, f"read as {_told(reading)}; not confirmed")
@@ -132,6 +142,27 @@ class Speaker:
         outcome.stopped = [robot.slot for robot in live if robot not in late]
         # Who was heard and has fallen silent without saying goodbye has confirmed nothing.
         outcome.not_stopped = sorted(set(self.operator.robots) - set(outcome.stopped))
+
+    async def _hold_all(self, outcome: Outcome) -> None:
+        """Everybody stands until a start; said again until all that beat have confirmed it."""
+        loop, operator = asyncio.get_running_loop(), self.operator
+        begun_s = loop.time()
+        operator.ask_who()
+        asked = set[int]()
+        while True:
+            for slot in operator.robots.keys() - asked:  # a heartbeat from now on has to confirm it
+                operator.robots[slot].started = True
+                asked.add(slot)
+            operator.command(Command.HOLD)
+            await asyncio.sleep(REPEAT_S)
+            operator.now_s = loop.time()
+            free = [r for r in operator.live if (r.started or r.slot not in asked) and not r.stopped]
+            waited_s = loop.time() - begun_s
+            settled = waited_s >= PLAIN_STOP_S and not free and not operator.unknown
+            if settled or waited_s >= HOLD_S:
+                break
+        outcome.held = sorted(robot.slot for robot in operator.live if robot not in free)
+        outcome.not_stopped = sorted(set(operator.robots) - set(outcome.held))
 
     async def _all_late(self) -> list[Robot] | None:
         """An ordinary stop; who has not confirmed it in time. None: nobody is heard."""

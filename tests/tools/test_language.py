@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 pytest.importorskip("lark", reason="the extra `operator` is not installed")
 
 from tools.bench.phrases import Case, misspelt, phrases, understood
+from tools.language.alarm import may_be_alarm
 from tools.language.fleet_now import FleetNow, RobotNow
 from tools.language.intent import INTENTS, INTENTS_MAX, At, Control, Goal, Query, plain
 from tools.language.places import Places, PlacesError
@@ -111,6 +112,23 @@ def test_nobody_idle_is_a_queue_and_not_a_refusal() -> None:
     verdict = weigh(reading, WORKING, FILE.places)
     assert isinstance(verdict, Verdict)
     assert verdict.orders == () and [goal.name for goal in verdict.waiting] == ["shelf"]
+
+
+def test_m13_an_offer_is_a_phrase_that_can_be_said_and_no_other_verb() -> None:
+    for said in ("remove robot 3", "robot 3 is broken", "shut down", "kill the engines"):
+        result = understood(said, FILE)
+        assert isinstance(result, Question)
+        assert not any(word in str(result) for word in ("move robot 3", "own", "brake", "will"))
+    corrected = understood("sned robot 2 to the gate", FILE)
+    assert isinstance(corrected, Question) and corrected.instead == ("send robot 2 to the gate",)
+
+
+def test_m13_a_phrase_of_the_language_is_no_alarm_unless_it_stops() -> None:
+    for case in FILE.known:
+        if case.intents is not None and may_be_alarm(case.say, FILE.places):
+            stops = [i.get("action") in ("stop", "emergency_stop", "wait") for i in case.intents]
+            asks = [i["kind"] == "query" for i in case.intents]
+            assert all(one or two for one, two in zip(stops, asks, strict=True)), case.say
 
 
 def test_two_goals_for_the_nearest_go_to_two_robots() -> None:

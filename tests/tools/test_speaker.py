@@ -99,6 +99,59 @@ def test_a_stop_of_all_is_said_at_once_and_confirmed(tmp_path: Path) -> None:
     play(story, tmp_path)
 
 
+ALARMS = (  # of M13: each was answered by a question while the fleet drove on
+    "don't move", "nobody move", "please, for the love of god, stop", "sotp", "stp", "emergency",
+    "cut the power", "shut down", "everything off", "stop the one at the gate", "stop robot 2 or 3",
+    "whoa", "help", "there's a child in the field", "STOP ROBOT TWENTY ONE", "hold still",
+    "stay where you are", "terminate", "stoop", "stop robot 2 then start it", "kill the engines",
+    "robot two stop and go home", "stop robot 9",
+)  # fmt: skip
+
+
+def test_m13_what_may_be_an_alarm_holds_everybody_and_asks_then(tmp_path: Path) -> None:
+    async def story(cluster: Cluster, speaker: Speaker) -> None:
+        loop = asyncio.get_running_loop()
+        for phrase in ALARMS:
+            begun_s = loop.time()
+            told = await speaker.say(phrase)
+            assert told.question is not None, phrase
+            assert told.held == [0, 1, 2] and told.not_stopped == [], (phrase, told)
+            assert loop.time() - begun_s < 2.0 and told.code == 3, phrase
+            await elapse(1.5)  # the way to a stand from the greatest speed
+            bodies = [cluster.world.body(slot).speed_m_s for slot in range(3)]
+            assert max(bodies) == 0.0, (phrase, bodies)
+            assert all(r.peer.state is not State.EMERGENCY_STOP for r in cluster.robots.values())
+            for slot in range(3):
+                assert (await speaker.say(f"start robot {slot}")).code == 0
+        await elapse(10.0)
+        assert any(cluster.world.body(slot).speed_m_s > 0.0 for slot in range(3)), "work goes on"
+
+    play(story, tmp_path)
+
+
+def test_m13_a_hold_that_a_robot_does_not_confirm_is_told(tmp_path: Path) -> None:
+    async def story(cluster: Cluster, speaker: Speaker) -> None:
+        await speaker.hear_fleet()
+        cluster.partition([{0, 1}, {2}])
+        told = await speaker.say("whoa")
+        assert told.held == [0, 1] and told.not_stopped == [2]
+        assert any(line.startswith("NOT STOPPED: 2") for line in told.lines())
+
+    play(story, tmp_path)
+
+
+def test_m14_questions_of_the_trial_are_answered(tmp_path: Path) -> None:
+    async def story(cluster: Cluster, speaker: Speaker) -> None:
+        for phrase in (
+            "what's the battery of robot 1", "how much is left to do", "which sections are done",
+            "is robot 2 ok", "how far is robot 2 from the gate",
+        ):  # fmt: skip
+            told = await speaker.say(phrase)
+            assert told.code == 0 and told.answers and told.held is None, (phrase, told)
+
+    play(story, tmp_path)
+
+
 def test_an_emergency_stop_latches_and_nothing_is_sent_then(tmp_path: Path) -> None:
     async def story(cluster: Cluster, speaker: Speaker) -> None:
         told = await speaker.say("emergency stop")

@@ -33,6 +33,16 @@ def answer(query: Query, fleet: FleetNow, places: Places, queued: Sequence[str])
             return Answer(_listed(slots, "idle"), slots)
         case "section":
             return _section(query, fleet)
+        case "battery":
+            return _lines(query, fleet, _battery)
+        case "distance":
+            place = _point(query, fleet, places)
+            return _lines(query, fleet, lambda robot: _distance(robot, place))
+        case "progress":
+            return _progress(fleet, places)
+        case "finished":
+            done = _finished(fleet)
+            return Answer(", ".join(f"S{s}" for s in done) or "no section is done", done)
         case "queue":
             text = "; ".join(f"{n}. {name}" for n, name in enumerate(queued, 1))
             return Answer(text or "nothing is queued", list(queued))
@@ -68,6 +78,29 @@ def _status(robot: RobotNow) -> str:
         parts.append("stands until it is started")
     parts.append(f"at {robot.x_m:.1f}, {robot.y_m:.1f}, {robot.speed_m_s:.1f} m/s")
     return f"robot {robot.slot}: " + "; ".join(parts)
+
+
+def _battery(robot: RobotNow) -> str:
+    told = "tells of no battery" if robot.battery is None else f"{100 * robot.battery:.0f} %"
+    return f"robot {robot.slot}: {told}"
+
+
+def _distance(robot: RobotNow, place: Point) -> str:
+    return f"robot {robot.slot} is {robot.away_m(place):.1f} m away, as the crow flies"
+
+
+def _finished(fleet: FleetNow) -> list[int]:
+    return sorted(n for n, section in fleet.sections.items() if section.phase == "DONE")
+
+
+def _progress(fleet: FleetNow, places: Places) -> Answer:
+    """Sections of the places file and those that the bus has told of."""
+    told = {f"S{n}" for n in fleet.sections} | {n for n in places.points if n not in places.named}
+    done, begun = _finished(fleet), [s for s in fleet.sections.values() if s.phase == "STARTED"]
+    value = {"sections": len(told), "done": len(done), "begun": len(begun)}
+    if not told:
+        return Answer("nothing is known of any section", value)
+    return Answer(f"{len(done)} of {len(told)} sections are done, {len(begun)} are begun", value)
 
 
 def _nearest(query: Query, fleet: FleetNow, places: Places) -> Answer:

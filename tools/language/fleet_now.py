@@ -21,6 +21,7 @@ class RobotNow(NamedTuple):
     goal: Point | None = None  # where an operator has sent it and it is not yet
     sections: tuple[str, ...] = ()
     heard_s: float = 0.0  # ago
+    battery: float | None = None  # share of a full one; None: it has none, or tells of none
 
     @property
     def idle(self) -> bool:

@@ -13,6 +13,7 @@ from lark import Lark, Transformer, Tree, UnexpectedInput
 from lark.exceptions import VisitError
 from lark.visitors import CollapseAmbiguities
 
+from agent.config import PEERS_MAX
 from tools.language.intent import Action, AnyIntent, At, Backlog, Beside, Control, Goal, Query
 from tools.language.vocabulary import WORDS, Token
 
@@ -31,12 +32,13 @@ goal: _MOVE mover _TO target
 ?mover: slot | near | others
 near: _NEAREST _IDLE? _ROBOT? | _ANYONE
 others: ALL -> everybody
-    | slots -> several
+    | (slots | range) -> several
     | _SEVERAL -> several
     | _THAT -> unnamed
 
 slot: _ROBOT? NUM | _ROBOT? LABEL
 slots: slot (_sep slot)+
+range: slot _THROUGH slot
 _sep: _COMMA | _COMMA? _AND
 _comma: _COMMA?
 
@@ -51,6 +53,7 @@ section: SECTION | _SECTIONWORD NUM
 
 ?robots: slot -> one
     | slots
+    | range
     | ALL -> everybody
     | _THAT -> unnamed
     | _SEVERAL -> unnamed
@@ -73,6 +76,12 @@ query: (_STATUS | _HOW) (_OF? robots)? _DOING? -> status
     | _WHICH _IDLE -> idle
     | (_WHICH | _WHY robots | _WHY) _HAS? section -> owner
     | _QUEUE -> queue
+    | _IS robots _WELL? -> status
+    | _WHAT? _BATTERY (_OF? robots)? -> battery
+    | robots _BATTERY -> battery
+    | _PROGRESS -> progress
+    | _FINISHED -> finished
+    | _HOWFAR robots _FROM target -> distance
     | _PLACES -> places
 ?where: PLACE -> named
     | WORD+ -> unknown
@@ -94,6 +103,10 @@ class Unreadable(Exception):
 
 class UnknownPlace(Exception):
     """The words that should name a place, and do not."""
+
+
+class Unnamed(Exception):
+    """A question about a robot that the phrase does not name."""
 
 
 class NotANumber(Exception):
@@ -156,6 +169,12 @@ class _Meaning(Transformer[Any, Any]):
 
     def slots(self, parts: list[Any]) -> tuple[int, ...]:
         return tuple(parts)
+
+    def range(self, parts: list[Any]) -> tuple[int, ...]:
+        first, last = parts
+        if not first < last < PEERS_MAX:
+            raise NotANumber(f"{first} through {last}")
+        return tuple(range(first, last + 1))
 
     def everybody(self, parts: list[Any]) -> str:
         return "all"
@@ -235,6 +254,18 @@ class _Meaning(Transformer[Any, Any]):
     def owner(self, parts: list[Any]) -> Query:
         return Query(ask="section", section=parts[-1])
 
+    def battery(self, parts: list[Any]) -> Query:
+        return Query(ask="battery", robots=_asked(parts))
+
+    def progress(self, parts: list[Any]) -> Query:
+        return Query(ask="progress")
+
+    def finished(self, parts: list[Any]) -> Query:
+        return Query(ask="finished")
+
+    def distance(self, parts: list[Any]) -> Query:
+        return Query(ask="distance", robots=_asked(parts), place=parts[1])
+
     def queue(self, parts: list[Any]) -> Query:
         return Query(ask="queue")
 
@@ -246,4 +277,6 @@ class _Meaning(Transformer[Any, Any]):
 
 
 def _asked(parts: list[Any]) -> Any:
+    if parts and parts[0] == "unnamed":
+        raise Unnamed
     return parts[0] if parts else "all"

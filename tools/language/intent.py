@@ -61,7 +61,10 @@ class Query(_Intent):
     """A question; nothing moves."""
 
     kind: Literal["query"] = "query"
-    ask: Literal["status", "position", "nearest", "stopped", "idle", "section", "queue", "places"]
+    ask: Literal[
+        "status", "position", "nearest", "stopped", "idle", "section", "queue", "places", "battery",
+        "progress", "finished", "distance",
+    ]  # fmt: skip
     robots: tuple[Slot, ...] | Everybody = "all"
     place: Target | None = None
     section: Annotated[int, Field(ge=0, le=0xFFFF)] | None = None

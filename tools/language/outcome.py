@@ -21,6 +21,7 @@ class Outcome:
         None  # robots that confirmed a stop of all; None: none was asked for
     )
     not_stopped: list[int] = field(default_factory=list)
+    held: list[int] | None = None  # robots that were held at once, because the phrase may be an alarm
     queued: list[str] = field(default_factory=list)
     answers: list[Answer] = field(default_factory=list)
     told_by: str = "the bus"
@@ -46,7 +47,8 @@ class Outcome:
                 {"robot": o.slot, "order": o.what, "place": o.place, "obeyed": word is not None,
                  "says": word} for o, word in self.orders
             ],
-            "stopped": self.stopped, "not_stopped": self.not_stopped, "queued": self.queued,
+            "stopped": self.stopped, "held": self.held, "not_stopped": self.not_stopped,
+            "queued": self.queued,
             "answers": [answer.value for answer in self.answers], "told_by": self.told_by,
         }  # fmt: skip
 
@@ -54,21 +56,29 @@ class Outcome:
         """For people."""
         if self.question is not None:
             kind = self.question.reason
-            return (
-                [str(self.question)]
-                if kind is Reason.NOT_UNDERSTOOD
-                else [f"{kind}: {self.question}"]
-            )
+            plain_text = kind is Reason.NOT_UNDERSTOOD
+            asked = str(self.question) if plain_text else f"{kind}: {self.question}"
+            return [*self._held_lines(), asked]
         lines = [_order_line(order, word) for order, word in self.orders]
         if self.stopped is not None:
             lines.append(f"stopped: {', '.join(map(str, self.stopped)) or 'nobody is heard'}")
-        if self.not_stopped:
-            lines.append(
-                f"NOT STOPPED: {', '.join(map(str, self.not_stopped))}: use the switch on the machine"
-            )
+        lines += self._not_stopped_lines()
         lines += [f"queued until a robot is idle: {name}" for name in self.queued]
         source = f"{self.told_by}: " if self.told_by != "the bus" and self.answers else ""
         return lines + [source + answer.text for answer in self.answers] or ["done"]
+
+    def _held_lines(self) -> list[str]:
+        if self.held is None:
+            return []
+        who = ", ".join(map(str, self.held)) or "nobody is heard"
+        text = f"this may be an alarm; held: {who}. What is meant? (say: stop all; or: start all)"
+        return [text, *self._not_stopped_lines()]
+
+    def _not_stopped_lines(self) -> list[str]:
+        if not self.not_stopped:
+            return []
+        slots = ", ".join(map(str, self.not_stopped))
+        return [f"NOT STOPPED: {slots}: use the switch on the machine"]
 
 
 def _order_line(order: Order, word: str | None) -> str:

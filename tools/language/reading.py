@@ -2,11 +2,13 @@
 
 import re
 from collections import Counter
+from collections.abc import Collection
 from difflib import get_close_matches
 
 from pydantic import ValidationError
 
-from tools.language.grammar import NotANumber, UnknownPlace, Unreadable, derivations
+from tools.language.alarm import letters_apart
+from tools.language.grammar import NotANumber, UnknownPlace, Unnamed, Unreadable, derivations
 from tools.language.intent import INTENTS_MAX, AnyIntent, Control, Goal
 from tools.language.places import Places
 from tools.language.question import Question, Reason
@@ -17,7 +19,6 @@ from tools.language.vocabulary import (
     NUMBERS,
     SEQUENCES,
     UNSAFE,
-    WORDS,
     tokens_of,
     words_of,
 )
@@ -25,7 +26,8 @@ from tools.language.vocabulary import (
 PHRASE_MAX = 400  # characters; nobody gives one order in more
 TOKENS_MAX = 40
 LIKE = 0.7  # likeness of a word that was probably meant
-STOPS = frozenset(word for kind in ("STOP", "ESTOP") for word in WORDS[kind].split("|"))
+SHORT = 5  # letters; a longer word may have two of them wrong
+HARMLESS = ("over to", "take over", "over there", "over here")  # groups in which "over" runs over nobody
 STOP_NOW = "stop all"
 EXAMPLES = ("send the nearest robot to 12, -4", "where is robot 2", "robot 2 go home")
 
@@ -48,6 +50,8 @@ def read(text: str, places: Places) -> tuple[AnyIntent, ...] | Question:
         return _unread(words, places) or _no_place(str(problem), places)
     except Unreadable:
         return _unread(words, places) or _not_understood(words, places)
+    except Unnamed:
+        return Question(Reason.AMBIGUOUS, "which robot?", ("status of robot 2", "status"))
     except NotANumber as problem:
         return Question(
             Reason.UNKNOWN_ROBOT, f"{problem}: robots and sections have whole numbers from 0"
@@ -95,7 +99,7 @@ def _no_place(name: str, places: Places) -> Question:
 
 def _unread(words: list[str], places: Places) -> Question | None:
     """A phrase that could be dangerous to half understand gets the reason by which it is refused."""
-    said = set(words) - {w for group in places.groups for w in group}
+    said = set(_doubtful_words(words)) - {w for group in places.groups for w in group}
     stops = said & {"stop", "halt", "freeze", "brake"}
     if found := said & NEGATIONS:
         return Question(
@@ -123,21 +127,42 @@ def _unread(words: list[str], places: Places) -> Question | None:
 def _not_understood(words: list[str], places: Places) -> Question:
     """What was probably meant is offered, never done."""
     known = [*KNOWN_WORDS, *{w for group in places.groups for w in group}]
-    meant, changed = [], False
-    for word in words:
-        if word in known or word in NUMBERS or not word.isalpha() or re.fullmatch(r"r\d+", word):
-            meant.append(word)
-            continue
-        like = get_close_matches(word, known, n=1, cutoff=LIKE)
-        changed = changed or bool(like)
-        meant += like
     if set(words) & {"stop", "halt", "freeze", "brake"}:
-        return Question(
-            Reason.NOT_UNDERSTOOD, "not understood, and nothing was stopped",
-            (STOP_NOW, "stop robot 2"),
-        )  # fmt: skip
-    instead = (" ".join(meant),) if changed else EXAMPLES
-    return Question(Reason.NOT_UNDERSTOOD, "not understood, nothing was done", instead)
+        return Question(Reason.NOT_UNDERSTOOD, "not understood", (STOP_NOW, "stop robot 2"))
+    meant = [_meant(word, known) for word in words]
+    offered = " ".join(meant)
+    instead = (offered,) if meant != words and _readable(offered, places) else EXAMPLES
+    return Question(Reason.NOT_UNDERSTOOD, "not understood", instead)
+
+
+def _meant(word: str, known: Collection[str]) -> str:
+    """The word of the language of which this is a misspelling, or the word itself.
+
+    "remove" is not "move" misspelt, nor "broken" "brake": the first letter is seldom wrong.
+    """
+    if word in known or word in NUMBERS or not word.isalpha() or re.fullmatch(r"r\d+", word):
+        return word
+    wrong_max = 1 if len(word) <= SHORT else 2
+    like = get_close_matches(word, known, n=5, cutoff=LIKE)
+    return next(
+        (k for k in like if k[0] == word[0] and letters_apart(word, k) <= wrong_max), word
+    )
+
+
+def _readable(offered: str, places: Places) -> bool:
+    """Whether the offer is a phrase of the language, so that a person may say it."""
+    try:
+        return bool(derivations(tokens_of(words_of(offered), places.groups)))
+    except (UnknownPlace, Unreadable, Unnamed, NotANumber, ValidationError):
+        return False
+
+
+def _doubtful_words(words: list[str]) -> list[str]:
+    """Without those that say nothing doubtful in the group in which they stand: "over to"."""
+    text = f" {' '.join(words)} "
+    for group in HARMLESS:
+        text = text.replace(f" {group} ", " ")
+    return text.split()
 
 
 def _first(found: set[str], words: list[str]) -> str:

@@ -15,7 +15,7 @@ def as_heard(inspector: Inspector) -> FleetNow:
         robots[slot] = RobotNow(
             slot, seen.state, round(seen.x_m, 2), round(seen.y_m, 2), round(seen.speed_m_s, 2),
             seen.stopped, seen.started, age_s > SILENT_S, seen.question, seen.goal, sections,
-            round(age_s, 1),
+            round(age_s, 1), seen.battery,
         )  # fmt: skip
     sections_now = {
         section: SectionNow(

@@ -26,7 +26,7 @@ WORDS = {
     "ESTOP": "emergency stop|e-stop|estop|e stop|emergency halt|hit the emergency stop|"
     "press the emergency stop",
     "WAIT": "wait|keep waiting|wait there|stay and wait",
-    "CONTINUE": "continue|go on|carry on|go ahead|proceed|leave it out and go on",
+    "CONTINUE": "continue|keep going|keep on|go on|carry on|go ahead|proceed|leave it out and go on",
     "REPLAN": "replan|re-plan|plan again|find another way|go around|go round|go around it|go round it|"
     "take another way|drive around it",
     "START": "start|resume|start working|start work|resume work|go back to work|back to work|"
@@ -47,6 +47,17 @@ WORDS = {
     "what is the position of|where",
     "DOING": "doing|up to|busy with",
     "WHAT": "what is|what's|what are|what does|what do",
+    "BATTERY": "battery|batteries|battery level|battery levels|charge level|state of charge",
+    "PROGRESS": "progress|what progress|how much is left|how much is left to do|how much work is left|"
+    "how much is done|what is left|what's left|what is left to do|how far are we|how far along are we",
+    "FINISHED": "which sections are done|which sections are finished|what is done|what's done|"
+    "what is finished|done sections|finished sections|list done sections",
+    "IS": "is|are",
+    "WELL": "fine|all right|alright|alive|healthy|well",
+    "HOWFAR": "how far is|how far are|how far away is|how far|distance|what is the distance|"
+    "what is the distance of",
+    "FROM": "from|away from",
+    "THROUGH": "through|thru",
     "HOW": "how is|how are|how's",
     "STATUS": "status|status of|report|state|state of|report on|fleet status|status report|show status|"
     "what is the status of|what is the state of|what's the status of",

@@ -213,7 +213,7 @@ class _Scales:
             if slot not in self.fleet.robots:
                 raise Refused(
                     Reason.UNKNOWN_ROBOT,
-                    f"robot {slot} is not heard, nothing was stopped; heard: {self.fleet.heard}",
+                    f"robot {slot} is not heard; heard: {self.fleet.heard}",
                     "stop all",
                 )
             self.orders.append(Order(slot, "stop"))
