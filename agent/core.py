@@ -26,6 +26,7 @@ from agent.mission import STILL, Agreeing, Choice, Conversing, FleetView, Missio
 from agent.motion import Mover
 from agent.pause import pause_of
 from agent.ports import Observation
+from agent.recollection import LOST, sensible
 from agent.records import Records
 from agent.roll_call import MEMBER_PGN, MEMBER_REQUEST, RollCall
 from agent.safety import Safety
@@ -68,6 +69,7 @@ class Peer:
     ) -> None:
         """`chart`: the fleet's map, where the mission makes one."""
         self.identity, self.slot = identity, identity.slot
+        recalled = sensible(recalled)
         self.beat = config.beat_of(len(identity.members))
         self.mission, self.motion = mission, motion
         asked: Any = mission  # a native core takes a protocol that is asked for for a base class
@@ -105,7 +107,8 @@ class Peer:
         self._hearing, self._working = Hearing(self), Working(self)
         self.beats = self._hearing.beats
         if self.records.lost:
-            self.safety.raise_cause(Cause.BOOT_UNCONFIRMED, now_us, "durable memory was lost")
+            why = recalled.get(LOST, b"durable memory was lost").decode(errors="replace")
+            self.safety.raise_cause(Cause.BOOT_UNCONFIRMED, now_us, why)
         if identity.started and not self.safety.latched and not self.safety.held:
             self.safety.start(now_us)
         if self.safety.latched:

@@ -24,6 +24,7 @@ from agent.effects import Effect, Trace
 from agent.identity import Identity
 from agent.lifecycle import State
 from agent.ports import Bus, Journal
+from agent.recollection import remembers
 from agent.safety import SilencePolicy
 from agent.section_names import SectionNames
 from agent.shell import Shell
@@ -97,7 +98,7 @@ class FleetCoordinationEngine:
             started=True,
             first_boot=self.first_boot,
         )
-        if not recalled and not self.first_boot:
+        if not remembers(recalled) and not self.first_boot:
             self._rng = Random(randbits(64))  # the next incarnation must not be an earlier one
         self.first_boot = self.journal is None
         keyring = None

@@ -8,6 +8,7 @@ retires that identity: it takes an incarnation by lot and stays latched until a 
 """
 
 from collections.abc import Mapping
+from contextlib import suppress
 from random import Random
 from struct import Struct
 
@@ -57,7 +58,8 @@ class Records:
     def restore_map(self, chart: OccupancyMap) -> None:
         for key, raw in sorted(self.recalled.items()):
             if key.startswith(MAP) and len(raw) == PATCH_BYTES:
-                chart.join_bytes(int(key.removeprefix(MAP)), raw)
+                with suppress(ValueError):  # cells that cannot be: peers have them too
+                    chart.join_bytes(int(key.removeprefix(MAP)), raw)
 
     @staticmethod
     def patch(chart: OccupancyMap, patch: int) -> tuple[str, bytes]:

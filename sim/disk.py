@@ -11,6 +11,7 @@ from struct import Struct
 from zlib import crc32
 
 from agent.effects import Persist
+from agent.recollection import LOST
 
 SECTOR = 512  # bytes a disk writes whole or not at all; a torn one may hold anything
 HEAD = Struct("<III")  # length, number and CRC-32 of a batch
@@ -102,17 +103,45 @@ def tear(image: bytearray, at: int, data: bytes, rng: Random) -> None:
 class LogJournal:
     """The `Journal` port as a log of numbered, checked batches on a `Disk`.
 
+    The mark is the number of the newest batch in a second place. A log that ends before its mark was
+    rolled back, and recalls only that it is lost. (`agent/sqlite_journal.py` does the same with files.)
+
     `synced=False` is the planted bug: a journal that forgets to sync, which a campaign must find.
     """
 
-    def __init__(self, disk: Disk, synced: bool = True) -> None:
-        self.disk, self.synced = disk, synced
+    def __init__(self, disk: Disk, synced: bool = True, mark: int = 0) -> None:
+        self.disk, self.synced, self.mark = disk, synced, mark
+        self.restored = False  # a person put an earlier state back: that it is lost is no fault
         self._records: dict[str, bytes] = {}
         self._end = self._batches = 0
         self._last = (
             0  # check of the batch before: what was once written behind another does not fit
         )
         self._recover(disk.read())
+        if self._rolled_back:
+            self._forget("the journal was rolled back")
+
+    @property
+    def _rolled_back(self) -> bool:
+        return self._batches < self.mark
+
+    def _forget(self, why: str) -> None:
+        self.disk, self.mark = Disk(), 0
+        self._end = self._batches = self._last = 0
+        self._records = {LOST: why.encode()}
+
+    def earlier(self, share: float) -> "LogJournal":
+        """A fault: this share of its batches put back in its place, beside the newest mark."""
+        image, end = self.disk.read(), 0
+        for _ in range(int(self._batches * share)):
+            end += HEAD.size + HEAD.unpack_from(image, end)[0]
+        journal = LogJournal(Disk(image[:end]), self.synced, self.mark)
+        journal.restored = True
+        return journal
+
+    def after_cut(self, rng: Random) -> "LogJournal":
+        """The journal as one of the ways in which a power cut now may leave it."""
+        return LogJournal(self.disk.after_cut(rng), mark=self.mark)
 
     def load(self) -> Mapping[str, bytes]:
         return dict(self._records)
@@ -131,6 +160,7 @@ class LogJournal:
         self._end += HEAD.size + len(body)
         self._batches += 1
         self._records.update(batch)
+        self.mark = self._batches
 
     def _recover(self, image: bytes) -> None:
         """Batches up to the first that is not whole: it was never acknowledged."""

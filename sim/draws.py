@@ -31,7 +31,7 @@ def _one_way(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]
 
 def _crash(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
     robot, back_s = rng.randrange(robots), min(at_s + rng.uniform(0.05, 15.0), end_s)
-    disk = rng.choice(("kept", "kept", "torn", "torn", "lost"))
+    disk = rng.choice(("kept", "kept", "torn", "torn", "lost", "rolled_back"))
     restart = {"at_s": back_s, "kind": "restart", "robot": robot, "disk": disk}
     return [
         kinds.Crash(at_s=at_s, kind="crash", robot=robot),
@@ -79,7 +79,7 @@ def _jump(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
 
 def _crash_working(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
     robot, for_s = rng.randrange(robots), rng.uniform(0.05, max(0.1, end_s - at_s - 10.0))
-    disk = rng.choice(("kept", "torn", "lost"))
+    disk = rng.choice(("kept", "torn", "lost", "rolled_back"))
     table = {"at_s": at_s, "kind": "crash_working", "robot": robot, "for_s": for_s, "disk": disk}
     return [kinds.CrashWorking.model_validate(table)]
 

@@ -129,7 +129,9 @@ class FaultPlan:
             cluster.journals[robot] = LogJournal(Disk())
         journal = cluster.journals[robot]
         if disk == "torn" and isinstance(journal, LogJournal):
-            cluster.journals[robot] = LogJournal(journal.disk.after_cut(self._rng))
+            cluster.journals[robot] = journal.after_cut(self._rng)
+        if disk == "rolled_back" and isinstance(journal, LogJournal):
+            cluster.journals[robot] = journal.earlier(self._rng.random())
         cluster.boot(robot)
 
     def _crash_working(self, robot: int, for_s: float, disk: str) -> Script[None]:

@@ -149,8 +149,8 @@ def _replaces(right: Any) -> Any:
 
 
 def _unsynced(right: Any) -> Any:
-    def init(self: LogJournal, disk: Any, synced: bool = True) -> None:
-        right(self, disk, False)
+    def init(self: LogJournal, disk: Any, synced: bool = True, mark: int = 0) -> None:
+        right(self, disk, False, mark)
 
     return init
 
@@ -250,6 +250,9 @@ MUTANTS: dict[str, Mutant] = {
     ),
     "fsync-forgotten": Mutant(
         "the journal does not sync", LogJournal, "__init__", _unsynced, "claims"
+    ),
+    "rollback-unnoticed": Mutant(
+        "a journal that was rolled back is believed", LogJournal, "_rolled_back", _deaf, "claims"
     ),
     "older-claim-wins": Mutant(
         "the register that came first stays", FieldAllocationCRDT, "apply", _older_wins, "split"

@@ -12,6 +12,7 @@ from typing import Any
 
 from agent.config import MS, S, beat_of
 from agent.leg import LEAD_M
+from agent.recollection import LOST, remembers
 from protocol.frame import Frame
 from sim import scenario as kinds
 from sim.checkers import ExclusiveWorkChecker, Violation
@@ -273,8 +274,11 @@ class Play:
             self._heard_of(dead)
         self._trouble_us = now_us
         self._cut_us = max(self._cut_us, now_us + SETTLED_US)
-        recalled = self.cluster.journals[slot].load()
-        if not recalled:
+        journal = self.cluster.journals[slot]
+        recalled = journal.load()
+        if LOST in recalled and not (isinstance(journal, LogJournal) and journal.restored):
+            self._add("S13", now_us / 1e6, f"robot {slot} has lost what it had written")
+        if not remembers(recalled):
             self.cluster.stops.forgets(slot)
             self.witness.forget(slot)
             return

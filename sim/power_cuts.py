@@ -14,7 +14,7 @@ from pathlib import Path
 from random import Random
 
 from agent.effects import Persist
-from agent.sqlite_journal import SqliteJournal
+from agent.sqlite_journal import Mark, SqliteJournal
 from sim.disk import Disk, LogJournal, PowerCut, tear
 from sim.recording_vfs import Recording, Step
 from sim.tape import Batch, Tape, lost
@@ -124,10 +124,27 @@ def _apply(image: Image, step: Step) -> None:
         image.pop(step.file, None)
 
 
+class RecordedMark(Mark):
+    """Its steps stand in their order among those of sqlite."""
+
+    def __init__(self, path: Path, steps: list[Step]) -> None:
+        super().__init__(path)
+        self.steps = steps
+
+    def _put(self, at: int, data: bytes) -> None:
+        super()._put(at, data)
+        self.steps.append(Step(self.path.name, "write", at, data))
+
+    def _sync(self) -> None:
+        super()._sync()
+        self.steps.append(Step(self.path.name, "sync"))
+
+
 def record_sqlite(tape: Tape, synchronous: str = "FULL") -> list[Step]:
     """Every step sqlite takes to write a tape; NORMAL is the planted bug, which does not sync."""
     with tempfile.TemporaryDirectory() as folder, Recording() as recording:
         journal = SqliteJournal(Path(folder) / "journal")
+        journal.mark = RecordedMark(journal.mark.path, recording.steps)
         journal._database.execute(f"PRAGMA wal_autocheckpoint={CHECKPOINT_PAGES}")
         journal._database.execute(f"PRAGMA synchronous={synchronous}")
         for number, batch in enumerate(batches(tape), start=1):

@@ -84,6 +84,11 @@ class OneWay(_Fault):
     receiver: Slot
 
 
+# What a robot's disk holds when it is switched on again. torn: the power failed, what was unsynced is
+# mangled; rolled_back: an earlier state was put back; lost: nothing.
+DiskState = Literal["kept", "lost", "torn", "rolled_back"]
+
+
 class Crash(_Fault):
     kind: Literal["crash"]
     robot: Slot
@@ -92,9 +97,7 @@ class Crash(_Fault):
 class Restart(_Fault):
     kind: Literal["restart"]
     robot: Slot
-    disk: Literal["kept", "lost", "torn"] = (
-        "kept"  # torn: the power failed, what was unsynced is mangled
-    )
+    disk: DiskState = "kept"
 
 
 class Freeze(_Fault):
@@ -197,7 +200,7 @@ class CrashWorking(_Fault):
     kind: Literal["crash_working"]  # dies in the middle of a section, at the next chance
     robot: Slot
     for_s: float = Field(gt=0.0)  # then it is switched on again
-    disk: Literal["kept", "lost", "torn"] = "kept"
+    disk: DiskState = "kept"
 
 
 Fault = Annotated[

@@ -28,7 +28,12 @@ from sim.warehouse_scenario import is_warehouse, load_warehouse
 GOODBYE_S = 0.2  # for the farewell frame to leave
 
 
+WRONG = 2  # exit code: what is said in one line must be mended first
 AnySetting = Setting | DeliverySetting
+
+
+class RobotError(Exception):
+    """One line for the person."""
 
 
 def setting_of(
@@ -44,7 +49,10 @@ async def run(order: dict[str, Any]) -> None:
     slot = int(order["slot"])
     keys = None if order["keys"] is None else Path(order["keys"])
     setting = setting_of(order["scenario"], order["robots"], order["seed"], keys)
-    journal, recalled = SqliteJournal.opened(Path(order["journal"]))
+    try:
+        journal, recalled = SqliteJournal.opened(Path(order["journal"]))
+    except OSError as problem:
+        raise RobotError(f"robot {slot}: its journal is not to be had: {problem}") from None
     loop = asyncio.get_running_loop()
     end = asyncio.Event()
     loop.add_signal_handler(signal.SIGTERM, end.set)
@@ -89,7 +97,11 @@ async def run(order: dict[str, Any]) -> None:
 
 def main() -> None:
     order = json.loads(sys.stdin.readline())
-    asyncio.run(run(order))
+    try:
+        asyncio.run(run(order))
+    except RobotError as problem:
+        print(problem, file=sys.stderr)
+        sys.exit(WRONG)
 
 
 if __name__ == "__main__":
