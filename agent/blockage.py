@@ -19,7 +19,6 @@ BLOCKED_M: Final = 0.4  # margin of ORCA and of tracking, round a body that stan
 THING_M: Final = (
     0.4  # beside the hull on a way past a thing: what the lookout keeps, and half a grain
 )
-CORNER: Final = 0.71  # of a cell: its corner is so far from its middle
 
 
 class Blockage:
@@ -52,13 +51,8 @@ class Blockage:
         if self.bodies:
             self.way = self.way.round(self.bodies, self.body_m)
         if self.things:
-            self.way = self.way.round(sorted(self.things), self._beside_m)
+            self.way = self.way.round(sorted(self.things), self.radius_m + THING_M)
         return new
-
-    @property
-    def _beside_m(self) -> float:
-        """From a thing to the middle of a cell that a way may pass anywhere."""
-        return self.radius_m + THING_M + CORNER * self.route.cell_m
 
     def touches(self, points: list[Point], new: frozenset[Point]) -> bool:
         """Whether a way along these points meets one of the things that are new."""

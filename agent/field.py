@@ -14,11 +14,13 @@ from zlib import crc32
 import numpy as np
 import shapely
 from numpy.typing import NDArray
+from scipy.ndimage import label
 from shapely.geometry import LineString, Point, Polygon
 from shapely.ops import substring
 
 XY = tuple[float, float]
 Polyline = tuple[XY, ...]
+CORNER = 0.7072  # of a cell: its corner is so far from its middle, rounded up
 UNITS_MAX = 10_240  # a section: 256 blocks of 40, as WORK_PROGRESS carries them
 
 
@@ -130,11 +132,12 @@ class Field:
 
 
 def rasterise(
-    field: Field, cell_m: float, clearance_m: float
+    field: Field, cell_m: float, clearance_m: float, whole: bool = False
 ) -> tuple[NDArray[np.bool_], float, float, float]:
     """(blocked, origin x, origin y, cell) of a path grid: blocked where a robot's centre may not be.
 
-    `blocked[row, column]`, row 0 in the south. A border of two cells is blocked all round.
+    `blocked[row, column]`, row 0 in the south. A border of two cells is blocked all round. `whole`:
+    every point of a free cell keeps the clearance; otherwise only its middle does.
     """
     free = field.polygon.buffer(-clearance_m)
     west, south, east, north = field.polygon.bounds
@@ -145,7 +148,35 @@ def rasterise(
     y_m = origin_y_m + (np.arange(rows) + 0.5) * cell_m
     grid_x, grid_y = np.meshgrid(x_m, y_m)
     shapely.prepare(free)
-    return ~shapely.contains_xy(free, grid_x, grid_y), origin_x_m, origin_y_m, cell_m
+    blocked = ~shapely.contains_xy(free, grid_x, grid_y)
+    if whole:
+        inner = field.polygon.buffer(-clearance_m - CORNER * cell_m)
+        shapely.prepare(inner)
+        border = ~blocked & ~shapely.contains_xy(inner, grid_x, grid_y)
+        x_m, y_m, half_m = grid_x[border], grid_y[border], cell_m / 2
+        squares = shapely.box(x_m - half_m, y_m - half_m, x_m + half_m, y_m + half_m)
+        blocked[border] = ~shapely.covers(free, squares)
+    return blocked, origin_x_m, origin_y_m, cell_m
+
+
+def joins(
+    field: Field, grid: tuple[NDArray[np.bool_], float, float, float], clearance_m: float
+) -> bool:
+    """Whether a way leads over a path grid between all ends of sections that the ground joins."""
+    blocked, origin_x_m, origin_y_m, cell_m = grid
+    free = field.polygon.buffer(-clearance_m)
+    parts = [part for part in getattr(free, "geoms", [free]) if not part.is_empty]
+    if not parts:
+        return True
+    regions = label(~blocked)[0]
+    region_of: dict[int, int] = {}
+    for x_m, y_m in {end for section in field.sections for end in section.ends}:
+        part = min(range(len(parts)), key=lambda k: parts[k].distance(Point(x_m, y_m)))
+        row, column = int((y_m - origin_y_m) // cell_m), int((x_m - origin_x_m) // cell_m)
+        region = int(regions[row, column])
+        if region == 0 or region_of.setdefault(part, region) != region:
+            return False
+    return True
 
 
 def start_poses(field: Field, count: int, spacing_m: float, clearance_m: float) -> list[XY]:

@@ -14,7 +14,11 @@ OPEN_SEARCH_CELLS = 12  # how far a start or goal on a blocked cell is moved to 
 
 
 class Route:
-    """Paths over a blocked grid (row, column) whose cell (0, 0) has its corner at the origin."""
+    """Paths over a blocked grid (row, column) whose cell (0, 0) has its corner at the origin.
+
+    A path may pass anywhere in a free cell, along its border too, so the grid must block every cell of
+    which a part is too near to something.
+    """
 
     def __init__(
         self, blocked: NDArray[np.bool_], origin_x_m: float, origin_y_m: float, cell_m: float
@@ -25,7 +29,7 @@ class Route:
 
     def round(self, bodies: Sequence[Point], reach_m: float) -> "Route":
         """The same with a disc blocked round each body that stands: another grid, made when
-        something comes or goes, not for every path."""
+        something comes or goes, not for every path. No path comes nearer to a body than `reach_m`."""
         blocked, reach = self.blocked.copy(), int(reach_m / self.cell_m) + 1
         for body_x_m, body_y_m in bodies:
             row, column = self._cell((body_x_m, body_y_m))
@@ -33,7 +37,10 @@ class Route:
             window = blocked[top : row + reach + 1, left : column + reach + 1]
             y_m = self.origin_y_m + (top + np.arange(window.shape[0]) + 0.5) * self.cell_m
             x_m = self.origin_x_m + (left + np.arange(window.shape[1]) + 0.5) * self.cell_m
-            gap2 = (x_m[None, :] - body_x_m) ** 2 + (y_m[:, None] - body_y_m) ** 2
+            half_m = self.cell_m / 2  # the gap is that of the nearest point of a cell
+            gap_x_m = np.maximum(np.abs(x_m - body_x_m) - half_m, 0.0)
+            gap_y_m = np.maximum(np.abs(y_m - body_y_m) - half_m, 0.0)
+            gap2 = gap_x_m[None, :] ** 2 + gap_y_m[:, None] ** 2
             window |= gap2 < reach_m * reach_m
         return Route(blocked, self.origin_x_m, self.origin_y_m, self.cell_m)
 

@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 from shapely.geometry import Point, Polygon
 
 from agent.config import BRAKING_SHARE
-from agent.field import XY, Field, rasterise, start_poses
+from agent.field import XY, Field, joins, rasterise, start_poses
 from agent.field_work import FieldWork
 from agent.motion import FENCE_M, Motion
 from agent.motion import Limits as BodyLimits
 from agent.route import Route
 from agent.safety import SilencePolicy
 from agent.swaths import divide
+from agent.tracker import ALIGN_M
 from agent.tractor_motion import TractorMotion
 from agent.tractor_tracker import Limits
 from agent.tractor_work import TractorWork
@@ -36,6 +37,7 @@ from sim.world import World
 ROUTE_CELLS_MAX = 1_500_000  # of the path grid; larger fields get coarser cells
 ROUTE_CELL_M = 0.5
 CLEARANCE_M = 0.3  # paths keep this much more than the radius from fences and holes
+assert CLEARANCE_M > FENCE_M + ALIGN_M / 2, "avoidance permits what was planned, a little off it too"
 TURN_CELL_M = 0.25  # the same for bodies that steer: turns are a matter of decimetres
 TURN_SPARE = 1.2  # planned circles are wider than the tightest: the rest is for corrections
 PIVOT_RADIUS_M = 0.6  # a body that can turn on the spot need not, and is quicker
@@ -134,11 +136,14 @@ class Setting:
 
     @cached_property
     def _grid(self) -> tuple[NDArray[np.bool_], float, float, float]:
-        west, south, east, north = self.field.polygon.bounds
-        cell_m = ROUTE_CELL_M
-        while (east - west) * (north - south) / cell_m**2 > ROUTE_CELLS_MAX:
-            cell_m *= 2
-        return rasterise(self.field, cell_m, self.scenario.fleet.radius_m + CLEARANCE_M)
+        """Finer where cells of the usual size close a passage that robots fit through."""
+        clearance_m = self.scenario.fleet.radius_m + CLEARANCE_M
+        cell_m = self._cells(ROUTE_CELL_M)
+        grid = rasterise(self.field, cell_m, clearance_m, whole=True)
+        while grid[0].size * 4 <= ROUTE_CELLS_MAX and not joins(self.field, grid, clearance_m):
+            cell_m /= 2
+            grid = rasterise(self.field, cell_m, clearance_m, whole=True)
+        return grid
 
     @cached_property
     def route(self) -> Route:
