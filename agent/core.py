@@ -267,7 +267,10 @@ class Peer:
         """A person at this machine. Refused while any stop is not cleared or a cause persists."""
         if self.lifecycle.state is not State.EMERGENCY_STOP or not self.safety.manual_reset(now_us):
             return [Trace("safety", "LATCHED", "MANUAL_RESET", "LATCHED", "refused")]
-        held = self.safety.hold(now_us)  # reset is not start
+        held = [*self.safety.hold(now_us)]  # reset is not start
+        permit = self.safety.button.release(now_us)
+        if permit is not None:  # from the address that said the stop, before it is claimed again
+            held.append(Send(permit, source=self.joining.address))
         if not self.safety.holds(Cause.BUS_OFF):  # else when the bus is back
             self.joining.rejoin(now_us)
             self.roll_call.power_up()

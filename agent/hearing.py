@@ -27,6 +27,7 @@ from protocol.delivery_frames import (
 from protocol.fleet_frames import Heartbeat, LeaderElectionVote, Member, Pose, VectorSlice
 from protocol.map_frames import MapDigests, MapPatch
 from protocol.messages import Message
+from protocol.name import Name
 from protocol.network_frames import AddressClaimed
 from protocol.operator_frames import OperatorGoal
 from protocol.safety_frames import (
@@ -138,7 +139,9 @@ class Hearing:
     def _implements_stop(
         self, source: int, slot: int | None, m: AllImplementsStop, now_us: int
     ) -> Sequence[Effect]:
-        return self.peer.safety.receive_implements_stop(source, m, now_us)
+        name = self.peer.joining.machine.names.get(source)
+        robot = slot is not None and name is not None and Name.unpack(name).is_robot
+        return self.peer.safety.receive_implements_stop(source, name, robot, m, now_us)
 
     def _command(
         self, source: int, slot: int | None, m: OperatorCommand, now_us: int

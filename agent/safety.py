@@ -13,6 +13,7 @@ from agent.authority import Authority
 from agent.cause import CREEP, LEAST, NOT_STARTED, SILENT, WORST, Cause, Severity
 from agent.config import MEMBERSHIP_STABLE_US, MS, STOP_REPEAT_US, STOP_SPACING_US, S
 from agent.effects import HALT, Drive, Effect, Persist, Send, Trace
+from agent.shortcut_buttons import STOPS, OwnButton, ShortcutButtons
 from crdt.stops import FarDot, FarStopSet, StopDot, StopSet, turn
 from protocol.authentication import Keyring
 from protocol.operator_frames import OperatorGoal
@@ -23,7 +24,6 @@ from protocol.safety_frames import (
     EmergencyStop,
     OperatorCommand,
     Reason,
-    Switch,
 )  # fmt: skip
 
 STOPS_KEY, COUNTER_KEY, HOLD_KEY = "stops", "stop_counter", "hold"
@@ -31,7 +31,6 @@ FAR_KEY = "far_stops"  # of other segments
 FREE, HELD, LATCHED = b"\0", b"\1", b"\2"  # in HOLD_KEY: a restart resets and starts nothing
 CREEP_M_S = 0.5
 UNAUTHENTICATED_HOLD_US = 1 * S  # a stop without a valid tag holds this long after its last frame
-IMPLEMENTS_HOLD_US = 3 * S  # the standard frame comes every second; three are missing
 # 2 s; then the heartbeats' stopped bit carries the latch. 1 s by who knows nobody: it may have just come.
 REPEATS_MAX, REPEATS_ALONE = 400, 200
 AGAIN_US = 100 * MS  # 20 repeats: who still beats as if nothing was may know our dot as cleared
@@ -76,6 +75,7 @@ class Safety:
         self._free: set[int] = set()  # at our press, or since: members that did not stand stopped
         self._repeat_us, self._again, self._pressed_us = FOREVER, 0, -STOP_SPACING_US
         self._answered_us = -ANSWER_SPACING_US
+        self.buttons, self.button = ShortcutButtons(), OwnButton()
         self._told: StopDot | None = None  # the last of those told to who did not know them
         self._recall(recalled)
 
@@ -161,7 +161,7 @@ class Safety:
         return [
             HALT,
             Send(self._stop(dot, reason)),
-            Send(AllImplementsStop(self.counter & 0xFF, Switch.STOP)),
+            Send(self.button.press(now_us)),
             *self._remember(),
             Trace("safety", "", "PRESSED", "LATCHED", reason.name),
         ]
@@ -263,15 +263,29 @@ class Safety:
         return self.clear_near(dot, f"{m.operator}")
 
     def receive_implements_stop(
-        self, source: int, m: AllImplementsStop, now_us: int
+        self, source: int, name: int | None, robot: bool, m: AllImplementsStop, now_us: int
     ) -> Sequence[Effect]:
-        """The standard frame, from any device: a level that holds while it is repeated."""
-        if m.switch in (Switch.STOP, Switch.ERROR):
-            self.raise_cause(Cause.IMPLEMENTS_STOP, now_us, f"address {source}", IMPLEMENTS_HOLD_US)
-            return [HALT]
-        if m.switch == Switch.PERMIT:
+        """The standard frame, from any device: each button is a level that holds while it is repeated.
+
+        `name`: that the source address has claimed. `robot`: it is a member of the fleet."""
+        self.buttons.hear(source, name, robot, m, now_us)
+        if robot:
+            self.button.heard(m, now_us)
+        held_us, held = self.buttons.until_us() - now_us, Cause.IMPLEMENTS_STOP in self._causes
+        if held_us <= 0:
             self.clear_cause(Cause.IMPLEMENTS_STOP, now_us)
-        return ()
+            return ()
+        self.raise_cause(Cause.IMPLEMENTS_STOP, now_us, f"address {source}", held_us)
+        return [HALT] if m.switch in STOPS or not held else ()
+
+    def say_button(self, live: Collection[int], now_us: int) -> Sequence[Effect]:
+        """With a beat: the standard frame, where an emergency stop holds us or has just ended."""
+        latched = Cause.STOP_DOT in self._causes
+        if not latched and not self.button.speaks:
+            return ()
+        rank = sum(slot < self.slot for slot in live)
+        said = self.button.say(latched, rank, now_us)
+        return () if said is None else [Send(said)]
 
     def accept_order(
         self, m: OperatorCommand | OperatorGoal, now_us: int

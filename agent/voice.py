@@ -75,6 +75,7 @@ class Voice:
         self.beats += 1
         if self.beats % self.beats_a_heartbeat == 0:
             effects += self._heartbeat(peer)
+        effects += peer.safety.say_button(peer.membership.live, now_us)
         effects += peer.elect(now_us)
         if peer.agreeing is not None:
             effects += [Send(word) for word in peer.agreeing.accords.say(now_us)]

@@ -50,6 +50,12 @@ class Name(NamedTuple):
         return cls(*((number >> shift) & ((1 << bits) - 1) for _, shift, bits in _FIELDS))
 
     @property
+    def is_robot(self) -> bool:
+        """Of our maker and function, whatever fleet it belongs to."""
+        ours = Name(self.identity)
+        return self.manufacturer == ours.manufacturer and self[4:6] == ours[4:6]
+
+    @property
     def hash16(self) -> int:
         return crc32(self.pack().to_bytes(8, "little")) & 0xFFFF
 

@@ -15,6 +15,7 @@ from tools.operator_device import Operator, Robot
 REPEAT_S = 0.005
 LISTEN_S = 0.5  # long enough for ten beats: who has not been heard by then is not there
 AGAIN_S = 0.1  # nobody latched by then: the dot may have been used and cleared long ago; another
+FIRST_STOP = 1  # stops that this device has said in the standard frame, since it was started
 NOT_ALL, WRONG = 1, 2
 NOT_SIGNED = (
     "NOT SIGNED: a fleet without keys believes anybody on the bus; one with keys only brakes"
@@ -84,7 +85,7 @@ async def press(operator: Operator, reason: Reason, timeout_s: float) -> list[Ro
     begun_s = dot_s = loop.time()
     stop = operator.new_stop(reason)
     operator.stop(stop)
-    operator.send(AllImplementsStop(stop.counter, Switch.STOP))
+    operator.send(AllImplementsStop(FIRST_STOP, Switch.STOP))
     operator.ask_who()
     while True:
         await asyncio.sleep(REPEAT_S)
