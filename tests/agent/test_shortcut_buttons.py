@@ -1,6 +1,7 @@
 """The standard stop of ISO 11783-7: several shortcut buttons on one bus, and what a robot says itself."""
 
 from collections.abc import Iterable
+from itertools import pairwise
 
 import pytest
 
@@ -124,7 +125,7 @@ def test_a4_a_press_says_the_standard_stop_every_second_until_the_release() -> N
     permits = [t_us for t_us, m in said if m == AllImplementsStop(1, Switch.PERMIT)]
     assert len(stops) + len(permits) == len(said), "counted from power up: this is the first"
     assert 6 <= len(stops) <= 7 and stops[0] < 2 * S + 100 * MS
-    assert max(b - a for a, b in zip(stops, stops[1:], strict=False)) <= SAY_US + 100 * MS
+    assert max(b - a for a, b in pairwise(stops)) <= SAY_US + 100 * MS
     assert len(permits) == 1 + PERMITS and permits[0] < 8 * S + 100 * MS
 
 
@@ -153,7 +154,7 @@ def test_a4_one_of_those_latched_by_a_panel_says_it_and_another_takes_over() -> 
     assert {rank for t_us, rank in said if t_us < 8 * S} == {0}
     assert {rank for t_us, rank in said if t_us >= 8 * S} == {1}
     times_us = [t_us for t_us, _ in said]
-    assert max(b - a for a, b in zip(times_us, times_us[1:], strict=False)) < HOLD_US
+    assert max(b - a for a, b in pairwise(times_us)) < HOLD_US
 
 
 def test_a4_a_robot_latched_by_a_panel_says_it() -> None:
