@@ -138,7 +138,7 @@ def test_a4_the_count_is_that_of_stops() -> None:
 
 
 def test_a4_one_of_those_latched_by_a_panel_says_it_and_another_takes_over() -> None:
-    """Three robots; the first says it, and falls silent; the second takes over before listeners forget."""
+    """The first of three says it and falls silent; the second takes over before listeners forget."""
     buttons = [OwnButton() for _ in range(3)]
     said = list[tuple[int, int]]()
     for now_us in range(0, 20 * S, 50 * MS):
