@@ -25,6 +25,10 @@ class DrillSetting(Setting):
         return self.parade
 
     @property
+    def time_limit_s(self) -> float:
+        return self.scenario.run.time_limit_s
+
+    @property
     def config_hash(self) -> int:
         return CONFIG_HASH
 

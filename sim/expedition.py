@@ -104,7 +104,7 @@ class Expedition:
         return outcome
 
     def _until_finished(self, cluster: Cluster, script: Handle) -> Script[None]:
-        host, limit_us = cluster.host, round(self.setting.scenario.run.time_limit_s * S)
+        host, limit_us = cluster.host, round(self.setting.time_limit_s * S)
         while host.now_us() < limit_us:
             yield host.now_us() + LOOK_US
             cluster.check()

@@ -30,18 +30,22 @@ from sim.field_error import FieldFileError
 from sim.field_file import read_boundary
 from sim.key_file import FLEET, KeyFileError, read
 from sim.lidar import Lidar
-from sim.scenario import Scenario, ScenarioError
+from sim.scenario import Crash, CrashWorking, Scenario, ScenarioError
+from sim.time_limit import time_limit_s
 from sim.vehicle import Chassis, Kind
 from sim.world import World
 
 ROUTE_CELLS_MAX = 1_500_000  # of the path grid; larger fields get coarser cells
 ROUTE_CELL_M = 0.5
 CLEARANCE_M = 0.3  # paths keep this much more than the radius from fences and holes
-assert CLEARANCE_M > FENCE_M + ALIGN_M / 2, "avoidance permits what was planned, a little off it too"
+assert CLEARANCE_M > FENCE_M + ALIGN_M / 2, (
+    "avoidance permits what was planned, a little off it too"
+)
 TURN_CELL_M = 0.25  # the same for bodies that steer: turns are a matter of decimetres
 TURN_SPARE = 1.2  # planned circles are wider than the tightest: the rest is for corrections
 PIVOT_RADIUS_M = 0.6  # a body that can turn on the spot need not, and is quicker
 PIVOT_STEER_1_M_S = 6.0  # its curvature changes as fast as its wheels
+DEADLY = (Crash, CrashWorking)  # faults after which a robot may not work
 SPACING_RADII = 3.0  # between robots at the gate
 
 
@@ -205,6 +209,19 @@ class Setting:
     def floor_space(self, radius_m: float) -> Polygon:
         """Where the middle of a body can be."""
         return self.field.polygon.buffer(-radius_m)
+
+    @property
+    def time_limit_s(self) -> float:
+        """The scenario's; where it says none, by the field and the robots that work to the end."""
+        scenario = self.scenario
+        if "time_limit_s" in scenario.run.model_fields_set:
+            return scenario.run.time_limit_s
+        crashed = {fault.robot for fault in scenario.fault if isinstance(fault, DEADLY)}
+        ends_s = [fault.at_s + getattr(fault, "for_s", 0.0) for fault in scenario.fault]
+        fleet = scenario.fleet
+        return time_limit_s(
+            self.field, fleet.robots - len(crashed), fleet.speed_m_s, max(ends_s, default=0.0)
+        )
 
     @property
     def config_hash(self) -> int:
