@@ -21,6 +21,10 @@ from protocol.network_frames import AddressClaimed
 
 MS = 1_000
 FIRST, LAST = 128, 235  # self-configurable addresses of industry group 2
+# Preferred addresses that a standard gives to one kind of device: it speaks as soon as it has claimed
+# (J1939-81). The standard lists 0 to 127 as well; no device of ours prefers one of those.
+AT_ONCE_FIRST, AT_ONCE_LAST = 248, 253
+SAID_US = 20 * MS  # for such a claim to leave: frames that are more urgent would overtake it in our queue
 CONTENTION_US = 250 * MS
 DELAY_STEP_US = 600  # RTxD = rand(0..255) * 0.6 ms
 DEFENCES_MAX = 5  # in a second: two devices with one NAME would answer each other for ever
@@ -44,8 +48,14 @@ class Claiming(NamedTuple):
 
 
 class AddressClaim:
-    def __init__(self, name: Name, preferred: int, rng: Random, now_us: int) -> None:
-        assert FIRST <= preferred <= LAST
+    def __init__(
+        self, name: Name, preferred: int, rng: Random, now_us: int, modest_for_us: int | None = None
+    ) -> None:
+        """`modest_for_us`: of a guest, which listens for so long before it claims, leaves every
+        address to its holder, whatever that NAME is, and looks for a free one from the top."""
+        at_once = modest_for_us is not None and AT_ONCE_FIRST <= preferred <= AT_ONCE_LAST
+        assert FIRST <= preferred <= LAST or at_once
+        self._modest_for_us = modest_for_us
         self.name, self.number, self._rng = name, name.pack(), rng
         self.preferred = self.candidate = preferred
         self.names: dict[int, int] = {}  # address -> NAME, of others
@@ -75,6 +85,8 @@ class AddressClaim:
         """Power up, or back on the bus."""
         self.state, self._answer_us = State.WAITING, None
         self._next_us = now_us + self._rng.randrange(256) * DELAY_STEP_US
+        if self._modest_for_us is not None:
+            self._next_us = now_us + self._modest_for_us
 
     def hurry(self, now_us: int) -> None:
         """Claim at once: a random delay may be none, and who waits to say a stop must not wait longer
@@ -137,9 +149,12 @@ class AddressClaim:
         return Claiming(AddressClaimed(self.number), source)
 
     def _claim(self, now_us: int) -> list[Claiming]:
-        if self.names.get(self.candidate, self.number) < self.number:
+        holder = self.names.get(self.candidate, self.number)
+        if holder < self.number or (self._modest_for_us is not None and holder != self.number):
             return self._move(now_us)
-        self.state, self._next_us = State.CONTENDING, now_us + CONTENTION_US
+        at_once = self.candidate > LAST
+        wait_us = SAID_US if at_once else CONTENTION_US
+        self.state, self._next_us = State.CONTENDING, now_us + wait_us
         return [Claiming(AddressClaimed(self.number), self.candidate)]
 
     def _defend(self, now_us: int) -> list[Claiming]:
@@ -153,8 +168,10 @@ class AddressClaim:
     def _move(self, now_us: int) -> list[Claiming]:
         """Take the next address that nobody with a lower NAME holds."""
         width = LAST - FIRST + 1
-        for step in range(1, width):
+        for step in range(1, width + 1):
             address = FIRST + (self.candidate - FIRST + step) % width
+            if self._modest_for_us is not None:
+                address = FIRST + (min(self.candidate, LAST + 1) - FIRST - step) % width
             if self.names.get(address) is None:
                 self.candidate = address
                 self.state, self._next_us = State.CONTENDING, now_us + CONTENTION_US

@@ -17,6 +17,8 @@ AGRICULTURE = 2  # industry group
 MANUFACTURER = 1407  # open to non-commercial projects
 FUNCTION = 128  # first function that depends on industry group and device class
 DEVICE_CLASS = 1  # tractor
+TOOL_FUNCTION = 129  # off-board diagnostic or service tool, of the non-specific device class
+NON_SPECIFIC = 0  # device class
 IDENTITY_MAX = (1 << 21) - 1
 
 _FIELDS = (  # name, shift, bits
@@ -58,6 +60,14 @@ class Name(NamedTuple):
     @property
     def hash16(self) -> int:
         return crc32(self.pack().to_bytes(8, "little")) & 0xFFFF
+
+
+def tool_name(identity: int) -> Name:
+    """The NAME of an operator's tool. The highest device class instance makes it lose every address
+    that a robot wants too."""
+    return Name(
+        identity, function=TOOL_FUNCTION, device_class=NON_SPECIFIC, device_class_instance=15
+    )
 
 
 def fleet_name(fleet: str, slot: int) -> Name:

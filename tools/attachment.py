@@ -13,7 +13,6 @@ from protocol.socketcand_link import ANSWER_S, SocketcandLink
 LAUNCH = Path("runs/launch/bus.json")  # where a launch leaves the address of its bus
 CHANNEL = "can0"  # of the bus of a launch
 REACH_S = 2.0  # a server on this or the next machine answers within milliseconds
-TOOL_ADDRESS = 249  # off-board service tool (J1939 preferred addresses, industry group 0)
 # What python-can logs when an interface cannot be opened, it also raises: one line is enough.
 logging.getLogger("can").addHandler(logging.NullHandler())
 

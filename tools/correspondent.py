@@ -3,26 +3,31 @@
 import asyncio
 
 from agent.ports import Bus
-from protocol.codec import decode, encode
+from protocol.codec import decode
 from protocol.frame import Frame
-from protocol.identifier import GLOBAL_ADDRESS, Identifier
+from protocol.identifier import Identifier
 from protocol.messages import Message
 from protocol.network_frames import Request, TransportData, TransportManagement
 from protocol.transport import Arrived, Transport
-from tools.attachment import TOOL_ADDRESS
+from tools.device_address import DeviceAddress
 
 LOOK_S = 0.02  # sessions are looked after this often; their shortest limit is 200 ms
 
 
 class Correspondent:
-    def __init__(self, bus: Bus) -> None:
+    def __init__(self, bus: Bus, device: DeviceAddress | None = None) -> None:
+        """`device`: whose address it speaks from; none: it claims one of its own."""
         self.bus, self.transport = bus, Transport()
+        self.device = DeviceAddress(bus) if device is None else device
+        self._own_device = device is None
         self.arrived: list[Arrived] = []
 
     def hear(self, now_s: float, frame: Frame) -> None:
+        if self._own_device:
+            self.device.hear(now_s, frame)
         source, message = decode(frame)
         destination = Identifier.unpack(frame.identifier).destination
-        if destination not in (TOOL_ADDRESS, GLOBAL_ADDRESS):
+        if not self.device.owns(destination):
             return
         if isinstance(message, TransportManagement | TransportData):
             now_us = round(now_s * 1e6)
@@ -35,6 +40,7 @@ class Correspondent:
     async def ask(self, pgn: int, address: int, seconds: float) -> str | None:
         """The text of a parameter group, or None where nothing whole came in time."""
         loop = asyncio.get_running_loop()
+        await self.device.held()  # an answer in parts goes to an address
         end_s = loop.time() + seconds
         # What it told when it was asked before is no answer to this.
         self.arrived = [a for a in self.arrived if (a.pgn, a.source) != (pgn, address)]
@@ -49,4 +55,4 @@ class Correspondent:
         return None
 
     def _send(self, message: Message, destination: int) -> None:
-        self.bus.send(encode(message, TOOL_ADDRESS, destination))
+        self.device.send(message, destination)

@@ -87,8 +87,14 @@ async def press(operator: Operator, reason: Reason, timeout_s: float) -> list[Ro
     operator.stop(stop)
     operator.send(AllImplementsStop(FIRST_STOP, Switch.STOP))
     operator.ask_who()
+    spoken_from = operator.device.address
     while True:
         await asyncio.sleep(REPEAT_S)
+        if operator.device.address != spoken_from:
+            # Devices of other makers hear a stop only from an address that was claimed.
+            spoken_from = operator.device.address
+            operator.send(AllImplementsStop(stop.counter, Switch.STOP))
+            operator.stop(stop)
         now_s = operator.now_s = loop.time()
         late = [r for r in operator.live if not (r.stopped or r.echoed)]
         heard = bool(operator.live) and not operator.unknown

@@ -209,7 +209,7 @@ async def _ask_traces(
     loop = asyncio.get_running_loop()
     try:
         operator = Operator(bus, None)
-        letters = Correspondent(bus)
+        letters = Correspondent(bus, operator.device)
 
         def heard(frame: Frame) -> None:
             operator.hear(loop.time(), frame)

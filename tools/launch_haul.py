@@ -7,17 +7,28 @@ import asyncio
 
 from agent.task_book import TASKS_MAX
 from crdt import Phase
-from protocol.codec import encode
+from protocol.frame import Frame
 from protocol.messages import Message
 from sim.body_link import BodyServer
 from sim.delivery_setting import DeliverySetting
 from sim.depot import Depot
 from sim.host import follow
 from sim.parcels import CarrierBody
-from tools.attachment import TOOL_ADDRESS
+from tools.device_address import DeviceAddress
 from tools.language.places import Places
 from tools.launch import Launch
 from tools.launch_bus import LaunchBus
+
+
+class _Desk:
+    """The bus of the launch, as a device speaks on it."""
+
+    def __init__(self, bus: LaunchBus) -> None:
+        self.bus = bus
+
+    def send(self, frame: Frame) -> bool:
+        self.bus.say(frame)
+        return True
 
 
 class HaulLaunch(Launch):
@@ -27,9 +38,13 @@ class HaulLaunch(Launch):
     def _furnish(self, bodies: BodyServer, bus: LaunchBus) -> list["asyncio.Task[None]"]:
         assert isinstance(self.setting, DeliverySetting)
 
-        def say(message: Message) -> None:
-            bus.say(encode(message, TOOL_ADDRESS))
+        loop = asyncio.get_running_loop()
+        desk = DeviceAddress(_Desk(bus))
 
+        def say(message: Message) -> None:
+            desk.send(message)
+
+        bus.taps.append(lambda t_us, frame: desk.hear(loop.time(), frame))
         self.depot = Depot(self.setting, self.world, bodies.now_us, self._is_up, say)
         bus.taps.append(lambda t_us, frame: self.depot.hear(bodies.now_us(), frame))
         carriers = {

@@ -11,7 +11,7 @@ from agent.lifecycle import State
 from agent.ports import Bus
 from crdt.stops import FarDot
 from protocol.authentication import Keyring, Signed
-from protocol.codec import Malformed, decode, encode
+from protocol.codec import Malformed, decode
 from protocol.fleet_frames import Heartbeat, Member, Pose
 from protocol.fleet_tags import FleetTags, plain_reset
 from protocol.frame import Frame
@@ -27,7 +27,7 @@ from protocol.safety_frames import (
 )
 from protocol.segment_frames import FleetStop
 from protocol.work_frames import REGISTERS, STOPS, StateSyncRequest
-from tools.attachment import TOOL_ADDRESS
+from tools.device_address import DeviceAddress
 
 OPERATOR_SLOT = 249  # an operator device in dots and commands, in a fleet without keys
 LIVE_S = 1.0  # heard within this: it has to stop
@@ -49,8 +49,13 @@ class Robot:
 
 
 class Operator:
-    def __init__(self, bus: Bus, keyring: Keyring | None) -> None:
+    def __init__(
+        self, bus: Bus, keyring: Keyring | None, device: DeviceAddress | None = None
+    ) -> None:
+        """`device`: whose address this operator speaks from; none: it claims one of its own."""
         self.bus, self.keyring = bus, keyring
+        self.device = DeviceAddress(bus) if device is None else device
+        self._own_device = device is None
         self.slot = OPERATOR_SLOT if keyring is None else keyring.sender
         self.robots: dict[int, Robot] = {}
         self.slot_of: dict[int, int] = {}
@@ -61,6 +66,8 @@ class Operator:
 
     def hear(self, now_s: float, frame: Frame) -> None:
         self.now_s = now_s
+        if self._own_device:
+            self.device.hear(now_s, frame)
         source, message = decode(frame)
         if isinstance(message, Malformed):
             return
@@ -104,14 +111,14 @@ class Operator:
             None if self.keyring is None else self.keyring.answer(question, round(self.now_s * 1e6))
         )
         if proof is not None:
-            self.bus.send(encode(proof, TOOL_ADDRESS, source))
+            self.device.send(proof, source)
 
     @property
     def live(self) -> list[Robot]:
         return [r for _, r in sorted(self.robots.items()) if self.now_s - r.heard_s < LIVE_S]
 
     def send(self, message: Message) -> bool:
-        return self.bus.send(encode(message, TOOL_ADDRESS))
+        return self.device.send(message)
 
     def ask_who(self) -> None:
         self.send(Request(GROUP_OF[Member].pgn))
@@ -119,6 +126,7 @@ class Operator:
     async def listen(self, seconds: float, stops: bool = False) -> None:
         """Hear who is there; ask again, because an answer may come before we are on the bus."""
         loop = asyncio.get_running_loop()
+        await self.device.held()
         end_s = loop.time() + seconds
         while loop.time() < end_s:
             self.ask_who()

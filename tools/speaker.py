@@ -50,7 +50,7 @@ class Speaker:
         ask: Asker, timeout_s: float = 5.0, by: str | None = None,
     ) -> None:  # fmt: skip
         self.operator, self.inspector = Operator(bus, keyring), Inspector()
-        self.letters = Correspondent(bus)
+        self.letters = Correspondent(bus, self.operator.device)
         self.places, self.queue, self.read, self.ask = places, queue, read, ask
         self.timeout_s, self.by = timeout_s, by
         self.heard = False

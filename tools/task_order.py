@@ -8,13 +8,14 @@ from pathlib import Path
 from agent.cost_matrix import Carrier
 from agent.task_book import Order
 from agent.warehouse import Warehouse
-from protocol.codec import Malformed, decode, encode
+from protocol.codec import Malformed, decode
 from protocol.frame import Frame
 from sim.delivery_setting import floor_of
 from sim.order_desk import OrderDesk
 from sim.scenario import ScenarioError
 from sim.warehouse_scenario import TaskRow, load_warehouse, read_tasks
-from tools.attachment import TOOL_ADDRESS, AttachError, attach
+from tools.attachment import AttachError, attach
+from tools.device_address import DeviceAddress
 
 LISTEN_S = 3.0  # robots tell which tasks they know, a bucket a second each
 CONFIRM_S = 5.0
@@ -73,15 +74,16 @@ def _cell(house: Warehouse, at: tuple[float, float]) -> int:
 async def _order(orders: list[Order], where: tuple[str, str, int, str, int]) -> dict[int, bool]:
     """Task numbers, and whether two robots, or all there are, have said that they know them."""
     bus = attach(*where)
-    desk = OrderDesk()
+    desk, device = OrderDesk(), DeviceAddress(bus)
+    loop = asyncio.get_running_loop()
 
     def hear(frame: Frame) -> None:
+        device.hear(loop.time(), frame)
         source, message = decode(frame)
         if not isinstance(message, Malformed):
             desk.hear(source, message)
 
     bus.subscribe(hear)
-    loop = asyncio.get_running_loop()
     try:
         await asyncio.sleep(LISTEN_S)
         if not desk.robots:
@@ -92,7 +94,7 @@ async def _order(orders: list[Order], where: tuple[str, str, int, str, int]) -> 
         end_s = loop.time() + CONFIRM_S
         while loop.time() < end_s and desk.due():
             for order in desk.due():
-                bus.send(encode(order, TOOL_ADDRESS))
+                device.send(order)
             await asyncio.sleep(0.5)
         return {number: desk.confirmed(number) for number in desk.numbers}
     finally:

@@ -9,7 +9,8 @@ from random import Random
 from rich.console import Console
 
 from agent.config import ACTUATOR_TTL_US, S, beat_of
-from protocol.codec import decode, encode
+from protocol.bus import CanBus
+from protocol.codec import decode
 from protocol.frame import Frame
 from protocol.safety_frames import Command, EmergencyReset, EmergencyStop, OperatorCommand, Reason
 from sim.candump import CandumpWriter
@@ -20,6 +21,7 @@ from sim.setting import Setting
 from sim.stop_fleet import LIMIT_US, StopFleet
 from tools.bench.drill import Squad
 from tools.bench.figure import Figure, percentile
+from tools.device_address import DeviceAddress
 from tools.launch import Launch
 from tools.warmup import warm
 
@@ -28,7 +30,7 @@ RATES = (0.0, 0.01, 0.10, 0.30)
 SHARES = {3: 0.35, 5: 0.35, 20: 0.25, 100: 0.05}  # of the presses; a hundred robots cost most
 SILENCES = ("cut", "kill", "freeze", "bus-off")
 SILENCE_SLACK_US = 20_000  # a control tick and the jitter of a busy bus
-OPERATOR, TOOL_ADDRESS = 249, 249
+OPERATOR = 249
 READY_S, AGAIN_S = 60.0, 0.25
 
 
@@ -160,16 +162,18 @@ class _Presses(Launch):
     async def _watch(self, end: asyncio.Event, seconds: float | None) -> bool:
         import os
 
-        bus = FieldBus(segment(f"launch {os.getpid()}").channel)
-        bus.subscribe(lambda frame: None)
+        loop = asyncio.get_running_loop()
+        bus = CanBus(FieldBus(segment(f"launch {os.getpid()}").channel))
+        device = DeviceAddress(bus)
+        bus.subscribe(lambda frame: device.hear(loop.time(), frame))
         try:
             for number in range(self.count):
-                await self._until(self._ready, READY_S, lambda: self._release(bus))
-                await self._press(bus, number)
+                await self._until(self._ready, READY_S, lambda: self._release(device))
+                await self._press(device, number)
         except TimeoutError:
             return False
         finally:
-            bus.shutdown()
+            bus.close()
         return True
 
     def _ready(self) -> bool:
@@ -179,20 +183,20 @@ class _Presses(Launch):
         robots = self.inspector.robots.values()
         return len(robots) == 6 and all(robot.state in states for robot in robots)
 
-    def _release(self, bus: FieldBus) -> None:
+    def _release(self, device: DeviceAddress) -> None:
         """Clear what is shown, reset the machines, give the start; said until it has come about."""
         for dot in self.inspector.latched:
-            bus.submit(encode(EmergencyReset(*dot, OPERATOR), TOOL_ADDRESS))
+            device.send(EmergencyReset(*dot, OPERATOR))
         for command in (Command.MANUAL_RESET, Command.START):
-            bus.submit(encode(OperatorCommand(command, 255, OPERATOR), TOOL_ADDRESS))
+            device.send(OperatorCommand(command, 255, OPERATOR))
 
-    async def _press(self, bus: FieldBus, number: int) -> None:
+    async def _press(self, device: DeviceAddress, number: int) -> None:
         loop = asyncio.get_running_loop()
         self._echoes.clear()
         self._dot = (OPERATOR, number >> 8, number & 0xFF)
         begun_s = loop.time()
         stop = EmergencyStop(*self._dot, Reason.OPERATOR_INTERVENTION)
-        bus.submit(encode(stop, TOOL_ADDRESS))
+        device.send(stop)
         await self._until(lambda: len(self._echoes) == 6, 3.0, lambda: None)
         self.times_s.append(max(self._echoes.values()) - begun_s)
         await self._until(lambda: self._all("EMERGENCY_STOP"), READY_S, lambda: None)

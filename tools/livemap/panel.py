@@ -72,7 +72,7 @@ class Panel:
                 keyring = operator_keyring(Path(key).expanduser() if key else None, RELEASE_S)
             except AttachError as problem:
                 raise PanelError(str(problem)) from None
-            operator = Operator(self.bus, keyring)
+            operator = Operator(self.bus, keyring, self.stopper.device)
             self._listeners.append(operator)
             try:
                 await operator.listen(LISTEN_S, stops=True)
