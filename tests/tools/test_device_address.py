@@ -15,7 +15,7 @@ from protocol.identifier import NULL_ADDRESS
 from protocol.name import AGRICULTURE, MANUFACTURER, TOOL_FUNCTION, Name, fleet_name, tool_name
 from protocol.network_frames import AddressClaimed, Request
 from protocol.safety_frames import AllImplementsStop, Command, EmergencyStop, Reason, Switch
-from sim.clock import run_virtual
+from sim.clock import elapse, run_virtual
 from sim.fieldbus import FieldBus, Segment, forget, segment
 from sim.hub import Hub
 from tests.tools.launching import call
@@ -88,7 +88,7 @@ def test_a3_a_tool_claims_249_before_it_says_anything_else() -> None:
         operator.ask_work()
         operator.command(Command.START)
         assert await operator.device.held()
-        await asyncio.sleep(0.1)
+        await elapse(0.1)
         sources = [(source, type(message)) for source, message in map(decode, heard.frames)]
         assert sources[:2] == [(NULL_ADDRESS, Request), (PREFERRED, AddressClaimed)]
         assert len(sources) == 4 and {source for source, _ in sources[2:]} == {PREFERRED}
@@ -99,7 +99,7 @@ def test_a3_a_tool_claims_249_before_it_says_anything_else() -> None:
 def test_a3_two_tools_at_once_have_two_addresses() -> None:
     async def story(heard: Heard) -> None:
         tools = [heard.operator() for _ in range(3)]
-        await asyncio.sleep(2.0)
+        await elapse(2.0)
         addresses = [tool.device.address for tool in tools]
         assert set(addresses) == {PREFERRED, LAST, LAST - 1}
         late = heard.operator()
@@ -114,7 +114,7 @@ def test_a3_two_tools_at_once_have_two_addresses() -> None:
 def test_a3_a_device_that_holds_249_keeps_it(name: Name) -> None:
     async def story(heard: Heard) -> None:
         heard.holder(name)
-        await asyncio.sleep(1.0)
+        await elapse(1.0)
         operator = heard.operator()
         await press(operator, Reason.OPERATOR_INTERVENTION, 1.0)
         operator.command(Command.WAIT)
