@@ -33,6 +33,7 @@ class Depot:
         self.truth.is_up = is_up
         self.truth.place_of = lambda slot: world.body(slot).position
         self.desk = OrderDesk(len(setting.house.tasks))
+        self.from_us = 0  # what happened before this instant is past: an earlier launch had it
 
     def hear(self, t_us: int, frame: Frame) -> None:
         """Every frame. Whoever orders a transport puts a parcel there."""
@@ -45,6 +46,11 @@ class Depot:
             if message.task < TASKS_MAX and house.known(order):
                 trip = house.trip(order)
                 self.truth.appear(message.task, trip.pickup, trip.dropoff, t_us)
+
+    def recall(self, now_us: int) -> None:
+        """Go on at that instant: the parcels that appeared in an earlier launch are known."""
+        self.from_us = now_us
+        self.desk = OrderDesk(max([len(self.setting.house.tasks) - 1, *self.truth.dropoff]) + 1)
 
     def order(self, row: TaskRow) -> None:
         """One more transport."""
@@ -75,6 +81,8 @@ class Depot:
         """Random obstacles; a box never falls on a robot."""
         world = self.world
         for box in self.setting.boxes():
+            if box.at_s * S < self.from_us:
+                continue
             yield round(box.at_s * S)
             world.advance(self.now_us())
             near = min(
@@ -88,7 +96,7 @@ class Depot:
 
     def _arrivals(self) -> Script[None]:
         for row in sorted(self.setting.rows, key=lambda row: row.at_s):
-            if row.at_s:
+            if row.at_s and row.at_s * S >= self.from_us:
                 yield round(row.at_s * S)
                 self.order(row)
 

@@ -7,7 +7,8 @@
     /log          foxglove.Log (JSON): what the robots decided, and why
     scene.json    attachment: what does not move, as our map draws it
 
-Time is that of the run: it begins at 0.
+Time is that of the run, which begins at 0, or the time of day of a launch (Unix epoch): one clock for
+all topics.
 """
 
 import json
@@ -62,8 +63,8 @@ def _import() -> None:
 class McapLog:
     """A `LogWriter` that also takes intents, things and traces."""
 
-    def __init__(self, path: Path, scene: Scene | None = None) -> None:
-        """Raises McapMissing, and OSError where it cannot be written."""
+    def __init__(self, path: Path, scene: Scene | None = None, begun_us: int = 0) -> None:
+        """`begun_us`: time of the outline. Raises McapMissing; OSError where it cannot be written."""
         _import()
         from mcap.writer import Writer
 
@@ -77,8 +78,9 @@ class McapLog:
         self.scene = scene
         if scene is not None:
             data = json.dumps(scene).encode()
-            self._writer.add_attachment(0, 0, FILE, "application/json", data)
-            self._add("/scene", SCENE_UPDATE, 0, {"entities": [outline(scene)], "deletions": []})
+            begun_ns = begun_us * 1000
+            self._writer.add_attachment(begun_ns, begun_ns, FILE, "application/json", data)
+            self._add("/scene", SCENE_UPDATE, begun_us, {"entities": [outline(scene)], "deletions": []})
 
     def write(self, t_us: int, frame: Frame) -> None:
         seconds, micros = divmod(t_us, 1_000_000)

@@ -6,7 +6,7 @@ is judged is the rest: delivered once and never moved again, none lost, no batte
 
 from collections.abc import Callable, Sequence
 from math import hypot
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from agent.config import S
 from agent.cost_matrix import Carrier
@@ -16,6 +16,10 @@ from agent.ports import Body, Lying, Observation
 
 Point = tuple[float, float]
 STILL_M_S = 0.1  # a robot handles and charges standing
+# What `to_plain` tells: tables by task or by slot.
+KEPT = (
+    "lies", "aboard", "dropoff", "delivered_us", "appeared_us", "battery", "lowest",
+)  # fmt: skip
 BAY_M = 0.5  # from a bay's middle the contacts reach
 
 
@@ -45,6 +49,27 @@ class Parcels:
         self.empty: set[int] = set()
         self.is_up: Callable[[int], bool] = lambda slot: True
         self.place_of: Callable[[int], Point] = lambda slot: (0.0, 0.0)
+
+    def to_plain(self) -> dict[str, Any]:
+        """All that is true now, as plain values; see `recall`."""
+        kept = {name: sorted(getattr(self, name).items()) for name in KEPT}
+        return {
+            **kept, "events": self.events, "empty": sorted(self.empty),
+            "works": [bay.works for bay in self.bays],
+        }  # fmt: skip
+
+    def recall(self, said: dict[str, Any]) -> None:
+        """Go on from what `to_plain` told. KeyError, TypeError, ValueError where it is not that."""
+        for name in KEPT:
+            known = {
+                int(key): tuple(value) if isinstance(value, list) else value
+                for key, value in said[name]
+            }
+            setattr(self, name, known)
+        self.events = [Handled(*event) for event in said["events"]]
+        self.empty = {int(slot) for slot in said["empty"]}
+        for bay, works in zip(self.bays, said["works"], strict=True):
+            bay.works = bool(works)
 
     def appear(self, task: int, pickup: Point, dropoff: Point, now_us: int) -> None:
         if task not in self.dropoff:

@@ -225,6 +225,12 @@ class Scenario(_Table):
     places: dict[str, tuple[float, float]] = {}  # names for operators; metres east and north
     folder: Path = Field(Path(), exclude=True)  # what file names are relative to
 
+    def path_of(self, name: str) -> Path:
+        """A file that the scenario names: beside it, or else one that ships."""
+        beside = self.folder / name
+        ships = SHIPPED / name
+        return ships if not beside.exists() and ships.is_file() else beside
+
     def changed(
         self, robots: int | None = None, seed: int | None = None, keys: Path | None = None,
         feature: str | None = None, drive: str | None = None,

@@ -10,7 +10,7 @@ from sim.scenario import Scenario
 def to_toml(scenario: Scenario) -> str:
     """Only what was given; what is left out has its default."""
     document = scenario.model_dump(mode="json", exclude_unset=True)
-    document["field"]["file"] = str((scenario.folder / document["field"]["file"]).resolve())
+    document["field"]["file"] = str(scenario.path_of(document["field"]["file"]).resolve())
     faults = document.pop("fault", [])
     plain = {key: value for key, value in document.items() if not isinstance(value, Mapping)}
     lines = [f"{key} = {_value(value)}" for key, value in plain.items()]

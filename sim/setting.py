@@ -90,11 +90,7 @@ class Setting:
 
     def _field(self) -> Field:
         table = self.scenario.field
-        path = (
-            Path(table.file)
-            if Path(table.file).is_absolute()
-            else self.scenario.folder / table.file
-        )
+        path = self.scenario.path_of(table.file)
         try:
             content = path.read_bytes()
         except OSError:

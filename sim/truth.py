@@ -1,7 +1,7 @@
 """What the world remembers for its checkers: where everybody was, and who touched what."""
 
 from array import array
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import hypot
 
@@ -47,6 +47,19 @@ class Track:
 
     def __len__(self) -> int:
         return len(self._flat) // 4
+
+    def flat_from(self, point: int) -> list[float]:
+        """Four numbers for each point from there on: see `to_array`."""
+        return self._flat[4 * point :].tolist()
+
+    def recall(self, flat: Sequence[float]) -> None:
+        """Begin with what `flat_from` told of an earlier life of the world, the implement up."""
+        self._flat = array("d", flat)
+        self.driven_m = sum(
+            hypot(flat[k] - flat[k - 4], flat[k + 1] - flat[k - 3]) for k in range(5, len(flat), 4)
+        )
+        if flat:
+            self._flat[-1] = 0.0
 
     def __iter__(self) -> Iterator[TrackPoint]:
         flat = self._flat

@@ -10,7 +10,8 @@ from sim.field_file import load_json
 from sim.work_record import LogPoint, Rings, Swath, WorkRecord
 
 
-def write_geojson(record: WorkRecord, path: Path) -> None:
+def write_geojson(record: WorkRecord, path: Path, run: str | None = None) -> None:
+    """`run`: the hash of the run's frames, which its report.json has as `log_hash`."""
     features = [
         _feature(
             "Polygon", record.boundary, kind="boundary", name=record.name,
@@ -30,7 +31,9 @@ def write_geojson(record: WorkRecord, path: Path) -> None:
                 t_ms=[p.t_ms for p in log], working=[int(p.working) for p in log],
             )
         )  # fmt: skip
-    document = {"type": "FeatureCollection", "features": features}
+    document: dict[str, Any] = {"type": "FeatureCollection", "features": features}
+    if run is not None:
+        document["run"] = run
     path.write_text(json.dumps(document, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
@@ -46,6 +49,12 @@ def read_work_geojson(path: Path) -> WorkRecord:
         return _record(document)
     except (KeyError, IndexError, TypeError, ValueError, AttributeError) as problem:
         raise FieldFileError(f"{path}: not a work record: {problem!r}") from None
+
+
+def run_of(path: Path) -> str | None:
+    """The run that a work record says it is of. FieldFileError where it is not JSON."""
+    said = load_json(path).get("run")
+    return said if isinstance(said, str) else None
 
 
 def _record(document: dict[str, Any]) -> WorkRecord:

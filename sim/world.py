@@ -144,6 +144,16 @@ class World:
         self.motion[robot.index, :3] = x_m, y_m, heading_rad
         self._put = True
 
+    def resume(self, now_us: int, poses: Mapping[int, tuple[float, float, float]]) -> None:
+        """Go on at that instant, with every robot standing where it is said to stand.
+
+        Of a world that was kept by `sim.world_memory`; before the first step.
+        """
+        self.now_us = now_us - now_us % STEP_US
+        for slot, pose in poses.items():
+            self.place(self.robots[slot], *pose)
+        self._side = self._sides()
+
     def add_box(
         self, x_m: float, y_m: float, side_m: float, depth_m: float | None = None,
         heading_rad: float = 0.0,

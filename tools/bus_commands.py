@@ -160,7 +160,7 @@ def inspect(
 
     At a terminal this is a screen (`q` ends it); otherwise, and with --plain, text.
 
-    Example: headland inspect runs/run --why S7
+    Example: headland inspect runs/latest --why S7
     """
     from tools.inspection import inspect as command
 
@@ -183,7 +183,7 @@ def show_map(
 ) -> None:  # fmt: skip
     """Show a fleet in a browser: the newest launch, any bus, or a recorded run.
 
-    Example: headland map runs/run, or on a real bus: headland map -i socketcan -c can0
+    Example: headland map runs/latest, or on a real bus: headland map -i socketcan -c can0
     """
     from tools.livemap.command import show_map as command
 

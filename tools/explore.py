@@ -14,24 +14,26 @@ from sim.survey import Sharing, Survey, SurveyOutcome
 from tools.fact_table import run_table
 from tools.keeping import Keeping
 from tools.map_picture import draw_maps, film
+from tools.run_folder import FolderError, folder_for
 
 UNFINISHED, WRONG = 1, 2  # exit codes; 0 only for a run without a flaw
 
 
 def explore(
-    scenario: str, robots: int | None, seed: int | None, out: Path, as_json: bool, animate: bool
+    scenario: str, robots: int | None, seed: int | None, to: Path | None, as_json: bool, animate: bool
 ) -> int:
     console = Console(stderr=as_json)
     try:
-        out.mkdir(parents=True, exist_ok=True)
-        survey = Survey(load_arena(scenario).changed(robots, seed), Sharing.FLEET, out)
+        arena = load_arena(scenario).changed(robots, seed)
+        out = folder_for(to, arena.name)
+        survey = Survey(arena, Sharing.FLEET, out)
         survey.attach = keeping = Keeping(survey.setting, out)
         with console.status(f"{survey.setting.scenario.name}: exploring"):
             try:
                 outcome = survey.run()
             finally:
                 keeping.close()
-    except (ScenarioError, FleetFullError) as problem:
+    except (ScenarioError, FleetFullError, FolderError) as problem:
         print(f"headland: {problem}", file=sys.stderr)
         return WRONG
     except OSError as problem:
@@ -48,7 +50,7 @@ def explore(
         print(json.dumps(report))
     else:
         console.print(outcome_table(outcome))
-        names = "report.json, fleet.md, maps.png, can.log, run.mcap and trace.jsonl"
+        names = f"report.json, fleet.md, maps.png, trace.jsonl, {keeping.logs}"
         console.print(f"{names}{', maps.gif' if animate else ''} are in {out}")
     return 0 if outcome.success else UNFINISHED
 

@@ -4,11 +4,12 @@ import sys
 from pathlib import Path
 
 from sim.field_error import FieldFileError
-from sim.work_geojson import read_work_geojson, write_geojson
+from sim.field_file import load_json
+from sim.work_geojson import read_work_geojson, run_of, write_geojson
 from sim.work_isoxml import write_isoxml
 from sim.work_record import WorkRecord
 
-RECORD = "work.geojson"  # what `headland run` leaves
+RECORD, REPORT = "work.geojson", "report.json"  # what `headland run` of a field leaves
 
 
 def export(folder: Path, isoxml: Path | None, geojson: Path | None) -> int:
@@ -16,7 +17,10 @@ def export(folder: Path, isoxml: Path | None, geojson: Path | None) -> int:
         print("headland: export: name --isoxml or --geojson", file=sys.stderr)
         return 2
     try:
+        if not (folder / RECORD).exists() and (folder / REPORT).exists():
+            raise FieldFileError(f"{folder}: no {RECORD}; only a headland run of a field leaves one")
         record = read_work_geojson(folder / RECORD)
+        _check(folder)
         if isoxml is not None:
             write_isoxml(record, isoxml)
             print(f"{isoxml}: ISO 11783-10 task data, {_told(record)}")
@@ -30,6 +34,15 @@ def export(folder: Path, isoxml: Path | None, geojson: Path | None) -> int:
         print(f"headland: {problem.filename}: {problem.strerror}", file=sys.stderr)
         return 2
     return 0
+
+
+def _check(folder: Path) -> None:
+    """Farm software must never get the work of another run. FieldFileError."""
+    run = run_of(folder / RECORD)
+    if run is None or load_json(folder / REPORT).get("log_hash") != run:
+        raise FieldFileError(
+            f"{folder}: {RECORD} and {REPORT} are not of one run; run the scenario again"
+        )
 
 
 def _told(record: WorkRecord) -> str:

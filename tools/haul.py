@@ -17,24 +17,26 @@ from sim.haul import Haul, HaulCluster, HaulMoment, HaulOutcome
 from sim.hub import Hub
 from sim.scenario import ScenarioError
 from sim.warehouse_scenario import load_warehouse
-from tools.attachment import CHANNEL, LAUNCH
+from tools.attachment import CHANNEL
 from tools.fact_table import run_table
 from tools.keeping import Keeping
+from tools.run_folder import LAUNCH, RUNS, FolderError, folder_for, link
 
 UNFINISHED, WRONG, UNREACHABLE, INTERRUPTED = 1, 2, 3, 130
 HOST = "127.0.0.1"
+BUS = "bus.json"  # where tools find the bus of a launch
 
 
 def haul(
-    scenario: str, robots: int | None, seed: int | None, out: Path, as_json: bool,
+    scenario: str, robots: int | None, seed: int | None, to: Path | None, as_json: bool,
     keys: Path | None, live: bool, port: int, seconds: float | None,
 ) -> int:  # fmt: skip
     console = Console(stderr=as_json)
     try:
         setting = DeliverySetting(load_warehouse(scenario).changed(robots, seed, keys))
-        out.mkdir(parents=True, exist_ok=True)
+        out = folder_for(to, setting.scenario.name)
         keeping = Keeping(setting, out)
-    except ScenarioError as problem:
+    except (ScenarioError, FolderError) as problem:
         print(f"headland: {problem}", file=sys.stderr)
         return WRONG
     except OSError as problem:
@@ -54,7 +56,7 @@ def haul(
         print(json.dumps(report))
     else:
         console.print(outcome_table(outcome))
-        console.print(f"report.json, warehouse.png, can.log, run.mcap and trace.jsonl are in {out}")
+        console.print(f"report.json, warehouse.png, trace.jsonl, {keeping.logs} are in {out}")
     if interrupted:
         return INTERRUPTED
     return exit_code(outcome)
@@ -92,12 +94,12 @@ def _watch(
         if not live:
             return run.run(), run, False
         with asyncio.Runner(loop_factory=WallLoop) as runner:
-            outcome, interrupted = runner.run(_live(console, run, port, seconds, keeping))
+            outcome, interrupted = runner.run(_live(console, run, port, seconds, keeping, out))
         return outcome, run, interrupted
 
 
 async def _live(
-    console: Console, run: Haul, port: int, seconds: float | None, keeping: Keeping
+    console: Console, run: Haul, port: int, seconds: float | None, keeping: Keeping, out: Path
 ) -> tuple[HaulOutcome, bool]:
     """In real time, on a bus that tools can attach to."""
     loop = asyncio.get_running_loop()
@@ -117,7 +119,7 @@ async def _live(
     def attach(cluster: HaulCluster) -> None:
         keeping(cluster)
         hubs.append(Hub(cluster.segment, CHANNEL))
-        starting = loop.create_task(_open(hubs[0], port, console))
+        starting = loop.create_task(_open(hubs[0], port, console, out))
         opening.append(starting)
         starting.add_done_callback(lambda task: None if task.exception() is None else end(False))
 
@@ -130,14 +132,15 @@ async def _live(
     finally:
         for hub in hubs:
             await hub.stop()
-        LAUNCH.unlink(missing_ok=True)
+        (out / BUS).unlink(missing_ok=True)
 
 
-async def _open(hub: Hub, port: int, console: Console) -> None:
+async def _open(hub: Hub, port: int, console: Console, out: Path) -> None:
     await hub.start(HOST, port)
     where = {"host": HOST, "port": hub.port, "channel": CHANNEL, "pid": os.getpid()}
-    LAUNCH.parent.mkdir(parents=True, exist_ok=True)
-    LAUNCH.write_text(json.dumps(where))
+    (out / BUS).write_text(json.dumps(where))
+    RUNS.mkdir(parents=True, exist_ok=True)
+    link(RUNS / LAUNCH, out)
     console.print(f"bus: socketcand {HOST}:{hub.port} channel {CHANNEL}")
 
 

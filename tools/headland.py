@@ -26,9 +26,9 @@ def run(
     seed: Annotated[int | None, typer.Option(help="Instead of the scenario's seed.")] = None,
     feature: Annotated[str | None, typer.Option(help="Which field of a file with several.")] = None,
     drive: Annotated[str | None, typer.Option(help="mecanum, differential or ackermann.")] = None,
-    out: Annotated[Path, typer.Option(help="Folder for report, picture and log.")] = Path(
-        "runs/run"
-    ),
+    out: Annotated[
+        Path | None, typer.Option(help="Folder of the run (none: runs/NAME-N, and runs/latest).")
+    ] = None,
     log: Annotated[
         list[Path] | None, typer.Option(help="A further CAN log: .asc .blf .csv .log .trc")
     ] = None,
@@ -69,9 +69,9 @@ def explore(
     ] = "arena",
     robots: Annotated[int | None, typer.Option(help="Instead of the scenario's number.")] = None,
     seed: Annotated[int | None, typer.Option(help="Instead of the scenario's seed.")] = None,
-    out: Annotated[Path, typer.Option(help="Folder for report, pictures and log.")] = Path(
-        "runs/explore"
-    ),
+    out: Annotated[
+        Path | None, typer.Option(help="Folder of the run (none: runs/NAME-N, and runs/latest).")
+    ] = None,
     animate: Annotated[
         bool, typer.Option("--film", help="Also maps.gif: the map, growing.")
     ] = False,
@@ -93,7 +93,12 @@ def launch(
     ] = "oxted",
     robots: Annotated[int | None, typer.Option(help="Instead of the scenario's number.")] = None,
     seed: Annotated[int | None, typer.Option(help="Instead of the scenario's seed.")] = None,
-    out: Annotated[Path, typer.Option(help="Folder of this launch.")] = Path("runs/launch"),
+    out: Annotated[
+        Path | None, typer.Option(help="Folder of this fleet (none: runs/NAME-N, and runs/launch).")
+    ] = None,
+    fresh: Annotated[
+        bool, typer.Option("--fresh", help="A new fleet, also where the last one is not done.")
+    ] = False,
     port: Annotated[
         int, typer.Option(min=0, max=PORT_MAX, help="Port of the bus hub (0: any free one).")
     ] = 0,
@@ -111,13 +116,14 @@ def launch(
 ) -> None:
     """Run every robot as a process of its own, in real time, on a bus others can attach to.
 
+    A fleet whose work is not done is continued by the same command, with its stops and its work.
     Example: headland launch --robots 6, then in another terminal: headland estop
     """
     from tools.launch import launch as command
 
     page = page_port if show_map else None
     raise SystemExit(
-        command(scenario, robots, seed, out, port, seconds, json, keys, page, segment, hub)
+        command(scenario, robots, seed, out, port, seconds, json, keys, page, segment, hub, fresh)
     )
 
 
@@ -134,7 +140,7 @@ def replay(
 ) -> None:  # fmt: skip
     """Feed a log to the inspector, at the speed it was recorded or as fast as it goes.
 
-    Example: headland replay runs/run --speed 10
+    Example: headland replay runs/latest --speed 10
     """
     from tools.replay import replay as command
 
@@ -144,7 +150,7 @@ def replay(
 
 @app.command()
 def report(
-    source: Annotated[Path, typer.Argument(help="Run folder or log.")] = Path("runs/run"),
+    source: Annotated[Path, typer.Argument(help="Run folder or log.")] = Path("runs/latest"),
     out: Annotated[
         Path | None, typer.Option("-o", "--out", help="The page; none: in the run's folder.")
     ] = None,
@@ -152,7 +158,7 @@ def report(
 ) -> None:
     """Write a run as one HTML page: tracks, errors, sections, bus load, states, stops, events.
 
-    Example: headland report runs/run -o report.html
+    Example: headland report runs/latest -o report.html
     """
     from tools.report.command import report as command
 
@@ -169,7 +175,7 @@ def export(
 ) -> None:
     """Write what a run has worked in formats that farm software reads.
 
-    Example: headland export runs/run --isoxml TASKDATA
+    Example: headland export runs/latest --isoxml TASKDATA
     """
     from tools.export import export as command
 

@@ -20,16 +20,18 @@ class Keeping:
     """Given to an expedition or a survey as `attach`, or fed by a launch; close it after the run."""
 
     def __init__(
-        self, setting: Setting | ErrandSetting, out: Path, recording: Recording | None = None
-    ) -> None:
-        """`recording`: of a map that shows the run meanwhile. Raises OSError."""
+        self, setting: Setting | ErrandSetting, out: Path, recording: Recording | None = None,
+        begun_us: int = 0,
+    ) -> None:  # fmt: skip
+        """`recording`: of a map that shows the run meanwhile. `begun_us`: time of the first line, on
+        the clock that `write` is given. Raises OSError."""
         self.scene = scene_of(setting)
         (out / FILE).write_text(json.dumps(self.scene) + "\n", encoding="utf-8")
         self.digest = FramesDigest()
         self.recording = recording
         self.mcap: McapLog | None = None
         try:
-            self.mcap = McapLog(out / MCAP, self.scene)
+            self.mcap = McapLog(out / MCAP, self.scene, begun_us)
         except McapMissing:
             (out / MCAP).unlink(missing_ok=True)  # of an earlier run, not of this one
         if recording is not None:
@@ -50,6 +52,11 @@ class Keeping:
         """Of a robot in a process of its own."""
         if self.mcap is not None:
             self.mcap.tell(t_us, intent)
+
+    @property
+    def logs(self) -> str:
+        """The names of the logs that are written, for a message."""
+        return "can.log" if self.mcap is None else "can.log and run.mcap"
 
     @property
     def log_hash(self) -> str:

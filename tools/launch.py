@@ -7,7 +7,6 @@ robots end by themselves when this process dies, because the pipe on their stdin
 
 import asyncio
 import contextlib
-import fcntl
 import json
 import os
 import signal
@@ -18,20 +17,26 @@ from typing import Any
 
 from rich.console import Console
 
+from agent.lifecycle import State
 from protocol.frame import Frame
 from sim.body_link import BodyServer
 from sim.candump import CandumpWriter
 from sim.coverage_truth import coverage, sample_points
+from sim.outcome import COVERAGE_MIN
+from sim.parcels import Parcels
 from sim.scenario import ScenarioError
 from sim.setting import Setting
 from sim.standing import leave_standing
+from sim.world_memory import WorldMemory
 from tools.attachment import CHANNEL
+from tools.fleet_folder import TRUTH, Fleet, end_fleet, fleet_folder
 from tools.inspector import SILENT_S, Inspector
 from tools.keeping import Keeping
 from tools.language.places import Places
 from tools.launch_bus import LaunchBus, OutsideHub, OwnHub
 from tools.livemap.command import ServerError, listen
 from tools.robot import AnySetting, setting_of
+from tools.run_folder import FolderError
 from tools.warmup import warm
 
 HOST = "127.0.0.1"
@@ -48,10 +53,11 @@ class Launch:
     endless = False  # goes on when all is done: more may come
 
     def __init__(
-        self, setting: AnySetting, name: str, out: Path, console: Console, keys: Path | None,
+        self, setting: AnySetting, name: str, fleet: Fleet, console: Console, keys: Path | None,
         page_port: int | None = None,
     ) -> None:  # fmt: skip
-        self.page_port, self.log_hash = page_port, ""
+        self.fleet, out = fleet, fleet.folder
+        self.page_port, self.log_hash, self.logs = page_port, "", ""
         self.segment = 0  # of a fleet of several; 0: there are no others
         self.hub_port = 0  # of a hub that runs by itself; 0: ours
         self.map: asyncio.subprocess.Process | None = None
@@ -61,16 +67,31 @@ class Launch:
         self.processes: dict[int, asyncio.subprocess.Process] = {}
         self.world = setting.world()
         self.gone: set[int] = set()
+        self.latched: list[int] = []  # robots that a person has to look at before they move
+        self.unkept = False  # the truth of the world could not be written
+        self.memory: WorldMemory
+        self.world_began_us = 0  # where the world goes on, of an earlier launch
+        self.difference = ""  # between what robots say and what is true; empty: there is none
 
     async def run(self, port: int, seconds: float | None) -> int:
         loop = asyncio.get_running_loop()
         end = asyncio.Event()
         for number in (signal.SIGINT, signal.SIGTERM):
             loop.add_signal_handler(number, end.set)
+        memory = WorldMemory(self.out / TRUTH, self.world, self._parcels())
+        self.world_began_us, self.memory = memory.now_us, memory
         bus = self._bus(port)
-        log, keeping = CandumpWriter(self.out / "can.log"), Keeping(self.setting, self.out)
-        await bus.start([keeping.write, lambda t_us, frame: self._heard(log, t_us, frame)])
-        zero_us = round(loop.time() * 1e6)
+        # Logs of a launch carry the time of day, so that other logs can be laid beside them.
+        epoch_us = round((time.time() - loop.time()) * 1e6)
+        log = CandumpWriter(self.out / "can.log")
+        keeping = Keeping(self.setting, self.out, begun_us=epoch_us + round(loop.time() * 1e6))
+
+        def keep(t_us: int, frame: Frame) -> None:
+            keeping.write(epoch_us + t_us, frame)
+            log.write(epoch_us + t_us, frame)
+
+        await bus.start([keep, self._heard])
+        zero_us = round(loop.time() * 1e6) - memory.now_us
         transport, bodies = await loop.create_datagram_endpoint(
             lambda: BodyServer(self.world, zero_us), local_addr=(HOST, 0)
         )
@@ -80,7 +101,9 @@ class Launch:
             "body_port": body_port, "folder": str(self.out.absolute()),
         }  # fmt: skip
         going_on = self._furnish(bodies, bus)
-        bodies.relay.keep = lambda intent: keeping.tell(round(loop.time() * 1e6), intent)
+        bodies.relay.keep = lambda intent: keeping.tell(
+            epoch_us + round(loop.time() * 1e6), intent
+        )
         (self.out / "bus.json").write_text(json.dumps(where))
         (self.out / "places.toml").write_text(self._places())
         self.console.print(
@@ -96,20 +119,25 @@ class Launch:
             await self._start_all(bus.port, body_port)
             leave_standing()
             finished = await self._watch(end, seconds)
+            self.latched = self._latched()
         finally:
             await self._end_all()
             for task in (stepping, *going_on):
                 task.cancel()
             await bus.stop()
             transport.close()
+            self._keep_truth()
+            memory.close()
             log.close()
             keeping.close()
-            self.log_hash = keeping.log_hash
+            self.log_hash, self.logs = keeping.log_hash, keeping.logs
             (self.out / "bus.json").unlink(missing_ok=True)
         self._report(bodies.now_us() / 1e6, finished)
+        if finished and not self.latched and not self.difference:
+            end_fleet(self.fleet, self.setting)
         if end.is_set():
             return INTERRUPTED
-        return 0 if finished and not self.flawed else UNFINISHED
+        return 0 if finished and not self.flawed and not self.difference else UNFINISHED
 
     # ---------------------------------------------------------------- what another mission has otherwise
 
@@ -125,6 +153,10 @@ class Launch:
         """How much is done, of how much, of what."""
         return self.inspector.allocation.done_count(), self.setting.section_count, "sections"
 
+    def _parcels(self) -> Parcels | None:
+        """What is true of the parcels of this world, where it has any."""
+        return None
+
     def _bus(self, port: int) -> LaunchBus:
         if self.hub_port:
             return OutsideHub(HOST, self.hub_port)
@@ -138,9 +170,8 @@ class Launch:
         named = {"gate": field.gate, **self.setting.scenario.places}
         return Places.write(named, {section.name: section.ends[0] for section in field.sections})
 
-    def _heard(self, log: CandumpWriter, t_us: int, frame: Frame) -> None:
+    def _heard(self, t_us: int, frame: Frame) -> None:
         self.inspector.hear(t_us / 1e6, frame)
-        log.write(t_us, frame)
 
     async def _start_all(self, bus_port: int, body_port: int) -> None:
         for slot in range(self.setting.scenario.fleet.robots):
@@ -148,7 +179,8 @@ class Launch:
                 "slot": slot, "scenario": self.name, "robots": self.setting.scenario.fleet.robots,
                 "seed": self.setting.scenario.run.seed, "host": HOST, "channel": CHANNEL,
                 "bus_port": bus_port, "body_port": body_port,
-                "journal": str(self.out / f"robot{slot}.sqlite"), "first_boot": True,
+                "journal": str(self.out / f"robot{slot}.sqlite"),
+                "first_boot": not self.fleet.continues,
                 "keys": self.keys, "segment": self.segment,
             }  # fmt: skip
             with (self.out / f"robot{slot}.log").open("wb") as errors:
@@ -182,6 +214,7 @@ class Launch:
                 async with asyncio.timeout(LOOK_S):
                     await end.wait()
             self._notice_deaths()
+            self._keep_truth()
             if len(self.gone) == len(self.processes):
                 self.console.print("every robot process has ended")
                 break
@@ -191,6 +224,15 @@ class Launch:
                 told_s = loop.time()
                 self._tell(told_s - begun_s)
         return quiet >= QUIET_LOOKS
+
+    def _keep_truth(self) -> None:
+        """A full disk ends no launch; the next one begins where the last look is."""
+        try:
+            self.memory.look()
+        except OSError as problem:
+            if not self.unkept:
+                self.console.print(f"the world is not kept for the next launch: {problem.strerror}")
+            self.unkept = True
 
     def _notice_deaths(self) -> None:
         for slot, process in self.processes.items():
@@ -223,12 +265,22 @@ class Launch:
                     process.kill()
                 await process.wait()
 
+    def _latched(self) -> list[int]:
+        """Robots that are latched, or whose process has ended, so that nobody can tell."""
+        known, stopped = self.inspector.robots, State.EMERGENCY_STOP.name
+        return [
+            slot for slot in self.processes
+            if slot in self.gone or slot not in known or known[slot].state == stopped
+        ]  # fmt: skip
+
     def _report(self, elapsed_s: float, finished: bool) -> None:
         assert isinstance(self.setting, Setting)
         field = self.setting.field
         raster = sample_points(field.polygon, field.implement_width_m, field.overlap_m)
         tracks = {slot: body.track for slot, body in self.world.robots.items()}
         truth = coverage(raster, tracks, field.implement_width_m)
+        if finished and truth.share < COVERAGE_MIN:
+            self.difference = f"robots say 100 %, the ground says {truth.share:.2%}"
         verdict = f"coverage {truth.share:.2%}, {len(self.world.contacts)} contacts"
         self._write(elapsed_s, finished, {"coverage": truth.share}, verdict)
 
@@ -241,26 +293,30 @@ class Launch:
             "finished": finished, "seconds": round(elapsed_s, 1), **of_it,
             "contacts": len(self.world.contacts), "robots_ended": sorted(self.gone), "touched": touched,
             "silence_policy": self.setting.scenario.fleet.silence,
-            "authenticated": self.setting.keys is not None,
+            "authenticated": self.setting.keys is not None, "difference": self.difference,
+            "launches": self.fleet.launches, "latched": self.latched,
             "log_hash": self.log_hash, **self.inspector.to_dict(),
         }  # fmt: skip
         (self.out / "report.json").write_text(json.dumps(report, indent=1) + "\n")
         how = "finished" if finished else "not finished"
         self.console.print(
             f"{how} after {elapsed_s:.0f} s: {verdict}; "
-            f"report.json, can.log and run.mcap are in {self.out}"
+            f"report.json, {self.logs} are in {self.out}"
         )
+        if self.difference:
+            self.console.print(f"[red]{self.difference}[/red]")
         if self.setting.keys is None:
             self.console.print(NO_KEYS)
         self.report = report
 
 
 def launch(
-    scenario: str, robots: int | None, seed: int | None, out: Path, port: int,
+    scenario: str, robots: int | None, seed: int | None, out: Path | None, port: int,
     seconds: float | None, as_json: bool, keys: Path | None = None, page_port: int | None = None,
-    segment: int = 0, hub_port: int = 0,
+    segment: int = 0, hub_port: int = 0, fresh: bool = False,
 ) -> int:  # fmt: skip
-    """`page_port`: of a map beside it. `hub_port`: of a bus that runs by itself."""
+    """`page_port`: of a map beside it. `hub_port`: of a bus that runs by itself. `out`: none, a folder
+    named after the scenario. `fresh`: a new fleet, also where the last one is not done."""
     console = Console(stderr=as_json, highlight=False, soft_wrap=True)
     try:
         setting = setting_of(scenario, robots, seed, keys)
@@ -268,24 +324,23 @@ def launch(
             return _wrong(
                 f"--segment: {scenario} is a warehouse, and they are not bridged: leave it out"
             )
+        if setting.scenario.fault:
+            return _wrong(
+                f"{scenario}: [[fault]]: a launch has real processes and plays no faults; "
+                "play this scenario with headland run"
+            )
         if page_port is not None:
             listen(page_port).close()  # what is taken is known before the robots start
-        out.mkdir(parents=True, exist_ok=True)
-        lock = (out / "lock").open("w")
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except (ScenarioError, ServerError) as problem:
+        fleet = fleet_folder(out, setting, fresh)
+    except (ScenarioError, ServerError, FolderError) as problem:
         return _wrong(str(problem))
-    except BlockingIOError:
-        return _wrong(
-            f"another launch is running in {out}: end it, or choose another folder with --out"
-        )
     except OSError as problem:
         return _wrong(f"--out: {problem}")
-    for old in out.glob("robot*.sqlite*"):
-        old.unlink()  # a launch is a new job; a restart of one robot keeps its journal
+    if fleet.said:
+        console.print(fleet.said)
     warm(isinstance(setting, Setting) and setting.turn_radius_m > 0.0)  # not in every robot at once
     kind = Launch if isinstance(setting, Setting) else _haul()
-    running = kind(setting, scenario, out, console, keys, page_port)
+    running = kind(setting, scenario, fleet, console, keys, page_port)
     running.segment, running.hub_port = segment, hub_port
     begun = time.monotonic()
     try:
@@ -297,7 +352,8 @@ def launch(
             f"--port {port}: {problem.strerror or problem}; choose another or 0 for any free one"
         )
     finally:
-        lock.close()
+        for lock in fleet.locks:
+            lock.close()
     if as_json:
         print(json.dumps({**running.report, "wall_s": round(time.monotonic() - begun, 1)}))
     return code

@@ -12,7 +12,7 @@ from sim.fieldbus import FieldBus, forget, segment
 from sim.hub import Hub
 from tools.attachment import CHANNEL
 
-Tap = Callable[[int, Frame], None]  # microseconds since the bus began, for us
+Tap = Callable[[int, Frame], None]  # microseconds of the monotonic clock, as the event loop's
 
 
 class LaunchBus(Protocol):
@@ -59,10 +59,9 @@ class OutsideHub:
         self.host, self.port = host, port
         self.link = SocketcandLink(host, port, CHANNEL, Random(f"listening at {port}"))
         self.taps: list[Tap] = []
-        self._zero_s = 0.0
 
     def _heard(self, frame: Frame) -> None:
-        t_us = round((asyncio.get_running_loop().time() - self._zero_s) * 1e6)
+        t_us = round(asyncio.get_running_loop().time() * 1e6)
         for tap in self.taps:
             tap(t_us, frame)
 
@@ -72,7 +71,6 @@ class OutsideHub:
 
     async def start(self, taps: list[Tap]) -> None:
         self.taps += taps
-        self._zero_s = asyncio.get_running_loop().time()
         self.link.subscribe(self._heard)
         try:
             async with asyncio.timeout(ANSWER_S):

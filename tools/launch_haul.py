@@ -13,7 +13,7 @@ from sim.body_link import BodyServer
 from sim.delivery_setting import DeliverySetting
 from sim.depot import Depot
 from sim.host import follow
-from sim.parcels import CarrierBody
+from sim.parcels import CarrierBody, Parcels
 from tools.device_address import DeviceAddress
 from tools.language.places import Places
 from tools.launch import Launch
@@ -45,7 +45,9 @@ class HaulLaunch(Launch):
             desk.send(message)
 
         bus.taps.append(lambda t_us, frame: desk.hear(loop.time(), frame))
-        self.depot = Depot(self.setting, self.world, bodies.now_us, self._is_up, say)
+        if self.world_began_us:
+            self.depot.recall(self.world_began_us)
+        self.depot.now_us, self.depot.say = bodies.now_us, say
         bus.taps.append(lambda t_us, frame: self.depot.hear(bodies.now_us(), frame))
         carriers = {
             slot: CarrierBody(self.world.body(slot), slot, self.depot.truth, bodies.now_us)
@@ -54,6 +56,15 @@ class HaulLaunch(Launch):
         bodies.body = carriers.__getitem__
         scripts = [self.depot.calls(), *self.depot.events()]
         return [asyncio.create_task(follow(script, bodies.zero_us)) for script in scripts]
+
+    def _parcels(self) -> Parcels:
+        assert isinstance(self.setting, DeliverySetting)
+
+        def unsaid(message: Message) -> None:
+            """Nobody orders before the bus is there."""
+
+        self.depot = Depot(self.setting, self.world, lambda: 0, self._is_up, unsaid)
+        return self.depot.truth
 
     def _is_up(self, slot: int) -> bool:
         process = self.processes.get(slot)
@@ -87,6 +98,8 @@ class HaulLaunch(Launch):
             "flaws": truth.flaws, "empty": sorted(truth.empty), "charges": charges,
             "lowest_battery": min(truth.lowest.values(), default=1.0),
         }  # fmt: skip
+        if finished and not known:
+            self.difference = "every parcel lies at its place, robots do not all say so"
         verdict = (
             f"{len(truth.delivered_us)} of {len(truth.dropoff)} parcels delivered, "
             f"{len(self.world.contacts)} contacts"

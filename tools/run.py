@@ -26,6 +26,7 @@ from tools.keeping import Keeping
 from tools.livemap.command import MapThread, ServerError
 from tools.picture import draw_field
 from tools.run_errands import run_errands
+from tools.run_folder import FolderError, folder_for
 
 UNFINISHED, WRONG = 1, 2  # exit codes; 0 only for a run without a flaw
 
@@ -34,7 +35,7 @@ def run(
     scenario: str,
     robots: int | None,
     seed: int | None,
-    out: Path,
+    out: Path | None,
     as_json: bool,
     keys: Path | None = None,
     logs: Sequence[Path] = (),
@@ -47,17 +48,15 @@ def run(
     try:
         changed = load_mission(scenario).changed(robots, seed, keys, feature, drive)
         errands = _errands(changed, page_port)
-        out.mkdir(parents=True, exist_ok=True)
-        if not out.is_dir():
-            raise OSError(f"{out} is not a folder")
+        setting = Setting(changed) if errands is None else errands
         for log in logs:
             open_log(log).close()  # so that what is wrong is known before the run, not after
-        if errands is not None:
-            return run_errands(console, errands, out, logs, as_json)
-        setting = Setting(changed)
+        folder = folder_for(out, changed.name)
+        if isinstance(setting, ErrandSetting):
+            return run_errands(console, setting, folder, logs, as_json)
         shown = None if page_port is None else MapThread(Recording(), setting.field.name, page_port)
-        keeping = Keeping(setting, out, None if shown is None else shown.server.recording)
-    except (ScenarioError, ServerError) as problem:
+        keeping = Keeping(setting, folder, None if shown is None else shown.server.recording)
+    except (ScenarioError, ServerError, FolderError) as problem:
         print(f"headland: {problem}", file=sys.stderr)
         return WRONG
     except (OSError, ValueError) as problem:
@@ -66,24 +65,23 @@ def run(
     if shown is not None:
         console.print(f"map: {shown.url}")
     try:
-        outcome, expedition = _watch(console, setting, out, logs, keeping)
+        outcome, expedition = _watch(console, setting, folder, logs, keeping)
     finally:
         keeping.close()
     report = {**outcome.to_dict(), "log_hash": keeping.log_hash, "faults": expedition.told_faults}
-    (out / "report.json").write_text(json.dumps(report, indent=1) + "\n")
+    (folder / "report.json").write_text(json.dumps(report, indent=1) + "\n")
     tracks = {s: [(x, y, tool) for _, x, y, tool in t] for s, t in expedition.tracks.items()}
     title = f"{setting.field.name}: {outcome.robots} robots, {outcome.makespan_s:.0f} s"
-    draw_field(setting.field, tracks, title, out / "field.png")
+    draw_field(setting.field, tracks, title, folder / "field.png")
     started = datetime.now(UTC) - timedelta(seconds=outcome.wall_s)
     work = record_of(setting.field, expedition.tracks, outcome.finished, started)
-    write_geojson(work, out / "work.geojson")
+    write_geojson(work, folder / "work.geojson", keeping.log_hash)
     if as_json:
         print(json.dumps(report), flush=True)
     else:
         console.print(outcome_table(outcome))
         console.print(
-            "report.json, field.png, work.geojson, can.log, trace.jsonl"
-            f"{' and run.mcap' if keeping.mcap else ''} are in {out}"
+            f"report.json, field.png, work.geojson, trace.jsonl, {keeping.logs} are in {folder}"
         )
     if shown is not None and sys.stdout.isatty():  # with nobody to press Ctrl-C it would never end
         console.print(f"the map stays at {shown.url} until Ctrl-C")

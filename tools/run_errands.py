@@ -50,7 +50,7 @@ def run_errands(
         print(json.dumps(report))
     else:
         console.print(outcome_table(outcome))
-        names = f"report.json, {len(pictures)} pictures of paths, can.log, run.mcap and trace.jsonl"
+        names = f"report.json, {len(pictures)} pictures of paths, trace.jsonl, {keeping.logs}"
         console.print(f"{names} are in {out}")
     return 0 if outcome.success else UNFINISHED
 

@@ -13,7 +13,6 @@ from protocol.bus import CanBus
 from protocol.codec import decode
 from protocol.frame import Frame
 from protocol.safety_frames import Command, EmergencyReset, EmergencyStop, OperatorCommand, Reason
-from sim.candump import CandumpWriter
 from sim.clock import run_virtual
 from sim.fieldbus import FieldBus, segment
 from sim.scenario import load
@@ -22,6 +21,7 @@ from sim.stop_fleet import LIMIT_US, StopFleet
 from tools.bench.drill import Squad
 from tools.bench.figure import Figure, percentile
 from tools.device_address import DeviceAddress
+from tools.fleet_folder import fleet_folder
 from tools.launch import Launch
 from tools.warmup import warm
 
@@ -144,14 +144,15 @@ class _Presses(Launch):
 
     def __init__(self, count: int, out: Path) -> None:
         setting = Setting(load("small").changed(6, 1))
-        super().__init__(setting, "small", out, Console(quiet=True), None)
+        fleet = fleet_folder(out, setting, fresh=True)
+        super().__init__(setting, "small", fleet, Console(quiet=True), None)
         self.count, self.times_s = count, list[float]()
         self._dot: tuple[int, int, int] | None = None
         self._echoes: dict[int, float] = {}
         self._frame = asyncio.Event()
 
-    def _heard(self, log: CandumpWriter, t_us: int, frame: Frame) -> None:
-        super()._heard(log, t_us, frame)
+    def _heard(self, t_us: int, frame: Frame) -> None:
+        super()._heard(t_us, frame)
         source, message = decode(frame)
         if isinstance(message, EmergencyStop) and message.echo and message[:3] == self._dot:
             slot = self.inspector.slot_of.get(source)

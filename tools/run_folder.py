@@ -1,0 +1,84 @@
+"""Folders of runs: one for each run, `runs/NAME-N`, and links to the newest.
+
+`runs/latest` is the newest run of any kind, `runs/launch` the newest launch. A folder that a person names
+with `--out` is emptied of what an earlier run wrote, so that no folder holds parts of two runs.
+"""
+
+import os
+import re
+from pathlib import Path
+
+RUNS = Path("runs")
+LATEST, LAUNCH = "latest", "launch"
+# What runs, launches, explorations and their reports write into their folder.
+WRITTEN = (
+    "report.json", "report.html", "report/*.png", "report/*.csv", "can.log", "run.mcap",
+    "trace.jsonl", "field.png", "work.geojson", "warehouse.png", "maps.png", "maps.gif", "fleet.md",
+    "robot_*.png", "scene.json",
+)  # fmt: skip
+MARK = "scene.json"  # every run writes it first: without it the files are somebody else's
+NAME_MAX = 64  # characters of a scenario's name in a folder's
+
+
+class FolderError(Exception):
+    """One line for the person."""
+
+
+def folder_for(out: Path | None, name: str) -> Path:
+    """The empty folder of a run: `out`, or a new one that is named after the scenario.
+
+    Raises FolderError where `out` holds a fleet that is not done, OSError where it cannot be used.
+    """
+    if out is None:
+        folder = numbered(RUNS, name)
+        link(RUNS / LATEST, folder)
+        return folder
+    out.mkdir(parents=True, exist_ok=True)
+    if not out.is_dir():
+        raise OSError(f"{out} is not a folder")
+    if any(out.glob("robot*.sqlite")):
+        raise FolderError(f"{out} holds the journals of a launch; choose another folder with --out")
+    if (out / MARK).is_file():
+        for name in WRITTEN:
+            for path in out.glob(name):
+                path.unlink()
+    return out
+
+
+def numbered(parent: Path, name: str) -> Path:
+    """A new folder `NAME-N`; N is above every N that is there. Raises OSError."""
+    parent.mkdir(parents=True, exist_ok=True)
+    stem = plain(name)
+    number = max((n for n, _ in folders(parent, stem)), default=0)
+    while True:
+        number += 1
+        try:
+            (parent / f"{stem}-{number}").mkdir()
+        except FileExistsError:
+            continue  # another run was quicker
+        return parent / f"{stem}-{number}"
+
+
+def folders(parent: Path, name: str) -> list[tuple[int, Path]]:
+    """Number and path of every folder `NAME-N`, in order of N."""
+    pattern = re.compile(re.escape(plain(name)) + r"-(\d{1,9})")
+    found = [(pattern.fullmatch(path.name), path) for path in parent.glob(f"{plain(name)}-*")]
+    return sorted((int(match[1]), path) for match, path in found if match)
+
+
+def plain(name: str) -> str:
+    """A scenario's name as a file's."""
+    return re.sub(r"[^\w.-]+", "_", name)[:NAME_MAX].strip("._-") or "run"
+
+
+def link(place: Path, folder: Path) -> None:
+    """Make `place` a link to a folder. A real folder that is in the way keeps its contents
+    under a name with a number."""
+    if place.is_dir() and not place.is_symlink():
+        aside = numbered(place.parent, place.name)
+        aside.rmdir()
+        place.rename(aside)
+    new = place.with_name(f".{place.name}.{os.getpid()}")
+    new.unlink(missing_ok=True)
+    new.symlink_to(os.path.relpath(folder, place.parent), target_is_directory=True)
+    new.replace(place)
