@@ -3,31 +3,112 @@
 python-can's own `socketcand` interface, its logger, its viewer and our robots attach as to any bus.
 Each client is a node of its own on the wire: what it sends goes through arbitration, what it hears
 has been through it. A client that does not read is dropped, and never slows the wire.
+
+A client may close as soon as it has sent: its node stays on the wire until its queue is empty. Commands
+are read in small portions, turn by turn, so that no client keeps the others from being heard.
 """
 
 import asyncio
 import contextlib
 import logging
+import re
+import socket
+from typing import cast
 
 from protocol.frame import Frame
 from sim.fieldbus import FieldBus, Segment
 
 log = logging.getLogger(__name__)
 
-LINE_MAX = 256  # characters of a command; the longest valid one has 48
-BACKLOG_BYTES_MAX = 1 << 20  # unread by a client: about ten seconds of a full bus
+LINE_MAX = 256  # bytes of a command; the longest valid one has 180, with sign-extended data
+READ_BYTES = 1024  # of one client in one turn: fifty frames, a millisecond of work
+BACKLOG_BYTES_MAX = 1 << 20  # unread by a client, answers included: about ten seconds of a full bus
+ERRORS_MAX = 1000  # commands without sense, then it is no client of ours
+COMMANDS_S = 2000  # of one client in a second: a whole bus of 250 kbit/s; then it is read more slowly
 QUIET_S = 0.05  # after "rawmode": python-can's client takes what follows in one read for the answer
-GOODBYE_S = 0.5  # a closed connection ends its task at once
+DRAIN_S = 2.0  # for the queue of a closed client: 256 frames are 0.15 s of a whole bus
+DRAIN_LOOK_S = 0.01  # whether it is empty
+LEFT_BYTES_MAX = 65_536  # read of a connection that was reset while we wrote to it
+OPEN_S = 30.0  # for a connection to ask for frames; a person who types may take a while
+SPEAKS_S = 5.0  # who has sent within this keeps its seat; a robot beats every 50 to 200 ms
+GOODBYE_S = 0.5  # a closed connection ends at once
 CLIENTS_MAX = 160  # 108 peers and their tools
+EFF_FLAG = 1 << 31  # SocketCAN's mark of a 29-bit identifier, which some clients leave in it
+HEX = re.compile(r"[0-9A-Fa-f]+")
+BYTE_DIGITS_MAX = 16  # some clients extend the sign of a byte to 32 or 64 bits
+NO_FRAME = "error not a classic data frame with a 29-bit identifier"
 
 
-class Client:
+def frame_of(identifier: str, length: str, data: list[str]) -> Frame | None:
+    """The words of a `send` command; None where they are no frame that a bus of ours carries.
+
+    As socketcand reads them: an identifier may carry the EFF flag, and of each byte the low 8 bits
+    count. Signs, underscores and prefixes, which Python's `int` would take, are no digits.
+    """
+    if len(identifier) != 8 or len(length) > 2 or len(data) > 8:
+        return None
+    if not all(HEX.fullmatch(word) for word in (identifier, length, *data)):
+        return None
+    if any(len(byte) > BYTE_DIGITS_MAX for byte in data) or int(length, 16) != len(data):
+        return None
+    number = int(identifier, 16) & ~EFF_FLAG
+    if number >= 1 << 29:
+        return None
+    return Frame(number, bytes(int(byte, 16) & 0xFF for byte in data))
+
+
+class Client(asyncio.BufferedProtocol):
     """One connection: the commands of socketcand in, frames out."""
 
-    def __init__(self, hub: "Hub", writer: asyncio.StreamWriter) -> None:
-        self.hub, self.writer = hub, writer
+    def __init__(self, hub: "Hub") -> None:
+        self.hub = hub
         self.bus: FieldBus | None = None
         self.errors = 0  # commands that made no sense
+        self.since_s = self.spoke_s = 0.0  # connected; sent a frame
+        self.spoke = False
+        self._transport: asyncio.Transport | None = None
+        self._twin: socket.socket | None = None  # what is unread is read here after a reset
+        self._buffer = bytearray(READ_BYTES)
+        self._pending = b""
+        self._quiet: list[bytes] | None = None  # held back: the client may not be ready
+        self._commands = 0  # since `_window_s`
+        self._window_s = 0.0
+
+    # ---------------------------------------------------------------- callbacks of asyncio
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self._transport = cast(asyncio.Transport, transport)
+        loop = asyncio.get_running_loop()
+        self.since_s = self.spoke_s = self._window_s = loop.time()
+        if not self.hub.seat(self):
+            self._transport.abort()
+            return
+        self._twin = transport.get_extra_info("socket").dup()
+        loop.call_later(OPEN_S, self._hurry)
+        self._write(b"< hi >")
+
+    def get_buffer(self, sizehint: int) -> bytearray:
+        return self._buffer
+
+    def buffer_updated(self, count: int) -> None:
+        self._take(bytes(self._buffer[:count]))
+        self._pace()
+
+    def eof_received(self) -> bool:
+        return False
+
+    def connection_lost(self, problem: Exception | None) -> None:
+        if problem is not None:
+            self._take_what_is_left()
+        if self._twin is not None:
+            self._twin.close()
+            self._twin = None
+        self.hub.clients.discard(self)
+        if self.bus is not None:
+            self.hub.retire(self.bus)
+            self.bus = None
+
+    # ---------------------------------------------------------------- commands
 
     def handle(self, command: str) -> str | None:
         """The answer to one command, without its brackets; None for no answer."""
@@ -38,7 +119,7 @@ class Client:
                     return f"error could not open bus {channel}"
                 return "ok"
             case ["rawmode"]:
-                asyncio.get_running_loop().call_later(QUIET_S, self._attach)
+                self._attach()
                 return "ok"
             case ["send", identifier, length, *data]:
                 return self._send(identifier, length, data)
@@ -50,18 +131,11 @@ class Client:
         return "error unknown command"
 
     def _send(self, identifier: str, length: str, data: list[str]) -> str | None:
-        try:
-            frame = Frame(int(identifier, 16), bytes(int(byte, 16) for byte in data))
-            valid = (
-                len(identifier) == 8
-                and frame.identifier < 1 << 29
-                and len(data) == int(length, 16) <= 8
-            )
-        except ValueError:
-            valid = False
-        if not valid:
+        frame = frame_of(identifier, length, data)
+        if frame is None:
             self.errors += 1
-            return "error not a classic data frame with a 29-bit identifier"
+            return NO_FRAME
+        self.spoke, self.spoke_s = True, asyncio.get_running_loop().time()
         if self.bus is not None:
             self.bus.submit(frame)
         else:
@@ -71,41 +145,110 @@ class Client:
         return None
 
     def _attach(self) -> None:
-        if self.bus is None and not self.writer.is_closing():
+        """On the wire at once. What is heard follows the answer after a pause."""
+        if self.bus is None:
             self.bus = FieldBus(self.hub.segment.channel)
             self.bus.subscribe(self._frame)
+            self._quiet = []
+            asyncio.get_running_loop().call_later(QUIET_S, self._unquiet)
+
+    def _unquiet(self) -> None:
+        held, self._quiet = self._quiet, None
+        if held:
+            self._write(b"".join(held))
 
     def _frame(self, frame: Frame) -> None:
         t_s = self.hub.segment.now_us() / 1e6
         line = f"< frame {frame.identifier:08X} {t_s:.6f} {frame.data.hex().upper()} >"
-        self.writer.write(line.encode("ascii"))
-        if self.writer.transport.get_write_buffer_size() > BACKLOG_BYTES_MAX:
-            log.warning("a client does not read: dropped")
+        if self._quiet is not None:
+            self._quiet.append(line.encode("ascii"))
+        else:
+            self._write(line.encode("ascii"))
+
+    # ---------------------------------------------------------------- bytes
+
+    def _take(self, data: bytes) -> None:
+        *commands, self._pending = (self._pending + data).split(b">")
+        self._commands += len(commands)
+        for command in commands:
+            try:
+                answer = self.handle(command.replace(b"<", b" ").decode("ascii").strip())
+            except UnicodeDecodeError:
+                self._drop("it does not speak the protocol")
+                return
+            if answer is not None:
+                self._write(f"< {answer} >".encode("ascii"))
+        if len(self._pending) > LINE_MAX or self.errors > ERRORS_MAX:
+            self._drop("it does not speak the protocol")
+
+    def _take_what_is_left(self) -> None:
+        """A client that closes with frames unread resets the connection. Where we notice that by
+        writing, what it sent last is still to be read."""
+        left, self._transport = b"", None
+        if self._twin is not None:
+            self._twin.setblocking(False)
+            with contextlib.suppress(OSError):
+                while len(left) < LEFT_BYTES_MAX and (data := self._twin.recv(READ_BYTES)):
+                    left += data
+        self._take(left)
+
+    def _pace(self) -> None:
+        """A client with too many commands is not read for a while."""
+        loop, transport = asyncio.get_running_loop(), self._transport
+        due_s = self._window_s + self._commands / COMMANDS_S
+        if due_s <= loop.time():
+            self._window_s, self._commands = loop.time(), 0
+        elif due_s > loop.time() + QUIET_S and transport is not None and not transport.is_closing():
+            transport.pause_reading()
+            loop.call_at(due_s, self._resume)
+
+    def _resume(self) -> None:
+        if self._transport is not None and not self._transport.is_closing():
+            self._transport.resume_reading()
+
+    def _write(self, data: bytes) -> None:
+        transport = self._transport
+        if transport is None or transport.is_closing():
+            return
+        transport.write(data)
+        if transport.get_write_buffer_size() > BACKLOG_BYTES_MAX:
+            self._drop("it does not read")
+
+    def _hurry(self) -> None:
+        if self.bus is None and not self.spoke:
+            self._drop("it has not asked for frames")
+
+    def _drop(self, why: str) -> None:
+        transport = self._transport
+        if transport is not None and not transport.is_closing():
+            log.warning("a client is dropped: %s", why)
             self.hub.dropped += 1
-            self.close()
+            transport.abort()
 
     def close(self) -> None:
-        if self.bus is not None:
-            self.bus.shutdown()
-            self.bus = None
-        self.writer.close()
+        if self._transport is not None:
+            self._transport.abort()
+
+    def give_up_seat(self) -> None:
+        self._drop("it says nothing, and somebody else wants its seat")
 
 
 class Hub:
     def __init__(self, segment: Segment, channel: str = "can0") -> None:
         self.segment, self.channel = segment, channel
         self.spare = FieldBus(segment.channel)
-        self.spare.subscribe(lambda frame: None)
+        self.spare.subscribe(_ignore)
         self.clients: set[Client] = set()
         self.dropped = 0
         self.refused = 0
         self.port = 0
         self._server: asyncio.Server | None = None
-        self._serving: set[asyncio.Task[None]] = set()
+        self._retiring: dict[FieldBus, float] = {}  # of closed clients, until when at most
 
     async def start(self, host: str = "127.0.0.1", port: int = 0) -> None:
         """Listen; the port is in `port`. OSError where it is in use."""
-        self._server = await asyncio.start_server(self._serve, host, port)
+        loop = asyncio.get_running_loop()
+        self._server = await loop.create_server(lambda: Client(self), host, port)
         self.port = self._server.sockets[0].getsockname()[1]
 
     async def stop(self) -> None:
@@ -113,41 +256,45 @@ class Hub:
             self._server.close()
         for client in list(self.clients):
             client.close()
-        if self._serving:  # else the end of the loop would cancel them, and say so on stderr
-            await asyncio.wait(self._serving, timeout=GOODBYE_S)
-        self.spare.shutdown()
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(GOODBYE_S):
+                while self.clients:
+                    await asyncio.sleep(0)
+        for bus in [*self._retiring, self.spare]:
+            bus.shutdown()
+        self._retiring.clear()
 
-    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        client = Client(self, writer)
-        task = asyncio.current_task()
-        assert task is not None
-        self._serving.add(task)
-        task.add_done_callback(self._serving.discard)
+    def seat(self, client: Client) -> bool:
+        """Where all are taken, the one that has said nothing for the longest time gives its up."""
         if len(self.clients) >= CLIENTS_MAX:
-            self.refused += 1
-            writer.close()
-            return
+            now_s = asyncio.get_running_loop().time()
+            silent = [c for c in self.clients if not c.spoke or now_s - c.spoke_s > SPEAKS_S]
+            if not silent:
+                self.refused += 1
+                return False
+            least = min(silent, key=lambda c: (c.spoke, c.spoke_s))
+            self.clients.discard(least)
+            least.give_up_seat()
         self.clients.add(client)
-        writer.write(b"< hi >")
-        try:
-            await self._commands(reader, client)
-        except (ConnectionError, asyncio.IncompleteReadError, UnicodeDecodeError):
-            pass
-        finally:
-            self.clients.discard(client)
-            client.close()
-            with contextlib.suppress(ConnectionError, OSError):
-                await writer.wait_closed()
+        return True
 
-    async def _commands(self, reader: asyncio.StreamReader, client: Client) -> None:
-        pending = ""
-        while data := await reader.read(4096):
-            pending += data.decode("ascii")
-            while (end := pending.find(">")) >= 0:
-                command, pending = pending[:end], pending[end + 1 :]
-                answer = client.handle(command.replace("<", " ").strip())
-                if answer is not None:
-                    client.writer.write(f"< {answer} >".encode("ascii"))
-            if len(pending) > LINE_MAX:
-                client.errors += 1
-                return
+    def retire(self, bus: FieldBus) -> None:
+        """Its client has closed: it hears nothing more, and leaves when its queue is empty."""
+        bus.subscribe(_ignore)
+        self._retiring[bus] = asyncio.get_running_loop().time() + DRAIN_S
+        self._look_after(bus)
+
+    def _look_after(self, bus: FieldBus) -> None:
+        end_s = self._retiring.get(bus)
+        if end_s is None:
+            return
+        loop, node = asyncio.get_running_loop(), self.segment.wire.nodes.get(bus.node)
+        if node is not None and node.queue and loop.time() < end_s:
+            loop.call_later(DRAIN_LOOK_S, self._look_after, bus)
+            return
+        del self._retiring[bus]
+        bus.shutdown()
+
+
+def _ignore(frame: Frame) -> None:
+    """Of a node that listens to nothing."""
