@@ -4,6 +4,7 @@ from math import cos, hypot, sin
 from typing import Any
 
 from agent.effects import Trace
+from sim.palette import rgb_of
 from sim.scene import Scene
 
 SCENE_UPDATE, LOG = "foxglove.SceneUpdate", "foxglove.Log"
@@ -12,11 +13,6 @@ INFO, WARNING = 2, 3  # levels of foxglove.Log
 LINE_STRIP = 0
 HEIGHT_M = 0.6
 Values = dict[str, Any]
-# Colours of robots: Okabe and Ito (2008), told apart by people who do not see red or green.
-COLOURS = (
-    (0.00, 0.45, 0.70), (0.90, 0.62, 0.00), (0.00, 0.62, 0.45), (0.80, 0.47, 0.65),
-    (0.34, 0.71, 0.91), (0.84, 0.37, 0.00), (0.94, 0.89, 0.26), (0.60, 0.60, 0.60),
-)  # fmt: skip
 GREY = (0.5, 0.5, 0.5)
 
 
@@ -28,7 +24,7 @@ def outline(scene: Scene) -> Values:
 
 def robot_entity(t_us: int, intent: Values, radius_m: float) -> Values:
     """A robot: its body, where it heads, its way, its number."""
-    colour = COLOURS[int(intent["slot"]) % len(COLOURS)]
+    colour = rgb_of(int(intent["slot"]))
     pose = _pose(intent["x"], intent["y"], intent["heading"])
     body = {
         "pose": pose, "size": _xyz(2 * radius_m, 2 * radius_m, HEIGHT_M), "color": _rgba(colour)

@@ -6,7 +6,7 @@ while others read: a row is there once `count` says so.
 
 from array import array
 from bisect import bisect_left
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from hashlib import blake2b
 from typing import Any
 
@@ -26,7 +26,9 @@ class Recording:
         self.intents: Notes = []  # of a robot each, see `sim.intent`
         self.things: Notes = []  # what stands in the world from then on: {"rows": [...]}
         self.ended = False  # nothing more will come
+        self.clock: Callable[[], int] | None = None  # microseconds, of a live bus: quiet is time, too
         self.digest = FramesDigest()
+        self._since_us = 0
         self._t_us, self._identifiers = array("q"), array("I")
         self._lengths, self._data = bytearray(), bytearray()
 
@@ -40,6 +42,10 @@ class Recording:
         self.count += 1
         if self.count - self.first > FRAMES_MAX:
             self._drop()
+
+    def follow(self, clock: Callable[[], int]) -> None:
+        """`clock`: microseconds, that of the frames to come. Time goes on where nothing is heard."""
+        self.clock, self._since_us = clock, clock()
 
     def close(self) -> None:
         self.ended = True
@@ -72,14 +78,24 @@ class Recording:
 
     @property
     def from_us(self) -> int:
-        return self._t_us[0] if self._t_us else 0
+        return self._t_us[0] if self._t_us else self._since_us
 
     @property
     def until_us(self) -> int:
-        """Of the newest row of any kind."""
+        """Of the newest row of any kind; of a live bus: now."""
+        if self.clock is not None and not self.ended:
+            return max(self.clock(), self._t_us[-1] if self._t_us else 0)
         ends = [self.t_us(self.count - 1)] if self.count > self.first else [0]
         ends += [notes[-1][0] for notes in (self.intents, self.things) if notes]
         return max(ends)
+
+
+    @property
+    def quiet_us(self) -> int:
+        """How long ago the newest frame of a live bus came; 0 of a recording."""
+        if self.clock is None or self.ended:
+            return 0
+        return self.until_us - (self._t_us[-1] if self._t_us else self._since_us)
 
 
 class FramesDigest:

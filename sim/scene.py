@@ -26,7 +26,7 @@ def scene_of(setting: Setting | ErrandSetting) -> Scene:
         "name": setting.scenario.name, "kind": "field", "robots": fleet.robots,
         "radius_m": fleet.radius_m, "bitrate": setting.scenario.bus.bitrate,
         "rings": [], "sections": [], "width_m": 0.0, "gate": None, "grid": None, "cells": None,
-        "goals": [],
+        "goals": [], "front": getattr(fleet, "drive", "mecanum") != "mecanum",
     }  # fmt: skip
     floor: Floor | None = getattr(setting, "floor", None)  # of any mission in a building
     if floor is not None:

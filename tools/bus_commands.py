@@ -13,6 +13,7 @@ from tools.options import (
     Interface,
     Json,
     KeyFile,
+    MapOperatorKey,
     OperatorKey,
     PagePort,
     Port,
@@ -179,6 +180,7 @@ def show_map(
         str | None, typer.Option(help="Whose field to draw, where the source does not say.")
     ] = None,
     page_port: PagePort = 8700,
+    operator_key: MapOperatorKey = None,
     json: Json = False,
 ) -> None:  # fmt: skip
     """Show a fleet in a browser: the newest launch, any bus, or a recorded run.
@@ -188,7 +190,19 @@ def show_map(
     from tools.livemap.command import show_map as command
 
     raise SystemExit(
-        command(source, interface, channel, bitrate, host, port, keys, scenario, page_port, json)
+        command(
+            source,
+            interface,
+            channel,
+            bitrate,
+            host,
+            port,
+            keys,
+            scenario,
+            page_port,
+            json,
+            operator_key=operator_key,
+        )
     )
 
 

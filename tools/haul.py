@@ -15,6 +15,7 @@ from sim.clock import WallLoop
 from sim.delivery_setting import DeliverySetting
 from sim.haul import Haul, HaulCluster, HaulMoment, HaulOutcome
 from sim.hub import Hub
+from sim.palette import colour_of
 from sim.scenario import ScenarioError
 from sim.warehouse_scenario import load_warehouse
 from tools.attachment import CHANNEL
@@ -183,9 +184,8 @@ def draw_warehouse(setting: DeliverySetting, run: Haul, outcome: HaulOutcome, ou
     box = (west, west + columns * floor.cell_m, south, south + rows * floor.cell_m)
     figure, axes = pyplot.subplots(figsize=(11, 7), dpi=110)
     axes.imshow(floor.walls, origin="lower", extent=box, cmap="Greys", alpha=0.5)
-    colours = pyplot.get_cmap("tab10")
     for slot, track in sorted(run.tracks.items()):
-        axes.plot([p[1] for p in track], [p[2] for p in track], color=colours(slot % 10),
+        axes.plot([p[1] for p in track], [p[2] for p in track], color=colour_of(slot),
                   linewidth=0.7, alpha=0.7, label=f"robot {slot}")  # fmt: skip
     for number, (x_m, y_m) in enumerate(setting.house.bays):
         axes.annotate(f"C{number}", (x_m, y_m), ha="center", va="center", fontsize=7)

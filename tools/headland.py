@@ -7,7 +7,18 @@ from typing import Annotated, Any
 import typer
 
 from tools import bus_commands, coverage, keys, tasks, trial_commands
-from tools.options import PORT_MAX, Bitrate, Channel, Host, Json, KeyFile, Map, PagePort, Port
+from tools.options import (
+    PORT_MAX,
+    Bitrate,
+    Channel,
+    Host,
+    Json,
+    KeyFile,
+    Map,
+    MapOperatorKey,
+    PagePort,
+    Port,
+)
 
 WRONG, INTERRUPTED = 2, 130
 WRONG_WORDS: Any = typer.BadParameter.__base__  # click's UsageError, wherever typer keeps its click
@@ -106,6 +117,7 @@ def launch(
     keys: KeyFile = None,
     show_map: Map = False,
     page_port: PagePort = 8700,
+    operator_key: MapOperatorKey = None,
     segment: Annotated[
         int, typer.Option(min=0, max=0x7FFF, help="Of a fleet of several, for headland bridge.")
     ] = 0,
@@ -123,7 +135,10 @@ def launch(
 
     page = page_port if show_map else None
     raise SystemExit(
-        command(scenario, robots, seed, out, port, seconds, json, keys, page, segment, hub, fresh)
+        command(
+            scenario, robots, seed, out, port, seconds, json, keys, page, segment, hub, fresh,
+            operator_key,
+        )  # fmt: skip
     )
 
 

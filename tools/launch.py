@@ -28,13 +28,13 @@ from sim.scenario import ScenarioError
 from sim.setting import Setting
 from sim.standing import leave_standing
 from sim.world_memory import WorldMemory
-from tools.attachment import CHANNEL
+from tools.attachment import CHANNEL, AttachError
 from tools.fleet_folder import TRUTH, Fleet, end_fleet, fleet_folder
 from tools.inspector import SILENT_S, Inspector
 from tools.keeping import Keeping
 from tools.language.places import Places
 from tools.launch_bus import LaunchBus, OutsideHub, OwnHub
-from tools.livemap.command import ServerError, listen
+from tools.livemap.command import ServerError, check_operator_key, listen
 from tools.robot import AnySetting, setting_of
 from tools.run_folder import FolderError
 from tools.warmup import warm
@@ -56,11 +56,13 @@ class Launch:
         self, setting: AnySetting, name: str, fleet: Fleet, console: Console, keys: Path | None,
         page_port: int | None = None,
     ) -> None:  # fmt: skip
+        self.operator_key: str | None = None  # file of the map; its page may release and start with it
         self.fleet, out = fleet, fleet.folder
         self.page_port, self.log_hash, self.logs = page_port, "", ""
         self.segment = 0  # of a fleet of several; 0: there are no others
         self.hub_port = 0  # of a hub that runs by itself; 0: ours
         self.map: asyncio.subprocess.Process | None = None
+        self.map_out: int | None = 2 if console.stderr else None  # where it prints its address
         self.keys = None if keys is None else str(keys.absolute())
         self.setting, self.name, self.out, self.console = setting, name, out, console
         self.inspector = Inspector()
@@ -198,9 +200,10 @@ class Launch:
         """A process of its own, and a polite one: the bus and the robots go first."""
         words = ["map", str(self.out), "--page-port", str(self.page_port)]
         words += [] if self.keys is None else ["--keys", self.keys]
+        words += [] if self.operator_key is None else ["--operator-key", self.operator_key]
         self.map = await asyncio.create_subprocess_exec(
             sys.executable, "-m", "tools.headland", *words, start_new_session=True,
-            stdout=2 if self.console.stderr else None, preexec_fn=lambda: os.nice(MAP_NICE),
+            stdout=self.map_out, preexec_fn=lambda: os.nice(MAP_NICE),
         )  # fmt: skip
 
     async def _watch(self, end: asyncio.Event, seconds: float | None) -> bool:
@@ -241,6 +244,12 @@ class Launch:
                 code = process.returncode
                 how = f"signal {-code}" if code < 0 else f"exit code {code}; see robot{slot}.log"
                 self.console.print(f"robot {slot} has ended ({how}); the others go on")
+        if self.map is not None and self.map.returncode is not None:
+            self.console.print(
+                f"[red]the map has ended (exit code {self.map.returncode}): its page is dead and "
+                f"its STOP stops nobody[/red]; again: headland map {self.out}"
+            )
+            self.map = None
 
     def _tell(self, elapsed_s: float) -> None:
         states = " ".join(
@@ -313,10 +322,11 @@ class Launch:
 def launch(
     scenario: str, robots: int | None, seed: int | None, out: Path | None, port: int,
     seconds: float | None, as_json: bool, keys: Path | None = None, page_port: int | None = None,
-    segment: int = 0, hub_port: int = 0, fresh: bool = False,
+    segment: int = 0, hub_port: int = 0, fresh: bool = False, operator_key: Path | None = None,
 ) -> int:  # fmt: skip
     """`page_port`: of a map beside it. `hub_port`: of a bus that runs by itself. `out`: none, a folder
-    named after the scenario. `fresh`: a new fleet, also where the last one is not done."""
+    named after the scenario. `fresh`: a new fleet, also where the last one is not done. `operator_key`:
+    the map's page may release and start with it."""
     console = Console(stderr=as_json, highlight=False, soft_wrap=True)
     try:
         setting = setting_of(scenario, robots, seed, keys)
@@ -331,8 +341,9 @@ def launch(
             )
         if page_port is not None:
             listen(page_port).close()  # what is taken is known before the robots start
+            check_operator_key(operator_key)
         fleet = fleet_folder(out, setting, fresh)
-    except (ScenarioError, ServerError, FolderError) as problem:
+    except (ScenarioError, ServerError, FolderError, AttachError) as problem:
         return _wrong(str(problem))
     except OSError as problem:
         return _wrong(f"--out: {problem}")
@@ -341,6 +352,7 @@ def launch(
     warm(isinstance(setting, Setting) and setting.turn_radius_m > 0.0)  # not in every robot at once
     kind = Launch if isinstance(setting, Setting) else _haul()
     running = kind(setting, scenario, fleet, console, keys, page_port)
+    running.operator_key = None if operator_key is None else str(operator_key.absolute())
     running.segment, running.hub_port = segment, hub_port
     begun = time.monotonic()
     try:

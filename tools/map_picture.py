@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.palette import colour_of, rgb_of
 from sim.survey import Survey, SurveyOutcome
 
 GREYS = np.array([0.75, 1.0, 0.1])  # unknown, free, obstacle
@@ -23,11 +24,11 @@ def _label(axes: Any, title: str) -> None:
     axes.tick_params(labelsize=7)
 
 
-def _who(axes: Any, survey: Survey, first: NDArray[np.int64], title: str, colours: Any) -> None:
+def _who(axes: Any, survey: Survey, first: NDArray[np.int64], title: str) -> None:
     """Each cell in the colour of the robot that saw it first."""
     picture = np.ones((*first.shape, 3))
     for slot in np.unique(first[first >= 0]).tolist():
-        picture[first == slot] = colours(slot % 10)[:3]
+        picture[first == slot] = rgb_of(slot)
     picture[first < 0] = 0.85
     picture[survey.setting.solid] = 0.1
     axes.imshow(picture, origin="lower", extent=_extent(survey))
@@ -53,14 +54,13 @@ def draw_maps(survey: Survey, outcome: SurveyOutcome, out: Path) -> None:
     size = (4 * columns, 4 * rows)
     figure, grid = pyplot.subplots(rows, columns, figsize=size, dpi=100, squeeze=False)
     places = list(grid.flat)
-    colours = pyplot.get_cmap("tab10")
     title = f"joined map, {100 * outcome.explored:.1f} % in {outcome.time_s:.0f} s"
     _plain(places[0], survey, survey.joined.values(), title)
     for slot, track in survey.tracks.items():
         xy = np.array([(x, y) for _, x, y, _ in track])
-        places[0].plot(xy[:, 0], xy[:, 1], color=colours(slot % 10), linewidth=0.8)
+        places[0].plot(xy[:, 0], xy[:, 1], color=colour_of(slot), linewidth=0.8)
     again = f"{100 * outcome.overlap_end:.0f} % seen again by another"
-    _who(places[1], survey, survey.seen.first, f"who saw it first; {again}", colours)
+    _who(places[1], survey, survey.seen.first, f"who saw it first; {again}")
     for axes, slot in zip(places[2:], slots, strict=False):
         _plain(axes, survey, survey.charts[slot], f"what robot {slot} saw itself")
     for axes in places[2 + len(slots) :]:
@@ -82,17 +82,16 @@ def film(survey: Survey, out: Path) -> None:
     from matplotlib.animation import FuncAnimation, PillowWriter
 
     figure, (left, right) = pyplot.subplots(1, 2, figsize=(9, 5), dpi=80)
-    colours = pyplot.get_cmap("tab10")
 
     def draw(number: int) -> None:
         still = survey.films[number]
         left.clear()
         right.clear()
         _plain(left, survey, still.values, f"{still.now_s:.0f} s, as robot {still.slot} knows it")
-        _who(right, survey, still.first, "who saw it first", colours)
+        _who(right, survey, still.first, "who saw it first")
         for slot, (x_m, y_m) in still.places.items():
             for axes, edge in ((left, "none"), (right, "black")):
-                axes.plot([x_m], [y_m], "o", color=colours(slot % 10), markeredgecolor=edge,
+                axes.plot([x_m], [y_m], "o", color=colour_of(slot), markeredgecolor=edge,
                           markersize=5)  # fmt: skip
 
     movie = FuncAnimation(figure, draw, frames=len(survey.films))

@@ -96,7 +96,8 @@ class Operator:
             if isinstance(message, Heartbeat):
                 robot.started = message.started
                 if message.leaving:
-                    del self.robots[slot]
+                    del self.robots[slot]  # at each address that it was heard at
+                    self.slot_of = {a: s for a, s in self.slot_of.items() if s != slot}
         elif isinstance(message, OperatorReport):
             robot.report = message
             asking = message.matter in (Matter.ASKING, Matter.WAITING)

@@ -26,6 +26,13 @@ KeyFile = Annotated[Path | None, typer.Option("--keys", help="The fleet's key fi
 OperatorKey = Annotated[
     Path | None, typer.Option("--operator-key", help="The operator's key file.")
 ]
+MapOperatorKey = Annotated[
+    Path | None,
+    typer.Option(
+        "--operator-key",
+        help="The operator's key file: the map's page may release and start with it.",
+    ),
+]
 Map = Annotated[bool, typer.Option("--map", help="Show it in a browser.")]
 PagePort = Annotated[
     int,

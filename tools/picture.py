@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from agent.field import Field
+from sim.palette import colour_of
 
 Track = Sequence[tuple[float, float, bool]]  # x, y in metres, implement down
 
@@ -23,9 +24,8 @@ def draw_field(field: Field, tracks: Mapping[int, Track], title: str, out: Path)
         axes.plot([p[0] for p in closed], [p[1] for p in closed], color="0.2", linewidth=1.2)
     for hole in field.holes:
         axes.fill([p[0] for p in hole], [p[1] for p in hole], color="0.85")
-    colours = pyplot.get_cmap("tab10")
-    for index, (slot, track) in enumerate(sorted(tracks.items())):
-        colour = colours(index % 10)
+    for slot, track in sorted(tracks.items()):
+        colour = colour_of(slot)
         for tool_on, width, alpha in ((False, 0.6, 0.5), (True, 2.2, 0.75)):
             pieces = [
                 ((a[0], a[1]), (b[0], b[1]))

@@ -3,13 +3,15 @@
 import contextlib
 import json
 import os
+import queue
 import random
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import pytest
 
@@ -104,13 +106,15 @@ def test_what_is_told_is_the_split_and_the_stop(run: Path) -> None:
 
 
 def test_only_this_page_is_answered(shown: str) -> None:
+    shown, token = parts(shown)
     page = httpx.get(shown)
     policy = page.headers["content-security-policy"]
     assert "default-src 'none'" in policy and "unsafe" not in policy and "http" not in policy
     assert httpx.get(shown, headers={"host": "elsewhere.example"}).status_code == 403
     assert httpx.post(shown + "stop", headers={"origin": "http://elsewhere"}).status_code == 403
-    answer = httpx.post(shown + "stop", headers={"origin": shown.rstrip("/")})
-    assert answer.status_code == 409 and "recording" in answer.json()["problem"]
+    for trusted in ({"origin": shown.rstrip("/")}, bearer(token)):
+        answer = httpx.post(shown + "stop", headers=trusted)
+        assert answer.status_code == 409 and "recording" in answer.json()["problem"]
     for name in ("index.html", "map.js", "field.js", "side.js", "map.css"):
         text = (ROOT / "tools/livemap/page" / name).read_text()
         assert "https://" not in text and "innerHTML" not in text, name
@@ -179,8 +183,9 @@ def test_a_recording_is_looked_through(shown: str) -> None:
 def test_a_launch_is_stopped_and_released_from_the_page(tmp_path: Path) -> None:
     fleet, operator = tmp_path / "fleet.json", tmp_path / "operator.json"
     key_file.write(fleet, operator, key_file.fresh(), key_file.DEVICE)
-    with launched(tmp_path, "--keys", str(fleet)) as url, browser() as page:
-        page.get(url)
+    words = ("--keys", str(fleet), "--operator-key", str(operator))
+    with launched(tmp_path, *words) as live, browser() as page:
+        page.get(live.url)
         until(page, robots_in("WORKING"), WAIT_S)
         until(page, "headland.state().robots.every(robot => robot.path && robot.near)")
         picture(page, "live")
@@ -190,22 +195,10 @@ def test_a_launch_is_stopped_and_released_from_the_page(tmp_path: Path) -> None:
         assert page.find_element("css selector", "#stopped strong").is_displayed()
         until(page, "!document.getElementById('reset').hidden")
         page.find_element("id", "reset").click()
-        release, says = (
-            page.find_element("id", "release-yes"),
-            page.find_element("id", "release-says"),
-        )
-        release.click()  # without a key
-        until(page, "document.getElementById('release-says').textContent.includes('key file')")
-        page.find_element("id", "key").send_keys(str(fleet))  # not the operator's
-        release.click()
-        until(page, "document.getElementById('release-says').textContent.includes('is needed')")
-        assert "\n" not in says.text
-        assert page.execute_script(f"return {robots_in('EMERGENCY_STOP')}")
-        page.find_element("id", "key").clear()
-        page.find_element("id", "key").send_keys(str(operator))
-        page.find_element("id", "start").click()
+        assert not page.find_element("id", "keyless-line").is_displayed()
+        page.find_element("id", "also").click()
         picture(page, "release")
-        release.click()
+        page.find_element("id", "release-yes").click()
         until(page, robots_in("WORKING", "IDLE", "SYNCHRONIZING"))
         until(page, "!document.querySelector('main').classList.contains('stopped')")
         assert all(CONSOLE in line for line in complaints(page))
@@ -219,27 +212,68 @@ def test_a_launch_is_stopped_and_released_from_the_page(tmp_path: Path) -> None:
 # -------------------------------------------------------------------- hands
 
 
+def parts(url: str) -> tuple[str, str]:
+    """Address of the page, and its token."""
+    address, token = url.split("#")
+    return address, token
+
+
+def bearer(token: str) -> dict[str, str]:
+    return {"authorization": f"Bearer {token}"}
+
+
+class Live(NamedTuple):
+    """A launch with a map."""
+
+    url: str
+    process: "subprocess.Popen[str]"
+    lines: "queue.Queue[str]"  # what it prints
+
+    def says(self, words: str) -> str:
+        """The next line with these words. Fails where there is none in time."""
+        while words not in (line := self.lines.get(timeout=WAIT_S)):
+            assert line, f"never said: {words}"
+        return line
+
+    def children(self, words: str) -> list[int]:
+        """Processes of this launch that were started with these words, oldest first."""
+        own = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children").read_text()
+        return [
+            int(pid)
+            for pid in own.split()
+            if words in Path(f"/proc/{pid}/cmdline").read_text().replace("\0", " ")
+        ]
+
+
 @contextlib.contextmanager
-def launched(folder: Path, *words: str) -> Iterator[str]:
-    """A launch with a map; where its page is."""
+def launched(folder: Path, *words: str) -> Iterator[Live]:
+    """A launch of three robots with a map. It must end without a traceback."""
     process = subprocess.Popen(
         [sys.executable, "-m", "tools.headland", "launch", "small", "--map", "--page-port", "0", *words],
         cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
         env={**os.environ, "PYTHONPATH": str(ROOT)},
     )  # fmt: skip
-    try:
+    lines: queue.Queue[str] = queue.Queue()
+    kept: list[str] = []
+
+    def read() -> None:
         assert process.stdout is not None
-        lines = []
         for line in process.stdout:
-            lines.append(line)
-            if line.startswith("map: "):
-                yield line.split()[1]
-                break
-        else:
-            raise AssertionError("no map: " + "".join(lines))
+            kept.append(line)
+            lines.put(line)
+        lines.put("")
+
+    reading = threading.Thread(target=read, daemon=True)
+    reading.start()
+    try:
+        live = Live("", process, lines)
+        yield live._replace(url=live.says("map: ").split()[1])
     finally:
+        process.send_signal(signal.SIGCONT)
         process.send_signal(signal.SIGINT)
-        process.communicate(timeout=WAIT_S)
+        process.wait(timeout=WAIT_S)
+        reading.join(timeout=WAIT_S)
+    assert "Traceback" not in "".join(kept), "".join(kept)
 
 
 def robots_in(*states: str) -> str:

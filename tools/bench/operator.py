@@ -27,7 +27,7 @@ from tools.bench.browser import browser, missing, open_page, until
 from tools.bench.figure import Figure, percentile
 from tools.bench.stop import _Presses
 from tools.keeping import Keeping
-from tools.livemap.command import MapThread, listen, recorded
+from tools.livemap.command import MapThread, recorded
 from tools.livemap.player import Index, Player
 from tools.warmup import warm
 
@@ -169,10 +169,16 @@ class _Watched(_Presses):
 
     def __init__(self, count: int, out: Path) -> None:
         super().__init__(count, out)
-        with contextlib.closing(listen(0)) as free:
-            self.page_port = free.getsockname()[1]
+        self.page_port = 0
+        self.map_out = asyncio.subprocess.PIPE
+        self.url = ""
         self.console = Console(stderr=True, quiet=True)
         self.pictures_a_second = 0.0
+
+    async def _start_map(self) -> None:
+        await super()._start_map()
+        assert self.map is not None and self.map.stdout is not None
+        self.url = (await self.map.stdout.readline()).decode().split()[1]
 
     async def _watch(self, end: asyncio.Event, seconds: float | None) -> bool:
         opened, over = threading.Event(), threading.Event()
@@ -187,7 +193,7 @@ class _Watched(_Presses):
     def _look(self, opened: threading.Event, over: threading.Event) -> None:
         try:
             with browser() as page:
-                open_page(page, f"http://127.0.0.1:{self.page_port}/", WAIT_S)
+                open_page(page, self.url, WAIT_S)
                 until(page, "headland.told > 10", WAIT_S)
                 (first, _), begun_s = page.execute_script(f"return {COUNT}"), time.perf_counter()
                 opened.set()

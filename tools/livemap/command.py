@@ -3,18 +3,20 @@
 import asyncio
 import contextlib
 import json
+import secrets
 import socket
 import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rich.console import Console
 
 from protocol.bus import CanBus
 from protocol.frame import Frame
 from sim.intent_link import Watching
+from sim.key_file import OPERATOR, KeyFileError, read
 from sim.mcap_log import McapMissing, add_notes, read_recording
 from sim.recording import Recording
 from sim.scenario import ScenarioError
@@ -32,15 +34,16 @@ if TYPE_CHECKING:
 HOST = "127.0.0.1"  # nobody else can see it; there is no option for more
 WRONG = 2
 RECORDED_SPEED = 10.0
+TOKEN_BYTES = 16  # 128 bits: not to be guessed
 NO_SERVER = "the map needs the operator extra: pip install 'headland[operator]'"
 
 
 def show_map(
     source: Path | None, interface: str, channel: str, bitrate: int, host: str, port: int,
     keys: Path | None, scenario: str | None, page_port: int, as_json: bool,
-    speed: float = RECORDED_SPEED,
+    speed: float = RECORDED_SPEED, operator_key: Path | None = None,
 ) -> int:  # fmt: skip
-    """`speed`: of a recording, times real time; 0: as usual."""
+    """`speed`: of a recording, times real time; 0: as usual. `operator_key`: the page may release."""
     console = Console(stderr=as_json, highlight=False, soft_wrap=True)
     try:
         scene = None if scenario is None else scene_named(scenario)
@@ -48,16 +51,26 @@ def show_map(
         with contextlib.closing(listen(page_port)) as listener:
             if source is None or launch is not None:
                 where = (interface, channel, bitrate, host, port)
-                return _live(scene, launch, where, keys, listener, console, as_json)
+                own = Keys(keys, operator_key)
+                return _live(scene, launch, where, own, listener, console, as_json)
             with console.status(f"reading {source}"):
                 recording = recorded(source, scene)
             server = make_server(recording, str(source), False, speed or RECORDED_SPEED)
-            _announce(console, as_json, listener)
+            _announce(console, as_json, url_of(listener, server))
             asyncio.run(serve(server, listener))
     except (AttachError, SourceError, ScenarioError, McapMissing, ServerError) as problem:
         print(f"headland: {problem}", file=sys.stderr)
         return WRONG
     return 0
+
+
+def check_operator_key(path: Path | None) -> None:
+    """Raises AttachError: what is wrong with the file is said before anybody relies on it."""
+    try:
+        if path is not None:
+            read(path, OPERATOR)
+    except KeyFileError as problem:
+        raise AttachError(f"--operator-key {problem}") from None
 
 
 class ServerError(Exception):
@@ -71,7 +84,7 @@ def make_server(
         from tools.livemap.server import MapServer
     except ImportError:
         raise ServerError(NO_SERVER) from None
-    return MapServer(recording, title, follow, speed, panel)
+    return MapServer(recording, title, follow, speed, secrets.token_urlsafe(TOKEN_BYTES), panel)
 
 
 def listen(port: int) -> socket.socket:
@@ -89,24 +102,27 @@ def listen(port: int) -> socket.socket:
     return listener
 
 
-def url_of(listener: socket.socket) -> str:
-    return f"http://{HOST}:{listener.getsockname()[1]}/"
+def url_of(listener: socket.socket, server: "MapServer") -> str:
+    """With the token behind the #: browsers keep that part to themselves."""
+    return f"http://{HOST}:{listener.getsockname()[1]}/#{server.token}"
 
 
-def _announce(console: Console, as_json: bool, listener: socket.socket) -> None:
+def _announce(console: Console, as_json: bool, url: str) -> None:
     if as_json:
-        print(json.dumps({"map": url_of(listener)}), flush=True)
+        print(json.dumps({"map": url}), flush=True)
     else:
-        console.print(f"map: {url_of(listener)}   (Ctrl-C ends it)")
+        console.print(f"map: {url}   (Ctrl-C ends it)")
 
 
 async def serve(server: "MapServer", listener: socket.socket) -> None:
     """Until Ctrl-C, or the task is cancelled."""
     import uvicorn
 
+    from tools.livemap.server import MESSAGE_MAX
+
     config = uvicorn.Config(
         server.app, log_level="warning", lifespan="off", ws_per_message_deflate=False,
-        access_log=False, timeout_graceful_shutdown=1,
+        access_log=False, timeout_graceful_shutdown=1, ws_max_size=MESSAGE_MAX,
     )  # fmt: skip
     index = asyncio.create_task(server.keep_index())
     web = uvicorn.Server(config)
@@ -125,7 +141,7 @@ class MapThread:
         """Raises ServerError."""
         self.server = make_server(recording, title, True, RECORDED_SPEED)
         self.listener = listen(page_port)
-        self.url = url_of(self.listener)
+        self.url = url_of(self.listener, self.server)
         self._thread = threading.Thread(target=self._run, daemon=True, name="map")
         self._thread.start()
 
@@ -186,11 +202,19 @@ def _launch_of(source: Path | None, interface: str, port: int) -> dict[str, Any]
         return None
 
 
+class Keys(NamedTuple):
+    """Files of the person who starts the map; None: the fleet has no keys, or it may only be stopped."""
+
+    panel: Path | None  # --keys
+    operator: Path | None  # --operator-key
+
+
 def _live(
     scene: Scene | None, launch: dict[str, Any] | None, where: tuple[str, str, int, str, int],
-    keys: Path | None, listener: socket.socket, console: Console, as_json: bool,
+    keys: Keys, listener: socket.socket, console: Console, as_json: bool,
 ) -> int:  # fmt: skip
-    keyring = keyring_of(keys)
+    keyring = keyring_of(keys.panel)
+    check_operator_key(keys.operator)
     interface, channel, bitrate, host, port = where
     if launch is not None:
         host, port, channel = str(launch["host"]), int(launch["port"]), str(launch["channel"])
@@ -199,13 +223,15 @@ def _live(
 
     async def run() -> None:
         bus = attach(interface, channel, bitrate, host, port)
-        recording, panel = Recording(scene), Panel(bus, keyring)
+        recording, panel = Recording(scene), Panel(bus, keyring, keys.operator)
+        loop = asyncio.get_running_loop()
+        recording.follow(lambda: round(loop.time() * 1e6))
         server = make_server(recording, title, True, 1.0, panel)
         with _hearing(bus, recording, panel):
             body_port = None if launch is None else launch.get("body_port")
             watching = asyncio.create_task(_watch(recording, host, body_port))
             asking = asyncio.create_task(panel.keep_asking())
-            _announce(console, as_json, listener)
+            _announce(console, as_json, url_of(listener, server))
             try:
                 await serve(server, listener)
             finally:

@@ -7,11 +7,11 @@ from typing import Any
 from protocol.authentication import Keyring
 from protocol.bus import CanBus
 from protocol.frame import Frame
-from protocol.safety_frames import Reason
+from protocol.safety_frames import Command, Reason
 from tools.attachment import AttachError
 from tools.estop import press
 from tools.operator_device import Operator
-from tools.reset import LISTEN_S, operator_keyring, release
+from tools.reset import LISTEN_S, STEP_S, operator_keyring, release
 
 CONFIRM_S = 10.0  # repeated until every live robot has echoed, at most this long
 RELEASE_S = 5.0
@@ -22,10 +22,20 @@ class PanelError(Exception):
     """One line for the person."""
 
 
+STARTS = 3  # a start that is lost is only an inconvenience, but an annoying one
+NO_KEY = (
+    "this map holds no operator's key: start it with --operator-key, or use headland reset; "
+    "where the fleet has no keys, say so"
+)
+
+
 class Panel:
-    def __init__(self, bus: CanBus, keyring: Keyring | None) -> None:
-        """`keyring`: of a stop panel of a fleet with keys."""
+    def __init__(
+        self, bus: CanBus, keyring: Keyring | None, operator_key: Path | None = None
+    ) -> None:
+        """`keyring`: of a stop panel of a fleet with keys. `operator_key`: file that releases it."""
         self.bus, self.signed = bus, keyring is not None
+        self._key = operator_key  # chosen by who starts the map, never by a request
         self.stopper = Operator(bus, keyring)
         self._listeners = [self.stopper]
         self._pressing: asyncio.Task[list[int]] | None = None
@@ -63,13 +73,23 @@ class Panel:
         late = await press(self.stopper, Reason.OPERATOR_INTERVENTION, CONFIRM_S)
         return [robot.slot for robot in late]
 
-    async def reset(self, key: str, start: bool) -> dict[str, Any]:
-        """`key`: path of the operator's key file; empty for a fleet without keys."""
+    @property
+    def releases(self) -> bool:
+        """A fleet with keys can be released from here."""
+        return self._key is not None
+
+    async def release(self, keyless: bool, reset: bool, start: bool) -> dict[str, Any]:
+        """Clear the stops and reset each machine, and start: both or one of them.
+
+        `keyless`: the person says that the fleet has no keys. Raises PanelError.
+        """
         if self._releasing.locked():
-            raise PanelError("a reset is under way")
+            raise PanelError("a release is under way")
+        if self._key is None and not keyless:
+            raise PanelError(NO_KEY)
         async with self._releasing:
             try:
-                keyring = operator_keyring(Path(key).expanduser() if key else None, RELEASE_S)
+                keyring = operator_keyring(self._key, RELEASE_S)
             except AttachError as problem:
                 raise PanelError(str(problem)) from None
             operator = Operator(self.bus, keyring, self.stopper.device)
@@ -77,10 +97,28 @@ class Panel:
             try:
                 await operator.listen(LISTEN_S, stops=True)
                 cleared = sorted(operator.stops)
-                left = await release(operator, start, RELEASE_S)
+                left = await (self._reset(operator, start) if reset else self._start(operator))
             finally:
                 self._listeners.remove(operator)
             return {
-                "cleared": [".".join(map(str, dot)) for dot in cleared], "late": left,
-                "heard": bool(operator.live), "signed": keyring is not None, "started": start,
+                "cleared": [".".join(map(str, dot)) for dot in cleared] if reset else [],
+                "late": left, "heard": bool(operator.live), "signed": keyring is not None,
+                "started": start,
             }  # fmt: skip
+
+    async def _reset(self, operator: Operator, start: bool) -> list[int]:
+        return await release(operator, start, RELEASE_S)
+
+    async def _start(self, operator: Operator) -> list[int]:
+        """Every machine that is not latched; returns those that did not start."""
+        loop = asyncio.get_running_loop()
+        end_s = loop.time() + RELEASE_S
+        while True:
+            for _ in range(STARTS):
+                operator.command(Command.START)
+                await asyncio.sleep(STEP_S)
+            await asyncio.sleep(LISTEN_S)  # until each has beaten
+            operator.now_s = loop.time()
+            left = [r.slot for r in operator.live if not r.started]
+            if not left or loop.time() >= end_s:
+                return left

@@ -1,12 +1,16 @@
 """The page and its socket: starlette on loopback, nothing from elsewhere, each page a player of its own.
 
-A page may look, and where there is a live bus it may stop the fleet and release it. Other pages of the
-browser may not: requests must name this host and come from this origin.
+A page may look, and where there is a live bus it may stop the fleet, release it and start it. Other pages
+of the browser may not: requests must name this host and come from this origin. Other users of the machine
+may not look, release or start: that takes the token of the printed address. A stop takes the token or the
+page's own origin. It must work from a page that has lost its token, and a wrong stop only costs time.
 """
 
 import asyncio
 import contextlib
 import json
+import re
+from hmac import compare_digest
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +21,7 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from sim.palette import ROBOTS
 from sim.recording import Recording
 from tools.livemap.panel import Panel, PanelError
 from tools.livemap.player import SPEED_MAX, Index, Player
@@ -28,8 +33,12 @@ READ_SHARE = 0.5  # of the time between two pictures may be spent on reading
 INDEX_SHARE = 0.4  # the same for the index, when it is behind
 AHEAD_MAX = 3  # pictures told and not yet drawn: a slow page sees fewer, never older ones
 PAGES_MAX = 16
-MESSAGE_MAX = 4096  # characters of a request of the page
-HOSTS = ("127.0.0.1", "localhost", "[::1]")
+MESSAGE_MAX = 4096  # bytes of one message of a page's socket
+BODY_MAX = 64 * 1024  # bytes of a POST; the page sends less than 100
+HOST = re.compile(r"(127\.0\.0\.1|localhost|\[::1\])(:[0-9]{1,5})?")  # any port: ssh may forward another
+PROTOCOL = "headland"  # of the socket; the page offers it with its token as a second one
+NO_TOKEN, TOO_MANY, TOO_BIG = 4401, 1013, 1009  # close codes; 4000 to 4999 are for applications
+NOT_A_REQUEST = "not a request of the map's page"
 SECURITY = {
     "content-security-policy": "default-src 'none'; script-src 'self'; style-src 'self'; "
     "connect-src 'self'; img-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
@@ -58,12 +67,9 @@ class OnlyHere:
         if scope["type"] not in ("http", "websocket"):
             await self.app(scope, receive, send)
             return
-        headers = {
-            name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]
-        }
-        host, origin = headers.get("host", ""), headers.get("origin")
-        known = host.rsplit(":", 1)[0] in HOSTS
-        if not known or (origin is not None and origin != f"http://{host}"):
+        hosts, origins = _headers(scope, b"host"), _headers(scope, b"origin")
+        known = len(hosts) == 1 and HOST.fullmatch(hosts[0]) is not None
+        if not known or any(origin != f"http://{hosts[0]}" for origin in origins):
             if scope["type"] == "websocket":
                 await send({"type": "websocket.close", "code": 1008})
             else:
@@ -79,12 +85,20 @@ class OnlyHere:
         await self.app(scope, receive, secured)
 
 
+def _headers(scope: Scope, name: bytes) -> list[str]:
+    return [value.decode("latin-1") for key, value in scope["headers"] if key == name]
+
+
 class MapServer:
     def __init__(
-        self, recording: Recording, title: str, follow: bool, speed: float,
+        self, recording: Recording, title: str, follow: bool, speed: float, token: str,
         panel: Panel | None = None,
     ) -> None:  # fmt: skip
-        """`panel`: the operator's device of a live bus; none: a recording cannot be stopped."""
+        """`panel`: the operator's device of a live bus; none: a recording cannot be stopped.
+
+        `token`: what a page must know to look, to release and to start.
+        """
+        self.token = token
         self.recording, self.title, self.panel = recording, title, panel
         self.follow, self.speed = follow, speed
         self.index = Index(recording)
@@ -95,6 +109,7 @@ class MapServer:
                     *(Route(path, self._file) for path in FILES),
                     Route("/stop", self._stop, methods=["POST"]),
                     Route("/reset", self._reset, methods=["POST"]),
+                    Route("/start", self._start, methods=["POST"]),
                     WebSocketRoute("/ws", self._page),
                 ]
             )
@@ -114,17 +129,25 @@ class MapServer:
     # ---------------------------------------------------------------- looking
 
     async def _page(self, socket: WebSocket) -> None:
+        offered = socket.scope["subprotocols"]
+        named = PROTOCOL if PROTOCOL in offered else None
         if self.pages >= PAGES_MAX:
-            await socket.close(1013)
+            await socket.close(TOO_MANY)
             return
-        await socket.accept()
+        await socket.accept(named)
+        if not any(self._is_token(word) for word in offered):
+            await socket.close(NO_TOKEN)  # after the handshake: only then does a page see the code
+            return
         self.pages += 1
         player = Player(self.index, self.follow, self.speed)
         teller = Teller(player)
         telling = asyncio.create_task(self._tell(socket, player, teller))
         try:
-            while True:
-                text = await socket.receive_text()
+            while (message := await socket.receive())["type"] == "websocket.receive":
+                text = message.get("text") or ""
+                if len(text) > MESSAGE_MAX:
+                    await socket.close(TOO_BIG)
+                    break
                 answer = _obey(text, player, teller)
                 if answer is not None:
                     await socket.send_text(json.dumps(answer))
@@ -140,7 +163,9 @@ class MapServer:
         loop = asyncio.get_running_loop()
         scene = {
             "kind": "scene", "title": self.title, "live": self.panel is not None,
-            "signed": self.panel is not None and self.panel.signed, "scene": self.recording.scene,
+            "signed": self.panel is not None and self.panel.signed,
+            "releases": self.panel is not None and self.panel.releases, "scene": self.recording.scene,
+            "colours": ROBOTS,
         }  # fmt: skip
         await socket.send_text(json.dumps(scene))
         period_s = 1 / PICTURES_A_SECOND
@@ -156,31 +181,66 @@ class MapServer:
 
     # ---------------------------------------------------------------- stopping
 
+    def _is_token(self, word: str) -> bool:
+        return compare_digest(word.encode(), self.token.encode())
+
+    def _trusted(self, request: Request) -> bool:
+        kind, _, word = request.headers.get("authorization", "").partition(" ")
+        return kind.lower() == "bearer" and self._is_token(word)
+
     async def _stop(self, request: Request) -> Response:
-        """Asks for nothing: a wrong stop costs time, a missing one more."""
+        """Asks for nothing but the page's origin: a wrong stop costs time, a missing one more."""
+        if "origin" not in request.headers and not self._trusted(request):
+            return PlainTextResponse("not from this page\n", 403)
         if self.panel is None:
             return JSONResponse({"problem": "a recording cannot be stopped"}, 409)
         return JSONResponse(await self.panel.stop())
 
     async def _reset(self, request: Request) -> Response:
+        return await self._released(request, reset=True)
+
+    async def _start(self, request: Request) -> Response:
+        return await self._released(request, reset=False)
+
+    async def _released(self, request: Request, reset: bool) -> Response:
+        """Whoever asks says that the fleet has no keys, or this map holds its operator's key."""
+        if not self._trusted(request):
+            return JSONResponse({"problem": "open the whole address that the map printed"}, 403)
         if self.panel is None:
-            return JSONResponse({"problem": "a recording has nothing to reset"}, 409)
+            return JSONResponse({"problem": "a recording has nothing to release"}, 409)
         try:
-            wish = json.loads((await request.body())[:MESSAGE_MAX])
-            key, keyless, start = wish["key"], wish["keyless"], wish["start"]
-            if not isinstance(key, str) or not (key or keyless is True):
-                raise PanelError("name the operator's key file, or say that the fleet has no keys")
-            return JSONResponse(await self.panel.reset(key, start is True))
-        except (ValueError, KeyError, TypeError):
-            return JSONResponse({"problem": "not a request of the map's page"}, 400)
+            wish = json.loads(await _body(request))
+            keyless, start = wish["keyless"] is True, wish.get("start") is True
+            return JSONResponse(await self.panel.release(keyless, reset, start or not reset))
+        except BodyTooBig:
+            return JSONResponse({"problem": f"more than {BODY_MAX} bytes"}, 413)
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+            return JSONResponse({"problem": NOT_A_REQUEST}, 400)
         except PanelError as problem:
             return JSONResponse({"problem": str(problem)}, 400)
+
+
+class BodyTooBig(Exception):
+    """More than anything that the page sends."""
+
+
+async def _body(request: Request) -> bytes:
+    """Raises BodyTooBig as soon as it is known, without reading on."""
+    told = request.headers.get("content-length", "0")
+    if not told.isascii() or not told.isdigit() or len(told) > 9 or int(told) > BODY_MAX:
+        raise BodyTooBig
+    body = b""
+    async for piece in request.stream():
+        body += piece
+        if len(body) > BODY_MAX:
+            raise BodyTooBig
+    return body
 
 
 def _obey(text: str, player: Player, teller: Teller) -> dict[str, Any] | None:
     """What the page asks; what makes no sense is passed over."""
     try:
-        wish = json.loads(text[:MESSAGE_MAX])
+        wish = json.loads(text)
         match wish["do"]:
             case "pause":
                 player.playing, player.follow = False, False
@@ -198,6 +258,6 @@ def _obey(text: str, player: Player, teller: Teller) -> dict[str, Any] | None:
                 teller.drawn = min(int(wish["count"]), teller.told)
             case "robot":
                 return teller.robot(int(wish["slot"]))
-    except (ValueError, KeyError, TypeError, OverflowError):
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
         return None
     return None

@@ -37,7 +37,8 @@ class Teller:
             "kind": "now", "anew": anew, "t": round(now_s, 3),
             "from": recording.from_us / 1e6, "until": round(recording.until_us / 1e6, 3),
             "ended": recording.ended, "playing": player.playing, "speed": player.speed,
-            "follow": player.follow, "load": round(watcher.share, 4),
+            "follow": player.follow, "quiet": round(recording.quiet_us / 1e6, 1),
+            "load": round(watcher.share, 4),
             "frames": dict(list(watcher.recent.items())[:KINDS_MAX]),
             "total": sum(watcher.recent.values()),
             "malformed": sum(watcher.malformed.values()),
@@ -54,6 +55,7 @@ class Teller:
             "y": round(robot.y_m, 2), "c": round(watcher.course.get(robot.slot, 0.0), 3),
             "v": round(robot.speed_m_s, 2), "stopped": robot.stopped, "left": robot.left,
             "silent": now_s - robot.last_s > SILENT_S and not robot.left,
+            "age": round(now_s - robot.last_s, 1), "started": robot.started,
         }  # fmt: skip
         intent = watcher.intent(robot.slot, now_s)
         if intent is not None:

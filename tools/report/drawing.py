@@ -8,7 +8,7 @@ from typing import Any
 
 from agent.lifecycle import State
 from crdt import Phase
-from sim.foxglove import COLOURS
+from sim import palette
 from sim.scene import Scene
 from tools.report.followed import Following
 from tools.report.history import SILENT, Event, Place, Span, Stop
@@ -46,7 +46,7 @@ def png_of(figure: Figure) -> bytes:
 
 
 def colour_of(slot: int | None) -> Any:
-    return "#777777" if slot is None else COLOURS[slot % len(COLOURS)]
+    return "#777777" if slot is None else palette.colour_of(slot)
 
 
 def _legend(axes: Any, robots: int) -> None:

@@ -1,12 +1,10 @@
 // Drawing: the ground that seldom changes on a canvas of its own, the robots over it in each picture.
 
-export const COLOURS = [
-  "#4cc2ff", "#ffb347", "#5be37d", "#ff8ac2", "#b89bff", "#ffe24b", "#2fd6c4", "#d9a07a", "#9fb4ff", "#c2e05a",
-  "#1f8fd0", "#c97f1e", "#2fa457", "#cf5b95", "#8867d9", "#c9ae1c", "#189c8e", "#a06f4c", "#6f86d6", "#8fae30",
-];
-export const colourOf = (slot) => COLOURS[slot % COLOURS.length];
+let colours = ["#4cc2ff"]; // of robots; the server tells those of all our pictures
+export function setColours(told) { colours = told; }
+export const colourOf = (slot) => colours[slot % colours.length];
 const GROUND = "#0e1316", FIELD = "#18221d", HOLE = "#0a0e10", FENCE = "#7d8f86", FREE_LINE = "#31423a";
-const BLOCK_UNITS = 40, GROUND_MS = 90, MARGIN_PX = 40, BAR_PX = 84; // the bar of layers lies over the foot
+const BLOCK_UNITS = 40, GROUND_MS = 90, MARGIN_PX = 28;
 const BOX = 1, DISC = 2; // shapes of things, as rows of sim/walls.py
 const UNKNOWN = 0, OPEN = 1; // values of cells, crdt/sighting.py
 
@@ -19,6 +17,7 @@ export class Field {
     this.layers = { path: true, velocity: true, orca: false, sections: true, trail: true };
     this.chosen = null;
     this.fitted = false;
+    this.moved = false; // by a person, who keeps what they look at
     this.scene = null;
     this.forget();
   }
@@ -65,7 +64,6 @@ export class Field {
       if (trail.length > 160) trail.shift();
       this.trails.set(robot.s, trail);
     }
-    if (!this.fitted && (this.scene || told.robots.length)) this.fit(told.robots);
   }
 
   cover(id, block, bits) {
@@ -97,7 +95,8 @@ export class Field {
 
   // ---------------------------------------------------------------- looking
 
-  fit(robots = []) {
+  // All of the field and of the robots, between what lies over the map's edges (pixels).
+  fit(robots = [], { top = 0, left = 0, bottom = 0 } = {}) {
     const points = [...(this.scene?.rings ?? []).flat(), ...robots.map((r) => [r.x, r.y])];
     const grid = this.scene?.grid;
     if (grid) points.push(grid.origin, [grid.origin[0] + grid.columns * grid.cell_m, grid.origin[1] + grid.rows * grid.cell_m]);
@@ -105,11 +104,10 @@ export class Field {
     const xs = points.map((p) => p[0]), ys = points.map((p) => p[1]);
     const [west, east, south, north] = [Math.min(...xs), Math.max(...xs), Math.min(...ys), Math.max(...ys)];
     const wide = Math.max(east - west, 3), high = Math.max(north - south, 3);
-    this.view = {
-      x: (west + east) / 2, y: (south + north) / 2,
-      scale: Math.min((this.canvas.clientWidth - 2 * MARGIN_PX) / wide, (this.canvas.clientHeight - MARGIN_PX - BAR_PX) / high),
-    };
-    this.view.y -= (BAR_PX - MARGIN_PX) / 2 / this.view.scale;
+    const width = this.canvas.clientWidth - left - 2 * MARGIN_PX, height = this.canvas.clientHeight - top - bottom - 2 * MARGIN_PX;
+    const scale = Math.max(Math.min(width / wide, height / high), 0.05);
+    this.view = { x: (west + east) / 2 - left / 2 / scale, y: (south + north) / 2 + (top - bottom) / 2 / scale, scale };
+    this.moved = false;
     this.fitted = this.stale = true;
   }
 
@@ -118,12 +116,12 @@ export class Field {
     view.scale = Math.min(Math.max(view.scale * factor, 0.05), 400);
     const [x2, y2] = this.toField(atX, atY);
     view.x += x - x2; view.y += y - y2;
-    this.stale = true; this.groundAt = 0;
+    this.stale = this.moved = true; this.groundAt = 0;
   }
 
   pan(dx, dy) {
     this.view.x -= dx / this.view.scale; this.view.y += dy / this.view.scale;
-    this.stale = true; this.groundAt = 0;
+    this.stale = this.moved = true; this.groundAt = 0;
   }
 
   toField(px, py) {
@@ -343,11 +341,7 @@ export class Field {
     pen.strokeStyle = robot.stopped ? "#f5222d" : chosen ? "#fff" : "#0a0f12";
     pen.lineWidth = robot.stopped ? 5 : chosen ? 3 : 2;
     pen.beginPath(); pen.arc(x, y, radius, 0, 2 * Math.PI); pen.fill(); pen.stroke();
-    pen.save(); // a nose, so that the heading is seen where it stands
-    pen.translate(x, y); pen.rotate(-heading);
-    pen.beginPath(); pen.moveTo(radius * 1.62, 0); pen.lineTo(radius * 0.9, -radius * 0.62); pen.lineTo(radius * 0.9, radius * 0.62); pen.closePath();
-    pen.fillStyle = robot.stopped ? "#f5222d" : "#ffffff"; pen.fill(); pen.lineWidth = 1.5; pen.strokeStyle = "#0a0f12"; pen.stroke();
-    pen.restore();
+    if (this.scene?.front !== false) this.drawNose(pen, robot, x, y, radius, heading);
     pen.fillStyle = dark ? "#fff" : "#081014"; pen.font = `700 ${Math.max(11, Math.min(radius * 1.1, 26))}px system-ui, sans-serif`;
     pen.textAlign = "center"; pen.textBaseline = "middle";
     pen.fillText(String(robot.s), x, y + 0.5);
@@ -357,6 +351,15 @@ export class Field {
       label(pen, "?", ...this.toScreen(ax, ay), "#ffb020", 22);
       label(pen, matter === "ASKING" ? "asks what to do" : "waits", x, y + radius + 14, "#ffb020");
     } else if (standing && !robot.stopped) label(pen, "NOT STOPPED", x, y + radius + 14, "#ff6a70");
+  }
+
+  // So that the heading of a machine with a front is seen where it stands.
+  drawNose(pen, robot, x, y, radius, heading) {
+    pen.save();
+    pen.translate(x, y); pen.rotate(-heading);
+    pen.beginPath(); pen.moveTo(radius * 1.62, 0); pen.lineTo(radius * 0.9, -radius * 0.62); pen.lineTo(radius * 0.9, radius * 0.62); pen.closePath();
+    pen.fillStyle = robot.stopped ? "#f5222d" : "#ffffff"; pen.fill(); pen.lineWidth = 1.5; pen.strokeStyle = "#0a0f12"; pen.stroke();
+    pen.restore();
   }
 }
 

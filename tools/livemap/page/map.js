@@ -1,27 +1,46 @@
 // The page: one socket that tells what is, buttons that ask for another time, and the operator's hand.
 
-import { Field } from "./field.js";
+import { Field, setColours } from "./field.js";
 import { $, Side, clock } from "./side.js";
 
 const SPEEDS = [0.5, 1, 2, 10, 30, 100], TEXT_MS = 200, AGAIN_MS = 1000, ASK_MS = 500;
+const OLD_S = 2; // twice what makes a robot silent: then nothing here is a picture of now
+const STEP_S = 5, ZOOM = 1.4; // of one key or button
+const NO_TOKEN = 4401; // close code of the map's server
 const field = new Field($("field")), side = new Side(choose);
-let socket = null, told = null, dirty = true, live = false, events = [], scrubbing = false, heard = 0, drawn = 0, textAt = 0, askedAt = 0;
+let socket = null, told = null, dirty = true, live = false, releases = false, events = [], scrubbing = false;
+let heard = 0, drawn = 0, heardAt = performance.now(), textAt = 0, askedAt = 0, denied = false;
 // What a test may look at.
 window.headland = { pictures: 0, told: 0, state: () => told, field };
 
+// The token comes behind the # of the printed address; a page that is loaded again still has it.
+let token = "";
+function takeToken() {
+  if (location.hash.length > 1) {
+    sessionStorage.setItem("token", location.hash.slice(1));
+    history.replaceState(null, "", location.pathname);
+  }
+  token = sessionStorage.getItem("token") ?? "";
+}
+
 function connect() {
-  socket = new WebSocket(`ws://${location.host}/ws`);
-  socket.onopen = () => link("connected");
-  socket.onclose = () => { link(null); setTimeout(connect, AGAIN_MS); };
-  socket.onmessage = (message) => hear(JSON.parse(message.data));
+  socket = new WebSocket(`ws://${location.host}/ws`, token ? ["headland", token] : ["headland"]);
+  socket.onclose = ({ code }) => {
+    denied = code === NO_TOKEN;
+    link(null);
+    if (denied) { $("hand").hidden = false; $("reset").hidden = $("start").hidden = true; } // a stop needs no token
+    else setTimeout(connect, AGAIN_MS);
+  };
+  socket.onmessage = (message) => { link("connected"); hear(JSON.parse(message.data)); };
 }
 
 function link(text) {
   $("link").textContent = text ?? "no connection";
-  $("link").className = text ? "" : "off";
+  $("link").className = text ? "on" : "off";
 }
 
 function hear(message) {
+  heardAt = performance.now();
   if (message.kind === "scene") return begin(message);
   if (message.kind === "robot") {
     if (message.slot === field.chosen) side.showOne(message, told?.robots.find((r) => r.s === message.slot));
@@ -34,16 +53,18 @@ function hear(message) {
   if (message.events) events = message.events;
   side.from = message.from;
   field.take(message);
+  if (!field.fitted) fit();
   side.take(message);
   window.headland.told += 1;
   heard += 1;
   dirty = true;
 }
 
-function begin({ title, scene, live: isLive }) {
-  live = isLive;
+function begin({ title, scene, live: isLive, releases: mayRelease, colours }) {
+  live = isLive; releases = mayRelease; denied = false;
   told = null;
   heard = drawn = 0;
+  setColours(colours);
   field.forget(); side.forget();
   field.setScene(scene);
   $("name").textContent = scene?.name ?? "Headland";
@@ -60,6 +81,8 @@ function ask(wish) { if (socket?.readyState === WebSocket.OPEN) socket.send(JSON
 
 function picture(now) {
   requestAnimationFrame(picture);
+  const text = now - textAt >= TEXT_MS;
+  if (text) { textAt = now; showAge(now); }
   if (!dirty && !field.stale) return;
   field.draw(told);
   if (heard > drawn) {
@@ -68,21 +91,45 @@ function picture(now) {
     ask({ do: "drawn", count: drawn });
   }
   dirty = false;
-  if (!told || now - textAt < TEXT_MS) return;
-  textAt = now;
+  if (!told || !text) return;
   side.show(told, field);
   side.showStop(told.stop, told.robots);
   side.showSplit(told.islands);
-  $("reset").hidden = told.stop.stopped.length === 0;
+  showOrders();
   showTime();
   showScale();
   if (field.chosen !== null && now - askedAt > ASK_MS) { askedAt = now; ask({ do: "robot", slot: field.chosen }); }
+}
+
+// How old the picture is: by its own clock, the server's last word, and the last frame of the bus.
+function showAge(now) {
+  const unheard = (now - heardAt) / 1000, quiet = live && told ? told.quiet + unheard : unheard;
+  const old = denied || unheard > OLD_S || (live && told !== null && quiet > OLD_S);
+  const behind = live && told && !told.follow;
+  if (old !== document.body.classList.contains("old")) { document.body.classList.toggle("old", old); dirty = true; }
+  side.old = old;
+  $("old").hidden = !old;
+  $("old-age").textContent = denied ? "NO PICTURE" : live && told ? `PICTURE IS ${Math.floor(quiet)} s OLD` : "NO CONNECTION";
+  $("old-why").textContent = denied
+    ? "This address lacks its token: open the whole address that the map printed." + (live || !told ? " STOP works without it." : "")
+    : unheard > OLD_S ? "The map's server does not answer. Robots may be moving." : "Nothing is heard on the bus. Robots may be moving.";
+  $("paused").hidden = !behind || old;
+  if (behind) $("paused-age").textContent = clock(told.until - told.t);
+  if (old) { $("link").textContent = unheard > OLD_S ? "no connection" : "bus quiet"; $("link").className = "off"; }
+}
+
+// A release where robots stand latched; a start where some were released, or booted, and got none.
+function showOrders() {
+  const here = told.robots.filter((robot) => !robot.silent && !robot.left);
+  $("reset").hidden = told.stop.stopped.length === 0;
+  $("start").hidden = !here.some((robot) => !robot.started && !robot.stopped);
 }
 
 function showTime() {
   const scrub = $("scrub");
   scrub.min = told.from; scrub.max = Math.max(told.until, told.from + 0.1);
   if (!scrubbing) scrub.value = told.t;
+  scrub.setAttribute("aria-valuetext", `${clock(told.t - told.from)} of ${clock(told.until - told.from)}`);
   $("clock").textContent = `${clock(told.t - told.from)} / ${clock(told.until - told.from)}`;
   $("play").textContent = told.playing ? "pause" : "play";
   $("live").textContent = live ? "live" : "newest";
@@ -108,22 +155,60 @@ function choose(slot) {
   dirty = true; textAt = 0;
 }
 
-let held = null;
-$("field").addEventListener("pointerdown", (event) => { held = { x: event.offsetX, y: event.offsetY, moved: 0 }; $("field").setPointerCapture(event.pointerId); });
+const pointers = new Map(); // of fingers or the mouse on the map, by identifier
+let moved = 0;
+
+function middle() {
+  const [first, second = first] = [...pointers.values()];
+  return { x: (first.x + second.x) / 2, y: (first.y + second.y) / 2, span: Math.hypot(first.x - second.x, first.y - second.y) };
+}
+
+$("field").addEventListener("pointerdown", (event) => {
+  if (pointers.size === 2) return;
+  if (!pointers.size) moved = 0;
+  pointers.set(event.pointerId, { x: event.offsetX, y: event.offsetY });
+  $("field").setPointerCapture(event.pointerId);
+});
 $("field").addEventListener("pointermove", (event) => {
-  if (!held) return;
-  const dx = event.offsetX - held.x, dy = event.offsetY - held.y;
-  held = { x: event.offsetX, y: event.offsetY, moved: held.moved + Math.abs(dx) + Math.abs(dy) };
-  field.pan(dx, dy); dirty = true;
+  if (!pointers.has(event.pointerId)) return;
+  const before = middle();
+  pointers.set(event.pointerId, { x: event.offsetX, y: event.offsetY });
+  const after = middle();
+  moved += Math.abs(after.x - before.x) + Math.abs(after.y - before.y) + Math.abs(after.span - before.span);
+  field.pan(after.x - before.x, after.y - before.y);
+  if (before.span > 0 && after.span > 0) field.zoom(after.span / before.span, after.x, after.y);
+  dirty = true;
 });
-$("field").addEventListener("pointerup", (event) => {
-  const slot = held && held.moved < 5 && told ? field.at(event.offsetX, event.offsetY, told.robots) : null;
-  held = null;
-  if (slot !== null) choose(slot);
-});
+for (const kind of ["pointerup", "pointercancel"])
+  $("field").addEventListener(kind, (event) => {
+    const single = pointers.size === 1 && pointers.delete(event.pointerId);
+    pointers.delete(event.pointerId);
+    const slot = kind === "pointerup" && single && moved < 5 && told ? field.at(event.offsetX, event.offsetY, told.robots) : null;
+    if (slot !== null) choose(slot);
+  });
 $("field").addEventListener("wheel", (event) => { event.preventDefault(); field.zoom(Math.exp(-event.deltaY / 400), event.offsetX, event.offsetY); dirty = true; }, { passive: false });
-$("fit").addEventListener("click", () => { field.fit(told?.robots); dirty = true; });
-addEventListener("resize", () => { field.fit(told?.robots); dirty = true; });
+
+function fit() {
+  const main = document.querySelector("main"), layers = $("layers").getBoundingClientRect(), box = main.getBoundingClientRect();
+  const atFoot = layers.height > 0 && layers.top > box.top + box.height / 2;
+  const zoom = $("zoom").getBoundingClientRect(), beside = zoom.height > zoom.width;
+  field.fit(told?.robots, {
+    top: beside ? 0 : zoom.bottom - box.top, left: beside ? zoom.right - box.left : 0,
+    bottom: atFoot ? box.bottom - layers.top : 30,
+  });
+  dirty = true;
+}
+
+function closer(factor) { field.zoom(factor, $("field").clientWidth / 2, $("field").clientHeight / 2); dirty = true; }
+
+function toggled(name, button) { button.setAttribute("aria-expanded", String(document.body.classList.toggle(name))); }
+
+$("fit").addEventListener("click", fit);
+$("nearer").addEventListener("click", () => closer(ZOOM));
+$("farther").addEventListener("click", () => closer(1 / ZOOM));
+$("sheet").addEventListener("click", () => toggled("sheet", $("sheet")));
+$("layers-open").addEventListener("click", () => toggled("layers", $("layers-open")));
+new ResizeObserver(() => { if (field.fitted && !field.moved) fit(); dirty = field.stale = true; }).observe($("field"));
 for (const box of document.querySelectorAll("[data-layer]"))
   box.addEventListener("change", () => { field.layers[box.dataset.layer] = box.checked; field.stale = dirty = true; });
 
@@ -131,24 +216,26 @@ for (const box of document.querySelectorAll("[data-layer]"))
 
 for (const speed of SPEEDS) {
   const button = document.createElement("button");
-  button.type = "button"; button.textContent = `${speed}×`; button.dataset.speed = speed;
+  button.type = "button"; button.setAttribute("aria-label", `${speed} times real time`); button.textContent = `${speed}×`; button.dataset.speed = speed;
   button.addEventListener("click", () => ask({ do: "speed", value: speed }));
   $("speeds").append(button);
 }
 $("play").addEventListener("click", () => ask({ do: told?.playing ? "pause" : "play" }));
-$("live").addEventListener("click", () => ask({ do: "follow" }));
+for (const id of ["live", "resume"]) $(id).addEventListener("click", () => ask({ do: "follow" }));
 $("scrub").addEventListener("input", () => { scrubbing = true; ask({ do: "seek", t: Number($("scrub").value) }); });
 $("scrub").addEventListener("change", () => { scrubbing = false; });
 
 // ---------------------------------------------------------------- the operator's hand
 
 async function send(path, body) {
-  const answer = await fetch(path, { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(body ?? {}) });
+  const headers = { "content-type": "application/json" };
+  if (token) headers.authorization = `Bearer ${token}`;
+  const answer = await fetch(path, { method: "POST", headers, body: JSON.stringify(body ?? {}) });
   return answer.json();
 }
 
 async function stop() {
-  $("release").close();
+  $("release").close(); $("help").close();
   $("hand-says").textContent = "stopping …";
   try {
     const { late, heard, problem } = await send("/stop");
@@ -158,41 +245,73 @@ async function stop() {
   }
 }
 
+const RELEASE = "Look at the robots first: nobody near them, nothing under them. This clears the stops that are shown and resets each machine.";
+const START = "Look at the robots first: nobody near them, nothing under them. Every robot that is not stopped begins to work and to move.";
+let order = "reset"; // what the form is about
+
+function openRelease(what) {
+  const starts = (order = what) === "start";
+  $("release-name").textContent = starts ? "Start the work" : "Release the fleet";
+  $("release-what").textContent = starts ? START : RELEASE;
+  $("release-key").textContent = releases ? "Signed with the operator's key that this map was started with." : "This map was started without an operator's key (--operator-key): from here only a fleet without keys obeys.";
+  $("keyless-line").hidden = releases;
+  $("also-line").hidden = starts;
+  $("release-yes").textContent = starts ? "start" : "release";
+  $("release-says").textContent = "";
+  $("release").show(); // not modal: STOP stays within reach
+  (releases ? $("release-yes") : $("keyless")).focus();
+}
+
 async function release() {
-  $("release-says").textContent = "releasing …";
+  $("release-says").textContent = order === "start" ? "starting …" : "releasing …";
   try {
-    const answer = await send("/reset", { key: $("key").value.trim(), keyless: $("keyless").checked, start: $("start").checked });
+    const answer = await send(`/${order}`, { keyless: $("keyless").checked, start: $("also").checked });
     if (answer.problem) { $("release-says").textContent = answer.problem; return; }
     if (!answer.heard || answer.late.length) {
-      $("release-says").textContent = answer.heard ? `not released: ${answer.late.join(" ")}` : "nobody was heard";
+      $("release-says").textContent = answer.heard ? `not ${order === "start" ? "started" : "released"}: ${answer.late.join(" ")}` : "nobody was heard";
       return;
     }
     $("release").close();
-    $("hand-says").textContent = answer.started ? "released and started" : "released";
+    $("hand-says").textContent = order === "start" ? "started" : answer.started ? "released and started" : "released, not started";
   } catch {
     $("release-says").textContent = "the map's server does not answer";
   }
 }
 
 $("stop").addEventListener("click", stop);
-$("reset").addEventListener("click", () => {
-  $("release-says").textContent = "";
-  $("release").show(); // not modal: STOP stays within reach
-  $("key").focus();
-});
+$("reset").addEventListener("click", () => openRelease("reset"));
+$("start").addEventListener("click", () => openRelease("start"));
 $("release-yes").addEventListener("click", release);
 $("release-no").addEventListener("click", () => $("release").close());
+$("help-open").addEventListener("click", () => { if ($("help").open) $("help").close(); else { $("help").show(); $("help-no").focus(); } });
+$("help-no").addEventListener("click", () => $("help").close());
+
+// ---------------------------------------------------------------- keys
+
+const KEYS = {
+  " ": () => $("play").click(), f: fit, F: fit, "+": () => closer(ZOOM), "=": () => closer(ZOOM), "-": () => closer(1 / ZOOM),
+  "?": () => $("help-open").click(), ArrowLeft: () => step(-STEP_S), ArrowRight: () => step(STEP_S),
+};
+
+function step(seconds) { if (told) ask({ do: "seek", t: told.t + seconds }); }
 
 addEventListener("keydown", (event) => {
-  if (event.key === "Escape" && live) stop(); // whatever else is open
-  else if (event.target.matches("input[type=text]")) return;
-  else if (event.key === " ") { event.preventDefault(); $("play").click(); }
-  else if (event.key === "f") $("fit").click();
-  else if (event.key === "ArrowLeft" || event.key === "ArrowRight") {
-    if (event.target === $("scrub") || !told) return;
-    ask({ do: "seek", t: told.t + (event.key === "ArrowLeft" ? -5 : 5) });
+  if (event.key === "Escape") { // whatever has the focus
+    if (event.repeat) return;
+    if (live || denied) stop(); else for (const id of ["release", "help"]) $(id).close();
+    return;
   }
+  if (event.ctrlKey || event.altKey || event.metaKey) return;
+  const arrow = event.key.startsWith("Arrow");
+  // A key on a button, a box or a link belongs to that one; only the bare page has keys of its own.
+  if (event.target !== document.body && event.target !== $("field") && !(arrow && event.target === $("scrub"))) return;
+  const act = KEYS[event.key];
+  if (!act) return;
+  event.preventDefault();
+  act();
 });
 
+addEventListener("hashchange", () => { if (location.hash.length > 1) location.reload(); });
+takeToken();
 connect();
 requestAnimationFrame(picture);

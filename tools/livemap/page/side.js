@@ -20,12 +20,28 @@ export function clock(seconds) {
   return h ? `${h}:${String(m).padStart(2, "0")}:${rest}` : `${m}:${rest}`;
 }
 
+const stateOf = (robot) => robot.silent ? "silent" : robot.left ? "left" : robot.state;
+
+function set(place, text) { if (place.textContent !== text) place.textContent = text; }
+
+// Why a robot stands, in a few words; empty: it goes, or nobody knows.
+function why(robot) {
+  if (robot.left) return "";
+  if (robot.silent) return `not heard for ${clock(robot.age)}`;
+  if (robot.stopped) return "stopped: release it";
+  if (robot.asks) return robot.asks[0] === "ASKING" ? "asks what to do" : "waits for an operator";
+  const held = (robot.holds ?? []).map(words);
+  if (held.length) return `holds: ${held.join(", ")}`;
+  return robot.started ? "" : "not started";
+}
+
 export class Side {
   constructor(choose) {
     this.choose = choose;
     this.rows = new Map();
     this.loads = [];
     this.owned = new Map(); // slot -> sections it has begun
+    this.old = false; // nothing that is shown is of now
   }
 
   forget() { this.loads = []; this.owned.clear(); this.sections = new Map(); }
@@ -49,7 +65,9 @@ export class Side {
     const work = field.workDone;
     $("work-bar").style.width = `${100 * (work ?? 0)}%`;
     $("work").textContent = work === null ? "–" : `${(100 * work).toFixed(1)} %`;
-    $("load").textContent = `${(100 * told.load).toFixed(0)} %`;
+    $("work-meter").setAttribute("aria-valuenow", (100 * (work ?? 0)).toFixed(0));
+    $("load").textContent = this.old ? "–" : `${(100 * told.load).toFixed(0)} %`;
+    $("load-line").setAttribute("aria-valuenow", (100 * told.load).toFixed(0));
     this.loads.push(told.load);
     if (this.loads.length > HISTORY) this.loads.shift();
     this.drawLoad();
@@ -66,7 +84,7 @@ export class Side {
   showStates(told) {
     const counts = new Map();
     for (const robot of told.robots) {
-      const state = robot.silent ? "silent" : robot.left ? "left" : robot.state;
+      const state = stateOf(robot);
       counts.set(state, (counts.get(state) ?? 0) + 1);
     }
     $("states").replaceChildren(...[...counts].map(([state, count]) => node("span", `${count} ${words(state)}`, `pill ${state}`)));
@@ -81,7 +99,10 @@ export class Side {
         for (let k = 0; k < 5; k++) row.append(node("td"));
         row.cells[0].append(node("span", undefined, "dot"));
         row.cells[0].firstChild.style.background = colourOf(robot.s);
-        row.cells[2].append(node("span"));
+        row.cells[1].append(node("button", String(robot.s)));
+        row.cells[1].firstChild.type = "button";
+        row.cells[1].firstChild.setAttribute("aria-label", `robot ${robot.s}: details`);
+        row.cells[2].append(node("span"), node("span", undefined, "why"));
         row.cells[3].className = "number";
         row.addEventListener("click", () => this.choose(robot.s));
         row.dataset.slot = robot.s;
@@ -89,12 +110,13 @@ export class Side {
         const after = [...body.rows].find((other) => Number(other.dataset.slot) > robot.s);
         body.insertBefore(row, after ?? null);
       }
-      const state = robot.silent ? "silent" : robot.left ? "left" : robot.state;
+      const state = stateOf(robot);
       row.className = robot.s === chosen ? "chosen" : "";
-      row.cells[1].textContent = String(robot.s);
+      row.cells[1].firstChild.setAttribute("aria-pressed", String(robot.s === chosen));
       row.cells[2].firstChild.textContent = words(state);
       row.cells[2].firstChild.className = `pill ${state}`;
-      row.cells[3].textContent = robot.v.toFixed(1);
+      set(row.cells[2].lastChild, why(robot));
+      row.cells[3].textContent = this.old || robot.silent || robot.left ? "–" : robot.v.toFixed(1);
       row.cells[4].textContent = this.owned.get(robot.s) ?? "";
     }
     for (const [slot, row] of this.rows)
@@ -115,15 +137,16 @@ export class Side {
   showOne(robot, live) {
     $("one").hidden = !robot;
     if (!robot) return;
-    $("one-name").textContent = `robot ${robot.slot}`;
+    const now = !robot.silent && !robot.left && !this.old;
+    $("one-name").textContent = `robot ${robot.slot}${now ? "" : ", as last heard"}`;
     $("machine").replaceChildren(...STATES.map((state) => {
-      const item = node("li", words(state), `pill ${state}`);
-      if (state === robot.state) item.classList.add("now");
-      return item;
+      const current = state === robot.state;
+      return node("li", words(state), `pill ${current ? (now ? `${state} now` : "was") : "no"}`);
     }));
     const facts = {
-      place: `${robot.x_m.toFixed(1)}, ${robot.y_m.toFixed(1)} m`, speed: `${robot.speed_m_s.toFixed(2)} m/s`,
-      sections: robot.sections.join(" ") || "none", holds: live?.holds?.map(words).join(", ") || "nothing",
+      stands: (live && why(live)) || "no reason to",
+      place: `${robot.x_m.toFixed(1)}, ${robot.y_m.toFixed(1)} m`, speed: now ? `${robot.speed_m_s.toFixed(2)} m/s` : "–",
+      sections: robot.sections.join(" ") || "none",
       hears: (live?.hears ?? robot.peers).filter((slot) => slot !== robot.slot).join(" ") || "nobody", address: robot.address, health: `${(100 * robot.health).toFixed(0)} %`,
       digest: robot.digest, clock: Object.entries(robot.clock).map(([slot, count]) => `${slot}:${count}`).join(" "),
     };
