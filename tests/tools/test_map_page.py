@@ -387,13 +387,21 @@ def test_l7_what_is_too_long_is_not_read(fleet: Live) -> None:
 
 def test_the_frames_of_a_robot_that_left_are_no_fault() -> None:
     """At the end of a launch the map was a traceback."""
-    operator, address = Operator(_Nowhere(), None), 0x80
-    beat = Heartbeat(*(0,) * len(Heartbeat._fields))
-    member = Member(*(0,) * len(Member._fields))
-    pose = Pose(*(0,) * len(Pose._fields))
-    for message in (member, pose, beat._replace(leaving=True), pose, beat, member, pose):
-        operator.hear(1.0, encode(message, address))
-    assert list(operator.robots) == [0]
+
+    async def hear() -> list[int]:
+        bus = attach("virtual", "left", 250_000, "", 0)
+        try:
+            operator = Operator(bus, None)
+            for message in (member, pose, beat._replace(leaving=True), pose, beat, member, pose):
+                operator.hear(1.0, encode(message, 0x80))
+            return list(operator.robots)
+        finally:
+            bus.close()
+
+    beat = Heartbeat(0, 1, False, False, True, False, 1.0, 0, 0)
+    pose = Pose(0.0, 0.0, 0.0, 0.0, 1, False, 255)
+    member = Member(0, 1, 0, 0)
+    assert asyncio.run(hear()) == [0]
 
 
 def test_a_quiet_bus_is_told_with_its_age() -> None:
@@ -423,14 +431,6 @@ const named = (each) => each.textContent.trim() || each.labels?.length
 return [...document.querySelectorAll("button, input, [role=meter], canvas[tabindex]")]
   .filter((each) => each.checkVisibility() && !named(each)).map((each) => each.id);
 """
-
-
-class _Nowhere:
-    def send(self, frame: Frame) -> bool:
-        return True
-
-    def subscribe(self, callback: Callable[[Frame], None]) -> None:
-        """Nobody speaks."""
 
 
 def press(page: "Chrome", key: str) -> None:
