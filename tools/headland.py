@@ -136,9 +136,20 @@ def launch(
     page = page_port if show_map else None
     raise SystemExit(
         command(
-            scenario, robots, seed, out, port, seconds, json, keys, page, segment, hub, fresh,
+            scenario,
+            robots,
+            seed,
+            out,
+            port,
+            seconds,
+            json,
+            keys,
+            page,
+            segment,
+            hub,
+            fresh,
             operator_key,
-        )  # fmt: skip
+        )
     )
 
 

@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 
 ROBOTS = 3
 TABS_MAX = 60  # more than the page has places for the focus
-PALE = "rgba(43, 50, 54, 1)"  # pills of what is not known now
+PALE = "rgb(43, 50, 54)"  # pills of what is not known now
 PHONE, ACROSS = (390, 844), (844, 390)
 HEADLAND = (sys.executable, "-m", "tools.headland")
 DEEP = "[" * 3000
@@ -483,8 +483,9 @@ def is_old(page: "Chrome", why: str) -> None:
     until(page, "document.getElementById('load').textContent === '–'")
     grey = "getComputedStyle(document.getElementById('field')).filter"
     assert "grayscale(1)" in page.execute_script(f"return {grey}")
-    pills = page.find_elements("css selector", "#states .pill")
-    assert {pill.value_of_css_property("background-color") for pill in pills} == {PALE}
+    pills = "[...document.querySelectorAll('#states .pill')]"
+    colours = f"{pills}.map(pill => getComputedStyle(pill).backgroundColor)"
+    assert set(page.execute_script(f"return {colours}")) == {PALE}
 
 
 def covered(page: "Chrome") -> list[Any]:
@@ -559,15 +560,17 @@ async def _on_the_bus(folder: Path, condition: Callable[[Inspector], bool]) -> b
     where = json.loads((folder / "runs" / "launch" / "bus.json").read_text())
     bus = attach("socketcand", where["channel"], 250_000, where["host"], where["port"])
     loop, heard, done = asyncio.get_running_loop(), Inspector(), asyncio.Event()
+    operator = Operator(bus, None)
 
     def hear(frame: Frame) -> None:
         heard.hear(loop.time(), frame)
+        operator.hear(loop.time(), frame)
         if condition(heard):
             done.set()
 
     bus.subscribe(hear)
     try:
-        Operator(bus, None).ask_who()
+        operator.ask_who()
         await asyncio.wait_for(done.wait(), WAIT_S)
     except TimeoutError:
         return False
