@@ -64,8 +64,6 @@ def test_the_tutorial_s_trouble_is_a_scenario(tmp_path: Path) -> None:
     (text,) = re.findall(r"```toml\n(.*?)```", (DOCS / "tutorial.md").read_text(), re.S)
     tomllib.loads(text)
     (tmp_path / "trouble.toml").write_text(text)
-    field = ROOT / "sim" / "scenarios" / "small.geojson"
-    (tmp_path / "small.geojson").write_bytes(field.read_bytes())
     scenario = load_mission(str(tmp_path / "trouble.toml"))
     assert len(scenario.fault) == 4 and Setting(scenario).field.sections
 
