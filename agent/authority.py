@@ -10,13 +10,16 @@ from collections.abc import Sequence
 from agent.config import S
 from agent.effects import Effect, Send
 from protocol.authentication import OPERATOR_FIRST, AnySigned, Keyring, Signed
+from protocol.fleet_tags import HeldTags
 from protocol.operator_frames import OperatorGoal
 from protocol.safety_frames import (
     Challenge,
     EmergencyReset,
     EmergencyStop,
     Freshness,
+    HeldReset,
     OperatorCommand,
+    StopsHeld,
 )  # fmt: skip
 
 AGREE_US = 2 * S  # two frames that say the same, each with its tag: 48 bits to guess, not 24
@@ -27,10 +30,15 @@ class Authority:
     def __init__(self, slot: int, keyring: Keyring | None) -> None:
         self.slot, self.keyring = slot, keyring
         self.refused = 0  # frames without authority
+        secret = None if keyring is None else keyring.keys.operator
+        self._held = HeldTags(keyring.keys) if keyring is not None and secret else None
         self._orders: dict[tuple[object, ...], int] = {}  # said once -> when
 
     def sign(self, message: Signed) -> Signed:
         return message if self.keyring is None else self.keyring.sign(message)
+
+    def vouch(self, held: StopsHeld, question: int) -> StopsHeld:
+        return held if self._held is None else self._held.sign(held, question)
 
     def believes(self, m: AnySigned, sender: int | None, now_us: int) -> bool:
         if self.keyring is None:
@@ -41,7 +49,9 @@ class Authority:
         self.refused += 1
         return False
 
-    def agreed(self, m: EmergencyReset | OperatorCommand | OperatorGoal, now_us: int) -> bool:
+    def agreed(
+        self, m: EmergencyReset | HeldReset | OperatorCommand | OperatorGoal, now_us: int
+    ) -> bool:
         """Whether an operator whom we believe has said this twice."""
         if self.keyring is None:
             return True

@@ -70,6 +70,9 @@ class Cause(Enum):
     UNAUTHENTICATED_STOP = _Rule(
         Severity.PROTECTIVE, Clears.BY_TIMEOUT, "a stop without a valid tag"
     )
+    SPENT_STOP = _Rule(
+        Severity.PROTECTIVE, Clears.BY_TIMEOUT, "a stop with a name that was cleared before"
+    )
     IMPLEMENTS_STOP = _Rule(
         Severity.PROTECTIVE, Clears.BY_TIMEOUT, "ISO 11783-7 all implements stop"
     )

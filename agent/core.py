@@ -204,6 +204,8 @@ class Peer:
 
     def tick(self, now_us: int) -> Sequence[Effect]:
         effects: list[Effect] = [*self._remember_boot(), *self.safety.tick(now_us)]
+        if effects and self.safety.latched:
+            effects += self.latch("a stop with a used name")
         if self.membership.tick(now_us):
             effects += self.membership_changed(now_us)
         if self.joining.due(now_us):

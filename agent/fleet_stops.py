@@ -27,9 +27,10 @@ class FleetStops:
         self.refused = 0  # frames without a valid tag
         self.holds_far = safety.far.latched  # a stop of another segment is not cleared
         self._pressed = safety.stops.active
+        self._far = safety.far.active
         self._cleared = safety.stops.cleared
         self._stop_due_us: dict[StopDot, int] = {}  # of our segment, to be said to the others
-        self._reset_due_us: dict[StopDot, int] = {}
+        self._reset_due_us: dict[FarDot, int] = {}
         self._halves: dict[tuple[FarDot, int], int] = {}
         self._told_us = -ANSWER_SPACING_US
         self._told: FarDot | None = None  # the last of those told
@@ -39,8 +40,8 @@ class FleetStops:
     def see(self, live: Iterable[int], now_us: int) -> None:
         """After anything that may have pressed or cleared: what the other segments have to know."""
         stops = self.safety.stops
-        active, cleared = stops.active, stops.cleared
-        if active == self._pressed and cleared == self._cleared:
+        active, cleared, far = stops.active, stops.cleared, self.safety.far.active
+        if active == self._pressed and cleared == self._cleared and far == self._far:
             return
         place = sorted(live).index(self.slot)
         for dot in active - self._pressed:
@@ -48,8 +49,16 @@ class FleetStops:
             self._stop_due_us.setdefault(dot, now_us + turn * TURN_US)
         for dot in cleared - self._cleared:
             self._stop_due_us.pop(dot, None)
-            self._reset_due_us.setdefault(dot, now_us + place * TURN_US)
-        self._pressed, self._cleared = active, cleared
+            self._reset_due_us.setdefault(self._everywhere(dot), now_us + place * TURN_US)
+        for far_dot in self._far - far:  # a reset of all that is held names no dot elsewhere
+            self._reset_due_us.setdefault(far_dot, now_us + place * TURN_US)
+        self._pressed, self._cleared, self._far = active, cleared, far
+        self.holds_far = self.safety.far.latched
+
+    @property
+    def behind(self) -> bool:
+        """A stop was pressed or cleared since `see`."""
+        return self.safety.stops.active is not self._pressed
 
     @property
     def deadline_us(self) -> int:
@@ -63,10 +72,10 @@ class FleetStops:
         effects: list[Effect] = []
         for dot in [d for d, due_us in self._stop_due_us.items() if due_us <= now_us]:
             del self._stop_due_us[dot]
-            effects.append(Send(self.say_stop(self._far(dot))))
-        for dot in [d for d, due_us in self._reset_due_us.items() if due_us <= now_us]:
-            del self._reset_due_us[dot]
-            effects += [Send(half) for half in self.say_reset(self._far(dot))]
+            effects.append(Send(self.say_stop(self._everywhere(dot))))
+        for far in [d for d, due_us in self._reset_due_us.items() if due_us <= now_us]:
+            del self._reset_due_us[far]
+            effects += [Send(half) for half in self.say_reset(far)]
         return effects
 
     def tell(self, now_us: int) -> Sequence[Effect]:
@@ -74,7 +83,7 @@ class FleetStops:
         if now_us - self._told_us < ANSWER_SPACING_US:
             return ()
         self._told_us = now_us
-        held = [*map(self._far, self.safety.stops.active), *self.safety.far.active]
+        held = [*map(self._everywhere, self.safety.stops.active), *self.safety.far.active]
         dots = turn(held, self._told, TOLD_MAX)
         self._told = dots[-1] if dots else None
         return [Send(self.say_stop(dot)) for dot in dots]
@@ -85,7 +94,7 @@ class FleetStops:
     def say_reset(self, dot: FarDot) -> tuple[FleetReset, FleetReset]:
         return plain_reset(dot) if self.tags is None else self.tags.reset(dot)
 
-    def _far(self, dot: StopDot) -> FarDot:
+    def _everywhere(self, dot: StopDot) -> FarDot:
         return FarDot(*dot, self.segment)
 
     # ---------------------------------------------------------------- what is heard
@@ -105,8 +114,10 @@ class FleetStops:
             return [HALT]
         if near is None:
             self.holds_far = True
-            halt, *remember = self.safety.latch_far(far, now_us)
-            return [halt, Send(m), *remember]  # said once more: who missed the first has a second
+            latched = self.safety.latch_far(far, now_us)
+            self._far = self.safety.far.active
+            # Said once more: who missed the first has a second.
+            return [HALT, Send(m), *latched[1:]] if far in self._far else latched
         effects = self.safety.press_near(near, now_us)
         self._pressed = self.safety.stops.active
         return effects
@@ -120,8 +131,9 @@ class FleetStops:
     def receive_reset(self, m: FleetReset, now_us: int) -> Sequence[Effect]:
         far = FarDot(m.slot, m.incarnation, m.counter, m.segment)
         near = StopDot(*far[:3]) if far.segment == self.segment else None
-        if near is not None and self.safety.stops.is_cleared(near):
-            self._reset_due_us.pop(near, None)
+        known = self.safety.far.is_cleared(far) if near is None else self.safety.stops.is_cleared(near)
+        if known:
+            self._reset_due_us.pop(far, None)
             return ()
         self._halves.pop((far, m.part), None)
         self._halves[far, m.part] = m.half  # only the newest of each: a guess is a frame
@@ -136,7 +148,7 @@ class FleetStops:
         del self._halves[far, 0], self._halves[far, 1]
         if near is None:
             cleared = self.safety.clear_far(far)
-            self.holds_far = self.safety.far.latched
+            self.holds_far, self._far = self.safety.far.latched, self.safety.far.active
             return cleared
         effects = self.safety.clear_near(near, "a reset of the fleet")
         self._pressed, self._cleared = self.safety.stops.active, self.safety.stops.cleared

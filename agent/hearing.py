@@ -37,6 +37,7 @@ from protocol.safety_frames import (
     EmergencyReset,
     EmergencyStop,
     Freshness,
+    HeldReset,
     OperatorCommand,
 )  # fmt: skip
 from protocol.work_frames import (
@@ -66,6 +67,7 @@ class Hearing:
         self._told_us = -TELL_SPACING_US
         self._handlers: dict[type[Any], Handler] = {
             EmergencyReset: self._reset,
+            HeldReset: self._held_reset,
             AllImplementsStop: self._implements_stop,
             OperatorCommand: self._command,
             OperatorGoal: self._goal,
@@ -135,6 +137,11 @@ class Hearing:
         self, source: int, slot: int | None, m: EmergencyReset, now_us: int
     ) -> Sequence[Effect]:
         return self.peer.safety.receive_reset(m, now_us)
+
+    def _held_reset(
+        self, source: int, slot: int | None, m: HeldReset, now_us: int
+    ) -> Sequence[Effect]:
+        return self.peer.safety.receive_held_reset(m, now_us)
 
     def _implements_stop(
         self, source: int, slot: int | None, m: AllImplementsStop, now_us: int
@@ -276,7 +283,7 @@ class Hearing:
     def _work(self, source: int, slot: int | None, m: Any, now_us: int) -> Sequence[Effect]:
         peer = self.peer
         if isinstance(m, StateSyncRequest) and m.scope == STOPS:  # anybody may ask what holds us
-            return peer.safety.tell_stops(now_us)
+            return peer.safety.answer_stops(m.cut | m.digest << 24, now_us)
         if slot is None and isinstance(
             m, StateSyncRequest
         ):  # an inspector's; told at most so often

@@ -14,6 +14,7 @@ from agent.cause import CREEP, LEAST, NOT_STARTED, SILENT, WORST, Cause, Severit
 from agent.config import MEMBERSHIP_STABLE_US, MS, STOP_REPEAT_US, STOP_SPACING_US, S
 from agent.effects import HALT, Drive, Effect, Persist, Send, Trace
 from agent.shortcut_buttons import STOPS, OwnButton, ShortcutButtons
+from crdt.digest import DIGEST_BITS, MASK
 from crdt.stops import FarDot, FarStopSet, StopDot, StopSet, turn
 from protocol.authentication import Keyring
 from protocol.operator_frames import OperatorGoal
@@ -22,8 +23,10 @@ from protocol.safety_frames import (
     Command,
     EmergencyReset,
     EmergencyStop,
+    HeldReset,
     OperatorCommand,
     Reason,
+    StopsHeld,
 )  # fmt: skip
 
 STOPS_KEY, COUNTER_KEY, HOLD_KEY = "stops", "stop_counter", "hold"
@@ -37,6 +40,10 @@ AGAIN_US = 100 * MS  # 20 repeats: who still beats as if nothing was may know ou
 AGAIN_MAX = 3  # further dots for one press; beyond it that member cannot hear us at all
 TOLD_MAX = 4  # stops told at a time to who does not know them: 2 ms of bus; in turns
 ANSWER_SPACING_US = 100 * MS  # a member that beats unlatched is told again at most this often
+SPENT_HOLD_US = 1 * S  # a stop whose name was used before brakes so long after its last frame
+SPENT_FORGET_US = 3 * S  # a panel that says its stop once a second says it still
+RENEWALS_MAX = 8  # further dots for one press because robots say that it was used before
+COUNT_TOLD_MAX = 255  # of STOPS_HELD
 FOREVER = 1 << 62
 STANDS = (Command.HOLD, Command.STOP, Command.WAIT)  # one tag is enough for what moves nobody
 
@@ -76,6 +83,10 @@ class Safety:
         self._repeat_us, self._again, self._pressed_us = FOREVER, 0, -STOP_SPACING_US
         self._answered_us = -ANSWER_SPACING_US
         self.buttons, self.button = ShortcutButtons(), OwnButton()
+        self._asked_us = self._more_us = -ANSWER_SPACING_US
+        # Stops that are said with a name that was cleared before: since when, and the newest frame.
+        self._spent_since_us = self._spent_us = -SPENT_FORGET_US
+        self._spent_told_us, self._renew_us, self._renewals = -ANSWER_SPACING_US, FOREVER, 0
         self._told: StopDot | None = None  # the last of those told to who did not know them
         self._recall(recalled)
 
@@ -149,13 +160,14 @@ class Safety:
         do not stand stopped. Of these a beat that says so is an echo; others have to say the dot."""
         if 0 <= now_us - self._pressed_us < STOP_SPACING_US:
             return [HALT]  # the same hand on the same button; a clock set back is no such hand
-        self._again, self._free = AGAIN_MAX, set(free)
+        self._again, self._renewals, self._free = AGAIN_MAX, RENEWALS_MAX, set(free)
         return self._press(reason, now_us)
 
     def _press(self, reason: Reason, now_us: int) -> Sequence[Effect]:
         self._pressed_us = now_us
         dot, self.counter = self.stops.unused(self.slot, self.incarnation, self.counter)
-        self.stops.press(dot)
+        self.stops.press_own(dot)
+        self._renew_us = FOREVER
         self._causes[Cause.STOP_DOT] = f"pressed here: {reason.name}"
         self._own[dot], self._repeat_us = REPEATS_MAX, now_us + STOP_REPEAT_US
         return [
@@ -171,6 +183,8 @@ class Safety:
     ) -> Sequence[Effect]:
         """First reception: brake, echo once, remember. Later ones count echoes."""
         dot = StopDot(m.slot, m.incarnation, m.counter)
+        if m.spent:
+            return self._hear_spent(dot, now_us)
         signer = source_slot if m.echo else m.slot
         if source_slot is not None and (m.echo or m.slot == source_slot):
             self._echoes.setdefault(dot, set()).add(source_slot)
@@ -181,8 +195,12 @@ class Safety:
                 Cause.UNAUTHENTICATED_STOP, now_us, f"dot {dot}", UNAUTHENTICATED_HOLD_US
             )
             return [HALT, *self.authority.ask(signer, now_us)]
-        if not self.stops.press(dot):
-            return ()  # an operator has cleared exactly this one
+        if self.stops.is_cleared(dot):  # an operator has cleared exactly this one: an echo is late
+            return () if m.echo else self._press_spent(dot, now_us)
+        if self.stops.full:
+            return self._hold_more(m.echo, now_us)
+        self.stops.press(dot)
+        self._renew_us = FOREVER
         self._causes[Cause.STOP_DOT] = f"{dot.slot}.{dot.incarnation}.{dot.counter}"
         self._echoes.setdefault(dot, set()).add(self.slot)
         return [
@@ -192,10 +210,53 @@ class Safety:
             Trace("safety", "", "HEARD_STOP", "LATCHED", f"dot {dot}"),
         ]
 
+    def _press_spent(self, dot: StopDot, now_us: int) -> Sequence[Effect]:
+        """A press with a name that was cleared before: late frames of an old press, or a new one of a
+        panel that has only this name, or whose next names somebody has had cleared. It brakes, and the
+        answer tells the presser to take another name. A press that is said still after `AGAIN_US` is
+        new: the first robot in slot order that is not latched by then presses in its own name."""
+        if now_us - self._spent_us > SPENT_FORGET_US or now_us < self._spent_us:
+            self._spent_since_us = now_us
+        self._spent_us = now_us
+        self.raise_cause(Cause.SPENT_STOP, now_us, f"dot {dot}", SPENT_HOLD_US)
+        rank = sum(slot < self.slot for slot in self._live)
+        if now_us - self._spent_since_us >= AGAIN_US and not self.stops.latched:
+            self._renew_us = min(self._renew_us, now_us + rank * STOP_REPEAT_US)
+        turn_us = max(self._spent_told_us + ANSWER_SPACING_US, self._spent_since_us)
+        if now_us < turn_us + rank * STOP_REPEAT_US:
+            return [HALT]
+        self._spent_told_us = now_us
+        reason = Reason.OPERATOR_INTERVENTION
+        answer = EmergencyStop(dot.slot, dot.incarnation, dot.counter, reason, True, spent=True)
+        return [HALT, Send(self.authority.sign(answer))]
+
+    def _hear_spent(self, dot: StopDot, now_us: int) -> Sequence[Effect]:
+        """Somebody is pressed with a name that was used before. If it is we, we take another."""
+        self._spent_told_us = now_us
+        if dot not in self._own:
+            self.raise_cause(Cause.SPENT_STOP, now_us, f"dot {dot}", SPENT_HOLD_US)
+            return [HALT]
+        if not self._renewals or now_us - self._pressed_us < STOP_SPACING_US:
+            return ()
+        self._renewals -= 1
+        return self._press(Reason.OPERATOR_INTERVENTION, now_us)
+
+    def _hold_more(self, echo: bool, now_us: int) -> Sequence[Effect]:
+        """More stops than are held by name. The digest of what is held changes with each press, but not
+        with its repetition: a reset of what was told before does not clear it."""
+        first = not self.stops.more
+        if not first and (echo or now_us - self._more_us < STOP_SPACING_US):
+            return ()
+        self.stops.press_more()
+        self._more_us = now_us
+        return [HALT, *self._remember()] if first else ()
+
     def latch_far(self, dot: FarDot, now_us: int) -> Sequence[Effect]:
         """A stop of another segment, believed: brake, remember."""
+        more = self.far.more
         if not self.far.press(dot):
-            return ()
+            first = self.far.more and not more
+            return [HALT, Persist(FAR_KEY, self.far.serialize())] if first else ()
         self._causes[Cause.STOP_DOT] = f"{dot.segment}/{dot.slot}.{dot.incarnation}.{dot.counter}"
         return [
             HALT,
@@ -213,8 +274,11 @@ class Safety:
 
     def press_near(self, dot: StopDot, now_us: int) -> Sequence[Effect]:
         """A stop of this segment that we have missed, told from elsewhere and believed."""
+        if self.stops.full and not self.stops.is_cleared(dot):
+            return self._hold_more(True, now_us)
         if not self.stops.press(dot):
             return ()
+        self._renew_us = FOREVER
         self._causes[Cause.STOP_DOT] = f"{dot.slot}.{dot.incarnation}.{dot.counter}"
         return [
             HALT,
@@ -252,6 +316,34 @@ class Safety:
         dots = turn(self.stops.active, self._told, TOLD_MAX)
         self._told = dots[-1] if dots else None
         return [Send(self._stop(d, Reason.OPERATOR_INTERVENTION, echo=True)) for d in dots]
+
+    def answer_stops(self, question: int, now_us: int) -> Sequence[Effect]:
+        """Somebody asks what holds us: some dots by name, all in sum. `question`: 48 bits, used once."""
+        told = self.tell_stops(now_us)
+        if now_us - self._asked_us < ANSWER_SPACING_US or not self.latched:
+            return told
+        self._asked_us = now_us
+        return [*told, Send(self.authority.vouch(self.held_stops, question))]
+
+    @property
+    def held_stops(self) -> StopsHeld:
+        named, more = len(self.stops.active) + len(self.far.active), self.stops.more + self.far.more
+        digest = (self.stops.digest() + self.far.digest() & MASK) >> 64 - DIGEST_BITS
+        return StopsHeld(self.slot, COUNT_TOLD_MAX if more else min(named, COUNT_TOLD_MAX), digest)
+
+    def receive_held_reset(self, m: HeldReset, now_us: int) -> Sequence[Effect]:
+        """Clears all that holds us, where that is what it names: nothing was pressed since we told it."""
+        if not self.authority.believes(m, m.operator, now_us):
+            return self.authority.ask(m.operator, now_us)
+        held = self.held_stops
+        if not self.authority.agreed(m, now_us) or not held.stops or held.digest != m.digest:
+            return ()
+        for dot in self.stops.clear_all():
+            self._own.pop(dot, None)
+            self._echoes.pop(dot, None)
+        self.far.clear_all()
+        cleared = Trace("safety", "", "CLEARED", "", f"all that are held by {m.operator}")
+        return [Persist(FAR_KEY, self.far.serialize()), *self._remember(), cleared]
 
     def receive_reset(self, m: EmergencyReset, now_us: int) -> Sequence[Effect]:
         """Clears exactly the dot it names, pressed here or not yet heard of."""
@@ -335,7 +427,7 @@ class Safety:
 
     @property
     def deadline_us(self) -> int:
-        deadline = self._repeat_us
+        deadline = min(self._repeat_us, self._renew_us)
         if not self._causes:  # what expires is a cause
             return deadline
         if self._settles:
@@ -350,6 +442,10 @@ class Safety:
         for cause in [c for c, expires_us in self._expires_us.items() if expires_us <= now_us]:
             self.clear_cause(cause, now_us)
         self._end_silence(now_us)
+        if now_us >= self._renew_us:
+            self._renew_us = FOREVER
+            if not self.stops.latched:
+                return self.press(Reason.OPERATOR_INTERVENTION, now_us)
         return self._repeat(now_us) if now_us >= self._repeat_us else ()
 
     @property

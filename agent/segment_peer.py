@@ -23,7 +23,7 @@ from protocol.fleet_frames import Pose
 from protocol.fleet_tags import FleetTags
 from protocol.map_frames import MapDigests, MapPatch
 from protocol.messages import Message
-from protocol.safety_frames import EmergencyReset, EmergencyStop, Reason
+from protocol.safety_frames import EmergencyReset, EmergencyStop, HeldReset, Reason
 from protocol.segment_frames import (
     FleetReset,
     FleetStop,
@@ -39,7 +39,7 @@ from protocol.work_frames import (
     WorkProgress,
 )
 
-PRESSING = (EmergencyStop, EmergencyReset)
+PRESSING = (EmergencyStop, EmergencyReset, HeldReset)
 CARRIED = (TaskClaim, WorkProgress, StateSyncRequest, StateSyncResponse, MapPatch, MapDigests)
 
 
@@ -126,6 +126,8 @@ class SegmentPeer(Peer):
 
     def tick(self, now_us: int) -> Sequence[Effect]:
         effects = super().tick(now_us)
+        if self.fleet_stops.behind:
+            self.fleet_stops.see(self.membership.live, now_us)
         if now_us >= self.fleet_stops.deadline_us:
             effects = [*effects, *self.fleet_stops.tick(now_us)]
         if self.beyond.tick(now_us):

@@ -15,7 +15,8 @@ from agent.ports import Beat, Body, Bus, Journal, Shelving
 from protocol.codec import encode
 from protocol.fleet_frames import Pose
 from protocol.frame import Frame
-from protocol.messages import GROUP_OF
+from protocol.identifier import NULL_ADDRESS
+from protocol.messages import GROUP_OF, Message
 from protocol.safety_frames import EmergencyStop
 
 log = logging.getLogger(__name__)
@@ -24,6 +25,12 @@ BEAT_PGN = GROUP_OF[Pose].pgn
 INBOX_MAX = (
     4096  # frames; two seconds of a full bus. A peer that far behind had better drop the rest
 )
+
+
+def _is_press(message: Message) -> bool:
+    """A pressed robot says so without an address, too: its dot names it, and its tag proves it. Echoes
+    need one: robots that echo at once under one identifier would destroy each other's frames."""
+    return isinstance(message, EmergencyStop) and not message.echo
 
 
 class Shell:
@@ -79,6 +86,8 @@ class Shell:
                 if not durable and not isinstance(effect.message, EmergencyStop):
                     continue
                 source = self.peer.address if effect.source is None else effect.source
+                if source is None and _is_press(effect.message):
+                    source = NULL_ADDRESS
                 if source is not None:
                     self._taken = self.bus.send(encode(effect.message, source, effect.destination))
             elif isinstance(effect, Drive):

@@ -1,8 +1,12 @@
 """The stop set: which stops were pressed, and which of them an operator has cleared.
 
-Two grow-only sets of dots. The fleet is latched while any pressed dot is not cleared. A reset clears
+Two sets of dots that only grow. The fleet is latched while any pressed dot is not cleared. A reset clears
 the dots that it names and no other, so an old reset can never mask a new stop (an epoch that is
 raised and cleared "up to" can: see `tests/models`).
+
+As many as `ACTIVE_MAX` pressed dots are held by name. Those that come then are held as one further
+stop without a name, `more`, which counts how often it was pressed. A reset that names the whole of what
+is held, by its digest, clears that one too.
 """
 
 from bisect import bisect_right
@@ -10,8 +14,13 @@ from collections.abc import Iterable
 from struct import Struct
 from typing import Any, Generic, NamedTuple, TypeVar
 
+from crdt.digest import MASK, mix
+
 ENTRY = Struct("<BBB")
 FAR_ENTRY = Struct("<BBBH")
+ACTIVE_MAX = 256  # held by name; one more is held without one. 256 of them fill a bus for 0.2 s
+OWN_MAX = 64  # of one presser beyond that: its own presses are always said by name
+MORE_FLAG = 0x8000  # in the count of a serialized set: more are held than are named
 DOTS_MAX = 4096  # a season's presses; beyond it cleared dots are forgotten oldest first
 
 
@@ -48,19 +57,48 @@ class DotSet(Generic[D]):
         # Pressed and not cleared. Kept beside them, as values: both are asked for with every frame.
         self.active: frozenset[D] = frozenset()
         self.latched = False
+        self.more = 0  # presses that were not held by name
 
     @property
     def cleared(self) -> frozenset[D]:
         return frozenset(self._cleared)
 
+    @property
+    def full(self) -> bool:
+        """The next dot is not held by name."""
+        return len(self.active) >= ACTIVE_MAX
+
     def press(self, dot: D) -> bool:
-        """Join one press; True where it was new and is not cleared already."""
+        """Join one press; True where it was new and is not cleared already. One that finds the set full
+        is held as one of more."""
         new = dot not in self._pressed and dot not in self._cleared
+        if new and self.full:
+            self.press_more()
+            return False
         self._pressed.setdefault(dot)
         if dot not in self._cleared:
             self._activate(self.active | {dot})
         self._trim()
         return new
+
+    def press_more(self) -> None:
+        self.more += 1
+        self._activate(self.active)
+
+    def clear_all(self) -> list[D]:
+        """Clear what is held, named or not; the dots that were named."""
+        dots, self.more = sorted(self.active), 0
+        self._cleared.update(dict.fromkeys(dots))
+        self._activate(frozenset())
+        self._trim()
+        return dots
+
+    def digest(self) -> int:
+        """64 bits of what is held; 0 where nothing is."""
+        size = self.entry.size  # so that dots of two kinds with equal numbers differ
+        dots = (int.from_bytes(self.entry.pack(*dot), "little") for dot in self.active)
+        total = sum(mix(dot << 8 | size) for dot in dots)
+        return (total + (mix(self.more << 8) if self.more else 0)) & MASK
 
     def clear(self, dot: D) -> bool:
         """Join one clearance; True where it was new."""
@@ -71,7 +109,7 @@ class DotSet(Generic[D]):
         return new
 
     def _activate(self, dots: frozenset[D]) -> None:
-        self.active, self.latched = dots, bool(dots)
+        self.active, self.latched = dots, bool(dots) or self.more > 0
 
     def is_cleared(self, dot: D) -> bool:
         return dot in self._cleared
@@ -81,13 +119,17 @@ class DotSet(Generic[D]):
             self.press(dot)
         for dot in other._cleared:
             self.clear(dot)
+        if other.more > self.more:
+            self.more = other.more
+            self._activate(self.active)
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, DotSet):
             return NotImplemented
-        return (self._pressed.keys(), self._cleared.keys()) == (
+        return (self._pressed.keys(), self._cleared.keys(), self.more > 0) == (
             other._pressed.keys(),
             other._cleared.keys(),
+            other.more > 0,
         )
 
     __hash__ = None  # type: ignore[assignment]  # mutable
@@ -100,9 +142,10 @@ class DotSet(Generic[D]):
             self._pressed.pop(dot, None)
 
     def serialize(self) -> bytes:
-        """Count of pressed (u16), then pressed and cleared dots of one entry each, sorted."""
+        """Count of pressed (u15, and a bit: more are held), then pressed and cleared dots of one entry
+        each, sorted."""
         dots = [*sorted(self._pressed), *sorted(self._cleared)]
-        count = len(self._pressed).to_bytes(2, "little")
+        count = (len(self._pressed) | (MORE_FLAG if self.more else 0)).to_bytes(2, "little")
         return count + b"".join(self.entry.pack(*dot) for dot in dots)
 
     @classmethod
@@ -111,14 +154,17 @@ class DotSet(Generic[D]):
         if len(data) < 2 or (len(data) - 2) % cls.entry.size:
             raise ValueError("not a stop set")
         dots = [cls.kind(*fields) for fields in cls.entry.iter_unpack(data[2:])]
-        count = int.from_bytes(data[:2], "little")
+        head = int.from_bytes(data[:2], "little")
+        count = head & ~MORE_FLAG
         if count > len(dots):
             raise ValueError("not a stop set")
         stops = cls()
-        for dot in dots[:count]:
-            stops.press(dot)
         for dot in dots[count:]:
             stops.clear(dot)
+        for dot in dots[:count]:
+            stops.press(dot)
+        if head & MORE_FLAG:
+            stops.press_more()
         return stops
 
 
@@ -135,13 +181,24 @@ class StopSet(DotSet[StopDot]):
 
     entry, kind = ENTRY, StopDot
 
+    def press_own(self, dot: StopDot) -> None:
+        """A press at this machine, held by name; of too many own ones the oldest as one of more."""
+        self._pressed.setdefault(dot)
+        own = [held for held in self._pressed if held.slot == dot.slot and held in self.active]
+        if len(own) >= OWN_MAX:
+            del self._pressed[own[0]]
+            self._activate(self.active - {own[0]})
+            self.press_more()
+        self._activate(self.active | {dot})
+        self._trim()
+
     def unused(self, slot: int, incarnation: int, counter: int) -> tuple[StopDot, int]:
         """The next dot after `counter` that nobody has pressed or cleared, and the counter then.
 
         After 256 cleared presses the dots of the next incarnations are taken: as many as are ever
         remembered are fewer than there are.
         """
-        for ahead in range(DOTS_MAX // 256 + 1):
+        for ahead in range((DOTS_MAX + ACTIVE_MAX + OWN_MAX) // 256 + 1):
             for _ in range(256):
                 counter += 1
                 dot = StopDot(slot, incarnation + ahead & 0xFF, counter & 0xFF)

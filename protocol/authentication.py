@@ -29,11 +29,14 @@ from protocol.safety_frames import (
     EmergencyReset,
     EmergencyStop,
     Freshness,
+    HeldReset,
     OperatorCommand,
 )  # fmt: skip
 
-Signed = TypeVar("Signed", EmergencyStop, EmergencyReset, OperatorCommand, OperatorGoal)
-AnySigned = EmergencyStop | EmergencyReset | OperatorCommand | OperatorGoal
+Signed = TypeVar(
+    "Signed", EmergencyStop, EmergencyReset, HeldReset, OperatorCommand, OperatorGoal
+)
+AnySigned = EmergencyStop | EmergencyReset | HeldReset | OperatorCommand | OperatorGoal
 
 PANEL_FIRST = 128  # sender ids from here are stop panels
 OPERATOR_FIRST = 192  # and from here operator devices, which may release
@@ -49,6 +52,7 @@ ANSWER_SPACING_US = 10_000  # and answers one asker at most this often
 _GROUPS = {
     EmergencyStop: 0xFF00,
     EmergencyReset: 0xFF01,
+    HeldReset: 0xFF07,
     OperatorCommand: 0xFF02,
     OperatorGoal: 0xFF06,
 }

@@ -17,6 +17,7 @@ from cryptography.hazmat.primitives.kdf.hkdf import HKDF
 
 from crdt.stops import FarDot
 from protocol.authentication import KEY_SIZE, Keys
+from protocol.safety_frames import StopsHeld
 from protocol.segment_frames import FleetReset, FleetStop
 
 
@@ -38,6 +39,22 @@ class FleetTags:
             FleetReset(dot.segment, part, *dot[:3], half) for part, half in enumerate(halves)
         )
         return first, second
+
+
+class HeldTags:
+    """That a robot of this fleet holds these stops: told to an operator who has asked just now. Robots
+    hold the operator's secret; an operator's device holds no other."""
+
+    def __init__(self, keys: Keys) -> None:
+        self._held = _mac(keys.operator, b"headland stops held")
+
+    def sign(self, held: StopsHeld, question: int) -> StopsHeld:
+        """`question`: the 48 bits that were asked with, used once."""
+        if self._held is None:
+            raise ValueError("the secret for this tag is not held here")
+        running = self._held.copy()
+        running.update(question.to_bytes(6, "little") + held.pack()[:-3])
+        return held._replace(tag=int.from_bytes(running.finalize()[:3], "little"))
 
 
 def plain_stop(dot: FarDot) -> FleetStop:

@@ -27,7 +27,9 @@ from protocol.safety_frames import (
     EmergencyReset,
     EmergencyStop,
     Freshness,
+    HeldReset,
     OperatorCommand,
+    StopsHeld,
 )  # fmt: skip
 from protocol.segment_frames import FleetReset, FleetStop, GatewayBeat, SegmentSummary
 from protocol.work_frames import (
@@ -40,7 +42,7 @@ from protocol.work_frames import (
 
 Message = (
     EmergencyStop | EmergencyReset | OperatorCommand | AllImplementsStop | Challenge | Freshness
-    | OperatorGoal | OperatorReport
+    | OperatorGoal | OperatorReport | StopsHeld | HeldReset
     | LeaderElectionVote | TaskClaim | Pose | Heartbeat | Member
     | StateSyncRequest | StateSyncResponse | Digests | VectorSlice | WorkProgress | Accord | Fallen
     | MapPatch | MapDigests
@@ -61,6 +63,7 @@ class Group(NamedTuple):
 GROUPS = (
     Group(EmergencyStop, 0xFF00, 0, 8, "EMERGENCY_STOP"),
     Group(EmergencyReset, 0xFF01, 1, 8, "EMERGENCY_RESET"),
+    Group(HeldReset, 0xFF07, 1, 8, "HELD_RESET"),
     Group(FleetStop, 0xFF30, 0, 8, "FLEET_STOP"),
     Group(FleetReset, 0xFF31, 1, 8, "FLEET_RESET"),
     Group(OperatorGoal, 0xFF06, 1, 8, "OPERATOR_GOAL"),  # so that it leaves before its SET_GOAL
@@ -70,6 +73,7 @@ GROUPS = (
     Group(AllImplementsStop, 0xFD02, 3, 8, "ALL_IMPLEMENTS_STOP"),
     Group(LeaderElectionVote, 0xFF04, 3, 8, "LEADER_ELECTION_VOTE"),
     Group(OperatorReport, 0xFF05, 4, 8, "OPERATOR_REPORT"),
+    Group(StopsHeld, 0xFF09, 4, 8, "STOPS_HELD"),
     Group(TaskClaim, 0xFF08, 4, 8, "TASK_CLAIM"),
     Group(Pose, 0xFF10, 5, 8, "POSE"),
     Group(Heartbeat, 0xFF11, 6, 8, "HEARTBEAT"),

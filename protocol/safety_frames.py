@@ -45,7 +45,8 @@ class EmergencyStop(NamedTuple):
     0     slot         u8    who pressed: robot slot, or 128.. for a panel or an operator device
     1     incarnation  u8    low byte of the presser's incarnation
     2     counter      u8    the presser's stop counter: (slot, incarnation, counter) is the dot
-    3     reason, echo bits  reason in bits 0-3, bit 4: this is an echo by the frame's source
+    3     reason, echo bits  reason in bits 0-3, bit 4: this is an echo by the frame's source; bit 5, of
+                             an echo: this dot was cleared before, press with another
     4     freshness    u8    low byte of the sender's freshness counter
     5..7  tag          u24   AES-CMAC, little-endian; 0 in a fleet without keys
     """
@@ -57,9 +58,10 @@ class EmergencyStop(NamedTuple):
     echo: bool = False
     freshness: int = 0
     tag: int = 0
+    spent: bool = False
 
     def pack(self) -> bytes:
-        flags = self.reason | self.echo << 4
+        flags = self.reason | self.echo << 4 | self.spent << 5
         head = (self.slot, self.incarnation, self.counter, flags, self.freshness)
         return bytes(head) + self.tag.to_bytes(3, "little")
 
@@ -67,7 +69,8 @@ class EmergencyStop(NamedTuple):
     def unpack(cls, data: bytes) -> "EmergencyStop":
         slot, incarnation, counter, flags, freshness = data[:5]
         tag = int.from_bytes(data[5:], "little")
-        return cls(slot, incarnation, counter, flags & 15, bool(flags & 16), freshness, tag)
+        echo, spent = bool(flags & 16), bool(flags & 32)
+        return cls(slot, incarnation, counter, flags & 15, echo, freshness, tag, spent)
 
 
 class EmergencyReset(NamedTuple):
@@ -96,6 +99,57 @@ class EmergencyReset(NamedTuple):
         slot, incarnation, counter, operator, freshness = data[:5]
         tag = int.from_bytes(data[5:], "little")
         return cls(slot, incarnation, counter, operator, freshness, tag)
+
+
+class StopsHeld(NamedTuple):
+    """What holds a latched robot, in sum: the answer to a question for stops. Priority 4.
+
+    byte  field   type  meaning
+    0     slot    u8    of the robot
+    1     stops   u8    how many it holds; 255: as many or more, or some without a name
+    2..4  digest  u24   of all of them
+    5..7  tag     u24   AES-CMAC with the operator's key, also over the 48 bits of the question; 0
+                        in a fleet without keys
+    """
+
+    slot: int
+    stops: int
+    digest: int
+    tag: int = 0
+
+    def pack(self) -> bytes:
+        head = bytes((self.slot, self.stops))
+        return head + self.digest.to_bytes(3, "little") + self.tag.to_bytes(3, "little")
+
+    @classmethod
+    def unpack(cls, data: bytes) -> "StopsHeld":
+        digest, tag = int.from_bytes(data[2:5], "little"), int.from_bytes(data[5:], "little")
+        return cls(data[0], data[1], digest, tag)
+
+
+class HeldReset(NamedTuple):
+    """Clears all stops of every robot that holds exactly what the digest says. Priority 1.
+
+    byte  field      type  meaning
+    0..2  digest     u24   of the stops that it clears, as in STOPS_HELD
+    3     operator   u8    operator device (192..254 in a fleet with keys)
+    4     freshness  u8    low byte of the operator's freshness counter
+    5..7  tag        u24   AES-CMAC with the operator's key
+    """
+
+    digest: int
+    operator: int
+    freshness: int = 0
+    tag: int = 0
+
+    def pack(self) -> bytes:
+        head = self.digest.to_bytes(3, "little") + bytes((self.operator, self.freshness))
+        return head + self.tag.to_bytes(3, "little")
+
+    @classmethod
+    def unpack(cls, data: bytes) -> "HeldReset":
+        digest, tag = int.from_bytes(data[:3], "little"), int.from_bytes(data[5:], "little")
+        return cls(digest, data[3], data[4], tag)
 
 
 class OperatorCommand(NamedTuple):

@@ -50,8 +50,10 @@ from protocol.safety_frames import (
     EmergencyReset,
     EmergencyStop,
     Freshness,
+    HeldReset,
     OperatorCommand,
     Reason,
+    StopsHeld,
     Switch,
 )
 from protocol.segment_frames import FleetReset, FleetStop, GatewayBeat, SegmentSummary
@@ -97,9 +99,14 @@ _REGISTER = (
 
 SIGNALS: dict[type[Message], tuple[Signal, ...]] = {
     EmergencyStop: (
-        *_DOT, Signal("reason", 24, 4, choices=_members(Reason)), Signal("echo", 28, 1), *_PROOF,
+        *_DOT, Signal("reason", 24, 4, choices=_members(Reason)), Signal("echo", 28, 1),
+        Signal("spent", 29, 1), *_PROOF,
     ),
     EmergencyReset: (*_DOT, Signal("operator", 24, 8), *_PROOF),
+    StopsHeld: (
+        Signal("slot", 0, 8), Signal("stops", 8, 8), Signal("digest", 16, 24), Signal("tag", 40, 24),
+    ),
+    HeldReset: (Signal("digest", 0, 24), Signal("operator", 24, 8), *_PROOF),
     OperatorCommand: (
         Signal("command", 0, 8, choices=_members(Command)), Signal("target", 8, 8),
         Signal("operator", 16, 8), Signal("argument", 24, 8), *_PROOF,

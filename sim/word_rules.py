@@ -122,7 +122,8 @@ class WordRules:
         if kind is Pose:
             self._pose(slot, speaker, now_us, message)  # type: ignore[arg-type]
         elif isinstance(message, EmergencyStop):
-            self._stop(slot, speaker, now_us, message)
+            if not message.spent:  # that a name was used before is no stop
+                self._stop(slot, speaker, now_us, message)
         elif isinstance(message, Heartbeat):
             ahead = (message.operations - speaker.operations) & 0xFFFF
             if speaker.operations >= 0 and ahead >= HALF_U16:

@@ -139,6 +139,7 @@ ENDED_BY: dict[Cause, str | None] = {
     Cause.CONFIG_MISMATCH: None,
     Cause.LATE_TICK: "time",
     Cause.UNAUTHENTICATED_STOP: "time",
+    Cause.SPENT_STOP: "time",
     Cause.IMPLEMENTS_STOP: "time",
     Cause.DISK_ERROR: None,
     Cause.STOP_DOT: "manual reset",  # here every dot is cleared

@@ -8,6 +8,8 @@ import pytest
 from agent.effects import Send
 from agent.lifecycle import State
 from protocol.authentication import Signed
+from protocol.fleet_frames import Pose
+from protocol.network_frames import AddressClaimed
 from protocol.safety_frames import (
     Command,
     EmergencyReset,
@@ -115,6 +117,31 @@ def test_what_an_operator_said_once_releases_nothing_later(keys: Path) -> None:
             cluster.inject(message)
             await elapse(0.05)
         assert states(cluster) == {State.EMERGENCY_STOP}
+
+    play(keys, story)
+
+
+def test_t14_a_robot_that_lost_its_address_stops_the_others(keys: Path) -> None:
+    """All addresses are claimed with a better NAME, and somebody imitates the beats of the robot."""
+
+    async def story(cluster: Cluster, seen: list[Done]) -> None:
+        address = cluster.robots[1].peer.address
+        others = {cluster.robots[slot].peer.address for slot in (0, 2)}
+        assert address is not None
+        member = cluster.robots[1].peer.voice.member(cluster.robots[1].peer)
+        for taken in [a for a in range(131, 236) if a not in others] + [address]:
+            cluster.inject(AddressClaimed(0), taken)
+        for beat in range(20):
+            if beat % 5 == 0:
+                cluster.inject(member, address)
+            cluster.inject(Pose(0.0, 0.0, 0.0, 0.0, State.WORKING, False, 0), address)
+            await elapse(0.05)
+        assert cluster.robots[1].peer.address is None
+        press(cluster, 1)
+        for _ in range(4):
+            cluster.inject(Pose(0.0, 0.0, 0.0, 0.0, State.WORKING, False, 0), address)
+            await elapse(0.05)
+        assert all(robot.peer.safety.stops.latched for robot in cluster.running)
 
     play(keys, story)
 

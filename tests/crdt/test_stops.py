@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from crdt.stops import DOTS_MAX, FarDot, FarStopSet, StopDot, StopSet, turn
+from crdt.stops import ACTIVE_MAX, DOTS_MAX, OWN_MAX, FarDot, FarStopSet, StopDot, StopSet, turn
 
 dots = st.builds(StopDot, st.integers(0, 3), st.integers(0, 1), st.integers(0, 3))
 acts = st.lists(st.tuples(st.booleans(), dots), max_size=30)
@@ -80,3 +80,49 @@ def test_all_have_their_turn(held: set[StopDot], count: int, last: StopDot | Non
         assert len(set(row)) == len(row) == min(count, len(held))
         told, last = [*told, *row], row[-1]
     assert set(told[: len(held)]) == held
+
+
+def many(count: int) -> list[StopDot]:
+    return [StopDot(k >> 16 & 0x7F, k >> 8 & 0xFF, k & 0xFF) for k in range(count)]
+
+
+def test_t10_seventy_thousand_stops_are_held_written_down_and_released() -> None:
+    stops = StopSet()
+    for dot in many(70_000):
+        stops.press(dot)
+    assert stops.latched and len(stops.active) == ACTIVE_MAX and stops.more
+    again = StopSet.deserialize(stops.serialize())
+    assert again == stops and again.latched
+    for dot in many(70_000):
+        again.clear(dot)
+    assert again.latched, "those without a name are cleared by no name"
+    assert len(stops.clear_all()) == ACTIVE_MAX and not stops.latched
+    assert len(stops.serialize()) < 3 * (2 * DOTS_MAX + 2 * ACTIVE_MAX)
+
+
+def test_t10_a_button_is_never_worn_out_by_presses_that_nobody_clears() -> None:
+    stops, counter = StopSet(), 0
+    for dot in many(70_000):
+        stops.press(dot)
+    for _ in range(5_000):
+        dot, counter = stops.unused(0, 0, counter)
+        stops.press_own(dot)
+        assert dot in stops.active
+    assert len(stops.active) <= ACTIVE_MAX + OWN_MAX
+    assert StopSet.deserialize(stops.serialize()).latched
+
+
+def test_t10_the_digest_is_that_of_what_is_held() -> None:
+    first, second = StopSet(), StopSet()
+    for dot in many(20):
+        first.press(dot)
+    for dot in reversed(many(20)):
+        second.press(dot)
+    assert first.digest() == second.digest() != 0
+    for dot in many(300):
+        first.press(dot)
+    full = first.digest()
+    first.press_more()
+    assert first.digest() != full, "a press without a name changes it"
+    first.clear_all()
+    assert first.digest() == 0

@@ -32,7 +32,9 @@ from protocol.safety_frames import (
     EmergencyReset,
     EmergencyStop,
     Freshness,
+    HeldReset,
     OperatorCommand,
+    StopsHeld,
 )  # fmt: skip
 from protocol.segment_frames import FleetReset, FleetStop, GatewayBeat, SegmentSummary
 from protocol.work_frames import (
@@ -48,7 +50,11 @@ phase, bid = st.sampled_from((0, 1, 2, 7)), st.integers(0, 31)
 state = st.integers(0, 4)
 register = (u16, u8, phase, bid, u24, u8)
 KINDS: dict[Any, st.SearchStrategy[Any]] = {
-    EmergencyStop: st.builds(EmergencyStop, u8, u8, u8, st.integers(0, 15), st.booleans(), u8, u24),
+    EmergencyStop: st.builds(
+        EmergencyStop, u8, u8, u8, st.integers(0, 15), st.booleans(), u8, u24, st.booleans()
+    ),
+    StopsHeld: st.builds(StopsHeld, u8, u8, u24, u24),
+    HeldReset: st.builds(HeldReset, u24, u8, u8, u24),
     EmergencyReset: st.builds(EmergencyReset, u8, u8, u8, u8, u8, u24),
     OperatorCommand: st.builds(OperatorCommand, st.integers(0, 9), u8, u8, u8, u8, u24),
     OperatorGoal: st.builds(OperatorGoal, u8, u8, st.integers(0, 0x7FFF), st.booleans(), u8, u24),
