@@ -14,8 +14,7 @@ from agent.cause import CREEP, LEAST, NOT_STARTED, SILENT, WORST, Cause, Severit
 from agent.config import MEMBERSHIP_STABLE_US, MS, STOP_REPEAT_US, STOP_SPACING_US, S
 from agent.effects import HALT, Drive, Effect, Persist, Send, Trace
 from agent.shortcut_buttons import STOPS, OwnButton, ShortcutButtons
-from crdt.digest import DIGEST_BITS, MASK
-from crdt.stops import FarDot, FarStopSet, StopDot, StopSet, turn
+from crdt.stops import FarDot, FarStopSet, StopDot, StopSet, held_digest, turn
 from protocol.authentication import Keyring
 from protocol.operator_frames import OperatorGoal
 from protocol.safety_frames import (
@@ -328,8 +327,8 @@ class Safety:
     @property
     def held_stops(self) -> StopsHeld:
         named, more = len(self.stops.active) + len(self.far.active), self.stops.more + self.far.more
-        digest = (self.stops.digest() + self.far.digest() & MASK) >> 64 - DIGEST_BITS
-        return StopsHeld(self.slot, COUNT_TOLD_MAX if more else min(named, COUNT_TOLD_MAX), digest)
+        count = COUNT_TOLD_MAX if more else min(named, COUNT_TOLD_MAX)
+        return StopsHeld(self.slot, count, held_digest(self.stops, self.far))
 
     def receive_held_reset(self, m: HeldReset, now_us: int) -> Sequence[Effect]:
         """Clears all that holds us, where that is what it names: nothing was pressed since we told it."""

@@ -14,7 +14,7 @@ from collections.abc import Iterable
 from struct import Struct
 from typing import Any, Generic, NamedTuple, TypeVar
 
-from crdt.digest import MASK, mix
+from crdt.digest import DIGEST_BITS, MASK, mix
 
 ENTRY = Struct("<BBB")
 FAR_ENTRY = Struct("<BBBH")
@@ -211,3 +211,8 @@ class FarStopSet(DotSet[FarDot]):
     """Of all other segments."""
 
     entry, kind = FAR_ENTRY, FarDot
+
+
+def held_digest(near: StopSet, far: FarStopSet) -> int:
+    """24 bits of all that a robot holds; 0 where nothing holds it."""
+    return (near.digest() + far.digest() & MASK) >> 64 - DIGEST_BITS

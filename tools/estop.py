@@ -93,7 +93,7 @@ async def press(operator: Operator, reason: Reason, timeout_s: float) -> list[Ro
         if operator.device.address != spoken_from:
             # Devices of other makers hear a stop only from an address that was claimed.
             spoken_from = operator.device.address
-            operator.send(AllImplementsStop(stop.counter, Switch.STOP))
+            operator.send(AllImplementsStop(FIRST_STOP, Switch.STOP))
             operator.stop(stop)
         now_s = operator.now_s = loop.time()
         late = [r for r in operator.live if not (r.stopped or r.echoed)]
@@ -102,7 +102,8 @@ async def press(operator: Operator, reason: Reason, timeout_s: float) -> list[Ro
             return []
         if now_s - begun_s >= timeout_s:
             return late
-        if operator.live and len(late) == len(operator.live) and now_s - dot_s >= AGAIN_S:
+        nobody = operator.live and len(late) == len(operator.live) and now_s - dot_s >= AGAIN_S
+        if nobody or stop[:3] in operator.shown.spent:
             stop, dot_s = operator.new_stop(reason), now_s
         if late or not heard:
             operator.stop(stop)

@@ -23,11 +23,14 @@ from protocol.safety_frames import (
     Command,
     EmergencyReset,
     EmergencyStop,
+    HeldReset,
     OperatorCommand,
+    StopsHeld,
 )
 from protocol.segment_frames import FleetStop
 from protocol.work_frames import REGISTERS, STOPS, StateSyncRequest
 from tools.device_address import DeviceAddress
+from tools.shown_stops import ShownStops
 
 OPERATOR_SLOT = 249  # an operator device in dots and commands, in a fleet without keys
 LIVE_S = 1.0  # heard within this: it has to stop
@@ -60,8 +63,7 @@ class Operator:
         self.robots: dict[int, Robot] = {}
         self.slot_of: dict[int, int] = {}
         self.unknown: dict[int, float] = {}  # addresses that beat and have not said who they are
-        self.stops: set[tuple[int, int, int]] = set()
-        self.far_stops: set[FarDot] = set()  # of a fleet of several segments
+        self.shown = ShownStops(keyring)
         self.now_s = 0.0
 
     def hear(self, now_s: float, frame: Frame) -> None:
@@ -78,10 +80,12 @@ class Operator:
                 message.slot, Robot(message.slot, source, now_s)
             ).address = source
         if isinstance(message, EmergencyStop):
-            self.stops.add(message[:3])
+            self.shown.hear_stop(message)
+        if isinstance(message, StopsHeld):
+            self.shown.hear_held(message)
         if isinstance(message, FleetStop):
             far = FarDot(message.slot, message.incarnation, message.counter, message.segment)
-            self.far_stops.add(far)
+            self.shown.hear_far(far)
         if isinstance(message, Challenge):
             self._prove(source, message)
         slot = self.slot_of.get(source)
@@ -103,7 +107,7 @@ class Operator:
             asking = message.matter in (Matter.ASKING, Matter.WAITING)
             if asking or message.matter is not Matter.REFUSED:
                 robot.question = message if asking else None
-        elif isinstance(message, EmergencyStop) and message.echo:
+        elif isinstance(message, EmergencyStop) and message.echo and not message.spent:
             robot.echoed = True
 
     def _prove(self, source: int, question: Challenge) -> None:
@@ -142,7 +146,8 @@ class Operator:
 
     def ask_stops(self) -> None:
         """Latched robots answer with the stops they hold."""
-        self.send(StateSyncRequest(0, 0, STOPS, 0))
+        question = self.shown.question
+        self.send(StateSyncRequest(question & 0xFFFFFF, question >> 24, STOPS, 0))
 
     def new_stop(self, reason: int) -> EmergencyStop:
         """A dot nobody has used: two random bytes, tried again by the caller if nobody latches."""
@@ -157,6 +162,10 @@ class Operator:
         halves = plain_reset(dot) if tags is None else tags.reset(dot)
         for half in (*halves, *halves):
             self.send(half)
+
+    def clear_held(self, digest: int) -> None:
+        """All stops of the robots that hold exactly these."""
+        self._order(HeldReset(digest, self.slot))
 
     def clear(self, dot: tuple[int, int, int]) -> None:
         self._order(EmergencyReset(*dot, self.slot))

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 from agent.lifecycle import State
+from agent.safety import COUNT_TOLD_MAX
 from protocol.authentication import Keyring
 from protocol.safety_frames import AllImplementsStop, Command, Switch
 from sim.key_file import OPERATOR, RESERVE, KeyFileError, read
@@ -15,6 +16,7 @@ from tools.operator_device import Operator
 
 LISTEN_S = 0.7  # latched robots repeat the dots they know to those that beat without being stopped
 STEP_S = 0.1
+NAMES_EVERY = 4  # tries: a name that is cleared changes the sum of what is held
 BLOCK_S = 5  # seconds in which a block of reserved frames is not used up
 NOT_SIGNED = "NOT SIGNED: only a fleet without keys is released by this, and by anybody on the bus"
 
@@ -42,7 +44,7 @@ async def _reset(
         operator = Operator(bus, keyring)
         listen_to(bus, operator)
         await operator.listen(LISTEN_S, stops=True)
-        cleared = sorted(operator.stops)
+        cleared, _ = operator.shown.named
         left = await release(operator, start, timeout_s)
         if as_json:
             print(json.dumps({
@@ -50,7 +52,7 @@ async def _reset(
                 "signed": keyring is not None,
             }))  # fmt: skip
         else:
-            shown = ", ".join(".".join(map(str, dot)) for dot in cleared) or "none was shown"
+            shown = ", ".join(".".join(map(str, dot)) for dot in cleared) or in_sum(operator)
             print(f"stops cleared: {shown}")
             for robot in operator.live:
                 print(
@@ -63,6 +65,13 @@ async def _reset(
         bus.close()
 
 
+def in_sum(operator: Operator) -> str:
+    """Of stops that are cleared without their names."""
+    most = max((held.stops for held in operator.shown.told.values()), default=0)
+    count = f"{most} or more" if most >= COUNT_TOLD_MAX else f"{most}"
+    return f"all {count} that hold a robot" if most else "none was shown"
+
+
 def operator_keyring(key: Path | None, timeout_s: float) -> Keyring | None:
     """With frames enough for this long; raises AttachError."""
     try:
@@ -72,15 +81,28 @@ def operator_keyring(key: Path | None, timeout_s: float) -> Keyring | None:
         raise AttachError(f"--operator-key {problem}") from None
 
 
+def clear_named(operator: Operator) -> None:
+    """So that a robot that has missed a stop does not latch by a late echo of it."""
+    named, far_named = operator.shown.named
+    for dot in named:
+        operator.clear(dot)
+    for far in far_named:
+        operator.clear_far(far)
+
+
 async def release(operator: Operator, start: bool, timeout_s: float) -> list[int]:
     """Clear, reset machine by machine, and start; returns the robots that still stand latched."""
     loop = asyncio.get_running_loop()
     begun_s = loop.time()
+    operator.shown.release()
+    tries = 1
     while True:
-        for dot in sorted(operator.stops):
-            operator.clear(dot)
-        for far in sorted(operator.far_stops):
-            operator.clear_far(far)
+        for digest in operator.shown.sums:
+            operator.clear_held(digest)
+        if not operator.shown.sums or tries % NAMES_EVERY == 0:
+            clear_named(operator)
+        tries += 1
+        operator.ask_stops()
         operator.send(AllImplementsStop(0, Switch.PERMIT))
         await asyncio.sleep(STEP_S)
         for robot in operator.live:
@@ -91,6 +113,7 @@ async def release(operator: Operator, start: bool, timeout_s: float) -> list[int
         left = [r.slot for r in operator.live if r.stopped or r.state is State.DISCONNECTED]
         if not left or loop.time() - begun_s >= timeout_s:
             break
+    clear_named(operator)
     if start and not left:
         for _ in range(3):  # a start that is lost is only an inconvenience, but an annoying one
             operator.command(Command.START)

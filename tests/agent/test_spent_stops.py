@@ -61,12 +61,12 @@ def test_t5_a_stop_with_a_cleared_name_that_is_said_still_latches() -> None:
         peer.tick(now_us)
         now_us += STOP_REPEAT_US
     assert now_us <= S + AGAIN_US + 2 * STOP_REPEAT_US
-    assert peer.state is State.EMERGENCY_STOP
+    assert peer.safety.latched and peer.lifecycle.state is State.EMERGENCY_STOP
     (dot,) = peer.safety.stops.active
     assert dot.slot == peer.slot, "under a name of its own, which can be cleared"
     peer.hear(249, EmergencyReset(*dot, OPERATOR), now_us)
     peer.manual_reset(now_us)
-    assert peer.state is State.DISCONNECTED
+    assert not peer.safety.latched
 
 
 def test_t5_a_panel_with_one_name_that_speaks_once_a_second_latches() -> None:

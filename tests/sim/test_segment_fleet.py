@@ -73,8 +73,8 @@ def test_an_operator_clears_what_was_pressed_elsewhere(fleet: SegmentFleet) -> N
     operator = Operator(bus, None)
     bus.subscribe(lambda frame: operator.hear(fleet.swarm.now_us() / 1e6, frame))
     operator.ask_stops()
-    assert fleet.run(S, lambda: bool(operator.far_stops)), f"seed {SEED}"
-    for far in operator.far_stops:
+    assert fleet.run(S, lambda: bool(operator.shown.far)), f"seed {SEED}"
+    for far in operator.shown.far:
         operator.clear_far(far)
     held = [peer.safety for k in fleet.segments for peer in fleet.peers(k)]
     assert fleet.run(S, lambda: not any(s.far.latched or s.stops.latched for s in held))

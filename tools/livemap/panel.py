@@ -96,7 +96,7 @@ class Panel:
             self._listeners.append(operator)
             try:
                 await operator.listen(LISTEN_S, stops=True)
-                cleared = sorted(operator.stops)
+                cleared, _ = operator.shown.named
                 left = await (self._reset(operator, start) if reset else self._start(operator))
             finally:
                 self._listeners.remove(operator)
