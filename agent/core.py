@@ -351,6 +351,7 @@ class Peer:
         return _tuple(FleetView, (
             self.slot, now_us, self.here, self.allocation, self.progress,
             members.live, members.silent_since_us, members.neighbours, things, leave_out,
+            self.safety.may_move,
         ))  # fmt: skip
 
     def membership_changed(self, now_us: int) -> list[Effect]:

@@ -43,6 +43,8 @@ VOUCHED_US = 3 * S  # in a fleet of ten each member is named by some other ten t
 AGE_MAX_US = 500 * MS  # a robot moves on as it last said for so long: 10 beats, 30 % of them lost
 CLAIM_S = 0.5  # a claim is contested for half of it: the next goal is ours when we are at this one
 CLOSE_M = RANGE_M + 2.0  # whom our rays can meet, wherever it has driven since its last beat
+STALLED_ALONE_US = 5 * S  # standing with a wish and nobody near: longer than braking for what passes
+AHEAD_M = 0.3  # beyond the body: where what cannot be passed is taken to stand
 LOST_M = 0.8  # this far off the path, another is planned
 
 
@@ -51,7 +53,7 @@ class Followed(NamedTuple):
 
     t_us: int
     points: tuple[Point, ...]
-    why: str  # goal, lost, blocked, restored, plan (of all together), after plan
+    why: str  # goal, lost, blocked, stalled, restored, plan (of all together), after plan
 
 
 class Errands:
@@ -88,6 +90,8 @@ class Errands:
         self._lane: Tracker | None = None  # on the way of a plan
         self._lane_of = (-1, -1, -1)  # round, first and last node of the lane
         self._gone_on: tuple[float, int] = (0.0, 0)  # along the path, since when
+        self._alone_since: tuple[Point, int] | None = None  # where and since when it does not get on
+        self._stalls = 0  # in a row on the way to this goal
         self._planned = False  # a joint plan was driven since the last path
         self._around: dict[
             int, Point
@@ -249,11 +253,37 @@ class Errands:
             self._tracker = old
             self.followed.append(Followed(now_us, tuple(old.points), "restored"))
             return old
+        if self._stalled_alone(view, tracker):
+            return self._round_what_stalls(goal, view, tracker)
         if self.replanning.due(now_us):
             detour = self.replanning.detour(at, goal, tracker, now_us)
             if detour is not None:
                 return self._set_out(detour, "blocked", now_us)
         return tracker
+
+    def _stalled_alone(self, view: FleetView, tracker: Tracker) -> bool:
+        """We want to move and may, do not for `STALLED_ALONE_US`, and no robot and no box explains it."""
+        here, at = view.here, (view.here.x_m, view.here.y_m)
+        wanted_m_s = hypot(*tracker.velocity(*at))
+        known = self.replanning.blocked or self._near(view) or not view.may_move
+        since = self._alone_since
+        moved = since is not None and hypot(at[0] - since[0][0], at[1] - since[0][1]) > GOT_ON_M
+        if since is None or moved or known or wanted_m_s < WANTS_M_S:
+            self._stalls = 0 if moved else self._stalls
+            self._alone_since = (at, view.now_us)
+            return False
+        return view.now_us - since[1] > STALLED_ALONE_US
+
+    def _round_what_stalls(self, goal: Point, view: FleetView, tracker: Tracker) -> Tracker:
+        """Another way from here; the second time, round a place right ahead that cannot be passed."""
+        at, now_us = (view.here.x_m, view.here.y_m), view.now_us
+        self._alone_since, self._stalls = (at, now_us), self._stalls + 1
+        if self._stalls > 1:
+            vx_m_s, vy_m_s = tracker.velocity(*at)
+            ahead = (self.floor.radius_m + AHEAD_M) / hypot(vx_m_s, vy_m_s)
+            self.hazards.avoid((at[0] + ahead * vx_m_s, at[1] + ahead * vy_m_s), now_us)
+        self.replanning.forget()
+        return self._set_out(self._way(at, goal), "stalled", now_us)
 
     def _way(self, at: Point, goal: Point) -> tuple[Point, ...]:
         prepared = self.next_way.take(at, goal)

@@ -31,10 +31,16 @@ from protocol.map_sync import MapSync, Values
 XY = tuple[float, float]
 RANGE_M = 4.0  # that range sensors are believed: further away rays lie more than a robot apart
 BELIEVED_S = 30  # what nobody has looked at for so long may have gone: go and see
+# What was forgotten and found standing again is believed twice as long each time, at most 16 minutes: a
+# robot whose ways are blocked in several places would else drive to and fro between them for ever.
+DOUBLINGS_MAX = 5
+BLOCK_M = 1.0  # belief is kept for squares of this side: rays find another face of the same thing
 REFRESH_S = BELIEVED_S // 2  # what still stands is told again, before others forget it
 WALL_CELLS = 1  # echoes this near to a wall are the wall: errors of range and of place
 FORGET_US = 1 * S  # how often old sights are looked for
 BODY = -1  # the number of a silent member among obstacles; others are numbered by their cell
+IMPASSABLE = -2  # the number of a place that we could not pass, by our own trial; the owner is NOBODY_SLOT
+NOBODY_SLOT = -1
 FOREVER_US = 1 << 62
 NOBODY: Mapping[int, XY] = {}
 UNSEEN_SCANS = BELIEVED_S * S // CONTROL_PERIOD_US
@@ -77,6 +83,12 @@ class Hazards:
         self.map.stand(bodies, now_us)
         self.map.take_in(here, known, now_us, told)
 
+    def avoid(self, at: XY, now_us: int) -> None:
+        """Ways go round a place for `BELIEVED_S`, because we were held up there and nothing is seen."""
+        if self.map is None:
+            self.map = HazardMap(self.floor, self.sync)
+        self.map.avoid(at, now_us)
+
     @property
     def standing(self) -> bool:
         """Whether anything is believed to stand anywhere."""
@@ -96,6 +108,10 @@ class Hazards:
     def things(self) -> list[XY]:
         """Middles of all that stands and is no wall."""
         return [] if self.map is None else self.map.things()
+
+    def stands_near(self, points: Sequence[XY], reach_m: float) -> bool:
+        """Whether anything that the map shows and the plan does not is this near to one of the points."""
+        return self.map is not None and self.map.stands_near(points, reach_m)
 
     def path(self, at: XY, goal: XY) -> tuple[XY, ...] | None:
         """Round everything; None: there is no way at present."""
@@ -176,7 +192,12 @@ class HazardMap(SurveyMap):
         self._walls = int(np.count_nonzero(floor.fine))
         self._open = ~scipy.ndimage.binary_dilation(floor.fine, iterations=WALL_CELLS)
         self._bodies: dict[int, XY] = {}
+        self._block = max(round(BLOCK_M / floor.fine_m), 1)  # cells
+        blocks = tuple(-(-cells // self._block) for cells in (rows, columns))
+        self._doublings = np.zeros(blocks, dtype=np.int8)  # of the time that a block is believed
+        self._forgotten = np.zeros(blocks, dtype=np.bool_)  # and not seen since, free or solid
         self._records = np.zeros(floor.fine.shape, dtype=np.int64)  # as they were when last read
+        self._cells_of, self._centres = -1, np.empty((0, 2))  # solid off the walls, at those changes
         self._standing = (0, False)  # at that count of changes, whether anything stands
         self._told = (-1, False)  # at that version of the chart, whether it says that anything does
 
@@ -206,13 +227,42 @@ class HazardMap(SurveyMap):
         self.look(here, bodies)
         if now_us - self._forgot_us >= FORGET_US:
             self._forgot_us = now_us
-            self.grid.forget(self.grid.unseen(UNSEEN_SCANS))
+            self._forget_old()
         if told:
             self.hear_all(now_us)
         self.grid.expire(now_us)
         self._no_robots(robots)
         self._no_longer()
         self.tell(here, now_us)
+
+    def _forget_old(self) -> None:
+        """What has not been looked at for as long as it is believed may have gone."""
+        seen = np.argwhere(self.grid.seen)
+        blocks = seen // self._block
+        again = self._forgotten[blocks[:, 0], blocks[:, 1]]
+        for row, column in {(int(r), int(c)) for r, c in blocks[again]}:
+            self._forgotten[row, column] = False
+            self._doublings[row, column] = min(self._doublings[row, column] + 1, DOUBLINGS_MAX)
+        for row, column in np.argwhere((self._doublings > 0) & ~self._forgotten).tolist():
+            n = self._block
+            cells = (slice(row * n, row * n + n), slice(column * n, column * n + n))
+            if not self.grid.seen[cells].any() and (self.grid.evidence[cells] == LEAST).any():
+                self._doublings[row, column] = 0  # it has gone
+        old = self.grid.unseen(UNSEEN_SCANS)
+        if not len(old):
+            return
+        levels = self._doublings[old[:, 0] // self._block, old[:, 1] // self._block]
+        for level in range(int(levels.max()) + 1):
+            cells = old[levels == level] if level == 0 else self._unseen_at(level)
+            if len(cells):
+                self._forgotten[cells[:, 0] // self._block, cells[:, 1] // self._block] = True
+                self.grid.forget(cells)
+
+    def _unseen_at(self, level: int) -> NDArray[np.int64]:
+        """Cells (n, 2) of blocks with so many doublings that were not looked at for their time."""
+        cells = self.grid.unseen(UNSEEN_SCANS << level)
+        kept = self._doublings[cells[:, 0] // self._block, cells[:, 1] // self._block] == level
+        return cells[kept]
 
     def things(self) -> list[XY]:
         parts, count = scipy.ndimage.label(
@@ -224,6 +274,18 @@ class HazardMap(SurveyMap):
         west, south = self.geometry.origin_m
         cell_m = self.geometry.cell_m
         return [(west + (c + 0.5) * cell_m, south + (r + 0.5) * cell_m) for r, c in middles]
+
+    def stands_near(self, points: Sequence[XY], reach_m: float) -> bool:
+        """Whether a solid cell off the walls is nearer than this, metres, to one of the points."""
+        if not points or not self.standing:
+            return False
+        if self._cells_of != self.grid.changes:
+            self._cells_of = self.grid.changes
+            (west, south), cell_m = self.geometry.origin_m, self.geometry.cell_m
+            cells = np.argwhere(self.grid.solid & self._open)
+            self._centres = np.array((west, south)) + (cells[:, ::-1] + 0.5) * cell_m
+        gaps = self._centres[None, :, :] - np.array(points)[:, None, :]
+        return bool((np.hypot(gaps[..., 0], gaps[..., 1]) < reach_m).any())
 
     def parts(self) -> NDArray[np.int32]:
         """Floors that are apart at present, numbered from 1; 0 where no centre may be."""
@@ -241,6 +303,15 @@ class HazardMap(SurveyMap):
                 body = Obstacle(x_m, y_m, self.radius_m, 0, FOREVER_US, slot, BODY)
                 self.grid.place(body, now_us)
         self._bodies = dict(bodies)
+
+    def avoid(self, at: XY, now_us: int) -> None:
+        """One such place at a time: another one replaces it."""
+        self.grid.remove(NOBODY_SLOT, IMPASSABLE)
+        cell_m = self.geometry.cell_m
+        until_us = now_us + BELIEVED_S * S
+        self.grid.place(
+            Obstacle(*at, cell_m, now_us, until_us, NOBODY_SLOT, IMPASSABLE), now_us
+        )
 
     def hear_all(self, now_us: int) -> None:
         """Take what others say stands, or has gone, into our own grid as temporary obstacles."""
@@ -289,6 +360,8 @@ class HazardMap(SurveyMap):
     def _no_longer(self) -> None:
         """What we look at ourselves we need not be told of."""
         for (owner, cell), standing in list(self.grid.obstacles.items()):
+            if cell == IMPASSABLE:
+                continue
             row, column = self.geometry.cell((standing.x_m, standing.y_m))
             if self.grid.evidence[row, column] == LEAST:
                 self.grid.remove(owner, cell)

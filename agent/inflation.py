@@ -87,6 +87,30 @@ class Inflation:
         self.planner.update(np.column_stack((cells, np.ones(len(cells), dtype=np.int64))))
         return path
 
+    def way_out(self, at: Cell, solid: Grid, body_cells: float) -> Cell | None:
+        """The nearest free cell that a straight line joins with `at`, over no solid cell.
+
+        `solid` (rows, columns). What lies under the body, `body_cells` round `at`, counts as free.
+        `at` itself where it is free; None where there is none within the reach and a body.
+        """
+        if not self.blocked[at]:
+            return at
+        rows, columns = self.blocked.shape
+        offsets = disc(self.reach_cells + body_cells + 1.0)
+        order = np.argsort(np.hypot(offsets[:, 0], offsets[:, 1]), kind="stable")
+        for i, j in offsets[order].tolist():
+            r, c = at[0] + i, at[1] + j
+            if not (0 <= r < rows and 0 <= c < columns) or self.blocked[r, c]:
+                continue
+            steps = 2 * max(abs(i), abs(j))
+            t = np.arange(steps + 1) / steps
+            line_r = np.floor(at[0] + t * i + 0.5).astype(np.int64)
+            line_c = np.floor(at[1] + t * j + 0.5).astype(np.int64)
+            beyond = t * hypot(i, j) > body_cells
+            if not (solid[line_r, line_c] & beyond).any():
+                return r, c
+        return None
+
     def carve(self, at: Cell, keep: Grid, body_cells: float = -1.0) -> list[Cell]:
         """What to free round a place that lies in the inflation, as far as that reaches.
 

@@ -32,6 +32,7 @@ class FleetView(NamedTuple):
         frozenset()
     )  # places to go round, by an operator's word
     leave_out: bool = False  # and not to work, where they are
+    may_move: bool = True  # no cause makes it stand
 
 
 class Choice(NamedTuple):

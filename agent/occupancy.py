@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.inflation import Changes, Grid, Inflation, cell_of
+from agent.inflation import Cell, Changes, Grid, Inflation, cell_of
 from agent.ray_evidence import LEAST, MOST, SOLID, room_for, weigh_scan
 from agent.theta_star import Waypoints
 
@@ -221,7 +221,9 @@ class OccupancyGrid:
     def plan(self, start: XY, goal: XY) -> list[XY] | None:
         """The cheaper one of the shortest way, and the shortest that stays off everything by more.
 
-        Start and goal are carved free of the inflation where they lie in it. None: no way.
+        A start or goal in the inflation is joined by the shortest line out of it: a way through it could
+        pass a corner nearer than the body is wide. Where there is no such line, it is carved free.
+        None: no way.
         """
         a, b = self._point(start), self._point(goal)
         here, there = cell_of(a), cell_of(b)
@@ -231,7 +233,19 @@ class OccupancyGrid:
         if self.solid[there] and here != there:
             return None
         # Under the robot's body nothing can be, whatever the map says.
-        carved = self.tight.carve(here, self.solid, self.body_radius_m / self.cell_m)
+        body_cells = self.body_radius_m / self.cell_m
+        out, into = (
+            self.tight.way_out(here, self.solid, body_cells),
+            self.tight.way_out(there, self.solid, 0.0),
+        )
+        near = hypot(goal[0] - start[0], goal[1] - start[1]) < 2 * self.cell_m
+        if out is not None and out != here and not near:
+            rest = self.plan(self._centre(out), goal)
+            return None if rest is None else [start, *rest]
+        if into is not None and into != there and not near:
+            way = self.plan(start, self._centre(into))
+            return None if way is None else [*way, goal]
+        carved = self.tight.carve(here, self.solid, body_cells)
         carved += self.tight.carve(there, self.solid)
         shortest = self.tight.plan(a, b, carved)
         if shortest is None:
@@ -274,6 +288,11 @@ class OccupancyGrid:
         if y == rows or x == columns:
             x, y = min(x, columns - EDGE), min(y, rows - EDGE)
         return y - 0.5, x - 0.5
+
+    def _centre(self, cell: Cell) -> XY:
+        """The middle of a cell, metres."""
+        x_m, y_m = self.origin_m
+        return x_m + (cell[1] + 0.5) * self.cell_m, y_m + (cell[0] + 0.5) * self.cell_m
 
     def _metres(self, path: Waypoints, start: XY, goal: XY) -> list[XY]:
         inner = [

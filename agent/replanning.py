@@ -3,7 +3,8 @@
 A path is kept until the goal changes or something stands on it within the decision horizon for more
 than `TICKS` control periods: a box that appears and leaves again costs nothing, and neither does
 one that is still far away, since it may be gone before we are there. The path that was left is kept
-for `KEPT_US`, and is taken up again without a search where what stood on it has gone.
+for `KEPT_US`. It is taken up again without a search once the map has nothing on it: a robot that has
+turned round hits nothing, and that says nothing about what stands behind it.
 """
 
 from collections.abc import Callable
@@ -12,7 +13,7 @@ from math import hypot
 from agent.config import S
 from agent.hazards import Hazards
 from agent.ports import Observation
-from agent.tracker import Tracker
+from agent.tracker import SAMPLE_M, Tracker
 
 Point = tuple[float, float]
 TICKS = 2  # a path blocked for longer than this many control periods is blocked
@@ -48,7 +49,16 @@ class Replanning:
         ]
         self._ticks = self._ticks + 1 if self._stands_on(tracker) else 0
         if self._kept is not None:
-            self._clear = 0 if self._stands_on(self._kept[0]) else self._clear + 1
+            self._clear = 0 if self._kept_is_blocked() else self._clear + 1
+
+    def _kept_is_blocked(self) -> bool:
+        """Whether anything is hit on the kept path, or stands on it by the map."""
+        assert self._kept is not None
+        tracker, _, beyond_m = self._kept
+        if self._stands_on(tracker):
+            return True
+        ahead = tracker.ahead(beyond_m + SAMPLE_M - tracker.along_m)  # its last sample may fall short
+        return self.hazards.stands_near([(x, y) for x, y, _, _ in ahead], self.radius_m + GRAZE_M)
 
     def _stands_on(self, tracker: Tracker) -> bool:
         if not self._near:
@@ -59,6 +69,11 @@ class Replanning:
             for x_m, y_m, _, _ in tracker.ahead(self.horizon_m)
             for hit_x_m, hit_y_m in self._near
         )
+
+    @property
+    def blocked(self) -> bool:
+        """Whether something that is seen or told of stands on the path ahead."""
+        return self._ticks > 0
 
     def due(self, now_us: int) -> bool:
         return self._ticks > TICKS and now_us >= self._not_before_us
