@@ -263,7 +263,7 @@ class Errands:
 
     def _stalled_alone(self, view: FleetView, tracker: Tracker) -> bool:
         """We want to move and may, do not for `STALLED_ALONE_US`, and no robot and no box explains it."""
-        here, at = view.here, (view.here.x_m, view.here.y_m)
+        at = (view.here.x_m, view.here.y_m)
         wanted_m_s = hypot(*tracker.velocity(*at))
         known = self.replanning.blocked or self._near(view) or not view.may_move
         since = self._alone_since

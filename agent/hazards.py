@@ -39,7 +39,7 @@ REFRESH_S = BELIEVED_S // 2  # what still stands is told again, before others fo
 WALL_CELLS = 1  # echoes this near to a wall are the wall: errors of range and of place
 FORGET_US = 1 * S  # how often old sights are looked for
 BODY = -1  # the number of a silent member among obstacles; others are numbered by their cell
-IMPASSABLE = -2  # the number of a place that we could not pass, by our own trial; the owner is NOBODY_SLOT
+IMPASSABLE = -2  # the number of a place that we could not pass; its owner is NOBODY_SLOT
 NOBODY_SLOT = -1
 FOREVER_US = 1 << 62
 NOBODY: Mapping[int, XY] = {}
@@ -245,8 +245,8 @@ class HazardMap(SurveyMap):
             self._doublings[row, column] = min(self._doublings[row, column] + 1, DOUBLINGS_MAX)
         for row, column in np.argwhere((self._doublings > 0) & ~self._forgotten).tolist():
             n = self._block
-            cells = (slice(row * n, row * n + n), slice(column * n, column * n + n))
-            if not self.grid.seen[cells].any() and (self.grid.evidence[cells] == LEAST).any():
+            window = (slice(row * n, row * n + n), slice(column * n, column * n + n))
+            if not self.grid.seen[window].any() and (self.grid.evidence[window] == LEAST).any():
                 self._doublings[row, column] = 0  # it has gone
         old = self.grid.unseen(UNSEEN_SCANS)
         if not len(old):
@@ -261,8 +261,9 @@ class HazardMap(SurveyMap):
     def _unseen_at(self, level: int) -> NDArray[np.int64]:
         """Cells (n, 2) of blocks with so many doublings that were not looked at for their time."""
         cells = self.grid.unseen(UNSEEN_SCANS << level)
-        kept = self._doublings[cells[:, 0] // self._block, cells[:, 1] // self._block] == level
-        return cells[kept]
+        levels = self._doublings[cells[:, 0] // self._block, cells[:, 1] // self._block]
+        kept: NDArray[np.int64] = cells[levels == level]
+        return kept
 
     def things(self) -> list[XY]:
         parts, count = scipy.ndimage.label(

@@ -56,3 +56,26 @@ def test_who_is_driven_over_its_goal_has_been_there(over: bool) -> None:
         assert min(speeds_m_s[10:80]) < 0.6, "it braked for its goal"
     else:
         assert min(speeds_m_s[10:80]) > 0.9
+
+
+def test_m16_what_holds_a_lone_robot_up_and_no_ray_sees_is_driven_round() -> None:
+    """A body that cannot get on, nobody near and nothing in sight: it stood for good."""
+    floor = Floor.drawn("\n".join(["." * 16] * 5), 1.0, 0.35)
+    goal, (x_m, y_m), (stop_x_m, stop_y_m) = (13.5, 2.5), (2.5, 2.5), (7.5, 2.5)
+    errands = Errands(0, {0: [goal]}, floor, 1.0, 1.0)
+    allocation = FieldAllocationCRDT(0)
+    allocation.claim(0, 0)
+    allocation.start(0, 0)
+    for tick in range(2400):
+        here = Observation(x_m, y_m, 0.0, 0.0, 0.0)
+        view = FleetView(
+            0, tick * PERIOD_US, here, allocation, Progress({}), frozenset({0}), {}, {}
+        )
+        wish = errands.work(view)
+        if wish.finished:
+            break
+        next_x_m, next_y_m = x_m + wish.vx_m_s * 0.05, y_m + wish.vy_m_s * 0.05
+        if hypot(next_x_m - stop_x_m, next_y_m - stop_y_m) > 0.7:
+            x_m, y_m = next_x_m, next_y_m
+    assert hypot(x_m - goal[0], y_m - goal[1]) < 0.1, (x_m, y_m)
+    assert "stalled" in [followed.why for followed in errands.followed]

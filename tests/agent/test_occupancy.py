@@ -1,6 +1,8 @@
 """The map: rays against sampling, inflation against geometry, obstacles that come and go, saving."""
 
+from itertools import pairwise
 from math import cos, inf, pi, sin
+from random import Random
 
 import numpy as np
 import pytest
@@ -9,7 +11,7 @@ from hypothesis import example, given, note, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from agent.inflation import Inflation
+from agent.inflation import Inflation, cell_of
 from agent.occupancy import CELL_M, INFLATION_M, Obstacle, OccupancyGrid
 from agent.occupancy_fleet import OccupancyFleet
 from agent.ray_evidence import HIT, MISS, MOST, weigh_scan
@@ -160,6 +162,41 @@ def test_start_and_goal_beside_a_wall_are_carved_free() -> None:
     assert np.array_equal(grid.tight.planner.blocked, before)
     assert grid.plan((1.0, 3.0), (5.0, 0.1)) is None, "nobody goes into a wall"
     assert grid.plan((1.0, 3.0), (9.0, 3.0)) is None, "nor out of the map"
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_m16_a_way_out_of_the_inflation_passes_no_corner_nearer_than_the_body(seed: int) -> None:
+    """A robot beside a rack stood for good: its first leg passed a corner at two thirds of its radius."""
+    print(f"seed {seed}")
+    rng = Random(seed)
+    fixed = np.zeros((60, 60), dtype=np.bool_)
+    for _ in range(6):
+        row, column = rng.randrange(5, 50), rng.randrange(5, 50)
+        fixed[row : row + rng.randrange(2, 8), column : column + rng.randrange(2, 8)] = True
+    grid = OccupancyGrid(60, 60, (0.0, 0.0), BODY_M, fixed)
+    solid = (np.argwhere(fixed)[:, ::-1] + 0.5) * grid.cell_m  # middles of the solid cells
+
+    def gap_m(x_m: float, y_m: float) -> float:
+        beyond = np.maximum(np.abs(solid - (x_m, y_m)) - grid.cell_m / 2, 0.0)
+        return float(np.hypot(beyond[:, 0], beyond[:, 1]).min())
+
+    tried = 0
+    while tried < 20:
+        start, goal = ((rng.uniform(0.5, 11.5), rng.uniform(0.5, 11.5)) for _ in range(2))
+        inflated = bool(grid.tight.blocked[cell_of((start[1] / CELL_M - 0.5, start[0] / CELL_M - 0.5))])
+        # Its body touches no wall, and it is in the inflation.
+        if not inflated or gap_m(*start) < BODY_M or gap_m(*goal) < 2 * BODY_M:
+            continue
+        tried += 1
+        path = grid.plan(start, goal)
+        if path is None:
+            continue
+        nearest = min(
+            gap_m(ax + t * (bx - ax), ay + t * (by - ay))
+            for (ax, ay), (bx, by) in pairwise(path)
+            for t in np.linspace(0.0, 1.0, 50)
+        )
+        assert nearest >= BODY_M - 1e-6, (seed, start, goal, path)
 
 
 def test_a_robot_that_the_map_calls_solid_is_not_shut_in() -> None:

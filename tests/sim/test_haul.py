@@ -323,3 +323,38 @@ def test_a_task_to_a_floor_that_no_way_leads_to_is_reported() -> None:
     assert outcome.delivered == 1 and outcome.unreachable == (0,)
     assert outcome.simulated_s < 150.0
     assert exit_code(outcome) == UNREACHABLE
+
+
+ONE_AISLE = """
+....................
+....................
+..########.########.
+..########.########.
+..########.########.
+..########.########.
+....................
+..#################.
+..#################.
+..#################.
+....................
+....................
+"""
+
+
+def test_m1_one_robot_delivers_although_boxes_stand_for_the_whole_run() -> None:
+    """Three boxes, one in the aisle: it drove 49 m, planned 168 times, and stood with nothing delivered.
+
+    It must also not go to see again and again whether the boxes that it has seen have gone.
+    """
+    boxes = [
+        {"kind": "box", "at_s": at_s, "x_m": x_m, "y_m": y_m, "size_m": size_m, "for_s": 1200.0}
+        for at_s, x_m, y_m, size_m in (
+            (5.0, 10.5, 6.5, 0.8), (10.0, 1.0, 5.5, 1.2), (20.0, 12.5, 10.5, 0.8),
+        )
+    ]  # fmt: skip
+    given = scenario(
+        1, seed=1, faults=boxes, map=ONE_AISLE, random_tasks=8, random_over_s=60.0
+    )
+    given = given.model_copy(update={"run": given.run.model_copy(update={"time_limit_s": 1200.0})})
+    outcome, _ = play(given)
+    assert outcome.finished and outcome.delivered == 8
