@@ -21,6 +21,10 @@ class Clears(Enum):
     BY_ANSWER = "it has left for 1 s, or an operator's answer"
     BY_POLICY = "the silent member is heard again and the membership is stable for 2 s; or as the policy says"
     WHEN_GONE = "the cause is gone"
+    WHEN_IN_TIME = "it is sensed in time for 1 s; look at the receiver, its cable and its driver"
+    BY_MOVE_OR_START = (
+        "the place changes, or an operator's start after a look at receiver and wheels"
+    )
     BY_TIMEOUT = "it is not repeated for its time"
     BY_RESET = "every stop dot is cleared by an operator's reset, then a person resets this machine"
     NEVER = "never by itself: repair and restart"
@@ -55,6 +59,16 @@ class Cause(Enum):
         Severity.PROTECTIVE,
         Clears.WHEN_GONE,
         "nobody says that it hears us, or the bus takes nothing",
+    )
+    SENSES_OLD = _Rule(
+        Severity.PROTECTIVE,
+        Clears.WHEN_IN_TIME,
+        "where the robot is was sensed more than 0.1 s ago, or not at all",
+    )
+    PLACE_FROZEN = _Rule(
+        Severity.PROTECTIVE,
+        Clears.BY_MOVE_OR_START,
+        "the wheels were told to drive and the place did not change",
     )
     ADDRESS_LOST = _Rule(
         Severity.PROTECTIVE, Clears.WHEN_GONE, "another device took the source address"

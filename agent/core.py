@@ -31,12 +31,13 @@ from agent.records import Records
 from agent.roll_call import MEMBER_PGN, MEMBER_REQUEST, RollCall
 from agent.safety import Safety
 from agent.self_check import SelfCheck
+from agent.senses import Senses
 from agent.voice import Voice
 from agent.working import Working
 from crdt import FieldAllocationCRDT, Phase, Progress, VectorClock
 from protocol.authentication import Keyring
 from protocol.codec import Malformed, decode_once
-from protocol.fleet_frames import Pose
+from protocol.fleet_frames import PLACE_UNKNOWN_M_S, Pose
 from protocol.frame import Frame
 from protocol.identifier import GLOBAL_ADDRESS
 from protocol.map_sync import MapSync
@@ -103,6 +104,7 @@ class Peer:
         self.wish: Wish = STILL
         self.malformed: dict[str, int] = {}
         self.directive, self.check = Directive(self), SelfCheck(self, now_us)
+        self.senses = Senses(self)
         self.pause = pause_of(self, motion)
         self._hearing, self._working = Hearing(self), Working(self)
         self.beats = self._hearing.beats
@@ -167,6 +169,8 @@ class Peer:
                     *self._hearing.dispatch(source, slot, message, now_us),
                 ]
             if kind is Pose:
+                if message.speed_m_s >= PLACE_UNKNOWN_M_S:  # type: ignore[union-attr]
+                    return self._hearing.unplaced(slot, message, now_us)  # type: ignore[arg-type]
                 membership.neighbours[slot] = Neighbour(message, now_us)  # type: ignore[arg-type]
                 if message.heard == self.slot:  # type: ignore[union-attr]
                     self.check.reflected_us = now_us
@@ -175,8 +179,11 @@ class Peer:
                 return NOTHING
         return self._hearing.dispatch(source, slot, message, now_us)
 
-    def observe(self, observation: Observation, now_us: int) -> None:
-        """What our own sensors say; used at the next control period."""
+    def observe(self, observation: Observation | None, now_us: int) -> None:
+        """What our own sensors say, or that they say nothing; used at the next control period."""
+        self.senses.take(observation)
+        if observation is None:
+            return
         self.here = observation
         if self.directive.home is None:
             self.directive.home = observation.x_m, observation.y_m
@@ -220,6 +227,7 @@ class Peer:
         late_us = now_us - self.voice.next_control_us
         if self.voice.control_due(now_us):
             effects += self.check.look(late_us, now_us)
+            effects += self.senses.look(now_us)
             effects += self._working.control(now_us)
         effects += self.voice.speak(self, now_us)
         return effects
@@ -282,6 +290,7 @@ class Peer:
         """Permission to move. A latched robot does not take it: it would start after the reset."""
         if self.safety.latched:
             return [Trace("safety", "LATCHED", "START", "LATCHED", "refused")]
+        self.senses.started()
         return [*self.safety.start(now_us), Trace("safety", "HELD", "START", "STARTED", "operator")]
 
     def claim(

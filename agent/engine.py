@@ -30,6 +30,7 @@ from agent.section_names import SectionNames
 from agent.shell import Shell
 from crdt import FieldAllocationCRDT
 from protocol.authentication import KEY_SIZE, Keyring, Keys
+from protocol.fleet_frames import NOWHERE_M, Pose
 from protocol.name import fleet_name
 from protocol.safety_frames import Reason
 
@@ -182,7 +183,7 @@ class FleetCoordinationEngine:
             status[self._name(slot)] = {
                 "status": State(pose.state).name,
                 "standing": standing.name,
-                "position": {"x_m": pose.x_m, "y_m": pose.y_m},
+                "position": _position(pose),
                 "speed_m_s": pose.speed_m_s,
                 "age_s": (now_us - neighbour.heard_us) / 1e6,
                 "operations": peer.clock[slot],
@@ -266,3 +267,8 @@ class FleetCoordinationEngine:
             while not condition():
                 self._changed.clear()
                 await self._changed.wait()
+
+
+def _position(pose: Pose) -> dict[str, float] | None:
+    """None: it has never known where it is."""
+    return {"x_m": pose.x_m, "y_m": pose.y_m} if pose.x_m > NOWHERE_M else None

@@ -24,7 +24,14 @@ from protocol.delivery_frames import (
     TaskBookDigest,
     TaskOrder,
 )
-from protocol.fleet_frames import Heartbeat, LeaderElectionVote, Member, Pose, VectorSlice
+from protocol.fleet_frames import (
+    NOWHERE_M,
+    Heartbeat,
+    LeaderElectionVote,
+    Member,
+    Pose,
+    VectorSlice,
+)  # fmt: skip
 from protocol.map_frames import MapDigests, MapPatch
 from protocol.messages import Message
 from protocol.name import Name
@@ -205,8 +212,25 @@ class Hearing:
         if slot is None:  # whoever it is, it has not heard what stops us
             told = safety.tell_stops(now_us) if safety.latched and not m.stopped else ()
             return [*self._stranger(source, now_us), *told]
+        if not m.placed:
+            return self.unplaced(slot, m, now_us)
         self.peer.membership.neighbours[slot] = Neighbour(m, now_us)
         return safety.beat(slot, m.stopped, now_us)
+
+    def unplaced(self, slot: int, m: Pose, now_us: int) -> Sequence[Effect]:
+        """A beat of a member that does not know where it is: alive, and from now on as good as silent
+        to all that keeps away from places (`agent/coasting.py`)."""
+        peer = self.peer
+        seen = peer.membership.neighbours.get(slot)
+        if seen is None or seen.pose.x_m == NOWHERE_M:
+            seen = Neighbour(m._replace(speed_m_s=0.0), now_us)
+        pose = seen.pose._replace(state=m.state, stopped=m.stopped, heard=m.heard)
+        peer.membership.neighbours[slot] = Neighbour(pose, seen.heard_us)
+        if m.heard == peer.slot:
+            peer.check.reflected_us = now_us
+        if m.stopped or peer.safety.latched:
+            return peer.safety.beat(slot, m.stopped, now_us)
+        return ()
 
     def _heartbeat(
         self, source: int, slot: int | None, m: Heartbeat, now_us: int

@@ -18,6 +18,7 @@ class Lying(NamedTuple):
     on_robot: bool  # on a robot that is dead
 
 
+NEVER_US = -(1 << 62)  # without a time, what is sensed is as old as can be
 NOTHING_SEEN: Mapping[int, Lying] = {}
 
 
@@ -36,6 +37,7 @@ class Observation(NamedTuple):
     bodies: tuple[tuple[float, float], ...] = ()  # others in sight, metres east and north of us
     load: int = -1  # of a carrier: the parcel that is aboard; -1: none
     parcels: Mapping[int, Lying] = NOTHING_SEEN  # and those within its reach
+    sensed_at_us: int = NEVER_US  # on the clock of the peer that is told
 
 
 class Beat(NamedTuple):
@@ -76,7 +78,11 @@ class Shelving(Protocol):
 class Body(Protocol):
     """Sensors and actuators of one robot."""
 
-    def sense(self, now_us: int) -> Observation: ...
+    def sense(self, now_us: int) -> Observation | None:
+        """The newest that is known, with the time at which it was sensed; None: nothing yet, or nothing
+        any more."""
+        ...
+
     def drive(self, command: Drive, now_us: int) -> None: ...
 
 

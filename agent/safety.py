@@ -399,6 +399,7 @@ class Safety:
 
     def start(self, now_us: int) -> Sequence[Effect]:
         self.clear_cause(Cause.NOT_STARTED, now_us)
+        self.clear_cause(Cause.PLACE_FROZEN, now_us)
         return [self.remember_hold()]
 
     def hold(self, now_us: int) -> Sequence[Effect]:

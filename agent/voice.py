@@ -13,7 +13,15 @@ from agent.effects import Effect, Persist, Send, to_all
 from agent.lifecycle import EMERGENCY_STOP
 from agent.mission import Swept
 from crdt.progress import BLOCK_UNITS
-from protocol.fleet_frames import NOBODY, Heartbeat, Member, Pose, VectorSlice
+from protocol.fleet_frames import (
+    NOBODY,
+    NOWHERE_M,
+    PLACE_UNKNOWN_M_S,
+    Heartbeat,
+    Member,
+    Pose,
+    VectorSlice,
+)  # fmt: skip
 from protocol.map_frames import MapPatch
 from protocol.work_frames import WorkProgress
 
@@ -140,8 +148,11 @@ class Voice:
         stopped = state is EMERGENCY_STOP
         heard = self._reflected(peer)
         if here is None:
-            return Pose(0.0, 0.0, 0.0, 0.0, state, stopped, heard)
+            return Pose(NOWHERE_M, NOWHERE_M, 0.0, PLACE_UNKNOWN_M_S, state, stopped, heard)
         x_m, y_m, heading_rad, vx_m_s, vy_m_s = here[:5]
+        if not peer.senses.current:  # the last that was known, and that it is not of now
+            pose = x_m, y_m, heading_rad, PLACE_UNKNOWN_M_S, state, stopped, heard
+            return _tuple(Pose, pose)
         speed_m_s = hypot(vx_m_s, vy_m_s)
         course_rad = atan2(vy_m_s, vx_m_s) if speed_m_s > STANDS_M_S else heading_rad
         return _tuple(Pose, (x_m, y_m, course_rad, speed_m_s, state, stopped, heard))

@@ -63,6 +63,7 @@ class Working:
             wanted, said = peer.pause.watch(wanted, peer.here, now_us)
             effects += said
         drive = peer.safety.gate(wanted, now_us)
+        peer.senses.drove(drive)
         if not drive.tool_on:
             peer.mission.interrupted()
         return [drive, *effects]

@@ -8,6 +8,8 @@ STATES: Final = 5  # values of agent.lifecycle.State
 NOBODY = 255  # heard, in POSE
 LENGTH_M: Final = 0.05  # unit of x and y in POSE
 SPEED_M_S: Final = 0.05  # unit of the speed in POSE
+_FASTEST: Final = 254  # in that unit; 255 is what J1939 calls not available
+PLACE_UNKNOWN_M_S: Final = 255 * SPEED_M_S  # the speed of a robot that does not know where it is
 COURSES: Final = 512  # steps of a full turn in POSE
 _COURSE_RAD: Final = 2 * pi / COURSES
 _HALF: Final = 1 << 16  # offset of the 17-bit coordinates
@@ -15,6 +17,7 @@ _LAST: Final = 2 * _HALF - 1
 _ORIGIN: Final = _HALF + 0.5  # so that what is cut off is rounded
 _TURNED: Final = (1 << 20) * COURSES + 0.5  # nobody has turned as often: positive too
 _LOWEST_M: Final = _HALF * LENGTH_M
+NOWHERE_M: Final = -_LOWEST_M  # x and y of a robot that has never known where it is
 _HALVES = Struct("<II").unpack
 _tuple = tuple.__new__
 
@@ -31,7 +34,7 @@ class Pose(NamedTuple):
     0..16   x_m        0.05 m, offset 2^16: -3276.8 to 3276.75 east of the field origin
     17..33  y_m        the same, north
     34..42  course     1/512 turn, counter-clockwise from east: direction of motion, or the heading
-    43..50  speed      0.05 m/s, 0 to 12.75
+    43..50  speed      0.05 m/s, 0 to 12.7; 255: not available, x and y are of earlier, or 0 for nowhere
     51..53  state      lifecycle state
     54      stopped    latched emergency stop
     55..62  heard      slot of a member whom I hear, another with each beat; 255: nobody
@@ -46,14 +49,21 @@ class Pose(NamedTuple):
     stopped: bool
     heard: int
 
+    @property
+    def placed(self) -> bool:
+        """Whether it says where the robot is now."""
+        return self.speed_m_s < PLACE_UNKNOWN_M_S
+
     def pack(self) -> bytes:
         x_m, y_m, course_rad, speed_m_s, state, stopped, heard = self
         x, y = int(x_m / LENGTH_M + _ORIGIN), int(y_m / LENGTH_M + _ORIGIN)  # rounded, being > 0
         assert 0 <= x <= _LAST and 0 <= y <= _LAST, "outside of what POSE can say"
         course = int(course_rad / _COURSE_RAD + _TURNED) & 0x1FF
-        speed = int(speed_m_s / SPEED_M_S + 0.5)
+        speed = 255
+        if speed_m_s < PLACE_UNKNOWN_M_S:
+            speed = min(int(speed_m_s / SPEED_M_S + 0.5), _FASTEST)
         low = x | (y & 0x7FFF) << 17
-        high = y >> 15 | course << 2 | (speed if speed < 255 else 255) << 11 | state << 19
+        high = y >> 15 | course << 2 | speed << 11 | state << 19
         return (low | (high | stopped << 22 | heard << 23) << 32).to_bytes(8, "little")
 
     @classmethod

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 from agent.config import ACTUATOR_TTL_US
 from agent.effects import HALT, Drive
-from agent.ports import Observation
+from agent.ports import NOTHING_SEEN, Observation
 from sim.truth import Track
 from sim.vehicle import (
     COLUMNS,
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from sim.world import World
 
 XY = tuple[float, float]
+OBSERVATION = tuple.__new__
 
 
 class RobotBody:
@@ -75,7 +76,10 @@ class RobotBody:
         moved = MOTION.unpack_from(world.places, self.index * MOTION.size)
         x_m, y_m, heading, vx_m_s, vy_m_s, _, _ = moved
         ranges_m = world.ranges(self.index)
-        return Observation(x_m, y_m, remainder(heading, 2 * pi), vx_m_s, vy_m_s, ranges_m)
+        return OBSERVATION(Observation, (
+            x_m, y_m, remainder(heading, 2 * pi), vx_m_s, vy_m_s, ranges_m, 1.0, (), -1,
+            NOTHING_SEEN, now_us,
+        ))  # fmt: skip
 
     def drive(self, command: Drive, now_us: int) -> None:
         """In force from the step in which `now_us` lies, until it expires."""

@@ -12,10 +12,10 @@ import can
 
 from agent.area import Area
 from agent.core import Peer
-from agent.effects import Drive, Effect
+from agent.effects import Effect
 from agent.identity import Identity
 from agent.lifecycle import State
-from agent.ports import Body, Journal, Observation
+from agent.ports import Body, Journal
 from agent.safety import SilencePolicy
 from agent.segment_peer import SegmentPeer
 from agent.shell import Shell
@@ -32,6 +32,7 @@ from sim.errand_setting import ErrandSetting
 from sim.fieldbus import FieldBus, forget, segment
 from sim.grid_setting import GridSetting
 from sim.host import Handle, Host, LoopHost
+from sim.receiver import ReceivedBody, Receiver
 from sim.scenario import Join, Scenario
 from sim.setting import Setting
 from sim.stop_watch import StopWatch, reached
@@ -41,19 +42,6 @@ OPERATOR = 200  # slot of the operator device that a scenario's resets come from
 TOOL_ADDRESS = 249  # where scripted operator frames come from
 AnySetting = Setting | ErrandSetting | GridSetting
 Record = Callable[[int, int, Effect], None]  # slot, time in microseconds, effect
-
-
-class HostTimeBody:
-    """A body that lives in the world's time, whatever its robot's clock says."""
-
-    def __init__(self, body: Body, host: Host) -> None:
-        self._sense, self._drive, self._now_us = body.sense, body.drive, host.now_us
-
-    def sense(self, now_us: int) -> Observation:
-        return self._sense(self._now_us())
-
-    def drive(self, command: Drive, now_us: int) -> None:
-        self._drive(command, self._now_us())
 
 
 class Robot:
@@ -130,6 +118,7 @@ class Cluster:
         self.acquaintance = Acquaintance(self.segment.wire)
         self.robots: dict[int, Robot] = {}
         self.journals: dict[int, Journal] = {}
+        self.receivers: dict[int, Receiver] = {}
         self.boots: Counter[int] = Counter()
         self.on_power: Callable[[int, bool], None] | None = None  # robot, switched on; told before
         self.on_order: Callable[[Message], None] | None = None  # told before anybody hears of it
@@ -163,13 +152,15 @@ class Cluster:
             if record is not None:
                 record(slot, now_us, effect)
 
-        shell = self.host.shell(
-            peer, CanBus(bus), HostTimeBody(self.world.body(slot), self.host), journal, keep
-        )
+        shell = self.host.shell(peer, CanBus(bus), self._received(slot), journal, keep)
         robot = Robot(slot, shell, bus)
         robot.task = self.host.start(shell)
         self.robots[slot] = robot
         return robot
+
+    def _received(self, slot: int) -> Body:
+        receiver = self.receivers.setdefault(slot, Receiver())
+        return ReceivedBody(self.world.body(slot), self.host, receiver)
 
     def make(
         self, slot: int, now_us: int, recalled: Mapping[str, bytes], first_boot: bool, lot: str

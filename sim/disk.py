@@ -47,6 +47,10 @@ class Disk:
         self._synced = bytearray(image)
         self._unsynced: list[tuple[int, bytes]] = []
 
+    def fill(self) -> None:
+        """From now on it takes nothing more."""
+        self.fail_at = self.steps + 1
+
     def write(self, at: int, data: bytes) -> None:
         self._step()
         self._unsynced.append((at, bytes(data)))
@@ -152,11 +156,11 @@ class LogJournal:
         body = b"".join(
             FIELD.pack(len(key.encode()), len(value)) + key.encode() + value for key, value in batch
         )
-        self._last = self._check(self._batches, body)
-        head = HEAD.pack(len(body), self._batches, self._last)
-        self.disk.write(self._end, head + body)
+        check = self._check(self._batches, body)
+        self.disk.write(self._end, HEAD.pack(len(body), self._batches, check) + body)
         if self.synced:
             self.disk.sync()
+        self._last = check
         self._end += HEAD.size + len(body)
         self._batches += 1
         self._records.update(batch)

@@ -107,6 +107,28 @@ def _haste(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
     return [kinds.Order.model_validate(table | {"order": order})]
 
 
+def _blind(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
+    for_s = min(rng.choice((0.05, 0.3, 2.0, 8.0)), end_s - at_s)
+    return [kinds.Blind(at_s=at_s, kind="blind", robot=rng.randrange(robots), for_s=for_s)]
+
+
+def _frozen(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
+    for_s = min(rng.choice((0.1, 0.5, 3.0, 8.0)), end_s - at_s)
+    return [kinds.Frozen(at_s=at_s, kind="frozen", robot=rng.randrange(robots), for_s=for_s)]
+
+
+def _late(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
+    """Later than a robot may drive by; what comes a little late is a matter of accuracy."""
+    by_s, for_s = rng.choice((0.15, 0.5, 2.0)), min(rng.uniform(0.5, 8.0), end_s - at_s)
+    robot = rng.randrange(robots)
+    return [kinds.Late(at_s=at_s, kind="late", robot=robot, by_s=by_s, for_s=for_s)]
+
+
+def _disk_full(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
+    robot, for_s = rng.randrange(robots), min(rng.uniform(0.5, 8.0), end_s - at_s)
+    return [kinds.DiskFull(at_s=at_s, kind="disk_full", robot=robot, for_s=for_s)]
+
+
 def _press(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
     return [kinds.Estop(at_s=at_s, kind="estop", robot=rng.randrange(robots))]
 
@@ -173,6 +195,10 @@ DRAWS: dict[str, Draw] = {
     "join": _join,
     "box": _box,
     "pushed": _push,
+    "blind": _blind,
+    "frozen": _frozen,
+    "late": _late,
+    "disk_full": _disk_full,
     "estop": _press,
     "reset": _release,
     "haste": _haste,

@@ -79,8 +79,9 @@ class Place:
     def sense(self, now_us: int) -> Observation:
         angle = now_us * 1e-6 + self.slot
         return Observation(
-            self.x_m + cos(angle), self.y_m + sin(angle), angle % 6.28, -sin(angle), cos(angle)
-        )
+            self.x_m + cos(angle), self.y_m + sin(angle), angle % 6.28, -sin(angle), cos(angle),
+            sensed_at_us=now_us,
+        )  # fmt: skip
 
     def drive(self, command: Drive, now_us: int) -> None:
         if command.vx_m_s or command.vy_m_s or command.turn_rad_s:

@@ -107,6 +107,14 @@ class FaultPlan:
                 return self._babble(priority, for_s)
             case kinds.Clone(robot=robot, wins=wins):
                 self._clone(robot, wins)
+            case kinds.Blind(robot=robot, for_s=for_s):
+                cluster.receivers[robot].blind(now_us + round(for_s * S))
+            case kinds.Frozen(robot=robot, for_s=for_s):
+                cluster.receivers[robot].frozen(now_us + round(for_s * S))
+            case kinds.Late(robot=robot, by_s=by_s, for_s=for_s):
+                cluster.receivers[robot].late(now_us + round(for_s * S), round(by_s * S))
+            case kinds.DiskFull(robot=robot, for_s=for_s):
+                return self._disk_full(robot, for_s)
             case kinds.Drift(robot=robot, ppm=ppm):
                 shell = cluster.robots[robot].shell
                 if isinstance(shell, SwarmShell):  # asyncio has one clock for all
@@ -133,6 +141,15 @@ class FaultPlan:
         if disk == "rolled_back" and isinstance(journal, LogJournal):
             cluster.journals[robot] = journal.earlier(self._rng.random())
         cluster.boot(robot)
+
+    def _disk_full(self, robot: int, for_s: float) -> Script[None]:
+        """Only a disk of a simulation can be filled up."""
+        journal = self.cluster.journals[robot]
+        if isinstance(journal, LogJournal):
+            journal.disk.fill()
+            yield self._now_us() + round(for_s * S)
+            if self.cluster.journals[robot] is journal:  # else somebody else was quicker
+                self._restart(robot, "lost")
 
     def _crash_working(self, robot: int, for_s: float, disk: str) -> Script[None]:
         until_us = self._now_us() + WAIT_US

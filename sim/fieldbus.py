@@ -52,7 +52,7 @@ def calm(frame: Frame, t_us: int) -> Beat | None:
     if group != POSE_PGN and group != HEARTBEAT_PGN:
         return None
     source, message = decode_once(frame)
-    if type(message) is Pose and not message.stopped:
+    if type(message) is Pose and not message.stopped and message.placed:
         seen = _tuple(Neighbour, (message, t_us))
         return _tuple(Beat, (source, message, t_us, seen))
     if type(message) is Heartbeat and not message.stopped and not message.leaving:

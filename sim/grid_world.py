@@ -45,7 +45,8 @@ class GridBody:
         world.advance(now_us)
         x_m, y_m = world.now(row, now_us)
         vx, vy = world.speeds[row].tolist() if now_us < world.until_us[row] else (0.0, 0.0)
-        return Observation(x_m, y_m, 0.0, vx, vy, bodies=world.seen(row, x_m, y_m, now_us))
+        return Observation(x_m, y_m, 0.0, vx, vy, bodies=world.seen(row, x_m, y_m, now_us),
+                           sensed_at_us=now_us)  # fmt: skip
 
     def drive(self, command: Drive, now_us: int) -> None:
         world, row = self.world, self.row

@@ -5,7 +5,7 @@ robot: the package `agent` does not know this file.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any
 from unittest.mock import patch
@@ -19,6 +19,8 @@ from agent.motion import Motion
 from agent.records import Records
 from agent.roll_call import RollCall
 from agent.safety import Safety
+from agent.senses import Senses
+from agent.shell import Shell
 from agent.voice import Voice
 from crdt.allocation import FieldAllocationCRDT
 from crdt.progress import Progress
@@ -155,6 +157,15 @@ def _unsynced(right: Any) -> Any:
     return init
 
 
+def _regardless(right: Any) -> Any:
+    def persist(self: Shell, records: Any) -> bool:
+        with suppress(OSError):
+            self.journal.write(records)  # type: ignore[union-attr]
+        return True
+
+    return persist
+
+
 def _early(right: Any) -> Any:
     def passed(self: FieldWork, view: Any) -> list[int]:
         self.lifted, self.lifted_to_m, self.worst_m = False, 0.0, 0.0
@@ -253,6 +264,15 @@ MUTANTS: dict[str, Mutant] = {
     ),
     "rollback-unnoticed": Mutant(
         "a journal that was rolled back is believed", LogJournal, "_rolled_back", _deaf, "claims"
+    ),
+    "disk-error-ignored": Mutant(
+        "what the disk did not take is said", Shell, "_persist", _regardless, "claims"
+    ),
+    "old-senses-believed": Mutant(
+        "the age of what is sensed is not looked at", Senses, "_old", _constant(""), "body"
+    ),
+    "frozen-place-believed": Mutant(
+        "nobody notices that the place does not change", Senses, "_frozen", _constant(""), "body"
     ),
     "older-claim-wins": Mutant(
         "the register that came first stays", FieldAllocationCRDT, "apply", _older_wins, "split"

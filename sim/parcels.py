@@ -156,8 +156,10 @@ class CarrierBody:
         self._last_us = now_us()
         self._arm: tuple[int, int] | None = None  # parcel, and since when
 
-    def sense(self, now_us: int) -> Observation:
+    def sense(self, now_us: int) -> Observation | None:
         seen = self._body.sense(now_us)
+        if seen is None:
+            return None
         t_us, at = self._now_us(), (seen.x_m, seen.y_m)
         still = hypot(seen.vx_m_s, seen.vy_m_s) < STILL_M_S
         metres = 0.0 if self._last is None else _gap(at, (self._last.x_m, self._last.y_m))

@@ -10,9 +10,10 @@ from functools import partial
 from math import hypot
 from typing import Any
 
-from agent.config import MS, S, beat_of
+from agent.config import CONTROL_PERIOD_US, MS, S, beat_of
 from agent.leg import LEAD_M
 from agent.recollection import LOST, remembers
+from agent.senses import AGE_MAX_US
 from protocol.frame import Frame
 from sim import scenario as kinds
 from sim.checkers import ExclusiveWorkChecker, Violation
@@ -38,6 +39,9 @@ DELIVERED_US = 120 * MS  # a stop, where all are on one bus, whatever is lost: 2
 SETTLED_US = 3 * S  # links and members without trouble for so long: everybody hears everybody
 LEFT_US = 50 * MS  # what was under way when an address was lost is on the bus by then
 EXCUSED_US = 3 * S  # who is pushed, or has a box dropped before it, may touch something so long
+# What was sensed last is a period old at most, is old one period after its limit, and is noticed then.
+SENSELESS_US = AGE_MAX_US + 2 * CONTROL_PERIOD_US + SLACK_US
+STARTING_M = 0.5  # of a robot that begins to drive while its place is frozen, and brakes again
 LOSSY = (kinds.Loss, kinds.Omission, kinds.Duplicate, kinds.Errors)  # copies are lost, nobody is
 CLAIM_PF = 0xEE  # of an identifier: ADDRESS_CLAIMED
 ON_LINE_M = 0.2  # closer than this to a line is on it; who comes to another line passes further off
@@ -68,6 +72,8 @@ class Play:
         self._lost: dict[int, tuple[int, bytes, int]] = {}  # address: since when, NAME, slot
         self._settled = False  # `RELEASED_S` are over
         self._left: list[tuple[float, float, float]] = []  # x, y, radius (m) of ground left
+        self._blind: dict[int, list[int]] = {}  # watches of robots that have lost their senses
+        self._frozen_at: dict[int, tuple[float, float]] = {}  # where they were when it froze
         self._excused: list[tuple[int, int]] = []  # robot and when: pushed, or a box before it
 
     def run(self) -> "Play":
@@ -107,6 +113,7 @@ class Play:
         if isinstance(cluster.world, Parade) and self.scenario.fleet.silence != "stop":
             cluster.world.counts = self._all_told
         self.silence, self.delivery = motions(cluster.world), motions(cluster.world)
+        self.senseless = motions(cluster.world)
         cluster.on_power = self._power
         cluster.on_order = lambda m: self.witness.words.ordered(m, cluster.host.now_us())
         for fault in self.scenario.fault:
@@ -135,7 +142,18 @@ class Play:
                 self._at(at_us, partial(self._lapses, robot))
             case kinds.Pushed(robot=robot, dx_m=dx_m, dy_m=dy_m):
                 self._at(at_us, partial(self._excuse, (robot,)))
+                self._at(at_us, partial(self._sees_again, robot))
                 self._at(at_us, partial(self._shoved, robot, hypot(dx_m, dy_m)))
+            case kinds.Blind(robot=robot, for_s=for_s):
+                self._at(at_us, partial(self._loses_senses, robot, at_us + round(for_s * S)))
+            case kinds.Late(robot=robot, by_s=by_s, for_s=for_s) if by_s * S > AGE_MAX_US:
+                self._at(at_us, partial(self._loses_senses, robot, at_us + round(for_s * S)))
+            case kinds.Reset() | kinds.Order():  # a start: who stands by a frozen place tries again
+                self._at(at_us, self._frozen_at.clear)
+            case kinds.Frozen(robot=robot, for_s=for_s):
+                self._at(at_us, partial(self._place_freezes, robot, at_us + round(for_s * S)))
+            case kinds.DiskFull(robot=robot, for_s=for_s):
+                self._at(at_us + round(for_s * S) - 1, partial(self._keeps_silent, robot))
             case kinds.ClockJump(robot=robot):
                 self._at(at_us, self._interrupted)  # of whoever was pressed
                 self._at(at_us, partial(self.witness.words.leaps, robot))
@@ -187,6 +205,54 @@ class Play:
         elif t_us >= since_us:
             del self._lost[address]
             self._add("S18", t_us / 1e6, f"address {address} is lost and spoken from")
+
+    def _loses_senses(self, slot: int, until_us: int) -> None:
+        """S19: it stands until they are back."""
+        now_us = self._now_us()
+        if until_us - now_us > SENSELESS_US and self.cluster.is_up(slot):
+            watch = self.senseless.press(now_us, SENSELESS_US, (slot,))
+            self._blind.setdefault(slot, []).append(watch)
+            self._at(until_us, partial(self._sees_again, slot, watch))
+
+    def _sees_again(self, slot: int, watch: int | None = None) -> None:
+        """Its senses are back, or somebody moves it by hand."""
+        for number in list(self._blind.get(slot, ())):
+            if watch in (None, number):
+                self._blind[slot].remove(number)
+                self.senseless.release(number)
+        if watch is None:
+            self._frozen_at.pop(slot, None)
+
+    def _place_freezes(self, slot: int, until_us: int) -> None:
+        """S19: it notices when it drives, and stands within its way."""
+        self._now_us()
+        if not isinstance(self.cluster.world, Parade) and self.cluster.is_up(slot):
+            self._frozen_at[slot] = self.cluster.world.body(slot).position
+            self._at(until_us, partial(self._thaws, slot))
+
+    def _thaws(self, slot: int) -> None:
+        self._now_us()
+        before, body = self._frozen_at.pop(slot, None), self.cluster.world.robots[slot]
+        if before is not None:
+            way_m = hypot(body.position[0] - before[0], body.position[1] - before[1])
+            speed_m_s = body.chassis.speed_m_s
+            most_m = speed_m_s * (SENSELESS_US / S + body.chassis.stopping_s / 2) + STARTING_M
+            if way_m > most_m:
+                what = f"robot {slot} drives {way_m:.1f} m while its place is frozen"
+                self._add("S19", self.cluster.host.now_us() / 1e6, what)
+
+    def _keeps_silent(self, slot: int) -> None:
+        """S13: while its disk takes nothing, it says nothing that would have to be on it.
+
+        Stops are said all the same. So are units, in answers: they are worked, and others keep them.
+        """
+        journal = self.cluster.journals[slot]
+        if isinstance(journal, LogJournal) and self.cluster.is_up(slot):
+            disk = LogJournal(Disk(journal.disk.read()), mark=journal.mark)
+            missing = lost(self.witness.told[slot], disk.load())
+            if missing and missing != STANDS and not missing.startswith(("stops", "units")):
+                t_s = self.cluster.host.now_us() / 1e6
+                self._add("S13", t_s, f"robot {slot} says {missing}, and its disk is full")
 
     def _excuse(self, slots: tuple[int, ...]) -> None:
         self._excused += [(slot, self.cluster.host.now_us()) for slot in slots]
@@ -255,7 +321,8 @@ class Play:
     def _lapses(self, slot: int) -> None:
         if self.cluster.is_up(slot):
             self._interrupted()
-            for checker in (self.cluster.stops.checker, self.silence, self.delivery):
+            watching = self.cluster.stops.checker, self.silence, self.delivery, self.senseless
+            for checker in watching:
                 checker.lapses(slot, self.cluster.host.now_us())
 
     def _heard_of(self, slot: int) -> None:
@@ -364,7 +431,12 @@ class Play:
 
     @property
     def _moving(self) -> list[tuple[str, Any]]:
-        return [("S1", self.cluster.stops), ("S1", self.delivery), ("S6", self.silence)]
+        return [
+            ("S1", self.cluster.stops),
+            ("S1", self.delivery),
+            ("S6", self.silence),
+            ("S19", self.senseless),
+        ]
 
     def _moved(self) -> None:
         for rule, checker in self._moving:

@@ -184,6 +184,35 @@ class Clone(_Fault):
     wins: bool = True
 
 
+class Blind(_Fault):
+    kind: Literal[
+        "blind"
+    ]  # nothing of what the robot senses arrives: a muted antenna, a dead driver
+    robot: Slot
+    for_s: float = Field(gt=0.0)
+
+
+class Frozen(_Fault):
+    kind: Literal["frozen"]  # the old place arrives, with new times: a filter that hangs
+    robot: Slot
+    for_s: float = Field(gt=0.0)
+
+
+class Late(_Fault):
+    kind: Literal["late"]  # what the robot senses arrives so much later
+    robot: Slot
+    by_s: float = Field(gt=0.0, le=60.0)
+    for_s: float = Field(gt=0.0)
+
+
+class DiskFull(_Fault):
+    kind: Literal[
+        "disk_full"
+    ]  # the robot's disk takes no write; then it is switched on with another
+    robot: Slot
+    for_s: float = Field(gt=0.0)
+
+
 class Drift(_Fault):
     kind: Literal["drift"]  # the robot's clock runs fast or slow from now on
     robot: Slot
@@ -206,7 +235,7 @@ class CrashWorking(_Fault):
 Fault = Annotated[
     Partition | Heal | OneWay | Crash | Restart | Freeze | Loss | Omission | Duplicate | Errors
     | BusOff | Estop | Reset | Order | Box | Pushed | Join | Babble | Clone | Drift
-    | ClockJump | CrashWorking,
+    | ClockJump | CrashWorking | Blind | Frozen | Late | DiskFull,
     Field(discriminator="kind"),
 ]  # fmt: skip
 

@@ -40,7 +40,7 @@ SPANS = {
 
 CLOSE_S = 3.0  # links stay bad for seconds: what happens so soon after, happens in the middle of it
 
-BODIES = ("box", "pushed")  # of no use where there is no world
+BODIES = ("box", "pushed", "blind", "frozen", "late")  # of no use where there is no world
 LINKS = (kinds.Partition, kinds.Heal, kinds.OneWay, kinds.Loss, kinds.Omission, kinds.Errors,
          kinds.Duplicate, kinds.BusOff, kinds.Babble, kinds.Clone, kinds.Freeze, kinds.Drift,
          kinds.ClockJump)  # fmt: skip
@@ -74,15 +74,18 @@ PROFILES = {
         "the wire alone",
     ),
     "crash": Profile((2, 4), (1, 8), {"crash": 2.0, "crash_working": 2.0, "freeze": 1.0,
-                                      "drift": 0.5, "clock_jump": 0.5, "join": 0.5, "estop": 1.0},
+                                      "drift": 0.5, "clock_jump": 0.5, "join": 0.5, "estop": 1.0,
+                                      "blind": 0.5, "frozen": 0.5, "late": 0.5, "disk_full": 1.0},
                      "robots that die, freeze and come back, with and without their memory"),
     "stop": Profile((2, 5), (2, 8), {"estop": 4.0, "reset": 2.0, "haste": 2.0, "partition": 1.0,
                                      "crash": 1.0,
-                                     "loss": 1.0, "freeze": 1.0, "babble": 0.5},
+                                     "loss": 1.0, "freeze": 1.0, "babble": 0.5,
+                                     "blind": 0.5, "frozen": 0.5, "late": 0.5},
                     "presses and resets in the middle of trouble", together=0.5),
     "body": Profile((2, 4), (2, 8), {"box": 3.0, "pushed": 3.0, "crash_working": 1.0,
-                                     "freeze": 1.0, "estop": 1.0},
-                    "dropped boxes, pushed robots, dead ones in the way"),
+                                     "freeze": 1.0, "estop": 1.0, "blind": 1.5, "frozen": 1.5,
+                                     "late": 1.0},
+                    "dropped boxes, pushed robots, lost senses, dead ones in the way"),
     "protocol": Profile((2, 8), (3, 30), {k: w for k, w in EVERYTHING.items() if k not in BODIES},
                         "every kind of fault, without a world: more hours, longer runs", "drill"),
     "press": Profile((2, 4), (2, 8), {"burst": 4.0, "estop": 2.0, "reset": 4.0, "haste": 2.0,
@@ -93,7 +96,7 @@ PROFILES = {
     "claims": Profile((2, 5), (1, 6), {"crash": 2.0, "crash_working": 1.0, "join": 1.0,
                                        "freeze": 1.0, "errors": 1.0, "duplicate": 1.0,
                                        "bus_off": 1.0, "babble": 0.5, "blackout": 0.5,
-                                       "clone": 1.0,
+                                       "clone": 1.0, "disk_full": 0.5,
                                        "estop": 1.0, "reset": 1.0},
                       "short drills: all want the same section, and some die or come late",
                       "sprint"),

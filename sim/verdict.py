@@ -26,6 +26,7 @@ RULES = {
     "S16": "one vote and one leader a term",
     "S17": "no two bodies touch",
     "S18": "who has lost its address says nothing from it",
+    "S19": "a robot that has lost its senses stands",
     "L1": "replicas are equal in the end, and nobody goes on asking",
     "L2": "after the resets nobody stands stopped",
     "L5": "the work is finished in time, all of it",

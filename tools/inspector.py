@@ -15,7 +15,14 @@ from crdt import FieldAllocationCRDT, Phase, Progress
 from crdt.register import pack
 from protocol.codec import Malformed, decode
 from protocol.delivery_frames import NO_TASK, Itinerary
-from protocol.fleet_frames import Heartbeat, LeaderElectionVote, Member, Pose, VectorSlice
+from protocol.fleet_frames import (
+    NOWHERE_M,
+    Heartbeat,
+    LeaderElectionVote,
+    Member,
+    Pose,
+    VectorSlice,
+)  # fmt: skip
 from protocol.frame import Frame
 from protocol.operator_frames import Matter, OperatorReport
 from protocol.safety_frames import AllImplementsStop, EmergencyReset, EmergencyStop
@@ -47,6 +54,7 @@ class Seen:
     x_m: float = 0.0
     y_m: float = 0.0
     speed_m_s: float = 0.0
+    placed: bool = True  # it knows where it is
     stopped: bool = False
     left: bool = False
     started: bool = True  # until a heartbeat says that it is not
@@ -119,7 +127,10 @@ class Inspector:
     def _robot(self, t_s: float, robot: Seen, kind: str, message: Any) -> None:
         match message:
             case Pose():
-                robot.x_m, robot.y_m, robot.speed_m_s = message.x_m, message.y_m, message.speed_m_s
+                robot.placed = message.placed
+                if message.x_m > NOWHERE_M:
+                    robot.x_m, robot.y_m = message.x_m, message.y_m
+                robot.speed_m_s = message.speed_m_s if message.placed else 0.0
                 robot.stopped = message.stopped
                 self._state(t_s, robot, message.state, kind)
             case Heartbeat():
@@ -209,7 +220,8 @@ class Inspector:
             "slot": robot.slot, "address": robot.address, "state": robot.state,
             "silent": self.now_s - robot.last_s > SILENT_S and not robot.left, "left": robot.left,
             "x_m": round(robot.x_m, 2), "y_m": round(robot.y_m, 2),
-            "speed_m_s": round(robot.speed_m_s, 2), "stopped": robot.stopped,
+            "speed_m_s": round(robot.speed_m_s, 2), "placed": robot.placed,
+            "stopped": robot.stopped,
             "started": robot.started, "question": robot.question, "goal": robot.goal,
             "incarnation": robot.incarnation, "digest": f"{robot.digest:06x}",
             "peers": peers, "clock": {str(s): robot.clock[s] for s in sorted(robot.clock)},

@@ -8,6 +8,7 @@ import numpy as np
 from agent.cause import Cause, Clears
 from agent.config import S
 from agent.core import Peer
+from agent.effects import HALT, Drive
 from agent.identity import Identity
 from agent.lifecycle import State
 from agent.mission import Choice, FleetView, Wish
@@ -53,7 +54,7 @@ def peer_in(state: State, cause: Cause | None, policy: SilencePolicy = SilencePo
     )
     motion = Motion(0, Limits(0.8, 2.5, 1.5), np.empty((0, 4)))
     peer = Peer(identity, Random(1), 0, {}, Eager(), motion)
-    peer.observe(Observation(0.0, 0.0, 0.0, 0.0, 0.0), 0)
+    peer.observe(Observation(0.0, 0.0, 0.0, 0.0, 0.0, sensed_at_us=0), 0)
     peer.claims.current = 0 if state is State.WORKING else None
     peer.lifecycle.state = state
     if cause is not None:
@@ -67,7 +68,13 @@ def held_by(peer: Peer) -> set[Cause]:
 
 
 def pass_time(peer: Peer, until_us: int = 10 * S) -> None:
-    now_us = 0
+    """Its body does what it is told, at once."""
+    now_us, x_m, drive = 0, 0.0, HALT
     while now_us < until_us:
-        now_us = max(now_us + 1, peer.deadline_us)
-        peer.tick(now_us)
+        then_us = max(now_us + 1, peer.deadline_us)
+        x_m += drive.vx_m_s * (then_us - now_us) / S
+        now_us = then_us
+        if peer.wants_observation(now_us):
+            here = Observation(x_m, 0.0, 0.0, drive.vx_m_s, 0.0, sensed_at_us=now_us)
+            peer.observe(here, now_us)
+        drive = next((e for e in peer.tick(now_us) if isinstance(e, Drive)), drive)

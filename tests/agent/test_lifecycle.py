@@ -135,6 +135,8 @@ ENDED_BY: dict[Cause, str | None] = {
     Cause.BUS_OFF: "bus back",
     Cause.ERROR_PASSIVE: "time",  # the driver says that it is gone
     Cause.UNHEARD: "time",
+    Cause.SENSES_OLD: "time",  # here they are in time again
+    Cause.PLACE_FROZEN: "start",  # or when the place changes, which it does not while the robot stands
     Cause.ADDRESS_LOST: "time",  # it claims another
     Cause.CONFIG_MISMATCH: None,
     Cause.LATE_TICK: "time",

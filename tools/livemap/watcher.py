@@ -105,7 +105,8 @@ class Watcher(Inspector):
     def _robot(self, t_s: float, robot: Seen, kind: str, message: Any) -> None:
         match message:
             case Pose():
-                self.course[robot.slot] = message.course_rad
+                if message.placed:
+                    self.course[robot.slot] = message.course_rad
             case TaskClaim() | StateSyncResponse():
                 self.changed_sections.add(message.section)
             case WorkProgress():

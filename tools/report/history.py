@@ -146,7 +146,7 @@ class History(Inspector):
     def _robot(self, t_s: float, robot: Seen, kind: str, message: Any) -> None:
         super()._robot(t_s, robot, kind, message)
         match message:
-            case Pose():
+            case Pose() if message.placed:
                 place = Place(t_s, message.x_m, message.y_m, message.speed_m_s, message.stopped)
                 self.places.setdefault(robot.slot, []).append(place)
                 if message.stopped:
