@@ -94,7 +94,7 @@ class BodyServer(asyncio.DatagramProtocol):
             self.world.advance(now_us)
             for slot, address in self.addresses.items():
                 seen = self.body(slot).sense(now_us)
-                if self._transport is not None:
+                if self._transport is not None and seen is not None:
                     self._transport.sendto(sense_bytes(slot, seen), address)
             next_s = max(next_s + TELL_US / 1e6, loop.time())
             await asyncio.sleep(next_s - loop.time())
@@ -119,7 +119,8 @@ class RemoteBody(asyncio.DatagramProtocol):
         if data[:4] == MAGIC_SENSE and data[4:5] == bytes([self.slot]):
             seen = observation_of(data)
             if seen is not None:
-                self.seen = seen
+                now_us = round(asyncio.get_running_loop().time() * 1e6)
+                self.seen = seen._replace(sensed_at_us=now_us)
                 self.first.set()
 
     async def ready(self) -> None:

@@ -73,6 +73,7 @@ def test_bodies_satisfy_the_port_and_sense_what_is_true() -> None:
     world = World([ROOM], 1, Lidar(4, 30.0))
     port: Body = world.add_robot(0, (1.0, 2.0), 0.5, Chassis(), heading_rad=pi / 2)
     seen = port.sense(0)
+    assert seen is not None
     assert (seen.x_m, seen.y_m, seen.heading_rad) == (1.0, 2.0, pi / 2)
     assert seen.ranges_m == pytest.approx((18.0, 21.0, 22.0, 19.0))  # north, west, south, east
 
