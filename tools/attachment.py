@@ -33,6 +33,17 @@ def address_of_launch() -> tuple[str, int, str]:
         ) from None
 
 
+def robots_of_launch(interface: str, host: str, port: int) -> list[int]:
+    """Slots of the robots of the newest launch in this folder, where the bus is that launch's."""
+    try:
+        where = json.loads(LAUNCH.read_text())
+        same = port == 0 or (host == where["host"] and port == where["port"])
+        robots = [int(slot) for slot in where["robots"]]
+    except (OSError, ValueError, KeyError, TypeError):
+        return []
+    return robots if interface == "socketcand" and same else []
+
+
 async def keep_attached(channel: str, host: str, port: int, seed: str) -> SocketcandLink:
     """A socketcand bus that is attached again by itself when its server comes back.
 

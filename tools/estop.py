@@ -9,12 +9,13 @@ from protocol.authentication import Keyring
 from protocol.bus import CanBus
 from protocol.safety_frames import AllImplementsStop, Reason, Switch
 from sim.key_file import KeyFileError, read
-from tools.attachment import AttachError, attach
+from tools.attachment import AttachError, attach, robots_of_launch
 from tools.operator_device import Operator, Robot
 
 REPEAT_S = 0.005
 LISTEN_S = 0.5  # long enough for ten beats: who has not been heard by then is not there
 AGAIN_S = 0.1  # nobody latched by then: the dot may have been used and cleared long ago; another
+SIGN_AGAIN_S = 0.5  # an echo is said once for each dot: where one was lost, another dot gets another
 FIRST_STOP = 1  # stops that this device has said in the standard frame, since it was started
 NOT_ALL, WRONG = 1, 2
 NOT_SIGNED = (
@@ -57,6 +58,7 @@ async def _estop(
     bus = attach(interface, channel, bitrate, host, port)
     try:
         operator = Operator(bus, keyring_of(keys))
+        operator.expect(robots_of_launch(interface, host, port))
         listen_to(bus, operator)
         if watch:
             return await _watch(operator)
@@ -80,8 +82,9 @@ def listen_to(bus: CanBus, operator: Operator) -> None:
 
 
 async def press(operator: Operator, reason: Reason, timeout_s: float) -> list[Robot]:
-    """Repeat until every live robot stands stopped; returns those that do not."""
+    """Repeat until every member has confirmed; returns those that have not, silent ones among them."""
     loop = asyncio.get_running_loop()
+    operator.begin_press()
     begun_s = dot_s = loop.time()
     stop = operator.new_stop(reason)
     operator.stop(stop)
@@ -96,14 +99,17 @@ async def press(operator: Operator, reason: Reason, timeout_s: float) -> list[Ro
             operator.send(AllImplementsStop(FIRST_STOP, Switch.STOP))
             operator.stop(stop)
         now_s = operator.now_s = loop.time()
-        late = [r for r in operator.live if not (r.stopped or r.echoed)]
+        late = [r for r in operator.members if not operator.confirmed(r)]
         heard = bool(operator.live) and not operator.unknown
         if heard and not late and now_s - begun_s >= LISTEN_S:
             return []
         if now_s - begun_s >= timeout_s:
             return late
-        nobody = operator.live and len(late) == len(operator.live) and now_s - dot_s >= AGAIN_S
-        if nobody or stop[:3] in operator.shown.spent:
+        nobody = not any(r.stopped or r.echoed for r in operator.live)
+        unsigned = operator.signs and any(not r.signed for r in operator.live)
+        again_s = AGAIN_S if nobody else SIGN_AGAIN_S
+        again = operator.live and (nobody or unsigned) and now_s - dot_s >= again_s
+        if again or stop[:3] in operator.shown.spent:
             stop, dot_s = operator.new_stop(reason), now_s
         if late or not heard:
             operator.stop(stop)
@@ -113,15 +119,18 @@ async def press(operator: Operator, reason: Reason, timeout_s: float) -> list[Ro
 
 def _tell(operator: Operator, late: list[Robot], as_json: bool, signed: bool) -> int:
     live = operator.live
+    confirmed = [r for r in operator.members if r not in late]
     if as_json:
         print(json.dumps({
-            "stopped": [r.slot for r in live if r not in late], "not_stopped": [r.slot for r in late],
+            "stopped": [r.slot for r in confirmed],
+            "not_stopped": [r.slot for r in late if r in live],
+            "not_heard": [r.slot for r in late if r not in live],
             "unknown_addresses": sorted(operator.unknown),
             "all_stopped": bool(live) and not late and not operator.unknown, "signed": signed,
         }))  # fmt: skip
     else:
-        for robot in live:
-            print(f"robot {robot.slot}: {'NOT STOPPED' if robot in late else 'stopped'}")
+        for robot in operator.members:
+            print(f"robot {robot.slot}: {_word(operator, robot, late)}")
         for address in sorted(operator.unknown):
             print(f"address {address}: speaks, but has not said which robot it is")
         if not signed:
@@ -129,6 +138,16 @@ def _tell(operator: Operator, late: list[Robot], as_json: bool, signed: bool) ->
     if not live:
         print("headland: no robot was heard on this bus: nobody has confirmed", file=sys.stderr)
     return 0 if live and not late and not operator.unknown else NOT_ALL
+
+
+def _word(operator: Operator, robot: Robot, late: list[Robot]) -> str:
+    if robot not in late:
+        return "stopped"
+    if robot not in operator.live:
+        return "NOT HEARD: it has not confirmed; go and look at it"
+    if robot.stopped or robot.echoed:
+        return "says that it is stopped, but has not signed it: NOT CONFIRMED"
+    return "NOT STOPPED"
 
 
 async def _watch(operator: Operator) -> int:

@@ -101,6 +101,7 @@ class Launch:
         where = {
             "host": HOST, "port": bus.port, "channel": CHANNEL, "pid": os.getpid(),
             "body_port": body_port, "folder": str(self.out.absolute()),
+            "robots": sorted(self.world.robots),
         }  # fmt: skip
         going_on = self._furnish(bodies, bus)
         bodies.relay.keep = lambda intent: keeping.tell(

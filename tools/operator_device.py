@@ -4,19 +4,22 @@ Sans I/O but for `Bus.send`: the commands below (`estop`, `reset`) own the loop 
 """
 
 import asyncio
+from collections.abc import Iterable
 from dataclasses import dataclass
 from secrets import randbelow
 
 from agent.lifecycle import State
 from agent.ports import Bus
 from crdt.stops import FarDot
+from protocol.accord_frames import Fallen
 from protocol.authentication import Keyring, Signed
 from protocol.codec import Malformed, decode
 from protocol.fleet_frames import Heartbeat, Member, Pose
 from protocol.fleet_tags import FleetTags, plain_reset
 from protocol.frame import Frame
+from protocol.identifier import NULL_ADDRESS
 from protocol.messages import GROUP_OF, Message
-from protocol.network_frames import Request
+from protocol.network_frames import AddressClaimed, Request
 from protocol.operator_frames import Matter, OperatorReport, goal_check, goal_frames
 from protocol.safety_frames import (
     Challenge,
@@ -34,7 +37,10 @@ from tools.shown_stops import ShownStops
 
 OPERATOR_SLOT = 249  # an operator device in dots and commands, in a fleet without keys
 LIVE_S = 1.0  # heard within this: it has to stop
+LEFT_S = 0.5  # without a beat since it said that it leaves: ten beats; a robot that left is silent
+ECHOES_TRIED = 8  # of a robot, for one stop: a forger has 8 guesses of 2^-16
 EVERYBODY = 255
+NOT_HEARD_S = float("-inf")  # when a robot was heard that only others told of
 ASK_S = 0.25
 
 
@@ -46,9 +52,13 @@ class Robot:
     state: State = State.DISCONNECTED
     stopped: bool = False
     echoed: bool = False
+    signed: bool = False  # and its echo has a tag that it alone could make
     started: bool = False
+    held: bool = False  # something other than a latch keeps it from moving
+    leaves_s: float | None = None  # it said so then, and has not beaten since
     report: OperatorReport | None = None  # the newest, since it was last forgotten
     question: OperatorReport | None = None  # that it is asking or waiting about
+    tried: int = 0  # echoes whose tag was looked at
 
 
 class Operator:
@@ -62,8 +72,10 @@ class Operator:
         self.slot = OPERATOR_SLOT if keyring is None else keyring.sender
         self.robots: dict[int, Robot] = {}
         self.slot_of: dict[int, int] = {}
+        self.names: dict[int, int] = {}  # address -> NAME, as claimed
         self.unknown: dict[int, float] = {}  # addresses that beat and have not said who they are
         self.shown = ShownStops(keyring)
+        self.pressed: set[tuple[int, int, int]] = set()  # dots of ours, the newest press
         self.now_s = 0.0
 
     def hear(self, now_s: float, frame: Frame) -> None:
@@ -73,12 +85,17 @@ class Operator:
         source, message = decode(frame)
         if isinstance(message, Malformed):
             return
+        if isinstance(message, AddressClaimed):
+            if self.names.get(source, message.name) != message.name:
+                self.slot_of.pop(source, None)  # another device: it has to say which robot it is
+            self.names[source] = message.name
         if isinstance(message, Member):
             self.slot_of[source] = message.slot
             self.unknown.pop(source, None)
-            self.robots.setdefault(
-                message.slot, Robot(message.slot, source, now_s)
-            ).address = source
+            self.expect((message.slot,))
+            self.robots[message.slot].address = source
+        if isinstance(message, Fallen):
+            self.expect((message.slot,))  # it was there, and fell silent before we came
         if isinstance(message, EmergencyStop):
             self.shown.hear_stop(message)
         if isinstance(message, StopsHeld):
@@ -96,12 +113,13 @@ class Operator:
         robot = self.robots[slot]
         robot.heard_s = now_s
         if isinstance(message, Pose | Heartbeat):
+            if isinstance(message, Heartbeat) and message.leaving:
+                robot.leaves_s = now_s if robot.leaves_s is None else robot.leaves_s
+                return
+            robot.leaves_s = None  # who beats has not left, whatever is said in its name
             robot.state, robot.stopped = State(message.state), message.stopped
             if isinstance(message, Heartbeat):
-                robot.started = message.started
-                if message.leaving:
-                    del self.robots[slot]  # at each address that it was heard at
-                    self.slot_of = {a: s for a, s in self.slot_of.items() if s != slot}
+                robot.started, robot.held = message.started, message.held
         elif isinstance(message, OperatorReport):
             robot.report = message
             asking = message.matter in (Matter.ASKING, Matter.WAITING)
@@ -109,6 +127,36 @@ class Operator:
                 robot.question = message if asking else None
         elif isinstance(message, EmergencyStop) and message.echo and not message.spent:
             robot.echoed = True
+            self._verify(robot, message)
+
+    def _verify(self, robot: Robot, echo: EmergencyStop) -> None:
+        """An echo of a dot that we drew just now cannot be old, whatever the robot's counter is."""
+        if self.keyring is None or robot.signed or echo[:3] not in self.pressed:
+            return
+        if robot.tried < ECHOES_TRIED:
+            robot.tried += 1
+            robot.signed = self.keyring.wrote(echo, robot.slot)
+
+    def expect(self, slots: Iterable[int]) -> None:
+        """Robots that are or were there, heard or not: they count until they have confirmed."""
+        for slot in slots:
+            self.robots.setdefault(slot, Robot(slot, NULL_ADDRESS, NOT_HEARD_S))
+
+    @property
+    def signs(self) -> bool:
+        """Echoes can be verified: this device holds the secret that robots sign with."""
+        return self.keyring is not None and self.keyring.keys.master is not None
+
+    def begin_press(self) -> None:
+        """What was confirmed before is no confirmation of the press that comes."""
+        self.pressed.clear()
+        for robot in self.robots.values():
+            robot.echoed = robot.signed = False
+            robot.tried = 0
+
+    def confirmed(self, robot: Robot) -> bool:
+        """It stands stopped: by its signed echo where that can be verified, else by its own word."""
+        return robot.signed if self.signs else robot.stopped or robot.echoed
 
     def _prove(self, source: int, question: Challenge) -> None:
         """A robot that cannot follow our counter wants to know where it is."""
@@ -118,9 +166,23 @@ class Operator:
         if proof is not None:
             self.device.send(proof, source)
 
+    def left(self, robot: Robot) -> bool:
+        """It said that it leaves, and has not beaten since."""
+        return robot.leaves_s is not None and self.now_s - robot.leaves_s >= LEFT_S
+
+    @property
+    def members(self) -> list[Robot]:
+        """All that are or were there and have not left."""
+        return [r for _, r in sorted(self.robots.items()) if not self.left(r)]
+
     @property
     def live(self) -> list[Robot]:
-        return [r for _, r in sorted(self.robots.items()) if self.now_s - r.heard_s < LIVE_S]
+        return [r for r in self.members if self.now_s - r.heard_s < LIVE_S]
+
+    @property
+    def silent(self) -> list[Robot]:
+        """Members that are not heard now."""
+        return [r for r in self.members if self.now_s - r.heard_s >= LIVE_S]
 
     def send(self, message: Message) -> bool:
         return self.device.send(message)
@@ -154,6 +216,7 @@ class Operator:
         return EmergencyStop(self.slot, randbelow(256), randbelow(256), reason)
 
     def stop(self, message: EmergencyStop) -> None:
+        self.pressed.add(message[:3])
         self.send(message if self.keyring is None else self.keyring.sign(message))
 
     def clear_far(self, dot: FarDot) -> None:

@@ -10,9 +10,9 @@ from agent.safety import COUNT_TOLD_MAX
 from protocol.authentication import Keyring
 from protocol.safety_frames import AllImplementsStop, Command, Switch
 from sim.key_file import OPERATOR, RESERVE, KeyFileError, read
-from tools.attachment import AttachError, attach
+from tools.attachment import AttachError, attach, robots_of_launch
 from tools.estop import NOT_ALL, WRONG, listen_to
-from tools.operator_device import Operator
+from tools.operator_device import Operator, Robot
 
 LISTEN_S = 0.7  # latched robots repeat the dots they know to those that beat without being stopped
 STEP_S = 0.1
@@ -42,25 +42,28 @@ async def _reset(
     bus = attach(interface, channel, bitrate, host, port)
     try:
         operator = Operator(bus, keyring)
+        operator.expect(robots_of_launch(interface, host, port))
         listen_to(bus, operator)
         await operator.listen(LISTEN_S, stops=True)
         cleared, _ = operator.shown.named
         left = await release(operator, start, timeout_s)
+        if start and not left:
+            await started(operator, timeout_s)
+        silent = [robot.slot for robot in operator.silent]
+        held = [r.slot for r in operator.live if start and (r.held or not r.started)]
         if as_json:
             print(json.dumps({
                 "cleared": [list(dot) for dot in cleared], "not_released": left,
-                "signed": keyring is not None,
+                "not_heard": silent, "held": held, "signed": keyring is not None,
             }))  # fmt: skip
         else:
             shown = ", ".join(".".join(map(str, dot)) for dot in cleared) or in_sum(operator)
             print(f"stops cleared: {shown}")
-            for robot in operator.live:
-                print(
-                    f"robot {robot.slot}: {'NOT RELEASED' if robot.slot in left else robot.state.name}"
-                )
+            for robot in operator.members:
+                print(f"robot {robot.slot}: {word(operator, robot, start)}")
             if keyring is None:
                 print(NOT_SIGNED)
-        return 0 if operator.live and not left else NOT_ALL
+        return 0 if operator.live and not (left or silent or held) else NOT_ALL
     finally:
         bus.close()
 
@@ -70,6 +73,38 @@ def in_sum(operator: Operator) -> str:
     most = max((held.stops for held in operator.shown.told.values()), default=0)
     count = f"{most} or more" if most >= COUNT_TOLD_MAX else f"{most}"
     return f"all {count} that hold a robot" if most else "none was shown"
+
+
+def word(operator: Operator, robot: Robot, start: bool) -> str:
+    """What a robot is doing now, or what holds it and what a person can do about it."""
+    if robot not in operator.live:
+        return "NOT HEARD: nobody knows what it does; see that it stands, is switched on and on this bus"
+    if robot.stopped or robot.state is State.EMERGENCY_STOP:
+        if operator.keyring is None:
+            return "NOT RELEASED: it holds a stop or a fault; a fleet with keys needs --operator-key"
+        return "NOT RELEASED: it holds a stop that was not cleared, or a fault at the machine; again"
+    if robot.state is State.DISCONNECTED:
+        return "NOT RELEASED: it has no address on the bus yet; wait, or restart it"
+    if not robot.started:
+        return f"{robot.state.name}, not started" + ("" if not start else ": START WAS NOT TAKEN")
+    if robot.held:
+        return (
+            f"{robot.state.name}, HELD by something else: headland inspect --traces {robot.slot} "
+            "asks it what"
+        )
+    return robot.state.name
+
+
+async def started(operator: Operator, timeout_s: float) -> None:
+    """Until every live robot says that it has been started and that nothing holds it."""
+    loop = asyncio.get_running_loop()
+    end_s = loop.time() + timeout_s
+    while loop.time() < end_s:
+        if all(robot.started and not robot.held for robot in operator.live):
+            return
+        operator.command(Command.START)
+        await asyncio.sleep(STEP_S)
+        operator.now_s = loop.time()
 
 
 def operator_keyring(key: Path | None, timeout_s: float) -> Keyring | None:

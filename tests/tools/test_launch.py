@@ -87,13 +87,15 @@ def test_kill_stop_release_and_leave_no_orphans(tmp_path: Path) -> None:
             await hangs(tmp_path, launch.pid)
             os.kill(pids[2], signal.SIGKILL)
             code, text = await call(tmp_path, "estop", "--json")
-            assert code == 0, text
-            assert set(json.loads(text)["stopped"]) >= {0, 1}
+            told = json.loads(text)  # who was killed has confirmed nothing
+            assert code == 1 and told["not_heard"] == [2] and not told["not_stopped"], text
+            assert set(told["stopped"]) == {0, 1}
             after = await states(tmp_path)
             assert after == {0: "EMERGENCY_STOP", 1: "EMERGENCY_STOP"}
             code, text = await call(tmp_path, "reset", "--start", "--json")
-            assert code == 0, text
-            assert len(json.loads(text)["cleared"]) >= 1
+            told = json.loads(text)
+            assert code == 1 and told["not_heard"] == [2] and not told["not_released"], text
+            assert len(told["cleared"]) >= 1
             assert set((await states(tmp_path)).values()) <= {"IDLE", "WORKING"}
             launch.send_signal(signal.SIGINT)
             async with asyncio.timeout(WAIT_S):
