@@ -108,7 +108,10 @@ class Cluster:
         self.host: Host = self._loop_host if host is None else host
         self.scenario: Scenario = setting.scenario
         self.world = setting.world()
-        self.stops = StopWatch(self.world, self.scenario.fleet.robots, self._up, self._mute)
+        self.stops = StopWatch(
+            self.world, self.scenario.fleet.robots, self._up, self._mute, self._hearers,
+            self.host.now_us,
+        )  # fmt: skip
         bus, seed = self.scenario.bus, self.scenario.run.seed
         clock = host if isinstance(host, Swarm) else None
         self.segment = segment(channel, bitrate=bus.bitrate, seed=seed, clock=clock)
@@ -186,6 +189,15 @@ class Cluster:
 
     def _mute(self) -> set[int]:
         return {robot.slot for robot in self.running if robot.peer.address is None}
+
+    def _hearers(self) -> set[int]:
+        """All that are switched on, where all of them hear a device that comes on the bus."""
+        wire, nodes = self.segment.wire, [self.node_of(slot) for slot in self._up()]
+        faults, here = wire.faults, [wire.nodes[node] for node in nodes]
+        lossy = faults.loss or faults.omission or faults.error or faults.deaf
+        cut = any(node.island != 0 or node.off_until_us is not None for node in here)
+        self.world.advance(self.host.now_us())
+        return set() if lossy or cut else self._up()
 
     def freeze(self, slot: int, for_s: float) -> None:
         """Its process does nothing for a while."""

@@ -133,6 +133,22 @@ def _press(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
     return [kinds.Estop(at_s=at_s, kind="estop", robot=rng.randrange(robots))]
 
 
+def _buttons(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
+    for_s = rng.uniform(0.5, 5.0)
+    at_s = max(0.0, min(at_s, end_s - for_s - 6.5))  # they permit for a while before and after
+    lost, unheard, count = rng.randrange(2), rng.random() < 0.3, rng.randint(2, 4)
+    return [kinds.Buttons(at_s=round(at_s, 3), kind="buttons", buttons=count, for_s=for_s,
+                          lost=lost, unheard=unheard)]  # fmt: skip
+
+
+def _used_stop(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
+    every_s, names = rng.choice((0.005, 0.005, 0.1, 1.0)), rng.randint(1, 8)
+    for_s = rng.uniform(0.05, 1.0) + rng.choice((0.0, 2.5 * every_s))
+    at_s = max(0.0, min(at_s, end_s - for_s - 1.0))
+    return [kinds.UsedStop(at_s=round(at_s, 3), kind="used_stop", names=names, for_s=for_s,
+                           every_s=every_s)]  # fmt: skip
+
+
 def _release(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
     return [kinds.Reset(at_s=at_s, kind="reset")]
 
@@ -202,5 +218,7 @@ DRAWS: dict[str, Draw] = {
     "estop": _press,
     "reset": _release,
     "haste": _haste,
+    "buttons": _buttons,
+    "used_stop": _used_stop,
 }
 CLUSTERS: dict[str, Draw] = {"blackout": _blackout, "burst": _burst, "split": _split}

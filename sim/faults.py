@@ -17,6 +17,7 @@ from sim.disk import Disk, LogJournal
 from sim.drill_setting import DrillSetting
 from sim.errand_setting import ErrandSetting
 from sim.fieldbus import FieldBus
+from sim.foreign_devices import buttons, used_stop
 from sim.host import Script, follow
 from sim.setting import Setting
 from sim.swarm import SwarmShell
@@ -29,6 +30,9 @@ ASK_S = 0.1  # between two tries
 ORDER_S = 0.15  # between two of an order: a robot is asked, answers, and asks in turn
 WAIT_US, LOOK_US = 10 * S, S // 100  # for a robot to work, for room for a box; how often is looked
 PUSHED_APART_M = 0.3  # left between two machines when one is pushed
+SETTLED_S = 3.0  # after trouble of links or members all hear all
+HEARD_ALL_THE_SAME = (kinds.Buttons, kinds.UsedStop, kinds.Estop, kinds.Reset, kinds.Order,
+                      kinds.Box, kinds.Pushed)  # fmt: skip
 SETTLE_S = 1.0  # between a reset and the start that follows it: rejoin and sync
 
 
@@ -48,9 +52,16 @@ class FaultPlan:
         for fault in sorted(self.cluster.scenario.fault, key=lambda f: f.at_s):
             yield round(fault.at_s * S)
             self.done.append((self.cluster.host.now_us() / S, fault.kind))
+            self._trouble(fault)
             after = self._carry_out(fault)
             if after is not None:
                 self.cluster.host.spawn(after)
+
+    def _trouble(self, fault: kinds.Fault) -> None:
+        """A foreign device is not judged to be heard by all from now on, and for a while."""
+        if not isinstance(fault, HEARD_ALL_THE_SAME):
+            for_s = getattr(fault, "for_s", 0.0) + SETTLED_S
+            self.cluster.stops.disturbed(self.cluster.host.now_us() + round(for_s * S))
 
     def _now_us(self) -> int:
         """The world is brought to this instant before anything is done to it."""
@@ -105,6 +116,10 @@ class FaultPlan:
                 self._push(robot, dx_m, dy_m)
             case kinds.Babble(priority=priority, for_s=for_s):
                 return self._babble(priority, for_s)
+            case kinds.Buttons():
+                return buttons(cluster, fault, self._rng, len(self.done))
+            case kinds.UsedStop():
+                return used_stop(cluster, fault, self._rng)
             case kinds.Clone(robot=robot, wins=wins):
                 self._clone(robot, wins)
             case kinds.Blind(robot=robot, for_s=for_s):

@@ -21,13 +21,14 @@ from agent.roll_call import RollCall
 from agent.safety import Safety
 from agent.senses import Senses
 from agent.shell import Shell
+from agent.shortcut_buttons import OwnButton, ShortcutButtons
 from agent.voice import Voice
 from crdt.allocation import FieldAllocationCRDT
 from crdt.progress import Progress
 from crdt.stops import StopDot, StopSet
 from protocol.address import AddressClaim
 from protocol.divergence import Divergence
-from protocol.safety_frames import EmergencyStop
+from protocol.safety_frames import EmergencyStop, Switch
 from protocol.sync import Sync
 from sim.body import RobotBody
 from sim.disk import LogJournal
@@ -211,6 +212,15 @@ def _open(right: Any) -> Any:
     return lambda self, wanted, now_us: wanted
 
 
+def _permits_all(right: Any) -> Any:
+    def hear(self: ShortcutButtons, source: int, name: Any, robot: bool, m: Any, t: int) -> None:
+        if m.switch == Switch.PERMIT:
+            self._buttons.clear()
+        right(self, source, name, robot, m, t)
+
+    return hear
+
+
 def _deaf(right: Any) -> Any:
     return property(lambda self: False, lambda self, value: None)
 
@@ -309,6 +319,17 @@ MUTANTS: dict[str, Mutant] = {
     ),
     "address-kept": Mutant(
         "a lost address is kept without a claim", AddressClaim, "_move", _keeps_address, "claims"
+    ),
+    "permit-of-any": Mutant(
+        "the permit of one shortcut button ends the stop of all",
+        ShortcutButtons, "hear", _permits_all, "devices",
+    ),
+    "used-stop-ignored": Mutant(
+        "a stop whose name was cleared before is not heard",
+        Safety, "_press_spent", _constant(()), "devices",
+    ),
+    "standard-stop-once": Mutant(
+        "the standard stop is said once", OwnButton, "say", _constant(None), "devices"
     ),
     "strangers-unasked": Mutant("nobody asks who is who", RollCall, "answer_due", _deaf, "claims"),
 }

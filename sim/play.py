@@ -36,6 +36,8 @@ from sim.world import World
 SLACK_US = 20 * MS  # a control tick, and a frame in the way
 RELEASED_S = 12.0  # after the last reset nobody may still stand stopped, and all have been told all
 DELIVERED_US = 120 * MS  # a stop, where all are on one bus, whatever is lost: 20 copies, and a tick
+STANDARD_US = 5 * S  # after a press: the first frame is forgotten, if it was the only one
+FORGET_US = 3 * S  # of silence, ISO 11783-7
 SETTLED_US = 3 * S  # links and members without trouble for so long: everybody hears everybody
 LEFT_US = 50 * MS  # what was under way when an address was lost is on the bus by then
 EXCUSED_US = 3 * S  # who is pushed, or has a box dropped before it, may touch something so long
@@ -275,6 +277,15 @@ class Play:
             watch = self.delivery.press(now_us, DELIVERED_US, up)
             self._delivering[watch] = now_us + DELIVERED_US
             self._at(now_us + self._bound_us, partial(self._delivered, watch))
+            self._at(now_us + STANDARD_US, partial(self._implements_stand, slot, now_us))
+
+    def _implements_stand(self, slot: int, pressed_us: int) -> None:
+        """S20: an implement that forgets a button after 3 s of silence stands as long as the fleet."""
+        now_us, words = self.cluster.host.now_us(), self.witness.words
+        stood = words.speakers[slot].stopped and words.speakers[slot].stopped_us <= pressed_us + S
+        calm = self._trouble_us < pressed_us and self._one_bus and self.cluster.is_up(slot)
+        if stood and calm and now_us - words.implements_stop_us > FORGET_US:
+            self._add("S20", now_us / 1e6, f"robot {slot} stands, and no robot says it to implements")
 
     def _delivered(self, watch: int) -> None:
         if self._delivering.pop(watch, None) is not None:

@@ -178,6 +178,21 @@ class Babble(_Fault):
     for_s: float = Field(gt=0.0)
 
 
+class Buttons(_Fault):
+    kind: Literal["buttons"]  # shortcut buttons of other makers; one of them is pressed
+    buttons: int = Field(default=2, ge=2, le=8)
+    for_s: float = Field(gt=0.0)
+    lost: int = Field(default=0, ge=0, le=1)  # of its stop frames, after each one that is heard
+    unheard: bool = False  # none of its stop frames is heard; its permit then tells of a stop
+
+
+class UsedStop(_Fault):
+    kind: Literal["used_stop"]  # a panel is pressed whose next names an operator has cleared
+    names: int = Field(default=4, ge=1, le=64)
+    for_s: float = Field(gt=0.0)
+    every_s: float = Field(default=0.005, ge=0.001, le=1.0)
+
+
 class Clone(_Fault):
     kind: Literal["clone"]  # a device claims the robot's address; does its NAME win?
     robot: Slot
@@ -235,7 +250,8 @@ class CrashWorking(_Fault):
 Fault = Annotated[
     Partition | Heal | OneWay | Crash | Restart | Freeze | Loss | Omission | Duplicate | Errors
     | BusOff | Estop | Reset | Order | Box | Pushed | Join | Babble | Clone | Drift
-    | ClockJump | CrashWorking | Blind | Frozen | Late | DiskFull,
+    | ClockJump | CrashWorking | Blind | Frozen | Late | DiskFull
+    | Buttons | UsedStop,
     Field(discriminator="kind"),
 ]  # fmt: skip
 

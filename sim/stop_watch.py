@@ -36,18 +36,23 @@ class StopWatch:
         robots: int,
         up: Callable[[], Collection[int]] | None = None,
         mute: Callable[[], Collection[int]] = tuple,
+        hearers: Callable[[], Collection[int]] = tuple,
+        now_us: Callable[[], int] = lambda: 0,
     ) -> None:
         """`up`: the robots that are switched on; all of them, where nothing is given. `mute`: those of
-        them that have no address."""
+        them that have no address. `hearers`: those that hear a device that comes on the bus, if all
+        of them do."""
         self.checker = motions(world)
         self._up = up if up is not None else lambda: range(robots)
-        self._mute = mute
+        self._mute, self._hearers, self._now_us = mute, hearers, now_us
         self.bound_us = beat_of(robots).silence_us + REACTION_US
         self._stages: dict[int, dict[int, Stage]] = {}  # press -> slot -> what was done since
         self._pressed_us: dict[int, int] = {}
         self._by: dict[int, int] = {}  # press -> who was pressed
         self._know: dict[int, set[int]] = {}  # press -> who heard it and has kept its memory since
         self._unheard: dict[int, frozenset[int]] = {}  # press -> those that have not heard it
+        self._levels: dict[int, set[int]] = {}  # stops of devices that hold while they are said
+        self._disturbed_us = 0  # until then not all hear all
         self._unsaid: set[int] = set()  # presses of who had no address to say it from
 
     @property
@@ -66,6 +71,43 @@ class StopWatch:
         self._unheard[number] = frozenset(unheard)
         if by in self._mute():
             self._unsaid.add(number)
+
+    # ---------------------------------------------------------------- levels
+
+    def level(self, bound_us: int) -> int | None:
+        """A device that all hear begins to say a stop: nobody moves from `bound_us` on until it ends.
+        None: nobody can tell who hears it."""
+        now_us, slots = self._now_us(), self._hearers()
+        if now_us < self._disturbed_us or not slots:
+            return None
+        number = self.checker.press(now_us, bound_us, slots)
+        self._levels[number] = set(slots)
+        return number
+
+    def obey(self, number: int | None) -> set[int]:
+        """Those that such a stop binds still."""
+        return set() if number is None else set(self._levels.get(number, ()))
+
+    def end_level(self, number: int | None) -> None:
+        if number is not None and number in self._levels:
+            del self._levels[number]
+            self.checker.release(number)
+
+    def disturbed(self, until_us: int) -> None:
+        """Trouble of links or members, until then."""
+        self._disturbed_us = max(self._disturbed_us, until_us)
+        for number in list(self._levels):
+            self.end_level(number)
+
+    def _leave_levels(self, slot: int) -> None:
+        for number, slots in list(self._levels.items()):
+            if slots == {slot}:
+                self.end_level(number)
+            elif slot in slots:
+                slots.remove(slot)
+                self.checker.release(number, (slot,))
+
+    # ---------------------------------------------------------------- what people do
 
     def ordered(self, order: object) -> None:
         """A frame that an operator sends."""
@@ -118,13 +160,15 @@ class StopWatch:
                 self._unheard[number] |= {slot}
 
     def boots(self, slot: int) -> None:
-        """A new life has met nobody whose silence could stop it."""
+        """A new life has met nobody whose silence could stop it, and no device that says a stop."""
+        self._leave_levels(slot)
         for number, unheard in self._unheard.items():
             if slot in unheard:
                 self._free(number, slot)
 
     def carried(self, slot: int) -> None:
         """A person moves this robot by hand: it no longer stands because it was told to."""
+        self._leave_levels(slot)
         for number in list(self._stages):
             self._free(number, slot)
 

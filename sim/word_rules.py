@@ -17,7 +17,14 @@ from crdt.register import pack
 from crdt.stops import StopDot
 from protocol.fleet_frames import Heartbeat, LeaderElectionVote, Member, Pose
 from protocol.messages import Message
-from protocol.safety_frames import Command, EmergencyReset, EmergencyStop, OperatorCommand
+from protocol.safety_frames import (
+    AllImplementsStop,
+    Command,
+    EmergencyReset,
+    EmergencyStop,
+    OperatorCommand,
+    Switch,
+)
 from protocol.work_frames import StateSyncRequest, StateSyncResponse, TaskClaim, WorkProgress
 
 EVERYBODY = 255
@@ -67,6 +74,7 @@ class WordRules:
         self.cleared: set[StopDot] = set()
         self.units: dict[tuple[int, int], int] = {}  # section and block: bits that anybody has told
         self.questions: Counter[int] = Counter()  # of each robot, for what it lacks
+        self.implements_stop_us = NEVER_US  # when a robot said the standard stop last
         self._votes: dict[tuple[int, int, int], int] = {}  # voter, election, term -> candidate
         # Of an election, a term and a candidate.
         self._voters: defaultdict[tuple[int, int, int], set[int]] = defaultdict(set)
@@ -121,6 +129,9 @@ class WordRules:
         kind = type(message)
         if kind is Pose:
             self._pose(slot, speaker, now_us, message)  # type: ignore[arg-type]
+        elif isinstance(message, AllImplementsStop):
+            if message.switch == Switch.STOP:
+                self.implements_stop_us = now_us
         elif isinstance(message, EmergencyStop):
             if not message.spent:  # that a name was used before is no stop
                 self._stop(slot, speaker, now_us, message)

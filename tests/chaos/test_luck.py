@@ -43,7 +43,11 @@ def test_a_bug_that_was_found_stays_away(path: Path) -> None:
     )
 
 
-@pytest.mark.parametrize("name", ["stop-without-brake", "latch-forgotten", "lost-claims-kept"])
+@pytest.mark.parametrize(
+    "name",
+    ["stop-without-brake", "latch-forgotten", "lost-claims-kept",
+     "permit-of-any", "used-stop-ignored", "standard-stop-once"],
+)  # fmt: skip
 def test_a_planted_bug_is_found(name: str) -> None:
     """A few of them; all with `headland chaos --mutants`."""
     with planted(name):
