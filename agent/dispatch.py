@@ -17,7 +17,7 @@ from agent.absence import Absence
 from agent.auction import Planner
 from agent.config import MS, S
 from agent.cost_matrix import FULL
-from agent.freezing import anew, hastened
+from agent.freezing import anew, hastened, round_tasks_max
 from agent.haste import REPLAN_US as HASTE_US
 from agent.haste import Haste
 from agent.mission import FleetView, Record
@@ -131,11 +131,16 @@ class Dispatch:
         if now_us - self._born_us < BOOT_US and not (whole and now_us - self._born_us > S):
             return  # not everybody is here yet
         due_us = max(self._many_us + STABLE_US, self._round_us) + STAGGER_US * self._order(view)
+        planned = sum(len(self.means(slot)) for slot in view.live)
+        room = round_tasks_max(len(view.live)) - planned
+        if len(fresh) > self.house.t_max and room < min(len(fresh), planned):
+            fresh = []  # a backlog: what is planned is begun first
         if len(fresh) > self.house.t_max and now_us >= self._round_us:
             if now_us >= due_us:
                 self._round_us = now_us + AGAIN_US
+                tasks = min(len(fresh), room)
                 replan_us = min(
-                    max(len(fresh) * MOVES_A_TASK // 15_000 * SLICE_US, REPLAN_US[0]), REPLAN_US[1]
+                    max(tasks * MOVES_A_TASK // 15_000 * SLICE_US, REPLAN_US[0]), REPLAN_US[1]
                 )
                 self._begin_round(view, able, replan_us=replan_us)
         elif self._auction is None and (fresh or orphans):

@@ -1,5 +1,6 @@
 """The problem of a round of planning as one robot sees it when the round begins."""
 
+from math import sqrt
 from typing import TYPE_CHECKING
 
 from agent.cost_matrix import FULL
@@ -12,6 +13,9 @@ from crdt import Phase
 if TYPE_CHECKING:
     from agent.dispatch import Dispatch
 
+# Tasks of one round: the auction's work grows as tasks to the fourth by robots to the second. So many of
+# six robots, with batteries, take 25 ms of a small computer, half of a control period.
+ROUND_TASKS, ROUND_ROBOTS = 72, 6
 ABLE = (State.IDLE, State.WORKING, State.SYNCHRONIZING)
 
 
@@ -34,7 +38,17 @@ def anew(dispatch: "Dispatch", view: FleetView, able: bool) -> Frozen:
     planned = {t for s, told in dispatch.told.items() if s in view.live for t in told.whole}
     wanted = sorted({*fresh, *dispatch.itinerary, *planned})
     tasks = [task for task in wanted if _plannable(dispatch, view, task)]
+    del tasks[round_tasks_max(len(robots)) :]  # the lowest numbers, alike at all; others wait
     return _frozen(dispatch, robots, tasks)
+
+
+def round_tasks_max(robots: int) -> int:
+    """How many tasks one round plans for so many robots; what is beyond them waits for a later round.
+
+    >>> round_tasks_max(1), round_tasks_max(6), round_tasks_max(60)
+    (29, 72, 227)
+    """
+    return int(ROUND_TASKS * sqrt(robots / ROUND_ROBOTS))
 
 
 def hastened(dispatch: "Dispatch", view: FleetView, able: bool) -> Frozen:

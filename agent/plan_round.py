@@ -23,7 +23,8 @@ from protocol.delivery_frames import HASTENS, NO_TASK, PlanOffer, PlanRow
 
 SLICE_US = 50 * MS  # a control period
 SLICE_MOVES = 15_000  # of the search in each: 10 ms of a small computer's 50; and
-SLICE_MOVES_CHARGING = 3_000  # where routes are walked with bays: as long
+SLICE_MOVES_CHARGING = 3_000  # where routes are walked with bays: as long; for routes of so many tasks:
+ROUTE_TASKS = 5  # longer ones are walked longer, so that there are fewer moves
 SLICE_MOVES_HASTE = 2_000  # more found nothing more
 WORTH = 0.99  # of the waiting before: a better plan is worth its frames
 REPLAN_UNIT_US = 250 * MS
@@ -150,7 +151,10 @@ class PlanRound:
             return planner.hastened(self._plan, seed, SLICE_MOVES_HASTE)
         hot = HOT * (COLD / HOT) ** (self._done / self._slices)
         cold = HOT * (COLD / HOT) ** ((self._done + 1) / self._slices)
-        moves = SLICE_MOVES if planner.work.power is None else SLICE_MOVES_CHARGING
+        moves = SLICE_MOVES
+        if planner.work.power is not None:
+            routes = max(planner.work.robots, 1) * ROUTE_TASKS
+            moves = SLICE_MOVES_CHARGING * routes // max(planner.work.tasks, routes)
         return planner.improved(self._plan, seed, moves, (hot, cold))
 
     def _cost_ms(self, planner: Planner) -> int | None:

@@ -6,6 +6,8 @@ from typing import Any
 import pytest
 
 from agent.config import S
+from agent.delivery import Delivery
+from agent.freezing import round_tasks_max
 from agent.warehouse import Warehouse
 from protocol.codec import decode_once
 from protocol.delivery_frames import PlanRow
@@ -358,3 +360,30 @@ def test_m1_one_robot_delivers_although_boxes_stand_for_the_whole_run() -> None:
     given = given.model_copy(update={"run": given.run.model_copy(update={"time_limit_s": 1200.0})})
     outcome, _ = play(given)
     assert outcome.finished and outcome.delivered == 8
+
+
+def test_t13_a_burst_of_orders_makes_no_round_larger_than_a_control_period_allows() -> None:
+    """300 orders in 3 s: one auction of all took 7 s, in which no robot heard a stop."""
+    sizes: list[tuple[int, int]] = []
+
+    def watch(cluster: HaulCluster) -> None:
+        for robot in cluster.robots.values():
+            mission = robot.peer.mission
+            assert isinstance(mission, Delivery)
+            frozen = mission.dispatch.round._frozen  # of the newest round
+            if frozen is not None:
+                sizes.append((len(frozen.tasks), len(frozen.slots)))
+
+    given = scenario(
+        6, map="\n".join(["." * 24] * 8), random_tasks=300, random_over_s=3.0,
+        bays=[[0.5, 0.5], [23.5, 0.5]],
+    )  # fmt: skip
+    given = given.model_copy(
+        update={
+            "battery": given.battery.model_copy(update={"range_m": 250.0, "charge_s": 30.0}),
+            "run": given.run.model_copy(update={"time_limit_s": 90.0}),
+        }
+    )
+    outcome, _ = play(given, watch)
+    assert sizes and all(tasks <= round_tasks_max(robots) for tasks, robots in sizes), sizes
+    assert outcome.delivered >= 6 * 3, "they work while orders wait"
