@@ -5,7 +5,7 @@ while others read: a row is there once `count` says so.
 """
 
 from array import array
-from bisect import bisect_left
+from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterable
 from hashlib import blake2b
 from typing import Any
@@ -15,6 +15,7 @@ from sim.scene import Scene
 
 FRAMES_MAX = 8_000_000  # 168 MB; two hours of a full bus, half a day of a quiet one
 DROP = FRAMES_MAX // 4  # of the oldest, when it is full
+NOW_US = 1_000_000  # an intent is news for so long; robots tell five a second
 Row = tuple[int, Frame]
 Notes = list[tuple[int, dict[str, Any]]]  # microseconds, plain values
 
@@ -27,6 +28,7 @@ class Recording:
         self.things: Notes = []  # what stands in the world from then on: {"rows": [...]}
         self.ended = False  # nothing more will come
         self.clock: Callable[[], int] | None = None  # microseconds, of a live bus: quiet is time, too
+        self.forgets = False  # what is old, at any time: see `sim.live_recording`
         self.digest = FramesDigest()
         self._since_us = 0
         self._t_us, self._identifiers = array("q"), array("I")
@@ -68,6 +70,12 @@ class Recording:
         """Obstacles as rows of `sim.walls`: shape, x, y, half sides, cosine and sine."""
         self.things.append((t_us, {"rows": [list(row) for row in rows]}))
 
+    def intents_at(self, now_us: int) -> Notes:
+        """What was told in the second that ends now, oldest first."""
+        first = bisect_right(self.intents, now_us - NOW_US, key=lambda note: note[0])
+        end = bisect_right(self.intents, now_us, key=lambda note: note[0])
+        return self.intents[first:end]
+
     def __getitem__(self, number: int) -> Row:
         at = number - self.first
         data = bytes(self._data[8 * at : 8 * at + self._lengths[at]])
@@ -78,13 +86,13 @@ class Recording:
 
     @property
     def from_us(self) -> int:
-        return self._t_us[0] if self._t_us else self._since_us
+        return self.t_us(self.first) if self.count > self.first else self._since_us
 
     @property
     def until_us(self) -> int:
         """Of the newest row of any kind; of a live bus: now."""
         if self.clock is not None and not self.ended:
-            return max(self.clock(), self._t_us[-1] if self._t_us else 0)
+            return max(self.clock(), self._newest_us or 0)
         ends = [self.t_us(self.count - 1)] if self.count > self.first else [0]
         ends += [notes[-1][0] for notes in (self.intents, self.things) if notes]
         return max(ends)
@@ -95,7 +103,12 @@ class Recording:
         """How long ago the newest frame of a live bus came; 0 of a recording."""
         if self.clock is None or self.ended:
             return 0
-        return self.until_us - (self._t_us[-1] if self._t_us else self._since_us)
+        newest_us = self._newest_us
+        return self.until_us - (self._since_us if newest_us is None else newest_us)
+
+    @property
+    def _newest_us(self) -> int | None:
+        return self.t_us(self.count - 1) if self.count > self.first else None
 
 
 class FramesDigest:

@@ -95,6 +95,9 @@ def bench(
     quick: Annotated[bool, typer.Option("--quick", help="Less than a minute each.")] = False,
     seed: Annotated[int, typer.Option(help="Where chance takes part.")] = 1,
     cluster: Cluster = "",
+    seconds: Annotated[
+        float | None, typer.Option(min=10.0, help="How long, of a bench by the clock (leaks).")
+    ] = None,
     json: Json = False,
 ) -> None:
     """Measure again what the documents claim. Exit 0 when every target holds.
@@ -103,4 +106,4 @@ def bench(
     """
     from tools.bench.command import bench as command
 
-    raise SystemExit(command(name, quick, seed, json, cluster))
+    raise SystemExit(command(name, quick, seed, json, cluster, seconds))

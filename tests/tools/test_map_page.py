@@ -185,7 +185,7 @@ def test_a_robot_that_fell_silent_has_no_speed(tmp_path: Path) -> None:
         until(page, robots_in("WORKING"), WAIT_S)
         os.kill(live.children("tools.robot")[1], signal.SIGKILL)
         row = "document.querySelector('#fleet [data-slot=\"1\"]')"
-        until(page, f"{row}.cells[3].textContent === '–'", WAIT_S)
+        until(page, f"{row}?.cells[3].textContent === '–'", WAIT_S)
         assert page.execute_script(f"return {row}.querySelector('.pill').textContent") == "silent"
         page.execute_script(f"{row}.click()")
         until(page, "document.getElementById('one-name').textContent.includes('as last heard')")

@@ -17,6 +17,7 @@ from protocol.bus import CanBus
 from protocol.frame import Frame
 from sim.intent_link import Watching
 from sim.key_file import OPERATOR, KeyFileError, read
+from sim.live_recording import LiveRecording
 from sim.mcap_log import McapMissing, add_notes, read_recording
 from sim.recording import Recording
 from sim.scenario import ScenarioError
@@ -223,7 +224,7 @@ def _live(
 
     async def run() -> None:
         bus = attach(interface, channel, bitrate, host, port)
-        recording, panel = Recording(scene), Panel(bus, keyring, keys.operator)
+        recording, panel = LiveRecording(scene), Panel(bus, keyring, keys.operator)
         loop = asyncio.get_running_loop()
         recording.follow(lambda: round(loop.time() * 1e6))
         server = make_server(recording, title, True, 1.0, panel)

@@ -1,26 +1,37 @@
 """A playhead over a recording: where a person looks, and the watcher as it was then.
 
 The state at any time is that of the last snapshot before it, and the frames since. Snapshots are made
-once for all who look, by the index, which hears every frame as it comes.
+once for all who look, by the index, which hears every frame as it comes. Of a live bus the snapshots
+outlive the frames: the older, the fewer.
 """
 
 import pickle
+import zlib
 from bisect import bisect_right
+from collections import deque
+from itertools import pairwise
 from time import perf_counter
 from typing import NamedTuple
 
-from sim.recording import Notes, Recording
+from sim.recording import Recording
 from tools.livemap.watcher import Watcher
 
 SNAPSHOT_US = 10_000_000
 SPEED_MAX = 256.0
+AGES = 16  # of a live bus, two snapshots around one are at least its age over this apart
+EVENTS_MAX = 512  # marks on the line of time; more cannot be told apart
+FAST = 1  # level of zlib: a snapshot in a millisecond, in a fifth of its size
 LOOK = 512  # rows between two looks at the clock
 
 
 class Snapshot(NamedTuple):
     t_us: int
     frame: int  # the first frame after it
-    state: bytes
+    state: bytes  # compressed
+
+    def watcher(self) -> Watcher:
+        watcher: Watcher = pickle.loads(zlib.decompress(self.state))
+        return watcher
 
 
 class Reader:
@@ -35,8 +46,9 @@ class Reader:
         """Hear everything up to then; False where the time was not enough."""
         recording, watcher = self.recording, self.watcher
         end_s = perf_counter() + budget_s
-        self.frame = max(self.frame, recording.first)
-        while self.frame < recording.count:
+        if self.frame < recording.first and recording.from_us <= until_us:
+            self.frame = recording.first  # what was between is forgotten
+        while recording.first <= self.frame < recording.count:
             t_us, frame = recording[self.frame]
             if t_us > until_us:
                 break
@@ -57,7 +69,8 @@ class Index:
         self.recording = recording
         self.reader = Reader(recording)
         self.snapshots: list[Snapshot] = []
-        self.events: list[tuple[float, str]] = []  # for the line of time
+        self.events: deque[tuple[float, str]] = deque(maxlen=EVENTS_MAX)  # for the line of time
+        self.noted = 0  # events in all
         self._stops = 0
         self._cleared = 0
 
@@ -73,20 +86,37 @@ class Index:
             due_us = self.snapshots[-1].t_us + SNAPSHOT_US if self.snapshots else recording.from_us
             left_s = end_s - perf_counter()
             if reader.read(min(due_us, recording.until_us), left_s) and reader.t_us >= due_us:
-                state = pickle.dumps(reader.watcher, pickle.HIGHEST_PROTOCOL)
+                state = zlib.compress(pickle.dumps(reader.watcher, pickle.HIGHEST_PROTOCOL), FAST)
                 self.snapshots.append(Snapshot(reader.t_us, reader.frame, state))
+                if recording.forgets:
+                    self._thin()
             self._note()
-        while self.snapshots and self.snapshots[0].frame < recording.first:
+        while not recording.forgets and self.snapshots and self.snapshots[0].frame < recording.first:
             self.snapshots.pop(0)
+
+    def _thin(self) -> None:
+        """As many in each doubling of age: about 250 of a day."""
+        newest_us = self.snapshots[-1].t_us
+        kept = self.snapshots[:1]
+        for snapshot, after in pairwise(self.snapshots[1:]):
+            if after.t_us - kept[-1].t_us > (newest_us - snapshot.t_us) / AGES:
+                kept.append(snapshot)
+        self.snapshots = [*kept, *self.snapshots[1:][-1:]]
+
+    @property
+    def from_us(self) -> int:
+        """From where on something can be shown."""
+        oldest_us = self.recording.from_us
+        return min(oldest_us, self.snapshots[0].t_us) if self.snapshots else oldest_us
 
     def _note(self) -> None:
         watcher, now_s = self.reader.watcher, self.reader.t_us / 1e6
         if len(watcher.stops) > self._stops:
             self.events.append((min(list(watcher.stops.values())[self._stops :]), "stop"))
-            self._stops = len(watcher.stops)
+            self._stops, self.noted = len(watcher.stops), self.noted + 1
         if len(watcher.cleared) > self._cleared:
             self.events.append((now_s, "reset"))
-            self._cleared = len(watcher.cleared)
+            self._cleared, self.noted = len(watcher.cleared), self.noted + 1
 
     def before(self, t_us: int) -> Snapshot | None:
         at = bisect_right(self.snapshots, t_us, key=lambda snapshot: snapshot.t_us)
@@ -113,13 +143,13 @@ class Player:
     def seek(self, t_us: int) -> None:
         """Go there; back or far ahead by the nearest snapshot."""
         recording = self.recording
-        t_us = min(max(t_us, recording.from_us), recording.until_us)
+        t_us = min(max(t_us, self.index.from_us), recording.until_us)
         snapshot = self.index.before(t_us)
         ahead = snapshot is not None and snapshot.t_us > self.reader.t_us
         if t_us < self.reader.t_us or ahead or self.reader.frame < recording.first:
             self.reader = Reader(recording)
             if snapshot is not None and (snapshot.t_us <= t_us or recording.first > 0):
-                self.reader.watcher = pickle.loads(snapshot.state)
+                self.reader.watcher = snapshot.watcher()
                 self.reader.frame, self.reader.t_us = snapshot.frame, snapshot.t_us
             self.jumps += 1
             self.reader.watcher.all_changed()
@@ -139,21 +169,24 @@ class Player:
             self.goal_us = float(until_us)
         elif self.playing and self.caught_up:
             self.goal_us = min(self.goal_us + elapsed_s * 1e6 * self.speed, float(until_us))
+        self._over_the_forgotten()
         self.caught_up = self.reader.read(round(self.goal_us), budget_s)
         self._beside()
+
+    def _over_the_forgotten(self) -> None:
+        """Where the next frames are gone, from snapshot to snapshot."""
+        if self.reader.frame >= self.recording.first:
+            return
+        snapshot = self.index.before(round(self.goal_us))
+        if snapshot is not None and self.reader.t_us < snapshot.t_us <= self.goal_us:
+            self.seek(round(self.goal_us))
 
     def _beside(self) -> None:
         """Intents and things as they were then."""
         watcher, now_us = self.watcher, round(self.head_us)
         watcher.intents.clear()
-        for t_us, intent in _last(self.recording.intents, now_us, 1_000_000):
+        for t_us, intent in self.recording.intents_at(now_us):
             watcher.intend(t_us / 1e6, intent)
         at = bisect_right(self.recording.things, now_us, key=lambda note: note[0])
         watcher.things = self.recording.things[at - 1][1]["rows"] if at else []
 
-
-def _last(notes: Notes, now_us: int, span_us: int) -> Notes:
-    """What was noted in the span that ends now, oldest first."""
-    first = bisect_right(notes, now_us - span_us, key=lambda note: note[0])
-    end = bisect_right(notes, now_us, key=lambda note: note[0])
-    return notes[first:end]

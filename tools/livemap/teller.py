@@ -35,7 +35,7 @@ class Teller:
         recording = player.recording
         told: dict[str, Any] = {
             "kind": "now", "anew": anew, "t": round(now_s, 3),
-            "from": recording.from_us / 1e6, "until": round(recording.until_us / 1e6, 3),
+            "from": player.index.from_us / 1e6, "until": round(recording.until_us / 1e6, 3),
             "ended": recording.ended, "playing": player.playing, "speed": player.speed,
             "follow": player.follow, "quiet": round(recording.quiet_us / 1e6, 1),
             "load": round(watcher.share, 4),
@@ -90,10 +90,10 @@ class Teller:
         watcher.changed_patches = set()
         if watcher.things is not self._things:
             self._things = told["things"] = watcher.things
-        events = self.player.index.events
-        if len(events) != self._events:
-            self._events = len(events)
-            told["events"] = events
+        index = self.player.index
+        if index.noted != self._events:
+            self._events = index.noted
+            told["events"] = list(index.events)
 
     def robot(self, slot: int) -> dict[str, Any] | None:
         """All that is known of one, as `headland inspect` tells it."""

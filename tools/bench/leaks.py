@@ -1,0 +1,184 @@
+"""What a launch of ten robots with its map grows by in a day, from its growth after a warm-up.
+
+Anonymous memory of each process (`RssAnon` of `/proc`): what it has asked for itself and cannot be
+dropped. A page looks at the map all the time, as an operator's does.
+"""
+
+import contextlib
+import json
+import os
+import queue
+import signal
+import statistics
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from tools.bench.figure import Figure
+
+ROBOTS = 10
+SECONDS, QUICK_S = 1800.0, 60.0
+WARM_UP = 1 / 3  # of the time: kernels are loaded, caches fill, the first plans are made
+SAMPLE_S = 5.0
+BEGIN_S = 120.0  # until ten robots are there, on a busy machine
+END_S = 30.0
+DAY_S = 86_400.0
+TARGET_MB = 200.0  # in a day, of all processes: a machine of 4 GB runs for a season
+
+
+class Grown(NamedTuple):
+    """One process over the time that is fitted."""
+
+    kind: str  # launch, map, robot
+    slope_bytes_s: float
+    size_bytes: int  # at the end
+
+
+def figures(quick: bool, seed: int = 1, seconds: float | None = None) -> Iterator[Figure]:
+    """`seconds`: of the run, warm-up included."""
+    seconds = seconds or (QUICK_S if quick else SECONDS)
+    with tempfile.TemporaryDirectory() as folder:
+        samples = _run(Path(folder), seconds, seed)
+    begin_s = min(t_s for t_s, _, _, _ in samples) + seconds * WARM_UP
+    grown = list(_grown([each for each in samples if each[0] >= begin_s]))
+    scope = (
+        f"{seconds:.0f} s, the first {seconds * WARM_UP:.0f} s left out, a sample each {SAMPLE_S:g} s, "
+        f"Theil-Sen; RssAnon; {ROBOTS} robots, seed {seed}, a page looks; load {os.getloadavg()[0]:.1f}"
+    )
+    for kind in ("launch", "map", "robot"):
+        own = [each for each in grown if each.kind == kind]
+        name = f"{len(own)} robots" if kind == "robot" else kind
+        grown_mb = sum(each.slope_bytes_s for each in own) * DAY_S / 1e6
+        size_mb = sum(each.size_bytes for each in own) / 1e6
+        yield Figure(f"growth of {name} in 24 h", grown_mb, "MB", "", None, "",
+                     f"{size_mb:.0f} MB at the end; {scope}")  # fmt: skip
+    total_mb = sum(each.slope_bytes_s for each in grown) * DAY_S / 1e6
+    judged = seconds >= SECONDS  # a shorter run tells too little of a day
+    yield Figure("growth of launch, robots and map in 24 h", total_mb, "MB",
+                 f"<= {TARGET_MB:g}" if judged else "", total_mb <= TARGET_MB if judged else None, "",
+                 f"extrapolated; {len(grown)} processes; {scope}")  # fmt: skip
+
+
+Sample = tuple[float, int, str, int]  # seconds, process, kind, bytes
+
+
+def _grown(samples: list[Sample]) -> Iterator[Grown]:
+    for process in sorted({pid for _, pid, _, _ in samples}):
+        own = [(t_s, size) for t_s, pid, _, size in samples if pid == process]
+        kind = next(kind for _, pid, kind, _ in samples if pid == process)
+        if len(own) > 2:
+            yield Grown(kind, _slope(own), own[-1][1])
+
+
+def _slope(points: list[tuple[float, int]]) -> float:
+    """Theil and Sen: the median of the slopes between all pairs; jumps of single samples do not count."""
+    return statistics.median(
+        (size - before) / (t_s - was_s)
+        for k, (t_s, size) in enumerate(points)
+        for was_s, before in points[:k]
+        if t_s > was_s
+    )
+
+
+# A job of hours, so that robots drive all the time.
+SCENARIO = f"""
+name = "leaks"
+[field]
+file = "oxted.geojson"
+feature = "NM_Oxted_NullMeridian_Hole"
+[fleet]
+robots = {ROBOTS}
+radius_m = 0.8
+speed_m_s = 0.6
+silence = "continue"
+"""
+
+
+def _run(folder: Path, seconds: float, seed: int) -> list[Sample]:
+    (folder / "leaks.toml").write_text(SCENARIO)
+    words = [sys.executable, "-m", "tools.headland", "launch", "leaks.toml", "--seed", str(seed),
+             "--map", "--page-port", "0", "--out", "launch"]  # fmt: skip
+    root = str(Path(__file__).parents[2])
+    process = subprocess.Popen(
+        words, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+        env={**os.environ, "PYTHONPATH": root},
+    )  # fmt: skip
+    lines: queue.Queue[str] = queue.Queue()
+    threading.Thread(target=_read, args=(process, lines), daemon=True).start()
+    over = threading.Event()
+    try:
+        url = _url(lines)
+        threading.Thread(target=_look, args=(url, over), daemon=True).start()
+        return list(_samples(process.pid, seconds))
+    finally:
+        over.set()
+        process.send_signal(signal.SIGINT)
+        try:
+            process.wait(END_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+
+def _read(process: "subprocess.Popen[str]", lines: "queue.Queue[str]") -> None:
+    assert process.stdout is not None
+    for line in process.stdout:
+        lines.put(line)
+    lines.put("")
+
+
+def _url(lines: "queue.Queue[str]") -> str:
+    told = []
+    while line := lines.get(timeout=BEGIN_S):
+        told.append(line)
+        if line.startswith("map: "):
+            return line.split()[1]
+    raise RuntimeError("the launch has ended: " + "".join(told))
+
+
+def _look(url: str, over: threading.Event) -> None:
+    """What a page does: it hears each picture and says that it has drawn it."""
+    from websockets.exceptions import ConnectionClosed
+    from websockets.sync.client import connect
+
+    address, token = url.split("#")
+    protocols: Any = ["headland", token]
+    drawn = 0
+    with contextlib.suppress(ConnectionClosed, OSError):
+        where = address.replace("http", "ws") + "ws"
+        with connect(where, subprotocols=protocols, max_size=None) as page:
+            while not over.is_set():
+                if json.loads(page.recv())["kind"] == "now":
+                    drawn += 1
+                    page.send(json.dumps({"do": "drawn", "count": drawn}))
+
+
+def _samples(launch: int, seconds: float) -> Iterator[Sample]:
+    begun_s = time.monotonic()
+    while (now_s := time.monotonic()) - begun_s < seconds:
+        for process, kind in _processes(launch).items():
+            with contextlib.suppress(OSError, ValueError):  # it has just ended
+                yield now_s, process, kind, _anonymous_bytes(process)
+        time.sleep(SAMPLE_S)
+
+
+def _processes(launch: int) -> dict[int, str]:
+    found = {launch: "launch"}
+    for task in Path(f"/proc/{launch}/task").iterdir():
+        for child in (task / "children").read_text().split():
+            with contextlib.suppress(OSError):
+                words = Path(f"/proc/{child}/cmdline").read_bytes().split(b"\0")
+                found[int(child)] = "map" if b"map" in words else "robot"
+    return found
+
+
+def _anonymous_bytes(process: int) -> int:
+    for line in Path(f"/proc/{process}/status").read_text().splitlines():
+        if line.startswith("RssAnon:"):
+            return int(line.split()[1]) * 1024
+    raise ValueError("no RssAnon")
