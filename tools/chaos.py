@@ -1,7 +1,6 @@
 """`headland chaos`: bad luck by the thousand, judged from outside; the first failure made small."""
 
 import itertools
-import json
 import os
 import sys
 import time
@@ -21,6 +20,7 @@ from sim.scenario import ScenarioError, load
 from sim.scenario_text import to_toml
 from sim.shrink import shrink
 from sim.standing import leave_standing
+from sim.strict_json import dumps
 from sim.trouble import PROFILES, draw
 from sim.verdict import RULES, Verdict, judge
 from tools.campaign import ClusterError, room, workers
@@ -79,7 +79,7 @@ def chaos(
         told["reproduction"] = _reproduce(console, failed[0], profile, out)
         _write(out, told)
     if as_json:
-        print(json.dumps(told))
+        print(dumps(told))
     else:
         _show(console, told)
     return FAILED if failed else 0
@@ -88,7 +88,7 @@ def chaos(
 def _write(out: Path, told: dict[str, Any]) -> None:
     """Whole or not at all."""
     written = out / "chaos.json.new"
-    written.write_text(json.dumps(told, indent=1) + "\n")
+    written.write_text(dumps(told, indent=1) + "\n")
     written.replace(out / "chaos.json")
 
 
@@ -126,7 +126,7 @@ def judge_file(path: Path, as_json: bool, golden: bool = False) -> int:
     if golden and verdict.ok:
         path.with_suffix(".trace").write_text(f"{verdict.trace_hash}\n")
     if as_json:
-        print(json.dumps(_report([verdict], str(path))))
+        print(dumps(_report([verdict], str(path))))
     else:
         for broken in verdict.broken:
             print(f"{broken.rule} at {broken.t_s:.3f} s: {broken.what} ({RULES[broken.rule]})")

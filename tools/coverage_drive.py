@@ -1,6 +1,5 @@
 """`headland coverage drive`: faults from words, one run of whole peers, and its figures."""
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -13,6 +12,7 @@ from sim.grid_fleet import GridFleet, GridOutcome
 from sim.grid_map import GridFileError, Instance
 from sim.grid_setting import STEP_S, GridSetting
 from sim.scenario import Crash, Fault, Heal, Join, Partition
+from sim.strict_json import dumps
 from tools.fact_table import fact_table
 
 LIMIT_FACTOR = 4.0  # times what one robot alone would need at best, and a minute
@@ -98,9 +98,9 @@ def driven(setting: GridSetting, out: Path | None, as_json: bool) -> int:
         outcome = GridFleet(setting, out, told).run()
     report = {**outcome.to_dict(), "step_s": STEP_S}
     if out is not None:
-        (out / "report.json").write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+        (out / "report.json").write_text(dumps(report, indent=1) + "\n", encoding="utf-8")
     if as_json:
-        print(json.dumps(report))
+        print(dumps(report))
     else:
         _print(outcome)
     return 0 if outcome.success else 1

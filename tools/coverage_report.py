@@ -1,6 +1,5 @@
 """Solving and replaying coverage plans for people: figures as text or JSON, drawings in the terminal."""
 
-import json
 import shutil
 import sys
 import time
@@ -14,6 +13,7 @@ from sim.grid_judge import Court, Verdict, judge, lower_bound
 from sim.grid_map import Cell, Instance
 from sim.grid_plan import Plan, write_plan
 from sim.grid_run import Arrival, Death, work
+from sim.strict_json import dumps
 from tools.fact_table import fact_table
 
 WALL, DIRT, CLEAN, ROBOT, WRECK = "█", "·", " ", "o", "x"
@@ -101,7 +101,7 @@ def drawing(court: Court, wanted: set[Cell], screen: bool) -> str:
 
 def _print(title: str, report: dict[str, Any], as_json: bool) -> None:
     if as_json:
-        print(json.dumps(report))
+        print(dumps(report))
         return
     facts = ((name.replace("_", " "), str(value)) for name, value in report.items())
     Console().print(fact_table(title, facts))

@@ -1,6 +1,5 @@
 """`headland explore`: a fleet explores an arena in virtual time, with a report and pictures of it."""
 
-import json
 import sys
 from pathlib import Path
 
@@ -10,6 +9,7 @@ from rich.table import Table
 from agent.fleet_task import FleetFullError
 from sim.arena import load_arena
 from sim.scenario import ScenarioError
+from sim.strict_json import dumps
 from sim.survey import Sharing, Survey, SurveyOutcome
 from tools.fact_table import run_table
 from tools.keeping import Keeping
@@ -40,14 +40,14 @@ def explore(
         print(f"headland: --out: {problem}", file=sys.stderr)
         return WRONG
     report = {**outcome.to_dict(), "log_hash": keeping.log_hash}
-    (out / "report.json").write_text(json.dumps(report, indent=1) + "\n")
+    (out / "report.json").write_text(dumps(report, indent=1) + "\n")
     told = "\n".join(f"at {now_s:.1f} s\n\n{text}" for now_s, text in survey.reports)
     (out / "fleet.md").write_text(told, encoding="utf-8")
     draw_maps(survey, outcome, out / "maps.png")
     if animate:
         film(survey, out / "maps.gif")
     if as_json:
-        print(json.dumps(report))
+        print(dumps(report))
     else:
         console.print(outcome_table(outcome))
         names = f"report.json, fleet.md, maps.png, trace.jsonl, {keeping.logs}"

@@ -1,7 +1,6 @@
 """`headland run` of a warehouse: to the last parcel in virtual time, or live for tasks to be added."""
 
 import asyncio
-import json
 import os
 import signal
 import sys
@@ -17,6 +16,7 @@ from sim.haul import Haul, HaulCluster, HaulMoment, HaulOutcome
 from sim.hub import Hub
 from sim.palette import colour_of
 from sim.scenario import ScenarioError
+from sim.strict_json import dumps
 from sim.warehouse_scenario import load_warehouse
 from tools.attachment import CHANNEL
 from tools.fact_table import run_table
@@ -51,10 +51,10 @@ def haul(
     finally:
         keeping.close()
     report = {**outcome.to_dict(), "log_hash": keeping.log_hash}
-    (out / "report.json").write_text(json.dumps(report, indent=1) + "\n")
+    (out / "report.json").write_text(dumps(report, indent=1) + "\n")
     draw_warehouse(setting, run, outcome, out / "warehouse.png")
     if as_json:
-        print(json.dumps(report))
+        print(dumps(report))
     else:
         console.print(outcome_table(outcome))
         console.print(f"report.json, warehouse.png, trace.jsonl, {keeping.logs} are in {out}")
@@ -139,7 +139,7 @@ async def _live(
 async def _open(hub: Hub, port: int, console: Console, out: Path) -> None:
     await hub.start(HOST, port)
     where = {"host": HOST, "port": hub.port, "channel": CHANNEL, "pid": os.getpid()}
-    (out / BUS).write_text(json.dumps(where))
+    (out / BUS).write_text(dumps(where))
     RUNS.mkdir(parents=True, exist_ok=True)
     link(RUNS / LAUNCH, out)
     console.print(f"bus: socketcand {HOST}:{hub.port} channel {CHANNEL}")

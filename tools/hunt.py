@@ -17,6 +17,7 @@ from typing import Any
 from rich.console import Console
 
 from sim.mutants import MUTANTS, planted
+from sim.strict_json import dumps
 from sim.trouble import draw
 from sim.verdict import judge
 from tools.fingerprint import fingerprint
@@ -81,7 +82,7 @@ def hunt_all(
                 rows[row["mutant"]] = row
                 _tell(console, row, as_json)
             results = {"code": fingerprint(), "budget_s": MUTANT_CPU_S, "mutants": [*rows.values()]}
-            path.write_text(json.dumps(results, indent=1) + "\n")
+            path.write_text(dumps(results, indent=1) + "\n")
     return list(rows.values())
 
 
@@ -97,7 +98,7 @@ def _is_open(row: Row) -> bool:
 
 def _tell(console: Console, row: Row, as_json: bool) -> None:
     if as_json:
-        print(json.dumps(row), flush=True)
+        print(dumps(row), flush=True)
         return
     unfound = "[yellow]not yet  [/]" if _is_open(row) else "[red]NOT FOUND[/]"
     found = f"[green]{row['rule']:4}[/]" if row["found"] else unfound

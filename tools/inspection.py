@@ -1,7 +1,6 @@
 """`headland inspect`: what a live bus, a log or a run folder tells of every robot."""
 
 import asyncio
-import json
 import sys
 from collections.abc import Callable, Iterator
 from importlib.util import find_spec
@@ -20,6 +19,7 @@ from protocol.bus import CanBus
 from protocol.frame import Frame
 from sim.candump import read_candump
 from sim.mcap_log import McapMissing, read_frames
+from sim.strict_json import dumps
 from tools.attachment import AttachError, attach
 from tools.inspector import Inspector
 
@@ -38,7 +38,7 @@ def inspect(
 ) -> int:  # fmt: skip
     if mermaid:
         diagram = to_mermaid(TABLE, State.DISCONNECTED)
-        print(json.dumps({"mermaid": diagram}) if as_json else diagram)
+        print(dumps({"mermaid": diagram}) if as_json else diagram)
         return 0
     inspector = Inspector()
     try:
@@ -61,7 +61,7 @@ def inspect(
     if section is not None:
         return _why(inspector, section, as_json)
     if as_json:
-        print(json.dumps(inspector.to_dict()))
+        print(dumps(inspector.to_dict()))
     else:
         _show(Console(), inspector.to_dict())
     return 0
@@ -195,7 +195,7 @@ def _traces(
         print(f"headland: robot {slot} did not answer within {seconds:g} s", file=sys.stderr)
         return 1
     lines = text.splitlines()
-    print(json.dumps({"robot": slot, "traces": lines}) if as_json else text)
+    print(dumps({"robot": slot, "traces": lines}) if as_json else text)
     return 0
 
 
@@ -229,7 +229,7 @@ async def _ask_traces(
 def _why(inspector: Inspector, section: int, as_json: bool) -> int:
     found = list(inspector.why(section))
     if as_json:
-        print(json.dumps(found))
+        print(dumps(found))
     elif found:
         print(f"S{section}: {found[-1]['text']}")
         steps = {(step["t_s"], step["data"]): n for n, step in enumerate(found, 1)}
@@ -271,7 +271,7 @@ def table_of(seen: dict[str, Any]) -> Table:
         "peers",
         "sections",
         "vector clock",
-        "digest",
+        "replica",
         "path of states",
     ):
         table.add_column(column, overflow="fold", no_wrap=column in ("robot", "state"))
@@ -282,10 +282,13 @@ def table_of(seen: dict[str, Any]) -> Table:
             + (" (left)" if robot["left"] else "")
         )
         clock = " ".join(f"{slot}:{count}" for slot, count in robot["clock"].items())
+        replica = robot["replica"]
+        if replica == "differs":
+            replica += f": {robot['digest']}"
         path = " > ".join(f"{t['to']}@{t['t_s']:.1f}" for t in robot["transitions"][-6:])
         table.add_row(
             str(robot["slot"]), str(robot["address"]), state, " ".join(map(str, robot["peers"])),
-            " ".join(robot["sections"]), clock, robot["digest"], path,
+            " ".join(robot["sections"]), clock, replica, path,
         )  # fmt: skip
     return table
 

@@ -64,6 +64,7 @@ class Seen:
     health: float = 1.0
     operations: int = 0
     digest: int = 0
+    digest_s: float = 0.0  # when it said so
     plan_version: int = -1  # of the itinerary that is being told, and its sections by position
     plan: dict[int, int] = field(default_factory=dict)
     battery: float | None = None  # None: it tells of none
@@ -85,6 +86,7 @@ class Inspector:
         self.votes: dict[tuple[int, int], dict[int, int]] = {}
         self.implements_stop: float | None = None
         self.bits = 0
+        self.changed_s = 0.0  # when a frame last told of a claim or of work that was new
         self.first_s: float | None = None
         self.now_s = 0.0
         self.causality = Causality()
@@ -136,6 +138,7 @@ class Inspector:
             case Heartbeat():
                 robot.health, robot.operations = message.health, message.operations
                 robot.digest, robot.left = message.digest, message.leaving
+                robot.digest_s = t_s
                 robot.started = message.started
                 robot.clock[robot.slot] = message.operations
                 self._state(t_s, robot, message.state, kind)
@@ -147,9 +150,11 @@ class Inspector:
                 key = pack(
                     message.epoch, message.phase, message.bid, message.lamport, message.owner
                 )
-                self.allocation.apply(message.section, key)
+                if self.allocation.apply(message.section, key):
+                    self.changed_s = t_s
             case WorkProgress():
-                self.progress.apply(message.section, message.block, message.bits)
+                if self.progress.apply(message.section, message.block, message.bits):
+                    self.changed_s = t_s
             case LeaderElectionVote():
                 votes = self.votes.setdefault((message.election, message.term), {})
                 votes.setdefault(robot.slot, message.candidate)
@@ -214,6 +219,21 @@ class Inspector:
         aboard = next((s for s in own if self.progress.bits(s, 0) & 1), -1)
         return stop_names(own, ahead, aboard)
 
+    def replica_of(self, robot: Seen) -> str:
+        """What its last heartbeat says of its replica, for people.
+
+        "in step": as every other robot that is there; "before the last change": it was sent before the
+        newest claim or work was heard, and says nothing of that; else it differs.
+        """
+        if robot.digest_s <= self.changed_s:
+            return "before the last change"
+        newer = {
+            other.digest
+            for other in self.robots.values()
+            if not other.left and other.digest_s > self.changed_s
+        }
+        return "in step" if newer <= {robot.digest} else "differs"
+
     def _robot_dict(self, robot: Seen) -> dict[str, Any]:
         peers = sorted(s for s in robot.clock if s != robot.slot)
         return {
@@ -224,6 +244,7 @@ class Inspector:
             "stopped": robot.stopped,
             "started": robot.started, "question": robot.question, "goal": robot.goal,
             "incarnation": robot.incarnation, "digest": f"{robot.digest:06x}",
+            "replica": self.replica_of(robot),
             "peers": peers, "clock": {str(s): robot.clock[s] for s in sorted(robot.clock)},
             "sections": [f"S{s}" for s in self.allocation.assigned_sections(robot.slot)],
             **self._delivering(robot),

@@ -7,7 +7,6 @@ robots end by themselves when this process dies, because the pipe on their stdin
 
 import asyncio
 import contextlib
-import json
 import os
 import signal
 import sys
@@ -27,6 +26,7 @@ from sim.parcels import Parcels
 from sim.scenario import ScenarioError
 from sim.setting import Setting
 from sim.standing import leave_standing
+from sim.strict_json import dumps
 from sim.world_memory import WorldMemory
 from tools.attachment import CHANNEL, AttachError
 from tools.fleet_folder import TRUTH, Fleet, end_fleet, fleet_folder
@@ -41,6 +41,7 @@ from tools.warmup import warm
 
 HOST = "127.0.0.1"
 LOOK_S = 0.5
+STRAIGHT_M = 0.01  # that a track of truth may be off: a launch of days keeps fewer points
 TELL_S = 5.0  # a status line this often
 QUIET_LOOKS = 6  # all done for this many looks in a row: finished
 MAP_NICE = 5  # of the map's process, beside the robots'
@@ -82,6 +83,8 @@ class Launch:
             loop.add_signal_handler(number, end.set)
         memory = WorldMemory(self.out / TRUTH, self.world, self._parcels())
         self.world_began_us, self.memory = memory.now_us, memory
+        for body in self.world.robots.values():
+            body.track.straight_m = STRAIGHT_M
         bus = self._bus(port)
         # Logs of a launch carry the time of day, so that other logs can be laid beside them.
         epoch_us = round((time.time() - loop.time()) * 1e6)
@@ -107,7 +110,7 @@ class Launch:
         bodies.relay.keep = lambda intent: keeping.tell(
             epoch_us + round(loop.time() * 1e6), intent
         )
-        (self.out / "bus.json").write_text(json.dumps(where))
+        (self.out / "bus.json").write_text(dumps(where))
         (self.out / "places.toml").write_text(self._places())
         self.console.print(
             f"bus: socketcand {HOST}:{bus.port} channel {CHANNEL}   "
@@ -193,7 +196,7 @@ class Launch:
                     start_new_session=True,  # the terminal's Ctrl-C is ours to pass on
                 )  # fmt: skip
             assert process.stdin is not None
-            process.stdin.write(json.dumps(order).encode() + b"\n")
+            process.stdin.write(dumps(order).encode() + b"\n")
             self.processes[slot] = process
             self.console.print(f"robot {slot}: process {process.pid}")
 
@@ -307,7 +310,7 @@ class Launch:
             "launches": self.fleet.launches, "latched": self.latched,
             "log_hash": self.log_hash, **self.inspector.to_dict(),
         }  # fmt: skip
-        (self.out / "report.json").write_text(json.dumps(report, indent=1) + "\n")
+        (self.out / "report.json").write_text(dumps(report, indent=1) + "\n")
         how = "finished" if finished else "not finished"
         self.console.print(
             f"{how} after {elapsed_s:.0f} s: {verdict}; "
@@ -368,7 +371,7 @@ def launch(
         for lock in fleet.locks:
             lock.close()
     if as_json:
-        print(json.dumps({**running.report, "wall_s": round(time.monotonic() - begun, 1)}))
+        print(dumps({**running.report, "wall_s": round(time.monotonic() - begun, 1)}))
     return code
 
 

@@ -81,12 +81,15 @@ class Run:
     def rmse_m(self) -> dict[int, float]:
         """Of each robot, to the lines that it planned; nan where it drove none."""
         return {
-            int(row["robot"]): float("nan" if row["RMSE, m"] == "-" else row["RMSE, m"])
+            int(row["robot"]): float("nan") if row["RMSE, m"] is None else row["RMSE, m"]
             for row in self.table("planned")
         }
 
     def table(self, chapter: str) -> list[dict[str, Any]]:
-        """All values of a chapter, a row each: ready for `pandas.DataFrame`."""
+        """All values of a chapter, a row each: ready for `pandas.DataFrame`.
+
+        Numbers are numbers; None where there is none.
+        """
         values = self._chapter(chapter).values
         if values is None:
             return []

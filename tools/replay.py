@@ -1,7 +1,6 @@
 """`headland replay`: a log through the inspector, and onto a bus if wanted."""
 
 import asyncio
-import json
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -12,6 +11,7 @@ from rich.live import Live
 from protocol.bus import CanBus
 from protocol.frame import Frame
 from sim.recording import FramesDigest
+from sim.strict_json import dumps
 from tools.attachment import AttachError, attach
 from tools.inspection import SourceError, frames_of, table_of
 from tools.inspector import Inspector
@@ -51,7 +51,7 @@ def replay(
         print(f"headland: {problem}", file=sys.stderr)
         return WRONG
     if as_json:
-        print(json.dumps({**inspector.to_dict(), "log_hash": digest.hex}))
+        print(dumps({**inspector.to_dict(), "log_hash": digest.hex}))
     else:
         console.print(table_of(inspector.to_dict()))
         console.print(f"hash of the frames: {digest.hex}", highlight=False)

@@ -1,6 +1,5 @@
 """`headland run`: a scenario to its end in virtual time, a report of what came of it."""
 
-import json
 import sys
 from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
@@ -19,6 +18,7 @@ from sim.outcome import Outcome
 from sim.recording import Recording
 from sim.scenario import Scenario, ScenarioError
 from sim.setting import Setting
+from sim.strict_json import dumps
 from sim.work_geojson import write_geojson
 from sim.work_record import record_of
 from tools.fact_table import NO_KEYS, run_table
@@ -69,7 +69,7 @@ def run(
     finally:
         keeping.close()
     report = {**outcome.to_dict(), "log_hash": keeping.log_hash, "faults": expedition.told_faults}
-    (folder / "report.json").write_text(json.dumps(report, indent=1) + "\n")
+    (folder / "report.json").write_text(dumps(report, indent=1) + "\n")
     tracks = {s: [(x, y, tool) for _, x, y, tool in t] for s, t in expedition.tracks.items()}
     title = f"{setting.field.name}: {outcome.robots} robots, {outcome.makespan_s:.0f} s"
     draw_field(setting.field, tracks, title, folder / "field.png")
@@ -77,7 +77,7 @@ def run(
     work = record_of(setting.field, expedition.tracks, outcome.finished, started)
     write_geojson(work, folder / "work.geojson", keeping.log_hash)
     if as_json:
-        print(json.dumps(report), flush=True)
+        print(dumps(report), flush=True)
     else:
         console.print(outcome_table(outcome))
         console.print(

@@ -1,6 +1,5 @@
 """`headland run` of a scenario with `mission = "errands"`: robots go to places in a building."""
 
-import json
 from collections import Counter
 from collections.abc import Sequence
 from math import isfinite
@@ -13,6 +12,7 @@ from rich.table import Table
 
 from sim.errand_setting import ErrandSetting
 from sim.outing import Moment, Outing, OutingOutcome
+from sim.strict_json import dumps
 from tools.fact_table import NO_KEYS, run_table
 from tools.keeping import Keeping
 from tools.path_picture import draw_paths
@@ -44,10 +44,10 @@ def run_errands(
         finally:
             keeping.close()
     report = {**outcome.to_dict(), "log_hash": keeping.log_hash}
-    (out / "report.json").write_text(json.dumps(report, indent=1) + "\n")
+    (out / "report.json").write_text(dumps(report, indent=1) + "\n")
     pictures = draw_paths(outing, outcome, out)
     if as_json:
-        print(json.dumps(report))
+        print(dumps(report))
     else:
         console.print(outcome_table(outcome))
         names = f"report.json, {len(pictures)} pictures of paths, trace.jsonl, {keeping.logs}"

@@ -192,7 +192,7 @@ def test_a_launch_is_stopped_and_released_from_the_page(tmp_path: Path) -> None:
         page.find_element("id", "stop").click()  # asks for nothing
         until(page, robots_in("EMERGENCY_STOP"))
         until(page, "document.getElementById('hand-says').textContent === 'all have confirmed'")
-        assert page.find_element("css selector", "#stopped strong").is_displayed()
+        until(page, "!document.getElementById('stopped').hidden")
         until(page, "!document.getElementById('reset').hidden")
         page.find_element("id", "reset").click()
         assert not page.find_element("id", "keyless-line").is_displayed()

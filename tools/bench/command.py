@@ -1,7 +1,6 @@
 """`headland bench NAME`: every figure that a document of ours claims, measured again."""
 
 import inspect
-import json
 import sys
 from collections.abc import Callable, Iterator
 from importlib import import_module
@@ -9,6 +8,7 @@ from importlib import import_module
 from rich.console import Console
 from rich.table import Table
 
+from sim.strict_json import dumps
 from tools.bench.figure import Figure
 from tools.campaign import ClusterError, workers
 
@@ -54,7 +54,7 @@ def bench(
             found.append(figure)
             if as_json:
                 told = {"bench": each, **figure._asdict()}
-                print(json.dumps(told, ensure_ascii=False), flush=True)
+                print(dumps(told, ensure_ascii=False), flush=True)
             else:
                 console.print(_line(figure), highlight=False)
     except ClusterError as problem:

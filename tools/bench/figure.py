@@ -1,10 +1,11 @@
 """One measured figure, as `headland bench` prints it: one JSON object a line."""
 
-import json
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+
+from sim.strict_json import dumps
 
 
 class Figure(NamedTuple):
@@ -17,7 +18,7 @@ class Figure(NamedTuple):
     scope: str  # what is and is not inside the measurement, equal on both sides
 
     def to_json(self) -> str:
-        return json.dumps(self._asdict(), ensure_ascii=False)
+        return dumps(self._asdict(), ensure_ascii=False)
 
 
 def percentile(values: Sequence[float], share: float) -> float:

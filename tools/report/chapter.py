@@ -76,7 +76,7 @@ def _tracks(scene: Scene | None, history: History) -> Chapter:
     if not history.places:
         return Chapter("tracks", title, about, missing="No robot has said where it is.")
     rows = [
-        (slot, f"{p.t_s:.3f}", f"{p.x_m:.2f}", f"{p.y_m:.2f}", f"{p.speed_m_s:.2f}", int(p.stopped))
+        (slot, round(p.t_s, 3), round(p.x_m, 2), round(p.y_m, 2), round(p.speed_m_s, 2), int(p.stopped))
         for slot, track in sorted(history.places.items()) for p in track
     ]  # fmt: skip
     head = ("robot", "t_s", "x_m", "y_m", "speed_m_s", "stopped")
@@ -104,23 +104,31 @@ def _planned(scene: Scene | None, robots: Sequence[Following]) -> Iterator[Chapt
         "samples",
         "ways",
     )
-    table = [
+    values = [
         (r.slot, _metres(r.rmse_m()), _metres(r.rmse_m(True)), _metres(r.rmse_m(False)),
          _metres(r.worst_m), len(r.samples), len(r.lines))
         for r in robots
     ]  # fmt: skip
+    table = [tuple(_said(value) for value in row) for row in values]
     yield Chapter("planned", title, about, _drawn(drawing.planned, scene, robots), (head, table),
-                  (head, table))  # fmt: skip
+                  (head, values))  # fmt: skip
     rows = [
-        (r.slot, f"{s.t_s:.3f}", f"{s.x_m:.3f}", f"{s.y_m:.3f}", f"{s.off_m:.4f}", int(s.tool))
+        (r.slot, round(s.t_s, 3), round(s.x_m, 3), round(s.y_m, 3), round(s.off_m, 4), int(s.tool))
         for r in robots for s in r.samples
     ]  # fmt: skip
     yield Chapter("errors", "The same over time", "", drawing.png_of(drawing.errors(robots)),
                   values=(("robot", "t_s", "x_m", "y_m", "off_m", "implement_down"), rows))  # fmt: skip
 
 
-def _metres(value: float) -> str:
-    return f"{value:.3f}" if isfinite(value) else "-"
+def _metres(value: float) -> float | None:
+    """None where there is none: an empty cell of a CSV, and NaN of a data frame."""
+    return round(value, 3) if isfinite(value) else None
+
+
+def _said(value: float | None) -> str:
+    if value is None:
+        return "-"
+    return f"{value:.3f}" if isinstance(value, float) else str(value)
 
 
 def _sections(history: History, marks: Sequence[Event]) -> Chapter:
@@ -135,8 +143,8 @@ def _sections(history: History, marks: Sequence[Event]) -> Chapter:
     if shown > drawing.ROWS_MAX:
         about += f" The first {drawing.ROWS_MAX} of {shown} are drawn."
     rows = [
-        (f"S{s.who}", s.what, "" if s.owner is None else s.owner, f"{s.from_s:.3f}",
-         f"{s.until_s:.3f}") for s in history.held
+        (f"S{s.who}", s.what, s.owner, round(s.from_s, 3), round(s.until_s, 3))
+        for s in history.held
     ]  # fmt: skip
     owners: dict[int, list[float]] = {}
     for span in history.held:
@@ -156,8 +164,8 @@ def _load(history: History, bitrate: int, marks: Sequence[Event]) -> Chapter:
     )
     kinds = sorted({kind for _, bits in bins for kind in bits})
     rows = [
-        (second, *(f"{bits[kind] / (width_s * bitrate):.5f}" for kind in kinds),
-         f"{bits.total() / (width_s * bitrate):.5f}") for second, bits in bins
+        (second, *(round(bits[kind] / (width_s * bitrate), 5) for kind in kinds),
+         round(bits.total() / (width_s * bitrate), 5)) for second, bits in bins
     ]  # fmt: skip
     shares = [bits.total() / (width_s * bitrate) for _, bits in bins]
     table = [(f"{median(shares):.1%}", f"{max(shares):.1%}", sum(history.malformed.values()))]
@@ -172,7 +180,7 @@ def _states(history: History, marks: Sequence[Event]) -> Chapter:
     if not history.states:
         return Chapter("states", "States", about, missing="No robot has said its state.")
     rows = [
-        (s.who, s.what, f"{s.from_s:.3f}", f"{s.until_s:.3f}") for s in history.states
+        (s.who, s.what, round(s.from_s, 3), round(s.until_s, 3)) for s in history.states
     ]  # fmt: skip
     names = [n for n in drawing.STATES if any(s.what == n for s in history.states)]
     table = []
@@ -204,8 +212,8 @@ def _stops(history: History) -> Chapter:
         for s in history.pressed
     ]  # fmt: skip
     rows = [
-        (".".join(map(str, s.dot)), f"{s.t_s:.6f}", s.by, s.reason, slot,
-         *(f"{of[slot]:.6f}" if slot in of else "" for of in (s.echo_s, s.latch_s, s.still_s)))
+        (".".join(map(str, s.dot)), round(s.t_s, 6), s.by, s.reason, slot,
+         *(round(of[slot], 6) if slot in of else None for of in (s.echo_s, s.latch_s, s.still_s)))
         for s in history.pressed for slot in s.present
     ]  # fmt: skip
     columns = ("dot", "t_s", "by", "reason", "robot", "echo_s", "stopped_s", "stands_s")
@@ -222,7 +230,8 @@ def _last(stop: Stop, times_s: dict[int, float]) -> str:
 
 def _events(evidence: Evidence, faults: Sequence[Event], history: History) -> Chapter:
     told = sorted([*faults, *history.seen], key=lambda event: event.t_s)
-    rows = [(f"{e.t_s:.3f}", e.kind, e.who, e.what) for e in told]
+    rows = [(round(e.t_s, 3), e.kind, e.who, e.what) for e in told]
+    table = [(f"{t_s:.3f}", *rest) for t_s, *rest in rows]
     about = (
         "Faults that were done to it, and what the bus showed: silences, stops, orders, questions."
     )
@@ -238,7 +247,7 @@ def _events(evidence: Evidence, faults: Sequence[Event], history: History) -> Ch
     if not rows:
         return Chapter("events", "Chaos and other events", about, missing="Nothing happened.")
     head = ("t, s", "what", "who", "")
-    return Chapter("events", "Chaos and other events", about, table=(head, rows),
+    return Chapter("events", "Chaos and other events", about, table=(head, table),
                    values=(("t_s", "kind", "who", "what"), rows))  # fmt: skip
 
 

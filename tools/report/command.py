@@ -1,7 +1,6 @@
 """`headland report`: a run as one HTML page with its pictures, and PNG and CSV beside it."""
 
 import csv
-import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,6 +9,7 @@ from urllib.parse import quote
 from rich.console import Console
 
 from sim.mcap_log import McapMissing
+from sim.strict_json import dumps
 from tools.inspection import SourceError
 from tools.report.chapter import Chapter, chapters
 from tools.report.evidence import Evidence, gather
@@ -45,7 +45,7 @@ def report(source: Path, out: Path | None, as_json: bool) -> int:
     if as_json:
         names = [chapter.name for chapter in found if not chapter.missing]
         told = {"page": str(out), "files": str(out.with_suffix(""))}
-        print(json.dumps({**told, "chapters": names, "without": without}))
+        print(dumps({**told, "chapters": names, "without": without}))
         return 0
     for chapter in found:
         if chapter.missing:

@@ -1,0 +1,23 @@
+"""JSON as the standard has it: what is infinite or not a number is null.
+
+Python writes `Infinity` and `NaN`, which other readers of JSON refuse.
+"""
+
+import json
+from math import isfinite
+from typing import Any
+
+
+def dumps(value: Any, **how: Any) -> str:
+    """As `json.dumps`. TypeError where a value is not plain."""
+    return json.dumps(_finite(value), allow_nan=False, **how)
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, float):
+        return value if isfinite(value) else None
+    if isinstance(value, dict):
+        return {_finite(key): _finite(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(each) for each in value]
+    return value
