@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from agent.lifecycle import State
+from agent.shortcut_buttons import HOLD_US
 from agent.task_book import TASKS_MAX, stop_names
 from crdt import FieldAllocationCRDT, Phase, Progress
 from crdt.register import pack
@@ -25,11 +26,18 @@ from protocol.fleet_frames import (
 )  # fmt: skip
 from protocol.frame import Frame
 from protocol.operator_frames import Matter, OperatorReport
-from protocol.safety_frames import AllImplementsStop, EmergencyReset, EmergencyStop
+from protocol.safety_frames import (
+    AllImplementsStop,
+    EmergencyReset,
+    EmergencyStop,
+    HeldReset,
+    Switch,
+)
 from protocol.work_frames import StateSyncResponse, TaskClaim, WorkProgress
 from tools.bus_load import BIT_RATE, BusLoad, bits_of
 from tools.causality import Causality
 
+BUTTON_S = HOLD_US / 1e6  # a shortcut button that is silent so long is forgotten
 TRANSITIONS_MAX = 64  # newest kept a robot; a path longer than that is not read by anybody
 SILENT_S = 1.0  # a robot not heard for longer is shown as silent
 
@@ -84,7 +92,7 @@ class Inspector:
         self.stops: dict[tuple[int, int, int], float] = {}
         self.cleared: dict[tuple[int, int, int], float] = {}
         self.votes: dict[tuple[int, int], dict[int, int]] = {}
-        self.implements_stop: float | None = None
+        self._buttons: dict[int, float] = {}  # address of a pressed button: when it was heard last
         self.bits = 0
         self.changed_s = 0.0  # when a frame last told of a claim or of work that was new
         self.first_s: float | None = None
@@ -108,11 +116,14 @@ class Inspector:
         slot = self.slot_of.get(source)
         self.causality.hear(t_s, frame, slot, message)
         if isinstance(message, EmergencyStop):
-            self.stops.setdefault(message[:3], t_s)
+            if not message.spent:
+                self.stops.setdefault(message[:3], t_s)
+        elif isinstance(message, HeldReset):  # names all that robots hold by one sum
+            self.cleared = dict.fromkeys(self.stops, t_s) | self.cleared
         elif isinstance(message, EmergencyReset):
             self.cleared.setdefault(message[:3], t_s)
         elif isinstance(message, AllImplementsStop):
-            self.implements_stop = t_s if message.switch == 0 else None
+            self._button(t_s, source, message)
         if slot is None:
             return
         robot = self.robots[slot]
@@ -169,7 +180,21 @@ class Inspector:
             robot.transitions.append(Transition(t_s, robot.state, name, kind))
             robot.state = name
 
+    def _button(self, t_s: float, source: int, m: AllImplementsStop) -> None:
+        """Each shortcut button permits for itself alone."""
+        if m.switch in (Switch.STOP, Switch.ERROR):
+            self._buttons[source] = t_s
+        elif m.switch == Switch.PERMIT:
+            self._buttons.pop(source, None)
+
     # ---------------------------------------------------------------- what people ask
+
+    @property
+    def implements_stop(self) -> float | None:
+        """When the last button that stops implements was heard; None: all permit, or are silent."""
+        heard_s = max(self._buttons.values(), default=None)
+        held = heard_s is not None and self.now_s - heard_s < BUTTON_S
+        return heard_s if held else None
 
     @property
     def latched(self) -> list[tuple[int, int, int]]:
