@@ -58,7 +58,7 @@ class Cause(Enum):
     UNHEARD = _Rule(
         Severity.PROTECTIVE,
         Clears.WHEN_GONE,
-        "nobody says that it hears us, or the bus takes nothing",
+        "our frames do not leave, or nobody says that it hears us",
     )
     SENSES_OLD = _Rule(
         Severity.PROTECTIVE,

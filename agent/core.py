@@ -200,6 +200,7 @@ class Peer:
         due_us = sooner(self.voice.deadline_us, self.safety.deadline_us)
         due_us = sooner(sooner(due_us, self.membership.deadline_us), self.joining.deadline_us)
         if self.joining.joined:  # no address, no turn
+            due_us = sooner(due_us, self.check.deadline_us)
             due_us = sooner(due_us, self.sync.deadline_us)
             due_us = sooner(due_us, self.letters.deadline_us)
             due_us = sooner(due_us, self.roll_call.deadline_us)
@@ -225,8 +226,10 @@ class Peer:
             effects += self.roll_call.tick(now_us)
             effects += self._working.start_due(now_us)
         late_us = now_us - self.voice.next_control_us
-        if self.voice.control_due(now_us):
+        control = self.voice.control_due(now_us)
+        if control or self.check.due(now_us):
             effects += self.check.look(late_us, now_us)
+        if control:
             effects += self.senses.look(now_us)
             effects += self._working.control(now_us)
         effects += self.voice.speak(self, now_us)

@@ -75,6 +75,17 @@ class Shelving(Protocol):
         ...
 
 
+@runtime_checkable
+class Confirming(Protocol):
+    """A bus that may tell which of our frames have left it."""
+
+    @property
+    def sent(self) -> int | None:
+        """Own frames that were sent to their end and acknowledged by another node, since some time; they
+        only become more. None: the interface does not tell."""
+        ...
+
+
 class Body(Protocol):
     """Sensors and actuators of one robot."""
 

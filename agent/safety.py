@@ -35,6 +35,7 @@ CREEP_M_S = 0.5
 UNAUTHENTICATED_HOLD_US = 1 * S  # a stop without a valid tag holds this long after its last frame
 # 2 s; then the heartbeats' stopped bit carries the latch. 1 s by who knows nobody: it may have just come.
 REPEATS_MAX, REPEATS_ALONE = 400, 200
+REPEAT_UNHEARD_US = 50 * MS  # nothing leaves: not faster, and without counting
 AGAIN_US = 100 * MS  # 20 repeats: who still beats as if nothing was may know our dot as cleared
 AGAIN_MAX = 3  # further dots for one press; beyond it that member cannot hear us at all
 TOLD_MAX = 4  # stops told at a time to who does not know them: 2 ms of bus; in turns
@@ -465,16 +466,19 @@ class Safety:
             self.clear_cause(Cause.CREEP, now_us)
 
     def _repeat(self, now_us: int) -> Sequence[Effect]:
-        """As the source: every 5 ms until every live member has echoed."""
+        """As the source: every 5 ms until every live member has echoed. What nobody can hear has not been
+        said: it does not count."""
         sends, others = list[Effect](), self._live - {self.slot}
+        unheard = Cause.UNHEARD in self._causes
         for dot, left in sorted(self._own.items()):
             enough = left <= (0 if others else REPEATS_MAX - REPEATS_ALONE)
             if enough or (others and others <= self._echoes.get(dot, set())):
                 del self._own[dot]
                 continue
-            self._own[dot] = left - 1
+            self._own[dot] = left - (not unheard)
             sends.append(Send(self._stop(dot, Reason.OPERATOR_INTERVENTION)))
-        self._repeat_us = now_us + STOP_REPEAT_US if self._own else FOREVER
+        pause_us = REPEAT_UNHEARD_US if unheard else STOP_REPEAT_US
+        self._repeat_us = now_us + pause_us if self._own else FOREVER
         return sends
 
     # ---------------------------------------------------------------- the gate

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 
 from agent.core import Peer
 from agent.effects import Drive, Effect, Persist, Send, Trace
-from agent.ports import Beat, Body, Bus, Journal, Shelving
+from agent.ports import Beat, Body, Bus, Confirming, Journal, Shelving
 from protocol.codec import encode
 from protocol.fleet_frames import Pose
 from protocol.frame import Frame
@@ -54,6 +54,8 @@ class Shell:
         self._failure: Exception | None = None
         self._disk_failed = False
         self._taken = True  # the bus took the last frame
+        self._confirming = bus if isinstance(bus, Confirming) else None
+        self.withheld = 0  # frames that were not sent because those before them do not leave
         self._frozen_until_us = 0  # 0: not frozen
         self._shelving = bus if isinstance(bus, Shelving) else None
         self._shelf: list[Beat] = []  # calm beats, for the next turn
@@ -89,7 +91,11 @@ class Shell:
                 if source is None and _is_press(effect.message):
                     source = NULL_ADDRESS
                 if source is not None:
-                    self._taken = self.bus.send(encode(effect.message, source, effect.destination))
+                    frame = encode(effect.message, source, effect.destination)
+                    if self.peer.check.clogged and not self.peer.check.lets_out(frame, now_us):
+                        self.withheld += 1
+                        continue
+                    self._taken = self.bus.send(frame)
             elif isinstance(effect, Drive):
                 if self.body is not None:
                     self.body.drive(effect, now_us)
@@ -208,7 +214,8 @@ class Shell:
         now_us, peer = self.clock(), self.peer
         self._catch_up()
         if now_us >= self._armed_us or now_us >= peer.deadline_us:
-            effects = peer.check.bus(self.bus.health, self._taken, now_us)
+            sent = None if self._confirming is None else self._confirming.sent
+            effects = peer.check.bus(self.bus.health, self._taken, now_us, sent)
             if effects:
                 self.perform(effects)
             if self.body is not None and peer.wants_observation(now_us):

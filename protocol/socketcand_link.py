@@ -9,6 +9,10 @@ nothing is heard, and `health` says so, which stops a robot. python-can's client
 (measured with 4.5: after the server's end its thread reads nothing without pause, and `sendall` waits
 for a server that hangs).
 
+A hub of ours is asked by `confirm` to tell which frames have left the wire, and which it could not
+take: it answers `sent N` and `refused N`, counted since the connection. Other servers know no such
+command; behind them nobody can tell (`sent` is None), and a robot that hears nobody stands.
+
 What was under way when a connection is given up is thrown away on both sides: a beat that arrives
 seconds late would be believed.
 """
@@ -30,6 +34,7 @@ DEAD_S = 1.0  # no answer either: three askings, and ten times what a busy machi
 UNSENT_MAX = 16_384  # bytes that wait for the server: 300 frames, a sixth of a second of a full bus
 FIRST_S = 0.1  # before another try, doubled each time
 LAST_S = 1.0  # and not longer: the tries of a whole fleet are a hundred a second
+COUNT_DIGITS_MAX = 18  # of a number of frames: more than any wire will ever carry
 NO_LINGER = struct.pack("ii", 1, 0)  # close throws away what the other side has not taken
 
 
@@ -40,6 +45,9 @@ class SocketcandLink(asyncio.Protocol):
         self.connections = 0  # that came to be
         self.malformed = 0  # answers that made no sense
         self.refused = 0  # frames that were not taken
+        self.sent: int | None = None  # frames that have left; see `agent.ports.Confirming`
+        self._sent_before = 0  # in earlier connections
+        self._full = False  # what the server said last is that it could not take a frame
         self._callback: Callable[[Frame], None] | None = None
         self._transport: asyncio.Transport | None = None
         self._raw = asyncio.Event()  # frames go both ways
@@ -61,6 +69,7 @@ class SocketcandLink(asyncio.Protocol):
             assert transport is not None
             data = " ".join(f"{byte:02X}" for byte in frame.data)
             transport.write(f"< send {frame.identifier:08X} {len(frame.data)} {data} >".encode())
+            taken = not self._full
         self.refused += not taken
         return taken
 
@@ -92,7 +101,8 @@ class SocketcandLink(asyncio.Protocol):
     async def _keep(self) -> None:
         pause_s = FIRST_S
         while True:
-            self._answers, self._pending = 0, b""
+            self._answers, self._pending, self._full = 0, b"", False
+            self._sent_before = self.sent or 0
             self._over.clear()
             if await self._connect():
                 pause_s = FIRST_S
@@ -166,11 +176,24 @@ class SocketcandLink(asyncio.Protocol):
             elif self._raw.is_set() and self._callback is not None:
                 self._callback(frame)
             return
+        if self._raw.is_set() and self._count(words):
+            return
         expected = ([b"hi"], [b"ok"], [b"ok"])
         if self._answers < len(expected) and words == expected[self._answers]:
             self._greet()
-        elif words != [b"echo"]:
+        elif words != [b"echo"] and words[:2] != [b"error", b"unknown"]:  # what `confirm` may get
             self.malformed += 1
+
+    def _count(self, words: list[bytes]) -> bool:
+        """`sent N` or `refused N` of a hub."""
+        if len(words) != 2 or words[0] not in (b"sent", b"refused") or len(words[1]) > COUNT_DIGITS_MAX:
+            return False
+        if not words[1].isdigit():
+            return False
+        self._full = words[0] == b"refused"
+        if not self._full:
+            self.sent = max(self.sent or 0, self._sent_before + int(words[1]))
+        return True
 
     def _greet(self) -> None:
         """What socketcand asks for, one after the other: hi, open, rawmode."""
@@ -183,6 +206,7 @@ class SocketcandLink(asyncio.Protocol):
         else:
             self.connections += 1
             self._raw.set()
+            self._transport.write(b"< confirm >")
 
 
 def _frame(words: list[bytes]) -> Frame | None:

@@ -25,7 +25,7 @@ from protocol.codec import decode_once, encode
 from protocol.frame import Frame
 from protocol.messages import Message
 from protocol.name import fleet_name
-from protocol.safety_frames import Challenge, Reason
+from protocol.safety_frames import Challenge, EmergencyReset, OperatorCommand, Reason
 from sim.acquaintance import Acquaintance
 from sim.disk import MemoryJournal
 from sim.errand_setting import ErrandSetting
@@ -254,6 +254,7 @@ class Cluster:
         if self._tool is None:
             self._tool = FieldBus(self.channel)
             self._tool.subscribe(self._answer)
+            self._tool.tell_sent(self._said)
         self._tool.submit(encode(message, source))
 
     def order(self, message: Signed) -> None:
@@ -266,6 +267,12 @@ class Cluster:
             return
         for _ in range(2):
             self.inject(self._keyring.sign(message))
+
+    def _said(self, t_us: int, frame: Frame) -> None:
+        """An order that has waited for a full bus counts from now."""
+        message = decode_once(frame)[1]
+        if self.on_order is not None and isinstance(message, EmergencyReset | OperatorCommand):
+            self.on_order(message)
 
     def _answer(self, frame: Frame) -> None:
         """The operator's device proves where its counter is, when a robot asks it to."""

@@ -9,6 +9,7 @@ from random import Random
 from sim import scenario as kinds
 from sim.scenario import Fault
 
+BABBLING = 0x4D  # the lowest bits of an identifier: the group 0, and a device's address
 YARD_M = 18.0, 12.0  # boxes fall within this of the middle
 Draw = Callable[[Random, int, float, float], list[Fault]]  # dice, robots, when, until when
 
@@ -58,8 +59,14 @@ def _bus_off(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]
 
 
 def _babble(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
-    priority, for_s = rng.randrange(8), rng.uniform(0.1, 3.0)
-    return [kinds.Babble(at_s=at_s, kind="babble", priority=priority, for_s=for_s)]
+    """Of any urgency, below and above a stop; longer than a policy waits before it goes on."""
+    priority, for_s = rng.randrange(8), rng.uniform(0.1, 8.0)
+    identifier = rng.choice((None, priority << 26 | BABBLING, BABBLING, 0))
+    return [
+        kinds.Babble(
+            at_s=at_s, kind="babble", priority=priority, identifier=identifier, for_s=for_s
+        )
+    ]
 
 
 def _clone(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:

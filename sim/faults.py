@@ -22,6 +22,7 @@ from sim.host import Script, follow
 from sim.setting import Setting
 from sim.swarm import SwarmShell
 
+UNKNOWN_GROUP = 0x1FF0700  # its priority is drawn; even at 0 a stop has the lower identifier
 BABBLER, BABBLE_FRAMES, BABBLE_US = 240, 2, 1_000  # more than the bus can carry
 TRIES = (
     5  # robots ask an operator they have not heard for a while to prove itself, one after another
@@ -114,8 +115,10 @@ class FaultPlan:
             case kinds.Pushed(robot=robot, dx_m=dx_m, dy_m=dy_m):
                 cluster.stops.carried(robot)
                 self._push(robot, dx_m, dy_m)
-            case kinds.Babble(priority=priority, for_s=for_s):
-                return self._babble(priority, for_s)
+            case kinds.Babble(priority=priority, identifier=identifier, for_s=for_s):
+                if identifier is None:
+                    identifier = priority << 26 | UNKNOWN_GROUP | BABBLER
+                return self._babble(identifier, for_s)
             case kinds.Buttons():
                 return buttons(cluster, fault, self._rng, len(self.done))
             case kinds.UsedStop():
@@ -212,13 +215,12 @@ class FaultPlan:
         self._now_us()
         self.cluster.world.remove_box(box)
 
-    def _babble(self, priority: int, for_s: float) -> Script[None]:
+    def _babble(self, identifier: int, for_s: float) -> Script[None]:
         bus = FieldBus(self.cluster.channel)
         bus.subscribe(lambda frame: None)
         until_us = self._now_us() + round(for_s * S)
         while self._now_us() < until_us:
-            # of a group that nobody knows, below and above ours in urgency
-            frame = Frame(priority << 26 | 0x1FF0700 | BABBLER, self._rng.randbytes(8))
+            frame = Frame(identifier, self._rng.randbytes(8))
             for _ in range(BABBLE_FRAMES):
                 bus.submit(frame)
             yield self._now_us() + BABBLE_US

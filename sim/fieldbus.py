@@ -72,6 +72,7 @@ class Segment:
         self.buses: dict[int, FieldBus] = {}
         self.ears: dict[int, Callable[[Frame], None]] = {}  # of buses that are listened to
         self.shelves: dict[int, list[Beat]] = {}  # and of those that take calm beats later
+        self.tellers: dict[int, Tap] = {}  # told when a frame of theirs has left
         self.taps: list[Tap] = []
         self.lock = threading.RLock()  # programs without an event loop send and receive in threads
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -99,6 +100,14 @@ class Segment:
             accepted = self.wire.submit(node, frame, self.now_us())
             self.arm()
         return accepted
+
+    def detach(self, node: int) -> None:
+        """Take a node off the wire; the others go on."""
+        with self.lock:
+            self.wire.detach(node, self.now_us())
+            for those in (self.buses, self.ears, self.shelves, self.tellers):
+                those.pop(node, None)
+            self.arm()
 
     def arm(self) -> None:
         """See to it that somebody looks when the wire does something next."""
@@ -131,9 +140,12 @@ class Segment:
     def pump(self) -> None:
         """Deliver everything that has ended by now."""
         buses, ears, shelves = self.buses, self.ears, self.shelves
-        for t_us, frame, _, receivers in self.wire.advance(self.now_us()):
+        tellers = self.tellers
+        for t_us, frame, sender, receivers in self.wire.advance(self.now_us()):
             for tap in self.taps:
                 tap(t_us, frame)
+            if sender in tellers:
+                tellers[sender](t_us, frame)
             if shelves:
                 beat = calm(frame, t_us)
                 if beat is not None:
@@ -195,12 +207,14 @@ class FieldBus(BusABC):
         self.node = self.segment.wire.attach(str(channel))
         self.segment.buses[self.node] = self
         self.dropped = 0
-        self._own = receive_own_messages
         self._inbox: deque[Message] = deque()
         self._inbox_max = rx_queue_size
         self._callback: Callable[[Frame], None] | None = None
         self._fd: int | None = None
         self._open = True
+        self._sent = 0  # when it was closed
+        if receive_own_messages:  # as SocketCAN: when they have left, not before
+            self.tell_sent(self._deliver)
 
     # ---------------------------------------------------------------- the fast way
 
@@ -217,12 +231,21 @@ class FieldBus(BusABC):
         else:
             self.segment.shelves.pop(self.node, None)
 
+    @property
+    def sent(self) -> int:
+        """Frames of ours that have left; see `agent.ports.Confirming`."""
+        node = self.segment.wire.nodes.get(self.node)
+        return self._sent if node is None else node.sent
+
+    def tell_sent(self, callback: Tap) -> None:
+        """Call back with each frame of ours that has left."""
+        if self._open:
+            self.segment.tellers[self.node] = callback
+
     def submit(self, frame: Frame) -> bool:
         """Queue a frame without a `can.Message`; False where the node cannot take it."""
         if not self._open:
             return False
-        if self._own:
-            self._deliver(self.segment.now_us(), frame)
         return self.segment.submit(self.node, frame)
 
     def _deliver(self, t_us: int, frame: Frame) -> None:
@@ -289,10 +312,8 @@ class FieldBus(BusABC):
     def shutdown(self) -> None:
         if self._open:
             self._open = False
-            self.segment.wire.detach(self.node)
-            self.segment.buses.pop(self.node, None)
-            self.segment.ears.pop(self.node, None)
-            self.segment.shelves.pop(self.node, None)
+            self._sent = self.sent
+            self.segment.detach(self.node)
             if self._fd is not None:
                 os.close(self._fd)
                 self._fd = None

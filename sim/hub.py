@@ -32,6 +32,7 @@ LEFT_BYTES_MAX = 65_536  # read of a connection that was reset while we wrote to
 OPEN_S = 30.0  # for a connection to ask for frames; a person who types may take a while
 SPEAKS_S = 5.0  # who has sent within this keeps its seat; a robot beats every 50 to 200 ms
 GOODBYE_S = 0.5  # a closed connection ends at once
+REFUSED_US = 1_000_000  # a client that does not ask is told of refused frames once a second
 CLIENTS_MAX = 160  # 108 peers and their tools
 EFF_FLAG = 1 << 31  # SocketCAN's mark of a 29-bit identifier, which some clients leave in it
 HEX = re.compile(r"[0-9A-Fa-f]+")
@@ -64,6 +65,9 @@ class Client(asyncio.BufferedProtocol):
         self.hub = hub
         self.bus: FieldBus | None = None
         self.errors = 0  # commands that made no sense
+        self.refused = 0  # frames that the wire did not take
+        self._confirms = False  # it wants to know what becomes of its frames
+        self._told_us = -REFUSED_US
         self.since_s = self.spoke_s = 0.0  # connected; sent a frame
         self.spoke = False
         self._transport: asyncio.Transport | None = None
@@ -125,6 +129,9 @@ class Client(asyncio.BufferedProtocol):
                 return self._send(identifier, length, data)
             case ["echo"]:
                 return "echo"
+            case ["confirm"]:
+                self._confirms = True
+                return self._confirm()
             case ["bcmmode"] | ["controlmode"] | ["isotpmode"]:
                 return "error only rawmode is served"
         self.errors += 1
@@ -137,12 +144,32 @@ class Client(asyncio.BufferedProtocol):
             return NO_FRAME
         self.spoke, self.spoke_s = True, asyncio.get_running_loop().time()
         if self.bus is not None:
-            self.bus.submit(frame)
-        else:
-            self.hub.segment.submit(
-                self.hub.spare.node, frame
-            )  # sent before the first frame is heard
-        return None
+            taken = self.bus.submit(frame)
+        else:  # sent before the first frame is heard
+            taken = self.hub.segment.submit(self.hub.spare.node, frame)
+        return None if taken else self._refuse()
+
+    def _refuse(self) -> str | None:
+        """The wire has not taken a frame: said to a client that asks, with each; to others seldom."""
+        self.refused += 1
+        if self._confirms:
+            return f"refused {self.refused}"
+        now_us = self.hub.segment.now_us()
+        if now_us - self._told_us < REFUSED_US:
+            return None
+        self._told_us = now_us
+        return "error the bus takes no frame"
+
+    def _confirm(self) -> str | None:
+        """From now on it is told how many of its frames have left the wire."""
+        if not self._confirms or self.bus is None:
+            return None
+        self.bus.tell_sent(self._left)
+        return f"sent {self.bus.sent}"
+
+    def _left(self, t_us: int, frame: Frame) -> None:
+        if self.bus is not None:
+            self._write(f"< sent {self.bus.sent} >".encode("ascii"))
 
     def _attach(self) -> None:
         """On the wire at once. What is heard follows the answer after a pause."""

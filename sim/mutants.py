@@ -19,6 +19,7 @@ from agent.motion import Motion
 from agent.records import Records
 from agent.roll_call import RollCall
 from agent.safety import Safety
+from agent.self_check import NEVER_US, SelfCheck
 from agent.senses import Senses
 from agent.shell import Shell
 from agent.shortcut_buttons import OwnButton, ShortcutButtons
@@ -225,6 +226,14 @@ def _deaf(right: Any) -> Any:
     return property(lambda self: False, lambda self, value: None)
 
 
+def _goes_on_unheard(right: Any) -> Any:
+    def unheard(self: SelfCheck, now_us: int) -> str:
+        alone = len(self.peer.membership.live) == 1
+        return "" if alone or self._left_us != NEVER_US else str(right(self, now_us))
+
+    return unheard
+
+
 def _keeps_address(right: Any) -> Any:
     def move(self: AddressClaim, now_us: int) -> list[Any]:
         return []
@@ -262,6 +271,13 @@ MUTANTS: dict[str, Mutant] = {
     ),
     "silence-harmless": Mutant(
         "silence does not brake", Safety, "members", _constant(()), "claims"
+    ),
+    "alone-unheard": Mutant(
+        "frames that do not leave, and nobody who hears, keep nobody from going on",
+        SelfCheck,
+        "_unheard",
+        _goes_on_unheard,
+        "flood",
     ),
     "latch-forgotten": Mutant(
         "a restart forgets the latch and the hold", Safety, "_recall", _forgets_latch, "press"

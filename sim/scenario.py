@@ -174,7 +174,9 @@ class Join(_Fault):
 
 class Babble(_Fault):
     kind: Literal["babble"]  # a device that sends without end
-    priority: int = Field(default=7, ge=0, le=7)
+    priority: int = Field(default=7, ge=0, le=7)  # of a group that nobody knows
+    # instead: all 29 bits of it; below 0x00FF0000 it outranks a stop, and 0 outranks everything
+    identifier: int | None = Field(default=None, ge=0, lt=1 << 29)
     for_s: float = Field(gt=0.0)
 
 

@@ -79,7 +79,7 @@ PROFILES = {
                      "robots that die, freeze and come back, with and without their memory"),
     "stop": Profile((2, 5), (2, 8), {"estop": 4.0, "reset": 2.0, "haste": 2.0, "partition": 1.0,
                                      "crash": 1.0,
-                                     "loss": 1.0, "freeze": 1.0, "babble": 0.5,
+                                     "loss": 1.0, "freeze": 1.0, "babble": 1.0,
                                      "blind": 0.5, "frozen": 0.5, "late": 0.5},
                     "presses and resets in the middle of trouble", together=0.5),
     "body": Profile((2, 4), (2, 8), {"box": 3.0, "pushed": 3.0, "crash_working": 1.0,
@@ -90,7 +90,7 @@ PROFILES = {
                         "every kind of fault, without a world: more hours, longer runs", "drill"),
     "press": Profile((2, 4), (2, 8), {"burst": 4.0, "estop": 2.0, "reset": 4.0, "haste": 2.0,
                                       "crash": 1.0, "blackout": 1.0, "freeze": 1.0,
-                                      "partition": 0.5},
+                                      "partition": 0.5, "babble": 0.5},
                      "short drills: presses in noise, resets, the power of all failing",
                      "sprint", together=0.5),
     "devices": Profile((2, 4), (2, 6), {"buttons": 4.0, "used_stop": 4.0, "estop": 2.0, "reset": 3.0,
@@ -106,9 +106,13 @@ PROFILES = {
                       "sprint"),
     "split": Profile((2, 5), (1, 6), {"split": 4.0, "one_way": 1.0, "crash": 2.0, "join": 1.0,
                                       "loss": 1.0, "omission": 1.0, "freeze": 1.0, "bus_off": 1.0,
-                                      "estop": 0.5, "reset": 0.5},
+                                      "estop": 0.5, "reset": 0.5, "babble": 1.0},
                      "short drills under the policy continue: both sides work on", "sprint",
                      silence="continue"),
+    "flood": Profile((2, 5), (3, 8), {"babble": 4.0, "estop": 3.0, "reset": 1.0, "crash": 0.5,
+                                      "join": 0.5, "freeze": 0.5, "bus_off": 0.5},
+                     "short drills under the policy continue: presses, and devices that outrank them",
+                     "sprint", together=0.5, silence="continue"),
 }  # fmt: skip
 
 

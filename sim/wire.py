@@ -7,10 +7,13 @@ the nodes' transmit queues goes first; it is not interrupted. An idle wire sched
 Faults: islands (a cut bus), one-way links, loss, duplicates, bus errors with retransmission, error
 counters through error passive to bus-off and back, inconsistent omission. Chance comes from one
 generator per kind of fault, so that removing one fault does not reshuffle the others.
+
+Every frame is acknowledged, also that of a robot that is alone: a machine has a second controller on its
+bus, that of its implement. So `Node.sent` is what a CAN controller can confirm.
 """
 
 from dataclasses import dataclass, field
-from heapq import heappop, heappush
+from heapq import heapify, heappop, heappush
 from random import Random
 from typing import Final, NamedTuple
 
@@ -23,6 +26,7 @@ PASSIVE = 127  # above this a node is error passive
 BUS_OFF_TEC = 256
 SUSPEND_US = 8 * BIT_US  # an error passive node waits so long after its own frame (ISO 11898-1)
 NEVER_US: Final = -1
+ENDLESS_US: Final = 1 << 62
 NO_FRAME = Frame(0, b"")
 RECOVERY_US = 128 * 11 * BIT_US  # 128 times 11 recessive bits
 
@@ -49,7 +53,8 @@ class Node:
     off_until_us: int | None = None  # bus-off until then
     ready_us: int = 0  # error passive: not before this, after a frame of its own
     refused: int = 0  # frames that found the queue full or the node off the bus
-    sent: int = 0
+    sent: int = 0  # frames that have left and were acknowledged; its driver can tell
+    flood: Frame | None = None  # it has this frame to send, always
 
 
 @dataclass
@@ -75,10 +80,13 @@ class Island:
         self.sender = 0
         self.frame = NO_FRAME
         self.broken = False
+        self.train_us = 0  # length of each of the same frames that follow one another; 0: no train
 
     @property
     def next_us(self) -> int:
-        """When something happens here, or `NEVER_US`."""
+        """When something happens here, or `NEVER_US`. A train goes on by itself."""
+        if self.train_us:
+            return NEVER_US
         return self.start_us if self.end_us == NEVER_US else self.end_us
 
 
@@ -113,18 +121,72 @@ class Wire:
         self._audience.clear()
         return number
 
-    def detach(self, number: int) -> None:
+    def detach(self, number: int, now_us: int = 0) -> None:
+        """Without power: what it has waiting is lost, and a frame of its own that is under way breaks
+        off. The others see an error and arbitrate behind it."""
+        now_us = self._now_us = max(self._now_us, now_us)
+        self._settle_all(now_us)
         self.nodes.pop(number, None)
         self._off.pop(number, None)
         self._waiting.discard(number)
         self._next_known = False
         for island in self._islands:
-            if island.sender == number:
-                island.end_us = NEVER_US
+            if island.sender == number and island.end_us != NEVER_US:
+                self._break_off(island, now_us)
         self._audience.clear()
+
+    def _break_off(self, island: Island, now_us: int) -> None:
+        """Its sender is gone."""
+        if island.begun_us > now_us:
+            self._withdraw(island)
+            return  # who has something to send arbitrates at that bit
+        self.busy_us -= island.end_us - now_us - ERROR_US
+        island.end_us, island.free_us = NEVER_US, now_us + ERROR_US
+        island.start_us = island.free_us
+
+    def flood(self, number: int, frame: Frame | None, now_us: int) -> None:
+        """From now on the node has this frame to send, always; None: no longer. Where nothing else can
+        win, its frames follow one another without an event each: they are counted, and not delivered.
+        So it is for frames of groups that no robot reads."""
+        self._now_us = max(self._now_us, now_us)
+        self._settle_all(now_us)
+        node = self.nodes[number]
+        if node.flood is not None:
+            node.queue = [entry for entry in node.queue if entry[2] is not node.flood]
+            heapify(node.queue)
+            if not node.queue:
+                self._waiting.discard(number)
+        node.flood = frame
+        if frame is not None:
+            self.submit(number, frame, now_us)
+
+    def settle(self, now_us: int) -> None:
+        """Count what a flood has sent until now."""
+        self._settle_all(now_us)
+
+    def _settle_all(self, now_us: int) -> None:
+        for island in self._islands:
+            if island.train_us:
+                self._settle(island, now_us)
+
+    def _settle(self, island: Island, now_us: int) -> None:
+        """The train ends with the frame that is under way now, and the next arbitration behind it."""
+        ended = max(0, (now_us - island.begun_us) // island.train_us)
+        node, length = self.nodes[island.sender], len(island.frame[1])
+        node.sent += ended
+        self.frames += ended
+        group = island.frame[0] >> 8 & 0x3FFFF
+        self.by_group[group] = self.by_group.get(group, 0) + ended
+        self.busy_us += (ended + 1) * island.train_us
+        self.worst_us += ended * WORST_BITS[length] * self.bit_us
+        island.begun_us += ended * island.train_us
+        island.end_us = island.begun_us + island.train_us
+        island.train_us = 0
+        self._next_known = False
 
     def partition(self, *islands: set[int]) -> None:
         """Cut the bus: the named nodes fall into these islands, the others stay in the first."""
+        self._settle_all(self._now_us)
         while len(self._islands) < len(islands):
             self._islands.append(Island(len(self._islands)))
         for number, node in self.nodes.items():
@@ -140,13 +202,18 @@ class Wire:
     # ---------------------------------------------------------------- sending
 
     def submit(self, number: int, frame: Frame, now_us: int) -> bool:
-        """Queue a frame; False where the queue is full or the node is off the bus."""
+        """Queue a frame; False where the queue is full of frames that are as urgent, or the node is off
+        the bus. A more urgent frame displaces the least urgent one."""
         node = self.nodes.get(number)
         if node is None:
             return False
-        if node.off_until_us is not None or len(node.queue) >= QUEUE_MAX:
+        if node.off_until_us is not None:
             node.refused += 1
             return False
+        if len(node.queue) >= QUEUE_MAX:
+            node.refused += 1
+            if not self._displace(node, frame):
+                return False
         self._order += 1
         self._now_us = max(self._now_us, now_us)
         heappush(node.queue, (frame.identifier, self._order, frame))
@@ -160,7 +227,20 @@ class Wire:
             self._next_known = False
         return True
 
+    @staticmethod
+    def _displace(node: Node, frame: Frame) -> bool:
+        last = max(node.queue)
+        if last[0] <= frame.identifier:
+            return False
+        node.queue.remove(last)
+        heapify(node.queue)
+        return True
+
     def _wish(self, island: Island, now_us: int) -> None:
+        if island.train_us:
+            if self._undisturbed(self.nodes[island.sender]) and not self._outranks(island):
+                return
+            self._settle(island, now_us)
         if island.end_us != NEVER_US:
             if island.begun_us <= now_us:
                 return
@@ -171,6 +251,15 @@ class Wire:
         if island.start_us == NEVER_US or start_us < island.start_us:
             island.start_us = start_us
             self._next_known = False
+
+    def _outranks(self, island: Island) -> bool:
+        """Somebody has a frame that a train does not win against."""
+        best = self.nodes[island.sender].queue[0]
+        return any(
+            self.nodes[n].queue[0] < best
+            for n in self._waiting
+            if n != island.sender and self.nodes[n].island == island.number
+        )
 
     def _withdraw(self, island: Island) -> None:
         """The arbitration that was held ahead of its bit was not the last word."""
@@ -240,6 +329,12 @@ class Wire:
         identifier, data = frame
         bits = frame_bits(identifier, data)
         self.worst_us += WORST_BITS[len(data)] * self.bit_us
+        node = self.nodes[sender]
+        if frame is node.flood and not later_us and self._undisturbed(node):
+            island.begun_us, island.end_us, island.sender = t_us, ENDLESS_US, sender
+            island.frame, island.broken = frame, False
+            island.train_us = bits * self.bit_us
+            return
         broken = self.faults.error > 0.0 and self._rng["error"].random() < self.faults.error
         if broken:  # somewhere inside the frame, then everybody shouts
             length_us = self._rng["error"].randrange(1, bits) * self.bit_us + ERROR_US
@@ -271,7 +366,7 @@ class Wire:
                 self.faults.duplicate > 0
                 and self._rng["duplicate"].random() < self.faults.duplicate
             )
-            if not repeated and node.queue:
+            if not repeated and node.queue and frame is not node.flood:
                 self._drop_head(node, frame)
             if not node.queue:
                 self._waiting.discard(number)
@@ -280,6 +375,11 @@ class Wire:
             if self.nodes[waiting].island == island.number:
                 island.start_us = t_us
                 break
+
+    def _undisturbed(self, node: Node) -> bool:
+        """Nothing but a frame that is submitted can change who wins."""
+        faults = self.faults
+        return not (faults.error or faults.duplicate or self._off or node.tec > PASSIVE)
 
     @staticmethod
     def _drop_head(node: Node, frame: Frame) -> None:
@@ -315,8 +415,9 @@ class Wire:
 
     def bus_off(self, number: int, until_us: int) -> None:
         """Force a node off the bus."""
+        self._settle_all(self._now_us)
         node = self.nodes[number]
-        node.tec, node.off_until_us = BUS_OFF_TEC, until_us
+        node.tec, node.off_until_us, node.flood = BUS_OFF_TEC, until_us, None
         self._off[number] = until_us
         self._next_known = False
         node.queue.clear()

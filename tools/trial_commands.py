@@ -17,7 +17,7 @@ def chaos(
     ] = "0:20",
     profile: Annotated[
         str,
-        typer.Option(help="all, bus, crash, stop, body, protocol, press, claims or split."),
+        typer.Option(help="all, bus, crash, stop, body, protocol, press, claims, split or flood."),
     ] = "all",
     jobs: Annotated[int, typer.Option(min=0, help="Processes at a time (0: one a core).")] = 0,
     seconds: Annotated[float | None, typer.Option(help="Begin no run after this long.")] = None,

@@ -8,13 +8,14 @@ import numpy as np
 from agent.cause import Cause, Clears
 from agent.config import S
 from agent.core import Peer
-from agent.effects import HALT, Drive
+from agent.effects import HALT, Drive, Send
 from agent.identity import Identity
 from agent.lifecycle import State
 from agent.mission import Choice, FleetView, Wish
 from agent.motion import Limits, Motion
 from agent.ports import Observation
 from agent.safety import SilencePolicy
+from protocol.health import Health
 from protocol.name import fleet_name
 
 FULL = Wish(2.0, 0.0, 0.0, True)
@@ -68,13 +69,16 @@ def held_by(peer: Peer) -> set[Cause]:
 
 
 def pass_time(peer: Peer, until_us: int = 10 * S) -> None:
-    """Its body does what it is told, at once."""
-    now_us, x_m, drive = 0, 0.0, HALT
+    """Its body does what it is told, at once, and its bus confirms each frame."""
+    now_us, x_m, drive, sent = 0, 0.0, HALT, 0
     while now_us < until_us:
         then_us = max(now_us + 1, peer.deadline_us)
         x_m += drive.vx_m_s * (then_us - now_us) / S
         now_us = then_us
+        peer.check.bus(Health.ACTIVE, True, now_us, sent)
         if peer.wants_observation(now_us):
             here = Observation(x_m, 0.0, 0.0, drive.vx_m_s, 0.0, sensed_at_us=now_us)
             peer.observe(here, now_us)
-        drive = next((e for e in peer.tick(now_us) if isinstance(e, Drive)), drive)
+        effects = peer.tick(now_us)
+        sent += sum(isinstance(effect, Send) for effect in effects)
+        drive = next((e for e in effects if isinstance(e, Drive)), drive)

@@ -17,6 +17,7 @@ from agent.motion import Limits, Motion
 from agent.ports import Observation
 from agent.senses import AGE_MAX_US, FROZEN_M, STEADY_US
 from protocol.fleet_frames import NOWHERE_M, PLACE_UNKNOWN_M_S, Member, Pose
+from protocol.health import Health
 from tests.agent.lone_peer import held_by, peer_in
 
 SPEED_M_S, ACCELERATION_M_S2 = 2.5, 1.5
@@ -44,6 +45,7 @@ class Robot:
             self.sensed = Observation(
                 self.x_m, 0.0, 0.0, self.v_m_s, 0.0, (inf,) * 72, sensed_at_us=self.now_us
             )
+        self.peer.check.bus(Health.ACTIVE, True, self.now_us, self.now_us)  # a frame leaves each time
         self.peer.observe(self.sensed, self.now_us)
         effects = self.peer.tick(self.now_us)
         self.told = next((e for e in effects if isinstance(e, Drive)), self.told)

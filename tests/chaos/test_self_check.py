@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import Awaitable, Callable
+from functools import partial
 
 import can
 import pytest
@@ -9,7 +10,8 @@ import pytest
 from agent.cause import Cause
 from agent.config import ACTUATOR_TTL_US, S
 from agent.self_check import LATE_HOLD_US, PASSIVE_US
-from protocol.bus import CanBus
+from protocol.bus import CanBus, open_bus
+from protocol.frame import Frame
 from protocol.health import Health
 from sim.clock import elapse, run_virtual
 from sim.cluster import Cluster
@@ -182,3 +184,63 @@ def test_error_frames_of_a_driver_are_read() -> None:
         driver.shutdown()
 
     asyncio.run(main())
+
+
+def test_item_2_an_interface_that_confirms_tells_what_has_left() -> None:
+    """SocketCAN hands own frames back as python-can's virtual bus does: marked, and not heard."""
+
+    async def main() -> None:
+        confirming = open_bus("virtual", "confirmed")
+        plain = CanBus(can.Bus(interface="virtual", channel="confirmed"))
+        heard, own, told = list[Frame](), list[Frame](), asyncio.Queue[None]()
+
+        def hear(into: list[Frame], frame: Frame) -> None:
+            into.append(frame)
+            told.put_nowait(None)
+
+        confirming.subscribe(partial(hear, own))
+        plain.subscribe(partial(hear, heard))
+        frames = [Frame(0x18FF1080, bytes([count])) for count in range(3)]
+        for frame in frames:
+            assert confirming.send(frame)
+        async with asyncio.timeout(10.0):
+            for _ in frames:
+                await told.get()  # another thread delivers, in order
+            plain.send(frames[0])
+            await told.get()
+        assert confirming.sent == 3
+        assert heard == frames and own == frames[:1], "what another device sends is heard"
+        assert plain.sent is None
+        confirming.close()
+        plain.close()
+
+    asyncio.run(main())
+
+
+@pytest.mark.parametrize("policy", ["slow", "continue"])
+def test_item_2_a_robot_that_hears_nobody_goes_on_only_where_its_frames_are_confirmed(
+    policy: str,
+) -> None:
+    async def main(confirms: bool) -> bool:
+        scenario = load("small").changed(2, 7)
+        fleet = scenario.fleet.model_copy(update={"silence": policy})
+        cluster = Cluster(
+            Setting(scenario.model_copy(update={"fleet": fleet})), f"alone {policy} {confirms}"
+        )
+        cluster.boot_all()
+        if not confirms:
+            for robot in cluster.running:
+                robot.shell._confirming = None
+        try:
+            await elapse(8.0)
+            assert not any(causes(cluster, slot) for slot in range(2)), "they hear each other"
+            cluster.kill(1)
+            await elapse(0.4)
+            assert Cause.MEMBER_SILENT in causes(cluster, 0)
+            await elapse(3.0)
+            assert (Cause.UNHEARD in causes(cluster, 0)) is not confirms
+            return stands(cluster, 0)
+        finally:
+            await cluster.close()
+
+    assert not run_virtual(main(True)) and run_virtual(main(False))

@@ -9,6 +9,7 @@ from protocol.health import Health
 from protocol.socketcand_link import DEAD_S, UNSENT_MAX, SocketcandLink
 from sim.fieldbus import FieldBus, forget, segment
 from sim.hub import Hub
+from sim.wire import QUEUE_MAX
 
 CHANNEL, LIMIT_S = "can0", 20.0
 BEAT = Frame(0x18FF1080, bytes(range(8)))
@@ -145,3 +146,50 @@ def test_nonsense_is_counted() -> None:
         assert heard == [Frame(0x18FF1080, b"\x00\x11")]
 
     serve(babbles, check)
+
+
+def test_item_2_a_hub_tells_what_has_left_and_what_it_refuses() -> None:
+    async def main() -> None:
+        name = "link flood"
+        hub = Hub(segment(name), CHANNEL)
+        await hub.start()
+        link, _ = line(hub.port)
+        await link.up()
+        await until(lambda: link.sent is not None, link)
+        assert link.send(BEAT)
+        await until(lambda: link.sent == 1, link)
+        flooder, wire = FieldBus(name), segment(name).wire
+        wire.flood(flooder.node, Frame(0x4D, bytes(8)), segment(name).now_us())
+        for _ in range(QUEUE_MAX):
+            assert link.send(BEAT)
+        refused = Frame(BEAT.identifier, b"")
+        link.send(refused)  # in the end it is told; a full queue is no error of the line
+        await until(lambda: not link.send(refused), link)
+        assert link.sent == 1 and link.malformed == 0
+        wire.flood(flooder.node, None, segment(name).now_us())
+        segment(name).arm()
+        await until(lambda: link.sent == 1 + QUEUE_MAX, link)
+        assert link.send(BEAT), "it takes frames again"
+        flooder.shutdown()
+        await hub.stop()
+        link.close()
+        forget(name)
+
+    asyncio.run(main())
+
+
+def test_item_2_a_server_that_cannot_confirm_is_no_error() -> None:
+    async def others(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        assert await reader.readuntil(b">") == b"< confirm >"
+        writer.write(b"< error unknown command >")
+        assert (await reader.readuntil(b">")).startswith(b"< send 18FF1080 8 ")
+        writer.write(b"< frame 18FF1181 1.0 00 >")
+        await asyncio.Event().wait()
+
+    async def check(link: SocketcandLink, heard: list[Frame]) -> None:
+        await link.up()
+        link.send(BEAT)
+        await until(lambda: len(heard) == 1, link)
+        assert link.sent is None and link.malformed == 0 and link.health is Health.ACTIVE
+
+    serve(others, check)
