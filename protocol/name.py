@@ -21,7 +21,7 @@ TOOL_FUNCTION = 129  # off-board diagnostic or service tool, of the non-specific
 NON_SPECIFIC = 0  # device class
 IDENTITY_MAX = (1 << 21) - 1
 
-_FIELDS = (  # name, shift, bits
+FIELDS = (  # name, shift, bits
     ("identity", 0, 21), ("manufacturer", 21, 11), ("ecu_instance", 32, 3),
     ("function_instance", 35, 5), ("function", 40, 8), ("device_class", 49, 7),
     ("device_class_instance", 56, 4), ("industry_group", 60, 3), ("arbitrary_address", 63, 1),
@@ -42,14 +42,14 @@ class Name(NamedTuple):
     def pack(self) -> int:
         """The NAME as a number; on the wire it is little-endian."""
         number = 0
-        for value, (field, shift, bits) in zip(self, _FIELDS, strict=True):
+        for value, (field, shift, bits) in zip(self, FIELDS, strict=True):
             assert 0 <= value < 1 << bits, f"{field} has {bits} bits"
             number |= value << shift
         return number
 
     @classmethod
     def unpack(cls, number: int) -> "Name":
-        return cls(*((number >> shift) & ((1 << bits) - 1) for _, shift, bits in _FIELDS))
+        return cls(*((number >> shift) & ((1 << bits) - 1) for _, shift, bits in FIELDS))
 
     @property
     def is_robot(self) -> bool:

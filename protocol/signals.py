@@ -1,10 +1,14 @@
 """Every bit of every frame as a named signal: what outside tools need to read a log.
 
 Little-endian throughout: `start` is the lowest bit, counted from bit 0 of byte 0. A signal has the name
-of the message's field and gives its value as `raw * scale + offset`. Reserved bits have no signal.
+of the message's field, unless that is a keyword of C or C++, and gives its value as
+`raw * scale + offset`. Reserved bits have signals of their own, with the value that they are sent with:
+encoders of others would send 0 where J1939 wants 1.
 """
 
+from contextlib import suppress
 from math import pi
+from random import Random
 from typing import NamedTuple
 
 from protocol.accord_frames import Accord, Answer, Fallen, Say
@@ -28,6 +32,7 @@ from protocol.fleet_frames import (
 )
 from protocol.map_frames import MapDigests, MapPatch
 from protocol.messages import GROUP_OF, Message
+from protocol.name import FIELDS
 from protocol.network_frames import (
     Acknowledgment,
     AddressClaimed,
@@ -74,6 +79,7 @@ class Signal(NamedTuple):
     offset: float = 0
     unit: str = ""
     choices: tuple[tuple[int, str], ...] = ()
+    reserved: int | None = None  # always sent with this value, and never looked at
 
 
 def _members(kind: type) -> tuple[tuple[int, str], ...]:
@@ -102,17 +108,17 @@ SIGNALS: dict[type[Message], tuple[Signal, ...]] = {
         *_DOT, Signal("reason", 24, 4, choices=_members(Reason)), Signal("echo", 28, 1),
         Signal("spent", 29, 1), *_PROOF,
     ),
-    EmergencyReset: (*_DOT, Signal("operator", 24, 8), *_PROOF),
+    EmergencyReset: (*_DOT, Signal("operator_id", 24, 8), *_PROOF),
     StopsHeld: (
         Signal("slot", 0, 8), Signal("stops", 8, 8), Signal("digest", 16, 24), Signal("tag", 40, 24),
     ),
-    HeldReset: (Signal("digest", 0, 24), Signal("operator", 24, 8), *_PROOF),
+    HeldReset: (Signal("digest", 0, 24), Signal("operator_id", 24, 8), *_PROOF),
     OperatorCommand: (
         Signal("command", 0, 8, choices=_members(Command)), Signal("target", 8, 8),
-        Signal("operator", 16, 8), Signal("argument", 24, 8), *_PROOF,
+        Signal("operator_id", 16, 8), Signal("argument", 24, 8), *_PROOF,
     ),
     OperatorGoal: (
-        Signal("target", 0, 8), Signal("operator", 8, 8), Signal("value", 16, 15),
+        Signal("target", 0, 8), Signal("operator_id", 8, 8), Signal("value", 16, 15),
         Signal("north", 31, 1), *_PROOF,
     ),
     OperatorReport: (
@@ -125,7 +131,7 @@ SIGNALS: dict[type[Message], tuple[Signal, ...]] = {
     Challenge: (Signal("asked", 0, 8), Signal("asker", 8, 8), Signal("number", 16, 48)),
     Freshness: (Signal("sender", 0, 8), Signal("counter", 8, 32), Signal("tag", 40, 24)),
     AllImplementsStop: (
-        Signal("transition", 48, 8), Signal("switch", 56, 2, choices=_members(Switch)),
+        Signal("transition", 48, 8), Signal("state", 56, 2, choices=_members(Switch)),
     ),
     LeaderElectionVote: (
         Signal("election", 0, 16), Signal("term", 16, 16), Signal("candidate", 32, 8),
@@ -214,7 +220,7 @@ SIGNALS: dict[type[Message], tuple[Signal, ...]] = {
         Signal("round", 0, 8), Signal("slot", 8, 8), Signal("first", 16, 8),
         Signal("length", 24, 8), Signal("task", 32, 16), Signal("after", 48, 16),
     ),
-    AddressClaimed: (Signal("name", 0, 64),),
+    AddressClaimed: tuple(Signal(name, start, length) for name, start, length in FIELDS),
     Request: (Signal("pgn", 0, 24),),
     Acknowledgment: (
         Signal("control", 0, 8, choices=_members(Control)), Signal("group_function", 8, 8),
@@ -228,6 +234,41 @@ SIGNALS: dict[type[Message], tuple[Signal, ...]] = {
         Signal("sequence", 0, 8), *(Signal(f"body_{k}", 8 + 8 * k, 8) for k in range(7)),
     ),
 }  # fmt: skip
+
+SAMPLES = 32  # a bit that is not constant is 1 in all of them with odds of 2^-32
+NAME_OF_FIELD = {"operator": "operator_id", "switch": "state"}  # of signals, where they differ
+
+
+def _ones(kind: type[Message], length: int) -> int:
+    """Bits that are 1 in every frame of this kind, as far as a few of them tell."""
+    rng, ones, left = Random(0), (1 << 8 * length) - 1, SAMPLES
+    while left:
+        with suppress(ValueError):
+            ones &= int.from_bytes(kind.unpack(rng.randbytes(length)).pack(), "little")
+            left -= 1
+    return ones
+
+
+def reserved_of(kind: type[Message]) -> tuple[Signal, ...]:
+    """The bits of a frame that carry nothing, run by run, each with the value that we send."""
+    length = GROUP_OF[kind].length
+    used = {bit for s in SIGNALS[kind] for bit in range(s.start, s.start + s.length)}
+    sent = _ones(kind, length)
+    runs: list[list[int]] = []
+    for bit in range(8 * length):
+        if bit in used:
+            continue
+        if runs and runs[-1][-1] == bit - 1:
+            runs[-1].append(bit)
+        else:
+            runs.append([bit])
+    return tuple(
+        Signal(
+            f"reserved_{run[0]}", run[0], len(run), reserved=sent >> run[0] & (1 << len(run)) - 1
+        )
+        for run in runs
+    )
+
 
 assert SIGNALS.keys() == GROUP_OF.keys(), "every frame kind has its signals"
 for _kind, _signals in SIGNALS.items():

@@ -252,6 +252,12 @@ class Client(asyncio.BufferedProtocol):
             self.hub.dropped += 1
             transport.abort()
 
+    @property
+    def unread_bytes(self) -> int:
+        """Of what was written for it, in this process."""
+        held = sum(map(len, self._quiet or ()))
+        return held + (0 if self._transport is None else self._transport.get_write_buffer_size())
+
     def close(self) -> None:
         if self._transport is not None:
             self._transport.abort()

@@ -8,13 +8,65 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+from agent.config import beat_of
+from protocol.delivery_frames import TaskOrder
+from protocol.fleet_frames import Heartbeat, Pose
 from protocol.identifier import GLOBAL_ADDRESS, NULL_ADDRESS, Identifier
-from protocol.messages import GROUPS, Group
-from protocol.signals import SIGNALS, Signal
+from protocol.messages import GROUPS, Group, Message
+from protocol.network_frames import (
+    Acknowledgment,
+    AddressClaimed,
+    Request,
+    TransportData,
+    TransportManagement,
+)
+from protocol.operator_frames import OperatorGoal
+from protocol.safety_frames import (
+    AllImplementsStop,
+    Challenge,
+    EmergencyReset,
+    EmergencyStop,
+    Freshness,
+    HeldReset,
+    OperatorCommand,
+)
+from protocol.segment_frames import FleetReset, FleetStop, GatewayBeat, SegmentSummary
+from protocol.signals import SIGNALS, Signal, reserved_of
+from protocol.work_frames import StateSyncRequest
 
 EXTENDED = 1 << 31  # how DBC files mark a 29-bit identifier
 PGN_MASK, ADDRESSED_MASK = 0x03FFFF00, 0x03FF0000
+NODES = ("robot", "tool", "gateway")
+BY_ANYBODY = (
+    EmergencyStop, FleetStop, AllImplementsStop, Challenge, Freshness, StateSyncRequest,
+    AddressClaimed, Request, Acknowledgment, TransportManagement, TransportData,
+)  # fmt: skip
+SENT_BY: dict[str, tuple[type[Message], ...]] = {
+    "tool": (EmergencyReset, HeldReset, OperatorCommand, OperatorGoal, TaskOrder),
+    "gateway": (FleetReset, GatewayBeat, SegmentSummary),
+}
+SENT_BY["robot"] = tuple(
+    g.kind for g in GROUPS
+    if g.kind not in (*BY_ANYBODY, *SENT_BY["tool"], *SENT_BY["gateway"])
+)  # fmt: skip
+# Of a fleet of up to 30 robots, in calm; the standard stop while it is latched.
+CYCLE_MS: dict[type[Message], int] = {
+    Pose: beat_of(1).pose_us // 1000,
+    Heartbeat: beat_of(1).heartbeat_us // 1000,
+    AllImplementsStop: 1000,
+}
+CYCLE_MAX_MS = 65_535
+START_MAX = (1 << 48) - 1  # the longest run of reserved bits
 FORMATS = ("StandardCAN", "ExtendedCAN", "reserved", "J1939PG")
+
+
+def _signals(group: Group) -> list[Signal]:
+    return [*SIGNALS[group.kind], *reserved_of(group.kind)]
+
+
+def _sender(group: Group) -> str:
+    """Who sends it by design; stops, requests and answers come from anybody."""
+    return next((node for node, kinds in SENT_BY.items() if group.kind in kinds), "Vector__XXX")
 
 
 def dbc(out: Path | None) -> int:
@@ -52,11 +104,11 @@ def _lines() -> Iterator[str]:
     yield ""
     yield "BS_:"
     yield ""
-    yield "BU_:"
+    yield "BU_: " + " ".join(NODES)
     for group in GROUPS:
         yield ""
-        yield f"BO_ {_identifier(group)} {group.name}: {group.length} Vector__XXX"
-        yield from (_signal(signal) for signal in SIGNALS[group.kind])
+        yield f"BO_ {_identifier(group)} {group.name}: {group.length} {_sender(group)}"
+        yield from (_signal(signal) for signal in _signals(group))
     yield ""
     for group in GROUPS:
         text = (group.kind.__doc__ or "").split("\n", 1)[0].replace('"', "'")
@@ -67,6 +119,15 @@ def _lines() -> Iterator[str]:
     yield 'BA_DEF_DEF_ "VFrameFormat" "J1939PG";'
     yield 'BA_DEF_DEF_ "ProtocolType" "J1939";'
     yield 'BA_ "ProtocolType" "J1939";'
+    yield f'BA_DEF_ BO_ "GenMsgCycleTime" INT 0 {CYCLE_MAX_MS};'
+    yield 'BA_DEF_DEF_ "GenMsgCycleTime" 0;'
+    yield f'BA_DEF_ SG_ "GenSigStartValue" INT 0 {START_MAX};'
+    yield 'BA_DEF_DEF_ "GenSigStartValue" 0;'
+    for group in GROUPS:
+        if group.kind in CYCLE_MS:
+            yield f'BA_ "GenMsgCycleTime" BO_ {_identifier(group)} {CYCLE_MS[group.kind]};'
+        for signal in reserved_of(group.kind):
+            yield f'BA_ "GenSigStartValue" SG_ {_identifier(group)} {signal.name} {signal.reserved};'
     for group in GROUPS:
         yield f'BA_ "VFrameFormat" BO_ {_identifier(group)} {FORMATS.index("J1939PG")};'
     for group in GROUPS:

@@ -24,6 +24,7 @@ from tools.attachment import AttachError, attach
 from tools.inspector import Inspector
 
 WRONG = 2
+UNKNOWN_SHOWN = 12  # groups of other devices in the text; --json has all
 HEARD_S = 0.3  # by then we are on the bus
 
 
@@ -307,5 +308,9 @@ def _show(console: Console, seen: dict[str, Any]) -> None:
     console.print(f"bus load at worst-case stuffing: {seen['bus_load_worst_case']:.1%}")
     if seen["latched"]:
         console.print(f"[bold red]EMERGENCY STOP latched: {', '.join(seen['latched'])}")
+    if seen["unknown"]:
+        groups = [f"{n} {name}" for name, n in seen["unknown"].items()]
+        more = f" and {len(groups) - UNKNOWN_SHOWN} more groups" if len(groups) > UNKNOWN_SHOWN else ""
+        console.print(f"not of Headland: {', '.join(groups[:UNKNOWN_SHOWN])}{more}")
     if seen["malformed"]:
         console.print(f"malformed: {seen['malformed']}")

@@ -14,7 +14,7 @@ from agent.shortcut_buttons import HOLD_US
 from agent.task_book import TASKS_MAX, stop_names
 from crdt import FieldAllocationCRDT, Phase, Progress
 from crdt.register import pack
-from protocol.codec import Malformed, decode
+from protocol.codec import UNKNOWN, Malformed, decode
 from protocol.delivery_frames import NO_TASK, Itinerary
 from protocol.fleet_frames import (
     NOWHERE_M,
@@ -36,6 +36,7 @@ from protocol.safety_frames import (
 from protocol.work_frames import StateSyncResponse, TaskClaim, WorkProgress
 from tools.bus_load import BIT_RATE, BusLoad, bits_of
 from tools.causality import Causality
+from tools.foreign_groups import group_name
 
 BUTTON_S = HOLD_US / 1e6  # a shortcut button that is silent so long is forgotten
 TRANSITIONS_MAX = 64  # newest kept a robot; a path longer than that is not read by anybody
@@ -89,6 +90,7 @@ class Inspector:
         self.progress = Progress({})
         self.kinds: Counter[str] = Counter()
         self.malformed: Counter[str] = Counter()
+        self.unknown: Counter[int] = Counter()  # PGN -> frames of groups that are not ours
         self.stops: dict[tuple[int, int, int], float] = {}
         self.cleared: dict[tuple[int, int, int], float] = {}
         self.votes: dict[tuple[int, int], dict[int, int]] = {}
@@ -106,6 +108,10 @@ class Inspector:
         self.bits += bits_of(len(frame.data))
         self.load.hear(t_s, len(frame.data))
         source, message = decode(frame)
+        if message is UNKNOWN:
+            group = frame.identifier >> 8 & 0x3FFFF
+            self.unknown[group if group >> 8 & 0xFF >= 240 else group & 0x3FF00] += 1
+            return
         if isinstance(message, Malformed):
             self.malformed[message.reason] += 1
             return
@@ -219,6 +225,7 @@ class Inspector:
             },
             "frames": dict(self.kinds.most_common()),
             "malformed": dict(self.malformed),
+            "unknown": {group_name(pgn): n for pgn, n in self.unknown.most_common()},
             "latched": [".".join(map(str, dot)) for dot in self.latched],
             "leaders": {
                 f"{election}/{term}": dict(sorted(votes.items()))

@@ -33,7 +33,7 @@ from tools.fleet_folder import TRUTH, Fleet, end_fleet, fleet_folder
 from tools.inspector import SILENT_S, Inspector
 from tools.keeping import Keeping
 from tools.language.places import Places
-from tools.launch_bus import LaunchBus, OutsideHub, OwnHub
+from tools.launch_bus import LaunchBus, OutsideHub, OwnHub, viewer_command
 from tools.livemap.command import ServerError, check_operator_key, listen
 from tools.robot import AnySetting, setting_of
 from tools.run_folder import FolderError
@@ -114,7 +114,7 @@ class Launch:
         (self.out / "places.toml").write_text(self._places())
         self.console.print(
             f"bus: socketcand {HOST}:{bus.port} channel {CHANNEL}   "
-            f"(python -m can.viewer -i socketcand -c {CHANNEL} --host={HOST} --port={bus.port})"
+            f"({viewer_command(HOST, bus.port)})"
         )
         if self.setting.keys is None:
             self.console.print(NO_KEYS)

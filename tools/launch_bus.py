@@ -15,6 +15,13 @@ from tools.attachment import CHANNEL
 Tap = Callable[[int, Frame], None]  # microseconds of the monotonic clock, as the event loop's
 
 
+def viewer_command(host: str, port: int) -> str:
+    """What shows the frames of the bus at a terminal; python-can from 4.6 takes it."""
+    return (
+        f"python -m can.viewer -i socketcand -c {CHANNEL} --bus-kwargs host={host} port={port}"
+    )
+
+
 class LaunchBus(Protocol):
     port: int
     taps: list[Tap]  # told of every frame, ours too

@@ -1,0 +1,30 @@
+"""Names of parameter groups that Headland does not speak and that are common on a tractor's bus."""
+
+NAMES = {
+    0x0CB00: "process data (ISO 11783-10)",
+    0x0E600: "virtual terminal to device",
+    0x0E700: "device to virtual terminal",
+    0x0C700: "extended transport data",
+    0x0C800: "extended transport management",
+    0x0F003: "EEC2: engine, accelerator",
+    0x0F004: "EEC1: engine speed",
+    0x0FE08: "hitch and PTO commands",
+    0x0FE0D: "working set member",
+    0x0FE0F: "language command",
+    0x0FE43: "rear PTO output shaft",
+    0x0FE45: "rear hitch",
+    0x0FE48: "wheel-based speed and distance",
+    0x0FE49: "ground-based speed and distance",
+    0x0FECA: "DM1: active faults",
+    0x0FEE6: "time and date",
+    0x0FEE8: "vehicle direction and speed",
+    0x0FEF1: "CCVS: cruise control, vehicle speed",
+    0x0FEF3: "vehicle position",
+    0x1F801: "position, rapid update (NMEA 2000)",
+}
+
+
+def group_name(pgn: int) -> str:
+    """The number, as ISO 11783 writes it, and what it is where we know it."""
+    name = NAMES.get(pgn)
+    return f"PGN {pgn}" if name is None else f"PGN {pgn} ({name})"
