@@ -10,8 +10,10 @@ from random import Random
 from typing import Any
 
 from agent import config
+from agent.admission import Admission
 from agent.cause import Cause
 from agent.claims import Claims
+from agent.conflicts import Conflicts
 from agent.directive import Directive
 from agent.effects import HALT, Effect, Persist, Send, Trace
 from agent.election import OPERATOR_GATEWAY, Election, Leader
@@ -24,11 +26,12 @@ from agent.lifecycle import IDLE, SYNCHRONIZING, TABLE, WORKING, Event, State
 from agent.membership import Membership, Neighbour
 from agent.mission import STILL, Agreeing, Choice, Conversing, FleetView, Mission, Wish
 from agent.motion import Mover
+from agent.origin import Origins
 from agent.pause import pause_of
 from agent.ports import Observation
 from agent.recollection import LOST, sensible
 from agent.records import Records
-from agent.roll_call import MEMBER_PGN, MEMBER_REQUEST, RollCall
+from agent.roll_call import CLAIM_REQUEST, MEMBER_PGN, MEMBER_REQUEST, RollCall
 from agent.safety import Safety
 from agent.self_check import SelfCheck
 from agent.senses import Senses
@@ -37,9 +40,9 @@ from agent.working import Working
 from crdt import FieldAllocationCRDT, Phase, Progress, VectorClock
 from protocol.authentication import Keyring
 from protocol.codec import Malformed, decode_once
-from protocol.fleet_frames import PLACE_UNKNOWN_M_S, Pose
+from protocol.fleet_frames import PLACE_UNKNOWN_M_S, Pose, Standstill
 from protocol.frame import Frame
-from protocol.identifier import GLOBAL_ADDRESS
+from protocol.identifier import GLOBAL_ADDRESS, NULL_ADDRESS
 from protocol.map_sync import MapSync
 from protocol.messages import Message
 from protocol.network_frames import AddressClaimed, Request
@@ -54,6 +57,11 @@ NOTHING: Sequence[Effect] = ()  # an empty answer promises that `deadline_us` di
 
 def sooner(due_us: int, other_us: int | None) -> int:
     return due_us if other_us is None or due_us <= other_us else other_us
+
+
+def _unclaimed(questions: Sequence[Effect]) -> list[Effect]:
+    """Asked by a device that has no address yet (J1939-81)."""
+    return [e._replace(source=NULL_ADDRESS) if isinstance(e, Send) else e for e in questions]
 
 
 class Peer:
@@ -78,7 +86,9 @@ class Peer:
         self.conversing: Conversing | None = asked if isinstance(asked, Conversing) else None
         self.records = Records(recalled, identity.first_boot, rng)
         self.allocation = FieldAllocationCRDT(identity.field_hash)
-        self.progress = Progress(mission.section_units if mission else {})
+        units = mission.section_units if mission else {}
+        self.progress = Progress(units)
+        self.admission = Admission(frozenset(units), identity.members, now_us)
         self.records.restore(self.allocation, self.progress)
         self.chart = chart
         if chart is not None:
@@ -92,6 +102,8 @@ class Peer:
         )
         self.joining = Joining(identity, self.records.incarnation, rng, now_us)
         self.roll_call = RollCall(self.slot)
+        self.origins, self.name_call = Origins(identity.name), RollCall(self.slot, CLAIM_PGN)
+        self.conflicts = Conflicts(self)
         self.letters = Letters(identity.component, frozenset((MEMBER_PGN, CLAIM_PGN)))
         self.sync = Sync(self.slot, self.allocation, self.progress)
         self.election = Election(
@@ -103,6 +115,8 @@ class Peer:
         self.here: Observation | None = None
         self.wish: Wish = STILL
         self.malformed: dict[str, int] = {}
+        # Why others stand, as they tell it: slot -> cause -> its frame and when it was heard.
+        self.standstills: dict[int, dict[int, tuple[Standstill, int]]] = {}
         self.directive, self.check = Directive(self), SelfCheck(self, now_us)
         self.senses = Senses(self)
         self.pause = pause_of(self, motion)
@@ -136,6 +150,8 @@ class Peer:
         is_request = identifier >> 16 & 0xFF == REQUEST_PF
         if is_request and frame.data == MEMBER_REQUEST:
             self.roll_call.overheard(destination, now_us)
+        elif is_request and frame.data == CLAIM_REQUEST:
+            self.name_call.overheard(destination, now_us)
         if destination not in (GLOBAL_ADDRESS, self.joining.address):
             return NOTHING
         source, message = decode_once(frame)
@@ -152,6 +168,7 @@ class Peer:
         if pgn == MEMBER_PGN:
             self.roll_call.asked(everybody)
         elif pgn == CLAIM_PGN:
+            self.roll_call.answer_due |= not everybody  # which member it is, is asked next
             return self.joining.asked(everybody, now_us)
         return NOTHING
 
@@ -199,6 +216,8 @@ class Peer:
         """When `tick` next has something to do, if nothing arrives before."""
         due_us = sooner(self.voice.deadline_us, self.safety.deadline_us)
         due_us = sooner(sooner(due_us, self.membership.deadline_us), self.joining.deadline_us)
+        if not self.joining.away:
+            due_us = sooner(due_us, self.name_call.deadline_us)
         if self.joining.joined:  # no address, no turn
             due_us = sooner(due_us, self.check.deadline_us)
             due_us = sooner(due_us, self.sync.deadline_us)
@@ -218,6 +237,9 @@ class Peer:
             effects += self.membership_changed(now_us)
         if self.joining.due(now_us):
             effects += self._join(now_us)
+        if not self.joining.away:
+            asked = self.name_call.tick(now_us)
+            effects += asked if self.joining.address is not None else _unclaimed(asked)
         if self.joining.joined:
             effects += [Send(message) for message in self.sync.tick(now_us)]
             effects += self._synchronize(now_us)
@@ -287,6 +309,7 @@ class Peer:
         if not self.safety.holds(Cause.BUS_OFF):  # else when the bus is back
             self.joining.rejoin(now_us)
             self.roll_call.power_up()
+            self.name_call.power_up()
         return [*held, *self.fire(Event.MANUAL_RESET, "a person at this machine")]
 
     def start(self, now_us: int) -> Sequence[Effect]:
@@ -347,6 +370,7 @@ class Peer:
         self.safety.clear_cause(Cause.BUS_OFF, now_us)
         self.joining.rejoin(now_us)
         self.roll_call.power_up()
+        self.name_call.power_up()
         return NOTHING
 
     def disk_failed(self, now_us: int) -> Sequence[Effect]:

@@ -131,7 +131,9 @@ class FleetStops:
     def receive_reset(self, m: FleetReset, now_us: int) -> Sequence[Effect]:
         far = FarDot(m.slot, m.incarnation, m.counter, m.segment)
         near = StopDot(*far[:3]) if far.segment == self.segment else None
-        known = self.safety.far.is_cleared(far) if near is None else self.safety.stops.is_cleared(near)
+        known = (
+            self.safety.far.is_cleared(far) if near is None else self.safety.stops.is_cleared(near)
+        )
         if known:
             self._reset_due_us.pop(far, None)
             return ()

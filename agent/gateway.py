@@ -17,18 +17,21 @@ from agent.candidacy import Candidacy
 from agent.config import FRAME_US_MAX, MS, S
 from agent.effects import Effect, Send
 from agent.map_relay import MapRelay
+from agent.origin import PROPRIETARY, Origin, Origins
 from agent.rate_limit import RateLimit
 from agent.reach import Reach
+from agent.roll_call import CLAIM_PGN
 from agent.stop_relay import LIVE_US, StopRelay
 from protocol import backbone
 from protocol.backbone import Body, Header, Kind, Summary
-from protocol.codec import Malformed, decode_once
+from protocol.codec import Malformed, decode_once, destination_of
 from protocol.fleet_frames import Heartbeat, Member, Pose
 from protocol.frame import Frame
+from protocol.identifier import GLOBAL_ADDRESS
 from protocol.map_frames import MapDigests, MapPatch
 from protocol.messages import Message
 from protocol.name import Name
-from protocol.network_frames import AddressClaimed
+from protocol.network_frames import AddressClaimed, Request
 from protocol.safety_frames import EmergencyStop
 from protocol.segment_frames import FleetReset, FleetStop, SegmentSummary, gateway_slot
 from protocol.sync import Sync
@@ -83,7 +86,8 @@ class Gateway:
         self._told_us = -TELL_SPACING_US
         self._stops_differ: Counter[int] = Counter()
         self._sequence = self._turn = 0
-        self._asked = False
+        self._introduced: int | None = None  # the address at which we have said who we are
+        self.origins = Origins(name)  # frames of other makers are carried nowhere
 
     @property
     def segment(self) -> int:
@@ -100,6 +104,11 @@ class Gateway:
         if isinstance(message, Malformed):
             self.counts[f"malformed {message.reason}"] += 1
             return ()
+        if isinstance(message, AddressClaimed | Request):
+            return self._network(source, message, destination_of(frame))
+        if type(message) in PROPRIETARY and self.origins.of(source) is Origin.FOREIGN:
+            self.counts["foreign"] += 1
+            return ()
         number = gateway_slot(source)
         if isinstance(message, EmergencyStop) and message.tag == 0:  # a fleet without keys
             message = FleetStop(self.segment, message.slot, message.incarnation, message.counter)
@@ -111,6 +120,18 @@ class Gateway:
         if number is not None:
             self.candidacy.hear(number, message, now_us)
         self._hear(source, number, message, now_us)
+        return ()
+
+    def _network(
+        self, source: int, message: AddressClaimed | Request, destination: int
+    ) -> Sequence[Out]:
+        """Who is who: by NAME."""
+        if isinstance(message, AddressClaimed):
+            self.origins.claimed(source, message.name)
+            return ()
+        here = self._introduced is not None and destination in (GLOBAL_ADDRESS, self._introduced)
+        if here and message.pgn == CLAIM_PGN:
+            return [self._send(AddressClaimed(self.name.pack()))]
         return ()
 
     def _stop(self, source: int, stop: FleetStop, from_gateway: bool) -> Sequence[Out]:
@@ -223,9 +244,9 @@ class Gateway:
         self.stops.leads = self.leads
         if candidacy.address is None:
             return effects
-        if not self._asked:
-            self._asked = True
-            effects += self._introduce()
+        if self._introduced != candidacy.address:
+            self._introduced = candidacy.address
+            effects[:0] = self._introduce()
         effects += [self._send(message) for message in self.stops.tick(now_us)]
         if now_us >= self._look_us:
             self._look(now_us)

@@ -1,7 +1,8 @@
 """What each frame kind does to a peer: one short handler a kind, none of which can raise.
 
 Handlers take (source address, slot of that address or None, message, now) and return effects.
-Nothing but a stop is believed from an address that has not said which member it is.
+Nothing but a stop is believed from an address that has not said which member it is, and no frame of a
+proprietary group from one whose NAME is not ours (`agent/origin.py`).
 """
 
 from collections.abc import Callable, Sequence
@@ -9,11 +10,13 @@ from typing import TYPE_CHECKING, Any, Final
 
 from agent import bulletin
 from agent.cause import Cause
-from agent.config import S
+from agent.config import MS, S
 from agent.directive import DIRECTED
 from agent.effects import HALT, Effect, Persist, Trace
 from agent.membership import Neighbour
+from agent.origin import PROPRIETARY, Origin
 from agent.ports import Beat
+from agent.safety import UNAUTHENTICATED_HOLD_US
 from protocol.accord_frames import Accord, Fallen
 from protocol.codec import Malformed
 from protocol.delivery_frames import (
@@ -30,8 +33,10 @@ from protocol.fleet_frames import (
     LeaderElectionVote,
     Member,
     Pose,
+    Standstill,
     VectorSlice,
 )  # fmt: skip
+from protocol.identifier import NULL_ADDRESS
 from protocol.map_frames import MapDigests, MapPatch
 from protocol.messages import Message
 from protocol.name import Name
@@ -47,6 +52,7 @@ from protocol.safety_frames import (
     HeldReset,
     OperatorCommand,
 )  # fmt: skip
+from protocol.sync import ENTRIES
 from protocol.work_frames import (
     STOPS,
     Digests,
@@ -63,6 +69,8 @@ OF_MISSIONS = (Fallen, TaskOrder, TaskBookDigest, TaskBid, Itinerary, PlanOffer,
 TOLD_OF: Final = (StateSyncRequest, Digests, StateSyncResponse)
 OUTSIDER = -1  # a device that is not a member: it has agreed with nobody about anything
 TELL_SPACING_US = 2 * S  # a snapshot of 1,000 entries takes 2.1 s at the share that sync may use
+NAME_PATIENCE_US = 20 * MS  # a claim that is on its way may be behind a beat of its sender
+SIGNED = (EmergencyReset, HeldReset, OperatorCommand, OperatorGoal, Challenge, Freshness)
 EVERYBODY = 0xFF  # target of an operator's command
 Handler = Callable[[int, int | None, Any, int], Sequence[Effect]]
 
@@ -83,6 +91,7 @@ class Hearing:
             Pose: self._pose,
             Heartbeat: self._heartbeat,
             Member: self._member,
+            Standstill: self._standstill,
             TaskClaim: self._work,
             StateSyncResponse: self._work,
             WorkProgress: self._work,
@@ -102,7 +111,59 @@ class Hearing:
         self, source: int, slot: int | None, message: Message | Malformed, now_us: int
     ) -> Sequence[Effect]:
         handler = self._handlers.get(type(message))
-        return () if handler is None else handler(source, slot, message, now_us)
+        if handler is None:
+            return ()
+        if slot is None:
+            self.peer.conflicts.heard(source, now_us)
+        if slot is None and type(message) in PROPRIETARY:  # a member's NAME is one of ours
+            refused = self.refused(source, message, now_us)
+            if refused is not None:
+                return refused
+        return handler(source, slot, message, now_us)
+
+    def refused(
+        self, source: int, message: Message | Malformed, now_us: int
+    ) -> Sequence[Effect] | None:
+        """None: a frame of a proprietary group may be believed. Else what to do about it."""
+        peer = self.peer
+        if source == peer.joining.address:
+            doubled = peer.conflicts.speaks_from_our_address(message, now_us)
+            return [*doubled, *peer.joining.violated(now_us)]
+        origin = peer.origins.of(source)
+        if origin is Origin.OURS or isinstance(message, Malformed):
+            return None
+        if origin is Origin.UNCLAIMED and isinstance(message, SIGNED) and peer.safety.keyed:
+            return None  # the tag decides
+        peer.origins.count(origin, message)
+        if origin is not Origin.UNCLAIMED:
+            return ()
+        peer.origins.keep(source, message, now_us)
+        peer.name_call.stranger(source, now_us, NAME_PATIENCE_US)
+        if isinstance(message, Pose) and peer.safety.latched and not message.stopped:
+            return peer.safety.tell_stops(now_us)  # whoever it is, it has not heard what stops us
+        return ()
+
+    def doubted(self, source: int, message: Message, now_us: int) -> Sequence[Effect] | None:
+        """None: a stop from there is to be judged as a stop of ours. Else what to do about it.
+
+        Another maker's frame is none. Of an address that nobody is known to have claimed we do not
+        know: brake while it is repeated, and ask who it is. With keys its tag says it at once.
+        """
+        peer = self.peer
+        origin = peer.origins.of(source)
+        if origin is Origin.FOREIGN:
+            peer.origins.count(origin, message)
+            return ()
+        if origin is not Origin.UNCLAIMED or source in (peer.joining.address, NULL_ADDRESS):
+            return None  # a robot without an address presses from the null address; no other device may
+        peer.name_call.stranger(source, now_us, 0)
+        if peer.safety.keyed:
+            return None
+        peer.origins.count(origin, message)
+        peer.origins.keep(source, message, now_us)
+        why = f"a stop from address {source}, which nobody has claimed"
+        peer.safety.raise_cause(Cause.UNAUTHENTICATED_STOP, now_us, why, UNAUTHENTICATED_HOLD_US)
+        return [HALT]
 
     def beats(
         self, beats: Sequence[Beat], local: Callable[[int], int] | None = None
@@ -132,6 +193,9 @@ class Hearing:
     def stop(self, source: int, message: EmergencyStop, now_us: int) -> Sequence[Effect]:
         peer = self.peer
         slot = peer.membership.slot_of.get(source)
+        doubted = self.doubted(source, message, now_us) if slot is None else None
+        if doubted is not None:
+            return doubted
         effects = peer.safety.receive_stop(message, slot, now_us)
         if slot is not None and peer.membership.heard(slot, now_us):
             effects = [*effects, *peer.membership_changed(now_us)]
@@ -200,16 +264,14 @@ class Hearing:
 
     def _stranger(self, source: int, now_us: int) -> Sequence[Effect]:
         self.peer.membership.strangers += 1
-        if source == self.peer.joining.address:
-            return self.peer.joining.violated(now_us)
-        if self.peer.joining.joined:
+        if self.peer.joining.joined and self.peer.origins.is_robot(source):
             self.peer.roll_call.stranger(source, now_us)
         return ()
 
     def _pose(self, source: int, slot: int | None, m: Pose, now_us: int) -> Sequence[Effect]:
         """A pose that the fast path in `Peer.hear` did not take: a stranger's, or a returning one's."""
         safety = self.peer.safety
-        if slot is None:  # whoever it is, it has not heard what stops us
+        if slot is None:  # it has not heard what stops us
             told = safety.tell_stops(now_us) if safety.latched and not m.stopped else ()
             return [*self._stranger(source, now_us), *told]
         if not m.placed:
@@ -249,18 +311,29 @@ class Hearing:
 
     def _member(self, source: int, slot: int | None, m: Member, now_us: int) -> Sequence[Effect]:
         peer = self.peer
-        if source == peer.joining.address:  # whoever has to move says it again from its next one
-            return peer.joining.violated(now_us)
+        if not peer.origins.is_robot(source):
+            return ()
         if m.config_hash != peer.identity.field_hash:
-            peer.safety.raise_cause(Cause.CONFIG_MISMATCH, now_us, f"address {source}")
-            return [HALT]
+            peer.membership.unbind(source)
+            why = "it has another field description"
+            return peer.conflicts.found(Cause.CONFIG_MISMATCH, source, why, now_us)
         peer.roll_call.known(source)
+        if m.slot == peer.slot:
+            return peer.conflicts.claims_our_name(source, now_us)
+        peer.conflicts.settled(source, now_us)
         live = peer.membership.live
         if m.slot not in peer.membership.standing:
             return [Trace("membership", "", "REFUSED", "", f"slot {m.slot} at address {source}")]
         peer.membership.returned(m.slot, now_us)
         peer.membership.bind(source, m.slot, m.incarnation, now_us)
         return () if live == peer.membership.live else peer.membership_changed(now_us)
+
+    def _standstill(
+        self, source: int, slot: int | None, m: Standstill, now_us: int
+    ) -> Sequence[Effect]:
+        if slot is not None:
+            self.peer.standstills.setdefault(slot, {})[m.cause] = m, now_us
+        return ()
 
     def _vote(
         self, source: int, slot: int | None, m: LeaderElectionVote, now_us: int
@@ -286,7 +359,23 @@ class Hearing:
         peer = self.peer
         if slot is not None and peer.joining.changed_hands(source, m):
             peer.membership.unbind(source)
-        return peer.joining.receive(source, m, now_us)
+        ours = peer.joining.machine.candidate
+        effects = peer.joining.receive(source, m, now_us)
+        if m.name == peer.joining.machine.number:
+            doubled = peer.conflicts.claims_our_name(source, now_us) if source != ours else ()
+            return [*doubled, *effects]
+        if source in (NULL_ADDRESS, peer.joining.address):
+            return effects
+        if peer.origins.changes(source, m.name):
+            peer.conflicts.settled(source, now_us)
+        wondered = peer.name_call.known(source)
+        peer.origins.claimed(source, m.name)
+        if wondered and peer.joining.joined and peer.origins.is_robot(source):
+            peer.roll_call.stranger(source, now_us)  # it has spoken: a member that we do not know
+        kept = peer.origins.kept(source, now_us)
+        for message in kept:  # and judged by its NAME, as if it came now
+            effects = [*effects, *peer.hear(source, message, now_us)]
+        return effects
 
     # ---------------------------------------------------------------- work
 
@@ -317,6 +406,8 @@ class Hearing:
             return ()
         if slot is None:
             return self._stranger(source, now_us)
+        if isinstance(m, ENTRIES) and not peer.admission.admits(m, now_us):
+            return ()
         changed = peer.sync.receive(slot, m, now_us)
         effects: list[Effect] = []
         for section in peer.claims.recheck(changed):

@@ -16,6 +16,12 @@ from typing import NamedTuple
 
 from protocol.fleet_frames import Pose
 
+# After a farewell: frames that were sent before it, and wait behind those of others, have come by then.
+FAREWELL_US = 250_000
+DISBELIEVED_US = (
+    10_000_000  # who went on speaking after a farewell had not said it: no other for so long
+)
+
 
 class Standing(Enum):
     ABSENT = auto()  # configured, never heard since we booted
@@ -46,6 +52,9 @@ class Membership:
         self.slot_of: dict[int, int] = {}  # source address -> slot, from MEMBER frames
         self.strangers = 0  # frames of addresses that have not said which member they are
         self.signs_us: dict[int, int] = {}  # live others: last sign of life, but for newer poses
+        self.void_farewells = 0  # of members that went on speaking
+        self._left_us: dict[int, int] = {}
+        self._void_us: dict[int, int] = {}
         self._oldest_us = now_us  # no sign of theirs is older
 
     def bind(self, source: int, slot: int, incarnation: int, now_us: int) -> bool:
@@ -81,7 +90,10 @@ class Membership:
             heard[slot] = now_us
             return False
         if self.standing[slot] is Standing.LEFT:
-            return False  # the tail of a farewell; a new MEMBER frame brings it back
+            if now_us - self._left_us[slot] <= FAREWELL_US:
+                return False  # the tail of a farewell; a new MEMBER frame brings it back
+            self.void_farewells += 1
+            self._void_us[slot] = now_us
         if not heard:
             self._oldest_us = now_us
         heard[slot] = now_us
@@ -98,6 +110,12 @@ class Membership:
         self.neighbours[slot] = Neighbour(pose, now_us)
 
     def leave(self, slot: int, now_us: int) -> None:
+        """It says that it leaves. Void where it goes on speaking: then somebody else has said it."""
+        if now_us - self._void_us.get(slot, now_us - DISBELIEVED_US) < DISBELIEVED_US:
+            return
+        if self.standing[slot] is Standing.LEFT:
+            return  # said again: its time counts from the first
+        self._left_us[slot] = now_us
         self.signs_us.pop(slot, None)
         self.neighbours.pop(slot, None)
         self._stand(slot, Standing.LEFT, now_us)

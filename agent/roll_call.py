@@ -12,10 +12,11 @@ from agent.effects import Effect, Send
 from protocol.fleet_frames import Member
 from protocol.identifier import GLOBAL_ADDRESS, NULL_ADDRESS
 from protocol.messages import GROUP_OF
-from protocol.network_frames import Request
+from protocol.network_frames import AddressClaimed, Request
 
 MEMBER_PGN = GROUP_OF[Member].pgn
-MEMBER_REQUEST = Request(MEMBER_PGN).pack()
+CLAIM_PGN = GROUP_OF[AddressClaimed].pgn
+MEMBER_REQUEST, CLAIM_REQUEST = Request(MEMBER_PGN).pack(), Request(CLAIM_PGN).pack()
 PATIENCE_US = 250 * MS  # a stranger has a beat's time, of the largest fleet, to say who it is
 SLOT_US = (
     2 * MS
@@ -27,8 +28,9 @@ ASKED_ENOUGH = 3  # questions, in 6 s: who does not answer them is not waited fo
 
 
 class RollCall:
-    def __init__(self, slot: int) -> None:
-        self.slot = slot
+    def __init__(self, slot: int, pgn: int = MEMBER_PGN) -> None:
+        """`pgn`: what is asked for: which slot speaks from there, or which NAME."""
+        self.slot, self.pgn = slot, pgn
         self.answer_due = False  # say who we are with the next beat
         self._everybody_asked = False  # since we came on the bus
         self._ask_us: dict[int, int] = {}  # stranger's address -> when it is our turn to ask it
@@ -51,25 +53,31 @@ class RollCall:
 
     def joined(self) -> Sequence[Effect]:
         """We have an address: nobody who was asked since we listen has to be asked again."""
-        return () if self._everybody_asked else [Send(Request(MEMBER_PGN))]
+        return () if self._everybody_asked else [Send(Request(self.pgn))]
+
+    @property
+    def everybody_asked(self) -> bool:
+        """Somebody has asked all, since we listen."""
+        return self._everybody_asked
 
     def tick(self, now_us: int) -> Sequence[Effect]:
         """At most one question."""
         for address, due_us in self._ask_us.items():
             if now_us >= due_us:
                 self.overheard(address, now_us)
-                return [Send(Request(MEMBER_PGN), address)]
+                return [Send(Request(self.pgn), address)]
         return ()
 
-    def stranger(self, address: int, now_us: int) -> None:
+    def stranger(self, address: int, now_us: int, patience_us: int = PATIENCE_US) -> None:
         """A robot's frame from an address that has not said which member it is."""
         if address < NULL_ADDRESS and address not in self._ask_us:
-            self._ask_us[address] = now_us + PATIENCE_US + self.slot * SLOT_US
+            self._ask_us[address] = now_us + patience_us + self.slot * SLOT_US
             assert len(self._ask_us) <= STRANGERS_MAX
 
-    def known(self, address: int) -> None:
-        self._ask_us.pop(address, None)
+    def known(self, address: int) -> bool:
+        """Whether it was one that we did not know."""
         self._asked.pop(address, None)
+        return self._ask_us.pop(address, None) is not None
 
     def asked(self, everybody: bool) -> None:
         """Somebody wants to know who we are."""

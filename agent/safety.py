@@ -126,6 +126,11 @@ class Safety:
         )
 
     @property
+    def keyed(self) -> bool:
+        """Whether a tag says who may stop and release."""
+        return self.authority.keyring is not None
+
+    @property
     def unconfirmed(self) -> bool:
         """Memory was lost: nobody has yet said that this machine may forget it."""
         return Cause.BOOT_UNCONFIRMED in self._causes

@@ -12,17 +12,20 @@ from typing import Any
 
 from agent.area import Area
 from agent.beyond import Beyond
+from agent.border_relay import LAST_SLOT
 from agent.cause import Cause
 from agent.core import NOTHING, Peer
 from agent.effects import HALT, Effect, Trace
 from agent.fleet_stops import FleetStops
 from agent.identity import Identity
+from agent.origin import PROPRIETARY
 from agent.safety import SilencePolicy
 from protocol.codec import Malformed
 from protocol.fleet_frames import Pose
 from protocol.fleet_tags import FleetTags
 from protocol.map_frames import MapDigests, MapPatch
 from protocol.messages import Message
+from protocol.network_frames import AddressClaimed
 from protocol.safety_frames import EmergencyReset, EmergencyStop, HeldReset, Reason
 from protocol.segment_frames import (
     FleetReset,
@@ -57,6 +60,10 @@ class SegmentPeer(Peer):
         """`policy`: what to do where no other segment is reached any more."""
         super().__init__(identity, rng, now_us, recalled, *parts)
         self.area, self.policy = area, policy
+        guests = frozenset(area.guest(segment) for segment in area.neighbours)
+        self.admission.owners = identity.members | guests | {LAST_SLOT}
+        if self.admission.sections:
+            self.admission.sections = self.admission.sections | area.borrowed.keys()
         keyring = self.safety.authority.keyring
         tags = None if keyring is None else FleetTags(keyring.keys)
         self.fleet_stops = FleetStops(area.segment, self.slot, self.safety, tags)
@@ -70,10 +77,19 @@ class SegmentPeer(Peer):
                 return [*effects, *self.fleet_stops.tell(now_us)]  # it has not heard what holds us
             return effects
         if kind is FleetStop:
+            doubted = self._hearing.doubted(source, message, now_us)  # type: ignore[arg-type]
+            if doubted is not None and source not in self.membership.slot_of:
+                return doubted
             effects = self.fleet_stops.receive_stop(message, now_us)  # type: ignore[arg-type]
             return [*effects, *self.latch(f"a stop from address {source}")]
         gateway = gateway_slot(source)
-        if gateway is not None:
+        if gateway is not None or kind is FleetReset:
+            refused = (
+                self._hearing.refused(source, message, now_us) if kind in PROPRIETARY else None
+            )
+            if refused is not None:
+                return refused
+        if gateway is not None and kind is not AddressClaimed:
             return self._gateway(gateway, source, message, now_us)
         if kind is FleetReset:
             return self.fleet_stops.receive_reset(message, now_us)  # type: ignore[arg-type]

@@ -14,7 +14,9 @@ from protocol.safety_frames import AllImplementsStop, Switch
 SAY_US: Final = 1 * S  # ISO 11783-7: the state is said once a second
 HOLD_US: Final = 3 * S  # three are missing; other implementations forget a silent button then, too
 BUTTONS_MAX: Final = 254  # addresses that a frame can come from (J1939-81)
-TAKE_OVER_US: Final = 1_500 * MS  # nobody has said the fleet's stop for so long: the next robot does
+TAKE_OVER_US: Final = (
+    1_500 * MS
+)  # nobody has said the fleet's stop for so long: the next robot does
 RANK_US: Final = 10 * MS  # between two robots that would take over: a frame, and one in its way
 PERMITS: Final = 3  # said after a release: until a listener has forgotten the stop by itself
 COUNT_MAX: Final = 0xFF  # the count goes on with 0

@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from math import atan2, hypot
 from typing import TYPE_CHECKING, Final
 
+from agent.cause import Cause, about
 from agent.config import BEATS, CONTROL_PERIOD_US, Beat, S
 from agent.effects import Effect, Persist, Send, to_all
 from agent.lifecycle import EMERGENCY_STOP
@@ -20,6 +21,7 @@ from protocol.fleet_frames import (
     Heartbeat,
     Member,
     Pose,
+    Standstill,
     VectorSlice,
 )  # fmt: skip
 from protocol.map_frames import MapPatch
@@ -33,6 +35,8 @@ MEMBER_EVERY: Final = (
 )
 FIRST_COUNTER, LAST_COUNTER, LEAVING_COUNTER = 251, 250, 255  # ISO 11783-7 heartbeat
 STANDS_M_S: Final = 0.02  # below the resolution of POSE the course is noise: say the heading
+STANDSTILL_US: Final = 1 * S  # between two causes told: 7 % of the bus where 108 stand
+CAUSES_MAX: Final = 15  # told of one robot: four bits
 PROGRESS_PERIOD_US = 2 * S  # covered units are announced together, at most this often
 
 
@@ -51,6 +55,8 @@ class Voice:
         self.next_progress_us = now_us + self.progress_us
         self.beats = slot % self.beats_a_heartbeat  # heartbeats are spread over the beats
         self.heartbeats = 0
+        self.heartbeats_a_standstill = max(1, STANDSTILL_US // beat.heartbeat_us)
+        self._cause = 0  # which of several is told next
         self.counter = FIRST_COUNTER
         self.redone = 0  # units that somebody else had announced before us
         self._live: frozenset[int] = frozenset()
@@ -79,7 +85,9 @@ class Voice:
     def speak(self, peer: "Peer", now_us: int) -> Iterable[Effect]:
         if not self.pose_due(now_us) or not peer.joining.joined:
             return ()  # the beat goes on in silence while we have no address
-        effects: list[Effect] = [to_all(self._pose(peer))]
+        pose = self._pose(peer)
+        peer.conflicts.say(pose)
+        effects: list[Effect] = [to_all(pose)]
         self.beats += 1
         if self.beats % self.beats_a_heartbeat == 0:
             effects += self._heartbeat(peer)
@@ -168,8 +176,12 @@ class Voice:
 
     def _heartbeat(self, peer: "Peer") -> list[Effect]:
         self.heartbeats += 1
-        effects: list[Effect] = [Send(self._beat(peer, self.counter))]
+        beat = self._beat(peer, self.counter)
+        peer.conflicts.say(beat)
+        effects: list[Effect] = [Send(beat)]
         self.counter = 0 if self.counter >= LAST_COUNTER else self.counter + 1
+        if not peer.safety.free and self.heartbeats % self.heartbeats_a_standstill == 0:
+            effects.append(Send(self._standstill(peer)))
         turn = self.heartbeats + self.slot  # not everybody in the same second
         if turn % MEMBER_EVERY == 0:
             effects.append(Send(self.member(peer)))
@@ -180,6 +192,16 @@ class Voice:
             counts = tuple(peer.clock[base + k] & 0xFF for k in range(7))
             effects.append(Send(VectorSlice(base, counts)))
         return effects
+
+    def _standstill(self, peer: "Peer") -> Standstill:
+        """The next of the causes for which we stand."""
+        causes = peer.safety.causes[:CAUSES_MAX]
+        place = self._cause % len(causes)
+        self._cause = place + 1
+        cause, detail = causes[place]
+        dots = len(peer.safety.stops.active) if cause is Cause.STOP_DOT else 0
+        about_whom, count = about(cause, detail), min(dots, 0xFFFF)
+        return Standstill(self.slot, cause.number, place, len(causes), about_whom, count)
 
     def _beat(self, peer: "Peer", counter: int) -> Heartbeat:
         state, safety = peer.lifecycle.state, peer.safety

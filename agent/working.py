@@ -81,6 +81,7 @@ class Working:
             and (claims.current is None or peer.wish.near_end)
             and peer.sync.ready(now_us)
             and not peer.roll_call.wonders
+            and not peer.name_call.wonders
         ):
             effects += self._give_back(now_us)
             choice = peer.mission.choose(view)

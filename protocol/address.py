@@ -7,7 +7,8 @@ must leave with, because a claim is sent from the address it claims.
     WAITING    random delay of 0 to 153 ms, so that devices powered up together do not collide
     CONTENDING our claim is on the bus; for 250 ms anybody with a lower NAME may object
     HELD       the address is ours; a claim by a higher NAME is answered with ours
-    CANNOT     no address is left; silent but for "cannot claim" answers from address 254
+    CANNOT     no address is left; silent but for "cannot claim" answers from address 254. After a while
+               it forgets what it has heard, asks everybody, and begins again (J1939-81)
 """
 
 from collections.abc import Mapping
@@ -24,11 +25,16 @@ FIRST, LAST = 128, 235  # self-configurable addresses of industry group 2
 # Preferred addresses that a standard gives to one kind of device: it speaks as soon as it has claimed
 # (J1939-81). The standard lists 0 to 127 as well; no device of ours prefers one of those.
 AT_ONCE_FIRST, AT_ONCE_LAST = 248, 253
-SAID_US = 20 * MS  # for such a claim to leave: frames that are more urgent would overtake it in our queue
+SAID_US = (
+    20 * MS
+)  # for such a claim to leave: frames that are more urgent would overtake it in our queue
 CONTENTION_US = 250 * MS
 DELAY_STEP_US = 600  # RTxD = rand(0..255) * 0.6 ms
 DEFENCES_MAX = 5  # in a second: two devices with one NAME would answer each other for ever
 S = 1_000_000
+# From "cannot claim" to the next try; doubles, and a random part of a second is added for each of many.
+RETRY_US, RETRY_MAX_US = 5 * S, 20 * S
+ANSWERS_US = 200 * MS  # devices answer a request for claims within 153 ms, and a bus may be full
 # Between two claims because somebody else speaks from our address: a driver that gives us our own frames
 # back must not make us claim with every one of them.
 VIOLATION_US = 5 * S
@@ -63,6 +69,8 @@ class AddressClaim:
         self.duplicates = 0  # claims with our own NAME by somebody else: a configuration error
         self.losses = 0
         self.refused = 0  # answers not given, beyond the limit
+        self.asks = False  # everybody is to be asked for its claim now
+        self._retry_us = RETRY_US
         self._next_us: int | None = None
         self._answer_us: int | None = None  # everybody was asked: our turn
         self._defences: list[int] = []
@@ -103,10 +111,21 @@ class AddressClaim:
             return claims
         if self.state is State.WAITING:
             return claims + self._claim(now_us)
+        if self.state is State.CANNOT:
+            self._try_again(now_us)
+            return claims
         self._next_us = None
         if self.state is State.CONTENDING:
-            self.state = State.HELD
+            self.state, self._retry_us = State.HELD, RETRY_US
         return claims
+
+    def _try_again(self, now_us: int) -> None:
+        """Who is there answers; claims of devices that are gone count no longer."""
+        self.names.clear()
+        self.candidate, self.asks = self.preferred, True
+        self.restart(now_us)
+        assert self._next_us is not None
+        self._next_us += ANSWERS_US
 
     def receive(self, source: int, message: AddressClaimed, now_us: int) -> list[Claiming]:
         if source == NULL_ADDRESS:
@@ -177,6 +196,9 @@ class AddressClaim:
                 self.state, self._next_us = State.CONTENDING, now_us + CONTENTION_US
                 return [Claiming(AddressClaimed(self.number), address)]
         self.state, self._next_us = State.CANNOT, None
+        if self._modest_for_us is None:
+            self._next_us = now_us + self._retry_us + self._rng.randrange(S)
+            self._retry_us = min(2 * self._retry_us, RETRY_MAX_US)
         return [Claiming(AddressClaimed(self.number), NULL_ADDRESS)]
 
 

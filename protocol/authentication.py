@@ -33,9 +33,7 @@ from protocol.safety_frames import (
     OperatorCommand,
 )  # fmt: skip
 
-Signed = TypeVar(
-    "Signed", EmergencyStop, EmergencyReset, HeldReset, OperatorCommand, OperatorGoal
-)
+Signed = TypeVar("Signed", EmergencyStop, EmergencyReset, HeldReset, OperatorCommand, OperatorGoal)
 AnySigned = EmergencyStop | EmergencyReset | HeldReset | OperatorCommand | OperatorGoal
 
 PANEL_FIRST = 128  # sender ids from here are stop panels

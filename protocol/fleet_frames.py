@@ -1,5 +1,6 @@
 """Frames by which members know each other: who, where, how, and who leads."""
 
+from enum import IntEnum
 from math import pi
 from struct import Struct
 from typing import Final, NamedTuple
@@ -151,6 +152,62 @@ class Member(NamedTuple):
     def unpack(cls, data: bytes) -> "Member":
         slot, incarnation, low, high, flags, _ = MEMBER.unpack(data)
         return cls(slot, incarnation, low | high << 16, flags)
+
+
+class StandsBy(IntEnum):
+    """Causes for which a robot stands, as numbered on the bus; `agent/cause.py` says what they mean."""
+
+    OTHER = 0
+    NOT_STARTED = 1
+    OBSTACLE_AHEAD = 2
+    CREEP = 3
+    MEMBER_SILENT = 4
+    BACKBONE_LOST = 5
+    BACKBONE_CREEP = 6
+    BUS_OFF = 7
+    ERROR_PASSIVE = 8
+    UNHEARD = 9
+    ADDRESS_LOST = 10
+    CONFIG_MISMATCH = 11
+    DUPLICATE_ID = 12
+    LATE_TICK = 13
+    UNAUTHENTICATED_STOP = 14
+    IMPLEMENTS_STOP = 15
+    DISK_ERROR = 16
+    STOP_DOT = 17
+    BOOT_UNCONFIRMED = 18
+    SPENT_STOP = 19
+    SENSES_OLD = 20
+    PLACE_FROZEN = 21
+
+
+class Standstill(NamedTuple):
+    """Why the sender stands, or creeps: one cause a frame, about one frame a second. Priority 6.
+
+    byte  field      type  meaning
+    0     slot       u8    of the sender
+    1     cause      u8    StandsBy
+    2     place      bits  bits 0-3: place of this cause in the list, 0 the worst; 4-7: their number
+    3     about      u8    the address or slot that the cause is about; 255: none
+    4..5  number     u16   stops that hold it, for STOP_DOT; else 0
+    6..7  reserved         0xFF
+    """
+
+    slot: int
+    cause: int
+    place: int
+    causes: int
+    about: int = NOBODY
+    number: int = 0
+
+    def pack(self) -> bytes:
+        head = (self.slot, self.cause, self.place | self.causes << 4, self.about)
+        return bytes(head) + self.number.to_bytes(2, "little") + b"\xff\xff"
+
+    @classmethod
+    def unpack(cls, data: bytes) -> "Standstill":
+        number = int.from_bytes(data[4:6], "little")
+        return cls(data[0], data[1], data[2] & 15, data[2] >> 4, data[3], number)
 
 
 class LeaderElectionVote(NamedTuple):

@@ -11,7 +11,14 @@ from protocol.delivery_frames import (
     TaskBookDigest,
     TaskOrder,
 )  # fmt: skip
-from protocol.fleet_frames import Heartbeat, LeaderElectionVote, Member, Pose, VectorSlice
+from protocol.fleet_frames import (
+    Heartbeat,
+    LeaderElectionVote,
+    Member,
+    Pose,
+    Standstill,
+    VectorSlice,
+)
 from protocol.map_frames import MapDigests, MapPatch
 from protocol.network_frames import (
     Acknowledgment,
@@ -43,7 +50,7 @@ from protocol.work_frames import (
 Message = (
     EmergencyStop | EmergencyReset | OperatorCommand | AllImplementsStop | Challenge | Freshness
     | OperatorGoal | OperatorReport | StopsHeld | HeldReset
-    | LeaderElectionVote | TaskClaim | Pose | Heartbeat | Member
+    | LeaderElectionVote | TaskClaim | Pose | Heartbeat | Member | Standstill
     | StateSyncRequest | StateSyncResponse | Digests | VectorSlice | WorkProgress | Accord | Fallen
     | MapPatch | MapDigests
     | TaskOrder | TaskBookDigest | TaskBid | Itinerary | PlanOffer | PlanRow
@@ -78,6 +85,7 @@ GROUPS = (
     Group(Pose, 0xFF10, 5, 8, "POSE"),
     Group(Heartbeat, 0xFF11, 6, 8, "HEARTBEAT"),
     Group(Member, 0xFF14, 6, 8, "MEMBER"),
+    Group(Standstill, 0xFF19, 6, 8, "STANDSTILL"),
     Group(StateSyncRequest, 0xFF0C, 6, 8, "STATE_SYNC_REQUEST"),
     Group(WorkProgress, 0xFF13, 6, 8, "WORK_PROGRESS"),
     Group(Accord, 0xFF15, 6, 8, "ACCORD"),

@@ -19,6 +19,9 @@ FUNCTION = 128  # first function that depends on industry group and device class
 DEVICE_CLASS = 1  # tractor
 TOOL_FUNCTION = 129  # off-board diagnostic or service tool, of the non-specific device class
 NON_SPECIFIC = 0  # device class
+GATEWAY_FUNCTION = 66  # a device that joins networks: here the segments of one fleet
+OUR_FUNCTIONS = frozenset((FUNCTION, TOOL_FUNCTION, GATEWAY_FUNCTION))
+SLOT_BITS = 7  # of the identity number of a robot; the other 14 say its fleet
 IDENTITY_MAX = (1 << 21) - 1
 
 FIELDS = (  # name, shift, bits
@@ -70,7 +73,29 @@ def tool_name(identity: int) -> Name:
     )
 
 
+def is_ours(name: Name) -> bool:
+    """Of our maker and industry group, and of a function that speaks our proprietary groups."""
+    return (
+        name.manufacturer == MANUFACTURER
+        and name.industry_group == AGRICULTURE
+        and name.function in OUR_FUNCTIONS
+    )
+
+
+def is_robot(name: Name) -> bool:
+    return is_ours(name) and name.function == FUNCTION
+
+
+def fleet_of(name: Name) -> int:
+    """The 14 bits of a robot's NAME that say its fleet.
+
+    >>> fleet_of(fleet_name("north", 3)) == fleet_of(fleet_name("north", 4))
+    True
+    """
+    return name.identity >> SLOT_BITS
+
+
 def fleet_name(fleet: str, slot: int) -> Name:
     """The NAME of a slot of a fleet: the fleet in 14 bits of the identity number, the slot in 7."""
     assert 0 <= slot < 128
-    return Name(identity=(crc32(fleet.encode()) & 0x3FFF) << 7 | slot)
+    return Name(identity=(crc32(fleet.encode()) & 0x3FFF) << SLOT_BITS | slot)

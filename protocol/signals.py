@@ -28,6 +28,8 @@ from protocol.fleet_frames import (
     LeaderElectionVote,
     Member,
     Pose,
+    StandsBy,
+    Standstill,
     VectorSlice,
 )
 from protocol.map_frames import MapDigests, MapPatch
@@ -153,6 +155,11 @@ SIGNALS: dict[type[Message], tuple[Signal, ...]] = {
     Member: (
         Signal("slot", 0, 8), Signal("incarnation", 8, 16), Signal("config_hash", 24, 24),
         Signal("flags", 48, 8),
+    ),
+    Standstill: (
+        Signal("slot", 0, 8), Signal("cause", 8, 8, choices=_members(StandsBy)),
+        Signal("place", 16, 4), Signal("causes", 20, 4), Signal("about", 24, 8),
+        Signal("number", 32, 16),
     ),
     StateSyncRequest: (
         Signal("cut", 0, 24), Signal("digest", 24, 24), Signal("scope", 48, 8),

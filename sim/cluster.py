@@ -11,6 +11,7 @@ from random import Random
 import can
 
 from agent.area import Area
+from agent.config import ADDRESS_FIRST, ADDRESS_LAST
 from agent.core import Peer
 from agent.effects import Effect
 from agent.identity import Identity
@@ -21,10 +22,12 @@ from agent.segment_peer import SegmentPeer
 from agent.shell import Shell
 from protocol.authentication import Signed
 from protocol.bus import CanBus
-from protocol.codec import decode_once, encode
+from protocol.codec import decode_once, destination_of, encode
 from protocol.frame import Frame
-from protocol.messages import Message
-from protocol.name import fleet_name
+from protocol.identifier import GLOBAL_ADDRESS
+from protocol.messages import GROUP_OF, Message
+from protocol.name import fleet_name, tool_name
+from protocol.network_frames import AddressClaimed, Request
 from protocol.safety_frames import Challenge, EmergencyReset, OperatorCommand, Reason
 from sim.acquaintance import Acquaintance
 from sim.disk import MemoryJournal
@@ -42,6 +45,11 @@ OPERATOR = 200  # slot of the operator device that a scenario's resets come from
 TOOL_ADDRESS = 249  # where scripted operator frames come from
 AnySetting = Setting | ErrandSetting | GridSetting
 Record = Callable[[int, int, Effect], None]  # slot, time in microseconds, effect
+
+
+def tool_claim(address: int) -> Frame:
+    """An operator's device claims its address."""
+    return encode(AddressClaimed(tool_name(address).pack()), address)
 
 
 class Robot:
@@ -126,6 +134,7 @@ class Cluster:
         self.on_power: Callable[[int, bool], None] | None = None  # robot, switched on; told before
         self.on_order: Callable[[Message], None] | None = None  # told before anybody hears of it
         self._tool: FieldBus | None = None
+        self._tools: set[int] = set()  # addresses that devices of ours have claimed
         self._keyring = setting.keyring(OPERATOR, "operator")
 
     def boot_all(self) -> None:
@@ -255,6 +264,9 @@ class Cluster:
             self._tool = FieldBus(self.channel)
             self._tool.subscribe(self._answer)
             self._tool.tell_sent(self._said)
+        if source not in self._tools and not ADDRESS_FIRST <= source <= ADDRESS_LAST:
+            self._tools.add(source)  # a device of ours; what speaks from a robot's address is forged
+            self._tool.submit(tool_claim(source))
         self._tool.submit(encode(message, source))
 
     def order(self, message: Signed) -> None:
@@ -275,8 +287,13 @@ class Cluster:
             self.on_order(message)
 
     def _answer(self, frame: Frame) -> None:
-        """The operator's device proves where its counter is, when a robot asks it to."""
+        """The operator's device says who it is, and proves where its counter is, when it is asked."""
         source, message = decode_once(frame)
+        asked = isinstance(message, Request) and message.pgn == GROUP_OF[AddressClaimed].pgn
+        if asked and self._tool is not None:
+            for address in sorted(self._tools):
+                if destination_of(frame) in (GLOBAL_ADDRESS, address):
+                    self._tool.submit(tool_claim(address))
         if isinstance(message, Challenge) and self._keyring is not None and self._tool is not None:
             proof = self._keyring.answer(message, self.host.now_us())
             if proof is not None:

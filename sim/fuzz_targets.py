@@ -29,7 +29,7 @@ from protocol.fleet_frames import Heartbeat, LeaderElectionVote, Member, Pose
 from protocol.frame import Frame
 from protocol.messages import GROUPS, Message
 from protocol.name import fleet_name
-from protocol.network_frames import TransportData, TransportManagement
+from protocol.network_frames import AddressClaimed, TransportData, TransportManagement
 from protocol.safety_frames import EmergencyReset, EmergencyStop, OperatorCommand, Reason
 from protocol.sync import Sync
 from protocol.transport import Transport
@@ -247,6 +247,8 @@ def seeds(name: str) -> Iterator[bytes]:
             yield (6 << 26 | group.pgn << 8 | 1).to_bytes(4, "little") + bytes(group.length)
     elif name in ("transport", "sync", "peer", "keyed"):
         frames = [encode(message, 130 + k % 3) for k, message in enumerate(messages)]
+        names = [AddressClaimed(fleet_name("fuzz", 1 + k).pack()) for k in range(3)]
+        frames[:0] = [encode(name, 130 + k) for k, name in enumerate(names)]
         entries = b"".join(ENTRY.pack(sent.identifier, 50, sent.data) for sent in frames)
         yield (b"\x01" if name == "peer" else b"") + entries
         yield (b"\x00" if name == "peer" else b"") + entries[::-1]

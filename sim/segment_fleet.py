@@ -26,7 +26,7 @@ from protocol.authentication import Keyring, Keys
 from protocol.bus import CanBus
 from protocol.frame import Frame
 from protocol.map_sync import MapSync
-from protocol.name import Name, fleet_name
+from protocol.name import GATEWAY_FUNCTION, Name, fleet_name
 from protocol.segment_frames import gateway_slot
 from sim.backbone import SimulatedBackbone
 from sim.bits import BIT_US, frame_bits
@@ -34,7 +34,6 @@ from sim.fieldbus import Segment, forget, segment
 from sim.host import Script
 from sim.swarm import Swarm
 
-GATEWAY_FUNCTION = 66  # of a NAME: a device that joins networks
 FIELD_HASH = 0x5E6
 MAP_TICK_US = 1_000_000  # of the map's clock
 

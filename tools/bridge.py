@@ -21,13 +21,12 @@ from agent.map_relay import MapRelay
 from agent.ports import Bus
 from protocol.backbone import Kind
 from protocol.health import Health
-from protocol.name import Name
+from protocol.name import GATEWAY_FUNCTION, Name
 from protocol.segment_frames import SEGMENT_MAX
 from protocol.zenoh_link import LinkError, ZenohBus, ZenohLink, configure
 from sim.standing import leave_standing
 from tools.attachment import AttachError, attach, keep_attached
 
-GATEWAY_FUNCTION = 66  # of a NAME: a device that joins networks
 TELL_S = 5.0  # a status line this often
 WRONG = 2
 

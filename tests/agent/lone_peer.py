@@ -8,15 +8,17 @@ import numpy as np
 from agent.cause import Cause, Clears
 from agent.config import S
 from agent.core import Peer
-from agent.effects import HALT, Drive, Send
+from agent.effects import HALT, Drive, Effect, Send
 from agent.identity import Identity
 from agent.lifecycle import State
 from agent.mission import Choice, FleetView, Wish
 from agent.motion import Limits, Motion
 from agent.ports import Observation
 from agent.safety import SilencePolicy
+from protocol.fleet_frames import Member
 from protocol.health import Health
-from protocol.name import fleet_name
+from protocol.name import fleet_name, tool_name
+from protocol.network_frames import AddressClaimed
 
 FULL = Wish(2.0, 0.0, 0.0, True)
 BY_TIME_US = 1 * S  # what is raised with a time holds so long here
@@ -59,13 +61,35 @@ def peer_in(state: State, cause: Cause | None, policy: SilencePolicy = SilencePo
     peer.claims.current = 0 if state is State.WORKING else None
     peer.lifecycle.state = state
     if cause is not None:
-        timed = cause.clears is Clears.BY_TIMEOUT
+        timed = cause.clears in (Clears.BY_TIMEOUT, Clears.WHEN_APART)
         peer.safety.raise_cause(cause, 0, "", BY_TIME_US if timed else 0)
+    return peer
+
+
+def introduce(peer: Peer, address: int, slot: int, now_us: int = 0) -> None:
+    """Another robot of its fleet claims an address and says which member it is."""
+    peer.hear(address, AddressClaimed(fleet_name("total", slot).pack()), now_us)
+    peer.hear(address, Member(slot, 0, 1), now_us)
+
+
+def introduce_tools(peer: Peer, *addresses: int) -> Peer:
+    """Panels and operators' devices claim these addresses."""
+    for address in addresses:
+        peer.hear(address, AddressClaimed(tool_name(address).pack()), 0)
     return peer
 
 
 def held_by(peer: Peer) -> set[Cause]:
     return {cause for cause, _ in peer.safety.causes}
+
+
+def turn(peer: Peer, now_us: int) -> list[Effect]:
+    """It senses that it has moved a little, its bus has sent what it said, and it has a turn."""
+    assert peer.here is not None
+    peer.check.bus(Health.ACTIVE, True, now_us, now_us)
+    x_m = peer.here.x_m + 0.01
+    peer.observe(peer.here._replace(x_m=x_m, sensed_at_us=now_us), now_us)
+    return [*peer.tick(now_us)]
 
 
 def pass_time(peer: Peer, until_us: int = 10 * S) -> None:

@@ -138,7 +138,8 @@ ENDED_BY: dict[Cause, str | None] = {
     Cause.SENSES_OLD: "time",  # here they are in time again
     Cause.PLACE_FROZEN: "start",  # or when the place changes, which it does not while the robot stands
     Cause.ADDRESS_LOST: "time",  # it claims another
-    Cause.CONFIG_MISMATCH: None,
+    Cause.CONFIG_MISMATCH: "time",  # the other machine is not heard any more
+    Cause.DUPLICATE_ID: "time",
     Cause.LATE_TICK: "time",
     Cause.UNAUTHENTICATED_STOP: "time",
     Cause.SPENT_STOP: "time",

@@ -16,9 +16,9 @@ from agent.lifecycle import State
 from agent.motion import Limits, Motion
 from agent.ports import Observation
 from agent.senses import AGE_MAX_US, FROZEN_M, STEADY_US
-from protocol.fleet_frames import NOWHERE_M, PLACE_UNKNOWN_M_S, Member, Pose
+from protocol.fleet_frames import NOWHERE_M, PLACE_UNKNOWN_M_S, Pose
 from protocol.health import Health
-from tests.agent.lone_peer import held_by, peer_in
+from tests.agent.lone_peer import held_by, introduce, peer_in
 
 SPEED_M_S, ACCELERATION_M_S2 = 2.5, 1.5
 SENSES = {Cause.SENSES_OLD, Cause.PLACE_FROZEN}
@@ -167,7 +167,7 @@ def test_item_3_a_robot_that_begins_slowly_is_not_frozen(slow_m_s2: float) -> No
 def test_item_3_a_beat_without_a_place_leaves_the_last_one_and_makes_it_uncertain() -> None:
     """The others keep its way clear as that of a silent one, and count it as alive."""
     peer = peer_in(State.WORKING, None)
-    peer.hear(130, Member(1, 1, peer.identity.field_hash), 0)
+    introduce(peer, 130, 1)
     peer.hear(130, Pose(5.0, 0.0, 0.0, 2.0, State.WORKING, False, 255), 50 * MS)
     now_us = 50 * MS
     while now_us < 5 * S:

@@ -23,7 +23,7 @@ from protocol.fleet_frames import Member
 from protocol.name import Name, fleet_name
 from protocol.network_frames import AddressClaimed
 from protocol.safety_frames import AllImplementsStop, EmergencyStop, Reason, Switch
-from tests.agent.lone_peer import held_by, peer_in
+from tests.agent.lone_peer import held_by, introduce_tools, peer_in
 
 FIRST, SECOND = 38, 41  # addresses of two buttons
 OTHER_MAKER = Name(7, manufacturer=100, function=61)
@@ -158,7 +158,7 @@ def test_a4_one_of_those_latched_by_a_panel_says_it_and_another_takes_over() -> 
 
 
 def test_a4_a_robot_latched_by_a_panel_says_it() -> None:
-    peer, said = peer_in(State.IDLE, None), list[AllImplementsStop]()
+    peer, said = introduce_tools(peer_in(State.IDLE, None), 140), list[AllImplementsStop]()
     now_us = 0
     while now_us < 4 * S:
         now_us = max(now_us + 1, peer.deadline_us)

@@ -12,7 +12,6 @@ from agent.lifecycle import State
 from agent.safety import AGAIN_US, SPENT_HOLD_US, Safety, SilencePolicy
 from crdt.stops import ACTIVE_MAX, StopDot
 from protocol.authentication import Keyring, Keys
-from protocol.fleet_frames import Member
 from protocol.fleet_tags import HeldTags
 from protocol.safety_frames import (
     EmergencyReset,
@@ -21,7 +20,7 @@ from protocol.safety_frames import (
     Reason,
     StopsHeld,
 )
-from tests.agent.lone_peer import held_by, peer_in
+from tests.agent.lone_peer import held_by, introduce, introduce_tools, peer_in
 
 PANEL, OPERATOR = 140, 200
 DOT = StopDot(PANEL, 1, 1)
@@ -36,7 +35,7 @@ def stops_of(effects: Iterable[Effect]) -> list[EmergencyStop]:
 
 def cleared_before(dot: StopDot = DOT) -> Peer:
     """A robot at work that was told to clear a stop that nobody has pressed."""
-    peer = peer_in(State.WORKING, None)
+    peer = introduce_tools(peer_in(State.WORKING, None), PANEL, 249)
     peer.hear(249, EmergencyReset(*dot, OPERATOR), 0)
     assert not peer.safety.latched
     return peer
@@ -94,8 +93,8 @@ def test_t5_late_repeats_within_a_moment_only_brake() -> None:
 
 
 def test_t5_a_pressed_robot_that_is_told_takes_another_name() -> None:
-    peer = peer_in(State.WORKING, None)
-    peer.hear(141, Member(1, 0, 1), 0)
+    peer = introduce_tools(peer_in(State.WORKING, None), PANEL, 249)
+    introduce(peer, 141, 1)
     (press,) = stops_of(peer.press(Reason.PERSON_IN_FIELD, S))
     told = press._replace(echo=True, spent=True)
     assert not stops_of(peer.hear(141, told, S + MS)), "not within the spacing of stops"
@@ -121,7 +120,7 @@ def test_t11_a_signed_stop_stops_though_its_name_was_cleared() -> None:
 
 
 def test_t5_forged_words_that_a_name_was_used_hold_for_a_moment_only() -> None:
-    peer = peer_in(State.WORKING, None)
+    peer = introduce_tools(peer_in(State.WORKING, None), PANEL, 249)
     peer.hear(PANEL, PRESS._replace(echo=True, spent=True), S)
     assert held_by(peer) == {Cause.SPENT_STOP}
     peer.safety.tick(S + SPENT_HOLD_US)
@@ -161,7 +160,7 @@ def test_t9_a_press_after_the_question_is_not_cleared(count: int) -> None:
 
 
 def test_t9_two_thousand_stops_cost_two_hundred_and_fifty_six_echoes() -> None:
-    peer = peer_in(State.IDLE, None)
+    peer = introduce_tools(peer_in(State.IDLE, None), PANEL, 249)
     said = 0
     for k in range(2_000):
         said += len(stops_of(peer.hear(PANEL, EmergencyStop(k >> 8, 1, k & 0xFF, 0), k * MS)))

@@ -9,11 +9,11 @@ from agent.effects import Effect, Send
 from agent.lifecycle import State
 from agent.safety import REPEATS_ALONE, Safety, SilencePolicy
 from crdt.stops import StopDot
-from protocol.fleet_frames import Member, Pose
+from protocol.fleet_frames import Pose
 from protocol.name import fleet_name
 from protocol.network_frames import AddressClaimed
 from protocol.safety_frames import EmergencyStop, Reason
-from tests.agent.lone_peer import peer_in
+from tests.agent.lone_peer import introduce, peer_in
 
 
 def stops_of(effects: Iterable[Effect]) -> list[EmergencyStop]:
@@ -38,8 +38,7 @@ def test_a_claim_by_one_that_may_move_is_no_sign_of_life(stood: bool) -> None:
     that is reset claims anew, and is not silent."""
     peer = peer_in(State.WORKING, None)
     name = fleet_name("total", 1).pack()
-    peer.hear(140, AddressClaimed(name), 0)
-    peer.hear(140, Member(1, 0, 1), 0)
+    introduce(peer, 140, 1)
     pose, silence_us = Pose(0.0, 0.0, 0.0, 0.0, State.IDLE, stood, 0), peer.membership.silence_us
     peer.hear(140, pose, 0)
     peer.hear(140, AddressClaimed(name), silence_us - 1)
@@ -76,7 +75,7 @@ def test_each_of_many_stops_is_told_in_turn() -> None:
     stops, again and again; those had been cleared where they were heard, behind a cut, and the fifth
     had not."""
     peer = peer_in(State.IDLE, None)
-    peer.hear(140, Member(1, 0, 1), 0)
+    introduce(peer, 140, 1)
     dots = {StopDot(slot, 7, counter) for slot in range(2) for counter in range(5)}
     for dot in dots:
         peer.hear(140, EmergencyStop(*dot, 1, False, 0, 0), 0)
@@ -91,7 +90,7 @@ def test_who_stood_before_a_press_has_to_say_that_stop(stood: bool) -> None:
     """Found by `headland chaos`, profile protocol, seed 203087: the only other robot stood already, had
     not heard the stop, and passed for one that had; then the one that was pressed lost its memory."""
     peer = peer_in(State.IDLE, None)
-    peer.hear(140, Member(1, 0, 1), 0)
+    introduce(peer, 140, 1)
     pose = Pose(0.0, 0.0, 0.0, 0.0, State.EMERGENCY_STOP, True, 0)
     peer.hear(140, pose._replace(stopped=stood), 0)
     (stop,) = stops_of(peer.press(Reason.PERSON_IN_FIELD, 0))

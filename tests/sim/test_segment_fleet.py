@@ -14,6 +14,8 @@ from protocol import backbone
 from protocol.authentication import Keys
 from protocol.backbone import Header, Kind
 from protocol.bus import CanBus
+from protocol.name import tool_name
+from protocol.network_frames import AddressClaimed
 from protocol.safety_frames import EmergencyReset, Reason
 from protocol.segment_frames import FleetReset, FleetStop
 from sim.segment_fleet import SegmentFleet
@@ -56,7 +58,9 @@ def test_a_reset_where_it_was_pressed_holds_everywhere(fleet: SegmentFleet) -> N
     press(fleet, 1, 1)
     assert fleet.run(S, lambda: all_latched(fleet))
     dot = next(iter(fleet.peer(1, 0).safety.stops.active))
+    tool = AddressClaimed(tool_name(OPERATOR).pack())
     for slot in range(3):
+        fleet.shells[1, slot].operate(lambda peer, now: peer.hear(249, tool, now))
         fleet.shells[1, slot].operate(
             lambda peer, now: peer.hear(249, EmergencyReset(*dot, OPERATOR), now)
         )
