@@ -1,4 +1,4 @@
-"""What robot processes mean to do, passed on to whoever watches: datagrams beside the bus, on loopback.
+"""What robot processes mean to do, passed on to whoever watches: messages beside the bus.
 
 A robot tells its world's process five times a second; a map that says hello gets copies for a while.
 Nothing of it reaches another robot, and nothing waits for it.
@@ -7,10 +7,11 @@ Nothing of it reaches another robot, and nothing waits for it.
 import asyncio
 import json
 from collections.abc import Callable
-from typing import Any, cast
+from typing import Any
 
 from agent.core import Peer
 from sim.intent import intent_of
+from sim.local_link import Link
 
 TELL_S = 0.2
 HELLO_S = 1.0
@@ -18,31 +19,29 @@ WATCH_S = 3.0  # a watcher that does not say hello again is forgotten
 WATCHERS_MAX = 8
 BYTES_MAX = 4096  # of an intent: 48 points of a path are a quarter of it
 MAGIC_INTENT, MAGIC_WATCH = b"HLIn", b"HLWa"
-Address = tuple[str, int]
 
 
 class IntentRelay:
     """In the world's process, beside the bodies."""
 
     def __init__(self) -> None:
-        self.watchers: dict[Address, float] = {}  # until when
+        self.watchers: dict[Link, float] = {}  # until when
         self.keep: Callable[[dict[str, Any]], None] | None = None  # also for a recording
         self.malformed = 0
 
-    def take(self, data: bytes, address: Address, to: asyncio.DatagramTransport | None) -> bool:
-        """True where the datagram is ours."""
+    def take(self, data: bytes, link: Link) -> bool:
+        """True where the message is ours."""
         now_s = asyncio.get_running_loop().time()
         if data == MAGIC_WATCH:
-            if address in self.watchers or len(self.watchers) < WATCHERS_MAX:
-                self.watchers[address] = now_s + WATCH_S
+            if link in self.watchers or len(self.watchers) < WATCHERS_MAX:
+                self.watchers[link] = now_s + WATCH_S
             return True
         if data[:4] != MAGIC_INTENT:
             return False
         for watcher in [w for w, until_s in self.watchers.items() if until_s < now_s]:
             del self.watchers[watcher]
-        if to is not None:
-            for watcher in self.watchers:
-                to.sendto(data, watcher)
+        for watcher in self.watchers:
+            watcher.send(data)
         if self.keep is not None:
             intent = read_intent(data)
             if intent is None:
@@ -52,22 +51,15 @@ class IntentRelay:
         return True
 
 
-class Watching(asyncio.DatagramProtocol):
+class Watching(Link):
     """In the map's process."""
 
     def __init__(self, heard: Callable[[dict[str, Any]], None]) -> None:
+        super().__init__()
         self.heard = heard
-        self.malformed = 0
-        self._transport: asyncio.DatagramTransport | None = None
 
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        self._transport = cast(asyncio.DatagramTransport, transport)
-
-    def error_received(self, problem: Exception) -> None:
-        """The launch is gone; the bus will say so."""
-
-    def datagram_received(self, data: bytes, address: Address) -> None:
-        intent = read_intent(data)
+    def take(self, message: bytes) -> None:
+        intent = read_intent(message)
         if intent is None:
             self.malformed += 1
         else:
@@ -75,8 +67,7 @@ class Watching(asyncio.DatagramProtocol):
 
     async def run(self) -> None:
         while True:
-            if self._transport is not None:
-                self._transport.sendto(MAGIC_WATCH)
+            self.send(MAGIC_WATCH)
             await asyncio.sleep(HELLO_S)
 
 

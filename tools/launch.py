@@ -57,7 +57,9 @@ class Launch:
         self, setting: AnySetting, name: str, fleet: Fleet, console: Console, keys: Path | None,
         page_port: int | None = None,
     ) -> None:  # fmt: skip
-        self.operator_key: str | None = None  # file of the map; its page may release and start with it
+        self.operator_key: str | None = (
+            None  # file of the map; its page may release and start with it
+        )
         self.fleet, out = fleet, fleet.folder
         self.page_port, self.log_hash, self.logs = page_port, "", ""
         self.segment = 0  # of a fleet of several; 0: there are no others
@@ -97,13 +99,11 @@ class Launch:
 
         await bus.start([keep, self._heard])
         zero_us = round(loop.time() * 1e6) - memory.now_us
-        transport, bodies = await loop.create_datagram_endpoint(
-            lambda: BodyServer(self.world, zero_us), local_addr=(HOST, 0)
-        )
-        body_port = transport.get_extra_info("sockname")[1]
+        bodies = BodyServer(self.world, zero_us)
+        path = await bodies.start()
         where = {
             "host": HOST, "port": bus.port, "channel": CHANNEL, "pid": os.getpid(),
-            "body_port": body_port, "folder": str(self.out.absolute()),
+            "bodies": str(path), "folder": str(self.out.absolute()),
             "robots": sorted(self.world.robots),
         }  # fmt: skip
         going_on = self._furnish(bodies, bus)
@@ -122,7 +122,7 @@ class Launch:
         try:
             if self.page_port is not None:
                 await self._start_map()
-            await self._start_all(bus.port, body_port)
+            await self._start_all(bus.port, path)
             leave_standing()
             finished = await self._watch(end, seconds)
             self.latched = self._latched()
@@ -131,7 +131,7 @@ class Launch:
             for task in (stepping, *going_on):
                 task.cancel()
             await bus.stop()
-            transport.close()
+            bodies.close()
             self._keep_truth()
             memory.close()
             log.close()
@@ -179,12 +179,12 @@ class Launch:
     def _heard(self, t_us: int, frame: Frame) -> None:
         self.inspector.hear(t_us / 1e6, frame)
 
-    async def _start_all(self, bus_port: int, body_port: int) -> None:
+    async def _start_all(self, bus_port: int, bodies: Path) -> None:
         for slot in range(self.setting.scenario.fleet.robots):
             order = {
                 "slot": slot, "scenario": self.name, "robots": self.setting.scenario.fleet.robots,
                 "seed": self.setting.scenario.run.seed, "host": HOST, "channel": CHANNEL,
-                "bus_port": bus_port, "body_port": body_port,
+                "bus_port": bus_port, "bodies": str(bodies),
                 "journal": str(self.out / f"robot{slot}.sqlite"),
                 "first_boot": not self.fleet.continues,
                 "keys": self.keys, "segment": self.segment,
@@ -313,8 +313,7 @@ class Launch:
         (self.out / "report.json").write_text(dumps(report, indent=1) + "\n")
         how = "finished" if finished else "not finished"
         self.console.print(
-            f"{how} after {elapsed_s:.0f} s: {verdict}; "
-            f"report.json, {self.logs} are in {self.out}"
+            f"{how} after {elapsed_s:.0f} s: {verdict}; report.json, {self.logs} are in {self.out}"
         )
         if self.difference:
             self.console.print(f"[red]{self.difference}[/red]")

@@ -58,10 +58,12 @@ async def run(order: dict[str, Any]) -> None:
     loop.add_signal_handler(signal.SIGTERM, end.set)
     loop.add_signal_handler(signal.SIGINT, lambda: None)  # the launcher decides
     loop.add_reader(sys.stdin, end.set)  # nothing more is ever written: readable means the end
-    address = (order.get("body_host", order["host"]), int(order["body_port"]))
-    transport, body = await loop.create_datagram_endpoint(
-        lambda: RemoteBody(slot), remote_addr=address
-    )
+    try:
+        body = await RemoteBody(slot).connect(Path(order["bodies"]))
+    except OSError as problem:
+        raise RobotError(
+            f"robot {slot}: no world answers at {order['bodies']}: {problem}"
+        ) from None
     await body.ready()
     rng = Random(f"line of robot {slot}")
     bus = SocketcandLink(order["host"], int(order["bus_port"]), order["channel"], rng)
@@ -89,7 +91,7 @@ async def run(order: dict[str, Any]) -> None:
     waiting.cancel()
     telling.cancel()
     bus.close()
-    transport.close()
+    body.end()
     journal.close()
     if not task.cancelled() and task.done() and task.exception() is not None:
         raise task.exception()  # type: ignore[misc]

@@ -153,7 +153,7 @@ def test_item_9_a_journal_that_is_not_to_be_had_is_one_line(tmp_path: Path) -> N
     for name in ("locked", "folder", "nowhere/j"):
         order = {
             "slot": 1, "scenario": "small", "robots": 2, "seed": 1, "host": "127.0.0.1",
-            "channel": "can0", "bus_port": 1, "body_port": 1, "bodies": str(tmp_path / "none"),
+            "channel": "can0", "bus_port": 1, "bodies": str(tmp_path / "none"),
             "journal": str(tmp_path / name), "first_boot": False, "keys": None, "segment": 0,
         }  # fmt: skip
         ended = subprocess.run(

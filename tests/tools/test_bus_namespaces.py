@@ -115,13 +115,13 @@ async def enter(side: str, *words: str) -> Process:
     )  # fmt: skip
 
 
-async def robot(folder: Path, slot: int, body_port: int) -> Process:
+async def robot(folder: Path, slot: int, bodies: Path) -> Process:
     side = HUB if slot in HUB_SIDE else FAR
     process = await enter(side, "tools.robot")
     order = {
         "slot": slot, "scenario": SCENARIO, "robots": ROBOTS, "seed": 1, "channel": "can0",
         "host": "127.0.0.1" if side == HUB else f"{BUS_NET}.1", "bus_port": BUS_PORT,
-        "body_host": f"{NETS[side]}.1", "body_port": body_port,
+        "bodies": str(bodies),  # one computer: files are the same in every namespace
         "journal": str(folder / f"robot{slot}.sqlite"), "first_boot": True, "keys": None,
         "segment": 0,
     }  # fmt: skip
@@ -152,9 +152,8 @@ def test_a_bus_is_cut_in_two_and_healed(tmp_path: Path) -> None:
     async def story() -> None:
         yard, loop = Yard(), asyncio.get_running_loop()
         zero_us = round(loop.time() * 1e6)
-        transport, bodies = await loop.create_datagram_endpoint(
-            lambda: BodyServer(yard.world, zero_us), local_addr=("0.0.0.0", 0)
-        )
+        bodies = BodyServer(yard.world, zero_us)
+        path = await bodies.start()
         bodies.relay.keep = yard.told
         stepping = asyncio.create_task(bodies.run())
         words = ("hub", "--host", "0.0.0.0", "--port", str(BUS_PORT), "--json")
@@ -163,14 +162,13 @@ def test_a_bus_is_cut_in_two_and_healed(tmp_path: Path) -> None:
             assert processes[0].stdout is not None
             async with asyncio.timeout(WAIT_S):
                 assert await processes[0].stdout.readline()
-            body_port = transport.get_extra_info("sockname")[1]
             for slot in range(ROBOTS):
-                processes.append(await robot(tmp_path, slot, body_port))
+                processes.append(await robot(tmp_path, slot, path))
             await cut_and_heal(yard)  # long and short of it: once known, twice the same
             await cut_and_heal(yard)
         finally:
             stepping.cancel()
-            transport.close()
+            bodies.close()
             for process in processes:
                 with contextlib.suppress(ProcessLookupError):
                     process.kill()

@@ -60,9 +60,7 @@ def test_a_hub_that_is_killed_hangs_and_comes_back(tmp_path: Path) -> None:
             where = json.loads((tmp_path / "runs/launch/bus.json").read_text())
             assert where["port"] == port
             watch = Watch(ROBOTS)
-            transport, watching = await asyncio.get_running_loop().create_datagram_endpoint(
-                lambda: Watching(watch.told), remote_addr=("127.0.0.1", where["body_port"])
-            )
+            watching = await Watching(watch.told).connect(Path(where["bodies"]))
             telling = asyncio.create_task(watching.run())
             await watch.until("they work", watch.work)
 
@@ -80,7 +78,7 @@ def test_a_hub_that_is_killed_hangs_and_comes_back(tmp_path: Path) -> None:
             code, text = await call(tmp_path, "estop", "--json")  # and hear a stop on it
             assert code == 0 and len(json.loads(text)["stopped"]) == ROBOTS, text
             telling.cancel()
-            transport.close()
+            watching.end()
             launch.send_signal(signal.SIGINT)
             async with asyncio.timeout(WAIT_S):
                 await launch.wait()

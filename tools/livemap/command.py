@@ -229,8 +229,8 @@ def _live(
         recording.follow(lambda: round(loop.time() * 1e6))
         server = make_server(recording, title, True, 1.0, panel)
         with _hearing(bus, recording, panel):
-            body_port = None if launch is None else launch.get("body_port")
-            watching = asyncio.create_task(_watch(recording, host, body_port))
+            bodies = None if launch is None else launch.get("bodies")
+            watching = asyncio.create_task(_watch(recording, bodies))
             asking = asyncio.create_task(panel.keep_asking())
             _announce(console, as_json, url_of(listener, server))
             try:
@@ -259,16 +259,16 @@ def _hearing(bus: CanBus, recording: Recording, panel: Panel) -> Iterator[None]:
         bus.close()
 
 
-async def _watch(recording: Recording, host: str, body_port: int | None) -> None:
-    """What the robots of a launch mean to do; on another bus nobody tells."""
-    if body_port is None:
+async def _watch(recording: Recording, bodies: str | None) -> None:
+    """What the robots of a launch mean to do; on another bus nobody tells, nor to another user."""
+    if bodies is None:
         return
     loop = asyncio.get_running_loop()
-    transport, watching = await loop.create_datagram_endpoint(
-        lambda: Watching(lambda intent: recording.tell(round(loop.time() * 1e6), intent)),
-        remote_addr=(host, int(body_port)),
-    )
+    watching = Watching(lambda intent: recording.tell(round(loop.time() * 1e6), intent))
     try:
+        await watching.connect(Path(bodies))
         await watching.run()
+    except OSError:
+        return  # the launch has ended, or is another user's: frames are heard all the same
     finally:
-        transport.close()
+        watching.end()

@@ -1,0 +1,146 @@
+"""Messages between the processes of one owner: a unix socket in a folder that nobody else can enter.
+
+What moves machines must not be open to every user of a computer, as a port on loopback is. The folder is
+made with mode 0700, and the kernel says who is at the other end: another user is counted and sent away. A
+message is a length and so many bytes. A reader that is too slow loses the newest messages, as it would
+lose datagrams: what is told here is soon old anyway.
+"""
+
+import asyncio
+import os
+import shutil
+import socket
+import struct
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Self, cast
+
+LENGTH = struct.Struct("<H")
+MESSAGE_MAX = 8_192  # bytes: 720 rays and 32 parcels are half of it
+BACKLOG_MAX = 64 * 1024  # bytes that wait for a slow reader: a quarter of a second of a world
+CREDENTIALS = struct.Struct("3i")  # process, user, group of the other end, as Linux says them
+ROOT = 0
+SOCKET = "bodies"  # name of the socket in its folder
+
+
+class Link(asyncio.Protocol):
+    """One end of a connection."""
+
+    def __init__(self) -> None:
+        self.dropped = self.malformed = 0  # messages
+        self._transport: asyncio.Transport | None = None
+        self._received = bytearray()
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self._transport = cast(asyncio.Transport, transport)
+
+    def connection_lost(self, problem: Exception | None) -> None:
+        self._transport = None
+
+    @property
+    def open(self) -> bool:
+        return self._transport is not None and not self._transport.is_closing()
+
+    def data_received(self, data: bytes) -> None:
+        self._received += data
+        while len(self._received) >= LENGTH.size:
+            (length,) = LENGTH.unpack_from(self._received)
+            if length > MESSAGE_MAX:
+                self.malformed += 1
+                self.end()
+                return
+            if len(self._received) < LENGTH.size + length:
+                return
+            message = bytes(self._received[LENGTH.size : LENGTH.size + length])
+            del self._received[: LENGTH.size + length]
+            self.take(message)
+
+    def take(self, message: bytes) -> None:
+        """A message has come."""
+
+    def send(self, message: bytes) -> None:
+        """Dropped and counted where the other end does not read."""
+        assert len(message) <= MESSAGE_MAX
+        transport = self._transport
+        if transport is None or transport.is_closing():
+            return
+        if transport.get_write_buffer_size() > BACKLOG_MAX:
+            self.dropped += 1
+            return
+        transport.write(LENGTH.pack(len(message)) + message)
+
+    def end(self) -> None:
+        if self._transport is not None:
+            self._transport.abort()
+
+    async def connect(self, path: Path) -> Self:
+        """To a server on this computer. Raises OSError."""
+        await asyncio.get_running_loop().create_unix_connection(lambda: self, str(path))
+        return self
+
+
+class LinkServer:
+    """Where links of the same owner arrive; others are counted in `foreign`."""
+
+    def __init__(self, made: Callable[[], Link]) -> None:
+        self.made = made
+        self.foreign = 0
+        self.links: set[Link] = set()
+        self.path: Path | None = None
+        self._server: asyncio.Server | None = None
+
+    async def start(self, folder: Path | None = None) -> Path:
+        """In a new folder of the owner's, or this one. The path of the socket. Raises OSError."""
+        own = Path(tempfile.mkdtemp(prefix="headland-")) if folder is None else folder
+        own.chmod(0o700)
+        self.path = own / SOCKET
+        self.path.unlink(missing_ok=True)
+        loop = asyncio.get_running_loop()
+        self._server = await loop.create_unix_server(lambda: _Arrival(self), str(self.path))
+        self.path.chmod(0o600)
+        return self.path
+
+    def close(self) -> None:
+        """The folder goes with it."""
+        if self._server is not None:
+            self._server.close()
+        for link in list(self.links):
+            link.end()
+        if self.path is not None:
+            shutil.rmtree(self.path.parent, ignore_errors=True)
+
+
+class _Arrival(asyncio.Protocol):
+    """A connection until it is known whose it is."""
+
+    def __init__(self, server: LinkServer) -> None:
+        self.server = server
+        self._link: Link | None = None
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        if not _is_ours(transport):
+            self.server.foreign += 1
+            cast(asyncio.Transport, transport).abort()
+            return
+        self._link = self.server.made()
+        self.server.links.add(self._link)
+        self._link.connection_made(transport)
+
+    def data_received(self, data: bytes) -> None:
+        if self._link is not None:
+            self._link.data_received(data)
+
+    def connection_lost(self, problem: Exception | None) -> None:
+        if self._link is not None:
+            self.server.links.discard(self._link)
+            self._link.connection_lost(problem)
+
+
+def _is_ours(transport: asyncio.BaseTransport) -> bool:
+    """Of our user, or of the one who may do everything. Without the kernel's word the folder decides."""
+    if not hasattr(socket, "SO_PEERCRED"):
+        return True
+    end = transport.get_extra_info("socket")
+    raw = end.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, CREDENTIALS.size)
+    return CREDENTIALS.unpack(raw)[1] in (os.getuid(), ROOT)
