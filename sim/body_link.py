@@ -1,9 +1,9 @@
 """A robot process and its body in the world's process: messages on a socket of their owner's.
 
 The world tells each body's observation every `TELL_US`, with the time at which it was sensed. A robot
-sends its drive commands. A lost or late message is what a lost or late sensor reading or command is: commands
-expire by themselves, and observations grow old. A slot belongs to the process that has said hello for it,
-until that one ends: another one is told nothing and moves nothing.
+sends its drive commands. A lost or late message is what a lost or late sensor reading or command is:
+commands expire by themselves, and observations grow old. A slot belongs to the process that has said
+hello for it, until that one ends. Another one is told nothing and moves nothing.
 """
 
 import asyncio
@@ -145,7 +145,7 @@ class RemoteBody(Link):
             self.malformed += 1
             return
         now_us = round(asyncio.get_running_loop().time() * 1e6)
-        behind_us = now_us - seen.sensed_at_us
+        behind_us: float = now_us - seen.sensed_at_us
         if self._behind_us is not None:
             drifted_us = self._behind_us + (now_us - self._heard_us) * DRIFT_SHARE
             behind_us = min(behind_us, drifted_us)
