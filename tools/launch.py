@@ -57,9 +57,7 @@ class Launch:
         self, setting: AnySetting, name: str, fleet: Fleet, console: Console, keys: Path | None,
         page_port: int | None = None,
     ) -> None:  # fmt: skip
-        self.operator_key: str | None = (
-            None  # file of the map; its page may release and start with it
-        )
+        self.operator_key: str | None = None  # file of the map; its page may release and start with it
         self.fleet, out = fleet, fleet.folder
         self.page_port, self.log_hash, self.logs = page_port, "", ""
         self.segment = 0  # of a fleet of several; 0: there are no others
@@ -313,7 +311,8 @@ class Launch:
         (self.out / "report.json").write_text(dumps(report, indent=1) + "\n")
         how = "finished" if finished else "not finished"
         self.console.print(
-            f"{how} after {elapsed_s:.0f} s: {verdict}; report.json, {self.logs} are in {self.out}"
+            f"{how} after {elapsed_s:.0f} s: {verdict}; "
+            f"report.json, {self.logs} are in {self.out}"
         )
         if self.difference:
             self.console.print(f"[red]{self.difference}[/red]")
