@@ -4,7 +4,7 @@ import asyncio
 import os
 import socket
 import stat
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
 
@@ -18,7 +18,7 @@ from sim.vehicle import Chassis
 from sim.world import World
 
 NOBODY = 65534  # a user id that no owner has
-WAIT_S = 5.0
+WAIT_S, LOOK_S = 5.0, 0.01
 EAST = Drive(2.0, 0.0)
 
 
@@ -37,11 +37,19 @@ async def bodies() -> AsyncIterator[tuple[BodyServer, Path]]:
         server.close()
 
 
-async def until(what: object, wait_s: float = WAIT_S) -> None:
-    assert callable(what)
-    async with asyncio.timeout(wait_s):
-        while not what():
-            await asyncio.sleep(0.01)
+async def until(holds: Callable[[], object]) -> None:
+    """Asked a hundred times a second."""
+    loop = asyncio.get_running_loop()
+    async with asyncio.timeout(WAIT_S):
+        while not holds():
+            due = loop.create_future()
+            loop.call_later(LOOK_S, due.set_result, None)
+            await due
+
+
+def east(body: RemoteBody) -> bool:
+    body.drive(EAST, 0)
+    return True
 
 
 def at(server: BodyServer, slot: int) -> float:
@@ -54,9 +62,7 @@ def test_item_16_a_robot_drives_its_body_and_knows_when_it_was_sensed() -> None:
             body = await RemoteBody(1).connect(path)
             await body.ready()
             loop = asyncio.get_running_loop()
-            while at(server, 1) < 11.0:
-                body.drive(EAST, 0)
-                await asyncio.sleep(0.02)
+            await until(lambda: east(body) and at(server, 1) > 11.0)
             seen, now_us = body.sense(0), round(loop.time() * 1e6)
             assert seen is not None and 0 <= now_us - seen.sensed_at_us < 1_000_000
             assert at(server, 0) == 0.0
@@ -107,10 +113,8 @@ def test_item_16_a_second_process_for_a_slot_moves_nothing_and_is_told_nothing()
             await body.ready()
             other = await RemoteBody(0).connect(path)
             hello = asyncio.create_task(other.ready())
-            for _ in range(20):
-                other.drive(EAST, 0)
-                await asyncio.sleep(0.01)
-            assert at(server, 0) == 0.0 and other.seen is None and server.refused >= 20
+            await until(lambda: east(other) and server.refused >= 20)
+            assert at(server, 0) == 0.0 and other.seen is None
             heard_us = body.seen.sensed_at_us if body.seen else 0
             await until(lambda: body.seen and body.seen.sensed_at_us > heard_us)
             body.end()  # it dies, and is started again
