@@ -1,10 +1,18 @@
 """CAN logs in candump format, as can-utils writes them and python-can reads them."""
 
-from collections.abc import Iterator
+import re
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TextIO
 
 from protocol.frame import Frame
+
+LINE_BYTES_MAX = 512  # a CAN FD frame has 180
+# Time; channel; identifier and data (a classic frame), or what is none of ours: remote (R), FD (##).
+LINE = re.compile(
+    r"\((\d{1,12})\.(\d{1,9})\)\s+\S+\s+([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})"
+    r"#(?:((?:[0-9A-Fa-f]{2}){0,8})|R\d?|#[0-9A-Fa-f]+)(?:\s+[RT])?"
+)
 
 
 class CandumpWriter:
@@ -26,19 +34,23 @@ class CandumpWriter:
         self._file.close()
 
 
-def read_candump(path: Path) -> Iterator[tuple[int, Frame]]:
-    """(microseconds, frame) of every data frame with a 29-bit identifier; other lines are passed over."""
-    with path.open(encoding="ascii", errors="replace") as lines:
-        for line in lines:
-            parts = line.split()
-            if len(parts) < 3 or "#" not in parts[2]:
+def read_candump(
+    path: Path, damaged: Callable[[], object] = lambda: None
+) -> Iterator[tuple[int, Frame]]:
+    """(microseconds, frame) of every data frame with a 29-bit identifier.
+
+    Frames with 11-bit identifiers, remote and error frames are passed over; `damaged` is called for each
+    line that is no line of candump. OSError.
+    """
+    with path.open("rb") as file:
+        while line := file.readline(LINE_BYTES_MAX):
+            if not (text := line.decode("ascii", errors="replace").strip()):
                 continue
-            try:
-                seconds, micros = parts[0].strip("()").split(".")
-                identifier, data = parts[2].split("#")[:2]
-                if len(identifier) != 8:
-                    continue
-                t_us = int(seconds) * 1_000_000 + int(micros[:6].ljust(6, "0"))
-                yield t_us, Frame(int(identifier, 16) & 0x1FFFFFFF, bytes.fromhex(data)[:8])
-            except ValueError:
+            if (found := LINE.fullmatch(text)) is None:
+                damaged()
                 continue
+            seconds, micros, identifier, data = found.groups()
+            if len(identifier) != 8 or data is None or int(identifier, 16) > 0x1FFFFFFF:
+                continue
+            t_us = int(seconds) * 1_000_000 + int(micros[:6].ljust(6, "0"))
+            yield t_us, Frame(int(identifier, 16), bytes.fromhex(data))

@@ -17,7 +17,7 @@ from numba import njit
 from numpy.typing import NDArray
 from shapely.geometry import MultiPolygon, Polygon
 
-from sim.raster import Raster, rasterise
+from sim.raster import Raster, fitting_m, rasterise
 from sim.truth import Track, TrackPoint
 
 Floats = NDArray[np.float64]
@@ -42,9 +42,10 @@ class Coverage(NamedTuple):
 def sample_points(
     polygon: Polygon | MultiPolygon, width_m: float, overlap_m: float, raster_m: float = 0.25
 ) -> Raster:
-    """The cells of the area that can be asked for."""
+    """The cells of the area that can be asked for, of `raster_m` or as coarse as its extent needs."""
     assert 0.0 <= overlap_m < width_m
-    return rasterise(polygon.buffer(-width_m / 2).buffer((width_m - overlap_m) / 2), raster_m)
+    area = polygon.buffer(-width_m / 2).buffer((width_m - overlap_m) / 2)
+    return rasterise(area, fitting_m(area, raster_m))
 
 
 def coverage(raster: Raster, tracks: Tracks, width_m: float) -> Coverage:

@@ -15,6 +15,7 @@ from agent.warehouse import Warehouse
 from protocol.authentication import Keyring
 from protocol.map_sync import MapSync
 from sim.errand_setting import NOTHING, ErrandSetting, scattered
+from sim.given_file import DRAWING_BYTES_MAX, GivenFileError, read_text
 from sim.key_file import FLEET, KeyFileError, read
 from sim.parcels import Parcels
 from sim.scenario import Box, ScenarioError
@@ -145,12 +146,12 @@ class DeliverySetting(ErrandSetting):
 
 def floor_of(scenario: WarehouseScenario) -> Floor:
     table = scenario.warehouse
-    path = scenario.folder / table.map  # an absolute one stays as it is
+    drawn = "\n" in table.map  # the map itself
+    path = scenario.folder if drawn else scenario.folder / table.map  # an absolute one stays as it is
     try:
-        drawn = "\n" in table.map  # the map itself
-        text = table.map if drawn else path.read_text(encoding="utf-8")
+        text = table.map if drawn else read_text(path, DRAWING_BYTES_MAX)
         return Floor.drawn(text, table.cell_m, scenario.fleet.radius_m)
-    except (OSError, UnicodeDecodeError) as problem:
+    except GivenFileError as problem:
         raise ScenarioError(f"{scenario.name}: warehouse.map: {path}: {problem}") from None
     except FloorError as problem:
         raise ScenarioError(f"{scenario.name}: warehouse.map: {problem}") from None

@@ -19,6 +19,7 @@ from shapely.ops import unary_union
 
 from agent.floor import Floor, FloorError
 from sim.errand_setting import ErrandSetting, scattered
+from sim.given_file import DRAWING_BYTES_MAX, GivenFileError, read_text
 from sim.obstacles import TemporaryObstacle, random_temporary_obstacle_generator
 from sim.scenario import (
     FIELD_FILES,
@@ -85,9 +86,9 @@ def setting_of(scenario: ErrandScenario) -> ErrandSetting:
             f"{name}: fleet.drive: errands need a body that drives in any direction"
         )
     try:
-        text = (scenario.folder / table.map).read_text(encoding="utf-8")
+        text = read_text(scenario.path_of(table.map), DRAWING_BYTES_MAX)
         floor = Floor.drawn(text, table.cell_m, fleet.radius_m, table.margin_m)
-    except (OSError, UnicodeDecodeError, FloorError) as problem:
+    except (GivenFileError, FloorError) as problem:
         raise ScenarioError(f"{name}: floor.map: {problem}") from None
     if floor.inflated.size > CELLS_MAX:
         raise ScenarioError(f"{name}: floor.map: more than {CELLS_MAX} cells of {floor.fine_m:g} m")

@@ -15,13 +15,13 @@ from sim.faults import FaultPlan
 from sim.host import Handle, Host, LoopHost, Script, follow
 from sim.outcome import Outcome
 from sim.setting import Setting
+from sim.settling import quiet_us
 from sim.swarm import Swarm
 from sim.trace import Recorder
 from sim.truth import TrackPoint
 
 LOOK_US = 1 * S  # how often the end is looked for and progress is told
 RASTER_M = 0.25  # of the coverage check
-QUIET_US = 2 * S  # after the last section: replicas must be equal within this
 
 _numbers = itertools.count()
 Told = Callable[["Moment"], None]
@@ -113,8 +113,8 @@ class Expedition:
                 self.told(self._moment(cluster, host.now_us() / S))
             if script.done() and cluster.finished:
                 break
-        quiet_us = host.now_us() + QUIET_US
-        while not cluster.replicas_equal and host.now_us() < quiet_us:
+        until_us = host.now_us() + quiet_us(self.setting.scenario.bus)
+        while not cluster.replicas_equal and host.now_us() < until_us:
             yield host.now_us() + LOOK_US // 10
 
     def _moment(self, cluster: Cluster, now_s: float) -> Moment:

@@ -1,6 +1,9 @@
 """What is wrong with somebody's field file, in one line."""
 
 FILE_BYTES_MAX = 64 << 20  # a boundary is kilobytes; a task file with a season's logs is megabytes
+# Points of a field, its holes included: five hours of walking its edge with a place each second. Dividing
+# a field takes time in proportion, 5 s for 10,000 points.
+POINTS_MAX = 20_000
 LINE_MAX = 400  # names from the file are in it, and a name may be anything
 
 LonLat = tuple[float, float]

@@ -4,7 +4,6 @@ Latitude and longitude end here. Every bad file is one `FieldFileError` with one
 file, what is wrong with it, and what to do.
 """
 
-import json
 from math import isfinite
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,10 +13,15 @@ from shapely.geometry import Polygon
 from shapely.validation import explain_validity
 
 from agent.config import EXTENT_MAX_M
-from sim.field_error import FILE_BYTES_MAX, FieldFileError, LonLat
+from sim.field_error import FILE_BYTES_MAX, POINTS_MAX, FieldFileError, LonLat
+from sim.given_file import GivenFileError, read_json
 from sim.isoxml_file import read_isoxml
 
 TASK_DATA = (".xml", ".zip")
+SURFACES = ("Polygon", "MultiPolygon")
+GEOJSON_BYTES_MAX = 8 << 20  # 200 fields of 1,000 points
+NAMES_SHOWN = 6  # of a file's fields, in a message
+NAME_MAX = 200  # characters of a field's name
 
 
 class Boundary(NamedTuple):
@@ -29,27 +33,51 @@ class Boundary(NamedTuple):
 
 
 def read_boundary(path: Path, feature: str | None = None) -> Boundary:
-    """The named field of a file, or its only one."""
-    task_data = path.is_dir() or path.suffix.lower() in TASK_DATA
-    outlines = read_isoxml(path) if task_data else read_geojson(path)
-    if not outlines:
+    """The named field of a file, or its only one. Only that field is judged."""
+    outlines, broken = fields_of(path)
+    names = sorted({*outlines, *broken})
+    if not names:
         raise FieldFileError(f"{path}: no polygon in it")
+    few = ", ".join(names[:NAMES_SHOWN])
+    if len(names) > NAMES_SHOWN:
+        few += f", ...; 'headland fields {path}' lists all {len(names)}"
     if feature is None:
-        if len(outlines) > 1:
-            names = ", ".join(sorted(outlines)[:6])
-            raise FieldFileError(
-                f"{path}: {len(outlines)} fields; say which with 'feature' ({names})"
-            )
-        feature = next(iter(outlines))
+        if len(names) > 1:
+            raise FieldFileError(f"{path}: {len(names)} fields; say which with 'feature' ({few})")
+        feature = names[0]
+    if feature in broken:
+        raise broken[feature]
     if feature not in outlines:
-        names = ", ".join(sorted(outlines)[:6])
-        raise FieldFileError(f"{path}: no field named {feature!r}; there is {names}")
+        raise FieldFileError(f"{path}: no field named {feature!r}; there is {few}")
     return project(path, feature, outlines[feature])
 
 
-def read_geojson(path: Path) -> dict[str, list[list[LonLat]]]:
-    """Name -> rings of longitude and latitude, the exterior first."""
-    document = load_json(path)
+def fields_of(path: Path) -> tuple[dict[str, list[list[LonLat]]], dict[str, FieldFileError]]:
+    """Every field of a file: name -> rings of longitude and latitude; and name -> what is wrong with it.
+
+    FieldFileError where the file as a whole cannot be read.
+    """
+    task_data = path.is_dir() or path.suffix.lower() in TASK_DATA
+    broken: dict[str, FieldFileError] = {}
+    outlines = read_isoxml(path, broken) if task_data else read_geojson(path, broken)
+    for name, rings in list(outlines.items()):
+        count = sum(map(len, rings))
+        if count > POINTS_MAX:
+            del outlines[name]
+            broken[name] = FieldFileError(
+                f"{path}: {name}: {count} points; thin it out to {POINTS_MAX} at most"
+            )
+    return outlines, broken
+
+
+def read_geojson(
+    path: Path, broken: dict[str, FieldFileError] | None = None
+) -> dict[str, list[list[LonLat]]]:
+    """Name -> rings of longitude and latitude, the exterior first.
+
+    What is wrong with a feature is raised, or put into `broken` by its name.
+    """
+    document = load_json(path, GEOJSON_BYTES_MAX)
     if document.get("type") == "FeatureCollection":
         features = document.get("features")
         if not isinstance(features, list):
@@ -59,32 +87,30 @@ def read_geojson(path: Path) -> dict[str, list[list[LonLat]]]:
     outlines: dict[str, list[list[LonLat]]] = {}
     for number, feature in enumerate(features):
         geometry = feature.get("geometry", feature) if isinstance(feature, dict) else None
-        if not isinstance(geometry, dict) or geometry.get("type") not in (
-            "Polygon",
-            "MultiPolygon",
-        ):
+        if not isinstance(geometry, dict) or geometry.get("type") not in SURFACES:
             continue
-        properties = feature.get("properties") or {}
-        name = str(properties.get("name", f"field {number}"))
+        properties = feature.get("properties")
+        said = properties.get("name") if isinstance(properties, dict) else None
+        name = str(said if isinstance(said, str | int) else f"field {number}")[:NAME_MAX]
         coordinates = geometry.get("coordinates")
         parts = [coordinates] if geometry["type"] == "Polygon" else coordinates or []
         for k, rings in enumerate(parts if isinstance(parts, list) else [None]):
-            label = name if len(parts) == 1 else f"{name} {k}"
-            outlines[label] = _rings(path, label, rings)
+            label = name if not isinstance(parts, list) or len(parts) == 1 else f"{name} {k}"
+            try:
+                outlines[label] = _rings(path, label, rings)
+            except FieldFileError as problem:
+                if broken is None:
+                    raise
+                broken[label] = problem
     return outlines
 
 
-def load_json(path: Path) -> dict[str, Any]:
+def load_json(path: Path, bytes_max: int = FILE_BYTES_MAX) -> dict[str, Any]:
+    """An object of JSON. FieldFileError."""
     try:
-        if path.stat().st_size > FILE_BYTES_MAX:
-            raise FieldFileError(f"{path}: larger than {FILE_BYTES_MAX >> 20} MiB")
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as problem:
-        raise FieldFileError(f"{path}: cannot be read: {problem.strerror}") from None
-    except UnicodeDecodeError:
-        raise FieldFileError(f"{path}: not a text file") from None
-    except (ValueError, RecursionError) as problem:
-        raise FieldFileError(f"{path}: not JSON: {problem}") from None
+        document = read_json(path, bytes_max)
+    except GivenFileError as problem:
+        raise FieldFileError(f"{path}: {problem}") from None
     if not isinstance(document, dict):
         raise FieldFileError(f"{path}: not a GeoJSON object")
     return document
@@ -97,7 +123,7 @@ def _rings(path: Path, name: str, rings: object) -> list[list[LonLat]]:
     for ring in rings:
         try:
             points = [(float(p[0]), float(p[1])) for p in ring]
-        except (TypeError, ValueError, IndexError, KeyError):
+        except (TypeError, ValueError, OverflowError, IndexError, KeyError):
             raise FieldFileError(f"{path}: {name}: a point that is not two numbers") from None
         if len(points) < 4:
             raise FieldFileError(f"{path}: {name}: a ring of {len(points)} points; it needs 4")

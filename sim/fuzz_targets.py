@@ -5,11 +5,15 @@ no frame but an operator's reset leads out of EMERGENCY_STOP. `headland fuzz` ru
 """
 
 import json
+import zipfile
 from collections.abc import Callable, Iterator
+from functools import cache
+from importlib.util import find_spec
+from io import BytesIO
 from pathlib import Path
 from random import Random
 from struct import Struct
-from tempfile import gettempdir
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -34,17 +38,23 @@ from protocol.safety_frames import EmergencyReset, EmergencyStop, OperatorComman
 from protocol.sync import Sync
 from protocol.transport import Transport
 from protocol.work_frames import StateSyncResponse, TaskClaim, WorkProgress
+from sim.candump import read_candump
 from sim.disk import Disk, LogJournal
 from sim.field_error import FieldFileError
 from sim.field_file import read_boundary
+from sim.grid_map import GridFileError, read_instance, read_map
+from sim.grid_plan import Plan, read_plan, write_plan
 from sim.key_file import FLEET, KeyFileError, key_id, read
+from sim.mcap_log import McapLog, read_recording
 from sim.scenario import ScenarioError, load
+from sim.scene import scene_of
+from sim.setting import Setting
 
 ENTRY = Struct("<IB8s")  # of a sequence: identifier, milliseconds since the last, data
 STEPS_MAX = 64
 SECTIONS_MAX = 1 << 16  # what a section number can say
 UNITS = dict.fromkeys(range(8), 70)
-SCRATCH = Path(gettempdir()) / "headland-fuzz"
+
 
 Target = Callable[[bytes], None]
 
@@ -205,10 +215,64 @@ def field_file(data: bytes) -> None:
         assert "\n" not in str(problem)
 
 
+def task_data(data: bytes) -> None:
+    _boundary(_scratch("TASKDATA.XML", data))
+
+
+def task_zip(data: bytes) -> None:
+    _boundary(_scratch("taskdata.zip", data))
+
+
+def _boundary(path: Path) -> None:
+    try:
+        read_boundary(path)
+    except FieldFileError as problem:
+        assert "\n" not in str(problem)
+
+
+def grid_map(data: bytes) -> None:
+    try:
+        read_map(_scratch("floor.map", data))
+    except GridFileError as problem:
+        assert "\n" not in str(problem)
+
+
+def grid_instance(data: bytes) -> None:
+    _scratch("floor.map", GRID)
+    try:
+        read_instance(_scratch("robots.mcpp", data))
+    except GridFileError as problem:
+        assert "\n" not in str(problem)
+
+
+def grid_plan(data: bytes) -> None:
+    try:
+        read_plan(_scratch("plan.json", data))
+    except GridFileError as problem:
+        assert "\n" not in str(problem)
+
+
+def mcap(data: bytes) -> None:
+    try:
+        read_recording(_scratch("run.mcap", data))
+    except ValueError as problem:
+        assert "\n" not in str(problem)
+
+
+def candump(data: bytes) -> None:
+    for t_us, sent in read_candump(_scratch("can.log", data)):
+        assert t_us >= 0 and len(sent.data) <= 8 and sent.identifier >> 29 == 0
+
+
+GRID = b"type octile\nheight 2\nwidth 3\nmap\n..@\n...\n"
+# What reads a file of somebody else's: `headland fuzz --files`.
+FILES = [journal, scenario, key_file, field_file, grid_map, grid_instance, grid_plan, candump]
+FILES += [task_data, task_zip] if find_spec("isoxml") is not None else []
+FILES += [mcap] if find_spec("mcap") is not None else []
 TARGETS: dict[str, Target] = {
     target.__name__: target
     for target in (frame, transport, sync, peer, keyed, memory, stop_set, allocation, progress,
-                   occupancy, journal, scenario, key_file, field_file)
+                   occupancy, *FILES)
 }  # fmt: skip
 KEYRING = Keyring(Keys(bytes(range(16)), bytes(range(16, 32))), 0, b"fuzz")
 KEYS = (records.INCARNATION, records.OPERATIONS, records.ELECTION, STOPS_KEY, HOLD_KEY,
@@ -226,9 +290,14 @@ def _whole(data: bytes) -> bytes:
     return data[: min(len(data) // ENTRY.size, STEPS_MAX) * ENTRY.size]
 
 
+@cache
+def _folder() -> "TemporaryDirectory[str]":
+    """Of this process: no other user can have made it before."""
+    return TemporaryDirectory(prefix="headland-fuzz-")
+
+
 def _scratch(name: str, data: bytes) -> Path:
-    SCRATCH.mkdir(exist_ok=True)
-    path = SCRATCH / name
+    path = Path(_folder().name) / name
     path.write_bytes(data)
     return path
 
@@ -302,7 +371,51 @@ def _texts(name: str) -> Iterator[bytes]:
         text = {name: key_id(bytes(16)) for name in ("id", "operator_id")}
         text |= dict.fromkeys(("key", "operator_key"), "00" * 16) | {"kind": FLEET}
         yield json.dumps(text).encode()
+    elif name in ("task_data", "task_zip"):
+        yield from _task_data(name)
+    elif name == "grid_map":
+        yield GRID
+    elif name == "grid_instance":
+        yield b"map: floor\nroot: [[0, 0],\n  [1, 1]]\nweighted: False\n"
+        yield b"map: floor\nroot: [0, 3]\n"
+    elif name == "grid_plan":
+        walls = np.zeros((2, 3), dtype=np.bool_)
+        plan = Plan(walls, [(0, 0)], [[1, 2, 0]], ~walls)
+        path = _scratch("plan.json", b"")
+        write_plan(path, plan)
+        yield path.read_bytes()
+    elif name == "candump":
+        yield b"(1.000000) can0 0CFF1080#0011223344556677\n(1.5) can0 123#00 R\n"
+    elif name == "mcap":
+        path = _scratch("run.mcap", b"")
+        log = McapLog(path, scene_of(Setting(load("small"))))
+        for k in range(40):
+            log.write(k * 1000, Frame(0x0CFF1080, bytes((k,) * 8)))
+        log.place(50_000, [[1.0, 2.0]])
+        log.close()
+        yield path.read_bytes()
     elif name == "occupancy":
         chart = OccupancyMap(Geometry(8, 8, (0.0, 0.0), 0.5))
         chart.join(0, np.arange(CELLS, dtype=np.int64) << 20)
         yield chart.serialize()
+
+
+def _task_data(name: str) -> Iterator[bytes]:
+    """A field with a hole, as XML or zipped."""
+    squares = []
+    for kind, low, high in ((1, 0.0, 2e-3), (2, 5e-4, 1e-3)):
+        corners = ((low, low), (high, low), (high, high), (low, high), (low, low))
+        points = "".join(f'<PNT A="2" C="{lat}" D="{lon}"/>' for lon, lat in corners)
+        squares.append(f'<LSG A="{kind}">{points}</LSG>')
+    text = (
+        '<?xml version="1.0" encoding="UTF-8"?><ISO11783_TaskData VersionMajor="4">'
+        f'<PFD A="PFD1" C="f" D="1"><PLN A="1">{"".join(squares)}</PLN></PFD></ISO11783_TaskData>'
+    )
+    if name == "task_data":
+        yield text.encode()
+        return
+    for method in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        whole = BytesIO()
+        with zipfile.ZipFile(whole, "w", method) as archive:
+            archive.writestr("TASKDATA/TASKDATA.XML", text)
+        yield whole.getvalue()

@@ -16,10 +16,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.given_file import GivenFileError, parse_json, read_text
+
 Cell = tuple[int, int]  # row, column
 Walls = NDArray[np.bool_]  # (rows, columns), True where nobody can go
 PASSABLE = ".GS"
 CELLS_MAX = 4 << 20  # 2048 x 2048: twice the side of the largest published benchmark map
+FREE_CELLS_MAX = 1 << 18  # of a map that is planned: 512 x 512, 10 s and 300 MB
+DIGITS_MAX = 9  # of a height or width
 FILE_BYTES_MAX = 2 * CELLS_MAX
 
 
@@ -37,11 +41,9 @@ class Instance(NamedTuple):
 
 def _text(path: Path) -> str:
     try:
-        if path.stat().st_size > FILE_BYTES_MAX:
-            raise GridFileError(f"{path}: larger than {FILE_BYTES_MAX >> 20} MiB is not a grid map")
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise GridFileError(f"{path}: cannot be read ({error})") from error
+        return read_text(path, FILE_BYTES_MAX)
+    except GivenFileError as problem:
+        raise GridFileError(f"{path}: {problem}") from None
 
 
 def parse_map(text: str, name: str = "map") -> Walls:
@@ -54,7 +56,8 @@ def parse_map(text: str, name: str = "map") -> Walls:
     head = [line.split() for line in lines[:4]]
     sizes = {words[0]: words[1] for words in head if len(words) == 2}
     height, width = sizes.get("height", ""), sizes.get("width", "")
-    if not (height.isdecimal() and width.isdecimal()) or head[-1:] != [["map"]]:
+    decimal = all(n.isdecimal() and len(n) <= DIGITS_MAX for n in (height, width))
+    if not decimal or head[-1:] != [["map"]]:
         raise GridFileError(f"{name}: not a Moving-AI map (type, height, width, map, then rows)")
     rows, columns = int(height), int(width)
     if not 0 < rows * columns <= CELLS_MAX:
@@ -89,13 +92,15 @@ def parse_roots(text: str, rows: int, name: str = "instance") -> tuple[str, list
         elif key:
             values[key] += line  # a list that goes on
     try:
-        roots = json.loads(values["root"])
+        roots = parse_json(values["root"])
+        if not isinstance(roots, list) or not roots:
+            raise GridFileError(f"{name}: root: no robot starts anywhere")
         cells = [
             (root % rows, root // rows) if isinstance(root, int) else (int(root[1]), int(root[0]))
             for root in roots
         ]
         return values["map"].strip(), cells
-    except (KeyError, ValueError, TypeError, IndexError) as error:
+    except (GivenFileError, KeyError, ValueError, OverflowError, TypeError, IndexError) as error:
         raise GridFileError(
             f"{name}: needs 'map: NAME' and 'root: [[column, row], ...]'"
         ) from error

@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from sim.grid_map import CELLS_MAX, FILE_BYTES_MAX, Cell, GridFileError, Walls, check_starts
+from sim.given_file import PLAN_BYTES_MAX, GivenFileError, parse_json, read_text
+from sim.grid_map import CELLS_MAX, Cell, GridFileError, Walls, check_starts
 
 STEPS = ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1))  # row and column of each action
 FILE_FACTOR = 16  # a plan has about three bytes a robot and step beside its map
@@ -83,7 +84,7 @@ def _mask(value: Any, rows: int, columns: int, what: str) -> Walls:
 def parse_plan(text: str, name: str = "plan") -> Plan:
     """A plan, or GridFileError. Whether it is a good one is the judge's business."""
     try:
-        document = json.loads(text)
+        document = parse_json(text)
         if not isinstance(document, dict):
             raise GridFileError("not a plan file (no object of H, W, starts, ...)")
         rows, columns = document["H"], document["W"]
@@ -112,14 +113,14 @@ def parse_plan(text: str, name: str = "plan") -> Plan:
         return Plan(walls, cells, actions, dirt, extra[0], extra[1])
     except GridFileError as error:
         raise GridFileError(f"{name}: {error}") from None
+    except GivenFileError as problem:
+        raise GridFileError(f"{name}: not a plan file ({problem})") from None
     except (ValueError, TypeError, KeyError, RecursionError) as error:
-        raise GridFileError(f"{name}: not a plan file ({type(error).__name__}: {error})") from error
+        raise GridFileError(f"{name}: not a plan file ({type(error).__name__})") from error
 
 
 def read_plan(path: Path) -> Plan:
     try:
-        if path.stat().st_size > FILE_FACTOR * FILE_BYTES_MAX:
-            raise GridFileError(f"{path}: too large for a plan")
-        return parse_plan(path.read_text(encoding="utf-8"), str(path))
-    except (OSError, UnicodeDecodeError) as error:
-        raise GridFileError(f"{path}: cannot be read ({error})") from error
+        return parse_plan(read_text(path, PLAN_BYTES_MAX), str(path))
+    except GivenFileError as problem:
+        raise GridFileError(f"{path}: {problem}") from None

@@ -5,6 +5,7 @@ kinds of geometry and document types pass, and raises whatever its parser raises
 file is one `FieldFileError`. Nothing is ever unpacked to disk, and no entity is ever expanded.
 """
 
+import logging
 import re
 import warnings
 import zipfile
@@ -17,12 +18,14 @@ from shapely.geometry import Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.validation import explain_validity
 
-from sim.field_error import FILE_BYTES_MAX, FieldFileError, LonLat
+from sim.field_error import FILE_BYTES_MAX, POINTS_MAX, FieldFileError, LonLat
+from sim.given_file import GivenFileError, check_regular, read_bytes
 
+logging.getLogger("xsdata").addHandler(logging.NullHandler())  # what is wrong is told in one line
 NAME = "TASKDATA.XML"
 EXTERNAL = re.compile(r"[A-Z]{3}[0-9]{5}")  # the standard's own pattern for names of further files
 EXTERNAL_MAX = 100_000  # five digits
-POINTS_MAX = 200_000  # of one ring; a 10 km fence with a point every 5 cm
+ELEMENTS_MAX = 200_000  # of one XML file: a farm of 200 fields of 1,000 points; 3 s of parsing
 BOUNDARY, EXTERIOR, INTERIOR = "1", "1", "2"  # values of PLN A and LSG A
 OBSTACLES = {"3", "4", "6"}  # PLN A: water, building, obstacle: nobody drives there
 DECLARED = re.compile(r"""^\s*<\?xml[^>]*encoding\s*=\s*["']([^"']*)["']""")
@@ -30,14 +33,26 @@ DECLARED = re.compile(r"""^\s*<\?xml[^>]*encoding\s*=\s*["']([^"']*)["']""")
 Read = Callable[[str], bytes | None]
 
 
-def read_isoxml(path: Path) -> dict[str, list[list[LonLat]]]:
-    """Partfield -> rings of longitude and latitude, the exterior first; several parts are numbered."""
+def read_isoxml(
+    path: Path, broken: dict[str, FieldFileError] | None = None
+) -> dict[str, list[list[LonLat]]]:
+    """Partfield -> rings of longitude and latitude, the exterior first; several parts are numbered.
+
+    What is wrong with a field is raised, or put into `broken` by its name, so that one odd outline spoils
+    no other.
+    """
     outlines: dict[str, list[list[LonLat]]] = {}
     for number, partfield in enumerate(load_task_data(path).partfields):
         name = str(partfield.designator or partfield.id or f"field {number}")
         if any(known == name or known.startswith(f"{name} part ") for known in outlines):
             name = f"{name} ({partfield.id})"
-        parts = list(_parts(path, name, partfield.polygons))
+        try:
+            parts = list(_parts(path, name, partfield.polygons))
+        except FieldFileError as problem:
+            if broken is None:
+                raise
+            broken[name] = problem
+            continue
         for k, part in enumerate(parts):
             label = name if len(parts) == 1 else f"{name} part {k}"
             outlines[label] = [_open(ring.coords) for ring in (part.exterior, *part.interiors)]
@@ -95,7 +110,10 @@ def _reader(path: Path) -> tuple[zipfile.ZipFile | None, Read]:
     """How to get at a file by its name, whatever its case: in a folder, or in a zip."""
     if path.suffix.lower() == ".zip":
         try:
+            check_regular(path)
             archive = zipfile.ZipFile(path)
+        except GivenFileError as problem:
+            raise FieldFileError(f"{path}: {problem}") from None
         except OSError as problem:
             raise FieldFileError(f"{path}: cannot be read: {problem.strerror}") from None
         except (zipfile.BadZipFile, ValueError, NotImplementedError):
@@ -113,10 +131,11 @@ def _reader(path: Path) -> tuple[zipfile.ZipFile | None, Read]:
             found = next((file for file in folder.iterdir() if file.name.upper() == wanted), None)
             if found is None:
                 return None
-            with found.open("rb") as file:
-                return _within(path, file.read(FILE_BYTES_MAX + 1))
+            return read_bytes(found, FILE_BYTES_MAX)
         except OSError as problem:
             raise FieldFileError(f"{path}: cannot be read: {problem.strerror}") from None
+        except GivenFileError as problem:
+            raise FieldFileError(f"{path}: {found}: {problem}") from None
 
     return None, read
 
@@ -155,6 +174,8 @@ def _text(path: Path, name: str, content: bytes | None) -> str:
 
 
 def _parse(path: Path, name: str, text: str, kind: type) -> Any:
+    if text.count("<") > 2 * ELEMENTS_MAX:
+        raise FieldFileError(f"{path}: {name} has more than {ELEMENTS_MAX} elements; divide it")
     from xsdata.formats.dataclass.parsers import XmlParser
     from xsdata.formats.dataclass.parsers.config import ParserConfig
 
@@ -177,16 +198,29 @@ def _parts(path: Path, name: str, polygons: list[Any]) -> Iterator[Polygon]:
         if code(polygon.type) in OBSTACLES
         for part in _exteriors(path, name, polygon)
     ]
-    for boundary in boundaries:
+    # Some terminals write each hole as a boundary of its own, with nothing but an interior ring.
+    alone = [p for p in boundaries if p.line_strings and _only_holes(p)]
+    outlined = [p for p in boundaries if not any(p is q for q in alone)]
+    holes = [
+        hole for polygon in alone for line in polygon.line_strings
+        if (hole := Polygon(_ring(path, name, line.points))).is_valid
+    ]  # fmt: skip
+    if alone and not outlined:
+        raise FieldFileError(f"{path}: {name}: a boundary without an outline")
+    for boundary in outlined:
         for part in _exteriors(path, name, boundary):
             rest: BaseGeometry = part
             try:
-                for obstacle in standing:
+                for obstacle in (*standing, *holes):
                     rest = rest.difference(obstacle)
             except GEOSException as problem:
                 raise FieldFileError(f"{path}: {name}: {problem}; repair the outline") from None
             parts = getattr(rest, "geoms", [rest])
             yield from (p for p in parts if isinstance(p, Polygon) and not p.is_empty)
+
+
+def _only_holes(polygon: Any) -> bool:
+    return all(code(line.type) == INTERIOR for line in polygon.line_strings)
 
 
 def _exteriors(path: Path, name: str, polygon: Any) -> Iterator[Polygon]:
@@ -216,7 +250,9 @@ def _exteriors(path: Path, name: str, polygon: Any) -> Iterator[Polygon]:
 
 def _ring(path: Path, name: str, points: list[Any]) -> list[LonLat]:
     if len(points) > POINTS_MAX:
-        raise FieldFileError(f"{path}: {name}: a ring of {len(points)} points; thin it out")
+        raise FieldFileError(
+            f"{path}: {name}: a ring of {len(points)} points; thin it out to {POINTS_MAX} at most"
+        )
     ring = [position(path, name, point) for point in points]
     if ring and ring[0] != ring[-1]:
         ring.append(ring[0])

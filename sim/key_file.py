@@ -13,6 +13,7 @@ from secrets import token_bytes
 from typing import Any, NamedTuple
 
 from protocol.authentication import COUNTER_MAX, KEY_SIZE, OPERATOR_FIRST, Keyring, Keys
+from sim.given_file import KEY_BYTES_MAX, GivenFileError, read_json, read_text
 
 FLEET, OPERATOR = "headland fleet keys", "headland operator key"
 PANEL = 140  # sender of a stop panel that holds the fleet's keys
@@ -74,12 +75,14 @@ def _create(path: Path, text: str) -> None:
 def read(path: Path, kind: str | None = None) -> KeyFile:
     """Raises KeyFileError. `kind`: nothing else will do."""
     try:
+        document = read_json(path, KEY_BYTES_MAX)
         mode = path.stat().st_mode
-        document = json.loads(path.read_text(encoding="utf-8"))
+    except GivenFileError as problem:
+        said = str(problem)
+        why = "not a key file: not JSON" if said.startswith("not JSON") else said
+        raise KeyFileError(f"{path}: {why}") from None
     except OSError as problem:
         raise KeyFileError(f"{path}: cannot be read: {problem.strerror}") from None
-    except ValueError:
-        raise KeyFileError(f"{path}: not a key file: not JSON") from None
     if mode & 0o077:
         raise KeyFileError(f"{path}: others may read it: chmod 600 {path}, and consider new keys")
     found = document.get("kind") if isinstance(document, dict) else None
@@ -114,10 +117,8 @@ def counter(path: Path) -> int:
     """Frames that an operator's key file may have signed. Raises KeyFileError."""
     beside = counter_path(path)
     try:
-        count = int(beside.read_text())
-    except FileNotFoundError:
-        return 0
-    except (OSError, ValueError):
+        count = int(read_text(beside, KEY_BYTES_MAX)) if beside.exists() else 0
+    except (GivenFileError, OSError, ValueError):
         count = -1
     if not 0 <= count <= COUNTER_MAX:
         raise KeyFileError(f"{beside}: unreadable: rotate the keys, or robots may take old frames")

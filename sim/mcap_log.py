@@ -20,11 +20,14 @@ from typing import Any
 from agent.effects import Effect, Trace
 from protocol.frame import Frame
 from sim.foxglove import LOG, SCENE_UPDATE, log_line, outline, robot_entity
+from sim.given_file import check_regular
 from sim.recording import Recording
 from sim.scene import FILE, Scene
 
 CHUNK_BYTES = 128 * 1024  # compressed at once: less than a millisecond, in a launch as well
 SCENE_EVERY_US = 1_000_000  # robots in the 3D panel
+MAGIC = b"\x89MCAP0\r\n"  # a file begins with it, and one that was closed ends with it
+SAID_MAX = 120  # characters of what a reader says of a damaged file
 CAN_TOPIC = "/can"
 CAN_FRAME = """std_msgs/Header header
 uint32 id
@@ -142,40 +145,51 @@ def read_recording(path: Path) -> Recording:
 def add_notes(recording: Recording, path: Path) -> None:
     """What no CAN log holds: intents and things."""
     for t_us, topic, data in _messages(path, None):
-        if topic.startswith("/robots/"):
-            recording.tell(t_us, json.loads(data))
-        elif topic == "/things":
-            recording.place(t_us, json.loads(data)["rows"])
+        try:
+            if topic.startswith("/robots/"):
+                recording.tell(t_us, dict(json.loads(data)))
+            elif topic == "/things":
+                recording.place(t_us, json.loads(data)["rows"])
+        except (KeyError, TypeError, ValueError, RecursionError):
+            raise ValueError(f"{topic} is damaged") from None
 
 
 def _scene(path: Path) -> Scene | None:
-    from mcap.exceptions import McapError
     from mcap.reader import make_reader
 
-    try:
-        with path.open("rb") as file:
+    with path.open("rb") as file:
+        try:
             for attachment in make_reader(file).iter_attachments():
                 if attachment.name == FILE:
                     scene: Scene = json.loads(attachment.data)
-                    return scene
-    except McapError:
-        return None  # a run that was killed has no index; its frames are there all the same
+                    return scene if isinstance(scene, dict) else None
+        except Exception:  # a run that was killed has no index, a damaged one anything
+            return None  # its frames are there all the same
     return None
 
 
 def _messages(path: Path, topics: list[str] | None) -> Iterator[tuple[int, str, bytes]]:
-    """In the order of writing; what was cut off at the end is passed over."""
+    """In the order of writing; what was cut off at the end is passed over. ValueError where a part in
+    the middle is damaged, OSError."""
     _import()
-    from mcap.exceptions import EndOfFile, McapError
     from mcap.reader import NonSeekingReader
 
+    check_regular(path)
+    size = path.stat().st_size
     with path.open("rb") as file:
-        try:
-            for _, channel, message in NonSeekingReader(file).iter_messages(
-                topics=topics, log_time_order=False
-            ):
-                yield message.log_time // 1000, channel.topic, message.data
-        except EndOfFile:
-            return
-        except McapError as problem:
-            raise ValueError(f"not an MCAP file: {problem}") from None
+        file.seek(max(0, size - len(MAGIC)))
+        whole = file.read() == MAGIC
+        file.seek(0)
+        reader = NonSeekingReader(file, validate_crcs=True)
+        messages = reader.iter_messages(topics=topics, log_time_order=False)
+        while True:
+            try:
+                _, channel, message = next(messages)
+            except StopIteration:
+                return
+            except Exception as problem:  # the reader and its decompressors raise what they like
+                if not whole and size > len(MAGIC) and file.tell() == size:
+                    return
+                said = " ".join(str(problem).split()) or type(problem).__name__
+                raise ValueError(f"not an MCAP file, or damaged: {said[:SAID_MAX]}") from None
+            yield message.log_time // 1000, channel.topic, message.data

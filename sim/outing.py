@@ -18,11 +18,11 @@ from sim.cluster import Cluster
 from sim.errand_setting import ErrandSetting
 from sim.faults import FaultPlan
 from sim.host import Host, Script
+from sim.settling import quiet_us
 from sim.swarm import Swarm
 from sim.trace import Recorder
 
 LOOK_US = 500 * MS
-QUIET_US = 2 * S  # after the last goal all replicas must be equal
 
 _numbers = itertools.count()
 Points = tuple[tuple[float, float], ...]
@@ -142,7 +142,7 @@ class Outing:
 
     def _settle(self, cluster: Cluster) -> Script[None]:
         """The last news reaches everybody."""
-        until_us = cluster.host.now_us() + QUIET_US
+        until_us = cluster.host.now_us() + quiet_us(self.setting.scenario.bus)
         while not cluster.replicas_equal and cluster.host.now_us() < until_us:
             yield cluster.host.now_us() + LOOK_US // 10
 

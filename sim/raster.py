@@ -13,6 +13,9 @@ Floats = NDArray[np.float64]
 
 CELLS_MAX = 64_000_000  # 64 MB of flags; a larger field needs a coarser raster
 
+# Of a field that is judged: 20 bytes each. 0.25 m up to 1 km x 1 km, 1 m up to 4 km, 2 m for 6.5 km.
+CELLS_JUDGED_MAX = 16_000_000
+
 
 class Raster(NamedTuple):
     """`cells[row, column]`, row 0 in the south, True where a cell's centre is in the area."""
@@ -31,6 +34,16 @@ class Raster(NamedTuple):
         row, column = np.nonzero(flags)
         x_m = self.west_m + (column + 0.5) * self.cell_m
         return np.column_stack((x_m, self.south_m + (row + 0.5) * self.cell_m))
+
+
+def fitting_m(area: Polygon | MultiPolygon, cell_m: float) -> float:
+    """`cell_m`, doubled until the bounds of the area have at most `CELLS_JUDGED_MAX` cells."""
+    if area.is_empty:
+        return cell_m
+    west, south, east, north = area.bounds
+    while ceil((east - west) / cell_m) * ceil((north - south) / cell_m) > CELLS_JUDGED_MAX:
+        cell_m *= 2
+    return cell_m
 
 
 def rasterise(area: Polygon | MultiPolygon, cell_m: float) -> Raster:

@@ -1,6 +1,5 @@
 """Scenario files: TOML, validated; a wrong one gets one line that says which key and why."""
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
@@ -9,17 +8,26 @@ from typing import Annotated, Any, Literal, Self, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from agent.config import PEERS_MAX, SPEED_MAX_M_S
+from sim.given_file import SCENARIO_BYTES_MAX, GivenFileError, read_toml
 
 SHIPPED = Path(__file__).parent / "scenarios"
+SEED_MAX = 2**63 - 1  # what every format that keeps a seed can hold
+AT_MAX_S = 1e6  # of a fault: longer than any run
+LINE_MAX = 1000  # characters of a message
+SAID_MAX = 60  # characters of a wrong value in a message
 FIELD_FILES = (".geojson", ".json", ".xml", ".zip")  # a field alone is a scenario of defaults
 
 
 class ScenarioError(Exception):
-    """One line for the person who wrote the file."""
+    """One line for the person who wrote the file; what a file says cannot break it."""
+
+    def __init__(self, text: str) -> None:
+        line = "".join(c if c.isprintable() else " " for c in text)
+        super().__init__(line if len(line) <= LINE_MAX else f"{line[: LINE_MAX - 4]} ...")
 
 
 class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class FieldTable(_Table):
@@ -58,14 +66,18 @@ class BusTable(_Table):
 
 
 class RunTable(_Table):
-    seed: int = Field(default=1, ge=0)
+    seed: int = Field(default=1, ge=0, le=SEED_MAX)
     time_limit_s: float = Field(default=3600.0, gt=0.0, le=86_400.0)
 
 
 class _Fault(_Table):
-    at_s: float = Field(ge=0.0)
+    at_s: float = Field(ge=0.0, le=AT_MAX_S)
 
 
+ReasonName = Literal[
+    "OBSTACLE_DETECTED", "OPERATOR_INTERVENTION", "SYSTEM_FAULT", "COLLISION_DETECTED",
+    "PERSON_IN_FIELD", "EQUIPMENT_MALFUNCTION", "MAINTENANCE_REQUIRED",
+]  # fmt: skip
 Slot = Annotated[int, Field(ge=0, lt=PEERS_MAX)]
 
 
@@ -136,7 +148,7 @@ class BusOff(_Fault):
 class Estop(_Fault):
     kind: Literal["estop"]
     robot: Slot
-    reason: str = "OPERATOR_INTERVENTION"
+    reason: ReasonName = "OPERATOR_INTERVENTION"
 
 
 class Reset(_Fault):
@@ -330,19 +342,13 @@ def read_document(name: str, folder: Path) -> tuple[dict[str, Any], Path]:
     path = Path(name)
     if not path.suffix and not path.exists() and (folder / f"{name}.toml").exists():
         path = folder / f"{name}.toml"
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8")), path.parent
-    except FileNotFoundError:
+    if not path.exists():
         known = ", ".join(shipped(folder))
-        raise ScenarioError(
-            f"{name}: no such file, and no scenario of that name ships ({known})"
-        ) from None
-    except OSError as problem:
-        raise ScenarioError(f"{name}: cannot be read: {problem.strerror}") from None
-    except UnicodeDecodeError:
-        raise ScenarioError(f"{name}: not a text file") from None
-    except tomllib.TOMLDecodeError as problem:
-        raise ScenarioError(f"{name}: not TOML: {problem}") from None
+        raise ScenarioError(f"{name}: no such file, and no scenario of that name ships ({known})")
+    try:
+        return read_toml(path, SCENARIO_BYTES_MAX), path.parent
+    except GivenFileError as problem:
+        raise ScenarioError(f"{name}: {problem}") from None
 
 
 def _validate(document: dict[str, Any], name: str, folder: Path, kind: type[Kind]) -> Kind:
@@ -359,7 +365,20 @@ def _validate(document: dict[str, Any], name: str, folder: Path, kind: type[Kind
                 f"{name}: fault.{number}.robot: robot {robot} is not one of {scenario.fleet.robots} "
                 f"(0 to {scenario.fleet.robots - 1})"
             )
+        if isinstance(fault, Partition):
+            _check_islands(fault.islands, scenario.fleet.robots, f"{name}: fault.{number}.islands")
     return scenario
+
+
+def _check_islands(islands: list[list[int]], robots: int, where: str) -> None:
+    """ScenarioError where a robot that is not there, or is on two islands, is named."""
+    known: set[int] = set()
+    for robot in (slot for island in islands for slot in set(island)):
+        if robot >= robots:
+            raise ScenarioError(f"{where}: robot {robot} is not one of {robots} (0 to {robots - 1})")
+        if robot in known:
+            raise ScenarioError(f"{where}: robot {robot} is on two islands")
+        known.add(robot)
 
 
 def _one_line(problem: ValidationError) -> str:
@@ -375,7 +394,15 @@ def _one_line(problem: ValidationError) -> str:
     message = error["msg"][0].lower() + error["msg"][1:]
     more = len(problem.errors()) - 1
     tail = f" (and {more} more)" if more else ""
-    return f"{key}: {message}, not {error['input']!r}{tail}"
+    return f"{key}: {message}, not {_said(error['input'])}{tail}"
+
+
+def _said(value: object) -> str:
+    try:
+        text = repr(value)
+    except (ValueError, RecursionError):  # an integer of thousands of digits
+        return "a value that long"
+    return text if len(text) <= SAID_MAX else f"{text[: SAID_MAX - 4]} ..."
 
 
 def _keys_beside(path: list[str]) -> list[str]:

@@ -26,8 +26,9 @@ from agent.tractor_tracker import Limits
 from agent.tractor_work import TractorWork
 from agent.turn_route import TurnRoute
 from protocol.authentication import Keyring, Keys
-from sim.field_error import FieldFileError
+from sim.field_error import FILE_BYTES_MAX, FieldFileError
 from sim.field_file import read_boundary
+from sim.given_file import GivenFileError, read_bytes
 from sim.key_file import FLEET, KeyFileError, read
 from sim.lidar import Lidar
 from sim.scenario import Crash, CrashWorking, Scenario, ScenarioError
@@ -92,8 +93,8 @@ class Setting:
         table = self.scenario.field
         path = self.scenario.path_of(table.file)
         try:
-            content = path.read_bytes()
-        except OSError:
+            content = read_bytes(path, FILE_BYTES_MAX)
+        except GivenFileError:
             return self._divided(path)  # which says what is wrong
         key = (
             path,

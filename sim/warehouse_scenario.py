@@ -1,8 +1,6 @@
 """Warehouse scenarios: a map, bays, batteries, and tasks from the file, from CSV or JSON lines."""
 
 import csv
-import json
-import tomllib
 from collections.abc import Iterable
 from pathlib import Path
 from random import Random
@@ -11,6 +9,14 @@ from typing import Any, Literal, NamedTuple
 from pydantic import Field
 
 from agent.task_book import TASKS_MAX
+from sim.given_file import (
+    SCENARIO_BYTES_MAX,
+    TASKS_BYTES_MAX,
+    GivenFileError,
+    parse_json,
+    read_text,
+    read_toml,
+)
 from sim.scenario import (
     FieldTable,
     FleetTable,
@@ -93,8 +99,8 @@ def is_warehouse(name: str) -> bool:
     if path.suffix != ".toml" or not path.is_file():
         return False
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8")).get("mission") == "delivery"
-    except (OSError, ValueError):
+        return read_toml(path, SCENARIO_BYTES_MAX).get("mission") == "delivery"
+    except GivenFileError:
         return False
 
 
@@ -106,11 +112,9 @@ def load_warehouse(name: str) -> WarehouseScenario:
 def read_tasks(path: Path) -> list[TaskRow]:
     """CSV with a header, or JSON lines, with the keys `TASK_KEYS`; `at_s` may be left out."""
     try:
-        text = path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise ScenarioError(f"{path}: no such file") from None
-    except (OSError, UnicodeDecodeError) as problem:
-        raise ScenarioError(f"{path}: cannot be read: {problem}") from None
+        text = read_text(path, TASKS_BYTES_MAX)
+    except GivenFileError as problem:
+        raise ScenarioError(f"{path}: {problem}") from None
     rows = _json_lines(path, text) if path.suffix.lower() in (".jsonl", ".json") else _csv(text)
     return [_row(path, number, row) for number, row in rows]
 
@@ -123,9 +127,9 @@ def _json_lines(path: Path, text: str) -> Iterable[tuple[int, Any]]:
     for number, line in enumerate(text.splitlines(), start=1):
         if line.strip():
             try:
-                yield number, json.loads(line)
-            except ValueError as problem:
-                raise ScenarioError(f"{path}: line {number}: not JSON: {problem}") from None
+                yield number, parse_json(line)
+            except GivenFileError as problem:
+                raise ScenarioError(f"{path}: line {number}: {problem}") from None
 
 
 def _row(path: Path, number: int, row: Any) -> TaskRow:

@@ -38,8 +38,8 @@ def write_isoxml(record: WorkRecord, out: Path) -> None:
         ) from None
     files = {NAME: isoxml_to_text(_task_data(record)).encode()}
     for number, (robot, log) in enumerate(sorted(record.logs.items()), 1):
-        files[f"TLG{number:05d}.XML"] = header(f"DET-{robot + 1}").encode()
-        files[f"TLG{number:05d}.BIN"] = pack(log, record.started)
+        files[f"TLG{number:05d}.xml"] = header(f"DET-{robot + 1}").encode()
+        files[f"TLG{number:05d}.bin"] = pack(log, record.started)
     if out.suffix.lower() == ".zip":
         with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
             for name, content in files.items():
@@ -130,7 +130,7 @@ def _device(iso: Any, record: WorkRecord, robot: int) -> Any:
         designator=f"robot {robot}",
         client_name=fleet_name(record.name, robot).pack().to_bytes(8, "big"),
         structure_label="48454144000001",  # any seven bytes that change with the elements below
-        localization_label=b"\xff\x00\x00\x00\x00\x65\x6e",  # reserved, no units, "en"
+        localization_label=b"\xff\x00\x00\x00\x00\x6e\x65",  # byte 7 first: no units, "en"
         elements=[element],
         properties=[
             iso.DeviceProperty(object_id=WIDTH_OBJECT, ddi=_ddi(WIDTH), value=record.width_mm)

@@ -1,7 +1,6 @@
 """Attaching to a bus as a device that is not a robot: the options of can_logger, one-line errors."""
 
 import asyncio
-import json
 import logging
 import socket
 from pathlib import Path
@@ -9,6 +8,7 @@ from random import Random
 
 from protocol.bus import CanBus, open_bus
 from protocol.socketcand_link import ANSWER_S, SocketcandLink
+from sim.given_file import SETTINGS_BYTES_MAX, GivenFileError, read_json
 
 LAUNCH = Path("runs/launch/bus.json")  # where a launch leaves the address of its bus
 CHANNEL = "can0"  # of the bus of a launch
@@ -24,9 +24,9 @@ class AttachError(Exception):
 def address_of_launch() -> tuple[str, int, str]:
     """Host, port and channel of the newest launch in this folder."""
     try:
-        where = json.loads(LAUNCH.read_text())
+        where = read_json(LAUNCH, SETTINGS_BYTES_MAX)
         return str(where["host"]), int(where["port"]), str(where["channel"])
-    except (OSError, ValueError, KeyError):
+    except (GivenFileError, TypeError, ValueError, KeyError):
         raise AttachError(
             f"no bus given and no launch found in {LAUNCH.parent}: "
             "start one with 'headland launch', or name a bus with -i and -c"

@@ -9,7 +9,6 @@ import json
 import secrets
 import signal
 import sys
-import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -24,6 +23,7 @@ from protocol.health import Health
 from protocol.name import GATEWAY_FUNCTION, Name
 from protocol.segment_frames import SEGMENT_MAX
 from protocol.zenoh_link import LinkError, ZenohBus, ZenohLink, configure
+from sim.given_file import SETTINGS_BYTES_MAX, read_toml
 from sim.standing import leave_standing
 from tools.attachment import AttachError, attach, keep_attached
 
@@ -70,7 +70,7 @@ def read_area(segment: int, file: Path | None) -> Area:
     if file is None:
         return Area(segment, 0)
     try:
-        told = tomllib.loads(file.read_text())
+        told = read_toml(file, SETTINGS_BYTES_MAX)
         return Area(
             segment,
             int(told.get("home", 0)),
@@ -80,7 +80,7 @@ def read_area(segment: int, file: Path | None) -> Area:
                 for row in told.get("borrowed", ())
             },
         )
-    except (OSError, ValueError, KeyError, TypeError, AssertionError) as problem:
+    except (ValueError, KeyError, TypeError, AssertionError) as problem:
         raise AttachError(f"{file} does not describe an area: {problem}") from None
 
 

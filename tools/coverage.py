@@ -6,6 +6,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from sim.grid_map import Instance
     from sim.grid_run import Arrival, Death
 
@@ -35,6 +38,9 @@ def solve(
     export: Annotated[
         Path | None, typer.Option(help="Write map and starts as .map or .mcpp, too.")
     ] = None,
+    reachable_only: Annotated[
+        bool, typer.Option("--reachable-only", help="Cells that no robot can come to are no fault.")
+    ] = False,
     json: Json = False,
 ) -> None:
     """Plan a coverage run, judge it, and write the plan file. Exit 0 only for a plan without faults.
@@ -52,7 +58,7 @@ def solve(
             if export.suffix not in (".map", ".mcpp"):
                 raise GridFileError(f"{export}: an export ends in .map or .mcpp")
             write_instance(export, instance)
-        raise SystemExit(solved(instance, turn_cost, *events, out, json))
+        raise SystemExit(solved(instance, turn_cost, *events, out, json, reachable_only or map is None))
     except (GridFileError, OSError) as error:
         typer.echo(f"headland: {error}", err=True)
         raise SystemExit(2) from None
@@ -111,6 +117,9 @@ def drive(
     out: Annotated[
         Path | None, typer.Option(help="Folder for the trace and a candump log.")
     ] = None,
+    reachable_only: Annotated[
+        bool, typer.Option("--reachable-only", help="Cells that no robot can come to are no fault.")
+    ] = False,
     json: Json = False,
 ) -> None:
     """Cover a map with whole peers on the simulated bus, judged from outside. Exit 0: no faults.
@@ -120,12 +129,14 @@ def drive(
     from sim.grid_map import GridFileError
     from sim.scenario import ScenarioError
     from tools.coverage_drive import driven, faults_of, setting_of
+    from tools.coverage_report import unreached
 
     try:
         instance = _instance(map, agents, seed, (height, width, wall_prob), gate)
         faults = faults_of(die or [], join or [], split or [], len(instance.starts))
         setting = setting_of(instance, seed, faults, loss, silence, turn_cost)
-        raise SystemExit(driven(setting, out, json))
+        left = unreached(instance.walls, instance.starts)
+        raise SystemExit(driven(setting, out, json, left, reachable_only or map is None))
     except (GridFileError, ScenarioError, OSError) as error:
         typer.echo(f"headland: {error}", err=True)
         raise SystemExit(2) from None
@@ -147,6 +158,7 @@ def _instance(
 
     if path is not None and path.suffix == ".mcpp" and not gate:
         instance = read_instance(path)
+        _check_size(instance.walls)
         if agents is not None and not 0 < agents <= len(instance.starts):
             raise GridFileError(f"{path}: has starts for 1 to {len(instance.starts)} robots")
         return instance._replace(starts=instance.starts[:agents])
@@ -157,6 +169,7 @@ def _instance(
         if rows < 1 or columns < 1 or rows * columns > CELLS_MAX or not 0.0 <= share <= 1.0:
             raise GridFileError("--H and --W are 1 or more, --wall-prob is 0 to 1")
         walls = random_walls(rows, columns, share, seed)
+    _check_size(walls)
     if agents is None or agents < 1:
         raise GridFileError("say how many robots: --agents K")
     if agents * walls.size > ROBOT_CELLS_MAX:
@@ -166,6 +179,14 @@ def _instance(
     except ValueError as error:
         raise GridFileError(str(error)) from error
     return Instance(path.stem if path else f"random-{seed}", walls, starts)
+
+
+def _check_size(walls: "NDArray[np.bool_]") -> None:
+    from sim.grid_map import FREE_CELLS_MAX, GridFileError
+
+    free = int(walls.size - walls.sum())
+    if free > FREE_CELLS_MAX:
+        raise GridFileError(f"{free} free cells; up to {FREE_CELLS_MAX} are planned: divide the map")
 
 
 def _check_turn_cost(steps: float) -> None:

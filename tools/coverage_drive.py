@@ -1,5 +1,6 @@
 """`headland coverage drive`: faults from words, one run of whole peers, and its figures."""
 
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from sim.grid_map import GridFileError, Instance
 from sim.grid_setting import STEP_S, GridSetting
 from sim.scenario import Crash, Fault, Heal, Join, Partition
 from sim.strict_json import dumps
+from tools.coverage_report import closed_off
 from tools.fact_table import fact_table
 
 LIMIT_FACTOR = 4.0  # times what one robot alone would need at best, and a minute
@@ -88,7 +90,11 @@ def setting_of(
         raise GridFileError(f"{instance.name}: {error}") from None
 
 
-def driven(setting: GridSetting, out: Path | None, as_json: bool) -> int:
+def driven(
+    setting: GridSetting, out: Path | None, as_json: bool, cells_left: int = 0,
+    reachable_only: bool = False,
+) -> int:  # fmt: skip
+    """`cells_left`: free cells that are not connected with any start."""
     console = Console(stderr=True)
     with console.status("") as status:
 
@@ -96,14 +102,17 @@ def driven(setting: GridSetting, out: Path | None, as_json: bool) -> int:
             status.update(f"{now_s:.0f} s simulated, {share:.0%} covered")
 
         outcome = GridFleet(setting, out, told).run()
-    report = {**outcome.to_dict(), "step_s": STEP_S}
+    report = {**outcome.to_dict(), "step_s": STEP_S, "unreached_cells": cells_left}
     if out is not None:
         (out / "report.json").write_text(dumps(report, indent=1) + "\n", encoding="utf-8")
     if as_json:
         print(dumps(report))
     else:
         _print(outcome)
-    return 0 if outcome.success else 1
+    closed = closed_off(cells_left, reachable_only)
+    if closed:
+        print(closed, file=sys.stderr)
+    return 0 if outcome.success and not closed else 1
 
 
 def _print(outcome: GridOutcome) -> None:

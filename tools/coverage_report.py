@@ -9,8 +9,8 @@ from typing import Any
 
 from rich.console import Console
 
-from sim.grid_judge import Court, Verdict, judge, lower_bound
-from sim.grid_map import Cell, Instance
+from sim.grid_judge import Court, Verdict, judge, lower_bound, steps_from
+from sim.grid_map import Cell, Instance, Walls
 from sim.grid_plan import Plan, write_plan
 from sim.grid_run import Arrival, Death, work
 from sim.strict_json import dumps
@@ -22,8 +22,9 @@ COLORS = {ROBOT: "\x1b[1;32mo\x1b[0m", WRECK: "\x1b[1;31mx\x1b[0m", DIRT: "\x1b[
 
 def solved(
     instance: Instance, turn_cost: float, deaths: Sequence[Death], arrivals: Sequence[Arrival],
-    out: Path, as_json: bool,
+    out: Path, as_json: bool, reachable_only: bool = False,
 ) -> int:  # fmt: skip
+    """`reachable_only`: cells that no robot can come to are no fault."""
     begun_s = time.process_time()
     plan = work(instance, turn_cost, deaths, arrivals)
     cpu_s = time.process_time() - begun_s
@@ -36,8 +37,27 @@ def solved(
         "cpu_s": round(cpu_s, 3),
         "plan": str(out),
     }
+    closed = closed_off(report["unreached_cells"], reachable_only)
+    report["ok"] = verdict.ok and not closed
     _print(f"coverage of {instance.name}", report, as_json)
-    return 0 if verdict.ok else 1
+    if closed:
+        print(closed, file=sys.stderr)
+    return 0 if report["ok"] else 1
+
+
+def closed_off(cells: int, reachable_only: bool) -> str:
+    """One line where the plan leaves out free cells; else nothing."""
+    if not cells or reachable_only:
+        return ""
+    return (
+        f"headland: {cells} free cells are not connected with any robot's start and stay uncovered; "
+        "--reachable-only accepts that"
+    )
+
+
+def unreached(walls: Walls, starts: Sequence[Cell]) -> int:
+    """Free cells that are not connected with any start."""
+    return int((~walls).sum()) - len(steps_from(walls.tolist(), list(starts)))
 
 
 def replayed(
@@ -67,6 +87,7 @@ def figures(plan: Plan, verdict: Verdict, turn_cost: float) -> dict[str, Any]:
         "makespan": verdict.makespan, "score": verdict.score(turn_cost),
         "collisions": verdict.collisions, "swaps": verdict.swaps,
         "wall_entries": verdict.wall_entries, "uncovered": verdict.uncovered,
+        "unreached_cells": unreached(plan.walls, plan.starts),
         "moves": verdict.moves, "turns_90": verdict.turns_90, "turns_180": verdict.turns_180,
         "repeats": verdict.repeats, "ok": verdict.ok,
     }  # fmt: skip

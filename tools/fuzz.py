@@ -23,7 +23,9 @@ from sim.fuzz_targets import TARGETS, seeds
 
 FAILED, WRONG = 1, 2
 CORPUS = Path(__file__).parents[1] / "tests" / "fuzz" / "corpus"
-SIZE_MAX = 1024  # bytes of an input
+SIZE_MAX = 1024  # bytes of an input, where no sound one is longer
+TIME_MAX_S = 2.0  # of computing for one input
+SPARE = 64  # bytes by which a long input may grow
 POOL_MAX = 4096  # inputs remembered by the plain engine
 KEPT_MAX = 60  # inputs of a corpus, the shortest of those that reach something new
 CHUNK = 256  # runs between two looks at the clock
@@ -140,10 +142,14 @@ def plainly(
     while done < runs and (done % CHUNK or time.monotonic() < end_s):
         data = mutated(rng.choice(pool), rng.choice(pool), rng)
         done += 1
+        begin_s = time.thread_time()
         try:
             target(data)
+            assert time.thread_time() - begin_s <= TIME_MAX_S, "too slow"
         except Exception:
             crash = _try(name, data, out)
+            if crash is None and time.thread_time() - begin_s > TIME_MAX_S:
+                continue  # slow once, by the machine
             assert crash is not None, "a target must not remember anything"
             return Fuzzed(name, "plain", done, time.process_time() - begun_s, *crash)
         if len(pool) < POOL_MAX and rng.random() < 0.01:
@@ -152,8 +158,11 @@ def plainly(
 
 
 def _try(name: str, data: bytes, out: Path) -> tuple[str, str] | None:
+    begin_s = time.thread_time()
     try:
         TARGETS[name](data)
+        took_s = time.thread_time() - begin_s
+        assert took_s <= TIME_MAX_S, f"{took_s:.1f} s for {len(data)} bytes"
     except Exception as problem:
         path = out / f"{name}-{sha256(data).hexdigest()[:12]}"
         path.write_bytes(data)
@@ -180,7 +189,7 @@ def mutated(data: bytes, other: bytes, rng: Random) -> bytes:
         else:
             end = at + rng.randint(1, 16)
             work[at:at] = work[at:end]
-    return bytes(work[:SIZE_MAX])
+    return bytes(work[: max(SIZE_MAX, len(data) + SPARE)])
 
 
 def with_atheris(

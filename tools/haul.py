@@ -31,10 +31,13 @@ BUS = "bus.json"  # where tools find the bus of a launch
 def haul(
     scenario: str, robots: int | None, seed: int | None, to: Path | None, as_json: bool,
     keys: Path | None, live: bool, port: int, seconds: float | None,
+    limit_s: float | None = None,
 ) -> int:  # fmt: skip
     console = Console(stderr=as_json)
     try:
-        setting = DeliverySetting(load_warehouse(scenario).changed(robots, seed, keys))
+        setting = DeliverySetting(
+            load_warehouse(scenario).changed(robots, seed, keys, time_limit_s=limit_s)
+        )
         out = folder_for(to, setting.scenario.name)
         keeping = Keeping(setting, out)
     except (ScenarioError, FolderError) as problem:

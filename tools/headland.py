@@ -1,6 +1,7 @@
 """The one command. Each sub-command imports what it needs when it is called: `--help` stays quick."""
 
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -43,6 +44,10 @@ def run(
     log: Annotated[
         list[Path] | None, typer.Option(help="A further CAN log: .asc .blf .csv .log .trc")
     ] = None,
+    limit: Annotated[
+        float | None,
+        typer.Option(help="End after this long in virtual time, s (none: by area and robots)."),
+    ] = None,
     live: Annotated[
         bool, typer.Option("--live", help="A warehouse in real time, for more tasks to be added.")
     ] = False,
@@ -63,14 +68,36 @@ def run(
     from sim.warehouse_scenario import is_warehouse
     from tools.run import run as command
 
-    if is_warehouse(scenario):
+    warehouse = is_warehouse(scenario)
+    unfit = {
+        "--live": live and not warehouse, "--port": port and not live,
+        "--seconds": seconds is not None and not live, "--map": show_map and warehouse,
+        "--drive": drive is not None and warehouse, "--feature": feature is not None and warehouse,
+        "--log": bool(log) and warehouse, "--limit": limit is not None and live,
+    }  # fmt: skip
+    _refuse(scenario, "a warehouse" if warehouse else "no warehouse", live, unfit)
+    if warehouse:
         from tools.haul import haul
 
-        raise SystemExit(haul(scenario, robots, seed, out, json, keys, live, port, seconds))
+        raise SystemExit(haul(scenario, robots, seed, out, json, keys, live, port, seconds, limit))
     page = page_port if show_map else None
     raise SystemExit(
-        command(scenario, robots, seed, out, json, keys, log or [], feature, drive, page)
+        command(
+            scenario, robots, seed, out, json, keys, log or [], feature, drive, page, limit
+        )
     )
+
+
+def _refuse(scenario: str, kind: str, live: bool, unfit: Mapping[str, object]) -> None:
+    """An option that would do nothing is said, not ignored."""
+    for option, is_unfit in unfit.items():
+        if is_unfit:
+            how = "" if option == "--live" or live else " without --live"
+            print(
+                f"headland: {option}: does nothing here: {scenario} is {kind}{how}; leave it out",
+                file=sys.stderr,
+            )
+            raise SystemExit(WRONG)
 
 
 @app.command()
@@ -189,6 +216,20 @@ def report(
     from tools.report.command import report as command
 
     raise SystemExit(command(source, out, json))
+
+
+@app.command()
+def fields(
+    file: Annotated[Path, typer.Argument(help="GeoJSON, or task data: TASKDATA.XML, folder, zip.")],
+    json: Json = False,
+) -> None:
+    """List the fields of a file, with their size, and what is wrong with which.
+
+    Example: headland fields TASKDATA/
+    """
+    from tools.fields import fields as command
+
+    raise SystemExit(command(file, json))
 
 
 @app.command()

@@ -4,7 +4,7 @@ import asyncio
 import sys
 from collections.abc import Callable, Iterator
 from importlib.util import find_spec
-from itertools import chain
+from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from agent.lifecycle import TABLE, State
 from protocol.bus import CanBus
 from protocol.frame import Frame
 from sim.candump import read_candump
+from sim.given_file import check_regular
 from sim.mcap_log import McapMissing, read_frames
 from sim.strict_json import dumps
 from tools.attachment import AttachError, attach
@@ -145,15 +146,27 @@ def _frames_of(source: Path) -> Iterator[tuple[int, Frame]]:
     if not path.is_file():
         raise SourceError(f"{source}: no such log, and no run folder with a can.log in it")
     if path.suffix == ".log":
-        yield from read_candump(path)
+        damaged = count()
+        try:
+            frames = False
+            for row in read_candump(path, lambda: next(damaged)):
+                frames = True
+                yield row
+        except OSError as problem:
+            raise SourceError(f"{path}: cannot be read: {problem.strerror}") from None
+        if (lines := next(damaged)) and frames:
+            print(f"headland: {path}: {lines} damaged lines are left out", file=sys.stderr)
         return
     if path.suffix == ".mcap":
         try:
             yield from read_frames(path)
         except (McapMissing, ValueError) as problem:
             raise SourceError(f"{path}: {problem}") from None
+        except OSError as problem:
+            raise SourceError(f"{path}: cannot be read: {problem.strerror}") from None
         return
     try:
+        check_regular(path)
         for message in can.LogReader(path):
             if message.is_extended_id and not (message.is_error_frame or message.is_remote_frame):
                 yield (
@@ -161,7 +174,12 @@ def _frames_of(source: Path) -> Iterator[tuple[int, Frame]]:
                     Frame(message.arbitration_id, bytes(message.data)),
                 )
     except Exception as problem:  # log readers raise what they like on files that are none
-        raise SourceError(f"{path}: not a CAN log: {str(problem).splitlines()[0]}") from None
+        raise SourceError(f"{path}: not a CAN log: {_first_line(problem)}") from None
+
+
+def _first_line(problem: Exception) -> str:
+    lines = str(problem).splitlines()
+    return lines[0] if lines else type(problem).__name__
 
 
 async def _listen(

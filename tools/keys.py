@@ -34,7 +34,7 @@ def new(
         if path.exists():
             _wrong(f"{path} is there already: 'headland keys rotate {folder}' replaces it")
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         write(fleet, operator, fresh(), device)
     except OSError as problem:
         _wrong(f"{folder}: {problem.strerror}")

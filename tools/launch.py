@@ -29,6 +29,7 @@ from sim.standing import leave_standing
 from sim.strict_json import dumps
 from sim.world_memory import WorldMemory
 from tools.attachment import CHANNEL, AttachError
+from tools.child import module_command
 from tools.fleet_folder import TRUTH, Fleet, end_fleet, fleet_folder
 from tools.inspector import SILENT_S, Inspector
 from tools.keeping import Keeping
@@ -189,7 +190,7 @@ class Launch:
             }  # fmt: skip
             with (self.out / f"robot{slot}.log").open("wb") as errors:
                 process = await asyncio.create_subprocess_exec(
-                    sys.executable, "-m", "tools.robot",
+                    *module_command("tools.robot"),
                     stdin=asyncio.subprocess.PIPE, stdout=errors, stderr=errors,
                     start_new_session=True,  # the terminal's Ctrl-C is ours to pass on
                 )  # fmt: skip
@@ -204,7 +205,7 @@ class Launch:
         words += [] if self.keys is None else ["--keys", self.keys]
         words += [] if self.operator_key is None else ["--operator-key", self.operator_key]
         self.map = await asyncio.create_subprocess_exec(
-            sys.executable, "-m", "tools.headland", *words, start_new_session=True,
+            *module_command("tools.headland"), *words, start_new_session=True,
             stdout=self.map_out, preexec_fn=lambda: os.nice(MAP_NICE),
         )  # fmt: skip
 

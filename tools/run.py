@@ -42,11 +42,14 @@ def run(
     feature: str | None = None,
     drive: str | None = None,
     page_port: int | None = None,
+    limit_s: float | None = None,
 ) -> int:
     """`page_port`: of a map that shows the run, and at a terminal stays after its end."""
     console = Console(stderr=as_json)
     try:
-        changed = load_mission(scenario).changed(robots, seed, keys, feature, drive)
+        changed = load_mission(scenario).changed(
+            robots, seed, keys, feature, drive, time_limit_s=limit_s
+        )
         errands = _errands(changed, page_port)
         setting = Setting(changed) if errands is None else errands
         for log in logs:

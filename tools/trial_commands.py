@@ -68,6 +68,9 @@ def chaos(
 @app.command()
 def fuzz(
     targets: Annotated[list[str] | None, typer.Argument(help="Decoders; none: all.")] = None,
+    files: Annotated[
+        bool, typer.Option("--files", help="Only what reads somebody else's files.")
+    ] = False,
     runs: Annotated[int, typer.Option(min=1, help="Executions of each target.")] = 100_000,
     seconds: Annotated[float | None, typer.Option(help="At most this long for each target.")] = None,
     seed: Annotated[int, typer.Option(help="Of what is tried.")] = 1,
@@ -86,7 +89,12 @@ def fuzz(
 
     if again is not None:
         raise SystemExit(once((targets or [""])[0], again))
-    raise SystemExit(command(targets or [], runs, seconds, seed, engine, keep, out, json))
+    named = list(targets or [])
+    if files:
+        from sim.fuzz_targets import FILES
+
+        named += [target.__name__ for target in FILES]
+    raise SystemExit(command(named, runs, seconds, seed, engine, keep, out, json))
 
 
 @app.command()

@@ -145,7 +145,7 @@ def test_damaged_records_never_raise_anything_else(
     folder, file = tmp_path / "T", tmp_path / "work.geojson"
     write_isoxml(short, folder)
     write_geojson(short, file)
-    damaged = data.draw(st.sampled_from(["TASKDATA.XML", "TLG00001.BIN", "work.geojson"]))
+    damaged = data.draw(st.sampled_from(["TASKDATA.XML", "TLG00001.bin", "work.geojson"]))
     path = file if damaged == "work.geojson" else folder / damaged
     content = bytearray(path.read_bytes())
     at = data.draw(st.integers(0, len(content) - 1))

@@ -14,6 +14,7 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
+from sim.given_file import SETTINGS_BYTES_MAX, GivenFileError, read_bytes
 from tools.language.intent import Metres, Slot
 
 QUEUE_MAX = 100  # a person who has queued more has lost sight of them
@@ -52,10 +53,10 @@ class GoalQueue:
     def goals(self) -> list[Queued]:
         """Raises QueueError."""
         try:
-            return _LIST.validate_json(self.path.read_bytes())
-        except FileNotFoundError:
-            return []
-        except (OSError, ValidationError):
+            if not self.path.exists():
+                return []
+            return _LIST.validate_json(read_bytes(self.path, SETTINGS_BYTES_MAX))
+        except (GivenFileError, ValidationError):
             raise QueueError(f"{self.path}: is no queue of goals: delete it") from None
 
     @property

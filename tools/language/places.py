@@ -6,14 +6,14 @@ shelf = [12.0, 3.5]
 """
 
 import json
-import tomllib
 from collections.abc import Mapping
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from sim.given_file import SETTINGS_BYTES_MAX, GivenFileError, read_toml
 from tools.language.intent import Metres
 from tools.language.vocabulary import is_word, words_of
 
@@ -62,12 +62,9 @@ class Places:
     def read(cls, path: Path) -> "Places":
         """Raises PlacesError."""
         try:
-            document: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
-            file = _File(**document)
-        except OSError as problem:
-            raise PlacesError(f"{path}: cannot be read: {problem.strerror}") from None
-        except (UnicodeDecodeError, tomllib.TOMLDecodeError) as problem:
-            raise PlacesError(f"{path}: not TOML: {problem}") from None
+            file = _File(**read_toml(path, SETTINGS_BYTES_MAX))
+        except GivenFileError as problem:
+            raise PlacesError(f"{path}: {problem}") from None
         except ValidationError as problem:
             error = problem.errors()[0]
             key = ".".join(map(str, error["loc"]))

@@ -15,6 +15,7 @@ from rich.console import Console
 
 from protocol.bus import CanBus
 from protocol.frame import Frame
+from sim.given_file import REPORT_BYTES_MAX, SETTINGS_BYTES_MAX, GivenFileError, read_json
 from sim.intent_link import Watching
 from sim.key_file import OPERATOR, KeyFileError, read
 from sim.live_recording import LiveRecording
@@ -182,8 +183,8 @@ def recorded(source: Path, scene: Scene | None) -> Recording:
 
 def _scene_beside(source: Path) -> Scene | None:
     try:
-        scene = json.loads(in_folder(source).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        scene = read_json(in_folder(source), REPORT_BYTES_MAX)
+    except GivenFileError:
         return None
     return scene if isinstance(scene, dict) else None
 
@@ -197,9 +198,9 @@ def _launch_of(source: Path | None, interface: str, port: int) -> dict[str, Any]
         return None
     path = LAUNCH if source is None else source / LAUNCH.name
     try:
-        where: dict[str, Any] = json.loads(path.read_text())
+        where: dict[str, Any] = dict(read_json(path, SETTINGS_BYTES_MAX))
         return where
-    except (OSError, ValueError):
+    except (GivenFileError, TypeError, ValueError):
         return None
 
 

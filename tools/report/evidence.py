@@ -1,9 +1,9 @@
 """What a run left behind: its frames and intents, its figures, and the faults that were done to it."""
 
-import json
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from sim.given_file import REPORT_BYTES_MAX, GivenFileError, read_json
 from sim.recording import Recording
 from tools.inspection import SourceError
 from tools.livemap.command import recorded
@@ -54,7 +54,7 @@ def gather(source: Path) -> Evidence:
 def _plain(path: Path) -> dict[str, Any]:
     """What is no object of JSON is not there."""
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        found = read_json(path, REPORT_BYTES_MAX)
+    except GivenFileError:
         return {}
     return found if isinstance(found, dict) else {}

@@ -1,0 +1,121 @@
+"""The one door for files that somebody gives us: regular files of limited size, parsed within limits.
+
+Everything wrong with such a file is one `GivenFileError` with one line that does not name the file: its
+reader knows what the file is for. A FIFO never blocks, a device never fills the memory, and deep or
+quadratic text is refused before it costs more than a second.
+"""
+
+import json
+import os
+import re
+import stat
+import tomllib
+from pathlib import Path
+from typing import Any
+
+KIB, MIB = 1 << 10, 1 << 20
+# The most that a file of each kind may have, bytes; beside each what the largest honest one has.
+SCENARIO_BYTES_MAX = 512 * KIB  # 30 kB: 100 faults of a campaign
+DRAWING_BYTES_MAX = 8 * MIB  # 4 MB: a floor of 2000 x 2000 characters
+TASKS_BYTES_MAX = 4 * MIB  # 100 kB: 2,000 transports
+KEY_BYTES_MAX = 64 * KIB  # 300 bytes
+REPORT_BYTES_MAX = 64 * MIB  # 1 MB: report.json of a day
+PLAN_BYTES_MAX = 64 * MIB  # 10 MB: a coverage plan of 100 robots
+SETTINGS_BYTES_MAX = 1 * MIB  # 10 kB: places, addresses, queues
+DOTS_MAX = 32  # in one key of TOML: each costs the parser time and memory of all before it
+REASON_MAX = 200  # characters
+
+
+class GivenFileError(ValueError):
+    """One line for the person, without the file's name."""
+
+    def __init__(self, reason: str) -> None:
+        line = "".join(c if c.isprintable() else " " for c in reason)
+        super().__init__(line if len(line) <= REASON_MAX else f"{line[: REASON_MAX - 4]} ...")
+
+
+def read_bytes(path: Path, bytes_max: int) -> bytes:
+    """The contents of a regular file. GivenFileError."""
+    try:
+        handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    except OSError as problem:
+        raise GivenFileError(f"cannot be read: {problem.strerror}") from None
+    except ValueError:  # a NUL in the name
+        raise GivenFileError("cannot be read: that is no file name") from None
+    with os.fdopen(handle, "rb") as file:
+        about = os.fstat(handle)
+        if not stat.S_ISREG(about.st_mode):
+            raise GivenFileError("cannot be read: not a regular file")
+        if about.st_size > bytes_max:
+            raise GivenFileError(f"larger than {size_text(bytes_max)}")
+        try:
+            content = file.read(bytes_max + 1)
+        except OSError as problem:
+            raise GivenFileError(f"cannot be read: {problem.strerror}") from None
+    if len(content) > bytes_max:
+        raise GivenFileError(f"larger than {size_text(bytes_max)}")
+    return content
+
+
+def check_regular(path: Path) -> None:
+    """For a file that somebody else's library opens. GivenFileError where it is no regular file."""
+    try:
+        mode = path.stat().st_mode
+    except OSError as problem:
+        raise GivenFileError(f"cannot be read: {problem.strerror}") from None
+    except ValueError:
+        raise GivenFileError("cannot be read: that is no file name") from None
+    if not stat.S_ISREG(mode):
+        raise GivenFileError("cannot be read: not a regular file")
+
+
+def read_text(path: Path, bytes_max: int) -> str:
+    """UTF-8. GivenFileError."""
+    try:
+        return read_bytes(path, bytes_max).decode("utf-8")
+    except UnicodeDecodeError:
+        raise GivenFileError("not a text file") from None
+
+
+def read_json(path: Path, bytes_max: int) -> Any:
+    """GivenFileError."""
+    return parse_json(read_text(path, bytes_max))
+
+
+def read_toml(path: Path, bytes_max: int) -> dict[str, Any]:
+    """GivenFileError."""
+    return parse_toml(read_text(path, bytes_max))
+
+
+def parse_json(text: str) -> Any:
+    """GivenFileError where it is not JSON, nested too deep, or has numbers that are none."""
+    try:
+        return json.loads(text, parse_constant=_no_number)
+    except (ValueError, RecursionError) as problem:
+        raise GivenFileError(f"not JSON: {_told(problem)}") from None
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """GivenFileError where it is not TOML, nested too deep, or has a key of too many parts."""
+    if any(run.group().count(".") > DOTS_MAX for run in _DOTTED.finditer(_STRINGS.sub("q", text))):
+        raise GivenFileError(f"not TOML of ours: a key of more than {DOTS_MAX} parts")
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as problem:  # a number of 5,000 digits is a plain ValueError
+        raise GivenFileError(f"not TOML: {_told(problem)}") from None
+
+
+def size_text(count: int) -> str:
+    return f"{count // MIB} MiB" if count >= MIB else f"{count // KIB} KiB"
+
+
+_STRINGS = re.compile(r'"(?:[^"\\\n]|\\.)*"|\'[^\'\n]*\'|#[^\n]*')
+_DOTTED = re.compile(r"[\w\-. \t]+")
+
+
+def _told(problem: Exception) -> str:
+    return "nested too deep" if isinstance(problem, RecursionError) else str(problem)
+
+
+def _no_number(name: str) -> float:
+    raise ValueError(f"{name} is no number")
