@@ -36,10 +36,10 @@ def address_of_launch() -> tuple[str, int, str]:
 def robots_of_launch(interface: str, host: str, port: int) -> list[int]:
     """Slots of the robots of the newest launch in this folder, where the bus is that launch's."""
     try:
-        where = json.loads(LAUNCH.read_text())
+        where = read_json(LAUNCH, SETTINGS_BYTES_MAX)
         same = port == 0 or (host == where["host"] and port == where["port"])
         robots = [int(slot) for slot in where["robots"]]
-    except (OSError, ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError):  # of them GivenFileError
         return []
     return robots if interface == "socketcand" and same else []
 
