@@ -22,6 +22,7 @@ from sim.setting import Setting
 from sim.swarm import Swarm
 
 FLEETS = {3: "small", 6: "small", 20: "oxted"}  # robots and where they work
+DRAWN = (3,) * 9 + (6,) * 9 + (20,) * 2  # twenty robots cost ten times as much
 ADDRESS = 0x4D  # of the flooder
 LOWEST = (0, ADDRESS, 0x0000FFFE)  # identifiers that outrank whatever can be made more urgent
 UNKNOWN = 0x1FF0700 | ADDRESS  # a group that no robot reads
@@ -49,6 +50,7 @@ class Flood(NamedTuple):
     for_s: float
     share: float  # of the time
     presses: tuple[tuple[float, int], ...]  # seconds after its beginning, robot
+    longest_s: float = 0.0  # that it was drawn with
 
 
 class Result(NamedTuple):
@@ -71,7 +73,7 @@ def draw(
 ) -> Flood:
     """The trial of a seed. What is given is not drawn."""
     rng = Random(f"{seed}/flood")
-    count, ending = rng.choice(sorted(FLEETS)), rng.choice([p.name.lower() for p in SilencePolicy])
+    count, ending = rng.choice(DRAWN), rng.choice([p.name.lower() for p in SilencePolicy])
     low, priority = rng.choice(LOWEST), rng.randrange(8)
     identifier = low if rng.random() < 0.4 else priority << 26 | rng.choice((ADDRESS, UNKNOWN))
     for_s = round(
@@ -83,7 +85,7 @@ def draw(
     times = sorted(round(rng.uniform(0.0, for_s), 3) for _ in range(presses))
     return Flood(
         seed, count, ending, identifier, length, for_s, share,
-        tuple((at_s, rng.randrange(count)) for at_s in times),
+        tuple((at_s, rng.randrange(count)) for at_s in times), longest_s,
     )  # fmt: skip
 
 

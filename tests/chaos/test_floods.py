@@ -2,7 +2,7 @@
 
 import pytest
 
-from sim.flood_trial import Flood, Trial
+from sim.flood_trial import Flood, Trial, draw
 from sim.mutants import planted
 
 LOWEST = 0x4D
@@ -25,3 +25,9 @@ def test_item_2_the_fault_is_seen_when_robots_go_on_unheard() -> None:
     with planted("alone-unheard"):
         result = Trial(Flood(1, 3, "continue", LOWEST, 8, 8.0, 1.0, ((4.0, 0),))).run()
     assert result.late
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_item_2_drawn_floods(seed: int) -> None:
+    result = Trial(draw(seed, 3, longest_s=15.0)).run()
+    assert not result.broken, result

@@ -16,6 +16,7 @@ BENCHES = {
     "wire": "bus load, deliveries, response times against their bounds, decoding",
     "sync": "heals, joins, merging against pycrdt and loro",
     "stop": "presses, silence and real processes, to the last zero command",
+    "floods": "a bus full of frames that outrank a stop, with presses, by true positions",
     "durability": "SIGKILLs and power cuts of the journal",
     "forgery": "forged, replayed and stale orders",
     "coverage": "plans against the lower bound and the mission's planner",
