@@ -26,6 +26,7 @@ assert FIRST_ADDRESS + LOTS * BUTTONS_MAX < ADDRESS_FIRST - BUTTONS_MAX
 OTHER_MAKER: Final = Name(0, manufacturer=100, function=61, device_class=0)
 CYCLE_US: Final = 1 * S  # ISO 11783-7
 BEFORE_US, AFTER_US = 2_500 * MS, 3_500 * MS  # all permit so long, before and after a press
+NEVER: Final = -1  # disturbances are counted from 0
 HEARD_US: Final = 150 * MS  # a stop where all are on one bus: 120 ms, and a frame in its way
 UNHEARD_HOLD_US: Final = 2_800 * MS  # robots stand 3 s for a press that they have missed
 PANEL: Final = 180  # slot of a stop panel
@@ -57,6 +58,7 @@ def buttons(cluster: Cluster, fault: kinds.Buttons, rng: Random, lot: int) -> Sc
     for k in range(1, fault.buttons):
         phase_us = begin_us + rng.randrange(CYCLE_US)
         said += [(t_us, first + k, 0, Switch.PERMIT) for t_us in range(phase_us, over_us, CYCLE_US)]
+    before = cluster.stops.disturbances if cluster.stops.calm else NEVER
     level, stands_us = None, release_us + UNHEARD_HOLD_US if fault.unheard else release_us
     with device(cluster) as bus:
         for k in range(fault.buttons):
@@ -67,7 +69,9 @@ def buttons(cluster: Cluster, fault: kinds.Buttons, rng: Random, lot: int) -> Sc
                 yield stands_us
                 cluster.stops.end_level(level)
             yield due_us
-            stopping = switch is Switch.STOP or (fault.unheard and due_us == release_us)
+            # Who has not heard what the button counted before cannot know that it was pressed.
+            missed = fault.unheard and due_us == release_us
+            stopping = switch is Switch.STOP or (missed and cluster.stops.disturbances == before)
             if stopping and address == first and level is None:
                 level = cluster.stops.level(HEARD_US)
             bus.submit(encode(AllImplementsStop(counted & 0xFF, switch), address))

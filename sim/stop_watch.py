@@ -53,6 +53,7 @@ class StopWatch:
         self._unheard: dict[int, frozenset[int]] = {}  # press -> those that have not heard it
         self._levels: dict[int, set[int]] = {}  # stops of devices that hold while they are said
         self._disturbed_us = 0  # until then not all hear all
+        self.disturbances = 0
         self._unsaid: set[int] = set()  # presses of who had no address to say it from
 
     @property
@@ -74,13 +75,18 @@ class StopWatch:
 
     # ---------------------------------------------------------------- levels
 
+    @property
+    def calm(self) -> bool:
+        """All hear all."""
+        return self._now_us() >= self._disturbed_us and bool(self._hearers())
+
     def level(self, bound_us: int) -> int | None:
         """A device that all hear begins to say a stop: nobody moves from `bound_us` on until it ends.
         None: nobody can tell who hears it."""
-        now_us, slots = self._now_us(), self._hearers()
-        if now_us < self._disturbed_us or not slots:
+        if not self.calm:
             return None
-        number = self.checker.press(now_us, bound_us, slots)
+        slots = self._hearers()
+        number = self.checker.press(self._now_us(), bound_us, slots)
         self._levels[number] = set(slots)
         return number
 
@@ -95,7 +101,7 @@ class StopWatch:
 
     def disturbed(self, until_us: int) -> None:
         """Trouble of links or members, until then."""
-        self._disturbed_us = max(self._disturbed_us, until_us)
+        self._disturbed_us, self.disturbances = max(self._disturbed_us, until_us), self.disturbances + 1
         for number in list(self._levels):
             self.end_level(number)
 
@@ -161,6 +167,7 @@ class StopWatch:
 
     def boots(self, slot: int) -> None:
         """A new life has met nobody whose silence could stop it, and no device that says a stop."""
+        self.disturbances += 1
         self._leave_levels(slot)
         for number, unheard in self._unheard.items():
             if slot in unheard:
