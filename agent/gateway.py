@@ -110,6 +110,8 @@ class Gateway:
             self.counts["foreign"] += 1
             return ()
         number = gateway_slot(source)
+        if isinstance(message, EmergencyStop) and message.spent:
+            return ()  # an answer to a press, which speaks for itself
         if isinstance(message, EmergencyStop) and message.tag == 0:  # a fleet without keys
             message = FleetStop(self.segment, message.slot, message.incarnation, message.counter)
         if isinstance(message, FleetStop):
