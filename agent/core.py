@@ -11,7 +11,7 @@ from typing import Any
 
 from agent import config
 from agent.admission import Admission
-from agent.cause import Cause
+from agent.cause import Cause, sentence
 from agent.claims import Claims
 from agent.conflicts import Conflicts
 from agent.directive import Directive
@@ -35,7 +35,7 @@ from agent.roll_call import CLAIM_REQUEST, MEMBER_PGN, MEMBER_REQUEST, RollCall
 from agent.safety import Safety
 from agent.self_check import SelfCheck
 from agent.senses import Senses
-from agent.voice import Voice
+from agent.voice import STANDSTILL_US, Voice
 from agent.working import Working
 from crdt import FieldAllocationCRDT, Phase, Progress, VectorClock
 from protocol.authentication import Keyring
@@ -379,6 +379,13 @@ class Peer:
         return [HALT, *self.latch("the disk failed")]
 
     # ---------------------------------------------------------------- what the parts share
+
+    def told_standing(self, slot: int, now_us: int) -> list[str]:
+        """Why another member stands and what a person can do, for each cause that it still tells."""
+        told = self.standstills.get(slot, {})
+        for_us = STANDSTILL_US * 4 * max(1, len(told))
+        fresh = [m for m, heard_us in told.values() if now_us - heard_us <= for_us]
+        return [sentence(m.cause, m.about) for m in sorted(fresh, key=lambda m: m.place)]
 
     def view(self, now_us: int) -> FleetView:
         assert self.here is not None

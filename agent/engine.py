@@ -18,6 +18,7 @@ from random import Random
 from secrets import randbits, token_bytes
 from typing import Any
 
+from agent.cause import about, sentence
 from agent.config import CONTENTION_US, S
 from agent.core import Peer
 from agent.effects import Effect, Trace
@@ -186,6 +187,7 @@ class FleetCoordinationEngine:
                 "position": _position(pose),
                 "speed_m_s": pose.speed_m_s,
                 "age_s": (now_us - neighbour.heard_us) / 1e6,
+                "stands": peer.told_standing(slot, now_us),
                 "operations": peer.clock[slot],
                 "sections": [
                     self.sections.name(s) for s in peer.allocation.assigned_sections(slot)
@@ -194,6 +196,7 @@ class FleetCoordinationEngine:
         status[self.tractor_id] = {
             "status": peer.lifecycle.state.name,
             "standing": "SELF",
+            "stands": [sentence(c.number, about(c, why)) for c, why in peer.safety.causes],
             "operations": peer.clock[self.slot],
             "sections": [
                 self.sections.name(s) for s in peer.allocation.assigned_sections(self.slot)

@@ -304,6 +304,8 @@ class Hearing:
             peer.membership.leave(slot, now_us)
             return peer.membership_changed(now_us)
         peer.clock.witness(slot, m.operations)
+        if not (m.held or m.stopped):
+            peer.standstills.pop(slot, None)
         peer.sync.heard_digest(slot, m.digest, now_us)
         if m.stopped or peer.safety.latched:
             return peer.safety.beat(slot, m.stopped, now_us)

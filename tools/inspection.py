@@ -317,6 +317,8 @@ def _show(console: Console, seen: dict[str, Any]) -> None:
     done = sum(1 for s in seen["sections"].values() if s["phase"] == "DONE")
     console.print(f"sections heard of: {len(seen['sections'])}, done: {done}")
     for robot in seen["robots"]:
+        for why in robot["stands"]:
+            console.print(f"robot {robot['slot']} stands: {why}", highlight=False)
         if "itinerary" in robot:
             stops, battery = ", ".join(robot["itinerary"]), robot["battery"]
             console.print(

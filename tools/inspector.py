@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
+from agent.cause import sentence
 from agent.lifecycle import State
 from agent.shortcut_buttons import HOLD_US
 from agent.task_book import TASKS_MAX, stop_names
@@ -22,6 +23,7 @@ from protocol.fleet_frames import (
     LeaderElectionVote,
     Member,
     Pose,
+    Standstill,
     VectorSlice,
 )  # fmt: skip
 from protocol.frame import Frame
@@ -40,6 +42,7 @@ from tools.foreign_groups import group_name
 
 BUTTON_S = HOLD_US / 1e6  # a shortcut button that is silent so long is forgotten
 TRANSITIONS_MAX = 64  # newest kept a robot; a path longer than that is not read by anybody
+CAUSE_S = 4.0  # a cause is told each 1 to 1.4 s, one of several in turn; two may be lost
 SILENT_S = 1.0  # a robot not heard for longer is shown as silent
 
 
@@ -67,6 +70,9 @@ class Seen:
     stopped: bool = False
     left: bool = False
     started: bool = True  # until a heartbeat says that it is not
+    held: bool = False  # something keeps it from moving
+    # Why, as it tells it about once a second: cause -> the address or slot it is about, and when.
+    causes: dict[int, tuple[int, float]] = field(default_factory=dict)
     question: int = 0  # number of what it asks its operators; 0: nothing
     goal: tuple[float, float] | None = None  # where an operator has sent it, and it is not yet
     incarnation: int = 0
@@ -156,9 +162,13 @@ class Inspector:
                 robot.health, robot.operations = message.health, message.operations
                 robot.digest, robot.left = message.digest, message.leaving
                 robot.digest_s = t_s
-                robot.started = message.started
+                robot.started, robot.held = message.started, message.held or message.stopped
+                if not robot.held:
+                    robot.causes.clear()
                 robot.clock[robot.slot] = message.operations
                 self._state(t_s, robot, message.state, kind)
+            case Standstill():
+                robot.causes[message.cause] = message.about, t_s
             case VectorSlice():
                 for offset, count in enumerate(message.counts):
                     if message.base + offset != robot.slot and count:
@@ -266,6 +276,14 @@ class Inspector:
         }
         return "in step" if newer <= {robot.digest} else "differs"
 
+    def stands(self, robot: Seen) -> list[str]:
+        """Why it stands and what a person can do, for each cause that it still tells."""
+        return [
+            sentence(cause, subject)
+            for cause, (subject, t_s) in sorted(robot.causes.items())
+            if self.now_s - t_s <= CAUSE_S * max(1, len(robot.causes))
+        ]
+
     def _robot_dict(self, robot: Seen) -> dict[str, Any]:
         peers = sorted(s for s in robot.clock if s != robot.slot)
         return {
@@ -275,6 +293,7 @@ class Inspector:
             "speed_m_s": round(robot.speed_m_s, 2), "placed": robot.placed,
             "stopped": robot.stopped,
             "started": robot.started, "question": robot.question, "goal": robot.goal,
+            "stands": self.stands(robot),
             "incarnation": robot.incarnation, "digest": f"{robot.digest:06x}",
             "replica": self.replica_of(robot),
             "peers": peers, "clock": {str(s): robot.clock[s] for s in sorted(robot.clock)},

@@ -5,7 +5,7 @@ Sans I/O but for `Bus.send`: the commands below (`estop`, `reset`) own the loop 
 
 import asyncio
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from secrets import randbelow
 
 from agent.lifecycle import State
@@ -14,7 +14,7 @@ from crdt.stops import FarDot
 from protocol.accord_frames import Fallen
 from protocol.authentication import Keyring, Signed
 from protocol.codec import Malformed, decode
-from protocol.fleet_frames import Heartbeat, Member, Pose
+from protocol.fleet_frames import Heartbeat, Member, Pose, Standstill
 from protocol.fleet_tags import FleetTags, plain_reset
 from protocol.frame import Frame
 from protocol.identifier import NULL_ADDRESS
@@ -55,6 +55,8 @@ class Robot:
     signed: bool = False  # and its echo has a tag that it alone could make
     started: bool = False
     held: bool = False  # something other than a latch keeps it from moving
+    # Why, as it tells it about once a second: cause -> the address or slot that it is about, and when.
+    causes: dict[int, tuple[int, float]] = field(default_factory=dict)
     leaves_s: float | None = None  # it said so then, and has not beaten since
     report: OperatorReport | None = None  # the newest, since it was last forgotten
     question: OperatorReport | None = None  # that it is asking or waiting about
@@ -120,6 +122,8 @@ class Operator:
             robot.state, robot.stopped = State(message.state), message.stopped
             if isinstance(message, Heartbeat):
                 robot.started, robot.held = message.started, message.held
+        elif isinstance(message, Standstill):
+            robot.causes[message.cause] = message.about, now_s
         elif isinstance(message, OperatorReport):
             robot.report = message
             asking = message.matter in (Matter.ASKING, Matter.WAITING)

@@ -5,6 +5,7 @@ import json
 import sys
 from pathlib import Path
 
+from agent.cause import sentence
 from agent.lifecycle import State
 from agent.safety import COUNT_TOLD_MAX
 from protocol.authentication import Keyring
@@ -15,6 +16,7 @@ from tools.estop import NOT_ALL, WRONG, listen_to
 from tools.operator_device import Operator, Robot
 
 LISTEN_S = 0.7  # latched robots repeat the dots they know to those that beat without being stopped
+CAUSES_S = 1.6  # a robot that stands tells one of its causes each 1 to 1.4 s
 STEP_S = 0.1
 NAMES_EVERY = 4  # tries: a name that is cleared changes the sum of what is held
 BLOCK_S = 5  # seconds in which a block of reserved frames is not used up
@@ -49,18 +51,24 @@ async def _reset(
         left = await release(operator, start, timeout_s)
         if start and not left:
             await started(operator, timeout_s)
+        if any(robot.held or robot.stopped for robot in operator.live):
+            await operator.listen(CAUSES_S)  # why, from those that stand
         silent = [robot.slot for robot in operator.silent]
         held = [r.slot for r in operator.live if start and (r.held or not r.started)]
         if as_json:
             print(json.dumps({
                 "cleared": [list(dot) for dot in cleared], "not_released": left,
-                "not_heard": silent, "held": held, "signed": keyring is not None,
+                "not_heard": silent, "held": held,
+                "stands": {str(r.slot): stands(operator, r) for r in operator.live},
+                "signed": keyring is not None,
             }))  # fmt: skip
         else:
             shown = ", ".join(".".join(map(str, dot)) for dot in cleared) or in_sum(operator)
             print(f"stops cleared: {shown}")
             for robot in operator.members:
                 print(f"robot {robot.slot}: {word(operator, robot, start)}")
+                for why in stands(operator, robot):
+                    print(f"robot {robot.slot} stands: {why}")
             if keyring is None:
                 print(NOT_SIGNED)
         return 0 if operator.live and not (left or silent or held) else NOT_ALL
@@ -73,6 +81,17 @@ def in_sum(operator: Operator) -> str:
     most = max((held.stops for held in operator.shown.told.values()), default=0)
     count = f"{most} or more" if most >= COUNT_TOLD_MAX else f"{most}"
     return f"all {count} that hold a robot" if most else "none was shown"
+
+
+def stands(operator: Operator, robot: Robot) -> list[str]:
+    """The causes that it has told lately, and what a person can do about each."""
+    if not (robot.held or robot.stopped):
+        return []
+    return [
+        sentence(cause, subject)
+        for cause, (subject, t_s) in sorted(robot.causes.items())
+        if operator.now_s - t_s <= CAUSES_S
+    ]
 
 
 def word(operator: Operator, robot: Robot, start: bool) -> str:
