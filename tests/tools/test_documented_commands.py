@@ -48,6 +48,7 @@ PARSED = {
     "coverage solve MAP": "a reader's own map",
     "headland run": "a minute each; run by tests of its mission",
     "headland launch": "runs in real time; the tutorial's is run here",
+    "headland fields": "a reader's own file; tests/tools/test_given_files.py",
     "headland hub": "runs until it is ended; tests/tools/test_hub_restart.py",
     "headland bridge": "runs until it is ended; tests/tools/test_bridge.py",
     "headland map": "serves until it is ended; tests/tools/test_map.py",
