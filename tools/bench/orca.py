@@ -209,9 +209,8 @@ def one_robot(rvo: Any, batches: int) -> Iterator[Figure]:
     beside = (
         f"; pyrvo took {theirs_us:.1f} us, {REFERENCE_US} on the reference machine" if rvo else ""
     )
-    yield Figure(
-        "kernel: one robot's ORCA, absolute", cost_us, "us", "<= 1.5", cost_us <= 1.5, NUMBA, scope + beside
-    )
+    yield Figure("kernel: one robot's ORCA, absolute", cost_us, "us", "<= 1.5", cost_us <= 1.5,
+                 NUMBA, scope + beside)  # fmt: skip
     if rvo:
         ratio = median(ours / theirs for ours, theirs in found)
         against = (
