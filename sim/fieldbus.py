@@ -7,11 +7,12 @@ drive it by the wall clock. No threads, and no copy per receiver.
 
 import asyncio
 import contextlib
+import logging
 import os
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Final, Protocol
 
 import can
@@ -33,6 +34,8 @@ POSE_PGN: Final = GROUP_OF[Pose].pgn
 HEARTBEAT_PGN: Final = GROUP_OF[Heartbeat].pgn
 _tuple = tuple.__new__
 Tap = Callable[[int, Frame], None]  # microseconds, frame
+NONE_LOST: Sequence[tuple[Tap, OSError]] = ()
+log = logging.getLogger(__name__)
 
 
 class Clock(Protocol):
@@ -74,6 +77,7 @@ class Segment:
         self.shelves: dict[int, list[Beat]] = {}  # and of those that take calm beats later
         self.tellers: dict[int, Tap] = {}  # told when a frame of theirs has left
         self.taps: list[Tap] = []
+        self.taps_lost = 0  # that could not write any more
         self.lock = threading.RLock()  # programs without an event loop send and receive in threads
         self._loop: asyncio.AbstractEventLoop | None = None
         self._clock = clock
@@ -140,10 +144,13 @@ class Segment:
     def pump(self) -> None:
         """Deliver everything that has ended by now."""
         buses, ears, shelves = self.buses, self.ears, self.shelves
-        tellers = self.tellers
+        tellers, lost = self.tellers, NONE_LOST
         for t_us, frame, sender, receivers in self.wire.advance(self.now_us()):
             for tap in self.taps:
-                tap(t_us, frame)
+                try:
+                    tap(t_us, frame)
+                except OSError as problem:  # a recorder's disk is full: what is recorded goes on
+                    lost = [*lost, (tap, problem)]
             if sender in tellers:
                 tellers[sender](t_us, frame)
             if shelves:
@@ -156,6 +163,16 @@ class Segment:
                     ear(frame)
                 elif node in buses:
                     buses[node]._deliver(t_us, frame)
+            if lost:
+                self._end_taps(lost)
+                lost = ()
+
+    def _end_taps(self, lost: Sequence[tuple[Tap, OSError]]) -> None:
+        """Those that failed hear nothing more."""
+        for tap, problem in lost:
+            self.taps_lost += 1
+            self.taps.remove(tap)
+            log.error("%s: a recorder of %s ends", problem, self.channel)
 
     def _put(self, beat: Beat, receivers: tuple[int, ...]) -> tuple[int, ...]:
         """On the shelves of those who have one; returns the others."""

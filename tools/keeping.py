@@ -1,17 +1,20 @@
 """What a run leaves for replays: frames and intents in one MCAP, the scene, the hash of its frames."""
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from agent.effects import Effect
 from protocol.frame import Frame
 from sim.cluster import Cluster
+from sim.ending import Ending, say
 from sim.errand_setting import ErrandSetting
 from sim.mcap_log import McapLog, McapMissing
 from sim.recording import FramesDigest, Recording
 from sim.scene import FILE, scene_of
 from sim.setting import Setting
-from sim.watch import watch
+from sim.watch import Keeper, watch
 
 MCAP = "run.mcap"
 
@@ -21,15 +24,17 @@ class Keeping:
 
     def __init__(
         self, setting: Setting | ErrandSetting, out: Path, recording: Recording | None = None,
-        begun_us: int = 0,
+        begun_us: int = 0, told: Callable[[str], None] = say,
     ) -> None:  # fmt: skip
         """`recording`: of a map that shows the run meanwhile. `begun_us`: time of the first line, on
-        the clock that `write` is given. Raises OSError."""
+        the clock that `write` is given. `told`: one line where the disk takes no more. Raises OSError,
+        here and nowhere else."""
         self.scene = scene_of(setting)
         (out / FILE).write_text(json.dumps(self.scene) + "\n", encoding="utf-8")
         self.digest = FramesDigest()
         self.recording = recording
         self.mcap: McapLog | None = None
+        self._ending = Ending(MCAP, told)
         try:
             self.mcap = McapLog(out / MCAP, self.scene, begun_us)
         except McapMissing:
@@ -39,19 +44,22 @@ class Keeping:
 
     def __call__(self, cluster: Cluster) -> None:
         cluster.segment.taps.append(self.write)
-        watch(cluster, [keeper for keeper in (self.recording, self.mcap) if keeper is not None])
+        keepers: list[Keeper] = [] if self.recording is None else [self.recording]
+        if self.mcap is not None:
+            keepers.append(_UntilFull(self.mcap, self._ending))
+        watch(cluster, keepers)
 
     def write(self, t_us: int, frame: Frame) -> None:
         self.digest.write(t_us, frame)
         if self.recording is not None:
             self.recording.write(t_us, frame)
         if self.mcap is not None:
-            self.mcap.write(t_us, frame)
+            self._ending(self.mcap.write, t_us, frame)
 
     def tell(self, t_us: int, intent: dict[str, Any]) -> None:
         """Of a robot in a process of its own."""
         if self.mcap is not None:
-            self.mcap.tell(t_us, intent)
+            self._ending(self.mcap.tell, t_us, intent)
 
     @property
     def logs(self) -> str:
@@ -66,4 +74,20 @@ class Keeping:
         if self.recording is not None:
             self.recording.close()
         if self.mcap is not None:
-            self.mcap.close()
+            self._ending.close(self.mcap.close)
+
+
+class _UntilFull:
+    """The MCAP of a run, as what watches the run sees it."""
+
+    def __init__(self, mcap: McapLog, ending: Ending) -> None:
+        self.mcap, self.ending = mcap, ending
+
+    def tell(self, t_us: int, intent: dict[str, Any]) -> None:
+        self.ending(self.mcap.tell, t_us, intent)
+
+    def place(self, t_us: int, rows: list[list[float]]) -> None:
+        self.ending(self.mcap.place, t_us, rows)
+
+    def effect(self, slot: int, t_us: int, effect: Effect) -> None:
+        self.ending(self.mcap.effect, slot, t_us, effect)

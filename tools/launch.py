@@ -21,6 +21,7 @@ from protocol.frame import Frame
 from sim.body_link import BodyServer
 from sim.candump import CandumpWriter
 from sim.coverage_truth import coverage, sample_points
+from sim.ending import Ending
 from sim.outcome import COVERAGE_MIN
 from sim.parcels import Parcels
 from sim.scenario import ScenarioError
@@ -49,6 +50,10 @@ MAP_NICE = 5  # of the map's process, beside the robots'
 GRACE_S = 3.0  # between asking a robot to leave and killing it
 UNFINISHED, WRONG, INTERRUPTED = 1, 2, 130
 NO_KEYS = "[yellow]keys: NONE: anybody on the bus can stop and release this fleet[/yellow]"
+
+
+class BusError(Exception):
+    """One line: why there is no bus to launch on."""
 
 
 class Launch:
@@ -90,13 +95,18 @@ class Launch:
         # Logs of a launch carry the time of day, so that other logs can be laid beside them.
         epoch_us = round((time.time() - loop.time()) * 1e6)
         log = CandumpWriter(self.out / "can.log")
-        keeping = Keeping(self.setting, self.out, begun_us=epoch_us + round(loop.time() * 1e6))
+        begun_us, told = epoch_us + round(loop.time() * 1e6), self.console.print
+        keeping = Keeping(self.setting, self.out, begun_us=begun_us, told=told)
+        text = Ending("can.log", told)
 
         def keep(t_us: int, frame: Frame) -> None:
             keeping.write(epoch_us + t_us, frame)
-            log.write(epoch_us + t_us, frame)
+            text(log.write, epoch_us + t_us, frame)
 
-        await bus.start([keep, self._heard])
+        try:
+            await bus.start([keep, self._heard])
+        except OSError as problem:
+            raise BusError(problem.strerror or str(problem)) from None
         zero_us = round(loop.time() * 1e6) - memory.now_us
         bodies = BodyServer(self.world, zero_us)
         path = await bodies.start()
@@ -132,8 +142,8 @@ class Launch:
             await bus.stop()
             bodies.close()
             self._keep_truth()
-            memory.close()
-            log.close()
+            Ending(TRUTH, self._untold).close(memory.close)
+            text.close(log.close)
             keeping.close()
             self.log_hash, self.logs = keeping.log_hash, keeping.logs
             (self.out / "bus.json").unlink(missing_ok=True)
@@ -240,6 +250,9 @@ class Launch:
                 self.console.print(f"the world is not kept for the next launch: {problem.strerror}")
             self.unkept = True
 
+    def _untold(self, message: str) -> None:
+        """What is said otherwise."""
+
     def _notice_deaths(self) -> None:
         for slot, process in self.processes.items():
             if process.returncode is not None and slot not in self.gone:
@@ -309,7 +322,10 @@ class Launch:
             "launches": self.fleet.launches, "latched": self.latched,
             "log_hash": self.log_hash, **self.inspector.to_dict(),
         }  # fmt: skip
-        (self.out / "report.json").write_text(dumps(report, indent=1) + "\n")
+        written = Ending("report.json", self._untold)
+        written((self.out / "report.json").write_text, dumps(report, indent=1) + "\n")
+        if written.why:
+            self.console.print(f"report.json is not written: {written.why}")
         how = "finished" if finished else "not finished"
         self.console.print(
             f"{how} after {elapsed_s:.0f} s: {verdict}; "
@@ -360,12 +376,12 @@ def launch(
     begun = time.monotonic()
     try:
         code = asyncio.run(running.run(port, seconds))
-    except OSError as problem:
+    except BusError as problem:
         if hub_port:
-            return _wrong(f"--hub {hub_port}: {problem.strerror or problem}")
-        return _wrong(
-            f"--port {port}: {problem.strerror or problem}; choose another or 0 for any free one"
-        )
+            return _wrong(f"--hub {hub_port}: {problem}")
+        return _wrong(f"--port {port}: {problem}; choose another or 0 for any free one")
+    except OSError as problem:
+        return _wrong(f"--out: {problem}")
     finally:
         for lock in fleet.locks:
             lock.close()
