@@ -46,11 +46,12 @@ class Delivery(Errands):
     def __init__(
         self, slot: int, house: Warehouse, home: Point, speed_m_s: float, deceleration_m_s2: float,
         now_us: int, seed: int, chart: MapSync | None = None,
-        recalled: Mapping[str, bytes] = NOTHING_RECALLED,
+        recalled: Mapping[str, bytes] = NOTHING_RECALLED, asks: bool = False,
     ) -> None:  # fmt: skip
         super().__init__(
-            slot, {}, house.floor, speed_m_s, deceleration_m_s2, chart=chart, now_us=now_us
-        )
+            slot, {}, house.floor, speed_m_s, deceleration_m_s2, chart=chart, now_us=now_us,
+            asks=asks,
+        )  # fmt: skip
         self.house, self.home = house, home
         self.dispatch = Dispatch(slot, house, now_us, seed, recalled_orders(recalled))
         self.paths = PathRequests(super()._way)

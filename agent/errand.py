@@ -71,12 +71,16 @@ class Errands:
         agrees: bool = True,
         chart: MapSync | None = None,
         now_us: int = 0,
+        asks: bool = False,
     ) -> None:
         """`goals`: of every robot, in their order. `agrees`: False for ORCA by itself. `chart`: the
-        fleet's map, where it has one."""
+        fleet's map, where it has one. `asks`: what stands in the way is driven round by an operator's
+        word only (`agent/pause.py`)."""
         assert all(len(own) <= GOALS_MAX for own in goals.values())
         self.slot, self.goals, self.floor, self.agrees = slot, goals, floor, agrees
         self.speed_m_s, self.deceleration_m_s2 = speed_m_s, deceleration_m_s2
+        self.asks = asks
+        self._keeps_on = asks  # on the plan's way: no operator has said to go round
         self.accords = Accords(slot, floor.lattice, floor.radius_m)
         self.goal: Point | None = None
         self.answer = Answer.GRANT
@@ -243,6 +247,7 @@ class Errands:
         """What we follow to the goal: the path we have, wherever it will do."""
         here, now_us = view.here, view.now_us
         at, tracker = (here.x_m, here.y_m), self._tracker
+        self._keeps_on = self.asks and not view.things
         if tracker is None or abs(tracker.off_m) > LOST_M:
             self.replanning.forget()
             why = "lost" if tracker is not None else "after plan" if self._planned else "goal"
@@ -253,6 +258,8 @@ class Errands:
             self._tracker = old
             self.followed.append(Followed(now_us, tuple(old.points), "restored"))
             return old
+        if self._keeps_on:
+            return tracker
         if self._stalled_alone(view, tracker):
             return self._round_what_stalls(goal, view, tracker)
         if self.replanning.due(now_us):
@@ -286,6 +293,8 @@ class Errands:
         return self._set_out(self._way(at, goal), "stalled", now_us)
 
     def _way(self, at: Point, goal: Point) -> tuple[Point, ...]:
+        if self._keeps_on:
+            return self.floor.route.path(at, goal)
         prepared = self.next_way.take(at, goal)
         return prepared or self.hazards.path(at, goal) or self.floor.route.path(at, goal)
 

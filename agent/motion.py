@@ -73,12 +73,14 @@ class Motion:
         keep_right_rad: float = 0.0,
         looks: bool = False,
         stops: bool = False,
+        asks: bool = False,
     ) -> None:
         """`fences`: segments nobody passes, (n, 4): ax, ay, bx, by in metres; None: those that the
         range sensors see, kept by a robot among walls that it does not know. `gives_way`: False
         where the mission itself settles who goes first. `looks`: what the range sensors see and
         nobody has announced is an obstacle; the fences must be all there is. `stops`: never be
-        where a robot ahead that halts could be touched."""
+        where a robot ahead that halts could be touched. `asks`: stand before what nobody has announced
+        and ask an operator, also where `looks` would go round it."""
         self.slot, self.limits = slot, limits
         self.sensing = fences is None
         fences = np.empty((0, 4)) if fences is None else fences
@@ -97,7 +99,8 @@ class Motion:
         self.others: list[Other] = []  # within reach at the last control period
         # Who asks before going on needs to know every wall beforehand.
         self.lookout: Lookout | None = None
-        if not (looks or self.sensing):
+        assert not (asks and self.sensing)
+        if asks or not (looks or self.sensing):
             self.lookout = Lookout(limits.radius_m, limits.acceleration_m_s2, fences, self.coasting)
         self.giving_way: GivingWay | None = None
         if gives_way:

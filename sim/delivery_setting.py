@@ -115,7 +115,7 @@ class DeliverySetting(ErrandSetting):
         seed = self.scenario.run.seed * 1000 + slot
         return Delivery(
             slot, self.house, self.starts[slot], fleet.speed_m_s, braking_m_s2, now_us, seed,
-            chart, recalled,
+            chart, recalled, fleet.asks,
         )  # fmt: skip
 
     def parcels(self) -> Parcels:

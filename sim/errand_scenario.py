@@ -86,7 +86,8 @@ def setting_of(scenario: ErrandScenario) -> ErrandSetting:
             f"{name}: fleet.drive: errands need a body that drives in any direction"
         )
     try:
-        text = read_text(scenario.path_of(table.map), DRAWING_BYTES_MAX)
+        drawn = "\n" in table.map
+        text = table.map if drawn else read_text(scenario.path_of(table.map), DRAWING_BYTES_MAX)
         floor = Floor.drawn(text, table.cell_m, fleet.radius_m, table.margin_m)
     except (GivenFileError, FloorError) as problem:
         raise ScenarioError(f"{name}: floor.map: {problem}") from None

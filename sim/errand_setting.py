@@ -107,7 +107,8 @@ class ErrandSetting:
         fleet = self.scenario.fleet
         braking_m_s2 = BRAKING_SHARE * fleet.acceleration_m_s2
         return Errands(
-            slot, self.goals, self.floor, fleet.speed_m_s, braking_m_s2, self.agrees, chart, now_us
+            slot, self.goals, self.floor, fleet.speed_m_s, braking_m_s2, self.agrees, chart, now_us,
+            fleet.asks,
         )
 
     def motion(self, slot: int) -> Motion:
@@ -116,7 +117,7 @@ class ErrandSetting:
         return Motion(
             slot, limits, self.floor.fences, fence_m=self.floor.margin_m / 2,
             horizon_s=HORIZON_S, gives_way=False, keep_right_rad=KEEP_RIGHT_RAD, looks=True,
-            stops=self.agrees,
+            stops=self.agrees, asks=fleet.asks,
         )  # fmt: skip
 
     def world(self) -> World:

@@ -54,6 +54,9 @@ class FleetTable(_Table):
         default=72, ge=8, le=720
     )  # of each robot's range sensors; a gap of 0.35 m at 4 m
     silence: Literal["stop", "slow", "continue"] = "stop"
+    # In a building: stand before what nobody has announced, and ask; else it is driven round. In a field
+    # robots always ask.
+    asks: bool = False
     keys: str | None = None  # key file, made by `headland keys new`
 
 

@@ -1,17 +1,24 @@
 """Whole fleets on errands: through each other in corridors, on the real wire, in virtual time."""
 
 from math import isfinite
+from pathlib import Path
 from random import Random
+from typing import cast
 
+import numpy as np
 import pytest
 
 from agent.effects import HALT
 from agent.floor import Floor, FloorError
 from agent.mission import STILL
 from agent.ports import Observation
+from sim.delivery_setting import DeliverySetting
+from sim.errand_scenario import ErrandScenario, load_mission, setting_of
 from sim.errand_setting import ErrandSetting, scattered
 from sim.floor_plan import CORRIDOR, office, rooms
+from sim.haul import Haul
 from sim.outing import Outing, to_polyline_m
+from sim.warehouse_scenario import WarehouseScenario
 from tools.bench.corridor import trial
 
 
@@ -95,3 +102,32 @@ def test_distance_to_a_polyline() -> None:
     assert to_polyline_m((1.0, 0.5), path) == 0.5
     assert to_polyline_m((3.0, 1.0), path) == 1.0
     assert to_polyline_m((-3.0, 4.0), path) == 5.0
+
+
+def test_m19_robots_stand_before_a_person_indoors_and_ask() -> None:
+    """One goes on when the way is free, the other by an operator's word; none drives round by itself."""
+    run = Outing(setting_of(cast(ErrandScenario, load_mission("visitor"))))
+    outcome = run.run()
+    assert outcome.finished and not outcome.contacts
+    for slot, until_s in ((0, 23.0), (1, 40.0)):
+        t_s, x_m, y_m = run.tracks[slot][:, 0] / 1e6, run.tracks[slot][:, 1], run.tracks[slot][:, 2]
+        waits = (t_s > 15.0) & (t_s < until_s)
+        assert np.ptp(x_m[waits]) < 0.05 and np.ptp(y_m[waits]) < 0.05, slot
+        assert 0.6 <= 8.75 - 0.35 - x_m[waits].max() < 1.5, "the stopping margin is left"
+
+
+def test_m19_deliveries_stand_before_a_person_and_ask(tmp_path: Path) -> None:
+    rows = "pickup_x_m,pickup_y_m,dropoff_x_m,dropoff_y_m\n1.5,1.5,10.5,1.5\n"
+    (tmp_path / "tasks.csv").write_text(rows)
+    given = WarehouseScenario.model_validate({
+        "name": "test", "mission": "delivery",
+        "fault": [{"kind": "box", "at_s": 2.0, "x_m": 6.0, "y_m": 1.5, "size_m": 0.5, "for_s": 30.0}],
+        "warehouse": {"map": "\n".join(["." * 12] * 3), "handle_s": 1.0, "tasks": "tasks.csv"},
+        "folder": tmp_path,
+        "fleet": {"robots": 1, "radius_m": 0.3, "speed_m_s": 1.0, "acceleration_m_s2": 2.0,
+                  "asks": True},
+        "run": {"seed": 1, "time_limit_s": 200.0},
+    })  # fmt: skip
+    outcome = Haul(DeliverySetting(given)).run()
+    assert outcome.finished and outcome.delivered == 1 and outcome.contacts == 0
+    assert outcome.simulated_s > 32.0, "it waited until the way was free"
