@@ -9,6 +9,7 @@ from random import Random
 from protocol.bus import CanBus, open_bus
 from protocol.socketcand_link import ANSWER_S, SocketcandLink
 from sim.given_file import SETTINGS_BYTES_MAX, GivenFileError, read_json
+from tools.process_identity import lives
 
 LAUNCH = Path("runs/launch/bus.json")  # where a launch leaves the address of its bus
 CHANNEL = "can0"  # of the bus of a launch
@@ -25,12 +26,19 @@ def address_of_launch() -> tuple[str, int, str]:
     """Host, port and channel of the newest launch in this folder."""
     try:
         where = read_json(LAUNCH, SETTINGS_BYTES_MAX)
-        return str(where["host"]), int(where["port"]), str(where["channel"])
-    except (GivenFileError, TypeError, ValueError, KeyError):
+        host, port, channel = str(where["host"]), int(where["port"]), str(where["channel"])
+        pid, since = int(where["pid"]), str(where.get("started", ""))
+    except (GivenFileError, TypeError, ValueError, KeyError, AttributeError):
         raise AttachError(
             f"no bus given and no launch found in {LAUNCH.parent}: "
             "start one with 'headland launch', or name a bus with -i and -c"
         ) from None
+    if not lives(pid, since):
+        raise AttachError(
+            f"the launch in {LAUNCH.parent} was killed (process {pid} is gone): start it again, or name "
+            f"its bus if that still runs: --port {port}"
+        )
+    return host, port, channel
 
 
 def robots_of_launch(interface: str, host: str, port: int) -> list[int]:

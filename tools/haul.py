@@ -1,7 +1,6 @@
 """`headland run` of a warehouse: to the last parcel in virtual time, or live for tasks to be added."""
 
 import asyncio
-import os
 import signal
 import sys
 from pathlib import Path
@@ -21,6 +20,7 @@ from sim.warehouse_scenario import load_warehouse
 from tools.attachment import CHANNEL
 from tools.fact_table import run_table
 from tools.keeping import Keeping
+from tools.process_identity import identity
 from tools.run_folder import LAUNCH, RUNS, FolderError, folder_for, link
 
 UNFINISHED, WRONG, UNREACHABLE, INTERRUPTED = 1, 2, 3, 130
@@ -141,7 +141,7 @@ async def _live(
 
 async def _open(hub: Hub, port: int, console: Console, out: Path) -> None:
     await hub.start(HOST, port)
-    where = {"host": HOST, "port": hub.port, "channel": CHANNEL, "pid": os.getpid()}
+    where = {"host": HOST, "port": hub.port, "channel": CHANNEL, **identity()}
     (out / BUS).write_text(dumps(where))
     RUNS.mkdir(parents=True, exist_ok=True)
     link(RUNS / LAUNCH, out)

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from tools import bus_commands, coverage, keys, tasks, trial_commands
+from tools import bus_commands, coverage, extras, keys, tasks, trial_commands
 from tools.options import (
     PORT_MAX,
     Bitrate,
@@ -321,6 +321,12 @@ def main() -> None:
         else:
             line = " ".join(problem.format_message().split()).rstrip(".")
             print(f"headland: {line}; see: {where} --help", file=sys.stderr)
+        raise SystemExit(WRONG) from None
+    except ImportError as problem:
+        missing = extras.needed(problem)
+        if missing is None:
+            raise
+        print(f"headland: {missing}", file=sys.stderr)
         raise SystemExit(WRONG) from None
     except OSError as problem:  # a full disk, a folder that is none: what no command expected
         name = "" if problem.filename is None else f"{problem.filename}: "

@@ -9,6 +9,7 @@ import json
 import os
 import signal
 import sys
+from ipaddress import ip_address
 
 from rich.console import Console
 
@@ -18,6 +19,10 @@ from sim.standing import leave_standing
 from tools.attachment import CHANNEL
 
 WRONG, INTERRUPTED = 2, 130
+OPEN = (
+    "headland: WARNING: everybody who reaches this address over the network can drive and stop the "
+    "robots on this bus; socketcand has no passwords"
+)
 
 
 async def _serve(host: str, port: int, bitrate: int, seed: int, as_json: bool) -> None:
@@ -35,9 +40,19 @@ async def _serve(host: str, port: int, bitrate: int, seed: int, as_json: bool) -
             f"headland launch --hub {served.port}"
         )
         sys.stdout.flush()
+    if not loopback(host):
+        print(OPEN, file=sys.stderr)
     leave_standing()
     await end.wait()
     await served.stop()
+
+
+def loopback(host: str) -> bool:
+    """Only this machine reaches it."""
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
 
 
 def hub(host: str, port: int, bitrate: int, seed: int, as_json: bool) -> int:

@@ -37,6 +37,7 @@ from tools.keeping import Keeping
 from tools.language.places import Places
 from tools.launch_bus import LaunchBus, OutsideHub, OwnHub, viewer_command
 from tools.livemap.command import ServerError, check_operator_key, listen
+from tools.process_identity import identity
 from tools.robot import AnySetting, setting_of
 from tools.run_folder import FolderError
 from tools.warmup import warm
@@ -111,7 +112,7 @@ class Launch:
         bodies = BodyServer(self.world, zero_us)
         path = await bodies.start()
         where = {
-            "host": HOST, "port": bus.port, "channel": CHANNEL, "pid": os.getpid(),
+            "host": HOST, "port": bus.port, "channel": CHANNEL, **identity(),
             "bodies": str(path), "folder": str(self.out.absolute()),
             "robots": sorted(self.world.robots),
         }  # fmt: skip

@@ -1,0 +1,18 @@
+"""What a base install leaves out, and the extra that brings it."""
+
+EXTRA_OF = {
+    "textual": "operator", "starlette": "operator", "uvicorn": "operator", "websockets": "operator",
+    "lark": "operator", "mcap": "operator", "httpx": "operator",
+    "isoxml": "isoxml",
+    "zenoh": "backbone", "distributed": "backbone", "dask": "backbone",
+    "atheris": "fuzz",
+}  # fmt: skip
+
+
+def needed(problem: ImportError) -> str | None:
+    """One line for the person; None where it is no package of an extra that is missing."""
+    package = (problem.name or "").partition(".")[0]
+    extra = EXTRA_OF.get(package)
+    if extra is None:
+        return None
+    return f"this needs {package}: pip install 'headland[{extra}]'"
