@@ -23,7 +23,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from protocol.codec import encode
-from protocol.fleet_frames import Heartbeat, Member, Pose
+from protocol.fleet_frames import Heartbeat, Member, Pose, StandsBy, Standstill
 from protocol.frame import Frame
 from sim import key_file
 from sim.recording import Recording
@@ -42,6 +42,8 @@ from tools.attachment import attach
 from tools.bench.browser import browser, complaints, until
 from tools.inspector import Inspector
 from tools.livemap.command import MapThread
+from tools.livemap.player import Index, Player
+from tools.livemap.teller import Teller
 from tools.operator_device import Operator
 
 if TYPE_CHECKING:
@@ -139,7 +141,7 @@ def test_b5_a_fleet_released_without_a_start_is_started_from_the_page(
         until(page, robots_in("IDLE"), WAIT_S)
         until(page, "!document.getElementById('start').hidden", WAIT_S)
         why = "[...document.querySelectorAll('#fleet .why')].map(each => each.textContent)"
-        until(page, f"{why}.every(each => each.includes('not started'))")
+        until(page, f"{why}.every(each => /start/.test(each))")
         picture(page, "not-started")
         page.find_element("id", "start").click()
         page.find_element("id", "release-yes").click()  # without a word about keys
@@ -402,6 +404,17 @@ def test_the_frames_of_a_robot_that_left_are_no_fault() -> None:
     pose = Pose(0.0, 0.0, 0.0, 0.0, 1, False, 255)
     member = Member(0, 1, 0, 0)
     assert asyncio.run(hear()) == [0]
+
+
+def test_why_a_robot_stands_is_told_from_the_bus() -> None:
+    recording = Recording()
+    for message in (Member(0, 1, 0), Heartbeat(0, 1, False, True, False, False, 1.0, 0, 0),
+                    Standstill(0, StandsBy.NOT_STARTED, 0, 1)):  # fmt: skip
+        recording.write(1_000_000, encode(message, 0x80))
+    player = Player(Index(recording), True, 1.0)
+    player.advance(0.0, 1.0)
+    (robot,) = Teller(player).tell()["robots"]
+    assert "start" in robot["stands"][0]
 
 
 def test_a_quiet_bus_is_told_with_its_age() -> None:

@@ -63,6 +63,9 @@ class Teller:
             told["vx"], told["vy"], told["want"] = intent["vx"], intent["vy"], intent["wanted"]
             told["strange"], told["holds"] = intent["strange"], intent["holds"]
             told["hears"] = intent["hears"]
+        stands = watcher.stands(robot)
+        if stands:
+            told["stands"] = stands
         question = watcher.asking.get(robot.slot)
         if question is not None:
             told["asks"] = [question.matter.name, round(question.x_m, 1), round(question.y_m, 1)]

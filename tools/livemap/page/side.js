@@ -30,6 +30,7 @@ function why(robot) {
   if (robot.silent) return `not heard for ${clock(robot.age)}`;
   if (robot.stopped) return "stopped: release it";
   if (robot.asks) return robot.asks[0] === "ASKING" ? "asks what to do" : "waits for an operator";
+  if (robot.stands?.length) return robot.stands[0]; // said on the bus, with what a person can do
   const held = (robot.holds ?? []).map(words);
   if (held.length) return `holds: ${held.join(", ")}`;
   return robot.started ? "" : "not started";
@@ -144,7 +145,7 @@ export class Side {
       return node("li", words(state), `pill ${current ? (now ? `${state} now` : "was") : "no"}`);
     }));
     const facts = {
-      stands: (live && why(live)) || "no reason to",
+      stands: live?.stands?.join("; ") || (live && why(live)) || "no reason to",
       place: `${robot.x_m.toFixed(1)}, ${robot.y_m.toFixed(1)} m`, speed: now ? `${robot.speed_m_s.toFixed(2)} m/s` : "–",
       sections: robot.sections.join(" ") || "none",
       hears: (live?.hears ?? robot.peers).filter((slot) => slot !== robot.slot).join(" ") || "nobody", address: robot.address, health: `${(100 * robot.health).toFixed(0)} %`,
