@@ -13,10 +13,13 @@ and callbacks.
 import asyncio
 import inspect
 import logging
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from math import cos, sin
 from random import Random
 from secrets import randbits, token_bytes
 from typing import Any
+
+from can import BusABC
 
 from agent.cause import about, sentence
 from agent.config import CONTENTION_US, S
@@ -24,13 +27,14 @@ from agent.core import Peer
 from agent.effects import Effect, Trace
 from agent.identity import Identity
 from agent.lifecycle import State
-from agent.ports import Bus, Journal
+from agent.ports import Bus, Journal, Observation
 from agent.recollection import remembers
 from agent.safety import SilencePolicy
 from agent.section_names import SectionNames
 from agent.shell import Shell
 from crdt import FieldAllocationCRDT
 from protocol.authentication import KEY_SIZE, Keyring, Keys
+from protocol.bus import CanBus
 from protocol.fleet_frames import NOWHERE_M, Pose
 from protocol.name import fleet_name
 from protocol.safety_frames import Reason
@@ -50,7 +54,7 @@ class FleetCoordinationEngine:
     def __init__(
         self,
         tractor_id: str,
-        isobus_interface: Bus,
+        isobus_interface: Bus | BusABC,
         *,
         fleet: str = "headland",
         members: int = 30,
@@ -65,7 +69,16 @@ class FleetCoordinationEngine:
         `keys`: of the fleet; without them anybody on the bus can stop and release it."""
         self.keys = keys
         self.first_boot = first_boot or journal is None
+        if isinstance(isobus_interface, BusABC):
+            isobus_interface = CanBus(isobus_interface)
+        if not (hasattr(isobus_interface, "send") and hasattr(isobus_interface, "subscribe")):
+            raise TypeError(
+                "isobus_interface must be a can.Bus, a protocol.bus.CanBus, or have its methods; "
+                f"not {type(isobus_interface).__name__}"
+            )
         self.tractor_id, self.bus, self.journal = tractor_id, isobus_interface, journal
+        self._told_of_stop, self._state = False, State.DISCONNECTED.name
+        self.refusal = ""  # why the last claim_section was False
         self.fleet, self.members = fleet, members
         digits = tractor_id[len(tractor_id.rstrip("0123456789")) :]
         if not digits or not 0 <= int(digits) < members:
@@ -131,10 +144,47 @@ class FleetCoordinationEngine:
 
     # ---------------------------------------------------------------- tasks
 
+    def update(
+        self, x_m: float, y_m: float, heading_rad: float, speed_m_s: float, health: float = 1.0
+    ) -> None:
+        """What this machine's own sensors say now; its beats carry it from now on.
+
+        Field frame: metres east and north, heading counter-clockwise from east in radians. `health`: 0.0
+        failed to 1.0. After the first call, call it at least each 50 ms: old senses stop the machine.
+        """
+        vx_m_s, vy_m_s = speed_m_s * cos(heading_rad), speed_m_s * sin(heading_rad)
+
+        def observe(peer: Peer, now_us: int) -> Sequence[Effect]:
+            here = Observation(
+                x_m, y_m, heading_rad, vx_m_s, vy_m_s, battery=health, sensed_at_us=now_us
+            )
+            peer.observe(here, now_us)
+            return ()
+
+        self._operate(observe)
+
     async def claim_section(self, section_id: str) -> bool:
-        """Claim a section; True once the contention window has passed and the claim still wins."""
+        """Claim a section; True once the contention window has passed and the claim still wins.
+
+        False where it is lost, or where this machine may not work; `refusal` says why.
+        """
+        try:
+            won = await self._claim_section(section_id)
+        except TimeoutError:  # it may not start what it has claimed
+            section = self.sections.number(section_id)
+            self._operate(lambda p, now: p.release(section, now))
+            causes = [sentence(c.number, about(c, why)) for c, why in self._peer.safety.causes]
+            self.refusal = "; ".join(causes) or f"in state {self.get_current_state()}"
+            return False
+        if not won and not self.refusal:
+            self.refusal = "another machine has it, or it is done"
+        return won
+
+    async def _claim_section(self, section_id: str) -> bool:
         peer, section = self._peer, self.sections.number(section_id)
+        self.refusal = ""
         if peer.lifecycle.state not in (State.IDLE, State.WORKING):
+            self.refusal = f"in state {peer.lifecycle.state.name}"
             return False
         self._operate(lambda p, now: p.claim(section, 0, now))
         if peer.allocation.owner_of(section) != self.slot:
@@ -239,13 +289,34 @@ class FleetCoordinationEngine:
     def _effect(self, now_us: int, effect: Effect) -> None:
         if not isinstance(effect, Trace):
             return
+        if effect.machine == "safety" and effect.event in ("PRESSED", "HEARD_STOP"):
+            self._told_of_stop = True
+            for stop in self._on_emergency:
+                self._call(stop, self._emergency(effect))
         if effect.machine == "lifecycle":
-            if effect.target == State.EMERGENCY_STOP.name:
-                for stop in self._on_emergency:
-                    self._call(stop, {"why": effect.why, "from_state": effect.source})
+            if effect.target == State.EMERGENCY_STOP.name and not self._told_of_stop:
+                for stop in self._on_emergency:  # latched by something else: a disk, a lost memory
+                    self._call(stop, self._emergency(effect, False))
+            self._told_of_stop, self._state = False, effect.target
             for changed in self._on_state:
                 self._call(changed, effect.target)
         self._changed.set()
+
+    def _emergency(self, pressed: Trace, is_stop: bool = True) -> dict[str, Any]:
+        """Each stop, also one that comes while another holds: who pressed, why, and where it was last."""
+        last = self._peer.safety.last_stop
+        told: dict[str, Any] = {
+            "why": f"stop: {pressed.why}" if is_stop else pressed.why, "from_state": self._state,
+            "reason": None, "slot": None, "position": None,
+        }  # fmt: skip
+        if last is None or not is_stop:
+            return told
+        slot, reason = last
+        pose = self._peer.membership.neighbours.get(slot)
+        here = self._peer.here if slot == self.slot else pose.pose if pose else None
+        if here is not None:
+            told["position"] = {"x_m": here.x_m, "y_m": here.y_m}
+        return told | {"reason": reason.name, "slot": slot}
 
     def _call(self, callback: Callable[[Any], Any], argument: Any) -> None:
         """Plain or async; what it raises is its own affair, and is logged."""

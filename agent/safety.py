@@ -77,6 +77,8 @@ class Safety:
         self._live: frozenset[int] = frozenset({slot})
         self._silent: frozenset[int] = frozenset()
         self._stable_us = now_us
+        self.last_stop: tuple[int, Reason] | None = None  # who pressed it, and why
+        self._reasons: dict[StopDot, Reason] = {}  # of our own presses that are being repeated
         self._echoes: dict[StopDot, set[int]] = {}
         self._own: dict[StopDot, int] = {}  # dots we repeat as their source -> repeats left
         self._free: set[int] = set()  # at our press, or since: members that did not stand stopped
@@ -173,6 +175,7 @@ class Safety:
         dot, self.counter = self.stops.unused(self.slot, self.incarnation, self.counter)
         self.stops.press_own(dot)
         self._renew_us = FOREVER
+        self.last_stop, self._reasons[dot] = (self.slot, reason), reason
         self._causes[Cause.STOP_DOT] = f"pressed here: {reason.name}"
         self._own[dot], self._repeat_us = REPEATS_MAX, now_us + STOP_REPEAT_US
         return [
@@ -205,12 +208,14 @@ class Safety:
         if self.stops.full:
             return self._hold_more(m.echo, now_us)
         self.stops.press(dot)
+        reason = Reason(min(m.reason, max(Reason)))
+        self.last_stop = m.slot, reason
         self._renew_us = FOREVER
         self._causes[Cause.STOP_DOT] = f"{dot.slot}.{dot.incarnation}.{dot.counter}"
         self._echoes.setdefault(dot, set()).add(self.slot)
         return [
             HALT,
-            Send(self._stop(dot, Reason(min(m.reason, max(Reason))), echo=True)),
+            Send(self._stop(dot, reason, echo=True)),
             *self._remember(),
             Trace("safety", "", "HEARD_STOP", "LATCHED", f"dot {dot}"),
         ]
@@ -479,9 +484,11 @@ class Safety:
             enough = left <= (0 if others else REPEATS_MAX - REPEATS_ALONE)
             if enough or (others and others <= self._echoes.get(dot, set())):
                 del self._own[dot]
+                self._reasons.pop(dot, None)
                 continue
             self._own[dot] = left - (not unheard)
-            sends.append(Send(self._stop(dot, Reason.OPERATOR_INTERVENTION)))
+            reason = self._reasons.get(dot, Reason.OPERATOR_INTERVENTION)
+            sends.append(Send(self._stop(dot, reason)))
         pause_us = REPEAT_UNHEARD_US if unheard else STOP_REPEAT_US
         self._repeat_us = now_us + pause_us if self._own else FOREVER
         return sends

@@ -173,3 +173,47 @@ def test_bad_arguments_say_what_to_do() -> None:
         engine.get_fleet_status()
     assert engine.get_current_state() == "DISCONNECTED"
     bus.close()
+
+
+def test_m18_every_stop_is_told_with_its_reason_and_place() -> None:
+    async def story(engines: list[FleetCoordinationEngine]) -> None:
+        heard: list[dict[str, Any]] = []
+        engines[1].on_emergency(heard.append)
+        for _ in range(20):
+            for slot, engine in enumerate(engines):
+                engine.update(10.0 * slot, 5.0, 0.0, 1.0, health=0.5)
+            await elapse(0.05)
+        assert engines[0].get_fleet_status()["tractor_002"]["position"] == {
+            "x_m": pytest.approx(20.0, abs=0.05), "y_m": pytest.approx(5.0, abs=0.05),
+        }  # fmt: skip
+        for presser, reason in ((2, "PERSON_IN_FIELD"), (0, "OBSTACLE_DETECTED")):
+            await engines[presser].broadcast_emergency_stop(reason)
+            await elapse(0.05)
+        told = [(h["slot"], h["reason"], h["position"]["x_m"]) for h in heard[:2]]
+        assert told[0][:2] == (2, "PERSON_IN_FIELD") and told[1][:2] == (0, "OBSTACLE_DETECTED")
+        assert told[0][2] == pytest.approx(20.0, abs=0.05)
+        assert told[1][2] == pytest.approx(0.0, abs=0.05)
+
+    play(3, story)
+
+
+def test_m18_a_claim_of_a_machine_that_may_not_move_is_false_with_the_reason() -> None:
+    async def story(engines: list[FleetCoordinationEngine]) -> None:
+        engines[0]._operate(lambda peer, now: peer.safety.hold(now))
+        assert not await engines[0].claim_section("S7")
+        assert "NOT_STARTED" in engines[0].refusal
+        await elapse(0.1)
+        assert engines[1].get_field_allocation_state().owner_of(7) is None
+
+    play(2, story)
+
+
+def test_m18_a_plain_can_bus_is_wrapped_and_anything_else_refused() -> None:
+    async def main() -> None:
+        with can.Bus(interface="fieldbus", channel="plain") as bus:
+            assert isinstance(FleetCoordinationEngine("tractor_001", bus).bus, CanBus)
+        with pytest.raises(TypeError, match=r"can\.Bus"):
+            FleetCoordinationEngine("tractor_001", "can0")  # type: ignore[arg-type]
+        forget("plain")
+
+    run_virtual(main())
