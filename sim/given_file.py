@@ -42,6 +42,9 @@ def read_bytes(path: Path, bytes_max: int) -> bytes:
         raise GivenFileError(f"cannot be read: {problem.strerror}") from None
     except ValueError:  # a NUL in the name
         raise GivenFileError("cannot be read: that is no file name") from None
+    if stat.S_ISDIR(os.fstat(handle).st_mode):  # Python opens no file on a folder
+        os.close(handle)
+        raise GivenFileError("cannot be read: not a regular file")
     with os.fdopen(handle, "rb") as file:
         about = os.fstat(handle)
         if not stat.S_ISREG(about.st_mode):
