@@ -11,7 +11,7 @@ from typing import Final
 
 from agent.config import ADDRESS_FIRST, MS, S
 from protocol.codec import encode
-from protocol.name import Name
+from protocol.name import Name, tool_name
 from protocol.network_frames import AddressClaimed
 from protocol.safety_frames import AllImplementsStop, EmergencyReset, EmergencyStop, Reason, Switch
 from sim import scenario as kinds
@@ -91,6 +91,8 @@ def used_stop(cluster: Cluster, fault: kinds.UsedStop, rng: Random) -> Script[No
     word = encode(EmergencyStop(PANEL, incarnation, 0, Reason.PERSON_IN_FIELD), PANEL_ADDRESS)
     now_us = press_us
     with device(cluster) as bus:
+        # Its stops latch only from an address with a NAME of ours.
+        bus.submit(encode(AddressClaimed(tool_name(PANEL).pack()), PANEL_ADDRESS))
         while now_us <= over_us:
             bus.submit(word)
             now_us += every_us
