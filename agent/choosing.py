@@ -8,12 +8,17 @@ from math import cos, hypot, sin
 from typing import Final
 
 from agent.allocator import Job, Point, shares
-from agent.config import LEASE_US, S
+from agent.config import CONTROL_PERIOD_US, LEASE_US, S
 from agent.field import Field
 from agent.mission import Choice, FleetView
 from crdt import Phase
 
 UNTAKEN_US: Final = 5 * S  # claims take a quarter of a second, a parted view two
+AGAIN_US: Final = 20 * S  # a section that we gave back is left to others first; doubled each time
+AGAIN_TIMES: Final = 5  # at most to ten minutes: 255 hand-overs of a section last for two days
+STANDS_US: Final = 60 * S  # a live owner that stands keeps its sections so long: three leases
+STAYS_M: Final = 4.0  # an owner that moves on further than this does not stand
+FORGET_US: Final = 2 * CONTROL_PERIOD_US  # we were not free to choose: no time to count
 
 
 class Choosing:
@@ -23,12 +28,22 @@ class Choosing:
         self._plan: dict[int, list[Job]] = {}
         self._none_free = -1  # changes of the allocation when nothing was free
         self._left = -1, 0  # changes of the allocation when others were to choose, and since when
+        self._gave: dict[
+            int, tuple[int, int, int]
+        ] = {}  # section: until when it is left to others, times, units it had
+        self._stands: dict[int, tuple[Point, int, int]] = {}  # owner: where, units it had, how long
+        self._asked_us = 0
 
     def choose(self, view: FleetView, end: Point) -> Choice | None:
         """`end`: where we will be free."""
         self._reserve(view)
         taken = {s for sections in self.reserved.values() for s in sections}
-        free = [j for j in self._jobs(view) if j.section not in taken]
+        self._watch(view)
+        free = [
+            job
+            for job in self._jobs(view)
+            if job.section not in taken and not self._left_to_others(job.section, view)
+        ]
         if free:
             self._plan = shares(free, self._anchors(view, end), self.speed_m_s)
             mine = self._plan.get(view.slot)
@@ -101,7 +116,41 @@ class Choosing:
                     return self._bid(view, self._job(view, section))
             for section in sorted(view.allocation.assigned_sections(slot), reverse=True):
                 return self._bid(view, self._job(view, section))._replace(takeover=True)
+        for slot, (_, _, stood_us) in sorted(self._stands.items()):
+            for section in view.allocation.assigned_sections(slot):
+                if stood_us >= STANDS_US and not self._left_to_others(section, view):
+                    del self._stands[slot]
+                    return self._bid(view, self._job(view, section))._replace(takeover=True)
         return None
+
+    def gave_back(self, section: int, units: int, now_us: int) -> None:
+        """We got nowhere with it: others first, for longer each time, until one of them gets on.
+        `units`: done of it."""
+        times = self._gave.get(section, (0, 0, 0))[1] + 1
+        until_us = now_us + (AGAIN_US << min(times - 1, AGAIN_TIMES))
+        self._gave[section] = until_us, times, units
+
+    def _left_to_others(self, section: int, view: FleetView) -> bool:
+        until_us, _, units = self._gave.get(section, (0, 0, 0))
+        return view.now_us < until_us and view.progress.covered(section) <= units
+
+    def _watch(self, view: FleetView) -> None:
+        """How long live owners have stood without a unit more. Only time in which we were free to
+        choose counts: in a stop of all nobody gets on."""
+        passed_us, self._asked_us = view.now_us - self._asked_us, view.now_us
+        seen: dict[int, tuple[Point, int, int]] = {}
+        for slot in view.live - {view.slot}:
+            neighbour, owned = view.neighbours.get(slot), view.allocation.assigned_sections(slot)
+            if neighbour is None or not owned:
+                continue
+            at = neighbour.pose.x_m, neighbour.pose.y_m
+            units = sum(view.progress.covered(section) for section in owned)
+            was, had, stood_us = self._stands.get(slot, (at, units, 0))
+            if had != units or hypot(at[0] - was[0], at[1] - was[1]) > STAYS_M:
+                was, stood_us = at, 0
+            stood_us += passed_us if passed_us <= FORGET_US else 0
+            seen[slot] = was, units, stood_us
+        self._stands = seen
 
     def _job(self, view: FleetView, section: int) -> Job:
         return Job(section, 0.0, self.field.section(section).ends)

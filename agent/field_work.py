@@ -18,6 +18,7 @@ from agent.mission import STILL, Choice, FleetView, Wish
 from agent.parking import Parking
 from agent.route import Route
 from agent.shove import Shove
+from agent.stall import Headway
 from agent.tracker import Tracker
 
 ASTRAY_M: Final = (
@@ -53,9 +54,10 @@ class FieldWork:
         self.lifted = False  # the implement was up since we last looked
         self.lifted_to_m = 0.0  # along the leg, until where it was
         self.shove = Shove()
+        self.headway = Headway()
         self.worked: set[int] = set()  # units of the current section done since it was begun
         self.heading_to: int | Point | None = None  # section or place an approach path leads to
-        self.parking = Parking(field, radius_m)
+        self.parking = Parking(field, radius_m, speed_m_s)
         self.blockage = Blockage(route, radius_m, deceleration_m_s2, self.beside_m)
 
     @property
@@ -98,18 +100,24 @@ class FieldWork:
         self._look_round(view)
         if self.heading_to != goal or (self.tracker is None and not self.legs):
             self.heading_to, self.tracker = goal, None
-            self.legs = [Leg(self.blockage.way.path((view.here.x_m, view.here.y_m), goal))]
+            self.legs = [Leg(self.blockage.path((view.here.x_m, view.here.y_m), goal, view))]
         return self._drive(view)[0]
 
     def begin(self, section: int, view: FleetView) -> None:
         self.section, self.heading_to = self.field.section(section), None
         self.worked.clear()
+        self.headway.begin()
         self.parking.forget()
         self.legs, self.tracker = self._legs(self.section, view), None
 
     def abandon(self) -> None:
         self.section, self.heading_to = None, None
         self.legs, self.tracker = [], None
+
+    def stalled(self, view: FleetView) -> None:
+        """Another way from here, round who stands near by; what they stand on comes last."""
+        self.blockage.stand_before(view)
+        self._go_round(view)
 
     def interrupted(self) -> None:
         """The implement is up: the unit under way, if there is one, has to be worked again."""
@@ -128,7 +136,7 @@ class FieldWork:
             here = (view.here.x_m, view.here.y_m)
             if _distance(here, spot) <= self.tolerance_m:
                 return STILL
-            self.legs, self.tracker = [Leg(self.blockage.way.path(here, spot))], None
+            self.legs, self.tracker = [Leg(self.blockage.path(here, spot, view))], None
         return self._drive(view)[0]
 
     def work(self, view: FleetView) -> Wish:
@@ -145,8 +153,21 @@ class FieldWork:
             return _covering(wish, covered, True, True)
         if self.tracker is None and not self.legs:
             self.legs = self._legs(self.section, view)
+            self.headway.again()
+        if self.headway.look(bool(covered), self._left_m, view.now_us):
+            self.stalled(view)
+        if self.headway.lost:
+            self.choosing.gave_back(self.section.id, self.section.units - missing, view.now_us)
+            self.abandon()
+            return wish._replace(covered=tuple(covered), tool_on=False, given_up=True)
         left_s = missing * self.field.unit_m / self.speed_m_s
         return _covering(wish, covered, False, left_s < NEAR_END_S)
+
+    @property
+    def _left_m(self) -> float:
+        """What is left of all legs."""
+        now_m = 0.0 if self.tracker is None else self.tracker.total_m - self.tracker.along_m
+        return now_m + sum(leg.length_m for leg in self.legs)
 
     def _missing(self, view: FleetView) -> int:
         """Units of the section that nobody has covered and that can be."""
@@ -278,7 +299,7 @@ class FieldWork:
             if _distance(at, last) + 1e-6 < _distance(at, first):
                 leg = Leg(leg.points[::-1], leg.units[::-1])
             if _distance(at, leg.points[0]) > self.tolerance_m:
-                legs.append(Leg(self.blockage.way.path(at, leg.points[0])))
+                legs.append(Leg(self.blockage.path(at, leg.points[0], view)))
             legs.append(leg)
             at = leg.points[-1]
         return legs

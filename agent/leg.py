@@ -1,5 +1,6 @@
 """A polyline that a robot with an implement drives in one go: at work on a section, or on its way."""
 
+from itertools import pairwise
 from math import dist, hypot
 from typing import Final, NamedTuple
 
@@ -29,6 +30,10 @@ class Leg(NamedTuple):
 
     points: tuple[Point, ...]
     units: tuple[int, ...] = ()
+
+    @property
+    def length_m(self) -> float:
+        return sum(dist(a, b) for a, b in pairwise(self.points))
 
 
 def working_leg(

@@ -100,6 +100,15 @@ class Talk(Protocol):
 
 
 @runtime_checkable
+class Replanning(Protocol):
+    """A mission that can look for another way when its robot gets nowhere."""
+
+    def stalled(self, view: FleetView) -> None:
+        """It wanted to drive for seconds and did not: plan again, from where it is."""
+        ...
+
+
+@runtime_checkable
 class Underway(Protocol):
     """A mission that can tell where its robot means to drive; for people who watch, not for peers."""
 

@@ -4,17 +4,22 @@ Running away from whoever comes near ends in a corner, and a robot in a corner b
 leads into it for good. So it leaves in time, for the nearest place with room on every side: the middle
 of a unit that is done and lies next to no open one. And it leaves where one that works is beside it and
 does not get on: that one may have nowhere to go but past it.
+
+Where there is no such room, in a field hardly larger than the fleet or before anything is done, it stands
+where those that work come latest, by the lines that they hold and the order in which they drive them.
 """
 
 import itertools
 from collections.abc import Iterable, Sequence
+from functools import cached_property
 from math import hypot
 from typing import Final
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 
-from agent.config import S
+from agent.config import MS, S
 from agent.field import Field, Polyline
 from agent.giving_way import APART_M as PAST_M
 from agent.giving_way import NEAR_M
@@ -33,11 +38,23 @@ STRAY_M: Final = 4.0  # who goes to and fro within this does not get on: a detou
 LOOK_US: Final = 1 * S  # open lines change with units, and a unit takes seconds
 NEAR_MAX: Final = 200  # places looked at, nearest first: a field has room near by or not at all
 SAMPLE_M: Final = 1.0  # of open lines
+# Where there is no room on every side:
+PASS_M: Final = (
+    0.35  # between hulls, beside a line on which one that works passes us: ORCA's margin twice
+)
+FENCE_M: Final = 0.3  # and to a fence
+AROUND_M: Final = 12.0  # places are looked for so far away
+GROUND_M: Final = 0.75  # between places that are looked at
+SOON_S: Final = 12.0  # somebody comes so soon: leave now
+LATE_S: Final = 60.0  # later than this is all the same
+GAIN_S: Final = 1.0  # what another place must be better by
+HASTY_US: Final = 250 * MS  # it is looked so often where somebody comes soon
 
 
 class Parking:
-    def __init__(self, field: Field, radius_m: float) -> None:
-        self.field, self.radius_m = field, radius_m
+    def __init__(self, field: Field, radius_m: float, speed_m_s: float = 2.5) -> None:
+        self.field, self.radius_m, self.speed_m_s = field, radius_m, speed_m_s
+        self._look_us = LOOK_US
         self.spot: Point | None = None  # where to go; none: stay
         self._looked_us: int | None = None
         self._beside: dict[
@@ -51,9 +68,9 @@ class Parking:
 
     def look(self, view: FleetView) -> None:
         """Once a second: is there a reason to leave, and where to?"""
-        if self._looked_us is not None and view.now_us - self._looked_us < LOOK_US:
+        if self._looked_us is not None and view.now_us - self._looked_us < self._look_us:
             return
-        self._looked_us = view.now_us
+        self._looked_us, self._look_us = view.now_us, LOOK_US
         open_lines = _samples(self._units(view, done=False))
         here = (view.here.x_m, view.here.y_m)
         self._watch(view)
@@ -113,7 +130,77 @@ class Parking:
         for at in middles[:NEAR_MAX]:
             if self._free(at, open_lines, view):
                 return at
-        return max(middles[:NEAR_MAX], key=lambda at: (_gap_m(at, open_lines), at), default=None)
+        return self._latest(here, view)
+
+    # ---------------------------------------------------------------- where there is no room
+
+    def _latest(self, here: Point, view: FleetView) -> Point | None:
+        """The place near by where those that work come latest, the way there taken off; none: stay."""
+        arrivals = self._arrivals(view)
+        places = np.vstack(([here], self._ground(here)))
+        coming_s = np.full(len(places), LATE_S)
+        reach_m = 2 * self.radius_m + PASS_M
+        for x_m, y_m, at_s in arrivals:
+            near = np.hypot(places[:, 0] - x_m, places[:, 1] - y_m) < reach_m
+            coming_s[near] = np.minimum(coming_s[near], at_s)
+        if coming_s[0] < SOON_S:
+            self._look_us = HASTY_US
+        for slot, (pose, _) in view.neighbours.items():
+            gap_m = np.hypot(places[:, 0] - pose.x_m, places[:, 1] - pose.y_m)
+            taken = gap_m < reach_m
+            taken[0] &= slot < view.slot and pose.state != State.WORKING
+            coming_s[taken] = 0.0
+        worth_s = (
+            coming_s - np.hypot(places[:, 0] - here[0], places[:, 1] - here[1]) / self.speed_m_s
+        )
+        best = int(np.argmax(worth_s))
+        if coming_s[0] >= SOON_S or worth_s[best] < worth_s[0] + GAIN_S:
+            return None
+        return float(places[best, 0]), float(places[best, 1])
+
+    def _arrivals(self, view: FleetView) -> list[tuple[float, float, float]]:
+        """Places that others will pass at work, and in how many seconds, by what they hold."""
+        found: list[tuple[float, float, float]] = []
+        for slot, (pose, _) in view.neighbours.items():
+            at, so_far_m = (pose.x_m, pose.y_m), 0.0
+            if slot not in view.live:
+                continue
+            for number in view.allocation.assigned_sections(slot):
+                section = self.field.section(number)
+                left = [
+                    line
+                    for unit, line in enumerate(section.unit_lines)
+                    if not view.progress.has(number, unit)
+                ]
+                if not left:
+                    continue
+                first, last = left[0][0], left[-1][-1]
+                if _distance(at, last) < _distance(at, first):
+                    left = [line[::-1] for line in reversed(left)]
+                for line in left:
+                    for x_m, y_m in _samples([(at, line[0]), line]).tolist():
+                        so_far_m += _distance(at, (x_m, y_m))
+                        at = x_m, y_m
+                        found.append((x_m, y_m, so_far_m / self.speed_m_s))
+                if so_far_m > LATE_S * self.speed_m_s:
+                    break
+        return found
+
+    @cached_property
+    def _free_ground(self) -> shapely.Geometry:
+        free = self.field.polygon.buffer(-self.radius_m - FENCE_M)
+        shapely.prepare(free)
+        return free
+
+    def _ground(self, here: Point) -> NDArray[np.float64]:
+        """Places (n, 2) of free ground round us."""
+        steps = np.arange(-AROUND_M, AROUND_M + GROUND_M, GROUND_M)
+        x_m, y_m = np.meshgrid(
+            np.round(here[0] / GROUND_M) * GROUND_M + steps,
+            np.round(here[1] / GROUND_M) * GROUND_M + steps,
+        )
+        inside = shapely.contains_xy(self._free_ground, x_m, y_m)
+        return np.column_stack((x_m[inside], y_m[inside]))
 
 
 def _middle(line: Polyline) -> Point:
@@ -139,6 +226,10 @@ def _samples(lines: Iterable[Sequence[Point]]) -> NDArray[np.float64]:
             ]
         found.append(line[-1])
     return np.array(found, dtype=np.float64).reshape(-1, 2)
+
+
+def _distance(a: Point, b: Point) -> float:
+    return hypot(a[0] - b[0], a[1] - b[1])
 
 
 def _gap_m(at: Point, points: NDArray[np.float64]) -> float:

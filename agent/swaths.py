@@ -21,6 +21,10 @@ from agent.ring_corners import cut_at_corners
 SWEEP_DEG = 10.0  # angles tried besides the directions of the edges
 EDGE_SHARE_MIN = 0.05  # edges shorter than this share of the outline propose no angle
 CORNER_RAD = 0.05  # a smaller turn leaves no gap that the overlap would not close
+UNITS_LEAST = (
+    8  # of a whole field: in a tiny one, what is done beside somebody who stands there counts
+)
+UNIT_LEAST_M = 1.0  # three times the lead of a stretch
 CUT_STEP_M = 1.0  # how finely a straight place for a cut is looked for
 KEEP_MORE_M = 0.35  # the lead-out of a stretch, beyond its end
 PIECE_MIN_M = 0.05  # strips that touch the deep part by less are served by the ring
@@ -57,6 +61,8 @@ def divide(
         bundles += _strip_bundles(
             deep, _best_angle(polygon, deep, strip_m), strip_m, section_length_m
         )
+    work_m = sum(_length(swath) for bundle in bundles for swath in bundle)
+    unit_m = min(unit_m, max(UNIT_LEAST_M, work_m / UNITS_LEAST))
     sections = tuple(
         Section(number, tuple(swaths), tuple(max(1, round(_length(s) / unit_m)) for s in swaths))
         for number, swaths in enumerate(bundles)
@@ -122,7 +128,8 @@ def _along(ring: LineString, start: float, end: float) -> list[tuple[float, ...]
 
 
 def _straight(ring: LineString, cut: float, width_m: float) -> float:
-    """The arc length nearest to `cut` that is half a width from every corner; `cut` if there is none."""
+    """The arc length nearest to `cut` that is half a width from every corner; where there is none, the
+    one that is furthest from corners, so that a short ring closes on a straight piece too."""
     points = list(ring.coords)
     corners, along = [], 0.0
     for k, (a, b) in enumerate(itertools.pairwise(points)):
@@ -142,7 +149,14 @@ def _straight(ring: LineString, cut: float, width_m: float) -> float:
         (k * CUT_STEP_M * sign for k in range(int(length / 2)) for sign in (1, -1)), key=abs
     )
     free = (cut + step for step in steps if room((cut + step) % length) >= width_m / 2 + CUT_STEP_M)
-    return float(next(free, cut) % length)
+    found = next(free, None)
+    if found is None:
+        marks = [*corners, corners[0] + length] if corners else [cut, cut]
+        widest = max(
+            itertools.pairwise(marks), key=lambda gap: (round(gap[1] - gap[0], 6), -gap[0])
+        )
+        found = (widest[0] + widest[1]) / 2
+    return float(found % length)
 
 
 def _best_angle(polygon: Polygon, deep: BaseGeometry, strip_m: float) -> float:

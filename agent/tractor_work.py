@@ -66,6 +66,7 @@ class TractorWork(FieldWork):
         going = self.heading_to == section
         self.section, self.heading_to = self.field.section(section), None
         self.worked.clear()
+        self.headway.begin()
         if not (going and self.legs):
             self.legs, self.follow, self.joined = self._legs(self.section, view), None, False
         self.tracker = self.follow  # type: ignore[assignment]

@@ -1,22 +1,29 @@
 """What a control period does: decide, claim, work, drive. Sense came before; the gate comes last."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from math import hypot
+from typing import TYPE_CHECKING, Final
 
 from agent.config import ACTUATOR_TTL_US
-from agent.effects import Effect, Trace
+from agent.effects import Effect, Send, Trace
 from agent.lifecycle import IDLE, WORKING, Event
-from agent.mission import STILL, FleetView, Sweeping, Wish
+from agent.mission import STILL, FleetView, Replanning, Sweeping, Wish
 from agent.motion import Motion
+from agent.stall import Advice, Stall
+from protocol.operator_frames import Matter, OperatorReport
 
 if TYPE_CHECKING:
     from agent.core import Peer
+
+NEAR_M: Final = 1.8  # between two hulls: one that is further away is not what we wait for
 
 
 class Working:
     def __init__(self, peer: "Peer") -> None:
         self.peer = peer
         self._sweeping = peer.mission if isinstance(peer.mission, Sweeping) else None
+        self._replanning = peer.mission if isinstance(peer.mission, Replanning) else None
+        self.stall = Stall()
         self._drove_us = 0  # the newest command to the actuator
 
     def start_due(self, now_us: int) -> Sequence[Effect]:
@@ -66,7 +73,31 @@ class Working:
         peer.senses.drove(drive)
         if not drive.tool_on:
             peer.mission.interrupted()
+        effects += self._watch(view)
         return [drive, *effects]
+
+    def _watch(self, view: FleetView) -> Sequence[Effect]:
+        """Nobody stands for long with a wish: the mission plans again, and people are told."""
+        peer, here, wish = self.peer, view.here, self.peer.wish
+        if self._replanning is None or not peer.safety.may_move:
+            return ()
+        if peer.pause is not None and peer.pause.things:
+            return ()  # it creeps round what an operator knows of, and asks again by itself
+        near_m = NEAR_M + 2 * getattr(getattr(peer.motion, "limits", None), "radius_m", 0.0)
+        crowded = any(
+            hypot(n.pose.x_m - here.x_m, n.pose.y_m - here.y_m) < near_m
+            for n in view.neighbours.values()
+        )
+        wants_m_s = hypot(wish.vx_m_s, wish.vy_m_s)
+        advice = self.stall.look((here.x_m, here.y_m), wants_m_s, crowded, view.now_us)
+        if advice is None:
+            return ()
+        self._replanning.stalled(view)
+        what = f"at {here.x_m:.1f}, {here.y_m:.1f}, plan {self.stall.plans}"
+        told = Trace("stall", "", advice.name, "", what)
+        if advice is Advice.REPLAN:
+            return [told]
+        return [Send(OperatorReport(peer.slot, 0, Matter.STALLED, here.x_m, here.y_m)), told]
 
     def _wish(self, view: FleetView, effects: list[Effect]) -> Wish:
         peer, now_us = self.peer, view.now_us
@@ -114,5 +145,6 @@ class Working:
             effects += peer.voice.flush(peer, view.now_us)
             effects += peer.finish(section, view.now_us)
         elif wish.given_up:
+            effects += peer.voice.flush(peer, view.now_us)
             effects += peer.release(section, view.now_us)
         return wish

@@ -26,6 +26,7 @@ class Matter(IntEnum):
     ARRIVED = 6  # there
     REFUSED = 7  # the order cannot be obeyed now
     WORKING = 8  # back from where it was sent to
+    STALLED = 9  # it wants to drive, gets nowhere, and plans again
 
 
 class OperatorReport(NamedTuple):

@@ -53,3 +53,27 @@ def test_a_way_round_a_body_keeps_its_reach_at_any_grid(tmp_path: Path) -> None:
     for end in ((-20.0, 1.0), (-20.0, -20.0), (3.0, -20.0)):
         way = LineString(route.round([body], reach_m).path(end, (-end[0], -end[1])))
         assert way.distance(Point(body)) >= reach_m - 1e-6
+
+
+@pytest.mark.parametrize("seed", (1, 2))
+@pytest.mark.parametrize("side_m", (6.0, 8.0))
+@pytest.mark.parametrize("robots", (1, 2))
+def test_m3_a_field_of_a_few_metres_is_finished(
+    side_m: float, robots: int, seed: int, tmp_path: Path
+) -> None:
+    made = scenario(tmp_path, rectangle(side_m, side_m), robots, seed, time_limit_s=400.0)
+    outcome = Expedition(Setting(made)).run()
+    assert outcome.success, outcome
+
+
+@pytest.mark.parametrize("robots", (2, 4, 6))
+def test_m26_six_robots_in_a_small_field_get_on(robots: int, tmp_path: Path) -> None:
+    made = scenario(tmp_path, rectangle(20.0, 20.0), robots, 1, time_limit_s=200.0)
+    outcome = Expedition(Setting(made)).run()
+    assert outcome.success, outcome
+
+
+def test_m4_a_field_hardly_wider_than_the_implement_is_finished(tmp_path: Path) -> None:
+    made = scenario(tmp_path, rectangle(60.0, 60.0), 3, 1, implement_width_m=59.0)
+    outcome = Expedition(Setting(made)).run()
+    assert outcome.success, outcome
