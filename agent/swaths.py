@@ -24,6 +24,7 @@ CORNER_RAD = 0.05  # a smaller turn leaves no gap that the overlap would not clo
 UNITS_LEAST = (
     8  # of a whole field: in a tiny one, what is done beside somebody who stands there counts
 )
+SHARP_CORNERS_MAX = 8  # a ring with more of them is rounded
 UNIT_LEAST_M = 1.0  # three times the lead of a stretch
 CUT_STEP_M = 1.0  # how finely a straight place for a cut is looked for
 KEEP_MORE_M = 0.35  # the lead-out of a stretch, beyond its end
@@ -150,8 +151,10 @@ def _straight(ring: LineString, cut: float, width_m: float) -> float:
     )
     free = (cut + step for step in steps if room((cut + step) % length) >= width_m / 2 + CUT_STEP_M)
     found = next(free, None)
-    if found is None:
-        marks = [*corners, corners[0] + length] if corners else [cut, cut]
+    if found is None and not 0 < len(corners) <= SHARP_CORNERS_MAX:
+        found = cut  # it turns in small steps, round a hole: the bar leaves nothing out at one
+    elif found is None:
+        marks = [*corners, corners[0] + length]
         widest = max(
             itertools.pairwise(marks), key=lambda gap: (round(gap[1] - gap[0], 6), -gap[0])
         )
