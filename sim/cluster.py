@@ -265,7 +265,9 @@ class Cluster:
             self._tool.subscribe(self._answer)
             self._tool.tell_sent(self._said)
         if source not in self._tools and not ADDRESS_FIRST <= source <= ADDRESS_LAST:
-            self._tools.add(source)  # a device of ours; what speaks from a robot's address is forged
+            self._tools.add(
+                source
+            )  # a device of ours; what speaks from a robot's address is forged
             self._tool.submit(tool_claim(source))
         self._tool.submit(encode(message, source))
 

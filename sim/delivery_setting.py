@@ -147,7 +147,9 @@ class DeliverySetting(ErrandSetting):
 def floor_of(scenario: WarehouseScenario) -> Floor:
     table = scenario.warehouse
     drawn = "\n" in table.map  # the map itself
-    path = scenario.folder if drawn else scenario.folder / table.map  # an absolute one stays as it is
+    path = (
+        scenario.folder if drawn else scenario.folder / table.map
+    )  # an absolute one stays as it is
     try:
         text = table.map if drawn else read_text(path, DRAWING_BYTES_MAX)
         return Floor.drawn(text, table.cell_m, scenario.fleet.radius_m)

@@ -107,7 +107,14 @@ class ErrandSetting:
         fleet = self.scenario.fleet
         braking_m_s2 = BRAKING_SHARE * fleet.acceleration_m_s2
         return Errands(
-            slot, self.goals, self.floor, fleet.speed_m_s, braking_m_s2, self.agrees, chart, now_us,
+            slot,
+            self.goals,
+            self.floor,
+            fleet.speed_m_s,
+            braking_m_s2,
+            self.agrees,
+            chart,
+            now_us,
             fleet.asks,
         )
 

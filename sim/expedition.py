@@ -13,6 +13,7 @@ from sim.cluster import Cluster
 from sim.coverage_truth import Coverage, coverage, sample_points
 from sim.faults import FaultPlan
 from sim.host import Handle, Host, LoopHost, Script, follow
+from sim.implement_contacts import implement_contacts
 from sim.outcome import Outcome
 from sim.setting import Setting
 from sim.settling import quiet_us
@@ -160,4 +161,7 @@ class Expedition:
             travel_m=sum(body.track.driven_m for body in world.robots.values()),
             simulated_s=now_s,
             wall_s=wall_s,
+            implement_contacts=implement_contacts(
+                self.tracks, field.implement_width_m, scenario.fleet.radius_m
+            ),
         )

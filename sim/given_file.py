@@ -104,7 +104,10 @@ def parse_toml(text: str) -> dict[str, Any]:
         raise GivenFileError(f"not TOML of ours: a key of more than {DOTS_MAX} parts")
     try:
         return tomllib.loads(text)
-    except (ValueError, RecursionError) as problem:  # a number of 5,000 digits is a plain ValueError
+    except (
+        ValueError,
+        RecursionError,
+    ) as problem:  # a number of 5,000 digits is a plain ValueError
         raise GivenFileError(f"not TOML: {_told(problem)}") from None
 
 

@@ -24,7 +24,9 @@ LINE_MAX = 256  # bytes of a command; the longest valid one has 180, with sign-e
 READ_BYTES = 1024  # of one client in one turn: fifty frames, a millisecond of work
 BACKLOG_BYTES_MAX = 1 << 20  # unread by a client, answers included: about ten seconds of a full bus
 ERRORS_MAX = 1000  # commands without sense, then it is no client of ours
-COMMANDS_S = 2000  # of one client in a second: a whole bus of 250 kbit/s; then it is read more slowly
+COMMANDS_S = (
+    2000  # of one client in a second: a whole bus of 250 kbit/s; then it is read more slowly
+)
 QUIET_S = 0.05  # after "rawmode": python-can's client takes what follows in one read for the answer
 DRAIN_S = 2.0  # for the queue of a closed client: 256 frames are 0.15 s of a whole bus
 DRAIN_LOOK_S = 0.01  # whether it is empty

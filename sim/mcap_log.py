@@ -83,7 +83,9 @@ class McapLog:
             data = json.dumps(scene).encode()
             begun_ns = begun_us * 1000
             self._writer.add_attachment(begun_ns, begun_ns, FILE, "application/json", data)
-            self._add("/scene", SCENE_UPDATE, begun_us, {"entities": [outline(scene)], "deletions": []})
+            self._add(
+                "/scene", SCENE_UPDATE, begun_us, {"entities": [outline(scene)], "deletions": []}
+            )
 
     def write(self, t_us: int, frame: Frame) -> None:
         seconds, micros = divmod(t_us, 1_000_000)

@@ -338,11 +338,17 @@ MUTANTS: dict[str, Mutant] = {
     ),
     "permit-of-any": Mutant(
         "the permit of one shortcut button ends the stop of all",
-        ShortcutButtons, "hear", _permits_all, "devices",
+        ShortcutButtons,
+        "hear",
+        _permits_all,
+        "devices",
     ),
     "used-stop-ignored": Mutant(
         "a stop whose name was cleared before is not heard",
-        Safety, "_press_spent", _constant(()), "devices",
+        Safety,
+        "_press_spent",
+        _constant(()),
+        "devices",
     ),
     "standard-stop-once": Mutant(
         "the standard stop is said once", OwnButton, "say", _constant(None), "devices"

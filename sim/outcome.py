@@ -35,6 +35,7 @@ class Outcome(NamedTuple):
     travel_m: float  # what all robots drove
     simulated_s: float
     wall_s: float
+    implement_contacts: int = 0  # of bars, raised or down, with bars and bodies; not judged
 
     @property
     def success(self) -> bool:

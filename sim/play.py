@@ -285,7 +285,9 @@ class Play:
         stood = words.speakers[slot].stopped and words.speakers[slot].stopped_us <= pressed_us + S
         calm = self._trouble_us < pressed_us and self._one_bus and self.cluster.is_up(slot)
         if stood and calm and now_us - words.implements_stop_us > FORGET_US:
-            self._add("S20", now_us / 1e6, f"robot {slot} stands, and no robot says it to implements")
+            self._add(
+                "S20", now_us / 1e6, f"robot {slot} stands, and no robot says it to implements"
+            )
 
     def _delivered(self, watch: int) -> None:
         if self._delivering.pop(watch, None) is not None:

@@ -27,7 +27,9 @@ class Recording:
         self.intents: Notes = []  # of a robot each, see `sim.intent`
         self.things: Notes = []  # what stands in the world from then on: {"rows": [...]}
         self.ended = False  # nothing more will come
-        self.clock: Callable[[], int] | None = None  # microseconds, of a live bus: quiet is time, too
+        self.clock: Callable[[], int] | None = (
+            None  # microseconds, of a live bus: quiet is time, too
+        )
         self.forgets = False  # what is old, at any time: see `sim.live_recording`
         self.digest = FramesDigest()
         self._since_us = 0
@@ -96,7 +98,6 @@ class Recording:
         ends = [self.t_us(self.count - 1)] if self.count > self.first else [0]
         ends += [notes[-1][0] for notes in (self.intents, self.things) if notes]
         return max(ends)
-
 
     @property
     def quiet_us(self) -> int:

@@ -378,7 +378,9 @@ def _check_islands(islands: list[list[int]], robots: int, where: str) -> None:
     known: set[int] = set()
     for robot in (slot for island in islands for slot in set(island)):
         if robot >= robots:
-            raise ScenarioError(f"{where}: robot {robot} is not one of {robots} (0 to {robots - 1})")
+            raise ScenarioError(
+                f"{where}: robot {robot} is not one of {robots} (0 to {robots - 1})"
+            )
         if robot in known:
             raise ScenarioError(f"{where}: robot {robot} is on two islands")
         known.add(robot)

@@ -101,7 +101,10 @@ class StopWatch:
 
     def disturbed(self, until_us: int) -> None:
         """Trouble of links or members, until then."""
-        self._disturbed_us, self.disturbances = max(self._disturbed_us, until_us), self.disturbances + 1
+        self._disturbed_us, self.disturbances = (
+            max(self._disturbed_us, until_us),
+            self.disturbances + 1,
+        )
         for number in list(self._levels):
             self.end_level(number)
 

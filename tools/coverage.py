@@ -58,7 +58,9 @@ def solve(
             if export.suffix not in (".map", ".mcpp"):
                 raise GridFileError(f"{export}: an export ends in .map or .mcpp")
             write_instance(export, instance)
-        raise SystemExit(solved(instance, turn_cost, *events, out, json, reachable_only or map is None))
+        raise SystemExit(
+            solved(instance, turn_cost, *events, out, json, reachable_only or map is None)
+        )
     except (GridFileError, OSError) as error:
         typer.echo(f"headland: {error}", err=True)
         raise SystemExit(2) from None
@@ -186,7 +188,9 @@ def _check_size(walls: "NDArray[np.bool_]") -> None:
 
     free = int(walls.size - walls.sum())
     if free > FREE_CELLS_MAX:
-        raise GridFileError(f"{free} free cells; up to {FREE_CELLS_MAX} are planned: divide the map")
+        raise GridFileError(
+            f"{free} free cells; up to {FREE_CELLS_MAX} are planned: divide the map"
+        )
 
 
 def _check_turn_cost(steps: float) -> None:

@@ -15,7 +15,9 @@ from tools.operator_device import Operator, Robot
 REPEAT_S = 0.005
 LISTEN_S = 0.5  # long enough for ten beats: who has not been heard by then is not there
 AGAIN_S = 0.1  # nobody latched by then: the dot may have been used and cleared long ago; another
-SIGN_AGAIN_S = 0.5  # an echo is said once for each dot: where one was lost, another dot gets another
+SIGN_AGAIN_S = (
+    0.5  # an echo is said once for each dot: where one was lost, another dot gets another
+)
 FIRST_STOP = 1  # stops that this device has said in the standard frame, since it was started
 NOT_ALL, WRONG = 1, 2
 NOT_SIGNED = (

@@ -20,7 +20,12 @@ UNFINISHED, WRONG = 1, 2  # exit codes; 0 only for a run without a flaw
 
 
 def explore(
-    scenario: str, robots: int | None, seed: int | None, to: Path | None, as_json: bool, animate: bool
+    scenario: str,
+    robots: int | None,
+    seed: int | None,
+    to: Path | None,
+    as_json: bool,
+    animate: bool,
 ) -> int:
     console = Console(stderr=as_json)
     try:

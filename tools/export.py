@@ -18,7 +18,9 @@ def export(folder: Path, isoxml: Path | None, geojson: Path | None) -> int:
         return 2
     try:
         if not (folder / RECORD).exists() and (folder / REPORT).exists():
-            raise FieldFileError(f"{folder}: no {RECORD}; only a headland run of a field leaves one")
+            raise FieldFileError(
+                f"{folder}: no {RECORD}; only a headland run of a field leaves one"
+            )
         record = read_work_geojson(folder / RECORD)
         _check(folder)
         if isoxml is not None:

@@ -82,9 +82,7 @@ def run(
         raise SystemExit(haul(scenario, robots, seed, out, json, keys, live, port, seconds, limit))
     page = page_port if show_map else None
     raise SystemExit(
-        command(
-            scenario, robots, seed, out, json, keys, log or [], feature, drive, page, limit
-        )
+        command(scenario, robots, seed, out, json, keys, log or [], feature, drive, page, limit)
     )
 
 

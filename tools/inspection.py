@@ -330,7 +330,9 @@ def _show(console: Console, seen: dict[str, Any]) -> None:
         console.print(f"[bold red]EMERGENCY STOP latched: {', '.join(seen['latched'])}")
     if seen["unknown"]:
         groups = [f"{n} {name}" for name, n in seen["unknown"].items()]
-        more = f" and {len(groups) - UNKNOWN_SHOWN} more groups" if len(groups) > UNKNOWN_SHOWN else ""
+        more = (
+            f" and {len(groups) - UNKNOWN_SHOWN} more groups" if len(groups) > UNKNOWN_SHOWN else ""
+        )
         console.print(f"not of Headland: {', '.join(groups[:UNKNOWN_SHOWN])}{more}")
     if seen["malformed"]:
         console.print(f"malformed: {seen['malformed']}")

@@ -64,7 +64,9 @@ class Launch:
         self, setting: AnySetting, name: str, fleet: Fleet, console: Console, keys: Path | None,
         page_port: int | None = None,
     ) -> None:  # fmt: skip
-        self.operator_key: str | None = None  # file of the map; its page may release and start with it
+        self.operator_key: str | None = (
+            None  # file of the map; its page may release and start with it
+        )
         self.fleet, out = fleet, fleet.folder
         self.page_port, self.log_hash, self.logs = page_port, "", ""
         self.segment = 0  # of a fleet of several; 0: there are no others
@@ -117,9 +119,7 @@ class Launch:
             "robots": sorted(self.world.robots),
         }  # fmt: skip
         going_on = self._furnish(bodies, bus)
-        bodies.relay.keep = lambda intent: keeping.tell(
-            epoch_us + round(loop.time() * 1e6), intent
-        )
+        bodies.relay.keep = lambda intent: keeping.tell(epoch_us + round(loop.time() * 1e6), intent)
         (self.out / "bus.json").write_text(dumps(where))
         (self.out / "places.toml").write_text(self._places())
         self.console.print(
@@ -329,8 +329,7 @@ class Launch:
             self.console.print(f"report.json is not written: {written.why}")
         how = "finished" if finished else "not finished"
         self.console.print(
-            f"{how} after {elapsed_s:.0f} s: {verdict}; "
-            f"report.json, {self.logs} are in {self.out}"
+            f"{how} after {elapsed_s:.0f} s: {verdict}; report.json, {self.logs} are in {self.out}"
         )
         if self.difference:
             self.console.print(f"[red]{self.difference}[/red]")

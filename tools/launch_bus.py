@@ -17,9 +17,7 @@ Tap = Callable[[int, Frame], None]  # microseconds of the monotonic clock, as th
 
 def viewer_command(host: str, port: int) -> str:
     """What shows the frames of the bus at a terminal; python-can from 4.6 takes it."""
-    return (
-        f"python -m can.viewer -i socketcand -c {CHANNEL} --bus-kwargs host={host} port={port}"
-    )
+    return f"python -m can.viewer -i socketcand -c {CHANNEL} --bus-kwargs host={host} port={port}"
 
 
 class LaunchBus(Protocol):

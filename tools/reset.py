@@ -100,8 +100,12 @@ def word(operator: Operator, robot: Robot, start: bool) -> str:
         return "NOT HEARD: nobody knows what it does; see that it stands, is switched on and on this bus"
     if robot.stopped or robot.state is State.EMERGENCY_STOP:
         if operator.keyring is None:
-            return "NOT RELEASED: it holds a stop or a fault; a fleet with keys needs --operator-key"
-        return "NOT RELEASED: it holds a stop that was not cleared, or a fault at the machine; again"
+            return (
+                "NOT RELEASED: it holds a stop or a fault; a fleet with keys needs --operator-key"
+            )
+        return (
+            "NOT RELEASED: it holds a stop that was not cleared, or a fault at the machine; again"
+        )
     if robot.state is State.DISCONNECTED:
         return "NOT RELEASED: it has no address on the bus yet; wait, or restart it"
     if not robot.started:

@@ -156,7 +156,9 @@ class InspectScreen(App[None]):
         self._text(
             "path",
             "".join(f"stands: {why}\n" for why in self.inspector.stands(robot))
-            + "\n".join(f"{t.t_s:10.3f} s  {t.source} → {t.target}  by {t.heard_by}" for t in newest),
+            + "\n".join(
+                f"{t.t_s:10.3f} s  {t.source} → {t.target}  by {t.heard_by}" for t in newest
+            ),
         )
 
     def _why_text(self, section: int) -> Text:

@@ -156,7 +156,9 @@ class Speaker:
             operator.command(Command.HOLD)
             await asyncio.sleep(REPEAT_S)
             operator.now_s = loop.time()
-            free = [r for r in operator.live if (r.started or r.slot not in asked) and not r.stopped]
+            free = [
+                r for r in operator.live if (r.started or r.slot not in asked) and not r.stopped
+            ]
             waited_s = loop.time() - begun_s
             settled = waited_s >= PLAIN_STOP_S and not free and not operator.unknown
             if settled or waited_s >= HOLD_S:

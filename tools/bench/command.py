@@ -37,7 +37,12 @@ MISSED, WRONG = 1, 2
 
 
 def bench(
-    name: str, quick: bool, seed: int, as_json: bool, cluster: str = "", seconds: float | None = None
+    name: str,
+    quick: bool,
+    seed: int,
+    as_json: bool,
+    cluster: str = "",
+    seconds: float | None = None,
 ) -> int:
     """0 when every figure holds its target. `cluster`: benches run on the workers of a scheduler.
 

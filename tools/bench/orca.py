@@ -129,7 +129,9 @@ def circle(rvo: Any, steps: int) -> Iterator[Figure]:
         return
     against = f"pyrvo {version('pyrvo')} do_step; {NUMBA}"
     ratio = ours_s / theirs_s
-    yield Figure("kernel: ORCA fleet step", ratio, "ratio", "<= 0.30", ratio <= 0.30, against, scope)
+    yield Figure(
+        "kernel: ORCA fleet step", ratio, "ratio", "<= 0.30", ratio <= 0.30, against, scope
+    )
     yield Figure("kernel: ORCA states with other bits than pyrvo's", different, "", "= 0", different == 0,
                  against, f"places and velocities of {steps * AGENTS} agent steps, float32")  # fmt: skip
 
@@ -158,7 +160,9 @@ def whole_robot(batches: int) -> Iterator[Figure]:
         now_us = 0
     cost_us = median(found[1:]) * 1e6
     share = cost_us / CONTROL_PERIOD_US
-    scope = f"Motion.drive on oxted, {PEERS} peers heard within 15 m, median of {batches} x {DRIVES}"
+    scope = (
+        f"Motion.drive on oxted, {PEERS} peers heard within 15 m, median of {batches} x {DRIVES}"
+    )
     yield Figure("what a robot runs: avoidance of one control period", cost_us, "us", "", None,
                  NUMBA, scope)  # fmt: skip
     yield Figure("what a robot runs, of its control period", share, "ratio", "<= 0.02",

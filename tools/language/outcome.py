@@ -21,7 +21,9 @@ class Outcome:
         None  # robots that confirmed a stop of all; None: none was asked for
     )
     not_stopped: list[int] = field(default_factory=list)
-    held: list[int] | None = None  # robots that were held at once, because the phrase may be an alarm
+    held: list[int] | None = (
+        None  # robots that were held at once, because the phrase may be an alarm
+    )
     queued: list[str] = field(default_factory=list)
     answers: list[Answer] = field(default_factory=list)
     told_by: str = "the bus"

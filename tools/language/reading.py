@@ -27,7 +27,12 @@ PHRASE_MAX = 400  # characters; nobody gives one order in more
 TOKENS_MAX = 40
 LIKE = 0.7  # likeness of a word that was probably meant
 SHORT = 5  # letters; a longer word may have two of them wrong
-HARMLESS = ("over to", "take over", "over there", "over here")  # groups in which "over" runs over nobody
+HARMLESS = (
+    "over to",
+    "take over",
+    "over there",
+    "over here",
+)  # groups in which "over" runs over nobody
 STOP_NOW = "stop all"
 EXAMPLES = ("send the nearest robot to 12, -4", "where is robot 2", "robot 2 go home")
 
@@ -144,9 +149,7 @@ def _meant(word: str, known: Collection[str]) -> str:
         return word
     wrong_max = 1 if len(word) <= SHORT else 2
     like = get_close_matches(word, known, n=5, cutoff=LIKE)
-    return next(
-        (k for k in like if k[0] == word[0] and letters_apart(word, k) <= wrong_max), word
-    )
+    return next((k for k in like if k[0] == word[0] and letters_apart(word, k) <= wrong_max), word)
 
 
 def _readable(offered: str, places: Places) -> bool:

@@ -91,7 +91,9 @@ class Index:
                 if recording.forgets:
                     self._thin()
             self._note()
-        while not recording.forgets and self.snapshots and self.snapshots[0].frame < recording.first:
+        while (
+            not recording.forgets and self.snapshots and self.snapshots[0].frame < recording.first
+        ):
             self.snapshots.pop(0)
 
     def _thin(self) -> None:
@@ -189,4 +191,3 @@ class Player:
             watcher.intend(t_us / 1e6, intent)
         at = bisect_right(self.recording.things, now_us, key=lambda note: note[0])
         watcher.things = self.recording.things[at - 1][1]["rows"] if at else []
-
