@@ -7,6 +7,7 @@ agreement (`agent/accord.py`), and drives the route of the joint plan until it i
 A goal is a section of the shared state with one unit, so that what was reached stays reached.
 """
 
+from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from math import cos, hypot, sin
 from typing import NamedTuple
@@ -45,6 +46,7 @@ CLAIM_S = 0.5  # a claim is contested for half of it: the next goal is ours when
 CLOSE_M = RANGE_M + 2.0  # whom our rays can meet, wherever it has driven since its last beat
 STALLED_ALONE_US = 5 * S  # standing with a wish and nobody near: longer than braking for what passes
 AHEAD_M = 0.3  # beyond the body: where what cannot be passed is taken to stand
+FOLLOWED_MAX = 512  # lines remembered, at most 2 MB: a goal takes a few of them
 LOST_M = 0.8  # this far off the path, another is planned
 
 
@@ -89,7 +91,7 @@ class Errands:
         self.replanning = Replanning(self.hazards, speed_m_s, deceleration_m_s2)
         self.next_way = NextWay(self.hazards)
         self._near_m = speed_m_s**2 / (2 * deceleration_m_s2) + CLAIM_S * speed_m_s
-        self.followed: list[Followed] = []  # the record of what was driven along
+        self.followed: deque[Followed] = deque(maxlen=FOLLOWED_MAX)  # what was driven along
         self._tracker: Tracker | None = None  # on the way to the goal
         self._lane: Tracker | None = None  # on the way of a plan
         self._lane_of = (-1, -1, -1)  # round, first and last node of the lane

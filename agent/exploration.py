@@ -6,6 +6,7 @@ stood at its station and looked all round, so that nobody goes there again for w
 The map is the progress, and exploration is over for a robot when it sees no frontier it could reach.
 """
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from math import hypot
 
@@ -55,7 +56,7 @@ class Exploration:
         geometry = chart.geometry
         self.view_cells = int(min(VIEW_MAX_M, VIEW_SHARE * chart.range_m) / geometry.cell_m)
         self.task: FleetTask | None = None
-        self.history: list[FleetTask] = []  # our own tasks that are over
+        self.ended: Counter[Status] = Counter()  # our own tasks that are over
         self.last_merge = MergeResult(0, 0, 0)
         self.over = False  # no frontier that we could reach, when we last looked
         self.switched = 0  # targets left for better ones
@@ -230,7 +231,7 @@ class Exploration:
 
     def _end_task(self, status: Status) -> None:
         if self.task is not None:
-            self.history.append(self.task._replace(status=status))
+            self.ended[status] += 1
         self.task = None
         self._way.end()
         self._choose_us = 0

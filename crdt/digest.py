@@ -13,7 +13,9 @@ from functools import lru_cache
 MASK = (1 << 64) - 1
 DIGEST_BITS = 24
 BUCKETS = 32  # of the fall-back sync; 11 frames of three digests carry them
-HASHES_MAX = 1 << 14  # remembered: peers in one process hash the same few changes
+# Hashes that are remembered, of each kind: 0.2 MB. Peers in one process hash the same few changes within
+# a second; a robot by itself hashes each change once, and would fill a larger memory for hours.
+HASHES_MAX = 1 << 9
 
 
 def mix(number: int) -> int:

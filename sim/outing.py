@@ -157,7 +157,7 @@ class Outing:
         missions = {slot: robot.peer.mission for slot, robot in cluster.robots.items()}
         errands = {s: m for s, m in missions.items() if isinstance(m, Errands)}
         self.tracks = {slot: body.track.to_array() for slot, body in world.robots.items()}
-        self.followed = {slot: errand.followed for slot, errand in errands.items()}
+        self.followed = {slot: list(errand.followed) for slot, errand in errands.items()}
         legs = [leg for slot in errands for leg in self._legs(slot)]
         last_s = tuple(
             max((leg.arrived_s for leg in legs if leg.slot == slot), default=0.0)

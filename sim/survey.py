@@ -336,9 +336,9 @@ class Survey:
         known = values != 0
         right = np.where(setting.solid, values == 2, values == 1)
         seen_cells, area_m2 = self.seen.cells, self.seen.cells * setting.geometry.cell_m**2
-        tasks = Counter(
-            task.status.value for mission in cluster.missions.values() for task in mission.history
-        )
+        tasks: Counter[str] = Counter()
+        for mission in cluster.missions.values():
+            tasks.update({status.value: count for status, count in mission.ended.items()})
         wire = cluster.segment.wire
         return SurveyOutcome(
             scenario=setting.scenario.name,
