@@ -15,6 +15,7 @@ from agent.cause import Cause, sentence
 from agent.claims import Claims
 from agent.conflicts import Conflicts
 from agent.directive import Directive
+from agent.doubts import Doubts
 from agent.effects import HALT, Effect, Persist, Send, Trace
 from agent.election import OPERATOR_GATEWAY, Election, Leader
 from agent.fsm import Machine
@@ -103,6 +104,7 @@ class Peer:
         self.joining = Joining(identity, self.records.incarnation, rng, now_us)
         self.roll_call = RollCall(self.slot)
         self.origins, self.name_call = Origins(identity.name), RollCall(self.slot, CLAIM_PGN)
+        self.doubts = Doubts()
         self.conflicts = Conflicts(self)
         self.letters = Letters(identity.component, frozenset((MEMBER_PGN, CLAIM_PGN)))
         self.sync = Sync(self.slot, self.allocation, self.progress)
@@ -215,6 +217,7 @@ class Peer:
     def deadline_us(self) -> int:
         """When `tick` next has something to do, if nothing arrives before."""
         due_us = sooner(self.voice.deadline_us, self.safety.deadline_us)
+        due_us = sooner(due_us, self.doubts.deadline_us)
         due_us = sooner(sooner(due_us, self.membership.deadline_us), self.joining.deadline_us)
         if not self.joining.away:
             due_us = sooner(due_us, self.name_call.deadline_us)
@@ -233,6 +236,7 @@ class Peer:
         effects: list[Effect] = [*self._remember_boot(), *self.safety.tick(now_us)]
         if effects and self.safety.latched:
             effects += self.latch("a stop with a used name")
+        effects += self._hearing.overdue(now_us)
         if self.membership.tick(now_us):
             effects += self.membership_changed(now_us)
         if self.joining.due(now_us):

@@ -12,6 +12,7 @@ from agent import bulletin
 from agent.cause import Cause
 from agent.config import MS, S
 from agent.directive import DIRECTED
+from agent.doubts import AnyStop
 from agent.effects import HALT, Effect, Persist, Trace
 from agent.membership import Neighbour
 from agent.origin import PROPRIETARY, Origin
@@ -143,11 +144,12 @@ class Hearing:
             return peer.safety.tell_stops(now_us)  # whoever it is, it has not heard what stops us
         return ()
 
-    def doubted(self, source: int, message: Message, now_us: int) -> Sequence[Effect] | None:
+    def doubted(self, source: int, message: AnyStop, now_us: int) -> Sequence[Effect] | None:
         """None: a stop from there is to be judged as a stop of ours. Else what to do about it.
 
         Another maker's frame is none. Of an address that nobody is known to have claimed we do not
-        know: brake while it is repeated, and ask who it is. With keys its tag says it at once.
+        know: stand until it has said who it is, and ask it (`agent/doubts.py`). With keys its tag says
+        it at once.
         """
         peer = self.peer
         origin = peer.origins.of(source)
@@ -156,14 +158,24 @@ class Hearing:
             return ()
         if origin is not Origin.UNCLAIMED or source in (peer.joining.address, NULL_ADDRESS):
             return None  # a robot without an address presses from the null address; no other device may
-        peer.name_call.stranger(source, now_us, 0)
-        if peer.safety.keyed:
+        if peer.safety.keyed or peer.doubts.believes(source):
+            peer.name_call.stranger(source, now_us, 0)
             return None
+        peer.name_call.urge(source, now_us)
         peer.origins.count(origin, message)
-        peer.origins.keep(source, message, now_us)
+        until_us = peer.doubts.hold(source, message, now_us)
         why = f"a stop from address {source}, which nobody has claimed"
-        peer.safety.raise_cause(Cause.UNAUTHENTICATED_STOP, now_us, why, UNAUTHENTICATED_HOLD_US)
+        held_us = max(UNAUTHENTICATED_HOLD_US, until_us - now_us)
+        peer.safety.raise_cause(Cause.UNAUTHENTICATED_STOP, now_us, why, held_us)
         return [HALT]
+
+    def overdue(self, now_us: int) -> list[Effect]:
+        """Stops of addresses that have not said in time who they are: believed, as if heard then."""
+        effects = list[Effect]()
+        for address, t_us, stop in self.peer.doubts.overdue(now_us):
+            self.peer.name_call.calm(address)
+            effects += self.peer.hear(address, stop, t_us)
+        return effects
 
     def beats(
         self, beats: Sequence[Beat], local: Callable[[int], int] | None = None
@@ -374,6 +386,8 @@ class Hearing:
         peer.origins.claimed(source, m.name)
         if wondered and peer.joining.joined and peer.origins.is_robot(source):
             peer.roll_call.stranger(source, now_us)  # it has spoken: a member that we do not know
+        for t_us, stop in peer.doubts.end(source):
+            effects = [*effects, *peer.hear(source, stop, t_us)]
         kept = peer.origins.kept(source, now_us)
         for message in kept:  # and judged by its NAME, as if it came now
             effects = [*effects, *peer.hear(source, message, now_us)]

@@ -4,8 +4,8 @@ The proprietary groups (PGN 0xFF00 to 0xFFFF, and 0xEF00) belong to the manufact
 NAME: the same number means something else to each maker (ISO 11783-3). Their frames are believed only
 from an address whose claimed NAME is one of ours. All others are counted, by PGN, and not looked at.
 
-A device whose claim we have missed is asked for it. A stop, an order and which member it is are kept
-for a second, and heard when its NAME turns out to be ours.
+A device whose claim we have missed is asked for it. An order and which member it is are kept for a
+second, and heard when its NAME turns out to be ours; of stops `agent/doubts.py` tells.
 """
 
 from collections import Counter
@@ -17,8 +17,8 @@ from protocol.fleet_frames import Member
 from protocol.messages import GROUP_OF, Message
 from protocol.name import Name, fleet_of, is_ours, is_robot
 from protocol.operator_frames import OperatorGoal
-from protocol.safety_frames import EmergencyReset, EmergencyStop, HeldReset, OperatorCommand
-from protocol.segment_frames import FleetReset, FleetStop
+from protocol.safety_frames import EmergencyReset, HeldReset, OperatorCommand
+from protocol.segment_frames import FleetReset
 from protocol.work_frames import StateSyncRequest
 
 KEPT_US = 1 * S  # a device that is asked answers within 0.2 s (J1939-81); an older order is void
@@ -31,7 +31,7 @@ PROPRIETARY = frozenset(
     kind for kind, g in GROUP_OF.items() if g.pgn == PROPRIETARY_A or g.pgn >= PROPRIETARY_B
 )
 MUST_NOT_BE_MISSED = (
-    EmergencyStop, FleetStop, EmergencyReset, FleetReset, HeldReset, OperatorCommand,
+    EmergencyReset, FleetReset, HeldReset, OperatorCommand,
     OperatorGoal, TaskOrder, Member, StateSyncRequest,
 )  # fmt: skip
 

@@ -8,6 +8,7 @@ serves everybody who asked in between. One robot asks, the first in slot order; 
 from collections.abc import Sequence
 
 from agent.config import MS, S
+from agent.doubts import ASK_US
 from agent.effects import Effect, Send
 from protocol.fleet_frames import Member
 from protocol.identifier import GLOBAL_ADDRESS, NULL_ADDRESS
@@ -35,6 +36,7 @@ class RollCall:
         self._everybody_asked = False  # since we came on the bus
         self._ask_us: dict[int, int] = {}  # stranger's address -> when it is our turn to ask it
         self._asked: dict[int, int] = {}  # stranger's address -> times it was asked, by anybody
+        self._urgent: set[int] = set()  # asked every `ASK_US`: a stop came from there
 
     @property
     def deadline_us(self) -> int | None:
@@ -50,6 +52,7 @@ class RollCall:
         self.answer_due = self._everybody_asked = False
         self._ask_us.clear()
         self._asked.clear()
+        self._urgent.clear()
 
     def joined(self) -> Sequence[Effect]:
         """We have an address: nobody who was asked since we listen has to be asked again."""
@@ -74,8 +77,20 @@ class RollCall:
             self._ask_us[address] = now_us + patience_us + self.slot * SLOT_US
             assert len(self._ask_us) <= STRANGERS_MAX
 
+    def urge(self, address: int, now_us: int) -> None:
+        """It has said a stop: it is asked at once, and soon again."""
+        if address < NULL_ADDRESS and address not in self._urgent:
+            self._urgent.add(address)
+            self._ask_us.pop(address, None)
+            self.stranger(address, now_us, 0)
+
+    def calm(self, address: int) -> None:
+        """It does not answer: it is asked as seldom as other strangers."""
+        self._urgent.discard(address)
+
     def known(self, address: int) -> bool:
         """Whether it was one that we did not know."""
+        self._urgent.discard(address)
         self._asked.pop(address, None)
         return self._ask_us.pop(address, None) is not None
 
@@ -90,4 +105,6 @@ class RollCall:
             return
         times = self._asked[address] = self._asked.get(address, 0) + 1
         pause_us = AGAIN_US << min(times - 1, DOUBLINGS_MAX)
+        if address in self._urgent:
+            pause_us = ASK_US
         self._ask_us[address] = now_us + pause_us + self.slot * SLOT_US

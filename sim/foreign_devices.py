@@ -1,18 +1,23 @@
 """Faults by devices that are no robots: several shortcut buttons, and a panel with used names.
 
+Each claims its address before it speaks, and answers requests for its NAME, as ISO 11783-5 wants it.
+
 What is pressed is a level here: from the first frame on nobody moves until the last. Where all hear the
 device, and no other trouble comes meanwhile, `sim/stop_watch.py` judges that from true positions.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from random import Random
 from typing import Final
 
 from agent.config import ADDRESS_FIRST, MS, S
-from protocol.codec import encode
+from agent.joining import CLAIM_PGN
+from protocol.codec import decode_once, destination_of, encode
+from protocol.frame import Frame
+from protocol.identifier import GLOBAL_ADDRESS
 from protocol.name import Name, tool_name
-from protocol.network_frames import AddressClaimed
+from protocol.network_frames import AddressClaimed, Request
 from protocol.safety_frames import AllImplementsStop, EmergencyReset, EmergencyStop, Reason, Switch
 from sim import scenario as kinds
 from sim.cluster import OPERATOR, Cluster
@@ -36,9 +41,23 @@ LATCHED_US: Final = 250 * MS  # and two frames: a press that is said still is ta
 
 
 @contextmanager
-def device(cluster: Cluster) -> Iterator[FieldBus]:
+def device(cluster: Cluster, names: Mapping[int, Name]) -> Iterator[FieldBus]:
+    """A controller behind which these NAMEs speak, by address."""
     bus = FieldBus(cluster.channel)
-    bus.subscribe(lambda frame: None)
+    said = {
+        address: encode(AddressClaimed(name.pack()), address) for address, name in names.items()
+    }
+
+    def answer(frame: Frame) -> None:
+        message = decode_once(frame)[1]
+        if isinstance(message, Request) and message.pgn == CLAIM_PGN:
+            asked = destination_of(frame)
+            for address in said if asked == GLOBAL_ADDRESS else said.keys() & {asked}:
+                bus.submit(said[address])
+
+    bus.subscribe(answer)
+    for claim in said.values():
+        bus.submit(claim)
     try:
         yield bus
     finally:
@@ -60,10 +79,11 @@ def buttons(cluster: Cluster, fault: kinds.Buttons, rng: Random, lot: int) -> Sc
         said += [(t_us, first + k, 0, Switch.PERMIT) for t_us in range(phase_us, over_us, CYCLE_US)]
     before = cluster.stops.disturbances if cluster.stops.calm else NEVER
     level, stands_us = None, release_us + UNHEARD_HOLD_US if fault.unheard else release_us
-    with device(cluster) as bus:
-        for k in range(fault.buttons):
-            name = OTHER_MAKER._replace(identity=BUTTONS_MAX * lot + k).pack()
-            bus.submit(encode(AddressClaimed(name), first + k))
+    names = {
+        first + k: OTHER_MAKER._replace(identity=BUTTONS_MAX * lot + k)
+        for k in range(fault.buttons)
+    }
+    with device(cluster, names) as bus:
         for due_us, address, counted, switch in sorted(said):
             if level is not None and due_us >= stands_us:
                 yield stands_us
@@ -84,15 +104,13 @@ def used_stop(cluster: Cluster, fault: kinds.UsedStop, rng: Random) -> Script[No
     for counter in range(fault.names):
         cluster.inject(EmergencyReset(PANEL, incarnation, counter, OPERATOR))
     press_us = cluster.host.now_us() + NAMED_US
-    yield press_us
-    level = cluster.stops.level(HEARD_US)
     every_us, over_us = round(fault.every_s * S), press_us + round(fault.for_s * S)
     latched_us, latched = press_us + LATCHED_US + 2 * every_us, False
     word = encode(EmergencyStop(PANEL, incarnation, 0, Reason.PERSON_IN_FIELD), PANEL_ADDRESS)
-    now_us = press_us
-    with device(cluster) as bus:
-        # Its stops latch only from an address with a NAME of ours.
-        bus.submit(encode(AddressClaimed(tool_name(PANEL).pack()), PANEL_ADDRESS))
+    with device(cluster, {PANEL_ADDRESS: tool_name(PANEL_ADDRESS)}) as bus:
+        yield press_us
+        level = cluster.stops.level(HEARD_US)
+        now_us = press_us
         while now_us <= over_us:
             bus.submit(word)
             now_us += every_us

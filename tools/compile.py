@@ -32,7 +32,7 @@ GROUP = {
     "map_frames messages network_frames operator_frames replica safety_frames segment_frames sync "
     "transport work_frames",
     "agent": "allocator area authority beyond blockage bulletin choosing claims coasting core "
-    "directive effects election field_work fleet_stops fsm giving_way hearing joining leg letters "
+    "directive doubts effects election field_work fleet_stops fsm giving_way hearing joining leg letters "
     "lookout membership motion orca parking pause records right_of_way roll_call safety segment_peer "
     "self_check shell shove tracker voice working",
     "sim": "acquaintance bits body bus_tally checkers cluster disk fieldbus parade physics stop_watch "

@@ -98,7 +98,7 @@ def test_a2_who_has_claimed_nothing_is_asked_for_its_name() -> None:
     assert 2 <= len(asked(effects, CLAIM_PGN)) <= 5, "ever more seldom"
 
 
-def test_a2_a_stop_from_an_unknown_address_brakes_while_repeated_and_asks() -> None:
+def test_a2_a_stop_from_an_unknown_address_holds_and_asks_until_its_name_is_known() -> None:
     peer = peer_in(State.WORKING, None)
     pass_until(peer, 2 * S)
     assert not held_by(peer)
@@ -106,11 +106,49 @@ def test_a2_a_stop_from_an_unknown_address_brakes_while_repeated_and_asks() -> N
     assert HALT in effects and held_by(peer) == {Cause.UNAUTHENTICATED_STOP}
     effects += turn(peer, 2 * S)
     assert asked(effects, CLAIM_PGN) == [AT], "at once"
-    peer.receive(encode(STOP, AT), 2 * S + UNAUTHENTICATED_HOLD_US // 2)
+    for k in range(1, 18):
+        effects += turn(peer, 2 * S + k * 50 * MS)
+        assert held_by(peer) == {Cause.UNAUTHENTICATED_STOP}, "said once, it holds all the same"
+    assert asked(effects, CLAIM_PGN) == [AT] * 5, "again and again, not faster"
+    claims(peer, FOREIGN, now_us=2 * S + 900 * MS)
     turn(peer, 2 * S + UNAUTHENTICATED_HOLD_US)
-    assert Cause.UNAUTHENTICATED_STOP in held_by(peer), "while it is repeated"
-    turn(peer, 2 * S + 2 * UNAUTHENTICATED_HOLD_US)
-    assert Cause.UNAUTHENTICATED_STOP not in held_by(peer) and not peer.safety.latched
+    turn(peer, 2 * S + UNAUTHENTICATED_HOLD_US + MS)
+    assert not held_by(peer) and not peer.safety.latched, "it was no stop"
+
+
+def test_a2_a_stop_whose_sender_never_says_its_name_latches() -> None:
+    """Its claims are lost, or it answers nothing: nobody knows that it was no stop of ours."""
+    peer = peer_in(State.WORKING, None)
+    pass_until(peer, 2 * S)
+    peer.receive(encode(STOP, AT), 2 * S)
+    effects = list[Effect]()
+    for k in range(1, 21):
+        effects += turn(peer, 2 * S + k * 50 * MS)
+    assert peer.safety.latched and peer.state is State.EMERGENCY_STOP
+    dot = peer.safety.stops.active
+    assert any(isinstance(e, Send) and isinstance(e.message, EmergencyStop) for e in effects)
+    for k in range(21, 100):
+        turn(peer, 2 * S + k * 50 * MS)
+    assert peer.safety.latched, "until a person resets it"
+    other = STOP._replace(counter=STOP.counter + 1)
+    peer.receive(encode(other, AT), 8 * S)
+    assert peer.safety.stops.active > dot, "it was asked in vain: its next stop is believed at once"
+
+
+def test_a2_a_used_stop_of_a_sender_without_a_name_is_a_press() -> None:
+    """Said for half a second with a name that was cleared before, then never again."""
+    peer = peer_in(State.WORKING, None)
+    pass_until(peer, 2 * S)
+    claims(peer, tool_name(1), 249)
+    peer.receive(encode(EmergencyReset(STOP.slot, STOP.incarnation, STOP.counter, 249), 249), 2 * S)
+    for k in range(41):
+        peer.receive(encode(STOP, AT), 3 * S + k * 20 * MS)
+        turn(peer, 3 * S + k * 20 * MS)
+        assert Cause.UNAUTHENTICATED_STOP in held_by(peer)
+    for k in range(41, 60):
+        turn(peer, 3 * S + k * 20 * MS)
+        assert held_by(peer)
+    assert peer.safety.latched
 
 
 def test_a2_the_stop_latches_when_the_name_turns_out_to_be_ours() -> None:
