@@ -133,9 +133,12 @@ class Sync:
         return self._ready_us is not None and now_us >= self._ready_us and not self.synchronizing
 
     def live(self, slots: frozenset[int], now_us: int) -> None:
-        for slot in slots - self.divergence.live:
+        returned = slots - self.divergence.live
+        for slot in returned:
             self._live_since_us[slot] = now_us
         self.divergence.see(slots)
+        if returned:  # nobody may have been there to answer: the pauses between questions begin again
+            self._tries, self._ask_us = 0, None
         self._judge(now_us)
 
     def changed_here(self, section: int, block: int | None, now_us: int) -> None:

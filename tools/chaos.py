@@ -229,8 +229,11 @@ def _reproduce(console: Console, verdict: Verdict, profile: str, out: Path) -> s
     console.print(
         f"{faults} faults with the mending, {small.fleet.robots} robots ({runs} runs): {path}"
     )
-    console.print(f"judge it again with: headland chaos --seeds {verdict.seed} --profile {profile}; "
-                  f"see it with: headland run {path}")  # fmt: skip
+    see = "" if small.mission in ("drill", "sprint") else f"; see it with: headland run {path}"
+    console.print(
+        f"judge it again with: headland chaos --seeds {verdict.seed} --profile {profile}, "
+        f"or made small: headland chaos --scenario {path}{see}"
+    )
     return str(path)
 
 

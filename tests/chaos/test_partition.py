@@ -19,6 +19,8 @@ from sim.cluster import Cluster
 from sim.faults import FaultPlan
 from sim.scenario import Heal, Partition, Scenario, load
 from sim.setting import Setting
+from sim.trouble import draw
+from sim.verdict import judge
 
 CUT_S, HEAL_S, END_S = 30.0, 80.0, 600.0
 ISLANDS = ([0, 1], [2, 3])
@@ -112,3 +114,12 @@ def test_cut_and_heal(seed: int) -> None:
             where = f"S{part.id}, unit {unit}; {replay}"
             assert covered or seemed_to_stand_on(cluster, line), where
     assert not cluster.world.contacts, f"{cluster.world.contacts}; {replay}"
+
+
+def test_a_member_that_is_heard_again_is_asked_without_the_pause_of_lost_questions() -> None:
+    """Found by chaos (S7): questions to a member that could not hear had doubled the pause to 4 s.
+
+    For so long after the link was mended, both worked one section.
+    """
+    verdict = judge(draw(302, "split"))
+    assert verdict.ok, verdict.broken
