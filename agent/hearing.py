@@ -71,6 +71,8 @@ TOLD_OF: Final = (StateSyncRequest, Digests, StateSyncResponse)
 OUTSIDER = -1  # a device that is not a member: it has agreed with nobody about anything
 TELL_SPACING_US = 2 * S  # a snapshot of 1,000 entries takes 2.1 s at the share that sync may use
 NAME_PATIENCE_US = 20 * MS  # a claim that is on its way may be behind a beat of its sender
+# Another device of ours may have taken the address of another maker's since, and we missed its claim.
+CLAIM_OLD_US = 10 * S
 SIGNED = (EmergencyReset, HeldReset, OperatorCommand, OperatorGoal, Challenge, Freshness)
 EVERYBODY = 0xFF  # target of an operator's command
 Handler = Callable[[int, int | None, Any, int], Sequence[Effect]]
@@ -81,6 +83,7 @@ class Hearing:
         self.peer = peer
         bulletin.offer(peer)
         self._told_us = -TELL_SPACING_US
+        self._claimed_us: dict[int, int] = {}  # address -> when its newest claim was heard
         self._handlers: dict[type[Any], Handler] = {
             EmergencyReset: self._reset,
             HeldReset: self._held_reset,
@@ -155,6 +158,9 @@ class Hearing:
         origin = peer.origins.of(source)
         if origin is Origin.FOREIGN:
             peer.origins.count(origin, message)
+            if now_us - self._claimed_us.get(source, 0) >= CLAIM_OLD_US:
+                peer.origins.keep(source, message, now_us)
+                peer.name_call.stranger(source, now_us, 0)
             return ()
         if origin is not Origin.UNCLAIMED or source in (peer.joining.address, NULL_ADDRESS):
             return None  # a robot without an address presses from the null address; no other device may
@@ -384,6 +390,7 @@ class Hearing:
             peer.conflicts.settled(source, now_us)
         wondered = peer.name_call.known(source)
         peer.origins.claimed(source, m.name)
+        self._claimed_us[source] = now_us
         if wondered and peer.joining.joined and peer.origins.is_robot(source):
             peer.roll_call.stranger(source, now_us)  # it has spoken: a member that we do not know
         for t_us, stop in peer.doubts.end(source):

@@ -17,8 +17,8 @@ from protocol.fleet_frames import Member
 from protocol.messages import GROUP_OF, Message
 from protocol.name import Name, fleet_of, is_ours, is_robot
 from protocol.operator_frames import OperatorGoal
-from protocol.safety_frames import EmergencyReset, HeldReset, OperatorCommand
-from protocol.segment_frames import FleetReset
+from protocol.safety_frames import EmergencyReset, EmergencyStop, HeldReset, OperatorCommand
+from protocol.segment_frames import FleetReset, FleetStop
 from protocol.work_frames import StateSyncRequest
 
 KEPT_US = 1 * S  # a device that is asked answers within 0.2 s (J1939-81); an older order is void
@@ -31,7 +31,7 @@ PROPRIETARY = frozenset(
     kind for kind, g in GROUP_OF.items() if g.pgn == PROPRIETARY_A or g.pgn >= PROPRIETARY_B
 )
 MUST_NOT_BE_MISSED = (
-    EmergencyReset, FleetReset, HeldReset, OperatorCommand,
+    EmergencyStop, FleetStop, EmergencyReset, FleetReset, HeldReset, OperatorCommand,
     OperatorGoal, TaskOrder, Member, StateSyncRequest,
 )  # fmt: skip
 

@@ -116,6 +116,23 @@ def test_a2_a_stop_from_an_unknown_address_holds_and_asks_until_its_name_is_know
     assert not held_by(peer) and not peer.safety.latched, "it was no stop"
 
 
+def test_a2_a_stop_from_an_address_that_changed_hands_unheard_latches_once_it_is_asked() -> None:
+    """Our panel has taken the address of another maker's device, and its claim was lost."""
+    peer = peer_in(State.WORKING, None)
+    pass_until(peer, 2 * S)
+    claims(peer, FOREIGN, now_us=2 * S)
+    peer.receive(encode(STOP, AT), 3 * S)
+    assert asked(turn(peer, 3 * S), CLAIM_PGN) == [], "it has just said that it is of another maker"
+    effects = list[Effect]()
+    for k in range(200):
+        peer.receive(encode(STOP, AT), 15 * S + k * 50 * MS)
+        effects += turn(peer, 15 * S + k * 50 * MS)
+    assert not held_by(peer) and 1 <= len(asked(effects, CLAIM_PGN)) <= 4
+    peer.receive(encode(STOP, AT), 25 * S)
+    claims(peer, tool_name(1), now_us=25 * S + 100 * MS)
+    assert peer.safety.latched and peer.state is State.EMERGENCY_STOP
+
+
 def test_a2_a_stop_whose_sender_never_says_its_name_latches() -> None:
     """Its claims are lost, or it answers nothing: nobody knows that it was no stop of ours."""
     peer = peer_in(State.WORKING, None)
