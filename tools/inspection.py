@@ -328,11 +328,11 @@ def _show(console: Console, seen: dict[str, Any]) -> None:
     console.print(f"bus load at worst-case stuffing: {seen['bus_load_worst_case']:.1%}")
     if seen["latched"]:
         console.print(f"[bold red]EMERGENCY STOP latched: {', '.join(seen['latched'])}")
-    if seen["unknown"]:
-        groups = [f"{n} {name}" for name, n in seen["unknown"].items()]
-        more = (
-            f" and {len(groups) - UNKNOWN_SHOWN} more groups" if len(groups) > UNKNOWN_SHOWN else ""
-        )
-        console.print(f"not of Headland: {', '.join(groups[:UNKNOWN_SHOWN])}{more}")
+    for key, whose in (("unknown", "not of Headland"), ("other_makers", "of other makers, not read")):
+        if seen[key]:
+            groups = [f"{n} {name}" for name, n in seen[key].items()]
+            beyond = len(groups) - UNKNOWN_SHOWN
+            more = f" and {beyond} more groups" if beyond > 0 else ""
+            console.print(f"{whose}: {', '.join(groups[:UNKNOWN_SHOWN])}{more}")
     if seen["malformed"]:
         console.print(f"malformed: {seen['malformed']}")

@@ -6,6 +6,7 @@ the time at which they said it.
 
 from collections import Counter, deque
 from collections.abc import Iterator
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -27,6 +28,7 @@ from protocol.fleet_frames import (
     VectorSlice,
 )  # fmt: skip
 from protocol.frame import Frame
+from protocol.network_frames import AddressClaimed
 from protocol.operator_frames import Matter, OperatorReport
 from protocol.safety_frames import (
     AllImplementsStop,
@@ -39,6 +41,7 @@ from protocol.work_frames import StateSyncResponse, TaskClaim, WorkProgress
 from tools.bus_load import BIT_RATE, BusLoad, bits_of
 from tools.causality import Causality
 from tools.foreign_groups import group_name
+from tools.makers import Makers
 
 BUTTON_S = HOLD_US / 1e6  # a shortcut button that is silent so long is forgotten
 TRANSITIONS_MAX = 64  # newest kept a robot; a path longer than that is not read by anybody
@@ -89,7 +92,11 @@ class Seen:
 
 
 class Inspector:
-    def __init__(self) -> None:
+    def __init__(self, sections: AbstractSet[int] = frozenset()) -> None:
+        """`sections`: of the field; empty: it is not known, and any may be worked."""
+        self.sections = sections
+        self.beyond = 0  # frames of work in sections that the field does not have
+        self.makers = Makers()
         self.robots: dict[int, Seen] = {}
         self.slot_of: dict[int, int] = {}
         self.allocation = FieldAllocationCRDT()
@@ -113,6 +120,8 @@ class Inspector:
         self.now_s = t_s
         self.bits += bits_of(len(frame.data))
         self.load.hear(t_s, len(frame.data))
+        if self.makers.refuse(frame):
+            return
         source, message = decode(frame)
         if message is UNKNOWN:
             group = frame.identifier >> 8 & 0x3FFFF
@@ -123,6 +132,8 @@ class Inspector:
             return
         kind = type(message).__name__
         self.kinds[kind] += 1
+        if isinstance(message, AddressClaimed) and not self.makers.claimed(source, message.name):
+            self._foreign(source)
         if isinstance(message, Member):
             self._member(t_s, source, message)
         slot = self.slot_of.get(source)
@@ -149,6 +160,18 @@ class Inspector:
         robot = self.robots.setdefault(message.slot, Seen(message.slot, source, first_s=t_s))
         robot.address, robot.incarnation, robot.left = source, message.incarnation, False
 
+    def _foreign(self, source: int) -> None:
+        """What came from there before the claim was no robot's."""
+        slot = self.slot_of.pop(source, None)
+        if slot is not None and self.robots[slot].address == source:
+            del self.robots[slot]
+
+    def _in_field(self, section: int) -> bool:
+        if self.sections and section not in self.sections:
+            self.beyond += 1
+            return False
+        return True
+
     def _robot(self, t_s: float, robot: Seen, kind: str, message: Any) -> None:
         match message:
             case Pose():
@@ -173,13 +196,13 @@ class Inspector:
                 for offset, count in enumerate(message.counts):
                     if message.base + offset != robot.slot and count:
                         robot.clock[message.base + offset] = count
-            case TaskClaim() | StateSyncResponse():
+            case TaskClaim() | StateSyncResponse() if self._in_field(message.section):
                 key = pack(
                     message.epoch, message.phase, message.bid, message.lamport, message.owner
                 )
                 if self.allocation.apply(message.section, key):
                     self.changed_s = t_s
-            case WorkProgress():
+            case WorkProgress() if self._in_field(message.section):
                 if self.progress.apply(message.section, message.block, message.bits):
                     self.changed_s = t_s
             case LeaderElectionVote():
@@ -236,6 +259,8 @@ class Inspector:
             "frames": dict(self.kinds.most_common()),
             "malformed": dict(self.malformed),
             "unknown": {group_name(pgn): n for pgn, n in self.unknown.most_common()},
+            "other_makers": {group_name(pgn): n for pgn, n in self.makers.refused.most_common()},
+            "beyond_the_field": self.beyond,
             "latched": [".".join(map(str, dot)) for dot in self.latched],
             "leaders": {
                 f"{election}/{term}": dict(sorted(votes.items()))

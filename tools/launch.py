@@ -75,7 +75,7 @@ class Launch:
         self.map_out: int | None = 2 if console.stderr else None  # where it prints its address
         self.keys = None if keys is None else str(keys.absolute())
         self.setting, self.name, self.out, self.console = setting, name, out, console
-        self.inspector = Inspector()
+        self.inspector = Inspector(self._sections())
         self.processes: dict[int, asyncio.subprocess.Process] = {}
         self.world = setting.world()
         self.gone: set[int] = set()
@@ -168,6 +168,11 @@ class Launch:
     def _progress(self) -> tuple[int, int, str]:
         """How much is done, of how much, of what."""
         return self.inspector.allocation.done_count(), self.setting.section_count, "sections"
+
+    def _sections(self) -> frozenset[int]:
+        """Of the field; work in others is none. Empty: any may be there."""
+        assert isinstance(self.setting, Setting)
+        return frozenset(section.id for section in self.setting.field.sections)
 
     def _parcels(self) -> Parcels | None:
         """What is true of the parcels of this world, where it has any."""

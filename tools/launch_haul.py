@@ -57,6 +57,10 @@ class HaulLaunch(Launch):
         scripts = [self.depot.calls(), *self.depot.events()]
         return [asyncio.create_task(follow(script, bodies.zero_us)) for script in scripts]
 
+    def _sections(self) -> frozenset[int]:
+        """Tasks come while it goes on."""
+        return frozenset()
+
     def _parcels(self) -> Parcels:
         assert isinstance(self.setting, DeliverySetting)
 

@@ -33,6 +33,7 @@ from protocol.safety_frames import (
 from protocol.segment_frames import FleetStop
 from protocol.work_frames import REGISTERS, STOPS, StateSyncRequest
 from tools.device_address import DeviceAddress
+from tools.makers import Makers
 from tools.shown_stops import ShownStops
 
 OPERATOR_SLOT = 249  # an operator device in dots and commands, in a fleet without keys
@@ -76,6 +77,9 @@ class Operator:
         self.slot_of: dict[int, int] = {}
         self.names: dict[int, int] = {}  # address -> NAME, as claimed
         self.unknown: dict[int, float] = {}  # addresses that beat and have not said who they are
+        self.makers = Makers()
+        # Robots known only by a word from an address whose claim was not heard yet: address -> slot.
+        self.doubtful: dict[int, int] = {}
         self.shown = ShownStops(keyring)
         self.pressed: set[tuple[int, int, int]] = set()  # dots of ours, the newest press
         self.now_s = 0.0
@@ -84,6 +88,8 @@ class Operator:
         self.now_s = now_s
         if self._own_device:
             self.device.hear(now_s, frame)
+        if self.makers.refuse(frame):
+            return
         source, message = decode(frame)
         if isinstance(message, Malformed):
             return
@@ -91,10 +97,18 @@ class Operator:
             if self.names.get(source, message.name) != message.name:
                 self.slot_of.pop(source, None)  # another device: it has to say which robot it is
             self.names[source] = message.name
+            if self.makers.claimed(source, message.name):
+                self.doubtful.pop(source, None)
+            else:
+                self._foreign(source)
         if isinstance(message, Member):
             self.slot_of[source] = message.slot
             self.unknown.pop(source, None)
-            self.expect((message.slot,))
+            if message.slot not in self.robots and not self.makers.knows(source):
+                self.doubtful[source] = message.slot
+                self.robots[message.slot] = Robot(message.slot, source, now_s)
+            elif self.doubtful.get(source) != message.slot:
+                self.expect((message.slot,))
             self.robots[message.slot].address = source
         if isinstance(message, Fallen):
             self.expect((message.slot,))  # it was there, and fell silent before we came
@@ -133,6 +147,14 @@ class Operator:
             robot.echoed = True
             self._verify(robot, message)
 
+    def _foreign(self, source: int) -> None:
+        """Another maker's: what came from there before the claim was no robot's."""
+        self.unknown.pop(source, None)
+        slot = self.doubtful.pop(source, None)
+        if slot is not None:
+            self.slot_of.pop(source, None)
+            del self.robots[slot]
+
     def _verify(self, robot: Robot, echo: EmergencyStop) -> None:
         """An echo of a dot that we drew just now cannot be old, whatever the robot's counter is."""
         if self.keyring is None or robot.signed or echo[:3] not in self.pressed:
@@ -145,6 +167,7 @@ class Operator:
         """Robots that are or were there, heard or not: they count until they have confirmed."""
         for slot in slots:
             self.robots.setdefault(slot, Robot(slot, NULL_ADDRESS, NOT_HEARD_S))
+            self.doubtful = {a: s for a, s in self.doubtful.items() if s != slot}
 
     @property
     def signs(self) -> bool:
