@@ -21,11 +21,12 @@ class CandumpWriter:
     def __init__(self, path: Path, channel: str = "can0") -> None:
         self.channel = channel
         self.frames = 0
+        self.size = 0  # bytes; what is in a buffer included
         self._file: TextIO = path.open("w", encoding="ascii")
 
     def write(self, t_us: int, frame: Frame) -> None:
         self.frames += 1
-        self._file.write(
+        self.size += self._file.write(
             f"({t_us // 1_000_000}.{t_us % 1_000_000:06d}) {self.channel} "
             f"{frame.identifier:08X}#{frame.data.hex().upper()}\n"
         )

@@ -21,6 +21,7 @@ from agent.effects import Effect, Trace
 from protocol.frame import Frame
 from sim.foxglove import LOG, SCENE_UPDATE, log_line, outline, robot_entity
 from sim.given_file import check_regular
+from sim.log_parts import parts_of
 from sim.recording import Recording
 from sim.scene import FILE, Scene
 
@@ -87,6 +88,11 @@ class McapLog:
                 "/scene", SCENE_UPDATE, begun_us, {"entities": [outline(scene)], "deletions": []}
             )
 
+    @property
+    def size(self) -> int:
+        """Bytes; but for the chunk that is being filled."""
+        return self._file.tell()
+
     def write(self, t_us: int, frame: Frame) -> None:
         seconds, micros = divmod(t_us, 1_000_000)
         data = CDR.pack(
@@ -135,17 +141,23 @@ def read_frames(path: Path) -> Iterator[tuple[int, Frame]]:
 
 
 def read_recording(path: Path) -> Recording:
-    """All of it. McapMissing; ValueError where the file is no MCAP."""
+    """All of it, from its first part on. McapMissing; ValueError where the file is no MCAP."""
     recording = Recording(_scene(path))
-    for t_us, frame in read_frames(path):
-        recording.write(t_us, frame)
+    for part in parts_of(path):
+        for t_us, frame in read_frames(part):
+            recording.write(t_us, frame)
     add_notes(recording, path)
     recording.close()
     return recording
 
 
 def add_notes(recording: Recording, path: Path) -> None:
-    """What no CAN log holds: intents and things."""
+    """What no CAN log holds: intents and things, of all parts."""
+    for part in parts_of(path):
+        _add_notes(recording, part)
+
+
+def _add_notes(recording: Recording, path: Path) -> None:
     for t_us, topic, data in _messages(path, None):
         try:
             if topic.startswith("/robots/"):

@@ -19,6 +19,7 @@ from protocol.bus import CanBus
 from protocol.frame import Frame
 from sim.candump import read_candump
 from sim.given_file import check_regular
+from sim.log_parts import parts_of
 from sim.mcap_log import McapMissing, read_frames
 from sim.strict_json import dumps
 from tools.attachment import AttachError, attach
@@ -149,9 +150,10 @@ def _frames_of(source: Path) -> Iterator[tuple[int, Frame]]:
         damaged = count()
         try:
             frames = False
-            for row in read_candump(path, lambda: next(damaged)):
-                frames = True
-                yield row
+            for part in parts_of(path):
+                for row in read_candump(part, lambda: next(damaged)):
+                    frames = True
+                    yield row
         except OSError as problem:
             raise SourceError(f"{path}: cannot be read: {problem.strerror}") from None
         if (lines := next(damaged)) and frames:
@@ -159,7 +161,8 @@ def _frames_of(source: Path) -> Iterator[tuple[int, Frame]]:
         return
     if path.suffix == ".mcap":
         try:
-            yield from read_frames(path)
+            for part in parts_of(path):
+                yield from read_frames(part)
         except (McapMissing, ValueError) as problem:
             raise SourceError(f"{path}: {problem}") from None
         except OSError as problem:

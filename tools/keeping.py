@@ -10,6 +10,7 @@ from protocol.frame import Frame
 from sim.cluster import Cluster
 from sim.ending import Ending, say
 from sim.errand_setting import ErrandSetting
+from sim.log_parts import Limit, PartedLog
 from sim.mcap_log import McapLog, McapMissing
 from sim.recording import FramesDigest, Recording
 from sim.scene import FILE, scene_of
@@ -24,19 +25,22 @@ class Keeping:
 
     def __init__(
         self, setting: Setting | ErrandSetting, out: Path, recording: Recording | None = None,
-        begun_us: int = 0, told: Callable[[str], None] = say,
+        begun_us: int = 0, told: Callable[[str], None] = say, limit: Limit | None = None,
     ) -> None:  # fmt: skip
         """`recording`: of a map that shows the run meanwhile. `begun_us`: time of the first line, on
-        the clock that `write` is given. `told`: one line where the disk takes no more. Raises OSError,
-        here and nowhere else."""
+        the clock that `write` is given. `told`: one line where the disk takes no more. `limit`: of the
+        size of the MCAP; None: there is none. Raises OSError, here and nowhere else."""
         self.scene = scene_of(setting)
         (out / FILE).write_text(json.dumps(self.scene) + "\n", encoding="utf-8")
         self.digest = FramesDigest()
         self.recording = recording
-        self.mcap: McapLog | None = None
+        self.mcap: McapLog | PartedLog[McapLog] | None = None
         self._ending = Ending(MCAP, told)
         try:
-            self.mcap = McapLog(out / MCAP, self.scene, begun_us)
+            if limit is None:
+                self.mcap = McapLog(out / MCAP, self.scene, begun_us)
+            else:
+                self.mcap = PartedLog(out / MCAP, self._part, begun_us, limit, told)
         except McapMissing:
             (out / MCAP).unlink(missing_ok=True)  # of an earlier run, not of this one
         if recording is not None:
@@ -45,9 +49,12 @@ class Keeping:
     def __call__(self, cluster: Cluster) -> None:
         cluster.segment.taps.append(self.write)
         keepers: list[Keeper] = [] if self.recording is None else [self.recording]
-        if self.mcap is not None:
+        if isinstance(self.mcap, McapLog):
             keepers.append(_UntilFull(self.mcap, self._ending))
         watch(cluster, keepers)
+
+    def _part(self, path: Path, t_us: int) -> McapLog:
+        return McapLog(path, self.scene, t_us)
 
     def write(self, t_us: int, frame: Frame) -> None:
         self.digest.write(t_us, frame)

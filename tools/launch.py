@@ -22,6 +22,7 @@ from sim.body_link import BodyServer
 from sim.candump import CandumpWriter
 from sim.coverage_truth import coverage, sample_points
 from sim.ending import Ending
+from sim.log_parts import LAUNCH_LIMIT, PartedLog
 from sim.outcome import COVERAGE_MIN
 from sim.parcels import Parcels
 from sim.scenario import ScenarioError
@@ -58,6 +59,7 @@ class BusError(Exception):
 
 
 class Launch:
+    log_limit = LAUNCH_LIMIT  # of can.log, and of run.mcap
     endless = False  # goes on when all is done: more may come
 
     def __init__(
@@ -97,9 +99,13 @@ class Launch:
         bus = self._bus(port)
         # Logs of a launch carry the time of day, so that other logs can be laid beside them.
         epoch_us = round((time.time() - loop.time()) * 1e6)
-        log = CandumpWriter(self.out / "can.log")
         begun_us, told = epoch_us + round(loop.time() * 1e6), self.console.print
-        keeping = Keeping(self.setting, self.out, begun_us=begun_us, told=told)
+        log = PartedLog(
+            self.out / "can.log", lambda path, _: CandumpWriter(path), begun_us, self.log_limit, told
+        )
+        keeping = Keeping(
+            self.setting, self.out, begun_us=begun_us, told=told, limit=self.log_limit
+        )
         text = Ending("can.log", told)
 
         def keep(t_us: int, frame: Frame) -> None:

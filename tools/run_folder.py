@@ -12,9 +12,9 @@ RUNS = Path("runs")
 LATEST, LAUNCH = "latest", "launch"
 # What runs, launches, explorations and their reports write into their folder.
 WRITTEN = (
-    "report.json", "report.html", "report/*.png", "report/*.csv", "can.log", "run.mcap",
-    "trace.jsonl", "field.png", "work.geojson", "warehouse.png", "maps.png", "maps.gif", "fleet.md",
-    "robot_*.png", "scene.json",
+    "report.json", "report.html", "report/*.png", "report/*.csv", "can.log", "can.[1-9]*.log",
+    "run.mcap", "run.[1-9]*.mcap", "trace.jsonl", "field.png", "work.geojson", "warehouse.png",
+    "maps.png", "maps.gif", "fleet.md", "robot_*.png", "scene.json",
 )  # fmt: skip
 MARK = "scene.json"  # every run writes it first: without it the files are somebody else's
 NAME_MAX = 64  # characters of a scenario's name in a folder's
