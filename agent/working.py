@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from agent.core import Peer
 
 NEAR_M: Final = 1.8  # between two hulls: one that is further away is not what we wait for
+# A number: mypyc makes C of a member of an IntEnum, given as an int, that no compiler takes.
+STALLED: Final = int(Matter.STALLED)
 
 
 class Working:
@@ -97,7 +99,7 @@ class Working:
         told = Trace("stall", "", advice.name, "", what)
         if advice is Advice.REPLAN:
             return [told]
-        return [Send(OperatorReport(peer.slot, 0, Matter.STALLED, here.x_m, here.y_m)), told]
+        return [Send(OperatorReport(peer.slot, 0, STALLED, here.x_m, here.y_m)), told]
 
     def _wish(self, view: FleetView, effects: list[Effect]) -> Wish:
         peer, now_us = self.peer, view.now_us
