@@ -36,6 +36,10 @@ SPEAKS_S = 5.0  # who has sent within this keeps its seat; a robot beats every 5
 GOODBYE_S = 0.5  # a closed connection ends at once
 REFUSED_US = 1_000_000  # a client that does not ask is told of refused frames once a second
 CLIENTS_MAX = 160  # 108 peers and their tools
+# Attached clients that have never sent a frame: viewers and loggers. Each frame is written to each of
+# them, and 150 that did not even read took a whole core, so that the fleet stood for minutes.
+LISTENERS_MAX = 32
+LISTENER_S = 5.0  # a robot or a tool has sent its first frame by then
 EFF_FLAG = 1 << 31  # SocketCAN's mark of a 29-bit identifier, which some clients leave in it
 HEX = re.compile(r"[0-9A-Fa-f]+")
 BYTE_DIGITS_MAX = 16  # some clients extend the sign of a byte to 32 or 64 bits
@@ -179,7 +183,9 @@ class Client(asyncio.BufferedProtocol):
             self.bus = FieldBus(self.hub.segment.channel)
             self.bus.subscribe(self._frame)
             self._quiet = []
-            asyncio.get_running_loop().call_later(QUIET_S, self._unquiet)
+            loop = asyncio.get_running_loop()
+            loop.call_later(QUIET_S, self._unquiet)
+            loop.call_later(LISTENER_S, self.hub.thin_out)
 
     def _unquiet(self) -> None:
         held, self._quiet = self._quiet, None
@@ -264,6 +270,12 @@ class Client(asyncio.BufferedProtocol):
         if self._transport is not None:
             self._transport.abort()
 
+    @property
+    def listens(self) -> bool:
+        """It hears every frame, and has sent none although it had the time."""
+        now_s = asyncio.get_running_loop().time()
+        return self.bus is not None and not self.spoke and now_s - self.since_s >= LISTENER_S
+
     def give_up_seat(self) -> None:
         self._drop("it says nothing, and somebody else wants its seat")
 
@@ -312,6 +324,13 @@ class Hub:
             least.give_up_seat()
         self.clients.add(client)
         return True
+
+    def thin_out(self) -> None:
+        """Of too many that only listen, those that came first give way."""
+        listening = sorted((c for c in self.clients if c.listens), key=lambda c: c.since_s)
+        for client in listening[: max(len(listening) - LISTENERS_MAX, 0)]:
+            self.clients.discard(client)
+            client.give_up_seat()
 
     def retire(self, bus: FieldBus) -> None:
         """Its client has closed: it hears nothing more, and leaves when its queue is empty."""

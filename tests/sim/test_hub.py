@@ -17,8 +17,9 @@ import pytest
 
 from protocol.frame import Frame
 from protocol.socketcand_link import SocketcandLink
+from sim import hub as hub_module
 from sim.fieldbus import FieldBus, forget, segment
-from sim.hub import CLIENTS_MAX, Hub, frame_of
+from sim.hub import CLIENTS_MAX, LISTENERS_MAX, Hub, frame_of
 
 LIMIT_S = 30.0
 
@@ -229,6 +230,34 @@ def test_l5_160_idle_connections_keep_nobody_out() -> None:
         robot.close()
 
     on_a_hub("idle", story)
+
+
+def test_l5_150_clients_that_only_listen_are_thinned_out(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Each frame is written to each of them: the newest few stay, and all that have sent."""
+    monkeypatch.setattr(hub_module, "LISTENER_S", 0.2)
+
+    async def story(served: Served) -> None:
+        robot = await asyncio.to_thread(greeted, served.hub.port)
+        robot.sendall(b"< rawmode >< send 18FFFF80 0 >")
+        await served.until(lambda: len(served.frames) == 1)
+
+        def listen() -> list[socket.socket]:
+            listening = [greeted(served.hub.port) for _ in range(CLIENTS_MAX - 10)]
+            for sock in listening:
+                sock.sendall(b"< rawmode >")
+            return listening
+
+        listening = await asyncio.to_thread(listen)
+        await served.until(lambda: len(served.hub.clients) == LISTENERS_MAX + 1)
+        robot.sendall(b"< send 18FFFF80 0 >")
+        await served.until(lambda: len(served.frames) == 2)
+        await served.until(lambda: len(served.segment.wire.nodes) <= LISTENERS_MAX + 2)
+        for sock in (robot, *listening):
+            sock.close()
+
+    on_a_hub("listeners", story)
 
 
 POUR = """
