@@ -5,7 +5,6 @@ gateway on a socketcand bus is back by itself when the server of that bus is.
 """
 
 import asyncio
-import json
 import secrets
 import signal
 import sys
@@ -25,6 +24,7 @@ from protocol.segment_frames import SEGMENT_MAX
 from protocol.zenoh_link import LinkError, ZenohBus, ZenohLink, configure
 from sim.given_file import SETTINGS_BYTES_MAX, read_toml
 from sim.standing import leave_standing
+from sim.strict_json import dumps
 from tools.attachment import AttachError, attach, keep_attached
 
 TELL_S = 5.0  # a status line this often
@@ -139,7 +139,7 @@ async def carry(
         news = (status["number"], status["leads"], status["reached"], status["bus"])
         if news != shown:
             shown = news
-            print(json.dumps(status) if as_json else _line(status), flush=True)
+            print(dumps(status) if as_json else _line(status), flush=True)
         try:
             await asyncio.wait_for(end.wait(), 0.2)
         except TimeoutError:

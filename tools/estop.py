@@ -1,7 +1,6 @@
 """`headland estop`: stop every robot on a bus, and say who has confirmed."""
 
 import asyncio
-import json
 import sys
 from pathlib import Path
 
@@ -9,6 +8,7 @@ from protocol.authentication import Keyring
 from protocol.bus import CanBus
 from protocol.safety_frames import AllImplementsStop, Reason, Switch
 from sim.key_file import KeyFileError, read
+from sim.strict_json import dumps
 from tools.attachment import AttachError, attach, robots_of_launch
 from tools.operator_device import Operator, Robot
 
@@ -123,7 +123,7 @@ def _tell(operator: Operator, late: list[Robot], as_json: bool, signed: bool) ->
     live = operator.live
     confirmed = [r for r in operator.members if r not in late]
     if as_json:
-        print(json.dumps({
+        print(dumps({
             "stopped": [r.slot for r in confirmed],
             "not_stopped": [r.slot for r in late if r in live],
             "not_heard": [r.slot for r in late if r not in live],

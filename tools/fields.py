@@ -1,11 +1,11 @@
 """`headland fields`: what fields a file has, and what is wrong with which."""
 
-import json
 import sys
 from pathlib import Path
 
 from sim.field_error import FieldFileError
 from sim.field_file import fields_of, project
+from sim.strict_json import dumps
 
 WRONG = 2
 HECTARE_M2 = 10_000.0
@@ -29,7 +29,7 @@ def fields(file: Path, as_json: bool) -> int:
         except FieldFileError as problem:
             rows.append({"name": name, "wrong": str(problem)})
     if as_json:
-        print(json.dumps(rows))
+        print(dumps(rows))
     else:
         for row in rows:
             told = row.get("wrong") or f"{row['hectares']} ha, {row['points']} points"

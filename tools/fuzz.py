@@ -5,7 +5,6 @@ mutation of the corpus. An input that breaks a promise is written to a file and 
 """
 
 import importlib.util
-import json
 import re
 import subprocess
 import sys
@@ -20,6 +19,7 @@ from typing import NamedTuple
 from rich.console import Console
 
 from sim.fuzz_targets import TARGETS, seeds
+from sim.strict_json import dumps
 
 FAILED, WRONG = 1, 2
 CORPUS = Path(__file__).parents[1] / "tests" / "fuzz" / "corpus"
@@ -64,14 +64,14 @@ def fuzz(
             row = play(name, runs, seconds, seed, out, keep)
         rows.append(row)
         if as_json:
-            print(json.dumps(row._asdict()), flush=True)
+            print(dumps(row._asdict()), flush=True)
         else:
             verdict = "[green]sound [/]" if row.ok else "[red]BROKEN[/]"
             console.print(f"{verdict} {row.target:12} {row.executions:>10} runs {row.cpu_s:7.1f} s")
             if not row.ok:
                 console.print(f"  {row.why}: headland fuzz {row.target} --input {row.crash}")
     results = {"seed": seed, "fuzzed": [row._asdict() for row in rows]}
-    (out / "fuzz.json").write_text(json.dumps(results, indent=1) + "\n")
+    (out / "fuzz.json").write_text(dumps(results, indent=1) + "\n")
     if not as_json:
         console.print(f"{sum(row.executions for row in rows)} executions with {engine}")
     return FAILED if any(not row.ok for row in rows) else 0

@@ -5,7 +5,6 @@ stands while it is gone, and comes back by itself.
 """
 
 import asyncio
-import json
 import os
 import signal
 import sys
@@ -16,6 +15,7 @@ from rich.console import Console
 from sim.fieldbus import segment
 from sim.hub import Hub
 from sim.standing import leave_standing
+from sim.strict_json import dumps
 from tools.attachment import CHANNEL
 
 WRONG, INTERRUPTED = 2, 130
@@ -33,7 +33,7 @@ async def _serve(host: str, port: int, bitrate: int, seed: int, as_json: bool) -
     await served.start(host, port)
     where = {"host": host, "port": served.port, "channel": CHANNEL, "pid": os.getpid()}
     if as_json:
-        print(json.dumps(where), flush=True)
+        print(dumps(where), flush=True)
     else:
         Console(highlight=False, soft_wrap=True).print(
             f"bus: socketcand {host}:{served.port} channel {CHANNEL}; Ctrl-C ends it. Robots on it: "

@@ -1,6 +1,5 @@
 """What a run leaves for replays: frames and intents in one MCAP, the scene, the hash of its frames."""
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ from sim.mcap_log import McapLog, McapMissing
 from sim.recording import FramesDigest, Recording
 from sim.scene import FILE, scene_of
 from sim.setting import Setting
+from sim.strict_json import dumps
 from sim.watch import Keeper, watch
 
 MCAP = "run.mcap"
@@ -31,7 +31,7 @@ class Keeping:
         the clock that `write` is given. `told`: one line where the disk takes no more. `limit`: of the
         size of the MCAP; None: there is none. Raises OSError, here and nowhere else."""
         self.scene = scene_of(setting)
-        (out / FILE).write_text(json.dumps(self.scene) + "\n", encoding="utf-8")
+        (out / FILE).write_text(dumps(self.scene) + "\n", encoding="utf-8")
         self.digest = FramesDigest()
         self.recording = recording
         self.mcap: McapLog | PartedLog[McapLog] | None = None

@@ -1,12 +1,12 @@
 """`headland order`: a person's answer to one robot, or where it shall go; the robot confirms."""
 
 import asyncio
-import json
 import sys
 from pathlib import Path
 
 from protocol.operator_frames import Matter, goal_frames
 from protocol.safety_frames import Command
+from sim.strict_json import dumps
 from tools.attachment import AttachError, attach
 from tools.estop import NOT_ALL, WRONG, listen_to
 from tools.operator_device import Operator, Robot
@@ -103,7 +103,7 @@ async def convey(
 def _tell(robot: Robot, what: str, asked: bool, obeyed: bool, signed: bool, as_json: bool) -> None:
     report = robot.report
     if as_json:
-        print(json.dumps({
+        print(dumps({
             "robot": robot.slot, "order": what, "obeyed": obeyed, "was_asking": asked,
             "answer": None if report is None else report.matter.name,
             "x_m": None if report is None else round(report.x_m, 1),

@@ -1,7 +1,6 @@
 """`headland reset`: clear the stops that are shown, reset each machine, and start only if told to."""
 
 import asyncio
-import json
 import sys
 from pathlib import Path
 
@@ -11,6 +10,7 @@ from agent.safety import COUNT_TOLD_MAX
 from protocol.authentication import Keyring
 from protocol.safety_frames import AllImplementsStop, Command, Switch
 from sim.key_file import OPERATOR, RESERVE, KeyFileError, read
+from sim.strict_json import dumps
 from tools.attachment import AttachError, attach, robots_of_launch
 from tools.estop import NOT_ALL, WRONG, listen_to
 from tools.operator_device import Operator, Robot
@@ -56,7 +56,7 @@ async def _reset(
         silent = [robot.slot for robot in operator.silent]
         held = [r.slot for r in operator.live if start and (r.held or not r.started)]
         if as_json:
-            print(json.dumps({
+            print(dumps({
                 "cleared": [list(dot) for dot in cleared], "not_released": left,
                 "not_heard": silent, "held": held,
                 "stands": {str(r.slot): stands(operator, r) for r in operator.live},

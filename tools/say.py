@@ -1,7 +1,6 @@
 """`headland say`: plain language to a fleet, and its answers; without a phrase, a conversation."""
 
 import asyncio
-import json
 import sys
 import threading
 from collections.abc import AsyncIterator
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from protocol.authentication import Keyring
 from protocol.bus import CanBus
+from sim.strict_json import dumps
 from tools.attachment import LAUNCH, AttachError, attach
 from tools.inspection import SourceError, frames_of
 from tools.inspector import Inspector
@@ -183,7 +183,7 @@ class _Conversation:
     def tell(self, outcome: Outcome) -> None:
         self.code = max(self.code, outcome.code)
         if self.options.as_json:
-            print(json.dumps(outcome.to_dict()), flush=True)
+            print(dumps(outcome.to_dict()), flush=True)
             return
         if self.options.read_only and outcome.question is None:
             print(

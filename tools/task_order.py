@@ -1,7 +1,6 @@
 """Ordering a transport over the bus, and hearing that the fleet knows of it."""
 
 import asyncio
-import json
 import sys
 from pathlib import Path
 
@@ -13,6 +12,7 @@ from protocol.frame import Frame
 from sim.delivery_setting import floor_of
 from sim.order_desk import OrderDesk
 from sim.scenario import ScenarioError
+from sim.strict_json import dumps
 from sim.warehouse_scenario import TaskRow, load_warehouse, read_tasks
 from tools.attachment import AttachError, attach
 from tools.device_address import DeviceAddress
@@ -38,7 +38,7 @@ def order(
     for number, sure in known.items():
         line = {"task": number, "known": sure}
         plain = f"task {number}: " + ("known to the fleet" if sure else "nobody has confirmed it")
-        print(json.dumps(line) if as_json else plain)
+        print(dumps(line) if as_json else plain)
     return 0 if all(known.values()) else REFUSED
 
 

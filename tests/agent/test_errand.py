@@ -4,7 +4,7 @@ from math import hypot
 
 import pytest
 
-from agent.errand import Errands
+from agent.errand import FOLLOWED_MAX, Errands
 from agent.floor import Floor
 from agent.joint_plan import JointPlan
 from agent.mission import FleetView
@@ -79,3 +79,11 @@ def test_m16_what_holds_a_lone_robot_up_and_no_ray_sees_is_driven_round() -> Non
             x_m, y_m = next_x_m, next_y_m
     assert hypot(x_m - goal[0], y_m - goal[1]) < 0.1, (x_m, y_m)
     assert "stalled" in [followed.why for followed in errands.followed]
+
+
+def test_f_lines_that_were_followed_are_forgotten_when_there_are_many() -> None:
+    """A robot that is sent on its way again and again does not fill its memory."""
+    errands = Errands(0, {0: [(13.5, 0.5)]}, FLOOR, 1.0, 1.0)
+    for number in range(FOLLOWED_MAX + 10):
+        errands._set_out(((1.0, 0.5), (2.0, 0.5)), "lost", number)
+    assert len(errands.followed) == FOLLOWED_MAX and errands.followed[0].t_us == 10

@@ -131,3 +131,10 @@ def command(folder: Path, *words: str) -> str:
     )  # fmt: skip
     assert done.stdout and "Traceback" not in done.stderr, done.stderr
     return done.stdout
+
+
+def test_f_no_command_prints_json_that_is_not_strict() -> None:
+    """`json.dumps` prints Infinity and NaN, which other readers refuse."""
+    tools = Path(__file__).parents[2] / "tools"
+    loose = [path.name for path in tools.glob("*.py") if "print(json.dumps(" in path.read_text()]
+    assert not loose

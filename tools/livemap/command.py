@@ -2,7 +2,6 @@
 
 import asyncio
 import contextlib
-import json
 import secrets
 import socket
 import sys
@@ -24,6 +23,7 @@ from sim.recording import Recording
 from sim.scenario import ScenarioError
 from sim.scene import Scene, in_folder, scene_named
 from sim.standing import leave_standing
+from sim.strict_json import dumps
 from tools.attachment import LAUNCH, AttachError, attach
 from tools.estop import keyring_of
 from tools.inspection import SourceError, frames_of
@@ -111,7 +111,7 @@ def url_of(listener: socket.socket, server: "MapServer") -> str:
 
 def _announce(console: Console, as_json: bool, url: str) -> None:
     if as_json:
-        print(json.dumps({"map": url}), flush=True)
+        print(dumps({"map": url}), flush=True)
     else:
         console.print(f"map: {url}   (Ctrl-C ends it)")
 
