@@ -15,6 +15,8 @@ from protocol.work_frames import StateSyncResponse, TaskClaim, WorkProgress
 # Hand-overs of one section: a fault of the fleet costs one or two, and its lease lasts 20 s.
 EPOCH_BURST = 16
 EPOCH_EVERY_US = 10 * S
+# However long it runs, or its clock says so: an hour would explain all 255. Higher ones are put off.
+EPOCH_EXPLAINED_MAX = 64
 PERSISTS_US = 3 * S  # told again after this, by whoever holds it: sync repeats what differs
 FORGOTTEN_US = 60 * S  # sync asks at least every 38 s
 PUT_OFF_MAX = (
@@ -46,6 +48,7 @@ class Admission:
             self.refused["epoch"] += 1
             return False
         explained = EPOCH_BURST + (now_us - self._boot_us) // EPOCH_EVERY_US
+        explained = min(explained, EPOCH_EXPLAINED_MAX)
         if message.epoch <= explained or self._persists(message.section, message.epoch, now_us):
             return True
         self.refused["epoch"] += 1

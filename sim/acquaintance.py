@@ -21,6 +21,7 @@ class Acquaintance:
         self._met: set[tuple[int, int]] = set()
         self._hangs_until_us: dict[int, int] = {}
         self._hangs_since_us: dict[int, int] = {}
+        self._doubled_until_us: dict[int, int] = {}
 
     def hangs(self, slot: int, now_us: int, until_us: int) -> None:
         """Until then it says nothing, and hears it all at once in the end."""
@@ -33,6 +34,12 @@ class Acquaintance:
 
     def hung_since_us(self, slot: int, now_us: int) -> int | None:
         return self._hangs_since_us[slot] if self.is_hung(slot, now_us) else None
+
+    def doubled(self, slot: int, until_us: int) -> None:
+        """Until then a second machine says that it is that robot: whether the robot itself is silent
+        cannot be told, and afterwards the others have to meet it again."""
+        self._doubled_until_us[slot] = max(until_us, self._doubled_until_us.get(slot, 0))
+        self._met = {pair for pair in self._met if pair[1] != slot}
 
     def boots(self, slot: int) -> None:
         """A new life has met nobody; an earlier one may have been met."""
@@ -59,6 +66,7 @@ class Acquaintance:
                 pair = hearer, speaker
                 together_us = self._together_us.get(pair, 0) + passed_us
                 hung_us = max(hangs.get(hearer, 0), hangs.get(speaker, 0))
+                hung_us = max(hung_us, self._doubled_until_us.get(speaker, 0))
                 if hung_us > now_us - passed_us:
                     together_us = max(0, now_us - hung_us)
                 self._together_us[pair] = 0 if lossy or cut or off else together_us

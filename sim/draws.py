@@ -10,6 +10,7 @@ from sim import scenario as kinds
 from sim.scenario import Fault
 
 BABBLING = 0x4D  # the lowest bits of an identifier: the group 0, and a device's address
+NONSENSE_S = 5.0  # at most, and as long before the end
 YARD_M = 18.0, 12.0  # boxes fall within this of the middle
 Draw = Callable[[Random, int, float, float], list[Fault]]  # dice, robots, when, until when
 
@@ -156,6 +157,25 @@ def _used_stop(rng: Random, robots: int, at_s: float, end_s: float) -> list[Faul
                            every_s=every_s)]  # fmt: skip
 
 
+def _foreign(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
+    claims, for_s = rng.random() < 0.7, min(rng.uniform(0.5, 10.0), end_s - at_s)
+    return [kinds.Foreign(at_s=at_s, kind="foreign", claims=claims, for_s=for_s)]
+
+
+def _twin(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
+    robot, same = rng.randrange(robots), rng.random() < 0.4
+    for_s = min(rng.choice((0.3, 2.0, 8.0)), end_s - at_s)
+    return [kinds.Twin(at_s=at_s, kind="twin", robot=robot, same_address=same, for_s=for_s)]
+
+
+def _nonsense(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
+    """A robot that has lost every address tries again after 5 s, and after 10 s the second time."""
+    at_s = round(max(0.0, min(at_s, end_s - NONSENSE_S)), 3)
+    table = {"at_s": at_s, "kind": "nonsense", "robot": rng.randrange(robots)}
+    table |= {"what": rng.choice(("field", "work", "claims")), "same_slot": rng.random() < 0.3}
+    return [kinds.Nonsense.model_validate(table | {"for_s": rng.uniform(0.2, NONSENSE_S)})]
+
+
 def _release(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
     return [kinds.Reset(at_s=at_s, kind="reset")]
 
@@ -227,5 +247,8 @@ DRAWS: dict[str, Draw] = {
     "haste": _haste,
     "buttons": _buttons,
     "used_stop": _used_stop,
+    "foreign": _foreign,
+    "twin": _twin,
+    "nonsense": _nonsense,
 }
 CLUSTERS: dict[str, Draw] = {"blackout": _blackout, "burst": _burst, "split": _split}

@@ -20,6 +20,7 @@ from sim.fieldbus import FieldBus
 from sim.foreign_devices import buttons, used_stop
 from sim.host import Script, follow
 from sim.setting import Setting
+from sim.strangers import foreign, nonsense, twin
 from sim.swarm import SwarmShell
 
 UNKNOWN_GROUP = 0x1FF0700  # its priority is drawn; even at 0 a stop has the lower identifier
@@ -123,6 +124,12 @@ class FaultPlan:
                 return buttons(cluster, fault, self._rng, len(self.done))
             case kinds.UsedStop():
                 return used_stop(cluster, fault, self._rng)
+            case kinds.Foreign():
+                return foreign(cluster, fault, self._rng)
+            case kinds.Twin():
+                return twin(cluster, fault, self._rng)
+            case kinds.Nonsense():
+                return nonsense(cluster, fault, self._rng)
             case kinds.Clone(robot=robot, wins=wins):
                 self._clone(robot, wins)
             case kinds.Blind(robot=robot, for_s=for_s):

@@ -10,12 +10,14 @@ from dataclasses import dataclass
 from typing import Any
 from unittest.mock import patch
 
-from agent import claims, safety
+from agent import claims, conflicts, safety
+from agent.admission import Admission
 from agent.claims import Claims
 from agent.effects import HALT, Drive, Effect, Send
 from agent.field_work import FieldWork
 from agent.membership import Membership
 from agent.motion import Motion
+from agent.origin import Origin, Origins
 from agent.records import Records
 from agent.roll_call import RollCall
 from agent.safety import Safety
@@ -241,6 +243,13 @@ def _keeps_address(right: Any) -> Any:
     return move
 
 
+def _gives_up(right: Any) -> Any:
+    def try_again(self: AddressClaim, now_us: int) -> None:
+        self._next_us = None
+
+    return try_again
+
+
 def _no_progress_kept(right: Any) -> Any:
     def restore(self: Records, allocation: Any, progress: Any) -> None:
         right(self, allocation, Progress({}))
@@ -352,6 +361,20 @@ MUTANTS: dict[str, Mutant] = {
     ),
     "standard-stop-once": Mutant(
         "the standard stop is said once", OwnButton, "say", _constant(None), "devices"
+    ),
+    "other-makers-believed": Mutant(
+        "every device is one of ours", Origins, "of", _constant(Origin.OURS), "strangers"
+    ),
+    "another-field-holds": Mutant(
+        "a robot of another field holds the fleet after it is gone",
+        conflicts, "GONE_US", _value(1 << 50), "strangers",
+    ),
+    "addresses-gone-for-good": Mutant(
+        "a robot that found no address does not try again",
+        AddressClaim, "_try_again", _gives_up, "strangers",
+    ),
+    "impossible-work-joined": Mutant(
+        "any section, owner and epoch is joined", Admission, "admits", _constant(True), "strangers"
     ),
     "strangers-unasked": Mutant("nobody asks who is who", RollCall, "answer_due", _deaf, "claims"),
 }

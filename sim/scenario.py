@@ -210,6 +210,28 @@ class UsedStop(_Fault):
     every_s: float = Field(default=0.005, ge=0.001, le=1.0)
 
 
+class Foreign(_Fault):
+    kind: Literal["foreign"]  # a device of another maker says its own in our proprietary groups
+    claims: bool = True  # an address with its NAME; else nobody knows of which maker it is
+    for_s: float = Field(gt=0.0)
+
+
+class Twin(_Fault):
+    kind: Literal["twin"]  # a second machine with the robot's slot and NAME
+    robot: Slot
+    same_address: bool = False  # as the robot; else at one of its own
+    for_s: float = Field(gt=0.0)
+
+
+class Nonsense(_Fault):
+    # Of a device: a robot of another field; work that no fleet has; claims of every address by NAME 0.
+    kind: Literal["nonsense"]
+    what: Literal["field", "work", "claims"]
+    robot: Slot = 0  # from whose address the work is told; whose slot another field has
+    same_slot: bool = False  # of the robot of another field; else it is not of this fleet
+    for_s: float = Field(default=1.0, gt=0.0)
+
+
 class Clone(_Fault):
     kind: Literal["clone"]  # a device claims the robot's address; does its NAME win?
     robot: Slot
@@ -268,7 +290,7 @@ Fault = Annotated[
     Partition | Heal | OneWay | Crash | Restart | Freeze | Loss | Omission | Duplicate | Errors
     | BusOff | Estop | Reset | Order | Box | Pushed | Join | Babble | Clone | Drift
     | ClockJump | CrashWorking | Blind | Frozen | Late | DiskFull
-    | Buttons | UsedStop,
+    | Buttons | UsedStop | Foreign | Twin | Nonsense,
     Field(discriminator="kind"),
 ]  # fmt: skip
 

@@ -168,6 +168,12 @@ class StopWatch:
                 self._know[number].discard(slot)
                 self._unheard[number] |= {slot}
 
+    def doubled(self, slot: int) -> None:
+        """Another machine says that it is this robot: its silence holds nobody any longer."""
+        for number, by in list(self._by.items()):
+            for other in self._unheard[number] if by == slot else ():
+                self._free(number, other)
+
     def boots(self, slot: int) -> None:
         """A new life has met nobody whose silence could stop it, and no device that says a stop."""
         self.disturbances += 1

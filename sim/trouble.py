@@ -43,7 +43,7 @@ CLOSE_S = 3.0  # links stay bad for seconds: what happens so soon after, happens
 BODIES = ("box", "pushed", "blind", "frozen", "late")  # of no use where there is no world
 LINKS = (kinds.Partition, kinds.Heal, kinds.OneWay, kinds.Loss, kinds.Omission, kinds.Errors,
          kinds.Duplicate, kinds.BusOff, kinds.Babble, kinds.Clone, kinds.Freeze, kinds.Drift,
-         kinds.ClockJump)  # fmt: skip
+         kinds.ClockJump, kinds.Foreign, kinds.Twin, kinds.Nonsense)  # fmt: skip
 
 
 def is_link_trouble(fault: Fault) -> bool:
@@ -97,6 +97,10 @@ PROFILES = {
                                         "crash": 0.5, "join": 0.5},
                        "short drills: devices of other makers stop the fleet, and panels with used names",
                        "sprint"),
+    "strangers": Profile((2, 5), (2, 6), {"foreign": 3.0, "twin": 3.0, "nonsense": 4.0, "estop": 2.0,
+                                          "reset": 2.0, "crash": 0.5, "join": 0.5},
+                         "short drills: other makers, second machines of one slot, and nonsense",
+                         "sprint"),
     "claims": Profile((2, 5), (1, 6), {"crash": 2.0, "crash_working": 1.0, "join": 1.0,
                                        "freeze": 1.0, "errors": 1.0, "duplicate": 1.0,
                                        "bus_off": 1.0, "babble": 0.5, "blackout": 0.5,

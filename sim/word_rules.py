@@ -4,7 +4,8 @@ S2 and S3: who has held a stop does not say that it is released before an operat
 very stop. S4: after a reset nobody works before a start. S8: a press makes a stop of a new name. S9:
 what a robot has said of a register, of progress, of its operations it never takes back, over restarts
 too; so a released claim does not return (S11). S7: nobody starts what it has claimed before everybody
-had the time to claim it better. S16: one vote a term, one leader a term.
+had the time to claim it better. S16: one vote a term, one leader a term. S21: nobody tells a stop of a
+machine that is not there.
 """
 
 from collections import Counter, defaultdict
@@ -26,6 +27,7 @@ from protocol.safety_frames import (
     Switch,
 )
 from protocol.work_frames import StateSyncRequest, StateSyncResponse, TaskClaim, WorkProgress
+from sim.foreign_devices import PANEL
 
 EVERYBODY = 255
 HALF_U16 = 0x8000  # operations are counted modulo 2^16 on the wire
@@ -196,6 +198,10 @@ class WordRules:
             speaker.unnamed = dot in speaker.dots or dot in self.cleared
             speaker.old_name = dot if speaker.unnamed else None
         speaker.dots.add(dot)
+        if stop.slot >= self.robots and stop.slot != PANEL:
+            self._add(
+                "S21", now_us, f"robot {slot} tells a stop of {stop.slot}, which is not there"
+            )
 
     def _claim(self, slot: int, speaker: Speaker, now_us: int, section: int, phase: Phase) -> None:
         if phase is Phase.CLAIMED:

@@ -2,7 +2,7 @@
 
 import pytest
 
-from agent.admission import EPOCH_BURST, PERSISTS_US
+from agent.admission import EPOCH_BURST, EPOCH_EXPLAINED_MAX, PERSISTS_US
 from agent.config import S
 from agent.core import Peer
 from agent.lifecycle import State
@@ -61,5 +61,15 @@ def test_t7_a_robot_that_was_away_believes_a_high_epoch_that_is_told_on() -> Non
 
 def test_t7_hand_overs_of_a_long_day_are_believed_at_once() -> None:
     peer = robot()
-    peer.hear(MEMBER, TaskClaim(0, 200, Phase.CLAIMED, 0, 900, 1), 8 * 3600 * S)
+    peer.hear(MEMBER, TaskClaim(0, EPOCH_EXPLAINED_MAX, Phase.CLAIMED, 0, 900, 1), 8 * 3600 * S)
     assert peer.allocation.owner_of(0) == 1
+
+
+def test_t7_a_clock_that_leaps_or_a_long_day_does_not_explain_every_epoch() -> None:
+    """Else an hour, or a clock that is set by one, would let every forged register in."""
+    peer, now_us = robot(), 8 * 3600 * S
+    told = TaskClaim(0, EPOCH_EXPLAINED_MAX + 1, Phase.DONE, 0, 900, 1)
+    peer.hear(MEMBER, told, now_us)
+    assert not peer.allocation.entries()
+    peer.hear(MEMBER, told, now_us + PERSISTS_US)
+    assert peer.allocation.owner_of(0) == 1, "told on: it is put off, not refused"
