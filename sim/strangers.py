@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from random import Random
 from typing import Final
 
-from agent.config import ADDRESS_FIRST, ADDRESS_LAST, BEATS, MS, S
+from agent.config import ADDRESS_FIRST, ADDRESS_LAST, BEATS, MS, PEERS_MAX, S
 from agent.lifecycle import State
 from crdt import Phase
 from protocol.codec import encode
@@ -103,9 +103,9 @@ def _another_field(
     """A robot of this fleet's name tells another field description."""
     claim = AddressClaimed(fleet_name(cluster.scenario.name, fault.robot).pack())
     if not fault.same_slot:
-        claim = AddressClaimed(fleet_name(cluster.scenario.name, kinds.PEERS_MAX - 1).pack())
+        claim = AddressClaimed(fleet_name(cluster.scenario.name, PEERS_MAX - 1).pack())
     field_hash = cluster.robots[fault.robot].peer.identity.field_hash ^ HASH_FLIPS
-    member = Member(fault.robot if fault.same_slot else kinds.PEERS_MAX - 1, 1, field_hash)
+    member = Member(fault.robot if fault.same_slot else PEERS_MAX - 1, 1, field_hash)
 
     def said() -> Iterator[Message]:
         yield claim

@@ -1,4 +1,4 @@
-"""Machines that should not be on the bus change nothing, and leave nothing behind (items 5, 11 and 12)."""
+"""Machines that should not be on the bus change nothing and leave nothing behind (items 5, 11, 12)."""
 
 from typing import Any
 
