@@ -9,6 +9,7 @@ device, and no other trouble comes meanwhile, `sim/stop_watch.py` judges that fr
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from random import Random
+from types import MappingProxyType
 from typing import Final
 
 from agent.config import ADDRESS_FIRST, MS, S
@@ -41,7 +42,9 @@ LATCHED_US: Final = 250 * MS  # and two frames: a press that is said still is ta
 
 
 @contextmanager
-def device(cluster: Cluster, names: Mapping[int, Name]) -> Iterator[FieldBus]:
+def device(
+    cluster: Cluster, names: Mapping[int, Name] = MappingProxyType({})
+) -> Iterator[FieldBus]:
     """A controller behind which these NAMEs speak, by address."""
     bus = FieldBus(cluster.channel)
     said = {
