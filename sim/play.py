@@ -159,6 +159,8 @@ class Play:
             case kinds.ClockJump(robot=robot):
                 self._at(at_us, self._interrupted)  # of whoever was pressed
                 self._at(at_us, partial(self.witness.words.leaps, robot))
+            case kinds.Foreign(claims=False):
+                self._at(at_us, self.witness.words.without_name)
             case kinds.Box():
                 self._at(at_us, partial(self._excuse, tuple(range(self.scenario.fleet.robots))))
 

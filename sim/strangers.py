@@ -47,9 +47,7 @@ HASH_FLIPS: Final = 0x5A5A5A  # of the bits of a field hash: another field
 def foreign(cluster: Cluster, fault: kinds.Foreign, rng: Random) -> Script[None]:
     """A device of another maker uses the proprietary groups for its own, each in turn."""
     address = CLAIMED_ADDRESS if fault.claims else UNCLAIMED_ADDRESS
-    with device(cluster) as bus:
-        if fault.claims:
-            bus.submit(encode(AddressClaimed(FOREIGN_NAME.pack()), address))
+    with device(cluster, {address: FOREIGN_NAME} if fault.claims else {}) as bus:
         for turn, due_us in enumerate(_times(cluster, fault.for_s, FOREIGN_US)):
             yield due_us
             pgn = FOREIGN_PF << 8 | turn % FOREIGN_GROUPS
@@ -70,7 +68,7 @@ def twin(cluster: Cluster, fault: kinds.Twin, rng: Random) -> Script[None]:
     name, digest = robot.peer.identity.name.pack(), rng.randrange(1 << 24)
     cluster.acquaintance.doubled(fault.robot, cluster.host.now_us() + round(fault.for_s * S))
     cluster.stops.doubled(fault.robot)
-    with device(cluster) as bus:
+    with device(cluster, {}) as bus:  # it claims by itself
         bus.submit(encode(AddressClaimed(name), address))
         bus.submit(encode(member, address))
         for turn, due_us in enumerate(_times(cluster, fault.for_s, BEATS[0].pose_us)):
@@ -86,7 +84,7 @@ def nonsense(cluster: Cluster, fault: kinds.Nonsense, rng: Random) -> Script[Non
     address, said = _NONSENSE[fault.what](cluster, fault, rng)
     if address is None:
         return
-    with device(cluster) as bus:
+    with device(cluster, {}) as bus:  # it claims by itself
         if fault.what == "claims":
             for taken in range(ADDRESS_FIRST, ADDRESS_LAST + 1):
                 bus.submit(encode(AddressClaimed(0), taken))

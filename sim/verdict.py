@@ -28,7 +28,7 @@ RULES = {
     "S18": "who has lost its address says nothing from it",
     "S19": "a robot that has lost its senses stands",
     "S20": "while a stop holds a robot, the standard stop is said to implements",
-    "S21": "a stop that a robot tells is one of this fleet, or of a panel of ours",
+    "S21": "a told stop is of this fleet, of a panel of ours, or of a device without a NAME",
     "L1": "replicas are equal in the end, and nobody goes on asking",
     "L2": "after the resets nobody stands stopped",
     "L5": "the work is finished in time, all of it",

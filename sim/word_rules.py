@@ -74,6 +74,7 @@ class WordRules:
         self.speakers: defaultdict[int, Speaker] = defaultdict(Speaker)
         self.broken: list[Broken] = []
         self.cleared: set[StopDot] = set()
+        self.unknown_device = False  # one without a claim has spoken: its stops latch, to be safe
         self.units: dict[tuple[int, int], int] = {}  # section and block: bits that anybody has told
         self.questions: Counter[int] = Counter()  # of each robot, for what it lacks
         self.implements_stop_us = NEVER_US  # when a robot said the standard stop last
@@ -100,6 +101,10 @@ class WordRules:
                         self.speakers[slot].reset_us = now_us
                     elif order.command == Command.START:
                         self.speakers[slot].start_us = now_us
+
+    def without_name(self) -> None:
+        """A device speaks whose NAME nobody can learn; from now on S21 cannot be judged."""
+        self.unknown_device = True
 
     def leaps(self, slot: int) -> None:
         """Its clock is set: how long it waits after a claim cannot be told from outside."""
@@ -198,7 +203,7 @@ class WordRules:
             speaker.unnamed = dot in speaker.dots or dot in self.cleared
             speaker.old_name = dot if speaker.unnamed else None
         speaker.dots.add(dot)
-        if stop.slot >= self.robots and stop.slot != PANEL:
+        if stop.slot >= self.robots and stop.slot != PANEL and not self.unknown_device:
             self._add(
                 "S21", now_us, f"robot {slot} tells a stop of {stop.slot}, which is not there"
             )
