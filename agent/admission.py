@@ -17,7 +17,7 @@ EPOCH_BURST = 16
 EPOCH_EVERY_US = 10 * S
 # However long it runs, or its clock says so: an hour would explain all 255. Higher ones are put off.
 EPOCH_EXPLAINED_MAX = 64
-PERSISTS_US = 3 * S  # told again after this, by whoever holds it: sync repeats what differs
+PERSISTS_US = 3 * S  # told again after this: sync repeats what differs
 FORGOTTEN_US = 60 * S  # sync asks at least every 38 s
 PUT_OFF_MAX = (
     256  # sections of which an improbable epoch was told; of more the oldest are forgotten

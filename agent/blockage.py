@@ -23,11 +23,11 @@ PASS_M: Final = 0.25  # and on a way past it: ORCA's margin, and what a tracker 
 THING_M: Final = (
     0.4  # beside the hull on a way past a thing: what the lookout keeps, and half a grain
 )
-NEAR_M: Final = 4.0  # beyond a body's reach: who stands so near may be why we get nowhere
+NEAR_M: Final = 4.0  # beyond a body's reach: a robot so near may be why we get nowhere
 STANDS_M_S: Final = 0.05  # slower than this a robot stands
 MOVED_M: Final = 0.5  # further from where it stood: it goes its way
 BESIDE_M: Final = 0.1  # a way may be so much nearer to somebody than one planned round it
-FRESH_US: Final = 1 * S  # a beat older than this tells nothing of who stands
+FRESH_US: Final = 1 * S  # a beat older than this does not show that a robot stands
 FORGET_US: Final = 30 * S  # then it is tried again past who stood in the way
 
 
@@ -63,7 +63,7 @@ class Blockage:
         return new
 
     def stand_before(self, view: FleetView) -> None:
-        """We get nowhere: who stands near by is gone round from now on, until it moves."""
+        """We get nowhere: ways go round robots that stand near by, until they move."""
         for slot, (pose, heard_us) in view.neighbours.items():
             gap_m = hypot(pose.x_m - view.here.x_m, pose.y_m - view.here.y_m)
             fresh = view.now_us - heard_us < FRESH_US

@@ -144,7 +144,7 @@ class Hearing:
         peer.origins.keep(source, message, now_us)
         peer.name_call.stranger(source, now_us, NAME_PATIENCE_US)
         if isinstance(message, Pose) and peer.safety.latched and not message.stopped:
-            return peer.safety.tell_stops(now_us)  # whoever it is, it has not heard what stops us
+            return peer.safety.tell_stops(now_us)  # the sender has not heard what stops us
         return ()
 
     def doubted(self, source: int, message: AnyStop, now_us: int) -> Sequence[Effect] | None:

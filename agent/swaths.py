@@ -22,7 +22,7 @@ SWEEP_DEG = 10.0  # angles tried besides the directions of the edges
 EDGE_SHARE_MIN = 0.05  # edges shorter than this share of the outline propose no angle
 CORNER_RAD = 0.05  # a smaller turn leaves no gap that the overlap would not close
 UNITS_LEAST = (
-    8  # of a whole field: in a tiny one, what is done beside somebody who stands there counts
+    8  # of a whole field: in a tiny one, work done beside a standing robot counts
 )
 SHARP_CORNERS_MAX = 8  # a ring with more of them is rounded
 UNIT_LEAST_M = 1.0  # three times the lead of a stretch

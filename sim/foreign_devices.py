@@ -92,7 +92,7 @@ def buttons(cluster: Cluster, fault: kinds.Buttons, rng: Random, lot: int) -> Sc
                 yield stands_us
                 cluster.stops.end_level(level)
             yield due_us
-            # Who has not heard what the button counted before cannot know that it was pressed.
+            # A robot that missed the earlier counts cannot know that the button was pressed.
             missed = fault.unheard and due_us == release_us
             stopping = switch is Switch.STOP or (missed and cluster.stops.disturbances == before)
             if stopping and address == first and level is None:

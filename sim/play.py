@@ -150,7 +150,7 @@ class Play:
                 self._at(at_us, partial(self._loses_senses, robot, at_us + round(for_s * S)))
             case kinds.Late(robot=robot, by_s=by_s, for_s=for_s) if by_s * S > AGE_MAX_US:
                 self._at(at_us, partial(self._loses_senses, robot, at_us + round(for_s * S)))
-            case kinds.Reset() | kinds.Order():  # a start: who stands by a frozen place tries again
+            case kinds.Reset() | kinds.Order():  # a start: a robot with a frozen place tries again
                 self._at(at_us, self._frozen_at.clear)
             case kinds.Frozen(robot=robot, for_s=for_s):
                 self._at(at_us, partial(self._place_freezes, robot, at_us + round(for_s * S)))

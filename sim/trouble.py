@@ -40,7 +40,7 @@ SPANS = {
 
 CLOSE_S = 3.0  # links stay bad for seconds: what happens so soon after, happens in the middle of it
 
-BODIES = ("box", "pushed", "blind", "frozen", "late")  # of no use where there is no world
+BODIES = ("box", "pushed", "blind", "frozen", "late")  # useless where there is no world
 LINKS = (kinds.Partition, kinds.Heal, kinds.OneWay, kinds.Loss, kinds.Omission, kinds.Errors,
          kinds.Duplicate, kinds.BusOff, kinds.Babble, kinds.Clone, kinds.Freeze, kinds.Drift,
          kinds.ClockJump, kinds.Foreign, kinds.Twin, kinds.Nonsense)  # fmt: skip

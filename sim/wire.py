@@ -139,7 +139,7 @@ class Wire:
         """Its sender is gone."""
         if island.begun_us > now_us:
             self._withdraw(island)
-            return  # who has something to send arbitrates at that bit
+            return  # a node with something to send arbitrates at that bit
         self.busy_us -= island.end_us - now_us - ERROR_US
         island.end_us, island.free_us = NEVER_US, now_us + ERROR_US
         island.start_us = island.free_us
