@@ -22,6 +22,15 @@ from protocol.frame import Frame
 from sim.foxglove import LOG, SCENE_UPDATE, log_line, outline, robot_entity
 from sim.given_file import check_regular
 from sim.log_parts import parts_of
+from sim.mcap_schema import (
+    INTENT,
+    SCHEMAS,
+    THINGS,
+    intent_message,
+    intent_of_message,
+    things_message,
+    things_of_message,
+)
 from sim.recording import Recording
 from sim.scene import FILE, Scene
 
@@ -48,7 +57,6 @@ uint32 nanosec
 """
 CDR = Struct("<4siII5s3xI???B8s")  # encapsulation; stamp; frame_id with its length; the rest
 LITTLE_ENDIAN, CHANNEL = b"\0\1\0\0", b"can0\0"
-PLAIN = json.dumps({"type": "object"}).encode()  # the panels look at the values themselves
 
 
 class McapMissing(Exception):
@@ -78,6 +86,7 @@ class McapLog:
         can = self._writer.register_schema("can_msgs/msg/Frame", "ros2msg", CAN_FRAME.encode())
         self._can = self._writer.register_channel(CAN_TOPIC, "cdr", can)
         self._channels: dict[str, int] = {}
+        self._schemas: dict[str, int] = {}
         self._drawn_us: dict[int, int] = {}
         self.scene = scene
         if scene is not None:
@@ -103,7 +112,7 @@ class McapLog:
 
     def tell(self, t_us: int, intent: dict[str, Any]) -> None:
         slot = int(intent["slot"])
-        self._add(f"/robots/{slot}", "headland.Intent", t_us, intent)
+        self._add(f"/robots/{slot}", INTENT, t_us, intent_message(intent))
         if t_us - self._drawn_us.get(slot, -SCENE_EVERY_US) >= SCENE_EVERY_US:
             self._drawn_us[slot] = t_us
             radius_m = float((self.scene or {}).get("radius_m", 0.5))
@@ -111,7 +120,7 @@ class McapLog:
             self._add("/scene", SCENE_UPDATE, t_us, {"entities": [entity], "deletions": []})
 
     def place(self, t_us: int, rows: Iterable[Iterable[float]]) -> None:
-        self._add("/things", "headland.Things", t_us, {"rows": [list(row) for row in rows]})
+        self._add("/things", THINGS, t_us, things_message([list(row) for row in rows]))
 
     def effect(self, slot: int, t_us: int, effect: Effect) -> None:
         """Of all effects only what a person reads."""
@@ -121,11 +130,17 @@ class McapLog:
     def _add(self, topic: str, schema: str, t_us: int, value: dict[str, Any]) -> None:
         channel = self._channels.get(topic)
         if channel is None:
-            number = self._writer.register_schema(schema, "jsonschema", PLAIN)
-            channel = self._writer.register_channel(topic, "json", number)
+            channel = self._writer.register_channel(topic, "json", self._schema(schema))
             self._channels[topic] = channel
         data = json.dumps(value, separators=(",", ":")).encode()
         self._writer.add_message(channel, t_us * 1000, data, t_us * 1000)
+
+    def _schema(self, name: str) -> int:
+        """The number of a schema in this file; ten robots share one."""
+        if name not in self._schemas:
+            data = json.dumps(SCHEMAS[name], separators=(",", ":")).encode()
+            self._schemas[name] = self._writer.register_schema(name, "jsonschema", data)
+        return self._schemas[name]
 
     def close(self) -> None:
         self._writer.finish()  # type: ignore[no-untyped-call]
@@ -161,9 +176,9 @@ def _add_notes(recording: Recording, path: Path) -> None:
     for t_us, topic, data in _messages(path, None):
         try:
             if topic.startswith("/robots/"):
-                recording.tell(t_us, dict(json.loads(data)))
+                recording.tell(t_us, intent_of_message(dict(json.loads(data))))
             elif topic == "/things":
-                recording.place(t_us, json.loads(data)["rows"])
+                recording.place(t_us, things_of_message(json.loads(data)))
         except (KeyError, TypeError, ValueError, RecursionError):
             raise ValueError(f"{topic} is damaged") from None
 

@@ -140,3 +140,99 @@ def test_any_datagram_is_an_intent_or_none(data: bytes) -> None:
 
 def test_python_can_reads_our_log(kept: tuple[Path, str, str]) -> None:
     assert sum(1 for _ in can.LogReader(kept[0] / "can.log")) == recorded(kept[0], None).count
+
+
+def _foxglove_fields(schema: dict[str, object], path: str) -> set[str]:
+    """Paths of messages, by the rules of Foxglove's reader of JSON schemas.
+
+    It takes objects with properties, plain values, numbered choices, and arrays of plain values or of
+    objects. It refuses a topic with anything else.
+    """
+    plain = ("boolean", "string", "number", "integer")
+    assert schema["type"] == "object", path
+    properties = schema["properties"]
+    assert isinstance(properties, dict) and properties, path
+    found = set()
+    for name, field in properties.items():
+        at, kind = f"{path}.{name}", field.get("type")
+        if "oneOf" in field:
+            assert all(isinstance(each["const"], int) for each in field["oneOf"]), at
+        elif kind == "array":
+            at, field = at + "[]", field["items"]
+            kind = field["type"]
+        assert "oneOf" in field or kind in (*plain, "object"), at
+        found |= _foxglove_fields(field, at) if kind == "object" else {at}
+    return found
+
+
+def test_a20_the_schemas_of_the_mcap_say_every_message_path(kept: tuple[Path, str, str]) -> None:
+    reading = pytest.importorskip("mcap.reader")
+    paths, schemas = {}, {}
+    with (kept[0] / "run.mcap").open("rb") as file:
+        summary = reading.make_reader(file).get_summary()
+        for channel in summary.channels.values():
+            schema = summary.schemas[channel.schema_id]
+            if schema.encoding == "jsonschema":
+                schemas[channel.topic] = json.loads(schema.data)
+                paths[channel.topic] = _foxglove_fields(schemas[channel.topic], channel.topic)
+    assert {"/scene", "/log", "/robots/0", "/things"} - paths.keys() <= {"/things"}
+    assert {"/robots/0.vx", "/robots/0.path[].x", "/robots/0.wanted.y", "/robots/0.holds[]"} <= paths[
+        "/robots/0"
+    ]
+    assert {"/log.level", "/log.timestamp.nsec"} <= paths["/log"]
+    assert "/scene.entities[].lines[].points[].z" in paths["/scene"]
+    assert schemas["/scene"]["title"] == "foxglove.SceneUpdate"
+
+
+def test_a20_every_message_obeys_its_schema(kept: tuple[Path, str, str], tmp_path: Path) -> None:
+    reading = pytest.importorskip("mcap.reader")
+    jsonschema = pytest.importorskip("jsonschema")
+    log = McapLog(tmp_path / "things.mcap")
+    log.place(1_000, [[1.0, 2.0, 3.0, 0.5, 0.5, 1.0, 0.0]])
+    log.close()
+    judged: dict[str, int] = {}
+    for path in (kept[0] / "run.mcap", tmp_path / "things.mcap"):
+        judges = {}
+        with path.open("rb") as file:
+            for schema, channel, message in reading.make_reader(file).iter_messages():
+                if schema.encoding != "jsonschema":
+                    continue
+                if schema.id not in judges:
+                    kind = jsonschema.Draft202012Validator
+                    judges[schema.id] = kind(_strict(json.loads(schema.data)))
+                judges[schema.id].validate(json.loads(message.data))
+                judged[channel.topic] = judged.get(channel.topic, 0) + 1
+    assert judged.keys() >= {"/scene", "/log", "/robots/0", "/things"}
+    assert read_recording(tmp_path / "things.mcap").things == [
+        (1_000, {"rows": [[1.0, 2.0, 3.0, 0.5, 0.5, 1.0, 0.0]]})
+    ]
+
+
+def _strict(schema: dict[str, object]) -> dict[str, object]:
+    """Nothing may be missing, and nothing more may be there."""
+    inner = {
+        key: _strict(value) if isinstance(value, dict) else value for key, value in schema.items()
+    }
+    if schema.get("type") == "object" and isinstance(schema.get("properties"), dict):
+        inner |= {"additionalProperties": False, "required": sorted(schema["properties"])}
+    return inner
+
+
+def test_a20_a_recording_gives_back_what_the_robots_told(kept: tuple[Path, str, str]) -> None:
+    recording = read_recording(kept[0] / "run.mcap")
+    _, intent = recording.intents[-1]
+    assert len(intent["wanted"]) == 2
+    assert all(len(point) == 2 for point in intent["path"]) and intent["path"]
+
+
+def test_a20_files_of_before_are_read_as_well(tmp_path: Path) -> None:
+    writing = pytest.importorskip("mcap.writer")
+    old = {"slot": 3, "wanted": [0.0, 1.0], "path": [[1.0, 2.0]], "strange": []}
+    with (tmp_path / "old.mcap").open("wb") as file:
+        writer = writing.Writer(file)
+        writer.start()
+        number = writer.register_schema("headland.Intent", "jsonschema", b'{"type": "object"}')
+        channel = writer.register_channel("/robots/3", "json", number)
+        writer.add_message(channel, 0, json.dumps(old).encode(), 0)
+        writer.finish()
+    assert read_recording(tmp_path / "old.mcap").intents == [(0, old)]
