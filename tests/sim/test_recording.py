@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import can
 import pytest
@@ -142,7 +143,7 @@ def test_python_can_reads_our_log(kept: tuple[Path, str, str]) -> None:
     assert sum(1 for _ in can.LogReader(kept[0] / "can.log")) == recorded(kept[0], None).count
 
 
-def _foxglove_fields(schema: dict[str, object], path: str) -> set[str]:
+def _foxglove_fields(schema: dict[str, Any], path: str) -> set[str]:
     """Paths of messages, by the rules of Foxglove's reader of JSON schemas.
 
     It takes objects with properties, plain values, numbered choices, and arrays of plain values or of
@@ -208,7 +209,7 @@ def test_a20_every_message_obeys_its_schema(kept: tuple[Path, str, str], tmp_pat
     ]
 
 
-def _strict(schema: dict[str, object]) -> dict[str, object]:
+def _strict(schema: dict[str, Any]) -> dict[str, Any]:
     """Nothing may be missing, and nothing more may be there."""
     inner = {
         key: _strict(value) if isinstance(value, dict) else value for key, value in schema.items()
