@@ -35,6 +35,7 @@ from agent.records import Records
 from agent.roll_call import CLAIM_REQUEST, MEMBER_PGN, MEMBER_REQUEST, RollCall
 from agent.safety import Safety
 from agent.self_check import SelfCheck
+from agent.self_health import Known
 from agent.senses import Senses
 from agent.voice import STANDSTILL_US, Voice
 from agent.working import Working
@@ -117,6 +118,7 @@ class Peer:
         self.here: Observation | None = None
         self.wish: Wish = STILL
         self.malformed: dict[str, int] = {}
+        self.healths: dict[int, float] = {}  # of others, as their heartbeats say: slot -> 0 to 1
         # Why others stand, as they tell it: slot -> cause -> its frame and when it was heard.
         self.standstills: dict[int, dict[int, tuple[Standstill, int]]] = {}
         self.directive, self.check = Directive(self), SelfCheck(self, now_us)
@@ -359,7 +361,7 @@ class Peer:
         """Say goodbye, so that our silence stops nobody; give back what is not finished."""
         effects: list[Effect] = [HALT, *self.give_back_all(now_us)]
         if self.joining.joined:
-            effects.append(Send(self.voice.farewell(self), source=self.joining.address))
+            effects.append(Send(self.voice.farewell(self, now_us), source=self.joining.address))
         self.joining.leave()
         self.membership.forget_all(now_us)
         return [*effects, *self.fire(Event.LEFT, "leaving")]
@@ -390,6 +392,18 @@ class Peer:
         for_us = STANDSTILL_US * 4 * max(1, len(told))
         fresh = [m for m, heard_us in told.values() if now_us - heard_us <= for_us]
         return [sentence(m.cause, m.about) for m in sorted(fresh, key=lambda m: m.place)]
+
+    def self_known(self, now_us: int) -> Known:
+        """What this robot knows of itself, as the health in its heartbeats is judged by."""
+        here, senses = self.here, self.senses
+        return Known(
+            None if here is None else here.battery,
+            None if here is None else here.health,
+            self.check.controller,
+            [cause for cause, _ in self.safety.causes],
+            senses.age_us(now_us),
+            senses.expected,
+        )
 
     def view(self, now_us: int) -> FleetView:
         assert self.here is not None

@@ -156,7 +156,7 @@ class FleetCoordinationEngine:
 
         def observe(peer: Peer, now_us: int) -> Sequence[Effect]:
             here = Observation(
-                x_m, y_m, heading_rad, vx_m_s, vy_m_s, battery=health, sensed_at_us=now_us
+                x_m, y_m, heading_rad, vx_m_s, vy_m_s, sensed_at_us=now_us, health=health
             )
             peer.observe(here, now_us)
             return ()

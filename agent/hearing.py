@@ -322,6 +322,7 @@ class Hearing:
             peer.membership.leave(slot, now_us)
             return peer.membership_changed(now_us)
         peer.clock.witness(slot, m.operations)
+        peer.healths[slot] = m.health
         if not (m.held or m.stopped):
             peer.standstills.pop(slot, None)
         peer.sync.heard_digest(slot, m.digest, now_us)

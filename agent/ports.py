@@ -38,6 +38,7 @@ class Observation(NamedTuple):
     load: int = -1  # of a carrier: the parcel that is aboard; -1: none
     parcels: Mapping[int, Lying] = NOTHING_SEEN  # and those within its reach
     sensed_at_us: int = NEVER_US  # on the clock of the peer that is told
+    health: float = 1.0  # what the machine's own controller says of it: 0.0 failed to 1.0 healthy
 
 
 class Beat(NamedTuple):

@@ -25,7 +25,7 @@ from protocol.health import Health
 if TYPE_CHECKING:
     from agent.core import Peer
 
-ACTIVE, PASSIVE, OFF = Health  # names of their own: looked up twenty times a second
+ACTIVE, PASSIVE, OFF = Health.ACTIVE, Health.PASSIVE, Health.OFF  # looked up twenty times a second
 PASSIVE_US = 1 * S  # a burst of errors passes; a broken wire does not
 ROUND_MAX = (
     20  # beats: of n others each names us once in n; that all miss us so long has odds e^-20
@@ -72,6 +72,11 @@ class SelfCheck:
         if was is OFF and health is not OFF:
             return self.peer.bus_back(now_us)
         return ()
+
+    @property
+    def controller(self) -> Health:
+        """The state of the controller, as its driver said it last."""
+        return self._health
 
     def lets_out(self, frame: Frame, now_us: int) -> bool:
         """Whether this frame is sent although none of ours leaves."""

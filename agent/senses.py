@@ -56,6 +56,17 @@ class Senses:
         if seen is not None:
             self._sensed_us = seen.sensed_at_us
 
+    def age_us(self, now_us: int) -> int | None:
+        """Of the newest observation; None: nothing was ever sensed."""
+        return None if self._sensed_us is None else now_us - self._sensed_us
+
+    @property
+    def expected(self) -> bool:
+        """The robot drives by its senses, or has sensed before."""
+        peer = self.peer
+        drives = peer.mission is not None and peer.motion is not None
+        return drives or self._sensed_us is not None
+
     def drove(self, drive: Drive) -> None:
         """What the wheels were told."""
         self._drive = drive
@@ -65,10 +76,10 @@ class Senses:
         self._anchor = None
 
     def look(self, now_us: int) -> list[Effect]:
-        """Once a control period. A robot that has no drive is not held by its senses."""
+        """Once a control period. What has neither a drive nor senses is not held by them."""
         peer = self.peer
-        if peer.mission is None or peer.motion is None:
-            self.current = peer.here is not None
+        if not self.expected:
+            self.current = False
             return []
         old = self._old(now_us)
         if old:

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Final
 
 from agent.cause import Cause, about
 from agent.config import BEATS, CONTROL_PERIOD_US, Beat, S
-from agent.effects import Effect, Persist, Send, to_all
+from agent.effects import Effect, Persist, Send, Trace, to_all
 from agent.lifecycle import EMERGENCY_STOP
 from agent.mission import Swept
+from agent.self_health import POOR, Reading, Source, health, readings
 from crdt.progress import BLOCK_UNITS
 from protocol.fleet_frames import (
     NOBODY,
@@ -59,6 +60,7 @@ class Voice:
         self._cause = 0  # which of several is told next
         self.counter = FIRST_COUNTER
         self.redone = 0  # units that somebody else had announced before us
+        self._poor: frozenset[Source] = frozenset()  # what our last heartbeat was low by
         self._live: frozenset[int] = frozenset()
         self._others: list[int] = []
         self.pending: dict[tuple[int, int], int] = {}  # (section, block) -> bits to announce
@@ -90,7 +92,7 @@ class Voice:
         effects: list[Effect] = [to_all(pose)]
         self.beats += 1
         if self.beats % self.beats_a_heartbeat == 0:
-            effects += self._heartbeat(peer)
+            effects += self._heartbeat(peer, now_us)
         effects += peer.safety.say_button(peer.membership.live, now_us)
         effects += peer.elect(now_us)
         if peer.agreeing is not None:
@@ -145,8 +147,8 @@ class Voice:
                 effects.append(Send(message))
         return effects
 
-    def farewell(self, peer: "Peer") -> Heartbeat:
-        return self._beat(peer, LEAVING_COUNTER)
+    def farewell(self, peer: "Peer", now_us: int) -> Heartbeat:
+        return self._beat(peer, LEAVING_COUNTER, health(peer.self_known(now_us)))
 
     def member(self, peer: "Peer") -> Member:
         return Member(self.slot, peer.records.incarnation, peer.identity.field_hash, 0)
@@ -174,11 +176,12 @@ class Voice:
             return NOBODY
         return self._others[(self.beats + self.slot) % len(self._others)]
 
-    def _heartbeat(self, peer: "Peer") -> list[Effect]:
+    def _heartbeat(self, peer: "Peer", now_us: int) -> list[Effect]:
         self.heartbeats += 1
-        beat = self._beat(peer, self.counter)
+        found = readings(peer.self_known(now_us))
+        beat = self._beat(peer, self.counter, found[0].share)
         peer.conflicts.say(beat)
-        effects: list[Effect] = [Send(beat)]
+        effects: list[Effect] = [Send(beat), *self._tell_poor(found)]
         self.counter = 0 if self.counter >= LAST_COUNTER else self.counter + 1
         if not peer.safety.free and self.heartbeats % self.heartbeats_a_standstill == 0:
             effects.append(Send(self._standstill(peer)))
@@ -193,6 +196,17 @@ class Voice:
             effects.append(Send(VectorSlice(base, counts)))
         return effects
 
+    def _tell_poor(self, found: list[Reading]) -> list[Effect]:
+        """A trace when another source is poor, or none is any more: the reason of the number."""
+        poor = {reading.source: reading for reading in reversed(found) if reading.share <= POOR}
+        was, self._poor = self._poor, frozenset(poor)
+        new = [reading for source, reading in poor.items() if source not in was]
+        effects: list[Effect] = [
+            Trace("health", "", r.source.name, f"{r.share:.2f}", r.why) for r in new
+        ]
+        over = sorted(source.name for source in was - self._poor)
+        return [*effects, *(Trace("health", name, "WELL", "", "no longer poor") for name in over)]
+
     def _standstill(self, peer: "Peer") -> Standstill:
         """The next of the causes for which we stand."""
         causes = peer.safety.causes[:CAUSES_MAX]
@@ -203,9 +217,8 @@ class Voice:
         about_whom, count = about(cause, detail), min(dots, 0xFFFF)
         return Standstill(self.slot, cause.number, place, len(causes), about_whom, count)
 
-    def _beat(self, peer: "Peer", counter: int) -> Heartbeat:
+    def _beat(self, peer: "Peer", counter: int, share: float) -> Heartbeat:
         state, safety = peer.lifecycle.state, peer.safety
-        battery = 1.0 if peer.here is None else peer.here.battery
         return Heartbeat(
             counter=counter,
             state=state,
@@ -213,7 +226,7 @@ class Voice:
             held=not safety.may_move,
             started=safety.started,
             leaving=counter == LEAVING_COUNTER,
-            health=battery,
+            health=share,
             operations=peer.clock[self.slot] & 0xFFFF,
             digest=peer.sync.tell(),
         )

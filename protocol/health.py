@@ -4,13 +4,14 @@ from enum import Enum
 
 # Linux SocketCAN, include/uapi/linux/can/error.h: classes in the identifier, details in byte 1.
 CONTROLLER, BUS_OFF, RESTARTED = 0x004, 0x040, 0x100
-PASSIVE_BITS, ACTIVE_BIT = 0x30, 0x40  # receiving or sending; active again
+WARNING_BITS, PASSIVE_BITS, ACTIVE_BIT = 0x0C, 0x30, 0x40  # receiving or sending; active again
 
 
 class Health(Enum):
     ACTIVE = 0
     PASSIVE = 1  # too many errors: it may not shout any more
     OFF = 2  # it has left the bus
+    WARNING = 3  # 96 errors and more: it works as an active one
 
 
 def told_by(error_class: int, data: bytes, was: Health) -> Health:
@@ -26,6 +27,8 @@ def told_by(error_class: int, data: bytes, was: Health) -> Health:
     if error_class & CONTROLLER and len(data) > 1:
         if data[1] & PASSIVE_BITS:
             return Health.PASSIVE
+        if data[1] & WARNING_BITS:
+            return Health.WARNING
         if data[1] & ACTIVE_BIT:
             return Health.ACTIVE
     return was

@@ -94,7 +94,7 @@ class Stand(RobotBody):
         angle = now_us * 1e-6 + self.slot
         x, y = cos(angle), sin(angle)
         x_m, y_m, course_rad = self.x_m + x, self.y_m + y, angle % 6.28
-        seen = x_m, y_m, course_rad, -y, x, (), 1.0, (), -1, NOTHING_SEEN, now_us
+        seen = x_m, y_m, course_rad, -y, x, (), 1.0, (), -1, NOTHING_SEEN, now_us, 1.0
         return _tuple(Observation, seen)
 
     def drive(self, command: Drive, now_us: int) -> None:

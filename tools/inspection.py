@@ -15,6 +15,7 @@ from rich.table import Table
 from agent.fsm import to_mermaid
 from agent.letters import LOG_PGN
 from agent.lifecycle import TABLE, State
+from agent.self_health import POOR
 from protocol.bus import CanBus
 from protocol.frame import Frame
 from sim.candump import read_candump
@@ -290,6 +291,7 @@ def table_of(seen: dict[str, Any]) -> Table:
         "robot",
         "address",
         "state",
+        "health",
         "peers",
         "sections",
         "vector clock",
@@ -309,7 +311,8 @@ def table_of(seen: dict[str, Any]) -> Table:
             replica += f": {robot['digest']}"
         path = " > ".join(f"{t['to']}@{t['t_s']:.1f}" for t in robot["transitions"][-6:])
         table.add_row(
-            str(robot["slot"]), str(robot["address"]), state, " ".join(map(str, robot["peers"])),
+            str(robot["slot"]), str(robot["address"]), state, f"{robot['health']:.0%}",
+            " ".join(map(str, robot["peers"])),
             " ".join(robot["sections"]), clock, replica, path,
         )  # fmt: skip
     return table
@@ -320,6 +323,11 @@ def _show(console: Console, seen: dict[str, Any]) -> None:
     done = sum(1 for s in seen["sections"].values() if s["phase"] == "DONE")
     console.print(f"sections heard of: {len(seen['sections'])}, done: {done}")
     for robot in seen["robots"]:
+        if robot["health"] <= POOR and not robot["left"]:
+            ask = f"headland inspect --traces {robot['slot']} asks it why"
+            console.print(
+                f"robot {robot['slot']} health {robot['health']:.0%}: {ask}", highlight=False
+            )
         for why in robot["stands"]:
             console.print(f"robot {robot['slot']} stands: {why}", highlight=False)
         if "itinerary" in robot:

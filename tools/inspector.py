@@ -316,7 +316,7 @@ class Inspector:
             "silent": self.now_s - robot.last_s > SILENT_S and not robot.left, "left": robot.left,
             "x_m": round(robot.x_m, 2), "y_m": round(robot.y_m, 2),
             "speed_m_s": round(robot.speed_m_s, 2), "placed": robot.placed,
-            "stopped": robot.stopped,
+            "stopped": robot.stopped, "health": round(robot.health, 3),
             "started": robot.started, "question": robot.question, "goal": robot.goal,
             "stands": self.stands(robot),
             "incarnation": robot.incarnation, "digest": f"{robot.digest:06x}",

@@ -155,7 +155,8 @@ class InspectScreen(App[None]):
         newest = list(robot.transitions)[: -TRANSITIONS_SHOWN - 1 : -1]
         self._text(
             "path",
-            "".join(f"stands: {why}\n" for why in self.inspector.stands(robot))
+            f"health {robot.health:.0%}\n"
+            + "".join(f"stands: {why}\n" for why in self.inspector.stands(robot))
             + "\n".join(
                 f"{t.t_s:10.3f} s  {t.source} → {t.target}  by {t.heard_by}" for t in newest
             ),

@@ -165,7 +165,7 @@ def test_error_frames_of_a_driver_are_read() -> None:
         heard = asyncio.Event()
         bus.subscribe(lambda frame: heard.set())
         for error_class, detail, health in (
-            (0x004, 0x08, Health.ACTIVE),  # a warning
+            (0x004, 0x08, Health.WARNING),
             (0x004, 0x20, Health.PASSIVE),
             (0x080, 0x00, Health.PASSIVE),  # a bus error says nothing about it
             (0x040, 0x00, Health.OFF),
