@@ -3,7 +3,9 @@
 A press in this segment is said a second time as FLEET_STOP, with a tag that every segment can verify,
 and so is its reset. The presser says it at once. Where it was a panel, a tool or an older robot, the
 robots that heard it say it: one does, in the order of their slots, and the others overhear it. Gateways
-carry these frames as they are and hold no secret.
+carry these frames as they are and hold no secret. A frame with the bit `told` is no press: its sender
+holds the stop and tells it to one that may not know it. A press under a name that was cleared here brakes,
+and latches when it is said still (`Safety.press_used`), as such a press on the own bus does.
 """
 
 from collections.abc import Iterable, Sequence
@@ -86,7 +88,7 @@ class FleetStops:
         held = [*map(self._everywhere, self.safety.stops.active), *self.safety.far.active]
         dots = turn(held, self._told, TOLD_MAX)
         self._told = dots[-1] if dots else None
-        return [Send(self.say_stop(dot)) for dot in dots]
+        return [Send(self.say_stop(dot)._replace(told=True)) for dot in dots]
 
     def say_stop(self, dot: FarDot) -> FleetStop:
         return plain_stop(dot) if self.tags is None else self.tags.stop(dot)
@@ -104,37 +106,40 @@ class FleetStops:
         near = StopDot(*far[:3]) if far.segment == self.segment else None
         if near is not None:
             self._stop_due_us.pop(near, None)  # somebody says it: we need not
-        if self._known(far, near):
+        if self._held(far, near) or (m.told and self._cleared_here(far, near)):
             return ()
-        if m != self.say_stop(far):
+        if m != self.say_stop(far)._replace(told=m.told):
             self.refused += 1
             self.safety.raise_cause(
                 Cause.UNAUTHENTICATED_STOP, now_us, f"{far}", UNAUTHENTICATED_HOLD_US
             )
             return [HALT]
+        if self._cleared_here(far, near):
+            return self.safety.press_used(far, now_us)
         if near is None:
             self.holds_far = True
             latched = self.safety.latch_far(far, now_us)
             self._far = self.safety.far.active
             # Said once more: who missed the first has a second.
-            return [HALT, Send(m), *latched[1:]] if far in self._far else latched
+            again = Send(m._replace(told=True))
+            return [HALT, again, *latched[1:]] if far in self._far else latched
         effects = self.safety.press_near(near, now_us)
         self._pressed = self.safety.stops.active
         return effects
 
-    def _known(self, far: FarDot, near: StopDot | None) -> bool:
-        """Held, or cleared already."""
+    def _held(self, far: FarDot, near: StopDot | None) -> bool:
+        active = self.safety.far.active if near is None else self.safety.stops.active
+        return (far if near is None else near) in active
+
+    def _cleared_here(self, far: FarDot, near: StopDot | None) -> bool:
         if near is None:
-            return far in self.safety.far.active or self.safety.far.is_cleared(far)
-        return near in self.safety.stops.active or self.safety.stops.is_cleared(near)
+            return self.safety.far.is_cleared(far)
+        return self.safety.stops.is_cleared(near)
 
     def receive_reset(self, m: FleetReset, now_us: int) -> Sequence[Effect]:
         far = FarDot(m.slot, m.incarnation, m.counter, m.segment)
         near = StopDot(*far[:3]) if far.segment == self.segment else None
-        known = (
-            self.safety.far.is_cleared(far) if near is None else self.safety.stops.is_cleared(near)
-        )
-        if known:
+        if self._cleared_here(far, near):
             self._reset_due_us.pop(far, None)
             return ()
         self._halves.pop((far, m.part), None)

@@ -113,9 +113,10 @@ class Gateway:
         if isinstance(message, EmergencyStop) and message.spent:
             return ()  # an answer to a press, which speaks for itself
         if isinstance(message, EmergencyStop) and message.tag == 0:  # a fleet without keys
-            message = FleetStop(self.segment, message.slot, message.incarnation, message.counter)
+            dot = message.slot, message.incarnation, message.counter
+            message = FleetStop(self.segment, *dot, told=message.echo)
         if isinstance(message, FleetStop):
-            return self._stop(source, message, number is not None)
+            return self._stop(source, message, number is not None, now_us)
         if isinstance(message, FleetReset):
             halves = self.stops.hear_reset(message)
             return self._publish(Kind.RESETS, tuple(halves)) if halves and number is None else ()
@@ -136,8 +137,10 @@ class Gateway:
             return [self._send(AddressClaimed(self.name.pack()))]
         return ()
 
-    def _stop(self, source: int, stop: FleetStop, from_gateway: bool) -> Sequence[Out]:
-        news = self.stops.hear_stop(source, stop)
+    def _stop(
+        self, source: int, stop: FleetStop, from_gateway: bool, now_us: int
+    ) -> Sequence[Out]:
+        news = self.stops.hear_stop(source, stop, now_us)
         return self._publish(Kind.STOPS, tuple(news)) if news and not from_gateway else ()
 
     def _hear(self, source: int, number: int | None, message: Message, now_us: int) -> None:
@@ -333,7 +336,7 @@ class Gateway:
 
     def _tell_stops(self) -> list[Out]:
         effects: list[Out] = []
-        stops = list(self.stops.stops.values())
+        stops = [stop._replace(told=True) for stop in self.stops.stops.values()]
         halves = [half for both in self.stops.resets.values() for half in both.values()]
         for at in range(0, len(stops), STOPS_PER_MESSAGE):
             effects += self._publish(Kind.STOPS, tuple(stops[at : at + STOPS_PER_MESSAGE]))

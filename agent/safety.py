@@ -225,13 +225,8 @@ class Safety:
         panel that has only this name, or whose next names somebody has had cleared. It brakes, and the
         answer tells the presser to take another name. A press that is said still after `AGAIN_US` is
         new: the first robot in slot order that is not latched by then presses in its own name."""
-        if now_us - self._spent_us > SPENT_FORGET_US or now_us < self._spent_us:
-            self._spent_since_us = now_us
-        self._spent_us = now_us
-        self.raise_cause(Cause.SPENT_STOP, now_us, f"dot {dot}", SPENT_HOLD_US)
+        self.press_used(dot, now_us)
         rank = sum(slot < self.slot for slot in self._live)
-        if now_us - self._spent_since_us >= AGAIN_US and not self.stops.latched:
-            self._renew_us = min(self._renew_us, now_us + rank * STOP_REPEAT_US)
         turn_us = max(self._spent_told_us + ANSWER_SPACING_US, self._spent_since_us)
         if now_us < turn_us + rank * STOP_REPEAT_US:
             return [HALT]
@@ -239,6 +234,18 @@ class Safety:
         reason = Reason.OPERATOR_INTERVENTION
         answer = EmergencyStop(dot.slot, dot.incarnation, dot.counter, reason, True, spent=True)
         return [HALT, Send(self.authority.sign(answer))]
+
+    def press_used(self, dot: StopDot | FarDot, now_us: int) -> Sequence[Effect]:
+        """A press, believed, with a name that was cleared before. It brakes; where it is said still after
+        `AGAIN_US`, the first robot in slot order presses in its own name, unless a stop latches it."""
+        if now_us - self._spent_us > SPENT_FORGET_US or now_us < self._spent_us:
+            self._spent_since_us = now_us
+        self._spent_us = now_us
+        self.raise_cause(Cause.SPENT_STOP, now_us, f"dot {dot}", SPENT_HOLD_US)
+        if now_us - self._spent_since_us >= AGAIN_US and not self.stops.latched:
+            rank = sum(slot < self.slot for slot in self._live)
+            self._renew_us = min(self._renew_us, now_us + rank * STOP_REPEAT_US)
+        return [HALT]
 
     def _hear_spent(self, dot: StopDot, now_us: int) -> Sequence[Effect]:
         """Somebody is pressed with a name that was used before. If it is we, we take another."""

@@ -3,6 +3,9 @@
 Every candidate carries stops, whether it leads or not: a gateway that dies takes no stop with it. The
 others wait a moment and speak only where the leader has not. The relay judges nothing: it holds no
 secret, so robots believe or refuse, and a reset never keeps the relay from carrying a stop.
+
+A stop is a press, or it is told to a segment that may not know it. A press that is said under a name with a
+reset is carried as well, as long as it is said: robots that know the reset brake, and take another name.
 """
 
 from collections.abc import Iterable
@@ -20,6 +23,7 @@ TIMES_MIN = 2  # also where everybody stands already: who stands for another rea
 STANDBY_US = 8 * MS  # the leader's frame, and two in its way, are on the bus by then
 LIVE_US = 1 * S  # a robot heard within this has to stop; the longest silence that is tolerated
 NEWS_BURST, NEWS_A_SECOND = 16, 20  # new dots from the backbone; one is enough to stop everybody
+USED_US = 50 * MS  # a press with a name that has a reset is published again so often
 AGAIN_US = 500 * MS  # a robot that beats unstopped under an active dot is told again so often
 FOREVER = 1 << 62
 
@@ -29,6 +33,7 @@ class Said(NamedTuple):
 
     left: int
     next_us: int
+    told: bool  # no press of now
 
 
 class StopRelay:
@@ -44,6 +49,7 @@ class StopRelay:
         self._echoes: dict[FarDot, set[int]] = {}
         self._next_us = 0  # one stop of ours at a time, whatever their number
         self._again_us = 0
+        self._pressed_us: dict[FarDot, int] = {}  # of presses, not of told stops: when carried last
         self._to_reset: list[FleetReset] = []
         self._news = RateLimit(NEWS_A_SECOND / 1e6, NEWS_BURST, now_us)
 
@@ -65,20 +71,33 @@ class StopRelay:
         active = [d for d in self.stops if self._active(d) and d not in self.disbelieved]
         if active:
             self._again_us = now_us + AGAIN_US
-            self._say(active[-1], now_us)
+            self._say(active[-1], True, now_us)
 
     def halted(self, now_us: int) -> tuple[int, int]:
         """(robots heard lately, how many of them stand stopped)."""
         lately = [s for heard_us, s in self._robots.values() if now_us - heard_us < LIVE_US]
         return len(lately), sum(lately)
 
-    def hear_stop(self, source: int, stop: FleetStop) -> list[FleetStop]:
+    def hear_stop(self, source: int, stop: FleetStop, now_us: int) -> list[FleetStop]:
         """On our bus, from anybody; what has to be published."""
         dot = _dot(stop)
         self._echoes.setdefault(dot, set()).add(source)
-        if dot in self.stops or not self._keep(dot, stop):
+        known = dot in self.stops
+        if not known and not self._keep(dot, stop):
             return []
+        if known and (not self._is_press(stop, now_us) or not self._news.take(1, now_us)):
+            return []
+        if not stop.told:
+            self._pressed_us[dot] = now_us
         return [stop]
+
+    def _is_press(self, stop: FleetStop, now_us: int) -> bool:
+        """Of a dot that is known: news is its press alone, once; under a name with a reset while it is
+        said."""
+        dot = _dot(stop)
+        if stop.told or dot not in self._pressed_us:
+            return not stop.told
+        return not self._active(dot) and now_us - self._pressed_us[dot] >= USED_US
 
     def hear_reset(self, half: FleetReset) -> list[FleetReset]:
         dot = _dot(half)
@@ -94,13 +113,19 @@ class StopRelay:
     def receive_stops(self, stops: Iterable[FleetStop], now_us: int) -> None:
         for stop in stops:
             dot = _dot(stop)
-            if dot in self.stops:
+            known = dot in self.stops
+            if known and not self._is_press(stop, now_us):
                 continue
             if not self._news.take(1, now_us):
                 self.refused += 1  # its teller tells again: our digest still differs
                 continue
-            if self._keep(dot, stop):
-                self._say(dot, now_us)
+            if not self._keep(dot, stop):
+                continue
+            if known and not self._active(dot):  # who has echoed it before has not echoed this press
+                self._echoes.pop(dot, None)
+            if not stop.told:
+                self._pressed_us[dot] = now_us
+            self._say(dot, stop.told, now_us)
 
     def receive_resets(self, resets: Iterable[FleetReset], now_us: int) -> None:
         for half in resets:
@@ -111,11 +136,12 @@ class StopRelay:
                     self._to_reset += known.values()
         self._trim()
 
-    def _say(self, dot: FarDot, now_us: int) -> None:
-        self._saying[dot] = Said(REPEATS_MAX, now_us if self.leads else now_us + STANDBY_US)
+    def _say(self, dot: FarDot, told: bool, now_us: int) -> None:
+        next_us = now_us if self.leads else now_us + STANDBY_US
+        self._saying[dot] = Said(REPEATS_MAX, next_us, told)
 
     def _keep(self, dot: FarDot, stop: FleetStop) -> bool:
-        self.stops[dot] = stop
+        self.stops[dot] = stop._replace(told=False)
         self._trim()
         return dot in self.stops
 
@@ -126,6 +152,7 @@ class StopRelay:
             self.stops.pop(dot, None)
             self.resets.pop(dot, None)
             self._saying.pop(dot, None)
+            self._pressed_us.pop(dot, None)
             self.disbelieved.discard(dot)
         while len(self.resets) > DOTS_MAX:
             del self.resets[next(iter(self.resets))]
@@ -158,8 +185,8 @@ class StopRelay:
                 if said.left <= 0 and self.halted(now_us)[1] == 0:
                     self.disbelieved.add(dot)  # without a valid tag: it held while it was said
                 continue
-            self._saying[dot] = Said(said.left - 1, now_us + STOP_REPEAT_US)
-            return [self.stops[dot]]
+            self._saying[dot] = Said(said.left - 1, now_us + STOP_REPEAT_US, said.told)
+            return [self.stops[dot]._replace(told=said.told)]
         halves, self._to_reset = self._to_reset[:2], self._to_reset[2:]
         return [*halves, *halves]
 

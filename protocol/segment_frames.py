@@ -9,6 +9,7 @@ from struct import Struct
 from typing import NamedTuple
 
 SEGMENT_MAX = 0x7FFF  # 15 bits; segment 0: a fleet of one segment
+TOLD_FLAG = 0x8000  # above a segment: the stop is told to one that may not know it
 CANDIDATES_MAX = 4  # gateways of one segment; one of them leads
 GATEWAY_SLOT = 124  # of the first: no robot's, below those of operator devices
 GATEWAY_ADDRESS = 240  # of the first: a fixed address beyond those that robots claim
@@ -33,7 +34,7 @@ class FleetStop(NamedTuple):
     """A stop as all segments say it. Priority 0.
 
     byte  field        type  meaning
-    0..1  segment      u16   where it was pressed
+    0..1  segment      bits  where it was pressed in bits 0-14; bit 15: told again, no press of now
     2     slot         u8    who pressed: robot slot, or 128.. for a panel or an operator device
     3     incarnation  u8    low byte of the presser's incarnation
     4     counter      u8    the presser's stop counter: the four are the dot
@@ -45,17 +46,21 @@ class FleetStop(NamedTuple):
     incarnation: int
     counter: int
     tag: int = 0
+    told: bool = False  # by one that holds the stop, to one that may not know it; not by its press
 
     def pack(self) -> bytes:
         dot = bytes((self.slot, self.incarnation, self.counter))
-        return self.segment.to_bytes(2, "little") + dot + self.tag.to_bytes(3, "little")
+        head = self.segment | (TOLD_FLAG if self.told else 0)
+        return head.to_bytes(2, "little") + dot + self.tag.to_bytes(3, "little")
 
     @classmethod
     def unpack(cls, data: bytes) -> "FleetStop":
-        segment = int.from_bytes(data[:2], "little")
-        if not 1 <= segment <= SEGMENT_MAX:
+        head = int.from_bytes(data[:2], "little")
+        segment, told = head & SEGMENT_MAX, bool(head & TOLD_FLAG)
+        if not segment:
             raise ValueError("range")
-        return cls(segment, data[2], data[3], data[4], int.from_bytes(data[5:], "little"))
+        tag = int.from_bytes(data[5:], "little")
+        return cls(segment, data[2], data[3], data[4], tag, told)
 
 
 class FleetReset(NamedTuple):

@@ -191,8 +191,8 @@ SIGNALS: dict[type[Message], tuple[Signal, ...]] = {
         *(Signal(f"digests_{k}", 16 + 3 * k, 3) for k in range(16)),
     ),
     FleetStop: (
-        Signal("segment", 0, 16), Signal("slot", 16, 8), Signal("incarnation", 24, 8),
-        Signal("counter", 32, 8), Signal("tag", 40, 24),
+        Signal("segment", 0, 15), Signal("told", 15, 1), Signal("slot", 16, 8),
+        Signal("incarnation", 24, 8), Signal("counter", 32, 8), Signal("tag", 40, 24),
     ),
     FleetReset: (
         Signal("segment", 0, 15), Signal("part", 15, 1), Signal("slot", 16, 8),

@@ -9,7 +9,7 @@ from protocol.segment_frames import FleetReset, FleetStop
 
 u8, u16, u24, u32 = (st.integers(0, (1 << bits) - 1) for bits in (8, 16, 24, 32))
 segment = st.integers(1, 0x7FFF)
-stops = st.builds(FleetStop, segment, u8, u8, u8, u24)
+stops = st.builds(FleetStop, segment, u8, u8, u8, u24, st.booleans())
 resets = st.builds(FleetReset, segment, st.integers(0, 1), u8, u8, u8, u24)
 entries = st.builds(Entry, u8, u16, u16, u16, u8, st.binary(min_size=8, max_size=8))
 summaries = st.builds(

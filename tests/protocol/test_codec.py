@@ -80,7 +80,7 @@ KINDS: dict[Any, st.SearchStrategy[Any]] = {
     Accord: st.builds(Accord, u16, st.integers(0, 2), st.integers(0, 2), u16, u16, u8),
     Member: st.builds(Member, u8, u16, u24, u8),
     VectorSlice: st.builds(VectorSlice, u8, st.tuples(*[u8] * 7)),
-    FleetStop: st.builds(FleetStop, st.integers(1, 0x7FFF), u8, u8, u8, u24),
+    FleetStop: st.builds(FleetStop, st.integers(1, 0x7FFF), u8, u8, u8, u24, st.booleans()),
     FleetReset: st.builds(FleetReset, st.integers(1, 0x7FFF), st.integers(0, 1), u8, u8, u8, u24),
     GatewayBeat: st.builds(GatewayBeat, st.integers(124, 127), st.integers(0, 3), u16, u16, u16),
     SegmentSummary: st.builds(

@@ -10,14 +10,17 @@ import pytest
 from agent.gateway import Publish
 from agent.safety import SilencePolicy
 from crdt.occupancy import Geometry
+from crdt.stops import FarDot
 from protocol import backbone
 from protocol.authentication import Keys
 from protocol.backbone import Header, Kind
 from protocol.bus import CanBus
+from protocol.codec import encode
+from protocol.fleet_tags import plain_reset
 from protocol.name import tool_name
 from protocol.network_frames import AddressClaimed
-from protocol.safety_frames import EmergencyReset, Reason
-from protocol.segment_frames import FleetReset, FleetStop
+from protocol.safety_frames import EmergencyReset, EmergencyStop, Reason
+from protocol.segment_frames import GATEWAY_ADDRESS, FleetReset, FleetStop
 from sim.segment_fleet import SegmentFleet
 from tools.operator_device import Operator
 
@@ -292,3 +295,96 @@ def test_the_same_seed_gives_the_same_run() -> None:
 
     assert run(5) == run(5)
     assert run(5) != run(6)
+
+
+PANEL, PANEL_DOT = 150, (140, 1, 1)
+
+
+def panel_of(fleet: SegmentFleet, number: int) -> CanBus:
+    """An emergency stop panel that has claimed an address in a segment."""
+    bus = CanBus(can.Bus(interface="fieldbus", channel=fleet.channel(number)))
+    bus.send(encode(AddressClaimed(tool_name(PANEL).pack()), PANEL, 255))
+    fleet.run(100_000)
+    return bus
+
+
+def clear_here(fleet: SegmentFleet, dot: tuple[int, int, int, int], number: int) -> None:
+    """The robots of a segment have cleared a stop, whoever made them; no gateway has heard of it."""
+    for slot in range(3):
+        for half in plain_reset(FarDot(*dot)):
+            fleet.shells[number, slot].operate(
+                lambda peer, now, half=half: peer.hear(GATEWAY_ADDRESS, half, now)
+            )
+
+
+def hold_button(fleet: SegmentFleet, bus: CanBus, for_us: int) -> None:
+    """A press, said each 10 ms."""
+    end_us = fleet.swarm.now_us() + for_us
+    while fleet.swarm.now_us() < end_us:
+        bus.send(encode(EmergencyStop(*PANEL_DOT, Reason.PERSON_IN_FIELD), PANEL, 255))
+        fleet.run(10_000)
+
+
+def release(fleet: SegmentFleet, dot: tuple[int, ...], bus: CanBus) -> None:
+    """An operator's device clears a dot of segment 1 for all segments, then every machine is reset and
+    started."""
+    for half in plain_reset(FarDot(dot[0], dot[1], dot[2], 1)):
+        bus.send(encode(half, PANEL, 255))
+    peers = [peer for k in fleet.segments for peer in fleet.peers(k)]
+    cleared = [peer.safety for peer in peers]
+    assert fleet.run(S, lambda: not any(s.far.latched or s.stops.latched for s in cleared))
+    for shell in fleet.shells.values():
+        shell.operate(lambda peer, now: peer.manual_reset(now))
+    assert fleet.run(5 * S, lambda: fleet.joined), f"seed {SEED}"
+    for shell in fleet.shells.values():
+        shell.operate(lambda peer, now: peer.start(now))
+    assert fleet.run(3 * S, lambda: all(peer.safety.may_move for peer in peers)), f"seed {SEED}"
+
+
+def test_t5_a_press_elsewhere_with_a_name_that_was_cleared_here_latches(fleet: SegmentFleet) -> None:
+    bus = panel_of(fleet, 1)
+    clear_here(fleet, (*PANEL_DOT, 1), 2)
+    assert all(p.safety.far.is_cleared(FarDot(*PANEL_DOT, 1)) for p in fleet.peers(2))
+    hold_button(fleet, bus, 60_000)
+    assert all_latched(fleet, 1, 3), f"seed {SEED}"
+    assert not any(p.safety.may_move for p in fleet.peers(2)), "it brakes at once"
+    hold_button(fleet, bus, 200_000)
+    assert all_latched(fleet, 2), f"seed {SEED}"
+    fleet.run(3 * S)
+    assert all_latched(fleet), "and stays so, under a name of its own"
+    bus.close()
+
+
+def test_t5_a_press_with_a_name_that_the_gateways_know_as_cleared_is_carried(
+    fleet: SegmentFleet,
+) -> None:
+    bus = panel_of(fleet, 1)
+    hold_button(fleet, bus, 60_000)
+    assert all_latched(fleet)
+    release(fleet, PANEL_DOT, bus)
+    peers = [peer for k in fleet.segments for peer in fleet.peers(k)]
+    for peer in fleet.peers(1):  # those have lost their memory of it: to them it is a new press
+        peer.safety.stops = type(peer.safety.stops)()
+    hold_button(fleet, bus, 60_000)
+    assert not any(p.safety.may_move for p in peers), "it brakes everywhere"
+    hold_button(fleet, bus, 300_000)
+    assert all_latched(fleet), f"seed {SEED}"
+    bus.close()
+
+
+def test_t5_an_old_stop_that_a_new_gateway_is_told_stops_nobody(fleet: SegmentFleet) -> None:
+    """A gateway that restarts is told all stops there ever were, and says those that it did not know."""
+    press(fleet, 1)
+    assert fleet.run(S, lambda: all_latched(fleet))
+    bus = panel_of(fleet, 1)
+    release(fleet, next(iter(fleet.peer(1, 0).safety.stops.active)), bus)
+    fleet.run(S)
+    for shell in list(fleet.gateways[2]):
+        fleet.kill_gateway(shell)
+    made = fleet.add_gateway(2)
+    moving = [peer for k in fleet.segments for peer in fleet.peers(k)]
+    assert fleet.run(8 * S, lambda: fleet.joined and bool(made.gateway.stops.stops)), f"seed {SEED}"
+    for _ in range(300):
+        fleet.run(10_000)
+        assert all(peer.safety.may_move for peer in moving), f"seed {SEED}"
+    bus.close()
