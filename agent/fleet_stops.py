@@ -4,8 +4,8 @@ A press in this segment is said a second time as FLEET_STOP, with a tag that eve
 and so is its reset. The presser says it at once. Where it was a panel, a tool or an older robot, the
 robots that heard it say it: one does, in the order of their slots, and the others overhear it. Gateways
 carry these frames as they are and hold no secret. A frame with the bit `told` is no press: its sender
-holds the stop and tells it to one that may not know it. A press under a name that was cleared here brakes,
-and latches when it is said still (`Safety.press_used`), as such a press on the own bus does.
+holds the stop and tells it to one that may not know it. A press under a name that was cleared here
+brakes, and latches when it is said still (`Safety.press_used`), as such a press on the own bus does.
 """
 
 from collections.abc import Iterable, Sequence

@@ -4,8 +4,8 @@ Every candidate carries stops, whether it leads or not: a gateway that dies take
 others wait a moment and speak only where the leader has not. The relay judges nothing: it holds no
 secret, so robots believe or refuse, and a reset never keeps the relay from carrying a stop.
 
-A stop is a press, or it is told to a segment that may not know it. A press that is said under a name with a
-reset is carried as well, as long as it is said: robots that know the reset brake, and take another name.
+A stop is a press, or it is told to a segment that may not know it. A press that is said under a name with
+a reset is carried as well, as long as it is said: robots that know the reset brake, and take another name.
 """
 
 from collections.abc import Iterable
