@@ -5,7 +5,7 @@ others wait a moment and speak only where the leader has not. The relay judges n
 secret, so robots believe or refuse, and a reset never keeps the relay from carrying a stop.
 
 A stop is a press, or it is told to a segment that may not know it. A press that is said under a name with
-a reset is carried as well, as long as it is said: robots that know the reset brake, and take another name.
+a reset is carried as well, while it is said: robots that know the reset brake, and take another name.
 """
 
 from collections.abc import Iterable
