@@ -132,6 +132,10 @@ def hub(
     port: Annotated[int, typer.Option(min=0, max=PORT_MAX, help="0: any free one.")] = 29536,
     bitrate: Bitrate = 250_000,
     seed: Annotated[int, typer.Option(help="Of the wire's chance.")] = 1,
+    beacon: Annotated[
+        bool | None,
+        typer.Option("--beacon/--no-beacon", help="Tell tools by UDP; default: on loopback only."),
+    ] = None,
     json: Json = False,
 ) -> None:
     """Run a simulated bus by itself: who is on it stands while it is gone, and comes back alone.
@@ -140,7 +144,7 @@ def hub(
     """
     from tools.hub import hub as command
 
-    raise SystemExit(command(host, port, bitrate, seed, json))
+    raise SystemExit(command(host, port, bitrate, seed, json, beacon))
 
 
 @app.command()

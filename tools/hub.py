@@ -12,6 +12,7 @@ from ipaddress import ip_address
 
 from rich.console import Console
 
+from sim.beacon import announce
 from sim.fieldbus import segment
 from sim.hub import Hub
 from sim.standing import leave_standing
@@ -25,7 +26,9 @@ OPEN = (
 )
 
 
-async def _serve(host: str, port: int, bitrate: int, seed: int, as_json: bool) -> None:
+async def _serve(
+    host: str, port: int, bitrate: int, seed: int, as_json: bool, announced: bool
+) -> None:
     loop, end = asyncio.get_running_loop(), asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, end.set)
@@ -43,7 +46,10 @@ async def _serve(host: str, port: int, bitrate: int, seed: int, as_json: bool) -
     if not loopback(host):
         print(OPEN, file=sys.stderr)
     leave_standing()
+    saying = asyncio.create_task(announce(host, served.port, CHANNEL)) if announced else None
     await end.wait()
+    if saying is not None:
+        saying.cancel()
     await served.stop()
 
 
@@ -55,9 +61,13 @@ def loopback(host: str) -> bool:
         return host == "localhost"
 
 
-def hub(host: str, port: int, bitrate: int, seed: int, as_json: bool) -> int:
+def hub(
+    host: str, port: int, bitrate: int, seed: int, as_json: bool, announced: bool | None = None
+) -> int:
+    """`announced`: by socketcand's beacon; None: where only this machine can hear it."""
+    says = loopback(host) if announced is None else announced
     try:
-        asyncio.run(_serve(host, port, bitrate, seed, as_json))
+        asyncio.run(_serve(host, port, bitrate, seed, as_json, says))
     except OSError as problem:
         print(
             f"headland: --port {port}: {problem.strerror or problem}; choose another or 0 for any free "

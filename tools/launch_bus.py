@@ -8,6 +8,7 @@ from typing import Protocol
 
 from protocol.frame import Frame
 from protocol.socketcand_link import ANSWER_S, SocketcandLink
+from sim.beacon import announce
 from sim.fieldbus import FieldBus, forget, segment
 from sim.hub import Hub
 from tools.attachment import CHANNEL
@@ -40,11 +41,13 @@ class OwnHub:
         self.hub = Hub(self.wire, CHANNEL)
         self.taps = self.wire.taps
         self._desk: FieldBus | None = None
+        self._beacon: asyncio.Task[None] | None = None
 
     async def start(self, taps: list[Tap]) -> None:
         await self.hub.start(self.host, self.port)
         self.port = self.hub.port
         self.taps += taps
+        self._beacon = asyncio.create_task(announce(self.host, self.port, CHANNEL))
 
     def say(self, frame: Frame) -> None:
         if self._desk is None:
@@ -52,6 +55,8 @@ class OwnHub:
         self._desk.submit(frame)
 
     async def stop(self) -> None:
+        if self._beacon is not None:
+            self._beacon.cancel()
         await self.hub.stop()
         self.wire.taps.clear()
         forget(self.wire.channel)  # another launch of this process begins anew
