@@ -12,6 +12,7 @@ from protocol.identifier import GLOBAL_ADDRESS, NULL_ADDRESS
 from protocol.network_frames import (
     Acknowledgment,
     Control,
+    RepetitionRateRequest,
     Request,
     TransportData,
     TransportManagement,
@@ -24,7 +25,7 @@ LINES_MAX = 64  # traces kept; what is told of them is cut at 1,785 bytes
 NAMES_MAX = 256  # addresses there are
 INBOX_MAX = 16  # newest letters kept for whoever asks; nothing is decided by them
 
-Letter = Request | TransportManagement | TransportData
+Letter = Request | RepetitionRateRequest | TransportManagement | TransportData
 
 
 class Letters:
@@ -65,6 +66,8 @@ class Letters:
     ) -> Sequence[Effect]:
         if isinstance(message, Request):
             return self._asked(source, destination, message.pgn, now_us)
+        if isinstance(message, RepetitionRateRequest):
+            return _refused(source, destination, message.pgn)
         out, arrived = self.transport.receive(source, destination, message, now_us)
         if arrived is not None:
             self.inbox.append(arrived)
@@ -79,14 +82,17 @@ class Letters:
             asker = GLOBAL_ADDRESS if destination == GLOBAL_ADDRESS else source
             data = text(now_us).encode("latin-1", "replace")[-SIZE_MAX:].ljust(SIZE_MIN)
             return _sends(self.transport.send(pgn, data, asker, now_us) or ())
-        if (
-            destination == GLOBAL_ADDRESS or pgn in self._known
-        ):  # J1939-21: no NACK to a global request
-            return ()
-        return [Send(Acknowledgment(Control.NACK, 0xFF, source, pgn & 0x3FFFF))]
+        return () if pgn in self._known else _refused(source, destination, pgn)
 
     def _log(self, _now_us: int) -> str:
         return "\n".join(self._lines) or "no traces yet"
+
+
+def _refused(source: int, destination: int, pgn: int) -> Sequence[Effect]:
+    """What is not served, or not at the rate that is asked for: no group of ours changes its rate."""
+    if destination == GLOBAL_ADDRESS:  # J1939-21: no NACK to a global request
+        return ()
+    return [Send(Acknowledgment(Control.NACK, 0xFF, source, pgn & 0x3FFFF))]
 
 
 def _sends(out: Iterable[Out]) -> Sequence[Effect]:

@@ -91,8 +91,11 @@ class Pose(NamedTuple):
 class Heartbeat(NamedTuple):
     """I am here, and this is how far my replica has got. Priority 6.
 
+    This is a proprietary group, not the heartbeat of ISO 11783-7 (PGN 61668), which a robot does not
+    send. Its counter only takes the values of that heartbeat's sequence number (SPN 7345).
+
     byte  field       type  meaning
-    0     counter     u8    0..250, 251 the first after power up, 255 leaving (ISO 11783-7 SPN 7345)
+    0     counter     u8    0..250, 251 the first after power up, 255 leaving
     1     state       bits  lifecycle state in bits 0-2; 3 stopped; 4 held; 5 started; 6 leaving
     2     health      u8    0.4 %
     3..4  operations  u16   own component of the vector clock, modulo 2^16

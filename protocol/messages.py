@@ -23,6 +23,7 @@ from protocol.map_frames import MapDigests, MapPatch
 from protocol.network_frames import (
     Acknowledgment,
     AddressClaimed,
+    RepetitionRateRequest,
     Request,
     TransportData,
     TransportManagement,
@@ -55,7 +56,8 @@ Message = (
     | MapPatch | MapDigests
     | TaskOrder | TaskBookDigest | TaskBid | Itinerary | PlanOffer | PlanRow
     | FleetStop | FleetReset | GatewayBeat | SegmentSummary
-    | AddressClaimed | Request | Acknowledgment | TransportManagement | TransportData
+    | AddressClaimed | Request | RepetitionRateRequest | Acknowledgment
+    | TransportManagement | TransportData
 )  # fmt: skip
 
 
@@ -105,6 +107,7 @@ GROUPS = (
     Group(SegmentSummary, 0xFF33, 7, 8, "SEGMENT_SUMMARY"),
     Group(AddressClaimed, 0xEE00, 6, 8, "ADDRESS_CLAIMED"),
     Group(Request, 0xEA00, 6, 3, "REQUEST"),
+    Group(RepetitionRateRequest, 0xCC00, 6, 8, "REPETITION_RATE_REQUEST"),
     Group(Acknowledgment, 0xE800, 6, 8, "ACKNOWLEDGMENT"),
     Group(TransportManagement, 0xEC00, 7, 8, "TP_CM"),
     Group(TransportData, 0xEB00, 7, 8, "TP_DT"),

@@ -30,6 +30,26 @@ class Request(NamedTuple):
         return cls(int.from_bytes(data, "little"))
 
 
+class RepetitionRateRequest(NamedTuple):
+    """PGN 52224. Asks a device to send a parameter group at another rate. Priority 6.
+
+    byte  field    type  meaning
+    0..2  pgn      u24   what is asked for
+    3..4  rate     u16   milliseconds; 0 stop sending, 0xFFFF the group's own rate
+    5..7  reserved       0xFF
+    """
+
+    pgn: int
+    rate_ms: int
+
+    def pack(self) -> bytes:
+        return self.pgn.to_bytes(3, "little") + self.rate_ms.to_bytes(2, "little") + b"\xff" * 3
+
+    @classmethod
+    def unpack(cls, data: bytes) -> "RepetitionRateRequest":
+        return cls(int.from_bytes(data[:3], "little"), int.from_bytes(data[3:5], "little"))
+
+
 class Control(IntEnum):
     ACK = 0
     NACK = 1

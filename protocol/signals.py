@@ -39,6 +39,7 @@ from protocol.network_frames import (
     Acknowledgment,
     AddressClaimed,
     Control,
+    RepetitionRateRequest,
     Request,
     TransportData,
     TransportManagement,
@@ -229,6 +230,7 @@ SIGNALS: dict[type[Message], tuple[Signal, ...]] = {
     ),
     AddressClaimed: tuple(Signal(name, start, length) for name, start, length in FIELDS),
     Request: (Signal("pgn", 0, 24),),
+    RepetitionRateRequest: (Signal("pgn", 0, 24), Signal("rate_ms", 24, 16)),
     Acknowledgment: (
         Signal("control", 0, 8, choices=_members(Control)), Signal("group_function", 8, 8),
         Signal("address", 32, 8), Signal("pgn", 40, 24),
