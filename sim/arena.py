@@ -98,7 +98,8 @@ class ArenaSetting(Setting):
         table, fleet = self.scenario.arena, self.scenario.fleet
         half_w, half_h = table.width_m / 2, table.height_m / 2
         rings = [_ring((-half_w, -half_h, half_w, half_h)), *map(_ring, table.solid)]
-        world = World(rings, self.scenario.run.seed, Lidar(table.rays, table.range_m))
+        run, lidar = self.scenario.run, Lidar(table.rays, table.range_m)
+        world = World(rings, run.seed, lidar, engine=run.engine)
         wheel_m = fleet.radius_m / 4
         chassis = Chassis(
             wheel_radius_m=wheel_m, half_base_m=fleet.radius_m / 2, half_track_m=fleet.radius_m / 2,

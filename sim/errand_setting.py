@@ -131,7 +131,7 @@ class ErrandSetting:
         """A fresh world with every robot at its start."""
         fleet, floor = self.scenario.fleet, self.floor
         grid = Grid(floor.walls, *floor.origin, floor.cell_m)
-        world = World([], self.scenario.run.seed, Lidar(), grid)
+        world = World([], self.scenario.run.seed, Lidar(), grid, self.scenario.run.engine)
         chassis = Chassis(
             speed_m_s=fleet.speed_m_s, acceleration_m_s2=fleet.acceleration_m_s2, slip=fleet.slip
         )

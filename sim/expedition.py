@@ -161,6 +161,7 @@ class Expedition:
             travel_m=sum(body.track.driven_m for body in world.robots.values()),
             simulated_s=now_s,
             wall_s=wall_s,
+            pymunk_steps=world.pymunk_steps,
             implement_contacts=implement_contacts(
                 self.tracks, field.implement_width_m, scenario.fleet.radius_m
             ),

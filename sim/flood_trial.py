@@ -94,6 +94,7 @@ class Trial:
         self.flood, self.swarm = flood, Swarm()
         scenario = load(FLEETS[flood.robots]).changed(flood.robots, flood.seed, faults=())
         fleet = scenario.fleet.model_copy(update={"silence": flood.policy})
+        scenario = scenario.with_engine("contact_free")
         setting = Setting(scenario.model_copy(update={"fleet": fleet}))
         self.cluster = Cluster(setting, f"flood {id(self)}", host=self.swarm)
         self.cluster.stops.bound_us = beat_of(flood.robots).silence_us + REACTION_US

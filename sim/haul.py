@@ -65,6 +65,7 @@ class HaulOutcome(NamedTuple):
     bus_load: float
     frames: Mapping[str, int]
     malformed: int
+    pymunk_steps: int  # of 10 ms, that pymunk has made
     trace_hash: str
     simulated_s: float
     wall_s: float
@@ -257,6 +258,7 @@ class Haul:
             bus_load=wire.busy_us / max(now_us, 1),
             frames=dict(self.kinds.most_common()),
             malformed=self.malformed,
+            pymunk_steps=world.pymunk_steps,
             trace_hash=recorder.digest,
             simulated_s=now_us / S,
             wall_s=wall_s,

@@ -35,6 +35,7 @@ class Outcome(NamedTuple):
     travel_m: float  # what all robots drove
     simulated_s: float
     wall_s: float
+    pymunk_steps: int = 0  # of 10 ms, that pymunk has made; none in a drill, which has no bodies
     implement_contacts: int = 0  # of bars, raised or down, with bars and bodies; not judged
 
     @property

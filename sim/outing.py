@@ -59,6 +59,7 @@ class OutingOutcome(NamedTuple):
     frames: Mapping[str, int]  # by kind
     malformed: int
     bus_load: float  # share of the bus in use, exact bits
+    pymunk_steps: int  # of 10 ms, that pymunk has made
     trace_hash: str
     wall_s: float
 
@@ -183,6 +184,7 @@ class Outing:
             frames=dict(self._tally.kinds.most_common()),
             malformed=self._tally.malformed,
             bus_load=cluster.segment.wire.busy_us / now_us,
+            pymunk_steps=world.pymunk_steps,
             trace_hash=self._recorder.digest,
             wall_s=wall_s,
         )

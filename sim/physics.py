@@ -33,6 +33,7 @@ class Physics:
         self._got, self._put = batch.Buffer(), batch.Buffer()
         self._forces = np.zeros((0, 3))
         self._order: slice | NDArray[np.intp] = slice(0)  # the rows of the robots
+        self._pushed: Floats | None = None  # those rows of `_forces`, where they are in one piece
         self._stale = True  # bodies came since the rows were laid out
 
     def add_robot(self, x_m: float, y_m: float, heading_rad: float, radius_m: float) -> None:
@@ -80,6 +81,7 @@ class Physics:
         self._order = slice(len(rows)) if in_front else np.array(rows)
         self._forces = np.zeros((len(listed), 3))
         self._put.set_float_buf(self._forces)
+        self._pushed = self._forces[: len(rows)] if in_front else None
         self._stale = False
 
     def step(self, motion: Floats, push: Floats, dt_s: float) -> None:
@@ -89,7 +91,10 @@ class Physics:
         """
         if self._stale:
             self._lay_out()
-        self._forces[self._order] = push * self.inertia
+        if self._pushed is None:
+            self._forces[self._order] = push * self.inertia
+        else:
+            np.multiply(push, self.inertia, out=self._pushed)
         batch.set_space_bodies(self.space, _PUT, self._put)
         self.space.step(dt_s)
         self._got.clear()

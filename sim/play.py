@@ -63,7 +63,7 @@ class Play:
         """`first_only`: the run ends within a second of the first rule that is broken."""
         self.first_only = first_only
         self.scenario, self.span = scenario, span_of(scenario)
-        self.setting = setting_of(scenario)
+        self.setting = setting_of(scenario.with_engine("contact_free"))
         self.witness = Witness(scenario.fleet.robots)
         self.broken: list[Broken] = []
         self.outcome: Outcome | None = None

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal, Self, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from agent.config import PEERS_MAX, SPEED_MAX_M_S
+from sim.engine import Engine
 from sim.given_file import SCENARIO_BYTES_MAX, GivenFileError, read_toml
 
 SHIPPED = Path(__file__).parent / "scenarios"
@@ -71,6 +72,7 @@ class BusTable(_Table):
 class RunTable(_Table):
     seed: int = Field(default=1, ge=0, le=SEED_MAX)
     time_limit_s: float = Field(default=3600.0, gt=0.0, le=86_400.0)
+    engine: Engine = "pymunk"
 
 
 class _Fault(_Table):
@@ -314,6 +316,9 @@ class Scenario(_Table):
         beside = self.folder / name
         ships = SHIPPED / name
         return ships if not beside.exists() and ships.is_file() else beside
+
+    def with_engine(self, engine: Engine) -> Self:
+        return self.model_copy(update={"run": self.run.model_copy(update={"engine": engine})})
 
     def changed(
         self, robots: int | None = None, seed: int | None = None, keys: Path | None = None,

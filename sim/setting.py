@@ -246,7 +246,8 @@ class Setting:
         """A fresh world with every robot at its place near the gate."""
         fleet = self.scenario.fleet
         rings = [self.field.exterior, *self.field.holes]
-        world = World(rings, self.scenario.run.seed, Lidar(fleet.rays))
+        run = self.scenario.run
+        world = World(rings, run.seed, Lidar(fleet.rays), engine=run.engine)
         chassis = self.chassis
         for slot, at in enumerate(self.starts):
             world.add_robot(slot, at, fleet.radius_m, chassis)

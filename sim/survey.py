@@ -96,6 +96,7 @@ class SurveyOutcome(NamedTuple):
     frames: Mapping[str, int]
     malformed: int
     travel_m: float
+    pymunk_steps: int  # of 10 ms, that pymunk has made
     trace_hash: str
     wall_s: float
 
@@ -363,6 +364,7 @@ class Survey:
             frames=dict(self.kinds.most_common()),
             malformed=self.malformed,
             travel_m=sum(body.track.driven_m for body in world.robots.values()),
+            pymunk_steps=world.pymunk_steps,
             trace_hash=recorder.digest,
             wall_s=wall_s,
         )

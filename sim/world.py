@@ -5,8 +5,9 @@ Time is lazy: whoever asks first brings the world to the instant it asks for. Th
 made whoever asks and however often, so a run has one history.
 
 Each step: obstacles come and go, the wheels answer the commands in force (`sim.vehicle`), bodies move,
-and touches are judged from the new positions (`sim.proximity`). pymunk moves bodies where something is
-near (`sim.physics`); elsewhere they glide, with the same result (`sim.gliding`).
+and touches are judged from the new positions (`sim.proximity`). pymunk moves the bodies (`sim.physics`).
+A world of the engine `contact_free` calls it only where something is near; elsewhere they glide, with the
+same result (`sim.gliding`).
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -21,6 +22,7 @@ import pymunk
 from numpy.typing import NDArray
 
 from sim.body import RobotBody
+from sim.engine import Engine
 from sim.gliding import CODES, GUARDED, NEAR, NEAR_M, SWITCHED, TRACK_US, glide, guarded
 from sim.lidar import RANGE, Lidar, scan, scan_all
 from sim.physics import Physics
@@ -66,6 +68,7 @@ class World:
         seed: int | str = 0,
         lidar: Lidar | None = None,
         grid: Grid | None = None,
+        engine: Engine = "pymunk",
     ) -> None:
         """`rings`: closed outlines that nobody passes, fences and holes alike, metres."""
         self.now_us = 0
@@ -74,7 +77,8 @@ class World:
         self.contacts: list[Contact] = []
         self.contacts_lost = 0
         self.guards: list[Guard] = []  # call `guard` when what they say changes
-        self.near_m = NEAR_M  # inf: every step is the engine's
+        self.engine: Engine = engine
+        self.pymunk_steps = 0  # of `STEP_US`, that pymunk has made
         self.rows = np.empty((0, COLUMNS))  # see sim.vehicle; one row a robot, in order of adding
         self.motion = np.empty((0, 7))
         self.commands = self.places = memoryview(b"")  # both, for who reads or writes one row
@@ -210,7 +214,7 @@ class World:
         while self.now_us + STEP_US <= now_us:
             while self._due and self._due[0][0] <= self.now_us:
                 heappop(self._due)[2]()
-            if self._engine_steps or self._touching:
+            if self._engine_steps or self._touching or (self.engine == "pymunk" and self.robots):
                 self._collide(self._roll())
             else:
                 due_us = self._due[0][0] + STEP_US - 1 if self._due else now_us
@@ -222,7 +226,7 @@ class World:
         came = glide(
             self.rows, self.motion, self._keys, self._push, self._physics.inertia, fences.floats,
             fences.ints, self._standing, self.moved_us, self._nearest, self._limits, self.now_us,
-            until_us, rolled, self.near_m,
+            until_us, rolled, NEAR_M,
         )  # fmt: skip
         self.now_us, why = divmod(came, CODES)
         self._put = True
@@ -247,12 +251,13 @@ class World:
             self._physics.put(self.motion)
             self._put = False
         self._physics.step(self.motion, self._push, STEP_S)
+        self.pymunk_steps += 1
         self.now_us += STEP_US
         self._engine_steps = max(0, self._engine_steps - 1)
         found, is_near = divmod(
             watch(
                 self.motion, self._solid.floats, self._solid.ints, self._standing, self._nearest,
-                self._touches, self.near_m,
+                self._touches, NEAR_M,
             ),
             2,
         )  # fmt: skip

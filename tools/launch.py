@@ -328,7 +328,8 @@ class Launch:
         ]
         report: dict[str, Any] = {
             "finished": finished, "seconds": round(elapsed_s, 1), **of_it,
-            "contacts": len(self.world.contacts), "robots_ended": sorted(self.gone), "touched": touched,
+            "contacts": len(self.world.contacts), "pymunk_steps": self.world.pymunk_steps,
+            "robots_ended": sorted(self.gone), "touched": touched,
             "silence_policy": self.setting.scenario.fleet.silence,
             "authenticated": self.setting.keys is not None, "difference": self.difference,
             "launches": self.fleet.launches, "latched": self.latched,

@@ -110,11 +110,12 @@ def _world() -> None:
     from sim.vehicle import Chassis
     from sim.world import World
 
-    world = World([[(0.0, 0.0), (20.0, 0.0), (20.0, 20.0), (0.0, 20.0)]], 0)
+    ring = [(0.0, 0.0), (20.0, 0.0), (20.0, 20.0), (0.0, 20.0)]
+    world = World([ring], 0, engine="contact_free")
     world.add_robot(0, (5.0, 5.0), 0.5, Chassis())
     world.body(0).drive(Drive(1.0, 0.0, 0.0, True), 0)
     world.advance(1_000_000)
-    world.near_m = inf  # and where something is near
+    world.engine = "pymunk"
     world.advance(1_100_000)
     raster = sample_points(box(0, 0, 20, 20), 2.0, 0.2)
     coverage(raster, {0: world.body(0).track}, 2.0)
