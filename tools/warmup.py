@@ -4,7 +4,6 @@ import os
 import signal
 import time
 from collections.abc import Callable
-from math import inf
 from multiprocessing import Pool
 
 import numpy as np
