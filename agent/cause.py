@@ -217,16 +217,35 @@ def about(cause: Cause, detail: str) -> int:
     return min(number, NOBODY)
 
 
-def sentence(number: int, subject: int) -> str:
-    """For people: why a robot stands, and what they can do, from what it has told on the bus.
+def further(cause: Cause, detail: str) -> int:
+    """How many robots beside the first a cause is about."""
+    if cause not in (Cause.MEMBER_SILENT, Cause.CREEP):
+        return 0
+    return max(0, len(re.findall(r"\d+", detail)) - 1)
+
+
+def cause_of(number: int) -> Cause | None:
+    """The cause that is told under this number; None for one that this release does not know."""
+    name = StandsBy(number).name if number in set(StandsBy) else StandsBy.OTHER.name
+    return Cause.__members__.get(name)
+
+
+def sentence(number: int, subject: int, count: int = 0) -> str:
+    """For people: why a robot stands, and what they can do, from what it has told on the bus. `count`:
+    stops that hold it, or further robots that are silent.
 
     >>> sentence(StandsBy.CONFIG_MISMATCH, 200)
     'CONFIG_MISMATCH with address 200: start that robot with the field of this fleet, or switch it off'
+    >>> sentence(StandsBy.STOP_DOT, NOBODY, 3)
+    'STOP_DOT (3 stops): see that nobody is in danger, then headland reset'
     """
-    name = StandsBy(number).name if number in set(StandsBy) else StandsBy.OTHER.name
-    cause = Cause.__members__.get(name)
+    cause = cause_of(number)
     if cause is None:
-        return f"{name}: see its log"
+        return f"{StandsBy.OTHER.name} ({number}): headland inspect --traces asks it what"
     kind = _ABOUT.get(cause, ("", None))[0]
     told = f" with {kind} {subject}" if kind and subject != NOBODY else ""
-    return f"{name}{told}: {cause.value.do}"
+    if count and cause is Cause.STOP_DOT:
+        told = f" ({count} stop{'s' if count > 1 else ''})"
+    elif count and told:
+        told += f" and {count} more"
+    return f"{cause.name}{told}: {cause.value.do}"

@@ -11,7 +11,7 @@ from typing import Any
 
 from agent import config
 from agent.admission import Admission
-from agent.cause import Cause, sentence
+from agent.cause import Cause
 from agent.claims import Claims
 from agent.conflicts import Conflicts
 from agent.directive import Directive
@@ -37,12 +37,13 @@ from agent.safety import Safety
 from agent.self_check import SelfCheck
 from agent.self_health import Known
 from agent.senses import Senses
-from agent.voice import STANDSTILL_US, Voice
+from agent.told_causes import ToldCauses
+from agent.voice import Voice
 from agent.working import Working
 from crdt import FieldAllocationCRDT, Phase, Progress, VectorClock
 from protocol.authentication import Keyring
 from protocol.codec import Malformed, decode_once
-from protocol.fleet_frames import PLACE_UNKNOWN_M_S, Pose, Standstill
+from protocol.fleet_frames import PLACE_UNKNOWN_M_S, Pose
 from protocol.frame import Frame
 from protocol.identifier import GLOBAL_ADDRESS, NULL_ADDRESS
 from protocol.map_sync import MapSync
@@ -119,8 +120,8 @@ class Peer:
         self.wish: Wish = STILL
         self.malformed: dict[str, int] = {}
         self.healths: dict[int, float] = {}  # of others, as their heartbeats say: slot -> 0 to 1
-        # Why others stand, as they tell it: slot -> cause -> its frame and when it was heard.
-        self.standstills: dict[int, dict[int, tuple[Standstill, int]]] = {}
+        # Why others stand, as they tell it, by slot.
+        self.standstills: dict[int, ToldCauses] = {}
         self.directive, self.check = Directive(self), SelfCheck(self, now_us)
         self.senses = Senses(self)
         self.pause = pause_of(self, motion)
@@ -388,10 +389,8 @@ class Peer:
 
     def told_standing(self, slot: int, now_us: int) -> list[str]:
         """Why another member stands and what a person can do, for each cause that it still tells."""
-        told = self.standstills.get(slot, {})
-        for_us = STANDSTILL_US * 4 * max(1, len(told))
-        fresh = [m for m, heard_us in told.values() if now_us - heard_us <= for_us]
-        return [sentence(m.cause, m.about) for m in sorted(fresh, key=lambda m: m.place)]
+        told = self.standstills.get(slot)
+        return [] if told is None else told.sentences(now_us)
 
     def self_known(self, now_us: int) -> Known:
         """What this robot knows of itself, as the health in its heartbeats is judged by."""

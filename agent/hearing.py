@@ -18,6 +18,7 @@ from agent.membership import Neighbour
 from agent.origin import PROPRIETARY, Origin
 from agent.ports import Beat
 from agent.safety import UNAUTHENTICATED_HOLD_US
+from agent.told_causes import ToldCauses
 from protocol.accord_frames import Accord, Fallen
 from protocol.codec import Malformed
 from protocol.delivery_frames import (
@@ -323,8 +324,8 @@ class Hearing:
             return peer.membership_changed(now_us)
         peer.clock.witness(slot, m.operations)
         peer.healths[slot] = m.health
-        if not (m.held or m.stopped):
-            peer.standstills.pop(slot, None)
+        if not (m.held or m.stopped) and slot in peer.standstills:
+            peer.standstills[slot].moves()
         peer.sync.heard_digest(slot, m.digest, now_us)
         if m.stopped or peer.safety.latched:
             return peer.safety.beat(slot, m.stopped, now_us)
@@ -353,7 +354,7 @@ class Hearing:
         self, source: int, slot: int | None, m: Standstill, now_us: int
     ) -> Sequence[Effect]:
         if slot is not None:
-            self.peer.standstills.setdefault(slot, {})[m.cause] = m, now_us
+            self.peer.standstills.setdefault(slot, ToldCauses()).hear(m, now_us)
         return ()
 
     def _vote(

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from math import atan2, hypot
 from typing import TYPE_CHECKING, Final
 
-from agent.cause import Cause, about
+from agent.cause import Cause, about, further
 from agent.config import BEATS, CONTROL_PERIOD_US, Beat, S
 from agent.effects import Effect, Persist, Send, Trace, to_all
 from agent.lifecycle import EMERGENCY_STOP
@@ -213,8 +213,10 @@ class Voice:
         place = self._cause % len(causes)
         self._cause = place + 1
         cause, detail = causes[place]
-        dots = len(peer.safety.stops.active) if cause is Cause.STOP_DOT else 0
-        about_whom, count = about(cause, detail), min(dots, 0xFFFF)
+        stops, far = peer.safety.stops, peer.safety.far
+        dots = len(stops.active) + stops.more + len(far.active) + far.more
+        count = min(dots if cause is Cause.STOP_DOT else further(cause, detail), 0xFFFF)
+        about_whom = about(cause, detail)
         return Standstill(self.slot, cause.number, place, len(causes), about_whom, count)
 
     def _beat(self, peer: "Peer", counter: int, share: float) -> Heartbeat:

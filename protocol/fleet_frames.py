@@ -192,7 +192,7 @@ class Standstill(NamedTuple):
     1     cause      u8    StandsBy
     2     place      bits  bits 0-3: place of this cause in the list, 0 the worst; 4-7: their number
     3     about      u8    the address or slot that the cause is about; 255: none
-    4..5  number     u16   stops that hold it, for STOP_DOT; else 0
+    4..5  number     u16   STOP_DOT: stops that hold it; MEMBER_SILENT, CREEP: further robots; else 0
     6..7  reserved         0xFF
     """
 

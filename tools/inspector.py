@@ -10,10 +10,11 @@ from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field
 from typing import Any
 
-from agent.cause import sentence
+from agent.cause import Cause
 from agent.lifecycle import State
 from agent.shortcut_buttons import HOLD_US
 from agent.task_book import TASKS_MAX, stop_names
+from agent.told_causes import ToldCauses
 from crdt import FieldAllocationCRDT, Phase, Progress
 from crdt.register import pack
 from protocol.codec import UNKNOWN, Malformed, decode
@@ -45,7 +46,6 @@ from tools.makers import Makers
 
 BUTTON_S = HOLD_US / 1e6  # a shortcut button that is silent so long is forgotten
 TRANSITIONS_MAX = 64  # newest kept a robot; a path longer than that is not read by anybody
-CAUSE_S = 4.0  # a cause is told each 1 to 1.4 s, one of several in turn; two may be lost
 SILENT_S = 1.0  # a robot not heard for longer is shown as silent
 
 
@@ -74,8 +74,7 @@ class Seen:
     left: bool = False
     started: bool = True  # until a heartbeat says that it is not
     held: bool = False  # something keeps it from moving
-    # Why, as it tells it about once a second: cause -> the address or slot it is about, and when.
-    causes: dict[int, tuple[int, float]] = field(default_factory=dict)
+    causes: ToldCauses = field(default_factory=ToldCauses)  # why it stands, as it tells it
     question: int = 0  # number of what it asks its operators; 0: nothing
     goal: tuple[float, float] | None = None  # where an operator has sent it, and it is not yet
     incarnation: int = 0
@@ -187,11 +186,11 @@ class Inspector:
                 robot.digest_s = t_s
                 robot.started, robot.held = message.started, message.held or message.stopped
                 if not robot.held:
-                    robot.causes.clear()
+                    robot.causes.moves()
                 robot.clock[robot.slot] = message.operations
                 self._state(t_s, robot, message.state, kind)
             case Standstill():
-                robot.causes[message.cause] = message.about, t_s
+                robot.causes.hear(message, round(t_s * 1e6))
             case VectorSlice():
                 for offset, count in enumerate(message.counts):
                     if message.base + offset != robot.slot and count:
@@ -302,12 +301,12 @@ class Inspector:
         return "in step" if newer <= {robot.digest} else "differs"
 
     def stands(self, robot: Seen) -> list[str]:
-        """Why it stands and what a person can do, for each cause that it still tells."""
-        return [
-            sentence(cause, subject)
-            for cause, (subject, t_s) in sorted(robot.causes.items())
-            if self.now_s - t_s <= CAUSE_S * max(1, len(robot.causes))
-        ]
+        """Why it stands and what a person can do, for each cause that it still tells. A silent robot
+        tells nothing: what can be done about its silence comes first."""
+        said = robot.causes.sentences(round(self.now_s * 1e6))
+        if self.now_s - robot.last_s > SILENT_S and not robot.left:
+            said.insert(0, f"SILENT: {Cause.MEMBER_SILENT.value.do}")
+        return said
 
     def _robot_dict(self, robot: Seen) -> dict[str, Any]:
         peers = sorted(s for s in robot.clock if s != robot.slot)

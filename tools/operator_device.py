@@ -10,6 +10,7 @@ from secrets import randbelow
 
 from agent.lifecycle import State
 from agent.ports import Bus
+from agent.told_causes import ToldCauses
 from crdt.stops import FarDot
 from protocol.accord_frames import Fallen
 from protocol.authentication import Keyring, Signed
@@ -56,8 +57,7 @@ class Robot:
     signed: bool = False  # and its echo has a tag that it alone could make
     started: bool = False
     held: bool = False  # something other than a latch keeps it from moving
-    # Why, as it tells it about once a second: cause -> the address or slot that it is about, and when.
-    causes: dict[int, tuple[int, float]] = field(default_factory=dict)
+    causes: ToldCauses = field(default_factory=ToldCauses)  # why it stands, as it tells it
     leaves_s: float | None = None  # it said so then, and has not beaten since
     report: OperatorReport | None = None  # the newest, since it was last forgotten
     question: OperatorReport | None = None  # that it is asking or waiting about
@@ -136,8 +136,10 @@ class Operator:
             robot.state, robot.stopped = State(message.state), message.stopped
             if isinstance(message, Heartbeat):
                 robot.started, robot.held = message.started, message.held
+                if not (robot.held or robot.stopped):
+                    robot.causes.moves()
         elif isinstance(message, Standstill):
-            robot.causes[message.cause] = message.about, now_s
+            robot.causes.hear(message, round(now_s * 1e6))
         elif isinstance(message, OperatorReport):
             robot.report = message
             asking = message.matter in (Matter.ASKING, Matter.WAITING)

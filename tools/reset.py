@@ -4,7 +4,6 @@ import asyncio
 import sys
 from pathlib import Path
 
-from agent.cause import sentence
 from agent.lifecycle import State
 from agent.safety import COUNT_TOLD_MAX
 from protocol.authentication import Keyring
@@ -16,7 +15,8 @@ from tools.estop import NOT_ALL, WRONG, listen_to
 from tools.operator_device import Operator, Robot
 
 LISTEN_S = 0.7  # latched robots repeat the dots they know to those that beat without being stopped
-CAUSES_S = 1.6  # a robot that stands tells one of its causes each 1 to 1.4 s
+CAUSE_S = 1.6  # a robot that stands tells one of its causes each 1 to 1.4 s
+CAUSES_S = 8.0  # of a robot with many causes not all are waited for
 STEP_S = 0.1
 NAMES_EVERY = 4  # tries: a name that is cleared changes the sum of what is held
 BLOCK_S = 5  # seconds in which a block of reserved frames is not used up
@@ -51,8 +51,7 @@ async def _reset(
         left = await release(operator, start, timeout_s)
         if start and not left:
             await started(operator, timeout_s)
-        if any(robot.held or robot.stopped for robot in operator.live):
-            await operator.listen(CAUSES_S)  # why, from those that stand
+        await hear_causes(operator)
         silent = [robot.slot for robot in operator.silent]
         held = [r.slot for r in operator.live if start and (r.held or not r.started)]
         if as_json:
@@ -83,15 +82,26 @@ def in_sum(operator: Operator) -> str:
     return f"all {count} that hold a robot" if most else "none was shown"
 
 
+async def hear_causes(operator: Operator) -> None:
+    """Why robots stand, from those that do: what they tell from now on, all of it where that is soon."""
+    held = [robot for robot in operator.live if robot.held or robot.stopped]
+    for robot in operator.robots.values():
+        robot.causes.forget()
+    if not held:
+        return
+    end_s = operator.now_s + CAUSES_S
+    await operator.listen(CAUSE_S)
+    while operator.now_s < end_s and any(_untold(operator, robot) for robot in held):
+        await operator.listen(STEP_S)
+
+
+def _untold(operator: Operator, robot: Robot) -> bool:
+    return robot.causes.missing(round(operator.now_s * 1e6)) > 0
+
+
 def stands(operator: Operator, robot: Robot) -> list[str]:
     """The causes that it has told lately, and what a person can do about each."""
-    if not (robot.held or robot.stopped):
-        return []
-    return [
-        sentence(cause, subject)
-        for cause, (subject, t_s) in sorted(robot.causes.items())
-        if operator.now_s - t_s <= CAUSES_S
-    ]
+    return robot.causes.sentences(round(operator.now_s * 1e6))
 
 
 def word(operator: Operator, robot: Robot, start: bool) -> str:
@@ -110,6 +120,8 @@ def word(operator: Operator, robot: Robot, start: bool) -> str:
         return "NOT RELEASED: it has no address on the bus yet; wait, or restart it"
     if not robot.started:
         return f"{robot.state.name}, not started" + ("" if not start else ": START WAS NOT TAKEN")
+    if robot.held and stands(operator, robot):
+        return f"{robot.state.name}, HELD: the causes are named below"
     if robot.held:
         return (
             f"{robot.state.name}, HELD by something else: headland inspect --traces {robot.slot} "

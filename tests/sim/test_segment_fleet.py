@@ -1,12 +1,14 @@
 """Several segments in one swarm: stops, cuts, gateways that die, borders, forged messages."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from random import Random
 
 import can
 import numpy as np
 import pytest
 
+from agent.core import Peer
+from agent.effects import Effect
 from agent.gateway import Publish
 from agent.safety import SilencePolicy
 from crdt.occupancy import Geometry
@@ -310,11 +312,12 @@ def panel_of(fleet: SegmentFleet, number: int) -> CanBus:
 
 def clear_here(fleet: SegmentFleet, dot: tuple[int, int, int, int], number: int) -> None:
     """The robots of a segment have cleared a stop, whoever made them; no gateway has heard of it."""
+    def hear(half: FleetReset) -> Callable[[Peer, int], Sequence[Effect]]:
+        return lambda peer, now: peer.hear(GATEWAY_ADDRESS, half, now)
+
     for slot in range(3):
         for half in plain_reset(FarDot(*dot)):
-            fleet.shells[number, slot].operate(
-                lambda peer, now, half=half: peer.hear(GATEWAY_ADDRESS, half, now)
-            )
+            fleet.shells[number, slot].operate(hear(half))
 
 
 def hold_button(fleet: SegmentFleet, bus: CanBus, for_us: int) -> None:
