@@ -30,6 +30,7 @@ class Authority:
     def __init__(self, slot: int, keyring: Keyring | None) -> None:
         self.slot, self.keyring = slot, keyring
         self.refused = 0  # frames without authority
+        self.operator: Keyring | None = None  # of a person who gives orders from this machine now
         secret = None if keyring is None else keyring.keys.operator
         self._held = HeldTags(keyring.keys) if keyring is not None and secret else None
         self._orders: dict[tuple[object, ...], int] = {}  # said once -> when
@@ -70,8 +71,8 @@ class Authority:
         return () if question is None else [Send(question)]
 
     def answer(self, source: int, m: Challenge, now_us: int) -> Sequence[Effect]:
-        proof = None if self.keyring is None else self.keyring.answer(m, now_us)
-        return () if proof is None else [Send(proof, source)]
+        proofs = [ring.answer(m, now_us) for ring in (self.keyring, self.operator) if ring is not None]
+        return [Send(proof, source) for proof in proofs if proof is not None]
 
     def prove(self, m: Freshness, now_us: int) -> Sequence[Effect]:
         if self.keyring is not None and not self.keyring.prove(m, now_us):

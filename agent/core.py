@@ -32,6 +32,7 @@ from agent.pause import pause_of
 from agent.ports import Observation
 from agent.recollection import LOST, sensible
 from agent.records import Records
+from agent.release import Release
 from agent.roll_call import CLAIM_REQUEST, MEMBER_PGN, MEMBER_REQUEST, RollCall
 from agent.safety import Safety
 from agent.self_check import SelfCheck
@@ -120,6 +121,7 @@ class Peer:
         self.wish: Wish = STILL
         self.malformed: dict[str, int] = {}
         self.healths: dict[int, float] = {}  # of others, as their heartbeats say: slot -> 0 to 1
+        self.releasing: Release | None = None  # that a person at this machine is giving
         # Why others stand, as they tell it, by slot.
         self.standstills: dict[int, ToldCauses] = {}
         self.directive, self.check = Directive(self), SelfCheck(self, now_us)

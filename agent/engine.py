@@ -14,14 +14,14 @@ import asyncio
 import inspect
 import logging
 from collections.abc import Awaitable, Callable, Mapping, Sequence
-from math import cos, sin
+from math import cos, hypot, inf, sin
 from random import Random
 from secrets import randbits, token_bytes
-from typing import Any
+from typing import Any, NamedTuple
 
 from can import BusABC
 
-from agent.cause import about, sentence
+from agent.cause import Severity, about, sentence
 from agent.config import CONTENTION_US, S
 from agent.core import Peer
 from agent.effects import Effect, Trace
@@ -29,11 +29,13 @@ from agent.identity import Identity
 from agent.lifecycle import State
 from agent.ports import Bus, Journal, Observation
 from agent.recollection import remembers
-from agent.safety import SilencePolicy
+from agent.release import Release
+from agent.safety import CREEP_M_S, SilencePolicy
 from agent.section_names import SectionNames
+from agent.self_health import readings
 from agent.shell import Shell
 from crdt import FieldAllocationCRDT
-from protocol.authentication import KEY_SIZE, Keyring, Keys
+from protocol.authentication import KEY_SIZE, OPERATOR_FIRST, Keyring, Keys
 from protocol.bus import CanBus
 from protocol.fleet_frames import NOWHERE_M, Pose
 from protocol.name import fleet_name
@@ -41,7 +43,24 @@ from protocol.safety_frames import Reason
 
 log = logging.getLogger(__name__)
 
+CLEAR_TIMEOUT_S = 5.0  # two robots of a quiet bus need 0.5 s
+CLEAR_STEP_S = 0.15  # robots answer a question for stops at most each 0.1 s
+QUESTION_BITS = 48
 JOIN_TIMEOUT_S = 5.0  # address claim 0.4 s, a first sync 2 s; beyond it something is wrong
+
+
+class Cleared(NamedTuple):
+    """What a release of stops has done. Tractor ids."""
+
+    stops: tuple[str, ...]  # that held this machine, by name
+    holding: tuple[
+        str, ...
+    ]  # machines that hold a stop still, or have not said that they hold none
+    silent: tuple[str, ...]  # members that nobody hears: nobody knows what they hold
+
+    @property
+    def complete(self) -> bool:
+        return not self.holding and not self.silent
 
 
 class FleetCoordinationEngine:
@@ -173,8 +192,7 @@ class FleetCoordinationEngine:
         except TimeoutError:  # it may not start what it has claimed
             section = self.sections.number(section_id)
             self._operate(lambda p, now: p.release(section, now))
-            causes = [sentence(c.number, about(c, why)) for c, why in self._peer.safety.causes]
-            self.refusal = "; ".join(causes) or f"in state {self.get_current_state()}"
+            self.refusal = "; ".join(self.stands) or f"in state {self.get_current_state()}"
             return False
         if not won and not self.refusal:
             self.refusal = "another machine has it, or it is done"
@@ -215,10 +233,56 @@ class FleetCoordinationEngine:
             raise ValueError(f"unknown reason {reason_code!r}; one of {known}") from None
         self._operate(lambda p, now: p.press(reason, now))
 
+    async def clear_stops(
+        self,
+        operator: Keyring | None = None,
+        *,
+        keyless: bool = False,
+        timeout_s: float = CLEAR_TIMEOUT_S,
+    ) -> "Cleared":
+        """Clear the stops that hold this machine, here and at every other; reset and start none.
+
+        `operator`: the keyring of a person's operator key (`sim.key_file`), with a sender of 192 or
+        more. A fleet without keys has to be named as such, by `keyless`. ValueError where the authority
+        does not fit the fleet. Afterwards each machine needs its `manual_reset`, then its `permit`. A
+        stop that is pressed meanwhile is not cleared.
+        """
+        peer = self._peer
+        if peer.safety.keyed and (keyless or operator is None):
+            raise ValueError("this fleet has keys: give the keyring of an operator key")
+        if not peer.safety.keyed and (operator is not None or not keyless):
+            raise ValueError(
+                "this fleet has no keys, anybody on the bus releases it: say keyless=True, and no keyring"
+            )
+        if operator is not None and operator.sender < OPERATOR_FIRST:
+            raise ValueError(
+                f"sender {operator.sender} is no operator: they begin at {OPERATOR_FIRST}"
+            )
+        release = Release(peer, operator, randbits(QUESTION_BITS))
+        named = tuple(".".join(map(str, dot)) for dot in release.dots)
+        peer.releasing, peer.safety.authority.operator = release, operator
+        loop = asyncio.get_running_loop()
+        end_s = loop.time() + timeout_s
+        try:
+            while True:
+                self._operate(lambda p, now: release.say(now))
+                await asyncio.sleep(CLEAR_STEP_S)
+                if not release.outstanding or loop.time() >= end_s:
+                    break
+        finally:
+            peer.releasing = peer.safety.authority.operator = None
+        holding = tuple(map(self._name, release.outstanding))
+        return Cleared(named, holding, tuple(map(self._name, sorted(peer.membership.silent))))
+
     async def manual_reset(self) -> bool:
         """A person at this machine. False while a stop is not cleared."""
         self._operate(lambda p, now: p.manual_reset(now))
         return self._peer.lifecycle.state is not State.EMERGENCY_STOP
+
+    async def permit(self) -> bool:
+        """A person at this machine permits it to move, after its reset. False where it is latched."""
+        self._operate(lambda p, now: p.start(now))
+        return self._peer.safety.started and not self._peer.safety.latched
 
     # ---------------------------------------------------------------- queries
 
@@ -236,6 +300,7 @@ class FleetCoordinationEngine:
                 "standing": standing.name,
                 "position": _position(pose),
                 "speed_m_s": pose.speed_m_s,
+                "health": peer.healths.get(slot),
                 "age_s": (now_us - neighbour.heard_us) / 1e6,
                 "stands": peer.told_standing(slot, now_us),
                 "operations": peer.clock[slot],
@@ -243,10 +308,15 @@ class FleetCoordinationEngine:
                     self.sections.name(s) for s in peer.allocation.assigned_sections(slot)
                 ],
             }
+        here, health = peer.here, readings(peer.self_known(now_us))
         status[self.tractor_id] = {
             "status": peer.lifecycle.state.name,
             "standing": "SELF",
-            "stands": [sentence(c.number, about(c, why)) for c, why in peer.safety.causes],
+            "position": None if here is None else {"x_m": here.x_m, "y_m": here.y_m},
+            "speed_m_s": None if here is None else hypot(here.vx_m_s, here.vy_m_s),
+            "health": health[0].share,
+            "health_why": [reading.why for reading in health if reading.why],
+            "stands": self.stands,
             "operations": peer.clock[self.slot],
             "sections": [
                 self.sections.name(s) for s in peer.allocation.assigned_sections(self.slot)
@@ -254,6 +324,22 @@ class FleetCoordinationEngine:
             "age_s": 0.0,
         }
         return status
+
+    @property
+    def speed_limit_m_s(self) -> float:
+        """How fast this machine may drive now: 0.0 it must stand, infinity it is free.
+
+        Read it in each control period, before the wheels are told anything: it has the stops and
+        everything else that holds a machine. 0.0 while the engine is not started.
+        """
+        if self._shell is None or self._peer.safety.severity >= Severity.PAUSE:
+            return 0.0
+        return CREEP_M_S if self._peer.safety.severity is Severity.SLOW else inf
+
+    @property
+    def stands(self) -> list[str]:
+        """Why this machine stands or creeps and what a person can do, a line for each cause."""
+        return [sentence(c.number, about(c, why)) for c, why in self._peer.safety.causes]
 
     def get_field_allocation_state(self) -> FieldAllocationCRDT:
         """The current, merged view of the field allocation."""

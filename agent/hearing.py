@@ -53,6 +53,7 @@ from protocol.safety_frames import (
     Freshness,
     HeldReset,
     OperatorCommand,
+    StopsHeld,
 )  # fmt: skip
 from protocol.sync import ENTRIES
 from protocol.work_frames import (
@@ -97,6 +98,7 @@ class Hearing:
             Heartbeat: self._heartbeat,
             Member: self._member,
             Standstill: self._standstill,
+            StopsHeld: self._stops_held,
             TaskClaim: self._work,
             StateSyncResponse: self._work,
             WorkProgress: self._work,
@@ -355,6 +357,13 @@ class Hearing:
     ) -> Sequence[Effect]:
         if slot is not None:
             self.peer.standstills.setdefault(slot, ToldCauses()).hear(m, now_us)
+        return ()
+
+    def _stops_held(
+        self, source: int, slot: int | None, m: StopsHeld, now_us: int
+    ) -> Sequence[Effect]:
+        if slot is not None and self.peer.releasing is not None:
+            self.peer.releasing.hear(slot, m)
         return ()
 
     def _vote(
