@@ -1,4 +1,7 @@
-"""What one peer knows of the fleet, as a text that any peer tells whoever asks; none is the one to ask.
+"""What one peer knows of the fleet, as a text that any peer tells when it is asked.
+
+A question to everybody is answered by the elected leader (`agent/election.py`), so that one text comes
+and not thirty. Nothing depends on it: without an answer the same question goes to any other peer.
 
     by 2 sections 14 done 9
     0 WORKING LIVE 12.3 -4.5 0.8 S3,S4 0.1
@@ -46,8 +49,10 @@ class Bulletin(NamedTuple):
 
 
 def offer(peer: "Peer") -> None:
-    """From now on this peer tells whoever asks."""
-    peer.letters.answer(BULLETIN_PGN, lambda now_us: write(compose(peer, now_us)))
+    """From now on this peer tells a device that asks it, and as the leader one that asks everybody."""
+    peer.letters.answer(
+        BULLETIN_PGN, lambda now_us: write(compose(peer, now_us)), lambda: peer.leads
+    )
 
 
 def compose(peer: "Peer", now_us: int) -> Bulletin:

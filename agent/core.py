@@ -145,6 +145,17 @@ class Peer:
     def state(self) -> State:
         return self.lifecycle.state
 
+    @property
+    def leader(self) -> int | None:
+        """The slot of the elected leader, as this peer knows; None while there is none."""
+        leader = self.election.leader
+        return None if leader is None else leader.slot
+
+    @property
+    def leads(self) -> bool:
+        """This peer answers for the fleet. Two may for a while, or none: nothing depends on it."""
+        return self.leader == self.slot
+
     # ---------------------------------------------------------------- facts in
 
     def receive(self, frame: Frame, now_us: int) -> Sequence[Effect]:

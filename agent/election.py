@@ -1,10 +1,13 @@
-"""Elections for conveniences: who answers the operator, who streams a batch plan.
+"""Elections for conveniences: the leader alone answers an operator's device that asks everybody.
 
 Never for stopping, claims or maps. A vote is fixed once cast: one vote per voter, election and
 term, remembered durably. A candidate leads when it holds the votes of a majority of the live view;
 a later term fences an earlier one. Two sides of a split have a leader each, and the higher term
 (then the lower slot) remains when they meet. Votes are said again now and then: one that was lost would
 leave its voter, or those that missed it, without a leader for good.
+
+All prefer the lowest slot of the live view. Health has no vote: a leader does nothing that another could
+not do at once, and a preference that changes would be an election each time.
 """
 
 from typing import NamedTuple
@@ -12,8 +15,7 @@ from typing import NamedTuple
 from agent.config import MS, S
 from protocol.fleet_frames import LeaderElectionVote
 
-OPERATOR_GATEWAY = 1  # who speaks for the fleet to an operator
-PLAN_STREAMER = 2  # who streams a batch plan
+OPERATOR_GATEWAY = 1  # who speaks for the fleet to an operator: `agent/bulletin.py`
 TERM_MAX = 0xFFFF  # u16 on the wire; at one term a second it lasts 18 hours without a restart
 SETTLE_US = 1 * S  # the live view stands still for so long before it is voted upon
 SPACING_US, SPACING_US_MAX = (

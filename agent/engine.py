@@ -114,6 +114,8 @@ class FleetCoordinationEngine:
         self._changed = asyncio.Event()
         self._on_state: list[Callable[[str], Any]] = []
         self._on_emergency: list[Callable[[dict[str, Any]], Any]] = []
+        self._on_leader: list[Callable[[str | None], Any]] = []
+        self._led: str | None = None  # as the callbacks were told
         self._background: set[asyncio.Task[None]] = set()
 
     # ---------------------------------------------------------------- lifecycle
@@ -341,6 +343,20 @@ class FleetCoordinationEngine:
         """Why this machine stands or creeps and what a person can do, a line for each cause."""
         return [sentence(c.number, about(c, why)) for c, why in self._peer.safety.causes]
 
+    def leader(self) -> str | None:
+        """The elected leader, as this machine knows; None while there is none, or not started.
+
+        The leader alone answers a device that asks everybody for the state of the fleet. Use it for what
+        is done once by one machine, and does no harm where two do it for a while, or none: a cut has a
+        leader on each side. Never for stopping, claims or maps.
+        """
+        slot = None if self._shell is None else self._peer.leader
+        return None if slot is None else self._name(slot)
+
+    @property
+    def is_leader(self) -> bool:
+        return self._shell is not None and self._peer.leads
+
     def get_field_allocation_state(self) -> FieldAllocationCRDT:
         """The current, merged view of the field allocation."""
         return self._peer.allocation
@@ -355,6 +371,10 @@ class FleetCoordinationEngine:
 
     def on_emergency(self, callback: Callable[[dict[str, Any]], Awaitable[None] | None]) -> None:
         self._on_emergency.append(callback)
+
+    def on_leader_change(self, callback: Callable[[str | None], Awaitable[None] | None]) -> None:
+        """Called with the id of the new leader, or None when there is none any more."""
+        self._on_leader.append(callback)
 
     # ---------------------------------------------------------------- inside
 
@@ -373,6 +393,10 @@ class FleetCoordinationEngine:
         return f"{self.prefix}{slot:0{self.width}d}"
 
     def _effect(self, now_us: int, effect: Effect) -> None:
+        if (leader := self.leader()) != self._led:
+            self._led = leader
+            for led in self._on_leader:
+                self._call(led, leader)
         if not isinstance(effect, Trace):
             return
         if effect.machine == "safety" and effect.event in ("PRESSED", "HEARD_STOP"):

@@ -36,16 +36,25 @@ class Letters:
         self.names: dict[int, str] = {}  # address -> component identification, as told
         self.inbox: deque[Arrived] = deque(maxlen=INBOX_MAX)
         self._component, self._known = component, known
+        self._speaks: dict[int, Callable[[], bool]] = {}  # groups that one peer tells for all
         self._lines: deque[str] = deque(maxlen=LINES_MAX)
         self._texts: dict[int, Callable[[int], str]] = {  # of now_us
             COMPONENT_PGN: lambda _: self._component,
             LOG_PGN: self._log,
         }
 
-    def answer(self, pgn: int, text: Callable[[int], str]) -> None:
-        """From now on whoever asks for this group gets the text; `text` is given the time."""
+    def answer(
+        self, pgn: int, text: Callable[[int], str], speaks: Callable[[], bool] | None = None
+    ) -> None:
+        """From now on a device that asks for this group gets the text; `text` is given the time.
+
+        `speaks`: whether this peer answers a question to everybody. It answers the device that asks,
+        alone: by a message to all, thirty peers would fill the bus for seconds.
+        """
         assert pgn not in self._texts and pgn not in self._known
         self._texts[pgn] = text
+        if speaks is not None:
+            self._speaks[pgn] = speaks
 
     @property
     def deadline_us(self) -> int | None:
@@ -80,6 +89,11 @@ class Letters:
         text = self._texts.get(pgn)
         if text is not None:
             asker = GLOBAL_ADDRESS if destination == GLOBAL_ADDRESS else source
+            speaks = self._speaks.get(pgn)
+            if asker == GLOBAL_ADDRESS and speaks is not None:
+                if source >= NULL_ADDRESS or not speaks():
+                    return ()
+                asker = source
             data = text(now_us).encode("latin-1", "replace")[-SIZE_MAX:].ljust(SIZE_MIN)
             return _sends(self.transport.send(pgn, data, asker, now_us) or ())
         return () if pgn in self._known else _refused(source, destination, pgn)

@@ -48,7 +48,7 @@ class Release:
         effects: list[Effect] = []
         for order in orders:
             for _ in range(1 if self.operator is None else SAID_WITH_TAGS):
-                said = order if self.operator is None else self.operator.sign(order)
+                said = self._signed(order)
                 effects += [*self._obey(said, now_us), Send(said)]
         question = StateSyncRequest(self._question & 0xFFFFFF, self._question >> 24, STOPS, 0)
         return [*effects, Send(question)]
@@ -65,6 +65,13 @@ class Release:
             if stopped and (told is None or told.stops):
                 found.append(slot)
         return sorted(found)
+
+    def _signed(self, order: HeldReset | EmergencyReset) -> HeldReset | EmergencyReset:
+        if self.operator is None:
+            return order
+        if isinstance(order, HeldReset):
+            return self.operator.sign(order)
+        return self.operator.sign(order)
 
     def _obey(self, order: HeldReset | EmergencyReset, now_us: int) -> Sequence[Effect]:
         """This machine judges the order like one from the bus. What it asks the operator stays inside."""

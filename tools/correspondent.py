@@ -5,7 +5,7 @@ import asyncio
 from agent.ports import Bus
 from protocol.codec import decode
 from protocol.frame import Frame
-from protocol.identifier import Identifier
+from protocol.identifier import GLOBAL_ADDRESS, Identifier
 from protocol.messages import Message
 from protocol.network_frames import Request, TransportData, TransportManagement
 from protocol.transport import Arrived, Transport
@@ -38,16 +38,21 @@ class Correspondent:
                 self.arrived.append(arrived)
 
     async def ask(self, pgn: int, address: int, seconds: float) -> str | None:
-        """The text of a parameter group, or None where nothing whole came in time."""
+        """The text of a parameter group, or None where nothing whole came in time.
+
+        `address`: of one device, or GLOBAL_ADDRESS: the first text that comes from any."""
         loop = asyncio.get_running_loop()
         await self.device.held()  # an answer in parts goes to an address
         end_s = loop.time() + seconds
         # What it told when it was asked before is no answer to this.
-        self.arrived = [a for a in self.arrived if (a.pgn, a.source) != (pgn, address)]
+        anybody = address == GLOBAL_ADDRESS
+        self.arrived = [
+            a for a in self.arrived if a.pgn != pgn or not (anybody or a.source == address)
+        ]
         self._send(Request(pgn), address)
         while loop.time() < end_s:
             for letter in self.arrived:
-                if letter.pgn == pgn and letter.source == address:
+                if letter.pgn == pgn and (anybody or letter.source == address):
                     return letter.data.decode("latin-1").rstrip()
             await asyncio.sleep(LOOK_S)
             for o in self.transport.tick(round(loop.time() * 1e6)):

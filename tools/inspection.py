@@ -322,6 +322,8 @@ def _show(console: Console, seen: dict[str, Any]) -> None:
     console.print(table_of(seen))
     done = sum(1 for s in seen["sections"].values() if s["phase"] == "DONE")
     console.print(f"sections heard of: {len(seen['sections'])}, done: {done}")
+    if seen["leader"] is not None:
+        console.print(f"leader: robot {seen['leader']} answers for the fleet", highlight=False)
     for robot in seen["robots"]:
         if robot["health"] <= POOR and not robot["left"]:
             ask = f"headland inspect --traces {robot['slot']} asks it why"

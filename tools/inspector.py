@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from agent.cause import Cause
+from agent.election import OPERATOR_GATEWAY
 from agent.lifecycle import State
 from agent.shortcut_buttons import HOLD_US
 from agent.task_book import TASKS_MAX, stop_names
@@ -238,6 +239,23 @@ class Inspector:
     def latched(self) -> list[tuple[int, int, int]]:
         return sorted(set(self.stops) - set(self.cleared))
 
+    @property
+    def leader(self) -> int | None:
+        """The robot that answers for the fleet: a majority of those heard now has voted for it."""
+        live = {
+            r.slot for r in self.robots.values()
+            if not r.left and self.now_s - r.last_s <= SILENT_S
+        }  # fmt: skip
+        terms = [term for election, term in self.votes if election == OPERATOR_GATEWAY]
+        if not terms:
+            return None
+        cast = self.votes[OPERATOR_GATEWAY, max(terms)]
+        votes = Counter(candidate for voter, candidate in cast.items() if voter in live)
+        for candidate, count in votes.items():
+            if 2 * count > len(live):
+                return candidate
+        return None
+
     def why(self, section: int) -> Iterator[dict[str, Any]]:
         """The frames by which a section came to its owner, oldest first; each with what led to it."""
         for step in self.causality.chain(section):
@@ -261,6 +279,7 @@ class Inspector:
             "other_makers": {group_name(pgn): n for pgn, n in self.makers.refused.most_common()},
             "beyond_the_field": self.beyond,
             "latched": [".".join(map(str, dot)) for dot in self.latched],
+            "leader": self.leader,
             "leaders": {
                 f"{election}/{term}": dict(sorted(votes.items()))
                 for (election, term), votes in sorted(self.votes.items())

@@ -11,6 +11,7 @@ from agent import bulletin
 from protocol.authentication import Keyring
 from protocol.bus import CanBus
 from protocol.frame import Frame
+from protocol.identifier import GLOBAL_ADDRESS
 from protocol.operator_frames import Matter
 from protocol.safety_frames import Command, Reason
 from tools.correspondent import Correspondent
@@ -37,7 +38,7 @@ HOLD_S = 3.0  # a hold is confirmed by a heartbeat: two of the slowest, every 1.
 SERVE_S = 0.5  # the queue is looked at this often
 HEARD_S = 0.3  # by then we are on the bus
 PEER_S = 1.0  # a peer that does not answer within this is not waited for
-ANY = "any"  # peer to ask: the first that answers
+ANY = "any"  # the leader is asked, and without its answer one peer after the other
 Reader = Callable[[str], Awaitable[tuple[tuple[AnyIntent, ...] | Question, bool]]]
 Asker = Callable[[str], Awaitable[bool]]  # a question with yes or no
 
@@ -189,11 +190,12 @@ class Speaker:
         if self.by is None:
             return own
         peers = [int(self.by)] if self.by != ANY else [r.slot for r in own.live]
-        for slot in peers:
-            robot = self.operator.robots.get(slot)
-            if robot is None:
-                continue
-            text = await self.letters.ask(bulletin.BULLETIN_PGN, robot.address, PEER_S)
+        known = [self.operator.robots[slot] for slot in peers if slot in self.operator.robots]
+        asked = [robot.address for robot in known]
+        if self.by == ANY:  # the leader answers that, and where there is none any other is asked
+            asked.insert(0, GLOBAL_ADDRESS)
+        for address in asked:
+            text = await self.letters.ask(bulletin.BULLETIN_PGN, address, PEER_S)
             told = None if text is None else bulletin.read(text)
             if told is not None:
                 return view.as_told(told)._replace(sections={**own.sections})
