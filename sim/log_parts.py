@@ -27,8 +27,8 @@ class Limit(NamedTuple):
 
 
 # Of each log of a launch: about a day of ten robots. A launch has the index of the MCAP part that it
-# writes in memory, a megabyte; writing it takes milliseconds.
-LAUNCH_LIMIT = Limit(part_bytes=16 * MIB, parts=64)
+# writes in memory, a quarter of a megabyte; writing it takes milliseconds.
+LAUNCH_LIMIT = Limit(part_bytes=8 * MIB, parts=128)
 
 
 class Writer(Protocol):

@@ -34,7 +34,7 @@ from sim.mcap_schema import (
 from sim.recording import Recording
 from sim.scene import FILE, Scene
 
-CHUNK_BYTES = 128 * 1024  # compressed at once: less than a millisecond, in a launch as well
+CHUNK_BYTES = 256 * 1024  # compressed at once: about a millisecond; its index entry is a kilobyte
 SCENE_EVERY_US = 1_000_000  # robots in the 3D panel
 MAGIC = b"\x89MCAP0\r\n"  # a file begins with it, and one that was closed ends with it
 SAID_MAX = 120  # characters of what a reader says of a damaged file

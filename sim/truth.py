@@ -3,12 +3,13 @@
 from array import array
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from math import hypot
+from math import asin, atan2, hypot, inf, pi
 
 import numpy as np
 from numpy.typing import NDArray
 
 STRAIGHT_US = 20_000_000  # a straight piece of a track has a point at least this often
+EVEN_M = 0.25  # along the way; drives are uneven, and nobody judges a launch's track by the instant
 TrackPoint = tuple[int, float, float, bool]  # microseconds, x, y, implement down from here on
 
 
@@ -26,19 +27,56 @@ class Contact:
     until_us: int = 0
 
 
+class _Line:
+    """The even drives from one point that pass every point so far: a cone of directions and a span of
+    speeds. Microseconds, metres from the first point."""
+
+    def __init__(self) -> None:
+        self._base: float | None = None  # radians, of the first point that is far enough
+        self._left, self._right = pi, -pi  # of the cone, from there
+        self._slowest, self._fastest = 0.0, inf  # metres a microsecond
+        self._far_m = 0.0
+
+    def pass_by(self, dt_us: float, dx_m: float, dy_m: float, near_m: float) -> None:
+        far_m = hypot(dx_m, dy_m)
+        self._far_m = max(self._far_m, far_m)
+        if dt_us > 0:
+            self._slowest = max(self._slowest, (far_m - EVEN_M) / dt_us)
+            self._fastest = min(self._fastest, (far_m + EVEN_M) / dt_us)
+        if far_m > near_m:
+            if self._base is None:
+                self._base = atan2(dy_m, dx_m)
+            turn, room = self._turn(dx_m, dy_m), asin(near_m / far_m)
+            self._left, self._right = min(self._left, turn + room), max(self._right, turn - room)
+
+    def leads_to(self, dt_us: float, dx_m: float, dy_m: float, near_m: float) -> bool:
+        far_m = hypot(dx_m, dy_m)
+        return (
+            0 < dt_us <= STRAIGHT_US
+            and far_m >= self._far_m - near_m
+            and self._slowest <= far_m / dt_us <= self._fastest
+            and (self._base is None or self._right <= self._turn(dx_m, dy_m) <= self._left)
+        )
+
+    def _turn(self, dx_m: float, dy_m: float) -> float:
+        """From the first direction, -pi to pi."""
+        assert self._base is not None
+        turn = atan2(dy_m, dx_m) - self._base
+        return turn - 2 * pi if turn > pi else turn + 2 * pi if turn < -pi else turn
+
+
 class Track:
     """A robot's way: ten points a second, and one for each switch of the implement; 32 bytes each.
 
     An implement that is down at a point stays down until the next point. A track with `straight_m` leaves
-    out points that lie that near to the line between their neighbours, and as near in time: a launch of
-    days keeps a point for each turn and for each `STRAIGHT_US`, not ten a second.
+    out points that lie that near to the line between their neighbours, and within `EVEN_M` of where an
+    even drive would be at their time: a launch of days keeps a point for each turn, not ten a second.
     """
 
     def __init__(self, straight_m: float | None = None) -> None:
         self.straight_m = straight_m
-        self._between: list[tuple[float, float, float]] = []  # left out since the last but one
+        self._line: _Line | None = None  # from the last point but one to the last
         self._flat = array("d")
-        self._told = 0  # points that are kept elsewhere, too
         self.driven_m = 0.0
 
     def add(self, t_us: int, x_m: float, y_m: float, tool_on: bool, carried: bool = False) -> None:
@@ -49,49 +87,46 @@ class Track:
                 flat[-1] = 0.0  # on the way here the implement worked nothing
             else:
                 self.driven_m += hypot(x_m - flat[-3], y_m - flat[-2])
-        if self.straight_m is not None and len(flat) >= 8 and not carried:
-            self._leave_out(t_us, x_m, y_m, tool_on, self.straight_m)
+        if self.straight_m is not None and len(flat) >= 8:
+            self._leave_out(t_us, x_m, y_m, tool_on and not carried, self.straight_m)
         flat.extend((t_us, x_m, y_m, tool_on))
 
     def _leave_out(self, t_us: int, x_m: float, y_m: float, tool_on: bool, near_m: float) -> None:
-        """The last point, where a straight and even drive to the new one passes all that were between."""
-        flat, between = self._flat, self._between
+        """The last point, where the drive to the new one passes all that were left out before it."""
+        flat = self._flat
         was_us, was_x, was_y, was_on, last_us, last_x, last_y, last_on = flat[-8:]
-        between.append((last_us, last_x, last_y))
-        if (
-            len(flat) // 4 > self._told
-            and was_on == last_on == tool_on
-            and 0 < t_us - was_us <= STRAIGHT_US
-            and all(
-                hypot(
-                    was_x + (x_m - was_x) * (at_us - was_us) / (t_us - was_us) - at_x,
-                    was_y + (y_m - was_y) * (at_us - was_us) / (t_us - was_us) - at_y,
-                )
-                <= near_m
-                for at_us, at_x, at_y in between
-            )
+        line = self._line or _Line()
+        line.pass_by(last_us - was_us, last_x - was_x, last_y - was_y, near_m)
+        if was_on == last_on == tool_on and line.leads_to(
+            t_us - was_us, x_m - was_x, y_m - was_y, near_m
         ):
+            self._line = line
             del flat[-4:]
         else:
-            between.clear()
+            self._line = None
 
     def __len__(self) -> int:
         return len(self._flat) // 4
 
-    def flat_from(self, point: int) -> list[float]:
-        """Four numbers for each point from there on: see `to_array`. They stay as they are told."""
-        self._told = len(self)
-        return self._flat[4 * point :].tolist()
+    def settled_from(self, point: int) -> list[float]:
+        """Four numbers for each point from there on, but for the last: see `to_array`. They stay as
+        they are told."""
+        return self._flat[4 * point : -4].tolist()
+
+    @property
+    def newest(self) -> list[float]:
+        """The last point, four numbers; the next one may take its place. Empty: there is none."""
+        return self._flat[-4:].tolist()
 
     def recall(self, flat: Sequence[float]) -> None:
-        """Begin with what `flat_from` told of an earlier life of the world, the implement up."""
+        """Begin with the points of an earlier life of the world, the implement up."""
         self._flat = array("d", flat)
         self.driven_m = sum(
             hypot(flat[k] - flat[k - 4], flat[k + 1] - flat[k - 3]) for k in range(5, len(flat), 4)
         )
         if flat:
             self._flat[-1] = 0.0
-        self._told = len(self)
+        self._line = None
 
     def __iter__(self) -> Iterator[TrackPoint]:
         flat = self._flat

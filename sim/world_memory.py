@@ -1,19 +1,23 @@
 """The truth of a launch's world on disk, so that the next launch of the same fleet goes on from it.
 
-One line of JSON for each look: the instant, where every robot stands, the points of its track that are
-new, contacts, and what is true of parcels. A launch that is killed loses the truth since its last look.
+Each line of JSON is a look: the instant, where every robot stands, the points of its track that are new,
+contacts, and what is true of parcels. A launch that is killed loses the truth since its last look. A look
+takes the place of the one before, but for one in `KEEP_US`: days of looks fit a disk.
 """
 
 import json
 from collections.abc import Iterator
 from dataclasses import asdict
+from errno import ENOSPC
+from os import strerror
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 from sim.parcels import Parcels
 from sim.truth import Contact
 from sim.world import World
 
+KEEP_US = 20_000_000  # 4,320 lines a day; what is new in it, of 100 robots, is some 10 kB
 LINE_BYTES_MAX = 16 * 1024 * 1024  # a line of 100 robots and 1,000 parcels has 200 kB
 
 
@@ -27,10 +31,13 @@ class WorldMemory:
         A line that is cut off, or no line of ours, ends what is believed, and is cut away.
         """
         self.world, self.parcels = world, parcels
-        self._file: TextIO = path.open("a+", encoding="ascii")
-        self._file.truncate(self._recall(path))
+        path.touch()
+        self._file = path.open("r+b", buffering=0)
+        self._kept_bytes = self._recall(path)  # of lines that stay
+        self._file.truncate(self._kept_bytes)
+        self._kept_us = self._now_us
         begun = self.now_us > 0
-        self._told = {slot: len(b.track) if begun else 0 for slot, b in world.robots.items()}
+        self._told = {s: len(b.track) - 1 if begun else 0 for s, b in world.robots.items()}
         self._contacts = len(world.contacts)
 
     @property
@@ -39,20 +46,26 @@ class WorldMemory:
         return self._now_us
 
     def look(self) -> None:
-        """Write what is new. Raises OSError."""
+        """Write what is new since the last line that stays. Raises OSError."""
         world = self.world
         line: dict[str, Any] = {
             "t_us": world.now_us,
             "poses": {s: [*b.position, b.heading_rad] for s, b in world.robots.items()},
-            "tracks": {s: b.track.flat_from(self._told[s]) for s, b in world.robots.items()},
+            "tracks": {s: b.track.settled_from(self._told[s]) for s, b in world.robots.items()},
+            "newest": {s: b.track.newest for s, b in world.robots.items()},
             "contacts": [asdict(contact) for contact in world.contacts[self._contacts :]],
         }
         if self.parcels is not None:
             line["parcels"] = self.parcels.to_plain()
-        self._told = {slot: len(body.track) for slot, body in world.robots.items()}
-        self._contacts = len(world.contacts)
-        self._file.write(json.dumps(line, separators=(",", ":")) + "\n")
-        self._file.flush()
+        data = json.dumps(line, separators=(",", ":")).encode("ascii") + b"\n"
+        self._file.seek(self._kept_bytes)
+        if self._file.write(data) != len(data):
+            raise OSError(ENOSPC, strerror(ENOSPC))
+        self._file.truncate()  # what is left of a longer line is no line, should we end before this
+        if world.now_us - self._kept_us >= KEEP_US:
+            self._kept_us, self._kept_bytes = world.now_us, self._kept_bytes + len(data)
+            self._told = {slot: len(body.track) - 1 for slot, body in world.robots.items()}
+            self._contacts = len(world.contacts)
 
     def close(self) -> None:
         self._file.close()
@@ -63,6 +76,7 @@ class WorldMemory:
         tracks: dict[int, list[float]] = {slot: [] for slot in world.robots}
         poses: dict[int, tuple[float, float, float]] = {}
         contacts: list[Contact] = []
+        newest: dict[int, list[float]] = {}
         of_parcels: dict[str, Any] | None = None
         for line, end in _lines(path):
             try:
@@ -71,19 +85,20 @@ class WorldMemory:
                     int(s): (float(x), float(y), float(h)) for s, (x, y, h) in line["poses"].items()
                 }
                 new = {int(s): [float(v) for v in flat] for s, flat in line["tracks"].items()}
+                last = {int(s): [float(v) for v in flat] for s, flat in line["newest"].items()}
                 touched = [Contact(**contact) for contact in line["contacts"]]
-                if places.keys() != tracks.keys() or new.keys() != tracks.keys():
+                if not places.keys() == new.keys() == last.keys() == tracks.keys():
                     break
                 of_parcels = line["parcels"] if self.parcels is not None else None
             except WRONG:
                 break
-            self._now_us, poses, good = t_us, places, end
+            self._now_us, poses, newest, good = t_us, places, last, end
             contacts += touched
             for slot, flat in new.items():
                 tracks[slot] += flat
         if poses:
             for slot, flat in tracks.items():
-                world.robots[slot].track.recall(flat)
+                world.robots[slot].track.recall([*flat, *newest[slot]])
             world.contacts = contacts
             world.resume(self._now_us, poses)
             if self.parcels is not None and of_parcels is not None:

@@ -45,7 +45,7 @@ from tools.warmup import warm
 
 HOST = "127.0.0.1"
 LOOK_S = 0.5
-STRAIGHT_M = 0.01  # that a track of truth may be off: a launch of days keeps fewer points
+STRAIGHT_M = 0.02  # that a track of truth may be off, as RTK GNSS is: one point in 2 s of driving
 TELL_S = 5.0  # a status line this often
 QUIET_LOOKS = 6  # all done for this many looks in a row: finished
 MAP_NICE = 5  # of the map's process, beside the robots'

@@ -1,13 +1,15 @@
 """What a launch of ten robots with its map grows by in a day, from its growth after a warm-up.
 
 Anonymous memory of each process (`RssAnon` of `/proc`): what it has asked for itself and cannot be
-dropped. A page looks at the map all the time, as an operator's does.
+dropped. A page looks at the map all the time, as an operator's does. Files: the folder of the launch
+but for its logs, which are kept in parts up to `sim.log_parts.LAUNCH_LIMIT` each.
 """
 
 import contextlib
 import json
 import os
 import queue
+import re
 import signal
 import statistics
 import subprocess
@@ -28,13 +30,15 @@ SAMPLE_S = 5.0
 BEGIN_S = 120.0  # until ten robots are there, on a busy machine
 END_S = 30.0
 DAY_S = 86_400.0
+NO_PROCESS = 0
+IN_PARTS = re.compile(r"(can(\.\d+)?\.log|run(\.\d+)?\.mcap)")
 TARGET_MB = 200.0  # in a day, of all processes: a machine of 4 GB runs for a season
 
 
 class Grown(NamedTuple):
     """One process over the time that is fitted."""
 
-    kind: str  # launch, map, robot
+    kind: str  # launch, map, robot, files
     slope_bytes_s: float
     size_bytes: int  # at the end
 
@@ -48,9 +52,10 @@ def figures(quick: bool, seed: int = 1, seconds: float | None = None) -> Iterato
     grown = list(_grown([each for each in samples if each[0] >= begin_s]))
     scope = (
         f"{seconds:.0f} s, the first {seconds * WARM_UP:.0f} s left out, a sample each {SAMPLE_S:g} s, "
-        f"Theil-Sen; RssAnon; {ROBOTS} robots, seed {seed}, a page looks; load {os.getloadavg()[0]:.1f}"
+        f"Theil-Sen; RssAnon, and files but the logs in parts; {ROBOTS} robots, seed {seed}, "
+        f"a page looks; load {os.getloadavg()[0]:.1f}"
     )
-    for kind in ("launch", "map", "robot"):
+    for kind in ("launch", "map", "robot", "files"):
         own = [each for each in grown if each.kind == kind]
         name = f"{len(own)} robots" if kind == "robot" else kind
         grown_mb = sum(each.slope_bytes_s for each in own) * DAY_S / 1e6
@@ -59,9 +64,9 @@ def figures(quick: bool, seed: int = 1, seconds: float | None = None) -> Iterato
                      f"{size_mb:.0f} MB at the end; {scope}")  # fmt: skip
     total_mb = sum(each.slope_bytes_s for each in grown) * DAY_S / 1e6
     judged = seconds >= SECONDS  # a shorter run tells too little of a day
-    yield Figure("growth of launch, robots and map in 24 h", total_mb, "MB",
+    yield Figure("growth of launch, robots, map and files in 24 h", total_mb, "MB",
                  f"<= {TARGET_MB:g}" if judged else "", total_mb <= TARGET_MB if judged else None, "",
-                 f"extrapolated; {len(grown)} processes; {scope}")  # fmt: skip
+                 f"extrapolated; {len(grown) - 1} processes and their files; {scope}")  # fmt: skip
 
 
 Sample = tuple[float, int, str, int]  # seconds, process, kind, bytes
@@ -114,7 +119,7 @@ def _run(folder: Path, seconds: float, seed: int) -> list[Sample]:
     try:
         url = _url(lines)
         threading.Thread(target=_look, args=(url, over), daemon=True).start()
-        return list(_samples(process.pid, seconds))
+        return list(_samples(process.pid, seconds, folder / "launch"))
     finally:
         over.set()
         process.send_signal(signal.SIGINT)
@@ -158,13 +163,22 @@ def _look(url: str, over: threading.Event) -> None:
                     page.send(json.dumps({"do": "drawn", "count": drawn}))
 
 
-def _samples(launch: int, seconds: float) -> Iterator[Sample]:
+def _samples(launch: int, seconds: float, files: Path) -> Iterator[Sample]:
     begun_s = time.monotonic()
     while (now_s := time.monotonic()) - begun_s < seconds:
         for process, kind in _processes(launch).items():
             with contextlib.suppress(OSError, ValueError):  # it has just ended
                 yield now_s, process, kind, _anonymous_bytes(process)
+        yield now_s, NO_PROCESS, "files", _file_bytes(files)
         time.sleep(SAMPLE_S)
+
+
+def _file_bytes(folder: Path) -> int:
+    total = 0
+    for path in folder.iterdir():
+        with contextlib.suppress(OSError):  # it has just been put away
+            total += 0 if IN_PARTS.fullmatch(path.name) else path.stat().st_size
+    return total
 
 
 def _processes(launch: int) -> dict[int, str]:
