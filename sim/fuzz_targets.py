@@ -5,7 +5,9 @@ no frame but an operator's reset leads out of EMERGENCY_STOP. `headland fuzz` ru
 """
 
 import json
+import os
 import zipfile
+import zlib
 from collections.abc import Callable, Iterator
 from functools import cache
 from importlib.util import find_spec
@@ -22,7 +24,9 @@ from agent.core import Peer
 from agent.effects import Persist
 from agent.identity import Identity
 from agent.lifecycle import State
+from agent.recollection import LOST
 from agent.safety import HOLD_KEY, STOPS_KEY
+from agent.sqlite_journal import MARK_SUFFIX, Mark, SqliteJournal
 from crdt import FieldAllocationCRDT, Phase, Progress
 from crdt.occupancy import CELLS, Geometry, OccupancyMap
 from crdt.register import pack
@@ -46,6 +50,7 @@ from sim.grid_map import GridFileError, read_instance, read_map
 from sim.grid_plan import Plan, read_plan, write_plan
 from sim.key_file import FLEET, KeyFileError, key_id, read
 from sim.mcap_log import McapLog, read_recording
+from sim.power_cuts import RAM
 from sim.scenario import ScenarioError, load
 from sim.scene import scene_of
 from sim.setting import Setting
@@ -190,6 +195,31 @@ def journal(data: bytes) -> None:
     assert again == known | {"key": b"value"}
 
 
+def sqlite_journal(data: bytes) -> None:
+    """The files of a robot's journal with anything in them: what is recalled was once written, or the
+    memory is said to be lost. Nothing older than the mark comes back. The journal goes on."""
+    sizes, files = data[: SIZES.size].ljust(SIZES.size, b"\0"), data[SIZES.size :]
+    main, log = (min(size, len(files)) for size in SIZES.unpack(sizes))
+    parts = files[:main], files[main : main + log], files[main + log :]
+    for left in _ram().glob(f"{JOURNAL}*"):
+        left.unlink()
+    path = _ram() / JOURNAL
+    for suffix, part in zip(("", "-wal", MARK_SUFFIX), parts, strict=True):
+        path.with_name(JOURNAL + suffix).write_bytes(part)
+    marked = Mark(path.with_name(JOURNAL + MARK_SUFFIX)).number
+    ours, recalled = SqliteJournal.opened(path)
+    try:
+        assert LOST in recalled or dict(recalled) in WRITTEN[marked : marked + 2], dict(recalled)
+        if zlib.crc32(data) % AGAIN_EVERY == 0:
+            ours.write([Persist(records.OPERATIONS, bytes(4))])
+    finally:
+        ours.close()
+    if zlib.crc32(data) % AGAIN_EVERY == 0:
+        ours, again = SqliteJournal.opened(path)
+        ours.close()
+        assert again == {**recalled, records.OPERATIONS: bytes(4)}
+
+
 def scenario(data: bytes) -> None:
     path = _scratch("scenario.toml", data)
     try:
@@ -265,8 +295,20 @@ def candump(data: bytes) -> None:
 
 
 GRID = b"type octile\nheight 2\nwidth 3\nmap\n..@\n...\n"
-# What reads a file of somebody else's: `headland fuzz --files`.
-FILES = [journal, scenario, key_file, field_file, grid_map, grid_instance, grid_plan, candump]
+JOURNAL = "robot.sqlite"
+SIZES = Struct("<II")  # bytes of the database and of its log; the mark follows
+AGAIN_EVERY = 16  # inputs, for the one that is also written to: each write waits for a disk
+WRITES = (
+    {records.INCARNATION: b"\1\0", records.OPERATIONS: bytes(4)},
+    {f"{records.REGISTER}3": bytes(range(8)), records.OPERATIONS: b"\1\0\0\0"},
+    {f"{records.PROGRESS}3/1": bytes(range(8)), f"{records.REGISTER}4": bytes(range(1, 9))},
+)
+WRITTEN: list[dict[str, bytes]] = [{}]  # what is to be recalled after each write
+for _records in WRITES:
+    WRITTEN.append({**WRITTEN[-1], **_records})
+# What reads a file of somebody else's, or of before a crash: `headland fuzz --files`.
+FILES = [journal, sqlite_journal, scenario, key_file, field_file]
+FILES += [grid_map, grid_instance, grid_plan, candump]
 FILES += [task_data, task_zip] if find_spec("isoxml") is not None else []
 FILES += [mcap] if find_spec("mcap") is not None else []
 TARGETS: dict[str, Target] = {
@@ -293,11 +335,16 @@ def _whole(data: bytes) -> bytes:
 @cache
 def _folder() -> "TemporaryDirectory[str]":
     """Of this process: no other user can have made it before."""
-    return TemporaryDirectory(prefix="headland-fuzz-")
+    where = RAM if os.access(RAM, os.W_OK) else None  # no disk has to survive this
+    return TemporaryDirectory(prefix="headland-fuzz-", dir=where)
+
+
+def _ram() -> Path:
+    return Path(_folder().name)
 
 
 def _scratch(name: str, data: bytes) -> Path:
-    path = Path(_folder().name) / name
+    path = _ram() / name
     path.write_bytes(data)
     return path
 
@@ -344,8 +391,25 @@ def seeds(name: str) -> Iterator[bytes]:
         log.write([Persist("a", b"1"), Persist("b", b"22")])
         log.write([Persist("a", b"3")])
         yield log.disk.read()
+    elif name == "sqlite_journal":
+        yield from _journals()
     else:
         yield from _texts(name)
+
+
+def _journals() -> Iterator[bytes]:
+    """Of a robot that was killed, its log not yet in the database; and of one that has ended."""
+    with TemporaryDirectory(dir=_folder().name) as folder:
+        path = Path(folder) / JOURNAL
+        ours = SqliteJournal(path)
+        for written in WRITES:
+            ours.write([Persist(key, value) for key, value in written.items()])
+        for ended in (False, True):
+            if ended:
+                ours.close()
+            files = [path.with_name(JOURNAL + suffix) for suffix in ("", "-wal", MARK_SUFFIX)]
+            parts = [file.read_bytes() if file.exists() else b"" for file in files]
+            yield SIZES.pack(len(parts[0]), len(parts[1])) + b"".join(parts)
 
 
 def _messages() -> list[Message]:
@@ -391,7 +455,7 @@ def _texts(name: str) -> Iterator[bytes]:
         log = McapLog(path, scene_of(Setting(load("small"))))
         for k in range(40):
             log.write(k * 1000, Frame(0x0CFF1080, bytes((k,) * 8)))
-        log.place(50_000, [[1.0, 2.0]])
+        log.place(50_000, [[1.0, 2.0, 3.0, 0.5, 0.5, 1.0, 0.0]])
         log.close()
         yield path.read_bytes()
     elif name == "occupancy":

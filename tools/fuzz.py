@@ -6,6 +6,7 @@ mutation of the corpus. An input that breaks a promise is written to a file and 
 
 import importlib.util
 import re
+import resource
 import subprocess
 import sys
 import tempfile
@@ -39,6 +40,8 @@ class Fuzzed(NamedTuple):
     cpu_s: float
     crash: str  # the file with the input that broke a promise; empty: none
     why: str
+    worst_s: float = 0.0  # of computing, for one input
+    peak_mb: float = 0.0  # of this process so far, all of its memory
 
     @property
     def ok(self) -> bool:
@@ -132,7 +135,7 @@ def plainly(
 ) -> Fuzzed:
     """Mutations of the corpus; an input that is read without a complaint joins the pool."""
     rng, target, pool = Random(f"{seed}/fuzz/{name}"), TARGETS[name], corpus(name) or [b""]
-    begun_s, done = time.process_time(), 0
+    begun_s, done, worst_s = time.process_time(), 0, 0.0
     end_s = time.monotonic() + (seconds if seconds is not None else float("inf"))
     for data in pool[:runs] if runs else pool:
         crash = _try(name, data, out)
@@ -145,6 +148,7 @@ def plainly(
         begin_s = time.thread_time()
         try:
             target(data)
+            worst_s = max(worst_s, time.thread_time() - begin_s)
             assert time.thread_time() - begin_s <= TIME_MAX_S, "too slow"
         except Exception:
             crash = _try(name, data, out)
@@ -154,7 +158,12 @@ def plainly(
             return Fuzzed(name, "plain", done, time.process_time() - begun_s, *crash)
         if len(pool) < POOL_MAX and rng.random() < 0.01:
             pool.append(data)
-    return Fuzzed(name, "plain", done, round(time.process_time() - begun_s, 1), "", "")
+    cpu_s = round(time.process_time() - begun_s, 1)
+    return Fuzzed(name, "plain", done, cpu_s, "", "", round(worst_s, 4), _peak_mb())
+
+
+def _peak_mb() -> float:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6
 
 
 def _try(name: str, data: bytes, out: Path) -> tuple[str, str] | None:

@@ -30,6 +30,7 @@ BENCHES = {
     "operator": "the map in a browser, and stops with its page open",
     "lidar": "range sensing against pymunk, world steps",
     "phrases": "plain language, misspellings, why, the inspector's screen",
+    "files": "damaged files of every kind that is read: time and memory to refuse them",
     "leaks": "memory of ten robots with the map, 24 h from 30 min",
     "chaos": "the speed of simulated trouble, campaigns, planted bugs, decoders",
 }

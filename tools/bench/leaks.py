@@ -2,7 +2,8 @@
 
 Anonymous memory of each process (`RssAnon` of `/proc`): what it has asked for itself and cannot be
 dropped. A page looks at the map all the time, as an operator's does. Files: the folder of the launch
-but for its logs, which are kept in parts up to `sim.log_parts.LAUNCH_LIMIT` each.
+but for what has a bound of its own: `can.log` and `run.mcap`, in parts up to
+`sim.log_parts.LAUNCH_LIMIT` each, and the write-ahead logs of the journals, which sqlite keeps at 4 MB.
 """
 
 import contextlib
@@ -31,7 +32,7 @@ BEGIN_S = 120.0  # until ten robots are there, on a busy machine
 END_S = 30.0
 DAY_S = 86_400.0
 NO_PROCESS = 0
-IN_PARTS = re.compile(r"(can(\.\d+)?\.log|run(\.\d+)?\.mcap)")
+BOUNDED = re.compile(r"(can(\.\d+)?\.log|run(\.\d+)?\.mcap|robot\d+\.sqlite-wal)")
 TARGET_MB = 200.0  # in a day, of all processes: a machine of 4 GB runs for a season
 
 
@@ -52,7 +53,7 @@ def figures(quick: bool, seed: int = 1, seconds: float | None = None) -> Iterato
     grown = list(_grown([each for each in samples if each[0] >= begin_s]))
     scope = (
         f"{seconds:.0f} s, the first {seconds * WARM_UP:.0f} s left out, a sample each {SAMPLE_S:g} s, "
-        f"Theil-Sen; RssAnon, and files but the logs in parts; {ROBOTS} robots, seed {seed}, "
+        f"Theil-Sen; RssAnon, and files but logs of bounded size; {ROBOTS} robots, seed {seed}, "
         f"a page looks; load {os.getloadavg()[0]:.1f}"
     )
     for kind in ("launch", "map", "robot", "files"):
@@ -177,7 +178,7 @@ def _file_bytes(folder: Path) -> int:
     total = 0
     for path in folder.iterdir():
         with contextlib.suppress(OSError):  # it has just been put away
-            total += 0 if IN_PARTS.fullmatch(path.name) else path.stat().st_size
+            total += 0 if BOUNDED.fullmatch(path.name) else path.stat().st_size
     return total
 
 
