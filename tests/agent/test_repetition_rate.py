@@ -3,7 +3,7 @@
 from random import Random
 
 from agent.core import Peer
-from agent.effects import Effect, Send
+from agent.effects import Send
 from agent.identity import Identity
 from protocol.fleet_frames import Heartbeat
 from protocol.frame import Frame
@@ -16,35 +16,37 @@ HEARTBEAT_PGN = 61_668  # of ISO 11783-7
 STRANGER = 200  # an address
 
 
-def _joined() -> tuple[Peer, int]:
+def _joined() -> tuple[Peer, int, int]:
+    """A robot on the bus, its address and the time."""
     peer = Peer(Identity(0, frozenset({0}), fleet_name("a19", 0), 1), Random(19), 0, {})
     now_us = 0
     while not peer.joining.joined:
         now_us = max(now_us, peer.deadline_us)
         peer.tick(now_us)
         assert now_us < 10_000_000
-    return peer, now_us
+    assert peer.joining.address is not None
+    return peer, peer.joining.address, now_us
 
 
-def _asked(destination: int, peer: Peer, now_us: int) -> list[Effect]:
+def _refusals(destination: int, peer: Peer, now_us: int) -> list[Acknowledgment]:
     identifier = 6 << 26 | ASKS_PGN << 8 | destination << 8 | STRANGER
     data = HEARTBEAT_PGN.to_bytes(3, "little") + (100).to_bytes(2, "little") + b"\xff" * 3
     effects = peer.receive(Frame(identifier, data), now_us)
-    return [e for e in effects if isinstance(e, Send) and isinstance(e.message, Acknowledgment)]
+    said = [effect.message for effect in effects if isinstance(effect, Send)]
+    return [message for message in said if isinstance(message, Acknowledgment)]
 
 
 def test_a19_a_request_for_the_standard_heartbeat_is_refused() -> None:
     """On commit 24747e2 there was neither a frame nor a refusal."""
-    peer, now_us = _joined()
-    address = peer.joining.address
+    peer, address, now_us = _joined()
     refusal = Acknowledgment(Control.NACK, 0xFF, STRANGER, HEARTBEAT_PGN)
-    assert [e.message for e in _asked(address, peer, now_us)] == [refusal]  # type: ignore[attr-defined]
+    assert _refusals(address, peer, now_us) == [refusal]
 
 
 def test_a19_a_request_to_all_or_to_another_is_not_refused() -> None:
-    peer, now_us = _joined()
-    assert _asked(0xFF, peer, now_us) == []
-    assert _asked((peer.joining.address + 1) % 250, peer, now_us) == []
+    peer, address, now_us = _joined()
+    assert _refusals(0xFF, peer, now_us) == []
+    assert _refusals((address + 1) % 250, peer, now_us) == []
 
 
 def test_a19_our_heartbeat_is_not_described_as_the_standard_one() -> None:

@@ -6,6 +6,7 @@ import select
 import socket
 import xml.etree.ElementTree as ElementTree
 from collections.abc import AsyncIterator, Coroutine
+from typing import Any
 
 import can
 import pytest
@@ -52,7 +53,8 @@ async def test_a18_a_hub_is_found_by_its_beacon(listener: socket.socket) -> None
     async with _during(_serve("127.0.0.1", 0, 250_000, 1, True, True)):
         root = ElementTree.fromstring(await asyncio.to_thread(_heard, listener))
         listener.close()  # python-can takes the port for itself
-        (found,) = await asyncio.to_thread(socketcand.detect_beacon, 5000)
+        configurations = await asyncio.to_thread(socketcand.detect_beacon, 5000)
+        (found,) = (dict[str, Any](each) for each in configurations)
         assert root.tag == "CANBeacon" and root.attrib["type"] == "SocketCAN"
         assert root.findtext("URL") == f"can://127.0.0.1:{found['port']}"
         assert [bus.attrib["name"] for bus in root.iter("Bus")] == [CHANNEL]

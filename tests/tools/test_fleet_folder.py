@@ -3,12 +3,15 @@
 import asyncio
 import json
 import os
+from math import cos, sin
 from pathlib import Path
+from random import Random
 
 import can
 import pytest
 
 from agent.config import S
+from agent.effects import Drive
 from crdt import Phase
 from protocol.codec import encode
 from protocol.work_frames import TaskClaim
@@ -20,6 +23,7 @@ from tests.tools.complaint import Complaints
 from tests.tools.launching import WAIT_S, call, robots_up, said, start, states
 from tools.attachment import CHANNEL, attach
 from tools.fleet_folder import end_fleet, fleet_folder
+from tools.launch import STRAIGHT_M
 from tools.run_folder import FolderError, folder_for
 
 EPOCH_2020_S = 1_577_836_800
@@ -176,6 +180,53 @@ def test_e2_the_world_goes_on_where_it_was_killed(folder: Path) -> None:
     third = setting.world()
     WorldMemory(path, third).close()
     assert len(third.robots[0].track) == len(again.robots[0].track)
+
+
+def test_f_the_truth_of_a_launch_grows_by_megabytes_a_day(folder: Path) -> None:
+    """Two looks a second of ten robots, each of which stayed, were 100 MB a day."""
+    path, seconds, seed = folder / "truth.jsonl", 300, 24
+    world = Setting(load("oxted").changed(10, seed, None)).world()
+    for body in world.robots.values():
+        body.track.straight_m = STRAIGHT_M
+    memory, rng = WorldMemory(path, world), Random(seed)
+    wanted = dict.fromkeys(world.robots, Drive(0.0, 0.0))
+    for look in range(2 * seconds):
+        for slot in world.robots:
+            if look % 40 == 0:  # a turn each 20 s
+                turn = rng.uniform(-0.3, 0.3)
+                wanted[slot] = Drive(0.6 * cos(turn), 0.6 * sin(turn), 0.0, look % 80 == 0)
+        for part in range(5):  # commands expire
+            for slot, body in world.robots.items():
+                body.drive(wanted[slot], (5 * look + part) * S // 10)
+        world.advance((look + 1) * S // 2)
+        memory.look()
+    assert all(body.track.driven_m > 0.3 * seconds for body in world.robots.values())
+    memory.close()
+    a_day = path.stat().st_size * 86_400 / seconds
+    assert a_day < 30e6, f"seed {seed}: {a_day / 1e6:.0f} MB a day"
+    again = Setting(load("oxted").changed(10, seed, None)).world()
+    WorldMemory(path, again).close()
+    for slot, body in world.robots.items():
+        assert [p[:3] for p in again.robots[slot].track] == [p[:3] for p in body.track]
+
+
+def test_e2_a_world_that_is_launched_three_times_keeps_all_of_its_track(folder: Path) -> None:
+    """The newest point of a life may still have moved; the next life tells it again."""
+    path = folder / "truth.jsonl"
+    for life in range(3):
+        world = _setting().world()
+        memory = WorldMemory(path, world)
+        assert (memory.now_us > 0) == (life > 0)
+        world.advance(world.now_us + 25 * S)
+        memory.look()
+        world.advance(world.now_us + 3 * S)
+        memory.look()
+        memory.close()
+        told = [list(body.track) for body in world.robots.values()]
+    last = _setting().world()
+    WorldMemory(path, last).close()
+    found = [list(body.track) for body in last.robots.values()]
+    assert [[p[:3] for p in track] for track in found] == [[p[:3] for p in track] for track in told]
 
 
 def test_e2_parcels_go_on_where_they_lay(folder: Path) -> None:
