@@ -21,7 +21,7 @@ from sim.fieldbus import FieldBus, forget
 from tests.agent.lone_peer import peer_in
 from tools.inspector import Inspector
 from tools.operator_device import Operator
-from tools.reset import stands
+from tools.reset import hear_causes, stands
 
 TOLD = "CONFIG_MISMATCH with address 200: start that robot with the field of this fleet, or switch it off"
 
@@ -157,3 +157,31 @@ def test_item_11_a_robot_that_can_say_nothing_is_named_as_silent() -> None:
     inspector.hear(30.0, encode(AddressClaimed(fleet_name("total", 1).pack()), 129))
     (robot,) = inspector.to_dict()["robots"]
     assert robot["stands"] == [f"SILENT: {Cause.MEMBER_SILENT.value.do}"]
+
+
+def test_item_11_reset_waits_until_a_robot_has_told_all_of_its_causes() -> None:
+    channel = "many causes"
+
+    async def main() -> None:
+        bus = CanBus(FieldBus(channel))
+        engine = FleetCoordinationEngine("tractor_0", bus, members=2)
+        operator = Operator(CanBus(ear := FieldBus(channel)), None)
+        loop = asyncio.get_running_loop()
+        ear.subscribe(lambda frame: operator.hear(loop.time(), frame))
+        await engine.start()
+        await elapse(1.0)
+        held = (Cause.DISK_ERROR, Cause.BOOT_UNCONFIRMED, Cause.NOT_STARTED)
+        for cause in held:
+            engine._peer.safety.raise_cause(cause, 0)
+        await engine.broadcast_emergency_stop("SYSTEM_FAULT")
+        await operator.listen(1.0)
+        await hear_causes(operator)
+        lines = stands(operator, operator.robots[0])
+        assert {line.split(":")[0] for line in lines} >= {
+            *(cause.name for cause in held), "STOP_DOT (1 stop)",
+        }  # fmt: skip
+        await engine.stop()
+        bus.close()
+        forget(channel)
+
+    run_virtual(main())
