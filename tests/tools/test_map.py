@@ -237,12 +237,15 @@ class Live(NamedTuple):
 
     def children(self, words: str) -> list[int]:
         """Processes of this launch that were started with these words, oldest first."""
-        own = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children").read_text()
-        return [
-            int(pid)
-            for pid in own.split()
-            if words in Path(f"/proc/{pid}/cmdline").read_text().replace("\0", " ")
-        ]
+        # The kernel's own list of children may leave some out while others start and end.
+        found = []
+        for process in Path("/proc").glob("[0-9]*"):
+            with contextlib.suppress(OSError):  # it ended meanwhile
+                parent = int((process / "stat").read_text().rsplit(")", 1)[1].split()[1])
+                started_with = (process / "cmdline").read_text().replace("\0", " ")
+                if parent == self.process.pid and words in started_with:
+                    found.append(int(process.name))
+        return sorted(found)
 
 
 @contextlib.contextmanager

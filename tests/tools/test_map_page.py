@@ -242,7 +242,7 @@ def test_b7_a_phone_shows_all_of_it(fleet: Live, folder: Path, size: tuple[int, 
         if size == PHONE:
             page.find_element("id", "sheet").click()
         until(page, "document.getElementById('fleet').getBoundingClientRect().width > 150")
-        assert page.find_element("css selector", "#fleet [data-slot='2']").is_displayed()
+        until(page, "document.querySelector(\"#fleet [data-slot='2']\")?.checkVisibility()")
         assert "stop" not in hidden_buttons(page), "STOP is never under the sheet"
         picture(page, f"phone-{width}-sheet")
         if size == PHONE:

@@ -190,6 +190,14 @@ def test_another_way_is_another_line(seed: int) -> None:
         assert len(robot.lines) == 2 and robot.worst_m < SAME_M, f"seed {seed}, {back}"
 
 
+def test_a_short_cut_that_rejoins_the_old_line_is_another_line() -> None:
+    """What is left lies on the line that was told before, and the robot never drives the bend."""
+    line = [(0.0, 0.0), (0.0, 5.0), (5.0, 5.0), (5.0, 0.0), (9.0, 0.0)]
+    points = [(0.0, 0.0), (0.0, 0.1), (1.0, 0.0), (4.0, 0.0), (6.0, 0.0)]
+    robot = followed(intents(points, line, [1, 1, 4, 4, 4]), 0)[0]
+    assert len(robot.lines) == 2 and robot.worst_m <= 0.1
+
+
 def test_a_way_told_in_thinned_points_is_one_line() -> None:
     """Tractors tell a curve by other points each time (`agent.tractor_tracker`), and only 48 of them."""
     angle = np.linspace(0.0, math.pi, 1200)

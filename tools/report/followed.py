@@ -17,6 +17,7 @@ Points = NDArray[np.float64]  # (n, 2)
 
 SAME_M = 0.05  # what is told is rounded to a centimetre, and ways with bends are thinned to a metre
 MOVES_M_S = 0.05
+SKIP_M = 0.5  # between two intents a robot drives at most this: 0.2 s at 2.5 m/s
 NONE: Points = np.empty((0, 2))
 STALE_US = 1_000_000  # after a longer silence nobody knows what it followed meanwhile
 
@@ -62,7 +63,7 @@ def followed(intents: Iterable[tuple[int, dict[str, Any]]], zero_us: int) -> lis
         if not len(path):
             continue
         rest, more = _rest(line, path) if t_us - at_us <= STALE_US else (NONE, path)
-        if not len(rest):
+        if not len(rest) or _skips(here, line, rest):
             rest = np.vstack([here, path])
             robot.lines.append(rest)
         else:
@@ -105,6 +106,12 @@ def _rest(line: Points, path: Points) -> tuple[Points, Points]:
     if to_end.min() > SAME_M or distances.min(axis=1).max() > SAME_M:
         return NONE, path
     return np.vstack([line[int(distances[0].argmin())], path]), path[known:]
+
+
+def _skips(here: Points, line: Points, rest: Points) -> bool:
+    """A short cut of a new plan rejoins the old line: the robot is on what the rest leaves out."""
+    off_line, off_rest = (_distances(here[None, :], each).min() for each in (line, rest))
+    return bool(off_rest - off_line > SKIP_M)
 
 
 def _distances(points: Points, line: Points) -> Points:
