@@ -1,5 +1,6 @@
 # make demo   sets everything up and lets six robots work a real field, on a map in your browser
-# make test   sets everything up, checks style and types, runs the tests
+# make test   sets everything up, checks style and types, runs the tests but for the slow ones
+# make slow   the slow tests: real launches, long runs, documented commands as they stand
 # make check  style and types only      make bench  every figure our documents claim, quickly
 # make site   the documents as a site in build/site
 # make clean  removes what the others made
@@ -9,7 +10,7 @@ BIN := $(VENV)/bin
 # Bytecode is kept: the tests start hundreds of processes, and a quarter of a robot's start was compiling it.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test check kernels bench site setup clean
+.PHONY: demo test slow check kernels bench site setup clean
 .DEFAULT_GOAL := demo
 
 setup: $(VENV)/installed
@@ -40,7 +41,10 @@ kernels: setup
 
 test: setup
 	@$(MAKE) --no-print-directory --jobs=2 --output-sync=target check kernels
-	$(BIN)/python -m pytest -n 2 --dist worksteal
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow"
+
+slow: setup kernels
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m slow
 
 bench: setup
 	$(BIN)/headland bench all --quick

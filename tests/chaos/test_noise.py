@@ -33,6 +33,7 @@ def nonsense(rng: Random) -> Frame:
     return Frame(identifier | 1 << 28, data)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_fleet_works_beside_a_device_that_talks_nonsense(seed: int) -> None:
     setting, rng = Setting(broad().changed(None, seed)), Random(seed)

@@ -78,6 +78,7 @@ def seemed_to_stand_on(cluster: Cluster, line: Polyline) -> bool:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_cut_and_heal(seed: int) -> None:
     setting, watch = Setting(split(seed)), Watch()

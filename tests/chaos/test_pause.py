@@ -283,6 +283,7 @@ def test_the_scenario_that_ships_is_finished_without_a_flaw() -> None:
     assert outcome.success and outcome.frames["OperatorReport"] >= 10, outcome
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_boxes_that_come_and_go_are_never_touched(seed: int) -> None:
     async def story(cluster: Cluster, reports: Reports) -> None:
@@ -306,6 +307,7 @@ def test_boxes_that_come_and_go_are_never_touched(seed: int) -> None:
     play(story, load("small").changed(3, seed))
 
 
+@pytest.mark.slow
 def test_a_tractor_asks_too_and_drives_home_on_its_turning_circle() -> None:
     async def story(cluster: Cluster, reports: Reports) -> None:
         home = cluster.world.body(ROBOT).position

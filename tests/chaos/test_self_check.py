@@ -74,6 +74,7 @@ def test_who_is_heard_by_one_goes_on() -> None:
     play(story)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("robots", [1, 2, 12])
 def test_nobody_is_alarmed_in_a_sound_fleet(robots: int) -> None:
     async def story(cluster: Cluster) -> None:

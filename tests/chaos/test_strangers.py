@@ -43,6 +43,7 @@ def test_item_11_a_stranger_holds_nobody_for_good(name: str) -> None:
     assert verdict.ok, (name, verdict.broken)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("item", PLANTED)
 def test_item_5_11_12_the_planted_bug_is_found(item: str) -> None:
     name, found = PLANTED[item], list[Any]()

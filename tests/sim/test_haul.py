@@ -362,6 +362,7 @@ def test_m1_one_robot_delivers_although_boxes_stand_for_the_whole_run() -> None:
     assert outcome.finished and outcome.delivered == 8
 
 
+@pytest.mark.slow
 def test_t13_a_burst_of_orders_makes_no_round_larger_than_a_control_period_allows() -> None:
     """300 orders in 3 s: one auction of all took 7 s, in which no robot heard a stop."""
     sizes: list[tuple[int, int]] = []

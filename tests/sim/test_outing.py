@@ -31,6 +31,7 @@ def test_everybody_gets_through_whatever_is_lost(layout: str) -> None:
     assert result.finished and result.contacts == 0
 
 
+@pytest.mark.slow
 def test_who_drives_behind_a_robot_that_halts_for_a_round_does_not_touch_it() -> None:
     """Here a follower that expected it to go on was once seen to touch it by 2 mm."""
     result = trial("swap 3:3", 0.3, True, 1)

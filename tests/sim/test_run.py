@@ -31,6 +31,7 @@ def test_one_robot_is_a_fleet() -> None:
     assert play(broad().changed(1, 1)).success
 
 
+@pytest.mark.slow
 def test_the_same_seed_is_the_same_run_in_another_process_with_other_hashes() -> None:
     code = (
         "from sim.expedition import Expedition; from sim.scenario import load; "

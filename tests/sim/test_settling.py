@@ -1,11 +1,14 @@
 """Replicas have the time that the protocol needs to be equal after the last work."""
 
+import pytest
+
 from sim.errand_scenario import ErrandScenario, load_mission, setting_of
 from sim.outing import Outing
 from sim.scenario import BusTable
 from sim.settling import LOSSY_QUIET_US, QUIET_US, quiet_us
 
 
+@pytest.mark.slow
 def test_m27_the_documented_corridor_ends_with_equal_replicas() -> None:
     scenario = load_mission("corridor").changed(seed=3)
     assert isinstance(scenario, ErrandScenario)

@@ -87,6 +87,7 @@ def test_orders_are_carried_out_by_somebody() -> None:
             assert min((a - x) ** 2 + (b - y) ** 2 for a, b in ends) < 0.2**2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["dropout", "split"])
 def test_what_ships_with_troubles_ends_well(name: str) -> None:
     survey = Survey(load_arena(name))

@@ -46,6 +46,7 @@ def play(robots: int, seed: int, faults: list[Fault], swarm: bool) -> Outcome:
     return Expedition(Setting(scenario), swarm=swarm).run()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("robots", "seed", "faults"), [(3, 1, []), (4, 2, TROUBLE), (3, 3, TROUBLE)]
 )

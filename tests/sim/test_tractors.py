@@ -11,6 +11,7 @@ from sim.setting import Setting
 COVERAGE_MIN = 0.9975
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("drive", ["ackermann", "differential"])
 def test_a_fleet_that_steers_finishes_a_field(drive: str) -> None:
     outcome = Expedition(Setting(load("small").changed(drive=drive))).run()
@@ -35,6 +36,7 @@ def test_chassis_keys_reach_the_wheels() -> None:
     assert Setting(load("small")).turn_radius_m == 0.0
 
 
+@pytest.mark.slow
 def test_a_tractor_that_dies_is_gone_round() -> None:
     faults = [Crash(at_s=40.0, kind="crash", robot=1)]
     scenario = load("small").changed(drive="ackermann").model_copy(update={"fault": faults})

@@ -86,6 +86,7 @@ def test_b2_every_documented_command_is_sorted_and_parses(command: Shown) -> Non
     )
 
 
+@pytest.mark.slow
 def test_b2_what_works_on_a_run_works_as_documented(tmp_path: Path) -> None:
     done = _headland(["run", "small"], tmp_path)
     assert done.returncode == 0, done.stderr
@@ -116,6 +117,7 @@ def _headland(words: list[str], folder: Path) -> "subprocess.CompletedProcess[st
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_b2_the_tutorial_works_as_written_in_an_empty_folder(tmp_path: Path) -> None:
     text = (ROOT / "docs" / "tutorial.md").read_text()
     makefile = (ROOT / "Makefile").read_text()

@@ -29,6 +29,7 @@ from tools.run_folder import FolderError, folder_for
 EPOCH_2020_S = 1_577_836_800
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "pidfd_open"), reason="robots are watched as in test_launch")
 def test_e2_a_latched_fleet_stays_latched_after_kill_9_and_the_same_command(tmp_path: Path) -> None:
     async def story() -> None:

@@ -117,6 +117,7 @@ def test_f3_a_hostile_grid_is_one_line(
     assert said.code == 2 and why in said.line
 
 
+@pytest.mark.slow
 def test_f_what_is_large_is_refused_soon_and_in_little_memory(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -190,6 +191,7 @@ def test_f4_damaged_candump_lines_are_counted_and_said(
     assert done.returncode == 0 and f"{len(damaged)} damaged lines" in done.stderr
 
 
+@pytest.mark.slow
 def test_f4_a_damaged_mcap_is_no_traceback(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:

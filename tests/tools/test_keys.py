@@ -113,6 +113,7 @@ def test_a_damaged_key_or_counter_is_noticed(tmp_path: Path) -> None:
         read(operator)
 
 
+@pytest.mark.slow
 def test_a_fleet_with_keys_is_stopped_and_released_by_those_that_hold_them(tmp_path: Path) -> None:
     call = partial(launching.call, tmp_path)
 

@@ -74,6 +74,7 @@ async def hangs(folder: Path, pid: int) -> None:
     raise AssertionError(f"after SIGSTOP and SIGCONT of {pid}: {now}")
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "pidfd_open"), reason="orphans are watched by pidfd, of Linux")
 def test_kill_stop_release_and_leave_no_orphans(tmp_path: Path) -> None:
     async def story() -> None:

@@ -5,6 +5,8 @@ import signal
 from asyncio.subprocess import Process
 from pathlib import Path
 
+import pytest
+
 from tests.tools.launching import said
 from tests.tools.yard import KNOWN, play
 
@@ -16,6 +18,7 @@ async def kill_one(launch: Process) -> None:
     await said(launch, r"(robot 1 has ended)")
 
 
+@pytest.mark.slow
 def test_a_launched_warehouse_takes_orders_and_outlives_a_robot(tmp_path: Path) -> None:
     told = play(tmp_path, "launch", "yard.toml", before=kill_one)
     assert (told.code, told.lines, told.ended) == (0, KNOWN, 130)

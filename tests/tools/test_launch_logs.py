@@ -32,6 +32,7 @@ def _call(folder: Path, *words: str) -> tuple[str, str]:
     return ended.stdout, ended.stderr
 
 
+@pytest.mark.slow
 def test_f11_a_launch_keeps_its_newest_parts_and_tools_read_them_all(tmp_path: Path) -> None:
     pytest.importorskip("mcap")
     words = ["launch", "small", "--robots", "2", "--seconds", "25", "--port", "0"]

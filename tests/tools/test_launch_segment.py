@@ -11,6 +11,7 @@ from sim.bridged_segments import BridgedSegments
 from tests.tools.launching import WAIT_S, robots_up, start, states
 
 
+@pytest.mark.slow
 def test_a_stop_of_another_segment_stops_a_launch(tmp_path: Path) -> None:
     pytest.importorskip("zenoh", reason="the extra `backbone` is not installed")
     with socket() as free:

@@ -180,6 +180,7 @@ def test_b4_an_old_picture_says_so(tmp_path: Path) -> None:
         )
 
 
+@pytest.mark.slow
 @needs_browser
 def test_a_robot_that_fell_silent_has_no_speed(tmp_path: Path) -> None:
     with launched(tmp_path) as live, browser() as page:

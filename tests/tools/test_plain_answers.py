@@ -97,6 +97,7 @@ def test_what_is_not_finite_is_null() -> None:
         dumps({"a": object()})
 
 
+@pytest.mark.slow
 def test_a_lone_robot_comes_near_to_nobody_and_that_is_json(tmp_path: Path) -> None:
     """`closest_m` was Infinity."""
     said = command(tmp_path, "run", "small", "--robots", "1", "--json", "--out", "lone")
@@ -106,6 +107,7 @@ def test_a_lone_robot_comes_near_to_nobody_and_that_is_json(tmp_path: Path) -> N
         strict(command(tmp_path, *words, "--json"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", ["coverage solve --agents 3", "bench durability --quick"])
 def test_quick_commands_answer_in_json(tmp_path: Path, words: str) -> None:
     for line in command(tmp_path, *words.split(), "--json").splitlines():

@@ -16,6 +16,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 def test_b3_two_runs_have_two_folders_and_export_never_mixes_them(tmp_path: Path) -> None:
     for words in (("run", "small", "--json"), ("run", "corridor", "--json")):
         done = headland(*words, folder=tmp_path)

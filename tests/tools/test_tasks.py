@@ -12,6 +12,7 @@ from tests.tools.launching import call
 from tests.tools.yard import CSV, KNOWN, play
 
 
+@pytest.mark.slow
 def test_tasks_that_are_added_while_running_are_known_and_carried(tmp_path: Path) -> None:
     told = play(tmp_path, "run", "yard.toml", "--live")
     assert (told.code, told.lines) == (0, KNOWN)
