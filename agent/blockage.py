@@ -33,11 +33,13 @@ FORGET_US: Final = 30 * S  # then it is tried again past who stood in the way
 
 class Blockage:
     def __init__(
-        self, route: Route, radius_m: float, deceleration_m_s2: float, beside_m: float = BLOCKED_M
-    ) -> None:
-        """`beside_m`: kept from a silent body."""
+        self, route: Route, radius_m: float, deceleration_m_s2: float, beside_m: float = BLOCKED_M,
+        bar_m: float = 0.0,
+    ) -> None:  # fmt: skip
+        """`beside_m`: kept from a silent body. `bar_m`: from a body to where an implement may be down."""
         self.route, self.radius_m = route, radius_m
         self.body_m, self.pass_m = 2 * radius_m + beside_m, 2 * radius_m + PASS_M
+        self.unit_m = max(self.body_m, bar_m)  # from a silent body to a unit that is worked
         self.way = route  # the same with everything that stands in it
         self.things: frozenset[Point] = frozenset()
         self.coasting = Coasting(radius_m, deceleration_m_s2)
@@ -122,10 +124,10 @@ class Blockage:
             return frozenset()
         key = section.id, things_too
         if key not in self._units:
-            bodies = [(Spot(at), self.body_m) for at in self.bodies]
+            bodies = [(Spot(at), self.unit_m) for at in self.bodies]
             if things_too:
                 bodies += [(Spot(at), self.radius_m + THING_M) for at in self.things]
-                bodies += [(Spot(at), self.body_m) for at, _ in self.standing.values()]
+                bodies += [(Spot(at), self.unit_m) for at, _ in self.standing.values()]
             self._units[key] = frozenset(
                 unit
                 for unit, line in enumerate(section.unit_lines)

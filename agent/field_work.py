@@ -13,6 +13,7 @@ from agent.allocator import Point
 from agent.blockage import BLOCKED_M, Blockage
 from agent.choosing import Choosing
 from agent.field import Field, Section
+from agent.implement import Implement
 from agent.leg import LEAD_M, STRAIGHT_M, SWUNG_M, Leads, Leg, working_leg
 from agent.mission import STILL, Choice, FleetView, Wish
 from agent.parking import Parking
@@ -58,7 +59,10 @@ class FieldWork:
         self.worked: set[int] = set()  # units of the current section done since it was begun
         self.heading_to: int | Point | None = None  # section or place an approach path leads to
         self.parking = Parking(field, radius_m, speed_m_s)
-        self.blockage = Blockage(route, radius_m, deceleration_m_s2, self.beside_m)
+        bar_m = 0.0
+        if self.turns_on_the_spot:  # robots that steer do not look after their implements yet
+            bar_m = Implement(field.implement_width_m / 2 - field.overlap_m, radius_m).reach_m
+        self.blockage = Blockage(route, radius_m, deceleration_m_s2, self.beside_m, bar_m)
 
     @property
     def section_units(self) -> Mapping[int, int]:

@@ -59,10 +59,13 @@ class GivingWay:
         speed_m_s: float,
         fences: NDArray[np.float64],
         scale: float = 1.0,
+        near_m: float = NEAR_M,
     ) -> None:
-        """`scale`: of all distances; 1 for bodies of a field, less for small ones between walls."""
+        """`scale`: of all distances; 1 for bodies of a field, less for small ones between walls.
+        `near_m`: a gap wider than this stalls nobody, before it is scaled."""
         self.scale = scale
         self.slot, self.radius_m, self.speed_m_s, self.fences = slot, radius_m, speed_m_s, fences
+        self.near_m = near_m * scale
         self.given = 0  # how often we gave way
         self._anchor: Point = (0.0, 0.0)
         self._anchor_us = 0
@@ -83,7 +86,7 @@ class GivingWay:
             return None
         if now_us - self._anchor_us < PATIENCE_US or moved_m >= GETS_ON * self._wanted_m:
             return None
-        close = [o for o in others if o.distance_m < 2 * self.radius_m + NEAR_M * self.scale]
+        close = [o for o in others if o.distance_m < 2 * self.radius_m + self.near_m]
         if not close:
             return None
         return self._decide(at, wanted, close, others, now_us)

@@ -17,6 +17,7 @@ from agent.coasting import Coasting
 from agent.config import CONTROL_PERIOD_US, NEIGHBOURS_MAX, S
 from agent.effects import HALT, Drive
 from agent.giving_way import GivingWay, Other
+from agent.implement import Implement
 from agent.lifecycle import State
 from agent.lookout import Lookout
 from agent.membership import Neighbour
@@ -74,13 +75,14 @@ class Motion:
         looks: bool = False,
         stops: bool = False,
         asks: bool = False,
+        half_bar_m: float = 0.0,
     ) -> None:
         """`fences`: segments nobody passes, (n, 4): ax, ay, bx, by in metres; None: those that the
         range sensors see, kept by a robot among walls that it does not know. `gives_way`: False
         where the mission itself settles who goes first. `looks`: what the range sensors see and
         nobody has announced is an obstacle; the fences must be all there is. `stops`: never be
         where a robot ahead that halts could be touched. `asks`: stand before what nobody has announced
-        and ask an operator, also where `looks` would go round it."""
+        and ask an operator, also where `looks` would go round it. `half_bar_m`: see `Implement`."""
         self.slot, self.limits = slot, limits
         self.sensing = fences is None
         fences = np.empty((0, 4)) if fences is None else fences
@@ -93,6 +95,7 @@ class Motion:
         self.reach_m = 2 * limits.speed_m_s * horizon_s + 2 * limits.radius_m
         self.sensed = Sensed(fences, limits.radius_m) if looks else None
         self.right = RightOfWay()
+        self.implement = Implement(half_bar_m, limits.radius_m)
         self.coasting = Coasting(limits.radius_m, limits.acceleration_m_s2)
         self.state = State.IDLE  # ours, as the beat says
         self.strange: list[tuple[float, float]] = []  # seen at the last control period
@@ -105,14 +108,16 @@ class Motion:
         self.giving_way: GivingWay | None = None
         if gives_way:
             scale = limits.radius_m / FIELD_RADIUS_M if self.sensing else 1.0
-            self.giving_way = GivingWay(slot, limits.radius_m, limits.speed_m_s, fences, scale)
+            self.giving_way = GivingWay(
+                slot, limits.radius_m, limits.speed_m_s, fences, scale, self.implement.near_m
+            )
 
     def drive(
         self, here: Observation, wish: Wish, neighbours: Mapping[int, Neighbour], now_us: int
     ) -> Drive:
         if wish.hold:  # who stands is gone round; nobody is hurt by it
             return HALT._replace(handle=wish.handle)
-        rows, others = self._rows(here, neighbours, now_us)
+        rows, others = self._rows(here, neighbours, now_us, not wish.tool_on)
         if self.sensed is not None:
             rows = self._look(here, rows)
         if self.sensing:
@@ -127,17 +132,22 @@ class Motion:
             other = self.giving_way.wish((here.x_m, here.y_m), wanted, others, now_us)
         if other is not None:
             wanted, tool_on = other, False
+        if tool_on and self.implement.must_be_up(here, wanted, others):
+            tool_on = False
         vx_m_s, vy_m_s = self.avoidance.velocity(
             (here.x_m, here.y_m), (here.vx_m_s, here.vy_m_s), wanted, rows
         )
         return _tuple(Drive, (vx_m_s, vy_m_s, wish.turn_rad_s, tool_on, wish.handle))
 
     def _rows(
-        self, here: Observation, neighbours: Mapping[int, Neighbour], now_us: int
-    ) -> tuple[list[tuple[float, ...]], list[Other]]:
+        self, here: Observation, neighbours: Mapping[int, Neighbour], now_us: int,
+        keeps_off: bool = False,
+    ) -> tuple[list[tuple[float, ...]], list[Other]]:  # fmt: skip
+        """`keeps_off`: from implements that are down."""
         near: list[tuple[float, ...]] = []
         others: list[Other] = []
-        combined_m = 2 * self.limits.radius_m + MARGIN_M
+        bodies_m = 2 * self.limits.radius_m + MARGIN_M
+        keeps_off = keeps_off and self.implement.has
         self.coasting.look(neighbours, here, now_us)
         own_x_m, own_y_m, reach_m = here.x_m, here.y_m, self.reach_m
         for slot, (pose, heard_us) in neighbours.items():
@@ -154,13 +164,16 @@ class Motion:
                 offsets = [(x_m - own_x_m, y_m - own_y_m) for x_m, y_m in places]
                 offsets.sort(key=lambda d: d[0] * d[0] + d[1] * d[1])
                 others += [Other(slot, *offset, state) for offset in offsets[:1]]
-                near += [(*d, 0.0, 0.0, combined_m, 1.0, 0.0) for d in offsets[:PLACES_MAX]]
+                near += [(*d, 0.0, 0.0, bodies_m, 1.0, 0.0) for d in offsets[:PLACES_MAX]]
                 continue
             if speed_m_s > STANDING_M_S and age_us < AGE_MAX_US and not stopped:
                 vx_m_s, vy_m_s = speed_m_s * cos(course_rad), speed_m_s * sin(course_rad)
                 moved_on_s = age_us / S
                 dx_m, dy_m = dx_m + vx_m_s * moved_on_s, dy_m + vy_m_s * moved_on_s
                 share = self.right.share(slot, self.state, state, age_us, now_us)
+            combined_m = bodies_m
+            if keeps_off and state == State.WORKING:
+                combined_m = self.implement.combined_m(hypot(dx_m, dy_m), bodies_m)
             others.append(_tuple(Other, (slot, dx_m, dy_m, state)))
             near.append((dx_m, dy_m, vx_m_s, vy_m_s, combined_m, share, moved_on_s))
         self.others = others

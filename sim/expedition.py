@@ -133,6 +133,9 @@ class Expedition:
         self.tracks = {slot: body.track.points for slot, body in world.robots.items()}
         raster = sample_points(field.polygon, field.implement_width_m, field.overlap_m, RASTER_M)
         truth = self.truth = coverage(raster, self.tracks, field.implement_width_m)
+        met = implement_contacts(
+            self.tracks, field.implement_width_m, field.overlap_m, scenario.fleet.radius_m
+        )
         wire = cluster.segment.wire
         return Outcome(
             scenario=scenario.name,
@@ -162,7 +165,5 @@ class Expedition:
             simulated_s=now_s,
             wall_s=wall_s,
             pymunk_steps=world.pymunk_steps,
-            implement_contacts=implement_contacts(
-                self.tracks, field.implement_width_m, scenario.fleet.radius_m
-            ),
+            implement_contacts=len(met),
         )

@@ -17,7 +17,7 @@ class Outcome(NamedTuple):
     makespan_s: float  # when the last of it was worked
     worked_twice: float  # share swept by two robots: overlaps of neighbours, and real duplicates
     units_twice: int  # units that two robots announced: duplicate work
-    contacts: int
+    contacts: int  # of bodies; those of implements are beside it
     moved_after_stop: int  # steps in which a robot was told to move, or moved, that had to stand
     closest_m: float  # smallest gap between two bodies seen
     replicas_equal: bool
@@ -36,7 +36,9 @@ class Outcome(NamedTuple):
     simulated_s: float
     wall_s: float
     pymunk_steps: int = 0  # of 10 ms, that pymunk has made; none in a drill, which has no bodies
-    implement_contacts: int = 0  # of bars, raised or down, with bars and bodies; not judged
+    # Of implements that were down, with others or with bodies. No part of `success`: robots that steer,
+    # and robots that lose frames, do not avoid all of them.
+    implement_contacts: int = 0
 
     @property
     def success(self) -> bool:

@@ -240,7 +240,8 @@ class Setting:
         limits = BodyLimits(fleet.radius_m, fleet.speed_m_s, fleet.acceleration_m_s2)
         if self.turn_radius_m:
             return TractorMotion(slot, limits, self.turns, self.steering, self.fences)
-        return Motion(slot, limits, self.fences)
+        half_bar_m = self.field.implement_width_m / 2 - self.field.overlap_m
+        return Motion(slot, limits, self.fences, half_bar_m=half_bar_m)
 
     def world(self) -> World:
         """A fresh world with every robot at its place near the gate."""

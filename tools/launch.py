@@ -22,6 +22,7 @@ from sim.body_link import BodyServer
 from sim.candump import CandumpWriter
 from sim.coverage_truth import coverage, sample_points
 from sim.ending import Ending
+from sim.implement_contacts import implement_contacts
 from sim.log_parts import LAUNCH_LIMIT, PartedLog
 from sim.outcome import COVERAGE_MIN
 from sim.parcels import Parcels
@@ -318,8 +319,12 @@ class Launch:
         truth = coverage(raster, tracks, field.implement_width_m)
         if finished and truth.share < COVERAGE_MIN:
             self.difference = f"robots say 100 %, the ground says {truth.share:.2%}"
-        verdict = f"coverage {truth.share:.2%}, {len(self.world.contacts)} contacts"
-        self._write(elapsed_s, finished, {"coverage": truth.share}, verdict)
+        radius_m = self.setting.scenario.fleet.radius_m
+        met = implement_contacts(tracks, field.implement_width_m, field.overlap_m, radius_m)
+        of_it = {"coverage": truth.share, "implement_contacts": len(met)}
+        touches = f"{len(self.world.contacts)} contacts, {len(met)} of implements"
+        verdict = f"coverage {truth.share:.2%}, {touches}"
+        self._write(elapsed_s, finished, of_it, verdict)
 
     def _write(self, elapsed_s: float, finished: bool, of_it: dict[str, Any], verdict: str) -> None:
         touched = [
@@ -328,7 +333,8 @@ class Launch:
         ]
         report: dict[str, Any] = {
             "finished": finished, "seconds": round(elapsed_s, 1), **of_it,
-            "contacts": len(self.world.contacts), "pymunk_steps": self.world.pymunk_steps,
+            "contacts": len(self.world.contacts),
+            "pymunk_steps": self.world.pymunk_steps,
             "robots_ended": sorted(self.gone), "touched": touched,
             "silence_policy": self.setting.scenario.fleet.silence,
             "authenticated": self.setting.keys is not None, "difference": self.difference,

@@ -132,7 +132,7 @@ def outcome_table(outcome: Outcome) -> Table:
         ("makespan", f"{outcome.makespan_s:.1f} s of {outcome.simulated_s:.0f} s simulated"),
         ("duplicate work", f"{outcome.units_twice} units announced twice; {overlap}"),
         ("contacts", f"{outcome.contacts} (closest {outcome.closest_m:.2f} m)"),
-        ("implements met", f"{outcome.implement_contacts} times: bodies are kept apart, bars are not"),
+        ("implements met", f"{outcome.implement_contacts} times, while they were down"),
         ("moved after a stop", str(outcome.moved_after_stop)),
         ("replicas", "equal" if outcome.replicas_equal else "[red]differ[/red]"),
         ("driven", f"{outcome.travel_m:.0f} m for {outcome.work_m:.0f} m of swaths"),
