@@ -37,6 +37,7 @@ NOT_TO_BE_HAD = {  # errors about getting at the file; any other is about what i
     sqlite3.SQLITE_READONLY, sqlite3.SQLITE_INTERRUPT, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_FULL,
     sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_PROTOCOL, sqlite3.SQLITE_NOLFS, sqlite3.SQLITE_AUTH,
 }  # fmt: skip
+WRITE_VERSION_AT, WRITE_VERSION_MAX = 18, 2  # in the header of a database (sqlite.org/fileformat.html)
 PROBLEMS = (sqlite3.Error, UnicodeDecodeError)  # the second where damaged text is decoded
 
 
@@ -101,6 +102,8 @@ class SqliteJournal:
     def __init__(self, path: Path) -> None:
         """UnreadableError where the file is no journal (any more), OSError where it is not to be had."""
         self.path = path
+        if _header_forbids_writing(path):  # it may be read, and no stop could be written any more
+            raise UnreadableError(f"{path}: its header forbids writing")
         self.mark = Mark(path.with_name(path.name + MARK_SUFFIX))
         self._number: int | None = None  # of the newest write; None: not read yet
         try:
@@ -212,6 +215,14 @@ class SqliteJournal:
         code = getattr(problem, "sqlite_errorcode", 0) & 0xFF
         kind = OSError if code in NOT_TO_BE_HAD else UnreadableError
         return kind(f"{self.path}: {problem}")
+
+
+def _header_forbids_writing(path: Path) -> bool:
+    """sqlite opens a file of a later write version for reading only; nobody writes such journals."""
+    with suppress(OSError), path.open("rb") as file:
+        header = file.read(WRITE_VERSION_AT + 1)
+        return len(header) > WRITE_VERSION_AT and header[WRITE_VERSION_AT] > WRITE_VERSION_MAX
+    return False
 
 
 def _checked(key: str, value: bytes) -> bytes:

@@ -251,7 +251,7 @@ def test_m18_a_fleet_without_keys_is_released_by_the_engine_that_says_so() -> No
         await elapse(0.3)
         for wrong in ({}, {"operator": operator_key()}, {"operator": operator_key(), "keyless": True}):
             with pytest.raises(ValueError, match="has no keys"):
-                await engines[0].clear_stops(**wrong)  # type: ignore[arg-type]
+                await engines[0].clear_stops(**wrong)
         assert not await engines[0].manual_reset()
         assert not await engines[0].permit(), "a latched machine takes no start"
         cleared = await engines[0].clear_stops(keyless=True)
@@ -269,7 +269,7 @@ def test_m18_a_fleet_with_keys_is_released_by_an_operators_key_alone() -> None:
         assert all(e._peer.safety.stops.latched for e in engines)
         for wrong in ({}, {"keyless": True}, {"operator": operator_key(), "keyless": True}):
             with pytest.raises(ValueError, match="has keys"):
-                await engines[0].clear_stops(**wrong)  # type: ignore[arg-type]
+                await engines[0].clear_stops(**wrong)
         with pytest.raises(ValueError, match="no operator"):
             await engines[0].clear_stops(Keyring(KEYS, 140, b"panel"))
         forged = await engines[0].clear_stops(operator_key(b"x" * 16), timeout_s=2.0)
@@ -360,7 +360,7 @@ def test_m18_a_machine_whose_receiver_falls_silent_stands_and_says_so() -> None:
 def test_m18_the_speed_limit_of_a_machine_says_creep_and_stand() -> None:
     async def story(engines: list[FleetCoordinationEngine]) -> None:
         engine = engines[0]
-        engine._operate(lambda p, now: p.safety.raise_cause(Cause.CREEP, now, "silent [1]") or ())
+        engine._peer.safety.raise_cause(Cause.CREEP, 0, "silent [1]")
         assert engine.speed_limit_m_s == CREEP_M_S
         await engines[1].broadcast_emergency_stop("SYSTEM_FAULT")
         await elapse(0.05)

@@ -85,6 +85,20 @@ def test_an_unreadable_file_is_put_aside_not_deleted(tmp_path: Path) -> None:
         assert (tmp_path / f"j.unreadable{number}").read_bytes().startswith(b"no journal")
 
 
+@pytest.mark.parametrize("version", [3, 0x12, 0xFF])
+def test_f_a_journal_whose_header_says_read_only_is_put_aside(version: int, tmp_path: Path) -> None:
+    """Found by mutations: its robot could not start until a person had removed the file."""
+    path = tmp_path / "j"
+    filled(path)
+    image = bytearray(path.read_bytes())
+    image[18] = version
+    path.write_bytes(image)
+    journal, recalled = SqliteJournal.opened(path)
+    assert [*recalled] == [LOST]
+    journal.write([Persist("after", b"x")])
+    journal.close()
+
+
 def test_a_second_owner_is_refused_and_nothing_is_put_aside(tmp_path: Path) -> None:
     journal = SqliteJournal(tmp_path / "j")
     journal.write([Persist("a", b"1")])
