@@ -33,6 +33,8 @@ _wish = tuple.__new__  # all fields at once: a third of the time, and one is mad
 class FieldWork:
     beside_m = BLOCKED_M  # left to a silent body
     turns_on_the_spot = True  # where a swath has a corner, and swings its bar round it
+    past_end_m = 0.0  # driven beyond the last unit of a leg before it counts
+    plans_without_headway = True  # before a section is given back; else a body has a watch of its own
 
     def __init__(
         self,
@@ -158,7 +160,8 @@ class FieldWork:
         if self.tracker is None and not self.legs:
             self.legs = self._legs(self.section, view)
             self.headway.again()
-        if self.headway.look(bool(covered), self._left_m, view.now_us):
+        late = self.headway.look(bool(covered), self._left_m, view.now_us)
+        if late and self.plans_without_headway:
             self.stalled(view)
         if self.headway.lost:
             self.choosing.gave_back(self.section.id, self.section.units - missing, view.now_us)
@@ -261,7 +264,9 @@ class FieldWork:
         piece_m = (self.tracker.total_m - 2 * LEAD_M) / len(self.leg.units)
         while self.unit < len(self.leg.units):
             end_m = LEAD_M + (self.unit + 1) * piece_m
-            if self.tracker.along_m < end_m + (SWUNG_M if self._is_corner(end_m) else 0.0):
+            is_last = self.unit + 1 == len(self.leg.units)
+            past_m = SWUNG_M if self._is_corner(end_m) else self.past_end_m * is_last
+            if self.tracker.along_m < end_m + past_m:
                 break
             begun_m = LEAD_M + self.unit * piece_m
             if self.worst_m <= self.tolerance_m and self._down_since(begun_m):

@@ -23,6 +23,8 @@ from agent.turn_route import Piece, Pose, TurnRoute, sampled
 BEND_HALF_M = 0.6  # to both sides of a bend, over which it is rounded
 BESIDE_M = 0.5  # further from the leg the implement is up: it may be another robot's section
 JOIN_M_S = 1.5  # from a turn into a stretch
+JOIN_BENT_M_S = 0.4  # into one that begins in a bend: off its course, the bar would miss the corner
+BENT_M = 1.0  # a stretch is straight for as long as this, or begins in a bend
 LEAVE_M_S = 0.8  # from a stretch into a turn that is not known yet
 ROOM_M = 1.5  # with as much as this beyond its end
 STUCK_US = 5_000_000
@@ -39,6 +41,8 @@ HALF_PERIOD_S = CONTROL_PERIOD_US / S / 2  # the course is that of the middle of
 class TractorWork(FieldWork):
     beside_m = BLOCKED_M
     turns_on_the_spot = False
+    past_end_m = 0.2  # of `LEAD_M`: in a corner the bar is then where it has to be
+    plans_without_headway = False  # `_notice_stuck` does: a turn is longer than the way that is left
 
     def __init__(
         self, field: Field, route: Route, turns: TurnRoute, radius_m: float, limits: Limits
@@ -155,7 +159,9 @@ class TractorWork(FieldWork):
                 self.legs.append(self.legs.pop(0))
                 return False
             self.leg = Leg((here[:2], first))
-            way, end_m_s = sampled(here, pieces), 0.0 if only_approach else JOIN_M_S
+            self.headway.again()  # the turn is way that was not counted before
+            joins_m_s = JOIN_M_S if distance_m(first, second) > BENT_M else JOIN_BENT_M_S
+            way, end_m_s = sampled(here, pieces), 0.0 if only_approach else joins_m_s
         self.follow = TractorTracker(way, self.limits, end_m_s)
         self.tracker = self.follow  # type: ignore[assignment]  # what `_passed` asks is the same
         self.unit, self.worst_m = 0, 0.0

@@ -6,7 +6,8 @@ counts when its centre was swept.
 
 What can be asked for: everything the bar reaches with the robot's centre half a width inside the
 fences, less half the overlap, which is the tolerance of driving:
-`polygon.buffer(-width / 2).buffer((width - overlap) / 2)`.
+`polygon.buffer(-width / 2).buffer((width - overlap) / 2)`. What of it a body can reach is told by
+`sim/reachable_ground.py`, and a run is judged by that.
 """
 
 from collections.abc import Mapping, Sequence
@@ -37,6 +38,8 @@ class Coverage(NamedTuple):
     uncovered: Floats  # (n, 2): centres of the cells never worked
     area_m2: float  # asked for
     worked_m2: dict[int, float]  # of it, by each robot
+    reached: float  # share worked of what can be reached
+    missed: Floats  # (n, 2): centres of the cells that can be reached and were never worked
 
 
 def sample_points(
@@ -48,8 +51,10 @@ def sample_points(
     return rasterise(area, fitting_m(area, raster_m))
 
 
-def coverage(raster: Raster, tracks: Tracks, width_m: float) -> Coverage:
-    """Sweep the tracks over the cells."""
+def coverage(
+    raster: Raster, tracks: Tracks, width_m: float, reachable: NDArray[np.bool_] | None = None
+) -> Coverage:
+    """Sweep the tracks over the cells. `reachable`: those of them that the bodies can work; None: all."""
     shape = raster.cells.shape
     robots = np.zeros(shape, dtype=np.uint8)
     again = np.zeros(shape, dtype=np.bool_)
@@ -64,6 +69,7 @@ def coverage(raster: Raster, tracks: Tracks, width_m: float) -> Coverage:
         worked_m2[slot] = float(np.count_nonzero(mine)) * raster.cell_m**2
     asked = int(np.count_nonzero(raster.cells))
     worked = robots > 0
+    can = raster.cells if reachable is None else reachable
     return Coverage(
         share=float(np.count_nonzero(worked)) / max(asked, 1),
         twice=float(np.count_nonzero(robots > 1)) / max(asked, 1),
@@ -72,6 +78,8 @@ def coverage(raster: Raster, tracks: Tracks, width_m: float) -> Coverage:
         uncovered=raster.centres(raster.cells & ~worked),
         area_m2=raster.area_m2,
         worked_m2=worked_m2,
+        reached=float(np.count_nonzero(worked & can)) / max(int(np.count_nonzero(can)), 1),
+        missed=raster.centres(can & ~worked),
     )
 
 

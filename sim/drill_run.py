@@ -19,7 +19,8 @@ class DrillRun(Expedition):
         return Outcome(
             scenario=scenario.name, robots=scenario.fleet.robots, seed=scenario.run.seed,
             silence_policy=scenario.fleet.silence, authenticated=False,
-            finished=cluster.finished, coverage=parade.share, makespan_s=now_s, worked_twice=0.0,
+            finished=cluster.finished, coverage=parade.share, reachable=1.0,
+            reached=parade.share, makespan_s=now_s, worked_twice=0.0,
             units_twice=sum(r.peer.voice.redone for r in cluster.robots.values()),
             contacts=0, moved_after_stop=len(cluster.stops.violations), closest_m=inf,
             replicas_equal=cluster.replicas_equal,

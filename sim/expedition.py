@@ -132,7 +132,10 @@ class Expedition:
         world.advance(round(now_s * 1e6))
         self.tracks = {slot: body.track.points for slot, body in world.robots.items()}
         raster = sample_points(field.polygon, field.implement_width_m, field.overlap_m, RASTER_M)
-        truth = self.truth = coverage(raster, self.tracks, field.implement_width_m)
+        ground = self.setting.ground(raster)
+        truth = self.truth = coverage(
+            raster, self.tracks, field.implement_width_m, ground.cells
+        )
         met = implement_contacts(
             self.tracks, field.implement_width_m, field.overlap_m, scenario.fleet.radius_m
         )
@@ -145,6 +148,9 @@ class Expedition:
             authenticated=self.setting.keys is not None,
             finished=cluster.finished,
             coverage=truth.share,
+            reachable=ground.share,
+            reached=truth.reached,
+            unreached=ground.unreached,
             makespan_s=truth.last_us / 1e6,
             worked_twice=truth.twice,
             units_twice=sum(r.peer.voice.redone for r in cluster.robots.values()),

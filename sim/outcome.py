@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+from sim.reachable_ground import Unreached
+
 COVERAGE_MIN = 0.99995  # 100.00 % as it is printed
 
 
@@ -14,6 +16,8 @@ class Outcome(NamedTuple):
     authenticated: bool
     finished: bool  # every section DONE on every running replica, and their digests equal
     coverage: float  # share of the area that can be asked for, swept by the implement
+    reachable: float  # share of that area that these bodies can work at all
+    reached: float  # share worked of what they can work; this is judged
     makespan_s: float  # when the last of it was worked
     worked_twice: float  # share swept by two robots: overlaps of neighbours, and real duplicates
     units_twice: int  # units that two robots announced: duplicate work
@@ -36,6 +40,7 @@ class Outcome(NamedTuple):
     simulated_s: float
     wall_s: float
     pymunk_steps: int = 0  # of 10 ms, that pymunk has made; none in a drill, which has no bodies
+    unreached: tuple[Unreached, ...] = ()  # ground of the field that they cannot work, and why
     # Of implements that were down, with others or with bodies. No part of `success`: robots that steer,
     # and robots that lose frames, do not avoid all of them.
     implement_contacts: int = 0
@@ -44,11 +49,14 @@ class Outcome(NamedTuple):
     def success(self) -> bool:
         return (
             self.finished
-            and self.coverage >= COVERAGE_MIN
+            and self.reached >= COVERAGE_MIN
             and self.contacts == 0
             and self.moved_after_stop == 0
             and self.replicas_equal
         )
 
     def to_dict(self) -> dict[str, Any]:
-        return {**self._asdict(), "frames": dict(self.frames), "success": self.success}
+        return {
+            **self._asdict(), "frames": dict(self.frames), "success": self.success,
+            "unreached": [part._asdict() for part in self.unreached],
+        }  # fmt: skip

@@ -410,7 +410,7 @@ class Play:
                 f"long after the calm began robots still ask for what they lack: {dict(questions)}"
             )
             self._add("L1", end_s, what)
-        if not outcome.finished or not (outcome.coverage >= 0.9999 or self._accounted_for(world)):
+        if not outcome.finished or not (outcome.reached >= 0.9999 or self._accounted_for(world)):
             what = f"finished: {outcome.finished}, coverage {outcome.coverage:.2%}"
             self._add("L5", end_s, what)
         else:
@@ -438,7 +438,8 @@ class Play:
         field = self.setting.field
         raster = sample_points(field.polygon, field.implement_width_m, field.overlap_m)
         tracks = {slot: body.track for slot, body in world.robots.items()}
-        missed = coverage(raster, tracks, field.implement_width_m).uncovered
+        can = self.setting.ground(raster).cells
+        missed = coverage(raster, tracks, field.implement_width_m, can).missed
         return all(
             any(hypot(x_m - at_x_m, y_m - at_y_m) < reach_m for at_x_m, at_y_m, reach_m in left)
             for x_m, y_m in missed

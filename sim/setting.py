@@ -31,6 +31,8 @@ from sim.field_file import read_boundary
 from sim.given_file import GivenFileError, read_bytes
 from sim.key_file import FLEET, KeyFileError, read
 from sim.lidar import Lidar
+from sim.raster import Raster
+from sim.reachable_ground import Body, Ground, reachable_ground
 from sim.scenario import Crash, CrashWorking, Scenario, ScenarioError
 from sim.time_limit import time_limit_s
 from sim.vehicle import Chassis, Kind
@@ -206,6 +208,12 @@ class Setting:
     def floor_space(self, radius_m: float) -> Polygon:
         """Where the middle of a body can be."""
         return self.field.polygon.buffer(-radius_m)
+
+    def ground(self, raster: Raster) -> Ground:
+        """What of the area asked for these bodies can work. `raster`: see `sim/coverage_truth.py`."""
+        field, radius_m = self.field, self.scenario.fleet.radius_m
+        body = Body(field.implement_width_m, field.overlap_m, radius_m, self.turn_radius_m)
+        return reachable_ground(field.polygon, raster, body, self.starts)
 
     @property
     def time_limit_s(self) -> float:

@@ -316,12 +316,17 @@ class Launch:
         field = self.setting.field
         raster = sample_points(field.polygon, field.implement_width_m, field.overlap_m)
         tracks = {slot: body.track for slot, body in self.world.robots.items()}
-        truth = coverage(raster, tracks, field.implement_width_m)
-        if finished and truth.share < COVERAGE_MIN:
-            self.difference = f"robots say 100 %, the ground says {truth.share:.2%}"
+        ground = self.setting.ground(raster)
+        truth = coverage(raster, tracks, field.implement_width_m, ground.cells)
+        if finished and truth.reached < COVERAGE_MIN:
+            self.difference = f"robots say 100 %, the ground says {truth.reached:.2%}"
         radius_m = self.setting.scenario.fleet.radius_m
         met = implement_contacts(tracks, field.implement_width_m, field.overlap_m, radius_m)
-        of_it = {"coverage": truth.share, "implement_contacts": len(met)}
+        of_it = {
+            "coverage": truth.share, "reachable": ground.share, "reached": truth.reached,
+            "unreached": [part._asdict() for part in ground.unreached],
+            "implement_contacts": len(met),
+        }  # fmt: skip
         touches = f"{len(self.world.contacts)} contacts, {len(met)} of implements"
         verdict = f"coverage {truth.share:.2%}, {touches}"
         self._write(elapsed_s, finished, of_it, verdict)

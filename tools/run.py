@@ -123,12 +123,20 @@ def _watch(
         return expedition.run(), expedition
 
 
+def told_reach(outcome: Outcome) -> str:
+    """What these bodies can work of the field, how much of it they have, and why not the rest."""
+    told = f"{outcome.reachable:.2%} of that area, of which {outcome.reached:.2%} is worked"
+    left = "; ".join(f"{part.area_m2:.1f} m2 {part.why}" for part in outcome.unreached)
+    return f"{told}; never worked: {left}" if left else told
+
+
 def outcome_table(outcome: Outcome) -> Table:
     sections = f"{outcome.sections} sections" + ("" if outcome.finished else ", not all done")
     overlap = f"{outcome.worked_twice:.1%} of the area overlaps"
     worst = f"{outcome.bus_load_worst_case:.1%}"
     facts = [
         ("coverage", f"{outcome.coverage:.2%} of the area that can be worked ({sections})"),
+        ("reachable", told_reach(outcome)),
         ("makespan", f"{outcome.makespan_s:.1f} s of {outcome.simulated_s:.0f} s simulated"),
         ("duplicate work", f"{outcome.units_twice} units announced twice; {overlap}"),
         ("contacts", f"{outcome.contacts} (closest {outcome.closest_m:.2f} m)"),

@@ -73,6 +73,24 @@ def test_m26_six_robots_in_a_small_field_get_on(robots: int, tmp_path: Path) -> 
     assert outcome.success, outcome
 
 
+@pytest.mark.parametrize("seed", (1, 2))
+def test_m26_three_tractors_finish_a_strip_in_which_they_cannot_pass(
+    seed: int, tmp_path: Path
+) -> None:
+    made = scenario(
+        tmp_path, rectangle(100.0, 9.0), 3, seed, drive="ackermann", time_limit_s=700.0
+    )
+    outcome = Expedition(Setting(made)).run()
+    assert outcome.finished and outcome.replicas_equal, outcome
+    assert outcome.reached > 0.9998, outcome  # two cells at most, in corners
+
+
+def test_m26_a_tractor_is_not_made_to_plan_again_in_its_turns(tmp_path: Path) -> None:
+    made = scenario(tmp_path, rectangle(100.0, 9.0), 1, 1, drive="ackermann", time_limit_s=700.0)
+    outcome = Expedition(Setting(made)).run()
+    assert outcome.success and outcome.makespan_s < 250.0, outcome
+
+
 def test_m4_a_field_hardly_wider_than_the_implement_is_finished(tmp_path: Path) -> None:
     made = scenario(tmp_path, rectangle(60.0, 60.0), 3, 1, implement_width_m=59.0)
     outcome = Expedition(Setting(made)).run()
