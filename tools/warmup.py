@@ -106,6 +106,7 @@ def _world() -> None:
 
     from agent.effects import Drive
     from sim.coverage_truth import coverage, sample_points
+    from sim.reachable_ground import Body, reachable_ground
     from sim.vehicle import Chassis
     from sim.world import World
 
@@ -118,6 +119,7 @@ def _world() -> None:
     world.advance(1_100_000)
     raster = sample_points(box(0, 0, 20, 20), 2.0, 0.2)
     coverage(raster, {0: world.body(0).track}, 2.0)
+    reachable_ground(box(0, 0, 20, 20), raster, Body(2.0, 0.2, 0.5, 1.5), [(5.0, 5.0)])
 
 
 def _fleets() -> None:
