@@ -73,6 +73,7 @@ def test_m26_six_robots_in_a_small_field_get_on(robots: int, tmp_path: Path) -> 
     assert outcome.success, outcome
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", (1, 2))
 def test_m26_three_tractors_finish_a_strip_in_which_they_cannot_pass(
     seed: int, tmp_path: Path

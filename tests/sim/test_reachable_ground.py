@@ -26,6 +26,7 @@ PIVOT = TRACTOR._replace(turn_radius_m=0.6)
 SIDEWAYS = TRACTOR._replace(turn_radius_m=0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", (1, 2))
 @pytest.mark.parametrize("drive", ("ackermann", "differential"))
 @pytest.mark.parametrize("name", FIELDS)
