@@ -50,7 +50,7 @@ bench: setup
 	$(BIN)/headland bench all --quick
 
 site: setup
-	$(BIN)/python -m tools.handbook docs
+	$(BIN)/python -m tools.cli.doc_pages docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 	@echo "the site is in build/site/index.html"
 

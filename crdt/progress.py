@@ -2,7 +2,7 @@
 
 Claims are hints, this is the truth: a claim can be lost, a covered unit cannot. Units travel in
 blocks of 40, the bits of one WORK_PROGRESS frame. A block has no Lamport time, because its join needs
-none; what a peer lacks is found by when a block last grew here (`protocol/replica.py`).
+none; what a peer lacks is found by when a block last grew here (`protocol/sync/replica.py`).
 """
 
 from collections.abc import Iterator, Mapping

@@ -7,23 +7,23 @@ of what is done are those that field work has. `docs/missions.md` goes through i
 from collections.abc import Mapping, Sequence
 from math import hypot
 
-from agent.config import S
-from agent.mission import STILL, Choice, FleetView, Wish
-from agent.route import Route
-from agent.tracker import Tracker
+from agent.interface.config import S
+from agent.interface.mission import STILL, Choice, FleetView, Wish
+from agent.motion.path_tracker import Tracker
+from agent.paths.route import Route
 from crdt import Phase
-from sim.cluster import Cluster
-from sim.host import Script
-from sim.scenario import load
-from sim.setting import Setting
-from sim.swarm import Swarm
+from sim.fleet.event_loop import Swarm
+from sim.fleet.scheduler import Script
+from sim.fleet.simulated_fleet import Cluster
+from sim.scenarios.field_setup import Setting
+from sim.scenarios.scenario import load
 
 Point = tuple[float, float]
 DIG_US = 3 * S
 
 
 class SoilSamples:
-    """The `Mission` port of `agent/mission.py`."""
+    """The `Mission` port of `agent/interface/mission.py`."""
 
     def __init__(
         self, posts: Sequence[Point], route: Route, speed_m_s: float, braking_m_s2: float

@@ -1,6 +1,6 @@
 """A fleet on a field, with a stop and a split of the bus, in ten lines; the same as a notebook beside."""
 
-from tools.notebook import play
+from tools.run.notebook import play
 
 press = {"kind": "estop", "at_s": 20, "robot": 2, "reason": "PERSON_IN_FIELD"}
 release = {"kind": "reset", "at_s": 25}

@@ -16,9 +16,9 @@ from enum import Enum, auto
 from random import Random
 from typing import NamedTuple
 
-from protocol.identifier import GLOBAL_ADDRESS, NULL_ADDRESS
+from protocol.frames.identifier import GLOBAL_ADDRESS, NULL_ADDRESS
+from protocol.frames.network_frames import AddressClaimed
 from protocol.name import Name
-from protocol.network_frames import AddressClaimed
 
 MS = 1_000
 FIRST, LAST = 128, 235  # self-configurable addresses of industry group 2

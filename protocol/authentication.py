@@ -23,8 +23,8 @@ from cryptography.hazmat.primitives.cmac import CMAC
 from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.kdf.hkdf import HKDF
 
-from protocol.operator_frames import OperatorGoal
-from protocol.safety_frames import (
+from protocol.frames.operator_frames import OperatorGoal
+from protocol.frames.safety_frames import (
     Challenge,
     EmergencyReset,
     EmergencyStop,

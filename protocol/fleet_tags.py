@@ -17,8 +17,8 @@ from cryptography.hazmat.primitives.kdf.hkdf import HKDF
 
 from crdt.stops import FarDot
 from protocol.authentication import KEY_SIZE, Keys
-from protocol.safety_frames import StopsHeld
-from protocol.segment_frames import FleetReset, FleetStop
+from protocol.frames.safety_frames import StopsHeld
+from protocol.frames.segment_frames import FleetReset, FleetStop
 
 
 class FleetTags:

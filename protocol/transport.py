@@ -9,8 +9,8 @@ from collections.abc import Iterable
 from enum import IntEnum
 from typing import NamedTuple
 
-from protocol.identifier import GLOBAL_ADDRESS
-from protocol.network_frames import TransportData, TransportManagement
+from protocol.frames.identifier import GLOBAL_ADDRESS
+from protocol.frames.network_frames import TransportData, TransportManagement
 
 MS = 1_000
 PACKET = 7  # bytes of the message in one TP.DT

@@ -20,8 +20,8 @@ LAYERS = [
     "tools",
 ]  # each imports only those before it, and itself
 CORE = LAYERS[:3]
-EDGES = {"agent/shell.py", "agent/engine.py", "agent/sqlite_journal.py", "protocol/bus.py",
-         "protocol/zenoh_link.py", "protocol/socketcand_link.py"}  # fmt: skip
+EDGES = {"agent/runtime/peer_runner.py", "agent/runtime/engine.py", "agent/runtime/sqlite_journal.py", "protocol/links/bus.py",
+         "protocol/links/zenoh_link.py", "protocol/links/socketcand_link.py"}  # fmt: skip
 OUTSIDE = {
     "asyncio", "can", "multiprocessing", "os", "random", "secrets", "selectors", "socket",
     "sqlite3", "subprocess", "threading", "time", "uuid",
@@ -88,7 +88,7 @@ def test_no_unseeded_chance_anywhere() -> None:
 
 
 def test_no_test_sleeps() -> None:
-    """Time passes on the virtual clock (`sim.clock.elapse`), or something is waited for."""
+    """Time passes on the virtual clock (`sim.fleet.virtual_clock.elapse`), or something is waited for."""
     here = Path(__file__)
     for path in sorted(here.parent.rglob("*.py")):
         assert path == here or "sleep(" not in path.read_text(encoding="utf-8"), path

@@ -3,10 +3,10 @@
 import re
 from pathlib import Path
 
-from agent.cause import cause_table
-from agent.fsm import to_mermaid
-from agent.lifecycle import TABLE, State
-from protocol.messages import GROUPS
+from agent.interface.lifecycle import TABLE, State
+from agent.interface.state_machine import to_mermaid
+from agent.safety.stop_cause import cause_table
+from protocol.frames.messages import GROUPS
 
 ROOT = Path(__file__).parents[1]
 

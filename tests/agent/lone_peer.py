@@ -5,20 +5,20 @@ from random import Random
 
 import numpy as np
 
-from agent.cause import Cause, Clears
-from agent.config import S
-from agent.core import Peer
-from agent.effects import HALT, Drive, Effect, Send
-from agent.identity import Identity
-from agent.lifecycle import State
-from agent.mission import Choice, FleetView, Wish
-from agent.motion import Limits, Motion
-from agent.ports import Observation
-from agent.safety import SilencePolicy
-from protocol.fleet_frames import Member
-from protocol.health import Health
+from agent.interface.config import S
+from agent.interface.effects import HALT, Drive, Effect, Send
+from agent.interface.identity import Identity
+from agent.interface.lifecycle import State
+from agent.interface.mission import Choice, FleetView, Wish
+from agent.interface.ports import Observation
+from agent.motion.holonomic_motion import Limits, Motion
+from agent.peer.peer import Peer
+from agent.safety.stop_cause import Cause, Clears
+from agent.safety.stop_controller import SilencePolicy
+from protocol.controller_health import Health
+from protocol.frames.fleet_frames import Member
+from protocol.frames.network_frames import AddressClaimed
 from protocol.name import fleet_name, tool_name
-from protocol.network_frames import AddressClaimed
 
 FULL = Wish(2.0, 0.0, 0.0, True)
 BY_TIME_US = 1 * S  # what is raised with a time holds so long here

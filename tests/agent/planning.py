@@ -5,13 +5,13 @@ from random import Random
 import numpy as np
 import pytest
 
-from agent import plan_round
-from agent.cost_matrix import Carrier, CostMatrix, Trip, workload
-from agent.floor import Floor
-from agent.nav_mesh import Mesh
-from agent.plan_round import SLICE_US, Frozen, PlanRound, Step
-from agent.workload import Workload
-from protocol.delivery_frames import PlanRow
+from agent.delivery import plan_negotiation as plan_round
+from agent.delivery.cost_matrix import Carrier, CostMatrix, Trip, workload
+from agent.delivery.plan_negotiation import SLICE_US, Frozen, PlanRound, Step
+from agent.delivery.routing_problem import Workload
+from agent.mapping.building import Floor
+from agent.paths.nav_mesh import Mesh
+from protocol.frames.delivery_frames import PlanRow
 
 MAP = "\n".join(["." * 14, "." * 3 + "#" * 8 + "." * 3] * 4 + ["." * 14])
 ROWS = (0, 2, 4, 6, 8)

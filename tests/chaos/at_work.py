@@ -2,12 +2,12 @@
 
 from collections.abc import Awaitable, Callable
 
-from agent.effects import Effect
-from sim.clock import elapse, run_virtual
-from sim.cluster import Cluster
-from sim.disk import Disk, LogJournal
-from sim.scenario import Scenario
-from sim.setting import Setting
+from agent.interface.effects import Effect
+from sim.fleet.simulated_disk import Disk, LogJournal
+from sim.fleet.simulated_fleet import Cluster
+from sim.fleet.virtual_clock import elapse, run_virtual
+from sim.scenarios.field_setup import Setting
+from sim.scenarios.scenario import Scenario
 
 Done = tuple[int, Effect]  # a robot's slot, and what it did
 Story = Callable[[Cluster, list[Done]], Awaitable[None]]

@@ -3,7 +3,7 @@
 For what is to be seen on the way to a finished field, and not by how long it takes.
 """
 
-from sim.scenario import Scenario, load
+from sim.scenarios.scenario import Scenario, load
 
 
 def broad() -> Scenario:

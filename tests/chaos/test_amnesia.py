@@ -9,20 +9,20 @@ from random import Random
 
 import pytest
 
-from agent.cause import Cause
-from agent.effects import Persist, Send
-from agent.lifecycle import State
-from agent.safety import HOLD_KEY, LATCHED
-from protocol.fleet_frames import Heartbeat, Member, Pose
-from protocol.messages import Message
-from protocol.safety_frames import Command, EmergencyReset, EmergencyStop, OperatorCommand
-from sim.clock import elapse
-from sim.cluster import OPERATOR, Cluster
-from sim.disk import Disk, LogJournal, MemoryJournal, PowerCut
-from sim.expedition import Expedition
-from sim.scenario import Crash, Fault, Reset, Restart, load
-from sim.setting import Setting
-from sim.tape import lost
+from agent.interface.effects import Persist, Send
+from agent.interface.lifecycle import State
+from agent.safety.stop_cause import Cause
+from agent.safety.stop_controller import HOLD_KEY, LATCHED
+from protocol.frames.fleet_frames import Heartbeat, Member, Pose
+from protocol.frames.messages import Message
+from protocol.frames.safety_frames import Command, EmergencyReset, EmergencyStop, OperatorCommand
+from sim.chaos.durability_rules import lost
+from sim.fleet.simulated_disk import Disk, LogJournal, MemoryJournal, PowerCut
+from sim.fleet.simulated_fleet import OPERATOR, Cluster
+from sim.fleet.virtual_clock import elapse
+from sim.runs.field_run import Expedition
+from sim.scenarios.field_setup import Setting
+from sim.scenarios.scenario import Crash, Fault, Reset, Restart, load
 from tests.chaos.at_work import Done, Story, at_work
 
 

@@ -6,11 +6,11 @@ view, filled a bus of fifty robots for good.
 
 import pytest
 
-from agent.cause import Cause
-from protocol.fleet_frames import LeaderElectionVote, Member
-from protocol.messages import GROUP_OF
-from protocol.network_frames import AddressClaimed, Request
-from sim.clock import elapse, run_virtual
+from agent.safety.stop_cause import Cause
+from protocol.frames.fleet_frames import LeaderElectionVote, Member
+from protocol.frames.messages import GROUP_OF
+from protocol.frames.network_frames import AddressClaimed, Request
+from sim.fleet.virtual_clock import elapse, run_virtual
 from tools.bench.drill import Squad
 
 PGN_PF = {kind: GROUP_OF[kind].pgn >> 8 for kind in (Request, AddressClaimed)}

@@ -2,8 +2,8 @@
 
 import pytest
 
-from sim.delivery_setting import DeliverySetting
-from sim.haul import Haul
+from sim.runs.delivery_run import Haul
+from sim.scenarios.delivery_setup import DeliverySetting
 from tools.bench.delivery_trouble import bad_luck, troubled
 
 

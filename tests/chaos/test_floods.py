@@ -2,8 +2,8 @@
 
 import pytest
 
-from sim.flood_trial import Flood, Trial, draw
-from sim.mutants import planted
+from sim.chaos.flood_trial import Flood, Trial, draw
+from sim.chaos.planted_bugs import planted
 
 LOWEST = 0x4D
 

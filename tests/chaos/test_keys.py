@@ -5,24 +5,24 @@ from typing import Any
 
 import pytest
 
-from agent.effects import Send
-from agent.lifecycle import State
+from agent.interface.effects import Send
+from agent.interface.lifecycle import State
 from protocol.authentication import Signed
-from protocol.fleet_frames import Pose
-from protocol.network_frames import AddressClaimed
-from protocol.safety_frames import (
+from protocol.frames.fleet_frames import Pose
+from protocol.frames.network_frames import AddressClaimed
+from protocol.frames.safety_frames import (
     Command,
     EmergencyReset,
     EmergencyStop,
     Freshness,
     OperatorCommand,
 )  # fmt: skip
-from sim.clock import elapse
-from sim.cluster import OPERATOR, Cluster
-from sim.expedition import Expedition
-from sim.key_file import fresh, write
-from sim.scenario import Crash, Estop, Reset, Restart, load
-from sim.setting import Setting
+from sim.files.key_file import fresh, write
+from sim.fleet.simulated_fleet import OPERATOR, Cluster
+from sim.fleet.virtual_clock import elapse
+from sim.runs.field_run import Expedition
+from sim.scenarios.field_setup import Setting
+from sim.scenarios.scenario import Crash, Estop, Reset, Restart, load
 from tests.chaos.at_work import Done, Story, at_work
 from tests.chaos.broad import broad
 

@@ -11,13 +11,13 @@ from typing import get_args
 import pytest
 from pydantic import BaseModel
 
-from sim.draws import DRAWS
-from sim.mutants import MUTANTS, planted
-from sim.scenario import Crash, Fault, Scenario, load
-from sim.scenario_text import to_toml
-from sim.shrink import shrink
-from sim.trouble import PROFILES, draw, span_of, with_faults
-from sim.verdict import RULES, judge
+from sim.chaos.fault_generators import DRAWS
+from sim.chaos.fault_profiles import PROFILES, draw, span_of, with_faults
+from sim.chaos.planted_bugs import MUTANTS, planted
+from sim.chaos.shrink import shrink
+from sim.chaos.verdict import RULES, judge
+from sim.scenarios.scenario import Crash, Fault, Scenario, load
+from sim.scenarios.toml_writer import to_toml
 
 ROOT = Path(__file__).parents[2]
 STORIES = sorted((Path(__file__).parent / "stories").glob("*.toml"))

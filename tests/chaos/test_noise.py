@@ -5,11 +5,11 @@ from random import Random
 
 import pytest
 
-from protocol.frame import Frame
-from sim.clock import elapse, run_virtual
-from sim.cluster import Cluster
-from sim.fieldbus import FieldBus
-from sim.setting import Setting
+from protocol.frames.frame import Frame
+from sim.can.simulated_bus import FieldBus
+from sim.fleet.simulated_fleet import Cluster
+from sim.fleet.virtual_clock import elapse, run_virtual
+from sim.scenarios.field_setup import Setting
 from tests.chaos.broad import broad
 
 SPOKEN = [  # parameter groups that peers listen to; a stop or an operator's hold would rightly

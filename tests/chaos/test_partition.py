@@ -8,19 +8,19 @@ from collections import defaultdict
 import pytest
 from shapely.geometry import LineString, Point
 
-from agent.config import S
-from agent.field import Polyline
+from agent.field.field_map import Polyline
+from agent.interface.config import S
 from crdt import Phase
-from protocol.codec import decode_once
-from protocol.frame import Frame
-from protocol.work_frames import TaskClaim
-from sim.clock import elapse, run_virtual
-from sim.cluster import Cluster
-from sim.faults import FaultPlan
-from sim.scenario import Heal, Partition, Scenario, load
-from sim.setting import Setting
-from sim.trouble import draw
-from sim.verdict import judge
+from protocol.frames.codec import decode_once
+from protocol.frames.frame import Frame
+from protocol.frames.work_frames import TaskClaim
+from sim.chaos.fault_profiles import draw
+from sim.chaos.verdict import judge
+from sim.fleet.fault_injector import FaultPlan
+from sim.fleet.simulated_fleet import Cluster
+from sim.fleet.virtual_clock import elapse, run_virtual
+from sim.scenarios.field_setup import Setting
+from sim.scenarios.scenario import Heal, Partition, Scenario, load
 
 CUT_S, HEAL_S, END_S = 30.0, 80.0, 600.0
 ISLANDS = ([0, 1], [2, 3])
@@ -69,7 +69,7 @@ async def play(setting: Setting, watch: Watch) -> Cluster:
 
 def seemed_to_stand_on(cluster: Cluster, line: Polyline) -> bool:
     """A robot was last heard so near that the other side took its body to stand there: such a unit is
-    left, and nobody comes back for it (`agent/blockage.py`)."""
+    left, and nobody comes back for it (`agent/field/field_obstructions.py`)."""
     return any(
         LineString(line).distance(Point(x_m, y_m)) < BODY_M
         for body in cluster.world.robots.values()

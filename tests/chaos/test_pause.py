@@ -8,20 +8,20 @@ from random import Random
 
 import pytest
 
-from agent.cause import Cause
-from agent.field_work import FieldWork
-from agent.lifecycle import State
-from protocol.codec import decode_once
-from protocol.frame import Frame
-from protocol.operator_frames import Matter, OperatorReport, goal_check, goal_frames
-from protocol.safety_frames import Command, OperatorCommand
-from sim.clock import elapse, run_virtual
-from sim.cluster import OPERATOR, Cluster
-from sim.expedition import Expedition
-from sim.key_file import fresh, write
-from sim.obstacles import random_temporary_obstacle_generator, schedule
-from sim.scenario import Scenario, load
-from sim.setting import Setting
+from agent.field.field_mission import FieldWork
+from agent.interface.lifecycle import State
+from agent.safety.stop_cause import Cause
+from protocol.frames.codec import decode_once
+from protocol.frames.frame import Frame
+from protocol.frames.operator_frames import Matter, OperatorReport, goal_check, goal_frames
+from protocol.frames.safety_frames import Command, OperatorCommand
+from sim.files.key_file import fresh, write
+from sim.fleet.simulated_fleet import OPERATOR, Cluster
+from sim.fleet.virtual_clock import elapse, run_virtual
+from sim.runs.field_run import Expedition
+from sim.scenarios.field_setup import Setting
+from sim.scenarios.scenario import Scenario, load
+from sim.world.temporary_obstacles import random_temporary_obstacle_generator, schedule
 from tests.chaos.broad import broad
 
 Reports = list[tuple[int, OperatorReport]]

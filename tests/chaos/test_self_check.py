@@ -7,16 +7,16 @@ from functools import partial
 import can
 import pytest
 
-from agent.cause import Cause
-from agent.config import ACTUATOR_TTL_US, S
-from agent.self_check import LATE_HOLD_US, PASSIVE_US
-from protocol.bus import CanBus, open_bus
-from protocol.frame import Frame
-from protocol.health import Health
-from sim.clock import elapse, run_virtual
-from sim.cluster import Cluster
-from sim.scenario import load
-from sim.setting import Setting
+from agent.interface.config import ACTUATOR_TTL_US, S
+from agent.peer.self_check import LATE_HOLD_US, PASSIVE_US
+from agent.safety.stop_cause import Cause
+from protocol.controller_health import Health
+from protocol.frames.frame import Frame
+from protocol.links.bus import CanBus, open_bus
+from sim.fleet.simulated_fleet import Cluster
+from sim.fleet.virtual_clock import elapse, run_virtual
+from sim.scenarios.field_setup import Setting
+from sim.scenarios.scenario import load
 
 Story = Callable[[Cluster], Awaitable[None]]
 

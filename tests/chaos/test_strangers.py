@@ -4,12 +4,12 @@ from typing import Any
 
 import pytest
 
-from sim import scenario as kinds
-from sim.drill_setting import drill
-from sim.mutants import MUTANTS, planted
-from sim.scenario import Fault
-from sim.trouble import draw, with_faults
-from sim.verdict import judge
+from sim.chaos.fault_profiles import draw, with_faults
+from sim.chaos.planted_bugs import MUTANTS, planted
+from sim.chaos.verdict import judge
+from sim.scenarios import scenario as kinds
+from sim.scenarios.protocol_setup import drill
+from sim.scenarios.scenario import Fault
 
 SEED = 3
 FAULTS: dict[str, list[Fault]] = {

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from sim.fuzz_targets import TARGETS
-from tools.fuzz import corpus, fuzz, plainly, replay
+from sim.chaos.fuzz_targets import TARGETS
+from tools.chaos.fuzz import corpus, fuzz, plainly, replay
 
 RUNS = {"frame": 40_000, "stop_set": 20_000, "progress": 10_000, "journal": 10_000,
         "allocation": 10_000, "occupancy": 10_000}  # fmt: skip

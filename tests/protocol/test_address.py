@@ -16,9 +16,9 @@ from protocol.address import (
     Claiming,
     State,
 )
-from protocol.identifier import NULL_ADDRESS
+from protocol.frames.identifier import NULL_ADDRESS
+from protocol.frames.network_frames import AddressClaimed
 from protocol.name import Name, fleet_name
-from protocol.network_frames import AddressClaimed
 
 DELAY_US = 600
 S = 1_000_000

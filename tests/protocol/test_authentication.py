@@ -19,7 +19,7 @@ from protocol.authentication import (
     Keyring,
     Keys,
 )  # fmt: skip
-from protocol.safety_frames import Command, EmergencyReset, EmergencyStop, OperatorCommand
+from protocol.frames.safety_frames import Command, EmergencyReset, EmergencyStop, OperatorCommand
 
 MASTER, SECRET = bytes(range(16)), bytes(range(16, 32))
 FLEET, OPERATOR = Keys(MASTER, SECRET), Keys(None, SECRET)

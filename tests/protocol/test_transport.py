@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from protocol.codec import decode, encode
-from protocol.frame import Frame
-from protocol.identifier import GLOBAL_ADDRESS
-from protocol.network_frames import TransportData, TransportManagement
+from protocol.frames.codec import decode, encode
+from protocol.frames.frame import Frame
+from protocol.frames.identifier import GLOBAL_ADDRESS
+from protocol.frames.network_frames import TransportData, TransportManagement
 from protocol.transport import (
     BAM_GAP_US,
     RECEIVING_MAX,

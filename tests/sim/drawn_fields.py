@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from math import cos, pi, radians, sin
 from pathlib import Path
 
-from sim.scenario import Scenario, load
+from sim.scenarios.scenario import Scenario, load
 
 Ring = Sequence[tuple[float, float]]
 NORTH_DEG, EAST_DEG, DEGREE_M = 48.0, 11.0, 111_320.0

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import pytest
 
-from tools import headland
+from tools.cli import headland
 
 
 class Complaint(NamedTuple):

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import typer
 
-from tools.headland import WRONG_WORDS, app
+from tools.cli.headland import WRONG_WORDS, app
 
 ROOT = Path(__file__).parents[2]
 FENCE = re.compile(r"```(\w*)\n(.*?)```", re.S)

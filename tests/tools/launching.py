@@ -10,10 +10,10 @@ from pathlib import Path
 
 from crdt import FieldAllocationCRDT
 from crdt.register import pack
-from protocol.codec import decode
-from protocol.frame import Frame
-from protocol.work_frames import StateSyncResponse, TaskClaim
-from tools.attachment import CHANNEL, attach
+from protocol.frames.codec import decode
+from protocol.frames.frame import Frame
+from protocol.frames.work_frames import StateSyncResponse, TaskClaim
+from tools.common.bus_attach import CHANNEL, attach
 
 ROOT = Path(__file__).parents[2]
 WAIT_S = 180.0  # for what takes a second on a quiet machine with warm kernels
@@ -22,7 +22,7 @@ ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
 
 async def start(folder: Path, *words: str) -> Process:
     return await asyncio.create_subprocess_exec(
-        sys.executable, "-m", "tools.headland", *words,
+        sys.executable, "-m", "tools.cli.headland", *words,
         cwd=folder, stdout=PIPE, stderr=STDOUT, env=ENVIRONMENT,
     )  # fmt: skip
 

@@ -11,11 +11,11 @@ import sys
 import time
 from typing import TYPE_CHECKING, NamedTuple
 
-from tools.compiled_core import OFF, use
-from tools.fingerprint import ROOT
+from tools.build.compiled_core import OFF, use
+from tools.common.fingerprint import ROOT
 
 if TYPE_CHECKING:
-    from sim.scenario import Scenario
+    from sim.scenarios.scenario import Scenario
 
 FIELD = "field"  # instead of a profile: the yard, worked by six robots without trouble
 FIELD_ROBOTS = 6
@@ -43,9 +43,9 @@ def measured(profile: str, runs: int, seed: int, interpreted: bool = False) -> C
 def campaign(profile: str, runs: int, seed: int) -> Campaign:
     """Here and now: every rule is judged, as `headland chaos` does it."""
     compiled = use()
-    from sim.standing import leave_standing
-    from sim.verdict import judge
-    from tools.hunt import warm_up
+    from sim.chaos.verdict import judge
+    from sim.fleet.gc_tuning import leave_standing
+    from tools.chaos.planted_bug_hunt import warm_up
 
     warm_up()  # before any clock starts
     leave_standing()
@@ -58,8 +58,8 @@ def campaign(profile: str, runs: int, seed: int) -> Campaign:
 
 
 def _drawn(profile: str, seed: int) -> "Scenario":
-    from sim.scenario import load
-    from sim.trouble import draw, with_faults
+    from sim.chaos.fault_profiles import draw, with_faults
+    from sim.scenarios.scenario import load
 
     if profile != FIELD:
         return draw(seed, profile)

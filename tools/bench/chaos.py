@@ -9,24 +9,24 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from sim.fuzz_targets import TARGETS
-from sim.mutants import MUTANTS, planted
-from sim.trouble import draw
-from sim.verdict import judge
+from sim.chaos.fault_profiles import draw
+from sim.chaos.fuzz_targets import TARGETS
+from sim.chaos.planted_bugs import MUTANTS, planted
+from sim.chaos.verdict import judge
 from tools.bench.campaign_speed import FIELD
 from tools.bench.campaign_speed import measured as measured_campaign
 from tools.bench.drill_speed import measured
 from tools.bench.figure import Figure
-from tools.chaos_report import (
+from tools.chaos.chaos_report import (
     BUGS_WANTED,
     HOURS_WANTED,
     RUNS_WANTED,
     ReportError,
     judged_hours,
 )
-from tools.fingerprint import ROBOTS, ROOT, fingerprint
-from tools.fuzz import every
-from tools.hunt import warm_up
+from tools.chaos.fuzz import every
+from tools.chaos.planted_bug_hunt import warm_up
+from tools.common.fingerprint import ROBOTS, ROOT, fingerprint
 
 SIZES = ((5, 1000.0), (20, 100.0), (50, 20.0), (100, 5.0))  # robots, simulated s per CPU s wanted
 SHARE_S = 1.5  # CPU time given to each size, --quick
@@ -102,7 +102,7 @@ def _bugs(names: tuple[str, ...], quick: bool) -> Iterator[Figure]:
         found += hit
         slowest_s = max(slowest_s, spent_s)
     wanted = len(names) if quick else BUGS_WANTED
-    scope = f"{len(names)} of the {len(MUTANTS)} bugs of sim/mutants.py"
+    scope = f"{len(names)} of the {len(MUTANTS)} bugs of sim/chaos/planted_bugs.py"
     yield Figure("planted bugs found", found, "bugs", f">= {wanted}", found >= wanted, NOTHING,
                  scope)  # fmt: skip
     yield Figure("slowest hunt for a planted bug", slowest_s, "CPU s", f"<= {BUDGET_S:.0f}",
@@ -118,7 +118,7 @@ def _decoders(quick: bool, seed: int) -> Iterator[Figure]:
     done, wanted = sum(row.executions for row in rows), RUNS_CI if quick else RUNS_WANTED
     crashes = sum(not row.ok for row in rows)
     engines = ", ".join(sorted({row.engine for row in rows}))
-    scope = f"{len(rows)} targets of sim/fuzz_targets.py, engine {engines}"
+    scope = f"{len(rows)} targets of sim/chaos/fuzz_targets.py, engine {engines}"
     yield Figure("decoder executions", done, "runs", f">= {wanted}", done >= wanted, NOTHING, scope)
     yield Figure(
         "decoders that broke a promise", crashes, "targets", "0", crashes == 0, NOTHING, scope

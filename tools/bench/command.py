@@ -8,9 +8,9 @@ from importlib import import_module
 from rich.console import Console
 from rich.table import Table
 
-from sim.strict_json import dumps
+from sim.files.strict_json import dumps
 from tools.bench.figure import Figure
-from tools.campaign import ClusterError, workers
+from tools.chaos.campaign import ClusterError, workers
 
 BENCHES = {
     "wire": "bus load, deliveries, response times against their bounds, decoding",

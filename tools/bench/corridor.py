@@ -1,6 +1,6 @@
 """Robots against each other where only one fits: who gets through, and what ORCA alone would do.
 
-All by real peers on the simulated wire in virtual time: `sim/outing.py`. A run succeeds when every
+All by real peers on the simulated wire in virtual time: `sim/runs/navigation_run.py`. A run succeeds when every
 robot reaches its goal within the time limit; contacts are judged from true positions.
 """
 
@@ -12,10 +12,10 @@ from random import Random
 from statistics import median
 from typing import NamedTuple
 
-from agent.floor import Floor
-from sim.errand_setting import ErrandSetting
-from sim.floor_plan import CORRIDOR, DEAD_END, JUNCTION
-from sim.outing import Outing
+from agent.mapping.building import Floor
+from sim.runs.navigation_run import Outing
+from sim.scenarios.building_generator import CORRIDOR, DEAD_END, JUNCTION
+from sim.scenarios.navigation_setup import ErrandSetting
 from tools.bench import crowd
 from tools.bench.figure import Figure
 

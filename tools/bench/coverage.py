@@ -11,9 +11,8 @@ from statistics import fmean, median
 from time import process_time
 from typing import NamedTuple
 
-from agent.coverage_team import Team
-from sim.grid_judge import Verdict, judge, lower_bound
-from sim.grid_map import (
+from agent.coverage.team import Team
+from sim.files.grid_map import (
     Instance,
     gate_starts,
     random_starts,
@@ -21,7 +20,8 @@ from sim.grid_map import (
     read_instance,
     read_map,
 )
-from sim.grid_run import Arrival, Death, work
+from sim.runs.planned_coverage import Arrival, Death, work
+from sim.world.plan_judge import Verdict, judge, lower_bound
 from tools.bench import coverage_fleet
 from tools.bench.figure import Figure
 from tools.bench.voronoi_coverage import baseline

@@ -8,9 +8,7 @@ from collections.abc import Iterator, Sequence
 from statistics import fmean
 from typing import NamedTuple
 
-from sim.grid_fleet import GridFleet, GridOutcome
-from sim.grid_judge import judge
-from sim.grid_map import (
+from sim.files.grid_map import (
     Instance,
     gate_starts,
     rack_walls,
@@ -18,9 +16,11 @@ from sim.grid_map import (
     random_walls,
     room_walls,
 )
-from sim.grid_run import work
-from sim.grid_setting import STEP_S, GridSetting
-from sim.scenario import Crash, Fault, Heal, Join, Loss, Partition
+from sim.runs.coverage_run import GridFleet, GridOutcome
+from sim.runs.planned_coverage import work
+from sim.scenarios.coverage_setup import STEP_S, GridSetting
+from sim.scenarios.scenario import Crash, Fault, Heal, Join, Loss, Partition
+from sim.world.plan_judge import judge
 from tools.bench.figure import Figure
 
 BOUND = "distance-aware lower bound"

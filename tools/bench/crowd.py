@@ -15,13 +15,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agent.accord import seats
-from agent.floor import Floor
-from agent.joint_plan import planned
-from agent.pibt import ways
-from sim.errand_setting import ErrandSetting, scattered
-from sim.floor_plan import rooms
-from sim.outing import Outing
+from agent.mapf.joint_plan_agreement import seats
+from agent.mapf.lacam import planned
+from agent.mapf.pibt import ways
+from agent.mapping.building import Floor
+from sim.runs.navigation_run import Outing
+from sim.scenarios.building_generator import rooms
+from sim.scenarios.navigation_setup import ErrandSetting, scattered
 from tools.bench.figure import Figure
 from tools.bench.map_kinds import data_folder
 

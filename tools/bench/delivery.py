@@ -6,12 +6,12 @@ from random import Random
 
 import numpy as np
 
-from agent.auction import Planner
-from agent.cost_matrix import FULL, Carrier, CostMatrix, Trip, workload
-from agent.floor import Floor
-from agent.nav_mesh import Mesh, Point
-from agent.workload import Workload
-from sim.floor_plan import warehouse
+from agent.delivery.auction import Planner
+from agent.delivery.cost_matrix import FULL, Carrier, CostMatrix, Trip, workload
+from agent.delivery.routing_problem import Workload
+from agent.mapping.building import Floor
+from agent.paths.nav_mesh import Mesh, Point
+from sim.scenarios.building_generator import warehouse
 from tools.bench.delivery_decision import ROBOTS, decisions
 from tools.bench.delivery_trouble import MIXED, TROUBLES, troubled
 from tools.bench.figure import Figure

@@ -11,23 +11,23 @@ from itertools import pairwise
 from random import Random
 from typing import NamedTuple
 
-from agent.auction import Planner
-from agent.config import MS
-from agent.cost_matrix import FULL, Carrier, CostMatrix, Trip
-from agent.delivery import Delivery
-from agent.floor import Floor
-from agent.lifecycle import State
-from agent.membership import Neighbour
-from agent.mission import FleetView
-from agent.ports import Observation
-from agent.task_book import Order
-from agent.telling import Telling
-from agent.warehouse import Standing, Warehouse
+from agent.delivery.auction import Planner
+from agent.delivery.cost_matrix import FULL, Carrier, CostMatrix, Trip
+from agent.delivery.delivery_mission import Delivery
+from agent.delivery.itinerary_broadcast import Telling
+from agent.delivery.task_registry import Order
+from agent.delivery.warehouse import Standing, Warehouse
+from agent.interface.config import MS
+from agent.interface.lifecycle import State
+from agent.interface.mission import FleetView
+from agent.interface.ports import Observation
+from agent.mapping.building import Floor
+from agent.peer.membership import Neighbour
 from crdt import FieldAllocationCRDT, Phase, Progress
 from crdt.register import pack
-from protocol.codec import decode, encode
-from protocol.delivery_frames import TaskBid, TaskOrder
-from protocol.fleet_frames import Pose
+from protocol.frames.codec import decode, encode
+from protocol.frames.delivery_frames import TaskBid, TaskOrder
+from protocol.frames.fleet_frames import Pose
 from tools.bench.figure import Figure
 
 ROBOTS, TASKS = 50, 500

@@ -12,11 +12,11 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
-from agent.config import S
-from sim.delivery_setting import DeliverySetting
-from sim.floor_plan import warehouse
-from sim.haul import Haul, HaulCluster, HaulOutcome
-from sim.warehouse_scenario import WarehouseScenario
+from agent.interface.config import S
+from sim.runs.delivery_run import Haul, HaulCluster, HaulOutcome
+from sim.scenarios.building_generator import warehouse
+from sim.scenarios.delivery_scenario import WarehouseScenario
+from sim.scenarios.delivery_setup import DeliverySetting
 
 ROBOTS = 4
 CALM_S = 60.0  # boxes fall until then

@@ -1,4 +1,4 @@
-"""A squad of drilling peers (`sim/drill.py`) on asyncio's loop, for figures about the bus."""
+"""A squad of drilling peers (`sim/world/protocol_drill.py`) on asyncio's loop, for figures about the bus."""
 
 import asyncio
 import itertools
@@ -6,15 +6,15 @@ from random import Random
 
 import numpy as np
 
-from agent.core import Peer
-from agent.identity import Identity
-from agent.motion import Limits, Motion
-from agent.shell import Shell
-from protocol.bus import CanBus
+from agent.interface.identity import Identity
+from agent.motion.holonomic_motion import Limits, Motion
+from agent.peer.peer import Peer
+from agent.runtime.peer_runner import Shell
+from protocol.links.bus import CanBus
 from protocol.name import fleet_name
-from sim.disk import MemoryJournal
-from sim.drill import SPEED_M_S, Drill, Place
-from sim.fieldbus import FieldBus, Segment, forget, segment
+from sim.can.simulated_bus import FieldBus, Segment, forget, segment
+from sim.fleet.simulated_disk import MemoryJournal
+from sim.world.protocol_drill import SPEED_M_S, Drill, Place
 
 NO_FENCES = np.zeros((0, 4))
 

@@ -11,12 +11,12 @@ import sys
 import time
 from typing import TYPE_CHECKING, NamedTuple
 
-from tools.collector import patient
-from tools.compiled_core import OFF, use
-from tools.fingerprint import ROOT
+from tools.build.compiled_core import OFF, use
+from tools.common.fingerprint import ROOT
+from tools.common.gc_collector import patient
 
 if TYPE_CHECKING:
-    from sim.host import Script
+    from sim.fleet.scheduler import Script
 
 SETTLED_S = 8.0  # a fleet has joined and works: booting is not what is asked for
 WORKS_S = 120.0  # no robot is without work until then: 8 sections of 20 units, a second each
@@ -56,10 +56,10 @@ def speed(robots: int, seed: int, cpu_s: float) -> Speed:
 
 def _drill(robots: int, seed: int, cpu_s: float) -> tuple[float, float, int]:
     """(simulated, CPU) seconds of a fleet at work, and frames from its start to its end."""
-    from sim.cluster import Cluster
-    from sim.drill_setting import DrillSetting, drill
-    from sim.swarm import Swarm
-    from sim.witness import Witness
+    from sim.chaos.effect_observer import Witness
+    from sim.fleet.event_loop import Swarm
+    from sim.fleet.simulated_fleet import Cluster
+    from sim.scenarios.protocol_setup import DrillSetting, drill
 
     swarm, setting = Swarm(), DrillSetting(drill(robots, seed))
     witness = Witness(robots)

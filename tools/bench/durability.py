@@ -8,9 +8,9 @@ import sqlite3
 from collections.abc import Iterator
 from random import Random
 
-from sim import power_cuts
-from sim.recording_vfs import available
-from sim.tape import Tape, record
+from sim.chaos import power_cuts
+from sim.chaos.durability_rules import Tape, record
+from sim.chaos.sqlite_vfs_recorder import available
 from tools.bench.figure import Figure
 
 KILLS, STATES = 1_000, 100_000

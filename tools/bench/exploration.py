@@ -7,9 +7,9 @@ import numpy as np
 
 from crdt.occupancy import Geometry, OccupancyMap
 from crdt.sighting import OBSTACLE, UNKNOWN, Order
-from sim.arena import load_arena
-from sim.scenario import Crash, Loss
-from sim.survey import Sharing, Survey, SurveyOutcome
+from sim.runs.exploration_run import Sharing, Survey, SurveyOutcome
+from sim.scenarios.exploration_scenario import load_arena
+from sim.scenarios.scenario import Crash, Loss
 from tools.bench.figure import Figure
 
 SCOPE = "simulated time from power-up; real peers, wire, physics and rays on both sides"

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sim.strict_json import dumps
+from sim.files.strict_json import dumps
 
 
 class Figure(NamedTuple):

@@ -10,9 +10,9 @@ from multiprocessing import get_context
 from pathlib import Path
 from tempfile import mkdtemp
 
-from sim.fuzz_targets import FILES
+from sim.chaos.fuzz_targets import FILES
 from tools.bench.figure import Figure
-from tools.fuzz import Fuzzed, plainly
+from tools.chaos.fuzz import Fuzzed, plainly
 
 RUNS, QUICK = 100_000, 300  # mutations of each kind
 SECONDS_MAX, MEGABYTES_MAX = 2.0, 300.0  # of computing for one input; of the whole process

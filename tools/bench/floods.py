@@ -8,9 +8,9 @@ from collections.abc import Iterator
 from os import cpu_count
 from time import process_time
 
-from sim.flood_trial import RECOVER_US, Flood, Result, Trial, draw
+from sim.chaos.flood_trial import RECOVER_US, Flood, Result, Trial, draw
 from tools.bench.figure import Figure, percentile
-from tools.campaign import workers
+from tools.chaos.campaign import workers
 
 TRIALS, QUICK_TRIALS = 2_000, 100
 LONGEST_S, QUICK_LONGEST_S = 120.0, 20.0

@@ -10,11 +10,11 @@ from collections import Counter
 from collections.abc import Iterator
 from random import Random
 
-from agent.effects import Persist
-from agent.safety import Safety, SilencePolicy
+from agent.interface.effects import Persist
+from agent.safety.stop_controller import Safety, SilencePolicy
 from crdt.stops import StopDot, StopSet
 from protocol.authentication import BAD_MAX, BAD_WINDOW_US, KEY_SIZE, SESSION_US, Keyring, Keys
-from protocol.safety_frames import Challenge, EmergencyReset, EmergencyStop
+from protocol.frames.safety_frames import Challenge, EmergencyReset, EmergencyStop
 from tools.bench.figure import Figure
 
 FRAMES, QUICK_FRAMES = 1_000_000, 20_000

@@ -3,7 +3,7 @@
 Anonymous memory of each process (`RssAnon` of `/proc`): what it has asked for itself and cannot be
 dropped. A page looks at the map all the time, as an operator's does. Files: the folder of the launch
 but for what has a bound of its own: `can.log` and `run.mcap`, in parts up to
-`sim.log_parts.LAUNCH_LIMIT` each, and the write-ahead logs of the journals, which sqlite keeps at 4 MB.
+`sim.files.log_parts.LAUNCH_LIMIT` each, and the write-ahead logs of the journals, which sqlite keeps at 4 MB.
 """
 
 import contextlib
@@ -107,7 +107,7 @@ silence = "continue"
 
 def _run(folder: Path, seconds: float, seed: int) -> list[Sample]:
     (folder / "leaks.toml").write_text(SCENARIO)
-    words = [sys.executable, "-m", "tools.headland", "launch", "leaks.toml", "--seed", str(seed),
+    words = [sys.executable, "-m", "tools.cli.headland", "launch", "leaks.toml", "--seed", str(seed),
              "--map", "--page-port", "0", "--out", "launch"]  # fmt: skip
     root = str(Path(__file__).parents[2])
     process = subprocess.Popen(

@@ -11,10 +11,10 @@ import numba
 import numpy as np
 import pymunk
 
-from agent.effects import Drive
-from sim.lidar import Lidar
-from sim.vehicle import EXPIRES_US, STEP_US, Chassis
-from sim.world import World
+from agent.interface.effects import Drive
+from sim.world.drive_trains import EXPIRES_US, STEP_US, Chassis
+from sim.world.lidar import Lidar
+from sim.world.world import World
 from tools.bench.figure import Figure
 
 SEED = 20

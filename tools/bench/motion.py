@@ -2,7 +2,7 @@
 
 The thesis reports, for inflations of 0.05, 0.10 and 0.20 m: success 85, 98 and 50 %; RMSE 0.01, 0.08
 and 0.16 m; replans a run 4, 1.0 and 0. Its hall is known only as a picture; ours is
-`sim.floor_plan.office`, and the places are the same at every inflation. Error is to the polyline
+`sim.scenarios.building_generator.office`, and the places are the same at every inflation. Error is to the polyline
 that was followed, not to its vertices.
 """
 
@@ -16,14 +16,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agent.floor import Floor
-from agent.hazards import HazardMap
-from sim.errand_setting import ErrandSetting
-from sim.floor_plan import office
-from sim.outing import Outing, OutingOutcome
+from agent.mapping.building import Floor
+from agent.mapping.dynamic_obstacles import HazardMap
+from sim.runs.navigation_run import Outing, OutingOutcome
+from sim.scenarios.building_generator import office
+from sim.scenarios.navigation_setup import ErrandSetting
 from tools.bench import whole_robots
 from tools.bench.figure import Figure
-from tools.path_picture import draw_paths
+from tools.run.path_picture import draw_paths
 
 INFLATIONS_M = (0.05, 0.10, 0.20)
 THESIS = {0.05: "85 %, 0.01 m", 0.10: "98 %, 0.08 m", 0.20: "50 %, 0.16 m"}

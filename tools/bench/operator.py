@@ -19,17 +19,17 @@ from random import Random
 
 from rich.console import Console
 
-from sim.expedition import Expedition
-from sim.recording import Recording
-from sim.scenario import load
-from sim.setting import Setting
+from sim.record.recording import Recording
+from sim.runs.field_run import Expedition
+from sim.scenarios.field_setup import Setting
+from sim.scenarios.scenario import load
 from tools.bench.browser import browser, missing, open_page, until
 from tools.bench.figure import Figure, percentile
 from tools.bench.stop import _Presses
-from tools.keeping import Keeping
+from tools.build.warmup import warm
+from tools.common.run_recorder import Keeping
 from tools.livemap.command import MapThread, recorded
-from tools.livemap.player import Index, Player
-from tools.warmup import warm
+from tools.livemap.playback import Index, Player
 
 ROBOTS = 20
 COUNT = "[headland.pictures, headland.told]"
@@ -54,7 +54,7 @@ def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
 
 def map_help() -> Figure:
     """CPU time, so that a busy machine does not count."""
-    words = [sys.executable, "-m", "tools.headland", "--help"]
+    words = [sys.executable, "-m", "tools.cli.headland", "--help"]
     times = []
     for _ in range(HELPS):
         before = resource.getrusage(resource.RUSAGE_CHILDREN)

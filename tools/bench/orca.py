@@ -19,19 +19,19 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from agent import agent_table as column
-from agent.config import CONTROL_PERIOD_US, NEIGHBOURS_MAX
-from agent.lifecycle import State
-from agent.membership import Neighbour
-from agent.mission import Wish
-from agent.motion import Motion
-from agent.orca import Avoidance
-from agent.orca_fleet import Fleet
-from agent.ports import Observation
-from protocol.fleet_frames import Pose
-from sim.scenario import load
-from sim.setting import Setting
+from agent.avoidance.orca import Avoidance
+from agent.interface.config import CONTROL_PERIOD_US, NEIGHBOURS_MAX
+from agent.interface.lifecycle import State
+from agent.interface.mission import Wish
+from agent.interface.ports import Observation
+from agent.motion.holonomic_motion import Motion
+from agent.peer.membership import Neighbour
+from protocol.frames.fleet_frames import Pose
+from sim.scenarios.field_setup import Setting
+from sim.scenarios.scenario import load
 from tools.bench.figure import Figure
+from tools.bench.kernels import agent_table as column
+from tools.bench.kernels.orca_fleet import Fleet
 
 SEED = 20
 AGENTS, CIRCLE_M = 250, 200.0
@@ -137,7 +137,7 @@ def circle(rvo: Any, steps: int) -> Iterator[Figure]:
 
 
 def whole_robot(batches: int) -> Iterator[Figure]:
-    """The avoidance of a control period as `agent/core.py` asks for it, on the fences of a real field."""
+    """The avoidance of a control period as `agent/peer/peer.py` asks for it, on the fences of a real field."""
     setting = Setting(load("oxted"))
     motion = setting.motion(0)
     assert isinstance(motion, Motion)

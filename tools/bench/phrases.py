@@ -16,26 +16,26 @@ from statistics import median
 from string import ascii_lowercase
 from typing import Any, NamedTuple
 
-from agent.config import ACTUATOR_TTL_US
+from agent.interface.config import ACTUATOR_TTL_US
 from crdt import Phase
-from protocol.bus import CanBus
-from protocol.frame import Frame
-from sim.clock import elapse, run_virtual
-from sim.cluster import Cluster
-from sim.fieldbus import FieldBus
-from sim.scenario import load
-from sim.setting import Setting
+from protocol.frames.frame import Frame
+from protocol.links.bus import CanBus
+from sim.can.simulated_bus import FieldBus
+from sim.fleet.simulated_fleet import Cluster
+from sim.fleet.virtual_clock import elapse, run_virtual
+from sim.scenarios.field_setup import Setting
+from sim.scenarios.scenario import load
 from tools.bench.drill import Squad
 from tools.bench.figure import Figure
-from tools.inspector import Inspector
-from tools.language.fleet_now import FleetNow, RobotNow, SectionNow
+from tools.inspect.inspector import Inspector
+from tools.language.authorize import Verdict, weigh
+from tools.language.command_session import Speaker
+from tools.language.fleet_state import FleetNow, RobotNow, SectionNow
 from tools.language.goal_queue import GoalQueue
 from tools.language.intent import AnyIntent
+from tools.language.parse import read
 from tools.language.places import Places
 from tools.language.question import Question
-from tools.language.reading import read
-from tools.language.weighing import Verdict, weigh
-from tools.speaker import Speaker
 
 FILE = Path(__file__).with_suffix(".toml")
 WORK_LIMIT_S = 600.0  # of the simulated run whose chains are judged
@@ -179,7 +179,7 @@ def _help_time(rounds: int) -> Iterator[Figure]:
     """ABAB with a Python that does nothing, so that the machine's own time is seen."""
     ours, nothing = [], []
     for _ in range(rounds):
-        ours.append(_cpu_s([sys.executable, "-m", "tools.headland", "--help"]))
+        ours.append(_cpu_s([sys.executable, "-m", "tools.cli.headland", "--help"]))
         nothing.append(_cpu_s([sys.executable, "-c", "pass"]))
     yield Figure(
         "headland --help", median(ours), "s", "<= 0.3", median(ours) <= 0.3,
@@ -215,7 +215,7 @@ def _errors() -> Iterator[Figure]:
     bad = 0
     for words in ERRORS:
         done = subprocess.run(
-            [sys.executable, "-m", "tools.headland", *words],
+            [sys.executable, "-m", "tools.cli.headland", *words],
             capture_output=True,
             text=True,
             check=False,
@@ -333,7 +333,7 @@ async def _worked(seed: int) -> tuple[Inspector, dict[int, tuple[int, Phase]], i
 def _screen(robots: int, seed: int) -> Iterator[Figure]:
     if find_spec("textual") is None:
         return
-    from tools.screen import LOOKS_A_SECOND
+    from tools.inspect.screen import LOOKS_A_SECOND
 
     frames = run_virtual(_heard(robots, seed))
     cpu_ms, looks = asyncio.run(_shown(frames))
@@ -358,7 +358,7 @@ async def _heard(robots: int, seed: int) -> list[tuple[int, Frame]]:
 
 async def _shown(frames: Sequence[tuple[int, Frame]]) -> tuple[float, int]:
     """Milliseconds of CPU a look, and how many looks."""
-    from tools.screen import LOOKS_A_SECOND, InspectScreen
+    from tools.inspect.screen import LOOKS_A_SECOND, InspectScreen
 
     async def nothing(screen: InspectScreen) -> None: ...
 

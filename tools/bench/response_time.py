@@ -7,7 +7,7 @@ and revised", Real-Time Systems 35, equations 4 to 12, for frames of at most `le
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from sim.bits import BIT_US
+from sim.can.frame_timing import BIT_US
 
 
 class Stream(NamedTuple):

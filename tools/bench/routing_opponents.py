@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.workload import Power, Workload, Worth
+from agent.delivery.routing_problem import Power, Workload, Worth
 
 STEPS = 4  # of PyVRP's bisection, each with its share of the time
 SPAN_COST = 100  # of a millisecond of the last finish, in those of travel

@@ -13,12 +13,12 @@ from random import Random
 from socket import socket
 from typing import Any, TypeVar
 
-from protocol.safety_frames import Reason
-from sim.bridged_segments import BridgedSegments, write_area
-from sim.segment_fleet import SegmentFleet
+from protocol.frames.safety_frames import Reason
+from sim.rigs.bridged_processes import BridgedSegments, write_area
+from sim.rigs.segments_rig import SegmentFleet
 from tools.bench.figure import Figure, percentile
-from tools.campaign import workers
-from tools.chaos import campaign_hash, judged
+from tools.chaos.campaign import workers
+from tools.chaos.chaos import campaign_hash, judged
 
 T = TypeVar("T")
 S = 1_000_000

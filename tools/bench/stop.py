@@ -8,22 +8,28 @@ from random import Random
 
 from rich.console import Console
 
-from agent.config import ACTUATOR_TTL_US, S, beat_of
-from protocol.bus import CanBus
-from protocol.codec import decode
-from protocol.frame import Frame
-from protocol.safety_frames import Command, EmergencyReset, EmergencyStop, OperatorCommand, Reason
-from sim.clock import run_virtual
-from sim.fieldbus import FieldBus, segment
-from sim.scenario import load
-from sim.setting import Setting
-from sim.stop_fleet import LIMIT_US, StopFleet
+from agent.interface.config import ACTUATOR_TTL_US, S, beat_of
+from protocol.frames.codec import decode
+from protocol.frames.frame import Frame
+from protocol.frames.safety_frames import (
+    Command,
+    EmergencyReset,
+    EmergencyStop,
+    OperatorCommand,
+    Reason,
+)
+from protocol.links.bus import CanBus
+from sim.can.simulated_bus import FieldBus, segment
+from sim.fleet.virtual_clock import run_virtual
+from sim.rigs.stop_rig import LIMIT_US, StopFleet
+from sim.scenarios.field_setup import Setting
+from sim.scenarios.scenario import load
 from tools.bench.drill import Squad
 from tools.bench.figure import Figure, percentile
-from tools.device_address import DeviceAddress
-from tools.fleet_folder import fleet_folder
-from tools.launch import Launch
-from tools.warmup import warm
+from tools.build.warmup import warm
+from tools.operate.tool_address import DeviceAddress
+from tools.run.fleet_folder import fleet_folder
+from tools.run.launch import Launch
 
 FLEETS = (3, 5, 20, 100)
 RATES = (0.0, 0.01, 0.10, 0.30)

@@ -6,7 +6,7 @@ from statistics import median
 from time import process_time
 
 from crdt import FieldAllocationCRDT
-from sim.sync_fleet import SyncFleet
+from sim.rigs.sync_rig import SyncFleet
 from tools.bench.figure import Figure
 
 S = 1_000_000

@@ -1,7 +1,7 @@
 """Tasks that arrive one by one, robots without congestion: how long a task waits to be delivered.
 
-Policies decide when a task arrives, nobody is interrupted. Ours is the bid of `agent/auction.py` in the
-hands of all robots, and at the times of `agent/haste.py` what one of them finds in a round; the
+Policies decide when a task arrives, nobody is interrupted. Ours is the bid of `agent/delivery/auction.py` in the
+hands of all robots, and at the times of `agent/delivery/waiting_policy.py` what one of them finds in a round; the
 mission's is the insertion of least extra travel.
 """
 
@@ -10,11 +10,11 @@ from random import Random
 
 import numpy as np
 
-from agent.auction import Planner
-from agent.config import MS
-from agent.haste import REPLAN_US, Haste
-from agent.plan_round import SLICE_MOVES_HASTE, SLICE_US, worth_streaming
-from agent.workload import Workload
+from agent.delivery.auction import Planner
+from agent.delivery.plan_negotiation import SLICE_MOVES_HASTE, SLICE_US, worth_streaming
+from agent.delivery.routing_problem import Workload
+from agent.delivery.waiting_policy import REPLAN_US, Haste
+from agent.interface.config import MS
 from tools.bench.routing_opponents import bound_ms
 
 Plan = list[list[int]]

@@ -9,7 +9,7 @@ import numba
 import numpy as np
 from scipy.ndimage import label
 
-from agent.theta_star import Planner, Point, Waypoints, length
+from agent.paths.any_angle_planner import Planner, Point, Waypoints, length
 from tools.bench.figure import Figure
 from tools.bench.map_kinds import Grid, city, maps, small_maps
 from tools.bench.optimum import Judge

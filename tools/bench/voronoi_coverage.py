@@ -10,8 +10,8 @@ from collections import deque
 
 import numpy as np
 
-from sim.grid_map import Cell, Instance, Walls
-from sim.grid_plan import STEPS, Plan
+from sim.files.coverage_plan_file import STEPS, Plan
+from sim.files.grid_map import Cell, Instance, Walls
 
 STILL_MAX = 3  # steps without any move after which a strict schedule is stuck: nothing else changes
 

@@ -14,18 +14,18 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent import agent_table as column
-from agent.config import CONTROL_PERIOD_US, NEIGHBOUR_RANGE_M, NEIGHBOURS_MAX, S
-from agent.effects import Drive
-from agent.obstacle_tree import obstacle_tree
-from agent.occupancy import CELL_M, OccupancyGrid
-from agent.occupancy_fleet import OccupancyFleet
-from agent.orca_fleet import Fleet
-from agent.tracker import Tracker
-from sim.lidar import Lidar
-from sim.vehicle import Chassis
-from sim.world import World
+from agent.avoidance.obstacle_tree import obstacle_tree
+from agent.interface.config import CONTROL_PERIOD_US, NEIGHBOUR_RANGE_M, NEIGHBOURS_MAX, S
+from agent.interface.effects import Drive
+from agent.mapping.occupancy_grid import CELL_M, OccupancyGrid
+from agent.motion.path_tracker import Tracker
+from sim.world.drive_trains import Chassis
+from sim.world.lidar import Lidar
+from sim.world.world import World
 from tools.bench.figure import Figure
+from tools.bench.kernels import agent_table as column
+from tools.bench.kernels.occupancy_fleet import OccupancyFleet
+from tools.bench.kernels.orca_fleet import Fleet
 
 SIDE_M, ROBOTS, RAYS, RANGE_M = 30.0, 100, 36, 4.0
 RADIUS_M, SPEED_M_S, ACCELERATION_M_S2 = 0.3, 1.0, 2.0

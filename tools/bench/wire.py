@@ -11,17 +11,17 @@ from time import process_time
 
 import can
 
-from agent.config import beat_of
-from protocol.codec import Malformed, decode, encode
-from protocol.fleet_frames import Heartbeat, LeaderElectionVote, Pose
-from protocol.frame import Frame
-from protocol.messages import GROUP_OF, Message
-from protocol.safety_frames import AllImplementsStop, EmergencyStop
-from protocol.work_frames import StateSyncResponse, TaskClaim, WorkProgress
-from sim.bits import BIT_US, worst_bits
-from sim.clock import run_virtual
-from sim.fieldbus import FieldBus, forget
-from sim.wire import Wire
+from agent.interface.config import beat_of
+from protocol.frames.codec import Malformed, decode, encode
+from protocol.frames.fleet_frames import Heartbeat, LeaderElectionVote, Pose
+from protocol.frames.frame import Frame
+from protocol.frames.messages import GROUP_OF, Message
+from protocol.frames.safety_frames import AllImplementsStop, EmergencyStop
+from protocol.frames.work_frames import StateSyncResponse, TaskClaim, WorkProgress
+from sim.can.can_segment import Wire
+from sim.can.frame_timing import BIT_US, worst_bits
+from sim.can.simulated_bus import FieldBus, forget
+from sim.fleet.virtual_clock import run_virtual
 from tools.bench.drill import Squad
 from tools.bench.figure import Figure
 from tools.bench.response_time import Stream, bound_us

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from tools.language.fleet_now import FleetNow, RobotNow
+from tools.language.fleet_state import FleetNow, RobotNow
 from tools.language.intent import At, Beside, Query
 from tools.language.places import Places, Point
 

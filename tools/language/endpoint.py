@@ -14,9 +14,9 @@ from urllib.parse import urlsplit
 from pydantic import ValidationError
 
 from tools.language.intent import INTENTS, AnyIntent
+from tools.language.parse import together
 from tools.language.places import Places
 from tools.language.question import Question, Reason
-from tools.language.reading import together
 
 URL_VARIABLE, KEY_VARIABLE = "HEADLAND_LLM_URL", "HEADLAND_LLM_KEY"
 TIMEOUT_S = 20.0  # a person does not wait longer for words

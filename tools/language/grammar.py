@@ -13,7 +13,7 @@ from lark import Lark, Transformer, Tree, UnexpectedInput
 from lark.exceptions import VisitError
 from lark.visitors import CollapseAmbiguities
 
-from agent.config import PEERS_MAX
+from agent.interface.config import PEERS_MAX
 from tools.language.intent import Action, AnyIntent, At, Backlog, Beside, Control, Goal, Query
 from tools.language.vocabulary import WORDS, Token
 

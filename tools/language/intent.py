@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 
-from agent.config import PEERS_MAX
+from agent.interface.config import PEERS_MAX
 
 INTENTS_MAX = 8  # of one phrase; a person who says more at once has not looked what happens
 FAR_M = 3276.7  # beyond this a place cannot be said on the bus

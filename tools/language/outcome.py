@@ -4,9 +4,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from tools.language.answer import Answer
+from tools.language.authorize import Order
 from tools.language.intent import AnyIntent, plain
 from tools.language.question import Question, Reason
-from tools.language.weighing import Order
 
 DONE, NOT_OBEYED, ASKED_BACK = 0, 1, 3
 

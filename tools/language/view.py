@@ -1,8 +1,8 @@
 """The fleet as it is now: from what a listener has heard, or from what one peer tells."""
 
-from agent.bulletin import Bulletin
-from tools.inspector import SILENT_S, Inspector
-from tools.language.fleet_now import FleetNow, RobotNow, SectionNow
+from agent.peer.fleet_summary import Bulletin
+from tools.inspect.inspector import SILENT_S, Inspector
+from tools.language.fleet_state import FleetNow, RobotNow, SectionNow
 
 
 def as_heard(inspector: Inspector) -> FleetNow:

@@ -12,23 +12,23 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rich.console import Console
 
-from protocol.bus import CanBus
-from protocol.frame import Frame
-from sim.given_file import REPORT_BYTES_MAX, SETTINGS_BYTES_MAX, GivenFileError, read_json
-from sim.intent_link import Watching
-from sim.key_file import OPERATOR, KeyFileError, read
-from sim.live_recording import LiveRecording
-from sim.mcap_log import McapMissing, add_notes, read_recording
-from sim.recording import Recording
-from sim.scenario import ScenarioError
-from sim.scene import Scene, in_folder, scene_named
-from sim.standing import leave_standing
-from sim.strict_json import dumps
-from tools.attachment import LAUNCH, AttachError, attach
-from tools.estop import keyring_of
-from tools.inspection import SourceError, frames_of
-from tools.keeping import MCAP
-from tools.livemap.panel import Panel
+from protocol.frames.frame import Frame
+from protocol.links.bus import CanBus
+from sim.files.given_file import REPORT_BYTES_MAX, SETTINGS_BYTES_MAX, GivenFileError, read_json
+from sim.files.key_file import OPERATOR, KeyFileError, read
+from sim.files.strict_json import dumps
+from sim.fleet.gc_tuning import leave_standing
+from sim.record.intent_stream import Watching
+from sim.record.live_recording import LiveRecording
+from sim.record.mcap_log import McapMissing, add_notes, read_recording
+from sim.record.recording import Recording
+from sim.record.scene import Scene, in_folder, scene_named
+from sim.scenarios.scenario import ScenarioError
+from tools.common.bus_attach import LAUNCH, AttachError, attach
+from tools.common.run_recorder import MCAP
+from tools.inspect.inspection import SourceError, frames_of
+from tools.livemap.stop_panel import Panel
+from tools.operate.estop import keyring_of
 
 if TYPE_CHECKING:
     from tools.livemap.server import MapServer

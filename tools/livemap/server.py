@@ -21,11 +21,11 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from sim.palette import ROBOTS
-from sim.recording import Recording
-from tools.livemap.panel import Panel, PanelError
-from tools.livemap.player import SPEED_MAX, Index, Player
-from tools.livemap.teller import Teller
+from sim.files.palette import ROBOTS
+from sim.record.recording import Recording
+from tools.livemap.page_updates import Teller
+from tools.livemap.playback import SPEED_MAX, Index, Player
+from tools.livemap.stop_panel import Panel, PanelError
 
 PAGE = Path(__file__).parent / "page"
 PICTURES_A_SECOND = 30

@@ -5,11 +5,11 @@ from math import isfinite
 from statistics import median
 from typing import Any, NamedTuple
 
-from sim.scene import Scene
-from tools.report import drawing
-from tools.report.evidence import Evidence
-from tools.report.followed import Following, followed
-from tools.report.history import SILENT, Event, History, Stop
+from sim.record.scene import Scene
+from tools.report import figures as drawing
+from tools.report.run_data import Evidence
+from tools.report.timeline import SILENT, Event, History, Stop
+from tools.report.tracking_error import Following, followed
 
 ROWS_MAX = 40  # of a table on the page; the CSV has them all
 Table = tuple[Sequence[str], Sequence[Sequence[Any]]]  # head, rows

@@ -8,12 +8,12 @@ from urllib.parse import quote
 
 from rich.console import Console
 
-from sim.mcap_log import McapMissing
-from sim.strict_json import dumps
-from tools.inspection import SourceError
+from sim.files.strict_json import dumps
+from sim.record.mcap_log import McapMissing
+from tools.inspect.inspection import SourceError
 from tools.report.chapter import Chapter, chapters
-from tools.report.evidence import Evidence, gather
 from tools.report.page import page
+from tools.report.run_data import Evidence, gather
 
 WRONG = 2
 PAGE = "report.html"

@@ -5,7 +5,7 @@ export function setColours(told) { colours = told; }
 export const colourOf = (slot) => colours[slot % colours.length];
 const GROUND = "#0e1316", FIELD = "#18221d", HOLE = "#0a0e10", FENCE = "#7d8f86", FREE_LINE = "#31423a";
 const BLOCK_UNITS = 40, GROUND_MS = 90, MARGIN_PX = 28;
-const BOX = 1, DISC = 2; // shapes of things, as rows of sim/walls.py
+const BOX = 1, DISC = 2; // shapes of things, as rows of sim/world/walls.py
 const UNKNOWN = 0, OPEN = 1; // values of cells, crdt/sighting.py
 
 export class Field {

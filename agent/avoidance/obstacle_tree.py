@@ -1,0 +1,151 @@
+"""Polygons that do not move, as the table that ORCA looks walls up in.
+
+Rings are solid inside when their vertices run counter-clockwise; a ring that runs clockwise is a
+boundary seen from its inside; two vertices are a fence with two sides. A binary space partition
+over the edges (van den Berg et al. 2011, section 5.4; the choices of the RVO2 library, Apache-2.0)
+makes a look-up touch only what is near. Edges that cross a partition are split.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.avoidance.half_planes import (
+    ALONG_X,
+    ALONG_Y,
+    AT_X,
+    AT_Y,
+    COLUMNS,
+    CONVEX,
+    LEFT,
+    NEXT,
+    PREVIOUS,
+    RIGHT,
+)
+
+Table = NDArray[np.float32]  # (edges, COLUMNS)
+Vertex = tuple[float, float]
+EPSILON = np.float32(1e-5)
+NONE = -1  # no child
+
+
+class ObstacleTree(NamedTuple):
+    """`table`: one row an edge, see `agent.avoidance.half_planes`; the tree's root is row `root`."""
+
+    table: Table
+    root: int
+
+
+NO_WALLS = ObstacleTree(np.zeros((0, COLUMNS), dtype=np.float32), NONE)
+
+
+def left_of(ax: np.float32, ay: np.float32, bx: np.float32, by: np.float32,
+            cx: NDArray[np.float32], cy: NDArray[np.float32]) -> NDArray[np.float32]:  # fmt: skip
+    """Positive where c is to the left of the line from a to b; twice the area of the triangle."""
+    return (ax - cx) * (by - ay) - (ay - cy) * (bx - ax)
+
+
+def vertices(rings: Sequence[Sequence[Vertex]]) -> Table:
+    """One row a vertex, not yet in a tree."""
+    rows: list[Table] = []
+    first = 0
+    for ring in rings:
+        assert len(ring) >= 2, "a wall has at least two vertices"
+        points = np.asarray(ring, dtype=np.float32)
+        count = len(points)
+        table = np.zeros((count, COLUMNS), dtype=np.float32)
+        after, before = np.roll(points, -1, axis=0), np.roll(points, 1, axis=0)
+        along = after - points
+        scale = np.float32(1) / np.sqrt(along[:, 0] * along[:, 0] + along[:, 1] * along[:, 1])
+        table[:, AT_X : AT_Y + 1] = points
+        table[:, ALONG_X], table[:, ALONG_Y] = along[:, 0] * scale, along[:, 1] * scale
+        turn = (before[:, 0] - after[:, 0]) * (points[:, 1] - before[:, 1]) - (
+            before[:, 1] - after[:, 1]
+        ) * (points[:, 0] - before[:, 0])
+        table[:, CONVEX] = turn >= 0 if count > 2 else 1
+        table[:, NEXT] = first + (np.arange(count) + 1) % count
+        table[:, PREVIOUS] = first + (np.arange(count) - 1) % count
+        table[:, LEFT] = table[:, RIGHT] = NONE
+        rows.append(table)
+        first += count
+    return np.concatenate(rows) if rows else np.zeros((0, COLUMNS), dtype=np.float32)
+
+
+def _sides(table: Table, edge: int, others: NDArray[np.int64]) -> tuple[NDArray[np.bool_], ...]:
+    """Which of the other edges lie left of this one's line, which right; the rest cross it."""
+    a, b = table[edge], table[int(table[edge, NEXT])]
+    begin, end = table[others], table[table[others, NEXT].astype(np.int64)]
+    first = left_of(a[AT_X], a[AT_Y], b[AT_X], b[AT_Y], begin[:, AT_X], begin[:, AT_Y])
+    second = left_of(a[AT_X], a[AT_Y], b[AT_X], b[AT_Y], end[:, AT_X], end[:, AT_Y])
+    left = (first >= -EPSILON) & (second >= -EPSILON)
+    right = ~left & (first <= EPSILON) & (second <= EPSILON)
+    return left, right, first > 0
+
+
+def _best(table: Table, edges: NDArray[np.int64]) -> int:
+    """Place in `edges` of the most balanced partition; the first of equals."""
+    best, place = (len(edges), len(edges)), 0
+    for k, edge in enumerate(edges):
+        left, right, _ = _sides(table, int(edge), np.delete(edges, k))
+        crossing = ~left & ~right
+        sizes = int(np.sum(left | crossing)), int(np.sum(right | crossing))
+        if (max(sizes), min(sizes)) < best:
+            best, place = (max(sizes), min(sizes)), k
+    return place
+
+
+def _split(table: Table, edge: int, other: int) -> Table:
+    """Append the vertex where the line of `edge` cuts edge `other`; the table with it."""
+    a, b = table[edge], table[int(table[edge, NEXT])]
+    p, q = table[other].copy(), int(table[other, NEXT])
+    ex, ey = b[AT_X] - a[AT_X], b[AT_Y] - a[AT_Y]
+    end = table[q]
+    t = (ex * (p[AT_Y] - a[AT_Y]) - ey * (p[AT_X] - a[AT_X])) / (
+        ex * (p[AT_Y] - end[AT_Y]) - ey * (p[AT_X] - end[AT_X])
+    )
+    row = p
+    row[AT_X], row[AT_Y] = p[AT_X] + t * (end[AT_X] - p[AT_X]), p[AT_Y] + t * (end[AT_Y] - p[AT_Y])
+    row[CONVEX], row[NEXT], row[PREVIOUS] = 1, q, other
+    row[LEFT] = row[RIGHT] = NONE
+    table[other, NEXT] = table[q, PREVIOUS] = len(table)
+    return np.concatenate([table, row[np.newaxis]])
+
+
+def obstacle_tree(rings: Sequence[Sequence[Vertex]]) -> ObstacleTree:
+    """Build the table once; rings in metres, see the top of this file for their direction.
+
+    The most balanced of all partitions is tried at each level, which takes time quadratic in the
+    number of edges: about 0.1 s for 200 edges, so this is for walls that are known beforehand.
+    """
+    table = vertices(rings)
+    root = NONE
+    todo: list[tuple[NDArray[np.int64], int, int]] = [(np.arange(len(table)), NONE, LEFT)]
+    while todo:
+        edges, parent, side = todo.pop()
+        if len(edges) == 0:
+            continue
+        place = _best(table, edges)
+        edge = int(edges[place])
+        if parent == NONE:
+            root = edge
+        else:
+            table[parent, side] = edge
+        others = np.delete(edges, place)
+        left, right, first_left = _sides(table, edge, others)
+        lefts: list[int] = []
+        rights: list[int] = []
+        for k, other in enumerate(others.tolist()):
+            if left[k]:
+                lefts.append(other)
+            elif right[k]:
+                rights.append(other)
+            else:
+                table = _split(table, edge, other)
+                new = len(table) - 1
+                lefts.append(other if first_left[k] else new)
+                rights.append(new if first_left[k] else other)
+        todo.append((np.asarray(rights, dtype=np.int64), edge, RIGHT))
+        todo.append((np.asarray(lefts, dtype=np.int64), edge, LEFT))
+    return ObstacleTree(table, root)

@@ -1,0 +1,48 @@
+"""Ways from where robots stand to where their runs begin, laid so that they cover cells themselves.
+
+Robots that start together lose their ways to far runs. A way is worked like a run: its cells are taken
+out of the walk, and its robot begins the walk at the way's end. Of all shortest ways the one with the
+most cells still to do is taken, and among these one along walls or other ways, which cuts up the rest
+least.
+"""
+
+import numpy as np
+from numba import njit
+
+from agent.coverage.team_state import NONE
+
+NEW, BESIDE = 8, 1  # worth of a cell to do, and of each neighbour that needs nothing
+
+
+@njit(cache=True)
+def lay(free, todo, width, start, end, queue):  # type: ignore[no-untyped-def]
+    """The cells after `start` on the best shortest way to `end`, both free and in one room."""
+    steps = np.full(free.size, NONE, np.int32)
+    worth = np.zeros(free.size, np.int64)
+    by = np.full(free.size, NONE, np.int32)
+    steps[start], queue[0], head, tail = 0, start, 0, 1
+    while head < tail:
+        cell = queue[head]
+        head += 1
+        own = NEW * todo[cell]
+        for step in (-width, width, -1, 1):  # by now every cell before this one has its worth
+            near = cell + step
+            own += BESIDE * (1 - todo[near])
+            before = free[near] and steps[near] == steps[cell] - 1
+            if before and (by[cell] == NONE or worth[near] > worth[by[cell]]):
+                by[cell] = near
+        worth[cell] = own + (worth[by[cell]] if by[cell] != NONE else 0)
+        if cell == end:
+            break
+        for step in (-width, width, -1, 1):
+            near = cell + step
+            if free[near] and steps[near] == NONE:
+                steps[near] = steps[cell] + 1
+                queue[tail] = near
+                tail += 1
+    way = np.empty(max(0, steps[end]), np.int32)
+    cell = end
+    for i in range(way.size - 1, -1, -1):
+        way[i] = cell
+        cell = by[cell]
+    return way

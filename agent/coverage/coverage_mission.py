@@ -1,0 +1,379 @@
+"""A mission: cover a grid map together, by plans that the whole crew agrees on.
+
+The plan says where to go, the rounds when (`agent/coverage/plan_agreement.py`); this drives from cell to cell. Claims
+of sections are for those that look on and for robots that come later: they say who has begun what, and
+a section is done when all its cells are covered, whoever was there.
+"""
+
+from collections.abc import Mapping
+from math import cos, hypot, sin
+from random import Random
+
+from agent.coverage.cell_map import NONE, Ground
+from agent.coverage.plan_agreement import ANYBODY, Crew, GridRounds
+from agent.interface.config import ACTUATOR_TTL_US, CONTROL_PERIOD_US, MS, S
+from agent.interface.lifecycle import State
+from agent.interface.mission import STILL, Choice, FleetView, Swept, Wish
+from agent.mapf.agreement_phase import Phase
+from crdt import Phase as Claimed
+from protocol.frames.accord_frames import Answer
+
+COVERED = 0.1  # of a cell: a cell is covered by whose centre comes so near to its own
+BOUND = 0.5  # of the way into a cell: from there on a robot goes on, and says that it is there
+CLOSE = 0.1  # of a cell: who follows another round a corner may begin so much too early
+ASTRIDE = 0.3  # of a cell: a body so far off the middle blocks the next cell, too: 0.7 is for it,
+# of which the guard keeps 0.6, and a cell is covered from 0.1
+NEAR = 0.8  # of a cell: a body so near to a cell's middle is in it
+BACK_US = 1500 * MS  # held up on the way for so long: back, and wait
+GATHER_BACK_US = 200 * MS  # the same where all come to a stop: who is before us does not go on
+WAIT_US = 1 * S  # there, before the next try; both by lot up to twice as long
+STUCK_US = 4 * S  # then what stands there goes by no plan of ours
+TELL_US = 20 * MS  # by rank: one tells what a dead robot covered, and the others hear it
+AHEAD = 60  # steps looked ahead for cells of a section: longer than there and back again
+LEFT_US = 1 * S  # between looks for sections that nobody has finished
+ABLE = (State.IDLE, State.WORKING, State.SYNCHRONIZING)  # others do not drive at all
+HELD_US = 5 * S  # not let drive for so long: more than a protective stop (2 s) or a sync (2 s)
+PERIOD_S = CONTROL_PERIOD_US / S
+
+
+class GridWork:
+    def __init__(
+        self, slot: int, ground: Ground, speed_m_s: float, rng: Random, turn_cost: float = 0.0
+    ) -> None:
+        self.slot, self.ground, self.speed_m_s, self.rng = slot, ground, speed_m_s, rng
+        self.accords = GridRounds(slot, ground, turn_cost)
+        self._from = self._to = NONE  # cells: whose middle we left last, and go to
+        self._step = 0  # of the plan, that we are at or were at last
+        self._onward = False  # to the next step's cell, not back
+        self._round = -1
+        self._news: list[tuple[int, int]] = []
+        self._told: set[int] = set()  # cells in our news that our replica does not have yet
+        self._at_once = False
+        self._section: int | None = None
+        self._turn = 0  # of the plan's turns, that we have not had yet
+        self._wish = STILL
+        self._asked = False  # whether our wish went to the drive the last time
+        self._asked_us = 0  # when it last did
+        self._held_us = 0  # since when we do not get on; 0: we do
+        self._strange_us = 0  # since when we have not reached a cell that we may enter
+        self._wait_us = 0  # we stand until then
+        self._left_us = 0
+        self._last = (0.0, 0.0)
+
+    @property
+    def section_units(self) -> Mapping[int, int]:
+        return self.ground.section_units
+
+    @property
+    def over(self) -> bool:
+        """Our plan is at its end, or we have no part in it, and nothing is left for later."""
+        rounds = self.accords
+        if rounds.phase is not Phase.GO or rounds.course is None or rounds.later:
+            return False
+        return rounds.me == NONE or not rounds.course.reaches(self._step + 1)
+
+    # ---------------------------------------------------------------- each control period
+
+    def attend(self, view: FleetView, state: State) -> None:
+        here, now_us = view.here, view.now_us
+        if self._to == NONE:
+            self._asked_us = now_us
+            self._from = self._to = self.ground.at(here.x_m, here.y_m)
+            assert self._to != NONE, "a robot stands in a free cell"
+        self._sweep(view)
+        self._told = {n for n in self._told if not view.progress.has(*self.ground.unit(n))}
+        rounds = self.accords
+        if rounds.round != self._round:
+            self._round, self._step, self._turn = rounds.round, 0, 0
+            self._onward = False
+            self._meet_wreck(view)
+        gathering = rounds.phase is not Phase.GO
+        if gathering:
+            self._tell_of_silent(view)
+        self._at_once = gathering
+        free = state in ABLE and now_us - self._asked_us < HELD_US
+        answer = Answer.GRANT if free else Answer.STOPPED
+        crew = Crew(view.live, view.silent_since_us, view.progress)
+        rounds.tick(self._standing(view, free), answer, not self._told, crew, now_us)
+        self._note_holding(view)
+        self._wish = self._drive(view)
+        self._asked = False
+
+    def _standing(self, view: FleetView, free: bool) -> int:
+        """The cell we are in the middle of; who cannot move is where it is."""
+        here = view.here
+        if not free:
+            return self.ground.at(here.x_m, here.y_m)
+        near = self._off_m(view, self._from) < COVERED * self.ground.cell_m
+        return self._from if self._from == self._to and near else NONE
+
+    def swept(self) -> Swept:
+        news, self._news = tuple(self._news), []
+        return Swept(news, self._at_once)
+
+    def _off_m(self, view: FleetView, number: int) -> float:
+        x_m, y_m = self.ground.centre(number)
+        return hypot(x_m - view.here.x_m, y_m - view.here.y_m)
+
+    def _sweep(self, view: FleetView) -> None:
+        """What we stand on is covered."""
+        number = self.ground.at(view.here.x_m, view.here.y_m)
+        if number == NONE or number in self._told:
+            return
+        if self._off_m(view, number) <= COVERED * self.ground.cell_m:
+            self._tell(number, view)
+
+    def _tell(self, number: int, view: FleetView) -> None:
+        unit = self.ground.unit(number)
+        if not view.progress.has(*unit) and number not in self._told:
+            self._told.add(number)
+            self._news.append(unit)
+
+    # ---------------------------------------------------------------- of those that are silent
+
+    def _tell_of_silent(self, view: FleetView) -> None:
+        """What they said that they had reached is covered, also if they cannot say so any more."""
+        rank = sum(slot < self.slot for slot in view.live)
+        if view.now_us < self.accords.begun_us + rank * TELL_US or self.accords.course is None:
+            return
+        for slot in view.silent_since_us:
+            for number in self.accords.passed(slot):
+                self._tell(number, view)
+            if slot in self.accords.course.slots and slot in view.neighbours:
+                pose = view.neighbours[slot].pose
+                number, before = self.accords.bound_for(slot)
+                x_m, y_m = self.ground.centre(before)
+                gone_m = hypot(pose.x_m - x_m, pose.y_m - y_m)
+                if number == before or gone_m >= (1.0 - COVERED) * self.ground.cell_m:
+                    self._tell(number, view)
+
+    def _meet_wreck(self, view: FleetView) -> None:
+        """One that fell silent by itself stands where its last command was void."""
+        owing = self.accords.owing(view.progress, view.silent_since_us)
+        if len(owing) != 1 or owing[0] not in view.neighbours:
+            return
+        pose = view.neighbours[owing[0]].pose
+        on_m = pose.speed_m_s * ACTUATOR_TTL_US / S
+        at_x_m = pose.x_m + on_m * cos(pose.course_rad)
+        at_y_m = pose.y_m + on_m * sin(pose.course_rad)
+        row, column = self.ground.cell_at(at_x_m, at_y_m)
+        x_m, y_m = self.ground.centre_of((row, column))
+        cells = [(row, column)]
+        for off_m, step in ((at_x_m - x_m, (0, 1)), (y_m - at_y_m, (1, 0))):
+            if abs(off_m) > ASTRIDE * self.ground.cell_m:
+                sign = 1 if off_m > 0 else -1
+                cells.append((row + sign * step[0], column + sign * step[1]))
+        for cell in cells:
+            if self.ground.number(cell) != NONE:
+                self.accords.meet(self.ground.number(cell), owing[0], view.now_us)
+
+    # ---------------------------------------------------------------- driving
+
+    def _note_holding(self, view: FleetView) -> None:
+        """Whether the guard holds us up: we wanted to drive, were let, and have not moved."""
+        at = (view.here.x_m, view.here.y_m)
+        moved_m = hypot(at[0] - self._last[0], at[1] - self._last[1])
+        self._last = at
+        wanted_m = hypot(self._wish.vx_m_s, self._wish.vy_m_s) * PERIOD_S
+        if not self._asked or wanted_m == 0.0 or moved_m > 0.2 * wanted_m:
+            self._held_us = 0
+        elif not self._held_us:
+            self._held_us = view.now_us
+            self._strange_us = self._strange_us or view.now_us
+
+    def _drive(self, view: FleetView) -> Wish:
+        here, now_us = view.here, view.now_us
+        speed_m = self.speed_m_s * PERIOD_S
+        x_m, y_m = self.ground.centre(self._to)
+        dx, dy = x_m - here.x_m, y_m - here.y_m
+        left_m = hypot(dx, dy)
+        if self._from != self._to:
+            self._bind(left_m)
+            if left_m <= speed_m:
+                self._arrive()
+            elif self._held_us and self._turns_back(left_m, now_us):
+                return STILL
+        if self._from == self._to and now_us >= self._wait_us and self._next(view):
+            # Past the middle, and on from there with what is left of the period.
+            nx, ny = self.ground.centre(self._to)
+            ex, ey = (nx - x_m) / self.ground.cell_m, (ny - y_m) / self.ground.cell_m
+            rest_m = max(0.0, speed_m - left_m)
+            dx, dy = dx + ex * rest_m, dy + ey * rest_m
+            left_m = hypot(dx, dy)
+        if (self._from == self._to or self._held_us) and self._is_stuck(now_us):
+            self._report(view)
+        scale = min(1.0, speed_m / left_m) / PERIOD_S if left_m > 1e-6 else 0.0
+        return Wish(dx * scale, dy * scale, tool_on=True)
+
+    def _bind(self, left_m: float) -> None:
+        if self._onward and left_m <= (1.0 - BOUND) * self.ground.cell_m:
+            self.accords.reach(self._step + 1)
+
+    def _arrive(self) -> None:
+        self._from = self._to
+        if self._onward:
+            self._step += 1
+            self._strange_us = 0
+        self._onward = False
+
+    def _next(self, view: FleetView) -> bool:
+        """Set out for the next cell of the plan, if we may. Waiting is what others make us do: steps
+        of the plan in which we stand are over at once."""
+        rounds = self.accords
+        if not rounds.going or rounds.course is None:
+            return False
+        while rounds.course.reaches(self._step + 1):
+            to = rounds.course.place(rounds.me, self._step + 1)
+            if to != self._from:
+                if not (rounds.may(self._step + 1) and self._is_behind(to, view)):
+                    break
+                self._to, self._onward = to, True
+                rounds.reach(self._step)
+                return True
+            self._step += 1
+        rounds.reach(self._step)
+        return False
+
+    def _is_behind(self, to: int, view: FleetView) -> bool:
+        """Whether who is to leave that cell as we come has got as far as its middle, as we see it.
+
+        It says that it is there half a cell early; from the side we would come before it.
+        """
+        cell_m, (before, on) = self.ground.cell_m, self.accords.leaving(self._step + 1)
+        if on == NONE:
+            return True
+        (x_m, y_m), (on_x_m, on_y_m) = self.ground.centre(to), self.ground.centre(on)
+        for bx_m, by_m in view.here.bodies:
+            dx_m, dy_m = view.here.x_m + bx_m - x_m, view.here.y_m + by_m - y_m
+            if CLOSE * cell_m < hypot(dx_m, dy_m) < NEAR * cell_m:
+                out_m = (dx_m * (on_x_m - x_m) + dy_m * (on_y_m - y_m)) / cell_m
+                if before == on or out_m < CLOSE * cell_m:
+                    return False
+        return True
+
+    def _turns_back(self, left_m: float, now_us: int) -> bool:
+        """Held up: to the other end, so that others can pass. Not where we have said that we come."""
+        bound = self._onward and left_m <= (1.0 - BOUND) * self.ground.cell_m
+        back_us = BACK_US if self.accords.going else GATHER_BACK_US
+        if bound or now_us - self._held_us < back_us:
+            return False
+        self._from, self._to = self._to, self._from
+        self._held_us, self._onward = 0, not self._onward and self._is_next(self._to)
+        self._wait_us = now_us + round(WAIT_US * (1.0 + self.rng.random()))
+        return True
+
+    def _is_next(self, number: int) -> bool:
+        rounds = self.accords
+        if not rounds.going or rounds.course is None or not rounds.course.reaches(self._step + 1):
+            return False
+        return rounds.course.place(rounds.me, self._step + 1) == number
+
+    def _is_stuck(self, now_us: int) -> bool:
+        since_us = self._strange_us
+        return self.accords.going and since_us > 0 and now_us - since_us > STUCK_US
+
+    def _report(self, view: FleetView) -> None:
+        """What is in the cell that we may enter, and does not go away, is an obstacle."""
+        self._strange_us = 0
+        rounds = self.accords
+        assert rounds.course is not None
+        if not rounds.course.reaches(self._step + 1):
+            return
+        number = rounds.course.place(rounds.me, self._step + 1)
+        x_m, y_m = self.ground.centre(number)
+        for bx, by in view.here.bodies:
+            gap_m = hypot(view.here.x_m + bx - x_m, view.here.y_m + by - y_m)
+            if gap_m < NEAR * self.ground.cell_m:
+                rounds.meet(number, ANYBODY, view.now_us)
+                rounds.call(view.now_us)
+                return
+
+    # ---------------------------------------------------------------- sections
+
+    def choose(self, view: FleetView) -> Choice | None:
+        if not self.accords.going:
+            return None
+        section = self._coming(view)
+        if section is not None:
+            choice = self._choice(section, view)
+            if choice is not None:
+                return choice
+        if view.now_us < self._left_us:
+            return None
+        self._left_us = view.now_us + LEFT_US
+        return self._unfinished(view)
+
+    def _choice(self, section: int, view: FleetView) -> Choice | None:
+        phase = view.allocation.phase_of(section)
+        if phase is Claimed.FREE:
+            return Choice(section, 0)
+        gone = view.allocation.owner_of(section) not in view.live
+        return Choice(section, 0, takeover=True) if gone and phase is not Claimed.DONE else None
+
+    def _coming(self, view: FleetView) -> int | None:
+        """The section of the next cell that we are to cover."""
+        rounds = self.accords
+        assert rounds.course is not None
+        turns = rounds.course.turns[rounds.me]
+        while self._turn < len(turns) and turns[self._turn][0] <= self._step:
+            self._turn += 1
+        return self.ground.unit(turns[self._turn][1])[0] if self._turn < len(turns) else None
+
+    def _unfinished(self, view: FleetView) -> Choice | None:
+        """A section that is covered, and that nobody who is there has said to be done."""
+        crew = len(view.live)
+        rank = sum(slot < self.slot for slot in view.live)
+        for section in range(rank, len(self.ground.section_units), crew):
+            if view.progress.complete(section):
+                if view.allocation.owner_of(section) == self.slot:
+                    continue
+                choice = self._choice(section, view)
+                if choice is not None:
+                    return choice
+        return None
+
+    def begin(self, section: int, view: FleetView) -> None:
+        self._section = section
+
+    def abandon(self) -> None:
+        self._section = None
+
+    def admits(self, goal: tuple[float, float]) -> bool:
+        """Nobody is sent out of a joint plan: hold it, and the others go round it."""
+        return False
+
+    def travel(self, goal: tuple[float, float], view: FleetView) -> Wish:
+        return STILL
+
+    def interrupted(self) -> None:
+        """What we stood on is covered; what we did not reach is not."""
+
+    def approach(self, section: int, view: FleetView) -> Wish:
+        return self.rest(view)
+
+    def rest(self, view: FleetView) -> Wish:
+        self._asked, self._asked_us = True, view.now_us
+        return self._wish
+
+    def work(self, view: FleetView) -> Wish:
+        self._asked, self._asked_us = True, view.now_us
+        if self._section is None:  # kept over a stop or a restart
+            self._section = view.allocation.assigned_sections(view.slot)[0]
+        if view.progress.complete(self._section):
+            self._section = None
+            return self._wish._replace(finished=True)
+        if self.accords.going and not self._comes_to(self._section, view):
+            self._section = None
+            return self._wish._replace(given_up=True)
+        return self._wish
+
+    def _comes_to(self, section: int, view: FleetView) -> bool:
+        """Whether we are to cover anything in that section soon, or have just done so."""
+        rounds = self.accords
+        assert rounds.course is not None
+        rounds.course.reaches(self._step + AHEAD)
+        self._coming(view)
+        coming = rounds.course.turns[rounds.me][self._turn : self._turn + AHEAD]
+        if any(self.ground.unit(number)[0] == section for _, number in coming):
+            return True
+        return any(self.ground.unit(number)[0] == section for number in self._told)

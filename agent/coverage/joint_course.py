@@ -1,0 +1,141 @@
+"""A joint plan that every robot of a crew computes alike, and what each step of it has to wait for.
+
+The plan is what `agent/coverage/team.py` would do step by step. Robots do not share a clock, so it is
+driven in its order instead: a step into a cell waits until the one that was in it before has gone on.
+That order never closes a circle of waiting, because the plan itself is a run in which all of it happens.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+from zlib import crc32
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.coverage.cell_map import NONE, Ground
+from agent.coverage.team import Team
+
+Numbers = NDArray[np.int32]
+KEPT_MAX = 4  # plans kept for who asks for the same: two sides of a split, and those before them
+STEPS_MAX = 0xFFFE  # a step is a u16 on the wire, counted from 1
+
+
+class Wait(NamedTuple):
+    """A robot's step waits until another has reached a step of its own."""
+
+    robot: int
+    step: int
+    leaves: int  # its step out of the cell: `step`, or the one after it where it goes as we come
+
+
+FREE = Wait(NONE, 0, 0)
+
+
+class Course:
+    """Robots are indices into `slots`, cells are numbers of the ground."""
+
+    def __init__(
+        self,
+        ground: Ground,
+        slots: Sequence[int],
+        places: Sequence[int],
+        covered: NDArray[np.bool_],
+        blocked: Sequence[int],
+        turn_cost: float,
+    ) -> None:
+        """`covered`: by number, what need not be covered; `blocked`: cells nobody enters."""
+        self.ground, self.slots = ground, tuple(slots)
+        walls = ground.walls.copy()
+        for number in blocked:
+            walls[ground.cell(number)] = True
+        mask = np.zeros(walls.shape, dtype=np.bool_)
+        rows, columns = np.divmod(ground.padded[covered], ground.width)
+        mask[rows - 1, columns - 1] = True
+        starts = [ground.cell(number) for number in places]
+        self._team = Team(walls, starts, turn_cost, mask)
+        todo = ground.number_of[self._team.walked.order]
+        self.todo: Numbers = todo
+        self.owner: Numbers = np.full(
+            len(ground), NONE, np.int32
+        )  # who covers it; grows with steps
+        self._wanted = np.zeros(len(ground), dtype=np.bool_)
+        self._wanted[todo] = True
+        self._steps: list[Numbers] = [np.array(places, np.int32)]
+        self._waits: list[dict[int, Wait]] = [{}]
+        self._in = np.full(len(ground), NONE, np.int32)  # who was in a cell last, and left it when
+        self._left = np.zeros(len(ground), np.int32)
+        self.turns: list[list[tuple[int, int]]] = [[] for _ in slots]  # (step, cell it covers)
+
+    def _extend(self) -> bool:
+        """One more step of the team; False at the end."""
+        if not self._team.remaining() or len(self._steps) > STEPS_MAX:
+            return False
+        step, before = len(self._steps), self._steps[-1]
+        after = self.ground.number_of[np.array(self._team.advance(), np.int64)]
+        moved = np.flatnonzero(after != before)
+        self._in[before[moved]], self._left[before[moved]] = moved, step
+        waits = {}
+        for robot, cell in zip(moved.tolist(), after[moved].tolist(), strict=True):
+            other = int(self._in[cell])
+            if other not in (NONE, robot):
+                left = int(self._left[cell])
+                waits[robot] = Wait(other, left - 1 if left == step else left, left)
+            if self._wanted[cell]:
+                self._wanted[cell] = False
+                self.owner[cell] = robot
+                self.turns[robot].append((step, cell))
+        self._steps.append(after)
+        self._waits.append(waits)
+        return True
+
+    def reaches(self, step: int) -> bool:
+        """Whether the plan goes on to that step."""
+        while len(self._steps) <= step:
+            if not self._extend():
+                return False
+        return True
+
+    def finish(self) -> int:
+        """The number of the last step; computes all of them."""
+        while self._extend():
+            pass
+        return len(self._steps) - 1
+
+    def place(self, robot: int, step: int) -> int:
+        return int(self._steps[step][robot])
+
+    def wait(self, robot: int, step: int) -> Wait:
+        """What must be before a robot begins its step. A cell that is left in the same step may be
+        followed into; one that was left before has to be free."""
+        return self._waits[step].get(robot, FREE)
+
+
+_KEPT: dict[object, tuple[Ground, Course]] = {}  # a ground kept keeps its id
+
+
+class Terms(NamedTuple):
+    """What a course is computed from."""
+
+    slots: tuple[int, ...]
+    places: tuple[int, ...]
+    covered: bytes  # packed bits by number; what need not be covered
+    blocked: tuple[int, ...]
+    turn_cost: float
+
+    def digest(self, ground: Ground) -> int:
+        return crc32(repr((ground.check, *self)).encode())
+
+
+def course_of(ground: Ground, terms: Terms) -> Course:
+    """The last ones are kept: robots that share a process compute the same one after the other."""
+    key = (id(ground), terms)
+    if key not in _KEPT:
+        while len(_KEPT) >= KEPT_MAX:
+            del _KEPT[next(iter(_KEPT))]
+        bits = np.unpackbits(np.frombuffer(terms.covered, np.uint8), count=len(ground))
+        covered: NDArray[np.bool_] = bits.astype(np.bool_)
+        course = Course(
+            ground, terms.slots, terms.places, covered, terms.blocked, terms.turn_cost
+        )  # fmt: skip
+        _KEPT[key] = ground, course
+    return _KEPT[key][1]

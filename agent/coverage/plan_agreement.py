@@ -1,0 +1,372 @@
+"""How a crew on a grid agrees on its next plan, in rounds, and on how far each has come in it.
+
+Whoever sees that the crew is not the one of the plan any more calls a round with the next number:
+after a boot, a death, a join, a split, a heal, or where something unknown stands in the way. Everybody
+stops in a cell and says it, with the digest of all that is covered. When all live robots have said
+theirs and the digests are equal, each computes the same plan and says the digest of what it is computed
+from; when these are equal, too, all go. Who has other bodies in mind says them, so that all know them.
+
+From then on each says the step of the plan that it has reached, and drives the next one when the robots
+that were in its cell before have gone on (`agent/coverage/joint_course.py`). Nothing here carries safety: a robot
+also sees who is before it (`agent/coverage/proximity_guard.py`).
+
+One silent robot is a wreck, and its work is cut again at once. Where several fall silent together the
+bus is cut, and they work: their part is kept for them until ours is done and their lease is over.
+"""
+
+from collections.abc import Iterable, Mapping
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.coverage.cell_map import NONE, Ground
+from agent.coverage.joint_course import Course, Terms, course_of
+from agent.interface.config import LEASE_US, MS, S
+from agent.mapf.agreement_phase import CALM_US, Phase, after, ahead
+from crdt.progress import BLOCK_UNITS, Progress
+from protocol.frames.accord_frames import Accord, Answer, Say
+
+SETTLE_US = 300 * MS  # a view that has not changed for so long: boots come in bursts
+BOOT_US = 3 * S  # who hears nobody for so long after its start is alone: two heartbeats (1.4 s)
+STAGGER_US = 20 * MS  # by rank, so that one calls and the others hear it
+HURRY_US, HURRY_ROBOT_US = 200 * MS, 8 * MS  # between repeats: a tenth of the bus for all together
+PATIENCE_US = 5 * S  # longer than a sync (2 s) or a protective stop (2 s) and the way to the cell
+PLAIN_US = 1 * S  # after which who cannot agree on what is kept for others keeps nothing
+OBSTACLE_US = 20 * S  # what stood there may have gone on since
+SPARE_US = 5 * S  # what is told of in a round is told to all well within: they forget it together
+AGAIN_MAX = 2  # seen there so often it is taken to stay, until the crew changes
+ANYBODY = 0xFFFF  # a body that nobody has announced
+FOREVER = 1 << 62
+
+
+class Place(NamedTuple):
+    number: int
+    digest: int  # 24 bits, of all registers of progress
+    answer: Answer
+
+
+class Body(NamedTuple):
+    slot: int  # or ANYBODY
+    until_us: int  # of no account after
+
+
+class Crew(NamedTuple):
+    """What a peer knows about the others now."""
+
+    live: frozenset[int]
+    silent_since_us: Mapping[int, int]
+    progress: Progress
+
+
+class GridRounds:
+    def __init__(self, slot: int, ground: Ground, turn_cost: float = 0.0) -> None:
+        self.slot, self.ground, self.turn_cost = slot, ground, turn_cost
+        self.round = 0
+        self.phase = Phase.FREE
+        self.course: Course | None = None  # the one agreed, or to be agreed, last
+        self.me = NONE  # our index in it; -1: not one of it
+        self.rounds = self.called = 0
+        self.begun_us = 0  # of the round
+        self._since_us = 0  # of the phase
+        self._places: dict[int, Place] = {}
+        self._used: dict[int, Place] = {}  # those the course was computed from
+        self._plans: dict[int, int] = {}
+        self._reached: dict[int, int] = {}
+        self.bodies: dict[int, Body] = {}  # cell -> what stands there, not one of the crew
+        self._seen: dict[int, int] = {}  # cell -> how often somebody stood there
+        self._plain = False
+        self._left_out = False  # cells of our rooms are neither covered nor in the plan
+        self.kept = False  # a part of the work is kept for silent robots
+        self.owner: NDArray[np.int16] = np.full(len(ground), NONE, np.int16)
+        self._differs_us: int | None = None  # since when the crew is not the live view
+        self._said: dict[Say, tuple[object, int, int]] = {}  # what, how often, when
+
+    # ---------------------------------------------------------------- hearing
+
+    def call(self, now_us: int) -> None:
+        self.called += 1
+        self._begin(after(self.round), now_us)
+
+    def _begin(self, number: int, now_us: int) -> None:
+        self._remember()
+        self.round, self.phase = number, Phase.GATHER
+        self.rounds += 1
+        self.begun_us = self._since_us = now_us
+        self._places, self._plans, self._plain = {}, {}, False
+        self._differs_us = None
+        self._said.clear()
+
+    def hear(self, slot: int, m: Accord, now_us: int) -> None:
+        if m.say == Say.BODY:
+            self._hear_body(m, now_us)
+            return
+        later = ahead(m.round, self.round)
+        if later is None:
+            return  # a round that is over
+        if later:
+            self._begin(m.round, now_us)
+        if m.say == Say.PLACE:
+            if m.first < len(self.ground):
+                self._places[slot] = Place(m.first, m.second | m.detail << 16, Answer(m.answer))
+        elif m.say == Say.PLAN:
+            self._plans[slot] = m.first | m.second << 16
+        elif self.slot in self._plans and self._plans[self.slot] & 0xFFFF == m.second:
+            self._plans[slot] = self._plans[self.slot]  # it goes by our plan already
+            self._reached[slot] = max(self._reached.get(slot, 0), m.first)
+
+    def _hear_body(self, m: Accord, now_us: int) -> None:
+        if m.first < len(self.ground) and m.first not in self.bodies:
+            until_us = FOREVER if m.detail else now_us + OBSTACLE_US
+            self.bodies[m.first] = Body(m.second, until_us)
+            if self.phase is Phase.AGREE:
+                self.phase = Phase.GATHER
+
+    def meet(self, number: int, slot: int, now_us: int) -> None:
+        """Something stands in that cell that goes by no plan of ours."""
+        self._seen[number] = self._seen.get(number, 0) + 1
+        lasting = slot != ANYBODY or self._seen[number] > AGAIN_MAX
+        self.bodies[number] = Body(slot, FOREVER if lasting else now_us + OBSTACLE_US)
+
+    # ---------------------------------------------------------------- the plan's progress
+
+    @property
+    def going(self) -> bool:
+        return self.phase is Phase.GO and self.me != NONE
+
+    def reached(self, robot: int) -> int:
+        assert self.course is not None
+        return self._reached.get(self.course.slots[robot], 0)
+
+    def reach(self, step: int) -> None:
+        self._reached[self.slot] = max(step, self._reached.get(self.slot, 0))
+
+    def may(self, step: int) -> bool:
+        """Whether we may begin that step of ours: the cell is free, or who is in it may leave it.
+
+        Those that move on together are a chain, whose first finds its cell free, or a ring.
+        """
+        assert self.course is not None
+        robot, chain = self.me, set[int]()
+        while robot not in chain:
+            chain.add(robot)
+            wait = self.course.wait(robot, step)
+            if wait.robot == NONE or self.reached(wait.robot) >= wait.leaves:
+                return True
+            if self.reached(wait.robot) < wait.step:
+                return False
+            robot = wait.robot
+        return True
+
+    def leaving(self, step: int) -> tuple[int, int]:
+        """Where who is in the cell of our step was the step before it leaves, and where it goes.
+
+        Twice -1: it has gone.
+        """
+        assert self.course is not None
+        other, _, leaves = self.course.wait(self.me, step)
+        if other == NONE or self.reached(other) >= leaves:
+            return NONE, NONE
+        return self.course.place(other, max(0, leaves - 2)), self.course.place(other, leaves)
+
+    def passed(self, slot: int) -> list[int]:
+        """Cells that a robot has certainly gone through: up to the one before it said it was at."""
+        if self.course is None or slot not in self.course.slots or self.phase is Phase.FREE:
+            return []
+        robot = self.course.slots.index(slot)
+        return [self.course.place(robot, s) for s in range(self._reached.get(slot, 0))]
+
+    def bound_for(self, slot: int) -> tuple[int, int]:
+        """The cell that a robot has said it is at, or nearly, and the one it came from."""
+        assert self.course is not None
+        robot, step = self.course.slots.index(slot), self._reached.get(slot, 0)
+        number = before = self.course.place(robot, step)
+        while step > 0 and before == number:
+            step -= 1
+            before = self.course.place(robot, step)
+        return number, before
+
+    # ---------------------------------------------------------------- time
+
+    def tick(self, number: int, answer: Answer, ready: bool, crew: Crew, now_us: int) -> None:
+        """`number`: the cell in whose middle we are, -1 on the way. `ready`: all that we have
+        covered is part of our replica."""
+        if self._call_due(answer, crew, now_us):
+            self.call(now_us)
+            return
+        if self.phase is Phase.GATHER:
+            if number != NONE and ready:
+                self._places[self.slot] = Place(number, crew.progress.digest, answer)
+            self._gather(crew, now_us)
+        if self.phase is Phase.AGREE:
+            self._agree(crew, now_us)
+        waiting = self.phase in (Phase.GATHER, Phase.AGREE)
+        if waiting and now_us - self._since_us > PATIENCE_US and number != NONE:
+            self.call(now_us)
+
+    def _call_due(self, answer: Answer, crew: Crew, now_us: int) -> bool:
+        if self.phase in (Phase.GATHER, Phase.AGREE):
+            return False
+        own = self._used.get(self.slot)
+        same = crew.live == self._used.keys() and own is not None and own.answer == answer
+        if same and not self._over(crew, now_us):
+            self._differs_us = None
+            return False
+        if self._differs_us is None:
+            self._differs_us = now_us
+        rank = sum(slot < self.slot for slot in crew.live)
+        early = self.phase is Phase.FREE and len(crew.live) == 1
+        settle_us = BOOT_US if early else SETTLE_US
+        return now_us - self._differs_us >= settle_us + rank * STAGGER_US
+
+    @property
+    def later(self) -> bool:
+        """Something is left out of the plan that can perhaps be done some time."""
+        passing = any(body.until_us < FOREVER for body in self.bodies.values())
+        return self._left_out and (self.kept or passing)
+
+    def _over(self, crew: Crew, now_us: int) -> bool:
+        """Our part is done, and what was left out of it can be done now."""
+        if not self.going or self.course is None or not self.later:
+            return False
+        step = self._reached.get(self.slot, 0)
+        if self.course.reaches(step + 1):
+            return False
+        since_us = max(crew.silent_since_us.values(), default=0)
+        if self.kept and now_us - since_us > LEASE_US and self._done(crew.progress):
+            return True
+        return any(body.until_us <= now_us for body in self.bodies.values())
+
+    def _done(self, progress: Progress) -> bool:
+        assert self.course is not None
+        return bool(covered_of(self.ground, progress)[self.course.todo].all())
+
+    def _gather(self, crew: Crew, now_us: int) -> None:
+        places = {slot: p for slot, p in self._places.items() if slot in crew.live}
+        if places.keys() < crew.live or self.slot not in places:
+            return
+        if len({place.digest for place in places.values()}) > 1:
+            return  # the sync makes them equal
+        numbers = [place.number for place in places.values()]
+        if len(set(numbers)) < len(numbers):
+            return  # one of them has been told late; it will say another
+        self._used = places
+        self._compute(crew, now_us)
+        self.phase, self._since_us = Phase.AGREE, now_us
+
+    def _compute(self, crew: Crew, now_us: int) -> None:
+        self.bodies = {
+            number: body for number, body in self.bodies.items()
+            if body.until_us > now_us + SPARE_US and body.slot not in crew.live
+        }  # fmt: skip
+        movers = {s: p.number for s, p in self._used.items() if p.answer is Answer.GRANT}
+        stand = {p.number for p in self._used.values() if p.answer is not Answer.GRANT}
+        blocked = (stand | self.bodies.keys()) - set(movers.values())
+        covered = covered_of(self.ground, crew.progress)
+        uncovered = ~covered
+        ours_is_done = self.kept and self._done(crew.progress)
+        kept = np.zeros_like(covered) if ours_is_done else self._kept(covered, crew)
+        self.kept = bool(kept.any())
+        covered |= kept
+        covered[list(blocked)] = True
+        slots = tuple(sorted(movers))
+        terms = Terms(
+            slots, tuple(movers[s] for s in slots), np.packbits(covered).tobytes(),
+            tuple(sorted(blocked)), self.turn_cost,
+        )  # fmt: skip
+        self.course = course_of(self.ground, terms)
+        self.me = slots.index(self.slot) if self.slot in slots else NONE
+        uncovered[self.course.todo] = False
+        rooms = self.ground.room[self.ground.padded]
+        self._left_out = bool((uncovered & np.isin(rooms, rooms[list(movers.values())])).any())
+        self._reached = {}
+        self._plans[self.slot] = terms.digest(self.ground)
+        self._said.pop(Say.PLAN, None)
+
+    def _agree(self, crew: Crew, now_us: int) -> None:
+        places = {slot: p for slot, p in self._places.items() if slot in crew.live}
+        if places != self._used:
+            self.phase = Phase.GATHER  # somebody has gone, come, or been told something
+            return
+        own = self._plans[self.slot]
+        if all(self._plans.get(slot) == own for slot in self._used):
+            self.phase, self._since_us = Phase.GO, now_us
+        elif self.kept and not self._plain and now_us - self._since_us > PLAIN_US:
+            self._plain = True
+            self._compute(crew, now_us)
+
+    # ---------------------------------------------------------------- who has what
+
+    def _remember(self) -> None:
+        """Whose work each cell is by the last plan that all went by."""
+        if self.course is None or self.phase is not Phase.GO:
+            return
+        self.course.finish()
+        mine = self.course.owner != NONE
+        slots = np.array(self.course.slots, np.int16)
+        self.owner[mine] = slots[self.course.owner[mine]]
+
+    def owing(self, progress: Progress, slots: Iterable[int]) -> list[int]:
+        """Which of them have something to do by the last plan."""
+        left = self.owner[~covered_of(self.ground, progress)]
+        return sorted(set(left.tolist()) & set(slots))
+
+    def _kept(self, covered: NDArray[np.bool_], crew: Crew) -> NDArray[np.bool_]:
+        """Cells that silent robots are believed to be working on."""
+        owing = self.owing(crew.progress, crew.silent_since_us)
+        if self._plain or len(owing) < 2:
+            return np.zeros_like(covered)
+        theirs: NDArray[np.bool_] = np.isin(self.owner, owing) & ~covered
+        return theirs
+
+    # ---------------------------------------------------------------- saying
+
+    def say(self, now_us: int) -> list[Accord]:
+        """What is due with this beat."""
+        words: list[Accord] = []
+        place = self._places.get(self.slot)
+        if self.phase is Phase.FREE or (place is None and self.phase is Phase.GATHER):
+            return words
+        hurried = self.phase is not Phase.GO
+        if place is not None and self._due(Say.PLACE, place, hurried, now_us):
+            low, high = place.digest & 0xFFFF, place.digest >> 16
+            words.append(Accord(self.round, Say.PLACE, place.answer, place.number, low, high))
+        plan = self._plans.get(self.slot)
+        if plan is None:
+            return words
+        if self._due(Say.PLAN, plan, hurried, now_us):
+            words.append(Accord(self.round, Say.PLAN, 0, plan & 0xFFFF, plan >> 16, 0))
+            if any(self._plans.get(slot, plan) != plan for slot in self._used):
+                words += [
+                    Accord(
+                        self.round, Say.BODY, 0, number, body.slot, int(body.until_us == FOREVER)
+                    )
+                    for number, body in sorted(self.bodies.items())
+                ]
+        step = self._reached.get(self.slot, 0)
+        if self.phase is Phase.GO and self._due(Say.AT, step, False, now_us):
+            words.append(Accord(self.round, Say.AT, 0, step, plan & 0xFFFF, 0))
+        return words
+
+    def _due(self, say: Say, what: object, hurried: bool, now_us: int) -> bool:
+        """News at once, again soon, and then now and then."""
+        last, times, said_us = self._said.get(say, (None, 0, 0))
+        if last == what:
+            hurry_us = max(HURRY_US, HURRY_ROBOT_US * len(self._used))
+            if now_us - said_us < (hurry_us if hurried or times < 2 else CALM_US):
+                return False
+        self._said[say] = (what, times + 1 if last == what else 1, now_us)
+        return True
+
+
+def covered_of(ground: Ground, progress: Progress) -> NDArray[np.bool_]:
+    """By number."""
+    covered: NDArray[np.bool_] = np.zeros(len(ground), dtype=np.bool_)
+    for section in ground.section_units:
+        bits = progress.bits(section, 0)
+        if bits:
+            first = section * BLOCK_UNITS
+            block = np.frombuffer(bits.to_bytes(5, "little"), np.uint8)
+            units = np.unpackbits(block, bitorder="little")[: len(ground) - first]
+            covered[first : first + BLOCK_UNITS] = units
+    return covered

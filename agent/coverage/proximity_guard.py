@@ -1,0 +1,36 @@
+"""The last resort of a body on a grid: it does not drive nearer to a body that it sees near.
+
+Plans keep robots a cell apart, and 0.71 of a cell where one follows another round a corner. A robot that
+comes nearer than `GUARD` was not where the plan has it: it is late, or it is of no plan of ours.
+"""
+
+from collections.abc import Mapping
+from math import hypot
+
+from agent.interface.config import CONTROL_PERIOD_US, S
+from agent.interface.effects import HALT, Drive
+from agent.interface.mission import Wish
+from agent.interface.ports import Observation
+from agent.peer.membership import Neighbour
+
+GUARD = 0.6  # of a cell, between centres
+PERIOD_S = CONTROL_PERIOD_US / S
+
+
+class GridGuard:
+    """The `Motion` of a robot on a grid: its wishes are safe by the plan, if all keep to it."""
+
+    def __init__(self, cell_m: float, radius_m: float, speed_m_s: float) -> None:
+        self.guard_m, self.speed_m_s = GUARD * cell_m, speed_m_s
+        closing_m = 2 * speed_m_s * PERIOD_S  # two that have not yet seen each other move
+        assert self.guard_m - closing_m >= 2 * radius_m, "bodies are too large for their cells"
+
+    def drive(
+        self, here: Observation, wish: Wish, neighbours: Mapping[int, Neighbour], now_us: int
+    ) -> Drive:
+        vx, vy = wish.vx_m_s, wish.vy_m_s
+        for x_m, y_m in here.bodies:
+            after_m = hypot(x_m - vx * PERIOD_S, y_m - vy * PERIOD_S)
+            if after_m < self.guard_m and after_m < hypot(x_m, y_m):
+                return HALT
+        return Drive(vx, vy, 0.0, wish.tool_on)

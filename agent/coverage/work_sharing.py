@@ -1,0 +1,170 @@
+"""Who does what is left of a coverage walk: runs, goals, and taking over from those who have more.
+
+A robot has one run [low, high) of the walk and works it from one end (`side` +1: from low). A robot
+whose run is empty takes the far end of another's run, as much as makes both end earliest; nothing is
+ever owned by two, and what is covered is skipped. All of it is arithmetic on replicated values, so
+all peers that know the same agree without asking.
+"""
+
+import numpy as np
+from numba import njit
+
+from agent.coverage.team_state import NONE
+from agent.coverage.team_step import FAR, fill_field, wipe_field
+
+WON_MIN = 2  # steps: below it, the way there and back costs more than it brings
+ASK_AGAIN = 4  # steps after which the others' progress may have changed the answer
+
+
+@njit(cache=True)
+def _trim(walked, covered, robots, robot):  # type: ignore[no-untyped-def]
+    """Drop what is covered from both ends of a run."""
+    order, low, high = walked.order, robots.low, robots.high
+    while low[robot] < high[robot] and covered[order[low[robot]]]:
+        low[robot] += 1
+    while low[robot] < high[robot] and covered[order[high[robot] - 1]]:
+        high[robot] -= 1
+
+
+@njit(cache=True)
+def _rest(walked, robots, robot):  # type: ignore[no-untyped-def]
+    """Cost of what a robot has still to do."""
+    low, high = robots.low[robot], robots.high[robot]
+    if low >= high:
+        return 0
+    return robots.way[robot] * walked.unit + walked.along[high - 1] - walked.along[low]
+
+
+@njit(cache=True)
+def _nearer(reach, a, b):  # type: ignore[no-untyped-def]
+    """The shorter way of two, where one is not known the other, else too far to be of use."""
+    if reach[a] == NONE and reach[b] == NONE:
+        return FAR
+    if reach[a] == NONE or reach[b] == NONE:
+        return max(reach[a], reach[b])
+    return min(reach[a], reach[b])
+
+
+@njit(cache=True)
+def _split(walked, reach, robots, owner):  # type: ignore[no-untyped-def]
+    """Where to part a run: (both parts' later end, index), the owner keeping its near part.
+
+    The owner's cost rises with its part and the taker's falls: the crossing is found by halving.
+    """
+    order, along, unit = walked.order, walked.along, walked.unit
+    low, high = robots.low[owner], robots.high[owner]
+    own = robots.way[owner] * unit
+    near, far = 1, high - low  # cells the owner keeps
+    best, best_at = np.int64(1) << 40, high
+    while near <= far:
+        keep = (near + far) // 2
+        if robots.side[owner] > 0:
+            a, b = low + keep, high
+            mine = own + along[a - 1] - along[low]
+        else:
+            a, b = low, high - keep
+            mine = own + along[high - 1] - along[b]
+        theirs = np.int64(0)
+        if a < b:
+            theirs = _nearer(reach, order[a], order[b - 1]) * unit + along[b - 1] - along[a]
+        if max(mine, theirs) < best:
+            best, best_at = max(mine, theirs), a if robots.side[owner] > 0 else b
+        if mine < theirs:
+            near = keep + 1
+        else:
+            far = keep - 1
+    return best, best_at
+
+
+@njit(cache=True)
+def _worth_asking(grid, walked, robots, robot):  # type: ignore[no-untyped-def]
+    """How far to look for a run worth taking from; 0 where no end is so near, walls not counted."""
+    most = np.int64(0)
+    order, place = walked.order, robots.place[robot]
+    for other in range(robots.place.size):
+        low, high = robots.low[other], robots.high[other]
+        if low >= high - 1:
+            continue
+        far = order[high - 1] if robots.side[other] > 0 else order[low]
+        apart = abs(far // grid.width - place // grid.width)
+        apart += abs(far % grid.width - place % grid.width)
+        if _rest(walked, robots, other) >= (apart + WON_MIN) * walked.unit:
+            most = max(most, _rest(walked, robots, other) // walked.unit)
+    return most
+
+
+@njit(cache=True)
+def _take_over(grid, walked, robots, robot):  # type: ignore[no-untyped-def]
+    """An idle robot takes the far part of the run where most is won."""
+    order, low, high, reach = walked.order, robots.low, robots.high, grid.reach
+    far = _worth_asking(grid, walked, robots, robot)
+    if far == 0:
+        return
+    reach[:] = NONE
+    fill_field(grid.free, grid.width, reach, robots.place[robot], np.int64(NONE), far, grid.queue)
+    won, owner, at = WON_MIN * walked.unit - 1, NONE, 0
+    for other in range(robots.place.size):
+        if low[other] >= high[other] - 1:
+            continue
+        after, index = _split(walked, reach, robots, other)
+        gain = _rest(walked, robots, other) - after
+        if gain > won:
+            won, owner, at = gain, other, index
+    if owner == NONE:
+        return
+    if robots.side[owner] > 0:
+        low[robot], high[robot], high[owner] = at, high[owner], at
+    else:
+        low[robot], high[robot], low[owner] = low[owner], at, at
+    a, b = order[low[robot]], order[high[robot] - 1]
+    from_low = _nearer(reach, a, b) == reach[a]
+    robots.side[robot] = 1 if from_low else -1
+
+
+@njit(cache=True)
+def _find_way(grid, robots, robot):  # type: ignore[no-untyped-def]
+    """Steps to the goal; the field of steps around the robot where the goal is not next door."""
+    place, goal = robots.place[robot], robots.goal[robot]
+    if abs(goal - place) == 1 or abs(goal - place) == grid.width:
+        robots.way[robot] = 1
+        return
+    field = robots.field[robot]
+    known = robots.fielded[robot] == goal
+    for step in (0, -grid.width, grid.width, -1, 1):
+        known = known and (not grid.free[place + step] or field[place + step] != NONE)
+    if not known:
+        if robots.fielded[robot] != NONE:
+            wipe_field(grid.width, field, robots.fielded[robot], grid.queue)
+        fill_field(grid.free, grid.width, field, goal, place, np.int64(FAR), grid.queue)
+        robots.fielded[robot] = goal
+    robots.way[robot] = field[place]
+
+
+@njit(cache=True)
+def choose_goals(grid, walked, robots, now):  # type: ignore[no-untyped-def]
+    """Each robot's next cell to cover; robots without any take over from others."""
+    for robot in range(robots.place.size):
+        _trim(walked, grid.covered, robots, robot)
+        robots.way[robot] = 0
+        if robots.goal[robot] != NONE and grid.covered[robots.goal[robot]]:
+            robots.goal[robot] = NONE
+        if robots.place[robot] == NONE or robots.low[robot] == robots.high[robot]:
+            continue
+        if robots.goal[robot] == NONE:
+            _set_goal(walked, robots, robot, now)
+        _find_way(grid, robots, robot)
+    for robot in range(robots.place.size):
+        if robots.place[robot] == NONE or robots.low[robot] < robots.high[robot]:
+            continue
+        if robots.waits[robot] <= now:
+            robots.waits[robot] = now + ASK_AGAIN
+            _take_over(grid, walked, robots, robot)
+            if robots.low[robot] < robots.high[robot]:
+                _set_goal(walked, robots, robot, now)
+                _find_way(grid, robots, robot)
+
+
+@njit(cache=True)
+def _set_goal(walked, robots, robot, now):  # type: ignore[no-untyped-def]
+    end = robots.low[robot] if robots.side[robot] > 0 else robots.high[robot] - 1
+    robots.goal[robot], robots.since[robot] = walked.order[end], now

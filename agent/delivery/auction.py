@@ -1,0 +1,147 @@
+"""Who takes which tasks: an auction that all peers compute alike, insertion, and search for better.
+
+The auction is whole numbers and fixed ties, so equal knowledge gives equal itineraries without a frame.
+The search that follows has the peer's own seed: peers find different plans, and the cheapest is adopted
+(`agent/delivery/plan_negotiation.py`). Simulated annealing over moves of up to three tasks and of whole tails, towards
+the neighbours that cost least; `reference` figures are in docs/delivery.md.
+"""
+
+from collections.abc import Sequence
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.delivery.routing_kernels import auction, search, span, walk
+from agent.delivery.routing_problem import IMPOSSIBLE_MS, Itineraries, Whole, Workload, Worth
+from agent.delivery.waiting_kernels import least_waiting, shorten_waiting
+
+NEAR = 24  # tasks that one may follow: the cheapest links
+HEADS = 4  # and robots whose first task it may be
+HOT, COLD = 0.02, 0.0002  # of the mean route: a move this much dearer is taken two times in five
+NO_BAY = np.zeros((1, 1), dtype=np.int64)
+
+
+class Planner:
+    """A workload made ready for the kernels."""
+
+    def __init__(self, work: Workload) -> None:
+        self.work = work
+        power = work.power
+        self._charging = power is not None
+        self._args = (work.ready, work.lead, work.link)
+        if power is None:
+            none, zeros = NO_BAY, NO_BAY[0]
+            self._power: tuple[Any, ...] = (
+                0, 0, 0.0, zeros, none, none, zeros, none, none, none, none, none, work.link,
+            )  # fmt: skip
+            self._lead_bay_ms: Whole = none
+        else:
+            self._power = (
+                power.capacity, power.dock_ms, power.ms_per_unit, power.left, power.lead, power.link,
+                power.home, power.lead_bay, power.to_bay_ms, power.to_bay, power.from_bay_ms,
+                power.from_bay, work.link,
+            )  # fmt: skip
+            self._lead_bay_ms = power.lead_bay_ms
+
+    # ---------------------------------------------------------------- reading
+
+    def span_ms(self, robot: int, tasks: Sequence[int]) -> int:
+        """When a robot is through its tasks, charging included; IMPOSSIBLE_MS: its battery is not."""
+        seq = np.array(tasks, dtype=np.int64)
+        return int(span(robot, seq, len(seq), *self._args, *self._rest))
+
+    @property
+    def _rest(self) -> tuple[Any, ...]:
+        return self._lead_bay_ms, self._power, self._charging
+
+    def worth(self, plan: Itineraries) -> Worth:
+        spans = [self.span_ms(robot, tasks) for robot, tasks in enumerate(plan)]
+        return Worth(max(spans, default=0), sum(spans))
+
+    def waiting_ms(self, plan: Itineraries) -> int:
+        """How long all tasks wait from now on, in sum."""
+        return sum(
+            int(walk(r, np.array(own, dtype=np.int64), len(own), *self._args, *self._rest)[1])
+            for r, own in enumerate(plan)
+        )
+
+    # ---------------------------------------------------------------- deciding
+
+    def auctioned(
+        self, held: Itineraries | None = None, free: Sequence[int] | None = None
+    ) -> Itineraries:
+        """Every free task to the robot that would be through with it first, cheapest bid first.
+
+        `held`: itineraries that stay and are added to. A task that nobody's battery can do is left out.
+        """
+        held = [[] for _ in range(self.work.robots)] if held is None else held
+        free = range(self.work.tasks) if free is None else free
+        route, size = self._packed(held, sum(map(len, held)) + len(free))
+        auction(route, size, np.array(sorted(free), dtype=np.int64), *self._args, *self._rest)
+        return _unpacked(route, size)
+
+    def inserted(
+        self, robot: int, tasks: Sequence[int], task: int, first: int = 0
+    ) -> tuple[int, int]:
+        """Where a task goes in a robot's itinerary, at `first` or later, and what it costs: how much
+        longer all its tasks wait in sum, the new one from now on. The bid of scenario B."""
+        seq = np.array(tasks, dtype=np.int64)
+        out = np.empty(len(seq) + 1, dtype=np.int64)
+        cost, place = least_waiting(
+            robot, seq, len(seq), task, first, *self._args, *self._rest, out
+        )
+        return int(place), int(cost)
+
+    def improved(
+        self, plan: Itineraries, seed: int, moves: int, heat: tuple[float, float] = (HOT, COLD)
+    ) -> Itineraries:
+        """The best of `moves` tries from a plan, never worse than it. The same seed, the same plan."""
+        placed = sum(map(len, plan))
+        if (
+            placed < 1
+            or self.work.robots < 1
+            or any(self.span_ms(r, tasks) >= IMPOSSIBLE_MS for r, tasks in enumerate(plan))
+        ):
+            return [list(tasks) for tasks in plan]
+        route, size = self._packed(plan, placed)
+        search(route, size, self._near, moves, *heat, _dice(seed), *self._args, *self._rest)
+        return _unpacked(route, size)
+
+    def hastened(self, plan: Itineraries, seed: int, moves: int) -> Itineraries:
+        """A plan whose tasks wait less in sum, and whose last finish is no later: what of `moves` tries
+        was found, each from the one before. The same seed, the same plan."""
+        placed = sum(map(len, plan))
+        if placed < 2 or self.worth(plan).makespan_ms >= IMPOSSIBLE_MS:
+            return [list(tasks) for tasks in plan]
+        route, size = self._packed(plan, placed)
+        shorten_waiting(route, size, self._near, moves, _dice(seed), *self._args, *self._rest)
+        return _unpacked(route, size)
+
+    @cached_property
+    def _near(self) -> Whole:
+        """(tasks, n): the tasks, and tasks + robot, that a task follows most cheaply."""
+        link = self.work.link.astype(np.float64)
+        np.fill_diagonal(link, np.inf)
+        tasks, count = len(link), min(NEAR, len(link) - 1)
+        before = np.argsort(link, axis=0, kind="stable")[:count].T
+        heads = min(HEADS, self.work.robots)
+        first = np.argsort(self.work.lead, axis=0, kind="stable")[:heads].T + tasks
+        return np.ascontiguousarray(np.concatenate((before, first), axis=1), dtype=np.int64)
+
+    def _packed(self, plan: Itineraries, room: int) -> tuple[Whole, Whole]:
+        route = np.zeros((self.work.robots, max(room, 1) + 1), dtype=np.int64)
+        size = np.zeros(self.work.robots, dtype=np.int64)
+        for robot, tasks in enumerate(plan):
+            route[robot, : len(tasks)] = tasks
+            size[robot] = len(tasks)
+        return route, size
+
+
+def _dice(seed: int) -> NDArray[np.uint64]:
+    return np.array([(seed * 2 + 1) * 0x9E3779B97F4A7C15 & (1 << 64) - 1], dtype=np.uint64)
+
+
+def _unpacked(route: Whole, size: Whole) -> Itineraries:
+    return [route[robot, :count].tolist() for robot, count in enumerate(size.tolist())]

@@ -1,0 +1,397 @@
+"""The mission of carrying parcels: one robot's part, from its itinerary to the load in its hands.
+
+A task is a section with two units: picked up, delivered. A visit of a charger bay is a section too, and
+is claimed like one. Only who stands where a parcel lies can pick it up: claims avoid waste, the parcel
+itself sees to it that it is carried by one robot. A parcel of a robot that died lies where that robot
+stands; who takes the task over fetches it from there.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
+from math import hypot
+
+from agent.delivery.charging import Bay, Charging
+from agent.delivery.cost_matrix import FULL, Trip
+from agent.delivery.parcel_search import Whereabouts
+from agent.delivery.reachability import CutOff
+from agent.delivery.task_allocation import Dispatch, Dispatched
+from agent.delivery.task_registry import TASKS_MAX, recalled_orders, stop_names
+from agent.delivery.warehouse import Standing, Warehouse
+from agent.interface.config import MS, S
+from agent.interface.lifecycle import State
+from agent.interface.mission import Choice, FleetView, Record, Wish
+from agent.navigation.navigation_mission import Errands
+from agent.navigation.path_requests import AHEAD_S, PathRequests
+from crdt import Phase
+from protocol.frames.messages import Message
+from protocol.sync.map_sync import MapSync
+
+Point = tuple[float, float]
+PICKED, DELIVERED = 0, 1  # units of a task
+NOTHING_RECALLED: Mapping[str, bytes] = {}
+UNDER_WAY = -1  # stands for the goal of now where sections are looked at
+REACH_M = 1.2  # of the arm, from the robot's middle to the parcel's
+BESIDE_M = 1.0  # nearer than this is near enough where another body is in the way
+UNTOUCHED_M = 0.2  # from where it was to be fetched: nobody has moved it
+IDLE_CHARGE = 0.5  # who has nothing to do charges below this
+HOME_US = 5 * S  # who has nothing to do for so long makes room
+STALLED_US, NEARER_M = 1 * S, 0.05  # within reach, and no nearer for so long
+MISSING_US = 3 * S  # at a place where no parcel lies: it is believed
+SHUN_US = 30 * S  # a bay that gives nothing, a task whose parcel is not found
+
+
+class Delivery(Errands):
+    passes = False  # it handles parcels where it stands
+
+    def __init__(
+        self, slot: int, house: Warehouse, home: Point, speed_m_s: float, deceleration_m_s2: float,
+        now_us: int, seed: int, chart: MapSync | None = None,
+        recalled: Mapping[str, bytes] = NOTHING_RECALLED, asks: bool = False,
+    ) -> None:  # fmt: skip
+        super().__init__(
+            slot, {}, house.floor, speed_m_s, deceleration_m_s2, chart=chart, now_us=now_us,
+            asks=asks,
+        )  # fmt: skip
+        self.house, self.home = house, home
+        self.dispatch = Dispatch(slot, house, now_us, seed, recalled_orders(recalled))
+        self.paths = PathRequests(super()._way)
+        self.replanning.path = partial(self.paths.urgent, self.hazards.path)
+        self.hazards.reach_m = BESIDE_M
+        self.cut_off = CutOff(self.hazards)
+        self.charging = Charging(house)
+        self.whereabouts = Whereabouts(house, self.dispatch.book, self.hazards, self.bodies)
+        self.section: int | None = None  # a task or a bay under way
+        self.waited_us = 0  # for new itineraries, by the rule of scenario C
+        self._load = -1
+        self._since_us: int | None = None  # we stand where we are to handle or charge
+        self._idle_us: int | None = None
+        self._shunned_us: dict[int, int] = {}  # bays, and tasks, by section
+        self._told_aboard = -1
+        self._nearest: tuple[float, int] = (0.0, 0)  # to the goal, within reach of it, and when
+
+    @property
+    def section_units(self) -> Mapping[int, int]:
+        return {}
+
+    # ---------------------------------------------------------------- frames
+
+    def hear(self, slot: int | None, message: Message, now_us: int) -> Sequence[Record]:
+        if isinstance(message, Dispatched):
+            return self.dispatch.hear(slot, message, now_us)
+        return super().hear(slot, message, now_us)
+
+    def say(self, now_us: int) -> Iterable[Message]:
+        return [*super().say(now_us), *self.dispatch.say(now_us)]
+
+    # ---------------------------------------------------------------- each control period
+
+    def attend(self, view: FleetView, state: State) -> None:
+        self._load = view.here.load
+        self.dispatch.left = round(view.here.battery * FULL)
+        able = state in (State.IDLE, State.WORKING, State.SYNCHRONIZING)
+        self.dispatch.tick(view, able and not self._stranded(view))
+        self.paths.work()
+        super().attend(view, state)
+
+    def _stranded(self, view: FleetView) -> bool:
+        """We cannot do more than we have begun: what we cannot get to, and whether we get on at all."""
+        at, now_us = (view.here.x_m, view.here.y_m), view.now_us
+        if self.cut_off.due(now_us):
+            self.cut_off.look(at, self._goals(view), now_us)
+            self.dispatch.cut = self.cut_off.sections
+        charging = self.section is not None and self.section >= TASKS_MAX and self._since_us
+        busy = self.section is not None and not charging
+        still = self.cut_off.stands_still(at, busy, now_us)
+        return still or self._load in self.cut_off.sections
+
+    def _goals(self, view: FleetView) -> dict[int, list[Point]]:
+        """Of each task that is not done, where its parcel is and where it goes; and of each bay."""
+        found = {TASKS_MAX + bay: [place] for bay, place in enumerate(self.house.bays)}
+        if self.goal is not None:
+            found[UNDER_WAY] = [self.goal]
+        for task, order in self.dispatch.book.tasks.items():
+            if view.allocation.phase_of(task) is Phase.DONE or not self.house.known(order):
+                continue
+            found[task] = [self.house.trip(order).dropoff]
+            owner = view.allocation.owner_of(task)
+            aboard = owner in view.live and view.progress.bits(task, 0) & 1
+            if task != self._load and not aboard:
+                workers = self.dispatch.workers.get(task, [])
+                found[task].append(self.whereabouts.likeliest(task, workers, view))
+        return found
+
+    @property
+    def stops(self) -> list[str]:
+        """The itinerary as the mission writes it: [P5, D5, C1]."""
+        begun, itinerary = [], self.dispatch.itinerary
+        if self.section is not None and self.section >= TASKS_MAX:
+            begun.append(TASKS_MAX + self.house.bay_of(self.section))
+        elif self.section is not None:
+            begun.append(self.section)
+        ahead = self.dispatch.telling.stops
+        if [stop for stop in ahead if stop < TASKS_MAX and stop in itinerary] != itinerary:
+            ahead = itinerary  # it has just changed
+        left = [s for s in ahead if s not in begun and (s >= TASKS_MAX or s in itinerary)]
+        return stop_names(begun, left, self._load)
+
+    # ---------------------------------------------------------------- choosing
+
+    def choose(self, view: FleetView) -> Choice | None:
+        load = self._load  # from an earlier life, or after an operator's order
+        if load in self.dispatch.book and view.allocation.phase_of(load) is not Phase.DONE:
+            bay = self._charge(view, load) if self._falls_short(load, view) else None
+            return bay or self._claim(load, view)
+        task = self._next(view)
+        if task is None:
+            low = view.here.battery < IDLE_CHARGE and not self.dispatch.round.active
+            return self._charge(view, None) if low else None
+        if self._must_charge(task, view):
+            return self._charge(view, task)
+        if self._waits(task, view):
+            self.waited_us += 50 * MS
+            return None
+        return self._claim(task, view)
+
+    def _next(self, view: FleetView) -> int | None:
+        """The first of our itinerary that may be had."""
+        for task in self.dispatch.itinerary:
+            if task == self.section or self._shunned_us.get(task, 0) > view.now_us:
+                continue
+            owner = view.allocation.owner_of(task)
+            away = owner is not None and self.dispatch.absence.leaves(owner, task, view)
+            if owner is None or (owner != self.slot and away):
+                return task
+        return None
+
+    def _claim(self, task: int, view: FleetView) -> Choice | None:
+        owner = view.allocation.owner_of(task)
+        if owner is not None and owner != self.slot:
+            if not self.dispatch.absence.leaves(owner, task, view) and self._load != task:
+                return None
+            return Choice(task, 0, takeover=True)
+        return Choice(task, 0)
+
+    def _waits(self, task: int, view: FleetView) -> bool:
+        """Scenario C: a task shorter than what is left of the re-plan waits for it."""
+        left_us = self.dispatch.round.left_us(view.now_us)
+        if not left_us or self.dispatch.round.first.get(self.slot, [])[:1] == [task]:
+            return False  # no round; or the first of the auction's plan, which is as good a begin
+        here = self.dispatch.standing(view)
+        order = self.dispatch.book.tasks[task]
+        through = self.house.after(here._replace(ready_ms=0), self.house.trip(order), False)
+        return through.ready_ms * MS < left_us
+
+    def _must_charge(self, task: int, view: FleetView) -> bool:
+        dropoff = self.house.trip(self.dispatch.book.tasks[task]).dropoff
+        trip = Trip(self._pickup(task, view), dropoff)
+        return self.charging.before(self.dispatch.standing(view), trip)
+
+    def _here(self, view: FleetView) -> Standing:
+        return Standing(self.slot, (view.here.x_m, view.here.y_m), 0, self.dispatch.left)
+
+    def _falls_short(self, task: int, view: FleetView) -> bool:
+        loaded, dropoff = (
+            task == self._load,
+            self.house.trip(self.dispatch.book.tasks[task]).dropoff,
+        )
+        trip = Trip(dropoff if loaded else self._pickup(task, view), dropoff)
+        return self.charging.falls_short(self._here(view), trip, loaded)
+
+    def _short(self, section: int, view: FleetView) -> bool:
+        """Under way, once a second: held up longer than any plan knew. A bay comes first."""
+        untold = self._load == section != self._told_aboard  # that it is aboard must be known
+        if section >= TASKS_MAX or untold or not self.charging.due(view.now_us):
+            return False
+        return self._falls_short(section, view) and self._charge(view, section) is not None
+
+    def _search_ends(self, section: int, view: FleetView) -> bool:
+        """Looking for a parcel takes longer than any plan knew: before the next place, a bay."""
+        if section == self._load or not self.whereabouts.searching(section):
+            return False
+        assert self.goal is not None
+        dropoff = self.house.trip(self.dispatch.book.tasks[section]).dropoff
+        return self.charging.before(self._here(view), Trip(self.goal, dropoff))
+
+    def _charge(self, view: FleetView, task: int | None) -> Choice | None:
+        """A visit of a bay, on the way to what is next; None: all are taken."""
+        onward = None
+        if task is not None and task == self._load:
+            onward = self.house.trip(self.dispatch.book.tasks[task]).dropoff
+        elif task is not None:
+            onward = self._pickup(task, view)
+        shunned = {s for s, until_us in self._shunned_us.items() if until_us > view.now_us}
+        shunned |= self.cut_off.sections
+        return self.charging.visit((view.here.x_m, view.here.y_m), onward, view.allocation, shunned)
+
+    # ---------------------------------------------------------------- the section under way
+
+    def _pickup(self, task: int, view: FleetView) -> Point:
+        return self.whereabouts.next(task, self.dispatch.workers.get(task, []), view)
+
+    def begin(self, section: int, view: FleetView) -> None:
+        self.section, self._since_us = section, None
+
+    def approach(self, section: int, view: FleetView) -> Wish:
+        self._go(self._goal(section, view))
+        return self._drive(view)[0]
+
+    def _goal(self, section: int, view: FleetView) -> Point:
+        if section >= TASKS_MAX:
+            return self.house.bays[self.house.bay_of(section)]
+        if self._load == section:
+            return self.house.trip(self.dispatch.book.tasks[section]).dropoff
+        return self._pickup(section, view)
+
+    def _go(self, goal: Point) -> None:
+        if goal != self.goal:
+            self.goal, self._tracker, self._since_us = goal, None, None
+
+    def work(self, view: FleetView) -> Wish:
+        self._idle_us = None
+        if self.section is None:  # kept over a stop
+            held = view.allocation.assigned_sections(view.slot)
+            self.begin(held[0], view)
+        section = self.section
+        assert section is not None
+        if section < TASKS_MAX and self._delivered(section, view):
+            self._through()
+            return Wish(0.0, 0.0, covered=(PICKED, DELIVERED), finished=True)
+        if self._hopeless(section):
+            return self._given_up(section, view)
+        if UNDER_WAY in self.cut_off.sections and self._load != section < TASKS_MAX:
+            return self._missing(section, view)
+        self._go(self._goal(section, view))
+        if self._search_ends(section, view):
+            return self._given_up(section, view)
+        if self._short(section, view):
+            self._through()
+            return Wish(0.0, 0.0, given_up=True)  # what is aboard stays aboard
+        wish, arrived = self._drive(view)
+        self._plan_ahead(section, view)
+        if self._load == section and self._told_aboard != section:
+            self._told_aboard = section
+            wish = wish._replace(covered=(PICKED,))
+        # Within reach it handles also in a round: that ends.
+        if not (arrived or self._beside(view)):
+            self._since_us = None
+            return wish._replace(near_end=self._near_end(section, view))
+        if self._since_us is None:
+            self._since_us = view.now_us
+            self.charging.begin(view.here.battery)
+        if section >= TASKS_MAX:
+            return self._at_bay(section, view)
+        return self._handling(section, view)._replace(covered=wish.covered)
+
+    def _hopeless(self, section: int) -> bool:
+        """It cannot be got to, and nothing of it is aboard."""
+        if section >= TASKS_MAX:
+            section = TASKS_MAX + self.house.bay_of(section)
+        return section in self.cut_off.sections and section != self._load
+
+    def _beside(self, view: FleetView) -> bool:
+        """Something is where we want to be, a body that we may know nothing of; the arm reaches over."""
+        section = self.section
+        if section is None or section >= TASKS_MAX or self.goal is None:
+            return False
+        x_m, y_m = self.goal
+        away_m = hypot(x_m - view.here.x_m, y_m - view.here.y_m)
+        reached = away_m < BESIDE_M or (self._load != section and section in view.here.parcels)
+        nearer = away_m < self._nearest[0] - NEARER_M
+        if not reached or nearer:
+            self._nearest = (away_m, view.now_us)
+            return False
+        width_m = 2 * self.floor.radius_m
+        others = [(n.pose.x_m, n.pose.y_m) for n in view.neighbours.values()]
+        others += self.bodies.dead.values()
+        taken = any(hypot(x_m - p[0], y_m - p[1]) < width_m for p in others)
+        return taken or view.now_us - self._nearest[1] > STALLED_US
+
+    def _near_end(self, section: int, view: FleetView) -> bool:
+        """The next section is claimed on the last leg, not before: until then it may be re-planned."""
+        if section >= TASKS_MAX or self._load != section or self.goal is None:
+            return False
+        left_m = hypot(self.goal[0] - view.here.x_m, self.goal[1] - view.here.y_m)
+        return left_m < self.speed_m_s
+
+    def _plan_ahead(self, section: int, view: FleetView) -> None:
+        """The path behind the one under way, when that is nearly driven."""
+        tracker = self._tracker
+        if tracker is None or self.goal is None:
+            return
+        if tracker.total_m - tracker.along_m > AHEAD_S * self.speed_m_s:
+            return
+        if section < TASKS_MAX and self._load != section:
+            onward: Point | None = self.house.trip(self.dispatch.book.tasks[section]).dropoff
+        else:
+            task = self._next(view)
+            onward = None if task is None else self._pickup(task, view)
+        if onward is not None and onward != self.goal:
+            self.paths.ask(self.goal, onward)
+
+    def _way(self, at: Point, goal: Point) -> tuple[Point, ...]:
+        return self.paths.take(at, goal)
+
+    def _delivered(self, task: int, view: FleetView) -> bool:
+        """It has been carried, and lies, for us to see, within reach of its dropoff."""
+        seen = view.here.parcels.get(task)
+        if seen is None or seen.on_robot:
+            return False
+        pickup, dropoff = self.house.trip(self.dispatch.book.tasks[task])
+        carried = self._told_aboard == task or view.progress.bits(task, 0) & 1
+        if not carried and hypot(pickup[0] - seen.x_m, pickup[1] - seen.y_m) < UNTOUCHED_M:
+            return False
+        return hypot(dropoff[0] - seen.x_m, dropoff[1] - seen.y_m) < REACH_M
+
+    def _handling(self, task: int, view: FleetView) -> Wish:
+        """Load, or unload. The world says what has come of it: what is aboard, and what lies where."""
+        assert self._since_us is not None
+        if self._load != task and task not in view.here.parcels:
+            if view.now_us - self._since_us > MISSING_US:
+                return self._missing(task, view)
+            return Wish(0.0, 0.0)
+        return Wish(0.0, 0.0, handle=task)
+
+    def _missing(self, task: int, view: FleetView) -> Wish:
+        """No parcel here: the next place, and after the last one others may, or we again later."""
+        assert self.goal is not None
+        self._since_us = None
+        if self.whereabouts.looked(task, self.goal):
+            return Wish(0.0, 0.0)
+        return self._given_up(task, view)
+
+    def _given_up(self, section: int, view: FleetView) -> Wish:
+        self._shunned_us[section] = view.now_us + SHUN_US
+        self._through()
+        return Wish(0.0, 0.0, given_up=True)
+
+    def _at_bay(self, section: int, view: FleetView) -> Wish:
+        state = self.charging.look(view.here.battery, view.now_us)
+        if state is Bay.CHARGES:
+            return Wish(0.0, 0.0)
+        if state is Bay.DEAD:  # leave it to who mends it
+            bay = self.house.bay_of(section)
+            self._shunned_us[TASKS_MAX + bay] = view.now_us + 20 * SHUN_US
+        self._through()
+        return Wish(0.0, 0.0, finished=state is Bay.FULL, given_up=state is Bay.DEAD)
+
+    def _through(self) -> None:
+        if self.section in self.dispatch.itinerary:
+            self.dispatch.itinerary.remove(self.section)
+        self.section, self.goal, self._tracker, self._since_us = None, None, None, None
+        self._calls = (0, 0)
+
+    def abandon(self) -> None:
+        self._through()
+
+    def rest(self, view: FleetView) -> Wish:
+        """Nothing to do: go where we were switched on, so that we stand in nobody's way."""
+        self.section = None
+        if self._idle_us is None:
+            self._idle_us = view.now_us
+        away_m = hypot(self.home[0] - view.here.x_m, self.home[1] - view.here.y_m)
+        if view.now_us - self._idle_us < HOME_US or away_m < 1.0:
+            return super().rest(view)
+        if self.house.carrier.runs_dry and self.dispatch.left < self.house.home(self.home):
+            return super().rest(view)
+        self._go(self.home)
+        return self._drive(view)[0]

@@ -1,0 +1,92 @@
+"""Where a robot looks for a parcel that it is to fetch, one place after the other.
+
+Mostly it lies where it was to be fetched. A robot that died has it aboard, and stands where it was last
+heard, or, if that was before a split, nobody knows where: then at what rays have found standing about,
+where it was to go, and in the end all over the building. What the arm can feel is where it is.
+"""
+
+from functools import cached_property
+from math import hypot
+
+from agent.delivery.task_registry import TaskBook
+from agent.delivery.warehouse import Warehouse
+from agent.interface.mission import FleetView
+from agent.mapf.lattice import Lattice
+from agent.mapping.dynamic_obstacles import Hazards
+from agent.navigation.silent_robots import Bodies
+
+Point = tuple[float, float]
+LOOKED_M = 0.8  # a place nearer than this to one that was looked at need not be looked at
+SPOT_HOPS = 2  # of the lattice: rays see a body so far from a spot of the search
+
+
+class Whereabouts:
+    def __init__(self, house: Warehouse, book: TaskBook, hazards: Hazards, bodies: Bodies) -> None:
+        self.house, self.book, self.hazards, self.bodies = house, book, hazards, bodies
+        self._looked: dict[int, list[Point]] = {}  # task: places where its parcel was not
+
+    def likeliest(self, task: int, workers: list[int], view: FleetView) -> Point:
+        return self._places(task, workers, view)[0]
+
+    def next(self, task: int, workers: list[int], view: FleetView) -> Point:
+        """Where to look for it now. `workers`: who had begun with it, as far as we saw."""
+        seen = view.here.parcels.get(task)
+        if seen is not None:
+            return seen.x_m, seen.y_m
+        places = self._places(task, workers, view)
+        looked = self._looked.get(task)
+        if not looked:
+            return places[0]
+        at = view.here.x_m, view.here.y_m
+        found = next((p for p in places if _new(p, looked)), None)
+        found = found or min(
+            (p for p in (*self.hazards.things(), *self._spots) if _new(p, looked)),
+            key=lambda p: hypot(p[0] - at[0], p[1] - at[1]),
+            default=None,
+        )
+        return found or places[0]
+
+    def searching(self, task: int) -> bool:
+        """Whether it was not where it should be."""
+        return task in self._looked
+
+    def looked(self, task: int, place: Point) -> bool:
+        """It was not there. False: there is no place left; from now on all are looked at again."""
+        looked = self._looked.setdefault(task, [])
+        looked.append(place)
+        if any(_new(p, looked) for p in self._spots):
+            return True
+        del self._looked[task]
+        return False
+
+    def _places(self, task: int, workers: list[int], view: FleetView) -> list[Point]:
+        trip = self.house.trip(self.book.tasks[task])
+        dead = self.bodies.dead
+        carriers = [w for w in reversed(workers) if w in dead]
+        carriers += [slot for slot in dead if slot not in carriers]
+        bodies = [dead[slot] for slot in carriers]
+        if view.progress.bits(task, 0) & 1:
+            return [*bodies, trip.dropoff, trip.pickup]
+        return [trip.pickup, *bodies, trip.dropoff]
+
+    @cached_property
+    def _spots(self) -> list[Point]:
+        """Nodes from which together all of the floor is seen."""
+        lattice = self.house.floor.lattice
+        left, found = set(range(len(lattice))), list[Point]()
+        for node in range(len(lattice)):
+            if node in left:
+                found.append(lattice.point(node))
+                left -= _around(lattice, node)
+        return found
+
+
+def _around(lattice: Lattice, node: int) -> set[int]:
+    near = {node}
+    for _ in range(SPOT_HOPS):
+        near |= {int(n) for k in near for n in lattice.near[k] if n >= 0}
+    return near
+
+
+def _new(place: Point, looked: list[Point]) -> bool:
+    return all(hypot(place[0] - x_m, place[1] - y_m) > LOOKED_M for x_m, y_m in looked)

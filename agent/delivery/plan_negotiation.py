@@ -1,0 +1,260 @@
+"""Scenarios A and C: all robots search at once, each with its own seed; the cheapest plan is adopted.
+
+A round has four steps. Somebody calls it and says how long it takes. Everybody freezes the problem and
+starts from the same auction; or from what is planned, where tasks are only to wait less. When time is up
+each offers what its plan costs, in silence if it has heard of a better one; the least is elected, lower
+slots first among equals, and the term of that election is the number of the round: nothing of an older
+one is believed. The elected streams its plan row by row;
+where it falls silent the others elect the second best. Adopted is a plan whose digest is the offered.
+
+What each froze need not be the same to the metre: whose plan is adopted has planned for all.
+"""
+
+from collections.abc import Iterator, Mapping
+from enum import Enum
+from math import ceil
+from typing import NamedTuple
+from zlib import crc32
+
+from agent.delivery.auction import Planner
+from agent.delivery.routing_problem import Itineraries, Workload
+from agent.interface.config import MS
+from protocol.frames.delivery_frames import HASTENS, NO_TASK, PlanOffer, PlanRow
+
+SLICE_US = 50 * MS  # a control period
+SLICE_MOVES = 15_000  # of the search in each: 10 ms of a small computer's 50; and
+SLICE_MOVES_CHARGING = 3_000  # where routes are walked with bays: as long; for routes of so many tasks:
+ROUTE_TASKS = 5  # longer ones are walked longer, so that there are fewer moves
+SLICE_MOVES_HASTE = 2_000  # more found nothing more
+WORTH = 0.99  # of the waiting before: a better plan is worth its frames
+REPLAN_UNIT_US = 250 * MS
+REPLAN_US_MAX = 255 * REPLAN_UNIT_US
+OFFERS_US = 500 * MS  # offers are collected this long; the bus is through with all in a tenth of it
+HUSH_US = 700 * MS  # without a row of the stream: the next best takes over
+ROWS_A_BEAT = 6
+PASSES = 2  # a stream is said so often
+CALLS = 3
+HOT, COLD = 0.02, 0.0002  # temperatures of the whole search, shared out to its slices
+
+Rows = dict[int, list[int]]  # slot: its tasks
+
+
+class Frozen(NamedTuple):
+    """The problem of a round."""
+
+    slots: tuple[int, ...]
+    tasks: tuple[int, ...]
+    work: Workload
+    plan: Itineraries | None = None  # to begin from, so that its tasks wait less; None: anew
+
+
+class Step(Enum):
+    REST = "no round"
+    SEARCH = "searching, from the auction on"
+    OFFER = "offers are heard"
+    STREAM = "the plan is streamed"
+
+
+class PlanRound:
+    def __init__(self, slot: int, seed: int) -> None:
+        self.slot, self.seed = slot, seed
+        self.number, self.step = 0, Step.REST
+        self.ends_us = 0  # of the step
+        self.adopted: Rows | None = None  # to be taken by who asks
+        self.first: Rows = {}  # the auction's plan, the same for all
+        self.streamed = 0  # rounds that we streamed
+        self._frozen: Frozen | None = None
+        self._planner: Planner | None = None
+        self._plan: Itineraries = []
+        self._hastens = False
+        self._slices = self._done = self._calls = 0
+        self._replan = 0
+        self._offers: dict[int, tuple[int, int]] = {}  # slot: cost, digest
+        self._told: dict[int, dict[int, dict[int, int]]] = {}  # source: slot: position: task
+        self._lengths: dict[int, dict[int, int]] = {}  # source: slot: tasks
+        self._heard_us = 0  # the last row
+        self._queue: list[PlanRow] = []
+        self._mine: Rows = {}
+        self._mute: set[int] = set()  # elected, and not heard
+
+    @property
+    def active(self) -> bool:
+        return self.step is not Step.REST
+
+    def left_us(self, now_us: int) -> int:
+        """Until new itineraries can be expected."""
+        if self.step is Step.REST or self._hastens:
+            return 0
+        return max(self.ends_us - now_us, 0) + (OFFERS_US if self.step is Step.SEARCH else 0)
+
+    # ---------------------------------------------------------------- the steps
+
+    def call(self, frozen: Frozen, replan_us: int, now_us: int) -> None:
+        """Begin the next round."""
+        units = min(ceil(replan_us / REPLAN_UNIT_US), 255)
+        self._calls = CALLS
+        self._begin((self.number + 1) & 0xFF, max(units, 1), frozen, now_us)
+
+    def wanted(self, offer: PlanOffer) -> bool:
+        """Whether this is the call of a round that we are to join."""
+        return offer.replan > 0 and _newer(offer.round, self.number)
+
+    def join(self, offer: PlanOffer, frozen: Frozen, now_us: int) -> None:
+        self._calls = 1 if self.slot % 4 == 0 else 0  # who missed the call may hear the echo
+        self._begin(offer.round, offer.replan, frozen, now_us)
+
+    def _begin(self, number: int, units: int, frozen: Frozen, now_us: int) -> None:
+        self.number, self.step, self._replan = number, Step.SEARCH, units
+        self.ends_us = now_us + units * REPLAN_UNIT_US
+        self._frozen, self._planner = frozen, Planner(frozen.work)
+        self._hastens = frozen.plan is not None
+        self._plan = self._planner.auctioned() if frozen.plan is None else frozen.plan
+        self.first = self._rows()
+        self._slices, self._done = units * REPLAN_UNIT_US // SLICE_US, 0
+        self._offers, self._told, self._lengths = {}, {}, {}
+        self._queue, self._mine, self._mute = [], {}, set()
+
+    def _rows(self) -> Rows:
+        assert self._frozen is not None
+        tasks = self._frozen.tasks
+        return {
+            slot: [tasks[t] for t in row]
+            for slot, row in zip(self._frozen.slots, self._plan, strict=True)
+        }
+
+    def tick(self, now_us: int) -> None:
+        """Each control period."""
+        if self.step is Step.SEARCH:
+            self._search(now_us)
+        elif self.step is Step.OFFER and now_us >= self.ends_us:
+            self.step, self._heard_us = Step.STREAM, now_us
+            self._pass()
+        elif self.step is Step.STREAM:
+            self._stream(now_us)
+
+    def _search(self, now_us: int) -> None:
+        assert self._planner is not None
+        if now_us < self.ends_us:
+            if self._done < self._slices:
+                self._plan = self._slice(self._planner)
+                self._done += 1
+            return
+        self.step, self.ends_us = Step.OFFER, now_us + OFFERS_US
+        self._mine = self._rows()
+        cost_ms = self._cost_ms(self._planner)
+        if cost_ms is not None:
+            self._offers[self.slot] = (min(cost_ms, 0xFFFFFFFF), digest_of(self._mine))
+
+    def _slice(self, planner: Planner) -> Itineraries:
+        seed = self.seed + self._done
+        if self._hastens:
+            return planner.hastened(self._plan, seed, SLICE_MOVES_HASTE)
+        hot = HOT * (COLD / HOT) ** (self._done / self._slices)
+        cold = HOT * (COLD / HOT) ** ((self._done + 1) / self._slices)
+        moves = SLICE_MOVES
+        if planner.work.power is not None:
+            routes = max(planner.work.robots, 1) * ROUTE_TASKS
+            moves = SLICE_MOVES_CHARGING * routes // max(planner.work.tasks, routes)
+        return planner.improved(self._plan, seed, moves, (hot, cold))
+
+    def _cost_ms(self, planner: Planner) -> int | None:
+        """What our plan costs; None: it is none, or not worth its frames."""
+        if self._hastens:
+            assert self._frozen is not None and self._frozen.plan is not None
+            before_ms = planner.waiting_ms(self._frozen.plan)
+            cost_ms = planner.waiting_ms(self._plan)
+            return cost_ms if worth_streaming(before_ms, cost_ms) else None
+        worth = planner.worth(self._plan)
+        return worth.makespan_ms if worth.feasible else None
+
+    def _rank(self) -> list[int]:
+        return sorted(self._offers, key=lambda slot: (self._offers[slot], slot))
+
+    def _pass(self) -> None:
+        """The elected begins; the others wait to hear it."""
+        rank = self._rank()
+        if rank and rank[0] == self.slot and not self._queue:
+            self._queue = list(_said(self.number, self._mine)) * PASSES
+
+    def _stream(self, now_us: int) -> None:
+        rank = self._rank()
+        if not rank:
+            self.step = Step.REST
+        elif self._queue:
+            self._heard_us = now_us
+        elif rank[0] == self.slot:  # all said
+            self._adopt(self._mine)
+            self.streamed += 1
+        elif now_us - self._heard_us > HUSH_US:
+            self._mute.add(rank[0])  # it has died, or we cannot hear it: the next best is elected
+            del self._offers[rank[0]]
+            self.step, self.ends_us = Step.OFFER, now_us + OFFERS_US
+
+    def _adopt(self, rows: Rows) -> None:
+        self.adopted, self.step = rows, Step.REST
+        self._queue = []
+
+    # ---------------------------------------------------------------- frames
+
+    def hear(self, slot: int, message: PlanOffer | PlanRow, now_us: int) -> None:
+        if message.round != self.number or self.step is Step.REST:
+            return
+        if isinstance(message, PlanOffer):
+            if not message.replan and slot not in self._mute:
+                self._offers[slot] = (message.cost_ms, message.digest)
+            return
+        self._heard_us = now_us
+        rows = self._told.setdefault(slot, {}).setdefault(message.slot, {})
+        self._lengths.setdefault(slot, {})[message.slot] = message.length
+        rows[message.first] = message.task
+        if message.after != NO_TASK:
+            rows[message.first + 1] = message.after
+        if slot in self._offers:
+            self._complete(slot)
+
+    def _complete(self, source: int) -> None:
+        """Adopt what a source has streamed if it is whole, and what it offered."""
+        plan: Rows = {}
+        for slot, length in self._lengths[source].items():
+            row = self._told[source][slot]
+            if any(k not in row for k in range(length)):
+                return
+            plan[slot] = [row[k] for k in range(length)]
+        if digest_of(plan) == self._offers[source][1]:
+            self._adopt(plan)
+
+    def say(self, now_us: int) -> Iterator[PlanOffer | PlanRow]:
+        """With our beat."""
+        if self.step is Step.SEARCH and self._calls:
+            self._calls -= 1
+            left_us = max(self.ends_us - now_us, 1)
+            yield PlanOffer(
+                self.number, ceil(left_us / REPLAN_UNIT_US), HASTENS if self._hastens else 0, 0
+            )
+        elif self.step is Step.OFFER and self._rank()[:1] == [self.slot]:
+            yield PlanOffer(self.number, 0, *self._offers[self.slot])
+        elif self.step is Step.STREAM:
+            yield from self._queue[:ROWS_A_BEAT]
+            del self._queue[:ROWS_A_BEAT]
+
+
+def worth_streaming(before_ms: int, after_ms: int) -> bool:
+    """Of what planned tasks wait in sum, and would wait."""
+    return after_ms < before_ms * WORTH
+
+
+def _newer(a: int, b: int) -> bool:
+    """Of two numbers of rounds that are counted modulo 256."""
+    return 0 < (a - b & 0xFF) < 128
+
+
+def _said(number: int, rows: Rows) -> Iterator[PlanRow]:
+    for slot, row in sorted(rows.items()):
+        padded = [*row, NO_TASK, NO_TASK]
+        for first in range(0, max(len(row), 1), 2):
+            yield PlanRow(number, slot, first, len(row), padded[first], padded[first + 1])
+
+
+def digest_of(rows: Mapping[int, list[int]]) -> int:
+    """u16 of a plan."""
+    return crc32(repr(sorted(rows.items())).encode()) & 0xFFFF

@@ -1,0 +1,50 @@
+"""What a robot cannot get to at present, whatever way it takes: walled in by bodies and other things.
+
+Boxes go and people step aside, so that only what has been cut off for a while counts. Tasks that are,
+are begun by nobody who knows it, and a fleet that has nothing else left says so and is done.
+"""
+
+from collections.abc import Mapping, Sequence
+from math import hypot
+
+from agent.interface.config import S
+from agent.mapping.dynamic_obstacles import Hazards
+
+Point = tuple[float, float]
+LOOK_US = 1 * S
+CUT_OFF_US = 15 * S  # a parcel that somebody is about to fetch is waited for so long
+STANDSTILL_US = 30 * S  # not `GOT_ON_M` further in so long: others may take what is not begun
+GOT_ON_M = 1.0
+
+
+class CutOff:
+    def __init__(self, hazards: Hazards) -> None:
+        self.hazards = hazards
+        self.sections: frozenset[int] = frozenset()
+        self._since_us: dict[int, int] = {}
+        self._look_us = 0
+        self._stood: tuple[Point, int] = ((0.0, 0.0), 0)  # where, and since when
+
+    def due(self, now_us: int) -> bool:
+        return now_us >= self._look_us
+
+    def look(self, at: Point, goals: Mapping[int, Sequence[Point]], now_us: int) -> None:
+        """When due. `goals`: of each section, the places that all must be got to."""
+        self._look_us = now_us + LOOK_US
+        places = [(section, place) for section, own in goals.items() for place in own]
+        reached = self.hazards.reaches(at, [place for _, place in places])
+        cut = {section for (section, _), there in zip(places, reached, strict=True) if not there}
+        self._since_us = {section: self._since_us.get(section, now_us) for section in cut}
+        self.sections = frozenset(
+            section
+            for section, since_us in self._since_us.items()
+            if now_us - since_us > CUT_OFF_US
+        )
+
+    def stands_still(self, at: Point, busy: bool, now_us: int) -> bool:
+        """Each control period: whether a robot that has something to do has not got on for long."""
+        (x_m, y_m), since_us = self._stood
+        if not busy or hypot(at[0] - x_m, at[1] - y_m) > GOT_ON_M:
+            self._stood = (at, now_us)
+            return False
+        return now_us - since_us > STANDSTILL_US

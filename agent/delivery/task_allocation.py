@@ -1,0 +1,403 @@
+"""Who is to carry what, settled among peers: itineraries told, tasks auctioned, plans made together.
+
+Each robot alone says its own itinerary: what it means to begin, in its order. A task that is in nobody's
+is open. Up to `t_max` open ones are auctioned one after the other: each robot bids what the task would
+cost it, and is silent if it has heard of less (scenario B). More are planned anew by all (scenarios A
+and C, `agent/delivery/plan_negotiation.py`). All of this is soft: before a task is begun its register is claimed, and
+what is told too late, twice or never is only waste for a moment.
+
+What a silent robot had keeps its owner for a lease; then it is auctioned, the last of its order first,
+and comes behind what the winner has already: own work first, also in a split.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
+
+from agent.delivery.absent_owners import Absence
+from agent.delivery.auction import Planner
+from agent.delivery.cost_matrix import FULL
+from agent.delivery.itinerary_broadcast import STOPS_MAX, Telling, Told
+from agent.delivery.plan_negotiation import SLICE_US, PlanRound
+from agent.delivery.problem_snapshot import anew, hastened, round_tasks_max
+from agent.delivery.routing_problem import IMPOSSIBLE_MS
+from agent.delivery.task_registry import TASKS_MAX, Order, TaskBook
+from agent.delivery.waiting_policy import REPLAN_US as HASTE_US
+from agent.delivery.waiting_policy import Haste
+from agent.delivery.warehouse import Standing, Warehouse
+from agent.interface.config import MS, S
+from agent.interface.mission import FleetView, Record
+from crdt import Phase
+from protocol.frames.delivery_frames import (
+    Itinerary,
+    PlanOffer,
+    PlanRow,
+    TaskBid,
+    TaskBookDigest,
+    TaskOrder,
+)
+
+LOOK_US = 250 * MS  # between two looks for open tasks
+BIDS_US = 300 * MS  # bids for a task are collected this long: six beats of a small fleet
+AWARDED_US = 2 * S  # the winner has told its itinerary by then
+STABLE_US = 500 * MS  # more than t_max open tasks for so long call a round
+STAGGER_US = 150 * MS  # lower slots call it first
+BOOT_US = 3 * S  # so long the whole fleet is waited for before the first plan
+RESIGN_US = 2 * S  # a protective stop that ends is no reason
+NOBODY_US = 5 * S  # a task for which nobody bids is called again after so long
+AGAIN_US = 5 * S  # between two rounds
+MOVES_A_TASK = 2_000  # of the search; and
+REPLAN_US = (2 * S, 10 * S)  # as long as this at least and at most
+Dispatched = TaskOrder | TaskBookDigest | TaskBid | Itinerary | PlanOffer | PlanRow
+
+
+class Auction(NamedTuple):
+    task: int
+    closes_us: int
+    best: tuple[int, int] | None  # cost, slot
+    mine: TaskBid | None  # still to be said
+
+
+class Dispatch:
+    def __init__(
+        self, slot: int, house: Warehouse, now_us: int, seed: int, recalled: Mapping[int, Order]
+    ) -> None:
+        """`recalled`: tasks that were told in an earlier life."""
+        self.slot, self.house = slot, house
+        self.book = TaskBook(slot, {**house.tasks, **recalled}, now_us)
+        self.round = PlanRound(slot, seed)
+        self.itinerary: list[int] = []  # tasks that we mean to begin, not those begun
+        self.telling = Telling(now_us)
+        self.absence = Absence()
+        self.haste = Haste(now_us)
+        self.left = FULL
+        self._auction: Auction | None = None
+        self._rival: tuple[int, tuple[int, int]] | None = (
+            None  # the first bid for a task, of another
+        )
+        self._awarded: dict[int, int] = {}  # task: until when its winner is waited for
+        self._born_us, self._look_us, self._many_us, self._round_us = now_us, now_us, 0, 0
+        self._done: set[int] = set()
+        self.cut: frozenset[int] = frozenset()  # tasks that we cannot get to
+        self._able_us = now_us  # when we last could work
+        self.workers: dict[int, list[int]] = {}  # task: who began with it, as far as we saw
+        self._calls: list[PlanOffer] = []  # heard, to be answered at the next look
+
+    @property
+    def told(self) -> dict[int, Told]:
+        return self.telling.told
+
+    @property
+    def deciding(self) -> int | None:
+        """The task that is auctioned, as far as we know; our bid for it is made."""
+        return None if self._auction is None else self._auction.task
+
+    # ---------------------------------------------------------------- what there is to do
+
+    def tick(self, view: FleetView, able: bool) -> None:
+        """Each control period. `able`: we can work; who cannot for long leaves its tasks to others."""
+        now_us = view.now_us
+        if able:
+            self._able_us = now_us
+        elif self.itinerary and now_us - self._able_us > RESIGN_US:
+            self.itinerary = []
+            self.telling.changed(now_us)
+        self.round.tick(now_us)
+        for offer in self._calls:
+            if self.round.wanted(offer):
+                self._begin_round(view, able, offer)
+        self._calls.clear()
+        if self.round.adopted is not None:
+            self._adopt(view)
+        self._close(view, able)
+        if now_us >= self._look_us:
+            self._look_us = now_us + LOOK_US
+            self._look(view, able)
+        if self.telling.due(now_us):
+            self._plan_stops(view)
+
+    def _look(self, view: FleetView, able: bool) -> None:
+        self.absence.look(view)
+        self._tidy(view)
+        if not self.round.active:
+            fresh, orphans = self.open(view)
+            self._consider(fresh, orphans, view, able)
+        self._rival = None
+
+    def _consider(self, fresh: list[int], orphans: list[int], view: FleetView, able: bool) -> None:
+        now_us = view.now_us
+        if len(fresh) <= self.house.t_max:
+            self._many_us = now_us
+        whole = len(view.live) >= len(view.live | view.silent_since_us.keys()) > 1
+        if now_us - self._born_us < BOOT_US and not (whole and now_us - self._born_us > S):
+            return  # not everybody is here yet
+        due_us = max(self._many_us + STABLE_US, self._round_us) + STAGGER_US * self._order(view)
+        planned = sum(len(self.means(slot)) for slot in view.live)
+        room = round_tasks_max(len(view.live)) - planned
+        if len(fresh) > self.house.t_max and room < min(len(fresh), planned):
+            fresh = []  # a backlog: what is planned is begun first
+        if len(fresh) > self.house.t_max and now_us >= self._round_us:
+            if now_us >= due_us:
+                self._round_us = now_us + AGAIN_US
+                tasks = min(len(fresh), room)
+                replan_us = min(
+                    max(tasks * MOVES_A_TASK // 15_000 * SLICE_US, REPLAN_US[0]), REPLAN_US[1]
+                )
+                self._begin_round(view, able, replan_us=replan_us)
+        elif self._auction is None and (fresh or orphans):
+            self._open_auction([*fresh, *orphans], len(fresh), view, able)
+        elif self._auction is None:
+            means = {task for slot in view.live for task in self.means(slot)}
+            waiting = sum(view.allocation.phase_of(task) is Phase.FREE for task in means)
+            before_us = STAGGER_US * self._order(view)
+            if self.haste.due(now_us - before_us, self.book.added, waiting, len(view.live)):
+                self._begin_round(view, able, replan_us=HASTE_US, haste=True)
+
+    def _plan_stops(self, view: FleetView) -> None:
+        """What we tell and show: with the bay that we are at, or that we shall have to go to."""
+        held = view.allocation.assigned_sections(self.slot)
+        at_bay = [TASKS_MAX + self.house.bay_of(s) for s in held if s >= TASKS_MAX]
+        known = [t for t in self.itinerary if self.house.known(self.book.tasks[t])]
+        ahead = self.house.charged_between(self.standing(view), known, self.book.tasks)
+        self.telling.stops = (at_bay + ahead)[:STOPS_MAX]
+
+    def _order(self, view: FleetView) -> int:
+        return sum(slot < self.slot for slot in view.live)
+
+    def open(self, view: FleetView) -> tuple[list[int], list[int]]:
+        """Tasks in nobody's itinerary; and those whose owner is silent and has lost its lease, the last
+        of its order first."""
+        allocation, now_us = view.allocation, view.now_us
+        holder: dict[int, int] = {}
+        for slot, told in self.told.items():
+            for task in told.whole:
+                holder.setdefault(task, slot)
+        own = set(self.itinerary)
+        fresh: list[int] = []
+        orphans: list[tuple[int, int]] = []
+        for task in self.book.tasks:
+            if task in self._done or task in own or task in self.cut:
+                continue
+            if self._awarded.get(task, 0) > now_us:
+                continue
+            phase = allocation.phase_of(task)
+            if phase is Phase.DONE:
+                self._done.add(task)
+                continue
+            owner = self._holder(task, phase, holder, view)
+            if owner == self.slot and phase is Phase.FREE:
+                self.itinerary.insert(0, task)  # we had begun with it: we find out where it is
+            if owner is None:
+                fresh.append(task)
+            elif owner != self.slot and self.absence.leaves(owner, task, view):
+                order = self.told[owner].whole if owner in self.told else ()
+                orphans.append((order.index(task) if task in order else -1, task))
+        return sorted(fresh), [task for _, task in sorted(orphans, reverse=True)]
+
+    def _holder(
+        self, task: int, phase: Phase, holder: dict[int, int], view: FleetView
+    ) -> int | None:
+        """Who has a task or means to: by its register, by the parcel's last carrier, by what was told."""
+        if phase is not Phase.FREE:
+            owner = view.allocation.owner_of(task)
+            if phase is Phase.STARTED and owner is not None:
+                self._began(task, owner)
+            return owner
+        if view.progress.bits(task, 0):  # picked up, and given back: its carrier has it aboard
+            return self.workers.get(task, [view.allocation.entry(task).owner])[-1]
+        return holder.get(task)
+
+    def _began(self, task: int, owner: int) -> None:
+        workers = self.workers.setdefault(task, [])
+        if not workers or workers[-1] != owner:
+            workers.append(owner)
+
+    def _tidy(self, view: FleetView) -> None:
+        """Out of our itinerary: what is no longer free, and what a lower slot has told as its own."""
+        lower = {
+            task
+            for slot, told in self.told.items()
+            if slot < self.slot and slot in view.live
+            for task in told.whole
+        }
+        kept = []
+        for task in self.itinerary:
+            owner = view.allocation.owner_of(task)
+            held = owner in view.live and not self.absence.leaves(owner, task, view)
+            gone = owner is not None and (owner == self.slot or held)
+            done = view.allocation.phase_of(task) is Phase.DONE
+            if done or gone or task in lower or task in self.cut:
+                continue
+            kept.append(task)
+        self.itinerary = kept
+        for slot in [s for s in self.told if s not in view.live and s not in view.silent_since_us]:
+            del self.told[slot]  # it left, and said so
+
+    # ---------------------------------------------------------------- scenario B
+
+    def _open_auction(self, tasks: list[int], fresh: int, view: FleetView, able: bool) -> None:
+        """For the first, or for what another has bid for. `fresh`: so many of them, then orphans."""
+        rival = self._rival
+        if rival is not None and rival[0] not in tasks:
+            rival = None
+        task = tasks[0] if rival is None else rival[0]
+        bid = self._bid(task, tasks.index(task) >= fresh, view) if able else None
+        best = None if bid is None else (bid.cost_ms, self.slot)
+        if rival is not None and (best is None or rival[1] < best):
+            best, bid = rival[1], None
+        self._auction = Auction(task, view.now_us + BIDS_US, best, bid)
+
+    def standing(self, view: FleetView) -> Standing:
+        """When and where we are free for the next task."""
+        here = Standing(self.slot, (view.here.x_m, view.here.y_m), 0, self.left)
+        return self.through(here, view)
+
+    def _bid(self, task: int, behind: bool, view: FleetView) -> TaskBid | None:
+        """None where we cannot do it."""
+        if not self.house.known(self.book.tasks[task]) or task in self.cut:
+            return None
+        order = [*self.itinerary, task]
+        trips = [self.house.trip(self.book.tasks[t]) for t in order]
+        planner = Planner(self.house.work(trips, [self.standing(view)]))
+        last = len(order) - 1
+        first = last if behind else self.haste.held(self.itinerary, view.now_us)
+        place, cost_ms = planner.inserted(0, range(last), last, first)
+        if cost_ms >= IMPOSSIBLE_MS:
+            return None
+        return TaskBid(task, min(cost_ms, 0xFFFFFFFF), min(place, 0xFF), int(behind))
+
+    def _heard_bid(self, slot: int, bid: TaskBid, now_us: int) -> None:
+        if bid.task not in self.book.tasks:
+            return
+        told = (bid.cost_ms, slot)
+        auction = self._auction
+        if auction is None or auction.task != bid.task:
+            rival = (bid.task, told) if self._rival is None else self._rival
+            if auction or rival[0] != bid.task or self._awarded.get(bid.task, 0) > now_us:
+                self._awarded[bid.task] = now_us + BIDS_US + AWARDED_US  # others are at it
+            else:  # our control period is later
+                self._rival, self._look_us = min(rival, (bid.task, told)), now_us
+            return
+        if auction.best is None or told < auction.best:
+            self._auction = auction._replace(best=told, mine=None)
+
+    def _close(self, view: FleetView, able: bool) -> None:
+        auction, now_us = self._auction, view.now_us
+        if auction is None or now_us < auction.closes_us:
+            return
+        self._auction = None
+        if auction.best is None:
+            self._awarded[auction.task] = now_us + NOBODY_US
+            return
+        self._awarded[auction.task] = now_us + AWARDED_US
+        if auction.best[1] == self.slot and auction.task not in self.itinerary:
+            behind = auction.mine is not None and bool(auction.mine.round)
+            bid = self._bid(auction.task, behind, view) if able else None
+            place = len(self.itinerary) if bid is None else bid.place
+            self.itinerary.insert(place, auction.task)
+            self.telling.changed(now_us)
+
+    # ---------------------------------------------------------------- scenarios A and C
+
+    def _begin_round(
+        self, view: FleetView, able: bool, offer: PlanOffer | None = None, replan_us: int = 0,
+        haste: bool = False,
+    ) -> None:  # fmt: skip
+        """Join the one that is offered, or call one."""
+        haste = haste or (offer is not None and offer.hastens)
+        frozen = (hastened if haste else anew)(self, view, able)
+        self.haste.planned(view.now_us, self.book.added)
+        if offer is None:
+            self.round.call(frozen, replan_us, view.now_us)
+        else:
+            self.round.join(offer, frozen, view.now_us)
+        if not self.itinerary and able:
+            # At the boot the auction's plan, which all compute alike, holds until there is a better one.
+            self.itinerary = list(self.round.first.get(self.slot, []))
+
+    def means(self, slot: int) -> Sequence[int]:
+        """The tasks that a robot means to begin, in its order, as far as we know."""
+        if slot == self.slot:
+            return self.itinerary
+        whole = self.told[slot].whole if slot in self.told else ()
+        return [stop for stop in whole if stop in self.book]
+
+    def through(self, standing: Standing, view: FleetView) -> Standing:
+        """After what a robot has claimed or begun: a task to its dropoff, a charge to the full."""
+        for section in view.allocation.assigned_sections(standing.slot):
+            order = self.book.tasks.get(section)
+            if order is not None and self.house.known(order):
+                loaded = bool(view.progress.bits(section, 0))
+                standing = self.house.after(standing, self.house.trip(order), loaded)
+            elif order is None and self.house.bays:
+                standing = self._charged(standing, section)
+        return standing
+
+    def after_all(self, standing: Standing, tasks: Sequence[int]) -> Standing:
+        """After tasks of an itinerary, with the charges that they need."""
+        orders = self.book.tasks
+        known = [task for task in tasks if self.house.known(orders[task])]
+        for stop in self.house.charged_between(standing, known, orders):
+            if stop >= TASKS_MAX:
+                standing = self._charged(standing, stop)
+            else:
+                standing = self.house.after(standing, self.house.trip(orders[stop]), False)
+        return standing
+
+    def _charged(self, standing: Standing, section: int) -> Standing:
+        carrier, bay = self.house.carrier, self.house.bays[self.house.bay_of(section)]
+        charge_ms = round((carrier.dock_s + carrier.charge_s) * 1000)
+        return Standing(standing.slot, bay, standing.ready_ms + charge_ms, FULL)
+
+    def _adopt(self, view: FleetView) -> None:
+        rows, self.round.adopted = self.round.adopted, None
+        assert rows is not None
+        planned = {task for row in rows.values() for task in row}
+        for slot, row in rows.items():
+            means = self.means(slot)
+            held = self.haste.held(means, view.now_us)
+            first = [task for task in means[:held] if task not in planned]
+            if slot == self.slot:
+                kept = [task for task in means[held:] if task not in planned]
+                self.itinerary = [*first, *row, *kept]
+            else:
+                old = self.told.get(slot)
+                left, version = (FULL, 0) if old is None else (old.left, old.version)
+                self.told[slot] = Told(version, {}, 0, left, (*first, *row))
+        self._tidy(view)
+        self.telling.changed(view.now_us)
+
+    # ---------------------------------------------------------------- frames
+
+    def hear(self, slot: int | None, message: Dispatched, now_us: int) -> Sequence[Record]:
+        if isinstance(message, TaskOrder | TaskBookDigest):
+            added = self.book.added
+            records = self.book.hear(message, now_us)
+            if self.book.added > added and isinstance(message, TaskOrder):
+                self.haste.known(message.task, now_us)
+                self._look_us = now_us  # all who have heard it bid at once, not one after the other
+            return records
+        if slot is not None:
+            self._heard(slot, message, now_us)
+        return ()
+
+    def _heard(
+        self, slot: int, message: TaskBid | Itinerary | PlanOffer | PlanRow, now_us: int
+    ) -> None:
+        if isinstance(message, TaskBid):
+            self._heard_bid(slot, message, now_us)
+        elif isinstance(message, Itinerary):
+            self.telling.hear(slot, message)
+        elif isinstance(message, PlanOffer) and self.round.wanted(message):
+            self._calls.append(message)
+        else:
+            self.round.hear(slot, message, now_us)
+
+    def say(self, now_us: int) -> Iterator[Dispatched]:
+        """With our beat."""
+        yield from self.book.say(now_us)
+        yield from self.round.say(now_us)
+        auction = self._auction
+        if auction is not None and auction.mine is not None:
+            yield auction.mine
+            self._auction = auction._replace(mine=None)
+        yield from self.telling.say(now_us, self.left)

@@ -1,0 +1,126 @@
+"""The tasks there are: a map from number to pickup and dropoff that only grows, joined by maximum.
+
+Who knows a task that another's digest lacks repeats its order, unless somebody else has just done so.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping
+from struct import Struct
+from typing import NamedTuple
+from zlib import crc32
+
+from agent.interface.config import MS, S
+from protocol.frames.delivery_frames import BUCKET_TASKS, TaskBookDigest, TaskOrder
+
+TASKS_MAX = 0x6000  # sections from here on are visits of charger bays
+DIGEST_US = 1 * S  # between two digests of one peer; a bucket each
+AGAIN_US = 400 * MS  # an order that was just heard is not repeated
+KEY, LAYOUT = "order/", Struct("<HH")  # of a durable record
+ORDERS_A_BEAT = 2  # so that a late joiner of 500 tasks does not fill the bus
+
+
+class Order(NamedTuple):
+    """A task: cells of the floor."""
+
+    pickup: int
+    dropoff: int
+
+
+def recalled_orders(recalled: Mapping[str, bytes]) -> dict[int, Order]:
+    """Tasks that were told while running, from durable memory. What does not parse is left out."""
+    found = {}
+    for key, raw in sorted(recalled.items()):
+        number = key.removeprefix(KEY)
+        if key.startswith(KEY) and number.isdecimal() and len(raw) == LAYOUT.size:
+            found[int(number)] = Order(*LAYOUT.unpack(raw))
+    return found
+
+
+def record(task: int, order: Order) -> tuple[str, bytes]:
+    return f"{KEY}{task}", LAYOUT.pack(*order)
+
+
+def stop_names(begun: Iterable[int], ahead: Iterable[int], load: int) -> list[str]:
+    """An itinerary as the mission writes it: [P5, D5, C1]. `ahead`: tasks, or TASKS_MAX and a bay;
+    `load`: the task whose parcel is aboard, which need not be picked up."""
+    found = []
+    for stop in (*begun, *ahead):
+        if stop >= TASKS_MAX:
+            found.append(f"C{stop - TASKS_MAX}")
+        else:
+            found += [f"P{stop}"] * (stop != load) + [f"D{stop}"]
+    return found
+
+
+class TaskBook:
+    def __init__(self, slot: int, tasks: Mapping[int, Order], now_us: int) -> None:
+        """`tasks`: what every robot was given before the start."""
+        self.tasks = dict(tasks)
+        self.added = 0  # grows with every change: who keeps something made of the book compares it
+        self._due: dict[int, int] = {}  # task to tell again, and from when
+        self._heard_us: dict[int, int] = {}
+        self._slot, self._bucket = slot, slot
+        self._digest_us = now_us + DIGEST_US + slot * 37 * MS  # not all in the same beat
+
+    def __contains__(self, task: int) -> bool:
+        return task in self.tasks
+
+    def free_number(self) -> int:
+        return max(self.tasks, default=-1) + 1
+
+    def hear(
+        self, message: TaskOrder | TaskBookDigest, now_us: int
+    ) -> tuple[tuple[str, bytes], ...]:
+        """What is returned must be durable before anybody hears that we know it."""
+        if isinstance(message, TaskOrder):
+            return self._order(message, now_us)
+        if message.bucket < -(-TASKS_MAX // BUCKET_TASKS):
+            self._compare(message, now_us)
+        return ()
+
+    def _order(self, message: TaskOrder, now_us: int) -> tuple[tuple[str, bytes], ...]:
+        if message.task >= TASKS_MAX:
+            return ()
+        self._heard_us[message.task] = now_us
+        self._due.pop(message.task, None)
+        order, known = Order(message.pickup, message.dropoff), self.tasks.get(message.task)
+        if known is None or order > known:
+            self.tasks[message.task] = order
+            self.added += 1
+            self._due[message.task] = now_us + AGAIN_US  # once more, for who missed it
+            return (record(message.task, order),)
+        if order < known:
+            self._due[message.task] = now_us
+        return ()
+
+    def _compare(self, message: TaskBookDigest, now_us: int) -> None:
+        bits, check = self._digest(message.bucket)
+        lacking = bits & ~message.bits
+        if not lacking and bits == message.bits and check != message.check:
+            lacking = bits  # one number, two tasks: the greater is for all
+        for k in range(BUCKET_TASKS):
+            task = message.bucket * BUCKET_TASKS + k
+            if lacking >> k & 1 and now_us - self._heard_us.get(task, -AGAIN_US) >= AGAIN_US:
+                self._due.setdefault(task, now_us + self._slot % 8 * 50 * MS)
+
+    def _digest(self, bucket: int) -> tuple[int, int]:
+        bits, found = 0, []
+        for k in range(BUCKET_TASKS):
+            order = self.tasks.get(bucket * BUCKET_TASKS + k)
+            if order is not None:
+                bits |= 1 << k
+                found.append((k, *order))
+        return bits, crc32(repr(found).encode()) & 0xFF
+
+    def say(self, now_us: int) -> Iterator[TaskOrder | TaskBookDigest]:
+        """With our beat."""
+        told = [task for task, due_us in self._due.items() if due_us <= now_us][:ORDERS_A_BEAT]
+        for task in told:
+            del self._due[task]
+            self._heard_us[task] = now_us
+            yield TaskOrder(task, *self.tasks[task])
+        if now_us >= self._digest_us:
+            self._digest_us = now_us + DIGEST_US
+            buckets = max(self.tasks, default=0) // BUCKET_TASKS + 1
+            self._bucket = (self._bucket + 1) % buckets
+            bits, check = self._digest(self._bucket)
+            yield TaskBookDigest(self._bucket, check, bits)

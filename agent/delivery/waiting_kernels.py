@@ -1,0 +1,59 @@
+"""Compiled: how long all tasks wait in sum, and the search for a plan in which they wait less.
+
+What a task waits counts from now on to its delivery, so a short one goes before a long one where that
+makes the others wait less. The routes are those of `agent/delivery/routing_kernels.py`.
+"""
+
+import numpy as np
+from numba import njit
+
+from agent.delivery.routing_kernels import IMPOSSIBLE, propose, put, walk, write
+
+
+@njit(cache=True)
+def least_waiting(r, seq, n, task, first, ready, lead, link, lead_bay_ms, power, charging, out):  # type: ignore[no-untyped-def]
+    """Where in a route a task makes all tasks of the route wait the least in sum, and how much more."""
+    before = walk(r, seq, n, ready, lead, link, lead_bay_ms, power, charging)[1]
+    best, place = IMPOSSIBLE, n
+    for at in range(first, n + 1):
+        put(seq, n, task, at, out)
+        after = walk(r, out, n + 1, ready, lead, link, lead_bay_ms, power, charging)[1]
+        if after - before < best:
+            best, place = after - before, at
+    return best, place
+
+
+@njit(cache=True)
+def shorten_waiting(  # type: ignore[no-untyped-def]
+    route, size, near, moves, state, ready, lead, link, lead_bay_ms, power, charging
+):
+    """Of `moves` tries from a plan, in place, each that makes the tasks of its two routes wait less in
+    sum and neither of the two last longer than the plan did. How many there were."""
+    robots, room = route.shape
+    through, sums = np.empty(robots, np.int64), np.empty(robots, np.int64)
+    of, at = np.full(len(link), -1, np.int64), np.zeros(len(link), np.int64)
+    for r in range(robots):
+        time, total = walk(r, route[r], size[r], ready, lead, link, lead_bay_ms, power, charging)
+        write(route, size, through, of, at, r, route[r].copy(), size[r], time)
+        sums[r] = total
+    latest = through.max()
+    new_a, new_b = np.empty(2 * room + 2, np.int64), np.empty(2 * room + 2, np.int64)
+    gained = 0
+    for _ in range(moves):
+        a, b, n, m = propose(route, size, of, at, near, state, new_a, new_b)
+        if n < 0 or n > room or m > room:
+            continue
+        ta, sum_a = walk(a, new_a, n, ready, lead, link, lead_bay_ms, power, charging)
+        tb, sum_b, before = through[b], 0, sums[a]
+        if a != b:
+            tb, sum_b = walk(b, new_b, m, ready, lead, link, lead_bay_ms, power, charging)
+            before += sums[b]
+        if max(ta, tb) > latest or sum_a + sum_b >= before:
+            continue
+        gained += 1
+        write(route, size, through, of, at, a, new_a, n, ta)
+        sums[a] = sum_a
+        if a != b:
+            write(route, size, through, of, at, b, new_b, m, tb)
+            sums[b] = sum_b
+    return gained

@@ -1,0 +1,176 @@
+"""What every robot of a delivering fleet is told before it starts: the building and what it costs."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from copy import copy
+from functools import cached_property
+from typing import NamedTuple
+from zlib import crc32
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.delivery.cost_matrix import FULL, Carrier, CostMatrix, Trip, spare_energy, workload
+from agent.delivery.routing_problem import Whole, Workload
+from agent.delivery.task_registry import TASKS_MAX, Order
+from agent.mapping.building import Floor
+from agent.paths.nav_mesh import Mesh, Point
+from crdt import FieldAllocationCRDT, Phase
+
+SECTIONS_END = 0x8000  # names begin there
+assert SECTIONS_END > TASKS_MAX
+T_MAX = 4  # new tasks up to here are inserted, more are planned anew
+ORDER_MAX = 0xFFFF
+
+
+class Standing(NamedTuple):
+    """When and where a robot is free for the next task, and with what left."""
+
+    slot: int
+    at: Point
+    ready_ms: int
+    left: int  # millionths of a battery
+
+
+class Warehouse:
+    def __init__(
+        self,
+        floor: Floor,
+        carrier: Carrier,
+        bays: Sequence[Point] = (),
+        tasks: Mapping[int, Order] | None = None,
+        t_max: int = T_MAX,
+    ) -> None:
+        self.floor, self.carrier, self.bays = floor, carrier, tuple(bays)
+        self.tasks, self.t_max = dict(tasks or {}), t_max
+
+    @cached_property
+    def costs(self) -> CostMatrix:
+        """Between all places that are known before the start; others are added when they come."""
+        floor = self.floor
+        mesh = Mesh(floor.inflated, floor.origin, floor.fine_m)
+        known = [self.place(cell) for order in self.tasks.values() for cell in order]
+        return CostMatrix(mesh, [*self.bays, *known])
+
+    def twin(self) -> "Warehouse":
+        """The same of another peer, as in a process of its own."""
+        other = copy(self)
+        other.costs = self.costs.twin()
+        return other
+
+    @property
+    def check(self) -> int:
+        """u24: peers of another building, or of other tasks, are not of this fleet."""
+        text = f"{self.floor.check} {self.carrier} {self.bays} {sorted(self.tasks.items())}"
+        return crc32(text.encode()) & 0xFFFFFF
+
+    # ---------------------------------------------------------------- places
+
+    def place(self, cell: int) -> Point:
+        """The middle of a cell of the map; cells are counted row by row from the south-west."""
+        floor = self.floor
+        row, column = divmod(cell, floor.walls.shape[1] - 2)
+        return (column + 0.5) * floor.cell_m, (row + 0.5) * floor.cell_m
+
+    def cell(self, at: Point) -> int | None:
+        """None: no robot can stand there."""
+        floor = self.floor
+        row, column = int(at[1] // floor.cell_m), int(at[0] // floor.cell_m)
+        rows, columns = (n - 2 for n in floor.walls.shape)
+        if not (0 <= row < rows and 0 <= column < columns):
+            return None
+        cell = row * columns + column
+        return cell if cell <= ORDER_MAX and not floor.walls[row + 1, column + 1] else None
+
+    def known(self, order: Order) -> bool:
+        """Whether an order from the wire is for places of this building."""
+        return all(
+            self.place(cell)[1] < self.floor.cell_m * (self.floor.walls.shape[0] - 2)
+            and self.cell(self.place(cell)) == cell
+            for cell in order
+        )
+
+    def trip(self, order: Order) -> Trip:
+        return Trip(self.place(order.pickup), self.place(order.dropoff))
+
+    # ---------------------------------------------------------------- costs
+
+    def way_m(self, a: Point, b: Point) -> float:
+        self.costs.extend([b])
+        return float(self.costs.metres([a], [b])[0, 0])
+
+    def work(self, trips: Sequence[Trip], robots: Sequence[Standing]) -> Workload:
+        return workload(
+            self.costs, self.carrier, trips, [r.at for r in robots], [r.ready_ms for r in robots],
+            self.bays, [r.left for r in robots],
+        )  # fmt: skip
+
+    def after(self, standing: Standing, trip: Trip, loaded: bool) -> Standing:
+        """Where a robot stands after one more task; `loaded`: it has the parcel already."""
+        way_m = self.way_m(standing.at, trip.dropoff if loaded else trip.pickup)
+        handle_ms = self.carrier.handle_ms
+        if not loaded:
+            way_m += self.way_m(trip.pickup, trip.dropoff)
+            handle_ms *= 2
+        time_ms = int(self.carrier.time_ms(_array(way_m))[0]) + handle_ms
+        energy = int(self.carrier.energy(_array(way_m), _array(time_ms).astype("int64"))[0])
+        return Standing(
+            standing.slot, trip.dropoff, standing.ready_ms + time_ms, standing.left - energy
+        )
+
+    def home(self, at: Point) -> int:
+        """Energy to a bay and, should that give nothing, to the next one, with the reserve."""
+        if not self.bays:
+            return self.reserve
+        self.costs.extend(self.bays)
+        way_m = self.costs.metres([at], self.bays)[0]
+        energy = self.carrier.energy(way_m, self.carrier.time_ms(way_m)) + self._spare
+        return int(energy.min()) + self.reserve
+
+    @cached_property
+    def _spare(self) -> Whole:
+        return spare_energy(self.costs, self.carrier, self.bays)
+
+    @property
+    def reserve(self) -> int:
+        return round(self.carrier.reserve * FULL)
+
+    # ---------------------------------------------------------------- bays
+
+    def charged_between(
+        self, standing: Standing, tasks: Iterable[int], orders: Mapping[int, Order]
+    ) -> list[int]:
+        """Sections in their order: tasks, and TASKS_MAX and a bay wherever a robot would have to charge
+        first, by the rule by which it does when it is there."""
+        found: list[int] = []
+        for task in tasks:
+            trip = self.trip(orders[task])
+            then = self.after(standing, trip, False)
+            if self.carrier.runs_dry and self.bays and then.left < self.home(trip.dropoff):
+                bay = min(
+                    range(len(self.bays)),
+                    key=lambda b: (
+                        self.way_m(standing.at, self.bays[b])
+                        + self.way_m(self.bays[b], trip.pickup)
+                    ),
+                )
+                found.append(TASKS_MAX + bay)
+                then = self.after(Standing(standing.slot, self.bays[bay], 0, FULL), trip, False)
+            found.append(task)
+            standing = then
+        return found
+
+    def visit(self, bay: int, allocation: FieldAllocationCRDT) -> int | None:
+        """The section of the next visit of a bay: claimed like a task, and done when it is left."""
+        section = TASKS_MAX + bay
+        while section < SECTIONS_END:
+            if allocation.phase_of(section) is not Phase.DONE:
+                return section
+            section += len(self.bays)
+        return None  # 8,192 charges: the stated limit
+
+    def bay_of(self, section: int) -> int:
+        return (section - TASKS_MAX) % len(self.bays)
+
+
+def _array(value: float) -> NDArray[np.float64]:
+    return np.array([value], dtype=np.float64)

@@ -1,0 +1,346 @@
+"""The exploring mission: many eyes, one map, nobody in charge.
+
+A frontier is a section of the allocation, claimed like a swath of a field. Claims of frontiers end in
+two ways: given back where it was seen on the way, or something better was found; DONE where a robot has
+stood at its station and looked all round, so that nobody goes there again for what cannot be seen.
+The map is the progress, and exploration is over for a robot when it sees no frontier it could reach.
+"""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from math import hypot
+
+from agent.exploration.exploration_task import (
+    ORDERS_FIRST,
+    ROBOTS_MAX,
+    FleetFullError,
+    FleetTask,
+    Kind,
+    Order,
+    Status,
+)
+from agent.exploration.frontier import Choosing, Frontier, Rival, Values, frontiers, wave_from
+from agent.exploration.frontier_path import TURN_ROUND, XY, SurveyWay
+from agent.interface.config import LEASE_US, MS, S
+from agent.interface.lifecycle import State
+from agent.interface.mission import Choice, FleetView, Wish
+from agent.mapping.inflation import Cell, Grid
+from agent.mapping.local_and_fleet_map import SurveyMap
+from agent.motion.holonomic_motion import Limits
+from crdt import Phase
+from crdt.occupancy import SIDE, MergeResult, corner_of
+from crdt.sighting import FREE, UNKNOWN
+
+CHOOSE_US = 250 * MS  # between two looks for a target by a robot without one
+CHECK_US = 500 * MS  # between two looks whether the frontier under way is still one
+REASSIGN_US = 5 * S  # the mission's: how often another target may be taken instead
+LOOK_ROUND_US = 500 * MS  # at the station: at `TURN_RAD_S` every gap between 36 rays is swept twice
+SHUNNED_US = 30 * S  # and is left to others for so long
+VIEW_SHARE = 0.5  # of the sensors' range: from a station a frontier is seen from so far
+VIEW_MAX_M = 1.0
+
+
+class Exploration:
+    def __init__(
+        self,
+        chart: SurveyMap,
+        limits: Limits,
+        robots: int,
+        robots_max: int = ROBOTS_MAX,
+        orders: Sequence[Order] = (),
+    ) -> None:
+        if robots > robots_max:
+            raise FleetFullError(robots_max)
+        self.chart, self.limits = chart, limits
+        self.orders = {ORDERS_FIRST + k: order for k, order in enumerate(orders)}
+        geometry = chart.geometry
+        self.view_cells = int(min(VIEW_MAX_M, VIEW_SHARE * chart.range_m) / geometry.cell_m)
+        self.task: FleetTask | None = None
+        self.ended: Counter[Status] = Counter()  # our own tasks that are over
+        self.last_merge = MergeResult(0, 0, 0)
+        self.over = False  # no frontier that we could reach, when we last looked
+        self.switched = 0  # targets left for better ones
+        self._way = SurveyWay(chart, limits)
+        self._legs: list[XY] = []  # of an order: places still to go to
+        self._shunned_us: dict[int, int] = {}
+        self._choose_us = self._check_us = self._reassign_us = 0
+        self._merge_us = 0
+
+    @property
+    def section_units(self) -> Mapping[int, int]:
+        return {}
+
+    @property
+    def progress_percent(self) -> float:
+        """Share of the map's cells that anybody has seen."""
+        return 100.0 * self.chart.fleet.progress
+
+    @property
+    def rest_of_way(self) -> Sequence[XY]:
+        return self._way.rest
+
+    # ---------------------------------------------------------------- seeing
+
+    def _see(self, view: FleetView) -> None:
+        """Each control period: a scan, news, and what others told."""
+        here, now_us = view.here, view.now_us
+        radius_m = self.limits.radius_m + 0.1  # poses are rounded and a beat old
+        others = [
+            (n.pose.x_m, n.pose.y_m, radius_m) for s, n in view.neighbours.items() if s in view.live
+        ]
+        self.chart.look(here, others)
+        self.chart.tell(here, now_us)
+        if self.chart.sync is not None and now_us >= self._merge_us + REASSIGN_US:
+            self._merge_us = now_us
+            self.last_merge = self.chart.sync.merged(now_us)
+
+    def _passable(self, values: Values, here: Cell) -> Grid:
+        """Known to be free, and wide enough; always the cells round ourselves."""
+        self.chart.hear()
+        passable: Grid = (values == FREE) & ~self.chart.grid.tight.blocked
+        if not passable[here]:
+            grid = self.chart.grid
+            for r, c in grid.tight.carve(here, grid.solid, self.limits.radius_m / grid.cell_m):
+                passable[r, c] = values[r, c] == FREE
+            passable[here] = True
+        return passable
+
+    # ---------------------------------------------------------------- choosing
+
+    def choose(self, view: FleetView) -> Choice | None:
+        if view.now_us < self._choose_us:
+            return None
+        self._choose_us = view.now_us + CHOOSE_US
+        order = self._order(view)
+        if order is not None:
+            return order
+        best = self._best(view, None)
+        if best is None:
+            return None
+        self._aim(best, view)
+        held = view.allocation.phase_of(best.patch) is not Phase.FREE
+        return Choice(best.patch, self._bid(view), takeover=held)
+
+    def _order(self, view: FleetView) -> Choice | None:
+        """An order that nobody has taken, where we are the nearest free robot."""
+        for section, order in self.orders.items():
+            if view.allocation.phase_of(section) is not Phase.FREE:
+                continue
+            x, y = order.points[0]
+            mine_m = hypot(x - view.here.x_m, y - view.here.y_m)
+            nearer = any(
+                (hypot(x - n.pose.x_m, y - n.pose.y_m), slot) < (mine_m, view.slot)
+                for slot, n in view.neighbours.items()
+                if slot in view.live and n.pose.state == State.IDLE
+            )
+            if not nearer:
+                self._pursue(section, order, view)
+                return Choice(section, self._bid(view))
+        return None
+
+    def _best(self, view: FleetView, current: int | None) -> Frontier | None:
+        here = self._way.cell((view.here.x_m, view.here.y_m))
+        values = self.chart.values()
+        passable = self._passable(values, here)
+        seen_by = self.chart.seen_by()
+        theirs = (seen_by >= 0) & (seen_by != view.slot) & (self.chart.own() == UNKNOWN)
+        wave = wave_from(passable, here, dear=theirs)
+        found = [f for f in frontiers(values, wave, self.view_cells) if self._open(f.patch, view)]
+        self.over = not found
+        rivals = self._rivals(view, passable, seen_by)
+        choosing = Choosing(view.slot, self.chart.geometry.cell_m, self.view_cells)
+        return choosing.best(found, wave, rivals, current)
+
+    def _open(self, patch: int, view: FleetView) -> bool:
+        """Whether a frontier may be had: free, ours, or of one that has been silent for a lease."""
+        if view.now_us < self._shunned_us.get(patch, 0):
+            return False
+        phase, owner = view.allocation.phase_of(patch), view.allocation.owner_of(patch)
+        if phase is Phase.DONE:
+            return False
+        if owner is None or owner == view.slot:
+            return True
+        since_us = view.silent_since_us.get(owner)
+        return since_us is not None and view.now_us - since_us >= LEASE_US
+
+    def _rivals(self, view: FleetView, passable: Grid, seen_by: Values) -> list[Rival]:
+        """Live robots, each with the ways from where it is, and what it has claimed."""
+        rivals = []
+        for slot in sorted(view.live - {view.slot}):
+            neighbour = view.neighbours.get(slot)
+            if neighbour is None or neighbour.pose.stopped:
+                continue
+            at = self._way.cell((neighbour.pose.x_m, neighbour.pose.y_m))
+            claimed = [s for s in view.allocation.assigned_sections(slot) if s < ORDERS_FIRST]
+            target = self._middle(claimed[-1]) if claimed else None
+            was, passable[at] = bool(passable[at]), True
+            theirs = (seen_by >= 0) & (seen_by != slot)
+            rivals.append(Rival(slot, wave_from(passable, target or at, dear=theirs), target))
+            passable[at] = was
+        return rivals
+
+    def _middle(self, patch: int) -> Cell:
+        return self._way.cell(self.place_of(patch))
+
+    def place_of(self, section: int) -> XY:
+        """Where a section is, for whoever asks; the same for all peers."""
+        if section in self.orders:
+            return self.orders[section].points[0]
+        row, column = corner_of(self.patch_of(section))
+        geometry = self.chart.geometry
+        half_m = SIDE / 2 * geometry.cell_m
+        return (
+            geometry.origin_m[0] + column * geometry.cell_m + half_m,
+            geometry.origin_m[1] + row * geometry.cell_m + half_m,
+        )
+
+    def patch_of(self, section: int) -> int:
+        return section
+
+    def kind_of(self, section: int) -> Kind:
+        order = self.orders.get(section)
+        return Kind.EXPLORE_FRONTIER if order is None else order.kind
+
+    def _bid(self, view: FleetView) -> int:
+        """The private cost: metres to the station, in 31 steps of a geometric scale."""
+        assert self._way.station is not None
+        x, y = self._way.station
+        way_m = hypot(x - view.here.x_m, y - view.here.y_m)
+        bid = 0
+        while bid < 31 and way_m > 0.1 * 1.25**bid:
+            bid += 1
+        return bid
+
+    # ---------------------------------------------------------------- tasks
+
+    def _aim(self, frontier: Frontier, view: FleetView) -> None:
+        self._legs = []
+        self._way.head_for(self.chart.geometry.centre(*frontier.station), view)
+        self._begin_task(frontier.patch, view)
+
+    def _pursue(self, section: int, order: Order, view: FleetView) -> None:
+        self._legs = list(order.points[1:])
+        self._way.head_for(order.points[0], view)
+        self._begin_task(section, view)
+
+    def _begin_task(self, section: int, view: FleetView) -> None:
+        self.task = FleetTask(
+            section, self.kind_of(section), self.place_of(section), view.slot, Status.PENDING,
+            view.now_us,
+        )  # fmt: skip
+
+    def _end_task(self, status: Status) -> None:
+        if self.task is not None:
+            self.ended[status] += 1
+        self.task = None
+        self._way.end()
+        self._choose_us = 0
+
+    def begin(self, section: int, view: FleetView) -> None:
+        if self.task is None or self.task.section != section:  # kept over a restart or a stop
+            self._resume(section, view)
+        assert self.task is not None
+        self.task = self.task._replace(status=Status.ACTIVE)
+        self._check_us = view.now_us + CHECK_US
+        self._reassign_us = view.now_us + REASSIGN_US
+        self._way.has_time(view.now_us)
+
+    def _resume(self, section: int, view: FleetView) -> None:
+        if section in self.orders:
+            self._pursue(section, self.orders[section], view)
+        else:
+            self._way.head_for(self.place_of(section), view)
+            self._begin_task(section, view)
+
+    def abandon(self) -> None:
+        self._end_task(Status.FAILED)
+
+    def interrupted(self) -> None:
+        """We have no implement."""
+
+    # ---------------------------------------------------------------- moving
+
+    def approach(self, section: int, view: FleetView) -> Wish:
+        self._see(view)
+        return self._way.drive(view)
+
+    def admits(self, goal: XY) -> bool:
+        return self.chart.admits(goal)
+
+    def travel(self, goal: XY, view: FleetView) -> Wish:
+        self._see(view)
+        if goal != self._way.station:
+            self._way.head_for(goal, view)
+        elif self._way.blocked:
+            self._way.plan(view.here)
+        return self._way.drive(view)
+
+    def rest(self, view: FleetView) -> Wish:
+        self._see(view)
+        if self.task is not None:
+            self._end_task(Status.FAILED)  # its claim was lost before it began
+        return TURN_ROUND
+
+    def work(self, view: FleetView) -> Wish:
+        self._see(view)
+        now_us = view.now_us
+        if self.task is None:
+            (section,) = view.allocation.assigned_sections(view.slot)[:1]
+            self.begin(section, view)
+        if now_us >= self._check_us:
+            self._check_us = now_us + CHECK_US
+            gone = self._check(view)
+            if gone is not None:
+                self._end_task(gone)
+                return TURN_ROUND._replace(given_up=True)
+        wish = self._way.drive(view)
+        if not self._way.arrived_us or now_us < self._way.arrived_us + self._look_us:
+            return wish
+        if self._legs:
+            self._way.head_for(self._legs.pop(0), view)
+            return wish
+        self._end_task(Status.COMPLETED)
+        return wish._replace(finished=True)
+
+    @property
+    def _look_us(self) -> int:
+        return 0 if self._legs else LOOK_ROUND_US
+
+    def _check(self, view: FleetView) -> Status | None:
+        """Whether the task under way is to be given back, and as what."""
+        assert self.task is not None
+        if self._way.stuck(view.now_us):
+            self._shunned_us[self.task.section] = view.now_us + SHUNNED_US
+            return Status.FAILED
+        if (not self._way.rest and not self._way.arrived_us) or self._way.blocked:
+            self._way.plan(view.here)
+        if self.task.kind is not Kind.EXPLORE_FRONTIER:
+            return None
+        due = view.now_us >= self._reassign_us
+        values = self.chart.values()
+        row, column = corner_of(self.patch_of(self.task.section))
+        area = values[max(row - 1, 0) : row + SIDE + 1, max(column - 1, 0) : column + SIDE + 1]
+        if not (area == 0).any():
+            return Status.COMPLETED  # seen on the way, by whoever
+        if self._contested(view):
+            return Status.FAILED
+        if not due:
+            return None
+        self._reassign_us = view.now_us + REASSIGN_US
+        best = self._best(view, self.task.section)
+        if best is None or best.patch == self.task.section:
+            return None if best is not None else Status.COMPLETED
+        self.switched += 1
+        return Status.FAILED
+
+    def _contested(self, view: FleetView) -> bool:
+        """Two that claimed side by side at one time: the one with the higher slot gives way."""
+        assert self.task is not None
+        x, y = self.task.target
+        for slot in view.live:
+            if slot < view.slot:
+                for section in view.allocation.assigned_sections(slot):
+                    a, b = self.place_of(section)
+                    if section < ORDERS_FIRST and hypot(a - x, b - y) < 0.5:
+                        return True
+        return False

@@ -1,0 +1,240 @@
+"""Dividing a field: headland rings along the fences, parallel swaths inside, bundled to sections.
+
+With implement width w and overlap v, the ring runs w/2 inside the fence and serves everything up to
+w - v from it. What is deeper is cut into strips not wider than w - v at the best angle; each strip's
+swath is as long as the strip is deep inside. A robot on a swath is therefore never nearer to a
+fence than (w - v) / 2, and ring and strips together leave nothing out (`tests/agent/field/test_field_division.py`).
+"""
+
+import itertools
+from collections.abc import Iterator, Sequence
+from math import atan2, ceil, degrees, pi
+
+from shapely import affinity
+from shapely.geometry import LineString, MultiPolygon, Polygon, box
+from shapely.geometry.base import BaseGeometry
+from shapely.ops import substring
+
+from agent.field.field_map import UNITS_MAX, XY, Field, Polyline, Section
+from agent.field.ring_corners import cut_at_corners
+
+SWEEP_DEG = 10.0  # angles tried besides the directions of the edges
+EDGE_SHARE_MIN = 0.05  # edges shorter than this share of the outline propose no angle
+CORNER_RAD = 0.05  # a smaller turn leaves no gap that the overlap would not close
+UNITS_LEAST = (
+    8  # of a whole field: in a tiny one, work done beside a standing robot counts
+)
+SHARP_CORNERS_MAX = 8  # a ring with more of them is rounded
+UNIT_LEAST_M = 1.0  # three times the lead of a stretch
+CUT_STEP_M = 1.0  # how finely a straight place for a cut is looked for
+KEEP_MORE_M = 0.35  # the lead-out of a stretch, beyond its end
+PIECE_MIN_M = 0.05  # strips that touch the deep part by less are served by the ring
+
+
+def divide(
+    name: str,
+    polygon: Polygon,
+    origin: tuple[float, float],
+    gate: XY,
+    implement_width_m: float,
+    overlap_m: float = 0.2,
+    section_length_m: float = 250.0,
+    unit_m: float = 5.0,
+    turn_radius_m: float = 0.0,
+    keep_m: float = 0.0,
+) -> Field:
+    """The field with its sections. ValueError where nothing of it can be worked.
+
+    For a body that steers (`turn_radius_m` > 0; its middle keeps `keep_m` from fences) the rings
+    are cut at the corners it cannot follow, and every piece goes on straight as far as it may.
+    """
+    width_m, strip_m = implement_width_m, implement_width_m - overlap_m
+    assert 0.0 < overlap_m < implement_width_m / 2
+    rings = list(_rings(polygon.buffer(-width_m / 2)))
+    if not rings:
+        raise ValueError(f"{name} is nowhere as wide as the implement ({width_m} m)")
+    deep = polygon.buffer(-(width_m - overlap_m))
+    bundles = [*_ring_bundles(rings, section_length_m, width_m)]
+    if turn_radius_m > 0.0:
+        free = polygon.buffer(-(keep_m + KEEP_MORE_M))
+        bundles = [cut_at_corners(ring, turn_radius_m, width_m / 2, free) for (ring,) in bundles]
+    if not deep.is_empty:
+        bundles += _strip_bundles(
+            deep, _best_angle(polygon, deep, strip_m), strip_m, section_length_m
+        )
+    work_m = sum(_length(swath) for bundle in bundles for swath in bundle)
+    unit_m = min(unit_m, max(UNIT_LEAST_M, work_m / UNITS_LEAST))
+    sections = tuple(
+        Section(number, tuple(swaths), tuple(max(1, round(_length(s) / unit_m)) for s in swaths))
+        for number, swaths in enumerate(bundles)
+    )
+    assert len(sections) <= 0xFFFF and all(s.units <= UNITS_MAX for s in sections)
+    return Field(
+        name=name,
+        exterior=_points(polygon.exterior.coords[:-1]),
+        holes=tuple(_points(hole.coords[:-1]) for hole in polygon.interiors),
+        origin=origin,
+        gate=gate,
+        implement_width_m=implement_width_m,
+        overlap_m=overlap_m,
+        unit_m=unit_m,
+        sections=sections,
+    )
+
+
+def _points(coordinates: Sequence[tuple[float, ...]]) -> Polyline:
+    return tuple((float(p[0]), float(p[1])) for p in coordinates)
+
+
+def _length(swath: Polyline) -> float:
+    return float(LineString(swath).length)
+
+
+def _parts(shape: BaseGeometry) -> list[Polygon]:
+    if isinstance(shape, Polygon):
+        return [] if shape.is_empty else [shape]
+    if isinstance(shape, MultiPolygon):
+        return sorted(shape.geoms, key=lambda part: part.bounds)
+    return [part for part in getattr(shape, "geoms", []) if isinstance(part, Polygon)]
+
+
+def _rings(inset: BaseGeometry) -> Iterator[LineString]:
+    for part in _parts(inset):
+        for ring in (part.exterior, *part.interiors):
+            yield LineString(ring.coords)
+
+
+def _ring_bundles(
+    rings: list[LineString], section_length_m: float, width_m: float
+) -> Iterator[list[Polyline]]:
+    """Each ring in pieces of about the wanted length; a ring is worked once round.
+
+    Pieces meet on straight stretches where there are any: an implement that ends in a corner from
+    both sides would leave the outside of the corner out.
+    """
+    for ring in rings:
+        pieces = max(1, round(ring.length / section_length_m))
+        wanted = [ring.length * k / pieces for k in range(pieces)]
+        cuts = sorted({round(_straight(ring, cut, width_m), 6) for cut in wanted})
+        for start, end in zip(cuts, [*cuts[1:], cuts[0] + ring.length], strict=True):
+            yield [_points(_along(ring, start, end))]
+
+
+def _along(ring: LineString, start: float, end: float) -> list[tuple[float, ...]]:
+    """The ring from one arc length to another, over its closing point where need be."""
+    if end <= ring.length:
+        return list(substring(ring, start, end).coords)
+    first = list(substring(ring, start, ring.length).coords)
+    return first + list(substring(ring, 0.0, end - ring.length).coords)[1:]
+
+
+def _straight(ring: LineString, cut: float, width_m: float) -> float:
+    """The arc length nearest to `cut` that is half a width from every corner; where there is none, the
+    one that is furthest from corners, so that a short ring closes on a straight piece too."""
+    points = list(ring.coords)
+    corners, along = [], 0.0
+    for k, (a, b) in enumerate(itertools.pairwise(points)):
+        before = points[k - 1] if k else points[-2]
+        turn = atan2(b[1] - a[1], b[0] - a[0]) - atan2(a[1] - before[1], a[0] - before[0])
+        if abs((turn + pi) % (2 * pi) - pi) > CORNER_RAD:
+            corners.append(along)
+        along += float(LineString((a, b)).length)
+    length = float(ring.length)
+
+    def room(at: float) -> float:
+        return min(
+            (abs((at - c + length / 2) % length - length / 2) for c in corners), default=length
+        )
+
+    steps = sorted(
+        (k * CUT_STEP_M * sign for k in range(int(length / 2)) for sign in (1, -1)), key=abs
+    )
+    free = (cut + step for step in steps if room((cut + step) % length) >= width_m / 2 + CUT_STEP_M)
+    found = next(free, None)
+    if found is None and not 0 < len(corners) <= SHARP_CORNERS_MAX:
+        found = cut  # it turns in small steps, round a hole: the bar leaves nothing out at one
+    elif found is None:
+        marks = [*corners, corners[0] + length]
+        widest = max(
+            itertools.pairwise(marks), key=lambda gap: (round(gap[1] - gap[0], 6), -gap[0])
+        )
+        found = (widest[0] + widest[1]) / 2
+    return float(found % length)
+
+
+def _best_angle(polygon: Polygon, deep: BaseGeometry, strip_m: float) -> float:
+    """The direction with the fewest swaths; among equals the shortest way in all."""
+    edges = list(zip(polygon.exterior.coords, polygon.exterior.coords[1:], strict=False))
+    long_enough = EDGE_SHARE_MIN * polygon.exterior.length
+    angles = {
+        round(degrees(atan2(b[1] - a[1], b[0] - a[0])) % 180.0, 3)
+        for a, b in edges
+        if LineString((a, b)).length >= long_enough
+    }
+    angles |= {k * SWEEP_DEG for k in range(round(180.0 / SWEEP_DEG))}
+
+    def cost(angle: float) -> tuple[int, float, float]:
+        strips = list(_strips(deep, angle, strip_m))
+        total_m = sum(_length(swath) for row in strips for swath in row)
+        return sum(len(row) for row in strips), round(total_m, 3), angle
+
+    return min(angles, key=cost)
+
+
+def _strips(deep: BaseGeometry, angle_deg: float, strip_m: float) -> Iterator[list[Polyline]]:
+    """Rows of swaths from one side of the field to the other, each row from left to right."""
+    turned = affinity.rotate(deep, -angle_deg, origin=(0.0, 0.0))
+    west, south, east, north = turned.bounds
+    rows = max(1, ceil((north - south) / strip_m - 1e-9))
+    height_m = (north - south) / rows
+    for row in range(rows):
+        low_m = south + row * height_m
+        strip = turned.intersection(box(west - 1, low_m, east + 1, low_m + height_m))
+        middle_m = low_m + height_m / 2
+        swaths = []
+        for part in sorted(_parts(strip), key=lambda p: p.bounds):
+            left_m, _, right_m, _ = part.bounds
+            if part.area <= PIECE_MIN_M**2:
+                continue
+            if right_m - left_m < PIECE_MIN_M:
+                left_m, right_m = left_m - PIECE_MIN_M, right_m + PIECE_MIN_M
+            line = LineString([(left_m, middle_m), (right_m, middle_m)])
+            back = affinity.rotate(line, angle_deg, origin=(0.0, 0.0))
+            swaths.append(_points(back.coords))
+        yield swaths
+
+
+def _strip_bundles(
+    deep: BaseGeometry, angle_deg: float, strip_m: float, section_length_m: float
+) -> list[list[Polyline]]:
+    """Swaths that lie side by side, bundled until a section is long enough (boustrophedon cells)."""
+    rows = list(_strips(deep, angle_deg, strip_m))
+    bundles: list[list[Polyline]] = []
+    open_bundles: list[list[Polyline]] = []
+    for row in rows:
+        following: list[list[Polyline]] = []
+        for swath in row:
+            bundle = next((b for b in open_bundles if _side_by_side(b[-1], swath, strip_m)), None)
+            if bundle is not None and all(f is not bundle for f in following):
+                open_bundles = [b for b in open_bundles if b is not bundle]
+            else:
+                bundle = []
+                bundles.append(bundle)
+            previous = bundle[-1] if bundle else None
+            if previous is not None and _far(previous[-1], swath[0]) > _far(
+                previous[-1], swath[-1]
+            ):
+                swath = swath[::-1]
+            bundle.append(swath)
+            if sum(_length(s) for s in bundle) < section_length_m * 0.75:
+                following.append(bundle)
+        open_bundles = following
+    return bundles
+
+
+def _side_by_side(a: Polyline, b: Polyline, strip_m: float) -> bool:
+    return bool(LineString(a).distance(LineString(b)) <= 1.5 * strip_m)
+
+
+def _far(a: XY, b: XY) -> float:
+    return (a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2

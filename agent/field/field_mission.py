@@ -1,0 +1,340 @@
+"""The field mission: cover every unit of every section with an implement, together.
+
+A section is worked as legs: swath legs with the implement down, transit legs with it up. A unit
+counts as covered when the robot has passed from its one end to its other with the implement down
+and never further from the line than the overlap allows; what was missed is worked again.
+"""
+
+from collections.abc import Mapping
+from math import hypot, inf
+from typing import Final
+
+from agent.field.displacement_detector import Shove
+from agent.field.field_map import Field, Section
+from agent.field.field_obstructions import BLOCKED_M, Blockage
+from agent.field.parking import Parking
+from agent.field.section_choice import Choosing
+from agent.field.section_partition import Point
+from agent.field.work_leg import LEAD_M, STRAIGHT_M, SWUNG_M, Leads, Leg, working_leg
+from agent.interface.mission import STILL, Choice, FleetView, Wish
+from agent.motion.implement_clearance import Implement
+from agent.motion.path_tracker import Tracker
+from agent.motion.stall_watchdog import Headway
+from agent.paths.route import Route
+
+ASTRAY_M: Final = (
+    4.0  # further from its line than a swath is wide, a robot does not just drive back to it
+)
+NEAR_END_S: Final = 5.0  # claim the next section when this much work is left
+
+_wish = tuple.__new__  # all fields at once: a third of the time, and one is made every period
+
+
+class FieldWork:
+    beside_m = BLOCKED_M  # left to a silent body
+    turns_on_the_spot = True  # where a swath has a corner, and swings its bar round it
+    past_end_m = 0.0  # driven beyond the last unit of a leg before it counts
+    plans_without_headway = True  # before a section is given back; else a body has a watch of its own
+
+    def __init__(
+        self,
+        field: Field,
+        route: Route,
+        radius_m: float,
+        speed_m_s: float,
+        deceleration_m_s2: float,
+    ) -> None:
+        self.field, self.route, self.radius_m = field, route, radius_m
+        self.speed_m_s, self.deceleration_m_s2 = speed_m_s, deceleration_m_s2
+        self.tolerance_m = field.tracking_tolerance_m
+        self.choosing = Choosing(field, speed_m_s)
+        self.section: Section | None = None
+        self.legs: list[Leg] = []
+        self.tracker: Tracker | None = None
+        self.leg = Leg(())
+        self.unit = 0  # index into the leg's units
+        self.worst_m = 0.0  # largest cross-track error inside the current unit
+        self.lifted = False  # the implement was up since we last looked
+        self.lifted_to_m = 0.0  # along the leg, until where it was
+        self.shove = Shove()
+        self.headway = Headway()
+        self.worked: set[int] = set()  # units of the current section done since it was begun
+        self.heading_to: int | Point | None = None  # section or place an approach path leads to
+        self.parking = Parking(field, radius_m, speed_m_s)
+        bar_m = 0.0
+        if self.turns_on_the_spot:  # robots that steer do not look after their implements yet
+            bar_m = Implement(field.implement_width_m / 2 - field.overlap_m, radius_m).reach_m
+        self.blockage = Blockage(route, radius_m, deceleration_m_s2, self.beside_m, bar_m)
+
+    @property
+    def section_units(self) -> Mapping[int, int]:
+        return {section.id: section.units for section in self.field.sections}
+
+    @property
+    def rest_of_way(self) -> list[Point]:
+        """What is left of the leg we drive, and the legs after it."""
+        now = [] if self.tracker is None else self.tracker.rest_of_way
+        return [*now, *(point for leg in self.legs for point in leg.points)]
+
+    # ---------------------------------------------------------------- choosing
+
+    def choose(self, view: FleetView) -> Choice | None:
+        return self.choosing.choose(view, self._own_end(view))
+
+    def _own_end(self, view: FleetView) -> Point:
+        if self.legs:
+            return self.legs[-1].points[-1]
+        if self.tracker is not None:
+            return self.tracker.points[-1]
+        return view.here.x_m, view.here.y_m
+
+    # ---------------------------------------------------------------- working
+
+    def approach(self, section: int, view: FleetView) -> Wish:
+        self._look_round(view)
+        if self.heading_to != section:
+            self.heading_to = section
+            self.parking.forget()
+            legs = self._legs(self.field.section(section), view)
+            self.legs, self.tracker = [legs[0]] if legs and not legs[0].units else [], None
+        return self._drive(view)[0]
+
+    def admits(self, goal: Point) -> bool:
+        return self.route.admits(goal)
+
+    def travel(self, goal: Point, view: FleetView) -> Wish:
+        self._look_round(view)
+        if self.heading_to != goal or (self.tracker is None and not self.legs):
+            self.heading_to, self.tracker = goal, None
+            self.legs = [Leg(self.blockage.path((view.here.x_m, view.here.y_m), goal, view))]
+        return self._drive(view)[0]
+
+    def begin(self, section: int, view: FleetView) -> None:
+        self.section, self.heading_to = self.field.section(section), None
+        self.worked.clear()
+        self.headway.begin()
+        self.parking.forget()
+        self.legs, self.tracker = self._legs(self.section, view), None
+
+    def abandon(self) -> None:
+        self.section, self.heading_to = None, None
+        self.legs, self.tracker = [], None
+
+    def stalled(self, view: FleetView) -> None:
+        """Another way from here, round who stands near by; what they stand on comes last."""
+        self.blockage.stand_before(view)
+        self._go_round(view)
+
+    def interrupted(self) -> None:
+        """The implement is up: the unit under way, if there is one, has to be worked again."""
+        self.worst_m, self.lifted = inf, True
+
+    def rest(self, view: FleetView) -> Wish:
+        """No work for us: stand, but not where somebody works or will."""
+        self.heading_to = None
+        before = self.parking.spot
+        self.parking.look(view)
+        spot = self.parking.spot
+        if spot is None:
+            self.legs, self.tracker = [], None
+            return STILL
+        if spot != before or self.tracker is None:
+            here = (view.here.x_m, view.here.y_m)
+            if _distance(here, spot) <= self.tolerance_m:
+                return STILL
+            self.legs, self.tracker = [Leg(self.blockage.path(here, spot, view))], None
+        return self._drive(view)[0]
+
+    def work(self, view: FleetView) -> Wish:
+        if self.section is None:  # resumed after a stop or a sync that forgot the geometry
+            (section,) = view.allocation.assigned_sections(view.slot)[:1]
+            self.begin(section, view)
+        assert self.section is not None
+        self._look_round(view)
+        wish, covered = self._drive(view)
+        self.worked.update(covered)
+        missing = self._missing(view)
+        if not missing:
+            self.section = None
+            return _covering(wish, covered, True, True)
+        if self.tracker is None and not self.legs:
+            self.legs = self._legs(self.section, view)
+            self.headway.again()
+        late = self.headway.look(bool(covered), self._left_m, view.now_us)
+        if late and self.plans_without_headway:
+            self.stalled(view)
+        if self.headway.lost:
+            self.choosing.gave_back(self.section.id, self.section.units - missing, view.now_us)
+            self.abandon()
+            return wish._replace(covered=tuple(covered), tool_on=False, given_up=True)
+        left_s = missing * self.field.unit_m / self.speed_m_s
+        return _covering(wish, covered, False, left_s < NEAR_END_S)
+
+    @property
+    def _left_m(self) -> float:
+        """What is left of all legs."""
+        now_m = 0.0 if self.tracker is None else self.tracker.total_m - self.tracker.along_m
+        return now_m + sum(leg.length_m for leg in self.legs)
+
+    def _missing(self, view: FleetView) -> int:
+        """Units of the section that nobody has covered and that can be."""
+        assert self.section is not None
+        section = self.section
+        known = view.progress.covered(section.id)
+        for unit in self.worked:
+            if not view.progress.has(section.id, unit):
+                known += 1
+        if known == section.units:
+            return 0
+        blocked = 0
+        for unit in self._blocked(view, last=True):
+            if unit not in self.worked and not view.progress.has(section.id, unit):
+                blocked += 1
+        return section.units - known - blocked
+
+    def _look_round(self, view: FleetView) -> None:
+        """What stands in the field now is gone round from now on, or no longer."""
+        new = self.blockage.look(view)
+        if new is None or (new and self.blockage.touches(self._way_left(view), new)):
+            self._go_round(view)
+
+    def _go_round(self, view: FleetView) -> None:
+        self.legs, self.tracker, self.heading_to = [], None, None
+        if self.section is not None:
+            self.legs = self._legs(self.section, view)
+
+    def _way_left(self, view: FleetView) -> list[Point]:
+        """What is left of all legs, from where we are."""
+        ahead = [] if self.tracker is None else self.tracker.points[self.tracker.piece + 1 :]
+        legs = [point for leg in self.legs for point in leg.points]
+        return [(view.here.x_m, view.here.y_m), *ahead, *legs]
+
+    def _blocked(self, view: FleetView, last: bool) -> frozenset[int]:
+        """Units that are not worked now: those under a silent member's body stay uncovered in the
+        progress for everybody to see, until it is towed away. Those under a thing come last, and
+        are left as well where an operator said so."""
+        assert self.section is not None
+        return self.blockage.units(self.section, things_too=view.leave_out or not last)
+
+    def _drive(self, view: FleetView) -> tuple[Wish, list[int]]:
+        here = view.here
+        covered: list[int] = []
+        if self.shove.noticed((here.x_m, here.y_m), view.now_us, self.speed_m_s):
+            self.interrupted()
+        while True:
+            if self.tracker is None:
+                if not self.legs:
+                    return STILL, covered
+                self.leg = self.legs.pop(0)
+                self.tracker = Tracker(
+                    list(self.leg.points), self.speed_m_s, self.deceleration_m_s2
+                )
+                self.unit, self.worst_m, self.lifted_to_m = 0, 0.0, 0.0
+            self.tracker.locate(here.x_m, here.y_m)
+            covered += self._passed(view)
+            if not self.tracker.arrived:
+                break
+            self.tracker = None
+        if self.tracker.gap_m > ASTRAY_M:  # pushed, or giving way to others: another way back
+            self._go_astray(view)
+            return STILL, covered
+        vx_m_s, vy_m_s = self.tracker.velocity(here.x_m, here.y_m)
+        # Not sooner: before the leg's beginning it may be another robot's section.
+        on_line = self.tracker.gap_m <= LEAD_M
+        tool_on = bool(self.leg.units) and on_line
+        return _wish(
+            Wish, (vx_m_s, vy_m_s, 0.0, tool_on, (), False, False, False, False, -1)
+        ), covered
+
+    def _go_astray(self, view: FleetView) -> None:
+        """What is left, planned anew from where we are."""
+        self.tracker, self.heading_to = None, None
+        self.legs = self._legs(self.section, view) if self.section is not None else []
+
+    def _passed(self, view: FleetView) -> list[int]:
+        """Units of the current leg whose end we have passed cleanly."""
+        assert self.tracker is not None
+        if not self.leg.units:
+            return []
+        passed = []
+        if self.lifted:  # it comes down here; what lies between may reach into the next unit
+            self.lifted, self.lifted_to_m = False, self.tracker.along_m
+        if self.tracker.along_m > LEAD_M / 2:  # before that a robot may come from the side
+            self.worst_m = max(self.worst_m, abs(self.tracker.off_m))
+        piece_m = (self.tracker.total_m - 2 * LEAD_M) / len(self.leg.units)
+        while self.unit < len(self.leg.units):
+            end_m = LEAD_M + (self.unit + 1) * piece_m
+            is_last = self.unit + 1 == len(self.leg.units)
+            past_m = SWUNG_M if self._is_corner(end_m) else self.past_end_m * is_last
+            if self.tracker.along_m < end_m + past_m:
+                break
+            begun_m = LEAD_M + self.unit * piece_m
+            if self.worst_m <= self.tolerance_m and self._down_since(begun_m):
+                passed.append(self.leg.units[self.unit])
+            self.unit += 1
+            self.worst_m = abs(self.tracker.off_m)
+        return passed
+
+    def _down_since(self, begun_m: float) -> bool:
+        """The implement is down since before this place; at a corner, since before it was turned."""
+        if self.unit == 0 and self._is_corner(begun_m):
+            return self.lifted_to_m < begun_m - STRAIGHT_M
+        return self.lifted_to_m <= begun_m
+
+    def _is_corner(self, at_m: float) -> bool:
+        assert self.tracker is not None
+        if not self.turns_on_the_spot:
+            return False
+        return any(abs(start_m - at_m) < STRAIGHT_M for start_m in self.tracker.starts_m[1:-1])
+
+    def _leads(self, section: Section, units: tuple[int, ...]) -> Leads:
+        if not self.turns_on_the_spot:
+            return (), ()
+        return section.leads(units[0], units[-1], LEAD_M)
+
+    def _legs(self, section: Section, view: FleetView) -> list[Leg]:
+        """From here: the uncovered stretches of the section, nearest end first, joined by transits."""
+        stretches = self._stretches(section, view, last=False)
+        if not stretches:
+            stretches = self._stretches(section, view, last=True)
+        if not stretches:
+            return []
+        at: Point = (view.here.x_m, view.here.y_m)
+        if _distance(at, stretches[-1].points[-1]) < _distance(at, stretches[0].points[0]):
+            stretches = [Leg(leg.points[::-1], leg.units[::-1]) for leg in reversed(stretches)]
+        legs: list[Leg] = []
+        for leg in stretches:
+            first, last = leg.points[0], leg.points[-1]
+            if _distance(at, last) + 1e-6 < _distance(at, first):
+                leg = Leg(leg.points[::-1], leg.units[::-1])
+            if _distance(at, leg.points[0]) > self.tolerance_m:
+                legs.append(Leg(self.blockage.path(at, leg.points[0], view)))
+            legs.append(leg)
+            at = leg.points[-1]
+        return legs
+
+    def _stretches(self, section: Section, view: FleetView, last: bool) -> list[Leg]:
+        """What is left to work; `last`: what comes last too."""
+        mine = self.worked if self.section is section else frozenset[int]()
+        blocked = self._blocked(view, last) if self.section is section else frozenset[int]()
+        return [
+            working_leg(points, units, self._leads(section, units))
+            for points, units in section.stretches(
+                lambda unit: (
+                    unit not in mine
+                    and unit not in blocked
+                    and not view.progress.has(section.id, unit)
+                )
+            )
+        ]
+
+
+def _covering(wish: Wish, covered: list[int], finished: bool, near_end: bool) -> Wish:
+    """The wish of who works: these units were completed."""
+    vx_m_s, vy_m_s, turn_rad_s, tool_on, *_ = wish
+    held = (tuple(covered), finished, wish.given_up, near_end, wish.hold, wish.handle)
+    return _wish(Wish, (vx_m_s, vy_m_s, turn_rad_s, tool_on, *held))
+
+
+def _distance(a: Point, b: Point) -> float:
+    return hypot(a[0] - b[0], a[1] - b[1])

@@ -1,0 +1,136 @@
+"""What stands in a field for now: bodies of silent members, and things that an operator lets us pass.
+
+The ways lead round them, and the units under them cannot be worked while they stand there.
+"""
+
+from math import dist, hypot, inf
+from typing import Final
+
+from shapely.geometry import LineString
+from shapely.geometry import Point as Spot
+
+from agent.field.field_map import Section
+from agent.interface.config import S
+from agent.interface.lifecycle import State
+from agent.interface.mission import FleetView
+from agent.motion.stopping_zone import Coasting
+from agent.paths.route import Route
+
+Point = tuple[float, float]
+
+BLOCKED_M: Final = 0.4  # margin of ORCA and of tracking, round a body that stands on a swath
+PASS_M: Final = 0.25  # and on a way past it: ORCA's margin, and what a tracker may be off
+THING_M: Final = (
+    0.4  # beside the hull on a way past a thing: what the lookout keeps, and half a grain
+)
+NEAR_M: Final = 4.0  # beyond a body's reach: a robot so near may be why we get nowhere
+STANDS_M_S: Final = 0.05  # slower than this a robot stands
+MOVED_M: Final = 0.5  # further from where it stood: it goes its way
+BESIDE_M: Final = 0.1  # a way may be so much nearer to somebody than one planned round it
+FRESH_US: Final = 1 * S  # a beat older than this does not show that a robot stands
+FORGET_US: Final = 30 * S  # then it is tried again past who stood in the way
+
+
+class Blockage:
+    def __init__(
+        self, route: Route, radius_m: float, deceleration_m_s2: float, beside_m: float = BLOCKED_M,
+        bar_m: float = 0.0,
+    ) -> None:  # fmt: skip
+        """`beside_m`: kept from a silent body. `bar_m`: from a body to where an implement may be down."""
+        self.route, self.radius_m = route, radius_m
+        self.body_m, self.pass_m = 2 * radius_m + beside_m, 2 * radius_m + PASS_M
+        self.unit_m = max(self.body_m, bar_m)  # from a silent body to a unit that is worked
+        self.way = route  # the same with everything that stands in it
+        self.things: frozenset[Point] = frozenset()
+        self.coasting = Coasting(radius_m, deceleration_m_s2)
+        self.bodies: tuple[Point, ...] = ()  # where silent members may stand
+        self.standing: dict[int, tuple[Point, int]] = {}  # who stood in our way: where, seen when
+        self._silent: tuple[int, ...] = ()
+        self._units: dict[tuple[int, bool], frozenset[int]] = {}  # (section, things too)
+
+    def look(self, view: FleetView) -> frozenset[Point] | None:
+        """What is new since the last look; None where a silent body came or went."""
+        self.coasting.look(view.neighbours, view.here, view.now_us)
+        places = {slot: self.coasting.places(slot) for slot in sorted(view.silent_since_us)}
+        silent = tuple(slot for slot in places if places[slot] is not None)
+        bodies = tuple(place for slot in silent for place in places[slot] or ())
+        left = self._leave(view)
+        same = silent == self._silent and bodies == self.bodies and view.things == self.things
+        if same and not left:
+            return frozenset()
+        # Fewer places than before, seen to be free, are no reason to leave the way we are on.
+        new = view.things - self.things if silent == self._silent and not left else None
+        self._silent, self.bodies, self.things = silent, bodies, view.things
+        self._plan()
+        return new
+
+    def stand_before(self, view: FleetView) -> None:
+        """We get nowhere: ways go round robots that stand near by, until they move."""
+        for slot, (pose, heard_us) in view.neighbours.items():
+            gap_m = hypot(pose.x_m - view.here.x_m, pose.y_m - view.here.y_m)
+            fresh = view.now_us - heard_us < FRESH_US
+            if fresh and pose.speed_m_s < STANDS_M_S and gap_m < self.body_m + NEAR_M:
+                self.standing[slot] = (pose.x_m, pose.y_m), view.now_us
+        self._plan()
+
+    def _leave(self, view: FleetView) -> bool:
+        """Those that stood in our way and do no longer, or not for sure."""
+        for slot, (at, seen_us) in list(self.standing.items()):
+            neighbour = view.neighbours.get(slot)
+            here = (inf, inf) if neighbour is None else neighbour.pose[:2]
+            if view.now_us - seen_us < FORGET_US and dist(here, at) < MOVED_M:
+                continue
+            del self.standing[slot]
+            return True
+        return False
+
+    def _plan(self) -> None:
+        self._units.clear()
+        self.way = self.route
+        if self.bodies:
+            self.way = self.way.round(self.bodies, self.pass_m)
+        if self.things:
+            self.way = self.way.round(sorted(self.things), self.radius_m + THING_M)
+        if self.standing:
+            self.way = self.way.round([at for at, _ in self.standing.values()], self.pass_m)
+
+    def path(self, start: Point, goal: Point, view: FleetView) -> tuple[Point, ...]:
+        """The way, and round those that stand on it now without work: they may have nowhere to go."""
+        way = self.way.path(start, goal)
+        stand = [
+            (pose.x_m, pose.y_m)
+            for slot, (pose, heard_us) in sorted(view.neighbours.items())
+            if pose.state != State.WORKING and pose.speed_m_s < STANDS_M_S
+            if slot not in self.standing and view.now_us - heard_us < FRESH_US
+        ]
+        if not stand:
+            return way
+        line = LineString(way)
+        if all(line.distance(Spot(at)) >= self.pass_m - BESIDE_M for at in stand):
+            return way
+        near = [at for at in stand if dist(at, goal) > self.body_m and dist(at, start) > NEAR_M / 2]
+        return self.way.round(near, self.pass_m).path(start, goal) if near else way
+
+    def touches(self, points: list[Point], new: frozenset[Point]) -> bool:
+        """Whether a way along these points meets one of the things that are new."""
+        if not new or len(points) < 2:
+            return bool(new)
+        line, near_m = LineString(points), self.radius_m + THING_M
+        return any(line.distance(Spot(thing)) < near_m for thing in new)
+
+    def units(self, section: Section, things_too: bool) -> frozenset[int]:
+        """Units that cannot be worked for a silent body, or also for a thing."""
+        if not self.bodies and not (things_too and (self.things or self.standing)):
+            return frozenset()
+        key = section.id, things_too
+        if key not in self._units:
+            bodies = [(Spot(at), self.unit_m) for at in self.bodies]
+            if things_too:
+                bodies += [(Spot(at), self.radius_m + THING_M) for at in self.things]
+                bodies += [(Spot(at), self.unit_m) for at, _ in self.standing.values()]
+            self._units[key] = frozenset(
+                unit
+                for unit, line in enumerate(section.unit_lines)
+                if any(LineString(line).distance(spot) < reach_m for spot, reach_m in bodies)
+            )
+        return self._units[key]

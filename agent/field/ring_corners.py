@@ -1,0 +1,117 @@
+"""Where a ring along the fences bends more than a body that steers can follow, it is cut.
+
+Each piece is straight or bends gently. At a cut it goes on straight by up to half a width, as far as the
+middle of the body may go: what an implement sweeps at a corner by swinging, this one has to sweep
+by going past it in both directions. With a fence ahead, at a corner about as sharp as a right angle,
+it ends in a bend away from that fence: the outer end of the bar then runs ahead of the body, into
+the corner.
+"""
+
+from math import atan2, copysign, cos, hypot, pi, sin
+
+from shapely.geometry import LineString, Point
+from shapely.geometry.base import BaseGeometry
+
+from agent.field.field_map import XY, Polyline
+
+BEND_RAD = 0.3  # a smaller corner is rounded, within half the usual tolerance
+WINDOW_M = 1.2  # the length over which it is rounded
+SPARE, SPARE_RAD = 1.1, 0.05  # an arc may be drawn as chords
+STEP_M = 0.05  # how finely the end of a piece is looked for
+SHARP_RAD = 1.2  # a corner that turns by less is swept to its end by going past it
+ACUTE_RAD = 1.9  # and in one that turns by more there is no room to come out of a bend again
+TURN_IN_RAD = 0.42  # at the end of a piece: the bar's outer end is then 40 % of its half ahead
+RUN_M = 0.8  # the bend, and straight on after it where it is tight: the body's course settles there
+CHORDS = 5  # the bend at the end is drawn with
+
+
+def cut_at_corners(
+    ring: Polyline, turn_radius_m: float, reach_m: float, free: BaseGeometry
+) -> list[Polyline]:
+    """Pieces of a ring, in its order."""
+    pieces: list[list[XY]] = [[ring[0]]]
+    most_rad = SPARE * WINDOW_M / turn_radius_m + SPARE_RAD
+    turned_rad = run_m = 0.0  # what the piece has turned by within the window
+    for k in range(1, len(ring)):
+        pieces[-1].append(ring[k])
+        if k + 1 == len(ring):
+            break
+        turn_rad = _turn(ring[k - 1], ring[k], ring[k + 1])
+        run_m += hypot(ring[k][0] - ring[k - 1][0], ring[k][1] - ring[k - 1][1])
+        if run_m > WINDOW_M:
+            turned_rad, run_m = 0.0, 0.0
+        turned_rad += turn_rad
+        if abs(turn_rad) > BEND_RAD or abs(turned_rad) > most_rad:
+            pieces.append([ring[k]])
+            turned_rad = run_m = 0.0
+    bend_m = max(turn_radius_m * SPARE, reach_m / 2)
+    result = []
+    for k, piece in enumerate(pieces):
+        if k > 0:
+            turn_rad = -_turn(pieces[k - 1][-2], piece[0], piece[1])
+            piece = _on(piece[::-1], turn_rad, reach_m, bend_m, free)[::-1]
+        if k + 1 < len(pieces):
+            turn_rad = _turn(piece[-2], piece[-1], pieces[k + 1][1])
+            piece = _on(piece, turn_rad, reach_m, bend_m, free)
+        line = LineString(piece).simplify(0.001)
+        result.append(tuple((float(x), float(y)) for x, y in line.coords))
+    return result
+
+
+def _on(
+    piece: list[XY], turn_rad: float, reach_m: float, bend_m: float, free: BaseGeometry
+) -> list[XY]:
+    """The piece, which ends where the ring turns by `turn_rad`, and what it goes on by."""
+    a, b = piece[-2:]
+    end, is_fence_ahead = _beyond(a, b, reach_m, free)
+    course = atan2(b[1] - a[1], b[0] - a[0])
+    # What the bend and its straight end take of the way to `end`.
+    ahead_m = bend_m * sin(TURN_IN_RAD) + _tail_m(bend_m) * cos(TURN_IN_RAD)
+    straight_m = hypot(end[0] - a[0], end[1] - a[1]) - ahead_m
+    turns_in = is_fence_ahead and SHARP_RAD <= abs(turn_rad) <= ACUTE_RAD
+    while turns_in and straight_m > 0.0:  # in an acute corner the bend nears the fence ahead
+        bend = _bend(a, course, straight_m, bend_m, copysign(1.0, turn_rad))
+        if free.contains(Point(bend[-1])):
+            return [*piece[:-1], *bend]
+        straight_m -= STEP_M
+    return [*piece, end]
+
+
+def _bend(a: XY, course: float, straight_m: float, bend_m: float, side: float) -> list[XY]:
+    """Points of a bend that begins `straight_m` from a; `side`: 1 to the left, -1 to the right."""
+    ways = [
+        (bend_m * sin(turned), bend_m * (1.0 - cos(turned)))
+        for turned in (TURN_IN_RAD * k / CHORDS for k in range(CHORDS + 1))
+    ]
+    on_m, aside_m = ways[-1]
+    tail_m = _tail_m(bend_m)
+    if tail_m > 0.0:
+        ways.append((on_m + tail_m * cos(TURN_IN_RAD), aside_m + tail_m * sin(TURN_IN_RAD)))
+    return [
+        (
+            a[0] + (straight_m + on_m) * cos(course) - side * aside_m * sin(course),
+            a[1] + (straight_m + on_m) * sin(course) + side * aside_m * cos(course),
+        )
+        for on_m, aside_m in ways
+    ]
+
+
+def _tail_m(bend_m: float) -> float:
+    return max(0.0, RUN_M - bend_m * TURN_IN_RAD)
+
+
+def _turn(a: XY, b: XY, c: XY) -> float:
+    turn_rad = atan2(c[1] - b[1], c[0] - b[0]) - atan2(b[1] - a[1], b[0] - a[0])
+    return (turn_rad + pi) % (2 * pi) - pi
+
+
+def _beyond(a: XY, b: XY, reach_m: float, free: BaseGeometry) -> tuple[XY, bool]:
+    """The furthest free point straight on from b, coming from a; whether a fence ended it."""
+    course = atan2(b[1] - a[1], b[0] - a[0])
+    end = b
+    for k in range(1, int(reach_m / STEP_M) + 1):
+        at = (b[0] + k * STEP_M * cos(course), b[1] + k * STEP_M * sin(course))
+        if not free.contains(Point(at)):
+            return end, True
+        end = at
+    return end, False

@@ -1,0 +1,164 @@
+"""Which section a robot without one wants next: of its own share, or one that nobody takes.
+
+What is shared alike by everybody is in `agent/field/section_partition.py`; here is what this robot knows of the others:
+where each will be free, what silent ones left, and what was left to somebody and not taken.
+"""
+
+from math import cos, hypot, sin
+from typing import Final
+
+from agent.field.field_map import Field
+from agent.field.section_partition import Job, Point, shares
+from agent.interface.config import CONTROL_PERIOD_US, LEASE_US, S
+from agent.interface.mission import Choice, FleetView
+from crdt import Phase
+
+UNTAKEN_US: Final = 5 * S  # claims take a quarter of a second, a parted view two
+AGAIN_US: Final = 20 * S  # a section that we gave back is left to others first; doubled each time
+AGAIN_TIMES: Final = 5  # at most to ten minutes: 255 hand-overs of a section last for two days
+STANDS_US: Final = 60 * S  # a live owner that stands keeps its sections so long: three leases
+STAYS_M: Final = 4.0  # an owner that moves on further than this does not stand
+FORGET_US: Final = 2 * CONTROL_PERIOD_US  # we were not free to choose: no time to count
+
+
+class Choosing:
+    def __init__(self, field: Field, speed_m_s: float) -> None:
+        self.field, self.speed_m_s = field, speed_m_s
+        self.reserved: dict[int, list[int]] = {}  # silent member -> its sections, in its order
+        self._plan: dict[int, list[Job]] = {}
+        self._none_free = -1  # changes of the allocation when nothing was free
+        self._left = -1, 0  # changes of the allocation when others were to choose, and since when
+        self._gave: dict[
+            int, tuple[int, int, int]
+        ] = {}  # section: until when it is left to others, times, units it had
+        self._stands: dict[int, tuple[Point, int, int]] = {}  # owner: where, units it had, how long
+        self._asked_us = 0
+
+    def choose(self, view: FleetView, end: Point) -> Choice | None:
+        """`end`: where we will be free."""
+        self._reserve(view)
+        taken = {s for sections in self.reserved.values() for s in sections}
+        self._watch(view)
+        free = [
+            job
+            for job in self._jobs(view)
+            if job.section not in taken and not self._left_to_others(job.section, view)
+        ]
+        if free:
+            self._plan = shares(free, self._anchors(view, end), self.speed_m_s)
+            mine = self._plan.get(view.slot)
+            if not mine:  # more robots than sections are left
+                mine = free if self._untaken(view) else []
+            if not mine:
+                return None
+            return self._bid(
+                view,
+                min(
+                    mine, key=lambda job: min(hypot(e[0] - end[0], e[1] - end[1]) for e in job.ends)
+                ),
+            )
+        return self._orphan(view)
+
+    def _untaken(self, view: FleetView) -> bool:
+        """For seconds nobody has taken what we left to others: it may be that each leaves it to another,
+        who stands just as near by what it knows of us; or that the one whose it is does not work."""
+        if self._left[0] != view.allocation.changes or view.now_us < self._left[1]:
+            self._left = view.allocation.changes, view.now_us
+        return view.now_us - self._left[1] >= UNTAKEN_US
+
+    def _jobs(self, view: FleetView) -> list[Job]:
+        if self._none_free == view.allocation.changes:
+            return []
+        jobs = []
+        for section in self.field.sections:
+            if view.allocation.phase_of(section.id) is Phase.FREE:
+                left = 1.0 - view.progress.covered(section.id) / section.units
+                work_s = section.length_m * left / self.speed_m_s
+                jobs.append(Job(section.id, work_s, section.ends))
+        if not jobs:
+            self._none_free = view.allocation.changes
+        return jobs
+
+    def _anchors(self, view: FleetView, end: Point) -> dict[int, Point]:
+        """Where each live member will be free: the end of what it works, or where it stands."""
+        anchors: dict[int, Point] = {view.slot: end}
+        for slot in sorted(view.live - {view.slot}):
+            neighbour = view.neighbours.get(slot)
+            owned = view.allocation.assigned_sections(slot)
+            if neighbour is None:
+                continue
+            pose = neighbour.pose
+            anchors[slot] = (pose.x_m, pose.y_m)
+            if owned:  # it will end where its course leads
+                course = (cos(pose.course_rad), sin(pose.course_rad))
+                anchors[slot] = max(
+                    self.field.section(owned[-1]).ends,
+                    key=lambda at: (at[0] - pose.x_m) * course[0] + (at[1] - pose.y_m) * course[1],
+                )
+        return anchors
+
+    def _reserve(self, view: FleetView) -> None:
+        """Keep a silent member's run for it; forget reservations of those that are back."""
+        silent = view.silent_since_us
+        for slot in [s for s in self.reserved if s not in silent]:
+            del self.reserved[slot]
+        for slot in silent:
+            if slot not in self.reserved:
+                self.reserved[slot] = [job.section for job in self._plan.get(slot, [])]
+
+    def _orphan(self, view: FleetView) -> Choice | None:
+        """Nothing is left but what silent members own or were going to do."""
+        for slot in sorted(view.silent_since_us, key=lambda s: view.silent_since_us[s]):
+            if view.now_us - view.silent_since_us[slot] < LEASE_US:
+                continue
+            for section in reversed(self.reserved.get(slot, [])):
+                if view.allocation.phase_of(section) is Phase.FREE:
+                    return self._bid(view, self._job(view, section))
+            for section in sorted(view.allocation.assigned_sections(slot), reverse=True):
+                return self._bid(view, self._job(view, section))._replace(takeover=True)
+        for slot, (_, _, stood_us) in sorted(self._stands.items()):
+            for section in view.allocation.assigned_sections(slot):
+                if stood_us >= STANDS_US and not self._left_to_others(section, view):
+                    del self._stands[slot]
+                    return self._bid(view, self._job(view, section))._replace(takeover=True)
+        return None
+
+    def gave_back(self, section: int, units: int, now_us: int) -> None:
+        """We got nowhere with it: others first, for longer each time, until one of them gets on.
+        `units`: done of it."""
+        times = self._gave.get(section, (0, 0, 0))[1] + 1
+        until_us = now_us + (AGAIN_US << min(times - 1, AGAIN_TIMES))
+        self._gave[section] = until_us, times, units
+
+    def _left_to_others(self, section: int, view: FleetView) -> bool:
+        until_us, _, units = self._gave.get(section, (0, 0, 0))
+        return view.now_us < until_us and view.progress.covered(section) <= units
+
+    def _watch(self, view: FleetView) -> None:
+        """How long live owners have stood without a unit more. Only time in which we were free to
+        choose counts: in a stop of all nobody gets on."""
+        passed_us, self._asked_us = view.now_us - self._asked_us, view.now_us
+        seen: dict[int, tuple[Point, int, int]] = {}
+        for slot in view.live - {view.slot}:
+            neighbour, owned = view.neighbours.get(slot), view.allocation.assigned_sections(slot)
+            if neighbour is None or not owned:
+                continue
+            at = neighbour.pose.x_m, neighbour.pose.y_m
+            units = sum(view.progress.covered(section) for section in owned)
+            was, had, stood_us = self._stands.get(slot, (at, units, 0))
+            if had != units or hypot(at[0] - was[0], at[1] - was[1]) > STAYS_M:
+                was, stood_us = at, 0
+            stood_us += passed_us if passed_us <= FORGET_US else 0
+            seen[slot] = was, units, stood_us
+        self._stands = seen
+
+    def _job(self, view: FleetView, section: int) -> Job:
+        return Job(section, 0.0, self.field.section(section).ends)
+
+    def _bid(self, view: FleetView, job: Job) -> Choice:
+        """The private cost: metres to the nearer end, in 31 steps of a geometric scale."""
+        way_m = min(hypot(x - view.here.x_m, y - view.here.y_m) for x, y in job.ends)
+        bid = 0
+        while bid < 31 and way_m > 1.25**bid:
+            bid += 1
+        return Choice(job.section, bid)

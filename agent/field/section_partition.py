@@ -1,0 +1,78 @@
+"""Which sections are whose to want: computed alike by every peer, without a message.
+
+The free sections, in their spatial order, are cut into as many runs of equal work as there are
+live members, and the runs are given out so that the way there is shortest in all. Every peer
+computes the same cut from the same state; where views differ for a moment, claims decide.
+
+Sections that were in a member's run when it fell silent stay reserved for it. They are taken only
+when nothing else is left and its lease is over, from the end it would have reached last: if it is
+alive behind a cut, it works them from the other end (DESIGN, "Deciding who does what").
+"""
+
+from collections.abc import Mapping, Sequence
+from math import hypot, inf
+from typing import NamedTuple
+
+import numpy as np
+
+from agent.mapf.linear_assignment import NOBODY, assigned
+
+Point = tuple[float, float]
+
+
+class Job(NamedTuple):
+    """A section as the allocator sees it."""
+
+    section: int
+    work_s: float  # time to do what is left of it
+    ends: tuple[Point, ...]  # where it can be entered
+
+
+def cut(jobs: Sequence[Job], parts: int) -> list[list[Job]]:
+    """Cut jobs, in their order, into runs of nearly equal work; fewer runs where jobs are few."""
+    runs: list[list[Job]] = []
+    rest_s, left = sum(job.work_s for job in jobs), parts
+    run: list[Job] = []
+    run_s = 0.0
+    for job in jobs:
+        if run and left > 1 and run_s + job.work_s / 2 > rest_s / left:
+            runs.append(run)
+            rest_s, left = rest_s - run_s, left - 1
+            run, run_s = [], 0.0
+        run.append(job)
+        run_s += job.work_s
+    if run:
+        runs.append(run)
+    return runs
+
+
+def shares(
+    jobs: Sequence[Job], robots: Mapping[int, Point], speed_m_s: float
+) -> dict[int, list[Job]]:
+    """Slot -> its run, nearest end first. Robots beyond the number of runs get an empty one."""
+    order = sorted(robots)
+    runs = cut(jobs, len(order))
+    result: dict[int, list[Job]] = {slot: [] for slot in order}
+    if not runs:
+        return result
+    way_m = np.array([[_way(robots[slot], run) for run in runs] for slot in order])
+    # Whole millimetres: equal on every machine, whatever the last bit of a square root says.
+    for slot, column in zip(order, assigned(np.rint(way_m * 1000.0)), strict=True):
+        if column == NOBODY:
+            continue
+        run, here = runs[column], robots[slot]
+        if _near(here, run[-1]) < _near(here, run[0]):
+            run = run[::-1]
+        result[slot] = run
+    return result
+
+
+def _near(here: Point, job: Job) -> float:
+    near_m = inf
+    for x, y in job.ends:
+        near_m = min(near_m, hypot(x - here[0], y - here[1]))
+    return near_m
+
+
+def _way(here: Point, run: Sequence[Job]) -> float:
+    return min(_near(here, run[0]), _near(here, run[-1]))

@@ -1,0 +1,225 @@
+"""The field mission for bodies that steer: stretches joined by ways they can turn.
+
+What is claimed, counted and announced is as in `FieldWork`. The order of stretches respects the
+turning circle: next comes the one that the shortest Dubins word leads to, so rows nearer than two
+radii are taken with others between them where there are any.
+"""
+
+from math import cos, hypot, pi, sin
+
+from agent.field.field_map import Field, Section
+from agent.field.field_mission import FieldWork
+from agent.field.section_partition import Point
+from agent.field.work_leg import Leg
+from agent.interface.config import CONTROL_PERIOD_US, S
+from agent.interface.lifecycle import State
+from agent.interface.mission import STILL, FleetView, Wish
+from agent.motion.tractor_escape import Escape
+from agent.motion.tractor_tracker import Limits, TractorTracker, distance_m, heading_of, smooth_way
+from agent.paths.dubins import shortest_m
+from agent.paths.route import Route
+from agent.paths.tractor_route import Piece, Pose, TurnRoute, sampled
+
+BEND_HALF_M = 0.6  # to both sides of a bend, over which it is rounded
+BESIDE_M = 0.5  # further from the leg the implement is up: it may be another robot's section
+JOIN_M_S = 1.5  # from a turn into a stretch
+JOIN_BENT_M_S = 0.4  # into one that begins in a bend: off its course, the bar would miss the corner
+BENT_M = 1.0  # a stretch is straight for as long as this, or begins in a bend
+LEAVE_M_S = 0.8  # from a stretch into a turn that is not known yet
+ROOM_M = 1.5  # with as much as this beyond its end
+STUCK_US = 5_000_000
+MOVED_M = 0.5  # less within `STUCK_US` is being stuck
+BODY_M = 0.5  # between bodies on a way that goes round one: more than ORCA's disc takes
+MAKE_WAY_M = 6.0  # an idle robot keeps this far from one that works
+BLOCKED_M = 1.4  # of swath that is left beside one: the same, the lead-in, and room to come to rest
+STANDING_M_S = 0.1
+NEAR_M = 12.0  # bodies further away do not count for the next turn
+AGAIN_US = 1_000_000  # between attempts to find a way
+HALF_PERIOD_S = CONTROL_PERIOD_US / S / 2  # the course is that of the middle of the control period
+
+
+class TractorWork(FieldWork):
+    beside_m = BLOCKED_M
+    turns_on_the_spot = False
+    past_end_m = 0.2  # of `LEAD_M`: in a corner the bar is then where it has to be
+    plans_without_headway = False  # `_notice_stuck` does: a turn is longer than the way that is left
+
+    def __init__(
+        self, field: Field, route: Route, turns: TurnRoute, radius_m: float, limits: Limits
+    ) -> None:
+        super().__init__(field, route, radius_m, limits.speed_m_s, limits.deceleration_m_s2)
+        self.turns, self.limits = turns, limits
+        self.reach_m = 2 * radius_m + BODY_M
+        self.follow: TractorTracker | None = None
+        self.bodies: list[tuple[float, float]] = []  # gone round since we were stuck
+        self.joined = False  # at the beginning of the first leg, pointing along it
+        self._anchor, self._anchor_us, self._again_us = (0.0, 0.0), 0, 0
+        self._escape = Escape(turns, radius_m, limits)
+
+    def approach(self, section: int, view: FleetView) -> Wish:
+        self._look_round(view)
+        if self.heading_to != section:
+            self.heading_to = section
+            self.legs, self.follow = self._legs(self.field.section(section), view), None
+            self.joined = False
+        if self.joined:
+            return STILL
+        return self._drive(view, only_approach=True)[0]
+
+    def begin(self, section: int, view: FleetView) -> None:
+        going = self.heading_to == section
+        self.section, self.heading_to = self.field.section(section), None
+        self.worked.clear()
+        self.headway.begin()
+        if not (going and self.legs):
+            self.legs, self.follow, self.joined = self._legs(self.section, view), None, False
+        self.tracker = self.follow  # type: ignore[assignment]
+
+    def travel(self, goal: Point, view: FleetView) -> Wish:
+        """In whichever direction it can be reached, tried one after another."""
+        self._look_round(view)
+        if self.heading_to != goal:
+            self.heading_to, self.follow, self.joined = goal, None, False
+            away_rad = heading_of((view.here.x_m, view.here.y_m), goal)
+            ends = (away_rad + k * pi / 4 for k in (0, 1, -1, 2, -2, 3, -3, 4))
+            self.legs = [Leg((goal, (goal[0] + cos(a), goal[1] + sin(a)))) for a in ends]
+        return STILL if self.joined else self._drive(view, only_approach=True)[0]
+
+    def abandon(self) -> None:
+        super().abandon()
+        self.follow, self.joined = None, False
+
+    def rest(self, view: FleetView) -> Wish:
+        """Stand, but not where somebody works."""
+        self.heading_to, self.follow, self.joined = None, None, False
+        here = Pose(view.here.x_m, view.here.y_m, view.here.heading_rad)
+        near = [
+            (n.pose.x_m, n.pose.y_m)
+            for n in view.neighbours.values()
+            if n.pose.state == State.WORKING
+            and hypot(n.pose.x_m - here.x_m, n.pose.y_m - here.y_m) < MAKE_WAY_M
+        ]
+        everybody = [(n.pose.x_m, n.pose.y_m) for n in view.neighbours.values()]
+        return _wish(here, self._escape.go(here, near, everybody), False)
+
+    def _own_end(self, view: FleetView) -> tuple[float, float]:
+        if self.legs:
+            return self.legs[-1].points[-1]
+        if self.follow is not None:
+            return self.follow.points[-1]
+        return view.here.x_m, view.here.y_m
+
+    def _go_round(self, view: FleetView) -> None:
+        super()._go_round(view)
+        self.follow, self.joined = None, False
+
+    def _drive(self, view: FleetView, only_approach: bool = False) -> tuple[Wish, list[int]]:
+        here = Pose(view.here.x_m, view.here.y_m, view.here.heading_rad)
+        covered: list[int] = []
+        self._notice_stuck(view, here)
+        while True:
+            if self.follow is None and not self._next(view, here, only_approach):
+                return STILL, covered
+            assert self.follow is not None
+            self.follow.locate(*here)
+            covered += self._passed(view)
+            if self.follow.lost:
+                self._lose(view)
+                continue
+            if not self.follow.arrived:
+                break
+            self.joined = not self.leg.units
+            self.follow = self.tracker = None
+        tool = bool(self.leg.units) and self.follow.gap_m <= BESIDE_M
+        return _wish(here, self.follow.command(), tool), covered
+
+    def _next(self, view: FleetView, here: Pose, only_approach: bool) -> bool:
+        """Begin the next leg, or the way to it. False where there is nothing to do now."""
+        if not self.legs:
+            return False
+        first, second = self.legs[0].points[:2]
+        start = Pose(*first, heading_of(first, second))
+        if self.joined and only_approach:
+            return False
+        if self.joined:
+            self.leg, self.joined = self.legs.pop(0), False
+            way, end_m_s = smooth_way(list(self.leg.points), BEND_HALF_M), 0.0
+            if self.turns.piece_is_free(Pose(*way[-1, :3]), Piece(0.0, ROOM_M)):
+                end_m_s = LEAVE_M_S
+        else:
+            if view.now_us < self._again_us:
+                return False
+            standing = [*self.bodies, *self.blockage.bodies, *view.things]
+            pieces = self.turns.way(here, start, standing, self.reach_m)
+            if pieces == []:  # we are there
+                self.joined = True
+                return self._next(view, here, only_approach)
+            if pieces is None:  # somebody stands in it, or we stand where there is no way out
+                self.bodies, self._again_us = [], view.now_us + AGAIN_US
+                self.legs.append(self.legs.pop(0))
+                return False
+            self.leg = Leg((here[:2], first))
+            self.headway.again()  # the turn is way that was not counted before
+            joins_m_s = JOIN_M_S if distance_m(first, second) > BENT_M else JOIN_BENT_M_S
+            way, end_m_s = sampled(here, pieces), 0.0 if only_approach else joins_m_s
+        self.follow = TractorTracker(way, self.limits, end_m_s)
+        self.tracker = self.follow  # type: ignore[assignment]  # what `_passed` asks is the same
+        self.unit, self.worst_m = 0, 0.0
+        return True
+
+    def _lose(self, view: FleetView) -> None:
+        """Off the way: another one from here."""
+        self.follow = self.tracker = None
+        self.joined = False
+        if self.leg.units and self.section is not None:
+            self.legs = self._legs(self.section, view)
+
+    def _notice_stuck(self, view: FleetView, here: Pose) -> None:
+        """Not getting on: go round those that stand, or do something else first."""
+        if self.follow is None or distance_m(here[:2], self._anchor) > MOVED_M:
+            self._anchor, self._anchor_us = here[:2], view.now_us
+            return
+        if view.now_us - self._anchor_us < STUCK_US:
+            return
+        self._anchor_us = view.now_us
+        self.bodies = [
+            (n.pose.x_m, n.pose.y_m)
+            for n in view.neighbours.values()
+            if n.pose.speed_m_s < STANDING_M_S
+            and hypot(n.pose.x_m - here.x_m, n.pose.y_m - here.y_m) < NEAR_M
+        ]
+        self._lose(view)
+        if self.leg.units and len(self.legs) > 1:
+            self.legs.append(self.legs.pop(0))
+
+    def _legs(self, section: Section, view: FleetView) -> list[Leg]:
+        """The uncovered stretches of the section, each next by the shortest turn."""
+        left = self._stretches(section, view, last=False)
+        left = left or self._stretches(section, view, last=True)
+        at = Pose(view.here.x_m, view.here.y_m, view.here.heading_rad)
+        legs: list[Leg] = []
+        while left:
+            k, leg = min(
+                ((k, way) for k, leg in enumerate(left) for way in (leg, _turned(leg))),
+                key=lambda choice: shortest_m(at, _start(choice[1]), self.turns.radius_m),
+            )
+            left.pop(k)
+            legs.append(leg)
+            at = Pose(*leg.points[-1], heading_of(leg.points[-2], leg.points[-1]))
+        return legs
+
+
+def _turned(leg: Leg) -> Leg:
+    return Leg(leg.points[::-1], leg.units[::-1])
+
+
+def _start(leg: Leg) -> Pose:
+    return Pose(*leg.points[0], heading_of(leg.points[0], leg.points[1]))
+
+
+def _wish(here: Pose, command: tuple[float, float] | None, tool_on: bool) -> Wish:
+    if command is None:
+        return STILL
+    speed_m_s, turn_rad_s = command
+    course = here.heading_rad + turn_rad_s * HALF_PERIOD_S
+    return Wish(speed_m_s * cos(course), speed_m_s * sin(course), turn_rad_s, tool_on)

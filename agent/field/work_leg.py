@@ -1,0 +1,60 @@
+"""A polyline that a robot with an implement drives in one go: at work on a section, or on its way."""
+
+from itertools import pairwise
+from math import dist, hypot
+from typing import Final, NamedTuple
+
+from agent.field.section_partition import Point
+
+LEAD_M: Final = (
+    0.3  # a stretch is entered before its first unit and left after its last: arriving at a
+)
+# point within centimetres would leave that much of the work out
+STRAIGHT_M: Final = 0.01  # a lead-in that begins closer to the line of its first unit does not turn
+SWUNG_M: Final = (
+    0.15  # so far behind a corner the bar is round it; the tracker turns 6 cm before it
+)
+assert SWUNG_M < LEAD_M
+
+
+Leads = tuple[
+    tuple[Point, ...], tuple[Point, ...]
+]  # what of the swath is before a stretch, and after
+
+
+class Leg(NamedTuple):
+    """A polyline to drive; `units` are passed in this order, and none means transit.
+
+    A leg with units is longer than they are by `LEAD_M` at both ends.
+    """
+
+    points: tuple[Point, ...]
+    units: tuple[int, ...] = ()
+
+    @property
+    def length_m(self) -> float:
+        return sum(dist(a, b) for a, b in pairwise(self.points))
+
+
+def working_leg(
+    points: tuple[Point, ...],
+    units: tuple[int, ...],
+    leads: Leads = ((), ()),
+) -> Leg:
+    """A stretch of units with its lead-in and lead-out. `leads`: the swath before and after it, `LEAD_M`
+    each; where that turns the leg follows it: the bar has to swing round a corner at a unit's end."""
+    before, after = leads
+    first: tuple[Point, ...] = (_beyond(points[1], points[0]),)
+    last: tuple[Point, ...] = (_beyond(points[-2], points[-1]),)
+    if before and dist(before[0], first[0]) > STRAIGHT_M:
+        first = before
+    if after and dist(after[-1], last[0]) > STRAIGHT_M:
+        last = after
+    return Leg((*first, *points[1:-1], *last), units)
+
+
+def _beyond(a: Point, b: Point) -> Point:
+    """The point `LEAD_M` further than b, coming from a."""
+    length_m = max(hypot(b[0] - a[0], b[1] - a[1]), 1e-9)
+    share = LEAD_M / length_m
+    return b[0] + (b[0] - a[0]) * share, b[1] + (b[1] - a[1]) * share

@@ -1,0 +1,363 @@
+"""Rounds of agreement: how robots that are in each other's way settle who goes where.
+
+Whoever gets no further calls a round by naming the next number; everybody who hears of it stops,
+and the round goes through three steps, each of which is a word that a robot says once and repeats
+until the round is over:
+
+    PLACE  where I stand and where I want to be. What one robot says of itself is said by it alone,
+           so all who have heard everybody know the same, whatever was lost on the way.
+    BODY   a node on which I see something that is no member of the fleet.
+    PLAN   the digest of the joint plan that I computed from it (`agent/mapf/lacam.py`) and from where
+           silent members stand (`agent/navigation/silent_robots.py`). Nobody moves before all who move have the same.
+    AT     how far I am on my route. A robot drives to a node when those that come before it there
+           have gone on; the order is the plan's, the time is everybody's own.
+
+A round is also the contract by which an idle or parked robot clears a way. The call is the request;
+PLACE grants it, or refuses it with a reason, and then its place is an obstacle for all; the plan
+brings it back to where it stood; and a round that gets no further for `PATIENCE_US` is void and
+called again, without those that have meanwhile fallen silent. So nobody is parked for ever.
+"""
+
+from collections.abc import Iterable, Mapping
+from math import hypot
+from typing import NamedTuple
+from zlib import crc32
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.interface.config import MS, S
+from agent.mapf.agreement_phase import CALM_US, Phase, after, ahead
+from agent.mapf.lacam import JointPlan, Turn, planned
+from agent.mapf.lattice import FINE, Lattice, components
+from agent.mapf.linear_assignment import assigned
+from protocol.frames.accord_frames import Accord, Answer, Say
+
+Point = tuple[float, float]
+STANDS_M_S = 0.06  # slower than this is standing: what POSE can tell apart from nothing
+PATIENCE_US = 10 * S  # longer than a sync (2 s) or a protective stop that ends (2 s) and the way on
+HURRY_US = 100 * MS  # a word that others wait for is repeated this often,
+HURRIED_US = (
+    350 * MS
+)  # a step on the route: four words, so that 1 % miss all of them where 30 % are lost
+KEPT_M = 0.15  # between bodies by avoidance: nobody gets onto a node that is nearer to one
+SEEN_MAX = 6  # nodes that one robot may name: what a box and a body cover
+SEATS = 3  # pitches round a place in which a node is looked for
+AFAR = 1 << 24  # cost of a node that is none of ours; more than all squares of a map
+
+
+class Place(NamedTuple):
+    """What one robot said of itself in this round."""
+
+    node: int
+    goal: int
+    answer: Answer
+    detail: int
+
+
+class Accords:
+    """One robot's part in all rounds. It takes the time and what it hears, and returns words."""
+
+    def __init__(self, slot: int, lattice: Lattice, radius_m: float) -> None:
+        self.slot, self.lattice, self.radius_m = slot, lattice, radius_m
+        self.round = 0
+        self.phase = Phase.FREE
+        self.plan: JointPlan | None = None
+        self.order: tuple[int, ...] = ()  # slots of the plan's robots
+        self.called = 0  # rounds that we called
+        self.rounds = 0  # rounds that we took part in
+        self.unsolved = 0  # rounds without a plan: nobody could be brought to where it wants
+        self._places: dict[int, Place] = {}
+        self._things: set[int] = set()  # nodes on which something stands that is no member
+        self._seen: list[int] = []  # those of them that we have said
+        self._used: object = None  # bodies and things that the plan was made round
+        self._digests: dict[int, int] = {}
+        self._reached: dict[int, int] = {}  # index of the node reached; -1: not on the route yet
+        self._since_us = 0  # of this phase, or of our own last progress in it
+        self._progress_us = 0  # of anybody's
+        self._said_us: dict[Say, int] = {}
+
+    # ---------------------------------------------------------------- facts in
+
+    def call(self, now_us: int) -> None:
+        """We get no further: a new round."""
+        self.called += 1
+        self._begin(after(self.round), now_us)
+
+    def hear(self, slot: int, m: Accord, now_us: int) -> None:
+        later = ahead(m.round, self.round)
+        if later is None:
+            return  # a round that is over
+        if later:
+            self._begin(m.round, now_us)
+        if m.say == Say.PLACE:
+            if m.first < len(self.lattice) and m.second < len(self.lattice):
+                place = Place(m.first, m.second, Answer(m.answer), m.detail)
+                self._places.setdefault(slot, place)
+        elif m.say == Say.BODY:
+            if m.first < len(self.lattice):
+                self._things.add(m.first)
+        elif m.say == Say.PLAN:
+            self._digests[slot] = m.first | m.second << 16
+        elif m.first - 1 > self._reached.get(slot, -1):
+            self._reached[slot] = m.first - 1
+            self._progress_us = now_us
+
+    def _begin(self, number: int, now_us: int) -> None:
+        self.round, self.phase, self.plan = number, Phase.GATHER, None
+        self.rounds += 1
+        self._places.clear()
+        self._things.clear()
+        self._seen, self._used = [], None
+        self._digests.clear()
+        self._reached.clear()
+        self._said_us.clear()
+        self._since_us = self._progress_us = now_us
+
+    # ---------------------------------------------------------------- what is to be done
+
+    @property
+    def bound(self) -> bool:
+        """Whether a round says what we do: stand, or drive our route."""
+        return self.phase is not Phase.FREE and not self._arrived
+
+    @property
+    def waiting(self) -> bool:
+        """Whether all must come to know the same before anybody moves."""
+        return self.phase in (Phase.GATHER, Phase.AGREE)
+
+    @property
+    def route(self) -> tuple[int, ...]:
+        """Our nodes, while there is a plan."""
+        assert self.plan is not None
+        return self.plan.routes[self.order.index(self.slot)]
+
+    @property
+    def index(self) -> int:
+        """The node of our route that we have reached; -1: not yet the first."""
+        return self._reached.get(self.slot, -1)
+
+    @property
+    def permitted(self) -> int:
+        """The node of our route that we may drive to. First of all everybody gets onto its node."""
+        assert self.plan is not None
+        reached = [self._reached.get(slot, -1) for slot in self.order]
+        if min(reached) < 0:
+            return 0
+        return self.plan.permitted(self.order.index(self.slot), reached)
+
+    def reach(self, index: int, now_us: int) -> None:
+        """We are at that node of our route now."""
+        if index > self.index:
+            self._reached[self.slot] = index
+            self._since_us = now_us
+            self._said_us.pop(Say.AT, None)
+
+    @property
+    def _arrived(self) -> bool:
+        return self.plan is not None and self.index >= len(self.route) - 1
+
+    @property
+    def _over(self) -> bool:
+        assert self.plan is not None
+        return all(
+            self._reached.get(slot, -1) >= len(route) - 1
+            for slot, route in zip(self.order, self.plan.routes, strict=True)
+        )
+
+    def tick(
+        self,
+        at: Point,
+        speed_m_s: float,
+        goal: Point | None,
+        answer: Answer,
+        peers: Iterable[int],
+        dead: Mapping[int, Point],
+        things: Iterable[Point],
+        now_us: int,
+    ) -> None:
+        """One control period. `peers`: who is expected to take part; `dead`: bodies that do not;
+        `things`: what else we see standing."""
+        if self.phase is Phase.GATHER:
+            if self.slot not in self._places and speed_m_s < STANDS_M_S:
+                node, detail = self.lattice.tell(at)
+                wants = node if goal is None or answer else self.lattice.nearest(goal)
+                self._places[self.slot] = Place(node, wants, answer, detail)
+                self._see(things)
+            if self._places.keys() >= {self.slot, *peers}:
+                self.phase, self._since_us = Phase.AGREE, now_us
+        if self.phase is Phase.AGREE:
+            self._compute(dead)
+            own = self._digests[self.slot]
+            movers = [s for s in self.order if self._places[s].answer is Answer.GRANT]
+            if all(self._digests.get(slot) == own for slot in movers):
+                self.phase, self._since_us = Phase.GO, now_us
+        if self.phase is Phase.GO and self._over:
+            self.phase = Phase.FREE
+        patience_us = PATIENCE_US if self.phase is Phase.GO else PATIENCE_US // 2
+        if self.bound and now_us - max(self._since_us, self._progress_us) > patience_us:
+            place = self._places.get(self.slot)
+            if self.phase is Phase.AGREE and place is not None and place.answer is Answer.DEAF:
+                self.phase = Phase.FREE  # it cannot agree; the others have done what they did
+            else:
+                self.call(now_us)
+
+    def say(self, now_us: int) -> list[Accord]:
+        """What is due with this beat."""
+        words: list[Accord] = []
+        place = self._places.get(self.slot)
+        if place is not None and self._due(Say.PLACE, self.phase is Phase.GATHER, now_us):
+            words.append(
+                Accord(self.round, Say.PLACE, place.answer, place.node, place.goal, place.detail)
+            )
+        if self._seen and self._due(Say.BODY, self.phase is not Phase.GO, now_us):
+            words += [Accord(self.round, Say.BODY, 0, node, 0, 0) for node in self._seen]
+        digest = self._digests.get(self.slot)
+        if digest is not None and self._due(Say.PLAN, self.phase is Phase.AGREE, now_us):
+            words.append(Accord(self.round, Say.PLAN, 0, digest & 0xFFFF, digest >> 16, 0))
+        hurried = self.phase is Phase.GO and now_us - self._since_us < HURRIED_US
+        if self.index >= 0 and self._due(Say.AT, hurried, now_us):
+            words.append(Accord(self.round, Say.AT, 0, self.index + 1, 0, 0))
+        return words
+
+    def _due(self, say: Say, hurried: bool, now_us: int) -> bool:
+        last_us = self._said_us.get(say)
+        if last_us is not None and now_us - last_us < (HURRY_US if hurried else CALM_US):
+            return False
+        self._said_us[say] = now_us
+        return True
+
+    # ---------------------------------------------------------------- the plan
+
+    def _see(self, things: Iterable[Point]) -> None:
+        """Nodes that cannot be driven to for what we see; the nearest of a crowd."""
+        own, standing = self._places[self.slot].node, list(things)
+        reach_m = hypot(self.radius_m, self.lattice.pitch_m / 2)  # also from the middle of an edge
+        nodes = {int(n) for thing in standing for n in self.lattice.within(thing, reach_m)} - {own}
+        beside_m = self.radius_m + KEPT_M
+        nodes |= {own for thing in standing if self.lattice.distance_m(own, thing) < beside_m}
+        gap = self.lattice.points - self.lattice.points[own]
+        near = sorted(nodes, key=lambda n: (float((gap[n] ** 2).sum()), n))
+        self._seen = near[:SEEN_MAX]
+        self._things.update(self._seen)
+
+    def _compute(self, dead: Mapping[int, Point]) -> None:
+        """The joint plan of all that have said their place. A pure function of what was said, made
+        anew when more is heard of what stands in the way: in the end all have heard the same."""
+        bodies_used = {s: at for s, at in dead.items() if s not in self._places}
+        used = bodies_used, frozenset(self._things)
+        if used == self._used:
+            return
+        self._used = used
+        self._reached.clear()
+        self._said_us.pop(Say.PLAN, None)
+        order = self.order = tuple(sorted(self._places))
+        places = [self._places[slot] for slot in order]
+        body_m = 2 * self.radius_m + KEPT_M
+        bodies = [
+            self.lattice.told(p.node, p.detail) for p in places if p.answer is not Answer.GRANT
+        ]
+        bodies += bodies_used.values()
+        blocked = {int(n) for body in bodies for n in self.lattice.within(body, body_m)}
+        blocked |= self._things
+        movers = [k for k, p in enumerate(places) if p.answer is Answer.GRANT]
+        routes: list[tuple[int, ...]] = [(p.node,) for p in places]
+        turns: list[tuple[Turn | None, ...]] = [(None,) for _ in places]
+        self.plan = JointPlan(tuple(routes), tuple(turns))
+        found = plan_of(
+            self.lattice, tuple(places[k] for k in movers), tuple(sorted(blocked)), self.round
+        )
+        if found is None:
+            self.unsolved += 1
+        else:
+            for k, route, turn in zip(movers, found.routes, found.turns, strict=True):
+                routes[k] = route
+                turns[k] = tuple(t and t._replace(robot=movers[t.robot]) for t in turn)
+            self.plan = JointPlan(tuple(routes), tuple(turns))
+        for k, p in enumerate(places):
+            if p.answer is not Answer.GRANT or found is None:  # it stays where it is
+                self._reached[order[k]] = len(routes[k]) - 1
+        self._digests[self.slot] = crc32(repr((order, self.plan)).encode())
+
+
+_KEPT: dict[object, tuple[Lattice, JointPlan | None]] = {}  # a lattice kept keeps its id
+
+
+def plan_of(
+    lattice: Lattice, places: tuple[Place, ...], blocked: tuple[int, ...], salt: int
+) -> JointPlan | None:
+    """The joint plan of these robots among these blocked nodes; None where there is none.
+
+    The last one is kept: robots that share a process compute the same one after the other.
+    """
+    key = (id(lattice), places, blocked, salt)
+    if key not in _KEPT:
+        _KEPT.clear()
+        _KEPT[key] = lattice, _plan_of(lattice, places, blocked, salt)
+    return _KEPT[key][1]
+
+
+def _plan_of(
+    lattice: Lattice, places: tuple[Place, ...], blocked: tuple[int, ...], salt: int
+) -> JointPlan | None:
+    if not places:
+        return JointPlan((), ())
+    near = lattice.near.copy()
+    if blocked:
+        near[np.isin(near, blocked)] = -1
+        near[list(blocked)] = -1
+    starts = seats(
+        lattice, [lattice.told(p.node, p.detail) for p in places], [1] * len(places), blocked
+    )
+    if starts is None:
+        return None
+    wishes = [
+        lattice.told(p.node, p.detail) if p.goal == p.node else lattice.point(p.goal)
+        for p in places
+    ]
+    # Who has somewhere to go gets its own node before who only stands there.
+    weights = [1 if p.goal == p.node else 4 for p in places]
+    goals = seats(lattice, wishes, weights, blocked)
+    if goals is None:
+        return None
+    component = components(near)
+    goals = [g if component[g] == component[s] else s for s, g in zip(starts, goals, strict=True)]
+    if len(set(goals)) < len(goals):
+        return None
+    return planned(near, starts, goals, salt)
+
+
+def seats(
+    lattice: Lattice, at: list[Point], weights: list[int], blocked: Iterable[int]
+) -> list[int] | None:
+    """A node of its own for each place, all together as near as possible; None: too few nodes.
+
+    By squared distance, which keeps the order of robots in a row. Whole numbers throughout, so that
+    no two machines round differently.
+    """
+    reach_m = SEATS * lattice.pitch_m
+    near = [lattice.within(point, reach_m) for point in at]
+    taken = np.zeros(len(lattice), dtype=np.bool_)
+    taken[list(blocked)] = True
+    nodes = np.unique(np.concatenate(near))
+    nodes = nodes[~taken[nodes]]
+    if len(nodes) < len(at):
+        return None
+    part_m = lattice.pitch_m / FINE
+    cost = np.full((len(at), len(nodes)), AFAR, dtype=np.int64)
+    for row, (point, own, weight) in enumerate(zip(at, near, weights, strict=True)):
+        gaps = np.rint((lattice.points[nodes] - np.asarray(point)) / part_m).astype(np.int64)
+        squares = (gaps * gaps).sum(axis=1)
+        home = lattice.component[own[np.argmin(_squares(lattice, own, point))]] if len(own) else -1
+        mine = np.isin(nodes, own) & (lattice.component[nodes] == home)
+        cost[row, mine] = weight * squares[mine]
+    columns = assigned(cost)
+    if (cost[np.arange(len(at)), columns] >= AFAR).any():
+        return None
+    return [int(nodes[c]) for c in columns]
+
+
+def _squares(lattice: Lattice, nodes: NDArray[np.intp], at: Point) -> NDArray[np.float64]:
+    gaps = lattice.points[nodes] - np.asarray(at)
+    squares: NDArray[np.float64] = (gaps * gaps).sum(axis=1)
+    return squares

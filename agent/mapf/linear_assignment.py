@@ -1,0 +1,71 @@
+"""Who takes what, so that it costs least in all: the linear assignment problem.
+
+Shortest augmenting paths, as D. F. Crouse gives them ("On implementing 2D rectangular assignment
+algorithms", IEEE TAES 2016). Ours, because every peer must break ties alike, whatever is installed
+beside it; they are broken as scipy 1.17 does (tests/agent/mapf/test_linear_assignment.py compares). And the import of
+scipy.optimize takes longer than all of the rest that a robot starts with.
+"""
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+NOBODY = -1
+
+
+def assigned(cost: NDArray[Any]) -> NDArray[np.int64]:
+    """For each row its column, NOBODY where there are too few. `cost`: (rows, columns), finite."""
+    rows, columns = cost.shape
+    if rows <= columns:
+        return _assigned(np.ascontiguousarray(cost, dtype=np.float64))  # type: ignore[no-any-return]
+    row_of = _assigned(np.ascontiguousarray(cost.T, dtype=np.float64))
+    result = np.full(rows, NOBODY, dtype=np.int64)
+    result[row_of] = np.arange(columns)
+    return result
+
+
+@njit(cache=True)
+def _assigned(cost):  # type: ignore[no-untyped-def]
+    """As `assigned`, where rows are not more than columns."""
+    rows, columns = cost.shape
+    row_price, column_price = np.zeros(rows), np.zeros(columns)
+    column_of, row_of = np.empty(rows, np.int64), np.empty(columns, np.int64)
+    column_of[:], row_of[:] = NOBODY, NOBODY
+    came_from, open_ones = np.empty(columns, np.int64), np.empty(columns, np.int64)
+    far = np.empty(columns)
+    for first in range(rows):
+        far[:] = np.inf
+        for k in range(columns):
+            open_ones[k] = columns - 1 - k  # backwards: of equal costs the identity comes out
+        row, length, left, sink = first, 0.0, columns, NOBODY
+        while sink == NOBODY:
+            lowest, chosen = np.inf, -1
+            for k in range(left):
+                column = open_ones[k]
+                way = length + cost[row, column] - row_price[row] - column_price[column]
+                if way < far[column]:
+                    came_from[column], far[column] = row, way
+                # Of equal ones rather one that nobody has: the path ends there.
+                if far[column] < lowest or (far[column] == lowest and row_of[column] == NOBODY):
+                    lowest, chosen = far[column], k
+            length, column = lowest, open_ones[chosen]
+            if row_of[column] == NOBODY:
+                sink = column
+            else:
+                row = row_of[column]
+            left -= 1  # those that were chosen stand behind it
+            open_ones[chosen], open_ones[left] = open_ones[left], column
+        row_price[first] += length
+        for k in range(left, columns):
+            column = open_ones[k]
+            if row_of[column] != NOBODY:
+                row_price[row_of[column]] += length - far[column]
+            column_price[column] -= length - far[column]
+        column = sink
+        while column != NOBODY:
+            row = came_from[column]
+            row_of[column] = row
+            column, column_of[row] = column_of[row], column
+    return column_of

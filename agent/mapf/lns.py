@@ -1,0 +1,272 @@
+"""Groups of robots taken out of a timetable together and put back so that nobody waits long.
+
+Large-neighbourhood search (MAPF-LNS, Li et al., IJCAI 2021): whoever waits longest is taken out with a
+few of those that are in its way, and they are put back one after the other, it first. What comes out is
+kept where the waits of the group, each to the sixth power, add up to no more: a long wait of one is
+worth many short ones of others (fourth powers leave 1 of 20 crowds with somebody who waits more than
+three times the median).
+
+A goal in a doorway need not be left until the last has passed. Whoever is at its goal has been there; it
+may step aside for others, at most `ASIDE_MAX` nodes, and comes back. Nearly all of the longest waits are
+of robots whose goals others cross late.
+
+Whole numbers, products and sums in one order, so that all robots come to the same timetable.
+"""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from agent.mapf.plan_schedule import hold
+
+Ints = NDArray[np.int32]
+GROUP_MAX = 8  # robots taken out together; 4 and 6 get stuck more often, 10 are seldom put back
+GROUPS_EACH = 3  # groups for each robot; three times as many save 2 moves of the longest wait of 24
+LOOKS_MAX = (
+    40_000_000  # nodes at a time that are looked at in all, 1 s; a hundred robots take a third
+)
+CELLS_MAX = 1 << 22  # nodes times units of time: 60 MB; longer plans are left as they are
+ASIDE_MAX = 5  # nodes: as far as a robot goes out of the way from its goal
+WALKS = 10  # ways that are tried for who is in the way
+PATIENCE = 16  # a robot whose group was put back in vain this often comes half as early again
+NOBODY = np.int16(-1)
+
+
+@njit(cache=True)
+def _draw(state, below):  # type: ignore[no-untyped-def]
+    """A whole number from 0 on (splitmix64), the same on every robot."""
+    z = state[0] + np.uint64(0x9E3779B97F4A7C15)
+    state[0] = z
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return np.int64(((z ^ (z >> np.uint64(31))) >> np.uint64(1)) % np.uint64(below))
+
+
+@njit(cache=True)
+def _price(wait):  # type: ignore[no-untyped-def]
+    cube = float(wait) * float(wait) * float(wait)
+    return cube * cube
+
+
+@njit(cache=True)
+def _homeward(goal, near, far, owner, round_goal, back):  # type: ignore[no-untyped-def]
+    """Fill `back`, (times, nodes): whether one that is there then can be at its goal in the end.
+
+    Only of nodes `round_goal`, all within ASIDE_MAX. Returns the first time at which that is so of the
+    goal itself.
+    """
+    end = owner.shape[0]
+    for node in round_goal:
+        back[end, node] = False
+    back[end, goal] = True
+    first = end
+    for t in range(end - 1, -1, -1):
+        some = False
+        for node in round_goal:
+            home = False
+            if owner[t, node] < 0:
+                home = back[t + 1, node]
+                for side in range(4):
+                    to = near[node, side]
+                    if to >= 0 and far[to] <= ASIDE_MAX and back[t + 1, to] and owner[t, to] < 0:
+                        home = True
+            back[t, node] = home
+            some = some or home
+        if not some:
+            break
+        if back[t, goal]:
+            first = t
+    return first
+
+
+@njit(cache=True)
+def _reach(start, goal, near, far, owner, back, first, most, room):  # type: ignore[no-untyped-def]
+    """When the robot can first be at its goal and come back to it, waiting at most `most`; -1: never.
+
+    By rising wait: a node at a time has one wait only, what is past and what is still to go less what
+    the way takes, so each is looked at once. Returns also how many were looked at.
+    """
+    came, following, heads, seen = room
+    end, nodes = owner.shape[0], near.shape[0]
+    heads[: most + 1] = -1
+    heads[0] = seen[0] = came[start] = start
+    following[start] = -1
+    found, looks = -1, 1
+    for wait in range(most + 1):
+        while heads[wait] >= 0 and found < 0:
+            cell = heads[wait]
+            heads[wait] = following[cell]
+            t = cell // nodes
+            at = cell - t * nodes
+            if at == goal and t >= first and back[t, goal]:
+                found = t
+            if t == end or owner[t, at] >= 0:
+                continue
+            for side in range(5):
+                to = near[at, side] if side < 4 else at
+                if to < 0 or owner[t, to] >= 0:
+                    continue
+                later = t + 1 + far[to] - far[start]
+                then = (t + 1) * nodes + to
+                if later > most or came[then] >= 0:
+                    continue
+                came[then], following[then], heads[later] = at, heads[later], then
+                seen[looks] = then
+                looks += 1
+        if found >= 0:
+            break
+    return found, looks
+
+
+@njit(cache=True)
+def _put_back(robot, goal, near, far, track, owner, back, round_goal, most, room):  # type: ignore[no-untyped-def]
+    """A way of the robot that waits at most `most`: when it is at its goal, and looks taken; -1: none."""
+    came, _, _, seen = room
+    end, nodes, start = owner.shape[0], near.shape[0], track[robot, 0]
+    most = min(most, end - far[start])
+    if most < 0:
+        return -1, 0
+    first = _homeward(goal, near, far, owner, round_goal, back)
+    if first > far[start] + most:
+        return -1, 0
+    found, looks = _reach(start, goal, near, far, owner, back, first, most, room)
+    if found >= 0:
+        at = goal
+        for t in range(found, -1, -1):
+            track[robot, t] = at
+            at = came[t * nodes + at]
+        at = goal
+        for t in range(found, end):  # as near to the goal as can be
+            best = at if back[t + 1, at] else -1
+            for side in range(4):
+                to = near[at, side]
+                if to < 0 or far[to] > ASIDE_MAX or not back[t + 1, to] or owner[t, to] >= 0:
+                    continue
+                if best < 0 or far[to] < far[best]:
+                    best = to
+            track[robot, t + 1] = at = best
+    for k in range(looks):
+        came[seen[k]] = -1
+    return found, looks
+
+
+@njit(cache=True)
+def _in_the_way(robot, goal, near, far, track, owner, wait, group, size, state):  # type: ignore[no-untyped-def]
+    """Fill `group` with the robot and whom it meets on ways by which it would wait less; how many."""
+    end, count = owner.shape[0], 1
+    group[0] = robot
+    visit = far[track[robot, 0]] + wait
+    for _ in range(WALKS):
+        t = _draw(state, visit)
+        at = track[robot, t]
+        while t < end and count < size:
+            to = at
+            if at != goal:  # by chance one of those from which it still comes earlier
+                choices = 0
+                for side in range(5):
+                    other = near[at, side] if side < 4 else at
+                    if other >= 0 and t + 1 + far[other] < visit:
+                        choices += 1
+                        if _draw(state, choices) == 0:
+                            to = other
+                if choices == 0:
+                    break
+            for node in (to, at):
+                who = np.int32(owner[t, node])
+                if who >= 0 and not (group[:count] == who).any() and count < size:
+                    group[count] = who
+                    count += 1
+            at = to
+            t += 1
+    return count
+
+
+@njit(cache=True)
+def _regroup(group, near, far, goals, track, owner, waits, back, balls, room):  # type: ignore[no-untyped-def]
+    """Put a group back in its order. Whether it was kept: better 1, as good 0, no -1; looks taken."""
+    round_goals, bounds = balls
+    before = track[group]
+    cost = 0.0
+    for robot in group:
+        cost += _price(waits[robot])
+        hold(owner, track, robot, NOBODY)
+    spent, done, looks = 0.0, 0, 0
+    got = np.empty(len(group), np.int64)
+    for robot in group:
+        most = 0
+        while most < owner.shape[0] and spent + _price(most + 1) <= cost:
+            most += 1
+        round_goal = round_goals[bounds[robot] : bounds[robot + 1]]
+        found, looked = _put_back(
+            robot, goals[robot], near, far[robot], track, owner, back, round_goal, most, room
+        )
+        looks += looked
+        if found < 0:
+            break
+        got[done] = found - far[robot, track[robot, 0]]
+        spent += _price(got[done])
+        hold(owner, track, robot, robot)
+        done += 1
+    if done == len(group):
+        waits[group] = got
+        return (1 if spent < cost else 0), looks
+    for k in range(done):
+        hold(owner, track, group[k], NOBODY)
+    for k in range(len(group)):
+        track[group[k]] = before[k]
+    for robot in group:
+        hold(owner, track, robot, robot)
+    return -1, looks
+
+
+@njit(cache=True)
+def _regrouped(near, far, goals, track, owner, waits, back, balls, room, groups, state):  # type: ignore[no-untyped-def]
+    """Take out groups, round who waits longest and was not tried in vain, until there were enough."""
+    count, looks = track.shape[0], 0
+    vain = np.zeros(count, np.int64)
+    group = np.empty(count, np.int32)
+    for _ in range(groups):
+        robot = np.argmax(waits * 1024 * PATIENCE // (PATIENCE + vain))
+        if waits[robot] == 0 or looks > LOOKS_MAX:
+            return
+        size = min(2 + _draw(state, GROUP_MAX - 1), count)
+        size = _in_the_way(
+            robot, goals[robot], near, far[robot], track, owner, waits[robot], group, size, state
+        )
+        for k in range(1, size):
+            other = k + _draw(state, size - k)
+            group[k], group[other] = group[other], group[k]
+        kept, looked = _regroup(
+            group[:size], near, far, goals, track, owner, waits, back, balls, room
+        )
+        looks += looked
+        vain[robot] += 1
+        if kept > 0:
+            vain[:] = 0
+
+
+def regroup(near: Ints, far: Ints, goals: Ints, track: Ints, salt: int) -> None:
+    """Make waits in a timetable short, above all the long ones.
+
+    `near`: the lattice, (nodes, 4). `far`: (robots, nodes), steps to each robot's goal. `track`:
+    (robots, times), each robot's node, at its goal in the end; a move takes both its nodes. Changed
+    in place.
+    """
+    count, times = track.shape
+    nodes = len(near)
+    if times < 2 or times * nodes > CELLS_MAX:
+        return
+    owner = np.full((times - 1, nodes), NOBODY, dtype=np.int16)
+    for robot in range(count):
+        hold(owner, track, robot, robot)
+    waits = (track == goals[:, None]).argmax(axis=1) - far[np.arange(count), track[:, 0]]
+    back = np.zeros((times, nodes), dtype=np.bool_)
+    round_goals = [np.flatnonzero(row <= ASIDE_MAX) for row in far]
+    bounds = np.cumsum([0, *map(len, round_goals)])
+    came, following, seen = (np.full(times * nodes, -1, dtype=np.int32) for _ in range(3))
+    room = came, following, np.empty(times + 1, dtype=np.int32), seen
+    state = np.array([salt], dtype=np.uint64)
+    _regrouped(
+        near, far, goals, track, owner, waits, back, (np.concatenate(round_goals), bounds), room,
+        GROUPS_EACH * count, state,
+    )  # fmt: skip

@@ -1,0 +1,381 @@
+"""What stands in a building for a while that its plan does not show: boxes, carts, bodies of the unheard.
+
+    hazards.look(here, robots, now_us)      each control period: our own rays, and what others told
+    hazards.path(at, goal)                  round all that is believed to stand now
+
+What is seen is told to the fleet through its map (`crdt/occupancy.py`, the latest look wins), cell by
+cell: the record's observer is the owner, its time the birth, and after `BELIEVED_S` without another
+look it expires. Who sees that a thing has gone says so. A grid of our own (`agent/mapping/occupancy_grid.py`) is made
+when something first turns up; as long as nothing does, ways are planned on the plan that all robots
+share.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from math import hypot, inf, sqrt
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from agent.interface.config import CONTROL_PERIOD_US, S
+from agent.interface.ports import Observation
+from agent.mapping.building import Floor
+from agent.mapping.local_and_fleet_map import SURE, SurveyMap
+from agent.mapping.occupancy_grid import Obstacle, OccupancyGrid
+from agent.mapping.ray_evidence import LEAST, MOST
+from agent.motion.unexplained_echoes import BODY_M, Sensed
+from crdt.occupancy import Geometry
+from crdt.sighting import FREE, OBSTACLE, TIME_MAX, UNKNOWN, VALUE, base, unpack
+from protocol.sync.map_sync import MapSync, Values
+
+XY = tuple[float, float]
+RANGE_M = 4.0  # that range sensors are believed: further away rays lie more than a robot apart
+BELIEVED_S = 30  # what nobody has looked at for so long may have gone: go and see
+# What was forgotten and found standing again is believed twice as long each time, at most 16 minutes: a
+# robot whose ways are blocked in several places would else drive to and fro between them for ever.
+DOUBLINGS_MAX = 5
+BLOCK_M = 1.0  # belief is kept for squares of this side: rays find another face of the same thing
+REFRESH_S = BELIEVED_S // 2  # what still stands is told again, before others forget it
+WALL_CELLS = 1  # echoes this near to a wall are the wall: errors of range and of place
+FORGET_US = 1 * S  # how often old sights are looked for
+BODY = -1  # the number of a silent member among obstacles; others are numbered by their cell
+IMPASSABLE = -2  # the number of a place that we could not pass; its owner is NOBODY_SLOT
+NOBODY_SLOT = -1
+FOREVER_US = 1 << 62
+NOBODY: Mapping[int, XY] = {}
+UNSEEN_SCANS = BELIEVED_S * S // CONTROL_PERIOD_US
+
+
+def geometry_of(floor: Floor) -> Geometry:
+    """Cells of the fleet's map: those that ways are planned on."""
+    rows, columns = floor.fine.shape
+    return Geometry(rows, columns, floor.origin, floor.fine_m)
+
+
+class Hazards:
+    def __init__(self, floor: Floor, sync: MapSync | None = None, reach_m: float = 0.0) -> None:
+        """`sync`: None where nothing is shared. `reach_m`: so near to a goal is near enough where
+        something stands on it."""
+        self.floor, self.sync, self.reach_m = floor, sync, reach_m
+        self.sensed = Sensed(floor.fences, floor.radius_m)
+        self.hits: list[XY] = []  # what our rays hit just now and neither wall nor robot explains
+        self.map: HazardMap | None = None
+        self._geometry = geometry_of(floor)
+        self._version = 0
+
+    def look(
+        self, here: Observation, reach_m: float, robots: Iterable[Sequence[float]], now_us: int,
+        bodies: Mapping[int, XY] = NOBODY,
+    ) -> None:  # fmt: skip
+        """One control period; `robots`: x, y of those that were heard; `bodies`: of those that stand
+        silent, by slot."""
+        known = list(robots)
+        self.hits = self.sensed.strange(here, reach_m, known)
+        told = self.sync is not None and self.sync.chart.version != self._version
+        if self.map is None:
+            if not (self.hits or told or bodies):
+                return
+            self.map = HazardMap(self.floor, self.sync)
+        elif not (self.hits or told or self.map.awake):
+            return  # nothing is there, and nothing has come: looks would change nothing
+        if self.sync is not None:
+            self._version = self.sync.chart.version
+        self.map.stand(bodies, now_us)
+        self.map.take_in(here, known, now_us, told)
+
+    def avoid(self, at: XY, now_us: int) -> None:
+        """Ways go round a place for `BELIEVED_S`, because we were held up there and nothing is seen."""
+        if self.map is None:
+            self.map = HazardMap(self.floor, self.sync)
+        self.map.avoid(at, now_us)
+
+    @property
+    def standing(self) -> bool:
+        """Whether anything is believed to stand anywhere."""
+        return self.map is not None and self.map.standing
+
+    @property
+    def changes(self) -> int:
+        """Other than before where something came or went."""
+        return 0 if self.map is None else self.map.grid.changes
+
+    def told(self) -> list[XY]:
+        """Middles of what others say stands."""
+        if self.map is None:
+            return []
+        return [(o.x_m, o.y_m) for o in self.map.grid.obstacles.values()]
+
+    def things(self) -> list[XY]:
+        """Middles of all that stands and is no wall."""
+        return [] if self.map is None else self.map.things()
+
+    def stands_near(self, points: Sequence[XY], reach_m: float) -> bool:
+        """Whether anything that the map shows and the plan does not is this near to one of the points."""
+        return self.map is not None and self.map.stands_near(points, reach_m)
+
+    def path(self, at: XY, goal: XY) -> tuple[XY, ...] | None:
+        """Round everything; None: there is no way at present."""
+        if self.map is None or not self.map.standing:
+            return self.floor.route.path(at, goal)
+        found = self.map.grid.plan(at, goal)
+        if found is None and self.reach_m:
+            (place,) = self.places(at, [goal], self.map.parts())
+            found = None if place is None else self.map.grid.plan(at, place)
+        return None if found is None else tuple(found)
+
+    def reaches(self, at: XY, goals: Sequence[XY]) -> list[bool]:
+        """Which goals can be got to, or near enough to, round everything that stands now."""
+        standing = self.map is not None and self.map.standing
+        parts = self.map.parts() if standing and self.map is not None else self.floor.parts
+        mine, there = self._beside(at, parts), np.zeros(len(goals), dtype=np.bool_)
+        if len(goals) and len(mine):  # most are on our floor itself: one look for all of them
+            _, _, origin, cell_m = self._geometry
+            c, r = ((np.array(goals) - origin) // cell_m).astype(np.int64).T
+            rows, columns = parts.shape
+            inside = (r >= 0) & (r < rows) & (c >= 0) & (c < columns)
+            there[inside] = np.isin(parts[r[inside], c[inside]], mine)
+        left = [k for k, known in enumerate(there.tolist()) if not known]
+        for k, place in zip(left, self.places(at, [goals[k] for k in left], parts), strict=True):
+            there[k] = place is not None
+        found: list[bool] = there.tolist()
+        return found
+
+    def _beside(self, at: XY, parts: NDArray[np.int32]) -> NDArray[np.int32]:
+        """The numbers of the floors that a robot there is on; none where something is beside it."""
+        floor = self.floor
+        _, own = self._disc(at, floor.radius_m + floor.margin_m + floor.fine_m)
+        mine: NDArray[np.int32] = np.unique(parts[own[:, 0], own[:, 1]])
+        return mine[mine > 0]
+
+    def places(self, at: XY, goals: Sequence[XY], parts: NDArray[np.int32]) -> list[XY | None]:
+        """For each goal the place nearest to it, within reach of it, that can be driven to."""
+        floor, mine = self.floor, self._beside(at, parts)
+        found: list[XY | None] = []
+        for goal in goals:
+            gaps, cells = self._disc(goal, max(self.reach_m, floor.fine_m))
+            ours = np.isin(parts[cells[:, 0], cells[:, 1]], mine)
+            if not len(mine):
+                found.append(goal)  # something stands right beside us: we cannot tell from here
+            elif not ours.any():
+                found.append(None)
+            else:
+                best = int(np.argmin(np.where(ours, gaps, inf)))
+                found.append(self._geometry.centre(*cells[best].tolist()))
+        return found
+
+    def _disc(self, at: XY, reach_m: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """Cells (n, 2) whose middles are within reach of a place, and how far off each is, metres."""
+        rows, columns, (west, south), cell_m = self._geometry
+        low, high = (self._geometry.cell((at[0] + d, at[1] + d)) for d in (-reach_m, reach_m))
+        r, c = np.mgrid[
+            max(low[0], 0) : min(high[0] + 1, rows), max(low[1], 0) : min(high[1] + 1, columns)
+        ].reshape(2, -1)
+        gaps = np.hypot(west + (c + 0.5) * cell_m - at[0], south + (r + 0.5) * cell_m - at[1])
+        near = gaps <= reach_m
+        return gaps[near], np.column_stack((r, c))[near]
+
+
+class HazardMap(SurveyMap):
+    """The two maps of one robot, less the walls that everybody knows."""
+
+    def __init__(self, floor: Floor, sync: MapSync | None) -> None:
+        # The plan's ways keep the radius and the margin from walls with the middles of their cells.
+        inflation_m = max(floor.margin_m - floor.fine_m / 2, 0.0)
+        rows, columns = floor.fine.shape
+        grid = OccupancyGrid(
+            rows, columns, floor.origin, floor.radius_m, floor.fine, cell_m=floor.fine_m,
+            inflation_m=inflation_m,
+        )  # fmt: skip
+        super().__init__(sync, geometry_of(floor), floor.radius_m, RANGE_M, grid)
+        self.radius_m = floor.radius_m
+        self._forgot_us = 0
+        self._walls = int(np.count_nonzero(floor.fine))
+        self._open = ~scipy.ndimage.binary_dilation(floor.fine, iterations=WALL_CELLS)
+        self._bodies: dict[int, XY] = {}
+        self._block = max(round(BLOCK_M / floor.fine_m), 1)  # cells
+        blocks = tuple(-(-cells // self._block) for cells in (rows, columns))
+        self._doublings = np.zeros(blocks, dtype=np.int8)  # of the time that a block is believed
+        self._forgotten = np.zeros(blocks, dtype=np.bool_)  # and not seen since, free or solid
+        self._records = np.zeros(floor.fine.shape, dtype=np.int64)  # as they were when last read
+        self._cells_of, self._centres = -1, np.empty((0, 2))  # solid off the walls, at those changes
+        self._standing = (0, False)  # at that count of changes, whether anything stands
+        self._told = (-1, False)  # at that version of the chart, whether it says that anything does
+
+    @property
+    def standing(self) -> bool:
+        changes = self.grid.changes
+        if changes != self._standing[0]:
+            self._standing = changes, int(np.count_nonzero(self.grid.solid)) > self._walls
+        return self._standing[1]
+
+    @property
+    def awake(self) -> bool:
+        """Whether there is anything to keep up to date: what stands, or what somebody says stands."""
+        if self.standing or self.grid.obstacles:
+            return True
+        if self.sync is None:
+            return False
+        version = self.sync.chart.version
+        if version != self._told[0]:
+            self._told = version, bool(((self.fleet.keys() & VALUE) == OBSTACLE).any())
+        return self._told[1]
+
+    def take_in(
+        self, here: Observation, robots: list[Sequence[float]], now_us: int, told: bool
+    ) -> None:
+        bodies = [(x, y, self.radius_m + BODY_M) for x, y in robots]
+        self.look(here, bodies)
+        if now_us - self._forgot_us >= FORGET_US:
+            self._forgot_us = now_us
+            self._forget_old()
+        if told:
+            self.hear_all(now_us)
+        self.grid.expire(now_us)
+        self._no_robots(robots)
+        self._no_longer()
+        self.tell(here, now_us)
+
+    def _forget_old(self) -> None:
+        """What has not been looked at for as long as it is believed may have gone."""
+        seen = np.argwhere(self.grid.seen)
+        blocks = seen // self._block
+        again = self._forgotten[blocks[:, 0], blocks[:, 1]]
+        for row, column in {(int(r), int(c)) for r, c in blocks[again]}:
+            self._forgotten[row, column] = False
+            self._doublings[row, column] = min(self._doublings[row, column] + 1, DOUBLINGS_MAX)
+        for row, column in np.argwhere((self._doublings > 0) & ~self._forgotten).tolist():
+            n = self._block
+            window = (slice(row * n, row * n + n), slice(column * n, column * n + n))
+            if not self.grid.seen[window].any() and (self.grid.evidence[window] == LEAST).any():
+                self._doublings[row, column] = 0  # it has gone
+        old = self.grid.unseen(UNSEEN_SCANS)
+        if not len(old):
+            return
+        levels = self._doublings[old[:, 0] // self._block, old[:, 1] // self._block]
+        for level in range(int(levels.max()) + 1):
+            cells = old[levels == level] if level == 0 else self._unseen_at(level)
+            if len(cells):
+                self._forgotten[cells[:, 0] // self._block, cells[:, 1] // self._block] = True
+                self.grid.forget(cells)
+
+    def _unseen_at(self, level: int) -> NDArray[np.int64]:
+        """Cells (n, 2) of blocks with so many doublings that were not looked at for their time."""
+        cells = self.grid.unseen(UNSEEN_SCANS << level)
+        levels = self._doublings[cells[:, 0] // self._block, cells[:, 1] // self._block]
+        kept: NDArray[np.int64] = cells[levels == level]
+        return kept
+
+    def things(self) -> list[XY]:
+        parts, count = scipy.ndimage.label(
+            self.grid.solid & self._open, np.ones((3, 3), dtype=np.int8)
+        )
+        if not count:
+            return []
+        middles = scipy.ndimage.center_of_mass(parts > 0, parts, range(1, count + 1))
+        west, south = self.geometry.origin_m
+        cell_m = self.geometry.cell_m
+        return [(west + (c + 0.5) * cell_m, south + (r + 0.5) * cell_m) for r, c in middles]
+
+    def stands_near(self, points: Sequence[XY], reach_m: float) -> bool:
+        """Whether a solid cell off the walls is nearer than this, metres, to one of the points."""
+        if not points or not self.standing:
+            return False
+        if self._cells_of != self.grid.changes:
+            self._cells_of = self.grid.changes
+            (west, south), cell_m = self.geometry.origin_m, self.geometry.cell_m
+            cells = np.argwhere(self.grid.solid & self._open)
+            self._centres = np.array((west, south)) + (cells[:, ::-1] + 0.5) * cell_m
+        gaps = self._centres[None, :, :] - np.array(points)[:, None, :]
+        return bool((np.hypot(gaps[..., 0], gaps[..., 1]) < reach_m).any())
+
+    def parts(self) -> NDArray[np.int32]:
+        """Floors that are apart at present, numbered from 1; 0 where no centre may be."""
+        parts: NDArray[np.int32] = scipy.ndimage.label(~self.grid.tight.blocked)[0]
+        return parts
+
+    def stand(self, bodies: Mapping[int, XY], now_us: int) -> None:
+        """Silent members stand until they are heard, or until we look at their place and it is free."""
+        if bodies == self._bodies:
+            return
+        for slot in self._bodies.keys() - bodies.keys():
+            self.grid.remove(slot, BODY)
+        for slot, (x_m, y_m) in bodies.items():
+            if self._bodies.get(slot) != (x_m, y_m):
+                body = Obstacle(x_m, y_m, self.radius_m, 0, FOREVER_US, slot, BODY)
+                self.grid.place(body, now_us)
+        self._bodies = dict(bodies)
+
+    def avoid(self, at: XY, now_us: int) -> None:
+        """One such place at a time: another one replaces it."""
+        self.grid.remove(NOBODY_SLOT, IMPASSABLE)
+        cell_m = self.geometry.cell_m
+        until_us = now_us + BELIEVED_S * S
+        self.grid.place(
+            Obstacle(*at, cell_m, now_us, until_us, NOBODY_SLOT, IMPASSABLE), now_us
+        )
+
+    def hear_all(self, now_us: int) -> None:
+        """Take what others say stands, or has gone, into our own grid as temporary obstacles."""
+        assert self.sync is not None
+        keys = self.fleet.keys()
+        for row, column in np.argwhere((keys != self._records) & self._open).tolist():
+            cell = row * self.geometry.columns + column
+            before, now = int(self._records[row, column]), int(keys[row, column])
+            if before:
+                self.grid.remove(unpack(before).observer, cell)
+            record = unpack(now)
+            age_us = max(self.sync.clock.read(now_us) - record.time, 0) * self.sync.clock.tick_us
+            if record.observer == self.sync.slot or record.value != OBSTACLE:
+                continue
+            x_m, y_m = self.geometry.centre(row, column)
+            born_us = now_us - age_us
+            obstacle = Obstacle(
+                x_m, y_m, self.geometry.cell_m / 4, born_us, born_us + BELIEVED_S * S,
+                record.observer, cell,
+            )  # fmt: skip
+            self.grid.place(obstacle, now_us)
+            self.grid.doubt(row, column)  # it was free when we looked; has it been since?
+        self._records = keys.copy()
+
+    def _no_robots(self, robots: list[Sequence[float]]) -> None:
+        """Where a robot that is heard stands, nothing else does: it was seen before it was heard."""
+        if not self.standing:
+            return
+        cell_m = self.geometry.cell_m
+        for x_m, y_m in robots:
+            reach_m = self.radius_m + cell_m * sqrt(0.5)
+            (low_r, low_c), (high_r, high_c) = (
+                self.geometry.cell((x_m + d, y_m + d)) for d in (-reach_m, reach_m)
+            )
+            area = (slice(max(low_r, 0), high_r + 1), slice(max(low_c, 0), high_c + 1))
+            if self.grid.seen[area].any():
+                corner = np.array((area[0].start, area[1].start))
+                cells = np.argwhere(self.grid.seen[area]) + corner
+                west, south = self.geometry.origin_m
+                x, y = west + (cells[:, 1] + 0.5) * cell_m, south + (cells[:, 0] + 0.5) * cell_m
+                self.grid.forget(cells[np.hypot(x - x_m, y - y_m) < reach_m])
+            for (owner, number), o in list(self.grid.obstacles.items()):
+                if hypot(o.x_m - x_m, o.y_m - y_m) < self.radius_m + BODY_M:
+                    self.grid.remove(owner, number)
+
+    def _no_longer(self) -> None:
+        """What we look at ourselves we need not be told of."""
+        for (owner, cell), standing in list(self.grid.obstacles.items()):
+            if cell == IMPASSABLE:
+                continue
+            row, column = self.geometry.cell((standing.x_m, standing.y_m))
+            if self.grid.evidence[row, column] == LEAST:
+                self.grid.remove(owner, cell)
+
+    def _news(self, window: tuple[slice, slice], time: int, slot: int) -> Values:
+        """Things off the walls that the fleet does not know of, or has not heard of lately, and
+        things that have gone."""
+        evidence, seen = self.grid.evidence[window], self.grid.seen[window]
+        known = self.fleet.keys()[window]
+        stands = seen & self._open[window] & (evidence == MOST)
+        own = np.where(stands, OBSTACLE, np.where(evidence == LEAST, FREE, UNKNOWN))
+        was = known & VALUE
+        old = (time - (known >> 11 & TIME_MAX)) >= REFRESH_S
+        worth = np.where(own == OBSTACLE, (was != OBSTACLE) | old, was == OBSTACLE)
+        mine = base(self.fleet.order, SURE, time, slot) | own
+        return np.where(worth & (mine > known), own, UNKNOWN)

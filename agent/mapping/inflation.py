@@ -1,0 +1,133 @@
+"""Where a robot's centre may be: solid cells grown by a reach, kept up to date, with a planner.
+
+A cell is blocked where any point of it is nearer than the reach to any point of a solid cell, so a
+path anywhere in free cells, along their borders too, keeps the reach. A count for each cell says
+how many solid ones block it: one that goes takes only its own part away.
+"""
+
+from math import ceil, hypot
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from agent.paths.any_angle_planner import Planner, Point, Waypoints
+
+Cell = tuple[int, int]
+Changes = NDArray[np.int64]  # (n, 3): row, column, 1 or 0
+Grid = NDArray[np.bool_]
+
+
+@njit(cache=True, error_model="numpy")
+def _grow(counts, stencil, toggled, changes):  # type: ignore[no-untyped-def]
+    """Count the solid cells that came or went; how many rows of `changes` are filled."""
+    rows, columns = counts.shape
+    filled = 0
+    for n in range(toggled.shape[0]):
+        way = 1 if toggled[n, 2] else -1
+        for k in range(stencil.shape[0]):
+            r, c = toggled[n, 0] + stencil[k, 0], toggled[n, 1] + stencil[k, 1]
+            if not (0 <= r < rows and 0 <= c < columns):
+                continue
+            before = counts[r, c]
+            counts[r, c] = before + way
+            if before == 0 or before + way == 0:
+                changes[filled, 0], changes[filled, 1], changes[filled, 2] = r, c, way > 0
+                filled += 1
+    return filled
+
+
+def disc(reach_cells: float) -> NDArray[np.int64]:
+    """Offsets (n, 2) of cells that have a point nearer than this to a point of the cell (0, 0)."""
+    side = ceil(reach_cells) + 1
+    offsets = [
+        (i, j)
+        for i in range(-side, side + 1)
+        for j in range(-side, side + 1)
+        if (i, j) == (0, 0) or hypot(max(abs(i) - 1, 0), max(abs(j) - 1, 0)) < reach_cells
+    ]
+    return np.array(offsets, dtype=np.int64)
+
+
+class Inflation:
+    """The blocked cells of one reach."""
+
+    def __init__(self, solid: Grid, reach_cells: float) -> None:
+        """A reach of 0 blocks the solid cells alone."""
+        assert reach_cells >= 0
+        self.reach_cells = reach_cells
+        self._stencil = disc(reach_cells)
+        self._counts = np.zeros(solid.shape, dtype=np.int32)
+        rows, columns = np.nonzero(solid)
+        _grow(self._counts, self._stencil, *self._room(rows, columns))
+        self.planner = Planner(self._counts > 0)
+
+    def _room(self, rows: Changes, columns: Changes) -> tuple[Changes, Changes]:
+        toggled = np.column_stack((rows, columns, np.ones_like(rows)))
+        return toggled, np.empty((len(toggled) * len(self._stencil), 3), dtype=np.int64)
+
+    @property
+    def blocked(self) -> Grid:
+        return self.planner.blocked
+
+    def toggle(self, toggled: Changes) -> int:
+        """Solid cells that came (1) or went (0), each told once; how many cells changed."""
+        changes = np.empty((len(toggled) * len(self._stencil), 3), dtype=np.int64)
+        filled = _grow(self._counts, self._stencil, toggled, changes)
+        return self.planner.update(changes[:filled])
+
+    def plan(self, start: Point, goal: Point, carved: list[Cell]) -> Waypoints | None:
+        """As `Planner.plan`, with some blocked cells free for this query alone."""
+        if not carved:
+            return self.planner.plan(start, goal)
+        cells = np.unique(np.array(carved, dtype=np.int64), axis=0)
+        cells = cells[self.blocked[cells[:, 0], cells[:, 1]]]
+        self.planner.update(np.column_stack((cells, np.zeros(len(cells), dtype=np.int64))))
+        path = self.planner.plan(start, goal)
+        self.planner.update(np.column_stack((cells, np.ones(len(cells), dtype=np.int64))))
+        return path
+
+    def way_out(self, at: Cell, solid: Grid, body_cells: float) -> Cell | None:
+        """The nearest free cell that a straight line joins with `at`, over no solid cell.
+
+        `solid` (rows, columns). What lies under the body, `body_cells` round `at`, counts as free.
+        `at` itself where it is free; None where there is none within the reach and a body.
+        """
+        if not self.blocked[at]:
+            return at
+        rows, columns = self.blocked.shape
+        offsets = disc(self.reach_cells + body_cells + 1.0)
+        order = np.argsort(np.hypot(offsets[:, 0], offsets[:, 1]), kind="stable")
+        for i, j in offsets[order].tolist():
+            r, c = at[0] + i, at[1] + j
+            if not (0 <= r < rows and 0 <= c < columns) or self.blocked[r, c]:
+                continue
+            steps = 2 * max(abs(i), abs(j))
+            t = np.arange(steps + 1) / steps
+            line_r = np.floor(at[0] + t * i + 0.5).astype(np.int64)
+            line_c = np.floor(at[1] + t * j + 0.5).astype(np.int64)
+            beyond = t * hypot(i, j) > body_cells
+            if not (solid[line_r, line_c] & beyond).any():
+                return r, c
+        return None
+
+    def carve(self, at: Cell, keep: Grid, body_cells: float = -1.0) -> list[Cell]:
+        """What to free round a place that lies in the inflation, as far as that reaches.
+
+        Nothing where the place is free. Cells of `keep` stay blocked, except under a body.
+        """
+        if not self.blocked[at]:
+            return []
+        rows, columns = self.blocked.shape
+        found = []
+        for i, j in disc(self.reach_cells + 1.0).tolist():
+            r, c = at[0] + i, at[1] + j
+            inside = 0 <= r < rows and 0 <= c < columns
+            if inside and self.blocked[r, c] and (not keep[r, c] or hypot(i, j) <= body_cells):
+                found.append((r, c))
+        return found
+
+
+def cell_of(point: Point) -> Cell:
+    """The cell of a point given as row and column, whole numbers being centres."""
+    return int(np.floor(point[0] + 0.5)), int(np.floor(point[1] + 0.5))

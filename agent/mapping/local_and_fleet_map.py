@@ -1,0 +1,126 @@
+"""One explorer's two maps: what its own rays say, and what the fleet knows; news from one to the other.
+
+The own map is private evidence and the way to plan over. News are cells of which the fleet's map has
+no record, or one that a look of ours outranks. A patch is told when nothing more of it is to be
+expected: complete, or some time after its first new cell.
+"""
+
+from collections.abc import Iterable
+from math import isfinite
+
+import numpy as np
+
+from agent.interface.config import MS
+from agent.interface.ports import Observation
+from agent.mapping.occupancy_grid import OccupancyGrid
+from agent.mapping.ray_evidence import LEAST, MOST
+from crdt.occupancy import CELLS, SIDE, Geometry, OccupancyMap, patch_of
+from crdt.sighting import FREE, OBSTACLE, UNKNOWN, base, level_of
+from protocol.sync.map_sync import MapSync, Values
+
+LOOK_US = 200 * MS  # how often news are looked for
+SEEN, SURE = (
+    level_of(0.6),
+    level_of(0.9),
+)  # confidence after one look, and after the most that count
+
+
+class SurveyMap:
+    def __init__(
+        self, sync: MapSync | None, geometry: Geometry, body_radius_m: float, range_m: float,
+        grid: OccupancyGrid | None = None,
+    ) -> None:  # fmt: skip
+        """`sync`: None where nothing is shared; `grid`: None for one without known walls."""
+        self.sync, self.geometry, self.range_m = sync, geometry, range_m
+        rows, columns, origin, cell_m = geometry
+        if grid is None:
+            grid = OccupancyGrid(rows, columns, origin, body_radius_m, cell_m=cell_m)
+        self.grid = grid
+        self.fleet = OccupancyMap(geometry) if sync is None else sync.chart
+        self.told = np.zeros((rows, columns), dtype=np.bool_)  # walls that others have told us of
+        self._looked_us = -LOOK_US
+        self._since_us: dict[int, int] = {}  # patch -> when its first new cell was seen
+        self._version = -1
+
+    def look(self, here: Observation, others: Iterable[tuple[float, float, float]]) -> None:
+        """One scan; `others`: x, y and radius of robots, whose echoes are no obstacles."""
+        if here.ranges_m:
+            at = (here.x_m, here.y_m)
+            self.grid.observe(at, here.heading_rad, here.ranges_m, self.range_m, list(others))
+
+    def own(self) -> Values:
+        """(rows, columns): what our own rays say."""
+        free = np.where(self.grid.evidence < 0, FREE, UNKNOWN)
+        return np.where(self.grid.seen, OBSTACLE, free)
+
+    def values(self) -> Values:
+        """(rows, columns): what we saw, and where we did not look, what the fleet knows."""
+        own = self.own()
+        return np.where(own != UNKNOWN, own, self.fleet.values())
+
+    def seen_by(self) -> Values:
+        """(rows, columns): the slot whose record stands in the fleet's map, -1 where there is none."""
+        return np.where(self.fleet.values() != UNKNOWN, self.fleet.observers(), -1)
+
+    def admits(self, at: tuple[float, float]) -> bool:
+        """Whether a robot may be sent there, as far as is known."""
+        row, column = self.geometry.cell(at)
+        rows, columns, _, _ = self.geometry
+        inside = 0 <= row < rows and 0 <= column < columns
+        return inside and not self.grid.tight.blocked[row, column]
+
+    def hear(self) -> None:
+        """Take walls of the fleet's map into the one that ways are planned over."""
+        if self.fleet.version != self._version:
+            self._version = self.fleet.version
+            self.grid.wall((self.fleet.values() == OBSTACLE) & (self.grid.evidence >= 0))
+
+    def tell(self, here: Observation, now_us: int) -> None:
+        """Look for news near by, and give what is ripe to the sync."""
+        if self.sync is None or now_us < self._looked_us + min(LOOK_US, self.sync.hold_us):
+            return
+        if not isfinite(here.x_m + here.y_m):
+            return
+        self._looked_us = now_us
+        row, column = self.geometry.cell((here.x_m, here.y_m))
+        reach = int(self.range_m / self.geometry.cell_m) + 2
+        rows, columns, _, _ = self.geometry
+        low_r, low_c = max(row - reach, 0) // SIDE * SIDE, max(column - reach, 0) // SIDE * SIDE
+        high_r, high_c = min(row + reach, rows - 1), min(column + reach, columns - 1)
+        if high_r < low_r or high_c < low_c:
+            return
+        window = (slice(low_r, high_r + 1), slice(low_c, high_c + 1))
+        time = self.sync.clock.read(now_us)
+        new = self._news(window, time, self.sync.slot)
+        for r, c in np.unique(np.argwhere(new) // SIDE, axis=0).tolist():
+            self._ripen(low_r + SIDE * r, low_c + SIDE * c, new[4 * r : 4 * r + 4, 4 * c : 4 * c + 4],
+                        now_us)  # fmt: skip
+
+    def _news(self, window: tuple[slice, slice], time: int, slot: int) -> Values:
+        """Values of the cells that the fleet should hear of, UNKNOWN elsewhere."""
+        evidence, seen = self.grid.evidence[window], self.grid.seen[window]
+        own = np.where(seen, OBSTACLE, np.where(evidence < 0, FREE, UNKNOWN))
+        known = self.fleet.keys()[window]
+        sure = np.where(seen, evidence == MOST, evidence == LEAST)
+        # What contradicts a record must be sure, and outrank it: else two robots would argue.
+        mine = base(self.fleet.order, SURE, time, slot) | own
+        worth = (known == 0) | (((known & 3) != own) & sure & (mine > known))
+        return np.where((own != UNKNOWN) & worth, own, UNKNOWN)
+
+    def _ripen(self, row: int, column: int, new: Values, now_us: int) -> None:
+        patch = patch_of(row, column)
+        values = np.zeros((SIDE, SIDE), dtype=np.int64)
+        values[: new.shape[0], : new.shape[1]] = new
+        known = self.fleet.patch(patch).reshape(SIDE, SIDE) > 0
+        assert self.sync is not None
+        complete = int(np.count_nonzero(known | (values != UNKNOWN))) == CELLS
+        since_us = self._since_us.setdefault(patch, now_us)
+        if not complete and now_us < since_us + self.sync.hold_us:
+            return
+        del self._since_us[patch]
+        area = (slice(row, row + SIDE), slice(column, column + SIDE))
+        evidence = self.grid.evidence[area]
+        told = values[: evidence.shape[0], : evidence.shape[1]] != UNKNOWN
+        sure = (evidence == MOST) | (evidence == LEAST)
+        level = SURE if bool((sure | ~told).all()) or bool((known & (values > 0)).any()) else SEEN
+        self.sync.see(patch, values.reshape(CELLS), level)

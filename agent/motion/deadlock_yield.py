@@ -1,0 +1,153 @@
+"""Who gives way when robots stand nose to nose, and where to.
+
+ORCA keeps bodies apart; it does not decide who goes first, and two that want the same spot stand
+for ever. A robot that wants to move, does not get on, and has somebody close is stalled. Of two that
+work, the one with the higher slot gives way first: both know both slots, so they agree without a
+message. Who gives way looks for a refuge near by, goes there, and waits until the other is gone or a
+time is up. If the other cannot give way (it stands in a corner), the one with the lower slot does so
+after a longer patience, so a jam of two is resolved from at least one side.
+Somebody that wants nothing (idle, stopped, gone) is gone round the same way: by a point beside it.
+"""
+
+from math import ceil, cos, hypot, pi, sin
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.avoidance.fence_distance import way_gap_m
+from agent.interface.config import CONTROL_PERIOD_US, MS, S
+from agent.interface.lifecycle import State
+
+Point = tuple[float, float]
+PERIOD_S: Final = CONTROL_PERIOD_US / S
+
+WANTS_M_S: Final = 0.1  # a robot that wants less than this is not stalled
+GOT_ON_M: Final = 0.4  # moved this far: no stall
+GETS_ON: Final = (
+    0.4  # or so much of the way that was wanted: who creeps up to an end is in nobody's way
+)
+PATIENCE_US: Final = 1_500 * MS
+LONG_PATIENCE_US: Final = 7 * S  # of the one that is not the first to give way
+NEAR_M: Final = 1.2  # a gap wider than this stalls nobody
+APART_M: Final = 5.0  # a refuge is left when the gap is this wide
+REFUGE_US: Final = 10 * S  # or after this
+ROUND_US: Final = 4 * S  # a detour round somebody that stands
+DIRECTIONS: Final = 16
+STEP_M: Final = 0.5  # of the way to a refuge
+RADII_M = (2.5, 4.5, 7.0)
+
+
+class Other(NamedTuple):
+    """A neighbour close by, relative to us."""
+
+    slot: int
+    dx_m: float
+    dy_m: float
+    state: int
+
+    @property
+    def distance_m(self) -> float:
+        return hypot(self.dx_m, self.dy_m)
+
+
+class GivingWay:
+    def __init__(
+        self,
+        slot: int,
+        radius_m: float,
+        speed_m_s: float,
+        fences: NDArray[np.float64],
+        scale: float = 1.0,
+        near_m: float = NEAR_M,
+    ) -> None:
+        """`scale`: of all distances; 1 for bodies of a field, less for small ones between walls.
+        `near_m`: a gap wider than this stalls nobody, before it is scaled."""
+        self.scale = scale
+        self.slot, self.radius_m, self.speed_m_s, self.fences = slot, radius_m, speed_m_s, fences
+        self.near_m = near_m * scale
+        self.given = 0  # how often we gave way
+        self._anchor: Point = (0.0, 0.0)
+        self._anchor_us = 0
+        self._wanted_m = 0.0  # the way that was wanted since then
+        self._until_us = 0
+        self._for: int | None = None  # whom we give way to
+        self._refuge: Point = (0.0, 0.0)
+
+    def wish(self, at: Point, wanted: Point, others: list[Other], now_us: int) -> Point | None:
+        """Another velocity to want than the mission's, or None where nobody is in the way."""
+        if now_us < self._until_us:
+            return self._go(at, others)
+        moved_m = hypot(at[0] - self._anchor[0], at[1] - self._anchor[1])
+        wanted_m_s = hypot(*wanted)
+        self._wanted_m += wanted_m_s * PERIOD_S
+        if moved_m > GOT_ON_M * self.scale or wanted_m_s < WANTS_M_S:
+            self._anchor, self._anchor_us, self._wanted_m = at, now_us, 0.0
+            return None
+        if now_us - self._anchor_us < PATIENCE_US or moved_m >= GETS_ON * self._wanted_m:
+            return None
+        close = [o for o in others if o.distance_m < 2 * self.radius_m + self.near_m]
+        if not close:
+            return None
+        return self._decide(at, wanted, close, others, now_us)
+
+    def _decide(
+        self, at: Point, wanted: Point, close: list[Other], others: list[Other], now_us: int
+    ) -> Point | None:
+        ahead = [o for o in close if o.dx_m * wanted[0] + o.dy_m * wanted[1] > 0] or close
+        blocker = min(ahead, key=lambda o: (o.state != State.WORKING, o.slot))
+        standing = blocker.state != State.WORKING
+        first = standing or blocker.slot < self.slot
+        if not first and now_us - self._anchor_us < LONG_PATIENCE_US:
+            return None
+        refuge = self._find(at, wanted if standing else (0.0, 0.0), blocker, others)
+        if refuge is None:
+            return None
+        self.given += 1
+        self._for, self._refuge = blocker.slot, refuge
+        self._until_us = now_us + (ROUND_US if standing else REFUGE_US)
+        self._anchor_us, self._wanted_m = self._until_us, 0.0
+        return self._go(at, others)
+
+    def _go(self, at: Point, others: list[Other]) -> Point:
+        other = next((o for o in others if o.slot == self._for), None)
+        if other is None or other.distance_m > 2 * self.radius_m + APART_M * self.scale:
+            self._until_us = 0  # the way is free
+        dx_m, dy_m = self._refuge[0] - at[0], self._refuge[1] - at[1]
+        distance_m = hypot(dx_m, dy_m)
+        if distance_m < 0.3 * self.scale:
+            return 0.0, 0.0
+        speed_m_s = min(0.6 * self.speed_m_s, distance_m)
+        return dx_m / distance_m * speed_m_s, dy_m / distance_m * speed_m_s
+
+    def _find(self, at: Point, wanted: Point, blocker: Other, others: list[Other]) -> Point | None:
+        """A place that can be reached straight, away from fences and everybody, first of all from
+        the one we give way to; round somebody that stands, one that lies towards where we want."""
+        best: tuple[float, Point] | None = None
+        norm = max(hypot(*wanted), 1e-9)
+        for radius_m in (self.scale * radius_m for radius_m in RADII_M):
+            for k in range(DIRECTIONS):
+                ux, uy = cos(2 * pi * k / DIRECTIONS), sin(2 * pi * k / DIRECTIONS)
+                if not self._clear(at, (ux, uy), radius_m, others):
+                    continue
+                spot = (at[0] + ux * radius_m, at[1] + uy * radius_m)
+                away_m = hypot(ux * radius_m - blocker.dx_m, uy * radius_m - blocker.dy_m)
+                onward_m = (ux * wanted[0] + uy * wanted[1]) / norm * radius_m
+                score = min(away_m, APART_M * self.scale) + 0.5 * onward_m - 0.2 * radius_m
+                if best is None or score > best[0] + 1e-9:
+                    best = (score, spot)
+        return None if best is None else best[1]
+
+    def _clear(self, at: Point, direction: Point, length_m: float, others: list[Other]) -> bool:
+        ux, uy = direction
+        for other in others:
+            along_m = min(max(other.dx_m * ux + other.dy_m * uy, 0.0), length_m)
+            gap_m = hypot(other.dx_m - ux * along_m, other.dy_m - uy * along_m)
+            if gap_m < min(2 * self.radius_m + 0.2 * self.scale, other.distance_m - 0.02):
+                return False
+        if self.fences.size == 0:
+            return True
+        step_m = STEP_M * self.scale
+        count = ceil((length_m / self.scale + STEP_M / 2 - STEP_M) / STEP_M)
+        near_m: float = way_gap_m(at[0], at[1], ux, uy, step_m, count, self.fences)
+        return near_m > self.radius_m + 0.15 * self.scale

@@ -1,0 +1,203 @@
+"""From a wish to a drive: neighbours, limits, and the velocity that harms nobody.
+
+The pipeline of one control period ends here, except for the safety gate, which comes after and is
+the last word. Neighbours are believed where their last beat puts them, moved on by its age, with a
+margin for what the wire rounds off. A neighbour that stands takes no share: we avoid it alone. Where
+one may have come to rest that says nothing any more is `agent/motion/stopping_zone.py`.
+"""
+
+from collections.abc import Mapping
+from math import cos, hypot, sin
+from typing import Final, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.avoidance.orca import Avoidance
+from agent.interface.config import CONTROL_PERIOD_US, NEIGHBOURS_MAX, S
+from agent.interface.effects import HALT, Drive
+from agent.interface.lifecycle import State
+from agent.interface.mission import Wish
+from agent.interface.ports import Observation
+from agent.motion.deadlock_yield import GivingWay, Other
+from agent.motion.implement_clearance import Implement
+from agent.motion.obstacle_detector import Lookout
+from agent.motion.right_of_way import RightOfWay
+from agent.motion.sensed_walls import fences_of
+from agent.motion.stopping_zone import Coasting
+from agent.motion.unexplained_echoes import Sensed
+from agent.peer.membership import Neighbour
+
+MARGIN_M: Final = 0.15  # POSE rounds to 0.05 m, a drive takes a period to act, wheels slip
+HORIZON_S: Final = 4.0  # how far ahead two moving robots agree to be clear of each other
+STANDING_M_S: Final = 0.05  # slower than this a neighbour cannot be relied on to give way
+AGE_MAX_US: Final = 1 * S  # an older pose is not moved on: the robot may have stopped
+UNHEARD_US: Final = 5 * S  # a neighbour that was heard so long ago may be anywhere
+PLACES_MAX: Final = (
+    4  # of a silent member, the nearest: 1.5 m of its way, what is met before standing
+)
+FENCE_M: Final = 0.2  # kept from fences and holes
+FIELD_RADIUS_M: Final = 0.8  # of the bodies that the distances of giving way are meant for
+_tuple = tuple.__new__  # all fields at once: made every period, for every neighbour
+
+
+def _square(row: tuple[float, ...]) -> float:
+    return row[0] * row[0] + row[1] * row[1]
+
+
+class Limits(NamedTuple):
+    """What the body is and can do."""
+
+    radius_m: float
+    speed_m_s: float
+    acceleration_m_s2: float
+
+
+class Mover(Protocol):
+    """What a control period asks: the drive for a wish, harming nobody."""
+
+    def drive(
+        self, here: Observation, wish: Wish, neighbours: Mapping[int, Neighbour], now_us: int
+    ) -> Drive: ...
+
+
+class Motion:
+    def __init__(
+        self,
+        slot: int,
+        limits: Limits,
+        fences: NDArray[np.float64] | None,
+        *,
+        fence_m: float = FENCE_M,
+        horizon_s: float = HORIZON_S,
+        gives_way: bool = True,
+        keep_right_rad: float = 0.0,
+        looks: bool = False,
+        stops: bool = False,
+        asks: bool = False,
+        half_bar_m: float = 0.0,
+    ) -> None:
+        """`fences`: segments nobody passes, (n, 4): ax, ay, bx, by in metres; None: those that the
+        range sensors see, kept by a robot among walls that it does not know. `gives_way`: False
+        where the mission itself settles who goes first. `looks`: what the range sensors see and
+        nobody has announced is an obstacle; the fences must be all there is. `stops`: never be
+        where a robot ahead that halts could be touched. `asks`: stand before what nobody has announced
+        and ask an operator, also where `looks` would go round it. `half_bar_m`: see `Implement`."""
+        self.slot, self.limits = slot, limits
+        self.sensing = fences is None
+        fences = np.empty((0, 4)) if fences is None else fences
+        self.avoidance = Avoidance(
+            limits.radius_m + fence_m, limits.speed_m_s, 0.5 * limits.acceleration_m_s2,
+            horizon_s, CONTROL_PERIOD_US / S, fences, keep_right_rad=keep_right_rad,
+            stopping_m_s2=limits.acceleration_m_s2 if stops else 0.0,
+        )  # fmt: skip
+        # Nobody further away can be met within the horizon, both at full speed.
+        self.reach_m = 2 * limits.speed_m_s * horizon_s + 2 * limits.radius_m
+        self.sensed = Sensed(fences, limits.radius_m) if looks else None
+        self.right = RightOfWay()
+        self.implement = Implement(half_bar_m, limits.radius_m)
+        self.coasting = Coasting(limits.radius_m, limits.acceleration_m_s2)
+        self.state = State.IDLE  # ours, as the beat says
+        self.strange: list[tuple[float, float]] = []  # seen at the last control period
+        self.others: list[Other] = []  # within reach at the last control period
+        # Who asks before going on needs to know every wall beforehand.
+        self.lookout: Lookout | None = None
+        assert not (asks and self.sensing)
+        if asks or not (looks or self.sensing):
+            self.lookout = Lookout(limits.radius_m, limits.acceleration_m_s2, fences, self.coasting)
+        self.giving_way: GivingWay | None = None
+        if gives_way:
+            scale = limits.radius_m / FIELD_RADIUS_M if self.sensing else 1.0
+            self.giving_way = GivingWay(
+                slot, limits.radius_m, limits.speed_m_s, fences, scale, self.implement.near_m
+            )
+
+    def drive(
+        self, here: Observation, wish: Wish, neighbours: Mapping[int, Neighbour], now_us: int
+    ) -> Drive:
+        if wish.hold:  # who stands is gone round; nobody is hurt by it
+            return HALT._replace(handle=wish.handle)
+        rows, others = self._rows(here, neighbours, now_us, not wish.tool_on)
+        if self.sensed is not None:
+            rows = self._look(here, rows)
+        if self.sensing:
+            bodies = [(here.x_m + o.dx_m, here.y_m + o.dy_m, self.limits.radius_m) for o in others]
+            seen = fences_of(here, bodies)
+            self.avoidance.fence(seen)
+            if self.giving_way is not None:
+                self.giving_way.fences = seen
+        wanted, tool_on = self._limited(wish), wish.tool_on
+        other = None
+        if self.giving_way is not None:
+            other = self.giving_way.wish((here.x_m, here.y_m), wanted, others, now_us)
+        if other is not None:
+            wanted, tool_on = other, False
+        if tool_on and self.implement.must_be_up(here, wanted, others):
+            tool_on = False
+        vx_m_s, vy_m_s = self.avoidance.velocity(
+            (here.x_m, here.y_m), (here.vx_m_s, here.vy_m_s), wanted, rows
+        )
+        return _tuple(Drive, (vx_m_s, vy_m_s, wish.turn_rad_s, tool_on, wish.handle))
+
+    def _rows(
+        self, here: Observation, neighbours: Mapping[int, Neighbour], now_us: int,
+        keeps_off: bool = False,
+    ) -> tuple[list[tuple[float, ...]], list[Other]]:  # fmt: skip
+        """`keeps_off`: from implements that are down."""
+        near: list[tuple[float, ...]] = []
+        others: list[Other] = []
+        bodies_m = 2 * self.limits.radius_m + MARGIN_M
+        keeps_off = keeps_off and self.implement.has
+        self.coasting.look(neighbours, here, now_us)
+        own_x_m, own_y_m, reach_m = here.x_m, here.y_m, self.reach_m
+        for slot, (pose, heard_us) in neighbours.items():
+            pose_x_m, pose_y_m, course_rad, speed_m_s, state, stopped, _ = pose
+            dx_m, dy_m = pose_x_m - own_x_m, pose_y_m - own_y_m
+            if abs(dx_m) > reach_m or abs(dy_m) > reach_m:
+                continue
+            share, vx_m_s, vy_m_s, moved_on_s = 1.0, 0.0, 0.0, 0.0
+            age_us = now_us - heard_us
+            if self.sensed is not None and age_us > UNHEARD_US:
+                continue  # wherever it is by now, it is seen
+            places = self.coasting.places(slot)
+            if places is not None:
+                offsets = [(x_m - own_x_m, y_m - own_y_m) for x_m, y_m in places]
+                offsets.sort(key=lambda d: d[0] * d[0] + d[1] * d[1])
+                others += [Other(slot, *offset, state) for offset in offsets[:1]]
+                near += [(*d, 0.0, 0.0, bodies_m, 1.0, 0.0) for d in offsets[:PLACES_MAX]]
+                continue
+            if speed_m_s > STANDING_M_S and age_us < AGE_MAX_US and not stopped:
+                vx_m_s, vy_m_s = speed_m_s * cos(course_rad), speed_m_s * sin(course_rad)
+                moved_on_s = age_us / S
+                dx_m, dy_m = dx_m + vx_m_s * moved_on_s, dy_m + vy_m_s * moved_on_s
+                share = self.right.share(slot, self.state, state, age_us, now_us)
+            combined_m = bodies_m
+            if keeps_off and state == State.WORKING:
+                combined_m = self.implement.combined_m(hypot(dx_m, dy_m), bodies_m)
+            others.append(_tuple(Other, (slot, dx_m, dy_m, state)))
+            near.append((dx_m, dy_m, vx_m_s, vy_m_s, combined_m, share, moved_on_s))
+        self.others = others
+        if len(near) > 1:
+            near.sort(key=_square)
+        return near[:NEIGHBOURS_MAX], others
+
+    def _look(self, here: Observation, rows: list[tuple[float, ...]]) -> list[tuple[float, ...]]:
+        """What is seen and was not heard of stands, and we alone avoid it."""
+        assert self.sensed is not None
+        bodies = [(here.x_m + row[0], here.y_m + row[1]) for row in rows]
+        self.strange = self.sensed.strange(here, self.reach_m / 2, bodies)
+        if not self.strange:
+            return rows
+        combined_m = self.limits.radius_m + MARGIN_M
+        seen: list[tuple[float, ...]] = [
+            (x - here.x_m, y - here.y_m, 0.0, 0.0, combined_m, 1.0) for x, y in self.strange
+        ]
+        both = sorted(rows + seen, key=lambda row: hypot(row[0], row[1]) - row[4])
+        return both[:NEIGHBOURS_MAX]
+
+    def _limited(self, wish: Wish) -> tuple[float, float]:
+        speed_m_s = hypot(wish.vx_m_s, wish.vy_m_s)
+        if speed_m_s <= self.limits.speed_m_s:
+            return wish.vx_m_s, wish.vy_m_s
+        scale = self.limits.speed_m_s / speed_m_s
+        return wish.vx_m_s * scale, wish.vy_m_s * scale

@@ -1,0 +1,200 @@
+"""What the range sensors see in the way that nobody told us of: no fence, no robot, so perhaps a person.
+
+An echo is explained where a known fence or hole is, and where a known robot may be between its last
+pose and where that leads, or may have come to rest (`agent/motion/stopping_zone.py`). What is not explained and
+lies within stopping distance along the motion is in the way. From then on all unexplained echoes near
+by are remembered, as points, until the two rays on either side of one both pass it: a body wider than
+the gap between two rays is not lost out of sight while it stands. Narrower ones than that gap at
+stopping distance can be missed.
+"""
+
+from collections.abc import Mapping, Sequence
+from math import atan2, ceil, cos, dist, floor, hypot, pi, sin
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.avoidance.fence_distance import gap_m
+from agent.interface.config import ACTUATOR_TTL_US, CONTROL_PERIOD_US, S
+from agent.interface.ports import Observation
+from agent.motion.stopping_zone import Coasting
+from agent.peer.membership import Neighbour
+
+Point = tuple[float, float]
+Grain = tuple[int, int]  # a square of the ground: one point is remembered in each
+
+REACTION_S: Final = (
+    ACTUATOR_TTL_US + CONTROL_PERIOD_US
+) / S  # until a command to stand is in force
+MARGIN_M: Final = 0.6  # left between the hull and what it stops for
+BESIDE_M: Final = 0.15  # kept on either side; ORCA's margin
+FENCE_TOLERANCE_M: Final = (
+    0.25  # an echo this near to a fence is the fence: maps and poses are not perfect
+)
+ROBOT_TOLERANCE_M: Final = 0.35  # round a known robot: POSE rounds, courses bend between two beats
+WATCH_M: Final = 8.0  # points are remembered up to here; a robot looks no further
+CHAIN_M: Final = 1.5  # echoes this close together are one thing
+GRAIN_M: Final = 0.25  # side of a grain
+BEYOND_M: Final = 0.4  # a ray that goes so much further than a point has passed it
+FORGET_US: Final = 300 * S  # a point that nobody has looked at again for so long
+
+
+class Sighting(NamedTuple):
+    """Something in the way."""
+
+    x_m: float  # the nearest point of it
+    y_m: float
+    free_m: float  # from the hull along the motion
+
+
+class Lookout:
+    def __init__(
+        self, radius_m: float, deceleration_m_s2: float, fences: NDArray[np.float64],
+        coasting: Coasting,
+    ) -> None:  # fmt: skip
+        """`fences`: known segments, (n, 4): ax, ay, bx, by in metres. `coasting`: kept by our motion."""
+        self.radius_m, self.deceleration_m_s2 = radius_m, deceleration_m_s2
+        self.fences, self.coasting = fences, coasting
+        self.points: dict[Grain, tuple[Point, int]] = {}  # the newest in each, and when it was seen
+
+    def stopping_m(self, speed_m_s: float) -> float:
+        return speed_m_s * REACTION_S + speed_m_s * speed_m_s / (2 * self.deceleration_m_s2)
+
+    def look(
+        self,
+        here: Observation,
+        motions: Sequence[Point],
+        neighbours: Mapping[int, Neighbour],
+        now_us: int,
+    ) -> Sighting | None:
+        """Once a control period: the nearest thing in the way of motions, metres per second."""
+        if not here.ranges_m:
+            return None
+        if self.points:
+            self._forget(here, now_us)
+        if not self.points and not self._is_strange(here, motions, neighbours, now_us):
+            return None
+        everything = self._echoes(here, WATCH_M, None)
+        self._remember(self._strange(everything, here, neighbours, now_us), now_us)
+        seen = [self.ahead(here, motion, self.reach_m(hypot(*motion))) for motion in motions]
+        return min((s for s in seen if s is not None), key=lambda s: s.free_m, default=None)
+
+    def _is_strange(
+        self,
+        here: Observation,
+        motions: Sequence[Point],
+        neighbours: Mapping[int, Neighbour],
+        now_us: int,
+    ) -> bool:
+        """Whether anything unexplained is in the way of one of the motions."""
+        fastest_m_s = 0.0
+        for vx_m_s, vy_m_s in motions:
+            fastest_m_s = max(fastest_m_s, hypot(vx_m_s, vy_m_s))
+        reach_m = self.reach_m(fastest_m_s)
+        if not motions or min(here.ranges_m) > reach_m:
+            return False
+        for motion in motions:
+            echoes = self._echoes(here, reach_m, motion)
+            if echoes and self._strange(echoes, here, neighbours, now_us):
+                return True
+        return False
+
+    def reach_m(self, speed_m_s: float) -> float:
+        """From the middle of the hull: further ahead nothing has to be looked for yet."""
+        return self.radius_m + MARGIN_M + self.stopping_m(speed_m_s)
+
+    def ahead(self, here: Observation, velocity: Point, reach_m: float) -> Sighting | None:
+        """The nearest remembered point in the strip that the hull will pass."""
+        speed_m_s = hypot(*velocity)
+        if speed_m_s == 0.0:
+            return None
+        ux, uy = velocity[0] / speed_m_s, velocity[1] / speed_m_s
+        best: Sighting | None = None
+        for (x_m, y_m), _ in self.points.values():
+            dx_m, dy_m = x_m - here.x_m, y_m - here.y_m
+            along_m, across_m = dx_m * ux + dy_m * uy, abs(dy_m * ux - dx_m * uy)
+            if not 0.0 < along_m <= reach_m or across_m > self.radius_m + BESIDE_M:
+                continue
+            free_m = max(0.0, along_m - self.radius_m)
+            if best is None or free_m < best.free_m:
+                best = Sighting(x_m, y_m, free_m)
+        return best
+
+    # ---------------------------------------------------------------- echoes
+
+    def _echoes(self, here: Observation, reach_m: float, velocity: Point | None) -> list[Point]:
+        """Echoes within reach; with a velocity, those in the strip along it."""
+        x_m, y_m, heading_rad, ranges_m = here.x_m, here.y_m, here.heading_rad, here.ranges_m
+        step_rad, has_velocity = 2 * pi / len(ranges_m), velocity is not None
+        vx_m_s, vy_m_s = (0.0, 0.0) if velocity is None else velocity
+        half_m = (self.radius_m + BESIDE_M) * hypot(vx_m_s, vy_m_s)
+        echoes: list[Point] = []
+        for k, range_m in enumerate(ranges_m):
+            if range_m > reach_m:
+                continue
+            angle_rad = heading_rad + k * step_rad
+            dx_m, dy_m = range_m * cos(angle_rad), range_m * sin(angle_rad)
+            if has_velocity:
+                along = dx_m * vx_m_s + dy_m * vy_m_s
+                if along <= 0.0 or abs(dy_m * vx_m_s - dx_m * vy_m_s) > half_m:
+                    continue
+            echoes.append((x_m + dx_m, y_m + dy_m))
+        return echoes
+
+    def _strange(
+        self,
+        echoes: Sequence[Point],
+        here: Observation,
+        neighbours: Mapping[int, Neighbour],
+        now_us: int,
+    ) -> list[Point]:
+        """Those that neither a robot nor a fence explains."""
+        left = echoes
+        near_m = self.radius_m + ROBOT_TOLERANCE_M
+        for slot, (pose, heard_us) in neighbours.items():
+            if not left:
+                return []
+            if max(abs(pose.x_m - here.x_m), abs(pose.y_m - here.y_m)) > 2 * WATCH_M:
+                continue
+            places = self.coasting.places(slot)
+            if places is not None:
+                left = [e for e in left if all(dist(e, place) > near_m for place in places)]
+                continue
+            age_s = (now_us - heard_us) / S
+            way_m = pose.speed_m_s * age_s
+            course = cos(pose.course_rad), sin(pose.course_rad)
+            left = [e for e in left if _gap_m(e, (pose.x_m, pose.y_m), course, way_m) > near_m]
+        if not left or self.fences.size == 0:
+            return list(left)
+        return [e for e in left if gap_m(e[0], e[1], self.fences) > FENCE_TOLERANCE_M]
+
+    # ---------------------------------------------------------------- memory
+
+    def _remember(self, strange: list[Point], now_us: int) -> None:
+        for x_m, y_m in strange:
+            self.points[floor(x_m / GRAIN_M), floor(y_m / GRAIN_M)] = ((x_m, y_m), now_us)
+
+    def _forget(self, here: Observation, now_us: int) -> None:
+        """Points that both rays beside them have passed, and old ones."""
+        count = len(here.ranges_m)
+        step_rad = 2 * pi / count
+        for grain, ((x_m, y_m), seen_us) in list(self.points.items()):
+            dx_m, dy_m = x_m - here.x_m, y_m - here.y_m
+            distance_m = hypot(dx_m, dy_m)
+            turn = (atan2(dy_m, dx_m) - here.heading_rad) / step_rad
+            beside = (here.ranges_m[floor(turn) % count], here.ranges_m[ceil(turn) % count])
+            passed = distance_m < WATCH_M and min(beside) > distance_m + BEYOND_M
+            if passed or now_us - seen_us > FORGET_US:
+                del self.points[grain]
+
+
+def middle(grain: Grain) -> Point:
+    return (grain[0] + 0.5) * GRAIN_M, (grain[1] + 0.5) * GRAIN_M
+
+
+def _gap_m(echo: Point, at: Point, course: Point, way_m: float) -> float:
+    """From an echo to the piece of the course that a robot may have driven."""
+    dx_m, dy_m = echo[0] - at[0], echo[1] - at[1]
+    along_m = min(max(dx_m * course[0] + dy_m * course[1], 0.0), way_m)
+    return hypot(dx_m - course[0] * along_m, dy_m - course[1] * along_m)

@@ -1,0 +1,221 @@
+"""The pause before something that is no robot: stand, ask, and obey the answer.
+
+    sighting -> ASKING -> an operator's WAIT, CONTINUE, REPLAN, STOP, GO_HOME or SET_GOAL
+                       -> GONE, by itself, when the way has been free for a second
+
+Who goes round creeps near the thing and never drives at it: its speed is what it can stop from. What
+is found behind the thing belongs to it; something else in the way, or no way at all, is asked about
+anew. An answer that names another question than the open one is not obeyed.
+"""
+
+from collections.abc import Sequence
+from math import hypot, sqrt
+from typing import TYPE_CHECKING, Final
+
+from agent.interface.config import MS, S
+from agent.interface.effects import HALT, Drive, Effect, Send, Trace
+from agent.interface.ports import Observation
+from agent.motion.holonomic_motion import Limits, Motion, Mover
+from agent.motion.obstacle_detector import (
+    CHAIN_M,
+    MARGIN_M,
+    Grain,
+    Lookout,
+    Point,
+    Sighting,
+    middle,
+)
+from agent.safety.stop_cause import Cause
+from protocol.frames.operator_frames import NUMBERS, Matter, OperatorReport
+from protocol.frames.safety_frames import Command
+
+if TYPE_CHECKING:
+    from agent.peer.peer import Peer
+
+FREE_US: Final = 1 * S  # the way is free for so long: it has left
+ASK_US: Final = 1 * S  # the question is said again, for operators that come later
+NEAR_M: Final = 3.0  # within this of the thing a robot that goes round it creeps
+CREEP_M_S: Final = 1.0  # walking pace
+KEEP_M: Final = 0.25  # a robot that goes round stops this far from what it drives at
+STUCK_US: Final = 4 * S  # no way round: ask again
+STUCK_M_S: Final = 0.05
+AHEAD_US: Final = 100 * MS  # how much faster a robot can be when it is next asked
+STANDING_M_S: Final = 0.02
+ANSWERS: Final = (Command.WAIT, Command.CONTINUE, Command.REPLAN)
+
+
+class Pause:
+    """One robot's; `peer` is told causes and work, `lookout` is its eyes."""
+
+    def __init__(self, peer: "Peer", limits: Limits, lookout: Lookout) -> None:
+        self.peer, self.limits, self.lookout = peer, limits, lookout
+        self.number = 0  # of the newest question
+        self.matter: Matter | None = None  # where that stands
+        self.things: frozenset[Grain] = frozenset()  # to go round, by an operator's answer
+        self.leave_out = False  # what they stand on is not worked
+        self._known_as, self._places = self.things, frozenset[Point]()
+        self._course: Point = (0.0, 0.0)  # the motion that was stopped, as a direction
+        self._sighting = Sighting(0.0, 0.0, 0.0)
+        self._seen_us = self._asked_us = self._moved_us = 0
+
+    @property
+    def asking(self) -> bool:
+        return self.matter in (Matter.ASKING, Matter.WAITING)
+
+    @property
+    def round(self) -> tuple[frozenset[Point], bool]:
+        """For the mission: what to go round, and whether to leave out what is under it."""
+        if self.things is not self._known_as:
+            self._known_as, self._places = self.things, frozenset(map(middle, self.things))
+        return self._places, self.leave_out
+
+    # ---------------------------------------------------------------- each control period
+
+    def watch(self, wanted: Drive, here: Observation, now_us: int) -> tuple[Drive, list[Effect]]:
+        """The drive that spares what is in the way, and what to say. The gate comes after."""
+        neighbours = self.peer.membership.neighbours
+        if self.asking:
+            ux, uy = self._course
+            way = (ux * self.limits.speed_m_s, uy * self.limits.speed_m_s)
+            return HALT, self._stand(self.lookout.look(here, (way,), neighbours, now_us), now_us)
+        if not self.peer.safety.may_move:
+            return wanted, []  # it stands for another reason
+        motions = self._motions(wanted, here)
+        sighting = self.lookout.look(here, motions, neighbours, now_us)
+        if self.things:
+            self._keep_in_mind()
+        if sighting is None:
+            self._moved_us = now_us
+            return (self._slowed(wanted, here) if self.things else wanted), []
+        if self._known((sighting.x_m, sighting.y_m)):
+            return self._creep(wanted, here, sighting, now_us)
+        return HALT, self._ask(here, motions, sighting, now_us)
+
+    def _motions(self, wanted: Drive, here: Observation) -> list[Point]:
+        """What the body does now, and what it would do next."""
+        moves_m_s = hypot(here.vx_m_s, here.vy_m_s)
+        wants_m_s = hypot(wanted.vx_m_s, wanted.vy_m_s)
+        motions = [(here.vx_m_s, here.vy_m_s)] if moves_m_s > STANDING_M_S else []
+        if wants_m_s > STANDING_M_S:
+            next_m_s = moves_m_s + self.limits.acceleration_m_s2 * AHEAD_US / S
+            share = max(moves_m_s, min(wants_m_s, next_m_s)) / wants_m_s
+            motions.append((wanted.vx_m_s * share, wanted.vy_m_s * share))
+        return motions
+
+    def _ask(
+        self, here: Observation, motions: list[Point], sighting: Sighting, now_us: int
+    ) -> list[Effect]:
+        """Stop, and a new question."""
+        motion = motions[-1] if self.lookout.ahead(here, motions[-1], 1e3) else motions[0]
+        speed_m_s = hypot(*motion)
+        self._course = motion[0] / speed_m_s, motion[1] / speed_m_s
+        self.number = self.number % NUMBERS + 1
+        self._seen_us = now_us
+        why = f"{sighting.free_m:.1f} m ahead at {sighting.x_m:.1f}, {sighting.y_m:.1f}"
+        self.peer.safety.raise_cause(Cause.OBSTACLE_AHEAD, now_us, why)
+        self._sighting = sighting
+        return self._turn(Matter.ASKING, why, now_us)
+
+    def _stand(self, seen: Sighting | None, now_us: int) -> list[Effect]:
+        """Until an answer comes, or the thing has left."""
+        if seen is not None:
+            self._sighting, self._seen_us = seen, now_us
+        elif now_us - self._seen_us >= FREE_US:
+            self.peer.safety.clear_cause(Cause.OBSTACLE_AHEAD, now_us)
+            return self._turn(Matter.GONE, "the way is free", now_us)
+        if self.matter is Matter.ASKING and now_us - self._asked_us >= ASK_US:
+            self._asked_us = now_us
+            return [Send(self.report(Matter.ASKING))]
+        return []
+
+    def _creep(
+        self, wanted: Drive, here: Observation, sighting: Sighting, now_us: int
+    ) -> tuple[Drive, list[Effect]]:
+        """Past a thing that an operator knows of: never faster than can be stopped before it."""
+        room_m = max(0.0, sighting.free_m - KEEP_M)
+        most_m_s = sqrt(2 * self.limits.acceleration_m_s2 * room_m) / 2
+        drive = _at_most(wanted, min(most_m_s, CREEP_M_S))
+        if hypot(drive.vx_m_s, drive.vy_m_s) > STUCK_M_S or not self.peer.safety.may_move:
+            self._moved_us = now_us
+        if now_us - self._moved_us < STUCK_US:
+            return drive, []
+        self._moved_us = now_us
+        return HALT, self._ask(here, self._motions(wanted, here), sighting, now_us)
+
+    def _slowed(self, wanted: Drive, here: Observation) -> Drive:
+        places = map(middle, self.things)
+        near = any(hypot(x - here.x_m, y - here.y_m) < NEAR_M for x, y in places)
+        return _at_most(wanted, CREEP_M_S) if near else wanted
+
+    # ---------------------------------------------------------------- what is gone round
+
+    def _known(self, at: Point) -> bool:
+        return any(hypot(at[0] - x, at[1] - y) <= CHAIN_M for x, y in map(middle, self.things))
+
+    def _keep_in_mind(self) -> None:
+        """More of the thing is seen from its side; what has gone is forgotten."""
+        seen = self.lookout.points.keys()
+        if seen != self.things:
+            kept = self.things & seen
+            self.things = kept.union(g for g in seen - kept if self._known(middle(g)))
+        if not self.things:
+            self.matter = None
+
+    # ---------------------------------------------------------------- answers
+
+    def answer(self, command: Command, number: int, now_us: int) -> Sequence[Effect]:
+        """WAIT, CONTINUE or REPLAN."""
+        if not self.asking or number not in (0, self.number):
+            why = f"question {number} is not open"
+            return [
+                Send(self.report(Matter.REFUSED)),
+                Trace("pause", "", command.name, "REFUSED", why),
+            ]
+        if command is Command.WAIT:
+            return self._turn(Matter.WAITING, "an operator's answer", now_us)
+        self.leave_out = command is Command.CONTINUE
+        return self.go_round(f"an operator's {command.name}", now_us)
+
+    def go_round(self, why: str, now_us: int) -> list[Effect]:
+        """From now on what is in the way is a known thing."""
+        if not self.asking:
+            return []
+        self.things = frozenset(self.lookout.points)
+        self._moved_us = now_us
+        self.peer.safety.clear_cause(Cause.OBSTACLE_AHEAD, now_us)
+        return self._turn(Matter.GOING_ROUND, why, now_us)
+
+    def report(self, matter: Matter) -> OperatorReport:
+        seen = self._sighting
+        away_m = [hypot(x - seen.x_m, y - seen.y_m) for x, y in map(middle, self.lookout.points)]
+        radius_m = max((m for m in away_m if m <= 2 * CHAIN_M), default=0.0)
+        return OperatorReport(
+            self.peer.slot, self.number, matter, seen.x_m, seen.y_m, seen.free_m, radius_m
+        )
+
+    def _turn(self, matter: Matter, why: str, now_us: int) -> list[Effect]:
+        was = "" if self.matter is None else self.matter.name
+        self.matter = None if matter is Matter.GONE else matter
+        self._asked_us = now_us
+        return [
+            Send(self.report(matter)),
+            Trace("pause", was, f"question {self.number}", matter.name, why),
+        ]
+
+
+def pause_of(peer: "Peer", motion: Mover | None) -> Pause | None:
+    """None for a robot that does not know every wall, so cannot tell a person from one."""
+    if not isinstance(motion, Motion) or motion.lookout is None:
+        return None
+    return Pause(peer, motion.limits, motion.lookout)
+
+
+def _at_most(drive: Drive, speed_m_s: float) -> Drive:
+    wants_m_s = hypot(drive.vx_m_s, drive.vy_m_s)
+    if wants_m_s <= speed_m_s:
+        return drive
+    share = speed_m_s / wants_m_s
+    return drive._replace(vx_m_s=drive.vx_m_s * share, vy_m_s=drive.vy_m_s * share)
+
+
+assert KEEP_M < MARGIN_M, "who goes round may come nearer than who stops for it"

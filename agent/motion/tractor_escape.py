@@ -1,0 +1,72 @@
+"""Getting out of somebody's way with a body that steers: one arc or straight, ahead or back."""
+
+from collections.abc import Iterable
+from math import hypot
+
+from agent.motion.tractor_tracker import Limits, TractorTracker
+from agent.paths.dubins import step
+from agent.paths.tractor_route import Piece, Point, Pose, TurnRoute, sampled
+
+LENGTHS_M = (3.0, 5.0, 8.0)
+ENOUGH_M = 9.0  # further away from somebody is no better
+STEP_M = 0.5  # between places where the way is looked at
+SPARE_M = 0.35  # between bodies, besides their radii
+
+
+class Escape:
+    def __init__(self, turns: TurnRoute, radius_m: float, limits: Limits) -> None:
+        self.turns, self.radius_m, self.limits = turns, radius_m, limits
+        self.follow: TractorTracker | None = None
+
+    def go(
+        self, here: Pose, away_from: Iterable[Point], everybody: Iterable[Point]
+    ) -> tuple[float, float] | None:
+        """Speed and turn rate of the way out; none where none is needed any more, or there is none."""
+        if self.follow is None:
+            others = list(away_from)
+            pieces = self.find(here, others, list(everybody)) if others else None
+            if pieces is None:
+                return None
+            self.follow = TractorTracker(sampled(here, [pieces]), self.limits)
+        self.follow.locate(*here)
+        if self.follow.arrived or self.follow.lost:
+            self.follow = None
+            return None
+        return self.follow.command()
+
+    def find(self, here: Pose, away_from: list[Point], everybody: list[Point]) -> Piece | None:
+        """The piece that ends furthest from those who need the room, and touches nobody."""
+        bend = 1.0 / self.turns.radius_m
+        now_m = _gap(here[:2], away_from)
+        best: tuple[float, Piece] | None = None
+        for length_m in LENGTHS_M:
+            for gear in (1.0, -1.0):
+                for curvature in (0.0, bend, -bend, bend / 2, -bend / 2):
+                    piece = Piece(curvature, gear * length_m)
+                    if not self.turns.piece_is_free(here, piece):
+                        continue
+                    if not self._clear(here, piece, everybody):
+                        continue
+                    end = step(*here, *piece)
+                    score = min(_gap(end[:2], away_from), ENOUGH_M) - 0.2 * length_m
+                    score -= 0.5 if gear < 0.0 else 0.0
+                    if best is None or score > best[0] + 1e-9:
+                        best = (score, piece)
+        return best[1] if best is not None and best[0] > now_m - 1.0 else None
+
+    def _clear(self, here: Pose, piece: Piece, everybody: list[Point]) -> bool:
+        steps = max(1, int(abs(piece.length_m) / STEP_M))
+        for other in everybody:
+            least_m = min(
+                2 * self.radius_m + SPARE_M,
+                hypot(other[0] - here.x_m, other[1] - here.y_m) - 0.02,
+            )
+            for k in range(1, steps + 1):
+                x, y, _ = step(*here, piece.curvature_1_m, piece.length_m * k / steps)
+                if hypot(x - other[0], y - other[1]) < least_m:
+                    return False
+        return True
+
+
+def _gap(at: Point, others: list[Point]) -> float:
+    return min((hypot(at[0] - x, at[1] - y) for x, y in others), default=ENOUGH_M)

@@ -1,0 +1,137 @@
+"""From a wish to a drive for bodies that steer: they keep to their way, and slow or stop for others.
+
+A tractor cannot do what ORCA would have it do, so ORCA is asked only how fast it may go along its
+own course; its disc is larger by what tracking and steering take (the argument of NH-ORCA,
+Alonso-Mora et al. 2010). Fences are the business of the way, which never leaves free
+ground. Of two that stand nose to nose, the one with the higher slot backs out of the way by one
+arc, waits, and its mission plans anew from there.
+"""
+
+from collections.abc import Mapping
+from math import cos, hypot, sin
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.interface.config import CONTROL_PERIOD_US, MS, S
+from agent.interface.effects import Drive
+from agent.interface.mission import Wish
+from agent.interface.ports import Observation
+from agent.motion.deadlock_yield import Other
+from agent.motion.holonomic_motion import MARGIN_M, Motion
+from agent.motion.holonomic_motion import Limits as Body
+from agent.motion.obstacle_detector import Lookout
+from agent.motion.tractor_escape import Escape
+from agent.motion.tractor_tracker import Limits
+from agent.paths.tractor_route import Pose, TurnRoute
+from agent.peer.membership import Neighbour
+
+DISC_M = 0.2  # the disc is larger by this: what tracking may be off, and the swing into an arc
+SHARES = (1.0, 0.8, 0.6, 0.4, 0.25, 0.12)  # of the wanted speed, tried in this order
+SAME_M_S = 0.03  # a velocity that ORCA changes by less is permitted
+PATIENCE_US = 1_500 * MS
+LONG_PATIENCE_US = 6 * S  # of the one with the lower slot
+WAIT_US = 8 * S  # out of the way, at most
+APART_M = 5.0  # between bodies: the way is free again
+NEAR_M = 1.8  # nobody further away is why we stand
+GOT_ON_M = 0.4
+HALF_PERIOD_S = CONTROL_PERIOD_US / S / 2  # the course is that of the middle of the control period
+
+
+class TractorMotion(Motion):
+    def __init__(
+        self, slot: int, limits: Body, turns: TurnRoute, steering: Limits,
+        fences: NDArray[np.float64],
+    ) -> None:  # fmt: skip
+        """`fences`: known segments (n, 4), metres; only the lookout asks for them."""
+        super().__init__(slot, limits, np.empty((0, 4)))
+        self.lookout = Lookout(limits.radius_m, limits.acceleration_m_s2, fences, self.coasting)
+        self.escape = Escape(turns, limits.radius_m, steering)
+        self.given = 0
+        self._anchor, self._anchor_us = (0.0, 0.0), 0
+        self._until_us = 0
+        self._for = -1
+
+    def drive(
+        self, here: Observation, wish: Wish, neighbours: Mapping[int, Neighbour], now_us: int
+    ) -> Drive:
+        rows, others = self._rows(here, neighbours, now_us)
+        pose = Pose(here.x_m, here.y_m, here.heading_rad)
+        places = {o.slot: (here.x_m + o.dx_m, here.y_m + o.dy_m) for o in others}
+        if now_us < self._until_us:
+            wish = self._out_of_the_way(pose, places)
+        elif self._stalled(pose, wish, now_us):
+            close = [o for o in others if o.distance_m < 2 * self.limits.radius_m + NEAR_M]
+            wish = self._decide(pose, wish, close, places, now_us)
+        share = self._permitted(here, wish, rows)
+        return Drive(
+            wish.vx_m_s * share, wish.vy_m_s * share, wish.turn_rad_s * share,
+            wish.tool_on,  # also while it waits: what it stands on is not worked twice for that
+        )  # fmt: skip
+
+    def _permitted(self, here: Observation, wish: Wish, rows: list[tuple[float, ...]]) -> float:
+        """How much of the wanted velocity harms nobody."""
+        if wish.vx_m_s == 0.0 and wish.vy_m_s == 0.0:
+            return 0.0
+        facing: list[tuple[float, ...]] = []
+        for dx_m, dy_m, vx_m_s, vy_m_s, combined_m, *_ in rows:
+            combined_m += DISC_M
+            gap_m = hypot(dx_m, dy_m)
+            if gap_m < combined_m + 0.02:  # too near already: away from it, and nothing else
+                closing = dx_m * wish.vx_m_s + dy_m * wish.vy_m_s
+                if closing > 0.0:
+                    return 0.0
+                continue
+            facing.append((dx_m, dy_m, vx_m_s, vy_m_s, combined_m, 1.0))
+        at, moving = (here.x_m, here.y_m), (here.vx_m_s, here.vy_m_s)
+        for share in SHARES:
+            wanted = wish.vx_m_s * share, wish.vy_m_s * share
+            got = self.avoidance.velocity(at, moving, wanted, facing)
+            if hypot(got[0] - wanted[0], got[1] - wanted[1]) < SAME_M_S:
+                return share
+        return 0.0
+
+    def _stalled(self, pose: Pose, wish: Wish, now_us: int) -> bool:
+        wants = wish.vx_m_s != 0.0 or wish.vy_m_s != 0.0
+        moved_m = hypot(pose.x_m - self._anchor[0], pose.y_m - self._anchor[1])
+        if moved_m > GOT_ON_M or not wants:
+            self._anchor, self._anchor_us = pose[:2], now_us
+        return now_us - self._anchor_us >= PATIENCE_US
+
+    def _decide(
+        self, pose: Pose, wish: Wish, close: list[Other], places: Mapping[int, tuple[float, float]],
+        now_us: int,
+    ) -> Wish:  # fmt: skip
+        ahead = [o for o in close if o.dx_m * wish.vx_m_s + o.dy_m * wish.vy_m_s > 0.0]
+        if not ahead:
+            return wish
+        blocker = min(ahead, key=lambda o: (o.distance_m, o.slot))
+        first = blocker.slot < self.slot
+        if not first and now_us - self._anchor_us < LONG_PATIENCE_US:
+            return wish
+        self.escape.follow = None
+        self._for = blocker.slot
+        if self.escape.find(pose, [places[blocker.slot]], list(places.values())) is None:
+            return wish
+        self.given += 1
+        self._until_us = now_us + WAIT_US
+        self._anchor_us = self._until_us
+        return self._out_of_the_way(pose, places)
+
+    def _out_of_the_way(self, pose: Pose, places: Mapping[int, tuple[float, float]]) -> Wish:
+        other = places.get(self._for)
+        if other is None or (
+            hypot(other[0] - pose.x_m, other[1] - pose.y_m)
+            > 2 * self.limits.radius_m + MARGIN_M + APART_M
+        ):
+            self._until_us = 0
+            self.escape.follow = None
+            return Wish(0.0, 0.0)
+        gap_m = hypot(other[0] - pose.x_m, other[1] - pose.y_m)
+        near = [other] if gap_m < 2 * self.limits.radius_m + NEAR_M + 1.0 else []
+        command = self.escape.go(pose, near, list(places.values()))
+        if command is None:
+            return Wish(0.0, 0.0)
+        speed_m_s, turn_rad_s = command
+        course = pose.heading_rad + turn_rad_s * HALF_PERIOD_S
+        return Wish(speed_m_s * cos(course), speed_m_s * sin(course), turn_rad_s)

@@ -1,0 +1,80 @@
+"""What the range sensors see that neither the map nor the others' beats explain.
+
+Safety does not depend on messages: a robot whose beats are lost, and a box that somebody put down,
+are seen. A hit is strange where it lies off every wall and off every robot that was heard.
+"""
+
+from collections.abc import Iterable, Sequence
+from math import cos, inf, nan, pi, sin, sqrt
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from agent.interface.ports import Observation
+
+Point = tuple[float, float]
+NO_WALLS = np.empty((0, 4))
+WALL_M = 0.12  # a hit this near to a wall is the wall: errors of range and of place
+BODY_M = 0.25  # and this near to a body, that body: its beat is rounded, and it has moved since
+
+
+@njit(cache=True, error_model="numpy")
+def _echoes(x, y, heading, ranges, reach, walls, bodies, found):  # type: ignore[no-untyped-def]
+    """Write where each ray ends, or not a number where it ends at nothing strange."""
+    for n in range(ranges.shape[0]):
+        found[n, 0] = found[n, 1] = nan
+        r = ranges[n]
+        if not r < reach:
+            continue
+        angle = heading + n * 2 * pi / ranges.shape[0]
+        hx, hy = x + r * cos(angle), y + r * sin(angle)
+        known = False
+        for k in range(bodies.shape[0]):
+            dx, dy, radius = hx - bodies[k, 0], hy - bodies[k, 1], bodies[k, 2]
+            if dx * dx + dy * dy < radius * radius:
+                known = True
+                break
+        if known:
+            continue
+        for k in range(walls.shape[0]):
+            ax, ay = walls[k, 0], walls[k, 1]
+            ex, ey = walls[k, 2] - ax, walls[k, 3] - ay
+            t = ((hx - ax) * ex + (hy - ay) * ey) / (ex * ex + ey * ey)
+            t = min(max(t, 0.0), 1.0)
+            if sqrt((ax + t * ex - hx) ** 2 + (ay + t * ey - hy) ** 2) < WALL_M:
+                known = True
+                break
+        if not known:
+            found[n, 0], found[n, 1] = hx, hy
+
+
+def echoes(
+    here: Observation,
+    reach_m: float,
+    bodies: Sequence[Sequence[float]],
+    walls: NDArray[np.float64] = NO_WALLS,
+) -> NDArray[np.float64]:
+    """Where each ray ends (rays, 2), metres; not a number where that is further than `reach_m`, or
+    on a body (x, y, radius) or wall (n, 4) that is known."""
+    ranges = np.array(here.ranges_m)
+    found = np.full((ranges.size, 2), nan)
+    if ranges.min(initial=inf) < reach_m:
+        known = np.array(bodies, dtype=np.float64).reshape(-1, 3)
+        _echoes(here.x_m, here.y_m, here.heading_rad, ranges, reach_m, walls, known, found)
+    return found
+
+
+class Sensed:
+    """Strange hits of one robot. `walls`: segments (n, 4), metres."""
+
+    def __init__(self, walls: NDArray[np.float64], radius_m: float) -> None:
+        self.walls, self.radius_m = walls, radius_m
+
+    def strange(
+        self, here: Observation, reach_m: float, bodies: Iterable[Sequence[float]]
+    ) -> list[Point]:
+        """`bodies`: x, y of those that were heard, where they should be now."""
+        known = [(x, y, self.radius_m + BODY_M) for x, y in bodies]
+        found = echoes(here, reach_m, known, self.walls)
+        return [(x, y) for x, y in found[~np.isnan(found[:, 0])].tolist()]

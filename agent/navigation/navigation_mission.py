@@ -1,0 +1,410 @@
+"""The mission of going to places: each robot has goals of its own, and a building to cross.
+
+Alone, a robot drives its Theta* path and lets ORCA keep it from the others. Where that gets it no
+further, or would lead it into a narrow passage against somebody who comes out, it calls a round of
+agreement (`agent/mapf/joint_plan_agreement.py`), and drives the route of the joint plan until it is through.
+
+A goal is a section of the shared state with one unit, so that what was reached stays reached.
+"""
+
+from collections import deque
+from collections.abc import Iterable, Mapping, Sequence
+from math import cos, hypot, sin
+from typing import NamedTuple
+
+from agent.interface.config import MS, S
+from agent.interface.lifecycle import State
+from agent.interface.mission import STILL, Choice, FleetView, Record, Wish
+from agent.interface.ports import Observation
+from agent.mapf.agreement_phase import Phase
+from agent.mapf.joint_plan_agreement import Accords
+from agent.mapping.building import Floor
+from agent.mapping.dynamic_obstacles import RANGE_M, Hazards
+from agent.motion.path_tracker import Tracker
+from agent.navigation.path_lookahead import NextWay
+from agent.navigation.replan_policy import Replanning
+from agent.navigation.silent_robots import DEAD_US, Bodies
+from agent.peer.membership import Neighbour
+from crdt import Phase as Claimed
+from protocol.frames.accord_frames import Answer, Fallen
+from protocol.frames.messages import Message
+from protocol.sync.map_sync import MapSync
+
+Point = tuple[float, float]
+GOALS_MAX = 512  # of a robot: a section's number is its slot times this, and the goal's number
+WANTS_M_S = 0.1  # who wants less than this is not stalled
+GOT_ON_M = 0.3  # along the path in `STALL_US`: slower than this is stalled
+STALL_US = 2 * S
+CALLS_US = (2 * S, 4 * S, 8 * S, 16 * S)  # between two calls of ours that brought us nowhere
+LOOK_M = 2.5  # how far ahead a passage is looked into
+BESIDE_PATH_M = 0.5  # a robot nearer to the path than this is on it
+SETTLED_M = 0.1  # this near to a node of the route, it is reached
+ACQUAINTED_US = 1 * S  # after joining, until everybody near has been heard, by many beats
+VOUCHED_US = 3 * S  # in a fleet of ten each member is named by some other ten times in that
+AGE_MAX_US = 500 * MS  # a robot moves on as it last said for so long: 10 beats, 30 % of them lost
+CLAIM_S = 0.5  # a claim is contested for half of it: the next goal is ours when we are at this one
+CLOSE_M = RANGE_M + 2.0  # whom our rays can meet, wherever it has driven since its last beat
+STALLED_ALONE_US = 5 * S  # standing with a wish and nobody near: longer than braking for what passes
+AHEAD_M = 0.3  # beyond the body: where what cannot be passed is taken to stand
+FOLLOWED_MAX = 512  # lines remembered, at most 2 MB: a goal takes a few of them
+LOST_M = 0.8  # this far off the path, another is planned
+
+
+class Followed(NamedTuple):
+    """A polyline that a robot was to follow, from a time on."""
+
+    t_us: int
+    points: tuple[Point, ...]
+    why: str  # goal, lost, blocked, stalled, restored, plan (of all together), after plan
+
+
+class Errands:
+    passes = (
+        True  # a goal on the way of a joint plan is reached; who has to stay there comes back to it
+    )
+
+    def __init__(
+        self,
+        slot: int,
+        goals: Mapping[int, Sequence[Point]],
+        floor: Floor,
+        speed_m_s: float,
+        deceleration_m_s2: float,
+        agrees: bool = True,
+        chart: MapSync | None = None,
+        now_us: int = 0,
+        asks: bool = False,
+    ) -> None:
+        """`goals`: of every robot, in their order. `agrees`: False for ORCA by itself. `chart`: the
+        fleet's map, where it has one. `asks`: what stands in the way is driven round by an operator's
+        word only (`agent/motion/obstacle_stop.py`)."""
+        assert all(len(own) <= GOALS_MAX for own in goals.values())
+        self.slot, self.goals, self.floor, self.agrees = slot, goals, floor, agrees
+        self.speed_m_s, self.deceleration_m_s2 = speed_m_s, deceleration_m_s2
+        self.asks = asks
+        self._keeps_on = asks  # on the plan's way: no operator has said to go round
+        self.accords = Accords(slot, floor.lattice, floor.radius_m)
+        self.goal: Point | None = None
+        self.answer = Answer.GRANT
+        self.bodies = Bodies(slot, now_us)
+        self.hazards = Hazards(floor, chart)
+        self.replanning = Replanning(self.hazards, speed_m_s, deceleration_m_s2)
+        self.next_way = NextWay(self.hazards)
+        self._near_m = speed_m_s**2 / (2 * deceleration_m_s2) + CLAIM_S * speed_m_s
+        self.followed: deque[Followed] = deque(maxlen=FOLLOWED_MAX)  # what was driven along
+        self._tracker: Tracker | None = None  # on the way to the goal
+        self._lane: Tracker | None = None  # on the way of a plan
+        self._lane_of = (-1, -1, -1)  # round, first and last node of the lane
+        self._gone_on: tuple[float, int] = (0.0, 0)  # along the path, since when
+        self._alone_since: tuple[Point, int] | None = None  # where and since when it does not get on
+        self._stalls = 0  # in a row on the way to this goal
+        self._planned = False  # a joint plan was driven since the last path
+        self._around: dict[
+            int, Point
+        ] = {}  # who was last heard within `CLOSE_M`: where it should be now
+        self._alone_us = 0  # when we last heard nobody
+        self._vouched_us: dict[int, int] = {}  # slot: when another last said that it hears it
+        self._calls: tuple[int, int] = (0, 0)  # in a row without arriving, not before
+
+    @property
+    def section_units(self) -> Mapping[int, int]:
+        return {
+            slot * GOALS_MAX + k: 1 for slot, own in self.goals.items() for k in range(len(own))
+        }
+
+    @property
+    def rest_of_way(self) -> list[Point]:
+        """What is left of the path, or of the lane of a joint plan."""
+        tracker = self._lane if self.accords.bound else self._tracker
+        return [] if tracker is None else tracker.rest_of_way
+
+    # ---------------------------------------------------------------- what a mission is asked
+
+    def choose(self, view: FleetView) -> Choice | None:
+        first = self.slot * GOALS_MAX
+        for section in range(first, first + len(self.goals.get(self.slot, ()))):
+            if view.allocation.phase_of(section) is Claimed.FREE:
+                return Choice(section, 0)
+        return None
+
+    def approach(self, section: int, view: FleetView) -> Wish:
+        self._go_for(section)
+        return self._drive(view)[0]
+
+    def begin(self, section: int, view: FleetView) -> None:
+        self._go_for(section)
+
+    def work(self, view: FleetView) -> Wish:
+        (section,) = view.allocation.assigned_sections(view.slot)[:1]
+        self._go_for(section)
+        wish, arrived = self._drive(view)
+        if not arrived:
+            return wish._replace(near_end=self._look_ahead(section))
+        self.goal, self._tracker = None, None
+        self._calls = (0, 0)
+        return wish._replace(covered=(0,), finished=True, near_end=True)
+
+    def _look_ahead(self, section: int) -> bool:
+        """Whether the goal is near. Then the way on from it is searched, too."""
+        tracker, own = self._tracker, self.goals[self.slot]
+        if tracker is None or tracker.total_m - tracker.along_m > self._near_m:
+            return False
+        following = section - self.slot * GOALS_MAX + 1
+        if following < len(own):
+            self.next_way.prepare(own[following - 1], own[following])
+        return True
+
+    def admits(self, goal: Point) -> bool:
+        return self.floor.route.admits(goal)
+
+    def travel(self, goal: Point, view: FleetView) -> Wish:
+        if goal != self.goal:
+            self.goal, self._tracker = goal, None
+        return self._drive(view)[0]
+
+    def rest(self, view: FleetView) -> Wish:
+        self.goal, self._tracker = None, None
+        return self._drive(view)[0]
+
+    def abandon(self) -> None:
+        self.goal, self._tracker = None, None
+
+    def interrupted(self) -> None:
+        """There is no implement."""
+
+    def attend(self, view: FleetView, state: State) -> None:
+        """Each control period, in every state: our part in a round."""
+        here = view.here
+        self.bodies.look(view)
+        dead, silent = self.bodies.dead, view.silent_since_us
+        gone = {s for s, since_us in silent.items() if view.now_us - since_us > DEAD_US}
+        self._around = {
+            s: _now_at(n, view.now_us)
+            for s, n in view.neighbours.items()
+            if s not in gone and _within(n, here, CLOSE_M)
+        }
+        around = list(self._around.values())
+        reach_m = self.replanning.horizon_m + self.floor.radius_m
+        if state is State.DISCONNECTED:  # who knows nobody takes everybody for a box
+            self._alone_us = view.now_us
+        if view.now_us - self._alone_us > ACQUAINTED_US:
+            self.hazards.look(here, reach_m, around, view.now_us, dead)
+        stopped = state is State.EMERGENCY_STOP
+        answer = Answer.DEAF if self._deaf(gone, view) else self.answer
+        self.accords.tick(
+            (here.x_m, here.y_m), hypot(here.vx_m_s, here.vy_m_s), self.goal,
+            Answer.STOPPED if stopped else answer,
+            (view.live | silent.keys()) - gone, dead, self.hazards.hits, view.now_us,
+        )  # fmt: skip
+
+    def _deaf(self, gone: set[int], view: FleetView) -> bool:
+        """Whether others hear a member that we have not heard for long: a round needs all to hear all."""
+        if not gone:
+            return False
+        for pose, heard_us in view.neighbours.values():
+            self._vouched_us[pose.heard] = max(self._vouched_us.get(pose.heard, 0), heard_us)
+        return any(
+            self._vouched_us.get(s, 0) > view.silent_since_us[s] + DEAD_US
+            and view.now_us - self._vouched_us[s] < VOUCHED_US
+            for s in gone
+        )
+
+    # ---------------------------------------------------------------- frames
+
+    def hear(self, slot: int | None, message: Message, now_us: int) -> Sequence[Record]:
+        if isinstance(message, Fallen):
+            self.bodies.hear(message, now_us)
+        return ()
+
+    def say(self, now_us: int) -> Iterable[Message]:
+        """With each beat."""
+        return self.bodies.say(self.accords.waiting, now_us)
+
+    # ---------------------------------------------------------------- driving
+
+    def _go_for(self, section: int) -> None:
+        goal = self.goals[self.slot][section - self.slot * GOALS_MAX]
+        if goal != self.goal:
+            self.goal, self._tracker = goal, None
+
+    def _drive(self, view: FleetView) -> tuple[Wish, bool]:
+        """What is wanted now, and whether the goal has been reached."""
+        if self.accords.bound:
+            self._tracker, self._planned = None, True  # afterwards we begin from somewhere else
+            wish = self._along_plan(view) if self.accords.phase is Phase.GO else HOLD
+            return wish, self._at_goal((view.here.x_m, view.here.y_m))
+        if self.goal is None:
+            return HOLD, False
+        here = view.here
+        tracker = self._path(self.goal, view)
+        tracker.locate(here.x_m, here.y_m)
+        if tracker.arrived:
+            return HOLD, True
+        vx_m_s, vy_m_s = tracker.velocity(here.x_m, here.y_m)
+        if self.agrees and self._stuck(tracker, hypot(vx_m_s, vy_m_s), view):
+            self._call(view.now_us)
+        return Wish(vx_m_s, vy_m_s), False
+
+    def _path(self, goal: Point, view: FleetView) -> Tracker:
+        """What we follow to the goal: the path we have, wherever it will do."""
+        here, now_us = view.here, view.now_us
+        at, tracker = (here.x_m, here.y_m), self._tracker
+        self._keeps_on = self.asks and not view.things
+        if tracker is None or abs(tracker.off_m) > LOST_M:
+            self.replanning.forget()
+            why = "lost" if tracker is not None else "after plan" if self._planned else "goal"
+            return self._set_out(self._way(at, goal), why, now_us)
+        self.replanning.look(here, tracker)
+        old = self.replanning.restored(here, now_us)
+        if old is not None:
+            self._tracker = old
+            self.followed.append(Followed(now_us, tuple(old.points), "restored"))
+            return old
+        if self._keeps_on:
+            return tracker
+        if self._stalled_alone(view, tracker):
+            return self._round_what_stalls(goal, view, tracker)
+        if self.replanning.due(now_us):
+            detour = self.replanning.detour(at, goal, tracker, now_us)
+            if detour is not None:
+                return self._set_out(detour, "blocked", now_us)
+        return tracker
+
+    def _stalled_alone(self, view: FleetView, tracker: Tracker) -> bool:
+        """We want to move and may, do not for `STALLED_ALONE_US`, and no robot and no box explains it."""
+        at = (view.here.x_m, view.here.y_m)
+        wanted_m_s = hypot(*tracker.velocity(*at))
+        known = self.replanning.blocked or self._near(view) or not view.may_move
+        since = self._alone_since
+        moved = since is not None and hypot(at[0] - since[0][0], at[1] - since[0][1]) > GOT_ON_M
+        if since is None or moved or known or wanted_m_s < WANTS_M_S:
+            self._stalls = 0 if moved else self._stalls
+            self._alone_since = (at, view.now_us)
+            return False
+        return view.now_us - since[1] > STALLED_ALONE_US
+
+    def _round_what_stalls(self, goal: Point, view: FleetView, tracker: Tracker) -> Tracker:
+        """Another way from here; the second time, round a place right ahead that cannot be passed."""
+        at, now_us = (view.here.x_m, view.here.y_m), view.now_us
+        self._alone_since, self._stalls = (at, now_us), self._stalls + 1
+        if self._stalls > 1:
+            vx_m_s, vy_m_s = tracker.velocity(*at)
+            ahead = (self.floor.radius_m + AHEAD_M) / hypot(vx_m_s, vy_m_s)
+            self.hazards.avoid((at[0] + ahead * vx_m_s, at[1] + ahead * vy_m_s), now_us)
+        self.replanning.forget()
+        return self._set_out(self._way(at, goal), "stalled", now_us)
+
+    def _way(self, at: Point, goal: Point) -> tuple[Point, ...]:
+        if self._keeps_on:
+            return self.floor.route.path(at, goal)
+        prepared = self.next_way.take(at, goal)
+        return prepared or self.hazards.path(at, goal) or self.floor.route.path(at, goal)
+
+    def _set_out(self, path: tuple[Point, ...], why: str, now_us: int) -> Tracker:
+        self.followed.append(Followed(now_us, path, why))
+        self._tracker = Tracker(list(path), self.speed_m_s, self.deceleration_m_s2)
+        self._gone_on = (0.0, now_us)
+        self._planned = False
+        return self._tracker
+
+    def _along_plan(self, view: FleetView) -> Wish:
+        """Our route, as far as those before us have gone on."""
+        accords, here = self.accords, view.here
+        first, last = max(accords.index, 0), accords.permitted
+        route = accords.route
+        for index in range(accords.index + 1, last):  # it brakes for its goal, though it goes on
+            if self._at_goal(self.floor.lattice.point(route[index])):
+                last = index
+                break
+        if self._lane is None or self._lane_of != (accords.round, first, last):
+            points = [self.floor.lattice.point(node) for node in route[first : last + 1]]
+            self._lane = Tracker(points, self.speed_m_s, self.deceleration_m_s2)
+            if self._lane_of[0] != accords.round:
+                nodes = (self.floor.lattice.point(node) for node in route)
+                way = ((here.x_m, here.y_m), *nodes)
+                self.followed.append(Followed(view.now_us, way, "plan"))
+            self._lane_of = (accords.round, first, last)
+        lane = self._lane
+        lane.locate(here.x_m, here.y_m)
+        for index in range(last, accords.index, -1):
+            x_m, y_m = self.floor.lattice.point(route[index])
+            along_m = lane.starts_m[index - first] - SETTLED_M
+            passed = index > first and lane.along_m >= along_m and abs(lane.off_m) < SETTLED_M
+            if passed or hypot(x_m - here.x_m, y_m - here.y_m) < SETTLED_M:
+                accords.reach(index, view.now_us)
+                break
+        x_m, y_m = self.floor.lattice.point(route[last])
+        if hypot(x_m - here.x_m, y_m - here.y_m) < SETTLED_M / 2:
+            return HOLD
+        return Wish(*lane.velocity(here.x_m, here.y_m))
+
+    def _at_goal(self, at: Point) -> bool:
+        """Who has been at its goal has been there, wherever the plan takes it then."""
+        goal = self.goal if self.passes else None
+        return goal is not None and hypot(goal[0] - at[0], goal[1] - at[1]) < SETTLED_M
+
+    # ---------------------------------------------------------------- when to call a round
+
+    def _call(self, now_us: int) -> None:
+        count, not_before_us = self._calls
+        if now_us < not_before_us:
+            return
+        self._calls = (count + 1, now_us + CALLS_US[min(count, len(CALLS_US) - 1)])
+        self.accords.call(now_us)
+
+    def _stuck(self, tracker: Tracker, wanted_m_s: float, view: FleetView) -> bool:
+        """We want to move, do not, and somebody is near; or a narrow passage ahead is taken."""
+        along_m, since_us = self._gone_on
+        if tracker.along_m > along_m + GOT_ON_M or wanted_m_s < WANTS_M_S:
+            self._gone_on = (tracker.along_m, view.now_us)
+        elif view.now_us - since_us > STALL_US and self._near(view):
+            return True
+        return self._head_on(tracker, view)
+
+    def _near(self, view: FleetView) -> bool:
+        reach_m = 2 * self.floor.lattice.pitch_m + 2 * self.floor.radius_m
+        here = view.here
+        near = [*self._around.values(), *self.bodies.dead.values()]
+        return any(hypot(x_m - here.x_m, y_m - here.y_m) < reach_m for x_m, y_m in near)
+
+    def _head_on(self, tracker: Tracker, view: FleetView) -> bool:
+        """Somebody stands in, or comes out of, a passage that we are about to enter."""
+        here, lattice = view.here, self.floor.lattice
+        around = [
+            n.pose
+            for s, n in view.neighbours.items()
+            if s in self._around
+            and hypot(n.pose.x_m - here.x_m, n.pose.y_m - here.y_m) < 2 * LOOK_M
+        ]
+        if not around:
+            return False
+        for x_m, y_m, ux, uy in tracker.ahead(LOOK_M):
+            node = lattice.nearest((x_m, y_m))
+            if not lattice.narrow[node]:
+                continue
+            for pose in around:
+                if hypot(pose.x_m - x_m, pose.y_m - y_m) > BESIDE_PATH_M:
+                    continue
+                onward = _onward(pose.course_rad, pose.speed_m_s, ux, uy)
+                if onward < WANTS_M_S:
+                    return True
+        return False
+
+
+HOLD = STILL._replace(hold=True)
+
+
+def _now_at(neighbour: Neighbour, now_us: int) -> Point:
+    """Where a robot should be, from its last beat."""
+    pose, heard_us = neighbour
+    way_m = pose.speed_m_s * min(now_us - heard_us, AGE_MAX_US) / S
+    return pose.x_m + way_m * cos(pose.course_rad), pose.y_m + way_m * sin(pose.course_rad)
+
+
+def _within(neighbour: Neighbour, here: Observation, reach_m: float) -> bool:
+    pose = neighbour.pose
+    return abs(pose.x_m - here.x_m) < reach_m and abs(pose.y_m - here.y_m) < reach_m
+
+
+def _onward(course_rad: float, speed_m_s: float, ux: float, uy: float) -> float:
+    return speed_m_s * (cos(course_rad) * ux + sin(course_rad) * uy)

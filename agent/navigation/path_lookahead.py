@@ -1,0 +1,34 @@
+"""The way on from the goal ahead, searched before it is reached: nobody stands at a goal and thinks."""
+
+from math import hypot
+
+from agent.mapping.dynamic_obstacles import Hazards
+
+Point = tuple[float, float]
+NEAR_M = 0.1  # who is this near to where the way begins has arrived there
+
+
+class NextWay:
+    def __init__(self, hazards: Hazards) -> None:
+        self.hazards = hazards
+        self.taken = 0  # ways that were used
+        self._ends: tuple[Point, Point] | None = None
+        self._way: tuple[Point, ...] | None = None
+        self._changes = 0
+
+    def prepare(self, start: Point, goal: Point) -> None:
+        """Once for these two: there is time for it now."""
+        if self._ends != (start, goal):
+            self._ends, self._changes = (start, goal), self.hazards.changes
+            self._way = self.hazards.path(start, goal)
+
+    def take(self, at: Point, goal: Point) -> tuple[Point, ...] | None:
+        """The prepared way from here; None where there is none, or things have changed since."""
+        ends, way = self._ends, self._way
+        self._ends = self._way = None
+        if ends is None or way is None or self._changes != self.hazards.changes:
+            return None
+        if ends[1] != goal or hypot(at[0] - way[0][0], at[1] - way[0][1]) > NEAR_M:
+            return None
+        self.taken += 1
+        return way

@@ -1,0 +1,109 @@
+"""When a robot looks for another path, and when it does not.
+
+A path is kept until the goal changes or something stands on it within the decision horizon for more
+than `TICKS` control periods: a box that appears and leaves again costs nothing, and neither does
+one that is still far away, since it may be gone before we are there. The path that was left is kept
+for `KEPT_US`. It is taken up again without a search once the map has nothing on it: a robot that has
+turned round hits nothing, and that says nothing about what stands behind it.
+"""
+
+from collections.abc import Callable
+from math import hypot
+
+from agent.interface.config import S
+from agent.interface.ports import Observation
+from agent.mapping.dynamic_obstacles import Hazards
+from agent.motion.path_tracker import SAMPLE_M, Tracker
+
+Point = tuple[float, float]
+TICKS = 2  # a path blocked for longer than this many control periods is blocked
+KEPT_US = 5 * S
+HORIZON_S = 2.0  # of driving at full speed, or the braking distance and `BEYOND_M` where longer
+BEYOND_M = 1.0
+GRAZE_M = 0.05  # what comes nearer to the path than the radius and this is on it
+AGAIN_US = 2 * S  # between two searches for the same goal: there may be no way round at present
+NEAR_M = 0.7  # a robot this near to its kept path may go back to it; further off it is lost
+
+
+class Replanning:
+    def __init__(self, hazards: Hazards, speed_m_s: float, deceleration_m_s2: float) -> None:
+        self.hazards, self.radius_m = hazards, hazards.floor.radius_m
+        self.path: Callable[[Point, Point], tuple[Point, ...] | None] = hazards.path
+        self.horizon_m = max(
+            speed_m_s**2 / (2 * deceleration_m_s2) + BEYOND_M, HORIZON_S * speed_m_s
+        )
+        self._near: list[Point] = []  # what stands near by and is neither wall nor robot
+        self._ticks = 0
+        self._clear = 0  # control periods in which nothing stood on the kept path
+        # the path that was left, until when, and how far along it what stood on it was at most
+        self._kept: tuple[Tracker, int, float] | None = None
+        self._not_before_us = 0
+
+    def look(self, here: Observation, tracker: Tracker) -> None:
+        """One control period, after that of `hazards`: what is hit now, and what others told of."""
+        reach_m = self.horizon_m + self.radius_m
+        self._near = self.hazards.hits + [
+            (x_m, y_m)
+            for x_m, y_m in self.hazards.told()
+            if hypot(x_m - here.x_m, y_m - here.y_m) < reach_m
+        ]
+        self._ticks = self._ticks + 1 if self._stands_on(tracker) else 0
+        if self._kept is not None:
+            self._clear = 0 if self._kept_is_blocked() else self._clear + 1
+
+    def _kept_is_blocked(self) -> bool:
+        """Whether anything is hit on the kept path, or stands on it by the map."""
+        assert self._kept is not None
+        tracker, _, beyond_m = self._kept
+        if self._stands_on(tracker):
+            return True
+        ahead = tracker.ahead(beyond_m + SAMPLE_M - tracker.along_m)  # its last sample may fall short
+        return self.hazards.stands_near([(x, y) for x, y, _, _ in ahead], self.radius_m + GRAZE_M)
+
+    def _stands_on(self, tracker: Tracker) -> bool:
+        if not self._near:
+            return False
+        reach_m = self.radius_m + GRAZE_M
+        return any(
+            hypot(x_m - hit_x_m, y_m - hit_y_m) < reach_m
+            for x_m, y_m, _, _ in tracker.ahead(self.horizon_m)
+            for hit_x_m, hit_y_m in self._near
+        )
+
+    @property
+    def blocked(self) -> bool:
+        """Whether something that is seen or told of stands on the path ahead."""
+        return self._ticks > 0
+
+    def due(self, now_us: int) -> bool:
+        return self._ticks > TICKS and now_us >= self._not_before_us
+
+    def detour(
+        self, at: Point, goal: Point, left: Tracker, now_us: int
+    ) -> tuple[Point, ...] | None:
+        """Another path, round what stands there now; None: there is none, so wait on the old one."""
+        self._ticks, self._not_before_us = 0, now_us + AGAIN_US
+        path = self.path(at, goal)
+        if path is None:
+            return None
+        self._kept, self._clear = (left, now_us + KEPT_US, left.along_m + self.horizon_m), 0
+        return path
+
+    def restored(self, here: Observation, now_us: int) -> Tracker | None:
+        """The path that was left, where nothing stands on it any more."""
+        if self._kept is None:
+            return None
+        tracker, until_us, beyond_m = self._kept
+        if now_us > until_us:
+            self._kept = None
+            return None
+        tracker.locate(here.x_m, here.y_m)
+        beside_it = tracker.along_m + self.horizon_m / 2 > beyond_m  # then it is not seen ahead
+        if self._clear <= TICKS or abs(tracker.off_m) > NEAR_M or beside_it:
+            return None
+        self._kept = None
+        return tracker
+
+    def forget(self) -> None:
+        """Another goal, another path."""
+        self._ticks, self._kept, self._not_before_us = 0, None, 0

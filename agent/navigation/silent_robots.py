@@ -1,0 +1,93 @@
+"""Where members stand that have fallen silent: what is in the way, and where a dead robot's load is.
+
+Who hears a last beat knows the place; who was away then, or has restarted since, is told (`Fallen`).
+For each member the latest word counts, by stamps of a clock that the fleet shares, so that all come to
+know the same place, to the last bit: joint plans are made round it. A member that is heard is no body,
+and a place that is seen to be free is told to be: a robot may have driven on where nobody heard it.
+"""
+
+from collections.abc import Iterable
+
+from agent.interface.config import MS, S
+from agent.interface.mission import FleetView
+from agent.motion.stopping_zone import seen_through
+from crdt.hybrid_clock import HybridClock
+from protocol.frames.accord_frames import PLACES, STAMP_MAX, Fallen
+from protocol.frames.fleet_frames import LENGTH_M
+
+Point = tuple[float, float]
+DEAD_US = 5 * S  # a member silent for this long is a body: nobody waits for its word in a round
+TICK_US = 250 * MS  # of the common clock
+TOLD_US = 5 * S  # a body is told again this often by somebody, for who was away
+HURRY_US = 300 * MS  # and where a round waits for all to know the same
+SPACED_US = 40 * MS  # slots in their order, so that one tells and the others hear it
+WORDS_A_BEAT = 2
+NOWHERE_M = -PLACES * LENGTH_M  # of a body that is not where it was: x and y
+SURE_M = 2.0  # nearer than this two neighbouring rays are less than a body's radius apart
+
+
+class Bodies:
+    def __init__(self, slot: int, now_us: int) -> None:
+        self.slot = slot
+        self.clock = HybridClock(now_us, TICK_US, STAMP_MAX)
+        self.known: dict[int, Fallen] = {}
+        self.dead: dict[int, Point] = {}  # bodies that stand now
+        self._due_us: dict[int, int] = {}  # slot: when we tell of it
+        self._heard_us: dict[int, int] = {}  # last beat that our own record is of
+
+    def look(self, view: FleetView) -> None:
+        """Each control period: who has fallen silent, and who is back."""
+        now_us = view.now_us
+        for slot, since_us in view.silent_since_us.items():
+            neighbour = view.neighbours.get(slot)
+            if neighbour is None or now_us - since_us <= DEAD_US:
+                continue
+            if self._heard_us.get(slot) != neighbour.heard_us:
+                self._heard_us[slot] = neighbour.heard_us
+                stamp = self.clock.read(neighbour.heard_us)
+                word = Fallen(neighbour.pose.x_m, neighbour.pose.y_m, slot, stamp)
+                # As it travels: what we know and what is told are the same numbers.
+                self._join(Fallen.unpack(word.pack()), now_us)
+        self.dead = {
+            slot: (word.x_m, word.y_m)
+            for slot, word in sorted(self.known.items())
+            if slot not in view.live and self._silent(slot, view) and word.x_m > NOWHERE_M
+        }
+        for slot, place in list(self.dead.items()):
+            if seen_through(view.here, place, SURE_M):  # it drove on unheard, or was moved
+                gone = Fallen(NOWHERE_M, NOWHERE_M, slot, self.clock.read(now_us))
+                self._join(gone, now_us)
+                self._due_us[slot] = now_us
+                del self.dead[slot]
+
+    def _silent(self, slot: int, view: FleetView) -> bool:
+        """Not only between two beats; a member that we never heard is known by others' word."""
+        since_us = view.silent_since_us.get(slot)
+        return since_us is None or view.now_us - since_us > DEAD_US
+
+    def hear(self, word: Fallen, now_us: int) -> None:
+        if word.slot == self.slot:
+            return
+        self.clock.witness(word.stamp, now_us)
+        self._join(word, now_us)
+
+    def _join(self, word: Fallen, now_us: int) -> None:
+        known = self.known.get(word.slot)
+        wait_us = TOLD_US
+        if known is None or _rank(word) > _rank(known):
+            self.known[word.slot] = word
+        elif word != known:
+            wait_us = 0  # who says so knows less
+        self._due_us[word.slot] = now_us + wait_us + self.slot * SPACED_US
+
+    def say(self, hurried: bool, now_us: int) -> Iterable[Fallen]:
+        """With our beat. `hurried`: a round waits for all to know the same."""
+        soon_us = TOLD_US - HURRY_US if hurried else 0
+        due = [s for s, due_us in self._due_us.items() if due_us - soon_us <= now_us]
+        for slot in due[:WORDS_A_BEAT]:
+            self._due_us[slot] = now_us + TOLD_US + self.slot * SPACED_US
+            yield self.known[slot]
+
+
+def _rank(word: Fallen) -> tuple[int, float, float]:
+    return word.stamp, word.x_m, word.y_m

@@ -1,0 +1,104 @@
+"""Ways through a field or a building in metres: the any-angle planner behind a grid."""
+
+import itertools
+from collections.abc import Sequence
+from math import hypot
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.paths.any_angle_planner import Planner
+
+Point = tuple[float, float]
+OPEN_SEARCH_CELLS = 12  # how far a start or goal on a blocked cell is moved to an open one
+
+
+class Route:
+    """Paths over a blocked grid (row, column) whose cell (0, 0) has its corner at the origin.
+
+    A path may pass anywhere in a free cell, along its border too, so the grid must block every cell of
+    which a part is too near to something.
+    """
+
+    def __init__(
+        self, blocked: NDArray[np.bool_], origin_x_m: float, origin_y_m: float, cell_m: float
+    ) -> None:
+        self.blocked, self.cell_m = blocked, cell_m
+        self.origin_x_m, self.origin_y_m = origin_x_m, origin_y_m
+        self.planner = Planner(blocked)
+
+    def round(self, bodies: Sequence[Point], reach_m: float) -> "Route":
+        """The same with a disc blocked round each body that stands: another grid, made when
+        something comes or goes, not for every path. No path comes nearer to a body than `reach_m`."""
+        blocked, reach = self.blocked.copy(), int(reach_m / self.cell_m) + 1
+        for body_x_m, body_y_m in bodies:
+            row, column = self._cell((body_x_m, body_y_m))
+            top, left = max(row - reach, 0), max(column - reach, 0)
+            window = blocked[top : row + reach + 1, left : column + reach + 1]
+            y_m = self.origin_y_m + (top + np.arange(window.shape[0]) + 0.5) * self.cell_m
+            x_m = self.origin_x_m + (left + np.arange(window.shape[1]) + 0.5) * self.cell_m
+            half_m = self.cell_m / 2  # the gap is that of the nearest point of a cell
+            gap_x_m = np.maximum(np.abs(x_m - body_x_m) - half_m, 0.0)
+            gap_y_m = np.maximum(np.abs(y_m - body_y_m) - half_m, 0.0)
+            gap2 = gap_x_m[None, :] ** 2 + gap_y_m[:, None] ** 2
+            window |= gap2 < reach_m * reach_m
+        return Route(blocked, self.origin_x_m, self.origin_y_m, self.cell_m)
+
+    def admits(self, point: Point) -> bool:
+        """Whether a robot's centre may be there."""
+        row = int((point[1] - self.origin_y_m) // self.cell_m)
+        column = int((point[0] - self.origin_x_m) // self.cell_m)
+        rows, columns = self.blocked.shape
+        return 0 <= row < rows and 0 <= column < columns and not self.blocked[row, column]
+
+    def path(self, start: Point, goal: Point) -> tuple[Point, ...]:
+        """Waypoints from start to goal, both included exactly; the straight line where none is found.
+
+        Start and goal may lie on blocked cells (a robot at the fence): the way begins and ends at
+        the nearest open cell.
+        """
+        a, b = self._open(self._cell(start)), self._open(self._cell(goal))
+        if a is None or b is None:
+            return (start, goal)
+        cells = self.planner.plan(a, b)
+        if cells is None:
+            return (start, goal)
+        inner = [self._point(cell) for cell in cells[1:-1]]
+        # A start moved to an open cell must be visited, or the first leg could cut a corner.
+        if a != self._cell(start):
+            inner.insert(0, self._point(a))
+        if b != self._cell(goal):
+            inner.append(self._point(b))
+        return (start, *inner, goal)
+
+    def straight(self, start: Point, goal: Point) -> bool:
+        """Whether the straight line between two places is free."""
+        return self.planner.sees(self._cell(start), self._cell(goal))
+
+    def length_m(self, start: Point, goal: Point) -> float:
+        points = self.path(start, goal)
+        return sum(hypot(b[0] - a[0], b[1] - a[1]) for a, b in itertools.pairwise(points))
+
+    def _cell(self, point: Point) -> tuple[int, int]:
+        row = int((point[1] - self.origin_y_m) // self.cell_m)
+        column = int((point[0] - self.origin_x_m) // self.cell_m)
+        rows, columns = self.blocked.shape
+        return min(max(row, 0), rows - 1), min(max(column, 0), columns - 1)
+
+    def _point(self, cell: tuple[float, float]) -> Point:
+        return (
+            self.origin_x_m + (cell[1] + 0.5) * self.cell_m,
+            self.origin_y_m + (cell[0] + 0.5) * self.cell_m,
+        )
+
+    def _open(self, cell: tuple[int, int]) -> tuple[int, int] | None:
+        if not self.blocked[cell]:
+            return cell
+        row, column = cell
+        r = OPEN_SEARCH_CELLS
+        top, left = max(row - r, 0), max(column - r, 0)
+        rows, columns = np.nonzero(~self.blocked[top : row + r + 1, left : column + r + 1])
+        if rows.size == 0:
+            return None
+        nearest = np.argmin((rows + top - row) ** 2 + (columns + left - column) ** 2)
+        return int(rows[nearest] + top), int(columns[nearest] + left)

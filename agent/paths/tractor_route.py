@@ -1,0 +1,128 @@
+"""Ways through a field for a tractor: from pose to pose, never tighter than its turning circle.
+
+A way is a row of pieces (curvature, signed length); backing up is a negative length. Where bodies
+stand, the cells round them are blocked for that one question.
+"""
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.paths.dubins import step
+from agent.paths.hybrid_a_star import BACK_COST, SHIFT_M, is_free, piece_is_free, search
+
+Point = tuple[float, float]
+SAMPLE_M = 0.1
+RUN_UPS_M = (1.5, 1.0, 0.5)  # straight before the goal, as much of it as there is room for
+RUN_UP_M = 1.0  # half a metre of it is worth this much of a detour
+
+
+class Pose(NamedTuple):
+    x_m: float
+    y_m: float
+    heading_rad: float
+
+
+class Piece(NamedTuple):
+    curvature_1_m: float
+    length_m: float  # negative: backing up
+
+
+class TurnRoute:
+    """Shared by the robots of a process: it knows the field and nothing that changes."""
+
+    def __init__(
+        self, blocked: NDArray[np.bool_], origin_x_m: float, origin_y_m: float, cell_m: float,
+        radius_m: float,
+    ) -> None:  # fmt: skip
+        """`blocked[row, column]`: where the middle of the body may not be; `radius_m` of its circle."""
+        self.blocked, self.radius_m = np.ascontiguousarray(blocked), radius_m
+        self.place = np.array([origin_x_m, origin_y_m, cell_m])
+
+    def way(
+        self, start: Pose, goal: Pose, bodies: Sequence[Point] = (), reach_m: float = 0.0
+    ) -> list[Piece] | None:
+        """Pieces from start to goal, with a straight run-up where there is room; None: no way.
+
+        A start on a blocked cell may be left: the cells round it count as free.
+        """
+        blocked = self._without(bodies, reach_m)
+        self._open(blocked, start)
+        best: list[Piece] | None = None
+        for run_up_m in RUN_UPS_M:
+            if not piece_is_free(blocked, self.place, *goal, 0.0, -run_up_m):
+                continue
+            before = Pose(*step(*goal, 0.0, -run_up_m))
+            pieces = self._search(blocked, start, before)
+            if pieces is None:
+                break
+            pieces.append(Piece(0.0, run_up_m))
+            if best is None or cost_m(pieces) + RUN_UP_M < cost_m(best):
+                best = pieces
+        if best is None:
+            self._open(blocked, goal)
+            best = self._search(blocked, start, goal)
+        return best
+
+    def is_free(self, at: Point) -> bool:
+        return bool(is_free(self.blocked, self.place, *at))
+
+    def piece_is_free(self, at: Pose, piece: Piece) -> bool:
+        return bool(piece_is_free(self.blocked, self.place, *at, *piece))
+
+    def _search(self, blocked: NDArray[np.bool_], start: Pose, goal: Pose) -> list[Piece] | None:
+        here, there = np.array(start), np.array(goal)
+        found = search(blocked, self.place, here, there, self.radius_m, False)
+        if not found.shape[0]:
+            found = search(blocked, self.place, here, there, self.radius_m, True)
+        if not found.shape[0]:
+            return None
+        return [Piece(float(k), float(s)) for k, s in found if abs(s) > 1e-6]
+
+    def _without(self, bodies: Sequence[Point], reach_m: float) -> NDArray[np.bool_]:
+        blocked = self.blocked.copy()
+        for x_m, y_m in bodies:
+            self._disc(blocked, x_m, y_m, reach_m, True)
+        return blocked
+
+    def _open(self, blocked: NDArray[np.bool_], at: Pose) -> None:
+        if not is_free(blocked, self.place, at.x_m, at.y_m):
+            self._disc(blocked, at.x_m, at.y_m, 2.5 * self.place[2], False)
+
+    def _disc(
+        self, blocked: NDArray[np.bool_], x_m: float, y_m: float, reach_m: float, value: bool
+    ) -> None:
+        cell_m = self.place[2]
+        column, row = (x_m - self.place[0]) / cell_m - 0.5, (y_m - self.place[1]) / cell_m - 0.5
+        r = reach_m / cell_m
+        top, left = max(int(row - r), 0), max(int(column - r), 0)
+        part = blocked[top : int(row + r) + 2, left : int(column + r) + 2]
+        i, j = np.ogrid[top : top + part.shape[0], left : left + part.shape[1]]
+        part[(i - row) ** 2 + (j - column) ** 2 <= r * r] = value
+
+
+def cost_m(pieces: Sequence[Piece]) -> float:
+    """Metres ahead that would take as long."""
+    shifts = sum(1 for a, b in pairwise(pieces) if a.length_m * b.length_m < 0.0)
+    return shifts * SHIFT_M + sum(
+        abs(piece.length_m) * (BACK_COST if piece.length_m < 0.0 else 1.0) for piece in pieces
+    )
+
+
+def sampled(start: Pose, pieces: Sequence[Piece]) -> NDArray[np.float64]:
+    """(n, 5): x, y, heading, curvature and gear (1 or -1) every `SAMPLE_M` or less."""
+    rows: list[tuple[float, float, float, float, float]] = []
+    at = start
+    for piece in pieces:
+        gear = 1.0 if piece.length_m > 0.0 else -1.0
+        steps = max(1, int(np.ceil(abs(piece.length_m) / SAMPLE_M)))
+        if not rows or rows[-1][4] != gear:
+            rows.append((*at, piece.curvature_1_m, gear))
+        for k in range(1, steps + 1):
+            pose = step(*at, piece.curvature_1_m, piece.length_m * k / steps)
+            rows.append((*pose, piece.curvature_1_m, gear))
+        at = Pose(*step(*at, piece.curvature_1_m, piece.length_m))
+    return np.array(rows).reshape(-1, 5)

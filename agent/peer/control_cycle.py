@@ -1,0 +1,152 @@
+"""What a control period does: decide, claim, work, drive. Sense came before; the gate comes last."""
+
+from collections.abc import Sequence
+from math import hypot
+from typing import TYPE_CHECKING, Final
+
+from agent.interface.config import ACTUATOR_TTL_US
+from agent.interface.effects import Effect, Send, Trace
+from agent.interface.lifecycle import IDLE, WORKING, Event
+from agent.interface.mission import STILL, FleetView, Replanning, Sweeping, Wish
+from agent.motion.holonomic_motion import Motion
+from agent.motion.stall_watchdog import Advice, Stall
+from protocol.frames.operator_frames import Matter, OperatorReport
+
+if TYPE_CHECKING:
+    from agent.peer.peer import Peer
+
+NEAR_M: Final = 1.8  # between two hulls: one that is further away is not what we wait for
+# A number: mypyc makes C of a member of an IntEnum, given as an int, that no compiler takes.
+STALLED: Final = int(Matter.STALLED)
+
+
+class Working:
+    def __init__(self, peer: "Peer") -> None:
+        self.peer = peer
+        self._sweeping = peer.mission if isinstance(peer.mission, Sweeping) else None
+        self._replanning = peer.mission if isinstance(peer.mission, Replanning) else None
+        self.stall = Stall()
+        self._drove_us = 0  # the newest command to the actuator
+
+    def start_due(self, now_us: int) -> Sequence[Effect]:
+        """A claim whose contention window has passed becomes work."""
+        peer = self.peer
+        if peer.lifecycle.state is not IDLE or not peer.safety.may_move:
+            return ()
+        if peer.directive.goal is not None:
+            return ()
+        if peer.claims.current is not None:  # kept through a stop and its reset
+            return peer.fire(Event.CLAIMED, f"resumes S{peer.claims.current}")
+        section = peer.claims.start_due(now_us)
+        if section is None:
+            return ()
+        key = peer.claims.start(section)
+        if key is None:
+            return [Trace("claim", f"S{section}", "LOST", "", "at the start")]
+        if peer.mission is not None and peer.here is not None:
+            peer.mission.begin(section, peer.view(now_us))
+        return [
+            *peer.announce(section, key, "start", now_us),
+            *peer.fire(Event.CLAIMED, f"holds S{section}"),
+        ]
+
+    def control(self, now_us: int) -> Sequence[Effect]:
+        """Sense to drive, once a control period. The gate is the last function before `Drive`."""
+        peer = self.peer
+        if peer.mission is None or peer.motion is None or peer.here is None:
+            return ()
+        if now_us > self._drove_us + ACTUATOR_TTL_US:
+            peer.mission.interrupted()  # we were late: the command expired and the implement is up
+        self._drove_us = now_us
+        effects: list[Effect] = []
+        view = peer.view(now_us)
+        if peer.agreeing is not None:
+            peer.agreeing.attend(view, peer.lifecycle.state)
+        if self._sweeping is not None:
+            effects += peer.voice.sweep(peer, self._sweeping.swept(), now_us)
+        peer.wish = self._wish(view, effects)
+        if isinstance(peer.motion, Motion):
+            peer.motion.state = peer.lifecycle.state
+        wanted = peer.motion.drive(peer.here, peer.wish, peer.membership.neighbours, now_us)
+        if peer.pause is not None:
+            wanted, said = peer.pause.watch(wanted, peer.here, now_us)
+            effects += said
+        drive = peer.safety.gate(wanted, now_us)
+        peer.senses.drove(drive)
+        if not drive.tool_on:
+            peer.mission.interrupted()
+        effects += self._watch(view)
+        return [drive, *effects]
+
+    def _watch(self, view: FleetView) -> Sequence[Effect]:
+        """Nobody stands for long with a wish: the mission plans again, and people are told."""
+        peer, here, wish = self.peer, view.here, self.peer.wish
+        if self._replanning is None or not peer.safety.may_move:
+            return ()
+        if peer.pause is not None and peer.pause.things:
+            return ()  # it creeps round what an operator knows of, and asks again by itself
+        near_m = NEAR_M + 2 * getattr(getattr(peer.motion, "limits", None), "radius_m", 0.0)
+        crowded = any(
+            hypot(n.pose.x_m - here.x_m, n.pose.y_m - here.y_m) < near_m
+            for n in view.neighbours.values()
+        )
+        wants_m_s = hypot(wish.vx_m_s, wish.vy_m_s)
+        advice = self.stall.look((here.x_m, here.y_m), wants_m_s, crowded, view.now_us)
+        if advice is None:
+            return ()
+        self._replanning.stalled(view)
+        what = f"at {here.x_m:.1f}, {here.y_m:.1f}, plan {self.stall.plans}"
+        told = Trace("stall", "", advice.name, "", what)
+        if advice is Advice.REPLAN:
+            return [told]
+        return [Send(OperatorReport(peer.slot, 0, STALLED, here.x_m, here.y_m)), told]
+
+    def _wish(self, view: FleetView, effects: list[Effect]) -> Wish:
+        peer, now_us = self.peer, view.now_us
+        assert peer.mission is not None
+        state, claims = peer.lifecycle.state, peer.claims
+        if not (state is WORKING or state is IDLE) or not peer.safety.may_move:
+            return STILL
+        if peer.directive.goal is not None:
+            return peer.directive.wish(view, effects)
+        if (
+            claims.room
+            and (claims.current is None or peer.wish.near_end)
+            and peer.sync.ready(now_us)
+            and not peer.roll_call.wonders
+            and not peer.name_call.wonders
+        ):
+            effects += self._give_back(now_us)
+            choice = peer.mission.choose(view)
+            if choice is not None:
+                effects += peer.claim(choice.section, choice.bid, now_us, choice.takeover)
+        if state is WORKING and claims.current is not None:
+            return self._work(view, claims.current, effects)
+        if claims.next is not None:
+            return peer.mission.approach(claims.next, view)
+        return peer.mission.rest(view)
+
+    def _give_back(self, now_us: int) -> list[Effect]:
+        """Sections that an earlier life of ours held, before a restart: this one has no plan for them.
+        Given back they are as free for us as for anybody, and what was covered of them is known."""
+        peer, effects = self.peer, list[Effect]()
+        if peer.claims.current is None and peer.claims.next is None:
+            for section in peer.allocation.assigned_sections(peer.slot):
+                key = peer.claims.drop(section)
+                if key is not None:
+                    effects += peer.announce(section, key, "release", now_us)
+        return effects
+
+    def _work(self, view: FleetView, section: int, effects: list[Effect]) -> Wish:
+        peer = self.peer
+        assert peer.mission is not None
+        wish = peer.mission.work(view)
+        if wish.covered:
+            effects += peer.voice.cover(peer, section, wish.covered, view.now_us)
+        if wish.finished:
+            effects += peer.voice.flush(peer, view.now_us)
+            effects += peer.finish(section, view.now_us)
+        elif wish.given_up:
+            effects += peer.voice.flush(peer, view.now_us)
+            effects += peer.release(section, view.now_us)
+        return wish

@@ -1,0 +1,82 @@
+"""What one peer remembers over a restart: which keys there are and what they hold.
+
+Own operations are numbered before they are revealed; registers and progress are kept so that a
+fleet that loses power as a whole loses no work. The stop records belong to `agent/safety/stop_controller.py`.
+
+A peer without its incarnation has lost its memory. Its dots and numbers would be used twice, so it
+retires that identity: it takes an incarnation by lot and stays latched until a person has looked.
+"""
+
+from collections.abc import Mapping
+from contextlib import suppress
+from random import Random
+from struct import Struct
+
+from crdt import FieldAllocationCRDT, Progress
+from crdt.occupancy import PATCH_BYTES, OccupancyMap
+
+U16, U32, U64 = Struct("<H"), Struct("<I"), Struct("<Q")
+VOTE = Struct("<HB")
+
+INCARNATION = "incarnation"
+OPERATIONS = "operations"
+ELECTION = "election"
+REGISTER = "register/"
+PROGRESS = "progress/"
+MAP = "map/"
+
+
+FIRST_INCARNATION = 1
+
+
+class Records:
+    def __init__(self, recalled: Mapping[str, bytes], first_boot: bool, rng: Random) -> None:
+        self.recalled = recalled
+        self.incarnation = self._number(INCARNATION, U16, 0)
+        self.fresh = not self.incarnation  # this incarnation is not written down yet
+        self.lost = self.fresh and not (first_boot and not recalled)
+        if self.fresh:
+            lot = rng.randint(FIRST_INCARNATION + 1, 0xFFFF) if self.lost else FIRST_INCARNATION
+            self.incarnation = lot
+        self.operations = self._number(OPERATIONS, U32, 0)
+        raw = recalled.get(ELECTION, b"")
+        self.term = VOTE.unpack(raw)[0] + 1 if len(raw) == VOTE.size else 0
+
+    def _number(self, key: str, layout: Struct, default: int) -> int:
+        raw = self.recalled.get(key, b"")
+        return int(layout.unpack(raw)[0]) if len(raw) == layout.size else default
+
+    def restore(self, allocation: FieldAllocationCRDT, progress: Progress) -> None:
+        """Put back what was known. A record that does not parse is left out: peers have it too."""
+        for key, raw in sorted(self.recalled.items()):
+            if key.startswith(REGISTER) and len(raw) == U64.size:
+                allocation.apply(int(key.removeprefix(REGISTER)), U64.unpack(raw)[0])
+            elif key.startswith(PROGRESS) and len(raw) == U64.size:
+                section, block = key.removeprefix(PROGRESS).split("/")
+                progress.apply(int(section), int(block), U64.unpack(raw)[0])
+
+    def restore_map(self, chart: OccupancyMap) -> None:
+        for key, raw in sorted(self.recalled.items()):
+            if key.startswith(MAP) and len(raw) == PATCH_BYTES:
+                with suppress(ValueError):  # cells that cannot be: peers have them too
+                    chart.join_bytes(int(key.removeprefix(MAP)), raw)
+
+    @staticmethod
+    def patch(chart: OccupancyMap, patch: int) -> tuple[str, bytes]:
+        return f"{MAP}{patch}", chart.patch_bytes(patch)
+
+    def identity(self) -> tuple[str, bytes]:
+        return INCARNATION, U16.pack(self.incarnation)
+
+    @staticmethod
+    def operation(count: int, section: int, key: int) -> tuple[tuple[str, bytes], ...]:
+        """The register as this operation left it, and how many operations there have been."""
+        return (f"{REGISTER}{section}", U64.pack(key)), (OPERATIONS, U32.pack(count))
+
+    @staticmethod
+    def progress(section: int, block: int, bits: int) -> tuple[str, bytes]:
+        return f"{PROGRESS}{section}/{block}", U64.pack(bits)
+
+    @staticmethod
+    def vote(term: int, candidate: int) -> tuple[str, bytes]:
+        return ELECTION, VOTE.pack(term, candidate)

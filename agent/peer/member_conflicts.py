@@ -1,0 +1,87 @@
+"""Machines with which we cannot work: another field description, or our own identity.
+
+Such a conflict lasts as long as that machine speaks. It ends when it agrees, when its address changes
+hands, or when it has not been heard for `GONE_US`.
+
+Two machines with one identity may share one address, too, because equal NAMEs do not contend. Then each
+hears beats from its own address that it has not said. A driver may give back our own frames: those are
+known. Two machines with different NAMEs may come together on one address when a cut bus heals: a claim
+tells them apart, so the address gets a second for that.
+"""
+
+from collections import deque
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from agent.interface.config import S
+from agent.interface.effects import HALT, Effect, Trace
+from agent.safety.stop_cause import Cause
+from protocol.frames.fleet_frames import Heartbeat, Pose
+
+if TYPE_CHECKING:
+    from agent.peer.peer import Peer
+
+GONE_US = 5 * S  # a robot beats at least five times a second
+TOLD_APART_US = 1 * S  # a claim, its answer, and the move to another address take 0.25 s
+OURS_US = 2 * S  # frames that we sent from an earlier address may still be given back
+SAID_MAX = 64  # own beats that may still be given back: 2 s of them
+
+
+class Conflicts:
+    def __init__(self, peer: "Peer") -> None:
+        self.peer = peer
+        self._at: dict[int, Cause] = {}  # address of the other machine
+        self._said: deque[Pose | Heartbeat] = deque(maxlen=SAID_MAX)
+        self._doubled_us: int | None = None  # since when our address has two voices
+        self._doubled_last_us = -GONE_US
+
+    # ---------------------------------------------------------------- others
+
+    def found(self, cause: Cause, address: int, why: str, now_us: int) -> Sequence[Effect]:
+        """That machine cannot work with us: stand while it speaks."""
+        new = self._at.get(address) is not cause
+        self._at[address] = cause
+        self.peer.safety.raise_cause(cause, now_us, f"address {address}: {why}", GONE_US)
+        told = [Trace("safety", "", cause.name, "PROTECTIVE", f"address {address}")] if new else []
+        return [HALT, *told]
+
+    def heard(self, address: int, now_us: int) -> None:
+        """It is still there."""
+        cause = self._at.get(address)
+        if cause is not None:
+            detail = dict(self.peer.safety.causes).get(cause, f"address {address}")
+            self.peer.safety.raise_cause(cause, now_us, detail, GONE_US)
+
+    def settled(self, address: int, now_us: int) -> None:
+        """It agrees, or another device has its address."""
+        cause = self._at.pop(address, None)
+        if cause is not None and cause not in self._at.values():
+            self.peer.safety.clear_cause(cause, now_us)
+
+    # ---------------------------------------------------------------- ourselves
+
+    def say(self, beat: Pose | Heartbeat) -> None:
+        """Our own beat, as it leaves."""
+        self._said.append(beat)
+
+    def claims_our_name(self, address: int, now_us: int) -> Sequence[Effect]:
+        """A claim of our NAME, or a MEMBER frame with our slot, from another address than ours."""
+        if self.peer.joining.spoke_at(address, now_us - OURS_US):
+            return ()
+        return self.found(Cause.DUPLICATE_ID, address, "it has our identity", now_us)
+
+    def speaks_from_our_address(self, message: object, now_us: int) -> Sequence[Effect]:
+        """A frame with our source address that the bus gave us."""
+        if not isinstance(message, Pose | Heartbeat):
+            return ()
+        data = message.pack()
+        if any(type(said) is type(message) and said.pack() == data for said in self._said):
+            return ()
+        if self._doubled_us is None or now_us - self._doubled_last_us > GONE_US:
+            self._doubled_us = now_us
+        self._doubled_last_us = now_us
+        if now_us - self._doubled_us < TOLD_APART_US:
+            return ()
+        address = self.peer.joining.address
+        assert address is not None
+        return self.found(Cause.DUPLICATE_ID, address, "it has our identity", now_us)

@@ -1,0 +1,113 @@
+"""What a peer answers when another device asks it for a parameter group: its name, its newest traces.
+
+Texts are longer than a frame and go by the transport protocol: to all when all were asked, else to the
+one that asked. Nothing here touches state or safety.
+"""
+
+from collections import deque
+from collections.abc import Callable, Iterable, Sequence
+
+from agent.interface.effects import Effect, Send, Trace
+from protocol.frames.identifier import GLOBAL_ADDRESS, NULL_ADDRESS
+from protocol.frames.network_frames import (
+    Acknowledgment,
+    Control,
+    RepetitionRateRequest,
+    Request,
+    TransportData,
+    TransportManagement,
+)
+from protocol.transport import SIZE_MAX, SIZE_MIN, Arrived, Out, Transport
+
+COMPONENT_PGN = 65259  # component identification (SAE J1939-71): make*model*serial number*unit*
+LOG_PGN = 0xFF1F  # our own: the newest traces as lines
+LINES_MAX = 64  # traces kept; what is told of them is cut at 1,785 bytes
+NAMES_MAX = 256  # addresses there are
+INBOX_MAX = 16  # newest letters kept for whoever asks; nothing is decided by them
+
+Letter = Request | RepetitionRateRequest | TransportManagement | TransportData
+
+
+class Letters:
+    """`known` are the groups that other parts of the peer answer."""
+
+    def __init__(self, component: str, known: frozenset[int]) -> None:
+        self.transport = Transport()
+        self.names: dict[int, str] = {}  # address -> component identification, as told
+        self.inbox: deque[Arrived] = deque(maxlen=INBOX_MAX)
+        self._component, self._known = component, known
+        self._speaks: dict[int, Callable[[], bool]] = {}  # groups that one peer tells for all
+        self._lines: deque[str] = deque(maxlen=LINES_MAX)
+        self._texts: dict[int, Callable[[int], str]] = {  # of now_us
+            COMPONENT_PGN: lambda _: self._component,
+            LOG_PGN: self._log,
+        }
+
+    def answer(
+        self, pgn: int, text: Callable[[int], str], speaks: Callable[[], bool] | None = None
+    ) -> None:
+        """From now on a device that asks for this group gets the text; `text` is given the time.
+
+        `speaks`: whether this peer answers a question to everybody. It answers the device that asks,
+        alone: by a message to all, thirty peers would fill the bus for seconds.
+        """
+        assert pgn not in self._texts and pgn not in self._known
+        self._texts[pgn] = text
+        if speaks is not None:
+            self._speaks[pgn] = speaks
+
+    @property
+    def deadline_us(self) -> int | None:
+        return self.transport.deadline_us
+
+    def note(self, now_us: int, trace: Trace) -> None:
+        """A trace that may be asked for."""
+        self._lines.append(f"{now_us / 1e6:.3f} {' '.join(part for part in trace if part)}")
+
+    def tick(self, now_us: int) -> Sequence[Effect]:
+        deadline_us = self.transport.deadline_us
+        if deadline_us is None or now_us < deadline_us:
+            return ()
+        return _sends(self.transport.tick(now_us))
+
+    def receive(
+        self, source: int, destination: int, message: Letter, now_us: int
+    ) -> Sequence[Effect]:
+        if isinstance(message, Request):
+            return self._asked(source, destination, message.pgn, now_us)
+        if isinstance(message, RepetitionRateRequest):
+            return _refused(source, destination, message.pgn)
+        out, arrived = self.transport.receive(source, destination, message, now_us)
+        if arrived is not None:
+            self.inbox.append(arrived)
+            if arrived.pgn == COMPONENT_PGN and source < NULL_ADDRESS:
+                self.names[source] = arrived.data.decode("latin-1").rstrip()
+                assert len(self.names) <= NAMES_MAX
+        return _sends(out)
+
+    def _asked(self, source: int, destination: int, pgn: int, now_us: int) -> Sequence[Effect]:
+        text = self._texts.get(pgn)
+        if text is not None:
+            asker = GLOBAL_ADDRESS if destination == GLOBAL_ADDRESS else source
+            speaks = self._speaks.get(pgn)
+            if asker == GLOBAL_ADDRESS and speaks is not None:
+                if source >= NULL_ADDRESS or not speaks():
+                    return ()
+                asker = source
+            data = text(now_us).encode("latin-1", "replace")[-SIZE_MAX:].ljust(SIZE_MIN)
+            return _sends(self.transport.send(pgn, data, asker, now_us) or ())
+        return () if pgn in self._known else _refused(source, destination, pgn)
+
+    def _log(self, _now_us: int) -> str:
+        return "\n".join(self._lines) or "no traces yet"
+
+
+def _refused(source: int, destination: int, pgn: int) -> Sequence[Effect]:
+    """What is not served, or not at the rate that is asked for: no group of ours changes its rate."""
+    if destination == GLOBAL_ADDRESS:  # J1939-21: no NACK to a global request
+        return ()
+    return [Send(Acknowledgment(Control.NACK, 0xFF, source, pgn & 0x3FFFF))]
+
+
+def _sends(out: Iterable[Out]) -> Sequence[Effect]:
+    return [Send(o.message, o.destination) for o in out]

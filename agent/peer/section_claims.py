@@ -1,0 +1,84 @@
+"""The claims of one peer: contested for a window, then held, then worked, one section at a time.
+
+A claim is a hint that avoids waste; it never carries safety. It is announced, contested for
+`CONTENTION_US` (every better claim would have arrived by then: the response-time bound of TASK_CLAIM
+with 108 peers is 213 ms), and only then started. Started work outranks a mere claim.
+"""
+
+from agent.interface.config import CLAIM_AHEAD, CONTENTION_US
+from agent.interface.mission import Choice
+from crdt import FieldAllocationCRDT, Phase
+
+
+class Claims:
+    def __init__(self, slot: int, allocation: FieldAllocationCRDT) -> None:
+        self.slot, self.allocation = slot, allocation
+        self.contested_until_us: dict[int, int] = {}  # in the order in which they will be worked
+        self.current: int | None = None  # the section being worked
+        self.lost = 0  # claims and sections lost to a better claim
+
+    @property
+    def room(self) -> bool:
+        return len(self.contested_until_us) < (CLAIM_AHEAD if self.current is not None else 1)
+
+    @property
+    def next(self) -> int | None:
+        return next(iter(self.contested_until_us), None)
+
+    def claim(self, choice: Choice, now_us: int) -> int | None:
+        """The register key to announce, or None where the section is not to be had."""
+        section = choice.section
+        if choice.takeover:
+            key = self.allocation.takeover(section, self.slot, choice.bid)
+        else:
+            key = self.allocation.claim(section, self.slot, choice.bid)
+        if key is not None:
+            self.contested_until_us[section] = now_us + CONTENTION_US
+        return key
+
+    def start_due(self, now_us: int) -> int | None:
+        """The section whose contention window passed with our claim still the best."""
+        if self.current is not None or not self.contested_until_us:
+            return None
+        section = self.next
+        assert section is not None
+        return section if self.contested_until_us[section] <= now_us else None
+
+    def start(self, section: int) -> int | None:
+        key = self.allocation.start(section, self.slot)
+        del self.contested_until_us[section]
+        if key is not None:
+            self.current = section
+        return key
+
+    def finish(self) -> int | None:
+        assert self.current is not None
+        section, self.current = self.current, None
+        return self.allocation.done(section, self.slot)
+
+    def drop(self, section: int) -> int | None:
+        """Give a section back, unfinished."""
+        self.contested_until_us.pop(section, None)
+        if self.current == section:
+            self.current = None
+        return self.allocation.release(section, self.slot)
+
+    def recheck(self, sections: frozenset[int] | set[int]) -> list[int]:
+        """After a merge: which of these had been ours and are no longer."""
+        lost = []
+        for section in sorted(sections):
+            ours = section in self.contested_until_us or section == self.current
+            done = self.allocation.phase_of(section) is Phase.DONE
+            if ours and (done or self.allocation.owner_of(section) != self.slot):
+                self.contested_until_us.pop(section, None)
+                if self.current == section:
+                    self.current = None
+                self.lost += 1
+                lost.append(section)
+        return lost
+
+    @property
+    def deadline_us(self) -> int | None:
+        if self.current is not None or not self.contested_until_us:
+            return None
+        return next(iter(self.contested_until_us.values()))

@@ -1,0 +1,145 @@
+"""How well a robot is, as its heartbeats say: 0.0 failed to 1.0 healthy.
+
+The number is the lowest of what the robot knows of itself: battery, machine, bus, disk, senses and
+computer. Every rule is in the tables below. The number tells people where to look. No robot decides by
+it: causes say who stands, claims say who works, and votes say who leads.
+"""
+
+from collections.abc import Collection, Mapping
+from enum import Enum
+from typing import Final, NamedTuple
+
+from agent.interface.config import CONTROL_PERIOD_US
+from agent.peer.sense_freshness import AGE_MAX_US
+from agent.safety.stop_cause import Cause
+from protocol.controller_health import Health
+
+FINE: Final = 1.0  # nothing is known against it
+WARNED: Final = 0.75  # it does all of its work; somebody should look at it before it gets worse
+DEGRADED: Final = 0.5  # it still works, without any reserve
+HOLDS: Final = 0.25  # the robot stands because of it, and may go on by itself
+FAILED: Final = 0.0  # it does not work
+POOR: Final = DEGRADED  # a source at this or below is told in the traces
+
+
+class Source(Enum):
+    BATTERY = "battery"
+    MACHINE = "machine"
+    BUS = "bus"
+    DISK = "disk"
+    SENSES = "senses"
+    COMPUTER = "computer"
+
+
+class Reading(NamedTuple):
+    """What one source says. `share`: 0.0 failed to 1.0 healthy."""
+
+    share: float
+    source: Source
+    why: str  # empty where it is fine
+
+
+class Known(NamedTuple):
+    """What a robot knows of itself. A None says that there is nothing to know."""
+
+    battery: float | None  # share of a full charge
+    machine: float | None  # what the controller of the machine says of itself, 0 to 1
+    bus: Health
+    causes: Collection[Cause]
+    sense_age_us: int | None  # of the newest observation
+    senses_expected: bool  # it drives by its senses, or has sensed before
+
+
+# The controller's own word, ISO 11898-1: warning from 96 errors, passive from 128, off from 256.
+OF_BUS: Final[Mapping[Health, tuple[float, str]]] = {
+    Health.ACTIVE: (FINE, ""),
+    Health.WARNING: (WARNED, "the controller counts many errors"),
+    Health.PASSIVE: (DEGRADED, "the controller is error passive"),
+    Health.OFF: (FAILED, "the controller left the bus"),
+}
+
+# Causes that a fault of this robot raises. All others come from people, other robots or the field.
+OF_CAUSE: Final[Mapping[Cause, tuple[float, Source]]] = {
+    Cause.BUS_OFF: (FAILED, Source.BUS),
+    Cause.ERROR_PASSIVE: (HOLDS, Source.BUS),  # for 1 s: no burst
+    Cause.UNHEARD: (HOLDS, Source.BUS),  # its beats do not leave, or are not reflected
+    Cause.ADDRESS_LOST: (HOLDS, Source.BUS),
+    Cause.DISK_ERROR: (FAILED, Source.DISK),  # an error while writing, a full disk among them
+    Cause.BOOT_UNCONFIRMED: (HOLDS, Source.DISK),  # it has lost what it had written
+    Cause.SENSES_OLD: (HOLDS, Source.SENSES),  # lower while they are old; see `_senses`
+    Cause.PLACE_FROZEN: (FAILED, Source.SENSES),  # it says a place that it does not have
+    Cause.LATE_TICK: (DEGRADED, Source.COMPUTER),
+}
+NOT_OF_ITSELF: Final = frozenset({
+    Cause.NOT_STARTED, Cause.OBSTACLE_AHEAD, Cause.CREEP, Cause.MEMBER_SILENT, Cause.BACKBONE_LOST,
+    Cause.BACKBONE_CREEP, Cause.CONFIG_MISMATCH, Cause.DUPLICATE_ID, Cause.UNAUTHENTICATED_STOP,
+    Cause.SPENT_STOP, Cause.IMPLEMENTS_STOP, Cause.STOP_DOT,
+})  # fmt: skip
+
+
+def readings(known: Known) -> list[Reading]:
+    """What each source says that there is, worst first."""
+    found = [Reading(*_bus(known.bus)), _senses(known)]
+    if known.battery is not None:
+        found.append(_told(known.battery, Source.BATTERY, "charged to"))
+    if known.machine is not None:
+        found.append(_told(known.machine, Source.MACHINE, "says of itself"))
+    for cause in known.causes:
+        if cause in OF_CAUSE:
+            share, source = OF_CAUSE[cause]
+            found.append(Reading(share, source, f"{cause.name}: {cause.value.why}"))
+    return sorted(found, key=lambda reading: (reading.share, reading.source.value))
+
+
+def health(known: Known) -> float:
+    """The lowest of what the sources say: 0.0 failed to 1.0 healthy."""
+    return readings(known)[0].share
+
+
+def _bus(controller: Health) -> tuple[float, Source, str]:
+    share, why = OF_BUS[controller]
+    return share, Source.BUS, why
+
+
+def _told(share: float, source: Source, word: str) -> Reading:
+    """A share that is told from outside the core. One that is no number is a failed source."""
+    share = min(max(share, FAILED), FINE) if share == share else FAILED
+    return Reading(share, source, "" if share == FINE else f"{word} {share:.0%}")
+
+
+def _senses(known: Known) -> Reading:
+    """Fine for a control period, then less, down to half at the age that stops the robot; then failed."""
+    if not known.senses_expected:
+        return Reading(FINE, Source.SENSES, "")
+    age_us = known.sense_age_us
+    if age_us is None:
+        return Reading(FAILED, Source.SENSES, "nothing is sensed")
+    if not 0 <= age_us <= AGE_MAX_US:
+        return Reading(FAILED, Source.SENSES, f"sensed {age_us / 1000:.0f} ms ago")
+    if age_us <= CONTROL_PERIOD_US:
+        return Reading(FINE, Source.SENSES, "")
+    late = (age_us - CONTROL_PERIOD_US) / (AGE_MAX_US - CONTROL_PERIOD_US)
+    share = FINE - (FINE - DEGRADED) * late
+    return Reading(share, Source.SENSES, f"sensed {age_us / 1000:.0f} ms ago")
+
+
+def health_table() -> str:
+    """The table in the documents."""
+    limit_ms, fine_ms = AGE_MAX_US // 1000, CONTROL_PERIOD_US // 1000
+    rows = [
+        (
+            "battery, machine",
+            "the share that is told; a machine without a battery has a full one",
+            "",
+        ),
+        *(
+            ("bus", f"controller {state.name}", f"{share:g}")
+            for state, (share, _) in OF_BUS.items()
+        ),
+        *((source.value, cause.name, f"{share:g}") for cause, (share, source) in OF_CAUSE.items()),
+        ("senses", f"up to {fine_ms} ms old", f"{FINE:g}"),
+        ("senses", f"then less, at {limit_ms} ms", f"{DEGRADED:g}"),
+        ("senses", f"older than {limit_ms} ms, from the future, or absent", f"{FAILED:g}"),
+    ]
+    head = "| source | what it knows | health |\n|---|---|---|"
+    return "\n".join([head, *(f"| {source} | {what} | {share} |" for source, what, share in rows)])

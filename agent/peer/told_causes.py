@@ -1,0 +1,57 @@
+"""Why another robot stands or creeps, as it tells it on the bus: one cause a frame, each in turn."""
+
+from typing import Final
+
+from agent.interface.config import S
+from agent.safety.stop_cause import Severity, cause_of, sentence
+from protocol.frames.fleet_frames import Standstill
+
+# A cause is told each 1 to 1.4 s, one of several in turn; two frames may be lost.
+FORGET_US: Final = 4 * S
+
+
+class ToldCauses:
+    """Of one robot."""
+
+    def __init__(self) -> None:
+        self._told: dict[int, tuple[Standstill, int]] = {}  # cause -> its newest frame, and when
+        self._number = 0  # of causes that hold it now, as the newest frame says
+
+    def hear(self, m: Standstill, now_us: int) -> None:
+        self._number = m.causes
+        self._told = {cause: seen for cause, seen in self._told.items() if seen[0].place < m.causes}
+        if m.causes == 1:
+            self._told.clear()
+        self._told[m.cause] = m, now_us
+
+    def moves(self) -> None:
+        """Its heartbeat says that it may move: what it tells can only slow it down."""
+        self._told = {
+            cause: seen for cause, seen in self._told.items()
+            if (known := cause_of(cause)) is not None and known.severity is Severity.SLOW
+        }  # fmt: skip
+        self._number = len(self._told)
+
+    def forget(self) -> None:
+        """All: what is told from now on is of now."""
+        self._told.clear()
+        self._number = 0
+
+    def fresh(self, now_us: int) -> list[Standstill]:
+        """The newest frame of each cause that it still tells, worst first."""
+        limit_us = FORGET_US * max(1, len(self._told), self._number)
+        known = [m for m, heard_us in self._told.values() if now_us - heard_us <= limit_us]
+        return sorted(known, key=lambda m: m.place)
+
+    def missing(self, now_us: int) -> int:
+        """How many causes it has that it has not told in the time that we have listened."""
+        known = len(self.fresh(now_us))
+        return max(0, self._number - known) if known else 0
+
+    def sentences(self, now_us: int) -> list[str]:
+        """For people, a line for each cause: its name, and what a person can do about it."""
+        said = [sentence(m.cause, m.about, m.number) for m in self.fresh(now_us)]
+        missing = self.missing(now_us)
+        if missing:
+            said.append(f"and for {missing} more, which it tells one a second: listen longer")
+        return said

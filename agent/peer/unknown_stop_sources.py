@@ -1,0 +1,71 @@
+"""Stops from addresses whose NAME is not known: how long they are doubted, and what ends it.
+
+Another maker's frame of the same group is no stop, so such a frame does not latch at once. But a robot of
+ours or an operator's device may have said it, whose claim was missed. The robot stands while it doubts,
+and asks for the NAME (`RollCall.urge`). The claim decides; without one within `DOUBT_US` the stop is
+believed: a robot that stands for nothing costs a reset, one that drives on may cost more.
+"""
+
+from typing import NamedTuple
+
+from agent.interface.config import MS, S
+from protocol.frames.safety_frames import EmergencyStop
+from protocol.frames.segment_frames import FleetStop
+
+DOUBT_US = 1 * S  # five questions and their answers, each within 0.2 s (J1939-81)
+ASK_US = 200 * MS  # between these questions, by all robots together
+STOPS_MAX = 16  # of one address: one is enough to hold us
+FOREVER = 1 << 62
+
+AnyStop = EmergencyStop | FleetStop
+
+
+class Doubted(NamedTuple):
+    first_us: int
+    last_us: int
+
+
+class Doubts:
+    def __init__(self) -> None:
+        self._since_us: dict[int, int] = {}  # address -> first stop
+        self._stops: dict[int, dict[AnyStop, Doubted]] = {}
+        self._believed: set[int] = set()  # addresses that have not answered in time
+        self.deadline_us = FOREVER
+
+    def believes(self, address: int) -> bool:
+        """It was asked in vain: from there a stop is a stop."""
+        return address in self._believed
+
+    def hold(self, address: int, stop: AnyStop, now_us: int) -> int:
+        """Keep a stop until it is known who says it; returns until when, at the latest."""
+        since_us = self._since_us.setdefault(address, now_us)
+        if since_us > now_us:  # our clock was set back
+            since_us = self._since_us[address] = now_us
+        self.deadline_us = min(self.deadline_us, since_us + DOUBT_US)
+        stops = self._stops.setdefault(address, {})
+        if stop in stops:
+            stops[stop] = stops[stop]._replace(last_us=now_us)
+        elif len(stops) < STOPS_MAX:
+            stops[stop] = Doubted(now_us, now_us)
+        return since_us + DOUBT_US
+
+    def end(self, address: int) -> list[tuple[int, AnyStop]]:
+        """Its NAME is known: what it has said, each stop when it was heard first and last."""
+        self._believed.discard(address)
+        return self._end(address)
+
+    def overdue(self, now_us: int) -> list[tuple[int, int, AnyStop]]:
+        """Of addresses that have not answered in time: address, when it was heard, and the stop."""
+        if now_us < self.deadline_us:
+            return []
+        late = [a for a, since_us in self._since_us.items() if now_us >= since_us + DOUBT_US]
+        self._believed.update(late)
+        return [(address, t_us, stop) for address in late for t_us, stop in self._end(address)]
+
+    def _end(self, address: int) -> list[tuple[int, AnyStop]]:
+        if self._since_us.pop(address, None) is None:
+            return []
+        self.deadline_us = min((t + DOUBT_US for t in self._since_us.values()), default=FOREVER)
+        stops = self._stops.pop(address)
+        heard = {(t_us, stop) for stop, times in stops.items() for t_us in times}
+        return sorted(heard, key=lambda said: said[0])

@@ -1,0 +1,458 @@
+"""`FleetCoordinationEngine`: the asyncio face of one peer, with the API of the protocol document.
+
+    engine = FleetCoordinationEngine("tractor_001", open_bus("socketcan", "can0", 250_000))
+    await engine.start()
+    if await engine.claim_section("S7"):
+        ...
+        await engine.release_section("S7")
+
+Everything it says and decides is said and decided by `agent/peer/peer.py`; nothing here but names, waiting
+and callbacks.
+"""
+
+import asyncio
+import inspect
+import logging
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from math import cos, hypot, inf, sin
+from random import Random
+from secrets import randbits, token_bytes
+from typing import Any, NamedTuple
+
+from can import BusABC
+
+from agent.interface.config import CONTENTION_US, S
+from agent.interface.effects import Effect, Trace
+from agent.interface.identity import Identity
+from agent.interface.lifecycle import State
+from agent.interface.ports import Bus, Journal, Observation
+from agent.peer.journal_recovery import remembers
+from agent.peer.peer import Peer
+from agent.peer.self_health import readings
+from agent.peer.stop_release import Release
+from agent.runtime.peer_runner import Shell
+from agent.runtime.section_names import SectionNames
+from agent.safety.stop_cause import Severity, about, sentence
+from agent.safety.stop_controller import CREEP_M_S, SilencePolicy
+from crdt import FieldAllocationCRDT
+from protocol.authentication import KEY_SIZE, OPERATOR_FIRST, Keyring, Keys
+from protocol.frames.fleet_frames import NOWHERE_M, Pose
+from protocol.frames.safety_frames import Reason
+from protocol.links.bus import CanBus
+from protocol.name import fleet_name
+
+log = logging.getLogger(__name__)
+
+CLEAR_TIMEOUT_S = 5.0  # two robots of a quiet bus need 0.5 s
+CLEAR_STEP_S = 0.15  # robots answer a question for stops at most each 0.1 s
+QUESTION_BITS = 48
+JOIN_TIMEOUT_S = 5.0  # address claim 0.4 s, a first sync 2 s; beyond it something is wrong
+
+
+class Cleared(NamedTuple):
+    """What a release of stops has done. Tractor ids."""
+
+    stops: tuple[str, ...]  # that held this machine, by name
+    holding: tuple[
+        str, ...
+    ]  # machines that hold a stop still, or have not said that they hold none
+    silent: tuple[str, ...]  # members that nobody hears: nobody knows what they hold
+
+    @property
+    def complete(self) -> bool:
+        return not self.holding and not self.silent
+
+
+class FleetCoordinationEngine:
+    """Orchestrates fleet coordination using the specified protocol.
+
+    `tractor_id` ends in the fleet slot ("tractor_001" is slot 1). `isobus_interface` is a
+    `protocol.links.bus.CanBus` over any python-can interface, or anything with the same three methods.
+    """
+
+    def __init__(
+        self,
+        tractor_id: str,
+        isobus_interface: Bus | BusABC,
+        *,
+        fleet: str = "headland",
+        members: int = 30,
+        journal: Journal | None = None,
+        silence: SilencePolicy = SilencePolicy.STOP,
+        seed: int | None = None,
+        first_boot: bool = False,
+        keys: Keys | None = None,
+    ) -> None:
+        """`first_boot`: this machine is new. Without it an empty journal is a lost one, and the
+        robot stays latched until a person resets it. Without a journal nothing can be lost.
+        `keys`: of the fleet; without them anybody on the bus can stop and release it."""
+        self.keys = keys
+        self.first_boot = first_boot or journal is None
+        if isinstance(isobus_interface, BusABC):
+            isobus_interface = CanBus(isobus_interface)
+        if not (hasattr(isobus_interface, "send") and hasattr(isobus_interface, "subscribe")):
+            raise TypeError(
+                "isobus_interface must be a can.Bus, a protocol.links.bus.CanBus, or have its methods; "
+                f"not {type(isobus_interface).__name__}"
+            )
+        self.tractor_id, self.bus, self.journal = tractor_id, isobus_interface, journal
+        self._told_of_stop, self._state = False, State.DISCONNECTED.name
+        self.refusal = ""  # why the last claim_section was False
+        self.fleet, self.members = fleet, members
+        digits = tractor_id[len(tractor_id.rstrip("0123456789")) :]
+        if not digits or not 0 <= int(digits) < members:
+            raise ValueError(
+                f"tractor id {tractor_id!r} must end in a slot number below {members}, "
+                "for example 'tractor_001'"
+            )
+        self.prefix, self.width = tractor_id[: -len(digits)], len(digits)
+        self.slot, self.silence = int(digits), silence
+        self.sections = SectionNames()
+        self._rng = Random(self.slot if seed is None else seed)
+        self._shell: Shell | None = None
+        self._task: asyncio.Task[None] | None = None
+        self._changed = asyncio.Event()
+        self._on_state: list[Callable[[str], Any]] = []
+        self._on_emergency: list[Callable[[dict[str, Any]], Any]] = []
+        self._on_leader: list[Callable[[str | None], Any]] = []
+        self._led: str | None = None  # as the callbacks were told
+        self._background: set[asyncio.Task[None]] = set()
+
+    # ---------------------------------------------------------------- lifecycle
+
+    async def start(self) -> None:
+        """Start the engine and join the fleet network. TimeoutError where no address is to be had."""
+        if self._task is not None:
+            return
+        recalled: Mapping[str, bytes] = self.journal.load() if self.journal else {}
+        identity = Identity(
+            slot=self.slot,
+            members=frozenset(range(self.members)),
+            name=fleet_name(self.fleet, self.slot),
+            field_hash=FieldAllocationCRDT.hash_of(self.fleet),
+            silence=self.silence,
+            started=True,
+            first_boot=self.first_boot,
+        )
+        if not remembers(recalled) and not self.first_boot:
+            self._rng = Random(randbits(64))  # the next incarnation must not be an earlier one
+        self.first_boot = self.journal is None
+        keyring = None
+        if self.keys is not None:
+            keyring = Keyring(self.keys, self.slot, token_bytes(KEY_SIZE))
+        peer = Peer(identity, self._rng, Shell.now_us(), recalled, keyring=keyring)
+        self._shell = Shell(peer, self.bus, None, self.journal, self._effect)
+        self._task = asyncio.create_task(self._shell.run(), name=f"peer {self.tractor_id}")
+        try:
+            await self._wait(lambda: peer.lifecycle.state is not State.DISCONNECTED, JOIN_TIMEOUT_S)
+        except TimeoutError:
+            await self._cancel()
+            raise
+
+    async def stop(self) -> None:
+        """Stop the engine and gracefully leave the fleet. A latched stop stays latched (durably)."""
+        if self._shell is None:
+            return
+        self._shell.operate(lambda peer, now: peer.leave(now))
+        await asyncio.sleep(0)
+        await self._cancel()
+
+    async def _cancel(self) -> None:
+        if self._task is not None:
+            self._task.cancel()
+            await asyncio.gather(self._task, return_exceptions=True)
+        self._task = self._shell = None
+
+    # ---------------------------------------------------------------- tasks
+
+    def update(
+        self, x_m: float, y_m: float, heading_rad: float, speed_m_s: float, health: float = 1.0
+    ) -> None:
+        """What this machine's own sensors say now; its beats carry it from now on.
+
+        Field frame: metres east and north, heading counter-clockwise from east in radians. `health`: 0.0
+        failed to 1.0. After the first call, call it at least each 50 ms: old senses stop the machine.
+        """
+        vx_m_s, vy_m_s = speed_m_s * cos(heading_rad), speed_m_s * sin(heading_rad)
+
+        def observe(peer: Peer, now_us: int) -> Sequence[Effect]:
+            here = Observation(
+                x_m, y_m, heading_rad, vx_m_s, vy_m_s, sensed_at_us=now_us, health=health
+            )
+            peer.observe(here, now_us)
+            return ()
+
+        self._operate(observe)
+
+    async def claim_section(self, section_id: str) -> bool:
+        """Claim a section; True once the contention window has passed and the claim still wins.
+
+        False where it is lost, or where this machine may not work; `refusal` says why.
+        """
+        try:
+            won = await self._claim_section(section_id)
+        except TimeoutError:  # it may not start what it has claimed
+            section = self.sections.number(section_id)
+            self._operate(lambda p, now: p.release(section, now))
+            self.refusal = "; ".join(self.stands) or f"in state {self.get_current_state()}"
+            return False
+        if not won and not self.refusal:
+            self.refusal = "another machine has it, or it is done"
+        return won
+
+    async def _claim_section(self, section_id: str) -> bool:
+        peer, section = self._peer, self.sections.number(section_id)
+        self.refusal = ""
+        if peer.lifecycle.state not in (State.IDLE, State.WORKING):
+            self.refusal = f"in state {peer.lifecycle.state.name}"
+            return False
+        self._operate(lambda p, now: p.claim(section, 0, now))
+        if peer.allocation.owner_of(section) != self.slot:
+            return False
+        settled_s = 2.0 * CONTENTION_US / S
+        if peer.claims.current is None:
+            await self._wait(lambda: section not in peer.claims.contested_until_us, settled_s + 1.0)
+        else:  # claimed ahead: it is held, not yet started
+            await asyncio.sleep(CONTENTION_US / S)
+        return peer.allocation.owner_of(section) == self.slot
+
+    async def release_section(self, section_id: str) -> None:
+        """Release a completed section: it is DONE for good. One that was not started is given back."""
+        section = self.sections.number(section_id)
+        if self._peer.claims.current == section:
+            self._operate(lambda p, now: p.finish(section, now))
+        else:
+            self._operate(lambda p, now: p.release(section, now))
+
+    # ---------------------------------------------------------------- emergency
+
+    async def broadcast_emergency_stop(self, reason_code: str) -> None:
+        """Stop the whole fleet. ValueError names the reasons there are."""
+        try:
+            reason = Reason[reason_code]
+        except KeyError:
+            known = ", ".join(r.name for r in Reason)
+            raise ValueError(f"unknown reason {reason_code!r}; one of {known}") from None
+        self._operate(lambda p, now: p.press(reason, now))
+
+    async def clear_stops(
+        self,
+        operator: Keyring | None = None,
+        *,
+        keyless: bool = False,
+        timeout_s: float = CLEAR_TIMEOUT_S,
+    ) -> "Cleared":
+        """Clear the stops that hold this machine, here and at every other; reset and start none.
+
+        `operator`: the keyring of a person's operator key (`sim.files.key_file`), with a sender of 192 or
+        more. A fleet without keys has to be named as such, by `keyless`. ValueError where the authority
+        does not fit the fleet. Afterwards each machine needs its `manual_reset`, then its `permit`. A
+        stop that is pressed meanwhile is not cleared.
+        """
+        peer = self._peer
+        if peer.safety.keyed and (keyless or operator is None):
+            raise ValueError("this fleet has keys: give the keyring of an operator key")
+        if not peer.safety.keyed and (operator is not None or not keyless):
+            raise ValueError(
+                "this fleet has no keys, anybody on the bus releases it: say keyless=True, and no keyring"
+            )
+        if operator is not None and operator.sender < OPERATOR_FIRST:
+            raise ValueError(
+                f"sender {operator.sender} is no operator: they begin at {OPERATOR_FIRST}"
+            )
+        release = Release(peer, operator, randbits(QUESTION_BITS))
+        named = tuple(".".join(map(str, dot)) for dot in release.dots)
+        peer.releasing, peer.safety.authority.operator = release, operator
+        loop = asyncio.get_running_loop()
+        end_s = loop.time() + timeout_s
+        try:
+            while True:
+                self._operate(lambda p, now: release.say(now))
+                await asyncio.sleep(CLEAR_STEP_S)
+                if not release.outstanding or loop.time() >= end_s:
+                    break
+        finally:
+            peer.releasing = peer.safety.authority.operator = None
+        holding = tuple(map(self._name, release.outstanding))
+        return Cleared(named, holding, tuple(map(self._name, sorted(peer.membership.silent))))
+
+    async def manual_reset(self) -> bool:
+        """A person at this machine. False while a stop is not cleared."""
+        self._operate(lambda p, now: p.manual_reset(now))
+        return self._peer.lifecycle.state is not State.EMERGENCY_STOP
+
+    async def permit(self) -> bool:
+        """A person at this machine permits it to move, after its reset. False where it is latched."""
+        self._operate(lambda p, now: p.start(now))
+        return self._peer.safety.started and not self._peer.safety.latched
+
+    # ---------------------------------------------------------------- queries
+
+    def get_fleet_status(self) -> dict[str, dict[str, Any]]:
+        """The last known status of every member heard, ourselves included, by tractor id."""
+        peer, now_us = self._peer, Shell.now_us()
+        status: dict[str, dict[str, Any]] = {}
+        for slot, standing in sorted(peer.membership.standing.items()):
+            neighbour = peer.membership.neighbours.get(slot)
+            if neighbour is None:
+                continue
+            pose = neighbour.pose
+            status[self._name(slot)] = {
+                "status": State(pose.state).name,
+                "standing": standing.name,
+                "position": _position(pose),
+                "speed_m_s": pose.speed_m_s,
+                "health": peer.healths.get(slot),
+                "age_s": (now_us - neighbour.heard_us) / 1e6,
+                "stands": peer.told_standing(slot, now_us),
+                "operations": peer.clock[slot],
+                "sections": [
+                    self.sections.name(s) for s in peer.allocation.assigned_sections(slot)
+                ],
+            }
+        here, health = peer.here, readings(peer.self_known(now_us))
+        status[self.tractor_id] = {
+            "status": peer.lifecycle.state.name,
+            "standing": "SELF",
+            "position": None if here is None else {"x_m": here.x_m, "y_m": here.y_m},
+            "speed_m_s": None if here is None else hypot(here.vx_m_s, here.vy_m_s),
+            "health": health[0].share,
+            "health_why": [reading.why for reading in health if reading.why],
+            "stands": self.stands,
+            "operations": peer.clock[self.slot],
+            "sections": [
+                self.sections.name(s) for s in peer.allocation.assigned_sections(self.slot)
+            ],
+            "age_s": 0.0,
+        }
+        return status
+
+    @property
+    def speed_limit_m_s(self) -> float:
+        """How fast this machine may drive now: 0.0 it must stand, infinity it is free.
+
+        Read it in each control period, before the wheels are told anything: it has the stops and
+        everything else that holds a machine. 0.0 while the engine is not started.
+        """
+        if self._shell is None or self._peer.safety.severity >= Severity.PAUSE:
+            return 0.0
+        return CREEP_M_S if self._peer.safety.severity is Severity.SLOW else inf
+
+    @property
+    def stands(self) -> list[str]:
+        """Why this machine stands or creeps and what a person can do, a line for each cause."""
+        return [sentence(c.number, about(c, why)) for c, why in self._peer.safety.causes]
+
+    def leader(self) -> str | None:
+        """The elected leader, as this machine knows; None while there is none, or not started.
+
+        The leader alone answers a device that asks everybody for the state of the fleet. Use it for what
+        is done once by one machine, and does no harm where two do it for a while, or none: a cut has a
+        leader on each side. Never for stopping, claims or maps.
+        """
+        slot = None if self._shell is None else self._peer.leader
+        return None if slot is None else self._name(slot)
+
+    @property
+    def is_leader(self) -> bool:
+        return self._shell is not None and self._peer.leads
+
+    def get_field_allocation_state(self) -> FieldAllocationCRDT:
+        """The current, merged view of the field allocation."""
+        return self._peer.allocation
+
+    def get_current_state(self) -> str:
+        return State.DISCONNECTED.name if self._shell is None else self._peer.lifecycle.state.name
+
+    # ---------------------------------------------------------------- events
+
+    def on_state_change(self, callback: Callable[[str], Awaitable[None] | None]) -> None:
+        self._on_state.append(callback)
+
+    def on_emergency(self, callback: Callable[[dict[str, Any]], Awaitable[None] | None]) -> None:
+        self._on_emergency.append(callback)
+
+    def on_leader_change(self, callback: Callable[[str | None], Awaitable[None] | None]) -> None:
+        """Called with the id of the new leader, or None when there is none any more."""
+        self._on_leader.append(callback)
+
+    # ---------------------------------------------------------------- inside
+
+    @property
+    def _peer(self) -> Peer:
+        if self._shell is None:
+            raise RuntimeError("the engine is not started: await engine.start() first")
+        return self._shell.peer
+
+    def _operate(self, act: Callable[[Peer, int], Any]) -> None:
+        _ = self._peer
+        assert self._shell is not None
+        self._shell.operate(act)
+
+    def _name(self, slot: int) -> str:
+        return f"{self.prefix}{slot:0{self.width}d}"
+
+    def _effect(self, now_us: int, effect: Effect) -> None:
+        if (leader := self.leader()) != self._led:
+            self._led = leader
+            for led in self._on_leader:
+                self._call(led, leader)
+        if not isinstance(effect, Trace):
+            return
+        if effect.machine == "safety" and effect.event in ("PRESSED", "HEARD_STOP"):
+            self._told_of_stop = True
+            for stop in self._on_emergency:
+                self._call(stop, self._emergency(effect))
+        if effect.machine == "lifecycle":
+            if effect.target == State.EMERGENCY_STOP.name and not self._told_of_stop:
+                for stop in self._on_emergency:  # latched by something else: a disk, a lost memory
+                    self._call(stop, self._emergency(effect, False))
+            self._told_of_stop, self._state = False, effect.target
+            for changed in self._on_state:
+                self._call(changed, effect.target)
+        self._changed.set()
+
+    def _emergency(self, pressed: Trace, is_stop: bool = True) -> dict[str, Any]:
+        """Each stop, also one that comes while another holds: who pressed, why, and where it was last."""
+        last = self._peer.safety.last_stop
+        told: dict[str, Any] = {
+            "why": f"stop: {pressed.why}" if is_stop else pressed.why, "from_state": self._state,
+            "reason": None, "slot": None, "position": None,
+        }  # fmt: skip
+        if last is None or not is_stop:
+            return told
+        slot, reason = last
+        pose = self._peer.membership.neighbours.get(slot)
+        here = self._peer.here if slot == self.slot else pose.pose if pose else None
+        if here is not None:
+            told["position"] = {"x_m": here.x_m, "y_m": here.y_m}
+        return told | {"reason": reason.name, "slot": slot}
+
+    def _call(self, callback: Callable[[Any], Any], argument: Any) -> None:
+        """Plain or async; what it raises is its own affair, and is logged."""
+        try:
+            result = callback(argument)
+        except Exception:
+            log.exception("a callback of %s failed", self.tractor_id)
+            return
+        if inspect.isawaitable(result):
+            task = asyncio.ensure_future(self._contain(result))
+            self._background.add(task)
+            task.add_done_callback(self._background.discard)
+
+    async def _contain(self, awaitable: Awaitable[Any]) -> None:
+        try:
+            await awaitable
+        except Exception:
+            log.exception("an async callback of %s failed", self.tractor_id)
+
+    async def _wait(self, condition: Callable[[], bool], timeout_s: float) -> None:
+        async with asyncio.timeout(timeout_s):
+            while not condition():
+                self._changed.clear()
+                await self._changed.wait()
+
+
+def _position(pose: Pose) -> dict[str, float] | None:
+    """None: it has never known where it is."""
+    return {"x_m": pose.x_m, "y_m": pose.y_m} if pose.x_m > NOWHERE_M else None

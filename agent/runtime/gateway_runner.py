@@ -1,0 +1,100 @@
+"""What carries frames, messages and time into a gateway, and its effects out.
+
+It waits by whatever timers it is given: those of an asyncio loop (`headland bridge`) or of a swarm.
+"""
+
+import logging
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+from agent.interface.effects import Send, Trace
+from agent.interface.ports import Bus
+from agent.segments.gateway import Gateway, Out, Publish
+from protocol.frames.codec import encode
+from protocol.frames.frame import Frame
+
+log = logging.getLogger(__name__)
+
+
+class Timer(Protocol):
+    def cancel(self) -> object: ...
+
+
+class Backbone(Protocol):
+    """What joins segments. A message may be lost, late or come twice; its sender does not hear it."""
+
+    def publish(self, message: Publish) -> None: ...
+    def subscribe(self, callback: Callable[[bytes], None]) -> None:
+        """Call back for every message that concerns this segment, in the thread of the timers."""
+        ...
+
+    def close(self) -> None: ...
+
+
+class GatewayShell:
+    def __init__(
+        self,
+        gateway: Gateway,
+        bus: Bus,
+        backbone: Backbone,
+        clock: Callable[[], int],
+        at: Callable[[int, Callable[[], None]], Timer],
+        on_effect: Callable[[int, Out], None] | None = None,
+    ) -> None:
+        """`clock` and `at` in microseconds."""
+        self.gateway, self.bus, self.backbone = gateway, bus, backbone
+        self.on_effect = on_effect
+        self.frames = 0  # said on our bus
+        self._clock, self._at = clock, at
+        self._timer: Timer | None = None
+        self._timer_us = 0
+        self._open = True
+
+    def begin(self) -> None:
+        self.bus.subscribe(self._frame)
+        self.backbone.subscribe(self._message)
+        self._arm()
+
+    def end(self) -> None:
+        """Without a word: another candidate notices."""
+        self._open = False
+        if self._timer is not None:
+            self._timer.cancel()
+        self.backbone.close()
+        self.bus.close()
+
+    def _frame(self, frame: Frame) -> None:
+        if self._open:
+            self._perform(self.gateway.receive(frame, self._clock()))
+
+    def _message(self, data: bytes) -> None:
+        if self._open:
+            self._perform(self.gateway.hear(data, self._clock()))
+
+    def _due(self) -> None:
+        self._timer = None
+        if self._open:
+            self._perform(self.gateway.tick(self._clock()))
+
+    def _perform(self, effects: Sequence[Out]) -> None:
+        for effect in effects:
+            if isinstance(effect, Publish):
+                self.backbone.publish(effect)
+            elif isinstance(effect, Send):
+                if effect.source is not None:
+                    self.frames += 1
+                    self.bus.send(encode(effect.message, effect.source, effect.destination))
+            elif isinstance(effect, Trace):
+                log.info("segment %d: %s", self.gateway.segment, " ".join(effect))
+            if self.on_effect is not None:
+                self.on_effect(self._clock(), effect)
+        self._arm()
+
+    def _arm(self) -> None:
+        due_us = self.gateway.deadline_us
+        if self._timer is not None:
+            if self._timer_us <= due_us:
+                return  # it wakes, finds nothing due, and is set again
+            self._timer.cancel()
+        self._timer_us = due_us
+        self._timer = self._at(due_us, self._due)

@@ -1,0 +1,224 @@
+"""The only code that waits: it carries frames, observations and time into a peer, and effects out.
+
+The same shell runs on a robot (real time) and in `headland run` (virtual time); it knows neither.
+Frames are heard as they arrive; a tick comes when the peer's deadline does.
+"""
+
+import asyncio
+import logging
+from collections import deque
+from collections.abc import Callable, Sequence
+
+from agent.interface.effects import Drive, Effect, Persist, Send, Trace
+from agent.interface.ports import Beat, Body, Bus, Confirming, Journal, Shelving
+from agent.peer.peer import Peer
+from protocol.frames.codec import encode
+from protocol.frames.fleet_frames import Pose
+from protocol.frames.frame import Frame
+from protocol.frames.identifier import NULL_ADDRESS
+from protocol.frames.messages import GROUP_OF, Message
+from protocol.frames.safety_frames import EmergencyStop
+
+log = logging.getLogger(__name__)
+
+BEAT_PGN = GROUP_OF[Pose].pgn
+INBOX_MAX = (
+    4096  # frames; two seconds of a full bus. A peer that far behind had better drop the rest
+)
+
+
+def _is_press(message: Message) -> bool:
+    """A pressed robot says so without an address, too: its dot names it, and its tag proves it. Echoes
+    need one: robots that echo at once under one identifier would destroy each other's frames."""
+    return isinstance(message, EmergencyStop) and not message.echo
+
+
+class Shell:
+    def __init__(
+        self,
+        peer: Peer,
+        bus: Bus,
+        body: Body | None,
+        journal: Journal | None,
+        on_effect: Callable[[int, Effect], None] | None = None,
+        clock: Callable[[], int] | None = None,
+    ) -> None:
+        self.peer, self.bus, self.body, self.journal = peer, bus, body, journal
+        self.on_effect = on_effect
+        self.dropped = 0  # frames that found the inbox full
+        self._inbox: deque[Frame] = deque()
+        self.clock = self.now_us if clock is None else clock  # microseconds
+        self._listening = False
+        self._wake: asyncio.Future[None] | None = None
+        self._armed_us = 0  # when the timer that is set will fire
+        self._failure: Exception | None = None
+        self._disk_failed = False
+        self._taken = True  # the bus took the last frame
+        self._confirming = bus if isinstance(bus, Confirming) else None
+        self.withheld = 0  # frames that were not sent because those before them do not leave
+        self._frozen_until_us = 0  # 0: not frozen
+        self._shelving = bus if isinstance(bus, Shelving) else None
+        self._shelf: list[Beat] = []  # calm beats, for the next turn
+        self._shelved = False  # they come there
+
+    @property
+    def _local(self) -> Callable[[int], int] | None:
+        """From the time of the bus to ours; None: they are the same."""
+        return None
+
+    @staticmethod
+    def now_us() -> int:
+        return round(asyncio.get_running_loop().time() * 1e6)
+
+    def perform(self, effects: Sequence[Effect]) -> None:
+        """In order, without waiting: all of one input's effects, then the next input.
+
+        What was to be durable first and is not, is not revealed: only what stops goes on after it.
+        """
+        now_us, records, durable = self.clock(), [], True
+        for effect in effects:
+            kind = type(effect)
+            if kind is Persist:
+                records.append(effect)
+                continue
+            if records:
+                durable = self._persist(records) and durable
+                records = []
+            if isinstance(effect, Send):
+                if not durable and not isinstance(effect.message, EmergencyStop):
+                    continue
+                source = self.peer.address if effect.source is None else effect.source
+                if source is None and _is_press(effect.message):
+                    source = NULL_ADDRESS
+                if source is not None:
+                    frame = encode(effect.message, source, effect.destination)
+                    if self.peer.check.clogged and not self.peer.check.lets_out(frame, now_us):
+                        self.withheld += 1
+                        continue
+                    self._taken = self.bus.send(frame)
+            elif isinstance(effect, Drive):
+                if self.body is not None:
+                    self.body.drive(effect, now_us)
+            elif isinstance(effect, Trace):
+                self.peer.letters.note(now_us, effect)
+                if log.isEnabledFor(logging.INFO):
+                    log.info("%.3f robot %d: %s", now_us / 1e6, self.peer.slot, " ".join(effect))
+            if self.on_effect is not None:
+                self.on_effect(now_us, effect)
+        if records:
+            self._persist(records)
+
+    def _persist(self, records: list[Effect]) -> bool:
+        """Whether they are durable. A disk that has failed once is not asked again: after an error
+        nobody knows which of the earlier writes are still only in its cache."""
+        if self.journal is None:
+            return True
+        if self._disk_failed:
+            return False
+        try:
+            self.journal.write(records)  # type: ignore[arg-type]
+        except OSError as problem:
+            self._disk_failed = True
+            log.error("robot %d: the journal failed: %s", self.peer.slot, problem)
+            self.perform(self.peer.disk_failed(self.clock()))
+        return not self._disk_failed
+
+    def operate(self, act: Callable[[Peer, int], Sequence[Effect]]) -> None:
+        """An operator call between two inputs: `shell.operate(lambda peer, now: peer.start(now))`."""
+        self._catch_up()
+        self.perform(act(self.peer, self.clock()))
+        self._attend()
+        self._nudge()
+
+    def _arrive(self, frame: Frame) -> None:
+        """A frame, in the loop's thread: heard at once, unless this process is frozen."""
+        if self._frozen_until_us or not self._listening:
+            if len(self._inbox) >= INBOX_MAX:
+                self.dropped += 1
+            else:
+                self._inbox.append(frame)
+            return
+        try:
+            self._hear(frame)
+        except (
+            Exception
+        ) as problem:  # a broken invariant of ours: it must end the task, not a callback
+            self._failure = problem
+            self._nudge()
+
+    def _hear(self, frame: Frame) -> None:
+        if self._shelf:
+            self._catch_up()
+        effects = self.peer.receive(frame, self.clock())
+        if effects:
+            self.perform(effects)
+        elif frame.identifier >> 8 & 0x3FFFF == BEAT_PGN:
+            return  # nine frames in ten; nothing came of it, so the deadline is where it was
+        self._attend()
+        if self.peer.deadline_us < self._armed_us:
+            self._nudge()
+
+    def _attend(self) -> None:
+        """Beats may wait, unless we stand stopped, where each is an echo or asks for one."""
+        wait = self._listening and not self._frozen_until_us and not self.peer.safety.latched
+        if wait is not self._shelved:
+            self._shelved = wait
+            if self._shelving is not None:
+                self._shelving.shelve(self._shelf if wait else None)
+
+    def _catch_up(self) -> None:
+        """Take in the beats that have waited."""
+        if self._shelf:
+            effects = self.peer.beats(self._shelf, self._local)
+            self._shelf.clear()
+            if effects:
+                self.perform(effects)
+
+    def freeze(self, for_s: float) -> None:
+        """Fault: this process hears and does nothing for a while, then goes on as if nothing was."""
+        self._catch_up()
+        self._frozen_until_us = self.clock() + round(for_s * 1e6)
+        self._attend()
+        self._nudge()
+
+    def _nudge(self) -> None:
+        if self._wake is not None and not self._wake.done():
+            self._wake.set_result(None)
+
+    async def run(self) -> None:
+        loop, peer = asyncio.get_running_loop(), self.peer
+        self.bus.subscribe(self._arrive)
+        while True:
+            self._armed_us = peer.deadline_us
+            self._wake, self._listening = loop.create_future(), True
+            timer = loop.call_at(self._armed_us / 1e6, self._nudge)
+            try:
+                await self._wake
+            finally:
+                timer.cancel()
+            if self._failure is not None:
+                raise self._failure
+            if self._frozen_until_us:
+                await asyncio.sleep(max(0, self._frozen_until_us - self.clock()) / 1e6)
+                self.thaw()
+            self.turn()
+
+    def thaw(self) -> None:
+        """Hear what has waited."""
+        self._frozen_until_us = 0
+        while self._inbox:
+            self._hear(self._inbox.popleft())
+
+    def turn(self) -> None:
+        """Tick, if something is due."""
+        now_us, peer = self.clock(), self.peer
+        self._catch_up()
+        if now_us >= self._armed_us or now_us >= peer.deadline_us:
+            sent = None if self._confirming is None else self._confirming.sent
+            effects = peer.check.bus(self.bus.health, self._taken, now_us, sent)
+            if effects:
+                self.perform(effects)
+            if self.body is not None and peer.wants_observation(now_us):
+                peer.observe(self.body.sense(now_us), now_us)
+            self.perform(peer.tick(now_us))
+        self._attend()

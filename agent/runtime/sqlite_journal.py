@@ -1,0 +1,245 @@
+"""A robot's durable memory on disk: sqlite, write-ahead log, synchronous FULL.
+
+One row a key, with a check sum, because sqlite checks its log but not its pages. `write` returns when
+the rows would survive a power cut; sqlite reports what it could not do as an error, which is an
+OSError here and the end of moving for this robot.
+
+A log that was cut short is rolled back by sqlite in silence: what is left is whole, checked and old. So
+each write has a number, which is kept in two places. The journal's own is part of the transaction. The
+mark is a small file beside it, written and synced after the commit and before `write` returns. Nothing of
+a write is revealed before both are durable. A crash between the two leaves the journal one ahead of the
+mark, which is sound. A journal behind its mark has lost what was revealed, and one that is further ahead
+has a mark that cannot be trusted: in both cases the memory is lost. A journal and a mark that are both
+replaced by older copies of themselves cannot be told from sound ones.
+"""
+
+import os
+import sqlite3
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from pathlib import Path
+from struct import Struct
+from zlib import crc32
+
+from agent.interface.effects import Persist
+from agent.peer.journal_recovery import LOST, senseless
+
+CHECK_SIZE = 4  # bytes of CRC-32 before each value
+NEWEST = "journal/newest"  # the record with the number of the newest write
+NUMBER = Struct("<Q")
+MARK = Struct("<QI")  # the same number in the mark, and its CRC-32
+MARK_PLACES, MARK_SPACING = 2, 4096  # numbers alternate between two places, a page of a disk apart
+MARK_SUFFIX = "-mark"
+LAG_MAX = 1  # writes: a crash between the commit and the mark
+FULL = 2  # what sqlite calls synchronous FULL
+NOT_TO_BE_HAD = {  # errors about getting at the file; any other is about what is in it
+    sqlite3.SQLITE_PERM, sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED, sqlite3.SQLITE_NOMEM,
+    sqlite3.SQLITE_READONLY, sqlite3.SQLITE_INTERRUPT, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_FULL,
+    sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_PROTOCOL, sqlite3.SQLITE_NOLFS, sqlite3.SQLITE_AUTH,
+}  # fmt: skip
+WRITE_VERSION_AT, WRITE_VERSION_MAX = 18, 2  # in the header of a database (sqlite.org/fileformat.html)
+PROBLEMS = (sqlite3.Error, UnicodeDecodeError)  # the second where damaged text is decoded
+
+
+class UnreadableError(OSError):
+    """The file is there and what it held is lost. Its robot has lost its memory."""
+
+
+class Mark:
+    """The number of the newest write, in a file of its own."""
+
+    def __init__(self, path: Path) -> None:
+        """Raises OSError. A file that is not there is made with the first number."""
+        self.path = path
+        self._file: int | None = None
+        self.number = 0  # the newest that can be read; 0: none
+        with suppress(FileNotFoundError):
+            image = path.read_bytes()[: MARK_PLACES * MARK_SPACING]
+            for place in range(MARK_PLACES):
+                raw = image[place * MARK_SPACING :][: MARK.size]
+                if len(raw) == MARK.size:
+                    number, check = MARK.unpack(raw)
+                    if check == crc32(raw[: NUMBER.size]) and number % MARK_PLACES == place:
+                        self.number = max(self.number, number)
+
+    def set(self, number: int) -> None:
+        """Durable when it returns. Raises OSError."""
+        raw = NUMBER.pack(number)
+        self._put(number % MARK_PLACES * MARK_SPACING, MARK.pack(number, crc32(raw)))
+        self._sync()
+        self.number = number
+
+    def close(self) -> None:
+        if self._file is not None:
+            os.close(self._file)
+            self._file = None
+
+    def _put(self, at: int, data: bytes) -> None:
+        if self._file is None:
+            self._file = self._opened()
+        os.pwrite(self._file, data, at)
+
+    def _sync(self) -> None:
+        assert self._file is not None
+        os.fdatasync(self._file)
+
+    def _opened(self) -> int:
+        """Both places have their room before the first is written: later a full disk is no matter."""
+        new = not self.path.exists()
+        file = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        if new:
+            os.pwrite(file, bytes(MARK_PLACES * MARK_SPACING), 0)
+            os.fsync(file)
+            folder = os.open(self.path.parent, os.O_RDONLY | os.O_CLOEXEC)
+            try:
+                os.fsync(folder)
+            finally:
+                os.close(folder)
+        return file
+
+
+class SqliteJournal:
+    def __init__(self, path: Path) -> None:
+        """UnreadableError where the file is no journal (any more), OSError where it is not to be had."""
+        self.path = path
+        if _header_forbids_writing(path):  # it may be read, and no stop could be written any more
+            raise UnreadableError(f"{path}: its header forbids writing")
+        self.mark = Mark(path.with_name(path.name + MARK_SUFFIX))
+        self._number: int | None = None  # of the newest write; None: not read yet
+        try:
+            self._database = sqlite3.connect(path, isolation_level=None, timeout=0.0)
+        except PROBLEMS as problem:
+            raise self._error(problem) from None
+        try:
+            # One writer and nobody else: a second process with this journal is refused.
+            self._database.execute("PRAGMA locking_mode=EXCLUSIVE")
+            (mode,) = self._database.execute("PRAGMA journal_mode=WAL").fetchone()
+            self._database.execute("PRAGMA synchronous=FULL")
+            (synchronous,) = self._database.execute("PRAGMA synchronous").fetchone()
+            if (mode, synchronous) != ("wal", FULL):
+                raise OSError(f"{path}: this file system keeps no durable journal ({mode})")
+            self._database.execute(
+                "CREATE TABLE IF NOT EXISTS record (key TEXT PRIMARY KEY, value BLOB NOT NULL)"
+            )
+        except PROBLEMS as problem:
+            self._database.close()
+            raise self._error(problem) from None
+
+    @classmethod
+    def opened(cls, path: Path) -> tuple["SqliteJournal", Mapping[str, bytes]]:
+        """The journal and what it recalls. An unreadable one is put aside, for people who want to
+        look into it. The new one recalls one record: `LOST`, with the reason. Raises OSError."""
+        try:
+            journal = cls(path)
+            try:
+                recalled = journal.load()
+            except UnreadableError:
+                journal.close()
+                raise
+        except UnreadableError as problem:
+            put_aside(path)
+            return cls._without_memory(cls(path), str(problem))
+        if not recalled and _aside(path, 1).exists():  # a crash while it was put aside
+            return cls._without_memory(journal, "an earlier journal was put aside")
+        return journal, recalled
+
+    @staticmethod
+    def _without_memory(
+        journal: "SqliteJournal", why: str
+    ) -> tuple["SqliteJournal", Mapping[str, bytes]]:
+        journal.write([Persist(LOST, why.encode())])
+        return journal, journal.load()
+
+    def load(self) -> Mapping[str, bytes]:
+        """UnreadableError where what was written is not all there, or makes no sense."""
+        records = self._rows()
+        number = self._numbered(records.pop(NEWEST, None))
+        if not 0 <= number - self.mark.number <= LAG_MAX:
+            raise UnreadableError(
+                f"{self.path}: its newest write has number {number}, and {self.mark.path.name} "
+                f"says {self.mark.number}: it was rolled back"
+            )
+        if why := senseless(records):
+            raise UnreadableError(f"{self.path}: {why}")
+        self._number = number
+        return records
+
+    def write(self, records: Iterable[Persist]) -> None:
+        """All of them or none."""
+        if self._number is None:
+            self.load()
+        assert self._number is not None
+        number = self._number + 1
+        rows = [(key, _checked(key, value)) for key, value in records]
+        rows.append((NEWEST, _checked(NEWEST, NUMBER.pack(number))))
+        try:
+            with self._database:
+                self._database.execute("BEGIN")
+                self._database.executemany(
+                    "INSERT INTO record VALUES (?, ?) "
+                    "ON CONFLICT (key) DO UPDATE SET value = excluded.value",
+                    rows,
+                )
+        except PROBLEMS as problem:
+            raise self._error(problem) from None
+        self._number = number
+        self.mark.set(number)
+
+    def _rows(self) -> dict[str, bytes]:
+        try:  # the check compares rows with their index, so that a row which is gone is missed
+            ((verdict,), *_) = self._database.execute("PRAGMA integrity_check(1)").fetchall()
+            rows = self._database.execute("SELECT key, value FROM record").fetchall()
+        except PROBLEMS as problem:
+            raise self._error(problem) from None
+        if verdict != "ok":
+            raise UnreadableError(f"{self.path}: {verdict}")
+        records: dict[str, bytes] = {}
+        for key, row in rows:
+            text = isinstance(key, str) and isinstance(row, bytes)
+            if not text or row != _checked(key, row[CHECK_SIZE:]):
+                raise UnreadableError(f"{self.path}: record {key!r} is damaged")
+            records[key] = row[CHECK_SIZE:]
+        return records
+
+    def _numbered(self, raw: bytes | None) -> int:
+        """Of a journal of before there were numbers: 0."""
+        if raw is not None and len(raw) != NUMBER.size:
+            raise UnreadableError(f"{self.path}: record {NEWEST!r} makes no sense")
+        return 0 if raw is None else int(NUMBER.unpack(raw)[0])
+
+    def close(self) -> None:
+        self._database.close()
+        self.mark.close()
+
+    def _error(self, problem: Exception) -> OSError:
+        code = getattr(problem, "sqlite_errorcode", 0) & 0xFF
+        kind = OSError if code in NOT_TO_BE_HAD else UnreadableError
+        return kind(f"{self.path}: {problem}")
+
+
+def _header_forbids_writing(path: Path) -> bool:
+    """sqlite opens a file of a later write version for reading only; nobody writes such journals."""
+    with suppress(OSError), path.open("rb") as file:
+        header = file.read(WRITE_VERSION_AT + 1)
+        return len(header) > WRITE_VERSION_AT and header[WRITE_VERSION_AT] > WRITE_VERSION_MAX
+    return False
+
+
+def _checked(key: str, value: bytes) -> bytes:
+    return crc32(value, crc32(key.encode())).to_bytes(CHECK_SIZE, "little") + value
+
+
+def put_aside(path: Path) -> None:
+    """Out of the way of a new journal, with its log and mark. Never deleted: people may look into it."""
+    number = 1
+    while (aside := _aside(path, number)).exists():
+        number += 1
+    # A file without its log could pass for an older state; without its mark for one of before marks.
+    for suffix in ("", "-wal", "-shm", MARK_SUFFIX):
+        part = path.with_name(path.name + suffix)
+        if part.exists():
+            part.rename(aside.with_name(aside.name + suffix))
+
+
+def _aside(path: Path, number: int) -> Path:
+    return path.with_name(f"{path.name}.unreadable{number}")

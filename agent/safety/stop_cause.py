@@ -1,0 +1,251 @@
+"""Why a robot may not move as it wishes: each cause with its severity and what clears it.
+
+After PX4's failsafe framework: severities are ordered, the worst active one wins, and the clear
+condition is declared beside the cause, not in the code that happens to run.
+"""
+
+import re
+from enum import Enum, IntEnum
+from typing import NamedTuple
+
+from protocol.frames.fleet_frames import NOBODY, StandsBy
+
+
+class Severity(IntEnum):
+    CLEAR = 0
+    SLOW = 1  # creep
+    PAUSE = 2  # stand, by decision of a person or for one
+    PROTECTIVE = 3  # stand; ends by itself when the cause is gone
+    LATCHED = 4  # stand until a person at this machine resets it
+
+
+class Clears(Enum):
+    BY_START = "an operator's start"
+    BY_ANSWER = "it has left for 1 s, or an operator's answer"
+    BY_POLICY = "the silent member is heard again and the membership is stable for 2 s; or as the policy says"
+    WHEN_GONE = "the cause is gone"
+    WHEN_IN_TIME = "it is sensed in time for 1 s; look at the receiver, its cable and its driver"
+    BY_MOVE_OR_START = (
+        "the place changes, or an operator's start after a look at receiver and wheels"
+    )
+    BY_TIMEOUT = "it is not repeated for its time"
+    BY_RESET = "every stop dot is cleared by an operator's reset, then a person resets this machine"
+    WHEN_APART = "that machine agrees, changes its address or has not been heard for 5 s"
+    NEVER = "never by itself: repair and restart"
+
+
+class _Rule(NamedTuple):
+    severity: Severity
+    clears: Clears
+    why: str
+    do: str = ""  # what a person can do about it
+
+
+class Cause(Enum):
+    NOT_STARTED = _Rule(
+        Severity.PAUSE,
+        Clears.BY_START,
+        "no start was given since boot or reset",
+        "give the start: headland reset --start, or START on the map",
+    )
+    OBSTACLE_AHEAD = _Rule(
+        Severity.PAUSE,
+        Clears.BY_ANSWER,
+        "something that is not a robot blocks the way",
+        "look at what blocks it; take it away, or answer its question",
+    )
+    CREEP = _Rule(
+        Severity.SLOW,
+        Clears.BY_POLICY,
+        "a member is silent and the policy is slow",
+        "find the silent robot, or waive it by name",
+    )
+    MEMBER_SILENT = _Rule(
+        Severity.PROTECTIVE,
+        Clears.BY_POLICY,
+        "a member stopped speaking without leaving",
+        "look for the silent robot: power, bus, an accident; waive it by name if it stays away",
+    )
+    BACKBONE_LOST = _Rule(
+        Severity.PROTECTIVE,
+        Clears.WHEN_GONE,
+        "no other segment is reached and the policy is stop",
+        "look at the gateway and its link to the other segments",
+    )
+    BACKBONE_CREEP = _Rule(
+        Severity.SLOW,
+        Clears.WHEN_GONE,
+        "no other segment is reached and the policy is slow",
+        "look at the gateway and its link to the other segments",
+    )
+    BUS_OFF = _Rule(
+        Severity.PROTECTIVE,
+        Clears.WHEN_GONE,
+        "the controller left the bus",
+        "look at the wiring, the bit rate and the termination of this robot",
+    )
+    ERROR_PASSIVE = _Rule(
+        Severity.PROTECTIVE,
+        Clears.WHEN_GONE,
+        "the controller has been error passive for 1 s",
+        "look at the wiring, the bit rate and the termination of this robot",
+    )
+    UNHEARD = _Rule(
+        Severity.PROTECTIVE,
+        Clears.WHEN_GONE,
+        "our frames do not leave, or nobody says that it hears us",
+        "look at the connection of this robot to the bus, and whether something floods the bus",
+    )
+    SENSES_OLD = _Rule(
+        Severity.PROTECTIVE,
+        Clears.WHEN_IN_TIME,
+        "where the robot is was sensed more than 0.1 s ago, or not at all",
+        "look at the receiver of this robot, its cable and its driver",
+    )
+    PLACE_FROZEN = _Rule(
+        Severity.PROTECTIVE,
+        Clears.BY_MOVE_OR_START,
+        "the wheels were told to drive and the place did not change",
+        "look at receiver and wheels of this robot, then give it a start",
+    )
+    ADDRESS_LOST = _Rule(
+        Severity.PROTECTIVE,
+        Clears.WHEN_GONE,
+        "another device took the source address",
+        "look for a device that claims the addresses of robots",
+    )
+    CONFIG_MISMATCH = _Rule(
+        Severity.PROTECTIVE,
+        Clears.WHEN_APART,
+        "a robot of this fleet has another field description",
+        "start that robot with the field of this fleet, or switch it off",
+    )
+    DUPLICATE_ID = _Rule(
+        Severity.PROTECTIVE,
+        Clears.WHEN_APART,
+        "another machine has the identity of this one",
+        "give one of the two machines another slot, or switch it off",
+    )
+    LATE_TICK = _Rule(
+        Severity.PROTECTIVE,
+        Clears.BY_TIMEOUT,
+        "a control period came later than its drive command lives",
+        "it goes on by itself; if it comes again, look at the load of its computer",
+    )
+    UNAUTHENTICATED_STOP = _Rule(
+        Severity.PROTECTIVE,
+        Clears.BY_TIMEOUT,
+        "a stop without a valid tag, or from an address that nobody has claimed",
+        "look for the device that says it; give it a key or a NAME of ours",
+    )
+    SPENT_STOP = _Rule(
+        Severity.PROTECTIVE,
+        Clears.BY_TIMEOUT,
+        "a stop with a name that was cleared before",
+        "look for the panel that says it; a press there again takes a new name",
+    )
+    IMPLEMENTS_STOP = _Rule(
+        Severity.PROTECTIVE,
+        Clears.BY_TIMEOUT,
+        "ISO 11783-7 all implements stop",
+        "release the stop button that is pressed",
+    )
+    DISK_ERROR = _Rule(
+        Severity.LATCHED,
+        Clears.NEVER,
+        "durable memory failed",
+        "replace the disk of this robot and restart it",
+    )
+    STOP_DOT = _Rule(
+        Severity.LATCHED,
+        Clears.BY_RESET,
+        "an emergency stop",
+        "see that nobody is in danger, then headland reset",
+    )
+    BOOT_UNCONFIRMED = _Rule(
+        Severity.LATCHED,
+        Clears.BY_RESET,
+        "durable memory was lost or is unreadable",
+        "look at this robot, then headland reset",
+    )
+
+    severity: Severity
+    clears: Clears
+
+    def __init__(self, severity: Severity, clears: Clears, why: str, do: str = "") -> None:
+        self.severity, self.clears = severity, clears  # read with every beat of a standing fleet
+
+    @property
+    def number(self) -> StandsBy:
+        """Under which it is told on the bus."""
+        return StandsBy.__members__.get(self.name, StandsBy.OTHER)
+
+    __hash__ = object.__hash__  # members are their own identity; Enum's hash is a call in Python
+
+
+# Names of their own for what is asked for with every beat of a standing fleet.
+WORST, LEAST = Severity.LATCHED, Severity.SLOW
+NOT_STARTED, SILENT, CREEP = Cause.NOT_STARTED, Cause.MEMBER_SILENT, Cause.CREEP
+
+
+def cause_table() -> str:
+    """The table in the documents."""
+    rows = [
+        f"| {c.name} | {c.severity.name} | {c.value.why} | {c.clears.value} | {c.value.do} |"
+        for c in Cause
+    ]
+    head = "| cause | severity | why | what clears it | what a person can do |"
+    return "\n".join([head, "|---|---|---|---|---|", *rows])
+
+
+# Which number of a cause's detail says what it is about: an address, or the slot of a robot.
+_ABOUT = {
+    Cause.CONFIG_MISMATCH: ("address", re.compile(r"address (\d+)")),
+    Cause.DUPLICATE_ID: ("address", re.compile(r"address (\d+)")),
+    Cause.UNAUTHENTICATED_STOP: ("address", re.compile(r"address (\d+)")),
+    Cause.IMPLEMENTS_STOP: ("address", re.compile(r"address (\d+)")),
+    Cause.MEMBER_SILENT: ("robot", re.compile(r"(\d+)")),
+    Cause.CREEP: ("robot", re.compile(r"(\d+)")),
+}
+
+
+def about(cause: Cause, detail: str) -> int:
+    """The address or slot that a cause is about; `NOBODY` where it is about none."""
+    _, pattern = _ABOUT.get(cause, ("", None))
+    found = None if pattern is None else pattern.search(detail)
+    number = NOBODY if found is None else int(found[1])
+    return min(number, NOBODY)
+
+
+def further(cause: Cause, detail: str) -> int:
+    """How many robots beside the first a cause is about."""
+    if cause not in (Cause.MEMBER_SILENT, Cause.CREEP):
+        return 0
+    return max(0, len(re.findall(r"\d+", detail)) - 1)
+
+
+def cause_of(number: int) -> Cause | None:
+    """The cause that is told under this number; None for one that this release does not know."""
+    name = StandsBy(number).name if number in set(StandsBy) else StandsBy.OTHER.name
+    return Cause.__members__.get(name)
+
+
+def sentence(number: int, subject: int, count: int = 0) -> str:
+    """For people: why a robot stands, and what they can do, from what it has told on the bus. `count`:
+    stops that hold it, or further robots that are silent.
+
+    >>> sentence(StandsBy.CONFIG_MISMATCH, 200)
+    'CONFIG_MISMATCH with address 200: start that robot with the field of this fleet, or switch it off'
+    >>> sentence(StandsBy.STOP_DOT, NOBODY, 3)
+    'STOP_DOT (3 stops): see that nobody is in danger, then headland reset'
+    """
+    cause = cause_of(number)
+    if cause is None:
+        return f"{StandsBy.OTHER.name} ({number}): headland inspect --traces asks it what"
+    kind = _ABOUT.get(cause, ("", None))[0]
+    told = f" with {kind} {subject}" if kind and subject != NOBODY else ""
+    if count and cause is Cause.STOP_DOT:
+        told = f" ({count} stop{'s' if count > 1 else ''})"
+    elif count and told:
+        told += f" and {count} more"
+    return f"{cause.name}{told}: {cause.value.do}"

@@ -1,0 +1,163 @@
+"""Stops and resets of a fleet of several segments, at one robot.
+
+A press in this segment is said a second time as FLEET_STOP, with a tag that every segment can verify,
+and so is its reset. The presser says it at once. Where it was a panel, a tool or an older robot, the
+robots that heard it say it: one does, in the order of their slots, and the others overhear it. Gateways
+carry these frames as they are and hold no secret. A frame with the bit `told` is no press: its sender
+holds the stop and tells it to one that may not know it. A press under a name that was cleared here
+brakes, and latches when it is said still (`Safety.press_used`), as such a press on the own bus does.
+"""
+
+from collections.abc import Iterable, Sequence
+
+from agent.interface.config import MS
+from agent.interface.effects import HALT, Effect, Send
+from agent.safety.stop_cause import Cause
+from agent.safety.stop_controller import ANSWER_SPACING_US, FOREVER, UNAUTHENTICATED_HOLD_US, Safety
+from crdt.stops import FarDot, StopDot, turn
+from protocol.fleet_tags import FleetTags, plain_reset, plain_stop
+from protocol.frames.segment_frames import FleetReset, FleetStop
+
+TURN_US = 3 * MS  # a frame behind the blocking of another, and some
+TOLD_MAX = 8  # stops of all segments told at a time to who does not know them; in turns
+HALVES_MAX = 64  # resets of which one half was heard
+
+
+class FleetStops:
+    def __init__(self, segment: int, slot: int, safety: Safety, tags: FleetTags | None) -> None:
+        self.segment, self.slot, self.safety, self.tags = segment, slot, safety, tags
+        self.refused = 0  # frames without a valid tag
+        self.holds_far = safety.far.latched  # a stop of another segment is not cleared
+        self._pressed = safety.stops.active
+        self._far = safety.far.active
+        self._cleared = safety.stops.cleared
+        self._stop_due_us: dict[StopDot, int] = {}  # of our segment, to be said to the others
+        self._reset_due_us: dict[FarDot, int] = {}
+        self._halves: dict[tuple[FarDot, int], int] = {}
+        self._told_us = -ANSWER_SPACING_US
+        self._told: FarDot | None = None  # the last of those told
+
+    # ---------------------------------------------------------------- what happened here
+
+    def see(self, live: Iterable[int], now_us: int) -> None:
+        """After anything that may have pressed or cleared: what the other segments have to know."""
+        stops = self.safety.stops
+        active, cleared, far = stops.active, stops.cleared, self.safety.far.active
+        if active == self._pressed and cleared == self._cleared and far == self._far:
+            return
+        place = sorted(live).index(self.slot)
+        for dot in active - self._pressed:
+            turn = 0 if dot.slot == self.slot else place
+            self._stop_due_us.setdefault(dot, now_us + turn * TURN_US)
+        for dot in cleared - self._cleared:
+            self._stop_due_us.pop(dot, None)
+            self._reset_due_us.setdefault(self._everywhere(dot), now_us + place * TURN_US)
+        for far_dot in self._far - far:  # a reset of all that is held names no dot elsewhere
+            self._reset_due_us.setdefault(far_dot, now_us + place * TURN_US)
+        self._pressed, self._cleared, self._far = active, cleared, far
+        self.holds_far = self.safety.far.latched
+
+    @property
+    def behind(self) -> bool:
+        """A stop was pressed or cleared since `see`."""
+        return self.safety.stops.active is not self._pressed
+
+    @property
+    def deadline_us(self) -> int:
+        if not self._stop_due_us and not self._reset_due_us:
+            return FOREVER
+        return min((*self._stop_due_us.values(), *self._reset_due_us.values()))
+
+    def tick(self, now_us: int) -> Sequence[Effect]:
+        if now_us < self.deadline_us:
+            return ()
+        effects: list[Effect] = []
+        for dot in [d for d, due_us in self._stop_due_us.items() if due_us <= now_us]:
+            del self._stop_due_us[dot]
+            effects.append(Send(self.say_stop(self._everywhere(dot))))
+        for far in [d for d, due_us in self._reset_due_us.items() if due_us <= now_us]:
+            del self._reset_due_us[far]
+            effects += [Send(half) for half in self.say_reset(far)]
+        return effects
+
+    def tell(self, now_us: int) -> Sequence[Effect]:
+        """The stops we hold, as all segments say them, to who does not know them; seldom."""
+        if now_us - self._told_us < ANSWER_SPACING_US:
+            return ()
+        self._told_us = now_us
+        held = [*map(self._everywhere, self.safety.stops.active), *self.safety.far.active]
+        dots = turn(held, self._told, TOLD_MAX)
+        self._told = dots[-1] if dots else None
+        return [Send(self.say_stop(dot)._replace(told=True)) for dot in dots]
+
+    def say_stop(self, dot: FarDot) -> FleetStop:
+        return plain_stop(dot) if self.tags is None else self.tags.stop(dot)
+
+    def say_reset(self, dot: FarDot) -> tuple[FleetReset, FleetReset]:
+        return plain_reset(dot) if self.tags is None else self.tags.reset(dot)
+
+    def _everywhere(self, dot: StopDot) -> FarDot:
+        return FarDot(*dot, self.segment)
+
+    # ---------------------------------------------------------------- what is heard
+
+    def receive_stop(self, m: FleetStop, now_us: int) -> Sequence[Effect]:
+        far = FarDot(m.slot, m.incarnation, m.counter, m.segment)
+        near = StopDot(*far[:3]) if far.segment == self.segment else None
+        if near is not None:
+            self._stop_due_us.pop(near, None)  # somebody says it: we need not
+        if self._held(far, near) or (m.told and self._cleared_here(far, near)):
+            return ()
+        if m != self.say_stop(far)._replace(told=m.told):
+            self.refused += 1
+            self.safety.raise_cause(
+                Cause.UNAUTHENTICATED_STOP, now_us, f"{far}", UNAUTHENTICATED_HOLD_US
+            )
+            return [HALT]
+        if self._cleared_here(far, near):
+            return self.safety.press_used(far, now_us)
+        if near is None:
+            self.holds_far = True
+            latched = self.safety.latch_far(far, now_us)
+            self._far = self.safety.far.active
+            # Said once more: who missed the first has a second.
+            again = Send(m._replace(told=True))
+            return [HALT, again, *latched[1:]] if far in self._far else latched
+        effects = self.safety.press_near(near, now_us)
+        self._pressed = self.safety.stops.active
+        return effects
+
+    def _held(self, far: FarDot, near: StopDot | None) -> bool:
+        active = self.safety.far.active if near is None else self.safety.stops.active
+        return (far if near is None else near) in active
+
+    def _cleared_here(self, far: FarDot, near: StopDot | None) -> bool:
+        if near is None:
+            return self.safety.far.is_cleared(far)
+        return self.safety.stops.is_cleared(near)
+
+    def receive_reset(self, m: FleetReset, now_us: int) -> Sequence[Effect]:
+        far = FarDot(m.slot, m.incarnation, m.counter, m.segment)
+        near = StopDot(*far[:3]) if far.segment == self.segment else None
+        if self._cleared_here(far, near):
+            self._reset_due_us.pop(far, None)
+            return ()
+        self._halves.pop((far, m.part), None)
+        self._halves[far, m.part] = m.half  # only the newest of each: a guess is a frame
+        if len(self._halves) > HALVES_MAX:
+            del self._halves[next(iter(self._halves))]
+        said = [self._halves.get((far, part)) for part in (0, 1)]
+        if None in said:
+            return ()
+        if said != [half.half for half in self.say_reset(far)]:
+            self.refused += 1
+            return ()
+        del self._halves[far, 0], self._halves[far, 1]
+        if near is None:
+            cleared = self.safety.clear_far(far)
+            self.holds_far, self._far = self.safety.far.latched, self.safety.far.active
+            return cleared
+        effects = self.safety.clear_near(near, "a reset of the fleet")
+        self._pressed, self._cleared = self.safety.stops.active, self.safety.stops.cleared
+        self._stop_due_us.pop(near, None)
+        return effects

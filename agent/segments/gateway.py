@@ -1,0 +1,373 @@
+"""A gateway between a segment and the rest of the fleet: facts in, effects out, like a peer.
+
+It is no member: its silence stops nobody, it claims nothing, and it holds no secret. Stops come first
+and always, whether it leads or not (`agent/segments/stop_relay.py`); work at the border is carried by the one
+that leads (`agent/segments/work_relay.py`); all heartbeats of the segment become one summary. Frames that
+gateways say are never carried on, messages of the own segment are dropped, and everything is
+idempotent, so loops end where they begin. What goes to the bus is limited to `SHARE` of it.
+"""
+
+from collections import Counter
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from agent.interface.config import FRAME_US_MAX, MS, S
+from agent.interface.effects import Effect, Send
+from agent.peer.frame_origin import PROPRIETARY, Origin, Origins
+from agent.peer.member_discovery import CLAIM_PGN
+from agent.segments.gateway_election import Candidacy
+from agent.segments.map_relay import MapRelay
+from agent.segments.segment_area import Area
+from agent.segments.segment_reachability import Reach
+from agent.segments.stop_relay import LIVE_US, StopRelay
+from agent.segments.token_bucket import RateLimit
+from agent.segments.work_relay import FLUSH_US, BorderRelay
+from protocol import backbone_messages as backbone
+from protocol.backbone_messages import Body, Header, Kind, Summary
+from protocol.frames.codec import Malformed, decode_once, destination_of
+from protocol.frames.fleet_frames import Heartbeat, Member, Pose
+from protocol.frames.frame import Frame
+from protocol.frames.identifier import GLOBAL_ADDRESS
+from protocol.frames.map_frames import MapDigests, MapPatch
+from protocol.frames.messages import Message
+from protocol.frames.network_frames import AddressClaimed, Request
+from protocol.frames.safety_frames import EmergencyStop
+from protocol.frames.segment_frames import FleetReset, FleetStop, SegmentSummary, gateway_slot
+from protocol.frames.work_frames import (
+    STOPS,
+    StateSyncRequest,
+    StateSyncResponse,
+    TaskClaim,
+    WorkProgress,
+)
+from protocol.name import Name
+from protocol.sync.synchronizer import Sync
+
+SHARE = 0.10  # of the bus, for all that is not a stop
+BURST_US = 20 * FRAME_US_MAX
+SUMMARY_US = 500 * MS
+ROTATION_US = (
+    100 * MS
+)  # one other segment's summary on the bus so often: 0.6 % of it, at any number
+MAP_STEP_US = (
+    2 * MS
+)  # between two turns of the map: on its bus there are three in ten frames at most
+LOOK_US = 200 * MS  # who of our segment is live
+LEFT_US = 60 * S  # a robot that is silent for longer is not counted as silent any more
+TELL_STEP_US = 20 * MS  # gateways tell a stranger the stops one after the other
+TELL_SPACING_US = 1 * S
+STOPS_PER_MESSAGE = 64
+
+
+class Publish(NamedTuple):
+    """Put one message on the backbone. Stops go before everything else."""
+
+    kind: Kind
+    data: bytes
+    target: int = 0  # the one segment that it concerns; 0: all
+
+
+Out = Effect | Publish
+
+
+class Gateway:
+    def __init__(
+        self, area: Area, name: Name, boot: int, now_us: int, chart: MapRelay | None = None
+    ) -> None:
+        """`boot`: anything that no two starts share, 32 bits. `chart`: where segments share a map."""
+        self.area, self.name, self.boot = area, name, boot & 0xFFFF_FFFF
+        self.candidacy = Candidacy(boot, name.hash16, now_us)
+        self.reach = Reach(area.segment)
+        self.stops = StopRelay(area.segment, now_us)
+        self.border = BorderRelay(area)
+        self.sync = Sync(self.candidacy.election.slot, self.border.allocation, self.border.progress)
+        self.chart = chart
+        self.counts: Counter[str] = Counter()
+        self._limit = RateLimit(SHARE, BURST_US, now_us)
+        self._slot_of: dict[int, int] = {}  # address -> slot, from MEMBER frames
+        self._heard_us: dict[int, int] = {}  # slot -> last sign of life
+        self._live: frozenset[int] = frozenset()
+        self._look_us = self._flush_us = self._summary_us = self._rotate_us = now_us
+        self._tell_us: int | None = None  # when we tell everybody all stops
+        self._told_us = -TELL_SPACING_US
+        self._stops_differ: Counter[int] = Counter()
+        self._sequence = self._turn = 0
+        self._introduced: int | None = None  # the address at which we have said who we are
+        self.origins = Origins(name)  # frames of other makers are carried nowhere
+
+    @property
+    def segment(self) -> int:
+        return self.area.segment
+
+    @property
+    def leads(self) -> bool:
+        return self.candidacy.leads
+
+    # ---------------------------------------------------------------- from our segment
+
+    def receive(self, frame: Frame, now_us: int) -> Sequence[Out]:
+        source, message = decode_once(frame)
+        if isinstance(message, Malformed):
+            self.counts[f"malformed {message.reason}"] += 1
+            return ()
+        if isinstance(message, AddressClaimed | Request):
+            return self._network(source, message, destination_of(frame))
+        if type(message) in PROPRIETARY and self.origins.of(source) is Origin.FOREIGN:
+            self.counts["foreign"] += 1
+            return ()
+        number = gateway_slot(source)
+        if isinstance(message, EmergencyStop) and message.spent:
+            return ()  # an answer to a press, which speaks for itself
+        if isinstance(message, EmergencyStop) and message.tag == 0:  # a fleet without keys
+            dot = message.slot, message.incarnation, message.counter
+            message = FleetStop(self.segment, *dot, told=message.echo)
+        if isinstance(message, FleetStop):
+            return self._stop(source, message, number is not None, now_us)
+        if isinstance(message, FleetReset):
+            halves = self.stops.hear_reset(message)
+            return self._publish(Kind.RESETS, tuple(halves)) if halves and number is None else ()
+        if number is not None:
+            self.candidacy.hear(number, message, now_us)
+        self._hear(source, number, message, now_us)
+        return ()
+
+    def _network(
+        self, source: int, message: AddressClaimed | Request, destination: int
+    ) -> Sequence[Out]:
+        """Who is who: by NAME."""
+        if isinstance(message, AddressClaimed):
+            self.origins.claimed(source, message.name)
+            return ()
+        here = self._introduced is not None and destination in (GLOBAL_ADDRESS, self._introduced)
+        if here and message.pgn == CLAIM_PGN:
+            return [self._send(AddressClaimed(self.name.pack()))]
+        return ()
+
+    def _stop(
+        self, source: int, stop: FleetStop, from_gateway: bool, now_us: int
+    ) -> Sequence[Out]:
+        news = self.stops.hear_stop(source, stop, now_us)
+        return self._publish(Kind.STOPS, tuple(news)) if news and not from_gateway else ()
+
+    def _hear(self, source: int, number: int | None, message: Message, now_us: int) -> None:
+        slot = self._slot_of.get(source) if number is None else number
+        if isinstance(message, Member):
+            self._slot_of[source] = slot = message.slot
+        if slot is not None and number is None:
+            self._heard_us[slot] = now_us
+        if isinstance(message, Pose):
+            self.stops.beat(source, message.stopped, now_us)
+        elif isinstance(message, Heartbeat) and slot is not None:
+            if message.leaving:
+                self._heard_us.pop(slot, None)
+            else:
+                self.sync.heard_digest(slot, message.digest, now_us)
+        elif isinstance(message, MapPatch | MapDigests):
+            if self.chart is not None and slot is not None:
+                self.chart.hear(slot, message, now_us)
+        elif isinstance(message, TaskClaim | StateSyncResponse | WorkProgress):
+            before = self.sync.replica.version
+            self.sync.receive(-1 if slot is None else slot, message, now_us)
+            if self.sync.replica.version != before:
+                self.border.heard(message, number is not None)
+
+    # ---------------------------------------------------------------- from the backbone
+
+    def hear(self, data: bytes, now_us: int) -> Sequence[Out]:
+        message = backbone.unpack(data)
+        if message is None:
+            self.counts["malformed message"] += 1
+            return ()
+        header, body = message
+        if not self.reach.accepts(header, now_us):
+            return ()
+        self.counts[Kind(header.kind).name] += 1
+        if header.kind == Kind.STOPS:
+            stops = [stop for stop in body if isinstance(stop, FleetStop)]
+            self.stops.receive_stops(stops, now_us)
+            if len(stops) >= len(self.stops.stops):
+                self._tell_us = None  # somebody has told them all
+            return self.tick(now_us)
+        if header.kind == Kind.RESETS:
+            self.stops.receive_resets([h for h in body if isinstance(h, FleetReset)], now_us)
+        elif isinstance(body, Summary):
+            self._summary(header, body, now_us)
+        elif header.kind == Kind.MAP:
+            for entry in body if self.chart is not None else ():
+                if isinstance(entry, backbone.Entry) and self.chart is not None:
+                    self.chart.receive(header.segment, entry, now_us)
+        elif self.leads:
+            self._work(header.segment, body, now_us)
+        return ()
+
+    def _summary(self, header: Header, summary: Summary, now_us: int) -> None:
+        self.reach.hear(header, summary, now_us)
+        term = summary.heard.get(self.segment, 0)
+        if self.candidacy.number is not None and term > self.candidacy.term:
+            self.candidacy.fenced(term, now_us)
+        self.border.compare(header.segment, summary.shared.get(self.segment, 0))
+        if summary.stops == self.stops.digest:
+            del self._stops_differ[header.segment]
+            return
+        self._stops_differ[header.segment] += 1
+        if self._stops_differ[header.segment] >= 2 and self._tell_us is None:
+            place = sorted(self.reach.heard(now_us)).index(header.segment)
+            earliest_us = self._told_us + TELL_SPACING_US
+            self._tell_us = max(now_us + place * TELL_STEP_US, earliest_us)
+
+    def _work(self, source: int, body: Body, now_us: int) -> None:
+        before = self.border.version
+        entries = [entry for entry in body if isinstance(entry, backbone.Entry)]
+        for section, block in self.border.receive(source, entries):
+            self.sync.changed_here(section, block, now_us)
+        self.counts["news"] += self.border.version != before
+
+    # ---------------------------------------------------------------- time
+
+    @property
+    def deadline_us(self) -> int:
+        times = [self.candidacy.deadline_us]
+        if self.candidacy.address is not None:
+            times += [self.stops.deadline_us, self._look_us]
+            sync_us = self.sync.deadline_us
+            if sync_us is not None:
+                times.append(sync_us)
+            if self._tell_us is not None:
+                times.append(self._tell_us)
+            if self.leads:
+                times += [self._summary_us, self._rotate_us]
+                if self.chart is not None:
+                    times.append(max(self.chart.deadline_us, self._map_us))
+                if self.border.waiting:
+                    times.append(self._flush_us)
+                if self.border.to_say:
+                    times.append(self._say_us)
+        return min(times)
+
+    _map_us = 0  # the same for frames of the map
+    _say_us = 0  # when the rate limit lets the next frame pass
+
+    def tick(self, now_us: int) -> Sequence[Out]:
+        candidacy = self.candidacy
+        effects: list[Out] = [
+            *candidacy.tick(len(self.reach.reached(now_us)), self.reach.ever, now_us)
+        ]
+        self.stops.leads = self.leads
+        if candidacy.address is None:
+            return effects
+        if self._introduced != candidacy.address:
+            self._introduced = candidacy.address
+            effects[:0] = self._introduce()
+        effects += [self._send(message) for message in self.stops.tick(now_us)]
+        if now_us >= self._look_us:
+            self._look(now_us)
+        effects += [self._send(message) for message in self.sync.tick(now_us)]
+        if self._tell_us is not None and now_us >= self._tell_us:
+            self._tell_us, self._told_us = None, now_us
+            effects += self._tell_stops()
+        if self.leads:
+            effects += self._lead(now_us)
+        else:
+            self.border.forget_injections()
+        return effects
+
+    def _introduce(self) -> list[Out]:
+        """We have an address: say so, and ask what holds the robots here."""
+        claim = AddressClaimed(self.name.pack())
+        return [self._send(claim), self._send(StateSyncRequest(0, 0, STOPS, 0))]
+
+    def _look(self, now_us: int) -> None:
+        self._look_us = now_us + LOOK_US
+        live = frozenset(s for s, heard_us in self._heard_us.items() if now_us - heard_us < LIVE_US)
+        if live != self._live:
+            assert self.candidacy.number is not None
+            self._live = live
+            self.sync.slot = self.sync.divergence.slot = self.candidacy.number
+            self.sync.live(live | {self.candidacy.number}, now_us)
+        if self.chart is not None:
+            self.chart.live(live, frozenset(self.reach.heard(now_us)))
+
+    def _lead(self, now_us: int) -> list[Out]:
+        effects: list[Out] = []
+        if self.border.waiting and now_us >= self._flush_us:
+            self._flush_us = now_us + FLUSH_US
+            for neighbour, entries in self.border.take():
+                effects += self._publish(Kind.WORK, entries, neighbour)
+        if now_us >= self._summary_us:
+            self._summary_us = now_us + SUMMARY_US
+            effects += self._publish(Kind.SUMMARY, self.summary(now_us))
+        if now_us >= self._rotate_us:
+            self._rotate_us = now_us + ROTATION_US
+            if self._limit.take(FRAME_US_MAX, now_us):
+                effects += self._rotate(now_us)
+        if self.chart is not None and now_us >= max(self.chart.deadline_us, self._map_us):
+            near, far = self.chart.tick(self._limit, now_us)
+            self._map_us = now_us + MAP_STEP_US
+            effects += [self._send(message) for message in near]
+            effects += self._publish(Kind.MAP, tuple(far)) if far else []
+        if self.border.to_say:
+            if self._limit.take(FRAME_US_MAX, now_us):
+                effects.append(self._send(self.border.say()))
+            self._say_us = self._limit.ready_us(FRAME_US_MAX, now_us)
+        return effects
+
+    def _rotate(self, now_us: int) -> list[Out]:
+        """The next of the other segments, for the robots here."""
+        heard = sorted(self.reach.heard(now_us))
+        if not heard:
+            return []
+        self._turn = (self._turn + 1) % len(heard)
+        summary = self.reach.remotes[heard[self._turn]].summary
+        if summary is None:
+            return []
+        done = round(250 * min(summary.done / summary.home, 1.0)) if summary.home else 0
+        told = SegmentSummary(
+            heard[self._turn], summary.live, summary.silent, summary.halted, done,
+            summary.digest & 0xFFFF,
+        )  # fmt: skip
+        return [self._send(told)]
+
+    def summary(self, now_us: int) -> Summary:
+        live, halted = self.stops.halted(now_us)
+        silent = sum(LIVE_US <= now_us - t_us < LEFT_US for t_us in self._heard_us.values())
+        done, digest = self.border.home_state()
+        shared = {n: self.border.digest(n) for n in self.area.neighbours}
+        heard = self.reach.heard(now_us)
+        return Summary(
+            min(live, 255), min(silent, 255), min(halted, 255), done, self.area.home, digest,
+            self.stops.digest, 0 if self.chart is None else self.chart.digest, shared, heard,
+        )  # fmt: skip
+
+    # ---------------------------------------------------------------- out
+
+    def _tell_stops(self) -> list[Out]:
+        effects: list[Out] = []
+        stops = [stop._replace(told=True) for stop in self.stops.stops.values()]
+        halves = [half for both in self.stops.resets.values() for half in both.values()]
+        for at in range(0, len(stops), STOPS_PER_MESSAGE):
+            effects += self._publish(Kind.STOPS, tuple(stops[at : at + STOPS_PER_MESSAGE]))
+        for at in range(0, len(halves), STOPS_PER_MESSAGE):
+            effects += self._publish(Kind.RESETS, tuple(halves[at : at + STOPS_PER_MESSAGE]))
+        return effects
+
+    def _publish(self, kind: Kind, body: Body, target: int = 0) -> list[Out]:
+        self._sequence = self._sequence + 1 & 0xFFFF_FFFF
+        number = self.candidacy.number
+        header = Header(
+            kind, self.segment, self.candidacy.term, 0 if number is None else number, self.boot,
+            self._sequence,
+        )  # fmt: skip
+        return [Publish(kind, backbone.pack(header, body), target)]
+
+    def _send(self, message: Message) -> Send:
+        return Send(message, source=self.candidacy.address)
+
+    def status(self, now_us: int) -> dict[str, object]:
+        """For people: what it is and whom it reaches."""
+        live, halted = self.stops.halted(now_us)
+        return {
+            "segment": self.segment, "number": self.candidacy.number, "leads": self.leads,
+            "term": self.candidacy.term, "reached": sorted(self.reach.reached(now_us)),
+            "heard": sorted(self.reach.heard(now_us)), "robots": live, "stopped": halted,
+            "counts": dict(self.counts + self.reach.counts + self.border.counts),
+        }  # fmt: skip

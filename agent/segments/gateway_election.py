@@ -1,0 +1,124 @@
+"""The gateways of one segment among themselves: numbers, signs of life, and who leads.
+
+A candidate listens first and takes the lowest free number, and with it an address. Of two with one
+number the one with the lower lot looks for another. Leading is decided by votes, as for every
+convenience (`agent/peer/leader_election.py`); a candidate that is silent is no longer counted, and a new term
+fences it off. Nothing here is needed to stop: every candidate carries stops.
+"""
+
+from collections.abc import Sequence
+
+from agent.interface.config import MS
+from agent.interface.effects import Effect, Send, Trace
+from agent.peer.leader_election import Election
+from protocol.frames.fleet_frames import LeaderElectionVote
+from protocol.frames.messages import Message
+from protocol.frames.segment_frames import (
+    CANDIDATES_MAX,
+    GATEWAY_ADDRESS,
+    GATEWAY_SLOT,
+    SEGMENT_GATEWAY,
+    GatewayBeat,
+)
+
+BEAT_US = 250 * MS
+SILENT_US = 800 * MS  # three beats are missing
+LISTEN_US = 600 * MS  # two beats of who is there already
+NUMBERS = range(GATEWAY_SLOT, GATEWAY_SLOT + CANDIDATES_MAX)
+
+
+class Candidacy:
+    def __init__(self, lot: int, name_hash: int, now_us: int) -> None:
+        self.lot = lot & 0xFFFF
+        self.number: int | None = None
+        self.election = Election(SEGMENT_GATEWAY, NUMBERS[0], name_hash)
+        self.crowded = False  # no number is free
+        self._heard: dict[int, tuple[int, int]] = {}  # number -> last beat, lot
+        self._live: frozenset[int] = frozenset()
+        self._beat_us = now_us + LISTEN_US
+        self._led = False
+
+    @property
+    def address(self) -> int | None:
+        return None if self.number is None else GATEWAY_ADDRESS + self.number - GATEWAY_SLOT
+
+    @property
+    def leads(self) -> bool:
+        leader = self.election.leader
+        return leader is not None and self.number == leader.slot
+
+    @property
+    def term(self) -> int:
+        return self.election.term
+
+    @property
+    def deadline_us(self) -> int:
+        return self._beat_us
+
+    # ---------------------------------------------------------------- hearing
+
+    def hear(self, number: int, message: Message, now_us: int) -> None:
+        """A frame of another candidate."""
+        if isinstance(message, GatewayBeat) and message.candidate == number:
+            if number == self.number and message.lot != self.lot:
+                if message.lot > self.lot:
+                    return  # it yields
+                self._give_up(now_us)
+            self._heard[number] = now_us, message.lot
+            if message.term > self.term:
+                self.election.fence(message.term - 1, now_us)
+        elif isinstance(message, LeaderElectionVote) and message.election == SEGMENT_GATEWAY:
+            self.election.heard(number, message, self._live)
+
+    def _give_up(self, now_us: int) -> None:
+        self.number = None
+        self._beat_us = now_us + LISTEN_US
+
+    def fenced(self, term: int, now_us: int) -> None:
+        """Other segments know a gateway of ours with a later term."""
+        self.election.fence(term, now_us)
+
+    # ---------------------------------------------------------------- speaking
+
+    def tick(self, reached: int, ever: bool, now_us: int) -> Sequence[Effect]:
+        if now_us < self._beat_us:
+            return ()
+        self._beat_us = now_us + BEAT_US
+        if self.number is None and not self._choose(now_us):
+            return ()
+        self._look(now_us)
+        election = self.election
+        election.tick(self._live, now_us)
+        assert self.number is not None
+        flags = self.leads | ever << 1
+        effects: list[Effect] = [
+            Send(GatewayBeat(self.number, flags, self.term, reached, self.lot), source=self.address)
+        ]
+        vote = election.speak(now_us)
+        if vote is not None:
+            effects.append(Send(vote, source=self.address))
+        if self._led != self.leads:
+            self._led = self.leads
+            state = "LEADS" if self._led else "STANDS BY"
+            effects.append(Trace("gateway", "", state, f"{self.number}", f"term {self.term}"))
+        return effects
+
+    def _choose(self, now_us: int) -> bool:
+        taken = {n for n, (heard_us, _) in self._heard.items() if now_us - heard_us < SILENT_US}
+        free = [number for number in NUMBERS if number not in taken]
+        self.crowded = not free
+        if not free:
+            return False
+        self.number = self.election.slot = free[0]
+        self.election.votes.clear()
+        self.election.see(now_us)
+        return True
+
+    def _look(self, now_us: int) -> None:
+        """Who is there: a change calls for votes."""
+        assert self.number is not None
+        heard = {n for n, (heard_us, _) in self._heard.items() if now_us - heard_us < SILENT_US}
+        live = frozenset(heard | {self.number})
+        if live != self._live:
+            self._live = live
+            self.election.see(now_us)

@@ -1,0 +1,73 @@
+"""A gateway's part in the map: one chart between two conversations.
+
+On its bus the gateway takes part in the robots' anti-entropy as one more of them; on the backbone the
+gateways that lead hold the same conversation (`protocol/sync/map_sync.py`) among themselves. Whatever is
+learned on one side differs from what the other side says, and is told there. So tiles and digests cross
+by anti-entropy alone, and a cut costs what changed during it.
+
+Segments that share a map share its geometry. An observer has five bits: robots of two segments with one
+slot count as one observer, who trusts what it reads of the other as its own.
+"""
+
+from agent.interface.config import FRAME_US_MAX, S
+from agent.segments.token_bucket import RateLimit
+from crdt.hybrid_clock import HybridClock
+from crdt.occupancy import Geometry, OccupancyMap
+from crdt.sighting import TIME_MAX, Order
+from protocol.backbone_messages import Entry
+from protocol.frames.map_frames import MapDigests, MapPatch
+from protocol.frames.segment_frames import GATEWAY_SLOT
+from protocol.sync.map_sync import MapSync, Said
+
+PATCH, DIGESTS = 3, 4  # of entries
+KINDS: dict[int, type[MapPatch] | type[MapDigests]] = {PATCH: MapPatch, DIGESTS: MapDigests}
+
+
+class MapRelay:
+    def __init__(self, segment: int, geometry: Geometry, order: Order, now_us: int) -> None:
+        self.segment = segment
+        self.chart = OccupancyMap(geometry, order)
+        clock = HybridClock(now_us, S, TIME_MAX)
+        self.near = MapSync(GATEWAY_SLOT, self.chart, clock, now_us)
+        self.far = MapSync(segment, self.chart, clock, now_us)
+        self.refused = 0  # entries that are no frame of a map
+
+    def live(self, robots: frozenset[int], segments: frozenset[int]) -> None:
+        self.near.live(robots)
+        self.far.live(segments)
+
+    @property
+    def digest(self) -> int:
+        return self.chart.digest & 0xFFFF_FFFF
+
+    def hear(self, slot: int, message: Said, now_us: int) -> None:
+        """On our bus."""
+        self.near.receive(slot, message, now_us)
+
+    def receive(self, segment: int, entry: Entry, now_us: int) -> None:
+        """From another segment's gateway."""
+        kind = KINDS.get(entry.kind)
+        try:
+            message = None if kind is None else kind.unpack(entry.data)
+        except ValueError:
+            message = None
+        if message is None:
+            self.refused += 1
+        else:
+            self.far.receive(segment, message, now_us)
+
+    @property
+    def deadline_us(self) -> int:
+        return min(self.near.deadline_us, self.far.deadline_us)
+
+    def tick(self, limit: RateLimit, now_us: int) -> tuple[list[Said], list[Entry]]:
+        """(frames for our bus, entries for the backbone); the former as far as the limit lets."""
+        near: list[Said] = []
+        if self.near.deadline_us <= now_us and limit.take(FRAME_US_MAX, now_us):
+            near = self.near.tick(now_us)
+        far = self.far.tick(now_us) if self.far.deadline_us <= now_us else []
+        told = [
+            Entry(PATCH if isinstance(m, MapPatch) else DIGESTS, self.segment, 0, 0, 0, m.pack())
+            for m in far
+        ]
+        return near, told

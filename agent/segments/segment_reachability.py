@@ -1,0 +1,72 @@
+"""Which other segments a gateway hears, and which of them hear it.
+
+A segment counts as reached when both are so: over a link that carries one way, its summaries arrive
+and do not name us. Gateways of one segment are told apart by term: an earlier one is fenced off.
+"""
+
+from collections import Counter
+from dataclasses import dataclass, field
+
+from agent.interface.config import S
+from protocol.backbone_messages import Header, Kind, Summary
+
+GONE_US = 2 * S  # four summaries are missing
+SEGMENTS_MAX = 4096  # remembered; a few hundred bytes each. More is a fleet beyond this version
+
+
+@dataclass
+class Remote:
+    """Another segment, as its leading gateway tells."""
+
+    term: int = 0
+    heard_us: int = -GONE_US
+    hears_us: bool = False
+    summary: Summary | None = None
+    last: dict[int, tuple[int, int]] = field(default_factory=dict)  # candidate -> boot, sequence
+
+
+class Reach:
+    def __init__(self, segment: int) -> None:
+        self.segment = segment
+        self.remotes: dict[int, Remote] = {}
+        self.counts: Counter[str] = Counter()
+        self.ever = False
+
+    def accepts(self, header: Header, now_us: int) -> bool:
+        """Not an echo, not a duplicate, not from a gateway that has been replaced."""
+        if header.segment == self.segment:
+            self.counts["echo"] += 1
+            return False
+        if header.kind in (Kind.STOPS, Kind.RESETS):
+            return True  # from whomever: they are idempotent, and first
+        remote = self.remotes.get(header.segment)
+        if remote is None:
+            if len(self.remotes) >= SEGMENTS_MAX:
+                self.counts["too many"] += 1
+                return False
+            remote = self.remotes[header.segment] = Remote()
+        if header.term < remote.term and now_us - remote.heard_us < GONE_US:
+            self.counts["fenced"] += 1
+            return False
+        boot, sequence = remote.last.get(header.candidate, (-1, -1))
+        if boot == header.boot and header.sequence <= sequence:
+            self.counts["duplicate"] += 1
+            return False
+        remote.last[header.candidate] = header.boot, header.sequence
+        remote.term = header.term
+        return True
+
+    def hear(self, header: Header, summary: Summary, now_us: int) -> None:
+        remote = self.remotes[header.segment]
+        kept = summary._replace(heard={}, shared={})  # what grows with the fleet is not kept
+        remote.summary, remote.heard_us = kept, now_us
+        remote.hears_us = self.segment in summary.heard
+        self.ever |= remote.hears_us
+
+    def heard(self, now_us: int) -> dict[int, int]:
+        """Segments that are heard now, and the terms of their gateways."""
+        return {s: r.term for s, r in self.remotes.items() if now_us - r.heard_us < GONE_US}
+
+    def reached(self, now_us: int) -> list[int]:
+        """Segments that are heard and hear us."""
+        return [s for s in self.heard(now_us) if self.remotes[s].hears_us]

@@ -1,0 +1,207 @@
+"""A gateway's part in stopping: what was pressed anywhere is said in its segment until all stand.
+
+Every candidate carries stops, whether it leads or not: a gateway that dies takes no stop with it. The
+others wait a moment and speak only where the leader has not. The relay judges nothing: it holds no
+secret, so robots believe or refuse, and a reset never keeps the relay from carrying a stop.
+
+A stop is a press, or it is told to a segment that may not know it. A press that is said under a name with
+a reset is carried as well, while it is said: robots that know the reset brake, and take another name.
+"""
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+from agent.interface.config import MS, STOP_REPEAT_US, S
+from agent.segments.token_bucket import RateLimit
+from crdt.digest import mix
+from crdt.stops import FarDot
+from protocol.frames.segment_frames import GATEWAY_ADDRESS, FleetReset, FleetStop
+
+DOTS_MAX = 1024  # of the fleet; beyond it those with a reset are forgotten, oldest first
+REPEATS_MAX = 400  # 2 s of repetition, as a robot does; then beats without the stopped bit renew it
+TIMES_MIN = 2  # also where everybody stands already: who stands for another reason has to know
+STANDBY_US = 8 * MS  # the leader's frame, and two in its way, are on the bus by then
+LIVE_US = 1 * S  # a robot heard within this has to stop; the longest silence that is tolerated
+NEWS_BURST, NEWS_A_SECOND = 16, 20  # new dots from the backbone; one is enough to stop everybody
+USED_US = 50 * MS  # a press with a name that has a reset is published again so often
+AGAIN_US = 500 * MS  # a robot that beats unstopped under an active dot is told again so often
+FOREVER = 1 << 62
+
+
+class Said(NamedTuple):
+    """A dot that is being said: how often still, and when next."""
+
+    left: int
+    next_us: int
+    told: bool  # no press of now
+
+
+class StopRelay:
+    def __init__(self, segment: int, now_us: int) -> None:
+        self.segment = segment
+        self.leads = False
+        self.stops: dict[FarDot, FleetStop] = {}
+        self.resets: dict[FarDot, dict[int, FleetReset]] = {}
+        self.refused = 0  # dots beyond the limit of news
+        self.disbelieved: set[FarDot] = set()  # said to the end, and nobody here stands for it
+        self._saying: dict[FarDot, Said] = {}
+        self._robots: dict[int, tuple[int, bool]] = {}  # address -> last beat, stands stopped
+        self._echoes: dict[FarDot, set[int]] = {}
+        self._next_us = 0  # one stop of ours at a time, whatever their number
+        self._again_us = 0
+        self._pressed_us: dict[FarDot, int] = {}  # of presses, not of told stops: when carried last
+        self._to_reset: list[FleetReset] = []
+        self._news = RateLimit(NEWS_A_SECOND / 1e6, NEWS_BURST, now_us)
+
+    @property
+    def digest(self) -> int:
+        """Of everything we hold; equal where nothing has to be told."""
+        total = sum(mix(int.from_bytes(stop.pack(), "little")) for stop in self.stops.values())
+        for halves in self.resets.values():
+            total += sum(mix(int.from_bytes(half.pack(), "little")) for half in halves.values())
+        return (total & 0xFFFF_FFFF_FFFF_FFFF) >> 32
+
+    # ---------------------------------------------------------------- from our segment
+
+    def beat(self, address: int, stopped: bool, now_us: int) -> None:
+        """A robot's pose: one that goes on under an active stop has not heard it."""
+        self._robots[address] = now_us, stopped
+        if stopped or now_us < self._again_us or self._saying:
+            return
+        active = [d for d in self.stops if self._active(d) and d not in self.disbelieved]
+        if active:
+            self._again_us = now_us + AGAIN_US
+            self._say(active[-1], True, now_us)
+
+    def halted(self, now_us: int) -> tuple[int, int]:
+        """(robots heard lately, how many of them stand stopped)."""
+        lately = [s for heard_us, s in self._robots.values() if now_us - heard_us < LIVE_US]
+        return len(lately), sum(lately)
+
+    def hear_stop(self, source: int, stop: FleetStop, now_us: int) -> list[FleetStop]:
+        """On our bus, from anybody; what has to be published."""
+        dot = _dot(stop)
+        self._echoes.setdefault(dot, set()).add(source)
+        known = dot in self.stops
+        if not known and not self._keep(dot, stop):
+            return []
+        if known and (not self._is_press(stop, now_us) or not self._news.take(1, now_us)):
+            return []
+        if not stop.told:
+            self._pressed_us[dot] = now_us
+        return [stop]
+
+    def _is_press(self, stop: FleetStop, now_us: int) -> bool:
+        """Of a dot that is known: news is its press alone, once; under a name with a reset while it is
+        said."""
+        dot = _dot(stop)
+        if stop.told or dot not in self._pressed_us:
+            return not stop.told
+        return not self._active(dot) and now_us - self._pressed_us[dot] >= USED_US
+
+    def hear_reset(self, half: FleetReset) -> list[FleetReset]:
+        dot = _dot(half)
+        halves = self.resets.setdefault(dot, {})
+        if halves.get(half.part) == half:
+            return []
+        halves[half.part] = half
+        self._trim()
+        return list(halves.values()) if len(halves) == 2 else []
+
+    # ---------------------------------------------------------------- from the backbone
+
+    def receive_stops(self, stops: Iterable[FleetStop], now_us: int) -> None:
+        for stop in stops:
+            dot = _dot(stop)
+            known = dot in self.stops
+            if known and not self._is_press(stop, now_us):
+                continue
+            if not self._news.take(1, now_us):
+                self.refused += 1  # its teller tells again: our digest still differs
+                continue
+            if not self._keep(dot, stop):
+                continue
+            if known and not self._active(dot):  # who has echoed it before has not echoed this press
+                self._echoes.pop(dot, None)
+            if not stop.told:
+                self._pressed_us[dot] = now_us
+            self._say(dot, stop.told, now_us)
+
+    def receive_resets(self, resets: Iterable[FleetReset], now_us: int) -> None:
+        for half in resets:
+            known = self.resets.setdefault(_dot(half), {})
+            if known.get(half.part) != half:
+                known[half.part] = half
+                if len(known) == 2:
+                    self._to_reset += known.values()
+        self._trim()
+
+    def _say(self, dot: FarDot, told: bool, now_us: int) -> None:
+        next_us = now_us if self.leads else now_us + STANDBY_US
+        self._saying[dot] = Said(REPEATS_MAX, next_us, told)
+
+    def _keep(self, dot: FarDot, stop: FleetStop) -> bool:
+        self.stops[dot] = stop._replace(told=False)
+        self._trim()
+        return dot in self.stops
+
+    def _trim(self) -> None:
+        for dot in [d for d in self.stops if not self._active(d)] + list(self.stops):
+            if len(self.stops) <= DOTS_MAX:
+                break
+            self.stops.pop(dot, None)
+            self.resets.pop(dot, None)
+            self._saying.pop(dot, None)
+            self._pressed_us.pop(dot, None)
+            self.disbelieved.discard(dot)
+        while len(self.resets) > DOTS_MAX:
+            del self.resets[next(iter(self.resets))]
+        while len(self._echoes) > DOTS_MAX:
+            del self._echoes[next(iter(self._echoes))]
+
+    def _active(self, dot: FarDot) -> bool:
+        return len(self.resets.get(dot, ())) < 2
+
+    # ---------------------------------------------------------------- on our segment
+
+    @property
+    def deadline_us(self) -> int:
+        if self._to_reset:
+            return self._next_us
+        due_us = min((said.next_us for said in self._saying.values()), default=FOREVER)
+        return max(due_us, self._next_us) if due_us < FOREVER else FOREVER
+
+    def tick(self, now_us: int) -> list[FleetStop | FleetReset]:
+        """At most one stop, or one reset's halves, twice: who missed one has the other."""
+        if now_us < self.deadline_us:
+            return []
+        self._next_us = now_us + STOP_REPEAT_US
+        for dot, said in sorted(self._saying.items(), key=lambda item: item[1].next_us):
+            if said.next_us > now_us:
+                break
+            enough = said.left <= REPEATS_MAX - TIMES_MIN and self._all_stand(dot, now_us)
+            if said.left <= 0 or enough or self._leader_said(dot):
+                del self._saying[dot]
+                if said.left <= 0 and self.halted(now_us)[1] == 0:
+                    self.disbelieved.add(dot)  # without a valid tag: it held while it was said
+                continue
+            self._saying[dot] = Said(said.left - 1, now_us + STOP_REPEAT_US, said.told)
+            return [self.stops[dot]._replace(told=said.told)]
+        halves, self._to_reset = self._to_reset[:2], self._to_reset[2:]
+        return [*halves, *halves]
+
+    def _leader_said(self, dot: FarDot) -> bool:
+        return not self.leads and any(a >= GATEWAY_ADDRESS for a in self._echoes.get(dot, ()))
+
+    def _all_stand(self, dot: FarDot, now_us: int) -> bool:
+        """Every robot heard lately has echoed this dot, or beats with the stopped bit.
+
+        Nobody heard at all is not everybody: it is said until the repeats are used up.
+        """
+        echoes = self._echoes.get(dot, set())
+        lately = {a: s for a, (t_us, s) in self._robots.items() if now_us - t_us < LIVE_US}
+        return bool(lately) and all(s or a in echoes for a, s in lately.items())
+
+
+def _dot(m: FleetStop | FleetReset) -> FarDot:
+    return FarDot(m.slot, m.incarnation, m.counter, m.segment)

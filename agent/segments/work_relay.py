@@ -1,0 +1,275 @@
+"""A gateway's part in the work: what its segment and its neighbours both hold is kept alike.
+
+The home of a section decides. Its value goes to the neighbours that share it and there becomes the
+copy; what a neighbour's robot claims or does goes home as a wish, joins there by the same order, and
+comes back as the home's value. Two claims that differ in nothing but their owners are told apart by
+the home, which raises the epoch. Losses and cuts are repaired by comparing one digest a neighbour; on
+a difference the entries that changed since it last agreed are sent, and if that did not help, all.
+"""
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+from agent.interface.config import MS
+from agent.segments.segment_area import GUEST_FIRST, Area, Place
+from crdt import FieldAllocationCRDT, Phase, Progress
+from crdt.digest import mix
+from crdt.register import DONE_BIT, Claim
+from protocol.backbone_messages import ENTRIES_MAX, Entry
+from protocol.frames.work_frames import StateSyncResponse, TaskClaim, WorkProgress
+
+REGISTER, BLOCK = 1, 2  # of entries; those of the map: `map_relay.py`
+LAST_SLOT = GUEST_FIRST - 1  # who has done a section of which only the segment is remembered
+UNKNOWN_OWNER = 0xFF  # a robot of that segment, but we cannot say which
+FLUSH_US = 20 * MS  # news waits so long for company; a claim is contested for 250 ms
+OWNER_BITS = 8
+
+Work = TaskClaim | StateSyncResponse | WorkProgress
+
+
+class Change(NamedTuple):
+    """An entry that is to be told, by its number here."""
+
+    kind: int
+    section: int
+    block: int = 0
+
+
+class BorderRelay:
+    def __init__(self, area: Area) -> None:
+        self.area = area
+        self.allocation, self.progress = FieldAllocationCRDT(), Progress()
+        self.counts: Counter[str] = Counter()
+        self._outbox: dict[int, dict[Change, None]] = {n: {} for n in area.neighbours}
+        self._fresh: list[Change] = []  # joined by the message that is being read
+        self._inject: dict[Change, None] = {}  # to be said on our bus, newest value when it is
+        self._changed: dict[Change, int] = {}  # -> version of its last change
+        self._version = 0
+        self._blocks: dict[int, int] = {}  # section -> blocks that were ever written
+        self._agreed: dict[int, int] = {}  # neighbour -> version at which our digests were equal
+        self._differs: dict[int, int] = {}  # neighbour -> comparisons in a row that failed
+
+    # ---------------------------------------------------------------- our segment
+
+    def heard(self, message: Work, from_gateway: bool) -> None:
+        """A work frame on our bus, joined to the replica by its reader. What another gateway said is
+        known where it came from: carrying it back would be an echo."""
+        section = message.section
+        progress = isinstance(message, WorkProgress)
+        change = Change(BLOCK, section, message.block) if progress else Change(REGISTER, section)  # type: ignore[union-attr]
+        self._inject.pop(change, None)  # said already
+        if from_gateway:
+            self._touch(change)
+        else:
+            self._news(change)
+
+    def _news(self, change: Change) -> None:
+        neighbours = self.area.concerned(change.section)
+        if neighbours:
+            self._touch(change)
+        for neighbour in neighbours:
+            self._outbox[neighbour][change] = None
+
+    def _touch(self, change: Change) -> None:
+        self._version += 1
+        self._changed[change] = self._version
+        if change.kind == BLOCK:
+            blocks = self._blocks.get(change.section, 0)
+            self._blocks[change.section] = max(blocks, change.block + 1)
+
+    # ---------------------------------------------------------------- to a neighbour
+
+    @property
+    def waiting(self) -> bool:
+        return any(self._outbox.values())
+
+    def take(self) -> Iterable[tuple[int, tuple[Entry, ...]]]:
+        """(neighbour, entries) to publish now."""
+        for neighbour, changes in self._outbox.items():
+            if changes:
+                chosen = list(changes)[:ENTRIES_MAX]
+                for change in chosen:
+                    del changes[change]
+                self.counts["told"] += len(chosen)
+                yield neighbour, tuple(self._entry(change) for change in chosen)
+
+    def _entry(self, change: Change) -> Entry:
+        """The value of now, in the numbers of the section's home."""
+        home, section = self.area.place_of(change.section)
+        if change.kind == BLOCK:
+            bits = self.progress.bits(change.section, change.block)
+            return Entry(
+                BLOCK, home, section, 0, 0, WorkProgress(section, change.block, bits).pack()
+            )
+        claim = self.allocation.entry(change.section)
+        segment = self.area.segment_of(claim.owner)
+        owner = claim.owner if segment == self.area.segment else UNKNOWN_OWNER
+        return Entry(REGISTER, home, section, segment, owner, TaskClaim(section, *claim).pack())
+
+    # ---------------------------------------------------------------- from a neighbour
+
+    @property
+    def version(self) -> int:
+        """Counts changes of what is shared."""
+        return self._version
+
+    def receive(self, source: int, entries: Iterable[Entry]) -> Iterable[tuple[int, int | None]]:
+        """Join them; returns (section, block or None for its register) of what was news."""
+        self._fresh = []
+        for entry in entries:
+            number = self.area.number_of.get(Place(entry.segment, entry.section))
+            concerned = () if number is None else self.area.concerned(number)
+            if number is None or source not in concerned:
+                self.counts["refused"] += 1  # not shared with who says it
+            elif entry.kind == BLOCK:
+                self._join_block(number, WorkProgress.unpack(entry.data))
+            elif entry.kind == REGISTER:
+                self._join_register(number, entry)
+            else:
+                self.counts["refused"] += 1
+        return [(c.section, c.block if c.kind == BLOCK else None) for c in self._fresh]
+
+    def _join_block(self, number: int, told: WorkProgress) -> None:
+        change = Change(BLOCK, number, told.block)
+        if self.progress.apply(number, told.block, told.bits):
+            self._joined(change)
+
+    def _join_register(self, number: int, entry: Entry) -> None:
+        try:
+            told = TaskClaim.unpack(entry.data)
+        except ValueError:
+            self.counts["refused"] += 1
+            return
+        owner = self._owner_here(number, entry, told)
+        if owner is None:
+            return
+        claim = Claim(told.epoch, Phase(told.phase), told.bid, told.lamport, owner)
+        key, known = claim.pack(), self.allocation.key(number)
+        change = Change(REGISTER, number)
+        if known is not None and key >> OWNER_BITS == known >> OWNER_BITS:
+            if key != known and self.area.segment_of(owner) != self._segment_here(known):
+                self._settle(change, known)
+        elif self.allocation.apply(number, key):
+            self._joined(change)
+
+    def _segment_here(self, key: int) -> int:
+        return self.area.segment_of(Claim.unpack(key).owner)
+
+    def _owner_here(self, number: int, entry: Entry, told: TaskClaim) -> int | None:
+        """How a register here names the owner; None where it says nothing that we need."""
+        area = self.area
+        if entry.owner_segment == area.segment:
+            if entry.owner != UNKNOWN_OWNER:
+                return entry.owner if entry.owner < GUEST_FIRST else None
+            # A claim of ours comes back from its home, which does not know whose: ours does.
+            ours = self.allocation.entry(number)
+            same = (ours.epoch, ours.phase, ours.lamport) == (told.epoch, told.phase, told.lamport)
+            if same and ours.owner < GUEST_FIRST:
+                return ours.owner
+            return LAST_SLOT if told.phase == Phase.DONE else None
+        home = area.place_of(number).segment
+        if entry.owner_segment in area.neighbours:
+            return area.guest(entry.owner_segment)
+        return area.guest(home) if home in area.neighbours else None  # a neighbour's neighbour
+
+    def _settle(self, change: Change, known: int) -> None:
+        """Two claims alike but for their owners: the home decides, with an epoch of its own."""
+        self.counts["ties"] += 1
+        if change.section in self.area.borrowed:
+            self._news(change)  # the home has to see it
+            return
+        claim = Claim.unpack(known)
+        if claim.phase == Phase.DONE or claim.phase == Phase.FREE:
+            return  # nothing to decide
+        lamport = self.allocation.lamport + 1
+        if self.allocation.apply(
+            change.section, claim._replace(epoch=claim.epoch + 1, lamport=lamport).pack()
+        ):
+            self._joined(change)
+            self._news(change)
+
+    def _joined(self, change: Change) -> None:
+        """News from beyond: for our bus, and where we are the home for the other neighbours."""
+        self.counts["joined"] += 1
+        self._fresh.append(change)
+        self._inject.pop(change, None)
+        self._inject[change] = None
+        self._touch(change)
+        if change.section in self.area.lent:
+            for neighbour in self.area.concerned(change.section):
+                self._outbox[neighbour][change] = None
+
+    # ---------------------------------------------------------------- on our segment
+
+    @property
+    def to_say(self) -> bool:
+        return bool(self._inject)
+
+    def say(self) -> Work:
+        """The next frame for our bus. A claim is an announcement; robots join it as any other."""
+        change = next(iter(self._inject))
+        del self._inject[change]
+        if change.kind == BLOCK:
+            bits = self.progress.bits(change.section, change.block)
+            return WorkProgress(change.section, change.block, bits)
+        return TaskClaim(change.section, *self.allocation.entry(change.section))
+
+    def forget_injections(self) -> None:
+        """Another gateway leads: it says them."""
+        self._inject.clear()
+
+    # ---------------------------------------------------------------- anti-entropy
+
+    def home_state(self) -> tuple[int, int]:
+        """(sections done, digest) of what belongs to this segment, for the rest of the fleet."""
+        total = done = 0
+        for section, key in self.allocation.entries().items():
+            if section < self.area.home:
+                done += key >= DONE_BIT
+                total += mix(mix(section) ^ key >> OWNER_BITS)
+        return done, (total & 0xFFFF_FFFF_FFFF_FFFF) >> 32
+
+    def digest(self, neighbour: int) -> int:
+        """Of all that both hold, the same on both sides where it is alike."""
+        total = 0
+        for section in self.area.shared_with(neighbour):
+            home, number = self.area.place_of(section)
+            place = home << 16 | number
+            key = self.allocation.key(section)
+            if key is not None:
+                decided = mix(place << 2 | REGISTER) ^ mix(key >> OWNER_BITS)
+                total += mix(decided ^ self._holder(key, home, neighbour))
+            for block in range(self._blocks.get(section, 0)):
+                bits = self.progress.bits(section, block)
+                if bits:
+                    total += mix(mix(place << 10 | block << 2 | BLOCK) ^ bits)
+        return (total & 0xFFFF_FFFF_FFFF_FFFF) >> 32
+
+    def _holder(self, key: int, home: int, neighbour: int) -> int:
+        """The segment whose robot holds a section; a third one's counts as the home's on both sides."""
+        claim = Claim.unpack(key)
+        if claim.phase in (Phase.DONE, Phase.FREE):
+            return 0
+        segment = self.area.segment_of(claim.owner)
+        return segment if segment in (self.area.segment, neighbour) else home
+
+    def compare(self, neighbour: int, theirs: int) -> None:
+        """A neighbour's digest; twice different in a row, nothing being under way: tell it."""
+        if neighbour not in self._outbox:
+            return
+        if theirs == self.digest(neighbour):
+            self._agreed[neighbour] = self._version
+            self._differs.pop(neighbour, None)
+            return
+        tries = self._differs[neighbour] = self._differs.get(neighbour, 0) + 1
+        if tries < 2 or tries & tries - 1 or self._outbox[neighbour]:
+            return  # 2, 4, 8 ...: what can not be repaired costs ever less
+        since = self._agreed.get(neighbour, 0) if tries == 2 else 0
+        for change in self._shared_since(neighbour, since):
+            self._outbox[neighbour][change] = None
+        self.counts["repairs"] += 1
+
+    def _shared_since(self, neighbour: int, version: int) -> Sequence[Change]:
+        shared = set(self.area.shared_with(neighbour))
+        return [c for c, v in self._changed.items() if v > version and c.section in shared]

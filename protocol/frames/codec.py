@@ -1,0 +1,83 @@
+"""Between frames and messages. Decoding never raises: what cannot be read is a counted value."""
+
+from struct import error as StructError
+from typing import NamedTuple
+
+from protocol.frames.frame import Frame
+from protocol.frames.identifier import Identifier
+from protocol.frames.messages import GROUP_OF, GROUPS, Message
+
+
+class Malformed(NamedTuple):
+    """A frame we could not read. The reasons are few, so that they can be counted."""
+
+    reason: str
+
+
+UNKNOWN, LENGTH, RANGE = Malformed("unknown PGN"), Malformed("length"), Malformed("range")
+
+# Addressed groups (PF < 240) carry the destination in the low byte: every value of it leads there.
+_READERS = {
+    group.pgn | low: (group.kind.unpack, group.length)
+    for group in GROUPS
+    for low in (range(256) if group.pgn >> 8 & 0xFF < 240 else (0,))
+}
+_HEADS = {
+    kind: (group.priority << 26 | group.pgn << 8, group.pgn >> 8 & 0xFF < 240)
+    for kind, group in GROUP_OF.items()
+}
+
+
+_tuple = tuple.__new__
+
+
+def encode(message: Message, source: int, destination: int = 255) -> Frame:
+    head, addressed = _HEADS[type(message)]
+    assert 0 <= source <= 255 and 0 <= destination <= 255
+    identifier = head | (destination << 8 if addressed else 0) | source
+    return _tuple(Frame, (identifier, packed(message)))
+
+
+_packed: tuple[Message | None, bytes] = (None, b"")  # the newest
+
+
+def packed(message: Message) -> bytes:
+    """The data of a message; whoever else wants them of the one just sent gets them for nothing."""
+    global _packed
+    last, data = _packed
+    if last is not message:
+        data = message.pack()
+        _packed = (message, data)
+    return data
+
+
+def decode(frame: Frame) -> tuple[int, Message | Malformed]:
+    """(source address, message or Malformed) of any identifier and any bytes."""
+    identifier, data = frame
+    reader = _READERS.get(identifier >> 8 & 0x3FFFF)
+    if reader is None:
+        return identifier & 0xFF, UNKNOWN
+    unpack, length = reader
+    if len(data) != length:
+        return identifier & 0xFF, LENGTH
+    try:
+        return identifier & 0xFF, unpack(data)
+    except (ValueError, StructError):
+        return identifier & 0xFF, RANGE
+
+
+_decoded: tuple[Frame | None, tuple[int, Message | Malformed]] = (None, (0, UNKNOWN))  # the newest
+
+
+def decode_once(frame: Frame) -> tuple[int, Message | Malformed]:
+    """`decode`, for simulators: all receivers are given the very same frame, one after another."""
+    global _decoded
+    last, result = _decoded
+    if last is not frame:
+        result = decode(frame)
+        _decoded = (frame, result)
+    return result
+
+
+def destination_of(frame: Frame) -> int:
+    return Identifier.unpack(frame.identifier).destination

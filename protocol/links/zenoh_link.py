@@ -1,0 +1,214 @@
+"""The one place that knows Eclipse Zenoh: a session with explicit endpoints, and a bus made of it.
+
+Nothing is found by multicast; who is connected to is named. Callbacks of the session come in threads
+of its own and are handed to the event loop here. What the loop cannot keep up with is dropped and
+counted; a stop never is, because it comes over a lane of its own and there are few.
+"""
+
+import asyncio
+import json
+import threading
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import zenoh
+
+from protocol.controller_health import Health
+from protocol.frames.frame import Frame
+
+LEASE_MS = (
+    2_000  # a link that is silent so long is closed, and tried again; Zenoh's default is 10 s
+)
+RETRY_MS = 500  # between attempts to reach an endpoint
+OPEN_MS = 1_000  # for one attempt
+INBOX_MAX = 4096  # messages under way to the event loop
+FRAME_BYTES = 4  # of the identifier before the data of a frame
+IDENTIFIER_MAX = 1 << 29
+
+Heard = Callable[[bytes], None]
+
+
+class LinkError(Exception):
+    """One line for the person: what is wrong and what to do."""
+
+
+def configure(
+    connect: Iterable[str], listen: Iterable[str], mode: str = "", file: Path | None = None
+) -> zenoh.Config:
+    """`file`: Zenoh's own configuration (JSON5), where TLS and access control are.
+
+    `mode`: peer, client or router; none: router for who listens, which passes on what others say to
+    each other, client for who only connects (a router carries nothing between peers). Raises LinkError.
+    """
+    connect, listen = list(connect), list(listen)
+    try:
+        config = zenoh.Config() if file is None else zenoh.Config.from_file(str(file))
+    except Exception as problem:  # the binding raises what it likes
+        raise LinkError(f"{file} is not a configuration of Zenoh: {_first_line(problem)}") from None
+    settings: dict[str, object] = {
+        "mode": mode or ("router" if listen else "client"),
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,
+        "transport/link/tx/lease": LEASE_MS,
+        "transport/unicast/open_timeout": OPEN_MS,
+        "connect/timeout_ms": -1,  # go on trying: a gateway may be up before its backbone is
+        "connect/exit_on_failure": False,
+        "connect/retry": {
+            "period_init_ms": RETRY_MS, "period_max_ms": RETRY_MS, "period_increase_factor": 1,
+        },
+    }  # fmt: skip
+    if connect:
+        settings["connect/endpoints"] = connect
+    if listen or file is None:
+        settings["listen/endpoints"] = listen
+    for key, value in settings.items():
+        try:
+            config.insert_json5(key, json.dumps(value))
+        except Exception as problem:
+            raise LinkError(f"{key} = {value}: {_first_line(problem)}") from None
+    return config
+
+
+def _first_line(problem: Exception) -> str:
+    return str(problem).splitlines()[0] if str(problem) else type(problem).__name__
+
+
+class ZenohLink:
+    """A session of one program. Raises LinkError where an endpoint cannot be listened on.
+
+    Who only connects may be up before its backbone is: the session is then opened in a thread, which
+    goes on trying, and until it is there nothing is sent.
+    """
+
+    def __init__(self, config: zenoh.Config, loop: asyncio.AbstractEventLoop) -> None:
+        self._loop = loop
+        self.dropped = 0  # messages that found the inbox full
+        self.session: zenoh.Session | None = None
+        self.refusal = ""  # why it does not open
+        self._waiting = 0
+        self._open = True
+        self._patterns: list[tuple[str, Callable[[zenoh.Sample], None]]] = []
+        self._subscribers: list[Any] = []
+        if config.get_json("mode") == '"client"':
+            threading.Thread(target=self._connect, args=(config,), daemon=True).start()
+            return
+        try:
+            self.session = zenoh.open(config)
+        except Exception as problem:
+            raise LinkError(f"the backbone does not open: {_first_line(problem)}") from None
+
+    def _connect(self, config: zenoh.Config) -> None:
+        """In a thread of its own: opens, which may take for ever."""
+        while self._open:
+            try:
+                session = zenoh.open(config)
+            except Exception as problem:
+                self.refusal = _first_line(problem)
+                continue
+            try:
+                self._loop.call_soon_threadsafe(self._opened, session)
+            except RuntimeError:
+                session.close()  # type: ignore[no-untyped-call]
+            return
+
+    def _opened(self, session: zenoh.Session) -> None:
+        if not self._open:
+            session.close()  # type: ignore[no-untyped-call]
+            return
+        self.session = session
+        for pattern, arrived in self._patterns:
+            self._declare(pattern, arrived)
+
+    def put(self, key: str, data: bytes, urgent: bool = False) -> None:
+        """Send. What is urgent overtakes everything else, is not batched, and is not dropped."""
+        if self.session is None or not self._open:
+            return
+        if urgent:
+            self.session.put(
+                key, data, priority=zenoh.Priority.REAL_TIME, express=True,
+                congestion_control=zenoh.CongestionControl.BLOCK,
+            )  # fmt: skip
+        else:
+            self.session.put(
+                key, data, priority=zenoh.Priority.DATA, express=True,
+                congestion_control=zenoh.CongestionControl.DROP,
+            )  # fmt: skip
+
+    def subscribe(self, pattern: str, heard: Heard, keep: bool = False) -> None:
+        """Call back in the loop's thread for what others put. `keep`: drop nothing."""
+
+        def arrived(sample: zenoh.Sample) -> None:
+            if not keep and self._waiting >= INBOX_MAX:
+                self.dropped += 1
+                return
+            self._waiting += 1
+            data = bytes(sample.payload)
+            try:
+                self._loop.call_soon_threadsafe(deliver, data)
+            except RuntimeError:  # the loop has ended before the session
+                self._open = False
+
+        def deliver(data: bytes) -> None:
+            self._waiting -= 1
+            if self._open:
+                heard(data)
+
+        self._patterns.append((pattern, arrived))
+        if self.session is not None:
+            self._declare(pattern, arrived)
+
+    def _declare(self, pattern: str, arrived: Callable[[zenoh.Sample], None]) -> None:
+        assert self.session is not None
+        self._subscribers.append(
+            self.session.declare_subscriber(pattern, arrived, allowed_origin=zenoh.Locality.REMOTE)
+        )
+
+    @property
+    def links(self) -> int:
+        """Other programs that this one is connected to."""
+        if self.session is None:
+            return 0
+        return len(list(self.session.info.transports()))
+
+    def close(self) -> None:
+        if self._open:
+            self._open = False
+            if self.session is not None:
+                self.session.close()  # type: ignore[no-untyped-call]
+
+
+class ZenohBus:
+    """A segment that is no cable: robots on Wi-Fi that share a key. The same frames, the same `Bus`.
+
+    There is no arbitration; frames of priority 0 and 1, stops and resets, take the urgent lane.
+    """
+
+    def __init__(self, link: ZenohLink, key: str) -> None:
+        self._link, self._key = link, key
+        self.refused = 0  # messages that are no frame
+
+    def send(self, frame: Frame) -> bool:
+        data = frame.identifier.to_bytes(FRAME_BYTES, "little") + frame.data
+        urgent = frame.identifier >> 26 < 2
+        self._link.put(f"{self._key}/{'urgent' if urgent else 'frames'}", data, urgent)
+        return True
+
+    @property
+    def health(self) -> Health:
+        """There is no controller to confine; without a session nothing we say is heard."""
+        return Health.OFF if self._link.session is None else Health.ACTIVE
+
+    def subscribe(self, callback: Callable[[Frame], None]) -> None:
+        def heard(data: bytes) -> None:
+            identifier = int.from_bytes(data[:FRAME_BYTES], "little")
+            if not FRAME_BYTES <= len(data) <= FRAME_BYTES + 8 or identifier >= IDENTIFIER_MAX:
+                self.refused += 1
+                return
+            callback(Frame(identifier, data[FRAME_BYTES:]))
+
+        self._link.subscribe(f"{self._key}/urgent", heard, keep=True)
+        self._link.subscribe(f"{self._key}/frames", heard)
+
+    def close(self) -> None:
+        self._link.close()

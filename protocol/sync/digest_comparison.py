@@ -1,0 +1,169 @@
+"""Who differs from us, judged from the digests in heartbeats.
+
+A digest that we have now, or had a moment ago, is *explained*: its sender is in step or behind, and
+if it is behind it is the one to ask. Any other digest is *odd*: the sender knows something that we do
+not.
+
+One odd digest proves nothing while work goes on: a peer's own operation is in its digest before its
+frame is on the bus. It counts when it is confirmed: by the next heartbeat of the same peer, by another
+peer with the same digest, or at once where we expect a difference, from a peer that was not there a
+moment ago.
+"""
+
+from collections import Counter
+from typing import NamedTuple
+
+from protocol.sync.replica import NEVER, Moment, Replica
+
+
+class Odd(NamedTuple):
+    """A peer's digest that nothing we had explains."""
+
+    digest: int
+    heard_us: int
+    confirmed: bool
+
+
+class Divergence:
+    def __init__(self, slot: int, replica: Replica) -> None:
+        self.slot, self.replica = slot, replica
+        self.live: frozenset[int] = frozenset({slot})
+        self.odd: dict[int, Odd] = {}
+        self.suspects: set[int] = set()  # newly live, not heard in step since
+        self.reunion = False  # a suspect was odd: islands met, or we are new here
+        self._told: dict[int, int] = {}  # live slot -> digest it told last
+        self._own_told: int | None = None  # what our last heartbeat told the others
+        self._agreed: dict[int, Moment] = {}  # slot -> our latest moment that it also had
+        self._met: dict[
+            int, int
+        ] = {}  # slot -> sum of our entries when it appeared, until it agrees
+
+    def see(self, live: frozenset[int]) -> None:
+        """The members we hear now."""
+        appeared = live - self.live - {self.slot}
+        self.suspects = (self.suspects | appeared) & live
+        self.live = live
+        self._met.update(dict.fromkeys(appeared, self.replica.total))
+        for slot in appeared | (self._told.keys() - live):
+            self._told.pop(slot, None)
+        for slot in self.odd.keys() - live:
+            del self.odd[slot]
+        self._end_of_reunion()
+
+    def expect(self) -> None:
+        """We come onto the bus: whoever differs from us, differs."""
+        self.suspects = set(self.live - {self.slot})
+        self._told.clear()
+
+    def tell(self) -> int:
+        """The digest for our heartbeat: from now on it places us in everybody's order."""
+        self._own_told = self.replica.digest
+        return self._own_told
+
+    def heard(self, slot: int, digest: int, now_us: int) -> bool:
+        """A live peer told its digest; True where it is odd and confirmed."""
+        self._told[slot] = digest
+        moment = self.replica.when(digest)
+        if moment is not None:
+            self._met.pop(slot, None)
+            self._explained(slot, moment)
+            return False
+        if slot in self._met:
+            fork = self.replica.fork(digest, self._met[slot], self._agreed.get(slot, NEVER).version)
+            if fork is not None:  # it told us everything; what it lacks it will ask for
+                self._explained(slot, fork)
+                return False
+        before = self.odd.get(slot)
+        confirmed = slot in self.suspects or any(
+            odd.confirmed or odd.digest == digest for s, odd in self.odd.items() if s != slot
+        )
+        if before is not None and not confirmed:
+            confirmed = before.confirmed or self.replica.when(before.digest) is None
+        self.odd[slot] = Odd(digest, now_us, confirmed)
+        if slot in self.suspects:
+            self.suspects.discard(slot)
+            self.reunion = True
+        return confirmed
+
+    def _explained(self, slot: int, moment: Moment) -> None:
+        known = self._agreed.get(slot, NEVER)
+        if moment.version >= known.version:
+            self._agreed[slot] = moment
+        self.suspects.discard(slot)
+        odd = self.odd.pop(slot, None)
+        if odd is not None:  # one speaks for its class: the others had the same digest
+            for other in [s for s, o in self.odd.items() if o.digest == odd.digest]:
+                del self.odd[other]
+            self._end_of_reunion()
+
+    def _end_of_reunion(self) -> None:
+        if not self.odd:
+            self.reunion = False
+
+    def still_odd(self, since_us: int) -> bool:
+        """Whether what we learned left a digest unexplained that was told after `since_us`."""
+        for slot, odd in list(self.odd.items()):
+            moment = self.replica.when(odd.digest)
+            if moment is not None:
+                self.odd.pop(slot)
+                self._agreed[slot] = max(moment, self._agreed.get(slot, NEVER))
+        self._end_of_reunion()
+        return any(odd.confirmed and odd.heard_us > since_us for odd in self.odd.values())
+
+    # ---------------------------------------------------------------- how far we agree
+
+    def agreed_with(self, slot: int, digest: int) -> Moment:
+        """The latest moment of ours that this peer, or one with the same digest, also had."""
+        alike = [s for s, told in self._told.items() if told == digest]
+        return max((self._agreed.get(s, NEVER) for s in (slot, *alike)), default=NEVER)
+
+    def was_away(self, slot: int) -> bool:
+        """We have not agreed since it appeared."""
+        return slot in self._met
+
+    def forget(self, slot: int) -> None:
+        """It says that it agrees with nobody: its memory is younger than ours."""
+        self._agreed.pop(slot, None)
+
+    @property
+    def base(self) -> Moment:
+        """The latest moment that everybody odd has also had, as far as they are known."""
+        moments = [self.agreed_with(slot, odd.digest) for slot, odd in self.odd.items()]
+        return min((moment for moment in moments if moment != NEVER), default=NEVER)
+
+    def has(self, slot: int, digest: int) -> bool:
+        """Whether this peer told that digest last."""
+        return self._told.get(slot) == digest
+
+    @property
+    def in_step(self) -> bool:
+        """Every live peer told our digest last."""
+        digest = self.replica.digest
+        return all(self._told.get(s) == digest for s in self.live if s != self.slot)
+
+    @property
+    def outvoted(self) -> bool:
+        """At least half of the live members are odd or not yet heard since they appeared."""
+        return 2 * len(self.odd.keys() | self.suspects) >= len(self.live)
+
+    # ---------------------------------------------------------------- order of speaking
+
+    def order(self, without: int | None = None) -> list[int]:
+        """Slots in the order in which they speak, ours among them.
+
+        Peers with equal digests are a class and could say the same, so the lowest slot of each class
+        comes first. Peers of digest `without`, and those that told none, are left out.
+        """
+        told = dict(self._told)
+        told[self.slot] = self.replica.digest if self._own_told is None else self._own_told
+        size: Counter[int] = Counter()
+        places = []
+        for slot in sorted(told):
+            digest = told[slot]
+            if digest != without or slot == self.slot:
+                places.append((size[digest], slot))
+                size[digest] += 1
+        return [slot for _, slot in sorted(places)]
+
+    def place(self, without: int | None = None) -> int:
+        return self.order(without).index(self.slot)

@@ -1,0 +1,299 @@
+"""The map on the wire: news as it is seen, and anti-entropy that makes all maps equal bit for bit.
+
+News joins the own map when it is said, not before. Lost frames are found by digests. Every peer says
+the digests of the 16 greatest squares once a beat; whoever differs in one answers with those of its
+16 parts, down to a tile, where both sides tell the patches that differ. A digest has 3 bits and a salt
+that changes with each beat: what a collision hides shows in the next one. What was on the bus a moment
+ago is not said again, by nobody: on one segment all have heard it.
+
+Map frames of the whole fleet stay below a share of the bus without a schedule: who hears one leaves a
+gap, and then they speak in the cyclic order of slots behind the last speaker.
+"""
+
+from collections import Counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from crdt.hybrid_clock import HybridClock
+from crdt.occupancy import CELLS, FANOUT, MergeResult, OccupancyMap, mix
+from crdt.sighting import RECORD_MASK, TIME_MAX, UNKNOWN, VALUE
+from protocol.frames.map_frames import DIGEST_BITS, FIRST_NODES, SALTS, MapDigests, MapPatch
+
+MS = 1_000
+FRAME_US = 640  # worst-case stuffing, 250 kbit/s
+NEWS_SHARE = 0.10  # of the bus: with digests and repairs a fleet stays below the mission's 15 %
+REPAIR_SHARE = 0.30  # after a split or a join, as long as it takes; that of `protocol/sync/synchronizer.py`
+NEWS_GAP_US = round(FRAME_US / NEWS_SHARE)
+REPAIR_GAP_US = round(FRAME_US / REPAIR_SHARE)
+SLOT_US = 700  # step of the order of speaking: a frame, and some
+BEAT_US = 62_500  # from one digest of the whole to the next, whoever says it: 1 % of the bus
+ALONE_US = 1_000 * MS  # the same where nobody is known to listen
+SETTLE_US = 100 * MS  # what changed so lately may be on its way to others
+FRESH_US = 100 * MS  # what was on the bus so lately is not said again: a question may be older
+AGAIN_US = 100 * MS  # between two digests of one square by one peer
+AIRED_MAX = 256  # digests remembered: more than there are in that time
+ALL = np.ones(CELLS, dtype=np.bool_)
+POWERS = 3 ** np.arange(CELLS, dtype=np.int64)
+
+Said = MapPatch | MapDigests
+Values = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+
+def encode_cells(values: Values) -> int:
+    """16 values as digits to the base 3."""
+    return int(values @ POWERS)
+
+
+def decode_cells(cells: int) -> Values:
+    digits: Values = cells // POWERS % 3
+    return digits
+
+
+class MapSync:
+    hold_us = 400 * MS  # a patch waits so long for the rest of its cells before it is told
+
+    def __init__(self, slot: int, chart: OccupancyMap, clock: HybridClock, now_us: int) -> None:
+        self.slot, self.chart, self.clock = slot, chart, clock
+        self.counts: Counter[str] = Counter()
+        self._order: list[int] = [slot]  # live slots
+        self._news: dict[tuple[int, int], Values] = {}  # (patch, level) -> what we saw
+        self._digests: dict[int, int] = {}  # node -> salt, to say
+        self._repairs: dict[int, Mask] = {}  # patch -> cells to tell
+        self._heard_us: dict[MapDigests, int] = {}  # digests on the bus lately; oldest first
+        self._said_us: dict[int, int] = {}  # node -> when we said its digests
+        self._aired_us = np.full(
+            (chart.patches, CELLS), -FRESH_US, dtype=np.int64
+        )  # of our records
+        self._recent: dict[int, None] = {}  # tiles that changed since we said their digests
+        self._changed_us = np.full(chart.patches, -SETTLE_US, dtype=np.int64)
+        self._last_us, self._turn = now_us, 0  # last map frame on the bus; our place behind it
+        self._own_us = now_us  # our own last one
+        self._beats = 0
+        self._beat_us = now_us + BEAT_US * (slot + 1)
+        self._merged: Counter[int] = Counter()  # slot -> cells it has told us of since `merged`
+        self.root = FIRST_NODES[int(np.log2(chart.patches)) // 4 - 1]
+
+    # ---------------------------------------------------------------- here
+
+    def recalled(self, now_us: int) -> None:
+        """The map was read from a disk: our clock is not behind it."""
+        times = self.chart.keys() >> 11 & TIME_MAX
+        self.clock.witness(int(times.max(initial=0)), now_us)
+
+    def live(self, slots: frozenset[int]) -> None:
+        if not slots <= set(self._order):  # somebody is new: compare at once
+            self._beat_us = self._last_us
+        self._order = sorted(slots | {self.slot})
+
+    def see(self, patch: int, values: Values, level: int) -> None:
+        """Something seen that the fleet's map does not have, to be told when it is our turn."""
+        known = self._news.get((patch, level))
+        self._news[patch, level] = values if known is None else np.where(values, values, known)
+
+    @property
+    def pending(self) -> int:
+        """Patches seen and not told yet."""
+        return len(self._news)
+
+    def awaits(self, patch: int) -> Values:
+        """What of a patch is seen and not told yet."""
+        found = np.zeros(CELLS, dtype=np.int64)
+        for (number, _), values in self._news.items():
+            if number == patch:
+                found = np.where(values, values, found)
+        return found
+
+    def merged(self, now_us: int) -> MergeResult:
+        """What others have told since this was last asked."""
+        result = MergeResult(sum(self._merged.values()), len(self._merged), now_us)
+        self._merged.clear()
+        return result
+
+    # ---------------------------------------------------------------- hearing
+
+    def receive(self, slot: int, message: Said, now_us: int) -> int:
+        """Any map frame; how many cells changed."""
+        self._floor_taken(slot, now_us)
+        if isinstance(message, MapPatch):
+            return self._patch(slot, message, now_us)
+        if message.node == self.root:  # one peer after the other, as with all map frames
+            self._beat_us = now_us + BEAT_US * (self._turn + 1)
+        self._note(message, now_us)
+        self._compare(message, now_us)
+        return 0
+
+    def _patch(self, slot: int, m: MapPatch, now_us: int) -> int:
+        self.clock.witness(m.time, now_us)
+        values = decode_cells(m.cells)
+        changed = self.chart.apply(m.patch, values, m.level, m.time, m.observer)
+        if changed:
+            self._merged[slot] += changed
+            self._recent[m.patch // FANOUT] = None
+            if m.observer == slot:  # news: others may hear it a little later
+                self._changed_us[m.patch] = now_us
+        if m.patch < self.chart.patches:
+            better = self._air(m, values, now_us)
+            if better.any():  # the sender lacks something
+                self._repair(m.patch, better)
+        return changed
+
+    def _air(self, m: MapPatch, values: Values, now_us: int) -> Mask:
+        """A frame with records is on the bus; the cells of it that we know better than it says."""
+        keys = self.chart.patch(m.patch)
+        told = (m.time << 9 | m.level << 5 | m.observer) << 2 | values
+        said, same = values != UNKNOWN, (keys & RECORD_MASK) == told
+        self._aired_us[m.patch][said & same] = now_us
+        if m.patch in self._repairs:
+            self._repairs[m.patch] = self._repairs[m.patch] & ~(said & same)
+        better: Mask = said & ~same & (keys > 0)
+        return better
+
+    def _repair(self, patch: int, cells: Mask) -> None:
+        known = self._repairs.get(patch)
+        self._repairs[patch] = cells if known is None else known | cells
+
+    def _compare(self, m: MapDigests, now_us: int) -> None:
+        size = next(k for k in (3, 2, 1, 0) if m.node >= FIRST_NODES[k])
+        index, width = m.node - FIRST_NODES[size], FANOUT**size
+        if (index + 1) * FANOUT * width > self.chart.patches:
+            return  # a square of a greater map than ours
+        ours = self._digest(m.node, m.salt)
+        first = index * FANOUT
+        differing = [
+            first + k
+            for k in range(FANOUT)
+            if ours.digests[k] != m.digests[k] and self._settled(first + k, width, now_us)
+        ]
+        if not differing:
+            return
+        if size == 0:
+            self._queue(m.node, m.salt, now_us)  # the other side wants to know ours
+            for patch in differing:
+                self._repair(patch, ALL)
+        else:
+            for child in differing:
+                self._queue(FIRST_NODES[size - 1] + child, m.salt, now_us)
+
+    def _settled(self, square: int, width: int, now_us: int) -> bool:
+        changed_us = self._changed_us[square * width : (square + 1) * width]
+        return int(changed_us.max()) <= now_us - SETTLE_US
+
+    def _queue(self, node: int, salt: int, now_us: int) -> None:
+        """Digests change while records are told: each square's own ones are said now and then only."""
+        if self._said_us.get(node, -AGAIN_US) + AGAIN_US <= now_us:
+            self._digests[node] = salt
+
+    def _digest(self, node: int, salt: int) -> MapDigests:
+        size = next(k for k in (3, 2, 1, 0) if node >= FIRST_NODES[k])
+        width = FANOUT ** (size + 1)
+        first = (node - FIRST_NODES[size]) * width
+        sums = self.chart.sums()[first : first + width].reshape(FANOUT, -1).sum(axis=1)
+        short = mix(sums.astype(np.uint64) + np.uint64(salt)) >> np.uint64(64 - DIGEST_BITS)
+        return MapDigests(node, salt, tuple(short.tolist()))
+
+    # ---------------------------------------------------------------- saying
+
+    def _note(self, message: MapDigests, now_us: int) -> None:
+        self._heard_us.pop(message, None)
+        self._heard_us[message] = now_us
+        if len(self._heard_us) > AIRED_MAX:
+            del self._heard_us[next(iter(self._heard_us))]
+
+    def _floor_taken(self, slot: int, now_us: int) -> None:
+        """Somebody has spoken: those behind it in the cyclic order go first."""
+        order = self._order
+        last = next((k for k, member in enumerate(order) if member >= slot), 0)
+        self._last_us = now_us
+        self._turn = (order.index(self.slot) - last - 1) % len(order)
+
+    def _may_us(self, gap_us: int) -> int:
+        return self._last_us + gap_us + self._turn * SLOT_US
+
+    @property
+    def _news_us(self) -> int:
+        """When news may be said: repairs of others do not keep us from it for longer than our turn."""
+        turn_us = max(self._own_us + len(self._order) * NEWS_GAP_US, self._may_us(REPAIR_GAP_US))
+        return min(self._may_us(NEWS_GAP_US), turn_us)
+
+    @property
+    def deadline_us(self) -> int:
+        deadline_us = self._beat_us
+        if self._news:
+            deadline_us = min(deadline_us, self._news_us)
+        if self._digests or self._repairs:
+            deadline_us = min(deadline_us, self._may_us(REPAIR_GAP_US))
+        return deadline_us
+
+    def tick(self, now_us: int) -> list[Said]:
+        """What to send now: one frame at most."""
+        if now_us >= self._beat_us:
+            alone = len(self._order) == 1
+            self._beat_us = now_us + (ALONE_US if alone else BEAT_US * len(self._order))
+            self._beats += 1
+            salt = (self._beats + self.slot) % SALTS  # not the same for everybody at one time
+            if self._recent:  # what changed lately is where something may have been lost
+                tile = next(iter(self._recent))
+                del self._recent[tile]
+                self._queue(tile, (salt + SALTS // 2) % SALTS, now_us)
+            return self._say(self._digest(self.root, salt), now_us)
+        if self._news and now_us >= self._news_us:
+            self.counts["news"] += 1
+            return self._say(self._next_news(now_us), now_us)
+        if (self._digests or self._repairs) and now_us >= self._may_us(REPAIR_GAP_US):
+            return self._say(self._next_repair(now_us), now_us)
+        return []
+
+    def _say(self, message: Said | None, now_us: int) -> list[Said]:
+        if message is None:
+            return []
+        self.counts["digests" if isinstance(message, MapDigests) else "patches"] += 1
+        if isinstance(message, MapPatch):
+            self._air(message, decode_cells(message.cells), now_us)
+        else:
+            self._note(message, now_us)
+        self._own_us = now_us
+        self._floor_taken(self.slot, now_us)
+        return [message]
+
+    def _next_news(self, now_us: int) -> MapPatch | None:
+        """The oldest of what we saw, less what is known better meanwhile."""
+        while self._news:
+            (patch, level), values = next(iter(self._news.items()))
+            del self._news[patch, level]
+            time = self.clock.read(now_us)
+            before = self.chart.patch(patch)
+            if not self.chart.apply(patch, values, level, time, self.slot):
+                continue
+            self._changed_us[patch] = now_us
+            self._recent[patch // FANOUT] = None
+            values = np.where(self.chart.patch(patch) > before, values, UNKNOWN)
+            return MapPatch(patch, time, level, self.slot, encode_cells(values))
+        return None
+
+    def _next_repair(self, now_us: int) -> Said | None:
+        while self._repairs:
+            patch, cells = next(iter(self._repairs.items()))
+            message = self._record(patch, cells & (self._aired_us[patch] <= now_us - FRESH_US))
+            if message is not None:
+                return message  # the patch stays in the queue for what else there is
+            del self._repairs[patch]
+        while self._digests:
+            node, salt = self._digests.popitem()
+            digest = self._digest(node, salt)
+            if self._heard_us.get(digest, now_us - FRESH_US) <= now_us - FRESH_US:
+                self._said_us[node] = now_us
+                return digest
+        return None
+
+    def _record(self, patch: int, cells: Mask) -> MapPatch | None:
+        """The newest of our records of some cells, with all that share its time and observer."""
+        keys = self.chart.patch(patch)
+        stamps = np.where(keys > 0, (keys & RECORD_MASK) >> 2, -1)
+        wanted = stamps[cells]
+        stamp = int(wanted.max(initial=-1))
+        if stamp < 0:
+            return None
+        values = np.where(stamps == stamp, keys & VALUE, UNKNOWN)
+        return MapPatch(patch, stamp >> 9, stamp >> 5 & 15, stamp & 31, encode_cells(values))

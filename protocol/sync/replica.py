@@ -1,0 +1,184 @@
+"""A peer's shared state as one set of entries, with what the sync needs to remember of it.
+
+An entry is a register or a progress block; its code is kind and name in one integer. The replica counts
+its changes (`version`) and keeps, for each entry, the version at which it last changed, and, for each
+digest it lately had, the version it belongs to. So for a peer whose digest is one of ours of a moment
+ago, what it lacks is exact: the entries that changed since. This needs no Lamport time, and therefore
+holds for progress, which has none, and for entries of a third replica that was behind everybody's cut.
+"""
+
+from collections.abc import Iterator
+from itertools import islice
+from typing import NamedTuple
+
+from crdt import FieldAllocationCRDT, Progress
+from crdt.allocation import KIND as REGISTERS
+from crdt.digest import BUCKETS, MASK, bucket_of, mix, short
+from crdt.progress import KIND as BLOCKS
+from crdt.register import pack
+from protocol.frames.work_frames import Digests, StateSyncResponse, TaskClaim, WorkProgress
+
+FORKS_MAX = 256  # moments tried as a fork, newest first; a fifth of a millisecond
+HISTORY_MAX = 512  # own digests remembered: 10 s of the busiest fleet, minutes of a small one
+NAME_BITS = 24
+EMPTY = 0  # the digest of a replica that knows nothing; everybody is ahead of it
+GROUPS = (BUCKETS + 2) // 3  # frames of three bucket digests
+
+
+class Moment(NamedTuple):
+    """A state we had: how many changes it had seen, the greatest Lamport time, the sum of entries."""
+
+    version: int
+    lamport: int
+    total: int
+
+
+NEVER = Moment(0, 0, 0)
+
+
+class Heard(NamedTuple):
+    """What a frame with one entry meant to us."""
+
+    entry: int
+    changed: bool  # it was news
+    stale: bool  # ours is newer: the sender lacks something
+
+
+_tuple = tuple.__new__
+
+
+def entry_of(kind: int, name: int) -> int:
+    return kind << NAME_BITS | name
+
+
+class Replica:
+    def __init__(self, allocation: FieldAllocationCRDT, progress: Progress) -> None:
+        self.allocation, self.progress = allocation, progress
+        self.version = 1
+        self._changed: dict[int, int] = {}  # entry -> version of its last change; newest last
+        self._history: dict[int, Moment] = {}  # own digest -> moment; newest last
+        for entry in self.entries():
+            self._changed[entry] = self.version
+        self._remember()
+
+    @property
+    def total(self) -> int:
+        """Sum of the hashes of all entries, modulo 2**64."""
+        return self.allocation.sums.total + self.progress.sums.total & MASK
+
+    @property
+    def digest(self) -> int:
+        return short(self.total)
+
+    def entries(self) -> Iterator[int]:
+        for section in self.allocation.sections():
+            yield entry_of(REGISTERS, section)
+        for section, block, _ in self.progress.entries():
+            yield entry_of(BLOCKS, section << 8 | block)
+
+    def __contains__(self, entry: int) -> bool:
+        return entry in self._changed
+
+    def owner_of(self, entry: int) -> int | None:
+        """The slot that holds the section an entry belongs to."""
+        kind, name = entry >> NAME_BITS, entry & (1 << NAME_BITS) - 1
+        return self.allocation.owner_of(name if kind == REGISTERS else name >> 8)
+
+    # ---------------------------------------------------------------- changes
+
+    def note(self, entry: int) -> None:
+        """An entry has changed."""
+        self.version += 1
+        self._changed.pop(entry, None)
+        self._changed[entry] = self.version
+        self._remember()
+
+    def _remember(self) -> None:
+        history = self._history
+        total = self.total
+        history[short(total)] = _tuple(Moment, (self.version, self.allocation.lamport, total))
+        if len(history) > HISTORY_MAX:
+            del history[next(iter(history))]
+
+    def when(self, digest: int) -> Moment | None:
+        """When we had this digest, if lately; a peer that has it now lacks what changed since."""
+        if digest == EMPTY:
+            return NEVER
+        return self._history.get(digest)
+
+    def fork(self, digest: int, met_total: int, after: int) -> Moment | None:
+        """The moment, later than version `after`, from which a replica went its own way that has told
+        us all it had since, while we have told it nothing: then its entries are ours now, less what
+        was our own news when we met. Sums tell that; None where no moment fits."""
+        learned = self.total - met_total
+        for moment in islice(reversed(self._history.values()), FORKS_MAX):
+            if moment.version < after:
+                return None
+            if short(moment.total + learned & MASK) == digest:
+                return moment
+        return None
+
+    def since(self, version: int) -> list[int]:
+        """Entries that changed after a version, in order of their codes."""
+        found = []
+        for entry, changed in reversed(self._changed.items()):
+            if changed <= version:
+                break
+            found.append(entry)
+        return sorted(found)
+
+    def after(self, lamport: int) -> list[int]:
+        """Registers written after a Lamport time: for peers that remember more than we do."""
+        return [entry_of(REGISTERS, section) for section, _ in self.allocation.delta(lamport)]
+
+    # ---------------------------------------------------------------- frames
+
+    def hear(self, message: TaskClaim | StateSyncResponse | WorkProgress) -> Heard:
+        """Join what a frame says."""
+        if isinstance(message, WorkProgress):
+            section, block, bits = message
+            changed = self.progress.apply(section, block, bits)
+            stale = self.progress.bits(section, block) & ~bits != 0
+            entry = entry_of(BLOCKS, section << 8 | block)
+        else:
+            section = message.section
+            key = pack(message.epoch, message.phase, message.bid, message.lamport, message.owner)
+            changed = self.allocation.apply(section, key)
+            stale = not changed and self.allocation.key(section) != key
+            entry = entry_of(REGISTERS, section)
+        if changed:
+            self.note(entry)
+        return _tuple(Heard, (entry, changed, stale))
+
+    def say(self, entry: int) -> StateSyncResponse | WorkProgress:
+        """The frame that tells an entry as it is now."""
+        kind, name = entry >> NAME_BITS, entry & (1 << NAME_BITS) - 1
+        if kind == REGISTERS:
+            return StateSyncResponse(name, *self.allocation.entry(name))
+        section, block = name >> 8, name & 0xFF
+        return WorkProgress(section, block, self.progress.bits(section, block))
+
+    # ---------------------------------------------------------------- buckets
+
+    def bucket_frames(self, salt: int) -> list[Digests]:
+        """Bucket digests, three a frame. The salt keeps a collision from repeating."""
+        digests = self._bucket_digests(salt) + [0] * (3 * GROUPS - BUCKETS)
+        return [Digests(k, salt, *digests[3 * k : 3 * k + 3]) for k in range(GROUPS)]
+
+    def differing(self, told: Digests) -> set[int]:
+        """The buckets of a frame in which the teller's entries are not ours."""
+        index, salt, *theirs = told
+        ours = self._bucket_digests(salt)
+        return {
+            bucket
+            for bucket, digest in enumerate(theirs, 3 * index)
+            if bucket < BUCKETS and ours[bucket] != digest
+        }
+
+    def _bucket_digests(self, salt: int) -> list[int]:
+        both = zip(self.allocation.sums.buckets(), self.progress.sums.buckets(), strict=True)
+        return [mix((a + b & MASK) ^ salt) >> 48 for a, b in both]
+
+    @staticmethod
+    def bucket(entry: int) -> int:
+        return bucket_of(entry >> NAME_BITS, entry & (1 << NAME_BITS) - 1)

@@ -1,0 +1,375 @@
+"""Anti-entropy: how replicas that differ become equal again, one entry a frame.
+
+Every heartbeat carries a digest; `protocol/sync/digest_comparison.py` judges which of them mean that we lack
+something. Then, on a bus on which everybody hears everybody:
+
+1. **One asks.** STATE_SYNC_REQUEST with the stable cut T0, in the order of `Divergence.order`; who
+   hears it waits for the end of the conversation and needs fresh evidence to ask again. So there is
+   one question at a time on the segment, whatever the number of peers that differ.
+2. **Few answer.** Peers that have another digest than the asker know what it lacks: if its digest
+   was theirs a moment ago, exactly; else what changed since they last agreed, less what the asker's
+   side itself has said; else, if they do not know each other, registers later than T0. The first
+   three in order make a list; one speaks, and the others strike what they hear and go on where it
+   falls silent.
+3. **What is stale is corrected** by its owner, or by the first in order: also a claim of a section
+   that its claimant does not know to be taken, long before its next heartbeat shows that.
+4. **What did not help is repeated differently.** After a question that taught nothing, and where
+   much would have to be said for a small loss, bucket digests follow the question (11 frames) and
+   only the entries of buckets that differ are answered; after two such questions, whatever the cut
+   says. Pauses double.
+
+Sync frames of the whole segment stay below `SHARE` of the bus: who says or hears one leaves a gap.
+A fresh join has T0 = 0 and the digest of nothing, which makes the answer a snapshot said once.
+"""
+
+from collections import Counter, deque
+from collections.abc import Iterable
+from typing import Final, NamedTuple
+
+from crdt import FieldAllocationCRDT, Progress
+from crdt.allocation import KIND as REGISTER
+from crdt.progress import KIND as BLOCK
+from protocol.frames.work_frames import (
+    ALL_BUCKETS,
+    BUCKETS_SINCE,
+    REGISTERS,
+    Digests,
+    StateSyncRequest,
+    StateSyncResponse,
+    TaskClaim,
+    WorkProgress,
+)
+from protocol.sync.digest_comparison import Divergence
+from protocol.sync.replica import EMPTY, GROUPS, Heard, Replica, entry_of
+
+MS = 1_000
+S = 1_000_000
+FRAME_US = 640  # worst-case stuffing, 250 kbit/s
+SHARE = 0.30
+GAP_US = round(FRAME_US / SHARE)  # from one sync frame of the segment to the next
+SLOT_US = 3 * MS  # step of the order of speaking: a frame behind the blocking of another, and some
+QUIET_US = 25 * MS  # a speaker that is silent for so long has finished or is gone
+SETTLE_US = 50 * MS  # frames that a heartbeat has overtaken have arrived by then
+ANSWERERS = (
+    3  # who keep a list: a speaker and two stand-ins. All of them would each repeat what it lost
+)
+PAUSE_US = 150 * MS  # between questions that teach nothing; doubles
+DOUBLINGS_MAX = 8  # up to 38 s: a peer that can not be repaired costs next to nothing
+TURN_US = 150 * MS  # after our question it is the others' turn; their heartbeats are behind it
+GIVE_UP = 5  # questions that taught nothing, after which the state counts as beyond repair for now
+PATIENCE_US = 2 * S  # a reunion holds work up only while something is being learned
+FRESH_US = 250 * MS  # an entry that was on the bus so lately needs no correction
+GRACE_US = 100 * MS  # after a heartbeat period everybody has had time to contradict
+
+
+ENTRIES: Final = (TaskClaim, StateSyncResponse, WorkProgress)
+Said = StateSyncRequest | StateSyncResponse | WorkProgress | Digests
+
+
+class Question(NamedTuple):
+    """A question whose bucket digests are to follow."""
+
+    salt: int
+    place: int  # ours in the order of answering
+    entries: frozenset[int]
+
+
+class Sync:
+    def __init__(self, slot: int, allocation: FieldAllocationCRDT, progress: Progress) -> None:
+        self.slot = slot
+        self.replica = Replica(allocation, progress)
+        self.divergence = Divergence(slot, self.replica)
+        self.synchronizing = False
+        self.counts: Counter[str] = Counter()
+        self._aired_us: dict[int, int] = {}  # entry -> when the value we hold was on the bus
+        self._live_since_us: dict[int, int] = {}
+        self._queue: dict[int, None] = {}  # entries to say, in order
+        self._digests: deque[Digests] = deque()  # bucket digests to say, before any entry
+        self._questions: dict[int, Question] = {}  # asker -> what it may be told
+        self._place = 0  # in the order of the conversation that goes on
+        self._speak_us = 0  # we say nothing before
+        self._heard_us = -1  # last sync frame on the bus, ours included
+        self._ask_us: int | None = None
+        self._asked_us = -DOUBLINGS_MAX * S
+        self._our_turn_was_last = False  # the last question was ours, or asked what ours would
+        self._learned = False  # by sync frames, since the digests began to differ
+        self._taught = 0  # news by sync frames since our last question
+        self._tries = 0  # questions since one taught us something
+        self._learned_us = 0
+        self._round = 0
+        self._ready_us: int | None = None
+
+    # ---------------------------------------------------------------- state
+
+    @property
+    def digest(self) -> int:
+        return self.replica.digest
+
+    def tell(self) -> int:
+        """The digest for the heartbeat that leaves now."""
+        return self.divergence.tell()
+
+    @property
+    def in_step(self) -> bool:
+        return self.divergence.in_step
+
+    @property
+    def cut(self) -> int:
+        """T0: the Lamport time at which we last agreed with everybody that differs now."""
+        return self.divergence.base.lamport
+
+    def statistics(self) -> dict[str, int]:
+        """Questions, answers begun, entries told, corrections, given up; since the start."""
+        return dict(self.counts)
+
+    def joined(self, now_us: int, heartbeat_us: int) -> None:
+        """We are on the bus: ready once everybody had time to contradict."""
+        self._ready_us = now_us + heartbeat_us + GRACE_US
+        self._learned_us = now_us
+        self.divergence.expect()
+
+    def ready(self, now_us: int) -> bool:
+        """Whether what we know is good enough to choose work by."""
+        return self._ready_us is not None and now_us >= self._ready_us and not self.synchronizing
+
+    def live(self, slots: frozenset[int], now_us: int) -> None:
+        returned = slots - self.divergence.live
+        for slot in returned:
+            self._live_since_us[slot] = now_us
+        self.divergence.see(slots)
+        if returned:  # nobody may have been there to answer: the pauses between questions begin again
+            self._tries, self._ask_us = 0, None
+        self._judge(now_us)
+
+    def changed_here(self, section: int, block: int | None, now_us: int) -> None:
+        """An own operation or own progress was written and is being announced."""
+        if block is None:
+            entry = entry_of(REGISTER, section)
+        else:
+            entry = entry_of(BLOCK, section << 8 | block)
+        self._aired_us[entry] = now_us
+        self.replica.note(entry)
+
+    def _judge(self, now_us: int) -> None:
+        """Whether a reunion has to be finished before we decide what to do next."""
+        divergence = self.divergence
+        if not divergence.odd:
+            self._tries, self._learned = 0, False
+        self.synchronizing = (
+            divergence.reunion
+            and divergence.outvoted
+            and self._tries <= GIVE_UP
+            and now_us < self._learned_us + PATIENCE_US
+        )
+
+    # ---------------------------------------------------------------- hearing
+
+    def heard_digest(self, slot: int, digest: int, now_us: int) -> None:
+        """A peer's heartbeat."""
+        divergence = self.divergence
+        if slot not in divergence.live:
+            return
+        if self._told(slot, digest, now_us) and self._ask_us is None:
+            self._ask_us = max(now_us + SETTLE_US, self._allowed_us) + divergence.place() * SLOT_US
+
+    def _told(self, slot: int, digest: int, now_us: int) -> bool:
+        if not self.divergence.reunion:
+            self._learned_us = now_us  # patience begins with the reunion
+        odd = self.divergence.heard(slot, digest, now_us)
+        self._judge(now_us)
+        return odd
+
+    @property
+    def _allowed_us(self) -> int:
+        """Before this we do not ask: the floor is taken, or our last question taught nothing."""
+        pause_us = PAUSE_US << min(max(self._tries - 1, 0), DOUBLINGS_MAX)
+        turn_us = TURN_US if self._our_turn_was_last else 0
+        return max(self._heard_us + GAP_US + QUIET_US + turn_us, self._asked_us + pause_us)
+
+    def receive(self, slot: int, message: object, now_us: int) -> set[int]:
+        """Any work frame; returns the sections whose register changed."""
+        if isinstance(message, ENTRIES):
+            return self._entry(slot, message, now_us)
+        if isinstance(message, StateSyncRequest):
+            self._question(slot, message, now_us)
+        elif isinstance(message, Digests):
+            self._buckets(slot, message, now_us)
+        return set()
+
+    def _entry(
+        self, slot: int, message: TaskClaim | StateSyncResponse | WorkProgress, now_us: int
+    ) -> set[int]:
+        heard = self.replica.hear(message)
+        entry = heard.entry
+        relayed = self._is_relayed(slot, message, entry)
+        if relayed:
+            self._floor_taken(now_us)
+        if heard.stale:
+            self._correct(slot, heard, now_us)
+            return set()
+        self._queue.pop(entry, None)
+        if entry in self.replica:
+            self._aired_us[entry] = now_us
+        if heard.changed:
+            self._learned_us = now_us
+            if relayed:
+                self._taught += 1
+                self._learned = True
+            if not isinstance(message, WorkProgress):
+                return {message.section}
+        return set()
+
+    def _is_relayed(self, slot: int, message: object, entry: int) -> bool:
+        """A sync frame, not an announcement. Progress has one frame for both: its owner announces."""
+        if isinstance(message, WorkProgress):
+            return entry in self._queue or self.replica.owner_of(entry) != slot
+        return isinstance(message, StateSyncResponse)
+
+    def _floor_taken(self, now_us: int) -> None:
+        """Somebody speaks: go on where it falls silent."""
+        self._heard_us = now_us
+        wait_us = GAP_US + QUIET_US + self._place * SLOT_US
+        self._speak_us = max(self._speak_us, now_us + wait_us)
+
+    def _correct(self, slot: int, heard: Heard, now_us: int) -> None:
+        """The sender does not know what we know: its owner says so, or the first in order."""
+        entry = heard.entry
+        if entry in self._queue or now_us < self._aired_us.get(entry, -FRESH_US) + FRESH_US:
+            return
+        place = self._corrector_place(slot, entry)
+        if place < ANSWERERS:
+            self.counts["corrections"] += 1
+            self._place = place
+            self._queue[entry] = None
+            self._speak_us = max(self._speak_us, now_us + GAP_US + place * SLOT_US)
+
+    def _corrector_place(self, slot: int, entry: int) -> int:
+        owner = self.replica.owner_of(entry)
+        if owner == self.slot:
+            return 0
+        others = [s for s in self.divergence.order() if s not in (slot, owner)]
+        return others.index(self.slot) + 1
+
+    def _question(self, slot: int, m: StateSyncRequest, now_us: int) -> None:
+        self._heard_us = now_us
+        self._questions.pop(slot, None)
+        self._digests.clear()  # one question at a time; ours is asked again
+        self._speak_us = max(self._speak_us, now_us + GAP_US + QUIET_US)
+        self._our_turn_was_last = m.digest == self.digest
+        if self._our_turn_was_last:
+            return
+        if slot in self.divergence.live:
+            if m.cut == 0:
+                self.divergence.forget(slot)
+            if self._told(slot, m.digest, now_us + 1):  # evidence for our turn, after this one
+                self._ask_us = self._allowed_us + self.divergence.place() * SLOT_US
+        order = [s for s in self.divergence.order(m.digest) if s != slot]
+        place = (order.index(self.slot) - ANSWERERS * m.round) % len(order)
+        if place >= ANSWERERS:
+            return
+        self.counts["answers"] += 1
+        self._place = place
+        entries = self._lacking(slot, m)
+        if m.scope in (BUCKETS_SINCE, ALL_BUCKETS):
+            self._questions[slot] = Question(m.round & 0xFF, place, frozenset(entries))
+            return
+        self._speak_us = now_us + GAP_US + place * SLOT_US
+        self._queue.update(dict.fromkeys(entries))
+
+    def _lacking(self, slot: int, m: StateSyncRequest) -> list[int]:
+        """What the asker does not know, as far as we know."""
+        replica, divergence = self.replica, self.divergence
+        if m.scope == ALL_BUCKETS or m.digest == EMPTY:
+            return replica.since(0)
+        moment = replica.when(m.digest)
+        if moment is not None:
+            return replica.since(moment.version)
+        moment = divergence.agreed_with(slot, m.digest)
+        if moment.version == 0 and m.cut > 0:
+            entries = replica.after(m.cut)
+        else:
+            entries = replica.since(moment.version)
+        if m.scope == REGISTERS and divergence.was_away(slot):
+            since_us = self._live_since_us.get(slot, 0)
+            entries = [entry for entry in entries if self._aired_us.get(entry, -1) < since_us]
+        return entries
+
+    def _buckets(self, slot: int, m: Digests, now_us: int) -> None:
+        self._heard_us = now_us
+        question = self._questions.get(slot)
+        if question is None or question.salt != m.salt:
+            self._speak_us = max(self._speak_us, now_us + GAP_US + QUIET_US)
+            return
+        different = self.replica.differing(m)
+        chosen = [e for e in sorted(question.entries) if self.replica.bucket(e) in different]
+        self._queue.update(dict.fromkeys(chosen))
+        last = (
+            m[0] == GROUPS - 1
+        )  # its index; the tuple's method hides the field from type checkers
+        wait_us = GAP_US + question.place * SLOT_US + (0 if last else QUIET_US)
+        self._place, self._speak_us = question.place, now_us + wait_us
+
+    # ---------------------------------------------------------------- saying
+
+    @property
+    def deadline_us(self) -> int | None:
+        due_us = self._ask_us
+        if (self._queue or self._digests) and (due_us is None or self._speak_us < due_us):
+            due_us = self._speak_us
+        if self.synchronizing:
+            patience_us = self._learned_us + PATIENCE_US
+            due_us = patience_us if due_us is None else min(due_us, patience_us)
+        return due_us
+
+    def tick(self, now_us: int) -> Iterable[Said]:
+        """What to send now: one frame at most."""
+        if self.synchronizing:
+            self._judge(now_us)
+        if (self._queue or self._digests) and now_us >= self._speak_us:
+            self._speak_us, self._heard_us = now_us + GAP_US, now_us
+            if self._digests:
+                return [self._digests.popleft()]
+            entry = next(iter(self._queue))
+            del self._queue[entry]
+            self._aired_us[entry] = now_us
+            self.counts["entries"] += 1
+            return [self.replica.say(entry)]
+        if self._ask_us is not None and now_us >= self._ask_us:
+            return self._ask(now_us)
+        return ()
+
+    def _ask(self, now_us: int) -> Iterable[Said]:
+        divergence = self.divergence
+        self._ask_us = None
+        if not divergence.still_odd(self._heard_us):
+            self._judge(now_us)
+            return ()  # explained meanwhile, or we wait for fresh evidence
+        if now_us < self._allowed_us:
+            self._ask_us = self._allowed_us + divergence.place() * SLOT_US
+            return ()
+        digest = self.digest
+        if self._taught:
+            self._taught = self._tries = 0
+        if self._tries == GIVE_UP:
+            self.counts["given up"] += 1
+        self._asked_us = self._heard_us = now_us
+        self._our_turn_was_last = True
+        self._round = (self._round + 1) & 0xFF
+        self.counts["questions"] += 1
+        scope = self._scope(digest)
+        self._tries += 1
+        if scope != REGISTERS:
+            self._digests = deque(self.replica.bucket_frames(self._round))
+            self._speak_us = now_us + GAP_US
+        self._judge(now_us)
+        return [StateSyncRequest(divergence.base.lamport, digest, scope, self._round)]
+
+    def _scope(self, digest: int) -> int:
+        """How to ask: bucket digests cost 11 frames and pay when little of much is missing."""
+        if digest == EMPTY:
+            return REGISTERS
+        if self._tries >= 2:
+            return ALL_BUCKETS
+        news = self.replica.version - self.divergence.base.version
+        small_loss = not self.divergence.reunion and news > GROUPS
+        return BUCKETS_SINCE if self._tries or self._learned or small_loss else REGISTERS

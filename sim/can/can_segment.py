@@ -1,0 +1,447 @@
+"""One CAN segment, sans I/O: who may speak, for how long, and who hears it.
+
+Frames submitted at one instant all enter the arbitration that starts at the next bit boundary, so
+the order of submissions inside an instant does not matter. The lowest identifier among the heads of
+the nodes' transmit queues goes first; it is not interrupted. An idle wire schedules nothing.
+
+Faults: islands (a cut bus), one-way links, loss, duplicates, bus errors with retransmission, error
+counters through error passive to bus-off and back, inconsistent omission. Chance comes from one
+generator per kind of fault, so that removing one fault does not reshuffle the others.
+
+Every frame is acknowledged, also that of a robot that is alone: a machine has a second controller on its
+bus, that of its implement. So `Node.sent` is what a CAN controller can confirm.
+"""
+
+from dataclasses import dataclass, field
+from heapq import heapify, heappop, heappush
+from random import Random
+from typing import Final, NamedTuple
+
+from protocol.frames.frame import Frame
+from sim.can.frame_timing import BIT_US, WORST_BITS, frame_bits
+
+QUEUE_MAX = 256  # frames a node may have waiting: 0.15 s of a whole bus for itself
+ERROR_US = 31 * BIT_US  # error flag, its superposition and delimiter, interframe space
+PASSIVE = 127  # above this a node is error passive
+BUS_OFF_TEC = 256
+SUSPEND_US = 8 * BIT_US  # an error passive node waits so long after its own frame (ISO 11898-1)
+NEVER_US: Final = -1
+ENDLESS_US: Final = 1 << 62
+NO_FRAME = Frame(0, b"")
+RECOVERY_US = 128 * 11 * BIT_US  # 128 times 11 recessive bits
+
+
+_tuple = tuple.__new__
+
+
+class Delivery(NamedTuple):
+    """A frame that has reached its end, with the nodes that accepted it."""
+
+    t_us: int
+    frame: Frame
+    sender: int
+    receivers: tuple[int, ...]
+
+
+@dataclass
+class Node:
+    name: str
+    island: int = 0
+    queue: list[tuple[int, int, Frame]] = field(default_factory=list)
+    tec: int = 0  # transmit error counter
+    rec: int = 0  # receive error counter
+    off_until_us: int | None = None  # bus-off until then
+    ready_us: int = 0  # error passive: not before this, after a frame of its own
+    refused: int = 0  # frames that found the queue full or the node off the bus
+    sent: int = 0  # frames that have left and were acknowledged; its driver can tell
+    flood: Frame | None = None  # it has this frame to send, always
+
+
+@dataclass
+class Faults:
+    """Rates are odds a frame, per receiver where a receiver can differ."""
+
+    loss: float = 0.0  # a receiver misses a frame, and nobody notices
+    omission: float = 0.0  # inconsistent omission: some receivers miss it (Rufino et al. 1998)
+    duplicate: float = 0.0  # the frame is repeated although all had it
+    error: float = 0.0  # a bit error: error frame and retransmission
+    deaf: set[tuple[int, int]] = field(default_factory=set)  # (sender, receiver) links that are cut
+
+
+class Island:
+    """A piece of the bus, and what goes on there."""
+
+    def __init__(self, number: int) -> None:
+        self.number = number
+        self.free_us = 0  # the last frame ended then
+        self.start_us = NEVER_US  # when arbitration is due
+        self.begun_us = 0  # start of the frame that is being sent; may be a bit ahead of now
+        self.end_us = NEVER_US  # of the frame that is being sent
+        self.sender = 0
+        self.frame = NO_FRAME
+        self.broken = False
+        self.train_us = 0  # length of each of the same frames that follow one another; 0: no train
+
+    @property
+    def next_us(self) -> int:
+        """When something happens here, or `NEVER_US`. A train goes on by itself."""
+        if self.train_us:
+            return NEVER_US
+        return self.start_us if self.end_us == NEVER_US else self.end_us
+
+
+class Wire:
+    def __init__(self, seed: int | str = 0, bit_us: int = BIT_US) -> None:
+        self.bit_us = bit_us
+        self.nodes: dict[int, Node] = {}
+        self.faults = Faults()
+        self.frames = self.errors = 0
+        self.busy_us = 0
+        self.worst_us = 0  # the same frames at worst-case stuffing
+        self.by_group: dict[int, int] = {}  # frames of each parameter group
+        self._rng = {
+            k: Random(f"{seed}/wire/{k}") for k in ("loss", "omission", "duplicate", "error")
+        }
+        self._order = 0
+        self._islands = [Island(0)]  # by their numbers; one, unless the bus was cut
+        self._audience: dict[int, tuple[int, ...]] = {}
+        self._off: dict[int, int] = {}  # nodes in bus-off -> until when
+        self._waiting: set[int] = set()  # nodes with something to send
+        self._next_node = 0
+        self._now_us = 0  # the latest time that we were told
+        self._next_us: int | None = None
+        self._next_known = False  # nothing has changed since that was found
+
+    # ---------------------------------------------------------------- nodes
+
+    def attach(self, name: str = "") -> int:
+        number = self._next_node
+        self._next_node += 1
+        self.nodes[number] = Node(name or f"node {number}")
+        self._audience.clear()
+        return number
+
+    def detach(self, number: int, now_us: int = 0) -> None:
+        """Without power: what it has waiting is lost, and a frame of its own that is under way breaks
+        off. The others see an error and arbitrate behind it."""
+        now_us = self._now_us = max(self._now_us, now_us)
+        self._settle_all(now_us)
+        self.nodes.pop(number, None)
+        self._off.pop(number, None)
+        self._waiting.discard(number)
+        self._next_known = False
+        for island in self._islands:
+            if island.sender == number and island.end_us != NEVER_US:
+                self._break_off(island, now_us)
+        self._audience.clear()
+
+    def _break_off(self, island: Island, now_us: int) -> None:
+        """Its sender is gone."""
+        if island.begun_us > now_us:
+            self._withdraw(island)
+            return  # a node with something to send arbitrates at that bit
+        self.busy_us -= island.end_us - now_us - ERROR_US
+        island.end_us, island.free_us = NEVER_US, now_us + ERROR_US
+        island.start_us = island.free_us
+
+    def flood(self, number: int, frame: Frame | None, now_us: int) -> None:
+        """From now on the node has this frame to send, always; None: no longer. Where nothing else can
+        win, its frames follow one another without an event each: they are counted, and not delivered.
+        So it is for frames of groups that no robot reads."""
+        self._now_us = max(self._now_us, now_us)
+        self._settle_all(now_us)
+        node = self.nodes[number]
+        if node.flood is not None:
+            node.queue = [entry for entry in node.queue if entry[2] is not node.flood]
+            heapify(node.queue)
+            if not node.queue:
+                self._waiting.discard(number)
+        node.flood = frame
+        if frame is not None:
+            self.submit(number, frame, now_us)
+
+    def settle(self, now_us: int) -> None:
+        """Count what a flood has sent until now."""
+        self._settle_all(now_us)
+
+    def _settle_all(self, now_us: int) -> None:
+        for island in self._islands:
+            if island.train_us:
+                self._settle(island, now_us)
+
+    def _settle(self, island: Island, now_us: int) -> None:
+        """The train ends with the frame that is under way now, and the next arbitration behind it."""
+        ended = max(0, (now_us - island.begun_us) // island.train_us)
+        node, length = self.nodes[island.sender], len(island.frame[1])
+        node.sent += ended
+        self.frames += ended
+        group = island.frame[0] >> 8 & 0x3FFFF
+        self.by_group[group] = self.by_group.get(group, 0) + ended
+        self.busy_us += (ended + 1) * island.train_us
+        self.worst_us += ended * WORST_BITS[length] * self.bit_us
+        island.begun_us += ended * island.train_us
+        island.end_us = island.begun_us + island.train_us
+        island.train_us = 0
+        self._next_known = False
+
+    def partition(self, *islands: set[int]) -> None:
+        """Cut the bus: the named nodes fall into these islands, the others stay in the first."""
+        self._settle_all(self._now_us)
+        while len(self._islands) < len(islands):
+            self._islands.append(Island(len(self._islands)))
+        for number, node in self.nodes.items():
+            node.island = next((i for i, names in enumerate(islands) if number in names), 0)
+        self._audience.clear()
+        for number in self._waiting:  # what waits goes on in the new island
+            self._wish(self._islands[self.nodes[number].island], self._now_us)
+
+    def heal(self) -> None:
+        self.partition()
+        self.faults.deaf.clear()
+
+    # ---------------------------------------------------------------- sending
+
+    def submit(self, number: int, frame: Frame, now_us: int) -> bool:
+        """Queue a frame; False where the queue is full of frames that are as urgent, or the node is off
+        the bus. A more urgent frame displaces the least urgent one."""
+        node = self.nodes.get(number)
+        if node is None:
+            return False
+        if node.off_until_us is not None:
+            node.refused += 1
+            return False
+        if len(node.queue) >= QUEUE_MAX:
+            node.refused += 1
+            if not self._displace(node, frame):
+                return False
+        self._order += 1
+        self._now_us = max(self._now_us, now_us)
+        heappush(node.queue, (frame.identifier, self._order, frame))
+        self._waiting.add(number)
+        island = self._islands[node.island]
+        self._wish(island, now_us)
+        # Who speaks into silence is not waited for: the arbitration is held now, and once more where
+        # somebody joins it before its bit has come. With errors it is held in its time, chance and all.
+        if island.start_us > now_us and self.faults.error == 0.0:
+            self._arbitrate(island, island.start_us)
+            self._next_known = False
+        return True
+
+    @staticmethod
+    def _displace(node: Node, frame: Frame) -> bool:
+        last = max(node.queue)
+        if last[0] <= frame.identifier:
+            return False
+        node.queue.remove(last)
+        heapify(node.queue)
+        return True
+
+    def _wish(self, island: Island, now_us: int) -> None:
+        if island.train_us:
+            if self._undisturbed(self.nodes[island.sender]) and not self._outranks(island):
+                return
+            self._settle(island, now_us)
+        if island.end_us != NEVER_US:
+            if island.begun_us <= now_us:
+                return
+            self._withdraw(island)
+        start_us = (now_us // self.bit_us + 1) * self.bit_us
+        if start_us < island.free_us:
+            start_us = island.free_us
+        if island.start_us == NEVER_US or start_us < island.start_us:
+            island.start_us = start_us
+            self._next_known = False
+
+    def _outranks(self, island: Island) -> bool:
+        """Somebody has a frame that a train does not win against."""
+        best = self.nodes[island.sender].queue[0]
+        return any(
+            self.nodes[n].queue[0] < best
+            for n in self._waiting
+            if n != island.sender and self.nodes[n].island == island.number
+        )
+
+    def _withdraw(self, island: Island) -> None:
+        """The arbitration that was held ahead of its bit was not the last word."""
+        length_us = island.end_us - island.begun_us
+        self.busy_us -= length_us
+        self.worst_us -= WORST_BITS[len(island.frame[1])] * self.bit_us
+        island.start_us, island.end_us = island.begun_us, NEVER_US
+
+    @property
+    def next_us(self) -> int | None:
+        """When something happens next by itself."""
+        if self._next_known:
+            return self._next_us
+        next_us = NEVER_US
+        for island in self._islands:
+            due_us = island.next_us
+            if due_us != NEVER_US and (next_us == NEVER_US or due_us < next_us):
+                next_us = due_us
+        if self._off:
+            back_us = min(self._off.values())
+            next_us = back_us if next_us == NEVER_US else min(next_us, back_us)
+        self._next_us, self._next_known = (None if next_us == NEVER_US else next_us), True
+        return self._next_us
+
+    def advance(self, now_us: int) -> list[Delivery]:
+        """Everything that ends until now, in order."""
+        deliveries: list[Delivery] = []
+        self._now_us = max(self._now_us, now_us)
+        while (t_us := self.next_us) is not None and t_us <= now_us:
+            self._next_known = False
+            for island in self._islands:
+                if NEVER_US < island.end_us <= t_us:
+                    self._end(island, t_us, deliveries)
+            if self._off:
+                self._recover(t_us)
+            for island in self._islands:
+                if NEVER_US < island.start_us <= t_us and island.end_us == NEVER_US:
+                    self._arbitrate(island, t_us)
+        return deliveries
+
+    def _recover(self, t_us: int) -> None:
+        """Nodes whose time off the bus is over."""
+        for number in [n for n, until_us in self._off.items() if until_us <= t_us]:
+            del self._off[number]
+            node = self.nodes[number]
+            node.off_until_us, node.tec, node.rec = None, 0, 0
+
+    def _arbitrate(self, island: Island, t_us: int) -> None:
+        island.start_us = NEVER_US
+        best: tuple[int, int, Frame] | None = None  # no two have one order
+        sender, later_us = -1, list[int]()
+        for number in self._waiting:
+            node = self.nodes[number]
+            if node.island != island.number:
+                continue
+            if node.ready_us > t_us:
+                later_us.append(node.ready_us)
+                continue
+            head = node.queue[0]
+            if best is None or head < best:
+                best, sender = head, number
+        if best is None:
+            if later_us:
+                island.start_us = min(later_us)
+            return
+        frame = best[2]
+        identifier, data = frame
+        bits = frame_bits(identifier, data)
+        self.worst_us += WORST_BITS[len(data)] * self.bit_us
+        node = self.nodes[sender]
+        if frame is node.flood and not later_us and self._undisturbed(node):
+            island.begun_us, island.end_us, island.sender = t_us, ENDLESS_US, sender
+            island.frame, island.broken = frame, False
+            island.train_us = bits * self.bit_us
+            return
+        broken = self.faults.error > 0.0 and self._rng["error"].random() < self.faults.error
+        if broken:  # somewhere inside the frame, then everybody shouts
+            length_us = self._rng["error"].randrange(1, bits) * self.bit_us + ERROR_US
+        else:
+            length_us = bits * self.bit_us
+        self.busy_us += length_us
+        island.begun_us, island.end_us, island.sender = t_us, t_us + length_us, sender
+        island.frame, island.broken = frame, broken
+
+    def _end(self, island: Island, t_us: int, deliveries: list[Delivery]) -> None:
+        number, frame, broken = island.sender, island.frame, island.broken
+        island.end_us, island.free_us = NEVER_US, t_us
+        node = self.nodes[number]
+        if node.tec > PASSIVE:
+            node.ready_us = t_us + SUSPEND_US
+        if broken:
+            self.errors += 1
+            self._punish(number, node, t_us)
+        else:
+            if node.tec:
+                node.tec -= 1
+            if self.errors:
+                self._heal_receivers(number, node.island)
+            node.sent += 1
+            self.frames += 1
+            group = frame[0] >> 8 & 0x3FFFF
+            self.by_group[group] = self.by_group.get(group, 0) + 1
+            repeated = (
+                self.faults.duplicate > 0
+                and self._rng["duplicate"].random() < self.faults.duplicate
+            )
+            if not repeated and node.queue and frame is not node.flood:
+                self._drop_head(node, frame)
+            if not node.queue:
+                self._waiting.discard(number)
+            deliveries.append(_tuple(Delivery, (t_us, frame, number, self._hearers(number))))
+        for waiting in self._waiting:
+            if self.nodes[waiting].island == island.number:
+                island.start_us = t_us
+                break
+
+    def _undisturbed(self, node: Node) -> bool:
+        """Nothing but a frame that is submitted can change who wins."""
+        faults = self.faults
+        return not (faults.error or faults.duplicate or self._off or node.tec > PASSIVE)
+
+    @staticmethod
+    def _drop_head(node: Node, frame: Frame) -> None:
+        """Take the sent frame off the queue; a more urgent one may have been queued meanwhile.
+
+        It is there no longer where the bus was cut in the middle of it, and the node has sent it to its
+        end in its new island.
+        """
+        if node.queue[0][2] is frame:
+            heappop(node.queue)
+            return
+        held = []
+        while node.queue and node.queue[0][2] is not frame:
+            held.append(heappop(node.queue))
+        if node.queue:
+            heappop(node.queue)
+        for entry in held:
+            heappush(node.queue, entry)
+
+    def _punish(self, number: int, node: Node, t_us: int) -> None:
+        """A broken frame: ISO 11898-1 fault confinement, 8 for the sender and 1 for who listens."""
+        for other in self.nodes.values():
+            if other is not node and other.island == node.island:
+                other.rec = min(other.rec + 1, PASSIVE + 1)
+        node.tec += 8
+        if node.tec >= BUS_OFF_TEC:
+            self.bus_off(number, t_us + RECOVERY_US)
+
+    def _heal_receivers(self, number: int, island: int) -> None:
+        for other, node in self.nodes.items():
+            if node.rec and other != number and node.island == island:
+                node.rec -= 1
+
+    def bus_off(self, number: int, until_us: int) -> None:
+        """Force a node off the bus."""
+        self._settle_all(self._now_us)
+        node = self.nodes[number]
+        node.tec, node.off_until_us, node.flood = BUS_OFF_TEC, until_us, None
+        self._off[number] = until_us
+        self._next_known = False
+        node.queue.clear()
+        self._waiting.discard(number)
+
+    def _hearers(self, sender: int) -> tuple[int, ...]:
+        audience = self._audience.get(sender)
+        if audience is None:
+            island = self.nodes[sender].island
+            audience = tuple(
+                n for n, node in self.nodes.items() if n != sender and node.island == island
+            )
+            self._audience[sender] = audience
+        faults = self.faults
+        if self._off:  # it neither sends nor hears
+            audience = tuple(n for n in audience if n not in self._off)
+        if faults.deaf:
+            audience = tuple(n for n in audience if (sender, n) not in faults.deaf)
+        if faults.loss > 0.0:
+            audience = self._lucky(audience, "loss", faults.loss)
+        if faults.omission > 0.0:
+            audience = self._lucky(audience, "omission", faults.omission)
+        return audience
+
+    def _lucky(self, audience: tuple[int, ...], kind: str, rate: float) -> tuple[int, ...]:
+        chance = self._rng[kind].random
+        return tuple(n for n in audience if chance() >= rate)

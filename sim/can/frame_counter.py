@@ -1,0 +1,40 @@
+"""What is on a simulated bus: frames counted by kind, and written to logs."""
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+from protocol.frames.codec import Malformed, decode_once
+from protocol.frames.frame import Frame
+from sim.files.can_log import LogWriter, open_log
+
+
+class BusTally:
+    def __init__(self) -> None:
+        self._kinds: dict[type, int] = {}
+        self._logs: list[LogWriter] = []
+
+    def open(self, paths: Sequence[Path]) -> None:
+        """From now on frames are written there, too."""
+        self._logs = [open_log(path) for path in paths]
+
+    def tap(self, t_us: int, frame: Frame) -> None:
+        """One frame of the wire."""
+        _, message = decode_once(frame)
+        kind = type(message)
+        self._kinds[kind] = self._kinds.get(kind, 0) + 1
+        for log in self._logs:
+            log.write(t_us, frame)
+
+    @property
+    def kinds(self) -> Counter[str]:
+        """Frames of each kind of message."""
+        return Counter({kind.__name__: count for kind, count in self._kinds.items()})
+
+    @property
+    def malformed(self) -> int:
+        return self._kinds.get(Malformed, 0)
+
+    def close(self) -> None:
+        for log in self._logs:
+            log.close()

@@ -1,0 +1,149 @@
+"""What peers wrote down and what they said, in order: the material of every durability campaign.
+
+`lost` is the judge. It knows the rules (durable before revealed; brake and send a stop first) and
+nothing of how a journal works.
+"""
+
+import asyncio
+from collections.abc import Iterable, Mapping
+from random import Random
+
+from agent.interface.effects import Effect, Persist, Send
+from agent.peer.durable_records import (
+    ELECTION,
+    INCARNATION,
+    OPERATIONS,
+    PROGRESS,
+    REGISTER,
+    U16,
+    U32,
+    U64,
+    VOTE,
+)  # fmt: skip
+from agent.safety.stop_controller import HOLD_KEY, LATCHED, STOPS_KEY
+from crdt import FieldAllocationCRDT, Phase, Progress
+from crdt.register import pack
+from crdt.stops import StopDot, StopSet
+from protocol.frames.fleet_frames import Heartbeat, LeaderElectionVote, Member, Pose
+from protocol.frames.messages import Message
+from protocol.frames.safety_frames import EmergencyStop, Reason
+from protocol.frames.work_frames import TaskClaim, WorkProgress
+from sim.fleet.fault_injector import FaultPlan
+from sim.fleet.simulated_disk import MemoryJournal
+from sim.fleet.simulated_fleet import Cluster
+from sim.fleet.virtual_clock import run_virtual
+from sim.scenarios.field_setup import Setting
+from sim.scenarios.scenario import Reset, load
+
+STANDS = "that it stands until a person resets it"
+Batch = tuple[Persist, ...]
+Tape = list[Batch | Message]
+
+
+class TapedJournal(MemoryJournal):
+    """The `Journal` port; writes go on the tape as well."""
+
+    def __init__(self, tape: Tape) -> None:
+        super().__init__()
+        self.tape = tape
+
+    def write(self, records: Iterable[Persist]) -> None:
+        batch = tuple(records)
+        super().write(batch)
+        self.tape.append(batch)
+
+
+def record(seed: int, simulated_s: float = 180.0) -> dict[int, Tape]:
+    """Three robots work a small field, are stopped and released many times; their tapes by slot."""
+    rng = Random(f"{seed}/tape")
+    resets = [Reset(at_s=float(at_s), kind="reset") for at_s in range(20, int(simulated_s), 15)]
+    scenario = load("small").changed(3, seed).model_copy(update={"fault": resets})
+    tapes: dict[int, Tape] = {slot: [] for slot in range(scenario.fleet.robots)}
+
+    def keep(slot: int, now_us: int, effect: Effect) -> None:
+        if isinstance(effect, Send):
+            tapes[slot].append(effect.message)
+
+    async def play() -> None:
+        cluster = Cluster(Setting(scenario), f"tape {seed}", keep)
+        for slot, tape in tapes.items():
+            cluster.journals[slot] = TapedJournal(tape)
+        cluster.boot_all()
+        script = asyncio.create_task(FaultPlan(cluster).run())
+        loop = asyncio.get_running_loop()
+        while loop.time() < simulated_s:
+            await asyncio.sleep(15.0)
+            cluster.press(rng.choice(list(cluster.robots)), rng.choice(list(Reason)))
+            cluster.check()
+        assert not cluster.stops.violations
+        script.cancel()
+        await cluster.close()
+
+    run_virtual(play())
+    return tapes
+
+
+def lost(revealed: Iterable[Message], recalled: Mapping[str, bytes]) -> str:
+    """What this robot has told others and would no longer know; empty: nothing."""
+    claims, owned = 0, set[int]()  # progress of others, told again to whoever lacks it, is not ours
+    operations = _number(recalled, OPERATIONS, U32.size)
+    stopped, sent, told_stops = False, set[StopDot](), set[StopDot]()
+    for m in revealed:
+        if isinstance(m, Member) and m.incarnation != _number(recalled, INCARNATION, U16.size):
+            return f"incarnation {m.incarnation}"
+        if isinstance(m, LeaderElectionVote):
+            raw = recalled.get(ELECTION, b"")
+            if len(raw) != VOTE.size or VOTE.unpack(raw)[0] < m.term:
+                return f"the vote of term {m.term}"
+        if isinstance(m, TaskClaim):
+            claims += 1
+            owned.add(m.section)
+            told = pack(m.epoch, Phase(m.phase), m.bid, m.lamport, m.owner)
+            if _number(recalled, f"{REGISTER}{m.section}", U64.size) < told or operations < claims:
+                return f"own operation {claims}: S{m.section} {Phase(m.phase).name}"
+        if isinstance(m, WorkProgress) and m.section in owned:
+            known = _number(recalled, f"{PROGRESS}{m.section}/{m.block}", U64.size)
+            if m.bits & ~known:
+                return f"units of S{m.section}"
+        if isinstance(m, EmergencyStop):
+            sent.add(StopDot(m.slot, m.incarnation, m.counter))
+        if isinstance(
+            m, Pose | Heartbeat
+        ):  # the next frame after a stop: by now it is written down
+            stopped = m.stopped
+            told_stops |= sent
+    try:
+        stops = StopSet.deserialize(recalled.get(STOPS_KEY, b"\0\0"))
+    except ValueError:
+        return "every stop: what is on the disk is none"
+    forgotten = {dot for dot in told_stops - stops.active if not stops.is_cleared(dot)}
+    if forgotten:
+        return f"stops {sorted(forgotten)}"
+    if stopped and recalled.get(HOLD_KEY) != LATCHED:
+        return STANDS
+    return ""
+
+
+def unknown(
+    revealed: Iterable[Message], allocation: FieldAllocationCRDT, progress: Progress
+) -> str:
+    """What this robot has told of its own work and its replicas do not hold after a restart, before
+    anybody has told it anything: what is on a disk and is not read is lost as well. Empty: nothing."""
+    owned = set[int]()
+    for m in revealed:
+        if isinstance(m, TaskClaim):
+            owned.add(m.section)
+            if (allocation.key(m.section) or 0) < pack(
+                m.epoch, Phase(m.phase), m.bid, m.lamport, m.owner
+            ):
+                return f"S{m.section} {Phase(m.phase).name}"
+        if not isinstance(m, WorkProgress) or m.section not in owned:
+            continue
+        if m.bits & ~progress.bits(m.section, m.block):
+            return f"units of S{m.section}"
+    return ""
+
+
+def _number(recalled: Mapping[str, bytes], key: str, size: int) -> int:
+    raw = recalled.get(key, b"")
+    return int.from_bytes(raw, "little") if len(raw) == size else 0

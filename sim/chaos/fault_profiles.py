@@ -1,0 +1,166 @@
+"""Bad luck drawn from a seed: a scenario with faults of every kind, in two phases.
+
+Until `Span.calm_s` anything may happen; then everything is mended (links, rates, crashed robots, a reset
+and a start), and what comes after must be well within bounded time. The result is a scenario like any
+other: it can be printed, edited, shrunk and run again.
+"""
+
+from random import Random
+from typing import NamedTuple
+
+from sim.chaos.fault_generators import CLUSTERS, DRAWS
+from sim.scenarios import scenario as kinds
+from sim.scenarios.field_setup import Setting
+from sim.scenarios.protocol_setup import DrillSetting, drill
+from sim.scenarios.scenario import DRILLS, Fault, Scenario, load
+
+
+class Span(NamedTuple):
+    """When what happens in a run, by its mission."""
+
+    calm_s: float  # nothing new goes wrong after this
+    limit_s: float  # the work must be finished by then
+    first_s: float = 4.0  # nothing goes wrong before
+
+    @property
+    def reset_s(self) -> float:
+        return self.calm_s + 4.0
+
+    @property
+    def again_s(self) -> float:
+        """Twice: who was out of reach of the first reset is there for the second."""
+        return self.calm_s + 12.0
+
+
+SPANS = {
+    "field": Span(40.0, 300.0),  # without trouble the yard takes 90 s
+    "drill": Span(120.0, 600.0),  # and a drill 180 s
+    "sprint": Span(30.0, 240.0),  # and a sprint 70 s
+}
+
+CLOSE_S = 3.0  # links stay bad for seconds: what happens so soon after, happens in the middle of it
+
+BODIES = ("box", "pushed", "blind", "frozen", "late")  # useless where there is no world
+LINKS = (kinds.Partition, kinds.Heal, kinds.OneWay, kinds.Loss, kinds.Omission, kinds.Errors,
+         kinds.Duplicate, kinds.BusOff, kinds.Babble, kinds.Clone, kinds.Freeze, kinds.Drift,
+         kinds.ClockJump, kinds.Foreign, kinds.Twin, kinds.Nonsense)  # fmt: skip
+
+
+def is_link_trouble(fault: Fault) -> bool:
+    """After this nobody can say from outside who hears whom."""
+    return isinstance(fault, LINKS)
+
+
+class Profile(NamedTuple):
+    """Which kinds, how often, in what fleet."""
+
+    robots: tuple[int, int]
+    faults: tuple[int, int]
+    weights: dict[str, float]
+    about: str
+    mission: str = "field"
+    together: float = 0.0  # chance that a fault comes within `CLOSE_S` of one that was drawn before
+    silence: str = "stop"  # the policy
+
+
+OFTEN = {"estop": 2.0, "crash": 2.0, "partition": 2.0, "join": 0.5}
+EVERYTHING = dict.fromkeys(DRAWS, 1.0) | OFTEN
+PROFILES = {
+    "all": Profile((2, 5), (1, 10), EVERYTHING, "every kind of fault"),
+    "bus": Profile(
+        (2, 5), (2, 12),
+        dict.fromkeys(("partition", "one_way", "loss", "omission", "duplicate", "errors", "bus_off",
+                       "babble", "clone"), 1.0),
+        "the wire alone",
+    ),
+    "crash": Profile((2, 4), (1, 8), {"crash": 2.0, "crash_working": 2.0, "freeze": 1.0,
+                                      "drift": 0.5, "clock_jump": 0.5, "join": 0.5, "estop": 1.0,
+                                      "blind": 0.5, "frozen": 0.5, "late": 0.5, "disk_full": 1.0},
+                     "robots that die, freeze and come back, with and without their memory"),
+    "stop": Profile((2, 5), (2, 8), {"estop": 4.0, "reset": 2.0, "haste": 2.0, "partition": 1.0,
+                                     "crash": 1.0,
+                                     "loss": 1.0, "freeze": 1.0, "babble": 1.0,
+                                     "blind": 0.5, "frozen": 0.5, "late": 0.5},
+                    "presses and resets in the middle of trouble", together=0.5),
+    "body": Profile((2, 4), (2, 8), {"box": 3.0, "pushed": 3.0, "crash_working": 1.0,
+                                     "freeze": 1.0, "estop": 1.0, "blind": 1.5, "frozen": 1.5,
+                                     "late": 1.0},
+                    "dropped boxes, pushed robots, lost senses, dead ones in the way"),
+    "protocol": Profile((2, 8), (3, 30), {k: w for k, w in EVERYTHING.items() if k not in BODIES},
+                        "every kind of fault, without a world: more hours, longer runs", "drill"),
+    "press": Profile((2, 4), (2, 8), {"burst": 4.0, "estop": 2.0, "reset": 4.0, "haste": 2.0,
+                                      "crash": 1.0, "blackout": 1.0, "freeze": 1.0,
+                                      "partition": 0.5, "babble": 0.5},
+                     "short drills: presses in noise, resets, the power of all failing",
+                     "sprint", together=0.5),
+    "devices": Profile((2, 4), (2, 6), {"buttons": 4.0, "used_stop": 4.0, "estop": 2.0, "reset": 3.0,
+                                        "crash": 0.5, "join": 0.5},
+                       "short drills: devices of other makers stop the fleet, and panels with used names",
+                       "sprint"),
+    "strangers": Profile((2, 5), (2, 6), {"foreign": 3.0, "twin": 3.0, "nonsense": 4.0, "estop": 2.0,
+                                          "reset": 2.0, "crash": 0.5, "join": 0.5},
+                         "short drills: other makers, second machines of one slot, and nonsense",
+                         "sprint"),
+    "claims": Profile((2, 5), (1, 6), {"crash": 2.0, "crash_working": 1.0, "join": 1.0,
+                                       "freeze": 1.0, "errors": 1.0, "duplicate": 1.0,
+                                       "bus_off": 1.0, "babble": 0.5, "blackout": 0.5,
+                                       "clone": 1.0, "disk_full": 0.5,
+                                       "estop": 1.0, "reset": 1.0},
+                      "short drills: all want the same section, and some die or come late",
+                      "sprint"),
+    "split": Profile((2, 5), (1, 6), {"split": 4.0, "one_way": 1.0, "crash": 2.0, "join": 1.0,
+                                      "loss": 1.0, "omission": 1.0, "freeze": 1.0, "bus_off": 1.0,
+                                      "estop": 0.5, "reset": 0.5, "babble": 1.0},
+                     "short drills under the policy continue: both sides work on", "sprint",
+                     silence="continue"),
+    "flood": Profile((2, 5), (3, 8), {"babble": 4.0, "estop": 3.0, "reset": 1.0, "crash": 0.5,
+                                      "join": 0.5, "freeze": 0.5, "bus_off": 0.5},
+                     "short drills under the policy continue: presses, and devices that outrank them",
+                     "sprint", together=0.5, silence="continue"),
+}  # fmt: skip
+
+
+def draw(seed: int, profile: str = "all") -> Scenario:
+    """The scenario of a seed; KeyError for a profile that does not exist."""
+    kind, rng = PROFILES[profile], Random(f"{seed}/trouble/{profile}")
+    robots, span = rng.randint(*kind.robots), SPANS[kind.mission]
+    names = sorted(kind.weights)
+    faults: list[Fault] = []
+    for name in rng.choices(names, [kind.weights[n] for n in names], k=rng.randint(*kind.faults)):
+        at_s = rng.uniform(span.first_s, span.calm_s - 0.5)
+        if kind.together and faults and rng.random() < kind.together:
+            at_s = min(rng.choice(faults).at_s + rng.uniform(0.0, CLOSE_S), span.calm_s - 0.5)
+        at_s = round(at_s, 3)
+        faults += (DRAWS | CLUSTERS)[name](rng, robots, at_s, span.calm_s)
+    if kind.mission == "field":
+        return with_faults(load("yard").changed(robots, seed), faults)
+    return with_faults(drill(robots, seed, kind.mission, kind.silence), faults)
+
+
+def span_of(scenario: Scenario) -> Span:
+    return SPANS[scenario.mission]
+
+
+def setting_of(scenario: Scenario) -> Setting:
+    return DrillSetting(scenario) if scenario.mission in DRILLS else Setting(scenario)
+
+
+def with_faults(scenario: Scenario, faults: list[Fault]) -> Scenario:
+    """A scenario with these faults, sorted, and the calm after them."""
+    span = span_of(scenario)
+    drawn = [f for f in sorted(faults, key=lambda f: f.at_s) if f.at_s <= span.calm_s]
+    run = scenario.run.model_copy(update={"time_limit_s": span.limit_s})
+    return scenario.model_copy(update={"fault": drawn + calm(span), "run": run})
+
+
+def calm(span: Span) -> list[Fault]:
+    at_s = span.calm_s + 0.5
+    return [
+        kinds.Heal(at_s=at_s, kind="heal"),
+        kinds.Loss(at_s=at_s, kind="loss", rate=0.0),
+        kinds.Omission(at_s=at_s, kind="omission", rate=0.0),
+        kinds.Duplicate(at_s=at_s, kind="duplicate", rate=0.0),
+        kinds.Errors(at_s=at_s, kind="errors", rate=0.0),
+        kinds.Reset(at_s=span.reset_s, kind="reset"),
+        kinds.Reset(at_s=span.again_s, kind="reset"),
+    ]

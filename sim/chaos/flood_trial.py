@@ -1,0 +1,201 @@
+"""One trial of a fleet at work on a bus that a device fills, with presses meanwhile.
+
+A flooder sends one frame without pause, or with short pauses. From some time after a press nobody may
+be told to move and nobody may move, by the true commands and positions of the bodies. After the flood the
+wire carries frames again. The fleet works again: by itself, or after a reset and a start where somebody
+pressed.
+"""
+
+from math import inf
+from random import Random
+from typing import NamedTuple
+
+from agent.interface.config import MS, S, beat_of
+from agent.safety.stop_controller import SilencePolicy
+from protocol.frames.frame import Frame
+from protocol.frames.safety_frames import Command, EmergencyReset, OperatorCommand
+from sim.can.simulated_bus import FieldBus
+from sim.fleet.event_loop import Swarm
+from sim.fleet.scheduler import Script
+from sim.fleet.simulated_fleet import OPERATOR, Cluster
+from sim.scenarios.field_setup import Setting
+from sim.scenarios.scenario import load
+
+FLEETS = {3: "small", 6: "small", 20: "oxted"}  # robots and where they work
+DRAWN = (3,) * 9 + (6,) * 9 + (20,) * 2  # twenty robots cost ten times as much
+ADDRESS = 0x4D  # of the flooder
+LOWEST = (0, ADDRESS, 0x0000FFFE)  # identifiers that outrank whatever can be made more urgent
+UNKNOWN = 0x1FF0700 | ADDRESS  # a group that no robot reads
+REACTION_US = 120 * MS  # from a press to the last command, on top of the silence limit
+WORK_S, WORK_MAX_S = (
+    2.0,
+    20.0,
+)  # somebody has moved for so long before the flood; not longer than that
+SHARES = (1.0, 1.0, 1.0, 0.999, 0.99, 0.9)  # of the time that the flooder sends
+PIECE_US = 100 * MS  # sending and pausing alternate so fast
+RECOVER_US = 5 * S  # wire and fleet work again so soon
+AFTER_US = 3 * S  # and stand so long after a flood in which somebody pressed, before the reset
+LOOK_US = 20 * MS
+RESET_US = 500 * MS  # between two tries of an operator
+
+
+class Flood(NamedTuple):
+    """What happens in a trial."""
+
+    seed: int
+    robots: int
+    policy: str
+    identifier: int
+    length: int  # data bytes
+    for_s: float
+    share: float  # of the time
+    presses: tuple[tuple[float, int], ...]  # seconds after its beginning, robot
+    longest_s: float = 0.0  # that it was drawn with
+
+
+class Result(NamedTuple):
+    flood: Flood
+    late: int  # robots that were told to move, or moved, after the bound of a press
+    wire_s: float  # from the end of the flood until every robot's frame has left; inf: never
+    fleet_s: (
+        float  # from its end, or from the reset and start, until a robot moves and all are heard
+    )
+    moved_m: float  # the longest way of a robot during the flood
+
+    @property
+    def broken(self) -> bool:
+        slow = max(self.wire_s, self.fleet_s) > RECOVER_US / S
+        return bool(self.late) or slow
+
+
+def draw(
+    seed: int, robots: int | None = None, policy: str | None = None, longest_s: float = 120.0
+) -> Flood:
+    """The trial of a seed. What is given is not drawn."""
+    rng = Random(f"{seed}/flood")
+    count, ending = rng.choice(DRAWN), rng.choice([p.name.lower() for p in SilencePolicy])
+    low, priority = rng.choice(LOWEST), rng.randrange(8)
+    identifier = low if rng.random() < 0.4 else priority << 26 | rng.choice((ADDRESS, UNKNOWN))
+    for_s = round(
+        longest_s ** rng.random(), 3
+    )  # as many between 1 and 11 s as between 11 and 120 s
+    share, length = rng.choice(SHARES), rng.choice((0, 8, 8, 8))
+    presses = rng.choice((0, 1, 1, 1, 3))
+    count, ending = robots or count, policy or ending
+    times = sorted(round(rng.uniform(0.0, for_s), 3) for _ in range(presses))
+    return Flood(
+        seed, count, ending, identifier, length, for_s, share,
+        tuple((at_s, rng.randrange(count)) for at_s in times), longest_s,
+    )  # fmt: skip
+
+
+class Trial:
+    def __init__(self, flood: Flood) -> None:
+        self.flood, self.swarm = flood, Swarm()
+        scenario = load(FLEETS[flood.robots]).changed(flood.robots, flood.seed, faults=())
+        fleet = scenario.fleet.model_copy(update={"silence": flood.policy})
+        scenario = scenario.with_engine("contact_free")
+        setting = Setting(scenario.model_copy(update={"fleet": fleet}))
+        self.cluster = Cluster(setting, f"flood {id(self)}", host=self.swarm)
+        self.cluster.stops.bound_us = beat_of(flood.robots).silence_us + REACTION_US
+
+    def run(self) -> Result:
+        self.cluster.boot_all()
+        try:
+            return self.swarm.run(self._story())
+        finally:
+            self.cluster.end()
+
+    def _story(self) -> Script[Result]:
+        flood, world = self.flood, self.cluster.world
+        yield from self._until(self._at_work, round(WORK_MAX_S * S))
+        yield self.swarm.now_us() + round(WORK_S * S)
+        at_us = self._now_us()
+        before = {slot: body.position for slot, body in world.robots.items()}
+        bus = FieldBus(self.cluster.channel)
+        bus.subscribe(lambda frame: None)
+        press = self.swarm.spawn(self._press(at_us))
+        yield from self._send(bus, at_us + round(flood.for_s * S))
+        end_us = self._now_us()
+        moved_m = max(
+            abs(complex(*body.position) - complex(*before[slot]))
+            for slot, body in world.robots.items()
+        )
+        sent = self._sent()
+        bus.shutdown()
+        wire_us = yield from self._until(
+            lambda: all(now > then for now, then in zip(self._sent(), sent, strict=True)),
+            RECOVER_US,
+        )
+        assert press.done()
+        from_us = end_us
+        if flood.presses:
+            yield self._now_us() + AFTER_US
+            from_us = self._now_us()
+        reset = self.swarm.spawn(self._reset()) if flood.presses else None
+        limit_us = max(1, from_us + 2 * RECOVER_US - self._now_us())
+        fleet_us = yield from self._until(self._works, limit_us)
+        if reset is not None:
+            reset.cancel()
+        late = {slot for violation in self.cluster.stops.violations for slot in violation.slots}
+        found_us = inf if fleet_us == inf else self._now_us() - from_us
+        return Result(flood, len(late), wire_us / S, found_us / S, moved_m)
+
+    def _send(self, bus: FieldBus, until_us: int) -> Script[None]:
+        """Without pause, or for its share of each piece of time."""
+        flood, wire = self.flood, self.cluster.segment.wire
+        frame = Frame(flood.identifier, bytes(flood.length))
+        while (now_us := self._now_us()) < until_us:
+            wire.flood(bus.node, frame, now_us)
+            self.cluster.segment.arm()
+            if flood.share == 1.0:
+                yield until_us
+                return
+            yield min(until_us, now_us + round(flood.share * PIECE_US))
+            wire.flood(bus.node, None, self._now_us())
+            self.cluster.segment.arm()
+            yield min(until_us, now_us + PIECE_US)
+
+    def _press(self, at_us: int) -> Script[None]:
+        for at_s, slot in self.flood.presses:
+            yield at_us + round(at_s * S)
+            self._now_us()
+            self.cluster.press(slot)
+
+    def _reset(self) -> Script[None]:
+        """An operator clears what is shown, resets and starts, until the fleet works."""
+        cluster = self.cluster
+        while True:
+            for dot in sorted({d for r in cluster.running for d in r.peer.safety.stops.active}):
+                cluster.order(EmergencyReset(*dot, OPERATOR))
+            yield self._now_us() + RESET_US
+            cluster.order(OperatorCommand(Command.MANUAL_RESET, 255, OPERATOR))
+            yield self._now_us() + RESET_US
+            cluster.order(OperatorCommand(Command.START, 255, OPERATOR))
+            yield self._now_us() + 4 * RESET_US
+
+    def _until(self, holds, limit_us: int) -> Script[float]:  # type: ignore[no-untyped-def]
+        """Microseconds until it holds; inf: it does not within the limit."""
+        begun_us = self._now_us()
+        while not holds():
+            if self._now_us() - begun_us >= limit_us:
+                return inf
+            yield self._now_us() + LOOK_US
+        return float(self._now_us() - begun_us)
+
+    def _now_us(self) -> int:
+        now_us = self.swarm.now_us()
+        self.cluster.world.advance(now_us)
+        return now_us
+
+    def _at_work(self) -> bool:
+        return any(body.speed_m_s > 0.1 for body in self.cluster.world.robots.values())
+
+    def _works(self) -> bool:
+        """Everybody hears everybody, and somebody drives."""
+        everybody = frozenset(range(self.flood.robots))
+        heard = all(robot.peer.membership.live == everybody for robot in self.cluster.running)
+        return heard and self._at_work()
+
+    def _sent(self) -> list[int]:
+        return [robot.bus.sent for robot in self.cluster.running]

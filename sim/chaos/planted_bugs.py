@@ -1,0 +1,391 @@
+"""Planted bugs, each a change of one rule, in force only inside of `planted`.
+
+A campaign that does not find them proves nothing when it finds nothing. None of this is reachable from a
+robot: the package `agent` does not know this file.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from typing import Any
+from unittest.mock import patch
+
+from agent.field.field_mission import FieldWork
+from agent.interface.effects import HALT, Drive, Effect, Send
+from agent.motion.holonomic_motion import Motion
+from agent.peer import member_conflicts as conflicts
+from agent.peer import section_claims as claims
+from agent.peer.announcements import Voice
+from agent.peer.durable_records import Records
+from agent.peer.frame_origin import Origin, Origins
+from agent.peer.member_discovery import RollCall
+from agent.peer.membership import Membership
+from agent.peer.section_claims import Claims
+from agent.peer.self_check import NEVER_US, SelfCheck
+from agent.peer.sense_freshness import Senses
+from agent.peer.work_admission import Admission
+from agent.runtime.peer_runner import Shell
+from agent.safety import stop_controller as safety
+from agent.safety.standard_stop import OwnButton, ShortcutButtons
+from agent.safety.stop_controller import Safety
+from crdt.allocation import FieldAllocationCRDT
+from crdt.progress import Progress
+from crdt.stops import StopDot, StopSet
+from protocol.address import AddressClaim
+from protocol.frames.safety_frames import EmergencyStop, Switch
+from protocol.sync.digest_comparison import Divergence
+from protocol.sync.synchronizer import Sync
+from sim.fleet.simulated_disk import LogJournal
+from sim.world.drive_trains import EXPIRES_US
+from sim.world.robot_body import RobotBody
+
+
+@dataclass(frozen=True)
+class Mutant:
+    about: str
+    where: Any
+    name: str
+    change: Callable[[Any], Any]  # the right one in, the wrong one out
+    profile: str = "all"
+
+
+def _constant(value: Any) -> Callable[[Any], Any]:
+    return lambda right: lambda *args, **kwargs: value
+
+
+def _value(value: Any) -> Callable[[Any], Any]:
+    return lambda right: value
+
+
+def _without_halt(right: Any) -> Any:
+    def receive_stop(self: Safety, *args: Any) -> Sequence[Effect]:
+        causes = dict(self._causes)
+        effects = right(self, *args)
+        self._causes = causes
+        return [e for e in effects if e is not HALT]
+
+    return receive_stop
+
+
+def _without_echo(right: Any) -> Any:
+    def receive_stop(self: Safety, *args: Any) -> Sequence[Effect]:
+        return [e for e in right(self, *args) if not isinstance(e, Send)]
+
+    return receive_stop
+
+
+def _clears_all(right: Any) -> Any:
+    def clear(self: StopSet, dot: StopDot) -> bool:
+        found = [right(self, active) for active in (*self.active, dot)]
+        return any(found)
+
+    return clear
+
+
+def _first_echo_is_enough(right: Any) -> Any:
+    def repeat(self: Safety, now_us: int) -> Any:
+        if any(self._echoes.get(dot) for dot in self._own):
+            self._own.clear()
+        return right(self, now_us)
+
+    return repeat
+
+
+def _single_shot(right: Any) -> Any:
+    def press(self: Safety, *args: Any) -> Any:
+        effects = right(self, *args)
+        self._own.clear()
+        self._repeat_us = safety.FOREVER
+        return [
+            e for e in effects if not isinstance(e, Send) or isinstance(e.message, EmergencyStop)
+        ]
+
+    return press
+
+
+def _reset_starts(right: Any) -> Any:
+    def manual_reset(self: Safety, now_us: int) -> bool:
+        self.stops = StopSet()
+        self._causes.clear()
+        right(self, now_us)
+        return True
+
+    return manual_reset
+
+
+def _forgets_latch(right: Any) -> Any:
+    def recall(self: Safety, recalled: Any) -> None:
+        self.held = False
+
+    return recall
+
+
+def _older_wins(right: Any) -> Any:
+    def apply(self: FieldAllocationCRDT, section: int, key: int) -> bool:
+        known = self._keys.get(section)
+        if known is not None and key != known and (known >> 37 & 7) == (key >> 37 & 7) != 7:
+            return False  # what came first stays, whatever the order says
+        return bool(right(self, section, key))
+
+    return apply
+
+
+def _last_wins(right: Any) -> Any:
+    def apply(self: FieldAllocationCRDT, section: int, key: int) -> bool:
+        known = self._keys.get(section)
+        if known is not None and key < known:
+            self._sums.changing(section, known)
+            self._done -= (known >> 48) - (key >> 48)
+            self._keys[section] = key
+            self._changed()
+            return True
+        return bool(right(self, section, key))
+
+    return apply
+
+
+def _replaces(right: Any) -> Any:
+    def apply(self: Progress, section: int, block: int, bits: int) -> bool:
+        known = self.bits(section, block)
+        if known & ~bits:
+            self._sums.changing(section << 8 | block, known or None)
+            self._blocks[section << 8 | block] = bits & self._allowed(section, block)
+            return True
+        return bool(right(self, section, block, bits))
+
+    return apply
+
+
+def _unsynced(right: Any) -> Any:
+    def init(self: LogJournal, disk: Any, synced: bool = True, mark: int = 0) -> None:
+        right(self, disk, False, mark)
+
+    return init
+
+
+def _regardless(right: Any) -> Any:
+    def persist(self: Shell, records: Any) -> bool:
+        with suppress(OSError):
+            self.journal.write(records)  # type: ignore[union-attr]
+        return True
+
+    return persist
+
+
+def _early(right: Any) -> Any:
+    def passed(self: FieldWork, view: Any) -> list[int]:
+        self.lifted, self.lifted_to_m, self.worst_m = False, 0.0, 0.0
+        return list(right(self, view))
+
+    return passed
+
+
+def _straight_on(right: Any) -> Any:
+    def drive(self: Motion, here: Any, wish: Any, neighbours: Any, now_us: int) -> Drive:
+        return Drive(wish.vx_m_s, wish.vy_m_s, wish.turn_rad_s, wish.tool_on)
+
+    return drive
+
+
+def _never_expires_body(right: Any) -> Any:
+    """The command stays in force as long as the run."""
+
+    def drive(self: RobotBody, command: Drive, now_us: int) -> None:
+        right(self, command, now_us)
+        self.world.rows[self.index, EXPIRES_US] = float("inf")
+
+    return drive
+
+
+def _ten_times(right: Any) -> Any:
+    def init(self: Membership, *args: Any) -> None:
+        right(self, *args)
+        self.silence_us *= 10
+
+    return init
+
+
+def _unnoticed(right: Any) -> Any:
+    def tick(self: Membership, now_us: int) -> list[int]:
+        self._oldest_us = now_us
+        return []
+
+    return tick
+
+
+def _open(right: Any) -> Any:
+    return lambda self, wanted, now_us: wanted
+
+
+def _permits_all(right: Any) -> Any:
+    def hear(self: ShortcutButtons, source: int, name: Any, robot: bool, m: Any, t: int) -> None:
+        if m.switch == Switch.PERMIT:
+            self._buttons.clear()
+        right(self, source, name, robot, m, t)
+
+    return hear
+
+
+def _deaf(right: Any) -> Any:
+    return property(lambda self: False, lambda self, value: None)
+
+
+def _goes_on_unheard(right: Any) -> Any:
+    def unheard(self: SelfCheck, now_us: int) -> str:
+        alone = len(self.peer.membership.live) == 1
+        return "" if alone or self._left_us != NEVER_US else str(right(self, now_us))
+
+    return unheard
+
+
+def _keeps_address(right: Any) -> Any:
+    def move(self: AddressClaim, now_us: int) -> list[Any]:
+        return []
+
+    return move
+
+
+def _gives_up(right: Any) -> Any:
+    def try_again(self: AddressClaim, now_us: int) -> None:
+        self._next_us = None
+
+    return try_again
+
+
+def _no_progress_kept(right: Any) -> Any:
+    def restore(self: Records, allocation: Any, progress: Any) -> None:
+        right(self, allocation, Progress({}))
+
+    return restore
+
+
+MUTANTS: dict[str, Mutant] = {
+    "stop-without-brake": Mutant(
+        "a heard stop does not brake", Safety, "receive_stop", _without_halt, "press"
+    ),
+    "gate-open": Mutant("the gate lets everything pass", Safety, "gate", _open, "stop"),
+    "reset-clears-all": Mutant(
+        "a reset clears what it does not name, here and unseen",
+        Safety,
+        "manual_reset",
+        _reset_starts,
+        "press",
+    ),
+    "no-echo-single-shot": Mutant("a stop is said once", Safety, "_press", _single_shot, "press"),
+    "silence-unnoticed": Mutant("nobody falls silent", Membership, "tick", _unnoticed, "claims"),
+    "silence-ten-times": Mutant(
+        "silence is noticed after ten times the limit",
+        Membership,
+        "__init__",
+        _ten_times,
+        "claims",
+    ),
+    "silence-harmless": Mutant(
+        "silence does not brake", Safety, "members", _constant(()), "claims"
+    ),
+    "alone-unheard": Mutant(
+        "frames that do not leave, and nobody who hears, keep nobody from going on",
+        SelfCheck,
+        "_unheard",
+        _goes_on_unheard,
+        "flood",
+    ),
+    "latch-forgotten": Mutant(
+        "a restart forgets the latch and the hold", Safety, "_recall", _forgets_latch, "press"
+    ),
+    "hold-forgotten": Mutant(
+        "a stop is not written down", StopSet, "serialize", _constant(b""), "press"
+    ),
+    "fsync-forgotten": Mutant(
+        "the journal does not sync", LogJournal, "__init__", _unsynced, "claims"
+    ),
+    "rollback-unnoticed": Mutant(
+        "a journal that was rolled back is believed", LogJournal, "_rolled_back", _deaf, "claims"
+    ),
+    "disk-error-ignored": Mutant(
+        "what the disk did not take is said", Shell, "_persist", _regardless, "claims"
+    ),
+    "old-senses-believed": Mutant(
+        "the age of what is sensed is not looked at", Senses, "_old", _constant(""), "body"
+    ),
+    "frozen-place-believed": Mutant(
+        "nobody notices that the place does not change", Senses, "_frozen", _constant(""), "body"
+    ),
+    "older-claim-wins": Mutant(
+        "the register that came first stays", FieldAllocationCRDT, "apply", _older_wins, "split"
+    ),
+    "last-frame-wins": Mutant(
+        "the register that came last stays", FieldAllocationCRDT, "apply", _last_wins, "split"
+    ),
+    "progress-replaced": Mutant(
+        "progress is replaced, not joined", Progress, "apply", _replaces, "split"
+    ),
+    "lost-claims-kept": Mutant(
+        "a lost claim is worked on", Claims, "recheck", _constant([]), "split"
+    ),
+    "claims-uncontested": Mutant(
+        "a claim is work at once", claims, "CONTENTION_US", _value(0), "claims"
+    ),
+    "never-asks": Mutant(
+        "differences are not noticed", Divergence, "heard", _constant(False), "split"
+    ),
+    "never-answers": Mutant(
+        "questions are not answered", Sync, "_question", _constant(None), "split"
+    ),
+    "digest-constant": Mutant(
+        "every digest is the same", Divergence, "tell", _constant(7), "split"
+    ),
+    "progress-unannounced": Mutant("progress is not told", Voice, "flush", _constant([]), "split"),
+    "progress-not-restored": Mutant(
+        "progress is not read from the journal", Records, "restore", _no_progress_kept, "claims"
+    ),
+    "covered-too-soon": Mutant("units that were not worked count", FieldWork, "_passed", _early),
+    "avoidance-off": Mutant("nobody avoids anybody", Motion, "drive", _straight_on),
+    "commands-never-expire": Mutant(
+        "the actuator keeps the last command", RobotBody, "drive", _never_expires_body, "crash"
+    ),
+    "address-kept": Mutant(
+        "a lost address is kept without a claim", AddressClaim, "_move", _keeps_address, "claims"
+    ),
+    "permit-of-any": Mutant(
+        "the permit of one shortcut button ends the stop of all",
+        ShortcutButtons,
+        "hear",
+        _permits_all,
+        "devices",
+    ),
+    "used-stop-ignored": Mutant(
+        "a stop whose name was cleared before is not heard",
+        Safety,
+        "_press_spent",
+        _constant(()),
+        "devices",
+    ),
+    "standard-stop-once": Mutant(
+        "the standard stop is said once", OwnButton, "say", _constant(None), "devices"
+    ),
+    "other-makers-believed": Mutant(
+        "every device is one of ours", Origins, "of", _constant(Origin.OURS), "strangers"
+    ),
+    "another-field-holds": Mutant(
+        "a robot of another field holds the fleet after it is gone",
+        conflicts, "GONE_US", _value(1 << 50), "strangers",
+    ),
+    "addresses-gone-for-good": Mutant(
+        "a robot that found no address does not try again",
+        AddressClaim, "_try_again", _gives_up, "strangers",
+    ),
+    "impossible-work-joined": Mutant(
+        "any section, owner and epoch is joined", Admission, "admits", _constant(True), "strangers"
+    ),
+    "strangers-unasked": Mutant("nobody asks who is who", RollCall, "answer_due", _deaf, "claims"),
+}
+
+
+@contextmanager
+def planted(name: str) -> Iterator[None]:
+    """The bug is there until the end of the block. KeyError for a name that is none."""
+    mutant = MUTANTS[name]
+    right = mutant.where.__dict__.get(mutant.name)
+    with patch.object(mutant.where, mutant.name, mutant.change(right), create=right is None):
+        yield

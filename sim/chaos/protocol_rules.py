@@ -1,0 +1,238 @@
+"""Rules about what robots say, judged from their words and from what people did.
+
+S2 and S3: who has held a stop does not say that it is released before an operator has cleared that
+very stop. S4: after a reset nobody works before a start. S8: a press makes a stop of a new name. S9:
+what a robot has said of a register, of progress, of its operations it never takes back, over restarts
+too; so a released claim does not return (S11). S7: nobody starts what it has claimed before everybody
+had the time to claim it better. S16: one vote a term, one leader a term. S21: nobody tells a stop of a
+machine that is not there.
+"""
+
+from collections import Counter, defaultdict
+from typing import NamedTuple
+
+from agent.interface.config import CONTENTION_US, STOP_SPACING_US
+from agent.interface.lifecycle import WORKING
+from crdt import Phase
+from crdt.register import pack
+from crdt.stops import StopDot
+from protocol.frames.fleet_frames import Heartbeat, LeaderElectionVote, Member, Pose
+from protocol.frames.messages import Message
+from protocol.frames.safety_frames import (
+    AllImplementsStop,
+    Command,
+    EmergencyReset,
+    EmergencyStop,
+    OperatorCommand,
+    Switch,
+)
+from protocol.frames.work_frames import StateSyncRequest, StateSyncResponse, TaskClaim, WorkProgress
+from sim.fleet.foreign_devices import PANEL
+
+EVERYBODY = 255
+HALF_U16 = 0x8000  # operations are counted modulo 2^16 on the wire
+NEVER_US = -1
+CONTESTED_US = CONTENTION_US * 98 // 100  # by the robot's clock, which may drift by half a percent
+
+
+class Broken(NamedTuple):
+    """A rule that was broken."""
+
+    rule: str
+    t_s: float
+    what: str
+
+
+class Speaker:
+    """What one robot has said so far, since it last lost its memory."""
+
+    def __init__(self) -> None:
+        self.incarnation = -1
+        self.operations = -1
+        self.registers: dict[int, int] = {}  # of all sections that it has spoken of
+        self.own: dict[int, int] = {}  # those that it wrote itself: they are on its disk
+        self.progress: dict[tuple[int, int], int] = {}
+        # Units of sections it has claimed that nobody had told before: its own work, on its disk before
+        # it is told. Those of others are told again to whoever lacks them, and are on no disk of its.
+        self.own_progress: dict[tuple[int, int], int] = {}
+        self.claimed_us: dict[int, int] = {}  # section: when it said that it wants it
+        self.dots: set[StopDot] = set()  # every stop that it has pressed or echoed
+        self.stopped = False
+        self.stopped_us = NEVER_US  # since when it says so
+        self.reset_us = NEVER_US  # the newest order that it be reset, and started
+        self.start_us = NEVER_US
+        self.asks_start = False  # it was reset, and has not been started since
+        self.pressed_us = NEVER_US
+        self.unnamed = False  # the stop pressed then has yet to be said
+        self.old_name: StopDot | None = None  # all that it has said since
+        self.votes: dict[int, LeaderElectionVote] = {}  # newest of each election
+
+
+class WordRules:
+    def __init__(self, robots: int) -> None:
+        self.robots = robots
+        self.speakers: defaultdict[int, Speaker] = defaultdict(Speaker)
+        self.broken: list[Broken] = []
+        self.cleared: set[StopDot] = set()
+        self.unknown_device = False  # one without a claim has spoken: its stops latch, to be safe
+        self.units: dict[tuple[int, int], int] = {}  # section and block: bits that anybody has told
+        self.questions: Counter[int] = Counter()  # of each robot, for what it lacks
+        self.implements_stop_us = NEVER_US  # when a robot said the standard stop last
+        self._votes: dict[tuple[int, int, int], int] = {}  # voter, election, term -> candidate
+        # Of an election, a term and a candidate.
+        self._voters: defaultdict[tuple[int, int, int], set[int]] = defaultdict(set)
+
+    # ---------------------------------------------------------------- what people do
+
+    def pressed(self, slot: int, now_us: int) -> None:
+        """Called before the robot is told."""
+        speaker = self.speakers[slot]
+        if now_us - speaker.pressed_us >= STOP_SPACING_US or speaker.pressed_us == NEVER_US:
+            speaker.pressed_us, speaker.unnamed, speaker.old_name = now_us, True, None
+
+    def ordered(self, order: Message, now_us: int) -> None:
+        """An operator's frame, whether anybody hears it or not."""
+        if isinstance(order, EmergencyReset):
+            self.cleared.add(StopDot(order.slot, order.incarnation, order.counter))
+        elif isinstance(order, OperatorCommand):
+            for slot in range(self.robots):
+                if order.target in (slot, EVERYBODY):
+                    if order.command == Command.MANUAL_RESET:
+                        self.speakers[slot].reset_us = now_us
+                    elif order.command == Command.START:
+                        self.speakers[slot].start_us = now_us
+
+    def without_name(self) -> None:
+        """A device speaks whose NAME nobody can learn; from now on S21 cannot be judged."""
+        self.unknown_device = True
+
+    def leaps(self, slot: int) -> None:
+        """Its clock is set: how long it waits after a claim cannot be told from outside."""
+        self.speakers[slot].claimed_us.clear()
+
+    def restarts(self, slot: int) -> None:
+        """Memory kept. What it had from others, and has told again, was never written down."""
+        speaker = self.speakers[slot]
+        speaker.registers = dict(speaker.own)
+        speaker.progress = dict(speaker.own_progress)
+
+    def forgets(self, slot: int) -> None:
+        """Its memory is lost: from here it is another robot of the same slot."""
+        self.speakers[slot] = Speaker()
+        for key in [key for key in self._votes if key[0] == slot]:
+            del self._votes[key]
+        for voters in self._voters.values():
+            voters.discard(slot)
+
+    # ---------------------------------------------------------------- what robots say
+
+    def said(self, slot: int, now_us: int, message: Message) -> None:
+        speaker = self.speakers[slot]
+        if speaker.old_name is not None and now_us > speaker.pressed_us:
+            self._add(
+                "S8", now_us, f"robot {slot} gives a new stop an old name, {speaker.old_name}"
+            )
+            speaker.old_name = None
+        kind = type(message)
+        if kind is Pose:
+            self._pose(slot, speaker, now_us, message)  # type: ignore[arg-type]
+        elif isinstance(message, AllImplementsStop):
+            if message.switch == Switch.STOP:
+                self.implements_stop_us = now_us
+        elif isinstance(message, EmergencyStop):
+            if not message.spent:  # that a name was used before is no stop
+                self._stop(slot, speaker, now_us, message)
+        elif isinstance(message, Heartbeat):
+            ahead = (message.operations - speaker.operations) & 0xFFFF
+            if speaker.operations >= 0 and ahead >= HALF_U16:
+                self._add("S9", now_us, f"robot {slot} counts its operations back")
+            speaker.operations = message.operations
+        elif isinstance(message, TaskClaim | StateSyncResponse):
+            m = message
+            key = pack(m.epoch, Phase(m.phase), m.bid, m.lamport, m.owner)
+            if key < speaker.registers.get(m.section, 0):
+                self._add("S9", now_us, f"robot {slot} takes back what it said of S{m.section}")
+            speaker.registers[m.section] = key
+            if kind is TaskClaim:
+                speaker.own[m.section] = key
+            if kind is TaskClaim and m.owner == slot:
+                self._claim(slot, speaker, now_us, m.section, Phase(m.phase))
+        elif isinstance(message, WorkProgress):
+            place = message.section, message.block
+            if speaker.progress.get(place, 0) & ~message.bits:
+                self._add("S9", now_us, f"robot {slot} takes back units of S{message.section}")
+            speaker.progress[place] = message.bits
+            known = self.units.get(place, 0)
+            if message.section in speaker.own:
+                own = speaker.own_progress.get(place, 0)
+                speaker.own_progress[place] = own | message.bits & ~known
+            self.units[place] = known | message.bits
+        elif kind is StateSyncRequest:
+            self.questions[slot] += 1
+        elif isinstance(message, LeaderElectionVote):
+            self._vote(slot, speaker, now_us, message)
+        elif isinstance(message, Member):
+            if message.incarnation != speaker.incarnation and speaker.incarnation >= 0:
+                self._add("S8", now_us, f"robot {slot} changes its incarnation, memory kept")
+            speaker.incarnation = message.incarnation
+
+    def _pose(self, slot: int, speaker: Speaker, now_us: int, pose: Pose) -> None:
+        if pose.stopped and not speaker.stopped:
+            speaker.stopped_us = now_us
+        elif speaker.stopped and not pose.stopped:
+            speaker.asks_start = True
+            if speaker.reset_us < speaker.stopped_us:
+                self._add("S2", now_us, f"robot {slot} is released, and nobody has reset it")
+        if not pose.stopped and speaker.dots:
+            held = speaker.dots - self.cleared
+            if held:
+                self._add("S3", now_us, f"robot {slot} is released from {sorted(held)[0]}")
+            speaker.dots.clear()
+        if speaker.asks_start and speaker.start_us > speaker.stopped_us:
+            speaker.asks_start = False
+        if speaker.asks_start and pose.state == WORKING:
+            self._add("S4", now_us, f"robot {slot} works after a reset without a start")
+            speaker.asks_start = False
+        speaker.stopped = pose.stopped
+
+    def _stop(self, slot: int, speaker: Speaker, now_us: int, stop: EmergencyStop) -> None:
+        dot = StopDot(stop.slot, stop.incarnation, stop.counter)
+        new = speaker.unnamed and speaker.pressed_us == now_us
+        if new and stop.slot == slot and not stop.echo:
+            # An old one may be repeated in the very microsecond of the press, before the new one.
+            speaker.unnamed = dot in speaker.dots or dot in self.cleared
+            speaker.old_name = dot if speaker.unnamed else None
+        speaker.dots.add(dot)
+        if stop.slot >= self.robots and stop.slot != PANEL and not self.unknown_device:
+            self._add(
+                "S21", now_us, f"robot {slot} tells a stop of {stop.slot}, which is not there"
+            )
+
+    def _claim(self, slot: int, speaker: Speaker, now_us: int, section: int, phase: Phase) -> None:
+        if phase is Phase.CLAIMED:
+            speaker.claimed_us[section] = now_us
+            return
+        since_us = speaker.claimed_us.pop(section, None)
+        waited = since_us is None or now_us - since_us >= CONTESTED_US
+        if phase is Phase.STARTED and not waited:
+            self._add("S7", now_us, f"robot {slot} starts S{section}, which is contested still")
+
+    def _vote(self, slot: int, speaker: Speaker, now_us: int, vote: LeaderElectionVote) -> None:
+        key = slot, vote.election, vote.term
+        before = self._votes.get(key)
+        if before is None:
+            self._votes[key] = vote.candidate
+            cast = vote.election, vote.term, vote.candidate
+            self._voters[cast].add(slot)
+            if len(self._voters[cast]) * 2 > self.robots:
+                for (election, term, candidate), voters in self._voters.items():
+                    same = (election, term) == cast[:2] and candidate != vote.candidate
+                    if same and len(voters) * 2 > self.robots:
+                        self._add("S16", now_us, f"two leaders in term {term}")
+        elif before != vote.candidate:
+            self._add("S16", now_us, f"robot {slot} votes twice in term {vote.term}")
+        speaker.votes[vote.election] = vote
+
+    def _add(self, rule: str, now_us: int, what: str) -> None:
+        if not any(broken.rule == rule for broken in self.broken):  # the first of each will do
+            self.broken.append(Broken(rule, now_us / 1e6, what))

@@ -1,0 +1,492 @@
+"""One scenario under the eyes of every checker: they see bodies, words, disks and what people do.
+
+Nothing here asks a robot what it believes, but for its replicas: in the end (L1), and after a restart,
+before it has heard anybody (S13).
+"""
+
+from collections import Counter
+from collections.abc import Callable
+from functools import partial
+from math import hypot
+from typing import Any
+
+from agent.field.work_leg import LEAD_M
+from agent.interface.config import CONTROL_PERIOD_US, MS, S, beat_of
+from agent.peer.journal_recovery import LOST, remembers
+from agent.peer.sense_freshness import AGE_MAX_US
+from protocol.frames.frame import Frame
+from sim.chaos.durability_rules import STANDS, lost, unknown
+from sim.chaos.effect_observer import Witness
+from sim.chaos.fault_profiles import is_link_trouble, setting_of, span_of
+from sim.chaos.protocol_rules import Broken
+from sim.fleet.event_loop import Swarm
+from sim.fleet.outcome import Outcome
+from sim.fleet.simulated_disk import Disk, LogJournal
+from sim.fleet.simulated_fleet import Cluster
+from sim.fleet.stop_monitor import motions
+from sim.runs.field_run import Expedition, Moment
+from sim.runs.protocol_run import DrillRun
+from sim.scenarios import scenario as kinds
+from sim.scenarios.scenario import DRILLS, Fault, Scenario
+from sim.world.checkers import ExclusiveWorkChecker, Violation
+from sim.world.coverage_truth import coverage, sample_points
+from sim.world.protocol_world import Parade
+from sim.world.world import World
+
+SLACK_US = 20 * MS  # a control tick, and a frame in the way
+RELEASED_S = 12.0  # after the last reset nobody may still stand stopped, and all have been told all
+DELIVERED_US = 120 * MS  # a stop, where all are on one bus, whatever is lost: 20 copies, and a tick
+STANDARD_US = 5 * S  # after a press: the first frame is forgotten, if it was the only one
+FORGET_US = 3 * S  # of silence, ISO 11783-7
+SETTLED_US = 3 * S  # links and members without trouble for so long: everybody hears everybody
+LEFT_US = 50 * MS  # what was under way when an address was lost is on the bus by then
+EXCUSED_US = 3 * S  # who is pushed, or has a box dropped before it, may touch something so long
+# What was sensed last is a period old at most, is old one period after its limit, and is noticed then.
+SENSELESS_US = AGE_MAX_US + 2 * CONTROL_PERIOD_US + SLACK_US
+STARTING_M = 0.5  # of a robot that begins to drive while its place is frozen, and brakes again
+LOSSY = (kinds.Loss, kinds.Omission, kinds.Duplicate, kinds.Errors)  # copies are lost, nobody is
+CLAIM_PF = 0xEE  # of an identifier: ADDRESS_CLAIMED
+ON_LINE_M = 0.2  # closer than this to a line is on it; who comes to another line passes further off
+# What is left where a machine is dead in the end: units of 5 m that it may stand on (3 m of a way on
+# which it may have come to rest, and two bodies beside it), and half an implement.
+DEAD_M = 12.0
+UNNOTICED_M = 0.3  # two control periods at full speed
+TOUCH_M = 0.02  # deeper than this is a contact; bodies of robots are measured to a centimetre
+
+
+class Enough(Exception):
+    """Something was found, and no more is asked for."""
+
+
+class Play:
+    def __init__(self, scenario: Scenario, first_only: bool = False) -> None:
+        """`first_only`: the run ends within a second of the first rule that is broken."""
+        self.first_only = first_only
+        self.scenario, self.span = scenario, span_of(scenario)
+        self.setting = setting_of(scenario.with_engine("contact_free"))
+        self.witness = Witness(scenario.fleet.robots)
+        self.broken: list[Broken] = []
+        self.outcome: Outcome | None = None
+        self._silences: dict[int, list[int]] = {}  # dead robot -> watches of those who must stand
+        self._delivering: dict[int, int] = {}  # watches of stops: until when they are being said
+        self._trouble_us = 0  # the newest trouble of a link or of a member
+        self._cut_us = SETTLED_US  # until then, not everybody need be able to hear
+        self._lost: dict[int, tuple[int, bytes, int]] = {}  # address: since when, NAME, slot
+        self._settled = False  # `RELEASED_S` are over
+        self._left: list[tuple[float, float, float]] = []  # x, y, radius (m) of ground left
+        self._blind: dict[int, list[int]] = {}  # watches of robots that have lost their senses
+        self._frozen_at: dict[int, tuple[float, float]] = {}  # where they were when it froze
+        self._excused: list[tuple[int, int]] = []  # robot and when: pushed, or a box before it
+
+    def run(self) -> "Play":
+        kind = DrillRun if self.scenario.mission in DRILLS else Expedition
+        run = kind(self.setting, attach=self._attach)
+        run.recorder = self.witness
+        if self.first_only:
+            run.told = self._enough
+        try:
+            self.outcome = run.run()
+        except Enough:
+            self._moved()
+            self._exclusive_work(self._together)
+        except Exception as problem:  # an assertion of a robot, or of the simulation: both count
+            text = f"{type(problem).__name__}: {problem}"
+            self.broken.append(Broken("S15", self.cluster.host.now_us() / 1e6, text))
+        if self.outcome is not None:
+            self._judge(self.outcome)
+        self.broken += self.witness.broken
+        self.broken.sort(key=lambda broken: broken.t_s)
+        return self
+
+    def _enough(self, moment: Moment) -> None:
+        moved = any(checker.violations for _, checker in self._moving)
+        if self.broken or self.witness.broken or moved or self._together:
+            raise Enough
+
+    @property
+    def faults(self) -> Counter[str]:
+        """How many of each kind there were before the calm."""
+        return Counter(f.kind for f in self.scenario.fault if f.at_s <= self.span.calm_s)
+
+    def _attach(self, cluster: Cluster) -> None:
+        self.cluster, self.witness.clock = cluster, cluster.host.now_us
+        for slot in range(self.scenario.fleet.robots):
+            cluster.journals[slot] = LogJournal(Disk())
+        if isinstance(cluster.world, Parade) and self.scenario.fleet.silence != "stop":
+            cluster.world.counts = self._all_told
+        self.silence, self.delivery = motions(cluster.world), motions(cluster.world)
+        self.senseless = motions(cluster.world)
+        cluster.on_power = self._power
+        cluster.on_order = lambda m: self.witness.words.ordered(m, cluster.host.now_us())
+        for fault in self.scenario.fault:
+            self._watch(fault)
+        span = self.span
+        if any(isinstance(f, kinds.Reset) and f.at_s == span.again_s for f in self.scenario.fault):
+            self._at(round((span.again_s + RELEASED_S) * 1e6), self._all_released)
+
+    def _at(self, t_us: int, call: Callable[[], object]) -> None:
+        assert isinstance(self.cluster.host, Swarm)
+        self.cluster.host.at(t_us, call)
+
+    def _watch(self, fault: Fault) -> None:
+        """What the checkers have to do at a fault: before it at its time, after it a moment later."""
+        at_us = round(fault.at_s * 1e6)
+        if isinstance(fault, kinds.Clone) and fault.wins:  # before it is trouble itself
+            self._at(at_us, partial(self._loses_address, fault.robot))
+        if is_link_trouble(fault):
+            lossy = isinstance(fault, LOSSY)
+            over_us = 0 if lossy else at_us + round(getattr(fault, "for_s", 0.0) * S) + SETTLED_US
+            self._at(at_us, partial(self._troubled, over_us))
+        match fault:
+            case kinds.Estop(robot=robot):
+                self._at(at_us, partial(self._pressed, robot))
+            case kinds.Freeze(robot=robot):
+                self._at(at_us, partial(self._lapses, robot))
+            case kinds.Pushed(robot=robot, dx_m=dx_m, dy_m=dy_m):
+                self._at(at_us, partial(self._excuse, (robot,)))
+                self._at(at_us, partial(self._sees_again, robot))
+                self._at(at_us, partial(self._shoved, robot, hypot(dx_m, dy_m)))
+            case kinds.Blind(robot=robot, for_s=for_s):
+                self._at(at_us, partial(self._loses_senses, robot, at_us + round(for_s * S)))
+            case kinds.Late(robot=robot, by_s=by_s, for_s=for_s) if by_s * S > AGE_MAX_US:
+                self._at(at_us, partial(self._loses_senses, robot, at_us + round(for_s * S)))
+            case kinds.Reset() | kinds.Order():  # a start: a robot with a frozen place tries again
+                self._at(at_us, self._frozen_at.clear)
+            case kinds.Frozen(robot=robot, for_s=for_s):
+                self._at(at_us, partial(self._place_freezes, robot, at_us + round(for_s * S)))
+            case kinds.DiskFull(robot=robot, for_s=for_s):
+                self._at(at_us + round(for_s * S) - 1, partial(self._keeps_silent, robot))
+            case kinds.ClockJump(robot=robot):
+                self._at(at_us, self._interrupted)  # of whoever was pressed
+                self._at(at_us, partial(self.witness.words.leaps, robot))
+            case kinds.Foreign(claims=False):
+                self._at(at_us, self.witness.words.without_name)
+            case kinds.Box():
+                self._at(at_us, partial(self._excuse, tuple(range(self.scenario.fleet.robots))))
+
+    # ---------------------------------------------------------------- while it runs
+
+    def _now_us(self) -> int:
+        now_us = self.cluster.host.now_us()
+        self.cluster.world.advance(now_us)
+        return now_us
+
+    def _troubled(self, over_us: int) -> None:
+        self._trouble_us = self.cluster.host.now_us()
+        self._cut_us = max(self._cut_us, over_us)
+        if over_us:
+            self._interrupted()
+        for slot in list(self._silences):
+            self._heard_of(slot)
+
+    def _loses_address(self, slot: int) -> None:
+        """S18: where it must hear the better claim, it says nothing more from there."""
+        cluster, now_us = self.cluster, self.cluster.host.now_us()
+        faults = cluster.segment.wire.faults
+        if not cluster.is_up(slot) or faults.loss or faults.omission:
+            return
+        peer = cluster.robots[slot].peer
+        beside = cluster.segment.wire.nodes[cluster.node_of(slot)].island == 0  # the tool's piece
+        if now_us >= self._cut_us and self._one_bus and beside and peer.address is not None:
+            name = peer.identity.name.pack().to_bytes(8, "little")
+            self._lost[peer.address] = now_us + LEFT_US, name, slot
+            self._overhear()
+
+    def _overhear(self) -> None:
+        """Listen to the bus, as long as there is a lost address to listen for."""
+        taps = [tap for tap in self.cluster.segment.taps if tap != self._overheard]
+        self.cluster.segment.taps = [*taps, *([self._overheard] if self._lost else [])]
+
+    def _overheard(self, t_us: int, frame: Frame) -> None:
+        """Every frame on the bus."""
+        address = frame.identifier & 0xFF
+        if address not in self._lost:
+            return
+        since_us, name, _ = self._lost[address]
+        if frame.identifier >> 16 & 0xFF == CLAIM_PF:
+            if frame.data == name or t_us >= since_us:  # claimed again, by who may not know of it
+                del self._lost[address]
+        elif t_us >= since_us:
+            del self._lost[address]
+            self._add("S18", t_us / 1e6, f"address {address} is lost and spoken from")
+
+    def _loses_senses(self, slot: int, until_us: int) -> None:
+        """S19: it stands until they are back."""
+        now_us = self._now_us()
+        if until_us - now_us > SENSELESS_US and self.cluster.is_up(slot):
+            watch = self.senseless.press(now_us, SENSELESS_US, (slot,))
+            self._blind.setdefault(slot, []).append(watch)
+            self._at(until_us, partial(self._sees_again, slot, watch))
+
+    def _sees_again(self, slot: int, watch: int | None = None) -> None:
+        """Its senses are back, or somebody moves it by hand."""
+        for number in list(self._blind.get(slot, ())):
+            if watch in (None, number):
+                self._blind[slot].remove(number)
+                self.senseless.release(number)
+        if watch is None:
+            self._frozen_at.pop(slot, None)
+
+    def _place_freezes(self, slot: int, until_us: int) -> None:
+        """S19: it notices when it drives, and stands within its way."""
+        self._now_us()
+        if not isinstance(self.cluster.world, Parade) and self.cluster.is_up(slot):
+            self._frozen_at[slot] = self.cluster.world.body(slot).position
+            self._at(until_us, partial(self._thaws, slot))
+
+    def _thaws(self, slot: int) -> None:
+        self._now_us()
+        before, body = self._frozen_at.pop(slot, None), self.cluster.world.robots[slot]
+        if before is not None:
+            way_m = hypot(body.position[0] - before[0], body.position[1] - before[1])
+            speed_m_s = body.chassis.speed_m_s
+            most_m = speed_m_s * (SENSELESS_US / S + body.chassis.stopping_s / 2) + STARTING_M
+            if way_m > most_m:
+                what = f"robot {slot} drives {way_m:.1f} m while its place is frozen"
+                self._add("S19", self.cluster.host.now_us() / 1e6, what)
+
+    def _keeps_silent(self, slot: int) -> None:
+        """S13: while its disk takes nothing, it says nothing that would have to be on it.
+
+        Stops are said all the same. So are units, in answers: they are worked, and others keep them.
+        """
+        journal = self.cluster.journals[slot]
+        if isinstance(journal, LogJournal) and self.cluster.is_up(slot):
+            disk = LogJournal(Disk(journal.disk.read()), mark=journal.mark)
+            missing = lost(self.witness.told[slot], disk.load())
+            if missing and missing != STANDS and not missing.startswith(("stops", "units")):
+                t_s = self.cluster.host.now_us() / 1e6
+                self._add("S13", t_s, f"robot {slot} says {missing}, and its disk is full")
+
+    def _excuse(self, slots: tuple[int, ...]) -> None:
+        self._excused += [(slot, self.cluster.host.now_us()) for slot in slots]
+
+    def _shoved(self, slot: int, by_m: float) -> None:
+        """An implement that is down is moved past a strip of ground, by less than a robot on its way
+        could tell from its speed."""
+        bodies = not isinstance(self.cluster.world, Parade)
+        if bodies and by_m < UNNOTICED_M and self.cluster.is_up(slot):
+            reach_m = self.setting.field.implement_width_m / 2 + 2 * UNNOTICED_M
+            self._left.append((*self.cluster.world.body(slot).position, reach_m))
+
+    def _pressed(self, slot: int) -> None:
+        if not self.cluster.is_up(slot):
+            return
+        now_us = self._now_us()
+        self.witness.words.pressed(slot, now_us)
+        if now_us >= self._cut_us and self._one_bus and self.cluster.robots[slot].peer.address:
+            up = [robot.slot for robot in self.cluster.running]
+            watch = self.delivery.press(now_us, DELIVERED_US, up)
+            self._delivering[watch] = now_us + DELIVERED_US
+            self._at(now_us + self._bound_us, partial(self._delivered, watch))
+            self._at(now_us + STANDARD_US, partial(self._implements_stand, slot, now_us))
+
+    def _implements_stand(self, slot: int, pressed_us: int) -> None:
+        """S20: an implement that forgets a button after 3 s of silence stands as long as the fleet."""
+        now_us, words = self.cluster.host.now_us(), self.witness.words
+        stood = words.speakers[slot].stopped and words.speakers[slot].stopped_us <= pressed_us + S
+        calm = self._trouble_us < pressed_us and self._one_bus and self.cluster.is_up(slot)
+        if stood and calm and now_us - words.implements_stop_us > FORGET_US:
+            self._add(
+                "S20", now_us / 1e6, f"robot {slot} stands, and no robot says it to implements"
+            )
+
+    def _delivered(self, watch: int) -> None:
+        if self._delivering.pop(watch, None) is not None:
+            self.delivery.release(watch)
+
+    def _interrupted(self) -> None:
+        """A stop that is being said may not be said to its end: only the silence limit binds then."""
+        now_us = self.cluster.host.now_us()
+        for watch in [watch for watch, end_us in self._delivering.items() if now_us < end_us]:
+            self._delivered(watch)
+        self.cluster.stops.interrupted(now_us - DELIVERED_US)
+
+    @property
+    def _one_bus(self) -> bool:
+        """All that are switched on are on one bus that works."""
+        wire = self.cluster.segment.wire
+        nodes = [wire.nodes[robot.bus.node] for robot in self.cluster.running]
+        off = any(node.off_until_us is not None or node.tec for node in nodes)
+        return not wire.faults.deaf and not off and len({node.island for node in nodes}) == 1
+
+    def _all_told(self) -> bool:
+        """Everybody has heard everybody for so long that two sides of a split are one again."""
+        faults = self.cluster.segment.wire.faults
+        lossy = faults.loss or faults.omission or faults.error
+        calm = self.cluster.host.now_us() - self._trouble_us > SETTLED_US
+        return calm and self._one_bus and not lossy
+
+    @property
+    def _bound_us(self) -> int:
+        return beat_of(self.scenario.fleet.robots).silence_us + SLACK_US
+
+    def _dies(self, slot: int) -> None:
+        """S6: where links are calm, all that have met it must stand until it is back."""
+        cluster, now_us = self.cluster, self._now_us()
+        calm = now_us - self._trouble_us > SETTLED_US
+        if cluster.is_up(slot) and calm and self.scenario.fleet.silence == "stop":
+            met = cluster.acquaintance.met
+            others = [robot.slot for robot in cluster.running if met(robot.slot, slot)]
+            watch = self.silence.press(now_us, self._bound_us, others)
+            self._silences.setdefault(slot, []).append(watch)
+        self._trouble_us = now_us
+        self._lapses(slot)
+
+    def _lapses(self, slot: int) -> None:
+        if self.cluster.is_up(slot):
+            self._interrupted()
+            watching = self.cluster.stops.checker, self.silence, self.delivery, self.senseless
+            for checker in watching:
+                checker.lapses(slot, self.cluster.host.now_us())
+
+    def _heard_of(self, slot: int) -> None:
+        """It is back, or nobody can say any longer who hears whom."""
+        for number in self._silences.pop(slot, []):
+            self.silence.release(number)
+
+    def _power(self, slot: int, on: bool) -> None:
+        """A robot is about to be switched on or to die."""
+        if not on:
+            self._dies(slot)
+            return
+        now_us = self._now_us()
+        self._lost = {address: lost for address, lost in self._lost.items() if lost[2] != slot}
+        for dead in list(self._silences):  # who boots has never heard the dead ones
+            self._heard_of(dead)
+        self._trouble_us = now_us
+        self._cut_us = max(self._cut_us, now_us + SETTLED_US)
+        journal = self.cluster.journals[slot]
+        recalled = journal.load()
+        if LOST in recalled and not (isinstance(journal, LogJournal) and journal.restored):
+            self._add("S13", now_us / 1e6, f"robot {slot} has lost what it had written")
+        if not remembers(recalled):
+            self.cluster.stops.forgets(slot)
+            self.witness.forget(slot)
+            return
+        self.witness.words.restarts(slot)
+        missing = lost(self.witness.told[slot], recalled)
+        if missing and not (missing == STANDS and slot in self.witness.released):
+            self._add("S13", now_us / 1e6, f"robot {slot} forgets {missing}")
+        self._at(now_us, partial(self._reads, slot))
+
+    def _reads(self, slot: int) -> None:
+        """It has read its disk, and heard nobody yet."""
+        peer = self.cluster.robots[slot].peer
+        missing = unknown(self.witness.told[slot], peer.allocation, peer.progress)
+        if missing:
+            t_s = self.cluster.host.now_us() / 1e6
+            self._add("S13", t_s, f"robot {slot} does not read {missing}")
+
+    def _all_released(self) -> None:
+        now_us, speakers = self.cluster.host.now_us(), self.witness.words.speakers
+        self._settled = True
+        self.witness.words.questions.clear()
+        up = [robot.slot for robot in self.cluster.running]
+        standing = [slot for slot in up if speakers[slot].stopped]
+        if standing:
+            self._add("L2", now_us / 1e6, f"robots {standing} still stand stopped")
+        votes = [speakers[slot].votes for slot in up]
+        for election in sorted({number for known in votes for number in known}):
+            newest = [known[election] for known in votes if election in known]
+            term = max(vote.term for vote in newest)
+            tally = Counter(vote.candidate for vote in newest if vote.term == term)
+            if max(tally.values()) * 2 <= len(up):
+                self._add("L7", now_us / 1e6, f"no leader of election {election}: {dict(tally)}")
+
+    # ---------------------------------------------------------------- in the end
+
+    def _judge(self, outcome: Outcome) -> None:
+        world, end_s = self.cluster.world, outcome.simulated_s
+        self._moved()
+        self._contacts()
+        bodies = not isinstance(world, Parade) and self.scenario.fleet.silence == "stop"
+        self._exclusive_work(self._exclusive(world) if bodies else self._together)
+        if not outcome.replicas_equal:
+            self._add("L1", end_s, "replicas differ")
+        questions = self.witness.words.questions
+        if self._settled and questions.total() > self.scenario.fleet.robots:
+            what = (
+                f"long after the calm began robots still ask for what they lack: {dict(questions)}"
+            )
+            self._add("L1", end_s, what)
+        if not outcome.finished or not (outcome.reached >= 0.9999 or self._accounted_for(world)):
+            what = f"finished: {outcome.finished}, coverage {outcome.coverage:.2%}"
+            self._add("L5", end_s, what)
+        else:
+            self._all_units_told(world)
+
+    def _all_units_told(self, world: World | Parade) -> None:
+        """What was worked is known to the fleet unit by unit, not only that sections are done."""
+        if not isinstance(world, Parade):
+            return
+        told = sum(bits.bit_count() for bits in self.witness.words.units.values())
+        untold = sum(world.units.values()) - told
+        if untold:
+            self._add("L5", world.now_us / 1e6, f"finished, and {untold} units were never told")
+
+    def _accounted_for(self, world: World | Parade) -> bool:
+        """All that was not worked lies about machines that nobody has switched on again, or where
+        somebody has moved one a little."""
+        if isinstance(world, Parade):
+            return False
+        slots, left = range(self.scenario.fleet.robots), [*self._left]
+        for body in (world.robots[slot] for slot in slots if not self.cluster.is_up(slot)):
+            left.append((*body.position, DEAD_M))
+        if not left:
+            return False
+        field = self.setting.field
+        raster = sample_points(field.polygon, field.implement_width_m, field.overlap_m)
+        tracks = {slot: body.track for slot, body in world.robots.items()}
+        can = self.setting.ground(raster).cells
+        missed = coverage(raster, tracks, field.implement_width_m, can).missed
+        return all(
+            any(hypot(x_m - at_x_m, y_m - at_y_m) < reach_m for at_x_m, at_y_m, reach_m in left)
+            for x_m, y_m in missed
+        )
+
+    @property
+    def _moving(self) -> list[tuple[str, Any]]:
+        return [
+            ("S1", self.cluster.stops),
+            ("S1", self.delivery),
+            ("S6", self.silence),
+            ("S19", self.senseless),
+        ]
+
+    def _moved(self) -> None:
+        for rule, checker in self._moving:
+            for violation in checker.violations[:1]:
+                self._add(rule, violation.t_us / 1e6, f"robots {violation.slots}: {violation.what}")
+
+    @property
+    def _together(self) -> list[Violation]:
+        world = self.cluster.world
+        return world.together if isinstance(world, Parade) else []
+
+    def _exclusive_work(self, found: list[Violation]) -> None:
+        for violation in found[:1]:
+            self._add("S7", violation.t_us / 1e6, f"robots {violation.slots}: {violation.what}")
+
+    def _contacts(self) -> None:
+        for contact in self.cluster.world.contacts:
+            slots = {contact.first, contact.second}
+            excused = any(
+                slot in slots and 0 <= contact.t_us - at_us < EXCUSED_US
+                for slot, at_us in self._excused
+            )
+            if contact.depth_m > TOUCH_M and not excused:
+                depth_cm = contact.depth_m * 100
+                what = f"robot {contact.first} {depth_cm:.0f} cm into {contact.against}"
+                self._add("S17", contact.t_us / 1e6, what)
+                return
+
+    def _exclusive(self, world: World) -> list[Any]:
+        field = self.setting.field
+        sections = {number: list(section.swaths) for number, section in enumerate(field.sections)}
+        tracks = {slot: body.track for slot, body in world.robots.items()}
+        checker = ExclusiveWorkChecker(sections, ON_LINE_M, least_m=LEAD_M + 0.5)
+        return list(checker.violations(tracks))
+
+    def _add(self, rule: str, t_s: float, what: str) -> None:
+        self.broken.append(Broken(rule, t_s, what))

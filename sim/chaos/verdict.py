@@ -1,0 +1,58 @@
+"""Whether a run kept the rules. Each is a name that docs/chaos.md explains and `headland chaos` prints.
+
+Some are judged elsewhere: S5 by `tests/chaos/test_amnesia.py` and the Spin models, S10 by `tests/crdt`,
+S12 by `headland bench forgery`.
+"""
+
+from collections import Counter
+from typing import NamedTuple
+
+from sim.chaos.protocol_rules import Broken
+from sim.chaos.scenario_judge import Play
+from sim.scenarios.scenario import Scenario
+
+RULES = {
+    "S1": "after a stop nobody moves",
+    "S2": "nobody is released without a person's reset",
+    "S3": "a reset clears what it names, and nothing else",
+    "S4": "reset is not start",
+    "S6": "where a member falls silent, everybody stands",
+    "S7": "one robot at a time in a section; under other policies than stop, where all hear all",
+    "S8": "no two stops of one name",
+    "S9": "what was said is not taken back; a released claim does not return (S11)",
+    "S13": "what was told is still known after a restart",
+    "S14": "only listed transitions of the lifecycle",
+    "S15": "no exception, whatever arrives",
+    "S16": "one vote and one leader a term",
+    "S17": "no two bodies touch",
+    "S18": "who has lost its address says nothing from it",
+    "S19": "a robot that has lost its senses stands",
+    "S20": "while a stop holds a robot, the standard stop is said to implements",
+    "S21": "a told stop is of this fleet, of a panel of ours, or of a device without a NAME",
+    "L1": "replicas are equal in the end, and nobody goes on asking",
+    "L2": "after the resets nobody stands stopped",
+    "L5": "the work is finished in time, all of it",
+    "L7": "there is a leader in the end",
+}
+
+
+class Verdict(NamedTuple):
+    seed: int
+    broken: tuple[Broken, ...]
+    faults: Counter[str]
+    robots: int
+    simulated_s: float
+    trace_hash: str
+
+    @property
+    def ok(self) -> bool:
+        return not self.broken
+
+
+def judge(scenario: Scenario, first_only: bool = False) -> Verdict:
+    play = Play(scenario, first_only).run()
+    assert all(broken.rule in RULES for broken in play.broken)
+    return Verdict(
+        scenario.run.seed, tuple(play.broken), play.faults, scenario.fleet.robots,
+        play.outcome.simulated_s if play.outcome else 0.0, play.witness.digest,
+    )  # fmt: skip

@@ -1,0 +1,37 @@
+"""CAN logs by suffix: candump text is ours, everything else is written by python-can."""
+
+from pathlib import Path
+from typing import Protocol
+
+import can
+
+from protocol.frames.frame import Frame
+from sim.files.candump import CandumpWriter
+
+SUFFIXES = (".log", ".asc", ".blf", ".csv", ".trc")  # not .db: it loses frames when it is closed
+
+
+class LogWriter(Protocol):
+    def write(self, t_us: int, frame: Frame) -> None: ...
+    def close(self) -> None: ...
+
+
+class PythonCanWriter:
+    def __init__(self, path: Path) -> None:
+        self._writer = can.Logger(path)
+
+    def write(self, t_us: int, frame: Frame) -> None:
+        self._writer(
+            can.Message(t_us / 1e6, frame.identifier, is_extended_id=True, data=frame.data,
+                        channel=0, is_rx=True, check=False)
+        )  # fmt: skip
+
+    def close(self) -> None:
+        self._writer.stop()
+
+
+def open_log(path: Path) -> LogWriter:
+    """OSError where it cannot be written; ValueError for a suffix that is none of `SUFFIXES`."""
+    if path.suffix not in SUFFIXES:
+        raise ValueError(f"{path}: a log ends in {', '.join(SUFFIXES)}")
+    return CandumpWriter(path) if path.suffix == ".log" else PythonCanWriter(path)

@@ -1,0 +1,159 @@
+"""Reading field boundaries: GeoJSON or ISO 11783-10 task data, projected to metres.
+
+Latitude and longitude end here. Every bad file is one `FieldFileError` with one line that names the
+file, what is wrong with it, and what to do.
+"""
+
+from math import isfinite
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from pyproj import CRS, Transformer
+from shapely.geometry import Polygon
+from shapely.validation import explain_validity
+
+from agent.interface.config import EXTENT_MAX_M
+from sim.files.field_error import FILE_BYTES_MAX, POINTS_MAX, FieldFileError, LonLat
+from sim.files.given_file import GivenFileError, read_json
+from sim.files.isoxml_reader import read_isoxml
+
+TASK_DATA = (".xml", ".zip")
+SURFACES = ("Polygon", "MultiPolygon")
+GEOJSON_BYTES_MAX = 8 << 20  # 200 fields of 1,000 points
+NAMES_SHOWN = 6  # of a file's fields, in a message
+NAME_MAX = 200  # characters of a field's name
+
+
+class Boundary(NamedTuple):
+    """One field outline in metres, and where it lies."""
+
+    name: str
+    polygon: Polygon
+    origin: tuple[float, float]  # latitude, longitude of (0, 0)
+
+
+def read_boundary(path: Path, feature: str | None = None) -> Boundary:
+    """The named field of a file, or its only one. Only that field is judged."""
+    outlines, broken = fields_of(path)
+    names = sorted({*outlines, *broken})
+    if not names:
+        raise FieldFileError(f"{path}: no polygon in it")
+    few = ", ".join(names[:NAMES_SHOWN])
+    if len(names) > NAMES_SHOWN:
+        few += f", ...; 'headland fields {path}' lists all {len(names)}"
+    if feature is None:
+        if len(names) > 1:
+            raise FieldFileError(f"{path}: {len(names)} fields; say which with 'feature' ({few})")
+        feature = names[0]
+    if feature in broken:
+        raise broken[feature]
+    if feature not in outlines:
+        raise FieldFileError(f"{path}: no field named {feature!r}; there is {few}")
+    return project(path, feature, outlines[feature])
+
+
+def fields_of(path: Path) -> tuple[dict[str, list[list[LonLat]]], dict[str, FieldFileError]]:
+    """Every field of a file: name -> rings of longitude and latitude; and name -> what is wrong with it.
+
+    FieldFileError where the file as a whole cannot be read.
+    """
+    task_data = path.is_dir() or path.suffix.lower() in TASK_DATA
+    broken: dict[str, FieldFileError] = {}
+    outlines = read_isoxml(path, broken) if task_data else read_geojson(path, broken)
+    for name, rings in list(outlines.items()):
+        count = sum(map(len, rings))
+        if count > POINTS_MAX:
+            del outlines[name]
+            broken[name] = FieldFileError(
+                f"{path}: {name}: {count} points; thin it out to {POINTS_MAX} at most"
+            )
+    return outlines, broken
+
+
+def read_geojson(
+    path: Path, broken: dict[str, FieldFileError] | None = None
+) -> dict[str, list[list[LonLat]]]:
+    """Name -> rings of longitude and latitude, the exterior first.
+
+    What is wrong with a feature is raised, or put into `broken` by its name.
+    """
+    document = load_json(path, GEOJSON_BYTES_MAX)
+    if document.get("type") == "FeatureCollection":
+        features = document.get("features")
+        if not isinstance(features, list):
+            raise FieldFileError(f"{path}: a FeatureCollection without a list of features")
+    else:
+        features = [document]
+    outlines: dict[str, list[list[LonLat]]] = {}
+    for number, feature in enumerate(features):
+        geometry = feature.get("geometry", feature) if isinstance(feature, dict) else None
+        if not isinstance(geometry, dict) or geometry.get("type") not in SURFACES:
+            continue
+        properties = feature.get("properties")
+        said = properties.get("name") if isinstance(properties, dict) else None
+        name = str(said if isinstance(said, str | int) else f"field {number}")[:NAME_MAX]
+        coordinates = geometry.get("coordinates")
+        parts = [coordinates] if geometry["type"] == "Polygon" else coordinates or []
+        for k, rings in enumerate(parts if isinstance(parts, list) else [None]):
+            label = name if not isinstance(parts, list) or len(parts) == 1 else f"{name} {k}"
+            try:
+                outlines[label] = _rings(path, label, rings)
+            except FieldFileError as problem:
+                if broken is None:
+                    raise
+                broken[label] = problem
+    return outlines
+
+
+def load_json(path: Path, bytes_max: int = FILE_BYTES_MAX) -> dict[str, Any]:
+    """An object of JSON. FieldFileError."""
+    try:
+        document = read_json(path, bytes_max)
+    except GivenFileError as problem:
+        raise FieldFileError(f"{path}: {problem}") from None
+    if not isinstance(document, dict):
+        raise FieldFileError(f"{path}: not a GeoJSON object")
+    return document
+
+
+def _rings(path: Path, name: str, rings: object) -> list[list[LonLat]]:
+    result: list[list[LonLat]] = []
+    if not isinstance(rings, list) or not rings:
+        raise FieldFileError(f"{path}: {name}: a polygon without rings")
+    for ring in rings:
+        try:
+            points = [(float(p[0]), float(p[1])) for p in ring]
+        except (TypeError, ValueError, OverflowError, IndexError, KeyError):
+            raise FieldFileError(f"{path}: {name}: a point that is not two numbers") from None
+        if len(points) < 4:
+            raise FieldFileError(f"{path}: {name}: a ring of {len(points)} points; it needs 4")
+        if not all(-180 <= x <= 180 and -90 <= y <= 90 for x, y in points):
+            raise FieldFileError(
+                f"{path}: {name}: a point that is not longitude and latitude in degrees"
+            )
+        result.append(points)
+    return result
+
+
+def plane(origin: tuple[float, float]) -> CRS:
+    """Metres east and north of a latitude and longitude."""
+    return CRS.from_proj4(f"+proj=aeqd +lat_0={origin[0]} +lon_0={origin[1]} +datum=WGS84 +units=m")
+
+
+def project(path: Path, name: str, rings: list[list[LonLat]]) -> Boundary:
+    """Metres east and north of the middle of the outline (azimuthal equidistant, WGS 84)."""
+    xs, ys = [p[0] for p in rings[0]], [p[1] for p in rings[0]]
+    origin = ((min(ys) + max(ys)) / 2, (min(xs) + max(xs)) / 2)
+    to_metres = Transformer.from_crs("EPSG:4326", plane(origin), always_xy=True).transform
+    outline = []
+    for ring in rings:
+        east, north = to_metres([p[0] for p in ring], [p[1] for p in ring])
+        outline.append(list(zip(east, north, strict=True)))
+    polygon = Polygon(outline[0], outline[1:])
+    if not isfinite(polygon.area):
+        raise FieldFileError(f"{path}: {name}: too far across to be projected; divide it")
+    if not polygon.is_valid:
+        raise FieldFileError(f"{path}: {name}: {explain_validity(polygon)}; repair the outline")
+    if max(map(abs, polygon.bounds)) > EXTENT_MAX_M:
+        raise FieldFileError(f"{path}: {name}: larger than {2 * EXTENT_MAX_M:.0f} m; divide it")
+    return Boundary(name, polygon, origin)

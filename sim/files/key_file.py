@@ -1,0 +1,143 @@
+"""Key files: a fleet's, for its robots and stop panels, and an operator's, who may release it.
+
+JSON, readable by their owner only. An operator's counter must never go back, so it is kept beside its
+key file, reserved ahead in blocks: one durable write for as many frames.
+"""
+
+import fcntl
+import json
+import os
+from hashlib import sha256
+from pathlib import Path
+from secrets import token_bytes
+from typing import Any, NamedTuple
+
+from protocol.authentication import COUNTER_MAX, KEY_SIZE, OPERATOR_FIRST, Keyring, Keys
+from sim.files.given_file import KEY_BYTES_MAX, GivenFileError, read_json, read_text
+
+FLEET, OPERATOR = "headland fleet keys", "headland operator key"
+PANEL = 140  # sender of a stop panel that holds the fleet's keys
+DEVICE = 249  # operator device, where the file names no other
+DEVICE_MAX = 254
+RESERVE = 8192  # frames; a reset of a hundred machines that takes 5 s sends 6,000
+
+
+class KeyFileError(Exception):
+    """One line for the person."""
+
+
+class KeyFile(NamedTuple):
+    path: Path
+    kind: str  # FLEET or OPERATOR
+    keys: Keys
+    device: int | None = None  # of an operator's
+
+    @property
+    def ids(self) -> dict[str, str]:
+        """What a person may read aloud to compare two files; says nothing of the keys."""
+        named = {"fleet": self.keys.master, "operator": self.keys.operator}
+        return {name: key_id(key) for name, key in named.items() if key is not None}
+
+    def keyring(self, frames: int = RESERVE) -> Keyring:
+        """Of a device with this file: `frames` may be signed with it."""
+        lot = token_bytes(KEY_SIZE)
+        if self.kind == FLEET:
+            return Keyring(self.keys, PANEL, lot)
+        assert self.device is not None
+        return Keyring(self.keys, self.device, lot, reserve(self, frames))
+
+
+def key_id(key: bytes) -> str:
+    return sha256(b"headland key id" + key).hexdigest()[:8]
+
+
+def fresh() -> Keys:
+    return Keys(token_bytes(KEY_SIZE), token_bytes(KEY_SIZE))
+
+
+def write(fleet: Path, operator: Path, keys: Keys, device: int) -> None:
+    """Both files of a fleet. Raises OSError; FileExistsError where one is there already."""
+    assert keys.master is not None and keys.operator is not None
+    own = {"operator_id": key_id(keys.operator), "operator_key": keys.operator.hex()}
+    master = {"id": key_id(keys.master), "key": keys.master.hex()}
+    _create(fleet, json.dumps({"kind": FLEET, **master, **own}, indent=1))
+    _create(operator, json.dumps({"kind": OPERATOR, "device": device, **own}, indent=1))
+
+
+def _create(path: Path, text: str) -> None:
+    handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    with os.fdopen(handle, "w") as file:
+        file.write(text + "\n")
+        file.flush()
+        os.fsync(handle)
+
+
+def read(path: Path, kind: str | None = None) -> KeyFile:
+    """Raises KeyFileError. `kind`: nothing else will do."""
+    try:
+        document = read_json(path, KEY_BYTES_MAX)
+        mode = path.stat().st_mode
+    except GivenFileError as problem:
+        said = str(problem)
+        why = "not a key file: not JSON" if said.startswith("not JSON") else said
+        raise KeyFileError(f"{path}: {why}") from None
+    except OSError as problem:
+        raise KeyFileError(f"{path}: cannot be read: {problem.strerror}") from None
+    if mode & 0o077:
+        raise KeyFileError(f"{path}: others may read it: chmod 600 {path}, and consider new keys")
+    found = document.get("kind") if isinstance(document, dict) else None
+    if found not in (FLEET, OPERATOR):
+        raise KeyFileError(f"{path}: not a key file; make one with 'headland keys new'")
+    if kind not in (None, found):
+        raise KeyFileError(f"{path}: {found!r} where {kind!r} is needed")
+    operator = _key(path, document, "operator_id", "operator_key")
+    if found == FLEET:
+        return KeyFile(path, found, Keys(_key(path, document, "id", "key"), operator))
+    device = document.get("device")
+    if not isinstance(device, int) or not OPERATOR_FIRST <= device <= DEVICE_MAX:
+        raise KeyFileError(f"{path}: device: {device!r} is not {OPERATOR_FIRST} to {DEVICE_MAX}")
+    return KeyFile(path, found, Keys(None, operator), device)
+
+
+def _key(path: Path, document: dict[str, Any], name: str, field: str) -> bytes:
+    try:
+        key = bytes.fromhex(document[field])
+    except (KeyError, TypeError, ValueError):
+        raise KeyFileError(f"{path}: {field}: is missing or not hexadecimal") from None
+    if len(key) != KEY_SIZE or document.get(name) != key_id(key):
+        raise KeyFileError(f"{path}: {field}: does not fit its {name}: damaged, or edited by hand")
+    return key
+
+
+def counter_path(path: Path) -> Path:
+    return path.with_name(path.name + ".counter")
+
+
+def counter(path: Path) -> int:
+    """Frames that an operator's key file may have signed. Raises KeyFileError."""
+    beside = counter_path(path)
+    try:
+        count = int(read_text(beside, KEY_BYTES_MAX)) if beside.exists() else 0
+    except (GivenFileError, OSError, ValueError):
+        count = -1
+    if not 0 <= count <= COUNTER_MAX:
+        raise KeyFileError(f"{beside}: unreadable: rotate the keys, or robots may take old frames")
+    return count
+
+
+def reserve(file: KeyFile, frames: int) -> int:
+    """The counter to go on from; what is reserved is durable before it is used."""
+    beside = counter_path(file.path)
+    new = beside.with_name(beside.name + ".new")
+    try:
+        with file.path.open() as lock:  # two devices with one file do not share counters
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            count = counter(file.path)
+            if count + frames > COUNTER_MAX:
+                raise KeyFileError(f"{file.path}: this key has signed enough: rotate the keys")
+            new.unlink(missing_ok=True)
+            _create(new, str(count + frames))
+            new.replace(beside)
+    except OSError as problem:
+        raise KeyFileError(f"{beside}: cannot be written: {problem.strerror}") from None
+    return count

@@ -1,0 +1,78 @@
+"""Who has met whom: what must be known to say whom a silence stops.
+
+Under the policy that stops where a member is silent, a robot stands whose bus is cut from those that it
+has met. One that was switched on behind the cut has never heard of them: it works, as a fleet does of
+which a machine is still in the barn. Told by links alone, no robot is asked.
+"""
+
+from collections.abc import Mapping
+
+from agent.interface.config import S
+from sim.can.can_segment import Wire
+
+MET_US = 3 * S  # an address (0.25 s, ten times as much where it is contested), and who is who
+
+
+class Acquaintance:
+    def __init__(self, wire: Wire) -> None:
+        self.wire = wire
+        self._looked_us = 0
+        self._together_us: dict[tuple[int, int], int] = {}  # hearer, speaker: for how long by now
+        self._met: set[tuple[int, int]] = set()
+        self._hangs_until_us: dict[int, int] = {}
+        self._hangs_since_us: dict[int, int] = {}
+        self._doubled_until_us: dict[int, int] = {}
+
+    def hangs(self, slot: int, now_us: int, until_us: int) -> None:
+        """Until then it says nothing, and hears it all at once in the end."""
+        if not self.is_hung(slot, now_us):
+            self._hangs_since_us[slot] = now_us
+        self._hangs_until_us[slot] = max(until_us, self._hangs_until_us.get(slot, 0))
+
+    def is_hung(self, slot: int, now_us: int) -> bool:
+        return now_us < self._hangs_until_us.get(slot, 0)
+
+    def hung_since_us(self, slot: int, now_us: int) -> int | None:
+        return self._hangs_since_us[slot] if self.is_hung(slot, now_us) else None
+
+    def doubled(self, slot: int, until_us: int) -> None:
+        """Until then a second machine says that it is that robot: whether the robot itself is silent
+        cannot be told, and afterwards the others have to meet it again."""
+        self._doubled_until_us[slot] = max(until_us, self._doubled_until_us.get(slot, 0))
+        self._met = {pair for pair in self._met if pair[1] != slot}
+
+    def boots(self, slot: int) -> None:
+        """A new life has met nobody; an earlier one may have been met."""
+        self._met = {pair for pair in self._met if pair[0] != slot}
+        self._hangs_until_us.pop(slot, None)
+        for pair in self._together_us:
+            if slot in pair:
+                self._together_us[pair] = 0
+
+    def look(self, now_us: int, node_of: Mapping[int, int]) -> None:
+        """Called before anything changes: as the links are now, they were since the last look.
+
+        `node_of`: the nodes of the robots that are switched on.
+        """
+        passed_us, self._looked_us = now_us - self._looked_us, now_us
+        faults, nodes, hangs = self.wire.faults, self.wire.nodes, self._hangs_until_us
+        lossy = faults.loss > 0 or faults.omission > 0
+        for hearer, to in node_of.items():
+            for speaker, by in node_of.items():
+                if hearer == speaker:
+                    continue
+                cut = nodes[to].island != nodes[by].island or (by, to) in faults.deaf
+                off = nodes[to].off_until_us is not None or nodes[by].off_until_us is not None
+                pair = hearer, speaker
+                together_us = self._together_us.get(pair, 0) + passed_us
+                hung_us = max(hangs.get(hearer, 0), hangs.get(speaker, 0))
+                hung_us = max(hung_us, self._doubled_until_us.get(speaker, 0))
+                if hung_us > now_us - passed_us:
+                    together_us = max(0, now_us - hung_us)
+                self._together_us[pair] = 0 if lossy or cut or off else together_us
+                if self._together_us[pair] >= MET_US:
+                    self._met.add(pair)
+
+    def met(self, hearer: int, speaker: int) -> bool:
+        """In this life of the hearer, since its power came."""
+        return (hearer, speaker) in self._met

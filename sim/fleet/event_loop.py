@@ -1,0 +1,230 @@
+"""A plain event loop over a heap: the same shells, wire, scripts and order of events as asyncio's.
+
+What asyncio does for a callback costs several microseconds; here it is a heap entry. The order is the
+one of `asyncio.BaseEventLoop` with `sim/fleet/virtual_clock.py`, step by step (due timers in the order in which they
+were set, behind what is ready; a woken shell takes its turn one round later), so that the same seed
+gives the same trace hash: a test compares them.
+"""
+
+from collections.abc import Callable
+from heapq import heappop, heappush
+from math import ceil
+from typing import Any, TypeVar
+
+from agent.runtime.peer_runner import Shell
+from sim.fleet.scheduler import Script
+
+T = TypeVar("T")
+# Of callbacks in one instant. A wire brings a few frames at one time, a thawed robot a full inbox in one
+# round: who is woken so often asks again and again for what it does not do.
+ROUNDS_MAX = 10_000
+Call = Callable[[], object]
+
+
+class Timer:
+    __slots__ = ("call", "cancelled")
+
+    def __init__(self, call: Call) -> None:
+        self.call, self.cancelled = call, False
+
+    def cancel(self) -> None:
+        self.cancelled = True
+
+
+class SwarmShell(Shell):
+    """A shell that takes its turns from a swarm."""
+
+    swarm: "Swarm"
+    _over = False
+    _nudged = False
+    _base_us = 0
+    _since_us = 0
+    _rate = 1.0
+
+    def begin(self) -> None:
+        """What the first step of `Shell.run` does."""
+        self.bus.subscribe(self._arrive)
+        self._arm()
+
+    def end(self) -> None:
+        self._over = True
+
+    def drift(self, ppm: float) -> None:
+        """From now on this robot's clock runs so much too fast."""
+        self._catch_up()
+        self._base_us, self._since_us = self.local_us(), self.swarm.now_us()
+        self._rate = 1.0 + ppm * 1e-6
+        self._nudge()
+
+    def jump(self, by_s: float) -> None:
+        """From now on this robot's clock shows so much more."""
+        self._catch_up()
+        self._base_us, self._since_us = self.local_us() + round(by_s * 1e6), self.swarm.now_us()
+        self._nudge()
+
+    def local_us(self) -> int:
+        """This robot's clock."""
+        return self._shown_at(self.swarm.time_us)
+
+    def _shown_at(self, t_us: int) -> int:
+        if self._rate == 1.0:
+            return self._base_us + t_us - self._since_us
+        return self._base_us + int((t_us - self._since_us) * self._rate)
+
+    @property
+    def _local(self) -> Callable[[int], int] | None:
+        same = self._rate == 1.0 and self._base_us == self._since_us
+        return None if same else self._shown_at
+
+    def _at(self, local_us: int) -> int:
+        """When its clock will show that."""
+        if self._rate == 1.0:
+            return local_us - self._base_us + self._since_us
+        t_us = self._since_us + ceil((local_us - self._base_us) / self._rate)
+        # A last bit may make that one microsecond too early: the robot would be woken again and again.
+        return t_us if self._shown_at(t_us) >= local_us else t_us + 1
+
+    def _arm(self) -> None:
+        self._armed_us = self.peer.deadline_us
+        self._listening = True
+        self._timer = self.swarm.at(self._at(self._armed_us), self._nudge)
+
+    def _nudge(self) -> None:
+        if self._listening and not self._nudged:
+            self._nudged = True
+            self.swarm.soon(self._woken)
+
+    def _woken(self) -> None:
+        self._timer.cancel()
+        if self._over:
+            return
+        if self._failure is not None:
+            raise self._failure
+        if self._frozen_until_us:
+            until_us = self._at(self._frozen_until_us)
+            if until_us <= self.swarm.now_us():
+                self.swarm.soon(self._thawed)
+            else:
+                self.swarm.at(until_us, lambda: self.swarm.soon(self._thawed))
+            return
+        self._turn_over()
+
+    def _thawed(self) -> None:
+        if not self._over:
+            self.thaw()
+            self._turn_over()
+
+    def _turn_over(self) -> None:
+        self.turn()
+        self._nudged = False
+        self._arm()
+
+
+class ShellHandle:
+    def __init__(self, shell: SwarmShell) -> None:
+        self.shell, self._done = shell, False
+
+    def begin(self) -> None:
+        if not self._done:
+            self.shell.begin()
+
+    def cancel(self) -> None:
+        self._done = True
+        self.shell.end()
+
+    def done(self) -> bool:
+        return self._done
+
+    def check(self) -> None: ...  # an exception of a swarm is not kept: it ends the run
+
+
+class ScriptHandle:
+    """A script under way; its value is in `value`."""
+
+    def __init__(self, swarm: "Swarm", script: Script[Any]) -> None:
+        self.swarm, self.script = swarm, script
+        self.value: Any = None
+        self._done = False
+        swarm.soon(self._step)
+
+    def _step(self) -> None:
+        if self._done:
+            return
+        try:
+            until_us = next(self.script)
+            while until_us <= self.swarm.now_us():
+                until_us = next(self.script)
+        except StopIteration as end:
+            self._done, self.value = True, end.value
+            return
+        self.swarm.at(until_us, lambda: self.swarm.soon(self._step))
+
+    def cancel(self) -> None:
+        if not self._done:
+            self._done = True
+            self.script.close()
+
+    def done(self) -> bool:
+        return self._done
+
+    def check(self) -> None: ...
+
+
+class Swarm:
+    def __init__(self) -> None:
+        self.time_us = 0
+        self._order = 0
+        self._timers: list[tuple[int, int, Timer]] = []
+        self._ready: list[Call] = []
+
+    def now_us(self) -> int:
+        return self.time_us
+
+    def soon(self, call: Call) -> None:
+        self._ready.append(call)
+
+    def at(self, t_us: int, call: Call) -> Timer:
+        self._order += 1
+        timer = Timer(call)
+        heappush(self._timers, (t_us, self._order, timer))
+        return timer
+
+    def shell(self, *parts: Any) -> Shell:
+        shell = SwarmShell(*parts)
+        shell.swarm, shell.clock = self, shell.local_us
+        return shell
+
+    def start(self, shell: Shell) -> ShellHandle:
+        assert isinstance(shell, SwarmShell)
+        handle = ShellHandle(shell)
+        self.soon(handle.begin)
+        return handle
+
+    def spawn(self, script: Script[Any]) -> ScriptHandle:
+        return ScriptHandle(self, script)
+
+    def run(self, main: Script[T]) -> T:
+        """Until the script ends. Time begins at 0."""
+        handle = self.spawn(main)
+        timers, rounds, instant_us = self._timers, 0, 0
+        while not handle.done():
+            if not self._ready:
+                while timers[0][2].cancelled:
+                    heappop(timers)
+                self.time_us = max(self.time_us, timers[0][0])
+            if self.time_us != instant_us:
+                rounds, instant_us = 0, self.time_us
+            rounds += 1
+            assert rounds < ROUNDS_MAX, f"time stands still at {instant_us} us"
+            while timers and timers[0][0] <= self.time_us:
+                timer = heappop(timers)[2]
+                if not timer.cancelled:
+                    self._ready.append(timer.call)
+            ready, self._ready = self._ready, []
+            for place, call in enumerate(ready):
+                call()
+                if handle.done():
+                    self._ready[:0] = ready[place + 1 :]
+                    break
+        value: T = handle.value
+        return value

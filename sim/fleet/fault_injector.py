@@ -1,0 +1,266 @@
+"""A scenario's faults, carried out on a cluster at their times."""
+
+from collections.abc import Callable
+from math import hypot
+from random import Random
+
+from shapely.geometry import Point
+
+from agent.interface.config import S
+from protocol.frames.frame import Frame
+from protocol.frames.network_frames import AddressClaimed
+from protocol.frames.operator_frames import goal_check, goal_frames
+from protocol.frames.safety_frames import Command, EmergencyReset, OperatorCommand, Reason
+from sim.can.simulated_bus import FieldBus
+from sim.fleet.event_loop import SwarmShell
+from sim.fleet.foreign_devices import buttons, used_stop
+from sim.fleet.scheduler import Script, follow
+from sim.fleet.simulated_disk import Disk, LogJournal
+from sim.fleet.simulated_fleet import OPERATOR, Cluster
+from sim.fleet.strangers import foreign, nonsense, twin
+from sim.scenarios import scenario as kinds
+from sim.scenarios.field_setup import Setting
+from sim.scenarios.navigation_setup import ErrandSetting
+from sim.scenarios.protocol_setup import DrillSetting
+
+UNKNOWN_GROUP = 0x1FF0700  # its priority is drawn; even at 0 a stop has the lower identifier
+BABBLER, BABBLE_FRAMES, BABBLE_US = 240, 2, 1_000  # more than the bus can carry
+TRIES = (
+    5  # robots ask an operator they have not heard for a while to prove itself, one after another
+)
+ASK_S = 0.1  # between two tries
+ORDER_S = 0.15  # between two of an order: a robot is asked, answers, and asks in turn
+WAIT_US, LOOK_US = 10 * S, S // 100  # for a robot to work, for room for a box; how often is looked
+PUSHED_APART_M = 0.3  # left between two machines when one is pushed
+SETTLED_S = 3.0  # after trouble of links or members all hear all
+HEARD_ALL_THE_SAME = (kinds.Buttons, kinds.UsedStop, kinds.Estop, kinds.Reset, kinds.Order,
+                      kinds.Box, kinds.Pushed)  # fmt: skip
+SETTLE_S = 1.0  # between a reset and the start that follows it: rejoin and sync
+
+
+class FaultPlan:
+    """Runs beside the robots, and waits for each fault's time on the host's clock."""
+
+    def __init__(self, cluster: Cluster) -> None:
+        self.cluster = cluster
+        self.done: list[tuple[float, str]] = []
+        self._rng = Random(f"{cluster.scenario.run.seed}/faults")
+
+    async def run(self) -> None:
+        """On the running asyncio loop."""
+        await follow(self.script())
+
+    def script(self) -> Script[None]:
+        for fault in sorted(self.cluster.scenario.fault, key=lambda f: f.at_s):
+            yield round(fault.at_s * S)
+            self.done.append((self.cluster.host.now_us() / S, fault.kind))
+            self._trouble(fault)
+            after = self._carry_out(fault)
+            if after is not None:
+                self.cluster.host.spawn(after)
+
+    def _trouble(self, fault: kinds.Fault) -> None:
+        """A foreign device is not judged to be heard by all from now on, and for a while."""
+        if not isinstance(fault, HEARD_ALL_THE_SAME):
+            for_s = getattr(fault, "for_s", 0.0) + SETTLED_S
+            self.cluster.stops.disturbed(self.cluster.host.now_us() + round(for_s * S))
+
+    def _now_us(self) -> int:
+        """The world is brought to this instant before anything is done to it."""
+        now_us = self.cluster.host.now_us()
+        self.cluster.world.advance(now_us)
+        return now_us
+
+    def _carry_out(self, fault: kinds.Fault) -> Script[None] | None:
+        now_us = self._now_us()
+        cluster, wire = self.cluster, self.cluster.segment.wire
+        cluster.look()
+        if not isinstance(fault, kinds.Join) and self._absent(fault):
+            return None  # what is not there yet cannot break
+        match fault:
+            case kinds.Partition(islands=islands):
+                cluster.partition([set(island) for island in islands])
+            case kinds.Heal():
+                wire.heal()
+            case kinds.OneWay(sender=sender, receiver=receiver):
+                wire.faults.deaf.add((cluster.node_of(sender), cluster.node_of(receiver)))
+            case kinds.Crash(robot=robot):
+                cluster.kill(robot)
+            case kinds.CrashWorking(robot=robot, for_s=for_s, disk=disk):
+                return self._crash_working(robot, for_s, disk)
+            case kinds.Restart(robot=robot, disk=disk):
+                self._restart(robot, disk)
+            case kinds.Join(robot=robot) if not cluster.is_up(robot):
+                cluster.boot(robot)
+            case kinds.Freeze(robot=robot, for_s=for_s):
+                cluster.freeze(robot, for_s)
+            case kinds.Loss(rate=rate):
+                wire.faults.loss = rate
+            case kinds.Omission(rate=rate):
+                wire.faults.omission = rate
+            case kinds.Duplicate(rate=rate):
+                wire.faults.duplicate = rate
+            case kinds.Errors(rate=rate):
+                wire.faults.error = rate
+            case kinds.BusOff(robot=robot, for_s=for_s):
+                if cluster.is_up(robot):  # a dead robot's controller is off already
+                    wire.bus_off(cluster.node_of(robot), now_us + round(for_s * S))
+            case kinds.Estop(robot=robot, reason=reason):
+                cluster.press(robot, Reason[reason])
+            case kinds.Reset():
+                return self._reset()
+            case kinds.Order(robot=robot, order=order, x_m=x_m, y_m=y_m):
+                return self._order(robot, Command[order.upper()], (x_m, y_m))
+            case kinds.Box(x_m=x_m, y_m=y_m, size_m=size_m, for_s=for_s):
+                return self._box(x_m, y_m, size_m, for_s)
+            case kinds.Pushed(robot=robot, dx_m=dx_m, dy_m=dy_m):
+                cluster.stops.carried(robot)
+                self._push(robot, dx_m, dy_m)
+            case kinds.Babble(priority=priority, identifier=identifier, for_s=for_s):
+                if identifier is None:
+                    identifier = priority << 26 | UNKNOWN_GROUP | BABBLER
+                return self._babble(identifier, for_s)
+            case kinds.Buttons():
+                return buttons(cluster, fault, self._rng, len(self.done))
+            case kinds.UsedStop():
+                return used_stop(cluster, fault, self._rng)
+            case kinds.Foreign():
+                return foreign(cluster, fault, self._rng)
+            case kinds.Twin():
+                return twin(cluster, fault, self._rng)
+            case kinds.Nonsense():
+                return nonsense(cluster, fault, self._rng)
+            case kinds.Clone(robot=robot, wins=wins):
+                self._clone(robot, wins)
+            case kinds.Blind(robot=robot, for_s=for_s):
+                cluster.receivers[robot].blind(now_us + round(for_s * S))
+            case kinds.Frozen(robot=robot, for_s=for_s):
+                cluster.receivers[robot].frozen(now_us + round(for_s * S))
+            case kinds.Late(robot=robot, by_s=by_s, for_s=for_s):
+                cluster.receivers[robot].late(now_us + round(for_s * S), round(by_s * S))
+            case kinds.DiskFull(robot=robot, for_s=for_s):
+                return self._disk_full(robot, for_s)
+            case kinds.Drift(robot=robot, ppm=ppm):
+                shell = cluster.robots[robot].shell
+                if isinstance(shell, SwarmShell):  # asyncio has one clock for all
+                    shell.drift(ppm)
+            case kinds.ClockJump(robot=robot, by_s=by_s):
+                shell = cluster.robots[robot].shell
+                if isinstance(shell, SwarmShell):
+                    shell.jump(by_s)
+        return None
+
+    def _absent(self, fault: kinds.Fault) -> bool:
+        """A robot that the fault names has not been switched on yet."""
+        named = [getattr(fault, key, None) for key in ("robot", "sender", "receiver")]
+        return any(slot is not None and slot not in self.cluster.robots for slot in named)
+
+    def _restart(self, robot: int, disk: str) -> None:
+        cluster = self.cluster
+        cluster.kill(robot)
+        if disk == "lost":
+            cluster.journals[robot] = LogJournal(Disk())
+        journal = cluster.journals[robot]
+        if disk == "torn" and isinstance(journal, LogJournal):
+            cluster.journals[robot] = journal.after_cut(self._rng)
+        if disk == "rolled_back" and isinstance(journal, LogJournal):
+            cluster.journals[robot] = journal.earlier(self._rng.random())
+        cluster.boot(robot)
+
+    def _disk_full(self, robot: int, for_s: float) -> Script[None]:
+        """Only a disk of a simulation can be filled up."""
+        journal = self.cluster.journals[robot]
+        if isinstance(journal, LogJournal):
+            journal.disk.fill()
+            yield self._now_us() + round(for_s * S)
+            if self.cluster.journals[robot] is journal:  # else somebody else was quicker
+                self._restart(robot, "lost")
+
+    def _crash_working(self, robot: int, for_s: float, disk: str) -> Script[None]:
+        until_us = self._now_us() + WAIT_US
+        while not (self.cluster.is_up(robot) and self.cluster.world.body(robot).tool_on):
+            if self._now_us() >= until_us:
+                return
+            yield self._now_us() + LOOK_US
+        self.cluster.kill(robot)
+        yield self._now_us() + round(for_s * S)
+        if not self.cluster.is_up(robot):  # somebody else was quicker
+            self._restart(robot, disk)
+
+    def _push(self, robot: int, dx_m: float, dy_m: float) -> None:
+        """As far as there is room: people do not push machines through fences or into each other."""
+        body, bodies = self.cluster.world.body(robot), self.cluster.world.robots.values()
+        holds = self._space(body.radius_m)
+        if holds is None:
+            body.push(dx_m, dy_m)
+            return
+        others = [other.position for other in bodies if other is not body]
+        for share in (1.0, 0.5, 0.25):
+            x_m, y_m = body.position[0] + share * dx_m, body.position[1] + share * dy_m
+            free = all(
+                hypot(x_m - at[0], y_m - at[1]) > 2 * body.radius_m + PUSHED_APART_M
+                for at in others
+            )
+            if free and holds(x_m, y_m):
+                body.push(share * dx_m, share * dy_m)
+                return
+
+    def _space(self, radius_m: float) -> Callable[[float, float], bool] | None:
+        """Where the middle of a body can be; None: there is no world."""
+        setting = self.cluster.setting
+        if isinstance(setting, ErrandSetting):
+            return setting.floor.holds
+        if not isinstance(setting, Setting) or isinstance(setting, DrillSetting):
+            return None
+        inside = setting.floor_space(radius_m)
+        return lambda x_m, y_m: bool(inside.contains(Point(x_m, y_m)))
+
+    def _box(self, x_m: float, y_m: float, size_m: float, for_s: float) -> Script[None]:
+        until_us = self._now_us() + round(for_s * S)
+        box = self.cluster.world.add_box(x_m, y_m, size_m)
+        yield until_us
+        self._now_us()
+        self.cluster.world.remove_box(box)
+
+    def _babble(self, identifier: int, for_s: float) -> Script[None]:
+        bus = FieldBus(self.cluster.channel)
+        bus.subscribe(lambda frame: None)
+        until_us = self._now_us() + round(for_s * S)
+        while self._now_us() < until_us:
+            frame = Frame(identifier, self._rng.randbytes(8))
+            for _ in range(BABBLE_FRAMES):
+                bus.submit(frame)
+            yield self._now_us() + BABBLE_US
+        bus.shutdown()
+
+    def _clone(self, robot: int, wins: bool) -> None:
+        peer = self.cluster.robots[robot].peer
+        if peer.address is not None:
+            number = peer.identity.name.pack()
+            name = number - 1 if wins else number + 1
+            self.cluster.inject(AddressClaimed(name), peer.address)
+
+    def _order(self, robot: int, command: Command, goal: tuple[float, float]) -> Script[None]:
+        """Said until a robot that has not heard this operator for a while can have asked and
+        believed."""
+        cluster, argument = self.cluster, 0
+        for _ in range(1 if cluster.setting.keyring(OPERATOR, "operator") is None else TRIES):
+            if command is Command.SET_GOAL:
+                frames = goal_frames(robot, OPERATOR, *goal)
+                argument = goal_check(frames[0].value, frames[1].value)
+                for frame in frames:
+                    cluster.order(frame)
+            cluster.order(OperatorCommand(command, robot, OPERATOR, argument))
+            yield self._now_us() + round(ORDER_S * S)
+
+    def _reset(self) -> Script[None]:
+        """An operator clears what is shown, goes from machine to machine, and then gives the start."""
+        cluster = self.cluster
+        dots = {dot for robot in cluster.running for dot in robot.peer.safety.stops.active}
+        for _ in range(1 if cluster.setting.keyring(OPERATOR, "operator") is None else TRIES):
+            for dot in sorted(dots):
+                cluster.order(EmergencyReset(*dot, OPERATOR))
+            yield self._now_us() + round(ASK_S * S)
+        cluster.order(OperatorCommand(Command.MANUAL_RESET, 255, OPERATOR))
+        yield self._now_us() + round(SETTLE_S * S)
+        cluster.order(OperatorCommand(Command.START, 255, OPERATOR))

@@ -1,0 +1,131 @@
+"""Faults by devices that are no robots: several shortcut buttons, and a panel with used names.
+
+Each claims its address before it speaks, and answers requests for its NAME, as ISO 11783-5 wants it.
+
+What is pressed is a level here: from the first frame on nobody moves until the last. Where all hear the
+device, and no other trouble comes meanwhile, `sim/fleet/stop_monitor.py` judges that from true positions.
+"""
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from random import Random
+from types import MappingProxyType
+from typing import Final
+
+from agent.interface.config import ADDRESS_FIRST, MS, S
+from agent.peer.network_join import CLAIM_PGN
+from protocol.frames.codec import decode_once, destination_of, encode
+from protocol.frames.frame import Frame
+from protocol.frames.identifier import GLOBAL_ADDRESS
+from protocol.frames.network_frames import AddressClaimed, Request
+from protocol.frames.safety_frames import (
+    AllImplementsStop,
+    EmergencyReset,
+    EmergencyStop,
+    Reason,
+    Switch,
+)
+from protocol.name import Name, tool_name
+from sim.can.simulated_bus import FieldBus
+from sim.fleet.scheduler import Script
+from sim.fleet.simulated_fleet import OPERATOR, Cluster
+from sim.scenarios import scenario as kinds
+
+FIRST_ADDRESS: Final = 38  # of the buttons
+BUTTONS_MAX: Final = 8
+LOTS: Final = 10  # that have addresses of their own
+assert FIRST_ADDRESS + LOTS * BUTTONS_MAX < ADDRESS_FIRST - BUTTONS_MAX
+OTHER_MAKER: Final = Name(0, manufacturer=100, function=61, device_class=0)
+CYCLE_US: Final = 1 * S  # ISO 11783-7
+BEFORE_US, AFTER_US = 2_500 * MS, 3_500 * MS  # all permit so long, before and after a press
+NEVER: Final = -1  # disturbances are counted from 0
+HEARD_US: Final = 150 * MS  # a stop where all are on one bus: 120 ms, and a frame in its way
+UNHEARD_HOLD_US: Final = 2_800 * MS  # robots stand 3 s for a press that they have missed
+PANEL: Final = 180  # slot of a stop panel
+PANEL_ADDRESS: Final = 120
+NAMED_US: Final = 300 * MS  # between the clearance ahead and the press
+LATCHED_US: Final = 250 * MS  # and two frames: a press that is said still is taken for a new one
+
+
+@contextmanager
+def device(
+    cluster: Cluster, names: Mapping[int, Name] = MappingProxyType({})
+) -> Iterator[FieldBus]:
+    """A controller behind which these NAMEs speak, by address."""
+    bus = FieldBus(cluster.channel)
+    said = {
+        address: encode(AddressClaimed(name.pack()), address) for address, name in names.items()
+    }
+
+    def answer(frame: Frame) -> None:
+        message = decode_once(frame)[1]
+        if isinstance(message, Request) and message.pgn == CLAIM_PGN:
+            asked = destination_of(frame)
+            for address in said if asked == GLOBAL_ADDRESS else said.keys() & {asked}:
+                bus.submit(said[address])
+
+    bus.subscribe(answer)
+    for claim in said.values():
+        bus.submit(claim)
+    try:
+        yield bus
+    finally:
+        bus.shutdown()
+
+
+def buttons(cluster: Cluster, fault: kinds.Buttons, rng: Random, lot: int) -> Script[None]:
+    """All permit once a second; one is pressed, and released. `lot`: other devices with each."""
+    first, begin_us = FIRST_ADDRESS + BUTTONS_MAX * (lot % LOTS), cluster.host.now_us()
+    press_us = begin_us + BEFORE_US
+    release_us = press_us + round(fault.for_s * S)
+    over_us, count = release_us + AFTER_US, rng.randrange(250)
+    stops = [] if fault.unheard else [*range(press_us, release_us, CYCLE_US * (1 + fault.lost))]
+    permits = [*range(begin_us, press_us, CYCLE_US), *range(release_us, over_us, CYCLE_US)]
+    said = [(t_us, first, count + 1, Switch.STOP) for t_us in stops]
+    said += [(t_us, first, count + (t_us >= release_us), Switch.PERMIT) for t_us in permits]
+    for k in range(1, fault.buttons):
+        phase_us = begin_us + rng.randrange(CYCLE_US)
+        said += [(t_us, first + k, 0, Switch.PERMIT) for t_us in range(phase_us, over_us, CYCLE_US)]
+    before = cluster.stops.disturbances if cluster.stops.calm else NEVER
+    level, stands_us = None, release_us + UNHEARD_HOLD_US if fault.unheard else release_us
+    names = {
+        first + k: OTHER_MAKER._replace(identity=BUTTONS_MAX * lot + k)
+        for k in range(fault.buttons)
+    }
+    with device(cluster, names) as bus:
+        for due_us, address, counted, switch in sorted(said):
+            if level is not None and due_us >= stands_us:
+                yield stands_us
+                cluster.stops.end_level(level)
+            yield due_us
+            # A robot that missed the earlier counts cannot know that the button was pressed.
+            missed = fault.unheard and due_us == release_us
+            stopping = switch is Switch.STOP or (missed and cluster.stops.disturbances == before)
+            if stopping and address == first and level is None:
+                level = cluster.stops.level(HEARD_US)
+            bus.submit(encode(AllImplementsStop(counted & 0xFF, switch), address))
+        cluster.stops.end_level(level)
+
+
+def used_stop(cluster: Cluster, fault: kinds.UsedStop, rng: Random) -> Script[None]:
+    """An operator's device clears the next names of a panel; then that panel is pressed."""
+    incarnation = rng.randrange(256)
+    for counter in range(fault.names):
+        cluster.inject(EmergencyReset(PANEL, incarnation, counter, OPERATOR))
+    press_us = cluster.host.now_us() + NAMED_US
+    every_us, over_us = round(fault.every_s * S), press_us + round(fault.for_s * S)
+    latched_us, latched = press_us + LATCHED_US + 2 * every_us, False
+    word = encode(EmergencyStop(PANEL, incarnation, 0, Reason.PERSON_IN_FIELD), PANEL_ADDRESS)
+    with device(cluster, {PANEL_ADDRESS: tool_name(PANEL_ADDRESS)}) as bus:
+        yield press_us
+        level = cluster.stops.level(HEARD_US)
+        now_us = press_us
+        while now_us <= over_us:
+            bus.submit(word)
+            now_us += every_us
+            yield now_us
+            if now_us >= latched_us and not latched:
+                latched, bound = True, cluster.stops.obey(level)
+                if bound:
+                    cluster.stops.pressed(now_us, bound)
+        cluster.stops.end_level(level)

@@ -1,0 +1,73 @@
+"""What comes between a body and its robot: the receiver of its place, its driver, and what they break.
+
+A receiver lives in the world's time and tells in its robot's. A fault lasts until its time is over,
+also while the robot's process restarts: it is one of the machine.
+"""
+
+from collections import deque
+
+from agent.interface.effects import Drive
+from agent.interface.ports import Body, Observation
+from sim.fleet.scheduler import Host
+
+HISTORY_MAX = 4_000  # observations that are on their way: 200 s of control periods
+
+
+class Receiver:
+    """The faults of one robot's senses, in microseconds of the world."""
+
+    def __init__(self) -> None:
+        self._blind_us = self._frozen_us = self._late_us = -1  # until when
+        self._by_us = 0  # how late
+        self._last: Observation | None = None  # sensed before the fault
+        self._way: deque[Observation] = deque(maxlen=HISTORY_MAX)
+
+    def blind(self, until_us: int) -> None:
+        """Nothing arrives: a muted antenna, a driver that is gone."""
+        self._blind_us = until_us
+
+    def frozen(self, until_us: int) -> None:
+        """The old place with new times: a filter that hangs."""
+        self._frozen_us = until_us
+
+    def late(self, until_us: int, by_us: int) -> None:
+        """The truth, later: a buffer that fills."""
+        self._late_us, self._by_us = until_us, by_us
+        self._way.clear()
+
+    def tells(self, seen: Observation, world_us: int) -> Observation | None:
+        """What arrives of what is sensed now."""
+        last, self._last = self._last, seen
+        if world_us < self._frozen_us:
+            self._last = seen if last is None else last
+            return self._last._replace(sensed_at_us=world_us)
+        if world_us < self._blind_us:
+            self._last = last
+            return last
+        if world_us < self._late_us:
+            self._way.append(seen)
+            arrived = last
+            while self._way and self._way[0].sensed_at_us <= world_us - self._by_us:
+                arrived = self._way.popleft()
+            self._last = arrived
+            return arrived
+        return seen
+
+
+class ReceivedBody:
+    """The `Body` of a robot: in the world's time, whatever its robot's clock says."""
+
+    def __init__(self, body: Body, host: Host, receiver: Receiver) -> None:
+        self._sense, self._drive, self._now_us = body.sense, body.drive, host.now_us
+        self.receiver = receiver
+
+    def sense(self, now_us: int) -> Observation | None:
+        world_us = self._now_us()
+        sensed = self._sense(world_us)
+        seen = None if sensed is None else self.receiver.tells(sensed, world_us)
+        if seen is None or now_us == world_us:
+            return seen
+        return seen._replace(sensed_at_us=now_us - (world_us - seen.sensed_at_us))
+
+    def drive(self, command: Drive, now_us: int) -> None:
+        self._drive(command, self._now_us())

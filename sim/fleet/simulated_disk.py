@@ -1,0 +1,189 @@
+"""A robot's durable memory in a simulation: plain, and on a disk that can lose power between two writes.
+
+`Disk` keeps what was synced apart from what was only written. A power cut keeps any first part of the
+unsynced writes, tears the next, sector by sector, and drops the rest: what POSIX allows, and more
+than a good disk does. `LogJournal` is the `Journal` port on such a disk.
+"""
+
+from collections.abc import Iterable, Mapping
+from random import Random
+from struct import Struct
+from zlib import crc32
+
+from agent.interface.effects import Persist
+from agent.peer.journal_recovery import LOST
+
+SECTOR = 512  # bytes a disk writes whole or not at all; a torn one may hold anything
+HEAD = Struct("<III")  # length, number and CRC-32 of a batch
+FIELD = Struct("<HI")  # lengths of key and value
+
+
+class PowerCut(Exception):
+    """The process that was writing is no more."""
+
+
+class MemoryJournal:
+    """The `Journal` port, kept outside of the robot that dies."""
+
+    def __init__(self) -> None:
+        self.records: dict[str, bytes] = {}
+        self.writes = 0
+
+    def load(self) -> Mapping[str, bytes]:
+        return dict(self.records)
+
+    def write(self, records: Iterable[Persist]) -> None:
+        self.writes += 1
+        self.records.update(records)
+
+
+class Disk:
+    """One file on a disk. Every write and every sync is a step; a fault can wait at any of them."""
+
+    def __init__(self, image: bytes = b"") -> None:
+        self.steps = 0
+        self.cut_at: int | None = None  # this step is not taken: PowerCut
+        self.fail_at: int | None = None  # this step, and all after it, are an OSError
+        self._synced = bytearray(image)
+        self._unsynced: list[tuple[int, bytes]] = []
+
+    def fill(self) -> None:
+        """From now on it takes nothing more."""
+        self.fail_at = self.steps + 1
+
+    def write(self, at: int, data: bytes) -> None:
+        self._step()
+        self._unsynced.append((at, bytes(data)))
+
+    def sync(self) -> None:
+        self._step()
+        for at, data in self._unsynced:
+            _put(self._synced, at, data)
+        self._unsynced.clear()
+
+    def read(self) -> bytes:
+        """What a living process sees, synced or not."""
+        seen = bytearray(self._synced)
+        for at, data in self._unsynced:
+            _put(seen, at, data)
+        return bytes(seen)
+
+    def after_cut(self, rng: Random) -> "Disk":
+        """The disk as one of the ways in which a power cut now may leave it."""
+        image, unsynced = bytearray(self._synced), self._unsynced
+        kept = rng.randint(0, len(unsynced))
+        for at, data in unsynced[:kept]:
+            _put(image, at, data)
+        if kept < len(unsynced):
+            tear(image, *unsynced[kept], rng)
+        return Disk(bytes(image))
+
+    def _step(self) -> None:
+        self.steps += 1
+        if self.cut_at is not None and self.steps >= self.cut_at:
+            raise PowerCut(f"at step {self.steps}")
+        if self.fail_at is not None and self.steps >= self.fail_at:
+            raise OSError("input/output error")
+
+
+def _put(image: bytearray, at: int, data: bytes) -> None:
+    if len(image) < at:
+        image.extend(bytes(at - len(image)))
+    image[at : at + len(data)] = data
+
+
+def tear(image: bytearray, at: int, data: bytes, rng: Random) -> None:
+    """A write that was under way: each sector is old, new, or (one of them at most) garbage."""
+    first, last = at // SECTOR, (at + len(data) - 1) // SECTOR
+    garbled = rng.randint(first, 2 * last - first + 1)  # beyond `last` in half of the cases: none
+    for sector in range(first, last + 1):
+        begin, end = max(at, sector * SECTOR), min(at + len(data), (sector + 1) * SECTOR)
+        if sector == garbled:
+            _put(image, begin, rng.randbytes(end - begin))
+        elif rng.random() < 0.5:
+            _put(image, begin, data[begin - at : end - at])
+
+
+class LogJournal:
+    """The `Journal` port as a log of numbered, checked batches on a `Disk`.
+
+    The mark is the number of the newest batch in a second place. A log that ends before its mark was
+    rolled back, and recalls only that it is lost. (`agent/runtime/sqlite_journal.py` does the same with files.)
+
+    `synced=False` is the planted bug: a journal that forgets to sync, which a campaign must find.
+    """
+
+    def __init__(self, disk: Disk, synced: bool = True, mark: int = 0) -> None:
+        self.disk, self.synced, self.mark = disk, synced, mark
+        self.restored = False  # a person put an earlier state back: that it is lost is no fault
+        self._records: dict[str, bytes] = {}
+        self._end = self._batches = 0
+        self._last = (
+            0  # check of the batch before: what was once written behind another does not fit
+        )
+        self._recover(disk.read())
+        if self._rolled_back:
+            self._forget("the journal was rolled back")
+
+    @property
+    def _rolled_back(self) -> bool:
+        return self._batches < self.mark
+
+    def _forget(self, why: str) -> None:
+        self.disk, self.mark = Disk(), 0
+        self._end = self._batches = self._last = 0
+        self._records = {LOST: why.encode()}
+
+    def earlier(self, share: float) -> "LogJournal":
+        """A fault: this share of its batches put back in its place, beside the newest mark."""
+        image, end = self.disk.read(), 0
+        for _ in range(int(self._batches * share)):
+            end += HEAD.size + HEAD.unpack_from(image, end)[0]
+        journal = LogJournal(Disk(image[:end]), self.synced, self.mark)
+        journal.restored = True
+        return journal
+
+    def after_cut(self, rng: Random) -> "LogJournal":
+        """The journal as one of the ways in which a power cut now may leave it."""
+        return LogJournal(self.disk.after_cut(rng), mark=self.mark)
+
+    def load(self) -> Mapping[str, bytes]:
+        return dict(self._records)
+
+    def write(self, records: Iterable[Persist]) -> None:
+        """All of them or none."""
+        batch = list(records)
+        body = b"".join(
+            FIELD.pack(len(key.encode()), len(value)) + key.encode() + value for key, value in batch
+        )
+        check = self._check(self._batches, body)
+        self.disk.write(self._end, HEAD.pack(len(body), self._batches, check) + body)
+        if self.synced:
+            self.disk.sync()
+        self._last = check
+        self._end += HEAD.size + len(body)
+        self._batches += 1
+        self._records.update(batch)
+        self.mark = self._batches
+
+    def _recover(self, image: bytes) -> None:
+        """Batches up to the first that is not whole: it was never acknowledged."""
+        while self._end + HEAD.size <= len(image):
+            length, number, check = HEAD.unpack_from(image, self._end)
+            body = image[self._end + HEAD.size : self._end + HEAD.size + length]
+            whole = len(body) == length and number == self._batches
+            if not whole or check != self._check(number, body):
+                return
+            at = 0
+            while at < length:
+                key_size, value_size = FIELD.unpack_from(body, at)
+                middle = at + FIELD.size + key_size
+                key = body[at + FIELD.size : middle].decode()
+                self._records[key] = body[middle : middle + value_size]
+                at = middle + value_size
+            self._last = check
+            self._end += HEAD.size + length
+            self._batches += 1
+
+    def _check(self, number: int, body: bytes) -> int:
+        return crc32(body, self._last ^ (number + 1))

@@ -1,0 +1,341 @@
+"""A whole fleet in one process: N peers with a bus object each, the world, and the bus between.
+
+The same shell as on a robot, driven by a host: an asyncio loop in virtual or real time, or a swarm.
+The same seed gives the same run on each.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Mapping
+from random import Random
+
+import can
+
+from agent.interface.config import ADDRESS_FIRST, ADDRESS_LAST
+from agent.interface.effects import Effect
+from agent.interface.identity import Identity
+from agent.interface.lifecycle import State
+from agent.interface.ports import Body, Journal
+from agent.peer.peer import Peer
+from agent.runtime.peer_runner import Shell
+from agent.safety.stop_controller import SilencePolicy
+from agent.segments.segment_area import Area
+from agent.segments.segment_peer import SegmentPeer
+from protocol.authentication import Signed
+from protocol.frames.codec import decode_once, destination_of, encode
+from protocol.frames.frame import Frame
+from protocol.frames.identifier import GLOBAL_ADDRESS
+from protocol.frames.messages import GROUP_OF, Message
+from protocol.frames.network_frames import AddressClaimed, Request
+from protocol.frames.safety_frames import Challenge, EmergencyReset, OperatorCommand, Reason
+from protocol.links.bus import CanBus
+from protocol.name import fleet_name, tool_name
+from sim.can.simulated_bus import FieldBus, forget, segment
+from sim.fleet.contact_history import Acquaintance
+from sim.fleet.event_loop import Swarm
+from sim.fleet.scheduler import Handle, Host, LoopHost
+from sim.fleet.sensor_faults import ReceivedBody, Receiver
+from sim.fleet.simulated_disk import MemoryJournal
+from sim.fleet.stop_monitor import StopWatch, reached
+from sim.scenarios.coverage_setup import GridSetting
+from sim.scenarios.field_setup import Setting
+from sim.scenarios.navigation_setup import ErrandSetting
+from sim.scenarios.scenario import Join, Scenario
+
+OPERATOR = 200  # slot of the operator device that a scenario's resets come from
+TOOL_ADDRESS = 249  # where scripted operator frames come from
+AnySetting = Setting | ErrandSetting | GridSetting
+Record = Callable[[int, int, Effect], None]  # slot, time in microseconds, effect
+
+
+def tool_claim(address: int) -> Frame:
+    """An operator's device claims its address."""
+    return encode(AddressClaimed(tool_name(address).pack()), address)
+
+
+class Robot:
+    """One peer with everything around it."""
+
+    def __init__(self, slot: int, shell: Shell, bus: FieldBus) -> None:
+        self.slot, self.shell, self.bus = slot, shell, bus
+        self.task: Handle | None = None
+
+    @property
+    def peer(self) -> Peer:
+        return self.shell.peer
+
+    @property
+    def running(self) -> bool:
+        return self.task is not None and not self.task.done()
+
+
+def make_peer(
+    setting: AnySetting,
+    slot: int,
+    now_us: int,
+    recalled: Mapping[str, bytes],
+    first_boot: bool,
+    lot: str = "",
+    segment: int = 0,
+) -> Peer:
+    """The peer of one slot of a scenario; the same on a virtual clock and in a process of its own.
+
+    `segment`: of a fleet of several; 0: there are no others. `lot`: anything that no two boots of
+    this robot share; a first one in a simulation needs none.
+    """
+    identity = Identity(
+        slot=slot,
+        members=frozenset(range(setting.scenario.fleet.robots)),
+        name=fleet_name(setting.scenario.name, slot),
+        field_hash=setting.config_hash,
+        silence=setting.silence,
+        started=True,
+        first_boot=first_boot,
+    )
+    # Who has lost its memory must not throw the same dice again.
+    rng = Random(f"{setting.scenario.run.seed}/peer/{slot}{lot}")
+    motion, keyring = setting.motion(slot), setting.keyring(slot, lot)
+    if isinstance(setting, ErrandSetting):
+        chart = setting.chart(slot, now_us)
+        errands = setting.mission(slot, chart, now_us, recalled)
+        return Peer(identity, rng, now_us, recalled, errands, motion, keyring, chart)
+    parts = identity, rng, now_us, recalled, setting.mission(slot), motion, keyring
+    return SegmentPeer(Area(segment, setting.section_count), *parts) if segment else Peer(*parts)
+
+
+class Cluster:
+    def __init__(
+        self,
+        setting: AnySetting,
+        channel: str,
+        record: Record | None = None,
+        host: Host | None = None,
+    ) -> None:
+        """`host`: none for the running asyncio loop."""
+        self.setting, self.channel, self.record = setting, channel, record
+        self._loop_host = LoopHost()
+        self.host: Host = self._loop_host if host is None else host
+        self.scenario: Scenario = setting.scenario
+        self.world = setting.world()
+        self.stops = StopWatch(
+            self.world, self.scenario.fleet.robots, self._up, self._mute, self._hearers,
+            self.host.now_us,
+        )  # fmt: skip
+        bus, seed = self.scenario.bus, self.scenario.run.seed
+        clock = host if isinstance(host, Swarm) else None
+        self.segment = segment(channel, bitrate=bus.bitrate, seed=seed, clock=clock)
+        faults = self.segment.wire.faults
+        faults.loss, faults.error = bus.loss, bus.error_rate
+        faults.omission, faults.duplicate = bus.omission, bus.duplicate
+        self.acquaintance = Acquaintance(self.segment.wire)
+        self.robots: dict[int, Robot] = {}
+        self.journals: dict[int, Journal] = {}
+        self.receivers: dict[int, Receiver] = {}
+        self.boots: Counter[int] = Counter()
+        self.on_power: Callable[[int, bool], None] | None = None  # robot, switched on; told before
+        self.on_order: Callable[[Message], None] | None = None  # told before anybody hears of it
+        self._tool: FieldBus | None = None
+        self._tools: set[int] = set()  # addresses that devices of ours have claimed
+        self._keyring = setting.keyring(OPERATOR, "operator")
+
+    def boot_all(self) -> None:
+        """Everybody but those that join later."""
+        late = {fault.robot for fault in self.scenario.fault if isinstance(fault, Join)}
+        for slot in range(self.scenario.fleet.robots):
+            if slot not in late:
+                self.boot(slot)
+
+    def boot(self, slot: int) -> Robot:
+        """Power a robot up with what its journal remembers."""
+        self.look()
+        self.acquaintance.boots(slot)
+        self.stops.boots(slot)
+        journal = self.journals.setdefault(slot, MemoryJournal())
+        if self.on_power is not None:
+            self.on_power(slot, True)
+        boots = self.boots[slot]
+        lot = f"/{boots}" if boots else ""
+        peer = self.make(slot, self.host.now_us(), journal.load(), not boots, lot)
+        self.boots[slot] += 1
+        bus = can.Bus(interface="fieldbus", channel=self.channel)
+        assert isinstance(bus, FieldBus)
+        record = self.record
+
+        def keep(now_us: int, effect: Effect) -> None:
+            if record is not None:
+                record(slot, now_us, effect)
+
+        shell = self.host.shell(peer, CanBus(bus), self._received(slot), journal, keep)
+        robot = Robot(slot, shell, bus)
+        robot.task = self.host.start(shell)
+        self.robots[slot] = robot
+        return robot
+
+    def _received(self, slot: int) -> Body:
+        receiver = self.receivers.setdefault(slot, Receiver())
+        return ReceivedBody(self.world.body(slot), self.host, receiver)
+
+    def make(
+        self, slot: int, now_us: int, recalled: Mapping[str, bytes], first_boot: bool, lot: str
+    ) -> Peer:
+        """The mission's peer; another mission has another."""
+        return make_peer(self.setting, slot, now_us, recalled, first_boot, lot)
+
+    def kill(self, slot: int) -> None:
+        """Power off, without a word. The body stays where it is and its commands expire."""
+        self.look()
+        robot = self.robots[slot]
+        hung_us = self.acquaintance.hung_since_us(slot, self.host.now_us())
+        if robot.running and hung_us is not None:
+            self.stops.dies_hung(slot, hung_us)
+        if self.on_power is not None and robot.running:
+            self.on_power(slot, False)
+        if robot.task is not None:
+            robot.task.cancel()
+        robot.shell.bus.close()
+
+    def _up(self) -> set[int]:
+        return {robot.slot for robot in self.running}
+
+    def _mute(self) -> set[int]:
+        return {robot.slot for robot in self.running if robot.peer.address is None}
+
+    def _hearers(self) -> set[int]:
+        """All that are switched on, where all of them hear a device that comes on the bus."""
+        wire, nodes = self.segment.wire, [self.node_of(slot) for slot in self._up()]
+        faults, here = wire.faults, [wire.nodes[node] for node in nodes]
+        lossy = faults.loss or faults.omission or faults.error or faults.deaf
+        cut = any(node.island != 0 or node.off_until_us is not None for node in here)
+        self.world.advance(self.host.now_us())
+        return set() if lossy or cut else self._up()
+
+    def freeze(self, slot: int, for_s: float) -> None:
+        """Its process does nothing for a while."""
+        self.look()
+        self.robots[slot].shell.freeze(for_s)
+        now_us = self.host.now_us()
+        self.acquaintance.hangs(slot, now_us, now_us + round(for_s * 1e6))
+
+    def is_up(self, slot: int) -> bool:
+        """Switched on; the buttons of a dead machine do nothing."""
+        return slot in self.robots and self.robots[slot].running
+
+    def press(self, slot: int, reason: Reason = Reason.PERSON_IN_FIELD) -> None:
+        """A person presses the stop of that robot; from now on it is watched who obeys.
+
+        Those that can hear of it must; where silence stops, whoever has met that robot, too. One that
+        hangs says nothing to anybody, or once.
+        """
+        if not self.is_up(slot):
+            return
+        self.look()
+        members = [r for r in self.running if r.peer.state is not State.DISCONNECTED]
+        nodes = {robot.bus.node for robot in members}
+        hangs = self.acquaintance.is_hung(slot, self.host.now_us())
+        hearers = set() if hangs else reached(self.segment.wire, self.node_of(slot), nodes)
+        silence = self.setting.silence is SilencePolicy.STOP
+        members = [
+            robot for robot in members
+            if robot.bus.node in hearers or (silence and self.acquaintance.met(robot.slot, slot))
+        ]  # fmt: skip
+        now_us = self.host.now_us()
+        self.world.advance(now_us)
+        unheard = {robot.slot for robot in members if robot.bus.node not in hearers} - {slot}
+        self.stops.pressed(now_us, {slot, *(robot.slot for robot in members)}, unheard, by=slot)
+        self.robots[slot].shell.operate(lambda p, now: p.press(reason, now))
+
+    def look(self) -> None:
+        """Before anything changes about links or about who is there."""
+        there = self.segment.wire.nodes  # an asyncio task that was cancelled runs on for a moment
+        nodes = {r.slot: r.bus.node for r in self.running if r.bus.node in there}
+        self.acquaintance.look(self.host.now_us(), nodes)
+
+    def node_of(self, slot: int) -> int:
+        return self.robots[slot].bus.node
+
+    def partition(self, islands: list[set[int]]) -> None:
+        nodes = [
+            {self.node_of(slot) for slot in island if slot in self.robots} for island in islands
+        ]
+        self.segment.wire.partition(*nodes)
+
+    def inject(self, message: Message, source: int = TOOL_ADDRESS) -> None:
+        """A frame of a device that is not a robot, as an operator's tool would send it."""
+        if self._tool is None:
+            self._tool = FieldBus(self.channel)
+            self._tool.subscribe(self._answer)
+            self._tool.tell_sent(self._said)
+        if source not in self._tools and not ADDRESS_FIRST <= source <= ADDRESS_LAST:
+            self._tools.add(
+                source
+            )  # a device of ours; what speaks from a robot's address is forged
+            self._tool.submit(tool_claim(source))
+        self._tool.submit(encode(message, source))
+
+    def order(self, message: Signed) -> None:
+        """The same from the operator's device: where the fleet has keys with a tag, and twice."""
+        if self.on_order is not None:
+            self.on_order(message)
+        self.stops.ordered(message)
+        if self._keyring is None:
+            self.inject(message)
+            return
+        for _ in range(2):
+            self.inject(self._keyring.sign(message))
+
+    def _said(self, t_us: int, frame: Frame) -> None:
+        """An order that has waited for a full bus counts from now."""
+        message = decode_once(frame)[1]
+        if self.on_order is not None and isinstance(message, EmergencyReset | OperatorCommand):
+            self.on_order(message)
+
+    def _answer(self, frame: Frame) -> None:
+        """The operator's device says who it is, and proves where its counter is, when it is asked."""
+        source, message = decode_once(frame)
+        asked = isinstance(message, Request) and message.pgn == GROUP_OF[AddressClaimed].pgn
+        if asked and self._tool is not None:
+            for address in sorted(self._tools):
+                if destination_of(frame) in (GLOBAL_ADDRESS, address):
+                    self._tool.submit(tool_claim(address))
+        if isinstance(message, Challenge) and self._keyring is not None and self._tool is not None:
+            proof = self._keyring.answer(message, self.host.now_us())
+            if proof is not None:
+                self._tool.submit(encode(proof, TOOL_ADDRESS, source))
+
+    def check(self) -> None:
+        """Raise what a robot's task has raised: a broken assertion must not pass for silence."""
+        for robot in self.robots.values():
+            if robot.task is not None:
+                robot.task.check()
+
+    @property
+    def running(self) -> list[Robot]:
+        return [robot for _, robot in sorted(self.robots.items()) if robot.running]
+
+    @property
+    def finished(self) -> bool:
+        """Every running replica knows every section done."""
+        sections = self.setting.section_count
+        return bool(self.running) and all(
+            robot.peer.allocation.done_count() == sections for robot in self.running
+        )
+
+    @property
+    def replicas_equal(self) -> bool:
+        """Registers and progress, byte for byte."""
+        states = {
+            (robot.peer.allocation.serialize(), robot.peer.progress.serialize())
+            for robot in self.running
+        }
+        return len(states) <= 1
+
+    async def close(self) -> None:
+        """Of a cluster on an asyncio loop."""
+        await self._loop_host.close()
+        self.end()
+
+    def end(self) -> None:
+        for robot in self.robots.values():
+            robot.shell.bus.close()
+        if self._tool is not None:
+            self._tool.shutdown()
+        forget(self.channel)

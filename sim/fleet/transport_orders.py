@@ -1,0 +1,67 @@
+"""An operator's device that orders transports, each until robots have confirmed that they know it.
+
+One robot that knows a task may die before it has told another, so two must say so, or all there are. A
+number that somebody else has used at the same time is left to the greater order, as robots do.
+"""
+
+from collections.abc import Sequence
+
+from agent.delivery.task_registry import Order
+from protocol.frames.delivery_frames import BUCKET_TASKS, TaskBookDigest, TaskOrder
+from protocol.frames.messages import Message
+
+ENOUGH = 2
+
+
+class OrderDesk:
+    def __init__(self, known: int = 0) -> None:
+        """`known`: tasks below this are known to all from the start."""
+        self.wanted: dict[int, tuple[int, Order]] = {}  # number: which one of ours, and the order
+        self.robots: set[int] = set()  # source addresses that have told what they know
+        self._first_free = known
+        self._sure: dict[int, set[int]] = {}  # task: who knows it
+        self._count = 0
+
+    def order(self, orders: Sequence[Order]) -> None:
+        for order in orders:
+            self.wanted[self._free()] = (self._count, order)
+            self._count += 1
+
+    def hear(self, source: int, message: Message) -> None:
+        if isinstance(message, TaskBookDigest):
+            self.robots.add(source)
+            for k in range(BUCKET_TASKS):
+                if message.bits >> k & 1:
+                    self._know(message.bucket * BUCKET_TASKS + k, source)
+        elif isinstance(message, TaskOrder):
+            self._first_free = max(self._first_free, message.task + 1)
+            mine = self.wanted.get(message.task)
+            other = Order(message.pickup, message.dropoff)
+            if mine is not None and other > mine[1]:  # the number is somebody else's
+                del self.wanted[message.task]
+                self.wanted[self._free()] = mine
+
+    def _know(self, task: int, source: int) -> None:
+        self._sure.setdefault(task, set()).add(source)
+        if task not in self.wanted:
+            self._first_free = max(self._first_free, task + 1)
+
+    def _free(self) -> int:
+        return max(self._first_free, *(number + 1 for number in self.wanted), 0)
+
+    def confirmed(self, number: int) -> bool:
+        enough = min(ENOUGH, len(self.robots))
+        return bool(enough) and len(self._sure.get(number, ())) >= enough
+
+    def due(self) -> list[TaskOrder]:
+        """What is to be said again."""
+        return [
+            TaskOrder(number, *order)
+            for number, (_, order) in self.wanted.items()
+            if not self.confirmed(number)
+        ]
+
+    @property
+    def numbers(self) -> list[int]:
+        """Of our orders, in their order."""
+        return sorted(self.wanted, key=lambda number: self.wanted[number][0])

@@ -1,0 +1,107 @@
+"""The floor of a warehouse in truth: its parcels, who orders more of them, and what happens to it.
+
+A simulation has it in its cluster, a launch in the process that is the world; robots know nothing of it.
+"""
+
+from collections.abc import Callable
+from functools import partial
+
+from agent.delivery.task_registry import TASKS_MAX, Order
+from agent.interface.config import S
+from protocol.frames.codec import Malformed, decode_once
+from protocol.frames.delivery_frames import TaskOrder
+from protocol.frames.frame import Frame
+from protocol.frames.messages import Message
+from sim.fleet.scheduler import Script
+from sim.fleet.transport_orders import OrderDesk
+from sim.scenarios.delivery_scenario import TaskRow
+from sim.scenarios.delivery_setup import DeliverySetting
+from sim.world.world import World
+
+DESK_US = 500_000  # between two calls of an order that is not confirmed
+BOX_CLEAR_M = 2.0  # a box never falls on a robot, nor right before one
+
+
+class Depot:
+    def __init__(
+        self, setting: DeliverySetting, world: World, now_us: Callable[[], int],
+        is_up: Callable[[int], bool], say: Callable[[Message], None],
+    ) -> None:  # fmt: skip
+        """`say`: on the bus, as the device that orders transports."""
+        self.setting, self.world, self.now_us, self.say = setting, world, now_us, say
+        self.truth = setting.parcels()
+        self.truth.is_up = is_up
+        self.truth.place_of = lambda slot: world.body(slot).position
+        self.desk = OrderDesk(len(setting.house.tasks))
+        self.from_us = 0  # what happened before this instant is past: an earlier launch had it
+
+    def hear(self, t_us: int, frame: Frame) -> None:
+        """Every frame. Whoever orders a transport puts a parcel there."""
+        source, message = decode_once(frame)
+        if not isinstance(message, Malformed):
+            self.desk.hear(source, message)
+        if isinstance(message, TaskOrder):
+            order = Order(message.pickup, message.dropoff)
+            house = self.setting.house
+            if message.task < TASKS_MAX and house.known(order):
+                trip = house.trip(order)
+                self.truth.appear(message.task, trip.pickup, trip.dropoff, t_us)
+
+    def recall(self, now_us: int) -> None:
+        """Go on at that instant: the parcels that appeared in an earlier launch are known."""
+        self.from_us = now_us
+        self.desk = OrderDesk(max([len(self.setting.house.tasks) - 1, *self.truth.dropoff]) + 1)
+
+    def order(self, row: TaskRow) -> None:
+        """One more transport."""
+        self.desk.order([self.setting.order(self.setting.house, row)])
+
+    @property
+    def delivered(self) -> bool:
+        """Every parcel lies at its dropoff, and those that were to come have come."""
+        tasks = self.truth.dropoff
+        return (
+            len(tasks) >= len(self.setting.rows) and self.truth.delivered_us.keys() == tasks.keys()
+        )
+
+    # ---------------------------------------------------------------- what happens, by the clock
+
+    def calls(self) -> Script[None]:
+        """Orders are said until they are confirmed; without end."""
+        while True:
+            for order in self.desk.due():
+                self.say(order)
+            yield self.now_us() + DESK_US
+
+    def events(self) -> list[Script[None]]:
+        """Of the scenario; each ends."""
+        return [self._boxes(), self._arrivals(), self._outages()]
+
+    def _boxes(self) -> Script[None]:
+        """Random obstacles; a box never falls on a robot."""
+        world = self.world
+        for box in self.setting.boxes():
+            if box.at_s * S < self.from_us:
+                continue
+            yield round(box.at_s * S)
+            world.advance(self.now_us())
+            near = min(
+                (abs(b.position[0] - box.x_m) + abs(b.position[1] - box.y_m))
+                for b in world.robots.values()
+            )
+            if near > BOX_CLEAR_M:
+                number = world.add_box(box.x_m, box.y_m, box.size_m)
+                until_us = self.now_us() + round(box.for_s * S)
+                world.at(until_us, partial(world.remove_box, number))
+
+    def _arrivals(self) -> Script[None]:
+        for row in sorted(self.setting.rows, key=lambda row: row.at_s):
+            if row.at_s and row.at_s * S >= self.from_us:
+                yield round(row.at_s * S)
+                self.order(row)
+
+    def _outages(self) -> Script[None]:
+        for outage in sorted(self.setting.scenario.warehouse.outage, key=lambda o: o.at_s):
+            yield round(outage.at_s * S)
+            if outage.bay < len(self.truth.bays):
+                self.truth.bays[outage.bay].works = False

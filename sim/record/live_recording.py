@@ -1,0 +1,118 @@
+"""All that was heard of a live bus lately, in memory that is taken at the start and never grows.
+
+Frames and intents lie in rings. Of what is older than the ring of frames only the snapshots of a map's
+index are there, at distances that grow with their age. A launch keeps its logs on disk beside it.
+"""
+
+import json
+import zlib
+from array import array
+from bisect import bisect_right
+from typing import Any
+
+from protocol.frames.frame import Frame
+from sim.record.recording import Notes, Recording, Row
+from sim.record.scene import Scene
+
+FRAMES = 2_000_000  # 42 MB; 22 minutes of a full bus, two and a half hours of ten robots
+FINE_BYTES, FINE_ROWS = 24_000_000, 120_000  # every intent: about half an hour of ten robots
+COARSE_BYTES, COARSE_ROWS = (
+    8_000_000,
+    40_000,
+)  # one of each robot in COARSE_US: about four hours of ten
+COARSE_US = 5_000_000
+FINE_US = 1_000_000  # robots tell five intents a second
+FAST = 1  # level of zlib: a tenth of a millisecond for an intent
+
+
+class LiveRecording(Recording):
+    def __init__(self, scene: Scene | None = None) -> None:
+        super().__init__(scene)
+        self.forgets = True
+        self._t_us, self._identifiers = array("q", bytes(8 * FRAMES)), array("I", bytes(4 * FRAMES))
+        # From bytes, not from a number: memory that is only reserved would be taken bit by bit.
+        self._lengths, self._data = bytearray(bytes(FRAMES)), bytearray(bytes(8 * FRAMES))
+        self._fine = NoteRing(FINE_BYTES, FINE_ROWS)
+        self._coarse = NoteRing(COARSE_BYTES, COARSE_ROWS)
+        self._coarse_us: dict[int, int] = {}
+
+    def write(self, t_us: int, frame: Frame) -> None:
+        at = self.count % FRAMES
+        newest_us = self.t_us(self.count - 1) if self.count else t_us
+        self._t_us[at], self._identifiers[at] = max(t_us, newest_us), frame.identifier
+        self._lengths[at] = len(frame.data)
+        self._data[8 * at : 8 * at + 8] = frame.data.ljust(8, b"\0")
+        self.digest.write(t_us, frame)
+        self.count += 1
+        self.first = max(self.count - FRAMES, 0)
+
+    def __getitem__(self, number: int) -> Row:
+        at = number % FRAMES
+        data = bytes(self._data[8 * at : 8 * at + self._lengths[at]])
+        return self._t_us[at], Frame(self._identifiers[at], data)
+
+    def t_us(self, number: int) -> int:
+        return self._t_us[number % FRAMES]
+
+    def tell(self, t_us: int, intent: dict[str, Any]) -> None:
+        self._fine.append(t_us, intent)
+        slot = int(intent["slot"])
+        if t_us - self._coarse_us.get(slot, t_us - COARSE_US) >= COARSE_US:
+            self._coarse_us[slot] = t_us
+            self._coarse.append(t_us, intent)
+
+    def intents_at(self, now_us: int) -> Notes:
+        """Of long ago the newest of each robot, as if it were told then."""
+        if now_us - FINE_US >= self._fine.from_us:
+            return self._fine.between(now_us - FINE_US, now_us)
+        return [(now_us, note) for _, note in self._coarse.between(now_us - COARSE_US, now_us)]
+
+
+class NoteRing:
+    """Plain values with their times, in a fixed number of bytes and of rows; the oldest go first."""
+
+    def __init__(self, size: int, rows: int) -> None:
+        """`size`: bytes, compressed."""
+        self.first, self.count = 0, 0
+        self._size, self._rows, self._end = size, rows, 0  # `_end`: of all bytes ever written
+        self._data = bytearray(bytes(size))
+        self._t_us, self._at = array("q", bytes(8 * rows)), array("q", bytes(8 * rows))
+        self._lengths = array("I", bytes(4 * rows))
+
+    def append(self, t_us: int, value: dict[str, Any]) -> None:
+        """`t_us`: not before the one before. What is larger than the ring is passed over."""
+        data = zlib.compress(json.dumps(value, separators=(",", ":")).encode(), FAST)
+        if len(data) > self._size:
+            return
+        left = self._size - self._end % self._size
+        begin = self._end if len(data) <= left else self._end + left  # in one piece
+        at = begin % self._size
+        self._data[at : at + len(data)] = data
+        self._end = begin + len(data)
+        row = self.count % self._rows
+        self._t_us[row], self._at[row], self._lengths[row] = t_us, begin, len(data)
+        self.count += 1
+        self.first = max(self.first, self.count - self._rows)
+        while self._at[self.first % self._rows] < self._end - self._size:
+            self.first += 1
+
+    @property
+    def from_us(self) -> int:
+        return self._t_us[self.first % self._rows] if self.count else 0
+
+    def between(self, from_us: int, until_us: int) -> Notes:
+        """Later than the one, not later than the other; oldest first."""
+        rows = range(self.first, self.count)
+
+        def time_of(number: int) -> int:
+            return self._t_us[number % self._rows]
+
+        begin = bisect_right(rows, from_us, key=time_of)
+        end = bisect_right(rows, until_us, key=time_of)
+        return [self._note(number) for number in rows[begin:end]]
+
+    def _note(self, number: int) -> tuple[int, dict[str, Any]]:
+        row = number % self._rows
+        at = self._at[row] % self._size
+        data = self._data[at : at + self._lengths[row]]
+        return self._t_us[row], json.loads(zlib.decompress(data))

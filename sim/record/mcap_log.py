@@ -1,0 +1,224 @@
+"""MCAP: one file with all of a run, for Foxglove, PlotJuggler and our own replay.
+
+    /can          can_msgs/msg/Frame (ros2msg, CDR), every frame of the bus
+    /robots/N     what robot N means to do (JSON, `sim.record.robot_intent`): its numbers can be plotted
+    /scene        foxglove.SceneUpdate (JSON): outline, robots, paths; the 3D panel draws it
+    /things       what stands in the world from then on (JSON)
+    /log          foxglove.Log (JSON): what the robots decided, and why
+    scene.json    attachment: what does not move, as our map draws it
+
+Time is that of the run, which begins at 0, or the time of day of a launch (Unix epoch): one clock for
+all topics.
+"""
+
+import json
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from struct import Struct
+from typing import Any
+
+from agent.interface.effects import Effect, Trace
+from protocol.frames.frame import Frame
+from sim.files.given_file import check_regular
+from sim.files.log_parts import parts_of
+from sim.record.foxglove import LOG, SCENE_UPDATE, log_line, outline, robot_entity
+from sim.record.mcap_schema import (
+    INTENT,
+    SCHEMAS,
+    THINGS,
+    intent_message,
+    intent_of_message,
+    things_message,
+    things_of_message,
+)
+from sim.record.recording import Recording
+from sim.record.scene import FILE, Scene
+
+CHUNK_BYTES = 256 * 1024  # compressed at once: about a millisecond; its index entry is a kilobyte
+SCENE_EVERY_US = 1_000_000  # robots in the 3D panel
+MAGIC = b"\x89MCAP0\r\n"  # a file begins with it, and one that was closed ends with it
+SAID_MAX = 120  # characters of what a reader says of a damaged file
+CAN_TOPIC = "/can"
+CAN_FRAME = """std_msgs/Header header
+uint32 id
+bool is_rtr
+bool is_extended
+bool is_error
+uint8 dlc
+uint8[8] data
+================================================================================
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+================================================================================
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+"""
+CDR = Struct("<4siII5s3xI???B8s")  # encapsulation; stamp; frame_id with its length; the rest
+LITTLE_ENDIAN, CHANNEL = b"\0\1\0\0", b"can0\0"
+
+
+class McapMissing(Exception):
+    """One line for the person."""
+
+
+def _import() -> None:
+    try:
+        import mcap  # noqa: F401
+    except ImportError:
+        raise McapMissing(
+            "MCAP needs the operator extra: pip install 'headland[operator]'"
+        ) from None
+
+
+class McapLog:
+    """A `LogWriter` that also takes intents, things and traces."""
+
+    def __init__(self, path: Path, scene: Scene | None = None, begun_us: int = 0) -> None:
+        """`begun_us`: time of the outline. Raises McapMissing; OSError where it cannot be written."""
+        _import()
+        from mcap.writer import Writer
+
+        self._file = path.open("wb")
+        self._writer = Writer(self._file, chunk_size=CHUNK_BYTES)
+        self._writer.start(profile="", library="headland")
+        can = self._writer.register_schema("can_msgs/msg/Frame", "ros2msg", CAN_FRAME.encode())
+        self._can = self._writer.register_channel(CAN_TOPIC, "cdr", can)
+        self._channels: dict[str, int] = {}
+        self._schemas: dict[str, int] = {}
+        self._drawn_us: dict[int, int] = {}
+        self.scene = scene
+        if scene is not None:
+            data = json.dumps(scene).encode()
+            begun_ns = begun_us * 1000
+            self._writer.add_attachment(begun_ns, begun_ns, FILE, "application/json", data)
+            self._add(
+                "/scene", SCENE_UPDATE, begun_us, {"entities": [outline(scene)], "deletions": []}
+            )
+
+    @property
+    def size(self) -> int:
+        """Bytes; but for the chunk that is being filled."""
+        return self._file.tell()
+
+    def write(self, t_us: int, frame: Frame) -> None:
+        seconds, micros = divmod(t_us, 1_000_000)
+        data = CDR.pack(
+            LITTLE_ENDIAN, seconds, micros * 1000, len(CHANNEL), CHANNEL, frame.identifier, False,
+            True, False, len(frame.data), frame.data,
+        )  # fmt: skip
+        self._writer.add_message(self._can, t_us * 1000, data, t_us * 1000)
+
+    def tell(self, t_us: int, intent: dict[str, Any]) -> None:
+        slot = int(intent["slot"])
+        self._add(f"/robots/{slot}", INTENT, t_us, intent_message(intent))
+        if t_us - self._drawn_us.get(slot, -SCENE_EVERY_US) >= SCENE_EVERY_US:
+            self._drawn_us[slot] = t_us
+            radius_m = float((self.scene or {}).get("radius_m", 0.5))
+            entity = robot_entity(t_us, intent, radius_m)
+            self._add("/scene", SCENE_UPDATE, t_us, {"entities": [entity], "deletions": []})
+
+    def place(self, t_us: int, rows: Iterable[Iterable[float]]) -> None:
+        self._add("/things", THINGS, t_us, things_message([list(row) for row in rows]))
+
+    def effect(self, slot: int, t_us: int, effect: Effect) -> None:
+        """Of all effects only what a person reads."""
+        if isinstance(effect, Trace):
+            self._add("/log", LOG, t_us, log_line(t_us, slot, effect))
+
+    def _add(self, topic: str, schema: str, t_us: int, value: dict[str, Any]) -> None:
+        channel = self._channels.get(topic)
+        if channel is None:
+            channel = self._writer.register_channel(topic, "json", self._schema(schema))
+            self._channels[topic] = channel
+        data = json.dumps(value, separators=(",", ":")).encode()
+        self._writer.add_message(channel, t_us * 1000, data, t_us * 1000)
+
+    def _schema(self, name: str) -> int:
+        """The number of a schema in this file; ten robots share one."""
+        if name not in self._schemas:
+            data = json.dumps(SCHEMAS[name], separators=(",", ":")).encode()
+            self._schemas[name] = self._writer.register_schema(name, "jsonschema", data)
+        return self._schemas[name]
+
+    def close(self) -> None:
+        self._writer.finish()  # type: ignore[no-untyped-call]
+        self._file.close()
+
+
+def read_frames(path: Path) -> Iterator[tuple[int, Frame]]:
+    """(microseconds, frame), in order. ValueError where the file is no MCAP."""
+    for t_us, topic, data in _messages(path, [CAN_TOPIC]):
+        if topic == CAN_TOPIC and len(data) == CDR.size:
+            *_, identifier, _, _, _, length, payload = CDR.unpack(data)
+            yield t_us, Frame(identifier & 0x1FFFFFFF, payload[: min(length, 8)])
+
+
+def read_recording(path: Path) -> Recording:
+    """All of it, from its first part on. McapMissing; ValueError where the file is no MCAP."""
+    recording = Recording(_scene(path))
+    for part in parts_of(path):
+        for t_us, frame in read_frames(part):
+            recording.write(t_us, frame)
+    add_notes(recording, path)
+    recording.close()
+    return recording
+
+
+def add_notes(recording: Recording, path: Path) -> None:
+    """What no CAN log holds: intents and things, of all parts."""
+    for part in parts_of(path):
+        _add_notes(recording, part)
+
+
+def _add_notes(recording: Recording, path: Path) -> None:
+    for t_us, topic, data in _messages(path, None):
+        try:
+            if topic.startswith("/robots/"):
+                recording.tell(t_us, intent_of_message(dict(json.loads(data))))
+            elif topic == "/things":
+                recording.place(t_us, things_of_message(json.loads(data)))
+        except (KeyError, TypeError, ValueError, RecursionError):
+            raise ValueError(f"{topic} is damaged") from None
+
+
+def _scene(path: Path) -> Scene | None:
+    from mcap.reader import make_reader
+
+    with path.open("rb") as file:
+        try:
+            for attachment in make_reader(file).iter_attachments():
+                if attachment.name == FILE:
+                    scene: Scene = json.loads(attachment.data)
+                    return scene if isinstance(scene, dict) else None
+        except Exception:  # a run that was killed has no index, a damaged one anything
+            return None  # its frames are there all the same
+    return None
+
+
+def _messages(path: Path, topics: list[str] | None) -> Iterator[tuple[int, str, bytes]]:
+    """In the order of writing; what was cut off at the end is passed over. ValueError where a part in
+    the middle is damaged, OSError."""
+    _import()
+    from mcap.reader import NonSeekingReader
+
+    check_regular(path)
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        file.seek(max(0, size - len(MAGIC)))
+        whole = file.read() == MAGIC
+        file.seek(0)
+        reader = NonSeekingReader(file, validate_crcs=True)
+        messages = reader.iter_messages(topics=topics, log_time_order=False)
+        while True:
+            try:
+                _, channel, message = next(messages)
+            except StopIteration:
+                return
+            except Exception as problem:  # the reader and its decompressors raise what they like
+                if not whole and size > len(MAGIC) and file.tell() == size:
+                    return
+                said = " ".join(str(problem).split()) or type(problem).__name__
+                raise ValueError(f"not an MCAP file, or damaged: {said[:SAID_MAX]}") from None
+            yield message.log_time // 1000, channel.topic, message.data

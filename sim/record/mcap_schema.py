@@ -1,0 +1,187 @@
+"""JSON schemas of the topics of an MCAP file, so that readers know the paths of every message.
+
+Foxglove reads a part of JSON Schema: objects with `properties`, arrays of plain values or of objects.
+It refuses an array of arrays, so points are objects here. Names, titles and types of the foxglove
+schemas are those that Foxglove has published.
+"""
+
+from typing import Any
+
+from agent.field.field_map import XY
+from sim.record.foxglove import LOG, SCENE_UPDATE
+from sim.world.walls import OBSTACLE_COLUMNS
+
+INTENT, THINGS = "headland.Intent", "headland.Things"
+Schema = dict[str, Any]
+# The columns of a row of `sim.world.walls`, as a reader sees them.
+THING = ("shape", "x", "y", "half_x", "half_y", "cos", "sin")
+assert len(THING) == OBSTACLE_COLUMNS
+POINTS = ("path", "strange")  # of an intent: lists of points
+WANTED = "wanted"  # of an intent: a velocity
+
+
+def _object(title: str, **properties: Schema) -> Schema:
+    return {"title": title, "type": "object", "properties": properties}
+
+
+def _many(items: Schema, description: str = "") -> Schema:
+    return {"type": "array", "items": items, **_said(description)}
+
+
+def _number(description: str = "") -> Schema:
+    return {"type": "number", **_said(description)}
+
+
+def _integer(description: str = "") -> Schema:
+    return {"type": "integer", "minimum": 0, **_said(description)}
+
+
+def _text(description: str = "") -> Schema:
+    return {"type": "string", **_said(description)}
+
+
+def _truth(description: str = "") -> Schema:
+    return {"type": "boolean", **_said(description)}
+
+
+def _choice(title: str, *names: str) -> Schema:
+    """A number for each name, from 0."""
+    return {"title": title, "oneOf": [{"title": name, "const": k} for k, name in enumerate(names)]}
+
+
+def _said(description: str) -> Schema:
+    return {"description": description} if description else {}
+
+
+_NSEC = {"type": "integer", "minimum": 0, "maximum": 999_999_999}
+_TIME = _object("time", sec=_integer(), nsec=_NSEC)
+_DURATION = _object("duration", sec={"type": "integer"}, nsec=_NSEC)
+
+
+def _xyz(title: str) -> Schema:
+    return _object(title, x=_number(), y=_number(), z=_number())
+
+
+_VECTOR, _POINT = _xyz("foxglove.Vector3"), _xyz("foxglove.Point3")
+_QUATERNION = _object("foxglove.Quaternion", x=_number(), y=_number(), z=_number(), w=_number())
+_POSE = _object("foxglove.Pose", position=_VECTOR, orientation=_QUATERNION)
+_COLOR = _object("foxglove.Color", r=_number(), g=_number(), b=_number(), a=_number())
+_INDICES = _many(_integer())
+_PRIMITIVES = {
+    "arrows": _object(
+        "foxglove.ArrowPrimitive", pose=_POSE, shaft_length=_number(), shaft_diameter=_number(),
+        head_length=_number(), head_diameter=_number(), color=_COLOR,
+    ),
+    "cubes": _object("foxglove.CubePrimitive", pose=_POSE, size=_VECTOR, color=_COLOR),
+    "spheres": _object("foxglove.SpherePrimitive", pose=_POSE, size=_VECTOR, color=_COLOR),
+    "cylinders": _object(
+        "foxglove.CylinderPrimitive", pose=_POSE, size=_VECTOR, bottom_scale=_number(),
+        top_scale=_number(), color=_COLOR,
+    ),
+    "lines": _object(
+        "foxglove.LinePrimitive",
+        type=_choice("foxglove.LineType", "LINE_STRIP", "LINE_LOOP", "LINE_LIST"), pose=_POSE,
+        thickness=_number(), scale_invariant=_truth(), points=_many(_POINT), color=_COLOR,
+        colors=_many(_COLOR), indices=_INDICES,
+    ),
+    "triangles": _object(
+        "foxglove.TriangleListPrimitive", pose=_POSE, points=_many(_POINT), color=_COLOR,
+        colors=_many(_COLOR), indices=_INDICES,
+    ),
+    "texts": _object(
+        "foxglove.TextPrimitive", pose=_POSE, billboard=_truth(), font_size=_number(),
+        scale_invariant=_truth(), color=_COLOR, text=_text(),
+    ),
+    "models": _object(
+        "foxglove.ModelPrimitive", pose=_POSE, scale=_VECTOR, color=_COLOR,
+        override_color=_truth(), url=_text(), media_type=_text(),
+        data={"type": "string", "contentEncoding": "base64"},
+    ),
+}  # fmt: skip
+_XY = _object("headland.Point", x=_number("metres east"), y=_number("metres north"))
+_SLOTS = _integer("slot of a robot")
+SCHEMAS: dict[str, Schema] = {
+    SCENE_UPDATE: _object(
+        SCENE_UPDATE,
+        deletions=_many(
+            _object(
+                "foxglove.SceneEntityDeletion", timestamp=_TIME,
+                type=_choice("foxglove.SceneEntityDeletionType", "MATCHING_ID", "ALL"), id=_text(),
+            )
+        ),
+        entities=_many(
+            _object(
+                "foxglove.SceneEntity", timestamp=_TIME, frame_id=_text(), id=_text(),
+                lifetime=_DURATION, frame_locked=_truth(),
+                metadata=_many(_object("foxglove.KeyValuePair", key=_text(), value=_text())),
+                **{name: _many(primitive) for name, primitive in _PRIMITIVES.items()},
+            )
+        ),
+    ),
+    LOG: _object(
+        LOG, timestamp=_TIME,
+        level=_choice("foxglove.LogLevel", "UNKNOWN", "DEBUG", "INFO", "WARNING", "ERROR", "FATAL"),
+        message=_text(), name=_text(), file=_text(), line=_integer(),
+    ),
+    INTENT: _object(
+        INTENT,
+        slot=_integer("number of the robot"),
+        x=_number("metres east, field frame"), y=_number("metres north, field frame"),
+        heading=_number("radians from east, counterclockwise"),
+        vx=_number("m/s east"), vy=_number("m/s north"),
+        wanted=_object("headland.Velocity", x=_number("m/s east"), y=_number("m/s north"))
+        | _said("what its mission wants, before others and safety have their say"),
+        path=_many(_XY, "what is left of its way, nearest point first"),
+        avoids=_many(_SLOTS, "robots that it keeps clear of, nearest first"),
+        hears=_many(_SLOTS, "members that it takes for live"),
+        strange=_many(_XY, "obstacles that it sees and nobody has announced"),
+        holds=_many(_text(), "why it does not move, if it may not"),
+        tool=_truth("it wants its implement down"),
+    ),
+    THINGS: _object(
+        THINGS,
+        rows=_many(
+            _object(
+                "headland.Thing", **{name: _number() for name in THING}
+            ) | _said("shape: 1 a box, 2 a disc, 0 no thing; half sides and places in metres")
+        ),
+    ),
+}  # fmt: skip
+
+
+def intent_message(intent: dict[str, Any]) -> dict[str, Any]:
+    """As the schema has it, of what `sim.record.robot_intent` makes."""
+    lists = {name: [_xy(point) for point in intent[name]] for name in POINTS if name in intent}
+    wanted = {WANTED: _xy(intent[WANTED])} if WANTED in intent else {}
+    return {**intent, **wanted, **lists}
+
+
+def intent_of_message(message: dict[str, Any]) -> dict[str, Any]:
+    """The other way, also of files that have pairs. KeyError, TypeError, ValueError."""
+    lists = {name: [_pair(point) for point in message[name]] for name in POINTS if name in message}
+    wanted = {WANTED: _pair(message[WANTED])} if WANTED in message else {}
+    return {**message, **wanted, **lists}
+
+
+def things_message(rows: list[list[float]]) -> dict[str, Any]:
+    return {"rows": [dict(zip(THING, row, strict=True)) for row in rows]}
+
+
+def things_of_message(message: dict[str, Any]) -> list[list[float]]:
+    """Also of files that have rows of numbers. KeyError, TypeError, ValueError."""
+    return [
+        [row[name] for name in THING] if isinstance(row, dict) else list(row)
+        for row in message["rows"]
+    ]
+
+
+def _xy(point: XY | list[float]) -> dict[str, float]:
+    x, y = point
+    return {"x": x, "y": y}
+
+
+def _pair(point: Any) -> list[float]:
+    if isinstance(point, dict):
+        return [point["x"], point["y"]]
+    x, y = point
+    return [x, y]

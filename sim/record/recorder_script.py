@@ -1,0 +1,53 @@
+"""Looking at a simulated run, five times a second: what each robot means to do, and what stands there."""
+
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+from agent.interface.effects import Effect
+from sim.fleet.scheduler import Script
+from sim.fleet.simulated_fleet import Cluster
+from sim.record.robot_intent import intent_of
+from sim.world.walls import FREE
+
+EVERY_US = 200_000
+
+
+class Keeper(Protocol):
+    """A recording, or a file of one."""
+
+    def tell(self, t_us: int, intent: dict[str, Any]) -> None: ...
+    def place(self, t_us: int, rows: list[list[float]]) -> None: ...
+
+
+def watch(cluster: Cluster, keepers: Sequence[Keeper]) -> None:
+    """Give to an expedition as `attach`. Only looks: the run is the same with and without it."""
+    cluster.host.spawn(_look(cluster, keepers))
+    writers = [keeper.effect for keeper in keepers if hasattr(keeper, "effect")]
+    record = cluster.record
+
+    def both(slot: int, now_us: int, effect: Effect) -> None:
+        if record is not None:
+            record(slot, now_us, effect)
+        for write in writers:
+            write(slot, now_us, effect)
+
+    if writers:
+        cluster.record = both
+
+
+def _look(cluster: Cluster, keepers: Sequence[Keeper]) -> Script[None]:
+    standing: list[list[float]] = []
+    while True:
+        now_us = cluster.host.now_us()
+        for robot in cluster.running:
+            intent = intent_of(robot.peer)
+            if intent is not None:
+                plain = intent.to_dict()
+                for keeper in keepers:
+                    keeper.tell(now_us, plain)
+        rows = [row for row in cluster.world.obstacles() if row[0] != FREE]
+        if rows != standing:
+            standing = rows
+            for keeper in keepers:
+                keeper.place(now_us, rows)
+        yield now_us + EVERY_US

@@ -1,0 +1,133 @@
+"""All that was heard of a run, in memory, while it grows or after its end: frames, intents, things.
+
+Columns instead of objects: 21 bytes a frame, so that hours of a full bus fit. One thread may append
+while others read: a row is there once `count` says so.
+"""
+
+from array import array
+from bisect import bisect_left, bisect_right
+from collections.abc import Callable, Iterable
+from hashlib import blake2b
+from typing import Any
+
+from protocol.frames.frame import Frame
+from sim.record.scene import Scene
+
+FRAMES_MAX = 8_000_000  # 168 MB; two hours of a full bus, half a day of a quiet one
+DROP = FRAMES_MAX // 4  # of the oldest, when it is full
+NOW_US = 1_000_000  # an intent is news for so long; robots tell five a second
+Row = tuple[int, Frame]
+Notes = list[tuple[int, dict[str, Any]]]  # microseconds, plain values
+
+
+class Recording:
+    def __init__(self, scene: Scene | None = None) -> None:
+        self.scene = scene
+        self.first, self.count = 0, 0  # frames `first` .. `count` - 1 are kept
+        self.intents: Notes = []  # of a robot each, see `sim.record.robot_intent`
+        self.things: Notes = []  # what stands in the world from then on: {"rows": [...]}
+        self.ended = False  # nothing more will come
+        self.clock: Callable[[], int] | None = (
+            None  # microseconds, of a live bus: quiet is time, too
+        )
+        self.forgets = False  # what is old, at any time: see `sim.record.live_recording`
+        self.digest = FramesDigest()
+        self._since_us = 0
+        self._t_us, self._identifiers = array("q"), array("I")
+        self._lengths, self._data = bytearray(), bytearray()
+
+    def write(self, t_us: int, frame: Frame) -> None:
+        """The next frame; what is older than the one before it is as old as that."""
+        self._t_us.append(max(t_us, self._t_us[-1]) if self._t_us else t_us)
+        self._identifiers.append(frame.identifier)
+        self._lengths.append(len(frame.data))
+        self._data += frame.data.ljust(8, b"\0")
+        self.digest.write(t_us, frame)
+        self.count += 1
+        if self.count - self.first > FRAMES_MAX:
+            self._drop()
+
+    def follow(self, clock: Callable[[], int]) -> None:
+        """`clock`: microseconds, that of the frames to come. Time goes on where nothing is heard."""
+        self.clock, self._since_us = clock, clock()
+
+    def close(self) -> None:
+        self.ended = True
+
+    def _drop(self) -> None:
+        del (
+            self._t_us[:DROP],
+            self._identifiers[:DROP],
+            self._lengths[:DROP],
+            self._data[: 8 * DROP],
+        )
+        self.first += DROP
+        for notes in (self.intents, self.things):
+            del notes[: bisect_left(notes, self.from_us, key=lambda note: note[0])]
+
+    def tell(self, t_us: int, intent: dict[str, Any]) -> None:
+        self.intents.append((t_us, intent))
+
+    def place(self, t_us: int, rows: Iterable[Iterable[float]]) -> None:
+        """Obstacles as rows of `sim.world.walls`: shape, x, y, half sides, cosine and sine."""
+        self.things.append((t_us, {"rows": [list(row) for row in rows]}))
+
+    def intents_at(self, now_us: int) -> Notes:
+        """What was told in the second that ends now, oldest first."""
+        first = bisect_right(self.intents, now_us - NOW_US, key=lambda note: note[0])
+        end = bisect_right(self.intents, now_us, key=lambda note: note[0])
+        return self.intents[first:end]
+
+    def __getitem__(self, number: int) -> Row:
+        at = number - self.first
+        data = bytes(self._data[8 * at : 8 * at + self._lengths[at]])
+        return self._t_us[at], Frame(self._identifiers[at], data)
+
+    def t_us(self, number: int) -> int:
+        return self._t_us[number - self.first]
+
+    @property
+    def from_us(self) -> int:
+        return self.t_us(self.first) if self.count > self.first else self._since_us
+
+    @property
+    def until_us(self) -> int:
+        """Of the newest row of any kind; of a live bus: now."""
+        if self.clock is not None and not self.ended:
+            return max(self.clock(), self._newest_us or 0)
+        ends = [self.t_us(self.count - 1)] if self.count > self.first else [0]
+        ends += [notes[-1][0] for notes in (self.intents, self.things) if notes]
+        return max(ends)
+
+    @property
+    def quiet_us(self) -> int:
+        """How long ago the newest frame of a live bus came; 0 of a recording."""
+        if self.clock is None or self.ended:
+            return 0
+        newest_us = self._newest_us
+        return self.until_us - (self._since_us if newest_us is None else newest_us)
+
+    @property
+    def _newest_us(self) -> int | None:
+        return self.t_us(self.count - 1) if self.count > self.first else None
+
+
+class FramesDigest:
+    """One hash of all frames in their order: the same run, whatever the format of its log.
+
+    Times are not in it: formats round them in their own ways.
+    """
+
+    def __init__(self) -> None:
+        self._hash = blake2b(digest_size=8)
+
+    def write(self, t_us: int, frame: Frame) -> None:
+        self._hash.update(frame.identifier.to_bytes(4, "little") + bytes((len(frame.data),)))
+        self._hash.update(frame.data)
+
+    def close(self) -> None:
+        """Nothing to close; a digest may stand wherever a log does."""
+
+    @property
+    def hex(self) -> str:
+        return self._hash.hexdigest()

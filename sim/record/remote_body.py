@@ -1,0 +1,180 @@
+"""A robot process and its body in the world's process: messages on a socket of their owner's.
+
+The world tells each body's observation every `TELL_US`, with the time at which it was sensed. A robot
+sends its drive commands. A lost or late message is what a lost or late sensor reading or command is:
+commands expire by themselves, and observations grow old. A slot belongs to the process that has said
+hello for it, until that one ends. Another one is told nothing and moves nothing.
+"""
+
+import asyncio
+import struct
+from collections.abc import Callable
+from pathlib import Path
+
+from agent.interface.effects import Drive
+from agent.interface.ports import Body, Lying, Observation
+from sim.record.intent_stream import IntentRelay
+from sim.record.local_link import Link, LinkServer
+from sim.world.world import World
+
+TELL_US = 20_000  # one world step
+HELLO_S = 0.2  # a robot that has heard nothing yet says that it is there
+DRIVE = struct.Struct("<4sBdddBi")  # magic, slot, vx, vy, turn, implement, parcel to handle
+# magic, slot, sensed at (us of the world), x, y, heading, vx, vy, battery, load, parcels in reach; then
+# these, and the rays
+SENSE = struct.Struct("<4sBqddddddiB")
+LYING = struct.Struct("<idd?")  # task, x, y, on a robot
+PARCELS_MAX = 32  # told at once; within an arm's reach
+RAY = struct.Struct("<f")
+MAGIC_DRIVE, MAGIC_HELLO, MAGIC_SENSE = b"HLDr", b"HLHi", b"HLSe"
+DRIFT_SHARE = 1e-4  # how much faster than ours the world's clock may run, at most
+
+
+def sense_bytes(slot: int, seen: Observation) -> bytes:
+    parcels = sorted(seen.parcels.items())[:PARCELS_MAX]
+    head = SENSE.pack(
+        MAGIC_SENSE, slot, seen.sensed_at_us, *seen[:5], seen.battery, seen.load, len(parcels)
+    )
+    lying = b"".join(LYING.pack(task, *where) for task, where in parcels)
+    return head + lying + struct.pack(f"<{len(seen.ranges_m)}f", *seen.ranges_m)
+
+
+def observation_of(data: bytes) -> Observation | None:
+    """None where it is not what `sense_bytes` makes. Its time is of the world."""
+    if len(data) < SENSE.size:
+        return None
+    _, _, sensed_at_us, *pose, battery, load, count = SENSE.unpack_from(data)
+    begin = SENSE.size + count * LYING.size
+    rays = (len(data) - begin) // RAY.size
+    if rays < 0 or len(data) != begin + rays * RAY.size:
+        return None
+    lying = (LYING.unpack_from(data, SENSE.size + k * LYING.size) for k in range(count))
+    parcels = {task: Lying(x_m, y_m, on_robot) for task, x_m, y_m, on_robot in lying}
+    ranges_m = struct.unpack_from(f"<{rays}f", data, begin)
+    return Observation(*pose)._replace(
+        ranges_m=ranges_m, battery=battery, load=load, parcels=parcels, sensed_at_us=sensed_at_us
+    )
+
+
+class BodyServer:
+    """In the world's process. `zero_us`: the loop's time at which the world's time is 0."""
+
+    def __init__(self, world: World, zero_us: int) -> None:
+        self.world, self.zero_us = world, zero_us
+        self.body: Callable[[int], Body] = world.body  # or one with an arm and a battery
+        self.malformed = 0
+        self.refused = 0  # hellos and commands for a slot that another process has
+        self.relay = IntentRelay()
+        self.server = LinkServer(lambda: _RobotLink(self))
+        self._links: dict[int, Link] = {}
+
+    async def start(self, folder: Path | None = None) -> Path:
+        """The path of the socket, for robots and maps of the same owner. Raises OSError."""
+        return await self.server.start(folder)
+
+    def close(self) -> None:
+        self.server.close()
+
+    def now_us(self) -> int:
+        return round(asyncio.get_running_loop().time() * 1e6) - self.zero_us
+
+    def take(self, data: bytes, link: Link) -> None:
+        if self.relay.take(data, link):
+            return
+        if len(data) != DRIVE.size or data[:4] not in (MAGIC_DRIVE, MAGIC_HELLO):
+            self.malformed += 1
+            return
+        magic, slot, vx_m_s, vy_m_s, turn_rad_s, tool_on, handle = DRIVE.unpack(data)
+        if slot not in self.world.robots or not all(
+            abs(v) < 1e3 for v in (vx_m_s, vy_m_s, turn_rad_s)
+        ):
+            self.malformed += 1
+            return
+        owner = self._links.get(slot)
+        if magic == MAGIC_HELLO and (owner is None or not owner.open):
+            self._links[slot] = owner = link
+        if owner is not link:
+            self.refused += 1
+        elif magic == MAGIC_DRIVE:
+            drive = Drive(vx_m_s, vy_m_s, turn_rad_s, tool_on == 1, handle)
+            self.body(slot).drive(drive, self.now_us())
+
+    async def run(self) -> None:
+        """Step the world in real time and tell every robot that has asked."""
+        loop, next_s = asyncio.get_running_loop(), asyncio.get_running_loop().time()
+        while True:
+            now_us = self.now_us()
+            self.world.advance(now_us)
+            for slot, link in self._links.items():
+                seen = self.body(slot).sense(now_us) if link.open else None
+                if seen is not None:
+                    link.send(sense_bytes(slot, seen))
+            next_s = max(next_s + TELL_US / 1e6, loop.time())
+            await asyncio.sleep(next_s - loop.time())
+
+
+class _RobotLink(Link):
+    def __init__(self, bodies: BodyServer) -> None:
+        super().__init__()
+        self.bodies = bodies
+
+    def take(self, message: bytes) -> None:
+        self.bodies.take(message, self)
+
+
+class RemoteBody(Link):
+    """In a robot's process: the `Body` port over a link.
+
+    The world's clock is another one. What came fastest of all says how far it is from ours. What comes
+    later than that is older.
+    """
+
+    def __init__(self, slot: int) -> None:
+        super().__init__()
+        self.slot = slot
+        self.seen: Observation | None = None
+        self.first = asyncio.Event()
+        self._behind_us: float | None = None  # how far the world's clock is behind ours
+        self._heard_us = 0
+
+    def take(self, message: bytes) -> None:
+        seen = None
+        if message[:4] == MAGIC_SENSE and message[4:5] == bytes([self.slot]):
+            seen = observation_of(message)
+        if seen is None:
+            self.malformed += 1
+            return
+        now_us = round(asyncio.get_running_loop().time() * 1e6)
+        behind_us: float = now_us - seen.sensed_at_us
+        if self._behind_us is not None:
+            drifted_us = self._behind_us + (now_us - self._heard_us) * DRIFT_SHARE
+            behind_us = min(behind_us, drifted_us)
+        self._behind_us, self._heard_us = behind_us, now_us
+        self.seen = seen._replace(sensed_at_us=round(seen.sensed_at_us + behind_us))
+        self.first.set()
+
+    async def ready(self) -> None:
+        """Say hello until the first observation comes."""
+        while not self.first.is_set():
+            self._say(MAGIC_HELLO, Drive(0.0, 0.0))
+            try:
+                async with asyncio.timeout(HELLO_S):
+                    await self.first.wait()
+            except TimeoutError:
+                continue
+
+    def sense(self, now_us: int) -> Observation | None:
+        """The newest that came, for ever; its age tells what it is worth."""
+        return self.seen
+
+    def drive(self, command: Drive, now_us: int) -> None:
+        self._say(MAGIC_DRIVE, command)
+
+    def tell(self, data: bytes) -> None:
+        """To people who watch; see `sim.record.intent_stream`."""
+        self.send(data)
+
+    def _say(self, magic: bytes, c: Drive) -> None:
+        self.send(
+            DRIVE.pack(magic, self.slot, c.vx_m_s, c.vy_m_s, c.turn_rad_s, c.tool_on, c.handle)
+        )

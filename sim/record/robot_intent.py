@@ -1,0 +1,75 @@
+"""What one robot means to do, read from its peer: for people who watch, never for other robots.
+
+A listener on the bus knows where robots are and what they own. Where they want to drive, whom they
+avoid and whom they hear, only they know. Reading it changes nothing: a run that is watched has the
+same trace hash as one that is not.
+"""
+
+from typing import Any, NamedTuple
+
+from agent.interface.config import NEIGHBOURS_MAX
+from agent.interface.mission import Underway
+from agent.motion.holonomic_motion import Motion
+from agent.peer.peer import Peer
+
+XY = tuple[float, float]
+POINTS_MAX = 48  # of a path: what a person can follow, and what fits a datagram
+STRANGE_MAX = 16
+
+
+class Intent(NamedTuple):
+    """One robot, at one time. SI units, field frame."""
+
+    slot: int
+    x_m: float
+    y_m: float
+    heading_rad: float
+    vx_m_s: float
+    vy_m_s: float
+    wanted: XY  # velocity that its mission wants, before others and safety have their say
+    path: tuple[XY, ...]  # what is left of its way, nearest point first
+    avoids: tuple[int, ...]  # the robots that ORCA keeps clear of, nearest first
+    hears: tuple[int, ...]  # the members that it takes for live, itself included
+    strange: tuple[XY, ...]  # obstacles that it sees and nobody has announced
+    holds: tuple[str, ...]  # why it does not move, if it may not
+    tool: bool  # it wants its implement down
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values, rounded to what can be seen."""
+        return {
+            "slot": self.slot, "x": round(self.x_m, 3), "y": round(self.y_m, 3),
+            "heading": round(self.heading_rad, 3), "vx": round(self.vx_m_s, 3),
+            "vy": round(self.vy_m_s, 3), "wanted": [round(v, 2) for v in self.wanted],
+            "path": [[round(x, 2), round(y, 2)] for x, y in self.path],
+            "avoids": list(self.avoids), "hears": list(self.hears),
+            "strange": [[round(x, 2), round(y, 2)] for x, y in self.strange],
+            "holds": list(self.holds), "tool": self.tool,
+        }  # fmt: skip
+
+
+def intent_of(peer: Peer) -> Intent | None:
+    """None before its sensors have said anything."""
+    here = peer.here
+    motion = peer.motion if isinstance(peer.motion, Motion) else None  # nobody to avoid on a grid
+    if here is None:
+        return None
+    others = sorted(motion.others, key=lambda o: o.distance_m) if motion is not None else []
+    strange: list[XY] = [] if motion is None else list(motion.strange)
+    if motion is not None and motion.lookout is not None:
+        strange += [point for point, _ in motion.lookout.points.values()]
+    way = peer.mission.rest_of_way if isinstance(peer.mission, Underway) else ()
+    return Intent(
+        slot=peer.slot,
+        x_m=here.x_m,
+        y_m=here.y_m,
+        heading_rad=here.heading_rad,
+        vx_m_s=here.vx_m_s,
+        vy_m_s=here.vy_m_s,
+        wanted=(peer.wish.vx_m_s, peer.wish.vy_m_s),
+        path=tuple(way[:POINTS_MAX]),
+        avoids=tuple(o.slot for o in others[:NEIGHBOURS_MAX]),
+        hears=tuple(sorted(peer.membership.live)),
+        strange=tuple(strange[:STRANGE_MAX]),
+        holds=tuple(cause.name for cause, _ in peer.safety.causes),
+        tool=peer.wish.tool_on,
+    )

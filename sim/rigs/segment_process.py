@@ -1,0 +1,137 @@
+"""One segment of a fleet as a process: a hub and its robots in real time, orders as lines of JSON.
+
+For tests and benches with real gateways between real processes: `headland bridge` attaches to the hub
+as to any bus. The robots are whole peers without bodies; their zero commands are what is timed. All
+times are microseconds of the machine's monotonic clock, which processes of one machine share.
+
+    -> {"do": "press", "slot": 0}        <- {"pressed_us": ...}
+    -> {"do": "halts"}                   <- {"halts": {"0": ...}}, first zero command since "arm"
+    -> {"do": "state"}                   <- who stands stopped, is alone, what is known of sections
+"""
+
+import asyncio
+import json
+import sys
+from random import Random
+from typing import Any
+
+from agent.interface.effects import Drive, Effect
+from agent.interface.identity import Identity
+from agent.runtime.peer_runner import Shell
+from agent.safety.stop_controller import SilencePolicy
+from agent.segments.segment_area import Area
+from agent.segments.segment_peer import SegmentPeer
+from protocol.frames.safety_frames import Reason
+from protocol.links.bus import CanBus
+from protocol.name import fleet_name
+from sim.can.simulated_bus import FieldBus, segment
+from sim.can.socketcand_server import Hub
+from sim.fleet.gc_tuning import leave_standing
+from sim.rigs.segments_rig import FIELD_HASH, ring_area
+
+CHANNEL = "can0"
+
+
+class SegmentHost:
+    def __init__(self, area: Area, robots: int, seed: int) -> None:
+        self.area, self.seed = area, seed
+        name = f"segment {area.segment}"
+        self.hub = Hub(segment(name, seed=seed), CHANNEL)
+        self.halts: dict[int, int] = {}
+        self.shells = [self._robot(name, slot, robots) for slot in range(robots)]
+        self.tasks: list[asyncio.Task[None]] = []
+
+    def _robot(self, name: str, slot: int, robots: int) -> Shell:
+        identity = Identity(
+            slot, frozenset(range(robots)), fleet_name(name, slot), FIELD_HASH,
+            SilencePolicy.STOP, started=True, first_boot=True,
+        )  # fmt: skip
+        rng = Random(f"{self.seed}/{name}/{slot}")
+        peer = SegmentPeer(self.area, identity, rng, Shell.now_us(), {})
+
+        def watch(now_us: int, effect: Effect) -> None:
+            if type(effect) is Drive:
+                self.halts.setdefault(slot, now_us)
+
+        return Shell(peer, CanBus(FieldBus(name)), None, None, watch)
+
+    async def run(self, port: int) -> None:
+        await self.hub.start("0.0.0.0", port)
+        leave_standing()
+        self.tasks = [asyncio.create_task(shell.run()) for shell in self.shells]
+        print(json.dumps({"port": self.hub.port}), flush=True)
+        reader = asyncio.StreamReader()
+        loop = asyncio.get_running_loop()
+        await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), sys.stdin)
+        while line := await reader.readline():
+            print(json.dumps(self.obey(json.loads(line))), flush=True)
+            for task in self.tasks:
+                if task.done():
+                    task.result()
+        await self.hub.stop()
+
+    def obey(self, order: dict[str, Any]) -> dict[str, Any]:
+        match order["do"]:
+            case "press":
+                pressed_us = Shell.now_us()
+                shell = self.shells[order["slot"]]
+                shell.operate(lambda peer, now: peer.press(Reason.PERSON_IN_FIELD, now))
+                return {"pressed_us": pressed_us}
+            case (
+                "arm"
+            ):  # every robot moves again: its stops are cleared, and it is reset and started
+                self.halts.clear()
+                for shell in self.shells:
+                    _release(shell)
+                return {}
+            case "halts":
+                return {"halts": self.halts}
+            case "claim":
+                section = int(order["section"])
+                self.shells[order["slot"]].operate(lambda peer, now: peer.claim(section, 3, now))
+                return {}
+            case "finish":
+                section = int(order["section"])
+                self.shells[order["slot"]].operate(lambda peer, now: peer.finish(section, now))
+                return {}
+        return self.state()
+
+    def state(self) -> dict[str, Any]:
+        peers = [shell.peer for shell in self.shells]
+        assert all(isinstance(peer, SegmentPeer) for peer in peers)
+        return {
+            "joined": all(peer.joining.joined for peer in peers),
+            "stopped": sum(peer.safety.latched for peer in peers),
+            "alone": [peer.beyond.alone for peer in peers],  # type: ignore[attr-defined]
+            "reached": peers[0].beyond.reached,  # type: ignore[attr-defined]
+            "sections": {
+                section: peers[0].allocation.phase_of(section).name
+                for section in peers[0].allocation.sections()
+            },
+            "equal": len({peer.allocation.serialize() for peer in peers}) == 1,
+        }
+
+
+def _release(shell: Shell) -> None:
+    """Between two presses of a bench: a reset at once, without the rejoining that a person causes."""
+    safety = shell.peer.safety
+    for dot in safety.stops.active:
+        safety.clear_near(dot, "a bench")
+    for far in safety.far.active:
+        safety.clear_far(far)
+    safety.manual_reset(shell.clock())
+    safety.start(shell.clock())
+
+
+def main() -> None:
+    order = json.loads(sys.stdin.readline())
+    area = ring_area(order["segment"], order["segments"], order["home"], order["shared"])
+
+    async def run() -> None:
+        await SegmentHost(area, order["robots"], order["seed"]).run(order.get("port", 0))
+
+    asyncio.run(run())
+
+
+if __name__ == "__main__":
+    main()

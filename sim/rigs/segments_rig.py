@@ -1,0 +1,252 @@
+"""Many segments in one swarm: whole peers on whole wires, gateways between them, no bodies.
+
+The areas lie in a ring: each segment lends its first sections to the one before it and its last to the
+one after it. Peers claim, work and finish sections as scripted, through their operator calls.
+"""
+
+from collections import Counter
+from collections.abc import Callable
+from random import Random
+
+import can
+
+from agent.interface.effects import Drive, Effect
+from agent.interface.identity import Identity
+from agent.runtime.gateway_runner import GatewayShell
+from agent.runtime.peer_runner import Shell
+from agent.safety.stop_controller import SilencePolicy
+from agent.segments.gateway import Gateway
+from agent.segments.map_relay import MapRelay
+from agent.segments.segment_area import Area, Place
+from agent.segments.segment_peer import SegmentPeer
+from crdt.hybrid_clock import HybridClock
+from crdt.occupancy import Geometry, OccupancyMap
+from crdt.sighting import TIME_MAX, Order
+from protocol.authentication import Keyring, Keys
+from protocol.frames.frame import Frame
+from protocol.frames.segment_frames import gateway_slot
+from protocol.links.bus import CanBus
+from protocol.name import GATEWAY_FUNCTION, Name, fleet_name
+from protocol.sync.map_sync import MapSync
+from sim.can.frame_timing import BIT_US, frame_bits
+from sim.can.simulated_bus import Segment, forget, segment
+from sim.fleet.event_loop import Swarm
+from sim.fleet.scheduler import Script
+from sim.rigs.simulated_backbone import SimulatedBackbone
+
+FIELD_HASH = 0x5E6
+MAP_TICK_US = 1_000_000  # of the map's clock
+
+
+def ring_area(number: int, segments: int, home: int, shared: int) -> Area:
+    """The area of segment `number` (from 1) in a ring; `shared` sections at each border."""
+    if segments == 1:
+        return Area(number, home)
+    before, after = (number - 2) % segments + 1, number % segments + 1
+    lent = {section: frozenset({before}) for section in range(shared)}
+    for section in range(home - shared, home):
+        lent[section] = lent.get(section, frozenset()) | {after}
+    theirs = [Place(before, section) for section in range(home - shared, home)]
+    theirs += [Place(after, section) for section in range(shared)]
+    borrowed = {home + k: place for k, place in enumerate(dict.fromkeys(theirs))}
+    return Area(number, home, lent, borrowed)
+
+
+class SegmentFleet:
+    """`segments` times `robots` peers in virtual time; time passes in `run`."""
+
+    def __init__(
+        self,
+        segments: int,
+        robots: int,
+        seed: int,
+        candidates: int = 2,
+        home: int = 40,
+        shared: int = 5,
+        keys: Keys | None = None,
+        policy: SilencePolicy = SilencePolicy.CONTINUE,
+        geometry: Geometry | None = None,
+    ) -> None:
+        """`geometry`: of the map that all segments make, where they make one."""
+        self.segments, self.robots, self.seed = range(1, segments + 1), robots, seed
+        self.swarm = Swarm()
+        self.backbone = SimulatedBackbone(self.swarm, seed)
+        self.rng = Random(f"{seed}/segments")
+        self.keys, self.policy, self.geometry = keys, policy, geometry
+        self.areas = {k: ring_area(k, segments, home, shared) for k in self.segments}
+        self.wires: dict[int, Segment] = {}
+        self.shells: dict[tuple[int, int], Shell] = {}
+        self.gateways: dict[int, list[GatewayShell]] = {}
+        self.halted_us: dict[tuple[int, int], int] = {}  # last zero command of each robot
+        self.bits: Counter[int] = Counter()  # on each wire
+        self.bridged: Counter[int] = Counter()  # of these by gateways
+        for number in self.segments:
+            self._segment(number, candidates)
+
+    # ---------------------------------------------------------------- building
+
+    def _segment(self, number: int, candidates: int) -> None:
+        channel = self.channel(number)
+        wire = segment(channel, seed=f"{self.seed}/{number}", clock=self.swarm)
+        wire.taps.append(self._tap(number))
+        self.wires[number] = wire
+        for slot in range(self.robots):
+            self._boot(number, slot)
+        self.gateways[number] = []
+        for _ in range(candidates):
+            self.add_gateway(number)
+
+    def channel(self, number: int) -> str:
+        return f"segment {id(self)}/{number}"
+
+    def _tap(self, number: int) -> Callable[[int, Frame], None]:
+        def tap(t_us: int, frame: Frame) -> None:
+            bits = frame_bits(*frame)
+            self.bits[number] += bits
+            if gateway_slot(frame.identifier & 0xFF) is not None:
+                self.bridged[number] += bits
+
+        return tap
+
+    def _boot(self, number: int, slot: int) -> None:
+        identity = Identity(
+            slot, frozenset(range(self.robots)), fleet_name(f"segment {number}", slot), FIELD_HASH,
+            SilencePolicy.STOP, started=True, first_boot=True,
+        )  # fmt: skip
+        rng = Random(f"{self.seed}/{number}/{slot}")
+        lot = f"{self.seed}/{number}/{slot}".encode()
+        keyring = None if self.keys is None else Keyring(self.keys, slot, lot)
+        chart = None
+        if self.geometry is not None:
+            clock = HybridClock(0, MAP_TICK_US, TIME_MAX)
+            chart = MapSync(slot, OccupancyMap(self.geometry, Order.DECAYED), clock, 0)
+        parts = None, None, keyring, chart
+        peer = SegmentPeer(self.areas[number], identity, rng, 0, {}, *parts, policy=self.policy)
+        bus = can.Bus(interface="fieldbus", channel=self.channel(number))
+        place = number, slot
+
+        def watch(now_us: int, effect: Effect) -> None:
+            if type(effect) is Drive and not (effect.vx_m_s or effect.vy_m_s or effect.turn_rad_s):
+                self.halted_us[place] = now_us
+
+        shell = self.swarm.shell(peer, CanBus(bus), None, None, watch)
+        self.swarm.start(shell)
+        self.shells[place] = shell
+
+    def add_gateway(self, number: int) -> GatewayShell:
+        boot = self.rng.getrandbits(32)
+        name = Name(boot & 0x1FFFFF, function=GATEWAY_FUNCTION, arbitrary_address=0)
+        swarm, chart = self.swarm, None
+        if self.geometry is not None:
+            chart = MapRelay(number, self.geometry, Order.DECAYED, swarm.now_us())
+        shell = GatewayShell(
+            Gateway(self.areas[number], name, boot, swarm.now_us(), chart),
+            CanBus(can.Bus(interface="fieldbus", channel=self.channel(number))),
+            self.backbone.attach(number),
+            swarm.now_us,
+            swarm.at,
+        )
+        self.gateways[number].append(shell)
+        swarm.soon(shell.begin)
+        return shell
+
+    # ---------------------------------------------------------------- acting
+
+    def peer(self, number: int, slot: int) -> SegmentPeer:
+        peer = self.shells[number, slot].peer
+        assert isinstance(peer, SegmentPeer)
+        return peer
+
+    def peers(self, number: int) -> list[SegmentPeer]:
+        return [self.peer(number, slot) for slot in range(self.robots)]
+
+    def leader(self, number: int) -> GatewayShell | None:
+        """The gateway that leads a segment now."""
+        return next((g for g in self.gateways[number] if g.gateway.leads), None)
+
+    def kill_gateway(self, shell: GatewayShell) -> None:
+        shell.end()
+        self.gateways[shell.gateway.segment].remove(shell)
+
+    def run(self, duration_us: int, until: Callable[[], bool] | None = None) -> bool:
+        """Let time pass; with `until` stop as soon as it holds (looked at every 10 ms)."""
+        end_us = self.swarm.now_us() + duration_us
+
+        def script() -> Script[bool]:
+            while self.swarm.now_us() < end_us:
+                if until is not None and until():
+                    return True
+                yield end_us if until is None else min(self.swarm.now_us() + 10_000, end_us)
+            return until is None or until()
+
+        return self.swarm.run(script())
+
+    def finish(self, number: int, slot: int, section: int, units: int = 3) -> None:
+        """An operation as a robot that was quick: claim, start, cover, done."""
+        shell = self.shells[number, slot]
+        shell.operate(lambda peer, now: peer.claim(section, 3, now))
+
+        def work() -> Script[None]:
+            deadline_us = self.swarm.now_us() + 5_000_000
+            while shell.peer.claims.current != section:
+                if self.swarm.now_us() >= deadline_us:
+                    return
+                yield self.swarm.now_us() + 50_000
+            shell.operate(lambda p, now: p.voice.cover(p, section, range(units), now))
+            yield self.swarm.now_us() + 100_000
+            shell.operate(lambda p, now: p.finish(section, now))
+
+        self.swarm.spawn(work())
+
+    def end(self) -> None:
+        for shell in self.shells.values():
+            shell.bus.close()
+        for gateways in self.gateways.values():
+            for gateway in gateways:
+                gateway.end()
+        for number in self.segments:
+            forget(self.channel(number))
+
+    # ---------------------------------------------------------------- what came of it
+
+    @property
+    def share(self) -> dict[int, tuple[float, float]]:
+        """Of each wire's time since `count_from_here`: (all frames, those of gateways)."""
+        span_us = self.swarm.now_us() - self._since_us
+        bits = {k: (self.bits[k], self.bridged[k]) for k in self.segments}
+        return {k: (a * BIT_US / span_us, b * BIT_US / span_us) for k, (a, b) in bits.items()}
+
+    _since_us = 0
+
+    def count_from_here(self) -> None:
+        self._since_us = self.swarm.now_us()
+        self.bits.clear()
+        self.bridged.clear()
+
+    @property
+    def joined(self) -> bool:
+        """All robots are on their bus, and every segment has a gateway that reaches all others."""
+        others = len(self.segments) - 1
+        return all(shell.peer.joining.joined for shell in self.shells.values()) and all(
+            (lead := self.leader(k)) is not None
+            and len(lead.gateway.reach.reached(self.swarm.now_us())) == others
+            for k in self.segments
+        )
+
+    @property
+    def borders_equal(self) -> bool:
+        """At every border both sides hold the same, robot by robot."""
+        for number in self.segments:
+            area = self.areas[number]
+            for section, place in area.borrowed.items():
+                here, home = self.peers(number), self.peers(place.segment)
+                states = {
+                    (p.allocation.phase_of(section), p.allocation.entry(section).epoch,
+                     p.progress.bits(section, 0)) for p in here
+                } | {
+                    (p.allocation.phase_of(place.section), p.allocation.entry(place.section).epoch,
+                     p.progress.bits(place.section, 0)) for p in home
+                }  # fmt: skip
+                if len(states) > 1:
+                    return False
+        return True

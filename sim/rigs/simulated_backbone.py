@@ -1,0 +1,82 @@
+"""A backbone for segments in one swarm: delay, cuts, links that carry one way, duplicates, loss.
+
+Messages of one sender to one receiver keep their order, as Zenoh's do at one priority.
+"""
+
+from collections.abc import Callable
+from random import Random
+
+from agent.segments.gateway import Publish
+from protocol.backbone_messages import Kind
+from sim.fleet.event_loop import Swarm
+
+DELAY_US = (300, 3_000)  # from end to end; Zenoh over one switch takes 0.3 to 1 ms
+URGENT = (Kind.STOPS, Kind.RESETS)
+
+
+class SimulatedBackbone:
+    def __init__(self, swarm: Swarm, seed: int | str) -> None:
+        self.swarm = swarm
+        self.nodes: list[Node] = []
+        self.deaf: set[tuple[int, int]] = set()  # (from segment, to segment): nothing arrives
+        self.loss = self.duplicate = 0.0
+        self.messages = self.bytes = 0
+        self._rng = Random(f"{seed}/backbone")
+
+    def attach(self, segment: int) -> "Node":
+        node = Node(self, segment)
+        self.nodes.append(node)
+        return node
+
+    def cut(self, *islands: set[int]) -> None:
+        """Segments of different islands do not hear each other."""
+        island_of = {segment: k for k, island in enumerate(islands) for segment in island}
+        segments = {node.segment for node in self.nodes}
+        self.deaf = {
+            (a, b) for a in segments for b in segments if island_of.get(a) != island_of.get(b)
+        }
+
+    def heal(self) -> None:
+        self.deaf = set()
+
+    def carry(self, sender: "Node", message: Publish) -> None:
+        for node in self.nodes:
+            if node is sender or not node.open or message.target not in (0, node.segment):
+                continue
+            self.messages += 1
+            self.bytes += len(message.data)
+            if (sender.segment, node.segment) in self.deaf or self._chance(self.loss):
+                continue
+            for _ in range(1 + self._chance(self.duplicate)):
+                self._deliver(sender, node, message)
+
+    def _chance(self, rate: float) -> bool:
+        return rate > 0.0 and self._rng.random() < rate
+
+    def _deliver(self, sender: "Node", node: "Node", message: Publish) -> None:
+        at_us = self.swarm.now_us() + self._rng.randint(*DELAY_US)
+        lane = id(sender), message.kind in URGENT
+        at_us = node.last_us[lane] = max(at_us, node.last_us.get(lane, 0))
+        self.swarm.at(at_us, lambda: node.hear(message.data))
+
+
+class Node:
+    """One gateway's end of it."""
+
+    def __init__(self, backbone: SimulatedBackbone, segment: int) -> None:
+        self.backbone, self.segment, self.open = backbone, segment, True
+        self.last_us: dict[tuple[int, bool], int] = {}
+        self._callback: Callable[[bytes], None] | None = None
+
+    def publish(self, message: Publish) -> None:
+        self.backbone.carry(self, message)
+
+    def subscribe(self, callback: Callable[[bytes], None]) -> None:
+        self._callback = callback
+
+    def hear(self, data: bytes) -> None:
+        if self.open and self._callback is not None:
+            self._callback(data)
+
+    def close(self) -> None:
+        self.open = False

@@ -1,0 +1,160 @@
+"""N safeties on the real wire model and nothing else of a peer: how long a stop takes to be heard.
+
+The bus is saturated: poses at the fleet's beats, and a device that always has a frame of the lowest
+priority ready. Each press is a fleet of its own, so that presses are independent.
+"""
+
+from heapq import heappop, heappush
+from random import Random
+from typing import NamedTuple
+
+from agent.interface.config import STOP_REPEAT_US, beat_of
+from agent.interface.effects import Drive, Effect, Send
+from agent.safety.stop_controller import Safety, SilencePolicy
+from protocol.frames.codec import decode_once, encode
+from protocol.frames.fleet_frames import Pose
+from protocol.frames.frame import Frame
+from protocol.frames.safety_frames import EmergencyStop, Reason
+from protocol.frames.work_frames import StateSyncResponse
+from sim.can.can_segment import ERROR_US, Delivery, Wire
+from sim.can.frame_timing import BIT_US, worst_bits
+
+ADDRESS = 128
+FRAME_US = worst_bits(8) * BIT_US
+BROKEN_US = FRAME_US + ERROR_US  # a frame that is destroyed at its end, and the error frame
+LIMIT_US = 3_000_000
+
+
+class Heard(NamedTuple):
+    """One press: when the last robot was told to stand, and what the bus did meanwhile."""
+
+    last_us: int  # from the press; LIMIT_US where somebody never heard
+    errors: int  # frames destroyed on the wire
+    missed: int  # copies that the worst receiver missed
+    dry: int  # times that every copy was used up and only the source's next repeat helped
+
+    @property
+    def bound_us(self) -> int:
+        """What the last one may take at most, given what the bus did.
+
+        The frame on the wire, the stop itself; where copies were missed, the frame that slips in
+        before the first echo; errors, copies; and dry rounds, each a period of repetition and a
+        frame on the wire and a copy more.
+        """
+        first = FRAME_US + FRAME_US + BIT_US
+        echo = FRAME_US if self.missed else 0
+        rounds = self.dry * (STOP_REPEAT_US + 2 * FRAME_US)
+        return first + echo + self.errors * BROKEN_US + self.missed * FRAME_US + rounds
+
+
+class Copy(NamedTuple):
+    """A stop frame, whoever sent it."""
+
+    end_us: int
+    receivers: frozenset[int]
+    errors: int  # on the wire until then
+
+
+class StopFleet:
+    def __init__(self, robots: int, omission: float, error: float, seed: int | str) -> None:
+        self.rng = Random(f"{seed}/stop fleet")
+        self.wire = Wire(seed)
+        self.wire.faults.omission, self.wire.faults.error = omission, error
+        self.nodes = [self.wire.attach() for _ in range(robots)]
+        self.filler = self.wire.attach()
+        self.safeties = []
+        everybody = frozenset(range(robots))
+        for slot in range(robots):
+            safety = Safety(slot, 1, SilencePolicy.STOP, None, {}, 0)
+            safety.start(0)
+            safety.members(everybody, frozenset(), 0)
+            self.safeties.append(safety)
+        self.stood_us: dict[int, int] = {}
+        self._copies: list[Copy] = []
+        self._poses: list[tuple[int, int]] = []
+        self._pose_us = beat_of(robots).pose_us
+        for slot in range(robots):
+            heappush(self._poses, (self.rng.randrange(self._pose_us), slot))
+        self.now_us = 0
+
+    def press(self) -> Heard:
+        """One press by anybody, at any moment of the bus."""
+        at_us = 2_000 + self.rng.randrange(self._pose_us)
+        self._run(at_us)
+        errors = self.wire.errors
+        presser = self.rng.randrange(len(self.safeties))
+        free = frozenset(range(len(self.safeties))) - {presser}
+        self._effects(presser, self.safeties[presser].press(Reason.PERSON_IN_FIELD, at_us, free))
+        end_us = at_us + LIMIT_US
+        while len(self.stood_us) < len(self.safeties) and self.now_us < end_us:
+            self._step(end_us)
+        last_us = max(self.stood_us.values()) - at_us
+        if len(self.stood_us) < len(self.safeties):
+            last_us = LIMIT_US
+        worst = max(self.stood_us, key=lambda slot: self.stood_us[slot])
+        return Heard(last_us, self.wire.errors - errors, *self._misses(worst))
+
+    def _misses(self, slot: int) -> tuple[int, int]:
+        """(copies missed, dry rounds) until this robot had one. Copies that were ready follow each
+        other at once, but for frames that are destroyed, and for the one before the first echo."""
+        missed = dry = 0
+        before: Copy | None = None
+        for copy in self._copies:
+            if before is not None:
+                ready_us = FRAME_US + (copy.errors - before.errors) * BROKEN_US
+                ready_us += FRAME_US if missed == 1 else 0
+                dry += copy.end_us - before.end_us > ready_us
+            before = copy
+            if self.nodes[slot] in copy.receivers:
+                break
+            missed += 1
+        return missed, dry
+
+    def _run(self, until_us: int) -> None:
+        while self.now_us < until_us:
+            self._step(until_us)
+
+    def _step(self, until_us: int) -> None:
+        wire = self.wire
+        if not wire.nodes[self.filler].queue:
+            low = encode(StateSyncResponse(1, 1, 1, 1, 1, 1), 250)
+            wire.submit(self.filler, Frame(low.identifier, self.rng.randbytes(8)), self.now_us)
+        times = [until_us, self._poses[0][0]]
+        if wire.next_us is not None:
+            times.append(wire.next_us)
+        times += [safety.deadline_us for safety in self.safeties]
+        self.now_us = max(self.now_us, min(times))
+        for delivery in wire.advance(self.now_us):
+            self._deliver(delivery)
+        while self._poses[0][0] <= self.now_us:
+            due_us, slot = heappop(self._poses)
+            heappush(self._poses, (due_us + self._pose_us, slot))
+            stopped = self.safeties[slot].latched
+            pose = Pose(
+                self.rng.uniform(-50, 50), slot, 1.0, 2.0, 3, stopped, due_us // 50_000 & 255
+            )
+            wire.submit(self.nodes[slot], encode(pose, ADDRESS + slot), self.now_us)
+        for slot, safety in enumerate(self.safeties):
+            if safety.deadline_us <= self.now_us:
+                self._effects(slot, safety.tick(self.now_us))
+
+    def _deliver(self, delivery: Delivery) -> None:
+        source, message = decode_once(delivery.frame)
+        if not isinstance(message, EmergencyStop):
+            return
+        copy = Copy(delivery.t_us, frozenset(delivery.receivers), self.wire.errors)
+        self._copies.append(copy)
+        for node in delivery.receivers:
+            if node < len(self.safeties):
+                safety = self.safeties[node]
+                self._effects(node, safety.receive_stop(message, source - ADDRESS, delivery.t_us))
+
+    def _effects(self, slot: int, effects: object) -> None:
+        assert isinstance(effects, list | tuple)
+        effect: Effect
+        for effect in effects:
+            if isinstance(effect, Drive):
+                self.stood_us.setdefault(slot, self.now_us)
+            elif isinstance(effect, Send):
+                frame = encode(effect.message, ADDRESS + slot, effect.destination)
+                self.wire.submit(self.nodes[slot], frame, self.now_us)

@@ -1,0 +1,77 @@
+"""Binary time logs of ISO 11783-10 (TLG, type 1): a header in XML that says what a record holds, and
+the records.
+
+    bytes 0..3   time of day, ms         4..5   days since 1 January 1980
+    bytes 6..9   latitude, 1e-7 degrees  10..13 longitude, 1e-7 degrees
+    byte 14      position status (4: RTK fixed)
+    byte 15      values that follow: 1, or 0 where the value is as before
+    bytes 16..20 index 0 and the work state: 0 up, 1 down (DDI 141), little endian throughout
+"""
+
+from collections.abc import Sequence
+from datetime import UTC, datetime, timedelta
+from struct import Struct
+
+from sim.runs.work_record import LogPoint
+
+EPOCH = datetime(1980, 1, 1, tzinfo=UTC)
+WORK_STATE = 141  # DDI: Actual Work State
+RTK_FIXED = 4
+DEGREE = 10_000_000
+DAY_MS = 86_400_000
+FIXED = Struct("<IHiiBB")
+VALUE = Struct("<Bi")
+MILLISECOND = timedelta(milliseconds=1)
+
+HEADER = (
+    '<?xml version="1.0" encoding="UTF-8"?>\n'
+    '<TIM A="" D="4">\n'
+    '    <PTN A="" B="" D=""/>\n'
+    '    <DLV A="{ddi:04X}" B="" C="{element}"/>\n'
+    "</TIM>\n"
+)
+
+
+class BadTimeLog(Exception):
+    """Records that are not as the header says."""
+
+
+def header(element: str) -> str:
+    """The XML beside the records; `element` is the device element whose work state it is."""
+    return HEADER.format(ddi=WORK_STATE, element=element)
+
+
+def pack(log: Sequence[LogPoint], started: datetime) -> bytes:
+    """Records of one robot's way."""
+    start_ms = (started - EPOCH) // MILLISECOND
+    records, before = [], None
+    for point in log:
+        days, day_ms = divmod(start_ms + point.t_ms, DAY_MS)
+        values = VALUE.pack(0, int(point.working)) if point.working is not before else b""
+        before = point.working
+        lat, lon = round(point.lat * DEGREE), round(point.lon * DEGREE)
+        records.append(FIXED.pack(day_ms, days, lat, lon, RTK_FIXED, bool(values)) + values)
+    return b"".join(records)
+
+
+def unpack(records: bytes, started: datetime) -> tuple[LogPoint, ...]:
+    """The inverse of `pack`. BadTimeLog where it is none of ours."""
+    start_ms = (started - EPOCH) // MILLISECOND
+    at, working, log = 0, False, []
+    while at < len(records):
+        if at + FIXED.size > len(records):
+            raise BadTimeLog(f"{len(records) - at} bytes at the end are no record")
+        day_ms, days, lat, lon, _, values = FIXED.unpack_from(records, at)
+        at += FIXED.size
+        if at + values * VALUE.size > len(records):
+            raise BadTimeLog("the last record is cut off")
+        for _ in range(values):
+            index, value = VALUE.unpack_from(records, at)
+            at += VALUE.size
+            if index == 0:
+                working = value == 1
+        if abs(lat) > 90 * DEGREE or abs(lon) > 180 * DEGREE or day_ms >= DAY_MS:
+            raise BadTimeLog("a record that is nowhere or at no time")
+        t_ms = days * DAY_MS + day_ms - start_ms
+        log.append(LogPoint(t_ms, round(lon / DEGREE, 7), round(lat / DEGREE, 7), working))
+    return tuple(log)

@@ -1,0 +1,227 @@
+"""A work record as ISO 11783-10 task data (version 4.3), and back.
+
+    PFD  the field: its boundary with holes (PLN 1), and
+         GGP > GPN, one guidance line a swath: AB where it is straight, else a curve; its name is
+         that of its section
+    TSK  the work: completed or paused, TIM with its times, TZN with what was covered (PLN 2),
+         TLG with each robot's way and whether the implement was down
+    DVC  each robot, with the width of its implement (DDI 67) and its work state (DDI 141)
+
+Written as a folder, or as a zip where the name ends so.
+"""
+
+import zipfile
+from datetime import UTC, timedelta
+from decimal import Decimal
+from pathlib import Path
+from typing import Any
+
+from protocol.name import fleet_name
+from sim.files.field_error import FieldFileError, LonLat
+from sim.files.isoxml_reader import NAME, code, load_task_data, position, read_part
+from sim.runs.isoxml_time_log import WORK_STATE, BadTimeLog, header, pack, unpack
+from sim.runs.work_record import OUTLINE_DIGITS, LogPoint, Rings, Swath, WorkRecord, area_m2
+
+WIDTH = 67  # DDI: Actual Working Width, mm
+DEVICE, WIDTH_OBJECT, STATE_OBJECT = 0, 1, 2  # object numbers within a device
+ON_CHANGE = 8  # DPD D: the value is logged when it changes
+ZONE = 1  # code of the treatment zone that was worked
+
+
+def write_isoxml(record: WorkRecord, out: Path) -> None:
+    """Task data into a folder (made if need be) or a zip. FieldFileError without `isoxml`."""
+    try:
+        from isoxml.util.isoxml_io import isoxml_to_text
+    except ImportError:
+        raise FieldFileError(
+            f"{out}: task data needs the package isoxml: pip install 'headland[isoxml]'"
+        ) from None
+    files = {NAME: isoxml_to_text(_task_data(record)).encode()}
+    for number, (robot, log) in enumerate(sorted(record.logs.items()), 1):
+        files[f"TLG{number:05d}.xml"] = header(f"DET-{robot + 1}").encode()
+        files[f"TLG{number:05d}.bin"] = pack(log, record.started)
+    if out.suffix.lower() == ".zip":
+        with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
+            for name, content in files.items():
+                archive.writestr(name, content)  # at the top: `isoxml` looks nowhere else
+        return
+    out.mkdir(parents=True, exist_ok=True)
+    for name, content in files.items():
+        (out / name).write_bytes(content)
+
+
+def _task_data(record: WorkRecord) -> Any:
+    import isoxml.models.base.v4 as iso
+
+    return iso.Iso11783TaskData(
+        management_software_manufacturer="Headland",
+        management_software_version="0.1.0",
+        task_controller_manufacturer="Headland",
+        task_controller_version="0.1.0",
+        data_transfer_origin=iso.Iso11783TaskDataDataTransferOrigin.MICS,
+        devices=[_device(iso, record, robot) for robot in sorted(record.logs)],
+        partfields=[_partfield(iso, record)],
+        tasks=[_task(iso, record)],
+    )
+
+
+def _partfield(iso: Any, record: WorkRecord) -> Any:
+    kinds = iso.GuidancePatternType
+    patterns = [
+        iso.GuidancePattern(
+            id=f"GPN-{number}",
+            designator=f"S{swath.section}",
+            type=kinds.AB if len(swath.points) == 2 else kinds.Curve,
+            propagation_direction=iso.GuidancePatternPropagationDirection.NoPropagation,
+            extension=iso.GuidancePatternExtension.NoExtensions,
+            line_strings=[_guidance_line(iso, swath.points)],
+        )
+        for number, swath in enumerate(record.swaths, 1)
+    ]
+    return iso.Partfield(
+        id="PFD-1",
+        designator=record.name,
+        area=area_m2(record.boundary),
+        polygons=[_polygon(iso, record.boundary, iso.PolygonType.PartfieldBoundary)],
+        guidance_groups=[
+            iso.GuidanceGroup(id="GGP-1", designator="swaths", guidance_patterns=patterns)
+        ],
+    )
+
+
+def _guidance_line(iso: Any, points: tuple[LonLat, ...]) -> Any:
+    kinds = iso.PointType
+    last = len(points) - 1
+    ends = {0: kinds.GuidanceReferenceA, last: kinds.GuidanceReferenceB}
+    return iso.LineString(
+        type=iso.LineStringType.GuidancePattern,
+        points=[_point(iso, p, ends.get(k, kinds.GuidancePoint)) for k, p in enumerate(points)],
+    )
+
+
+def _polygon(iso: Any, rings: Rings, kind: Any) -> Any:
+    kinds = iso.LineStringType
+    lines = [
+        iso.LineString(
+            type=kinds.PolygonInterior if k else kinds.PolygonExterior,
+            points=[_point(iso, p, iso.PointType.Other) for p in ring],
+        )
+        for k, ring in enumerate(rings)
+    ]
+    return iso.Polygon(type=kind, line_strings=lines)
+
+
+def _point(iso: Any, at: LonLat, kind: Any) -> Any:
+    east, north = (Decimal(f"{v:.{OUTLINE_DIGITS}f}") for v in at)
+    return iso.Point(type=kind, north=north, east=east)
+
+
+def _device(iso: Any, record: WorkRecord, robot: int) -> Any:
+    element = iso.DeviceElement(
+        id=f"DET-{robot + 1}", object_id=DEVICE + 10, type=iso.DeviceElementType.Device,
+        designator=f"robot {robot}", number=0, parent_object_id=DEVICE,
+        device_object_references=[
+            iso.DeviceObjectReference(device_object_id=WIDTH_OBJECT),
+            iso.DeviceObjectReference(device_object_id=STATE_OBJECT),
+        ],
+    )  # fmt: skip
+    return iso.Device(
+        id=f"DVC-{robot + 1}",
+        designator=f"robot {robot}",
+        client_name=fleet_name(record.name, robot).pack().to_bytes(8, "big"),
+        structure_label="48454144000001",  # any seven bytes that change with the elements below
+        localization_label=b"\xff\x00\x00\x00\x00\x6e\x65",  # byte 7 first: no units, "en"
+        elements=[element],
+        properties=[
+            iso.DeviceProperty(object_id=WIDTH_OBJECT, ddi=_ddi(WIDTH), value=record.width_mm)
+        ],
+        process_data=[
+            iso.DeviceProcessData(
+                object_id=STATE_OBJECT, ddi=_ddi(WORK_STATE), property=0, trigger_methods=ON_CHANGE
+            )
+        ],
+    )
+
+
+def _ddi(number: int) -> bytes:
+    return number.to_bytes(2, "big")
+
+
+def _task(iso: Any, record: WorkRecord) -> Any:
+    from xsdata.models.datatype import XmlDateTime
+
+    zone = iso.TreatmentZone(
+        code=ZONE,
+        designator="covered",
+        polygons=[_polygon(iso, rings, iso.PolygonType.TreatmentZone) for rings in record.covered],
+    )
+    stopped = record.started + timedelta(milliseconds=record.duration_ms)
+    statuses = iso.TaskStatus
+    return iso.Task(
+        id="TSK-1",
+        designator=record.name,
+        partfield_id_ref="PFD-1",
+        status=statuses.Completed if record.finished else statuses.Paused,
+        treatment_zones=[zone] if record.covered else [],
+        guidance_allocations=[iso.GuidanceAllocation(guidance_group_id_ref="GGP-1")],
+        times=[
+            iso.Time(
+                start=XmlDateTime.from_datetime(record.started),
+                stop=XmlDateTime.from_datetime(stopped),
+                type=iso.TimeType.Effective,
+            )
+        ],
+        device_allocations=[
+            iso.DeviceAllocation(
+                client_name_value=fleet_name(record.name, robot).pack().to_bytes(8, "big"),
+                device_id_ref=f"DVC-{robot + 1}",
+            )
+            for robot in sorted(record.logs)
+        ],
+        time_logs=[
+            iso.TimeLog(filename=f"TLG{k:05d}", type=iso.TimeLogType.BinaryTimelogFileType1)
+            for k in range(1, len(record.logs) + 1)
+        ],
+    )
+
+
+def read_work_isoxml(path: Path) -> WorkRecord:
+    """FieldFileError where it is not what `write_isoxml` writes."""
+    data = load_task_data(path)
+    try:
+        field, task = data.partfields[0], data.tasks[0]
+        started = task.times[0].start.to_datetime().astimezone(UTC)
+        names = [log.filename for log in task.time_logs]
+        robots = [int(d.device_id_ref.removeprefix("DVC-")) - 1 for d in task.device_allocations]
+        width_mm = int(data.devices[0].properties[0].value)
+        swaths = tuple(
+            Swath(int(g.designator.removeprefix("S")), _places(path, g.line_strings[0].points))
+            for g in field.guidance_groups[0].guidance_patterns
+        )
+        zones = [polygon for zone in task.treatment_zones for polygon in zone.polygons]
+        logs = {robot: _log(path, name, started) for robot, name in zip(robots, names, strict=True)}
+        return WorkRecord(
+            str(field.designator), started, code(task.status) == "4", width_mm,
+            _rings(path, field.polygons[0]), swaths,
+            tuple(_rings(path, zone) for zone in zones), logs,
+        )  # fmt: skip
+    except (AttributeError, IndexError, TypeError, ValueError) as problem:
+        raise FieldFileError(f"{path}: not a work record: {problem!r}") from None
+
+
+def _log(path: Path, name: Any, started: Any) -> tuple[LogPoint, ...]:
+    records = read_part(path, f"{name}.BIN")
+    if records is None:
+        raise FieldFileError(f"{path}: no {name}.BIN there")
+    try:
+        return unpack(records, started)
+    except BadTimeLog as problem:
+        raise FieldFileError(f"{path}: {name}.BIN: {problem}") from None
+
+
+def _places(path: Path, points: list[Any]) -> tuple[LonLat, ...]:
+    return tuple(position(path, "a line", point) for point in points)
+
+
+def _rings(path: Path, polygon: Any) -> Rings:
+    return tuple(_places(path, line.points) for line in polygon.line_strings)

@@ -1,0 +1,93 @@
+"""A work record as GeoJSON (RFC 7946): what `headland run` leaves in its folder as work.geojson."""
+
+import json
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from sim.files.field_error import FieldFileError
+from sim.files.field_file import load_json
+from sim.runs.work_record import LogPoint, Rings, Swath, WorkRecord
+
+
+def write_geojson(record: WorkRecord, path: Path, run: str | None = None) -> None:
+    """`run`: the hash of the run's frames, which its report.json has as `log_hash`."""
+    features = [
+        _feature(
+            "Polygon", record.boundary, kind="boundary", name=record.name,
+            started=record.started.isoformat(), finished=record.finished, width_mm=record.width_mm,
+        )
+    ]  # fmt: skip
+    features += [
+        _feature("LineString", s.points, kind="swath", section=s.section) for s in record.swaths
+    ]
+    features += [
+        _feature("Polygon", rings, kind="covered", name="covered") for rings in record.covered
+    ]
+    for robot, log in sorted(record.logs.items()):
+        features.append(
+            _feature(
+                "LineString", [(p.lon, p.lat) for p in log], kind="log", robot=robot,
+                t_ms=[p.t_ms for p in log], working=[int(p.working) for p in log],
+            )
+        )  # fmt: skip
+    document: dict[str, Any] = {"type": "FeatureCollection", "features": features}
+    if run is not None:
+        document["run"] = run
+    path.write_text(json.dumps(document, ensure_ascii=False) + "\n", encoding="utf-8")
+
+
+def _feature(kind_of: str, coordinates: Any, **properties: Any) -> dict[str, Any]:
+    geometry = {"type": kind_of, "coordinates": coordinates}
+    return {"type": "Feature", "properties": properties, "geometry": geometry}
+
+
+def read_work_geojson(path: Path) -> WorkRecord:
+    """FieldFileError where it is not what `write_geojson` writes."""
+    document = load_json(path)
+    try:
+        return _record(document)
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError) as problem:
+        raise FieldFileError(f"{path}: not a work record: {problem!r}") from None
+
+
+def run_of(path: Path) -> str | None:
+    """The run that a work record says it is of. FieldFileError where it is not JSON."""
+    said = load_json(path).get("run")
+    return said if isinstance(said, str) else None
+
+
+def _record(document: dict[str, Any]) -> WorkRecord:
+    swaths: list[Swath] = []
+    covered: list[Rings] = []
+    logs: dict[int, tuple[LogPoint, ...]] = {}
+    head: dict[str, Any] = {}
+    for feature in document["features"]:
+        said, coordinates = feature["properties"], feature["geometry"]["coordinates"]
+        match said["kind"]:
+            case "boundary":
+                head = {**said, "rings": _rings(coordinates)}
+            case "swath":
+                swaths.append(Swath(int(said["section"]), _points(coordinates)))
+            case "covered":
+                covered.append(_rings(coordinates))
+            case "log":
+                logs[int(said["robot"])] = tuple(
+                    LogPoint(int(t_ms), lon, lat, bool(working))
+                    for t_ms, (lon, lat), working in zip(
+                        said["t_ms"], _points(coordinates), said["working"], strict=True
+                    )
+                )
+    started = datetime.fromisoformat(head["started"]).astimezone(UTC)
+    return WorkRecord(
+        str(head["name"]), started, bool(head["finished"]), int(head["width_mm"]), head["rings"],
+        tuple(swaths), tuple(covered), logs,
+    )  # fmt: skip
+
+
+def _points(coordinates: Any) -> tuple[tuple[float, float], ...]:
+    return tuple((float(p[0]), float(p[1])) for p in coordinates)
+
+
+def _rings(coordinates: Any) -> Rings:
+    return tuple(_points(ring) for ring in coordinates)

@@ -1,0 +1,134 @@
+"""Finished work as others can use it: what was to be done, what was covered, and who drove where.
+
+Positions are longitude and latitude in degrees (WGS 84), rounded to what ISO 11783-10 can carry:
+1e-9 degrees (0.1 mm) in outlines, 1e-7 (1 cm) and milliseconds in time logs. `work_geojson.py` and
+`work_isoxml.py` write it and read it back equal.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from datetime import datetime
+from typing import Any, NamedTuple
+
+import shapely
+from pyproj import Geod, Transformer
+from shapely.geometry import LineString, Polygon
+from shapely.geometry.base import BaseGeometry
+from shapely.geometry.polygon import orient
+
+from agent.field.field_map import Field
+from sim.files.field_error import LonLat
+from sim.files.field_file import plane
+from sim.world.ground_truth import TrackPoint
+
+OUTLINE_DIGITS, LOG_DIGITS = 9, 7
+LOG_US = 1_000_000  # a time log has a record a second, as task controllers keep it, and
+# one wherever the implement goes up or down
+DETAIL_M = 0.02  # how far the outline of what was covered may be off
+NAME_MAX = 32  # characters, the limit of ISO 11783-10
+GRID_M = 0.001  # its points are on millimetres, so that no rounding makes it cross itself
+
+Rings = tuple[tuple[LonLat, ...], ...]  # the exterior first; each ends where it began
+
+
+class Swath(NamedTuple):
+    section: int
+    points: tuple[LonLat, ...]
+
+
+class LogPoint(NamedTuple):
+    t_ms: int  # since the record's beginning
+    lon: float
+    lat: float
+    working: bool  # the implement is down from here on
+
+
+class WorkRecord(NamedTuple):
+    name: str
+    started: datetime  # UTC
+    finished: bool  # every section was done
+    width_mm: int  # of the implement
+    boundary: Rings
+    swaths: tuple[Swath, ...]
+    covered: tuple[Rings, ...]
+    logs: Mapping[int, tuple[LogPoint, ...]]  # robot -> its way, in order of time
+
+    @property
+    def duration_ms(self) -> int:
+        return max((log[-1].t_ms for log in self.logs.values() if log), default=0)
+
+
+def record_of(
+    field: Field, tracks: Mapping[int, Sequence[TrackPoint]], finished: bool, started: datetime
+) -> WorkRecord:
+    """From a field in metres and the ways of its robots."""
+    back = Transformer.from_crs(plane(field.origin), "EPSG:4326", always_xy=True).transform
+
+    def degrees(points: Iterable[Sequence[float]], digits: int = OUTLINE_DIGITS) -> Any:
+        rows = list(points)
+        lon, lat = back([p[0] for p in rows], [p[1] for p in rows])
+        return tuple((round(x, digits), round(y, digits)) for x, y in zip(lon, lat, strict=True))
+
+    def rings(shape: Polygon) -> Rings:
+        return tuple(degrees(ring.coords) for ring in (shape.exterior, *shape.interiors))
+
+    logs = {}
+    for slot, track in sorted(tracks.items()):
+        kept = list(_thinned(track))
+        if not kept:
+            continue
+        places = degrees([(x, y) for _, x, y, _ in kept], LOG_DIGITS)
+        logs[slot] = tuple(
+            LogPoint(t_us // 1000, lon, lat, bool(tool))
+            for (t_us, _, _, tool), (lon, lat) in zip(kept, places, strict=True)
+        )
+    return WorkRecord(
+        name=field.name[:NAME_MAX],
+        started=started.replace(microsecond=0),
+        finished=finished,
+        width_mm=round(field.implement_width_m * 1000),
+        boundary=rings(field.polygon),
+        swaths=tuple(Swath(s.id, degrees(line)) for s in field.sections for line in s.swaths),
+        covered=tuple(rings(part) for part in covered_area(field, tracks)),
+        logs=logs,
+    )
+
+
+def covered_area(field: Field, tracks: Mapping[int, Sequence[TrackPoint]]) -> list[Polygon]:
+    """What the implement swept inside the fences, metres."""
+    half_m = field.implement_width_m / 2
+    strokes = [
+        LineString(stroke).simplify(DETAIL_M).buffer(half_m, cap_style="flat", join_style="round")
+        for _, track in sorted(tracks.items())
+        for stroke in _strokes(track)
+    ]
+    swept: BaseGeometry = shapely.unary_union(strokes).intersection(field.polygon)
+    swept = shapely.set_precision(swept.simplify(DETAIL_M), GRID_M)
+    parts = swept.geoms if hasattr(swept, "geoms") else [swept]
+    return [p for p in parts if isinstance(p, Polygon) and p.area > 0.0]
+
+
+def _strokes(track: Sequence[TrackPoint]) -> Iterator[list[tuple[float, float]]]:
+    stroke: list[tuple[float, float]] = []
+    for _, x_m, y_m, tool in track:
+        if tool or stroke:
+            stroke.append((x_m, y_m))
+        if not tool and stroke:
+            if len(set(stroke)) > 1:
+                yield stroke
+            stroke = []
+    if len(set(stroke)) > 1:
+        yield stroke
+
+
+def _thinned(track: Sequence[TrackPoint]) -> Iterator[TrackPoint]:
+    last_us, tool = -LOG_US, None
+    for k, point in enumerate(track):
+        if point[0] - last_us >= LOG_US or point[3] != tool or k == len(track) - 1:
+            last_us, tool = point[0], point[3]
+            yield point
+
+
+def area_m2(rings: Rings) -> int:
+    """Of a polygon in degrees, on the ellipsoid, in whole square metres."""
+    polygon = orient(Polygon(rings[0], rings[1:]))
+    return round(Geod(ellps="WGS84").geometry_area_perimeter(polygon)[0])

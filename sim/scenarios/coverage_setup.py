@@ -1,0 +1,78 @@
+"""A grid map with a fleet on it: what a cluster needs to run whole peers that cover it."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from random import Random
+from typing import cast
+
+from agent.coverage.cell_map import Ground
+from agent.coverage.coverage_mission import GridWork
+from agent.coverage.proximity_guard import GridGuard
+from agent.safety.stop_controller import SilencePolicy
+from protocol.authentication import Keyring
+from sim.files.grid_map import Instance
+from sim.scenarios.scenario import BusTable, Fault, FieldTable, FleetTable, RunTable, Scenario
+from sim.world.grid_world import GridWorld
+from sim.world.world import World
+
+# The robots of the field scenarios: a cell is their working width.
+CELL_M, SPEED_M_S, RADIUS_M = 4.0, 2.5, 0.8
+STEP_S = CELL_M / SPEED_M_S
+
+
+class GridSetting:
+    def __init__(self, scenario: Scenario, instance: Instance, turn_cost: float = 0.0) -> None:
+        """ValueError: more free cells than have a number on the wire."""
+        self.scenario, self.instance, self.turn_cost = scenario, instance, turn_cost
+        self.ground = Ground(instance.walls, CELL_M)
+        self.cells = [self.ground.number(cell) for cell in instance.starts]
+        self.starts = [self.ground.centre(number) for number in self.cells]  # metres
+        self.silence = SilencePolicy[scenario.fleet.silence.upper()]
+
+    @classmethod
+    def made(
+        cls,
+        instance: Instance,
+        *,
+        seed: int = 1,
+        faults: Sequence[Fault] = (),
+        loss: float = 0.0,
+        silence: str = "continue",
+        time_limit_s: float = 3600.0,
+        turn_cost: float = 0.0,
+    ) -> "GridSetting":
+        """Without a scenario file. Robots are numbered as the instance's starts."""
+        scenario = Scenario.model_validate({
+            "name": instance.name[:64] or "grid",
+            "field": FieldTable(file="none"),
+            "fleet": FleetTable.model_validate({
+                "robots": len(instance.starts), "radius_m": RADIUS_M, "speed_m_s": SPEED_M_S,
+                "silence": silence,
+            }),
+            "bus": BusTable(loss=loss),
+            "run": RunTable(seed=seed, time_limit_s=time_limit_s),
+            "fault": list(faults), "folder": Path(),
+        })  # fmt: skip
+        return cls(scenario, instance, turn_cost)
+
+    @property
+    def config_hash(self) -> int:
+        return self.ground.check
+
+    @property
+    def section_count(self) -> int:
+        return len(self.ground.section_units)
+
+    def mission(self, slot: int) -> GridWork:
+        rng = Random(f"{self.scenario.run.seed}/grid/{slot}")
+        return GridWork(slot, self.ground, SPEED_M_S, rng, self.turn_cost)
+
+    def motion(self, slot: int) -> GridGuard:
+        return GridGuard(CELL_M, RADIUS_M, SPEED_M_S)
+
+    def world(self) -> World:
+        """Empty: robots come when they are switched on. It answers all that a cluster asks."""
+        return cast(World, GridWorld(self.ground, RADIUS_M))
+
+    def keyring(self, sender: int, lot: str) -> Keyring | None:
+        return None

@@ -1,0 +1,157 @@
+"""Warehouse scenarios: a map, bays, batteries, and tasks from the file, from CSV or JSON lines."""
+
+import csv
+from collections.abc import Iterable
+from pathlib import Path
+from random import Random
+from typing import Any, Literal, NamedTuple
+
+from pydantic import Field
+
+from agent.delivery.task_registry import TASKS_MAX
+from sim.files.given_file import (
+    SCENARIO_BYTES_MAX,
+    TASKS_BYTES_MAX,
+    GivenFileError,
+    parse_json,
+    read_text,
+    read_toml,
+)
+from sim.scenarios.scenario import (
+    FieldTable,
+    FleetTable,
+    RunTable,
+    Scenario,
+    ScenarioError,
+    _Table,
+    load_kind,
+)
+
+WAREHOUSES = Path(__file__).parents[1] / "warehouses"
+XY = tuple[float, float]
+TASK_KEYS = ("pickup_x_m", "pickup_y_m", "dropoff_x_m", "dropoff_y_m", "at_s")
+
+
+class TaskRow(NamedTuple):
+    """One task of a file: metres from the south-west corner of the map, seconds from the start."""
+
+    pickup: XY
+    dropoff: XY
+    at_s: float = 0.0
+
+
+class Outage(_Table):
+    """From then on a bay gives nothing."""
+
+    bay: int = Field(ge=0)
+    at_s: float = Field(ge=0.0)
+
+
+class BatteryTable(_Table):
+    range_m: float = Field(default=0.0, ge=0.0)  # a full battery drives so far; 0: no limit
+    standby_s: float = Field(default=0.0, ge=0.0)  # and is on for so long; 0: no limit
+    dock_s: float = Field(default=5.0, ge=0.0, le=600.0)
+    charge_s: float = Field(default=60.0, gt=0.0, le=86_400.0)
+    reserve: float = Field(default=0.15, ge=0.0, le=0.5)
+
+
+class WarehouseTable(_Table):
+    map: str  # a file in Moving AI format, or the drawing itself
+    cell_m: float = Field(default=1.0, ge=0.5, le=10.0)
+    bays: list[XY] = Field(default=[])
+    outage: list[Outage] = Field(default=[])
+    tasks: str | None = None  # CSV or JSON lines
+    random_tasks: int = Field(default=0, ge=0, lt=TASKS_MAX)  # with the seed of the run; and
+    random_over_s: float = Field(default=0.0, ge=0.0)  # so many seconds in which they arrive
+    boxes_a_minute: float = Field(default=0.0, ge=0.0, le=60.0)  # dropped at random, for box_s
+    box_s: float = Field(default=20.0, gt=0.0)
+    boxes_until_s: float = Field(default=120.0, ge=0.0)
+    handle_s: float = Field(default=2.0, ge=0.1, le=600.0)
+    t_max: int = Field(default=4, ge=1, le=100)
+
+
+class WarehouseFleet(FleetTable):
+    robots: int = Field(default=6, ge=1, le=108)
+    radius_m: float = Field(default=0.3, gt=0.05, le=5.0)
+    speed_m_s: float = Field(default=1.0, gt=0.05, le=12.7)
+    acceleration_m_s2: float = Field(default=2.0, gt=0.05, le=10.0)
+    silence: Literal["stop", "slow", "continue"] = "continue"
+
+
+class WarehouseScenario(Scenario):
+    mission: Literal["delivery"] = "delivery"  # type: ignore[assignment]
+    field: FieldTable = FieldTable(file="")  # there is none
+    fleet: FleetTable = WarehouseFleet()
+    run: RunTable = RunTable()
+    warehouse: WarehouseTable
+    battery: BatteryTable = BatteryTable()
+
+
+class _Parsed(WarehouseScenario):
+    fleet: WarehouseFleet = WarehouseFleet()
+
+
+def is_warehouse(name: str) -> bool:
+    """Whether a name is that of a warehouse; what is wrong with the file is told when it is loaded."""
+    path = Path(name)
+    if not path.suffix and not path.exists():
+        path = WAREHOUSES / f"{name}.toml"
+    if path.suffix != ".toml" or not path.is_file():
+        return False
+    try:
+        return read_toml(path, SCENARIO_BYTES_MAX).get("mission") == "delivery"
+    except GivenFileError:
+        return False
+
+
+def load_warehouse(name: str) -> WarehouseScenario:
+    """By file, or by the name of one that ships."""
+    return load_kind(name, _Parsed, WAREHOUSES)
+
+
+def read_tasks(path: Path) -> list[TaskRow]:
+    """CSV with a header, or JSON lines, with the keys `TASK_KEYS`; `at_s` may be left out."""
+    try:
+        text = read_text(path, TASKS_BYTES_MAX)
+    except GivenFileError as problem:
+        raise ScenarioError(f"{path}: {problem}") from None
+    rows = _json_lines(path, text) if path.suffix.lower() in (".jsonl", ".json") else _csv(text)
+    return [_row(path, number, row) for number, row in rows]
+
+
+def _csv(text: str) -> Iterable[tuple[int, Any]]:
+    return enumerate(csv.DictReader(text.splitlines()), start=2)
+
+
+def _json_lines(path: Path, text: str) -> Iterable[tuple[int, Any]]:
+    for number, line in enumerate(text.splitlines(), start=1):
+        if line.strip():
+            try:
+                yield number, parse_json(line)
+            except GivenFileError as problem:
+                raise ScenarioError(f"{path}: line {number}: {problem}") from None
+
+
+def _row(path: Path, number: int, row: Any) -> TaskRow:
+    if not isinstance(row, dict):
+        raise ScenarioError(f"{path}: line {number}: not an object with {', '.join(TASK_KEYS)}")
+    found = []
+    for key in TASK_KEYS:
+        value = row.get(key)
+        if key == "at_s" and value in (None, ""):
+            value = 0.0
+        try:
+            found.append(float(value))  # type: ignore[arg-type]
+        except (TypeError, ValueError):
+            raise ScenarioError(
+                f"{path}: line {number}: {key}: a number is needed, not {value!r}"
+            ) from None
+    return TaskRow((found[0], found[1]), (found[2], found[3]), found[4])
+
+
+def random_tasks(cells: list[XY], count: int, over_s: float, rng: Random) -> list[TaskRow]:
+    rows = []
+    for _ in range(count):
+        pickup, dropoff = rng.sample(cells, 2)
+        rows.append(TaskRow(pickup, dropoff, rng.uniform(0.0, over_s) if over_s else 0.0))
+    return sorted(rows, key=lambda row: row.at_s)

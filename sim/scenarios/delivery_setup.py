@@ -1,0 +1,159 @@
+"""A delivering fleet of a scenario file: building, places of the robots, tasks, and true parcels."""
+
+from collections.abc import Mapping
+from functools import cached_property
+from random import Random
+
+import numpy as np
+
+from agent.delivery.cost_matrix import Carrier
+from agent.delivery.delivery_mission import Delivery
+from agent.delivery.task_registry import Order
+from agent.delivery.warehouse import Warehouse
+from agent.interface.config import BRAKING_SHARE
+from agent.mapping.building import Floor, FloorError
+from protocol.authentication import Keyring
+from protocol.sync.map_sync import MapSync
+from sim.files.given_file import DRAWING_BYTES_MAX, GivenFileError, read_text
+from sim.files.key_file import FLEET, KeyFileError, read
+from sim.scenarios.delivery_scenario import TaskRow, WarehouseScenario, random_tasks, read_tasks
+from sim.scenarios.navigation_setup import NOTHING, ErrandSetting, scattered
+from sim.scenarios.scenario import Box, ScenarioError
+from sim.world.parcel_truth import Parcels
+
+APART_M = 1.5  # robots at the start
+PLANNING_SPEED = 0.8  # of the full speed over a way, turns, braking and others included
+BOX_M = 0.5
+
+
+class DeliverySetting(ErrandSetting):
+    scenario: WarehouseScenario
+
+    def __init__(self, scenario: WarehouseScenario) -> None:
+        """Raises ScenarioError where the warehouse cannot be used."""
+        name, table, fleet = scenario.name, scenario.warehouse, scenario.fleet
+        floor = floor_of(scenario)
+        rng = Random(f"{scenario.run.seed}/warehouse")
+        try:
+            starts = scattered(floor, fleet.robots, rng, APART_M)
+        except ValueError as problem:
+            raise ScenarioError(f"{name}: fleet.robots: {problem}") from None
+        super().__init__(scenario, floor, starts, [()] * fleet.robots)
+        self.keys = None
+        if fleet.keys is not None:
+            try:
+                self.keys = read(scenario.folder / fleet.keys, FLEET).keys
+            except KeyFileError as problem:
+                raise ScenarioError(f"{name}: fleet.keys: {problem}") from None
+        battery = scenario.battery
+        self.carrier = Carrier(
+            PLANNING_SPEED * fleet.speed_m_s, table.handle_s, battery.range_m, battery.standby_s,
+            battery.dock_s, battery.charge_s, battery.reserve,
+        )  # fmt: skip
+        plain = Warehouse(floor, self.carrier)
+        for number, bay in enumerate(table.bays):
+            if plain.cell(bay) is None:
+                raise ScenarioError(f"{name}: warehouse.bays.{number}: {bay} is not on free floor")
+        self.rows = self._rows(plain, rng)
+        self.house = Warehouse(floor, self.carrier, table.bays, self._known(plain), table.t_max)
+
+    def _rows(self, house: Warehouse, rng: Random) -> list[TaskRow]:
+        """Those of the file, then random ones."""
+        scenario, table = self.scenario, self.scenario.warehouse
+        rows = []
+        if table.tasks is not None:
+            rows = read_tasks(scenario.folder / table.tasks)
+        rows += random_tasks(self.cells, table.random_tasks, table.random_over_s, rng)
+        for number, row in enumerate(rows):
+            for key, at in (("pickup", row.pickup), ("dropoff", row.dropoff)):
+                if house.cell(at) is None:
+                    raise ScenarioError(
+                        f"{scenario.name}: task {number}: {key}: {at} is not on free floor"
+                    )
+        return rows
+
+    def _known(self, house: Warehouse) -> dict[int, Order]:
+        """What robots are given before the start; the rest is told on the bus when it comes."""
+        return {
+            number: self.order(house, row) for number, row in enumerate(self.rows) if not row.at_s
+        }
+
+    @staticmethod
+    def order(house: Warehouse, row: TaskRow) -> Order:
+        pickup, dropoff = house.cell(row.pickup), house.cell(row.dropoff)
+        assert pickup is not None and dropoff is not None
+        return Order(pickup, dropoff)
+
+    @cached_property
+    def cells(self) -> list[tuple[float, float]]:
+        """Middles of cells where a robot can stand, all on one floor."""
+        floor = self.floor
+        lattice = floor.lattice
+        home = int(np.argmax(np.bincount(lattice.component)))
+        house = Warehouse(floor, Carrier(1.0, 0.0))
+        found = set()
+        for node in np.flatnonzero(lattice.component == home).tolist():
+            cell = house.cell(lattice.point(node))
+            if cell is not None:
+                found.add(house.place(cell))
+        return sorted(found)
+
+    @property
+    def config_hash(self) -> int:
+        return self.house.check
+
+    @property
+    def section_count(self) -> int:
+        return len(self.rows)
+
+    def mission(
+        self, slot: int, chart: MapSync | None = None, now_us: int = 0,
+        recalled: Mapping[str, bytes] = NOTHING,
+    ) -> Delivery:  # fmt: skip
+        fleet = self.scenario.fleet
+        braking_m_s2 = BRAKING_SHARE * fleet.acceleration_m_s2
+        seed = self.scenario.run.seed * 1000 + slot
+        return Delivery(
+            slot, self.house, self.starts[slot], fleet.speed_m_s, braking_m_s2, now_us, seed,
+            chart, recalled, fleet.asks,
+        )  # fmt: skip
+
+    def parcels(self) -> Parcels:
+        truth = Parcels(self.carrier, self.house.bays)
+        for number, order in self.house.tasks.items():
+            trip = self.house.trip(order)
+            truth.appear(number, trip.pickup, trip.dropoff, 0)
+        return truth
+
+    def keyring(self, slot: int, lot: str = "") -> Keyring | None:
+        return None if self.keys is None else Keyring(self.keys, slot, lot.encode())
+
+    def boxes(self) -> list[Box]:
+        """Random temporary obstacles of the scenario, by its seed; never where a robot starts."""
+        table, rng = self.scenario.warehouse, Random(f"{self.scenario.run.seed}/boxes")
+        found: list[Box] = []
+        t_s = 0.0
+        while table.boxes_a_minute:
+            t_s += rng.expovariate(table.boxes_a_minute / 60.0)
+            if t_s > table.boxes_until_s:
+                break
+            x_m, y_m = rng.choice(self.cells)
+            found.append(
+                Box(at_s=t_s, kind="box", x_m=x_m, y_m=y_m, size_m=BOX_M, for_s=table.box_s)
+            )
+        return found
+
+
+def floor_of(scenario: WarehouseScenario) -> Floor:
+    table = scenario.warehouse
+    drawn = "\n" in table.map  # the map itself
+    path = (
+        scenario.folder if drawn else scenario.folder / table.map
+    )  # an absolute one stays as it is
+    try:
+        text = table.map if drawn else read_text(path, DRAWING_BYTES_MAX)
+        return Floor.drawn(text, table.cell_m, scenario.fleet.radius_m)
+    except GivenFileError as problem:
+        raise ScenarioError(f"{scenario.name}: warehouse.map: {path}: {problem}") from None
+    except FloorError as problem:
+        raise ScenarioError(f"{scenario.name}: warehouse.map: {problem}") from None

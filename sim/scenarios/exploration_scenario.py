@@ -1,0 +1,148 @@
+"""Indoor places to explore: scenario files with walls, and what of them can be seen in truth."""
+
+from functools import cached_property
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+from pydantic import Field
+
+from agent.exploration.exploration_task import ORDERS_MAX, ROBOTS_MAX, Kind
+from agent.exploration.exploration_task import Order as Task
+from agent.safety.stop_controller import SilencePolicy
+from crdt.allocation import FieldAllocationCRDT
+from crdt.occupancy import Geometry
+from crdt.sighting import Order
+from sim.scenarios.field_setup import Setting
+from sim.scenarios.scenario import FieldTable, Scenario, ScenarioError, _Table, load_kind
+from sim.world.drive_trains import Chassis
+from sim.world.lidar import Lidar
+from sim.world.world import World
+
+ARENAS = Path(__file__).parents[1] / "arenas"
+XY = tuple[float, float]
+Box = tuple[float, float, float, float]
+
+
+class ArenaTable(_Table):
+    """A walled rectangle round the origin, and solid rectangles in it: west, south, east, north."""
+
+    width_m: float = Field(ge=1.0, le=96.0)
+    height_m: float = Field(ge=1.0, le=96.0)
+    cell_m: float = Field(default=0.1, ge=0.05, le=1.0)
+    solid: list[Box] = Field(default=[])
+    starts: list[XY]
+    rays: int = Field(default=36, ge=4, le=720)
+    range_m: float = Field(default=1.5, gt=0.3, le=30.0)
+    merge_strategy: Literal["max_confidence", "latest_update", "decayed"] = "max_confidence"
+    robots_max: int = Field(default=ROBOTS_MAX, ge=1, le=32)
+
+
+class OrderTable(_Table):
+    """A task for the fleet, besides what is to be explored: whoever is nearest and free does it."""
+
+    kind: Literal["navigate_to", "patrol"]
+    points: list[XY] = Field(min_length=1, max_length=64)  # metres east and north of the middle
+
+    @property
+    def order(self) -> Task:
+        return Task(Kind(self.kind), tuple(self.points))
+
+
+class ArenaScenario(Scenario):
+    mission: Literal["exploration"] = "exploration"  # type: ignore[assignment]
+    field: FieldTable = FieldTable(file="")  # there is none
+    arena: ArenaTable
+    order: list[OrderTable] = Field(default=[], max_length=ORDERS_MAX)
+
+
+def load_arena(name: str) -> ArenaScenario:
+    """By file, or by the name of one that ships."""
+    return load_kind(name, ArenaScenario, ARENAS)
+
+
+class ArenaSetting(Setting):
+    """What `Setting` is for a field; the walls are known to the world alone, not to robots."""
+
+    def __init__(self, scenario: ArenaScenario) -> None:
+        self.scenario: ArenaScenario = scenario
+        self.keys = self._keys()
+        self.silence = SilencePolicy[scenario.fleet.silence.upper()]
+        table = scenario.arena
+        if scenario.fleet.robots > len(table.starts):
+            raise ScenarioError(
+                f"{scenario.name}: arena.starts: {len(table.starts)} places for "
+                f"{scenario.fleet.robots} robots"
+            )
+        half_m = (table.width_m / 2, table.height_m / 2)
+        for number, order in enumerate(scenario.order):
+            if any(abs(x) >= half_m[0] or abs(y) >= half_m[1] for x, y in order.points):
+                raise ScenarioError(
+                    f"{scenario.name}: order.{number}.points: outside of the arena, which reaches "
+                    f"{half_m[0]:g} m east and west, {half_m[1]:g} m north and south"
+                )
+        self.starts = list(table.starts)
+        self.order = Order(table.merge_strategy)
+        rows, columns = (round(m / table.cell_m) for m in (table.height_m, table.width_m))
+        origin = (-table.width_m / 2, -table.height_m / 2)
+        self.geometry = Geometry(rows, columns, origin, table.cell_m)
+
+    @property
+    def config_hash(self) -> int:
+        text = f"{self.scenario.name} {self.geometry} {self.order.value}"
+        return FieldAllocationCRDT.hash_of(text)
+
+    def world(self) -> World:
+        table, fleet = self.scenario.arena, self.scenario.fleet
+        half_w, half_h = table.width_m / 2, table.height_m / 2
+        rings = [_ring((-half_w, -half_h, half_w, half_h)), *map(_ring, table.solid)]
+        run, lidar = self.scenario.run, Lidar(table.rays, table.range_m)
+        world = World(rings, run.seed, lidar, engine=run.engine)
+        wheel_m = fleet.radius_m / 4
+        chassis = Chassis(
+            wheel_radius_m=wheel_m, half_base_m=fleet.radius_m / 2, half_track_m=fleet.radius_m / 2,
+            speed_m_s=fleet.speed_m_s, acceleration_m_s2=fleet.acceleration_m_s2, slip=fleet.slip,
+        )  # fmt: skip
+        for slot in range(fleet.robots):
+            world.add_robot(slot, self.starts[slot], fleet.radius_m, chassis)
+        return world
+
+    @cached_property
+    def solid(self) -> NDArray[np.bool_]:
+        """(rows, columns): cells that a solid thing covers for the most part."""
+        g = self.geometry
+        x = g.origin_m[0] + (np.arange(g.columns) + 0.5) * g.cell_m
+        y = g.origin_m[1] + (np.arange(g.rows) + 0.5) * g.cell_m
+        solid = np.zeros((g.rows, g.columns), dtype=np.bool_)
+        for west, south, east, north in self.scenario.arena.solid:
+            solid |= ((y > south) & (y < north))[:, None] & ((x > west) & (x < east))[None, :]
+        return solid
+
+    @cached_property
+    def open(self) -> NDArray[np.bool_]:
+        """(rows, columns): cells that can be seen: free, and joined with the first start."""
+        regions, _ = scipy.ndimage.label(~self.solid)
+        found: NDArray[np.bool_] = regions == regions[self.geometry.cell(self.starts[0])]
+        return found
+
+    @cached_property
+    def reachable(self) -> NDArray[np.bool_]:
+        """(rows, columns): of `open`, what is in sight of where a body can stand."""
+        cells = self.scenario.fleet.radius_m / self.geometry.cell_m
+        reach = int(np.ceil(cells))
+        fat = scipy.ndimage.binary_dilation(
+            np.pad(self.solid, 1, constant_values=True), iterations=reach
+        )
+        regions, _ = scipy.ndimage.label(~fat[1:-1, 1:-1])
+        home = regions == regions[self.geometry.cell(self.starts[0])]
+        found: NDArray[np.bool_] = (
+            scipy.ndimage.binary_dilation(home, iterations=reach + 2) & self.open
+        )
+        return found
+
+
+def _ring(box: Box) -> list[XY]:
+    west, south, east, north = box
+    return [(west, south), (east, south), (east, north), (west, north)]

@@ -1,0 +1,150 @@
+"""Scenario files of fleets that go to places in a building: `mission = "errands"`.
+
+    [floor]                       a Moving AI map, or a drawing of the same characters
+    map = "rooms.map"
+    [errands]                     goals that the seed draws, or starts and goals written down
+    each = 2
+
+`headland run` takes these beside the scenarios of fields.
+"""
+
+from pathlib import Path
+from random import Random
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+from shapely.geometry import box
+from shapely.ops import unary_union
+
+from agent.mapping.building import Floor, FloorError
+from sim.files.given_file import DRAWING_BYTES_MAX, GivenFileError, read_text
+from sim.scenarios.field_setup import keys_of
+from sim.scenarios.navigation_setup import ErrandSetting, scattered
+from sim.scenarios.scenario import (
+    FIELD_FILES,
+    SHIPPED,
+    FieldTable,
+    Scenario,
+    ScenarioError,
+    _Table,
+    load,
+    load_kind,
+    read_document,
+)  # fmt: skip
+from sim.world.temporary_obstacles import TemporaryObstacle, random_temporary_obstacle_generator
+
+XY = tuple[float, float]
+CELLS_MAX = 1 << 20  # of a map at its finest: paths over more take too long to prepare
+APART_RADII = 2.5  # between starts that the seed draws
+
+
+class FloorTable(_Table):
+    map: str
+    cell_m: float = Field(default=1.0, gt=0.05, le=10.0)
+    margin_m: float = Field(default=0.1, ge=0.02, le=1.0)  # kept from walls, beyond the radius
+
+
+class ErrandTable(_Table):
+    each: int = Field(default=1, ge=1, le=64)  # goals a robot, drawn by the seed
+    starts: list[XY] | None = None
+    goals: list[list[XY]] | None = None
+
+
+class ObstacleTable(_Table):
+    """Boxes that somebody drops and takes away again, drawn by the seed."""
+
+    every_s: float = Field(default=20.0, gt=0.1)
+    lasting_s: tuple[float, float] = (5.0, 40.0)
+    size_m: tuple[float, float] = (0.3, 0.6)
+    until_s: float = Field(default=600.0, gt=0.0)
+
+
+class ErrandScenario(Scenario):
+    mission: Literal["errands"] = "errands"  # type: ignore[assignment]
+    field: FieldTable = FieldTable(file="")  # there is none
+    floor: FloorTable
+    errands: ErrandTable = ErrandTable()
+    obstacles: ObstacleTable | None = None
+
+
+def load_mission(name: str) -> Scenario:
+    """Whatever `headland run` can run: its `mission` says what it is."""
+    path = Path(name)
+    if path.is_dir() or path.suffix.lower() in FIELD_FILES:
+        return load(name)
+    document, _ = read_document(name, SHIPPED)
+    kind = ErrandScenario if document.get("mission") == "errands" else Scenario
+    return load_kind(name, kind, SHIPPED)
+
+
+def setting_of(scenario: ErrandScenario) -> ErrandSetting:
+    """Raises ScenarioError where the map or the places cannot be used."""
+    name, fleet, table = scenario.name, scenario.fleet, scenario.floor
+    if fleet.drive != "mecanum":
+        raise ScenarioError(
+            f"{name}: fleet.drive: errands need a body that drives in any direction"
+        )
+    try:
+        drawn = "\n" in table.map
+        text = table.map if drawn else read_text(scenario.path_of(table.map), DRAWING_BYTES_MAX)
+        floor = Floor.drawn(text, table.cell_m, fleet.radius_m, table.margin_m)
+    except (GivenFileError, FloorError) as problem:
+        raise ScenarioError(f"{name}: floor.map: {problem}") from None
+    if floor.inflated.size > CELLS_MAX:
+        raise ScenarioError(f"{name}: floor.map: more than {CELLS_MAX} cells of {floor.fine_m:g} m")
+    if len(floor.lattice) == 0:
+        raise ScenarioError(f"{name}: floor.map: no place for a body of {fleet.radius_m} m radius")
+    return ErrandSetting(
+        scenario,
+        floor,
+        *_places(scenario, floor),
+        dropped=_dropped(scenario, floor),
+        keys=keys_of(scenario),
+    )
+
+
+def _dropped(scenario: ErrandScenario, floor: Floor) -> list[TemporaryObstacle]:
+    table = scenario.obstacles
+    if table is None:
+        return []
+    cell_m, (west, south) = floor.cell_m, floor.origin
+    rows, columns = np.nonzero(~floor.walls)
+    corners = zip((west + columns * cell_m).tolist(), (south + rows * cell_m).tolist(), strict=True)
+    area = unary_union([box(x, y, x + cell_m, y + cell_m) for x, y in corners])
+    try:
+        return list(
+            random_temporary_obstacle_generator(
+                scenario.run.seed, area, table.every_s, table.lasting_s, table.size_m,
+                until_s=min(table.until_s, scenario.run.time_limit_s),
+            )
+        )  # fmt: skip
+    except ValueError as problem:
+        raise ScenarioError(f"{scenario.name}: obstacles.size_m: {problem}") from None
+
+
+def _places(scenario: ErrandScenario, floor: Floor) -> tuple[list[XY], list[list[XY]]]:
+    name, table, robots = scenario.name, scenario.errands, scenario.fleet.robots
+    if (table.starts is None) != (table.goals is None):
+        raise ScenarioError(f"{name}: errands: write down both starts and goals, or neither")
+    if table.starts is not None and table.goals is not None:
+        if min(len(table.starts), len(table.goals)) < robots:
+            raise ScenarioError(
+                f"{name}: errands.starts: {len(table.starts)} starts and goals of {len(table.goals)} "
+                f"for {robots} robots"
+            )
+        starts, goals = table.starts[:robots], table.goals[:robots]
+        for x_m, y_m in [*starts, *(goal for own in goals for goal in own)]:
+            if not floor.route.admits((x_m, y_m)):
+                raise ScenarioError(f"{name}: errands: no robot can stand at {x_m:g}, {y_m:g}")
+        return starts, goals
+    rng = Random(f"{scenario.run.seed}/errands")
+    apart_m = APART_RADII * floor.radius_m
+    try:
+        starts = scattered(floor, robots, rng, apart_m)
+        ends = scattered(floor, robots, rng, apart_m)  # all can be at their last goals at one time
+        before = table.each - 1
+        ways = [[*(scattered(floor, before, rng, 0.0) if before else ()), end] for end in ends]
+    except ValueError as problem:
+        raise ScenarioError(f"{name}: fleet.robots: {problem}") from None
+    return starts, ways

@@ -1,0 +1,164 @@
+"""A fleet in a building: a map of walls, where robots start, and where each of them is to go.
+
+setting = ErrandSetting.drawn("swap", DRAWING, starts=[(0.5, 0.5)], goals=[[(9.5, 0.5)]])
+outcome = Outing(setting).run()
+"""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from random import Random
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.interface.config import BRAKING_SHARE, S
+from agent.mapping.building import Floor
+from agent.mapping.dynamic_obstacles import geometry_of
+from agent.motion.holonomic_motion import Limits, Motion
+from agent.navigation.navigation_mission import Errands
+from agent.safety.stop_controller import SilencePolicy
+from crdt.hybrid_clock import HybridClock
+from crdt.occupancy import SIDE_MAX, OccupancyMap
+from crdt.sighting import OBSERVER_MAX, TIME_MAX, Order
+from protocol.authentication import Keyring, Keys
+from protocol.sync.map_sync import MapSync
+from sim.scenarios.scenario import BusTable, FieldTable, FleetTable, RunTable, Scenario
+from sim.world.drive_trains import Chassis
+from sim.world.lidar import Lidar
+from sim.world.temporary_obstacles import TemporaryObstacle, schedule
+from sim.world.walls import Grid
+from sim.world.world import World
+
+Point = tuple[float, float]
+HORIZON_S = 1.0  # indoor robots stop from full speed in half of it; a longer one closes corridors
+NOTHING: Mapping[str, bytes] = {}
+KEEP_RIGHT_RAD = 0.05  # breaks the symmetry of two that meet head on in the open
+
+
+class ErrandSetting:
+    def __init__(
+        self,
+        scenario: Scenario,
+        floor: Floor,
+        starts: Sequence[Point],
+        goals: Sequence[Sequence[Point]],
+        agrees: bool = True,
+        dropped: Sequence[TemporaryObstacle] = (),
+        keys: Keys | None = None,
+    ) -> None:
+        """`goals`: of each robot, in their order. `agrees`: False for ORCA by itself. `dropped`:
+        boxes that come and go."""
+        assert len(starts) == len(goals) == scenario.fleet.robots
+        self.scenario, self.floor, self.agrees = scenario, floor, agrees
+        self.starts, self.goals = list(starts), {k: tuple(own) for k, own in enumerate(goals)}
+        self.keys = keys
+        self.dropped, self.appeared = dropped, list[TemporaryObstacle]()
+        self.silence = SilencePolicy[scenario.fleet.silence.upper()]
+
+    @classmethod
+    def made(
+        cls,
+        name: str,
+        floor: Floor,
+        starts: Sequence[Point],
+        goals: Sequence[Sequence[Point]],
+        *,
+        seed: int = 1,
+        loss: float = 0.0,
+        speed_m_s: float = 1.0,
+        time_limit_s: float = 600.0,
+        agrees: bool = True,
+    ) -> "ErrandSetting":
+        """Without a scenario file."""
+        scenario = Scenario(
+            name=name,
+            field=FieldTable(file="none"),
+            fleet=FleetTable(
+                robots=len(starts), radius_m=floor.radius_m, speed_m_s=speed_m_s,
+                acceleration_m_s2=2.0,
+            ),
+            bus=BusTable(loss=loss),
+            run=RunTable(seed=seed, time_limit_s=time_limit_s),
+            folder=Path(),
+        )  # fmt: skip
+        return cls(scenario, floor, starts, goals, agrees)
+
+    @property
+    def config_hash(self) -> int:
+        return self.floor.check
+
+    @property
+    def section_count(self) -> int:
+        return sum(len(own) for own in self.goals.values())
+
+    def chart(self, slot: int, now_us: int) -> MapSync | None:
+        """What a fleet tells each other of things in the way; none where the map has no room for it."""
+        geometry = geometry_of(self.floor)
+        if self.scenario.fleet.robots > OBSERVER_MAX + 1 or max(geometry[:2]) > SIDE_MAX:
+            return None
+        clock = HybridClock(now_us, S, TIME_MAX)
+        return MapSync(slot, OccupancyMap(geometry, Order.LATEST_UPDATE), clock, now_us)
+
+    def mission(
+        self, slot: int, chart: MapSync | None = None, now_us: int = 0,
+        recalled: Mapping[str, bytes] = NOTHING,
+    ) -> Errands:  # fmt: skip
+        """`recalled`: what its durable memory has kept."""
+        fleet = self.scenario.fleet
+        braking_m_s2 = BRAKING_SHARE * fleet.acceleration_m_s2
+        return Errands(
+            slot,
+            self.goals,
+            self.floor,
+            fleet.speed_m_s,
+            braking_m_s2,
+            self.agrees,
+            chart,
+            now_us,
+            fleet.asks,
+        )
+
+    def motion(self, slot: int) -> Motion:
+        fleet = self.scenario.fleet
+        limits = Limits(fleet.radius_m, fleet.speed_m_s, fleet.acceleration_m_s2)
+        return Motion(
+            slot, limits, self.floor.fences, fence_m=self.floor.margin_m / 2,
+            horizon_s=HORIZON_S, gives_way=False, keep_right_rad=KEEP_RIGHT_RAD, looks=True,
+            stops=self.agrees, asks=fleet.asks,
+        )  # fmt: skip
+
+    def world(self) -> World:
+        """A fresh world with every robot at its start."""
+        fleet, floor = self.scenario.fleet, self.floor
+        grid = Grid(floor.walls, *floor.origin, floor.cell_m)
+        world = World([], self.scenario.run.seed, Lidar(), grid, self.scenario.run.engine)
+        chassis = Chassis(
+            speed_m_s=fleet.speed_m_s, acceleration_m_s2=fleet.acceleration_m_s2, slip=fleet.slip
+        )
+        for slot, at in enumerate(self.starts):
+            world.add_robot(slot, at, fleet.radius_m, chassis)
+        self.appeared = schedule(world, self.dropped, fleet.radius_m)
+        return world
+
+    def keyring(self, slot: int, lot: str = "") -> Keyring | None:
+        """`lot`: anything that no two starts of this sender share."""
+        return None if self.keys is None else Keyring(self.keys, slot, lot.encode())
+
+
+def scattered(
+    floor: Floor, count: int, rng: Random, apart_m: float, among: NDArray[np.intp] | None = None
+) -> list[Point]:
+    """Places for robots on nodes of the lattice that hang together, this far from each other."""
+    lattice = floor.lattice
+    home = int(np.argmax(np.bincount(lattice.component)))
+    nodes = np.flatnonzero(lattice.component == home) if among is None else among
+    order = nodes.tolist()
+    rng.shuffle(order)
+    found: list[Point] = []
+    for node in order:
+        x_m, y_m = lattice.point(node)
+        if all((x_m - a) ** 2 + (y_m - b) ** 2 >= apart_m**2 for a, b in found):
+            found.append((x_m, y_m))
+            if len(found) == count:
+                return found
+    raise ValueError(f"no room for {count} robots {apart_m} m apart")

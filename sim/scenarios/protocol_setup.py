@@ -1,0 +1,56 @@
+"""What a run without a world is made of: a scenario with `mission = "drill"`, or "sprint"."""
+
+from functools import cached_property
+from pathlib import Path
+
+from agent.safety.stop_controller import SilencePolicy
+from sim.scenarios.field_setup import Setting
+from sim.scenarios.scenario import DRILLS, FieldTable, FleetTable, RunTable, Scenario
+from sim.world.protocol_world import SECTIONS_A_ROBOT, SPRINT_SECTIONS, Parade, Steady, Straight
+
+CONFIG_HASH = 1  # all peers have the same field: none
+
+
+class DrillSetting(Setting):
+    def __init__(self, scenario: Scenario) -> None:
+        assert scenario.mission in DRILLS
+        self.scenario, self.keys = scenario, None
+        self.silence = SilencePolicy[scenario.fleet.silence.upper()]
+
+    @cached_property
+    def parade(self) -> Parade:
+        return Parade(self.scenario.fleet.robots, self.section_count)
+
+    def world(self) -> Parade:
+        return self.parade
+
+    @property
+    def time_limit_s(self) -> float:
+        return self.scenario.run.time_limit_s
+
+    @property
+    def config_hash(self) -> int:
+        return CONFIG_HASH
+
+    @property
+    def section_count(self) -> int:
+        each = SPRINT_SECTIONS if self._crowded else SECTIONS_A_ROBOT
+        return each * self.scenario.fleet.robots
+
+    @property
+    def _crowded(self) -> bool:
+        return self.scenario.mission == "sprint"
+
+    def mission(self, slot: int) -> Steady:  # type: ignore[override]
+        return Steady(self.parade, slot, self._crowded)
+
+    def motion(self, slot: int) -> Straight:
+        return Straight(slot)
+
+
+def drill(robots: int, seed: int, mission: str = "drill", silence: str = "stop") -> Scenario:
+    """A drill of so many robots, without faults."""
+    fleet = FleetTable.model_validate({"robots": robots, "silence": silence})
+    parts = {"mission": mission, "field": FieldTable(file="none"), "fleet": fleet,
+             "run": RunTable(seed=seed)}  # fmt: skip
+    return Scenario.model_validate({"name": mission, "folder": Path(), **parts})

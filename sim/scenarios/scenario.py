@@ -1,0 +1,449 @@
+"""Scenario files: TOML, validated; a wrong one gets one line that says which key and why."""
+
+from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from agent.interface.config import PEERS_MAX, SPEED_MAX_M_S
+from sim.files.given_file import SCENARIO_BYTES_MAX, GivenFileError, read_toml
+from sim.world.step_engine import Engine
+
+SHIPPED = Path(__file__).parent
+SEED_MAX = 2**63 - 1  # what every format that keeps a seed can hold
+AT_MAX_S = 1e6  # of a fault: longer than any run
+LINE_MAX = 1000  # characters of a message
+SAID_MAX = 60  # characters of a wrong value in a message
+FIELD_FILES = (".geojson", ".json", ".xml", ".zip")  # a field alone is a scenario of defaults
+
+
+class ScenarioError(Exception):
+    """One line for the person who wrote the file; what a file says cannot break it."""
+
+    def __init__(self, text: str) -> None:
+        line = "".join(c if c.isprintable() else " " for c in text)
+        super().__init__(line if len(line) <= LINE_MAX else f"{line[: LINE_MAX - 4]} ...")
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class FieldTable(_Table):
+    file: str
+    feature: str | None = None
+    implement_width_m: float = Field(default=4.0, gt=0.2, le=60.0)
+    overlap_m: float = Field(default=0.2, gt=0.01, le=2.0)
+    section_length_m: float = Field(default=250.0, ge=10.0, le=50_000.0)
+    unit_m: float = Field(default=5.0, ge=0.5, le=100.0)
+    gate: tuple[float, float] | None = None  # metres east and north of the middle; none: a corner
+
+
+class FleetTable(_Table):
+    robots: int = Field(default=6, ge=1, le=PEERS_MAX)
+    radius_m: float = Field(default=0.8, gt=0.05, le=5.0)
+    speed_m_s: float = Field(default=2.5, gt=0.05, le=SPEED_MAX_M_S)
+    acceleration_m_s2: float = Field(default=1.5, gt=0.05, le=10.0)
+    slip: float = Field(default=0.02, ge=0.0, le=0.3)
+    drive: Literal["mecanum", "differential", "ackermann"] = "mecanum"
+    wheelbase_m: float = Field(default=1.2, gt=0.1, le=6.0)  # with "ackermann"
+    track_m: float = Field(default=1.0, gt=0.1, le=4.0)  # with "differential" and "ackermann"
+    steer_deg: float = Field(default=40.0, ge=10.0, le=60.0)  # full lock, with "ackermann"
+    rays: int = Field(
+        default=72, ge=8, le=720
+    )  # of each robot's range sensors; a gap of 0.35 m at 4 m
+    silence: Literal["stop", "slow", "continue"] = "stop"
+    # In a building: stand before what nobody has announced, and ask; else it is driven round. In a field
+    # robots always ask.
+    asks: bool = False
+    keys: str | None = None  # key file, made by `headland keys new`
+
+
+class BusTable(_Table):
+    bitrate: Literal[125_000, 250_000, 500_000, 1_000_000] = 250_000
+    loss: float = Field(default=0.0, ge=0.0, le=0.9)
+    error_rate: float = Field(default=0.0, ge=0.0, le=0.5)
+    omission: float = Field(default=0.0, ge=0.0, le=0.9)
+    duplicate: float = Field(default=0.0, ge=0.0, le=0.9)
+
+
+class RunTable(_Table):
+    seed: int = Field(default=1, ge=0, le=SEED_MAX)
+    time_limit_s: float = Field(default=3600.0, gt=0.0, le=86_400.0)
+    engine: Engine = "pymunk"
+
+
+class _Fault(_Table):
+    at_s: float = Field(ge=0.0, le=AT_MAX_S)
+
+
+ReasonName = Literal[
+    "OBSTACLE_DETECTED", "OPERATOR_INTERVENTION", "SYSTEM_FAULT", "COLLISION_DETECTED",
+    "PERSON_IN_FIELD", "EQUIPMENT_MALFUNCTION", "MAINTENANCE_REQUIRED",
+]  # fmt: skip
+Slot = Annotated[int, Field(ge=0, lt=PEERS_MAX)]
+
+
+class Partition(_Fault):
+    kind: Literal["partition"]
+    islands: list[list[Slot]]
+
+
+class Heal(_Fault):
+    kind: Literal["heal"]
+
+
+class OneWay(_Fault):
+    kind: Literal["one_way"]
+    sender: Slot
+    receiver: Slot
+
+
+# What a robot's disk holds when it is switched on again. torn: the power failed, what was unsynced is
+# mangled; rolled_back: an earlier state was put back; lost: nothing.
+DiskState = Literal["kept", "lost", "torn", "rolled_back"]
+
+
+class Crash(_Fault):
+    kind: Literal["crash"]
+    robot: Slot
+
+
+class Restart(_Fault):
+    kind: Literal["restart"]
+    robot: Slot
+    disk: DiskState = "kept"
+
+
+class Freeze(_Fault):
+    kind: Literal["freeze"]
+    robot: Slot
+    for_s: float = Field(gt=0.0)
+
+
+class _Rated(_Fault):
+    rate: float = Field(ge=0.0, le=1.0)
+
+
+class Loss(_Rated):
+    kind: Literal["loss"]
+
+
+class Omission(_Rated):
+    kind: Literal["omission"]
+
+
+class Duplicate(_Rated):
+    kind: Literal["duplicate"]
+
+
+class Errors(_Fault):
+    kind: Literal["errors"]
+    rate: float = Field(ge=0.0, le=0.5)
+
+
+class BusOff(_Fault):
+    kind: Literal["bus_off"]
+    robot: Slot
+    for_s: float = Field(gt=0.0)
+
+
+class Estop(_Fault):
+    kind: Literal["estop"]
+    robot: Slot
+    reason: ReasonName = "OPERATOR_INTERVENTION"
+
+
+class Reset(_Fault):
+    kind: Literal["reset"]  # clear every stop, reset every machine, and start again
+
+
+class Order(_Fault):
+    kind: Literal["order"]  # an operator's word to one robot
+    robot: Slot
+    order: Literal["wait", "continue", "replan", "stop", "go_home", "set_goal", "start", "hold",
+                   "manual_reset"]  # fmt: skip
+    x_m: float = 0.0  # of set_goal
+    y_m: float = 0.0
+
+
+class Box(_Fault):
+    kind: Literal["box"]
+    x_m: float
+    y_m: float
+    size_m: float = Field(default=1.0, gt=0.0, le=20.0)
+    for_s: float = Field(gt=0.0)
+
+
+class Pushed(_Fault):
+    kind: Literal["pushed"]
+    robot: Slot
+    dx_m: float
+    dy_m: float
+
+
+class Join(_Fault):
+    kind: Literal["join"]  # this robot is switched on only now
+    robot: Slot
+
+
+class Babble(_Fault):
+    kind: Literal["babble"]  # a device that sends without end
+    priority: int = Field(default=7, ge=0, le=7)  # of a group that nobody knows
+    # instead: all 29 bits of it; below 0x00FF0000 it outranks a stop, and 0 outranks everything
+    identifier: int | None = Field(default=None, ge=0, lt=1 << 29)
+    for_s: float = Field(gt=0.0)
+
+
+class Buttons(_Fault):
+    kind: Literal["buttons"]  # shortcut buttons of other makers; one of them is pressed
+    buttons: int = Field(default=2, ge=2, le=8)
+    for_s: float = Field(gt=0.0)
+    lost: int = Field(default=0, ge=0, le=1)  # of its stop frames, after each one that is heard
+    unheard: bool = False  # none of its stop frames is heard; its permit then tells of a stop
+
+
+class UsedStop(_Fault):
+    kind: Literal["used_stop"]  # a panel is pressed whose next names an operator has cleared
+    names: int = Field(default=4, ge=1, le=64)
+    for_s: float = Field(gt=0.0)
+    every_s: float = Field(default=0.005, ge=0.001, le=1.0)
+
+
+class Foreign(_Fault):
+    kind: Literal["foreign"]  # a device of another maker says its own in our proprietary groups
+    claims: bool = True  # an address with its NAME; else nobody knows of which maker it is
+    for_s: float = Field(gt=0.0)
+
+
+class Twin(_Fault):
+    kind: Literal["twin"]  # a second machine with the robot's slot and NAME
+    robot: Slot
+    same_address: bool = False  # as the robot; else at one of its own
+    for_s: float = Field(gt=0.0)
+
+
+class Nonsense(_Fault):
+    # Of a device: a robot of another field; work that no fleet has; claims of every address by NAME 0.
+    kind: Literal["nonsense"]
+    what: Literal["field", "work", "claims"]
+    robot: Slot = 0  # from whose address the work is told; whose slot another field has
+    same_slot: bool = False  # of the robot of another field; else it is not of this fleet
+    for_s: float = Field(default=1.0, gt=0.0)
+
+
+class Clone(_Fault):
+    kind: Literal["clone"]  # a device claims the robot's address; does its NAME win?
+    robot: Slot
+    wins: bool = True
+
+
+class Blind(_Fault):
+    kind: Literal[
+        "blind"
+    ]  # nothing of what the robot senses arrives: a muted antenna, a dead driver
+    robot: Slot
+    for_s: float = Field(gt=0.0)
+
+
+class Frozen(_Fault):
+    kind: Literal["frozen"]  # the old place arrives, with new times: a filter that hangs
+    robot: Slot
+    for_s: float = Field(gt=0.0)
+
+
+class Late(_Fault):
+    kind: Literal["late"]  # what the robot senses arrives so much later
+    robot: Slot
+    by_s: float = Field(gt=0.0, le=60.0)
+    for_s: float = Field(gt=0.0)
+
+
+class DiskFull(_Fault):
+    kind: Literal[
+        "disk_full"
+    ]  # the robot's disk takes no write; then it is switched on with another
+    robot: Slot
+    for_s: float = Field(gt=0.0)
+
+
+class Drift(_Fault):
+    kind: Literal["drift"]  # the robot's clock runs fast or slow from now on
+    robot: Slot
+    ppm: float = Field(ge=-100_000.0, le=100_000.0)
+
+
+class ClockJump(_Fault):
+    kind: Literal["clock_jump"]  # the robot's clock leaps from one microsecond to the next
+    robot: Slot
+    by_s: float = Field(ge=-60.0, le=86_400.0)
+
+
+class CrashWorking(_Fault):
+    kind: Literal["crash_working"]  # dies in the middle of a section, at the next chance
+    robot: Slot
+    for_s: float = Field(gt=0.0)  # then it is switched on again
+    disk: DiskState = "kept"
+
+
+Fault = Annotated[
+    Partition | Heal | OneWay | Crash | Restart | Freeze | Loss | Omission | Duplicate | Errors
+    | BusOff | Estop | Reset | Order | Box | Pushed | Join | Babble | Clone | Drift
+    | ClockJump | CrashWorking | Blind | Frozen | Late | DiskFull
+    | Buttons | UsedStop | Foreign | Twin | Nonsense,
+    Field(discriminator="kind"),
+]  # fmt: skip
+
+
+DRILLS = ("drill", "sprint")  # no world, only work by the clock; a sprint is short and crowded
+
+
+class Scenario(_Table):
+    name: str = Field(min_length=1, max_length=64)
+    mission: Literal["field", "drill", "sprint"] = "field"  # or one without a world: see DRILLS
+    field: FieldTable
+    fleet: FleetTable = FleetTable()
+    bus: BusTable = BusTable()
+    run: RunTable = RunTable()
+    fault: list[Fault] = []
+    places: dict[str, tuple[float, float]] = {}  # names for operators; metres east and north
+    folder: Path = Field(Path(), exclude=True)  # what file names are relative to
+
+    def path_of(self, name: str) -> Path:
+        """A file that the scenario names: beside it, or else one that ships."""
+        beside = self.folder / name
+        ships = SHIPPED / name
+        return ships if not beside.exists() and ships.is_file() else beside
+
+    def with_engine(self, engine: Engine) -> Self:
+        return self.model_copy(update={"run": self.run.model_copy(update={"engine": engine})})
+
+    def changed(
+        self, robots: int | None = None, seed: int | None = None, keys: Path | None = None,
+        feature: str | None = None, drive: str | None = None,
+        faults: Sequence[Mapping[str, Any]] | None = None, time_limit_s: float | None = None,
+    ) -> Self:  # fmt: skip
+        """The same with some of it replaced. ScenarioError where out of range."""
+        document = self.model_dump(exclude_unset=True)
+        if faults is not None:
+            document["fault"] = list(faults)
+        if time_limit_s is not None:
+            document.setdefault("run", {})["time_limit_s"] = time_limit_s
+        if robots is not None:
+            document.setdefault("fleet", {})["robots"] = robots
+        if keys is not None:
+            document.setdefault("fleet", {})["keys"] = str(keys.absolute())
+        if drive is not None:
+            document.setdefault("fleet", {})["drive"] = drive
+        if seed is not None:
+            document.setdefault("run", {})["seed"] = seed
+        if feature is not None:
+            document.setdefault("field", {})["feature"] = feature
+        return _validate(document, self.name, self.folder, type(self))
+
+
+Kind = TypeVar("Kind", bound=Scenario)
+
+
+def shipped(folder: Path = SHIPPED) -> list[str]:
+    return sorted(path.stem for path in folder.glob("*.toml"))
+
+
+def load(name: str) -> Scenario:
+    """A scenario by file, by the name of one that ships, or a field file with all else as usual."""
+    path = Path(name)
+    if path.is_dir() or path.suffix.lower() in FIELD_FILES:
+        title = path.resolve().stem[:64] or "field"
+        document = {"name": title, "field": {"file": path.name}}
+        return _validate(document, name, path.parent, Scenario)
+    return load_kind(name, Scenario, SHIPPED)
+
+
+def load_kind(name: str, kind: type[Kind], folder: Path) -> Kind:
+    """The same for another kind of scenario, that ships in another folder."""
+    document, beside = read_document(name, folder)
+    return _validate(document, name, beside, kind)
+
+
+def read_document(name: str, folder: Path) -> tuple[dict[str, Any], Path]:
+    """A scenario file as it is, and the folder that its file names are relative to."""
+    path = Path(name)
+    if not path.suffix and not path.exists() and (folder / f"{name}.toml").exists():
+        path = folder / f"{name}.toml"
+    if not path.exists():
+        known = ", ".join(shipped(folder))
+        raise ScenarioError(f"{name}: no such file, and no scenario of that name ships ({known})")
+    try:
+        return read_toml(path, SCENARIO_BYTES_MAX), path.parent
+    except GivenFileError as problem:
+        raise ScenarioError(f"{name}: {problem}") from None
+
+
+def _validate(document: dict[str, Any], name: str, folder: Path, kind: type[Kind]) -> Kind:
+    try:
+        scenario = kind(**{**document, "folder": folder})
+    except ValidationError as problem:
+        raise ScenarioError(f"{name}: {_one_line(problem)}") from None
+    except TypeError as problem:
+        raise ScenarioError(f"{name}: {problem}") from None
+    for number, fault in enumerate(scenario.fault):
+        robot = getattr(fault, "robot", 0)
+        if robot >= scenario.fleet.robots:
+            raise ScenarioError(
+                f"{name}: fault.{number}.robot: robot {robot} is not one of {scenario.fleet.robots} "
+                f"(0 to {scenario.fleet.robots - 1})"
+            )
+        if isinstance(fault, Partition):
+            _check_islands(fault.islands, scenario.fleet.robots, f"{name}: fault.{number}.islands")
+    return scenario
+
+
+def _check_islands(islands: list[list[int]], robots: int, where: str) -> None:
+    """ScenarioError where a robot that is not there, or is on two islands, is named."""
+    known: set[int] = set()
+    for robot in (slot for island in islands for slot in set(island)):
+        if robot >= robots:
+            raise ScenarioError(
+                f"{where}: robot {robot} is not one of {robots} (0 to {robots - 1})"
+            )
+        if robot in known:
+            raise ScenarioError(f"{where}: robot {robot} is on two islands")
+        known.add(robot)
+
+
+def _one_line(problem: ValidationError) -> str:
+    """The first error: which key, what is wrong, and what was probably meant."""
+    error = problem.errors()[0]
+    path = [str(part) for part in error["loc"]]
+    key = ".".join(path)
+    if error["type"] == "extra_forbidden":
+        meant = get_close_matches(path[-1], _keys_beside(path), n=1)
+        return f"{key}: unknown key" + (f"; did you mean {meant[0]!r}?" if meant else "")
+    if error["type"] == "missing":
+        return f"{key}: is missing"
+    message = error["msg"][0].lower() + error["msg"][1:]
+    more = len(problem.errors()) - 1
+    tail = f" (and {more} more)" if more else ""
+    return f"{key}: {message}, not {_said(error['input'])}{tail}"
+
+
+def _said(value: object) -> str:
+    try:
+        text = repr(value)
+    except (ValueError, RecursionError):  # an integer of thousands of digits
+        return "a value that long"
+    return text if len(text) <= SAID_MAX else f"{text[: SAID_MAX - 4]} ..."
+
+
+def _keys_beside(path: list[str]) -> list[str]:
+    model: Any = Scenario
+    for part in path[:-1]:
+        field = getattr(model, "model_fields", {}).get(part)
+        if field is None or not isinstance(field.annotation, type):
+            return []
+        model = field.annotation
+    return (
+        list(model.model_fields) if isinstance(model, type) and issubclass(model, BaseModel) else []
+    )

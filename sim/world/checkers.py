@@ -1,0 +1,192 @@
+"""The rules of the physical world, each judged from true positions and commands alone.
+
+A checker knows nothing of agents: it is told what people did (pressed, released) and what the
+field is, and sees what bodies did. `violations` is empty where the rule held. S1, S7 and S17 are
+names of invariants; ARCHITECTURE.md lists them.
+"""
+
+from collections.abc import Collection, Mapping, Sequence
+from math import inf
+from typing import Final, NamedTuple
+
+import numpy as np
+from shapely.geometry import MultiPolygon, Polygon
+
+from agent.interface.config import ACTUATOR_TTL_US, S
+from sim.world.coverage_truth import Coverage, coverage, sample_points
+from sim.world.ground_truth import Track
+from sim.world.swath_truth import NEVER_US, SAMPLE_M, LineTruth, Polyline
+from sim.world.world import STEP_US, World
+
+VIOLATIONS_MAX: Final = 1_000  # a broken rule is broken at every step; the first thousand will do
+
+
+class Violation(NamedTuple):
+    rule: str
+    t_us: int
+    slots: tuple[int, ...]
+    what: str
+
+
+class ContactChecker:
+    """S17: no body touches another, or a fence, or a box. Pushed robots may be excused."""
+
+    def __init__(self, world: World, excused: Collection[int] = ()) -> None:
+        self.world, self.excused = world, frozenset(excused)
+
+    @property
+    def violations(self) -> list[Violation]:
+        found = []
+        for contact in self.world.contacts:
+            slots = (contact.first,) if contact.second is None else (contact.first, contact.second)
+            if not self.excused.intersection(slots):
+                what = f"{contact.depth_m * 1000:.1f} mm into {contact.against}"
+                found.append(Violation("contact", contact.t_us, slots, what))
+        return found[:VIOLATIONS_MAX]
+
+
+class CoverageChecker:
+    """All of the reachable area was worked."""
+
+    def __init__(
+        self,
+        polygon: Polygon | MultiPolygon,
+        width_m: float,
+        overlap_m: float,
+        raster_m: float = 0.25,
+        share_min: float = 1.0,
+    ) -> None:
+        self.width_m, self.share_min = width_m, share_min
+        self.raster = sample_points(polygon, width_m, overlap_m, raster_m)
+
+    def measure(self, tracks: Mapping[int, Track]) -> Coverage:
+        return coverage(self.raster, tracks, self.width_m)
+
+    def violations(self, tracks: Mapping[int, Track]) -> list[Violation]:
+        result = self.measure(tracks)
+        if result.share >= self.share_min:
+            return []
+        x_m, y_m = result.uncovered[0]
+        what = (
+            f"{(1 - result.share) * result.area_m2:.2f} m2 of {result.area_m2:.0f} m2 never "
+            f"worked, first at {x_m:.2f}, {y_m:.2f}"
+        )
+        return [Violation("coverage", result.last_us, (), what)]
+
+
+class _Watch(NamedTuple):
+    slots: frozenset[int]
+    silent_us: int  # from here on no command to move may be in force
+    still_us: int  # from here on no body may move
+
+
+def lapse_us(lapsed_us: int | None, silent_us: int) -> int:
+    """How much later than `silent_us` the last command of who has died or hung before ends."""
+    if lapsed_us is None or lapsed_us >= silent_us:
+        return 0
+    return max(0, lapsed_us + ACTUATOR_TTL_US - silent_us)
+
+
+class MotionAfterStopChecker:
+    """S1: between a stop's bound and its release, nobody is told to move and nobody moves.
+
+    Every step is watched. A robot that is carried, or shoved by another, is not excused: say so when
+    pressing, by leaving it out of `slots`.
+    """
+
+    def __init__(self, world: World) -> None:
+        self.world = world
+        self.violations: list[Violation] = []
+        self._watches: dict[int, _Watch] = {}
+        self._lapsed_us: dict[int, int] = {}
+        self._pressed = 0
+        world.guards.append(self)
+
+    def press(
+        self, t_us: int, bound_us: int, slots: Collection[int], standing_us: int | None = None
+    ) -> int:
+        """A stop pressed at `t_us`; returns the number to release it by.
+
+        All commands to `slots` must be silent within `bound_us`, and all of them standing within
+        `standing_us` more (by default the longest braking time of theirs).
+        """
+        braking_us = [round(self.world.robots[slot].chassis.stopping_s * 1e6) for slot in slots]
+        longest_us = max(braking_us, default=0) if standing_us is None else standing_us
+        self._pressed += 1
+        silent_us = t_us + bound_us
+        self._watches[self._pressed] = _Watch(frozenset(slots), silent_us, silent_us + longest_us)
+        self.world.guard()
+        return self._pressed
+
+    def release(self, number: int, slots: Collection[int] | None = None) -> None:
+        """A person released some robots, or all, from that stop."""
+        watch = self._watches.pop(number)
+        if slots is not None and watch.slots - frozenset(slots):
+            self._watches[number] = watch._replace(slots=watch.slots - frozenset(slots))
+        self.world.guard()
+
+    def lapses(self, slot: int, now_us: int) -> None:
+        """It has died or hangs: what it said last holds until it expires in the actuator."""
+        self._lapsed_us[slot] = now_us
+        self.world.guard()
+
+    def limits(self) -> dict[int, tuple[float, float]]:
+        """Of those who must stand, see `sim.world.world.Guard`."""
+        limits: dict[int, tuple[float, float]] = {}
+        for watch in self._watches.values():
+            for slot in watch.slots:
+                silent_us, still_us = limits.get(slot, (inf, inf))
+                late_us = lapse_us(self._lapsed_us.get(slot), watch.silent_us)
+                silent_us = min(silent_us, watch.silent_us + late_us)
+                limits[slot] = silent_us, min(still_us, watch.still_us + late_us)
+        return limits
+
+    def look(self, world: World) -> None:
+        """After a step in which somebody moved that must not."""
+        if len(self.violations) >= VIOLATIONS_MAX:
+            return
+        now_us = world.now_us
+        begun_us = now_us - STEP_US  # commands in force during the step were those at its beginning
+        for slot, (silent_us, still_us) in sorted(self.limits().items()):
+            body = world.robots[slot]
+            if begun_us >= silent_us and body.commanded_us == begun_us:
+                self._add(now_us, slot, "told to move after a stop")
+            if now_us >= still_us and body.moved_us == now_us:
+                self._add(now_us, slot, "moves after a stop")
+
+    def _add(self, t_us: int, slot: int, what: str) -> None:
+        self.violations.append(Violation("motion after stop", t_us, (slot,), what))
+
+
+class ExclusiveWorkChecker:
+    """S7: at no time do two robots work in one section.
+
+    To work in a section is to pass along its lines with the implement down; crossing them is not, nor
+    is it to lower the implement a little before one's own begins, in line with the neighbour's end.
+    """
+
+    def __init__(
+        self, sections: Mapping[int, Sequence[Polyline]], tolerance_m: float, least_m: float = 0.0
+    ) -> None:
+        """`least_m`: what must be worked within a second to count."""
+        self.least = max(1, round(least_m / SAMPLE_M))
+        lines = [(number, line) for number, group in sorted(sections.items()) for line in group]
+        self.truth = LineTruth([line for _, line in lines], tolerance_m)
+        self.section_of = np.array([number for number, _ in lines], dtype=np.int64)
+
+    def violations(self, tracks: Mapping[int, Track]) -> list[Violation]:
+        at: dict[tuple[int, int], int] = {}  # section, second: the first robot seen at work there
+        found: list[Violation] = []
+        for slot, track in sorted(tracks.items()):
+            worked_us = self.truth.worked_us(track)
+            mine = worked_us != NEVER_US
+            sections = self.section_of[self.truth.line_of[mine]]
+            instants, counts = np.unique(
+                np.column_stack((sections, worked_us[mine] // S)), axis=0, return_counts=True
+            )
+            for section, second in instants[counts >= self.least].tolist():
+                other = at.setdefault((section, second), slot)
+                if other != slot and len(found) < VIOLATIONS_MAX:
+                    what = f"section {section} worked by both"
+                    found.append(Violation("exclusive work", second * S, (other, slot), what))
+        return found

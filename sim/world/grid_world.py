@@ -1,0 +1,172 @@
+"""A world of cells: bodies that drive straight from cell to cell, and what they have really done.
+
+Plainer than `sim/world/world.py`, so that a hundred robots can cover a large map: a body follows its command
+at once, sees the others within two cells, and stands still when its commands stop. Contacts, coverage
+and who was where are judged from true places every `LOOK_US`, and know nothing of agents.
+"""
+
+from dataclasses import dataclass, field
+from math import inf
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.coverage.cell_map import NONE, Ground
+from agent.interface.config import ACTUATOR_TTL_US, MS
+from agent.interface.effects import Drive
+from agent.interface.ports import Observation
+from sim.world.drive_trains import Chassis
+
+LOOK_US = 50 * MS
+SIGHT = 2.0  # cells
+COVERED = 0.1  # of a cell, as a robot judges it by itself
+Cell = tuple[int, int]
+
+
+@dataclass(slots=True)
+class GridBody:
+    """One robot's place, its command, and since when it has it."""
+
+    world: "GridWorld"
+    slot: int
+    row: int  # of the world's arrays
+
+    @property
+    def chassis(self) -> Chassis:
+        return Chassis()
+
+    @property
+    def position(self) -> tuple[float, float]:
+        x_m, y_m = self.world.places[self.row].tolist()
+        return x_m, y_m
+
+    def sense(self, now_us: int) -> Observation:
+        world, row = self.world, self.row
+        world.advance(now_us)
+        x_m, y_m = world.now(row, now_us)
+        vx, vy = world.speeds[row].tolist() if now_us < world.until_us[row] else (0.0, 0.0)
+        return Observation(x_m, y_m, 0.0, vx, vy, bodies=world.seen(row, x_m, y_m, now_us),
+                           sensed_at_us=now_us)  # fmt: skip
+
+    def drive(self, command: Drive, now_us: int) -> None:
+        world, row = self.world, self.row
+        world.places[row] = world.now(row, now_us)
+        world.since_us[row] = now_us
+        world.speeds[row] = command.vx_m_s, command.vy_m_s
+        world.until_us[row] = now_us + ACTUATOR_TTL_US
+
+
+@dataclass(slots=True)
+class GridTruth:
+    first_us: NDArray[np.int64]  # by number: when it was covered, -1: not yet
+    by: NDArray[np.int16]  # who covered it first
+    contacts: set[tuple[int, int]] = field(default_factory=set)
+    through_walls: int = 0  # looks at which a centre was in a wall
+    closest_m: float = inf
+    steps: int = 0  # cells entered
+    at: dict[int, int] = field(default_factory=dict)  # slot -> the cell it covered last
+
+
+class GridWorld:
+    def __init__(self, ground: Ground, radius_m: float) -> None:
+        self.ground, self.radius_m = ground, radius_m
+        self.robots: dict[int, GridBody] = {}
+        self.guards: list[object] = []  # never called: steps are not as fine here
+        self.places = np.empty((0, 2))  # at `since_us`
+        self.speeds = np.empty((0, 2))
+        self.since_us = np.empty(0, dtype=np.int64)
+        self.until_us = np.empty(0, dtype=np.int64)
+        count = len(ground)
+        self.truth = GridTruth(np.full(count, NONE, np.int64), np.full(count, NONE, np.int16))
+        self._looked_us = 0
+        self._centres = np.array([ground.centre(n) for n in range(count)]).reshape(-1, 2)
+
+    def body(self, slot: int) -> GridBody:
+        return self.robots[slot]
+
+    def guard(self) -> None:
+        """Who must stand is not watched here."""
+
+    def add_robot(self, slot: int, number: int, now_us: int) -> GridBody:
+        """A robot comes into the middle of a cell."""
+        assert slot not in self.robots
+        self.robots[slot] = body = GridBody(self, slot, len(self.robots))
+        self.places = np.vstack((self.places, self._centres[number]))
+        self.speeds = np.vstack((self.speeds, (0.0, 0.0)))
+        self.since_us = np.append(self.since_us, now_us)
+        self.until_us = np.append(self.until_us, now_us)
+        return body
+
+    def now(self, row: int, now_us: int) -> tuple[float, float]:
+        seconds = (min(now_us, int(self.until_us[row])) - int(self.since_us[row])) / 1e6
+        (x_m, y_m), (vx, vy) = self.places[row].tolist(), self.speeds[row].tolist()
+        return x_m + vx * seconds, y_m + vy * seconds
+
+    def _all(self, now_us: int) -> NDArray[np.float64]:
+        seconds = (np.minimum(now_us, self.until_us) - self.since_us) / 1e6
+        places: NDArray[np.float64] = self.places + self.speeds * seconds[:, None]
+        return places
+
+    def seen(
+        self, row: int, x_m: float, y_m: float, now_us: int
+    ) -> tuple[tuple[float, float], ...]:
+        """Others within sight, relative to a place."""
+        sight_m = SIGHT * self.ground.cell_m
+        gaps = self.places - (
+            x_m,
+            y_m,
+        )  # not moved on: with a cell to spare, that picks who is near
+        spare_m = sight_m + self.ground.cell_m
+        near = np.flatnonzero((np.abs(gaps) < spare_m).all(axis=1)).tolist()
+        found = []
+        for other in near:
+            if other != row:
+                bx, by = self.now(other, now_us)
+                if (bx - x_m) ** 2 + (by - y_m) ** 2 < sight_m**2:
+                    found.append((bx - x_m, by - y_m))
+        return tuple(found)
+
+    def is_empty(self, number: int, now_us: int) -> bool:
+        """Whether somebody new can be put into a cell."""
+        gaps = self._all(now_us) - self._centres[number]
+        return not (np.hypot(gaps[:, 0], gaps[:, 1]) < self.ground.cell_m).any()
+
+    def advance(self, now_us: int) -> None:
+        """Judge all that was until now."""
+        while self._looked_us + LOOK_US <= now_us:
+            self._looked_us += LOOK_US
+            self._look(self._looked_us)
+
+    def _look(self, now_us: int) -> None:
+        """A command is never older than a look and its successor, so that places are exact."""
+        if not self.robots:
+            return
+        truth, places = self.truth, self._all(now_us)
+        gaps = places[:, None, :] - places[None, :, :]
+        away_m = np.hypot(gaps[..., 0], gaps[..., 1])
+        np.fill_diagonal(away_m, inf)
+        closest_m = float(away_m.min())
+        truth.closest_m = min(truth.closest_m, closest_m)
+        slots = list(self.robots)
+        if closest_m < 2 * self.radius_m:
+            for a, b in np.argwhere(away_m < 2 * self.radius_m).tolist():
+                if a < b:
+                    truth.contacts.add((slots[a], slots[b]))
+        self._judge_cells(slots, places, now_us)
+
+    def _judge_cells(self, slots: list[int], places: NDArray[np.float64], now_us: int) -> None:
+        truth, ground = self.truth, self.ground
+        columns = np.rint(places[:, 0] / ground.cell_m + (ground.columns - 1) / 2).astype(np.int64)
+        rows = np.rint((ground.rows - 1) / 2 - places[:, 1] / ground.cell_m).astype(np.int64)
+        numbers = ground.number_of[(rows + 1) * ground.width + columns + 1]
+        truth.through_walls += int(np.count_nonzero(numbers == NONE))
+        off = places - self._centres[numbers]
+        middle = (np.hypot(off[:, 0], off[:, 1]) <= COVERED * ground.cell_m) & (numbers != NONE)
+        for row in np.flatnonzero(middle).tolist():
+            slot, number = slots[row], int(numbers[row])
+            if truth.at.get(slot) == number:
+                continue
+            truth.at[slot] = number
+            truth.steps += 1
+            if truth.first_us[number] == NONE:
+                truth.first_us[number], truth.by[number] = now_us, slot

@@ -1,0 +1,173 @@
+"""Judging a coverage plan by its actions alone. Shares no code with any planner.
+
+One step: all robots move at once. Not allowed: leaving the map or entering a wall or a wreck, two
+robots in one cell, two robots changing places. A cell is covered by the robot that stands on it. A
+robot that died is a wreck from that step on; what only it could reach nobody has to cover.
+"""
+
+from collections import deque
+from typing import NamedTuple
+
+from sim.files.coverage_plan_file import STEPS, Plan
+from sim.files.grid_map import Cell, Walls
+
+
+class Verdict(NamedTuple):
+    makespan: int  # the first step after which everything reachable is covered, else the plan's end
+    collisions: int  # robots in a cell with another, summed over the steps
+    swaps: int  # pairs of robots that changed places
+    wall_entries: int  # steps into walls, wrecks, or off the map; the robot stays
+    uncovered: int  # cells that a living robot can reach and nobody was in
+    cells: int  # reachable free cells
+    moves: int
+    turns_90: int  # between one move and the next of the same robot, waits not counting
+    turns_180: int
+    repeats: int  # moves into cells that were covered before
+    last_steps: tuple[int, ...]  # of each robot: after which step it covered its last new cell
+    quarter_turns: tuple[int, ...]  # of each robot up to then; a U-turn is two
+
+    @property
+    def ok(self) -> bool:
+        return not (self.collisions or self.swaps or self.wall_entries or self.uncovered)
+
+    def score(self, turn_cost: float) -> float:
+        """The slowest robot's steps to its last new cell, each quarter turn at `turn_cost` steps."""
+        ends = zip(self.last_steps, self.quarter_turns, strict=True)
+        return max((step + turn_cost * turns for step, turns in ends), default=0.0)
+
+
+def steps_from(walls: list[list[bool]], sources: list[Cell]) -> dict[Cell, int]:
+    """Steps from the nearest source to every cell that can be reached."""
+    rows, columns = len(walls), len(walls[0])
+    steps = dict.fromkeys(sources, 0)
+    queue = deque(sources)
+    while queue:
+        row, column = queue.popleft()
+        for dr, dc in STEPS[1:]:
+            cell = (row + dr, column + dc)
+            if not (0 <= cell[0] < rows and 0 <= cell[1] < columns):
+                continue
+            if cell not in steps and not walls[cell[0]][cell[1]]:
+                steps[cell] = steps[row, column] + 1
+                queue.append(cell)
+    return steps
+
+
+def judge(plan: Plan) -> Verdict:
+    court = Court(plan)
+    while not court.over:
+        court.advance()
+    return court.verdict()
+
+
+def lower_bound(walls: Walls, starts: list[Cell]) -> int:
+    """Steps that no plan can beat: what is at least d away is not begun before d - 1 steps are over.
+
+    >>> import numpy as np
+    >>> lower_bound(np.zeros((1, 9), dtype=bool), [(0, 0), (0, 1)])
+    7
+    """
+    distance = steps_from(walls.tolist(), starts)
+    rings = [0] * (max(distance.values(), default=0) + 2)
+    for away in distance.values():
+        rings[away] += 1
+    best, beyond = 0, 0
+    for away in range(len(rings) - 1, 0, -1):
+        beyond += rings[away]
+        if beyond:
+            best = max(best, away - 1 + -(-beyond // len(starts)))
+    return best
+
+
+class Court:
+    """Plays a plan step by step, noting faults; `advance` to its end, then `verdict`."""
+
+    def __init__(self, plan: Plan) -> None:
+        self.plan = plan
+        self.walls: list[list[bool]] = plan.walls.tolist()
+        self.at: dict[int, Cell] = {}
+        self.wrecks: set[int] = set()
+        self.covered: dict[Cell, int] = {}  # the step after which it was
+        self.collisions = self.swaps = self.wall_entries = self.moves = self.repeats = 0
+        self.turns = [0, 0]
+        self.heading: dict[int, int] = {}
+        self.step = 0
+        robots = len(plan.starts)
+        self.quarters, self.quarters_then, self.last = [0] * robots, [0] * robots, [0] * robots
+        self._arrive(0)
+
+    def advance(self) -> None:
+        self._die(self.step)
+        self._move(self.step)
+        self.step += 1
+        self._arrive(self.step)
+
+    @property
+    def over(self) -> bool:
+        return self.step >= self.plan.makespan
+
+    def wanted(self) -> set[Cell]:
+        """What the living robots can reach."""
+        live = [cell for robot, cell in self.at.items() if robot not in self.wrecks]
+        return {cell for cell in steps_from(self.walls, live) if self.plan.dirt[cell]}
+
+    def verdict(self) -> Verdict:
+        plan, wanted = self.plan, self.wanted()
+        missing = wanted - self.covered.keys()
+        last = max((self.covered[cell] for cell in wanted - missing), default=0)
+        return Verdict(
+            plan.makespan if missing else last, self.collisions, self.swaps, self.wall_entries,
+            len(missing), len(wanted), self.moves, self.turns[0], self.turns[1], self.repeats,
+            tuple(self.last), tuple(self.quarters_then),
+        )  # fmt: skip
+
+    def _arrive(self, step: int) -> None:
+        for robot, joined in enumerate(self.plan.joined):
+            if joined == step:
+                cell = self.plan.starts[robot]
+                self.collisions += cell in self.at.values()
+                self.wall_entries += self.walls[cell[0]][cell[1]]
+                self.at[robot] = cell
+                self.covered.setdefault(cell, step)
+
+    def _die(self, step: int) -> None:
+        for robot, died in enumerate(self.plan.died):
+            if died == step and robot in self.at:
+                self.wrecks.add(robot)
+                row, column = self.at[robot]
+                self.walls[row][column] = True
+
+    def _move(self, step: int) -> None:
+        before = dict(self.at)
+        for robot, (row, column) in before.items():
+            actions = self.plan.actions[robot]
+            action = actions[step] if step < len(actions) else 0
+            if robot in self.wrecks or action == 0:
+                continue
+            cell = (row + STEPS[action][0], column + STEPS[action][1])
+            inside = 0 <= cell[0] < len(self.walls) and 0 <= cell[1] < len(self.walls[0])
+            if not inside or self.walls[cell[0]][cell[1]]:
+                self.wall_entries += 1
+                continue
+            self.at[robot] = cell
+            self._count(robot, action)
+        self.collisions += len(self.at) - len(set(self.at.values()))
+        movers = {
+            (before[robot], self.at[robot]) for robot in before if before[robot] != self.at[robot]
+        }
+        self.swaps += sum((b, a) in movers for a, b in movers) // 2
+        for robot, cell in self.at.items():
+            if cell not in self.covered:
+                self.covered[cell] = step + 1
+                self.last[robot], self.quarters_then[robot] = step + 1, self.quarters[robot]
+            elif robot in before and before[robot] != cell:
+                self.repeats += 1
+
+    def _count(self, robot: int, action: int) -> None:
+        self.moves += 1
+        old = self.heading.get(robot, action)
+        if old != action:
+            back = (old - 1) // 2 == (action - 1) // 2  # up and down, or left and right
+            self.turns[back] += 1
+            self.quarters[robot] += 2 if back else 1
+        self.heading[robot] = action

@@ -1,0 +1,95 @@
+"""Peers with everything but a world: they claim, work and finish sections by the clock.
+
+For figures and campaigns about the protocol: real peers on the real wire model, with work going on all
+the time at the pace of a field robot, whatever the size of the fleet, and no physics.
+"""
+
+from collections.abc import Mapping
+from math import cos, sin
+
+from agent.interface.effects import Drive
+from agent.interface.mission import STILL, Choice, FleetView, Wish
+from agent.interface.ports import Observation
+from crdt import Phase
+
+UNIT_M = 5.0
+SPEED_M_S = 2.5
+UNIT_S = UNIT_M / SPEED_M_S
+SECTION_UNITS = 40  # 200 m of swath: a row of a field, worked in 80 s
+SPACING_M = 12.0  # far enough apart that nobody gives way
+
+
+class Drill:
+    """The next free section from a place of one's own, worked at a steady pace."""
+
+    def __init__(self, slot: int, robots: int, sections: int) -> None:
+        self.slot = slot
+        self._order = [(slot * sections // robots + k) % sections for k in range(sections)]
+        self._units = dict.fromkeys(range(sections), SECTION_UNITS)
+        self._done = SECTION_UNITS * slot // robots  # not everybody finishes at once
+        self._next_us = 0
+
+    @property
+    def section_units(self) -> Mapping[int, int]:
+        return self._units
+
+    def choose(self, view: FleetView) -> Choice | None:
+        for section in self._order:
+            if view.allocation.phase_of(section) is Phase.FREE:
+                return Choice(section, 3)
+        return None
+
+    def approach(self, section: int, view: FleetView) -> Wish:
+        return STILL
+
+    def begin(self, section: int, view: FleetView) -> None:
+        self._next_us = view.now_us + round(UNIT_S * 1e6)
+
+    def work(self, view: FleetView) -> Wish:
+        covered: tuple[int, ...] = ()
+        if view.now_us >= self._next_us:
+            covered, self._done = (self._done,), self._done + 1
+            self._next_us += round(UNIT_S * 1e6)
+        finished = self._done >= SECTION_UNITS
+        near = self._done >= SECTION_UNITS - 2
+        self._done = 0 if finished else self._done
+        return Wish(SPEED_M_S, 0.0, 0.0, True, covered, finished=finished, near_end=near)
+
+    def abandon(self) -> None: ...
+    def admits(self, goal: tuple[float, float]) -> bool:
+        return False
+
+    def travel(self, goal: tuple[float, float], view: FleetView) -> Wish:
+        return STILL
+
+    def interrupted(self) -> None: ...
+
+    def rest(self, view: FleetView) -> Wish:
+        return STILL
+
+
+class Place:
+    """A body that is where it is, a little restless so that frames differ."""
+
+    def __init__(self, slot: int) -> None:
+        self.x_m, self.y_m = SPACING_M * (slot % 12), SPACING_M * (slot // 12)
+        self.slot = slot
+        self._moving_us, self._stood_us = -1, -1  # newest command to move; first to stand after it
+
+    def sense(self, now_us: int) -> Observation:
+        angle = now_us * 1e-6 + self.slot
+        return Observation(
+            self.x_m + cos(angle), self.y_m + sin(angle), angle % 6.28, -sin(angle), cos(angle),
+            sensed_at_us=now_us,
+        )  # fmt: skip
+
+    def drive(self, command: Drive, now_us: int) -> None:
+        if command.vx_m_s or command.vy_m_s or command.turn_rad_s:
+            self._moving_us, self._stood_us = now_us, -1
+        elif self._stood_us < 0:
+            self._stood_us = now_us
+
+    def moved_until_us(self, expiry_us: int) -> int:
+        """Until when a command to move was in force."""
+        expires_us = self._moving_us + expiry_us
+        return expires_us if self._stood_us < 0 else min(self._stood_us, expires_us)

@@ -1,0 +1,276 @@
+"""A world without physics, for campaigns about the protocol: bodies that stand in their places and do
+what they are told, sections that are worked by the clock, and the truth of both.
+
+It gives a cluster what `sim/world/world.py` gives it. Who works where is known to the parade itself, so that
+no checker has to ask a robot.
+"""
+
+from collections.abc import Callable, Collection, Mapping
+from math import cos, inf, sin
+from typing import NamedTuple
+
+from agent.interface.config import ACTUATOR_TTL_US, CONTENTION_US, LEASE_US, MS, S
+from agent.interface.effects import HALT, Drive
+from agent.interface.mission import STILL, Choice, FleetView, Wish
+from agent.interface.ports import NOTHING_SEEN, Observation
+from agent.motion.holonomic_motion import Limits, Motion
+from crdt import Phase
+from sim.world.checkers import VIOLATIONS_MAX, Violation, lapse_us
+from sim.world.drive_trains import Chassis
+from sim.world.ground_truth import Contact
+from sim.world.protocol_drill import SPACING_M, SPEED_M_S
+from sim.world.robot_body import RobotBody
+from sim.world.world import World
+
+UNIT_US = 1 * S  # a unit takes this long
+UNITS = 20  # of a section: claims are made three times as often as in a field of short rows
+SECTIONS_A_ROBOT = 8
+SPRINT_SECTIONS = 3  # of a robot, in a sprint
+# Two robots within this time in one section work there together. A hand-over takes longer: what is
+# claimed is contested for 250 ms before it is work.
+BOTH_US = 200 * MS
+
+
+assert BOTH_US < CONTENTION_US
+_tuple = tuple.__new__
+
+
+class Watch(NamedTuple):
+    slots: frozenset[int]
+    silent_us: int  # from here on no command to move may be in force
+
+
+class CommandChecker:
+    """S1 without physics: between a stop's bound and its release no command to move is in force."""
+
+    def __init__(self) -> None:
+        self.violations: list[Violation] = []
+        self._watches: dict[int, Watch] = {}
+        self._lapsed_us: dict[int, int] = {}
+        self._pressed = 0
+
+    def press(self, t_us: int, bound_us: int, slots: Collection[int]) -> int:
+        """Returns the number to release it by."""
+        self._pressed += 1
+        self._watches[self._pressed] = Watch(frozenset(slots), t_us + bound_us)
+        return self._pressed
+
+    def release(self, number: int, slots: Collection[int] | None = None) -> None:
+        """A person released some robots, or all, from that stop."""
+        watch = self._watches.pop(number)
+        if slots is not None and watch.slots - frozenset(slots):
+            self._watches[number] = watch._replace(slots=watch.slots - frozenset(slots))
+
+    def lapses(self, slot: int, now_us: int) -> None:
+        """It has died or hangs: what it said last holds until it expires in the actuator."""
+        self._lapsed_us[slot] = now_us
+
+    def moved(self, slot: int, until_us: int) -> None:
+        """A command to move was in force until then."""
+        for watch in self._watches.values():
+            if until_us > watch.silent_us and slot in watch.slots:
+                late_us = lapse_us(self._lapsed_us.get(slot), watch.silent_us)
+                if until_us <= watch.silent_us + late_us:
+                    continue
+                if len(self.violations) < VIOLATIONS_MAX:
+                    self.violations.append(
+                        Violation("S1", until_us, (slot,), "told to move after a stop")
+                    )
+                return
+
+
+class Stand(RobotBody):
+    """The body of one robot."""
+
+    def __init__(self, parade: "Parade", slot: int) -> None:
+        super().__init__(parade, slot, slot, 0.5, Chassis())
+        self.parade = parade
+        self.x_m, self.y_m = SPACING_M * (slot % 12), SPACING_M * (slot // 12)
+        self._tool_on = False
+        self._moving_us = -ACTUATOR_TTL_US  # the newest command to move
+        self._moving = False
+
+    def sense(self, now_us: int) -> Observation:
+        angle = now_us * 1e-6 + self.slot
+        x, y = cos(angle), sin(angle)
+        x_m, y_m, course_rad = self.x_m + x, self.y_m + y, angle % 6.28
+        seen = x_m, y_m, course_rad, -y, x, (), 1.0, (), -1, NOTHING_SEEN, now_us, 1.0
+        return _tuple(Observation, seen)
+
+    def drive(self, command: Drive, now_us: int) -> None:
+        if self._moving:
+            until_us = self._moving_us + ACTUATOR_TTL_US
+            self.parade.moved(self.slot, now_us if now_us < until_us else until_us)
+        self._moving = command.vx_m_s != 0.0 or command.vy_m_s != 0.0 or command.turn_rad_s != 0.0
+        if self._moving:
+            self._moving_us = now_us
+        self._tool_on = command.tool_on
+
+    @property
+    def tool_on(self) -> bool:
+        return self._tool_on
+
+    @property
+    def position(self) -> tuple[float, float]:
+        return self.x_m, self.y_m
+
+    def push(self, dx_m: float, dy_m: float) -> None:
+        """Fault: somebody moves the robot."""
+        self.x_m, self.y_m = self.x_m + dx_m, self.y_m + dy_m
+
+
+class Parade(World):
+    """Every body, what was worked, and who worked where and when. Nothing of a world is computed."""
+
+    def __init__(self, robots: int, sections: int) -> None:
+        self.now_us, self.lidar = 0, None
+        self._checkers: list[CommandChecker] = []
+        self.stands = {slot: Stand(self, slot) for slot in range(robots)}
+        self.robots = dict[int, RobotBody](self.stands)
+        self.units = dict.fromkeys(range(sections), UNITS)
+        self.worked: set[tuple[int, int]] = set()
+        self.together: list[Violation] = []  # S7
+        self.counts: Callable[[], bool] = lambda: (
+            True
+        )  # whether two in a section are wrong just now
+        self.contacts: list[Contact] = []
+        self._at_work: dict[int, tuple[int, int]] = {}  # section -> robot and when it last worked
+
+    @property
+    def closest_m(self) -> float:
+        return inf
+
+    def advance(self, now_us: int) -> None:
+        self.now_us = max(self.now_us, now_us)
+
+    def add_box(
+        self, x_m: float, y_m: float, side_m: float, depth_m: float | None = None,
+        heading_rad: float = 0.0,
+    ) -> int:  # fmt: skip
+        """Nobody meets anything here."""
+        return 0
+
+    def remove_box(self, number: int) -> None: ...
+
+    def checker(self) -> CommandChecker:
+        """A new one, that is told of every command."""
+        self._checkers.append(CommandChecker())
+        return self._checkers[-1]
+
+    def moved(self, slot: int, until_us: int) -> None:
+        for checker in self._checkers:
+            checker.moved(slot, until_us)
+
+    def works(self, slot: int, section: int, now_us: int) -> None:
+        """A robot has its implement down in a section."""
+        other, last_us = self._at_work.get(section, (slot, 0))
+        both = other != slot and now_us - last_us < BOTH_US
+        if both and len(self.together) < VIOLATIONS_MAX and self.counts():
+            what = f"section {section} worked by both"
+            self.together.append(Violation("S7", now_us, (other, slot), what))
+        self._at_work[section] = (slot, now_us)
+
+    @property
+    def share(self) -> float:
+        """Of all units, those that were really worked."""
+        return len(self.worked) / (UNITS * len(self.units))
+
+
+class Steady:
+    """The mission: the next free section from a place of one's own, unit after unit by the clock.
+
+    `crowded`: everybody looks from the first section on, so that every claim is contested.
+    """
+
+    def __init__(self, parade: Parade, slot: int, crowded: bool = False) -> None:
+        self.parade, self.slot = parade, slot
+        sections = len(parade.units)
+        first = 0 if crowded else slot * sections // len(parade.stands)
+        self._order = [(first + k) % sections for k in range(sections)]
+        self._section: int | None = None
+        self._worked: set[int] = set()  # of this section, since it was begun
+        self._unit_us = 0  # when the unit under way will be done
+        self._lifted = True
+
+    @property
+    def section_units(self) -> Mapping[int, int]:
+        return self.parade.units
+
+    def choose(self, view: FleetView) -> Choice | None:
+        for section in self._order:
+            if view.allocation.phase_of(section) is Phase.FREE:
+                return Choice(section, 3)
+        for slot, since_us in sorted(view.silent_since_us.items()):
+            if view.now_us - since_us >= LEASE_US:
+                for section in sorted(view.allocation.assigned_sections(slot)):
+                    return Choice(section, 3, takeover=True)
+        return None
+
+    def approach(self, section: int, view: FleetView) -> Wish:
+        return STILL
+
+    def begin(self, section: int, view: FleetView) -> None:
+        self._section, self._lifted = section, True
+        self._worked.clear()
+
+    def abandon(self) -> None:
+        self._section = None
+
+    def interrupted(self) -> None:
+        self._lifted = True
+
+    def admits(self, goal: tuple[float, float]) -> bool:
+        return False
+
+    def travel(self, goal: tuple[float, float], view: FleetView) -> Wish:
+        return STILL
+
+    def rest(self, view: FleetView) -> Wish:
+        return STILL
+
+    def work(self, view: FleetView) -> Wish:
+        if self._section is None:  # resumed after a stop or a sync
+            self.begin(view.allocation.assigned_sections(view.slot)[0], view)
+        section, now_us = self._section, view.now_us
+        assert section is not None
+        down = self.parade.stands[self.slot].tool_on  # what the body did in the period that ends
+        if self._lifted:
+            self._lifted, self._unit_us = False, now_us + UNIT_US
+        elif down:
+            self.parade.works(self.slot, section, now_us)
+        if now_us < self._unit_us:
+            return WORKING
+        return self._next(section, view)
+
+    def _next(self, section: int, view: FleetView) -> Wish:
+        covered: tuple[int, ...] = ()
+        left = [u for u in range(UNITS)
+                if u not in self._worked and not view.progress.has(section, u)]  # fmt: skip
+        if left:
+            covered = (left.pop(0),)
+            self._worked.update(covered)
+            self.parade.worked.add((section, covered[0]))
+        self._unit_us = view.now_us + UNIT_US
+        if not left:
+            self._section = None
+        return WORKING._replace(covered=covered, finished=not left, near_end=len(left) <= 2)
+
+
+WORKING = Wish(SPEED_M_S, 0.0, 0.0, True)
+
+
+class Straight(Motion):
+    """Nobody is in anybody's way."""
+
+    def __init__(self, slot: int) -> None:
+        self.slot, self.limits = slot, Limits(0.5, SPEED_M_S, 1.0)
+        self.lookout = None
+        self._wish, self._drive = STILL, HALT
+
+    def drive(
+        self, here: Observation, wish: Wish, neighbours: Mapping[int, object], now_us: int
+    ) -> Drive:
+        if wish is not self._wish:
+            self._wish = wish
+            self._drive = Drive(wish.vx_m_s, wish.vy_m_s, wish.turn_rad_s, wish.tool_on)
+        return self._drive

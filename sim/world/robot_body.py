@@ -1,0 +1,114 @@
+"""One robot's body: the `Body` port of its peer, the hooks of faults, and what checkers look at."""
+
+from math import hypot, isfinite, pi, remainder
+from typing import TYPE_CHECKING
+
+from agent.interface.config import ACTUATOR_TTL_US
+from agent.interface.effects import HALT, Drive
+from agent.interface.ports import NOTHING_SEEN, Observation
+from sim.world.drive_trains import (
+    COLUMNS,
+    COMMAND,
+    COMMANDED_US,
+    EXPIRES_US,
+    HEADING,
+    MOTION,
+    TOOL,
+    VX,
+    VY,
+    WANT_TOOL,
+    WANT_TURN,
+    WANT_X,
+    WANT_Y,
+    Chassis,
+)
+from sim.world.ground_truth import Track
+
+if TYPE_CHECKING:
+    from sim.world.world import World
+
+XY = tuple[float, float]
+OBSERVATION = tuple.__new__
+
+
+class RobotBody:
+    def __init__(
+        self, world: "World", slot: int, index: int, radius_m: float, chassis: Chassis
+    ) -> None:
+        self.world, self.slot, self.index = world, slot, index  # index: row in the world's arrays
+        self.radius_m, self.chassis = radius_m, chassis
+        self.track = Track()
+        self.frozen = False  # fault: the actuator hears nothing new
+
+    @property
+    def position(self) -> XY:
+        x_m, y_m = self.world.motion[self.index, :2].tolist()
+        return x_m, y_m
+
+    @property
+    def heading_rad(self) -> float:
+        return remainder(float(self.world.motion[self.index, HEADING]), 2 * pi)
+
+    @property
+    def tool_on(self) -> bool:
+        """Whether the implement was down in the last step."""
+        return bool(self.world.rows[self.index, TOOL])
+
+    @property
+    def speed_m_s(self) -> float:
+        """What the body really does, whatever the wheels were told."""
+        vx_m_s, vy_m_s = self.world.motion[self.index, VX : VY + 1].tolist()
+        return hypot(vx_m_s, vy_m_s)
+
+    @property
+    def commanded_us(self) -> int:
+        """Beginning of the last step in which a command to move was in force; -1: never."""
+        return int(self.world.rows[self.index, COMMANDED_US])
+
+    @property
+    def moved_us(self) -> int:
+        """End of the last step after which the body moved; -1: never."""
+        return int(self.world.moved_us[self.index])
+
+    def sense(self, now_us: int) -> Observation:
+        world = self.world
+        world.advance(now_us)
+        moved = MOTION.unpack_from(world.places, self.index * MOTION.size)
+        x_m, y_m, heading, vx_m_s, vy_m_s, _, _ = moved
+        ranges_m = world.ranges(self.index)
+        return OBSERVATION(Observation, (
+            x_m, y_m, remainder(heading, 2 * pi), vx_m_s, vy_m_s, ranges_m, 1.0, (), -1,
+            NOTHING_SEEN, now_us, 1.0,
+        ))  # fmt: skip
+
+    def drive(self, command: Drive, now_us: int) -> None:
+        """In force from the step in which `now_us` lies, until it expires."""
+        assert isfinite(command.vx_m_s + command.vy_m_s + command.turn_rad_s), command
+        self.world.advance(now_us)
+        if self.frozen:
+            return
+        vx_m_s, vy_m_s, turn_rad_s, tool_on, _ = command
+        COMMAND(
+            self.world.commands, self.index * 8 * COLUMNS, vx_m_s, vy_m_s, turn_rad_s, tool_on,
+            now_us + ACTUATOR_TTL_US,
+        )  # fmt: skip
+
+    def commanded(self, now_us: int) -> Drive:
+        """The command in force: one that is not renewed expires in the actuator."""
+        row = self.world.rows[self.index]
+        if now_us >= row[EXPIRES_US]:
+            return HALT
+        vx_m_s, vy_m_s, turn_rad_s = row[[WANT_X, WANT_Y, WANT_TURN]].tolist()
+        return Drive(vx_m_s, vy_m_s, turn_rad_s, bool(row[WANT_TOOL]))
+
+    def push(self, dx_m: float, dy_m: float) -> None:
+        """Fault: somebody moves the robot."""
+        x_m, y_m = self.position
+        self.teleport(x_m + dx_m, y_m + dy_m)
+
+    def teleport(self, x_m: float, y_m: float, heading_rad: float | None = None) -> None:
+        """Fault: somebody carries the robot there."""
+        world, tool_on = self.world, self.tool_on
+        self.track.add(world.now_us, *self.position, tool_on)
+        world.place(self, x_m, y_m, self.heading_rad if heading_rad is None else heading_rad)
+        self.track.add(world.now_us, x_m, y_m, tool_on, carried=True)

@@ -1,0 +1,117 @@
+"""Nobody is ever where it cannot stop before another that halts, whatever beats were lost."""
+
+from math import hypot
+from random import Random
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from agent.avoidance.orca import Avoidance
+from agent.avoidance.stopping_constraint import HARDEST_M_S2
+
+NO_FENCES = np.zeros((0, 4))
+RADIUS_M, SPEED_M_S, BRAKING_M_S2, DT_S, STEP_S = 0.35, 1.0, 2.0, 0.05, 0.01
+MARGIN_M = 0.15  # as `agent/motion/holonomic_motion.py` has it
+ROUNDED_M = 0.05  # POSE: the place
+XY = tuple[float, float]
+
+
+class Robot:
+    """A point with a body; its velocity follows what is wanted as the wheels can."""
+
+    def __init__(self, x_m: float, y_m: float, vx_m_s: float, stops: bool) -> None:
+        self.at, self.v, self.wanted = (x_m, y_m), (vx_m_s, 0.0), (vx_m_s, 0.0)
+        self.hard_m_s2 = BRAKING_M_S2
+        self.heard: dict[int, tuple[XY, XY, float]] = {}
+        self.avoidance = Avoidance(
+            RADIUS_M, SPEED_M_S, 1.0, 1.0, DT_S, NO_FENCES, keep_right_rad=0.05,
+            stopping_m_s2=BRAKING_M_S2 if stops else 0.0,
+        )  # fmt: skip
+
+    def choose(self, goal: XY, now_s: float) -> None:
+        dx, dy = goal[0] - self.at[0], goal[1] - self.at[1]
+        far = max(hypot(dx, dy), 1e-9)
+        speed = min(SPEED_M_S, far)
+        rows: list[tuple[float, ...]] = []
+        for (x, y), (vx, vy), heard_s in self.heard.values():
+            age_s = now_s - heard_s
+            share = 0.5 if hypot(vx, vy) > 0.05 else 1.0
+            rows.append((x + vx * age_s - self.at[0], y + vy * age_s - self.at[1], vx, vy,
+                         2 * RADIUS_M + MARGIN_M, share, age_s))  # fmt: skip
+        self.wanted = self.avoidance.velocity(
+            self.at, self.v, (dx / far * speed, dy / far * speed), rows
+        )
+
+    def halt(self, rng: Random) -> None:
+        self.wanted, self.hard_m_s2 = (0.0, 0.0), rng.uniform(BRAKING_M_S2, HARDEST_M_S2)
+
+    def step(self) -> None:
+        cx, cy = self.wanted[0] - self.v[0], self.wanted[1] - self.v[1]
+        most, asked = self.hard_m_s2 * STEP_S, hypot(cx, cy)
+        part = min(1.0, most / asked) if asked > 0 else 1.0
+        self.v = self.v[0] + cx * part, self.v[1] + cy * part
+        self.at = self.at[0] + self.v[0] * STEP_S, self.at[1] + self.v[1] * STEP_S
+
+
+def play(rng: Random, robots: list[Robot], goals: list[XY], loss: float, halt: float) -> float:
+    """Everybody halts now and then for a second; returns the smallest gap between two bodies."""
+    until_s = [0.0] * len(robots)
+    closest_m = 9e9
+    for tick in range(300):
+        now_s = tick * DT_S
+        for me, robot in enumerate(robots):
+            for other, peer in enumerate(robots):
+                if other != me and (tick == 0 or rng.random() >= loss):
+                    x, y = (round(c / ROUNDED_M) * ROUNDED_M for c in peer.at)
+                    robot.heard[other] = (x, y), peer.v, now_s
+        for me, robot in enumerate(robots):
+            if now_s >= until_s[me] and rng.random() < halt:
+                until_s[me] = now_s + 1.0
+                robot.halt(rng)
+            elif now_s >= until_s[me]:
+                robot.hard_m_s2 = BRAKING_M_S2
+                robot.choose(goals[me], now_s)
+        for _ in range(round(DT_S / STEP_S)):
+            for robot in robots:
+                robot.step()
+            for me, a in enumerate(robots):
+                for b in robots[:me]:
+                    gap_m = hypot(a.at[0] - b.at[0], a.at[1] - b.at[1]) - 2 * RADIUS_M
+                    closest_m = min(closest_m, gap_m)
+    return closest_m
+
+
+def train(stops: bool) -> list[Robot]:
+    return [Robot(1.0 * k, 0.0, 0.0, stops) for k in range(4)]
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 2**32), loss=st.sampled_from((0.0, 0.3, 0.6)))
+def test_a_train_whose_robots_halt_does_not_touch(seed: int, loss: float) -> None:
+    goals = [(40.0 + k, 0.0) for k in range(4)]
+    assert play(Random(seed), train(True), goals, loss, 0.02) > 0.0
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 2**32), loss=st.sampled_from((0.0, 0.3)))
+def test_a_crowd_whose_robots_halt_does_not_touch(seed: int, loss: float) -> None:
+    rng = Random(seed)
+    places = [(1.6 * (k % 3), 1.6 * (k // 3)) for k in range(6)]
+    robots = [Robot(x + rng.uniform(-0.2, 0.2), y, 0.0, True) for x, y in places]
+    goals = [(rng.uniform(-1, 5), rng.uniform(-1, 4)) for _ in places]
+    assert play(rng, robots, goals, loss, 0.02) > 0.0
+
+
+def test_a_train_without_it_does() -> None:
+    """Plain ORCA relies on the one ahead, and on beats."""
+    goals = [(40.0 + k, 0.0) for k in range(4)]
+    assert min(play(Random(seed), train(False), goals, 0.6, 0.02) for seed in range(20)) < 0.0
+
+
+@pytest.mark.parametrize("gap_m", [0.2, 1.0, 3.0])
+def test_it_stops_no_further_away_than_it_must(gap_m: float) -> None:
+    robots = [Robot(0.0, 0.0, 0.0, True), Robot(2 * RADIUS_M + gap_m, 0.0, 0.0, True)]
+    closest_m = play(Random(1), robots, [(9.0, 0.0), robots[1].at], 0.0, 0.0)
+    assert 0.0 < closest_m < MARGIN_M + 0.05

@@ -1,0 +1,139 @@
+"""Rounds among robots that hear each other with loss: all go by one plan, or nobody does."""
+
+from random import Random
+
+import numpy as np
+import pytest
+
+from agent.coverage.cell_map import Ground
+from agent.coverage.plan_agreement import ANYBODY, Crew, GridRounds
+from agent.interface.config import MS, S
+from agent.mapf.agreement_phase import Phase
+from crdt import Progress
+from protocol.frames.accord_frames import Accord, Answer, Say
+
+
+class Table:
+    """Robots that stand at fixed cells and talk; who is in which island hears whom."""
+
+    def __init__(self, robots: int, seed: int = 0, loss: float = 0.0) -> None:
+        self.ground = Ground(np.zeros((6, 6), dtype=np.bool_), 4.0)
+        self.rounds = {s: GridRounds(s, self.ground) for s in range(robots)}
+        self.progress = {s: Progress(self.ground.section_units) for s in range(robots)}
+        self.answers = dict.fromkeys(range(robots), Answer.GRANT)
+        self.live = {s: frozenset(range(robots)) for s in range(robots)}
+        self.silent: dict[int, dict[int, int]] = {s: {} for s in range(robots)}
+        self.rng, self.loss, self.now_us = Random(seed), loss, 0
+
+    def run(self, for_us: int) -> None:
+        end_us = self.now_us + for_us
+        while self.now_us < end_us:
+            self.now_us += 50 * MS
+            for slot, rounds in self.rounds.items():
+                crew = Crew(self.live[slot], self.silent[slot], self.progress[slot])
+                rounds.tick(slot, self.answers[slot], True, crew, self.now_us)
+                for word in rounds.say(self.now_us):
+                    for other in self.live[slot] - {slot}:
+                        if other in self.rounds and self.rng.random() >= self.loss:
+                            self.rounds[other].hear(slot, Accord.unpack(word.pack()), self.now_us)
+
+    def cut(self, *islands: set[int]) -> None:
+        for island in islands:
+            for slot in island & self.rounds.keys():
+                gone = {other for other in self.live[slot] if other not in island}
+                self.silent[slot] |= dict.fromkeys(gone, self.now_us)
+                self.live[slot] = frozenset(island)
+                for other in island:
+                    self.silent[slot].pop(other, None)
+
+    def plans(self, *slots: int) -> set[int]:
+        return {id(self.rounds[s].course) for s in slots}
+
+
+@pytest.mark.parametrize("loss", [0.0, 0.3])
+def test_all_go_by_one_plan(loss: float) -> None:
+    table = Table(5, 3, loss)
+    table.run(8 * S)
+    assert all(r.phase is Phase.GO for r in table.rounds.values())
+    assert len(table.plans(*range(5))) == 1
+
+
+def test_nobody_goes_while_replicas_differ() -> None:
+    table = Table(3)
+    table.progress[1].cover(0, 30)
+    table.run(4 * S)
+    assert not any(r.going for r in table.rounds.values())
+    for slot in (0, 2):
+        table.progress[slot].cover(0, 30)
+    table.run(8 * S)
+    assert all(r.going for r in table.rounds.values())
+    assert 30 not in table.rounds[0].course.todo  # type: ignore[union-attr]
+
+
+def test_one_that_cannot_move_is_gone_round_until_it_can() -> None:
+    table = Table(3)
+    table.run(2 * S)
+    table.answers[1] = Answer.STOPPED
+    table.run(3 * S)
+    course = table.rounds[0].course
+    assert course is not None and course.slots == (0, 2) and 1 not in course.todo
+    assert all(course.place(r, s) != 1 for r in range(2) for s in range(course.finish() + 1))
+    table.answers[1] = Answer.GRANT
+    table.run(3 * S)
+    assert all(r.going for r in table.rounds.values())
+
+
+def test_one_silent_is_dead_and_its_work_is_cut_again() -> None:
+    table = Table(4)
+    table.run(2 * S)
+    del table.rounds[3]
+    table.cut({0, 1, 2})
+    table.run(2 * S)
+    rounds = table.rounds[0]
+    assert rounds.going and not rounds.kept and rounds.course is not None
+    assert set(rounds.course.todo.tolist()) == set(range(36)) - {0, 1, 2}
+
+
+def test_both_sides_of_a_split_keep_to_their_own_part() -> None:
+    table = Table(4)
+    table.run(2 * S)
+    table.cut({0, 1}, {2, 3})
+    table.run(3 * S)
+    one, other = table.rounds[0], table.rounds[2]
+    assert one.going and other.going and one.kept and other.kept
+    assert one.course is not None and other.course is not None
+    assert not set(one.course.todo.tolist()) & set(other.course.todo.tolist())
+    assert len(table.plans(0, 1)) == len(table.plans(2, 3)) == 1
+    table.cut({0, 1, 2, 3})
+    table.run(3 * S)
+    assert len(table.plans(*range(4))) == 1 and not table.rounds[0].kept
+
+
+def test_what_one_has_met_all_go_round() -> None:
+    table = Table(3)
+    table.run(2 * S)
+    table.rounds[2].meet(20, ANYBODY, table.now_us)
+    table.rounds[2].call(table.now_us)
+    table.run(4 * S)
+    assert all(r.going and 20 in r.bodies for r in table.rounds.values())
+    assert 20 not in table.rounds[0].course.todo  # type: ignore[union-attr]
+
+
+def test_a_robot_far_ahead_in_rounds_is_followed() -> None:
+    table = Table(2)
+    table.rounds[1].round = 40_000
+    table.run(1 * S)
+    table.rounds[1].call(table.now_us)
+    table.run(3 * S)
+    assert {r.round for r in table.rounds.values()} == {table.rounds[1].round}
+    assert all(r.going for r in table.rounds.values())
+
+
+@pytest.mark.parametrize("say", list(Say))
+def test_words_out_of_range_do_nothing(say: Say) -> None:
+    """What comes from the wire never raises; a cell that does not exist is not believed."""
+    rounds, rng = Table(2).rounds[0], Random(7)
+    for _ in range(300):
+        word = Accord(rng.randrange(3), say, 0, rng.randrange(1 << 16), rng.randrange(1 << 16), 0)
+        rounds.hear(rng.randrange(4), word, 0)
+    assert all(number < 36 for number in rounds.bodies)

@@ -1,0 +1,63 @@
+"""Which section a robot wants: its share; and what was left to others and nobody takes."""
+
+from shapely.geometry import Polygon
+
+from agent.field.field_division import divide
+from agent.field.section_choice import UNTAKEN_US, Choosing
+from agent.interface.config import S
+from agent.interface.lifecycle import State
+from agent.interface.mission import FleetView
+from agent.interface.ports import Observation
+from agent.peer.membership import Neighbour
+from crdt import FieldAllocationCRDT, Progress
+from protocol.frames.codec import decode_once, encode
+from protocol.frames.fleet_frames import Pose
+
+YARD = Polygon([(-20, -14), (20, -14), (20, 14), (-20, 14)])
+FIELD = divide("yard", YARD, (0.0, 0.0), (-20.0, -14.0), 4.0, 0.2, 40.0, 5.0)
+LAST = 4
+END = FIELD.section(LAST).ends[-1]
+PLACES = {0: (END[0] + 1.3, END[1] - 3.3), 2: (END[0] + 0.2, END[1] + 3.55)}  # 3.55 and 3.56 m
+
+
+def told(slot: int, x_m: float, y_m: float) -> Neighbour:
+    """As others hear it: in steps of 5 cm."""
+    _, pose = decode_once(encode(Pose(x_m, y_m, 0.0, 0.0, State.IDLE, False, 0), 128 + slot))
+    assert isinstance(pose, Pose)
+    return Neighbour(pose, 0)
+
+
+def all_but_one() -> FieldAllocationCRDT:
+    allocation = FieldAllocationCRDT()
+    for section in FIELD.sections:
+        if section.id != LAST:
+            allocation.done(section.id, 0)
+    return allocation
+
+
+def first_wants_us(slot: int, places: dict[int, tuple[float, float]]) -> int | None:
+    """When it wants the last section, while nobody takes it."""
+    progress = Progress({section.id: section.units for section in FIELD.sections})
+    choosing, other = Choosing(FIELD, 2.5), 2 - slot
+    here = Observation(*places[slot], 0.0, 0.0, 0.0)
+    view = FleetView(
+        slot, 0, here, all_but_one(), progress, frozenset(places), {},
+        {other: told(other, *places[other])},
+    )  # fmt: skip
+    for now_us in range(0, UNTAKEN_US + S, S):
+        choice = choosing.choose(view._replace(now_us=now_us), places[slot])
+        if choice is not None:
+            assert choice.section == LAST
+            return now_us
+    return None
+
+
+def test_what_each_leaves_to_the_other_is_taken_after_a_while() -> None:
+    """Found by `headland chaos`, profile all, seed 6242: both idle, the section free, for good."""
+    nobody = 0
+    for k in range(-20, 21):
+        places = {0: (PLACES[0][0], PLACES[0][1] + k * 0.005), 2: PLACES[2]}
+        wants_us = [first_wants_us(slot, places) for slot in places]
+        assert set(wants_us) <= {0, UNTAKEN_US}
+        nobody += 0 not in wants_us
+    assert 0 < nobody < 41, "what the test is about"

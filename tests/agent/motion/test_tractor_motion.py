@@ -1,0 +1,72 @@
+"""Two that steer meet: they stop before they touch, and one of them gets out of the way."""
+
+from math import atan2, cos, hypot, pi, sin
+
+import numpy as np
+import pytest
+
+from agent.interface.lifecycle import State
+from agent.interface.mission import Wish
+from agent.motion.holonomic_motion import Limits as Body
+from agent.motion.tractor_motion import TractorMotion
+from agent.motion.tractor_tracker import Limits
+from agent.paths.tractor_route import TurnRoute
+from agent.peer.membership import Neighbour
+from protocol.frames.fleet_frames import Pose as Beat
+from sim.world.drive_trains import TRACTOR
+from sim.world.world import World
+
+RADIUS_M, SPEED_M_S = 0.8, 2.0
+CELLS = np.zeros((240, 240), dtype=bool)  # 60 x 60 m
+TURNS = TurnRoute(CELLS, -30.0, -30.0, 0.25, 1.72)
+BODY, STEERING = Body(RADIUS_M, 2.5, 1.5), Limits(2.5, 0.7, 0.67)
+
+
+def meet(angle_rad: float, offset_m: float, seed: int) -> tuple[World, float, list[TractorMotion]]:
+    """Two come from 12 m towards the middle, at an angle, for 20 s, each straight on: (world, smallest
+    distance of their middles, their motions)."""
+    world = World([], seed)
+    bodies = [
+        world.add_robot(0, (-12.0, offset_m), RADIUS_M, TRACTOR, 0.0),
+        world.add_robot(
+            1, (-12.0 * cos(angle_rad), -12.0 * sin(angle_rad)), RADIUS_M, TRACTOR, angle_rad
+        ),
+    ]
+    motions = [TractorMotion(slot, BODY, TURNS, STEERING, np.empty((0, 4))) for slot in (0, 1)]
+    heard: dict[int, Neighbour] = {}
+    closest_m = 24.0
+    for now_us in range(0, 20_000_000, 50_000):
+        seen = [body.sense(now_us) for body in bodies]
+        closest_m = min(closest_m, hypot(seen[0].x_m - seen[1].x_m, seen[0].y_m - seen[1].y_m))
+        for slot, here in enumerate(seen):
+            speed_m_s = hypot(here.vx_m_s, here.vy_m_s)
+            course = atan2(here.vy_m_s, here.vx_m_s) if speed_m_s > 0.05 else here.heading_rad
+            beat = Beat(here.x_m, here.y_m, course % (2 * pi), speed_m_s, State.WORKING, False, 0)
+            heard[slot] = Neighbour(beat, now_us)
+        for slot, (here, motion) in enumerate(zip(seen, motions, strict=True)):
+            heading = here.heading_rad
+            wish = Wish(SPEED_M_S * cos(heading), SPEED_M_S * sin(heading), 0.0, True)
+            others = {s: n for s, n in heard.items() if s != slot}
+            bodies[slot].drive(motion.drive(here, wish, others, now_us), now_us)
+    return world, closest_m, motions
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("offset_m", [0.0, 0.7, -1.4])
+@pytest.mark.parametrize("angle_deg", [180, 135, 90, 45])
+def test_they_never_touch(angle_deg: int, offset_m: float, seed: int) -> None:
+    world, closest_m, _ = meet(angle_deg * pi / 180, offset_m, seed)
+    assert world.contacts == [], f"seed {seed}"
+    assert closest_m > 2 * RADIUS_M, f"seed {seed}"
+
+
+def test_nose_to_nose_the_higher_slot_gives_way() -> None:
+    _, _, motions = meet(pi, 0.0, 1)
+    assert motions[1].given >= 1 and motions[0].given == 0
+
+
+def test_passing_in_the_next_row_slows_nobody() -> None:
+    world, _, motions = meet(pi, 3.8, 1)
+    assert all(motion.given == 0 for motion in motions)
+    east_m = world.body(0).sense(20_000_000).x_m
+    assert east_m > -12.0 + 0.9 * SPEED_M_S * 18.0

@@ -1,0 +1,111 @@
+"""A tractor stays on its way: measured with the simulated chassis, slip included."""
+
+from math import cos, hypot, pi, sin
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from shapely.geometry import box
+
+from agent.interface.effects import Drive
+from agent.motion.tractor_tracker import Limits, TractorTracker, smooth_way
+from agent.paths.tractor_route import Piece, Pose, sampled
+from sim.world.drive_trains import TRACTOR, Chassis, Kind
+from sim.world.world import World
+
+BEND = 1.0 / (1.2 * TRACTOR.turn_radius_m)
+LIMITS = Limits(2.5, 0.7, TRACTOR.steer_rad_s / (2 * TRACTOR.half_base_m))
+PIVOT_LIMITS = Limits(2.5, 0.7, 6.0)
+PIVOT = Chassis(kind=Kind.DIFFERENTIAL)
+
+
+def follow(
+    way: NDArray[np.float64], start: Pose, chassis: Chassis = TRACTOR, seed: int = 1
+) -> NDArray[np.float64]:
+    """(n, 2) along, off the way at each control period until it arrives."""
+    limits = LIMITS if chassis.kind is Kind.ACKERMANN else PIVOT_LIMITS
+    world = World([], seed)
+    body = world.add_robot(0, (start.x_m, start.y_m), 0.8, chassis, start.heading_rad)
+    tracker = TractorTracker(way, limits)
+    rows = []
+    for now_us in range(0, 120_000_000, 50_000):
+        here = body.sense(now_us)
+        tracker.locate(here.x_m, here.y_m, here.heading_rad)
+        rows.append((tracker.along_m, tracker.off_m))
+        assert not tracker.lost
+        if tracker.arrived:
+            return np.array(rows)
+        speed, turn = tracker.command()
+        course = here.heading_rad + turn * 0.025
+        body.drive(Drive(speed * cos(course), speed * sin(course), turn), now_us)
+    raise AssertionError(f"not arrived, seed {seed}")
+
+
+@pytest.mark.parametrize("chassis", [TRACTOR, PIVOT], ids=["ackermann", "differential"])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_half_a_metre_off_is_closed_without_swinging(chassis: Chassis, seed: int) -> None:
+    way = sampled(Pose(0.0, 0.0, 0.0), [Piece(0.0, 40.0)])
+    rows = follow(way, Pose(0.0, 0.5, 0.0), chassis, seed)
+    assert np.abs(rows[rows[:, 0] > 10.0, 1]).max() < 0.04
+    assert rows[:, 1].min() > -0.1, "it hardly overshoots"
+
+
+@pytest.mark.parametrize("chassis", [TRACTOR, PIVOT], ids=["ackermann", "differential"])
+def test_a_row_end_turn_leads_onto_the_line(chassis: Chassis) -> None:
+    quarter = Piece(BEND, pi / 2 / BEND)
+    way = sampled(Pose(0, 0, 0), [Piece(0, 10), quarter, Piece(0, 0.4), quarter, Piece(0, 12)])
+    rows = follow(way, Pose(0.0, 0.0, 0.0), chassis)
+    end_m = rows[-1, 0]
+    assert np.abs(rows[:, 1]).max() < 0.15
+    assert np.abs(rows[rows[:, 0] > end_m - 11.0, 1]).max() < 0.08, "a metre after the turn"
+
+
+def test_a_three_point_turn() -> None:
+    pieces = [Piece(0, 5), Piece(BEND, 2), Piece(-BEND, -2), Piece(BEND, 1), Piece(0, 3)]
+    rows = follow(sampled(Pose(0, 0, 0), pieces), Pose(0.0, 0.0, 0.0))
+    assert np.abs(rows[:, 1]).max() < 0.2 and abs(rows[-1, 1]) < 0.05
+
+
+@pytest.mark.parametrize("clockwise", [False, True])
+def test_a_ring_round_a_hole_within_the_tolerance(clockwise: bool) -> None:
+    """Two metres round its corners, nearly the tightest it can do, at the tolerance of the work."""
+    ring = list(box(-3, -4, 6, 4).buffer(2.0).exterior.coords)
+    way = smooth_way(ring if clockwise else ring[::-1], 0.6)
+    rows = follow(way, Pose(*way[0, :3]))
+    assert np.abs(rows[:, 1]).max() < 0.1
+    line = box(-3, -4, 6, 4).buffer(2.0).exterior
+    off = [line.distance(point) for point in _points(way)]
+    assert max(off) < 0.05, "rounding itself takes less than half of it"
+
+
+def test_pushed_aside_it_knows() -> None:
+    way = sampled(Pose(0, 0, 0), [Piece(0, 20)])
+    tracker = TractorTracker(way, LIMITS)
+    tracker.locate(3.0, 0.1, 0.0)
+    assert not tracker.lost
+    tracker.locate(3.0, 1.2, 0.0)
+    assert tracker.lost
+    tracker.locate(3.0, 0.0, 1.5)
+    assert tracker.lost
+
+
+def test_it_slows_for_bends_and_stops_at_a_change_of_direction() -> None:
+    way = sampled(Pose(0, 0, 0), [Piece(0, 10), Piece(BEND, 3), Piece(0, -3)])
+    tracker = TractorTracker(way, LIMITS)
+    shift = int(np.flatnonzero(np.diff(way[:, 4]))[0])
+    assert tracker.speeds[shift] == 0.0 and tracker.speeds[-1] == 0.0
+    assert tracker.speeds[105:125].max() < 1.5 < tracker.speeds[20]
+    speeds, along = tracker.speeds, tracker.along
+    braking = (speeds[:-1] ** 2 - speeds[1:] ** 2) / (2 * np.maximum(np.diff(along), 1e-9))
+    assert braking[np.diff(along) > 0.01].max() < LIMITS.deceleration_m_s2 + 1e-6
+
+
+def _points(way: NDArray[np.float64]) -> list[object]:
+    from shapely.geometry import Point
+
+    return [Point(x, y) for x, y in way[:, :2]]
+
+
+def test_smoothing_keeps_the_ends() -> None:
+    way = smooth_way([(0.0, 0.0), (10.0, 0.0), (20.0, 2.0)], 0.6)
+    assert hypot(*way[0, :2]) < 1e-9 and hypot(way[-1, 0] - 20.0, way[-1, 1] - 2.0) < 1e-9

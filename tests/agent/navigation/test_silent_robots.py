@@ -1,0 +1,100 @@
+"""Where silent members stand: all come to know the same, whoever was away."""
+
+from math import inf, pi
+from random import Random
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from agent.interface.config import MS, S
+from agent.interface.mission import FleetView
+from agent.interface.ports import Observation
+from agent.motion.stopping_zone import seen_through
+from agent.navigation.silent_robots import DEAD_US, NOWHERE_M, SURE_M, Bodies
+from agent.peer.membership import Neighbour
+from crdt import FieldAllocationCRDT, Progress
+from protocol.frames.accord_frames import Fallen
+from protocol.frames.fleet_frames import Pose
+
+BEAT_US = 50 * MS
+HERE = Observation(0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def view(
+    slot: int, now_us: int, live: set[int], silent: dict[int, int], poses: dict[int, Neighbour],
+    here: Observation = HERE,
+) -> FleetView:  # fmt: skip
+    return FleetView(
+        slot, now_us, here, FieldAllocationCRDT(0), Progress({}), frozenset(live), silent, poses
+    )
+
+
+def beat(x_m: float, y_m: float, heard_us: int) -> Neighbour:
+    return Neighbour(Pose(x_m, y_m, 0.0, 0.0, 1, False, 255), heard_us)
+
+
+def test_who_has_restarted_is_told_where_a_silent_member_stands() -> None:
+    knows, restarted = Bodies(0, 0), Bodies(1, 20 * S)
+    now_us = 10 * S + DEAD_US + 1
+    knows.look(view(0, now_us, {0, 1}, {2: 10 * S}, {2: beat(3.2, 4.1, 10 * S)}))
+    assert knows.dead == {2: (3.2, 4.1)} or abs(knows.dead[2][0] - 3.2) < 1e-6
+    for word in knows.say(False, now_us + 10 * S):
+        restarted.hear(word, now_us + 10 * S)
+    restarted.look(view(1, now_us + 10 * S, {0, 1}, {}, {}))
+    assert restarted.dead == knows.dead  # the same numbers: joint plans are made round them
+
+
+def test_a_member_that_is_heard_again_is_no_body() -> None:
+    bodies = Bodies(0, 0)
+    bodies.look(view(0, 20 * S, {0}, {2: 10 * S}, {2: beat(3.0, 4.0, 10 * S)}))
+    assert 2 in bodies.dead
+    bodies.look(view(0, 21 * S, {0, 2}, {}, {2: beat(3.0, 4.0, 21 * S)}))
+    assert bodies.dead == {}
+
+
+@given(st.integers(0, 1 << 30))
+def test_all_come_to_know_the_latest_word_whatever_is_lost(seed: int) -> None:
+    rng = Random(seed)
+    fleet = [Bodies(slot, rng.randrange(S)) for slot in range(4)]
+    for own in fleet:  # each has heard another last beat, before or behind a split
+        heard_us = rng.randrange(1 * S, 30 * S)
+        poses = {9: beat(rng.uniform(0, 50), rng.uniform(0, 50), heard_us)}
+        own.look(view(own.slot, 40 * S, {0, 1, 2, 3}, {9: heard_us}, poses))
+    now_us = 40 * S
+    for _ in range(1200):
+        now_us += BEAT_US
+        for own in fleet:
+            for word in own.say(True, now_us):
+                heard = Fallen.unpack(word.pack())
+                for other in fleet:
+                    if other is not own and rng.random() < 0.7:
+                        other.hear(heard, now_us)
+    assert len({own.known[9] for own in fleet}) == 1
+    latest = max(own.known[9].stamp for own in fleet)
+    assert all(own.known[9].stamp == latest for own in fleet)
+
+
+def test_a_place_that_is_seen_to_be_free_is_told_to_be() -> None:
+    """A robot that drove on in a split stands elsewhere: its last place heard blocks nobody."""
+    bodies = Bodies(0, 0)
+    open_floor = HERE._replace(ranges_m=(inf,) * 36)
+    known = {2: beat(1.0, 0.3, 10 * S)}
+    bodies.look(view(0, 20 * S, {0}, {2: 10 * S}, known, open_floor))
+    assert bodies.dead == {}
+    (word,) = bodies.say(False, 20 * S)
+    assert word.slot == 2 and word.x_m == NOWHERE_M
+    bodies.look(view(0, 21 * S, {0}, {2: 10 * S}, known, HERE))
+    assert bodies.dead == {}  # and it stays so until it is heard again
+
+
+def test_a_body_that_is_there_is_not_seen_through() -> None:
+    here = HERE._replace(ranges_m=(inf,) * 36)
+    assert seen_through(here, (1.5, 0.2), SURE_M)
+    for k in range(36):  # one ray that ends before it is enough
+        ranges = [inf] * 36
+        ranges[k] = 1.2
+        angle = k * 2 * pi / 36
+        beside = angle < 0.3 or angle > 2 * pi - 0.15
+        if beside:
+            assert not seen_through(HERE._replace(ranges_m=tuple(ranges)), (1.5, 0.2), SURE_M)
+    assert not seen_through(here, (2.5, 0.0), SURE_M)  # too far off to be sure

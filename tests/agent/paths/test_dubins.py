@@ -1,0 +1,42 @@
+"""Dubins words end where they should, and the shortest is as short as it can be."""
+
+from math import hypot, pi, remainder
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from agent.paths.dubins import WORDS, shortest_m, step, words
+
+pose = st.tuples(st.floats(-20.0, 20.0), st.floats(-20.0, 20.0), st.floats(-pi, pi))
+
+
+@settings(deadline=None)  # the first call compiles
+@given(pose, pose, st.floats(0.5, 6.0))
+def test_every_word_ends_at_the_goal(
+    start: tuple[float, float, float], goal: tuple[float, float, float], radius_m: float
+) -> None:
+    lengths, curvatures = np.empty((WORDS, 3)), np.empty((WORDS, 3))
+    words(*start, *goal, radius_m, lengths, curvatures)
+    found = 0
+    for word in range(WORDS):
+        if not np.isfinite(lengths[word]).all():
+            continue
+        found += 1
+        x, y, heading = start
+        for length, curvature in zip(lengths[word], curvatures[word], strict=True):
+            assert length >= 0.0
+            x, y, heading = step(x, y, heading, curvature, length)
+        assert hypot(x - goal[0], y - goal[1]) < 1e-4, word
+        assert abs(remainder(heading - goal[2], 2 * pi)) < 1e-4, word
+    assert found >= 2
+    assert shortest_m(start, goal, radius_m) >= hypot(goal[0] - start[0], goal[1] - start[1]) - 1e-6
+
+
+def test_known_ways() -> None:
+    assert shortest_m((0, 0, 0), (10, 0, 0), 2.0) == pytest.approx(10.0)
+    u_turn = shortest_m((0, 0, 0), (0, 4, pi), 2.0)
+    assert u_turn == pytest.approx(2 * pi), "a half circle"
+    bulb = shortest_m((0, 0, 0), (0, 1, pi), 2.0)
+    assert bulb > 3 * pi, "rows nearer than two radii need a bulb"

@@ -1,0 +1,194 @@
+"""Item 3: senses that are old, absent or frozen stop a robot, and it says so in its beats."""
+
+from collections.abc import Iterable
+from math import hypot, inf
+from random import Random
+
+import numpy as np
+import pytest
+
+from agent.interface.config import ACTUATOR_TTL_US, CONTROL_PERIOD_US, MS, S
+from agent.interface.effects import HALT, Drive, Effect, Send
+from agent.interface.lifecycle import State
+from agent.interface.ports import Observation
+from agent.motion.holonomic_motion import Limits, Motion
+from agent.motion.stopping_zone import GONE_QUIET_US
+from agent.peer.peer import Peer
+from agent.peer.sense_freshness import AGE_MAX_US, FROZEN_M, STEADY_US
+from agent.safety.stop_cause import Cause
+from protocol.controller_health import Health
+from protocol.frames.fleet_frames import NOWHERE_M, PLACE_UNKNOWN_M_S, Pose
+from tests.agent.lone_peer import held_by, introduce, peer_in
+
+SPEED_M_S, ACCELERATION_M_S2 = 2.5, 1.5
+SENSES = {Cause.SENSES_OLD, Cause.PLACE_FROZEN}
+
+
+class Robot:
+    """A peer and a body with inertia, which drives east; what it senses can be spoilt."""
+
+    def __init__(self) -> None:
+        self.peer = peer_in(State.WORKING, None)
+        self.now_us, self.x_m, self.v_m_s, self.told = 0, 0.0, 0.0, HALT
+        self.sensed: Observation | None = None
+        self.blind = self.frozen = False
+        self.said: list[Pose] = []
+
+    def period(self) -> None:
+        step_m_s = ACCELERATION_M_S2 * CONTROL_PERIOD_US / S
+        self.v_m_s += min(max(self.told.vx_m_s - self.v_m_s, -step_m_s), step_m_s)
+        self.x_m += self.v_m_s * CONTROL_PERIOD_US / S
+        self.now_us += CONTROL_PERIOD_US
+        if self.frozen and self.sensed is not None:
+            self.sensed = self.sensed._replace(sensed_at_us=self.now_us)
+        elif not self.blind:
+            self.sensed = Observation(
+                self.x_m, 0.0, 0.0, self.v_m_s, 0.0, (inf,) * 72, sensed_at_us=self.now_us
+            )
+        self.peer.check.bus(Health.ACTIVE, True, self.now_us, self.now_us)  # a frame leaves each time
+        self.peer.observe(self.sensed, self.now_us)
+        effects = self.peer.tick(self.now_us)
+        self.told = next((e for e in effects if isinstance(e, Drive)), self.told)
+        self.said += poses(effects)
+
+    def periods(self, count: int) -> "Robot":
+        for _ in range(count):
+            self.period()
+        return self
+
+    @property
+    def held(self) -> set[Cause]:
+        return held_by(self.peer) & SENSES
+
+
+def poses(effects: Iterable[Effect]) -> list[Pose]:
+    return [e.message for e in effects if isinstance(e, Send) and isinstance(e.message, Pose)]
+
+
+def driving() -> Robot:
+    robot = Robot().periods(80)
+    assert robot.v_m_s == pytest.approx(2.0) and not robot.held
+    return robot
+
+
+def test_item_3_old_senses_stop_a_robot_two_periods_later() -> None:
+    robot = driving()
+    robot.blind, lost_us = True, robot.now_us
+    while robot.told != HALT:
+        robot.period()
+    assert robot.now_us - lost_us <= AGE_MAX_US + CONTROL_PERIOD_US
+    assert robot.held == {Cause.SENSES_OLD} and AGE_MAX_US <= ACTUATOR_TTL_US
+    before_m = robot.x_m
+    robot.periods(100)
+    assert robot.v_m_s == 0.0 and robot.x_m - before_m < 2.0
+    assert robot.said[-1].speed_m_s == PLACE_UNKNOWN_M_S, "its beat does not pass for a place"
+
+
+def test_item_3_it_drives_on_when_they_were_in_time_for_a_second() -> None:
+    robot = driving()
+    robot.blind = True
+    robot.periods(40)
+    robot.blind, back_us = False, robot.now_us
+    while robot.told == HALT:
+        robot.period()
+    assert STEADY_US <= robot.now_us - back_us <= STEADY_US + 2 * CONTROL_PERIOD_US
+    assert robot.periods(5).said[-1].placed and not robot.held
+
+
+@pytest.mark.parametrize("wrong_us", [-1, 10 * S])
+def test_item_3_a_time_of_the_future_or_of_never_is_no_time(wrong_us: int) -> None:
+    robot = driving()
+    robot.blind = True
+    assert robot.sensed is not None
+    robot.sensed = robot.sensed._replace(sensed_at_us=wrong_us)
+    assert robot.periods(1).told == HALT and robot.held == {Cause.SENSES_OLD}
+    robot.sensed = Observation(0.0, 0.0, 0.0, 0.0, 0.0)
+    assert robot.periods(1).told == HALT
+
+
+def test_item_3_a_robot_that_has_never_sensed_anything_says_no_place() -> None:
+    peer = peer_in(State.IDLE, None)
+    peer.here = None
+    (pose,) = [peer.voice._pose(peer)]
+    assert pose.x_m == NOWHERE_M and not pose.placed
+    assert Pose.unpack(pose.pack()) == pose
+
+
+def test_item_3_a_frozen_place_stops_a_robot_that_drives() -> None:
+    robot = driving()
+    robot.frozen, from_m = True, robot.x_m
+    while robot.told != HALT:
+        robot.period()
+    assert robot.held == {Cause.PLACE_FROZEN}
+    assert robot.x_m - from_m <= SPEED_M_S * 0.2
+    robot.periods(100)
+    assert robot.v_m_s == 0.0 and robot.x_m - from_m < 2.5
+    assert not robot.said[-1].placed
+
+
+def test_item_3_a_frozen_place_stops_a_robot_that_begins_to_drive() -> None:
+    robot = Robot()
+    robot.periods(1)
+    robot.frozen = True
+    robot.periods(100)
+    assert robot.held == {Cause.PLACE_FROZEN}
+    assert FROZEN_M < robot.x_m < 0.6, "and it does not try again by itself"
+
+
+def test_item_3_a_place_that_changes_ends_it_and_so_does_an_operators_start() -> None:
+    robot = driving()
+    robot.frozen = True
+    robot.periods(60)
+    robot.frozen = False
+    assert robot.periods(2).held == set()
+    robot.periods(60).frozen = True
+    robot.periods(60)
+    for _ in range(3):
+        at_m = robot.x_m
+        robot.peer.start(robot.now_us)
+        robot.periods(60)
+        assert robot.held == {Cause.PLACE_FROZEN}, "it looks again, and stands again"
+        assert FROZEN_M < robot.x_m - at_m < 0.6
+
+
+@pytest.mark.parametrize("slow_m_s2", [0.05, 0.3, 1.5])
+def test_item_3_a_robot_that_begins_slowly_is_not_frozen(slow_m_s2: float) -> None:
+    robot = Robot()
+    motion = Motion(0, Limits(0.8, SPEED_M_S, slow_m_s2), np.empty((0, 4)))
+    robot.peer.motion = motion
+    step_m_s = slow_m_s2 * CONTROL_PERIOD_US / S
+    for _ in range(200):
+        robot.v_m_s = min(robot.v_m_s + step_m_s * 0.7, robot.told.vx_m_s)
+        robot.told = robot.told._replace(vx_m_s=robot.v_m_s)
+        robot.period()
+        assert not robot.held
+
+
+def test_item_3_a_beat_without_a_place_leaves_the_last_one_and_makes_it_uncertain() -> None:
+    """The others keep its way clear as that of a silent one, and count it as alive."""
+    peer = peer_in(State.WORKING, None)
+    introduce(peer, 130, 1)
+    peer.hear(130, Pose(5.0, 0.0, 0.0, 2.0, State.WORKING, False, 255), 50 * MS)
+    now_us = 50 * MS
+    while now_us < 5 * S:
+        now_us += 50 * MS
+        blind = Pose(5.1, 0.0, 0.0, PLACE_UNKNOWN_M_S, State.IDLE, False, 0)
+        peer.hear(130, Pose.unpack(blind.pack()), now_us)
+        peer.membership.tick(now_us)
+    assert 1 in peer.membership.live
+    pose, heard_us = peer.membership.neighbours[1]
+    assert (pose.x_m, pose.speed_m_s, pose.state) == (5.0, 2.0, State.IDLE)
+    assert now_us - heard_us > GONE_QUIET_US
+    here = Observation(0.0, 0.0, 0.0, 0.0, 0.0, sensed_at_us=now_us)
+    assert isinstance(peer.motion, Motion)
+    peer.motion.coasting.look(peer.membership.neighbours, here, now_us)
+    places = peer.motion.coasting.places(1)
+    assert places is not None and max(hypot(x_m - 5.0, y_m) for x_m, y_m in places) > 1.5
+
+
+def test_item_3_a_peer_without_a_drive_is_not_held_by_its_senses() -> None:
+    peer = peer_in(State.WORKING, None)
+    bare = Peer(peer.identity, Random(1), 0, {})
+    for now_us in range(0, 2 * S, 50 * MS):
+        bare.tick(now_us)
+    assert not held_by(bare) & SENSES

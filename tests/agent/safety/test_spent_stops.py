@@ -1,0 +1,190 @@
+"""A press whose name was cleared before, a press without an address, and a release of many stops."""
+
+from collections.abc import Iterable
+
+import pytest
+
+from agent.interface.config import MS, STOP_REPEAT_US, S
+from agent.interface.effects import HALT, Effect, Send
+from agent.interface.lifecycle import State
+from agent.peer.peer import Peer
+from agent.safety.stop_cause import Cause
+from agent.safety.stop_controller import AGAIN_US, SPENT_HOLD_US, Safety, SilencePolicy
+from crdt.stops import ACTIVE_MAX, StopDot
+from protocol.authentication import Keyring, Keys
+from protocol.fleet_tags import HeldTags
+from protocol.frames.safety_frames import (
+    EmergencyReset,
+    EmergencyStop,
+    HeldReset,
+    Reason,
+    StopsHeld,
+)
+from tests.agent.lone_peer import held_by, introduce, introduce_tools, peer_in
+
+PANEL, OPERATOR = 140, 200
+DOT = StopDot(PANEL, 1, 1)
+PRESS = EmergencyStop(*DOT, Reason.PERSON_IN_FIELD)
+KEYS = Keys(bytes(16), bytes(range(16)))
+
+
+def stops_of(effects: Iterable[Effect]) -> list[EmergencyStop]:
+    sent = [effect.message for effect in effects if isinstance(effect, Send)]
+    return [message for message in sent if isinstance(message, EmergencyStop)]
+
+
+def cleared_before(dot: StopDot = DOT) -> Peer:
+    """A robot at work that was told to clear a stop that nobody has pressed."""
+    peer = introduce_tools(peer_in(State.WORKING, None), PANEL, 249)
+    peer.hear(249, EmergencyReset(*dot, OPERATOR), 0)
+    assert not peer.safety.latched
+    return peer
+
+
+def test_t5_a_stop_with_a_cleared_name_brakes_and_is_answered() -> None:
+    peer = cleared_before()
+    effects = peer.hear(PANEL, PRESS, S)
+    assert HALT in effects and not peer.safety.may_move
+    (answer,) = stops_of(effects)
+    assert (answer.spent, answer.echo, StopDot(*answer[:3])) == (True, True, DOT)
+    assert not peer.safety.latched, "one frame may be late"
+    peer.safety.tick(S + SPENT_HOLD_US)
+    assert peer.safety.may_move
+
+
+def test_t5_a_stop_with_a_cleared_name_that_is_said_still_latches() -> None:
+    peer, now_us = cleared_before(), S
+    while not peer.safety.latched and now_us < 2 * S:
+        peer.hear(PANEL, PRESS, now_us)
+        assert not peer.safety.may_move
+        peer.tick(now_us)
+        now_us += STOP_REPEAT_US
+    assert now_us <= S + AGAIN_US + 2 * STOP_REPEAT_US
+    assert peer.safety.latched and peer.lifecycle.state is State.EMERGENCY_STOP
+    (dot,) = peer.safety.stops.active
+    assert dot.slot == peer.slot, "under a name of its own, which can be cleared"
+    peer.hear(249, EmergencyReset(*dot, OPERATOR), now_us)
+    peer.manual_reset(now_us)
+    assert not peer.safety.latched
+
+
+def test_t5_a_panel_with_one_name_that_speaks_once_a_second_latches() -> None:
+    peer = cleared_before()
+    for second in range(1, 3):
+        peer.hear(PANEL, PRESS, second * S)
+        peer.tick(second * S)
+    assert peer.safety.latched
+
+
+def test_t5_late_echoes_of_a_cleared_stop_do_nothing() -> None:
+    peer = cleared_before()
+    for now_us in range(S, 3 * S, 100 * MS):
+        assert not stops_of(peer.hear(PANEL, PRESS._replace(echo=True), now_us))
+        assert peer.safety.may_move and not peer.safety.latched
+
+
+def test_t5_late_repeats_within_a_moment_only_brake() -> None:
+    peer = cleared_before()
+    for now_us in range(S, S + AGAIN_US, STOP_REPEAT_US):
+        peer.hear(PANEL, PRESS, now_us)
+        peer.safety.tick(now_us)
+    peer.safety.tick(S + AGAIN_US + SPENT_HOLD_US)
+    assert not peer.safety.latched and peer.safety.may_move
+
+
+def test_t5_a_pressed_robot_that_is_told_takes_another_name() -> None:
+    peer = introduce_tools(peer_in(State.WORKING, None), PANEL, 249)
+    introduce(peer, 141, 1)
+    (press,) = stops_of(peer.press(Reason.PERSON_IN_FIELD, S))
+    told = press._replace(echo=True, spent=True)
+    assert not stops_of(peer.hear(141, told, S + MS)), "not within the spacing of stops"
+    (again,) = stops_of(peer.hear(141, told, S + 100 * MS))
+    assert again[:3] != press[:3] and not again.echo
+    for now_us in range(2 * S, 60 * S, 100 * MS):
+        last = peer.hear(141, again._replace(echo=True, spent=True), now_us)
+        again = (stops_of(last) or [again])[0]
+    assert len(peer.safety.stops.active) <= 10, "somebody who only says so wears nothing out"
+
+
+def test_t11_a_signed_stop_stops_though_its_name_was_cleared() -> None:
+    safety = Safety(0, 1, SilencePolicy.STOP, Keyring(KEYS, 0, b"robot"), {}, 0)
+    panel = Keyring(Keys(KEYS.master, None), PANEL, b"panel")
+    safety.start(0)
+    safety.stops.clear(DOT)
+    for now_us in range(0, 200 * MS, STOP_REPEAT_US):
+        safety.receive_stop(panel.sign(PRESS), None, now_us)
+        safety.tick(now_us)
+        assert not safety.may_move
+    assert safety.latched
+    assert safety.authority.refused == 0
+
+
+def test_t5_forged_words_that_a_name_was_used_hold_for_a_moment_only() -> None:
+    peer = introduce_tools(peer_in(State.WORKING, None), PANEL, 249)
+    peer.hear(PANEL, PRESS._replace(echo=True, spent=True), S)
+    assert held_by(peer) == {Cause.SPENT_STOP}
+    peer.safety.tick(S + SPENT_HOLD_US)
+    assert peer.safety.may_move and not peer.safety.latched
+
+
+# ---------------------------------------------------------------- many stops
+
+
+def full(count: int, keyring: Keyring | None = None) -> Safety:
+    safety = Safety(0, 1, SilencePolicy.STOP, keyring, {}, 0)
+    for k in range(count):
+        safety.press_near(StopDot(k >> 8 & 0x7F, k & 0xFF, k & 0xFF), 0)
+    return safety
+
+
+@pytest.mark.parametrize("count", [1, 20, 2_000, 70_000])
+def test_t9_one_reset_releases_any_number_of_stops(count: int) -> None:
+    safety = full(count)
+    held = [e.message for e in safety.answer_stops(0, S) if isinstance(e, Send)][-1]
+    assert isinstance(held, StopsHeld) and held.stops == min(count, 255)
+    safety.receive_held_reset(HeldReset(held.digest, OPERATOR), S)
+    assert safety.manual_reset(S)
+
+
+@pytest.mark.parametrize("count", [1, 20, 2_000])
+def test_t9_a_press_after_the_question_is_not_cleared(count: int) -> None:
+    safety = full(count)
+    held = safety.held_stops
+    safety.receive_stop(EmergencyStop(120, 1, 1, 0), None, S)
+    safety.receive_held_reset(HeldReset(held.digest, OPERATOR), S)
+    assert safety.stops.latched and not safety.manual_reset(S)
+    for now_us in range(2 * S, 3 * S, STOP_REPEAT_US):
+        safety.receive_stop(EmergencyStop(120, 1, 1, 0, True), None, now_us)
+    safety.receive_held_reset(HeldReset(safety.held_stops.digest, OPERATOR), 3 * S)
+    assert safety.manual_reset(3 * S)
+
+
+def test_t9_two_thousand_stops_cost_two_hundred_and_fifty_six_echoes() -> None:
+    peer = introduce_tools(peer_in(State.IDLE, None), PANEL, 249)
+    said = 0
+    for k in range(2_000):
+        said += len(stops_of(peer.hear(PANEL, EmergencyStop(k >> 8, 1, k & 0xFF, 0), k * MS)))
+    assert said == ACTIVE_MAX and peer.safety.stops.more
+
+
+def test_t11_an_operator_tells_a_robots_word_from_a_forged_one() -> None:
+    safety, question = full(3, Keyring(KEYS, 0, b"robot")), 0x1234_5678_9ABC
+    (held,) = (
+        e.message
+        for e in safety.answer_stops(question, S)
+        if isinstance(e, Send) and isinstance(e.message, StopsHeld)
+    )
+    operator = HeldTags(Keys(None, KEYS.operator))
+    assert operator.sign(held, question) == held
+    assert operator.sign(held, question + 1) != held, "a replayed answer"
+    assert operator.sign(held._replace(digest=held.digest ^ 1), question).tag != held.tag
+
+
+def test_t11_a_reset_of_what_is_not_held_is_kept_for_no_later_time() -> None:
+    """What the next press of a panel would be can be guessed; a reset that names it does nothing."""
+    safety = full(0)
+    later = full(0)
+    later.receive_stop(PRESS, None, 0)
+    safety.receive_held_reset(HeldReset(later.held_stops.digest, OPERATOR), 0)
+    safety.receive_stop(PRESS, None, S)
+    assert safety.stops.latched

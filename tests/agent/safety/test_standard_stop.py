@@ -1,0 +1,181 @@
+"""The standard stop of ISO 11783-7: several shortcut buttons on one bus, and what a robot says itself."""
+
+from collections.abc import Iterable
+from itertools import pairwise
+
+import pytest
+
+from agent.interface.config import MS, S
+from agent.interface.effects import Effect, Send
+from agent.interface.lifecycle import State
+from agent.peer.peer import Peer
+from agent.safety.standard_stop import (
+    BUTTONS_MAX,
+    HOLD_US,
+    PERMITS,
+    SAY_US,
+    OwnButton,
+    ShortcutButtons,
+)
+from agent.safety.stop_cause import Cause
+from crdt.stops import StopDot
+from protocol.frames.fleet_frames import Member
+from protocol.frames.network_frames import AddressClaimed
+from protocol.frames.safety_frames import AllImplementsStop, EmergencyStop, Reason, Switch
+from protocol.name import Name, fleet_name
+from tests.agent.lone_peer import held_by, introduce_tools, peer_in
+
+FIRST, SECOND = 38, 41  # addresses of two buttons
+OTHER_MAKER = Name(7, manufacturer=100, function=61)
+
+
+def bus(named: bool) -> Peer:
+    """A robot beside two buttons, which have claimed their addresses or not."""
+    peer = peer_in(State.WORKING, None)
+    for number, address in enumerate((FIRST, SECOND) if named else ()):
+        peer.hear(address, AddressClaimed(OTHER_MAKER._replace(identity=number).pack()), 0)
+    return peer
+
+
+def standard_frames(effects: Iterable[Effect]) -> list[AllImplementsStop]:
+    sent = [effect.message for effect in effects if isinstance(effect, Send)]
+    return [message for message in sent if isinstance(message, AllImplementsStop)]
+
+
+@pytest.mark.parametrize("named", [True, False])
+@pytest.mark.parametrize("switch", [Switch.STOP, Switch.ERROR])
+def test_a1_release_of_one_button_keeps_the_stop_of_another(named: bool, switch: Switch) -> None:
+    peer = bus(named)
+    for second in range(10):
+        peer.hear(FIRST, AllImplementsStop(1, switch), second * S)
+        peer.hear(SECOND, AllImplementsStop(0, Switch.PERMIT), second * S + S // 2)
+        assert Cause.IMPLEMENTS_STOP in held_by(peer), second
+    peer.hear(FIRST, AllImplementsStop(1, Switch.PERMIT), 10 * S)
+    assert Cause.IMPLEMENTS_STOP not in held_by(peer), "its own permit ends it"
+
+
+def test_a1_a_silent_button_holds_for_its_time_out() -> None:
+    peer = bus(True)
+    peer.hear(FIRST, AllImplementsStop(1, Switch.STOP), 0)
+    for now_us in range(0, 2 * HOLD_US, S // 2):
+        peer.hear(SECOND, AllImplementsStop(0, Switch.PERMIT), now_us)
+        peer.safety.tick(now_us)
+        assert (Cause.IMPLEMENTS_STOP in held_by(peer)) is (now_us < HOLD_US), now_us
+
+
+def test_a1_a_missed_transition_stops() -> None:
+    peer = bus(True)
+    peer.hear(FIRST, AllImplementsStop(4, Switch.PERMIT), 0)
+    assert Cause.IMPLEMENTS_STOP not in held_by(peer), "what it counted before we were there"
+    peer.hear(FIRST, AllImplementsStop(5, Switch.PERMIT), S)
+    for now_us in range(S, S + HOLD_US, S // 2):
+        peer.hear(FIRST, AllImplementsStop(5, Switch.PERMIT), now_us)
+        assert Cause.IMPLEMENTS_STOP in held_by(peer), "a press was missed"
+    peer.hear(FIRST, AllImplementsStop(5, Switch.PERMIT), S + HOLD_US)
+    assert Cause.IMPLEMENTS_STOP not in held_by(peer)
+    peer.hear(FIRST, AllImplementsStop(0, Switch.PERMIT), 6 * S)
+    assert Cause.IMPLEMENTS_STOP not in held_by(peer), "it was switched off and on"
+
+
+def test_t4_a_reset_tool_permits_for_itself_alone() -> None:
+    peer = bus(True)
+    peer.hear(FIRST, AllImplementsStop(1, Switch.STOP), 0)
+    peer.hear(249, AllImplementsStop(0, Switch.PERMIT), MS)
+    assert Cause.IMPLEMENTS_STOP in held_by(peer)
+
+
+def test_a1_more_buttons_than_addresses_only_stand_longer() -> None:
+    buttons = ShortcutButtons()
+    for name in range(3 * BUTTONS_MAX):
+        buttons.hear(0, name, False, AllImplementsStop(1, Switch.STOP), name)
+    assert len(buttons) == BUTTONS_MAX
+    for name in range(3 * BUTTONS_MAX):
+        buttons.hear(0, name, False, AllImplementsStop(1, Switch.PERMIT), S)
+    assert buttons.until_us() > S, "those for which there was no room cannot permit"
+    assert buttons.until_us() <= 3 * BUTTONS_MAX + HOLD_US
+
+
+def pressed_robot() -> tuple[Peer, list[tuple[int, AllImplementsStop]]]:
+    """Pressed at 2 s, reset at 8 s, watched to 14 s: its standard frames and their times."""
+    peer, said = peer_in(State.IDLE, None), list[tuple[int, AllImplementsStop]]()
+    now_us = 0
+
+    def run(until_us: int) -> None:
+        nonlocal now_us
+        while now_us < until_us:
+            now_us = max(now_us + 1, peer.deadline_us)
+            said.extend((now_us, m) for m in standard_frames(peer.tick(now_us)))
+
+    run(2 * S)
+    effects = peer.press(Reason.PERSON_IN_FIELD, now_us)
+    said.extend((now_us, m) for m in standard_frames(effects))
+    run(8 * S)
+    for dot in peer.safety.stops.active:
+        peer.safety.clear_near(dot, "test")
+    effects = peer.manual_reset(now_us)
+    assert all(e.source is not None for e in effects if isinstance(e, Send))
+    said.extend((now_us, m) for m in standard_frames(effects))
+    run(14 * S)
+    return peer, said
+
+
+def test_a4_a_press_says_the_standard_stop_every_second_until_the_release() -> None:
+    _, said = pressed_robot()
+    stops = [t_us for t_us, m in said if m == AllImplementsStop(1, Switch.STOP)]
+    permits = [t_us for t_us, m in said if m == AllImplementsStop(1, Switch.PERMIT)]
+    assert len(stops) + len(permits) == len(said), "counted from power up: this is the first"
+    assert 6 <= len(stops) <= 7 and stops[0] < 2 * S + 100 * MS
+    assert max(b - a for a, b in pairwise(stops)) <= SAY_US + 100 * MS
+    assert len(permits) == 1 + PERMITS and permits[0] < 8 * S + 100 * MS
+
+
+def test_a4_the_count_is_that_of_stops() -> None:
+    button = OwnButton()
+    for press in range(1, 300):
+        said = button.press(press * S)
+        assert said == button.press(press * S + 1) == AllImplementsStop(press & 0xFF, Switch.STOP)
+        assert button.release(press * S + 2) == AllImplementsStop(press & 0xFF, Switch.PERMIT)
+
+
+def test_a4_one_of_those_latched_by_a_panel_says_it_and_another_takes_over() -> None:
+    """The first of three says it and falls silent; the second takes over before listeners forget."""
+    buttons = [OwnButton() for _ in range(3)]
+    said = list[tuple[int, int]]()
+    for now_us in range(0, 20 * S, 50 * MS):
+        for rank, button in enumerate(buttons):
+            if rank == 0 and now_us >= 8 * S:
+                continue  # its power has failed
+            message = button.say(True, rank, now_us)
+            if message is not None:
+                said.append((now_us, rank))
+                for other in buttons:
+                    if other is not button:
+                        other.heard(message, now_us)
+    assert {rank for t_us, rank in said if t_us < 8 * S} == {0}
+    assert {rank for t_us, rank in said if t_us >= 8 * S} == {1}
+    times_us = [t_us for t_us, _ in said]
+    assert max(b - a for a, b in pairwise(times_us)) < HOLD_US
+
+
+def test_a4_a_robot_latched_by_a_panel_says_it() -> None:
+    peer, said = introduce_tools(peer_in(State.IDLE, None), 140), list[AllImplementsStop]()
+    now_us = 0
+    while now_us < 4 * S:
+        now_us = max(now_us + 1, peer.deadline_us)
+        said += standard_frames(peer.tick(now_us))
+        if now_us >= S and not peer.safety.latched:
+            peer.hear(140, EmergencyStop(*StopDot(140, 1, 1), 1), now_us)
+    assert 3 <= len(said) <= 4 and set(said) == {AllImplementsStop(1, Switch.STOP)}
+
+
+def test_a4_a_robot_that_stays_latched_alone_brakes_the_others_once() -> None:
+    """One that was switched off during the reset comes back and says its stop every second."""
+    peer = peer_in(State.WORKING, None)
+    peer.hear(140, AddressClaimed(fleet_name("total", 1).pack()), 0)
+    peer.hear(140, Member(1, 0, 1), 0)
+    for now_us in range(0, 6 * S, S):
+        peer.hear(140, AllImplementsStop(1, Switch.STOP), now_us)
+        peer.safety.tick(now_us)
+        assert (Cause.IMPLEMENTS_STOP in held_by(peer)) is (now_us < HOLD_US), now_us
+    peer.hear(140, AllImplementsStop(2, Switch.STOP), 6 * S)
+    assert Cause.IMPLEMENTS_STOP in held_by(peer), "pressed again"

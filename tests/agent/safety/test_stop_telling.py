@@ -1,0 +1,111 @@
+"""Who is told of a stop, how often and under which name; and whose silence stands for one."""
+
+from collections.abc import Iterable
+
+import pytest
+
+from agent.interface.config import MS, STOP_REPEAT_US, S
+from agent.interface.effects import Effect, Send
+from agent.interface.lifecycle import State
+from agent.safety.stop_controller import REPEATS_ALONE, Safety, SilencePolicy
+from crdt.stops import StopDot
+from protocol.frames.fleet_frames import Pose
+from protocol.frames.network_frames import AddressClaimed
+from protocol.frames.safety_frames import EmergencyStop, Reason
+from protocol.name import fleet_name
+from tests.agent.lone_peer import introduce, peer_in
+
+
+def stops_of(effects: Iterable[Effect]) -> list[EmergencyStop]:
+    sent = [effect.message for effect in effects if isinstance(effect, Send)]
+    return [message for message in sent if isinstance(message, EmergencyStop)]
+
+
+def test_who_knows_nobody_repeats_its_stop_for_a_second() -> None:
+    """Found by `headland chaos`, profile press, seed 3226: its only frame was lost."""
+    peer = peer_in(State.IDLE, None)
+    said = stops_of(peer.press(Reason.PERSON_IN_FIELD, 0))
+    for now_us in range(0, 3 * S, STOP_REPEAT_US):
+        said += stops_of(peer.safety.tick(now_us))
+    assert len(said) == 1 + REPEATS_ALONE
+    assert len(set(said)) == 1, "one stop; the repetition says the same reason"
+
+
+@pytest.mark.parametrize("stood", [False, True])
+def test_a_claim_by_one_that_may_move_is_no_sign_of_life(stood: bool) -> None:
+    """Found by `headland chaos`, profile protocol, seed 1600653: who was pressed off the bus came back,
+    claimed its address, and could say the stop only 250 ms later; its claim put the silence off. A fleet
+    that is reset claims anew, and is not silent."""
+    peer = peer_in(State.WORKING, None)
+    name = fleet_name("total", 1).pack()
+    introduce(peer, 140, 1)
+    pose, silence_us = Pose(0.0, 0.0, 0.0, 0.0, State.IDLE, stood, 0), peer.membership.silence_us
+    peer.hear(140, pose, 0)
+    peer.hear(140, AddressClaimed(name), silence_us - 1)
+    peer.tick(silence_us)
+    assert peer.membership.silent == (set() if stood else {1})
+    peer.hear(140, AddressClaimed(name), silence_us + 1)
+    assert peer.membership.silent == (set() if stood else {1}), (
+        "nor does it come back by that alone"
+    )
+    peer.hear(140, pose, silence_us + 2)
+    assert not peer.membership.silent
+
+
+@pytest.mark.parametrize("back_us", [0, -5 * S])
+def test_a_press_is_heard_though_the_clock_is_set_back(back_us: int) -> None:
+    peer = peer_in(State.IDLE, None)
+    assert stops_of(peer.press(Reason.PERSON_IN_FIELD, 9 * S))
+    assert not stops_of(peer.press(Reason.PERSON_IN_FIELD, 9 * S + 1)), "the same hand"
+    assert bool(stops_of(peer.press(Reason.PERSON_IN_FIELD, 9 * S + 2 + back_us))) is (back_us < 0)
+
+
+def test_a_stranger_that_does_not_stand_is_told_of_the_stop() -> None:
+    peer = peer_in(State.IDLE, None)
+    peer.press(Reason.PERSON_IN_FIELD, 0)
+    moving = Pose(0.0, 0.0, 0.0, 2.0, State.WORKING, False, 0)
+    (told,) = stops_of(peer.hear(140, moving, S))
+    assert (told.slot, told.echo) == (0, True)
+    assert not stops_of(peer.hear(140, moving, S + 1)), "not at once again"
+    assert not stops_of(peer.hear(140, moving._replace(stopped=True), 2 * S))
+
+
+def test_each_of_many_stops_is_told_in_turn() -> None:
+    """Found by `headland chaos`, profile protocol, seed 2403159: a robot told the first four of five
+    stops, again and again; those had been cleared where they were heard, behind a cut, and the fifth
+    had not."""
+    peer = peer_in(State.IDLE, None)
+    introduce(peer, 140, 1)
+    dots = {StopDot(slot, 7, counter) for slot in range(2) for counter in range(5)}
+    for dot in dots:
+        peer.hear(140, EmergencyStop(*dot, 1, False, 0, 0), 0)
+    assert peer.safety.stops.active == dots
+    moving = Pose(0.0, 0.0, 0.0, 2.0, State.WORKING, False, 0)
+    told = [stops_of(peer.hear(140, moving, turn * S)) for turn in range(1, 4)]
+    assert {StopDot(*stop[:3]) for stops in told for stop in stops} == dots
+
+
+@pytest.mark.parametrize("stood", [False, True])
+def test_who_stood_before_a_press_has_to_say_that_stop(stood: bool) -> None:
+    """Found by `headland chaos`, profile protocol, seed 203087: the only other robot stood already, had
+    not heard the stop, and passed for one that had; then the one that was pressed lost its memory."""
+    peer = peer_in(State.IDLE, None)
+    introduce(peer, 140, 1)
+    pose = Pose(0.0, 0.0, 0.0, 0.0, State.EMERGENCY_STOP, True, 0)
+    peer.hear(140, pose._replace(stopped=stood), 0)
+    (stop,) = stops_of(peer.press(Reason.PERSON_IN_FIELD, 0))
+    peer.hear(140, pose, MS)
+    assert bool(stops_of(peer.safety.tick(STOP_REPEAT_US))) is stood
+    peer.hear(140, stop._replace(echo=True), STOP_REPEAT_US)
+    assert not stops_of(peer.safety.tick(2 * STOP_REPEAT_US))
+
+
+def test_a_life_without_memory_names_its_stops_anew() -> None:
+    """Found by `headland chaos`, profile protocol, seed 806733: the new incarnation, 39681, had the low
+    byte of the first, which is all that a stop says of it."""
+    names = set()
+    for incarnation in (1, 39681, 39682):
+        safety = Safety(0, incarnation, SilencePolicy.STOP, None, {}, 0)
+        (stop,) = stops_of(safety.press(Reason.PERSON_IN_FIELD, 0))
+        names.add((stop.incarnation, stop.counter))
+    assert len(names) == 3

@@ -1,0 +1,94 @@
+"""What is wrong to say and what is not: memory kept, memory lost, work handed over."""
+
+import pytest
+
+from agent.interface.config import MS, STOP_SPACING_US, S
+from crdt import Phase
+from protocol.frames.safety_frames import EmergencyStop
+from protocol.frames.work_frames import StateSyncResponse, TaskClaim, WorkProgress
+from sim.chaos.durability_rules import lost
+from sim.chaos.protocol_rules import WordRules
+from sim.world.protocol_world import BOTH_US, Parade
+
+OWN, OTHER = 1, 2  # sections
+
+
+def _spoken() -> WordRules:
+    """Robot 0 has claimed a section, and told again what it had of another's."""
+    rules = WordRules(2)
+    rules.said(0, 1 * S, TaskClaim(OWN, 2, Phase.STARTED, 3, 9, 0))
+    rules.said(0, 1 * S, StateSyncResponse(OTHER, 2, Phase.STARTED, 3, 9, 1))
+    rules.said(0, 1 * S, WorkProgress(OTHER, 0, 0b111))
+    return rules
+
+
+def test_what_was_told_of_others_may_be_gone_after_a_restart() -> None:
+    rules = _spoken()
+    rules.restarts(0)
+    rules.said(0, 2 * S, StateSyncResponse(OTHER, 0, Phase.CLAIMED, 3, 1, 1))
+    rules.said(0, 2 * S, WorkProgress(OTHER, 0, 0b1))
+    assert not rules.broken
+
+
+def test_what_was_told_of_others_stands_without_a_restart() -> None:
+    rules = _spoken()
+    rules.said(0, 2 * S, StateSyncResponse(OTHER, 0, Phase.CLAIMED, 3, 1, 1))
+    assert [broken.rule for broken in rules.broken] == ["S9"]
+
+
+def test_what_it_wrote_itself_stands_over_restarts() -> None:
+    rules = _spoken()
+    rules.restarts(0)
+    rules.said(0, 2 * S, StateSyncResponse(OWN, 0, Phase.CLAIMED, 3, 1, 0))
+    assert [broken.rule for broken in rules.broken] == ["S9"]
+
+
+def _stop(rules: WordRules, t_us: int, counter: int) -> None:
+    rules.said(0, t_us, EmergencyStop(0, 1, counter, 1, False, 0, 0))
+
+
+def test_a_stop_is_repeated_while_the_same_hand_presses_again() -> None:
+    rules = WordRules(1)
+    rules.pressed(0, 1 * S)
+    _stop(rules, 1 * S, 1)
+    # Bounces: the next repetition is due in this very microsecond.
+    rules.pressed(0, 1 * S + 40 * MS)
+    _stop(rules, 1 * S + 40 * MS, 1)
+    _stop(rules, 1 * S + 45 * MS, 1)
+    assert not rules.broken
+
+
+@pytest.mark.parametrize("names", [(1,), (1, 2), (2, 1), (1, 1)])
+def test_a_new_press_needs_a_new_name(names: tuple[int, ...]) -> None:
+    """Found by `headland chaos`, profile press, seed 8380: the stop of an earlier press was repeated in
+    the very microsecond of the next one, before the new one."""
+    rules = WordRules(1)
+    rules.pressed(0, 1 * S)
+    _stop(rules, 1 * S, 1)
+    again_us = 1 * S + STOP_SPACING_US
+    rules.pressed(0, again_us)
+    for name in names:
+        _stop(rules, again_us, name)
+    _stop(rules, again_us + 5 * MS, 1)
+    assert [broken.rule for broken in rules.broken] == ([] if 2 in names else ["S8"])
+
+
+def test_a_section_that_is_handed_over_is_not_worked_by_two() -> None:
+    parade = Parade(2, 2)
+    parade.works(0, 0, 1 * S)
+    parade.works(1, 0, 1 * S + BOTH_US + 1 * MS)
+    assert not parade.together
+    parade.works(0, 0, 1 * S + BOTH_US + 50 * MS)
+    assert [violation.slots for violation in parade.together] == [(1, 0)]
+
+
+def test_two_sides_of_a_split_are_asked_only_once_they_are_one() -> None:
+    parade = Parade(2, 2)
+    parade.counts = lambda: False
+    parade.works(0, 0, 1 * S)
+    parade.works(1, 0, 1 * S)
+    assert not parade.together
+
+
+def test_a_disk_on_which_no_stops_can_be_read_has_lost_them() -> None:
+    assert "stop" in lost([], {"stops": b""})

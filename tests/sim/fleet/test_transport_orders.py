@@ -1,0 +1,40 @@
+"""Orders are said until two robots know them, or all there are; a number is one task's."""
+
+from agent.delivery.task_registry import Order, TaskBook
+from protocol.frames.delivery_frames import TaskBookDigest, TaskOrder
+from sim.fleet.transport_orders import OrderDesk
+
+
+def digest(tasks: set[int]) -> TaskBookDigest:
+    return TaskBookDigest(0, 0, sum(1 << task for task in tasks))
+
+
+def test_an_order_is_repeated_until_two_robots_know_it() -> None:
+    """Found: the only robot that had heard an order died before it told the others."""
+    desk = OrderDesk(3)
+    desk.order([Order(1, 2)])
+    assert desk.numbers == [3]
+    for source in (1, 2):
+        desk.hear(source, digest({0, 1, 2}))
+    assert desk.due() == [TaskOrder(3, 1, 2)]
+    desk.hear(1, digest({0, 1, 2, 3}))
+    assert desk.due()
+    desk.hear(2, digest({0, 1, 2, 3}))
+    assert not desk.due() and desk.confirmed(3)
+
+
+def test_of_two_devices_that_use_one_number_the_lesser_order_moves_on() -> None:
+    desk = OrderDesk(3)
+    desk.order([Order(1, 2)])
+    desk.hear(9, TaskOrder(3, 5, 6))
+    assert desk.numbers == [4]
+    desk.hear(9, TaskOrder(4, 0, 6))  # less than ours: the other one moves on
+    assert desk.numbers == [4]
+
+
+def test_the_book_is_as_the_desk_believes() -> None:
+    book = TaskBook(0, {}, 0)
+    assert book.hear(TaskOrder(3, 1, 2), 0)  # to be kept
+    assert book.hear(TaskOrder(3, 5, 6), 0)
+    assert not book.hear(TaskOrder(3, 1, 2), 0)
+    assert book.tasks[3] == Order(5, 6)

@@ -1,0 +1,121 @@
+"""Whole explorations: real peers on the real wire in virtual time."""
+
+from functools import cache
+
+import pytest
+
+from agent.exploration.exploration_task import FleetFullError, Kind, Order
+from sim.runs.exploration_run import Sharing, Survey, SurveyOutcome
+from sim.scenarios.exploration_scenario import load_arena
+from sim.scenarios.scenario import Crash, Heal, Join, Loss, Partition, Reset, Restart, ScenarioError
+
+
+def play(robots: int, seed: int, *faults: object, name: str = "arena") -> SurveyOutcome:
+    scenario = load_arena(name).changed(robots, seed).model_copy(update={"fault": list(faults)})
+    return Survey(scenario).run()
+
+
+@cache
+def undisturbed(robots: int, seed: int) -> SurveyOutcome:
+    """Of such a run more than one test judges something."""
+    return play(robots, seed)
+
+
+@pytest.mark.parametrize(("robots", "seed"), [(1, 7), (2, 5), (3, 7)])
+def test_the_arena_of_the_mission(robots: int, seed: int) -> None:
+    outcome = undisturbed(robots, seed)
+    assert outcome.success and outcome.explored >= 0.99 and outcome.right >= 0.99, outcome
+    assert outcome.map_load < 0.15 and outcome.malformed == 0
+
+
+def test_more_eyes_are_faster() -> None:
+    one, three = undisturbed(1, 7), undisturbed(3, 7)
+    assert three.time_95_s < 0.6 * one.time_95_s, (one.time_95_s, three.time_95_s)
+
+
+def test_the_same_seed_is_the_same_run() -> None:
+    one, again, other = undisturbed(2, 5), play(2, 5), undisturbed(2, 1)
+    assert one.trace_hash == again.trace_hash != other.trace_hash
+
+
+def test_a_robot_that_dies_is_not_missed_for_long() -> None:
+    outcome = play(3, 2, Crash(at_s=5.0, kind="crash", robot=1))
+    assert outcome.finished and outcome.contacts == 0 and outcome.maps_equal, outcome
+    assert outcome.explored >= 0.97, outcome  # its body stands on some of it
+
+
+@pytest.mark.parametrize("disk", ["kept", "lost"])
+def test_a_robot_that_comes_back_knows_the_map(disk: str) -> None:
+    """Who has lost its memory stands until a person has looked (agent/peer/durable_records.py)."""
+    faults = (
+        Restart(at_s=6.0, kind="restart", robot=2, disk=disk),  # type: ignore[arg-type]
+        Join(at_s=8.0, kind="join", robot=1),
+        Reset(at_s=10.0, kind="reset"),
+    )
+    outcome = play(3, 3, *faults)
+    assert outcome.finished and outcome.maps_equal and outcome.contacts == 0, outcome
+
+
+def test_both_sides_of_a_split_explore_and_their_maps_merge() -> None:
+    faults = (
+        Partition(at_s=3.0, kind="partition", islands=[[0], [1, 2]]),
+        Heal(at_s=14.0, kind="heal"),
+    )
+    outcome = play(3, 4, *faults)
+    assert outcome.success and outcome.explored >= 0.99, outcome
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_fifth_of_all_frames_lost_and_one_robot_killed(seed: int) -> None:
+    faults = (Loss(at_s=0.5, kind="loss", rate=0.2), Crash(at_s=6.0, kind="crash", robot=0))
+    outcome = play(3, seed, *faults)
+    assert outcome.finished and outcome.maps_equal and outcome.contacts == 0, outcome
+    assert outcome.explored >= 0.97, outcome
+
+
+def test_orders_are_carried_out_by_somebody() -> None:
+    orders = [
+        Order(Kind.NAVIGATE_TO, ((2.0, -2.0),)),
+        Order(Kind.PATROL, ((-2.0, -2.0), (-2.0, 2.0), (2.0, 2.0))),
+    ]
+    survey = Survey(load_arena("arena").changed(2, 1), orders=orders)
+    outcome = survey.run()
+    assert outcome.success, outcome
+    ends = [(x, y) for track in survey.tracks.values() for _, x, y, _ in track]
+    for order in orders:
+        for x, y in order.points:
+            assert min((a - x) ** 2 + (b - y) ** 2 for a, b in ends) < 0.2**2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["dropout", "split"])
+def test_what_ships_with_troubles_ends_well(name: str) -> None:
+    survey = Survey(load_arena(name))
+    outcome = survey.run()
+    assert outcome.success, outcome
+    ends = [(x, y) for track in survey.tracks.values() for _, x, y, _ in track]
+    for order in survey.orders:
+        for x, y in order.points:
+            assert min((a - x) ** 2 + (b - y) ** 2 for a, b in ends) < 0.2**2
+
+
+def test_orders_out_of_the_arena_are_refused() -> None:
+    scenario = load_arena("split")
+    away = scenario.order[0].model_copy(update={"points": [(4.6, 0.0)]})
+    with pytest.raises(ScenarioError, match=r"order\.0\.points: outside of the arena"):
+        Survey(scenario.model_copy(update={"order": [away]}))
+
+
+def test_without_sharing_everybody_sees_everything() -> None:
+    scenario = load_arena("arena").changed(2, 1)
+    alone, shared = Survey(scenario, Sharing.NONE).run(), undisturbed(2, 1)
+    assert alone.overlap_end > 0.9 > shared.overlap_end
+
+
+def test_a_fleet_has_a_limit() -> None:
+    scenario = load_arena("arena").changed(3, 1)
+    small = scenario.arena.model_copy(update={"robots_max": 2})
+    with pytest.raises(FleetFullError, match=r"Fleet is full \(max 2 robots\)"):
+        Survey(scenario.model_copy(update={"arena": small})).run()
+    with pytest.raises(ScenarioError, match=r"arena\.starts"):
+        Survey(load_arena("arena").changed(9, 1))

@@ -1,0 +1,158 @@
+"""Finished work leaves as task data and as GeoJSON, and reads back equal, by us and by `isoxml`."""
+
+import itertools
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from isoxml.converter.shapely_geom import ShapelyConverterV4
+from isoxml.util.isoxml_io import isoxml_from_path, isoxml_from_zip
+from shapely.geometry import Polygon
+
+from agent.field.field_division import divide
+from agent.field.field_map import Field
+from sim.files.field_error import FieldFileError
+from sim.files.field_file import read_boundary
+from sim.runs.isoxml_time_log import BadTimeLog, pack, unpack
+from sim.runs.isoxml_writer import read_work_isoxml, write_isoxml
+from sim.runs.work_geojson import read_work_geojson, write_geojson
+from sim.runs.work_record import LogPoint, WorkRecord, covered_area, record_of
+from sim.world.ground_truth import TrackPoint
+
+STARTED = datetime(2026, 3, 4, 23, 59, 30, tzinfo=UTC)  # midnight comes during the work
+
+
+def field() -> Field:
+    square = [(-60, -40), (60, -40), (60, 40), (-60, 40)]
+    hole = [(-10, -10), (10, -10), (10, 10), (-10, 10)]
+    return divide("Oxted", Polygon(square, [hole]), (51.2, 0.0), (-60, -40), 4.0)
+
+
+def tracks(of: Field, speed_m_s: float = 2.0) -> dict[int, list[TrackPoint]]:
+    """Two robots that follow every other section, driven exactly, ten points a second."""
+    ways: dict[int, list[TrackPoint]] = {0: [], 1: []}
+    for section in of.sections:
+        way = ways[section.id % 2]
+        t_us = way[-1][0] if way else 0
+        for swath in section.swaths:
+            for a, b in itertools.pairwise(swath):
+                length_m = ((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2) ** 0.5
+                steps = max(1, round(length_m / speed_m_s * 10))
+                for k in range(steps + 1):
+                    t_us += 100_000
+                    x, y = (a[i] + (b[i] - a[i]) * k / steps for i in (0, 1))
+                    way.append((t_us, x, y, True))
+            way.append((t_us + 100_000, *swath[-1], False))
+            t_us += 1_000_000
+    return ways
+
+
+@pytest.fixture(scope="module")
+def record() -> WorkRecord:
+    return record_of(field(), tracks(field()), True, STARTED)
+
+
+def test_what_was_covered_is_what_was_worked() -> None:
+    """Everything but the corners: the simulated bar cannot reach into them."""
+    parts = covered_area(field(), tracks(field()))
+    area_m2 = sum(part.area for part in parts)
+    assert 0.995 * field().polygon.area < area_m2 <= field().polygon.area
+
+
+@pytest.mark.parametrize("name", ["TASKDATA", "work.zip", "work.geojson"])
+def test_reads_back_equal(tmp_path: Path, record: WorkRecord, name: str) -> None:
+    path = tmp_path / name
+    if name.endswith("json"):
+        write_geojson(record, path)
+        assert read_work_geojson(path) == record
+    else:
+        write_isoxml(record, path)
+        assert read_work_isoxml(path) == record
+    boundary = read_boundary(path, record.name)  # and is a field file again
+    assert boundary.polygon.symmetric_difference(field().polygon).area < 1.0
+
+
+def test_the_package_reads_it_too(tmp_path: Path, record: WorkRecord) -> None:
+    write_isoxml(record, tmp_path / "TASKDATA")
+    write_isoxml(record, tmp_path / "work.zip")
+    data, binaries = isoxml_from_path(tmp_path / "TASKDATA")
+    zipped, _ = isoxml_from_zip(tmp_path / "work.zip")
+    assert len(zipped.tasks) == 1
+    convert = ShapelyConverterV4()
+    (boundary,) = data.partfields[0].polygons
+    assert convert.to_shapely_polygon(boundary).equals(
+        Polygon(record.boundary[0], record.boundary[1:])
+    )
+    (task,) = data.tasks
+    (zone,) = task.treatment_zones
+    shapes = [convert.to_shapely_polygon(p) for p in zone.polygons]
+    assert all(shape.is_valid for shape in shapes) and len(shapes) == len(record.covered)
+    patterns = data.partfields[0].guidance_groups[0].guidance_patterns
+    lines = [tuple(convert.to_shapely_line_string(p.line_strings[0]).coords) for p in patterns]
+    assert lines == [swath.points for swath in record.swaths]
+    assert {p.type.value for p in patterns} == {"1", "3"}, "AB lines and rings"
+    assert task.status.value == "4" and task.partfield_id_ref == data.partfields[0].id
+    logs = [unpack(binaries[log.filename], record.started) for log in task.time_logs]
+    assert logs == list(record.logs.values())
+
+
+def test_unfinished_work_is_paused(tmp_path: Path, record: WorkRecord) -> None:
+    write_isoxml(record._replace(finished=False), tmp_path)
+    assert not read_work_isoxml(tmp_path).finished
+    assert isoxml_from_path(tmp_path)[0].tasks[0].status.value == "3"
+
+
+def test_nothing_worked_is_a_record(tmp_path: Path) -> None:
+    empty = record_of(field(), {0: [(0, 0.0, 0.0, False)], 1: []}, False, STARTED)
+    write_isoxml(empty, tmp_path)
+    assert read_work_isoxml(tmp_path) == empty
+    assert empty.covered == () and list(empty.logs) == [0]
+
+
+log_points = st.lists(
+    st.tuples(
+        st.integers(0, 90_000_000),
+        st.integers(-1_800_000_000, 1_800_000_000),
+        st.integers(-900_000_000, 900_000_000),
+        st.booleans(),
+    )
+).map(lambda rows: tuple(LogPoint(t, x / 1e7, y / 1e7, w) for t, x, y, w in rows))
+
+
+@given(log_points)
+def test_time_logs_read_back_equal(log: tuple[LogPoint, ...]) -> None:
+    assert unpack(pack(log, STARTED), STARTED) == log
+
+
+@given(st.binary(max_size=200))
+def test_bad_time_logs_are_said_to_be(records: bytes) -> None:
+    try:
+        unpack(records, STARTED)
+    except BadTimeLog as problem:
+        assert "\n" not in str(problem)
+
+
+@given(data=st.data())
+@settings(
+    max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+def test_damaged_records_never_raise_anything_else(
+    tmp_path: Path, record: WorkRecord, data: st.DataObject
+) -> None:
+    short = record._replace(swaths=record.swaths[:2], covered=(), logs={0: record.logs[0][:5]})
+    folder, file = tmp_path / "T", tmp_path / "work.geojson"
+    write_isoxml(short, folder)
+    write_geojson(short, file)
+    damaged = data.draw(st.sampled_from(["TASKDATA.XML", "TLG00001.bin", "work.geojson"]))
+    path = file if damaged == "work.geojson" else folder / damaged
+    content = bytearray(path.read_bytes())
+    at = data.draw(st.integers(0, len(content) - 1))
+    content[at : at + data.draw(st.integers(0, 30))] = data.draw(st.binary(max_size=8))
+    path.write_bytes(bytes(content))
+    for read, what in ((read_work_geojson, file), (read_work_isoxml, folder)):
+        try:
+            assert isinstance(read(what), WorkRecord)
+        except FieldFileError as problem:
+            assert "\n" not in str(problem)

@@ -1,0 +1,119 @@
+"""Each checker finds what breaks its rule, and finds nothing where the rule holds."""
+
+from shapely.geometry import box
+
+from agent.interface.effects import Drive
+from sim.world.checkers import (
+    ContactChecker,
+    CoverageChecker,
+    ExclusiveWorkChecker,
+    MotionAfterStopChecker,
+)
+from sim.world.drive_trains import Chassis
+from sim.world.world import World
+
+BOUND_US = 50_000
+
+
+def moving(seconds: float, stop_s: float, again_s: float = 1e9) -> MotionAfterStopChecker:
+    """Two robots; slot 1 obeys a stop pressed at `stop_s`, and starts anew at `again_s`."""
+    world = World([], 1)
+    for slot in range(2):
+        world.add_robot(slot, (0.0, 5.0 * slot), 0.5, Chassis())
+    checker = MotionAfterStopChecker(world)
+    for t_us in range(0, round(seconds * 1e6), 50_000):
+        t_s = t_us / 1e6
+        if t_s == stop_s:
+            checker.press(t_us, BOUND_US, {1})
+        world.body(0).drive(Drive(2.0, 0.0), t_us)
+        obeys = stop_s <= t_s < again_s
+        world.body(1).drive(Drive(0.0 if obeys else 2.0, 0.0), t_us)
+    world.advance(round(seconds * 1e6))
+    return checker
+
+
+def test_a_robot_that_stops_in_time_is_in_order() -> None:
+    assert moving(6.0, 2.0).violations == []
+
+
+def test_a_robot_that_moves_again_without_release_is_found() -> None:
+    found = moving(6.0, 2.0, again_s=5.0).violations
+    assert {v.what for v in found} == {"told to move after a stop", "moves after a stop"}
+    assert {v.slots for v in found} == {(1,)}
+    assert 5_000_000 <= min(v.t_us for v in found) <= 5_020_000
+
+
+def test_a_robot_that_never_heard_is_found_at_the_bound() -> None:
+    found = moving(6.0, 2.0, again_s=2.0).violations
+    told = [v.t_us for v in found if v.what.startswith("told")]
+    assert told[0] == 2_000_000 + BOUND_US + 10_000
+    moved = [v.t_us for v in found if v.what.startswith("moves")]
+    braking_us = round(Chassis().stopping_s * 1e6)
+    assert told[0] < moved[0] <= 2_000_000 + BOUND_US + braking_us + 10_000
+
+
+def test_a_released_robot_may_move() -> None:
+    world = World([], 1)
+    for slot in range(2):
+        world.add_robot(slot, (0.0, 5.0 * slot), 0.5, Chassis())
+    checker = MotionAfterStopChecker(world)
+    number = checker.press(0, BOUND_US, {0, 1})
+    world.advance(3_000_000)
+    checker.release(number, {0})
+    for t_us in range(3_000_000, 4_000_000, 50_000):
+        world.body(0).drive(Drive(1.0, 0.0), t_us)
+    assert checker.violations == []
+    world.body(1).drive(Drive(1.0, 0.0), 4_000_000)
+    world.advance(4_200_000)
+    assert {v.slots for v in checker.violations} == {(1,)}
+
+
+def test_contacts_are_violations_unless_excused() -> None:
+    world = World([[(-5.0, -5.0), (5.0, -5.0), (5.0, 5.0), (-5.0, 5.0)]], 1)
+    world.add_robot(3, (4.0, 0.0), 0.5, Chassis())
+    assert ContactChecker(world).violations == []
+    for t_us in range(0, 2_000_000, 50_000):
+        world.body(3).drive(Drive(1.0, 0.0), t_us)
+    (found,) = ContactChecker(world).violations
+    assert found.slots == (3,) and "fence" in found.what
+    assert ContactChecker(world, excused=[3]).violations == []
+
+
+def drive_line(world: World, slot: int, x_m: float, y_m: float, begin_us: int) -> None:
+    world.body(slot).teleport(0.0, y_m)
+    t_us = begin_us
+    while world.body(slot).position[0] < x_m:
+        world.body(slot).drive(Drive(2.0, 0.0, 0.0, True), t_us)
+        t_us += 50_000
+        world.advance(t_us)
+    world.advance(t_us + 3_000_000)
+
+
+def test_a_field_left_half_done_is_found() -> None:
+    field = box(0.0, 0.0, 30.0, 8.0)
+    checker = CoverageChecker(field, 4.0, 0.4, share_min=0.98)
+    world = World([], 1)
+    world.add_robot(0, (0.0, 0.0), 0.5, Chassis(slip=0.0))
+    drive_line(world, 0, 30.0, 2.0, 0)
+    tracks = {slot: robot.track for slot, robot in world.robots.items()}
+    (found,) = checker.violations(tracks)
+    assert "never worked" in found.what
+    assert 0.45 < checker.measure(tracks).share < 0.58
+    drive_line(world, 0, 30.0, 5.9, world.now_us)
+    assert checker.violations(tracks) == []
+
+
+def test_two_robots_in_one_section_at_once_are_found() -> None:
+    sections = {7: [[(5.0, 2.0), (25.0, 2.0)]], 8: [[(5.0, 6.0), (25.0, 6.0)]]}
+    for other_y, expected in ((2.0, {(0, 1)}), (6.0, set())):
+        world = World([], 1)
+        for slot, (x, y) in enumerate(((4.0, 2.0), (8.0, other_y))):
+            world.add_robot(slot, (x, y), 0.5, Chassis())
+        for t_us in range(0, 5_000_000, 50_000):
+            for slot in range(2):
+                world.body(slot).drive(Drive(1.0, 0.0, 0.0, True), t_us)
+        world.advance(5_000_000)
+        tracks = {slot: robot.track for slot, robot in world.robots.items()}
+        found = ExclusiveWorkChecker(sections, 0.2).violations(tracks)
+        assert {v.slots for v in found} == expected
+        assert all("section 7" in v.what for v in found)

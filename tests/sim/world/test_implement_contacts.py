@@ -1,0 +1,82 @@
+"""Implements that are down are bodies: what meets them is a contact, and robots keep off them."""
+
+import pytest
+
+from agent.interface.lifecycle import State
+from agent.interface.ports import Observation
+from agent.motion.deadlock_yield import Other
+from agent.motion.implement_clearance import Implement
+from sim.fleet.outcome import Outcome
+from sim.runs.field_run import Expedition
+from sim.scenarios.field_setup import Setting
+from sim.scenarios.scenario import load
+from sim.world.contact_free_steps import TRACK_US
+from sim.world.ground_truth import Track, TrackPoint
+from sim.world.implement_contacts import Met, implement_contacts
+
+WIDTH_M, OVERLAP_M, RADIUS_M = 4.0, 0.2, 0.8
+
+
+def drive(
+    x_m: float, y_m: float, vx_m_s: float, vy_m_s: float, down: bool = True
+) -> list[TrackPoint]:
+    """Ten seconds straight on."""
+    return [(k * TRACK_US, x_m + vx_m_s * k / 10, y_m + vy_m_s * k / 10, down) for k in range(100)]
+
+
+def met(*tracks: list[TrackPoint]) -> list[Met]:
+    found = implement_contacts(dict(enumerate(tracks)), WIDTH_M, OVERLAP_M, RADIUS_M)
+    thinned = dict[int, Track]()
+    for slot, track in enumerate(tracks):
+        thinned[slot] = Track(0.01)
+        for point in track:
+            thinned[slot].add(*point)
+    of_thinned = implement_contacts(thinned, WIDTH_M, OVERLAP_M, RADIUS_M)
+    assert [m[:4] for m in found] == [m[:4] for m in of_thinned], "a launch keeps fewer points"
+    return found
+
+
+def test_m21_bars_that_pass_each_other_three_metres_apart_are_one_contact() -> None:
+    (one,) = met(drive(0.0, 0.0, 2.5, 0.0), drive(20.0, 3.0, -2.5, 0.0))
+    assert not one.body and (one.first, one.second) == (0, 1)
+
+
+def test_m21_a_bar_through_a_body_is_a_contact_while_it_is_down() -> None:
+    there = drive(10.0, 2.5, 0.0, 0.0, down=False)
+    (one,) = met(drive(0.0, 0.0, 2.0, 0.0), there)
+    assert one.body and one.t_us == pytest.approx(4_680_000, abs=100_000)
+    assert not met(drive(0.0, 0.0, 2.0, 0.0, down=False), there), "up, it is folded"
+
+
+def test_m21_neighbours_on_their_swaths_are_none() -> None:
+    beside_m = WIDTH_M - OVERLAP_M  # each may be off its line by half of the overlap
+    assert not met(drive(0.0, 0.08, 2.0, 0.0), drive(20.0, beside_m - 0.08, -2.0, 0.0))
+    assert not met(drive(0.0, 0.0, 2.0, 0.0))
+
+
+def test_m21_an_implement_goes_up_before_it_comes_into_a_body() -> None:
+    implement = Implement(WIDTH_M / 2 - OVERLAP_M, RADIUS_M)
+    here = Observation(0.0, 0.0, 0.0, 2.5, 0.0)
+    for dx_m, dy_m, up in ((1.0, 2.4, True), (-1.0, -2.4, True), (3.0, 2.4, False), (0.0, 3.6, False)):
+        other = Other(1, dx_m, dy_m, State.IDLE)
+        assert implement.must_be_up(here, (2.5, 0.0), [other]) is up, (dx_m, dy_m)
+    assert not Implement(0.0, RADIUS_M).must_be_up(here, (2.5, 0.0), [Other(1, 1.0, 0.0, State.IDLE)])
+
+
+def played(robots: int, seed: int) -> Outcome:
+    print("seed", seed)
+    return Expedition(Setting(load("small").changed(robots, seed).with_engine("contact_free"))).run()
+
+
+@pytest.mark.parametrize(("robots", "seed"), [(3, 1), (3, 2), (3, 3), (6, 1)])
+def test_m21_flawless_runs_have_no_contact_of_an_implement(robots: int, seed: int) -> None:
+    outcome = played(robots, seed)
+    assert outcome.success and outcome.implement_contacts == 0, outcome
+
+
+def test_m21_what_implements_meet_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With robots that know nothing of implements, as they were."""
+    monkeypatch.setattr(Implement, "must_be_up", lambda *_: False)
+    monkeypatch.setattr(Implement, "combined_m", lambda _, apart_m, bodies_m: bodies_m)
+    outcome = played(3, 1)
+    assert outcome.implement_contacts > 0

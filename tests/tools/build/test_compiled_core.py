@@ -1,0 +1,81 @@
+"""Simulated from machine code, a run is the same to the last effect; what is stale is never used."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tools.build import compile as compiling
+from tools.build import compiled_core
+from tools.build.compile import ToolMissingError, build
+from tools.build.compiled_core import Finder, place
+
+RUNS = [("protocol", 3), ("all", 1), ("stop", 2), ("crash", 5)]
+FEW = RUNS[:2]  # of a small core: these go through all of its modules
+SMALL = {"crdt": "digest progress clock", "protocol": "fleet_frames"}  # half a minute to compile
+PLAY = """
+import json, sys
+from pathlib import Path
+from tools.build.compiled_core import use
+used = use(Path(sys.argv[1])) if len(sys.argv) > 1 else False
+from sim.chaos.fault_profiles import draw
+from sim.chaos.verdict import judge
+hashes = [judge(draw(seed, profile)).trace_hash for profile, seed in json.loads(sys.stdin.read())]
+import crdt.digest
+print(json.dumps([used, crdt.digest.__file__, hashes]))
+"""
+
+
+def play(runs: list[tuple[str, int]], *folder: str) -> tuple[bool, str, list[str]]:
+    done = subprocess.run(
+        [sys.executable, "-c", PLAY, *folder], input=json.dumps(runs), text=True,
+        capture_output=True, timeout=200,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    used, file, hashes = json.loads(done.stdout)
+    return used, file, hashes
+
+
+@pytest.fixture(scope="module")
+def core(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The one that `headland compile` has made of these sources, or a small one, with feedback: what C
+    means is the same however well it is optimized, and its compiler is twice as quick without."""
+    if place().is_dir():
+        return place()
+    folder = tmp_path_factory.mktemp("core") / "small"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(compiling, "LEVEL", "0")
+        patch.setattr(compiling, "PLAYED", 1)
+        for profiled in (True, False):  # the first with GCC only
+            try:
+                for _ in build(folder, SMALL, profiled):
+                    pass
+                return folder
+            except ToolMissingError as problem:
+                missing = str(problem)
+    pytest.skip(missing)
+
+
+def test_compiled_and_interpreted_runs_have_the_same_trace_hashes(core: Path) -> None:
+    runs = RUNS if core == place() else FEW
+    used, file, compiled = play(runs, str(core))
+    assert used and Path(file).parent.parent == core
+    used, file, interpreted = play(runs)
+    assert not used and file.endswith(".py")
+    assert compiled == interpreted, runs
+
+
+def test_changed_sources_have_no_core(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = place()
+    monkeypatch.setattr(compiled_core, "fingerprint", lambda: "0" * 12)
+    assert place() != before and not Finder(place()).files
+
+
+def test_a_process_that_has_begun_interpreted_goes_on_so(core: Path) -> None:
+    import crdt.digest
+
+    assert crdt.digest.__file__.endswith(".py")
+    assert not compiled_core.use(core)
+    assert not any(isinstance(finder, Finder) for finder in sys.meta_path)

@@ -1,0 +1,88 @@
+"""The report is what its results say, and a regenerated one is the committed one."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rich.console import Console
+
+from sim.chaos.verdict import Verdict
+from tools.chaos import chaos as campaign
+from tools.chaos.chaos import chaos
+from tools.chaos.chaos_report import ReportError, judged_hours, report
+from tools.chaos.fuzz import fuzz
+from tools.chaos.planted_bug_hunt import RESULTS, hunt_all
+
+DOCS = Path(__file__).parents[3] / "docs"
+
+
+def test_the_committed_report_is_the_one_of_the_committed_results() -> None:
+    again = "headland chaos --report docs/chaos_runs > docs/chaos_report.md"
+    assert report(DOCS / "chaos_runs") == (DOCS / "chaos_report.md").read_text(), again
+
+
+def test_a_campaign_and_fuzzing_make_a_report(tmp_path: Path) -> None:
+    assert chaos("4", "stop", 1, None, tmp_path, False, True) == 0
+    assert fuzz(["frame"], 50, None, 1, "plain", False, tmp_path, True) == 0
+    text = report(tmp_path)
+    told = json.loads((tmp_path / "chaos.json").read_text())
+    assert told["seeds"] == [4, 5] and told["cpu_s"] > 0.0
+    assert f"{told['robot_hours']:.1f} robot-hours judged in 1 runs" in text
+    assert "| frame | 50 |" in text and "**missed**" in text
+
+
+def test_hours_are_not_counted_twice(tmp_path: Path) -> None:
+    row: dict[str, Any] = {"profile": "all", "seeds": [0, 10], "robot_hours": 1.0}
+    (tmp_path / "a.json").write_text(json.dumps(row))
+    (tmp_path / "b.json").write_text(json.dumps(row | {"seeds": [9, 12]}))
+    with pytest.raises(ReportError, match="seed 9 of all"):
+        report(tmp_path)
+
+
+@pytest.mark.parametrize(("robots", "again", "broken"), [
+    ("same", [], 0), ("same", [7], 1), ("other", [], 1),
+])  # fmt: skip
+def test_a_false_alarm_is_one_that_the_same_robots_are_cleared_of(
+    tmp_path: Path, robots: str, again: list[int], broken: int
+) -> None:
+    what = {"seed": 7, "rule": "S1", "t_s": 1.0, "what": "moved"}
+    row: dict[str, Any] = {
+        "profile": "protocol", "seeds": [0, 10], "robot_hours": 30_000.0, "runs": 10, "cpu_s": 1.0,
+        "failed": [7], "broken": [what], "code": "before", "robots": "same", "hash": "", "faults": {},
+    }  # fmt: skip
+    once = {"seeds": [7, 8], "failed": again, "broken": [what] * len(again), "robots": robots}
+    (tmp_path / "a.json").write_text(json.dumps(row))
+    (tmp_path / "b.json").write_text(json.dumps(row | once | {"code": "after"}))
+    text = report(tmp_path)
+    assert "30000.0 robot-hours judged in 10 runs" in text and f"{broken} rules broken" in text
+    assert ("| 7 | S1 | moved | after |" in text) is (broken == 0)
+    assert ("reached" in text.split("Planted")[0]) is (broken == 0)
+    assert judged_hours(tmp_path, "same") == (30_000.0, broken)
+    assert judged_hours(tmp_path, "of tomorrow") == (0.0, 0), "they show nothing of other robots"
+
+
+def test_a_hunt_goes_on_where_it_stopped(tmp_path: Path) -> None:
+    console, names = Console(quiet=True), ["latch-forgotten"]
+    assert hunt_all(console, names, 1, 0.0, tmp_path, False)[0]["runs"] == 0
+    (row,) = hunt_all(console, names, 1, 30.0, tmp_path, False)
+    assert row["found"] and row["rule"]
+    written = (tmp_path / RESULTS).read_text()
+    assert hunt_all(console, names, 1, 30.0, tmp_path, False) == [row]
+    assert (tmp_path / RESULTS).read_text() == written, "what was found is not looked for again"
+
+
+def test_what_was_shown_so_far_is_kept_in_a_row(tmp_path: Path, monkeypatch: Any) -> None:
+    """A campaign whose process dies loses what was not yet written, and seeds behind a gap are not
+    counted: the row says which were played."""
+    monkeypatch.setattr(campaign, "KEEP_S", -1.0)
+    kept = list[tuple[list[int], float]]()
+
+    def keep(verdicts: list[Verdict], cpu_s: float) -> None:
+        kept.append(([verdict.seed for verdict in verdicts], cpu_s))
+
+    seeds = range(3, 6)
+    verdicts, cpu_s = campaign._campaign(Console(quiet=True), seeds, "press", 2, None, "", keep)
+    assert [verdict.seed for verdict in verdicts] == [*seeds]
+    assert all(row == [*seeds][: len(row)] for row, _ in kept)
+    assert kept[-1] == ([*seeds], cpu_s) and cpu_s > 0.0

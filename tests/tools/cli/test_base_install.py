@@ -1,0 +1,91 @@
+"""What is told where a package, a process or privacy is missing: one line (items 15 and G)."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.tools.launching import ENVIRONMENT, ROOT
+from tools.cli.hub import loopback
+from tools.common import bus_attach as attachment
+from tools.common.bus_attach import AttachError, address_of_launch
+from tools.common.extras import EXTRA_OF
+from tools.common.process_identity import identity, lives
+
+BLOCK = """
+import sys
+
+class Absent:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] in {names}:
+            raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
+
+sys.meta_path.insert(0, Absent())
+"""
+
+
+def headland(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    """In a process in which no package of an extra can be imported."""
+    (folder / "sitecustomize.py").write_text(BLOCK.format(names=set(EXTRA_OF)))
+    path = f"{folder}{os.pathsep}{ROOT}"
+    return subprocess.run(
+        [sys.executable, "-m", "tools.cli.headland", *words], cwd=folder, capture_output=True, text=True,
+        env={**ENVIRONMENT, "PYTHONPATH": path}, stdin=subprocess.DEVNULL, check=False, timeout=120,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("words", "extra"),
+    [
+        ("say stop", "operator"),
+        ("say", "operator"),
+        ("bridge --segment 1 --listen tcp/127.0.0.1:0", "backbone"),
+        ("map can.log --page-port 0", "operator"),
+        ("inspect can.log --picture out.svg", "operator"),
+        ("inspect run.mcap --plain", "operator"),
+        ("run task --robots 2", "isoxml"),
+        ("chaos --help", ""),
+        ("estop", ""),
+        ("reset", ""),
+        ("order 1 wait", ""),
+        ("inspect can.log", ""),
+        ("task add 1,1 2,2", ""),
+    ],
+)
+def test_base_install_names_the_extra_in_one_line(words: str, extra: str, tmp_path: Path) -> None:
+    (tmp_path / "can.log").write_text("(0.000000) can0 18EAFFFE#00EE00\n")
+    (tmp_path / "run.mcap").write_bytes(b"\x89MCAP0\r\n")
+    (tmp_path / "task").mkdir()
+    (tmp_path / "task" / "TASKDATA.XML").write_text("<ISO11783_TaskData/>")
+    done = headland(tmp_path, *words.split())
+    assert "Traceback" not in done.stderr, done.stderr
+    if extra:
+        assert done.returncode == 2 and f"headland[{extra}]" in done.stderr, done.stderr
+        assert done.stderr.count("\n") == 1, done.stderr
+
+
+def test_g_a_launch_that_was_killed_is_noticed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Somebody else may have its port by now, and would say that all have stopped."""
+    monkeypatch.setattr(attachment, "LAUNCH", tmp_path / "bus.json")
+    where = {"host": "127.0.0.1", "port": 5, "channel": "can0"}
+    (tmp_path / "bus.json").write_text(json.dumps({**where, **identity()}))
+    assert address_of_launch() == ("127.0.0.1", 5, "can0")
+    dead = subprocess.Popen([sys.executable, "-c", ""])
+    dead.wait()
+    for gone in ({"pid": dead.pid}, {"pid": os.getpid(), "started": "1"}):
+        if "started" in gone and not Path("/proc/self/stat").exists():
+            continue
+        (tmp_path / "bus.json").write_text(json.dumps({**where, **gone}))
+        with pytest.raises(AttachError, match=r"was killed.*--port 5"):
+            address_of_launch()
+    assert lives(os.getpid(), "") and lives(1, "")
+
+
+def test_g_a_hub_that_the_network_reaches_warns() -> None:
+    assert [loopback(h) for h in ("127.0.0.1", "127.9.9.9", "::1", "localhost")] == [True] * 4
+    assert [loopback(h) for h in ("0.0.0.0", "192.168.1.2", "::", "farm.example")] == [False] * 4

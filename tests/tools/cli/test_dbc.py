@@ -1,0 +1,176 @@
+"""A recorded run, read by cantools alone with the DBC we write, against what our codec reads."""
+
+import keyword
+import shutil
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+from random import Random
+from typing import Any
+
+import pytest
+
+from agent.interface.lifecycle import State
+from protocol.frames.codec import Malformed, decode, encode
+from protocol.frames.dbc_signals import NAME_OF_FIELD, SIGNALS, STATE, reserved_of
+from protocol.frames.fleet_frames import Member
+from protocol.frames.frame import Frame
+from protocol.frames.identifier import Identifier
+from protocol.frames.messages import GROUPS, Message
+from protocol.frames.network_frames import AddressClaimed
+from protocol.frames.safety_frames import AllImplementsStop, Switch
+from protocol.name import Name
+from sim.files.candump import read_candump
+from sim.runs.field_run import Expedition
+from sim.scenarios.field_setup import Setting
+from sim.scenarios.scenario import load
+from tools.cli.dbc import pgn_key, to_dbc
+
+cantools = pytest.importorskip("cantools", reason="cantools is not installed")
+
+
+@pytest.fixture(scope="module")
+def by_group() -> dict[int, Any]:
+    database = cantools.database.load_string(to_dbc(), "dbc")
+    assert all(m.protocol == "j1939" for m in database.messages)
+    return {pgn_key(m.frame_id): m for m in database.messages}
+
+
+@pytest.fixture(scope="module")
+def short_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """From boot into the work: what comes later is of the same kinds."""
+    out = tmp_path_factory.mktemp("run")
+    scenario = load("small").changed(3, 1)
+    limit = scenario.run.model_copy(update={"time_limit_s": 60.0})
+    Expedition(Setting(scenario.model_copy(update={"run": limit})), out).run()
+    return out
+
+
+def flat(message: Message) -> dict[str, float]:
+    """Our fields under the names of signals; fields of several bytes one by one."""
+    values: dict[str, float] = {}
+    fields = message._asdict()
+    if isinstance(message, AddressClaimed):
+        fields = Name.unpack(message.name)._asdict()
+    for field, value in fields.items():
+        name = NAME_OF_FIELD.get(field, field)
+        if isinstance(value, bytes | tuple):
+            values |= {f"{name}_{k}": part for k, part in enumerate(value)}
+        else:
+            values[name] = float(value)
+    return values
+
+
+def compare(identifier: int, data: bytes, by_group: dict[int, Any]) -> str:
+    _, ours = decode(Frame(identifier, data))
+    assert not isinstance(ours, Malformed), (hex(identifier), data.hex(), ours)
+    definition = by_group[pgn_key(identifier)]
+    theirs = {
+        name: value
+        for name, value in definition.decode(data, decode_choices=False).items()
+        if not name.startswith("reserved_")
+    }
+    ours_flat = flat(ours)
+    assert theirs.keys() == ours_flat.keys()
+    for name, value in theirs.items():
+        assert value == pytest.approx(ours_flat[name], abs=1e-9), (definition.name, name)
+    return str(definition.name)
+
+
+def test_random_frames_of_every_kind_read_alike(by_group: dict[int, Any]) -> None:
+    rng, read = Random(1), Counter[str]()
+    for group in GROUPS:
+        while read[group.name] < 50:
+            data = rng.randbytes(group.length)
+            identifier = Identifier(group.priority, group.pgn, 255, rng.randrange(254)).pack()
+            if not isinstance(decode(Frame(identifier, data))[1], Malformed):
+                read[compare(identifier, data, by_group)] += 1
+    assert read.keys() == {group.name for group in GROUPS}
+
+
+def test_a_recorded_run_reads_alike(by_group: dict[int, Any], short_run: Path) -> None:
+    read = Counter(
+        compare(frame.identifier, frame.data, by_group)
+        for _, frame in read_candump(short_run / "can.log")
+    )
+    for kind in ("POSE", "HEARTBEAT", "TASK_CLAIM", "WORK_PROGRESS", "ADDRESS_CLAIMED", "MEMBER"):
+        assert read[kind] > 0, kind
+
+
+def test_states_are_the_agents() -> None:
+    assert tuple((int(state), state.name) for state in State) == STATE
+
+
+def test_encoded_frames_have_the_identifier_of_their_group(by_group: dict[int, Any]) -> None:
+    frame = encode(Member(1, 1, 5), 130)
+    assert by_group[pgn_key(frame.identifier)].name == "MEMBER"
+    assert {signal.name for signal in SIGNALS[Member]} == {*Member._fields}
+
+
+# C17 and C++20; those that are in both stand once.
+WORDS = """alignas alignof and and_eq asm auto bitand bitor bool break case catch char char8_t char16_t
+char32_t class co_await co_return co_yield compl concept const const_cast consteval constexpr
+constinit continue decltype default delete do double dynamic_cast else enum explicit export extern
+false float for friend goto if inline int long mutable namespace new noexcept not not_eq nullptr
+operator or or_eq private protected public register reinterpret_cast requires restrict return short
+signed sizeof static static_assert static_cast struct switch template this thread_local throw true
+try typedef typeid typename union unsigned using virtual void volatile wchar_t while xor xor_eq"""
+KEYWORDS = frozenset(WORDS.split())
+
+
+def test_a8_no_signal_is_a_keyword_of_c_or_cpp() -> None:
+    names = {signal.name for signals in SIGNALS.values() for signal in signals}
+    assert not names & KEYWORDS and not any(keyword.iskeyword(name) for name in names)
+
+
+def test_a8_the_generated_c_source_compiles(tmp_path: Path) -> None:
+    compilers = [c for c in ("gcc", "g++") if shutil.which(c)]
+    if not compilers:
+        pytest.skip("no C compiler is installed")
+    (tmp_path / "headland.dbc").write_text(to_dbc(), encoding="ascii")
+    for words in (
+        [sys.executable, "-m", "cantools", "generate_c_source", "headland.dbc"],
+        *([c, "-c", "-Wall", "-Wextra", "-Werror", "headland.c"] for c in compilers),
+    ):
+        done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+
+
+def test_a16_the_name_of_a_claim_is_nine_signals(by_group: dict[int, Any]) -> None:
+    name = Name(5, 1407, 2, 3, 129, 0, 15, 2, 1)
+    claim = encode(AddressClaimed(name.pack()), 249)
+    read = by_group[pgn_key(claim.identifier)].decode(claim.data)
+    assert {k: v for k, v in read.items() if not k.startswith("reserved")} == name._asdict()
+
+
+def test_a16_reserved_bits_are_ones_where_an_encoder_of_others_starts(
+    by_group: dict[int, Any],
+) -> None:
+    """Cantools with its start values makes the very bytes that we send."""
+    frame = encode(AllImplementsStop(3, Switch.STOP), 130)
+    definition = by_group[pgn_key(frame.identifier)]
+    values = {signal.name: signal.initial or 0 for signal in definition.signals}
+    assert definition.encode({**values, "transition": 3, "state": 0}) == frame.data
+    assert {s.reserved for s in reserved_of(AllImplementsStop)} == {(1 << 48) - 1, 63}
+
+
+def test_a16_cycle_times_and_nodes_are_told(by_group: dict[int, Any]) -> None:
+    told = {m.name: (m.cycle_time, m.senders) for m in by_group.values()}
+    assert told["POSE"] == (50, ["robot"]) and told["HEARTBEAT"] == (500, ["robot"])
+    assert told["OPERATOR_COMMAND"][1] == ["tool"] and told["GATEWAY_BEAT"][1] == ["gateway"]
+
+
+def test_a17_cantools_reads_a_log_as_the_documents_say(short_run: Path, tmp_path: Path) -> None:
+    text = Path("docs/bus.md").read_text()
+    command = next(line for line in text.splitlines() if "cantools decode" in line).split(" <")[0]
+    (tmp_path / "headland.dbc").write_text(to_dbc(), encoding="ascii")
+    with (short_run / "can.log").open() as log:
+        done = subprocess.run(
+            [sys.executable, *command.split()[1:]], stdin=log, cwd=tmp_path,
+            capture_output=True, text=True, check=False,
+        )  # fmt: skip
+    lines = done.stdout.splitlines()
+    assert done.returncode == 0 and len(lines) > 1000, done.stderr
+    assert not [line for line in lines if "Unknown frame id" in line]
+    assert any("POSE(" in line for line in lines)

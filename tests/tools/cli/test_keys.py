@@ -1,0 +1,153 @@
+"""Key files and the commands that use them: made, shown, rotated, refused in one line, and believed."""
+
+import asyncio
+import json
+import stat
+import subprocess
+import sys
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from sim.files.key_file import (
+    FLEET,
+    OPERATOR,
+    KeyFileError,
+    counter,
+    counter_path,
+    fresh,
+    read,
+    write,
+)
+from tests.tools import launching
+from tests.tools.complaint import Complaints
+from tests.tools.launching import ENVIRONMENT, WAIT_S
+
+
+def headland(*words: str, folder: Path) -> "subprocess.CompletedProcess[str]":
+    return subprocess.run(
+        [sys.executable, "-m", "tools.cli.headland", *words], cwd=folder, capture_output=True, text=True,
+        check=False, timeout=WAIT_S, env=ENVIRONMENT,
+    )  # fmt: skip
+
+
+def one_line(done: "subprocess.CompletedProcess[str]", *says: str) -> None:
+    assert done.returncode == 2 and done.stderr.count("\n") == 1, done.stderr
+    assert done.stderr.startswith("headland: ") and all(s in done.stderr for s in says), done.stderr
+
+
+def test_new_show_and_rotate(tmp_path: Path) -> None:
+    made = headland("keys", "new", "k", folder=tmp_path)
+    assert made.returncode == 0, made.stderr
+    fleet, operator = tmp_path / "k" / "fleet.json", tmp_path / "k" / "operator.json"
+    for path in (fleet, operator):
+        assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    before, device = read(fleet, FLEET), read(operator, OPERATOR)
+    assert before.keys.operator == device.keys.operator and device.keys.master is None
+    shown = headland("keys", "show", "k", folder=tmp_path)
+    assert shown.stdout == made.stdout and before.ids["operator"] in shown.stdout
+    for secret in (before.keys.master, before.keys.operator):
+        assert secret is not None and secret.hex() not in made.stdout + shown.stdout
+    one_line(headland("keys", "new", "k", folder=tmp_path), "is there already")
+
+    assert device.keyring(10).sent == 0 and device.keyring(10).sent == 10
+    rotated = headland("keys", "rotate", "k", folder=tmp_path)
+    assert rotated.returncode == 0, rotated.stderr
+    after = read(fleet, FLEET)
+    assert not set(after.ids.values()) & set(before.ids.values())
+    assert counter(operator) == 0, "a new key has signed nothing"
+    assert read(tmp_path / "k" / f"fleet.json.{before.ids['fleet']}").keys == before.keys
+
+
+def keys(folder: Path) -> tuple[Path, Path]:
+    write(folder / "fleet.json", folder / "operator.json", fresh(), 249)
+    return folder / "fleet.json", folder / "operator.json"
+
+
+def spoil(path: Path, **changes: object) -> None:
+    path.write_text(json.dumps({**json.loads(path.read_text()), **changes}))
+
+
+def test_wrong_key_files_get_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    fleet, _ = keys(tmp_path)
+
+    def wrong(words: str, *says: str) -> None:
+        said = Complaints(monkeypatch, capfd).of(words, tmp_path)
+        assert said.code == 2 and all(s in said.line for s in says), said
+
+    run = "run small --keys"
+    wrong(f"{run} nowhere.json", "fleet.keys", "nowhere.json")
+    wrong(f"{run} operator.json", "operator key", "is needed")
+    wrong("reset --operator-key fleet.json", "--operator-key")
+    wrong("estop --keys no.json -i virtual", "--keys")
+    fleet.chmod(0o640)
+    wrong(f"{run} fleet.json", "others may read it", "chmod 600")
+    wrong("keys show fleet.json", "chmod 600")
+    wrong("keys rotate nowhere", "cannot be read")
+    wrong("keys new new --device 3", "--device", "192")
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("{", "not JSON"), ("[]", "not a key file"), ("{}", "not a key file"),
+        ('{"kind": "headland fleet keys"}', "missing"),
+    ],
+)  # fmt: skip
+def test_what_is_no_key_file(text: str, why: str, tmp_path: Path) -> None:
+    path = tmp_path / "k.json"
+    path.touch(0o600)
+    path.write_text(text)
+    with pytest.raises(KeyFileError, match=why):
+        read(path)
+
+
+def test_a_damaged_key_or_counter_is_noticed(tmp_path: Path) -> None:
+    fleet, operator = keys(tmp_path)
+    key = json.loads(fleet.read_text())["key"]
+    spoil(fleet, key=key[:-1] + ("0" if key[-1] != "0" else "1"))
+    with pytest.raises(KeyFileError, match="does not fit"):
+        read(fleet)
+    spoil(fleet, key=17)
+    with pytest.raises(KeyFileError, match="hexadecimal"):
+        read(fleet)
+    counter_path(operator).write_text("many")
+    with pytest.raises(KeyFileError, match="rotate"):
+        read(operator).keyring()
+    spoil(operator, device=7)
+    with pytest.raises(KeyFileError, match="device"):
+        read(operator)
+
+
+@pytest.mark.slow
+def test_a_fleet_with_keys_is_stopped_and_released_by_those_that_hold_them(tmp_path: Path) -> None:
+    call = partial(launching.call, tmp_path)
+
+    async def story() -> None:
+        keys(tmp_path)
+        launch = await launching.start(tmp_path, "launch", "small", "--keys", "fleet.json")
+        try:
+            await launching.robots_up(launch, 3)
+            code, text = await call("estop", "--json")
+            assert code == 1 and not json.loads(text)["signed"], "braked, and nobody latched"
+            code, text = await call("estop", "--keys", "fleet.json", "--json")
+            assert code == 0 and json.loads(text)["stopped"] == [0, 1, 2], text
+            code, text = await call("reset", "--start", "--timeout", "1")
+            assert code == 1 and "NOT SIGNED" in text and "NOT RELEASED" in text, text
+            for _ in range(2):  # the counter goes on from one session of the device to the next
+                code, text = await call(
+                    "reset", "--operator-key", "operator.json", "--start", "--json"
+                )
+                assert code == 0 and json.loads(text)["signed"], text
+            assert counter(tmp_path / "operator.json") > 0
+        finally:
+            launch.terminate()
+            async with asyncio.timeout(WAIT_S):
+                await launch.wait()
+        report = json.loads((tmp_path / "runs" / "launch" / "report.json").read_text())
+        assert report["authenticated"]
+
+    asyncio.run(story())

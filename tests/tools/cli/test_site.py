@@ -1,0 +1,108 @@
+"""The documents as a site: printed parts are current, it builds without a warning, its examples run."""
+
+import re
+import runpy
+import subprocess
+import sys
+import tomllib
+from importlib.util import find_spec
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from agent.interface.config import S
+from agent.interface.lifecycle import TABLE, State
+from crdt import Phase
+from protocol.frames.messages import GROUPS
+from sim.fleet.scheduler import Script
+from sim.scenarios.field_setup import Setting
+from sim.scenarios.navigation_scenario import load_mission
+from tools.cli import doc_pages as handbook
+
+ROOT = Path(__file__).parents[3]
+DOCS = ROOT / "docs"
+
+
+@pytest.mark.parametrize("name", handbook.pages())
+def test_what_is_printed_is_current(name: str) -> None:
+    assert (DOCS / name).read_text() == handbook.pages()[name], "run: python -m tools.cli.doc_pages docs"
+
+
+def test_the_pages_say_it_all() -> None:
+    frames, picture = handbook.frames(), handbook.diagram()
+    for group in GROUPS:
+        assert f"## {group.name}\n" in frames and f"{group.pgn:#06x}" in frames
+    edges = {(a, b) for (a, _), b in TABLE.items() if a is not b}
+    assert picture.count('<path d="M') == len(edges) + 1  # and the arrow's head
+    assert all(state.name in picture for state in State)
+
+
+def test_every_document_is_in_the_site() -> None:
+    told = set(re.findall(r"(\w+\.md)", (ROOT / "mkdocs.yml").read_text()))
+    assert told == {path.name for path in DOCS.glob("*.md")}
+
+
+@pytest.mark.skipif(find_spec("material") is None, reason="mkdocs-material is not installed")
+def test_it_builds_and_loads_nothing_from_elsewhere(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(tmp_path)],
+        cwd=ROOT, capture_output=True, text=True, check=False, timeout=120,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr[-2000:]
+    pages = sorted(tmp_path.rglob("*.html"))
+    assert {path.stem for path in pages} >= {path.stem for path in DOCS.glob("*.md")}
+    for path in pages:
+        loaded = re.findall(
+            r'<(?:script|img|iframe)[^>]*\ssrc="(?:https?:)?//[^"]*"|<link[^>]*rel="(?:stylesheet|preconnect)"'
+            r'[^>]*href="(?:https?:)?//[^"]*"', path.read_text(),
+        )  # fmt: skip
+        assert not loaded, f"{path.name}: {loaded}"
+
+
+def test_the_tutorial_s_trouble_is_a_scenario(tmp_path: Path) -> None:
+    (text,) = re.findall(r"```toml\n(.*?)```", (DOCS / "tutorial.md").read_text(), re.S)
+    tomllib.loads(text)
+    (tmp_path / "trouble.toml").write_text(text)
+    scenario = load_mission(str(tmp_path / "trouble.toml"))
+    assert len(scenario.fault) == 4 and Setting(scenario).field.sections
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_the_mission_of_the_page_is_done(seed: int) -> None:
+    example = runpy.run_path(str(ROOT / "examples" / "soil_samples.py"))
+    seconds, cluster = example["sample"](3, seed)
+    posts = example["SoilSetting"].posts
+    assert all(r.peer.allocation.done_count() == len(posts) for r in cluster.robots.values())
+    assert not cluster.world.contacts and seconds < 200, f"seed {seed}"
+    for section, (x_m, y_m) in enumerate(posts):
+        owner = cluster.robots[0].peer.allocation.owner_of(section)
+        track = list(cluster.world.robots[owner].track)
+        # The world's own truth: somebody stood there for as long as it takes.
+        near_us = sum(
+            b[0] - a[0] for a, b in pairwise(track)
+            if abs(a[1] - x_m) < 0.3 and abs(a[2] - y_m) < 0.3
+        )  # fmt: skip
+        assert near_us >= 2.5 * S, (seed, section)
+
+
+def test_a_dead_robot_s_post_is_taken_over() -> None:
+    example = runpy.run_path(str(ROOT / "examples" / "soil_samples.py"))
+    cluster_type, swarm_type = example["Cluster"], example["Swarm"]
+    swarm = swarm_type()
+    setting = example["SoilSetting"](example["load"]("small").changed(3, 1))
+    cluster = cluster_type(setting, "soil, a death", None, swarm)
+
+    def play() -> Script[None]:
+        cluster.boot_all()
+        yield 4 * S
+        cluster.kill(1)
+        while not cluster.finished and swarm.now_us() < 300 * S:
+            yield swarm.now_us() + S
+            cluster.check()
+
+    swarm.run(play())
+    cluster.end()
+    allocation = cluster.robots[0].peer.allocation
+    phases = [allocation.phase_of(k) for k in range(len(setting.posts))]
+    assert set(phases) == {Phase.DONE}

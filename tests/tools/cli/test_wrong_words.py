@@ -1,0 +1,153 @@
+"""Whatever a person gets wrong is one line that begins with our name, never a traceback."""
+
+import os
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.tools.complaint import Complaints
+
+ROOT = Path(__file__).parents[3]
+NOISE = bytes(range(256)) * 8  # neither text nor any format of ours
+WORDS = """
+run dir.toml | run bin.toml | run bin.zip | run file | run / | run nowhere | run small --robots many
+run small --out file | run small --out file/x | run small --log file/x.log | run small --log x.pdf
+run small --seed -1 | run small --robots 9999 | run small --robots 0 | run small --drive hover
+run small --keys nowhere | run small --keys bin.json | run small --feature zzz | run small --wild
+run small --map --page-port TAKEN | run small --map --page-port 99999 | run small --page-port -1
+run rooms --map | run rooms --out file/x | run warehouse --out file/x | run warehouse --robots 9999
+run warehouse --live --port TAKEN --seconds 1 | explore nowhere | explore bin.toml
+explore arena --out file/x | explore arena --robots 999 | explore oxted | launch nowhere
+launch small --out file/x | launch small --port TAKEN --seconds 1 | launch small --port 99999
+launch small --segment 99999 | launch rooms | launch warehouse --segment 2
+launch warehouse --out file/x | launch warehouse --robots 9999
+launch small --map --page-port TAKEN | replay nowhere | replay noise.log | replay noise.mcap
+replay noise.blf | replay text.asc | replay empty.log | replay folder | replay file
+replay noise.log -i nonsense | replay runx | report nowhere | report noise.log | report noise.mcap
+report noise.blf | report text.asc | report folder | report file | report runx
+report empty.log -o page.pdf | export nowhere --geojson x | export folder
+export folder --geojson x | export runy --geojson x | dbc file/x | dbc folder | inspect nowhere
+inspect noise.mcap | inspect noise.blf | inspect folder --picture x.svg | inspect empty.log
+inspect --picture x.svg | inspect empty.log --why S99999999 | inspect empty.log --why
+inspect --traces 3 | inspect -i nonsense | inspect --port 1 | inspect --port 99999 | inspect runx
+inspect -i socketcan -c nocan9 | inspect -i slcan -c /dev/nothing | map nowhere | map noise.mcap
+map folder | map empty.log --scenario nowhere --page-port 0 | map empty.log --page-port TAKEN
+map --port 1 | map -i socketcan -c nocan9 | map --keys nowhere -i virtual | estop --port 1
+estop --keys nowhere | estop --keys bin.json --port 1 | estop --reason BORED
+reset --operator-key nowhere | reset --operator-key bin.json | reset --port 1 | order | order 1
+order x wait | order 1 set-goal | order 1 set-goal 1,x | order -1 wait | order 999 wait --port 1
+say status --log nowhere | say status --log noise.mcap | say status --log empty.log
+say status --places nowhere --read | say "go home" --places bin.toml --read | bridge
+bridge --segment 0 | bridge --segment 1 --port 1 | bridge --segment 1 --config nowhere --port 1
+bridge --segment 1 --area nowhere --port 1 | bridge --segment 1 --mode wild --port 1
+chaos --seeds x | chaos --seeds 5:1 | chaos --profile wild | chaos --out file/x
+chaos --scenario nowhere | chaos --scenario bin.toml | chaos --jobs -1 | fuzz wild
+fuzz --input nowhere | fuzz frame --input nowhere | fuzz --engine wild | fuzz --runs -5 frame
+bench wild | coverage solve nowhere | coverage solve bin.map | coverage solve --H 0 --W 5
+coverage replay nowhere | coverage solve --H 8 --W 8 --agents 2 --out file/x
+coverage replay bin.json | coverage replay list.json | coverage drive nowhere
+coverage solve --H 8 --W 8 --wall-prob 7 | keys new file/x | keys new folder --device 3
+keys rotate folder | keys show nowhere | keys show bin.json | keys show list.json | keys show folder
+task add | task add 1,2 | task add a b | task add --file nowhere | task add --file bin.csv
+task add 1,2 3,4 --scenario nowhere | task add 1,2 3,4 --scenario small | task add 99,99 1.5,8.5
+task add 9.5,2.5 1.5,8.5 --port 1 | wild | --wild
+"""
+CASES = [case.strip() for line in WORDS.strip().splitlines() for case in line.split(" | ")]
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder full of what is not what it is called."""
+    folder = tmp_path_factory.mktemp("place")
+    for name in (
+        "noise.log",
+        "noise.mcap",
+        "noise.blf",
+        "bin.toml",
+        "bin.zip",
+        "bin.map",
+        "bin.csv",
+    ):
+        (folder / name).write_bytes(NOISE)
+    for name, text in (("file", "x"), ("empty.log", ""), ("text.asc", "hello"), ("bin.json", '{"a":'),
+                       ("list.json", "[1]")):  # fmt: skip
+        (folder / name).write_text(text)
+    for name in ("folder", "dir.toml", "runx/can.log", "runy"):
+        (folder / name).mkdir(parents=True)
+    (folder / "runy" / "work.geojson").write_text('{"type": 3}')
+    return folder
+
+
+@pytest.fixture(scope="module")
+def taken() -> Iterator[str]:
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        listener.listen()
+        yield str(listener.getsockname()[1])
+
+
+@pytest.mark.parametrize("words", CASES)
+def test_one_line(
+    words: str, place: Path, taken: str, monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    said = Complaints(monkeypatch, capfd).of(words.replace("TAKEN", taken), place)
+    assert said.code in (1, 2), said
+
+
+def process(*words: str, **environment: str) -> "subprocess.CompletedProcess[str]":
+    code = "import sys; from tools.cli.headland import main; sys.argv[0] = 'headland'; main()"
+    return subprocess.run(
+        [sys.executable, "-c", code, *words], capture_output=True, text=True, check=False, timeout=60,
+        env={**os.environ, "PYTHONPATH": str(ROOT), **environment},
+    )  # fmt: skip
+
+
+def test_without_a_word_there_is_help() -> None:
+    done = process()
+    assert "report" in done.stdout + done.stderr and "headland:" not in done.stderr
+
+
+def test_help_loads_nothing_heavy() -> None:
+    """So that it takes a fifth of a second: what a command needs it imports when it is called."""
+    code = (
+        "import sys, tools.cli.headland; print([m for m in ('numba', 'numpy', 'pydantic', 'can', "
+        "'matplotlib', 'asyncio', 'shapely') if m in sys.modules])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize(
+    ("typed", "offered"), [("re", {"replay", "report", "reset"}), ("bri", {"bridge"})]
+)
+def test_the_shell_completes_words(typed: str, offered: set[str]) -> None:
+    done = process(
+        _HEADLAND_COMPLETE="complete_bash", COMP_WORDS=f"headland {typed}", COMP_CWORD="1"
+    )
+    assert set(done.stdout.split()) == offered, done.stderr
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_completion_can_be_shown(shell: str) -> None:
+    done = process("--show-completion", shell, _TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION="1")
+    assert done.returncode == 0 and "_HEADLAND_COMPLETE" in done.stdout, done.stderr
+
+
+def test_types_are_told_by_every_package() -> None:
+    import tomllib
+
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
+    packages = set(project["packages"])
+    assert "py.typed" in project["package-data"]["*"]
+    for layer in ("crdt", "protocol", "agent", "sim", "tools"):
+        assert (ROOT / layer / "py.typed").is_file()
+        inside = {path.parent for path in (ROOT / layer).rglob("__init__.py")}
+        assert {".".join(path.relative_to(ROOT).parts) for path in inside} <= packages

@@ -1,0 +1,229 @@
+"""Real Zenoh on loopback: a bus made of it, TLS with a refused client, access control."""
+
+import asyncio
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from random import Random
+from socket import socket
+
+import pytest
+
+pytest.importorskip("zenoh", reason="the extra `backbone` is not installed")
+
+from agent.interface.identity import Identity
+from agent.runtime.peer_runner import Shell
+from agent.segments.segment_area import Area
+from agent.segments.segment_peer import SegmentPeer
+from protocol.frames.codec import encode
+from protocol.frames.fleet_frames import Member
+from protocol.frames.frame import Frame
+from protocol.frames.safety_frames import Reason
+from protocol.links.zenoh_link import LinkError, ZenohBus, ZenohLink, configure
+from protocol.name import fleet_name
+from tests.tools.certificates import Authority
+from tools.cli.bridge import bridge, read_area
+
+LIMIT_S = 20.0
+
+
+def free_port() -> int:
+    with socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+async def until(holds: Callable[[], bool], limit_s: float = LIMIT_S) -> bool:
+    """Let the loop run until it holds."""
+    loop = asyncio.get_running_loop()
+    end_s = loop.time() + limit_s
+    while not holds() and loop.time() < end_s:
+        done = asyncio.Event()
+        loop.call_later(0.01, done.set)
+        await done.wait()
+    return holds()
+
+
+def test_peers_live_on_the_backbone_itself() -> None:
+    """Robots on Wi-Fi: three peers that share a key, no cable, and a stop among them."""
+
+    async def run() -> None:
+        loop, at = asyncio.get_running_loop(), f"tcp/127.0.0.1:{free_port()}"
+        links = [ZenohLink(configure([], [at]), loop)]
+        links += [ZenohLink(configure([at], []), loop) for _ in range(2)]
+        assert await until(lambda: all(link.links for link in links))
+        shells = []
+        for slot, link in enumerate(links):
+            identity = Identity(
+                slot,
+                frozenset(range(3)),
+                fleet_name("wifi", slot),
+                1,
+                started=True,
+                first_boot=True,
+            )
+            peer = SegmentPeer(Area(1, 4), identity, Random(slot), Shell.now_us(), {})
+            bus = ZenohBus(link, "headland/test/1/bus")
+            shells.append(Shell(peer, bus, None, None))
+        tasks = [asyncio.create_task(shell.run()) for shell in shells]
+        assert await until(lambda: all(len(s.peer.membership.live) == 3 for s in shells))
+        shells[1].operate(lambda peer, now: peer.press(Reason.PERSON_IN_FIELD, now))
+        assert await until(lambda: all(s.peer.safety.latched for s in shells))
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+        for link in reversed(links):
+            link.close()
+
+    asyncio.run(run())
+
+
+def test_what_is_no_frame_is_counted() -> None:
+    async def run() -> None:
+        loop, at = asyncio.get_running_loop(), f"tcp/127.0.0.1:{free_port()}"
+        far, near = ZenohLink(configure([], [at]), loop), ZenohLink(configure([at], []), loop)
+        bus, heard = ZenohBus(near, "k"), list[Frame]()
+        bus.subscribe(heard.append)
+        assert await until(lambda: near.links > 0)
+        sent = encode(Member(1, 1, 1), 128)
+
+        def say() -> bool:  # a subscription takes a moment to be known
+            far.put("k/frames", b"")
+            far.put("k/frames", bytes(13))
+            far.put("k/frames", b"\xff" * 8)
+            ZenohBus(far, "k").send(sent)
+            return bool(heard)
+
+        assert await until(say) and heard[0] == sent
+        assert await until(lambda: bus.refused >= 3)
+        near.close()
+        far.close()
+
+    asyncio.run(run())
+
+
+def tls(folder: Path, authority: Authority, name: str, accepts: bool = False) -> dict[str, object]:
+    """What Zenoh has to be told for TLS on both sides; see docs/scale.md."""
+    certificate, secret = authority.issue(name)
+    side = "listen" if accepts else "connect"
+    return {
+        "root_ca_certificate": str(authority.file), "enable_mtls": True,
+        f"{side}_certificate": str(certificate), f"{side}_private_key": str(secret),
+    }  # fmt: skip
+
+
+def write(folder: Path, name: str, config: Mapping[str, object]) -> Path:
+    path = folder / f"{name}.json5"
+    path.write_text(json.dumps(config))
+    return path
+
+
+def test_tls_lets_in_who_has_a_certificate_and_nobody_else(tmp_path: Path) -> None:
+    ours, theirs = Authority(tmp_path / "ours"), Authority(tmp_path / "theirs", "stranger")
+    server = write(
+        tmp_path, "server", {"transport": {"link": {"tls": tls(tmp_path, ours, "hub", True)}}}
+    )
+    friend = write(
+        tmp_path, "friend", {"transport": {"link": {"tls": tls(tmp_path, ours, "yard")}}}
+    )
+    forged = tls(tmp_path, theirs, "yard") | {"root_ca_certificate": str(ours.file)}
+    stranger = write(tmp_path, "stranger", {"transport": {"link": {"tls": forged}}})
+
+    async def run() -> None:
+        loop, at = asyncio.get_running_loop(), f"tls/127.0.0.1:{free_port()}"
+        hub = ZenohLink(configure([], [at], file=server), loop)
+        refused = ZenohLink(configure([at], [], file=stranger), loop)
+        let_in = ZenohLink(configure([at], [], file=friend), loop)
+        heard = list[bytes]()
+        hub.subscribe("k/**", heard.append)
+        assert await until(lambda: let_in.links > 0), let_in.refusal
+
+        def say() -> bool:
+            let_in.put("k/stops", b"from a friend", urgent=True)
+            refused.put("k/stops", b"from a stranger", urgent=True)
+            return bool(heard)
+
+        assert await until(say)
+        assert not await until(lambda: refused.links > 0, 2.0)
+        assert set(heard) == {b"from a friend"}
+        for link in (refused, let_in, hub):
+            link.close()
+
+    asyncio.run(run())
+
+
+def test_access_control_by_the_name_in_the_certificate(tmp_path: Path) -> None:
+    """Both have valid certificates; only the gateway's name may put stops."""
+    authority = Authority(tmp_path / "ca")
+    rules = {
+        "enabled": True, "default_permission": "deny",
+        "rules": [
+            {"id": "all", "permission": "allow", "flows": ["ingress", "egress"],
+             "messages": ["put", "declare_subscriber"], "key_exprs": ["headland/**"]},
+        ],
+        "subjects": [{"id": "gateways", "cert_common_names": ["gateway"]}],
+        "policies": [{"rules": ["all"], "subjects": ["gateways"]}],
+    }  # fmt: skip
+    link = {"link": {"tls": tls(tmp_path, authority, "hub", True)}}
+    server = write(tmp_path, "server", {"transport": link, "access_control": rules})
+
+    async def run() -> None:
+        loop, at = asyncio.get_running_loop(), f"tls/127.0.0.1:{free_port()}"
+        hub = ZenohLink(configure([], [at], file=server), loop)
+        clients = {}
+        for name in ("gateway", "visitor"):
+            told = {"transport": {"link": {"tls": tls(tmp_path, authority, name)}}}
+            file = write(tmp_path, name, told)
+            clients[name] = ZenohLink(configure([at], [], file=file), loop)
+        heard = list[bytes]()
+        clients["gateway"].subscribe("headland/**", heard.append)
+        far = list[bytes]()
+        clients["visitor"].subscribe("headland/**", far.append)
+        both = clients.values()
+        assert await until(lambda: all(c.links for c in both)), [c.refusal for c in both]
+        second = write(
+            tmp_path, "second",
+            {"transport": {"link": {"tls": tls(tmp_path, authority, "gateway")}}},
+        )  # fmt: skip
+        other = ZenohLink(configure([at], [], file=second), loop)
+
+        def say() -> bool:
+            other.put("headland/f/1/stops", b"from a gateway", urgent=True)
+            clients["visitor"].put("headland/f/1/stops", b"from a visitor", urgent=True)
+            return bool(heard)
+
+        assert await until(say), "a gateway is heard"
+        await until(lambda: False, 0.5)
+        assert set(heard) == {b"from a gateway"} and not far, "a visitor is not, and hears nothing"
+        for each in (*both, other, hub):
+            each.close()
+
+    asyncio.run(run())
+
+
+def test_mistakes_are_told_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def said(connect: list[str], area: Path | None = None, segment: int = 1) -> str:
+        code = bridge(
+            segment, "zenoh", "x", 250_000, "", 0, "f", connect, [], "", None, area, 0.1, False
+        )
+        assert code == 2
+        return capsys.readouterr().err
+
+    assert "--zenoh tcp/HOST:PORT" in said([])
+    assert "from 1 to" in said(["tcp/127.0.0.1:1"], segment=0)
+    broken = tmp_path / "area.toml"
+    broken.write_text("home = [")
+    assert "does not describe an area" in said(["tcp/127.0.0.1:1"], broken)
+    assert said(["nonsense"]).count("\n") == 1
+    with pytest.raises(LinkError):
+        configure(["tcp/127.0.0.1:1"], [], file=tmp_path / "none.json5")
+
+
+def test_an_area_from_its_file(tmp_path: Path) -> None:
+    file = tmp_path / "area.toml"
+    file.write_text(
+        "home = 40\nlent = [{ section = 39, to = [2] }]\n"
+        "borrowed = [{ section = 40, of = 2, there = 0 }]\n"
+    )
+    area = read_area(1, file)
+    assert area.neighbours == (2,) and area.borrowed[40] == (2, 0) and area.lent[39] == {2}

@@ -1,0 +1,602 @@
+"""The map's page where it once failed people: keys, old pictures, phones, and who may release a fleet.
+
+One launch of three robots without keys serves most tests; each leaves it released and at work.
+"""
+
+import asyncio
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+pytest.importorskip("httpx", reason="the extra `operator` is not installed")
+
+import httpx
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
+
+from protocol.frames.codec import encode
+from protocol.frames.fleet_frames import Heartbeat, Member, Pose, StandsBy, Standstill
+from protocol.frames.frame import Frame
+from sim.files import key_file
+from sim.record.recording import Recording
+from tests.tools.livemap.test_map import (
+    ROOT,
+    WAIT_S,
+    Live,
+    bearer,
+    launched,
+    needs_browser,
+    parts,
+    picture,
+    robots_in,
+)
+from tools.bench.browser import browser, complaints, until
+from tools.common.bus_attach import attach
+from tools.inspect.inspector import Inspector
+from tools.livemap.command import MapThread
+from tools.livemap.page_updates import Teller
+from tools.livemap.playback import Index, Player
+from tools.operate.operator_device import Operator
+
+if TYPE_CHECKING:
+    from selenium.webdriver import Chrome
+
+ROBOTS = 3
+TABS_MAX = 60  # more than the page has places for the focus
+PALE = "rgb(43, 50, 54)"  # pills of what is not known now
+PHONE, ACROSS = (390, 844), (844, 390)
+HEADLAND = (sys.executable, "-m", "tools.cli.headland")
+DEEP = "[" * 3000
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("launch")
+
+
+@pytest.fixture(scope="module")
+def fleet(folder: Path) -> Iterator[Live]:
+    with launched(folder) as live:
+        yield live
+
+
+# -------------------------------------------------------------------- keys
+
+
+@needs_browser
+def test_b1_space_on_the_focused_stop_latches_every_robot(fleet: Live, folder: Path) -> None:
+    with browser() as page:
+        page.get(fleet.url)
+        until(page, robots_in("WORKING", "IDLE"), WAIT_S)
+        tab_to(page, "stop")
+        press(page, "SPACE")
+        assert on_the_bus(folder, all_latched)
+        until(page, "document.getElementById('hand-says').textContent === 'all have confirmed'")
+        assert page.execute_script("return headland.state().playing"), "the picture goes on"
+        # Release and start by keyboard alone.
+        until(page, "!document.getElementById('reset').hidden")
+        tab_to(page, "reset")
+        press(page, "SPACE")
+        until(page, "document.activeElement.id === 'keyless'")
+        press(page, "SPACE")
+        assert page.find_element("id", "keyless").is_selected()
+        tab_to(page, "also")
+        press(page, "SPACE")
+        tab_to(page, "release-yes")
+        press(page, "ENTER")
+        assert on_the_bus(folder, all_at_work)
+
+
+@needs_browser
+def test_b1_space_acts_on_what_has_the_focus_and_escape_stops(fleet: Live, folder: Path) -> None:
+    with browser() as page:
+        page.get(fleet.url)
+        until(page, robots_in("WORKING", "IDLE"), WAIT_S)
+        orca = page.find_element("css selector", "[data-layer=orca]")
+        page.execute_script("arguments[0].focus()", orca)
+        press(page, "SPACE")
+        assert orca.is_selected() and page.execute_script("return headland.field.layers.orca")
+        assert page.execute_script("return headland.state().follow"), "and nothing else"
+        page.execute_script("document.activeElement.blur()")
+        press(page, "SPACE")  # on the bare page
+        until(page, "!headland.state().playing")
+        until(page, "!document.getElementById('paused').hidden")
+        picture(page, "paused")
+        page.find_element("id", "resume").click()
+        until(page, "headland.state().follow")
+        until(page, "document.getElementById('paused').hidden")
+        row = "#fleet [data-slot='1'] button"  # the table by keyboard
+        page.execute_script(f'document.querySelector("{row}").focus()')
+        press(page, "ENTER")
+        until(page, "document.getElementById('one-name').textContent === 'robot 1'")
+        page.find_element("id", "help-open").click()
+        picture(page, "help")
+        press(page, "ESCAPE")
+        assert on_the_bus(folder, all_latched)
+    freed(fleet, folder)
+
+
+# -------------------------------------------------------------------- start
+
+
+@needs_browser
+def test_b5_a_fleet_released_without_a_start_is_started_from_the_page(
+    fleet: Live, folder: Path
+) -> None:
+    address, token = parts(fleet.url)
+    httpx.post(address + "stop", headers=bearer(token), timeout=WAIT_S)
+    wish = {"keyless": True, "start": False}
+    freed_only = httpx.post(address + "reset", headers=bearer(token), json=wish, timeout=WAIT_S)
+    assert freed_only.json()["late"] == [] and not freed_only.json()["started"]
+    with browser() as page:
+        page.get(fleet.url)
+        until(page, robots_in("IDLE"), WAIT_S)
+        until(page, "!document.getElementById('start').hidden", WAIT_S)
+        why = "[...document.querySelectorAll('#fleet .why')].map(each => each.textContent)"
+        until(page, f"{why}.every(each => /start/.test(each))")
+        picture(page, "not-started")
+        page.find_element("id", "start").click()
+        page.find_element("id", "release-yes").click()  # without a word about keys
+        until(page, "document.getElementById('release-says').textContent.includes('no keys')")
+        page.find_element("id", "keyless").click()
+        page.find_element("id", "release-yes").click()
+        assert on_the_bus(folder, all_at_work)
+        until(page, "document.getElementById('start').hidden")
+
+
+# -------------------------------------------------------------------- old pictures
+
+
+@needs_browser
+def test_b4_an_old_picture_says_so(tmp_path: Path) -> None:
+    with launched(tmp_path) as live, browser() as page:
+        map_pid = live.children("tools.cli.headland map")[0]
+        page.get(live.url)
+        until(page, robots_in("WORKING", "IDLE"), WAIT_S)
+        assert not shows(page, "old")
+        os.kill(map_pid, signal.SIGSTOP)
+        is_old(page, "server does not answer")
+        picture(page, "old")
+        os.kill(map_pid, signal.SIGCONT)
+        until(page, "document.getElementById('old').hidden")
+        live.process.send_signal(signal.SIGSTOP)  # the wire and the world
+        is_old(page, "Nothing is heard on the bus")
+        live.process.send_signal(signal.SIGCONT)
+        until(page, "document.getElementById('old').hidden", WAIT_S)
+        os.kill(map_pid, signal.SIGKILL)
+        is_old(page, "server does not answer")
+        live.says("the map has ended")
+        page.find_element("id", "stop").click()
+        until(
+            page, "document.getElementById('hand-says').textContent.includes('stop on a machine')"
+        )
+
+
+@pytest.mark.slow
+@needs_browser
+def test_a_robot_that_fell_silent_has_no_speed(tmp_path: Path) -> None:
+    with launched(tmp_path) as live, browser() as page:
+        page.get(live.url)
+        until(page, robots_in("WORKING"), WAIT_S)
+        os.kill(live.children("tools.run.robot")[1], signal.SIGKILL)
+        row = "document.querySelector('#fleet [data-slot=\"1\"]')"
+        until(page, f"{row}?.cells[3].textContent === '–'", WAIT_S)
+        assert page.execute_script(f"return {row}.querySelector('.pill').textContent") == "silent"
+        page.execute_script(f"{row}.click()")
+        until(page, "document.getElementById('one-name').textContent.includes('as last heard')")
+        assert not page.execute_script("return document.querySelector('#machine .now')")
+        assert live.says("robot 1 has ended")
+
+
+# -------------------------------------------------------------------- places
+
+
+@needs_browser
+def test_b8_nothing_moves_the_stop_and_it_covers_nothing(fleet: Live, folder: Path) -> None:
+    with browser() as page:
+        page.get(fleet.url)
+        until(page, robots_in("WORKING", "IDLE"), WAIT_S)
+        place = "JSON.stringify(document.getElementById('stop').getBoundingClientRect())"
+        before = page.execute_script(f"return {place}")
+        assert covered(page) == []
+        says = "document.getElementById('hand-says').textContent"
+        page.execute_script(
+            f"{says} = 'the map does not answer: use a stop on a machine '.repeat(9)"
+        )
+        assert page.execute_script(f"return {place}") == before
+        page.find_element("id", "stop").click()
+        until(page, f"{says} === 'all have confirmed'")
+        until(page, "document.querySelector('main').classList.contains('stopped')")
+        until(page, "!document.getElementById('reset').hidden")
+        picture(page, "stopped")
+        assert page.execute_script(f"return {place}") == before
+        until(page, "!headland.field.stale")
+        assert covered(page) == []
+    freed(fleet, folder)
+
+
+@needs_browser
+@pytest.mark.parametrize("size", [PHONE, ACROSS], ids=["upright", "across"])
+def test_b7_a_phone_shows_all_of_it(fleet: Live, folder: Path, size: tuple[int, int]) -> None:
+    width, height = size
+    with browser() as page:
+        page.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", {
+            "width": width, "height": height, "deviceScaleFactor": 2, "mobile": True,
+        })  # fmt: skip
+        page.execute_cdp_cmd("Emulation.setTouchEmulationEnabled", {"enabled": True})
+        page.get(fleet.url)
+        until(page, robots_in("WORKING", "IDLE"), WAIT_S)
+        assert page.execute_script("return [innerWidth, document.documentElement.scrollWidth]") == [
+            width, width,
+        ]  # fmt: skip
+        slider = page.find_element("id", "scrub").rect
+        assert slider["width"] >= 120 and 0 <= slider["x"] <= width - slider["width"]
+        assert hidden_buttons(page) == [] and covered(page) == []
+        if size == PHONE:
+            page.find_element("id", "sheet").click()
+        until(page, "document.getElementById('fleet').getBoundingClientRect().width > 150")
+        until(page, "document.querySelector(\"#fleet [data-slot='2']\")?.checkVisibility()")
+        assert "stop" not in hidden_buttons(page), "STOP is never under the sheet"
+        picture(page, f"phone-{width}-sheet")
+        if size == PHONE:
+            page.find_element("id", "sheet").click()
+        scale = page.execute_script("return headland.field.view.scale")
+        pinch(page, 40, 160)
+        until(page, f"headland.field.view.scale > {2 * scale}")
+        page.find_element("id", "fit").click()
+        page.find_element("id", "nearer").click()
+        until(page, f"headland.field.view.scale > {1.2 * scale}")
+        page.find_element("id", "fit").click()
+        page.find_element("id", "stop").click()
+        until(page, "document.getElementById('hand-says').textContent === 'all have confirmed'")
+        until(page, "!document.getElementById('reset').hidden")
+        until(page, "!headland.field.stale")
+        assert hidden_buttons(page) == [] and covered(page) == []
+        picture(page, f"phone-{width}")
+    freed(fleet, folder)
+
+
+@needs_browser
+def test_text_is_told_from_its_ground_and_controls_have_names(fleet: Live) -> None:
+    with browser() as page:
+        page.get(fleet.url)
+        until(page, robots_in("WORKING", "IDLE"), WAIT_S)
+        until(page, "document.querySelector('#fleet [data-slot=\"0\"]')")
+        page.execute_script("document.querySelector('#fleet [data-slot=\"0\"]').click()")
+        until(page, "!document.getElementById('one').hidden")
+        page.find_element("id", "help-open").click()
+        assert page.execute_script(FAINT) == []
+        assert page.execute_script(NAMELESS) == []
+        value = page.find_element("id", "scrub").get_attribute("aria-valuetext")
+        assert value is not None and " of " in value and ":" in value
+        boxes = page.find_elements("css selector", "#layers input")
+        assert min(box.rect["width"] for box in boxes) >= 20
+        assert complaints(page) == []
+
+
+# -------------------------------------------------------------------- who may
+
+
+def test_l1_nobody_releases_a_fleet_without_the_printed_token(fleet: Live, folder: Path) -> None:
+    address, token = parts(fleet.url)
+    own = {"origin": address.rstrip("/")}
+    wish = {"keyless": True, "start": True, "key": str(folder / "operator.json")}
+    for path in ("reset", "start"):
+        for headers in ({}, own, {**own, **bearer("x" * len(token))}, {**own, **bearer("x")}):
+            answer = httpx.post(address + path, headers=headers, json=wish)
+            assert answer.status_code == 403, (path, headers)
+            assert "operator" not in answer.text, "not which files there are"
+    assert httpx.post(address + "stop", json={}).status_code == 403, "no Origin and no token"
+    elsewhere = bearer(token) | {"origin": "http://elsewhere"}
+    assert httpx.post(address + "reset", headers=elsewhere, json=wish).status_code == 403
+    for host in ("127.0.0.1:8791.evil", "127.0.0.1:x", "127.0.0.1:8791:1", "localhost.evil", ""):
+        assert httpx.get(address, headers={"host": host}).status_code in (400, 403), host
+    assert closes(address, ["headland"]) == 4401
+    assert closes(address, ["headland", "x" * len(token)]) == 4401
+    with connect(address.replace("http", "ws") + "ws", subprotocols=["headland", token]) as told:  # type: ignore[list-item]
+        assert json.loads(told.recv())["kind"] == "scene"
+
+
+def test_l1_a_keyed_fleet_is_released_by_the_key_that_the_map_was_started_with(
+    tmp_path: Path,
+) -> None:
+    keys, operator = tmp_path / "fleet.json", tmp_path / "operator.json"
+    key_file.write(keys, operator, key_file.fresh(), key_file.DEVICE)
+    with launched(tmp_path, "--keys", str(keys)) as live:  # its map holds no operator's key
+        address, token = parts(live.url)
+        assert on_the_bus(tmp_path, all_at_work)
+        httpx.post(address + "stop", headers=bearer(token), timeout=WAIT_S)
+        assert on_the_bus(tmp_path, all_latched)
+        wish = {"key": str(operator), "keyless": False, "start": True}
+        answer = httpx.post(address + "reset", headers=bearer(token), json=wish, timeout=WAIT_S)
+        assert answer.status_code == 400 and "--operator-key" in answer.json()["problem"]
+        lied = httpx.post(
+            address + "reset", headers=bearer(token), json={**wish, "keyless": True}, timeout=WAIT_S
+        )
+        assert lied.json()["late"] == [0, 1, 2] and not lied.json()["signed"]
+        assert on_the_bus(tmp_path, all_latched)
+        with own_map(tmp_path, "--operator-key", str(operator)) as url:
+            address, token = parts(url)
+            wish = {"keyless": False, "start": True}
+            answer = httpx.post(address + "reset", headers=bearer(token), json=wish, timeout=WAIT_S)
+            assert answer.json()["late"] == [] and answer.json()["signed"]
+        assert on_the_bus(tmp_path, all_at_work)
+
+
+def test_l1_a_wrong_operator_key_is_said_when_the_map_starts(tmp_path: Path) -> None:
+    keys, operator = tmp_path / "fleet.json", tmp_path / "operator.json"
+    key_file.write(keys, operator, key_file.fresh(), key_file.DEVICE)
+    for path, words in ((keys, "is needed"), (tmp_path / "none.json", "cannot be read")):
+        done = subprocess.run(
+            [*HEADLAND, "launch", "small", "--map", "--operator-key", str(path)],
+            cwd=tmp_path, capture_output=True, text=True, env={**os.environ, "PYTHONPATH": str(ROOT)},
+            timeout=WAIT_S, check=False,
+        )  # fmt: skip
+        assert done.returncode == 2 and words in done.stderr and done.stderr.count("\n") == 1
+
+
+NO_REQUESTS = {
+    "deep list": DEEP, "deep map": '{"a":' * 3000, "nothing": "", "list": "[]", "number": "7",
+    "null": "null", "no bool": '{"keyless": 1}', "bytes": "\xff",
+    "home": '{"key": "~nouser/x", "keyless": false, "start": true}',
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("body", NO_REQUESTS.values(), ids=NO_REQUESTS)
+def test_l7_what_is_no_request_is_one_line(fleet: Live, body: str) -> None:
+    address, token = parts(fleet.url)
+    for path in ("reset", "start"):
+        sent = body.encode("latin-1")
+        answer = httpx.post(address + path, headers=bearer(token), content=sent, timeout=WAIT_S)
+        assert answer.status_code == 400 and "\n" not in answer.json()["problem"], answer.text
+
+
+def test_l7_what_is_too_long_is_not_read(fleet: Live) -> None:
+    address, token = parts(fleet.url)
+
+    def endless() -> Iterator[bytes]:
+        for _ in range(64):
+            yield b" " * 65536
+
+    host = address.removeprefix("http://").rstrip("/")
+    with socket.create_connection(("127.0.0.1", int(host.split(":")[1])), WAIT_S) as raw:
+        announced = f"POST /reset HTTP/1.1\r\nHost: {host}\r\nAuthorization: Bearer {token}\r\n"
+        raw.sendall(announced.encode() + b"Content-Length: 700000000\r\n\r\n")
+        assert raw.recv(100).startswith(b"HTTP/1.1 413")
+    try:
+        answer = httpx.post(address + "reset", headers=bearer(token), content=endless())
+        assert answer.status_code == 413
+    except httpx.TransportError:
+        pass  # it was closed before all was sent
+    with connect(address.replace("http", "ws") + "ws", subprotocols=["headland", token]) as told:  # type: ignore[list-item]
+        for text in (DEEP, '{"do": ' + DEEP, "\0"):
+            told.send(text)
+        told.send(b"\0\1")
+        told.recv()
+        told.send(" " * 100_000)
+        with pytest.raises(ConnectionClosed) as closed:
+            while True:
+                told.recv(timeout=WAIT_S)
+        assert closed.value.rcvd is not None and closed.value.rcvd.code == 1009
+
+
+def test_the_frames_of_a_robot_that_left_are_no_fault() -> None:
+    """At the end of a launch the map was a traceback."""
+
+    async def hear() -> list[int]:
+        bus = attach("virtual", "left", 250_000, "", 0)
+        try:
+            operator = Operator(bus, None)
+            for message in (member, pose, beat._replace(leaving=True), pose, beat, member, pose):
+                operator.hear(1.0, encode(message, 0x80))
+            return list(operator.robots)
+        finally:
+            bus.close()
+
+    beat = Heartbeat(0, 1, False, False, True, False, 1.0, 0, 0)
+    pose = Pose(0.0, 0.0, 0.0, 0.0, 1, False, 255)
+    member = Member(0, 1, 0, 0)
+    assert asyncio.run(hear()) == [0]
+
+
+def test_why_a_robot_stands_is_told_from_the_bus() -> None:
+    recording = Recording()
+    for message in (Member(0, 1, 0), Heartbeat(0, 1, False, True, False, False, 1.0, 0, 0),
+                    Standstill(0, StandsBy.NOT_STARTED, 0, 1)):  # fmt: skip
+        recording.write(1_000_000, encode(message, 0x80))
+    player = Player(Index(recording), True, 1.0)
+    player.advance(0.0, 1.0)
+    (robot,) = Teller(player).tell()["robots"]
+    assert "start" in robot["stands"][0]
+
+
+def test_a_quiet_bus_is_told_with_its_age() -> None:
+    now_us = 5_000_000
+    recording = Recording()
+    recording.follow(lambda: now_us)
+    assert recording.quiet_us == 0
+    recording.write(now_us, Frame(0x18FF1080, b"12345678"))
+    now_us = 12_000_000
+    assert recording.quiet_us == 7_000_000 and recording.until_us == now_us
+    recording.close()
+    assert recording.quiet_us == 0 and recording.until_us == 5_000_000
+
+
+def test_each_address_has_a_token_of_its_own() -> None:
+    urls = {MapThread(Recording(), "", 0).url for _ in range(3)}
+    assert len({parts(url)[1] for url in urls}) == 3 and all(len(parts(u)[1]) >= 22 for u in urls)
+
+
+# -------------------------------------------------------------------- hands
+
+FAINT = Path(__file__).with_name("faint.js").read_text()
+# Controls and meters that a screen reader could not name.
+NAMELESS = """
+const named = (each) => each.textContent.trim() || each.labels?.length
+  || ["aria-label", "aria-labelledby"].some((name) => each.getAttribute(name));
+return [...document.querySelectorAll("button, input, [role=meter], canvas[tabindex]")]
+  .filter((each) => each.checkVisibility() && !named(each)).map((each) => each.id);
+"""
+
+
+def press(page: "Chrome", key: str) -> None:
+    from selenium.webdriver.common.action_chains import ActionChains
+    from selenium.webdriver.common.keys import Keys
+
+    ActionChains(page).send_keys(getattr(Keys, key)).perform()
+
+
+def tab_to(page: "Chrome", identifier: str) -> None:
+    for _ in range(TABS_MAX):
+        if page.execute_script("return document.activeElement.id") == identifier:
+            return
+        press(page, "TAB")
+    raise AssertionError(f"no way to {identifier} by Tab")
+
+
+def pinch(page: "Chrome", near: int, far: int) -> None:
+    """Two fingers on the middle of the map, from so many pixels apart to so many."""
+    box = page.find_element("id", "field").rect
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+
+    def fingers(kind: str, apart: float) -> None:
+        points = [{"x": x - apart / 2, "y": y, "id": 1}, {"x": x + apart / 2, "y": y, "id": 2}]
+        page.execute_cdp_cmd(
+            "Input.dispatchTouchEvent",
+            {"type": kind, "touchPoints": [] if kind == "touchEnd" else points},
+        )
+
+    fingers("touchStart", near)
+    for step in range(1, 9):
+        fingers("touchMove", near + (far - near) * step / 8)
+    fingers("touchEnd", far)
+
+
+def shows(page: "Chrome", identifier: str) -> bool:
+    return bool(page.find_element("id", identifier).is_displayed())
+
+
+def is_old(page: "Chrome", why: str) -> None:
+    """A banner as wide as the page, and nothing that looks like now."""
+    until(page, "!document.getElementById('old').hidden", WAIT_S)
+    until(page, f"document.getElementById('old-why').textContent.includes({json.dumps(why)})")
+    until(page, "/PICTURE IS [0-9]+ s OLD/.test(document.getElementById('old-age').textContent)")
+    width = "document.getElementById('old').getBoundingClientRect().width"
+    assert page.execute_script(f"return {width} === innerWidth")
+    until(
+        page, "[...document.querySelectorAll('#fleet td.number')].every(n => n.textContent === '–')"
+    )
+    until(page, "document.getElementById('load').textContent === '–'")
+    grey = "getComputedStyle(document.getElementById('field')).filter"
+    assert "grayscale(1)" in page.execute_script(f"return {grey}")
+    pills = "[...document.querySelectorAll('#states .pill')]"
+    colours = f"{pills}.map(pill => getComputedStyle(pill).backgroundColor)"
+    assert set(page.execute_script(f"return {colours}")) == {PALE}
+
+
+def covered(page: "Chrome") -> list[Any]:
+    """Points of the field's outline that are not to be seen on the map."""
+    found: list[Any] = page.execute_script(
+        "const f = headland.field, box = document.getElementById('field').getBoundingClientRect();"
+        "return f.scene.rings[0].map(p => f.toScreen(...p)).filter(([x, y]) =>"
+        " document.elementFromPoint(box.x + x, box.y + y)?.id !== 'field');"
+    )
+    return found
+
+
+def hidden_buttons(page: "Chrome") -> list[str]:
+    """Buttons that are shown, and that a finger on their middle would not press."""
+    found: list[str] = page.execute_script(
+        "return [...document.querySelectorAll('button, #scrub')].filter(each => each.checkVisibility()"
+        " && !each.closest('aside')).filter(each => { const b = each.getBoundingClientRect();"
+        " return document.elementFromPoint(b.x + b.width / 2, b.y + b.height / 2) !== each; })"
+        ".map(each => each.id || each.textContent);"
+    )
+    return found
+
+
+def closes(address: str, protocols: list[str]) -> int:
+    """With which code the socket is closed."""
+    with connect(address.replace("http", "ws") + "ws", subprotocols=protocols) as told:  # type: ignore[arg-type]
+        with pytest.raises(ConnectionClosed) as closed:
+            told.recv(timeout=WAIT_S)
+        assert closed.value.rcvd is not None
+        return closed.value.rcvd.code
+
+
+class own_map:
+    """`headland map` of the launch in that folder, as a process of its own; its address."""
+
+    def __init__(self, folder: Path, *words: str) -> None:
+        self.process = subprocess.Popen(
+            [*HEADLAND, "map", "runs/launch", "--page-port", "0", *words],
+            cwd=folder, stdout=subprocess.PIPE, text=True, env={**os.environ, "PYTHONPATH": str(ROOT)},
+        )  # fmt: skip
+
+    def __enter__(self) -> str:
+        assert self.process.stdout is not None
+        return self.process.stdout.readline().split()[1]
+
+    def __exit__(self, *_: object) -> None:
+        self.process.send_signal(signal.SIGINT)
+        self.process.communicate(timeout=WAIT_S)
+
+
+def all_latched(heard: Inspector) -> bool:
+    robots = list(heard.robots.values())
+    return len(robots) == ROBOTS and all(
+        each.stopped and each.state == "EMERGENCY_STOP" for each in robots
+    )
+
+
+def all_at_work(heard: Inspector) -> bool:
+    robots = list(heard.robots.values())
+    return len(robots) == ROBOTS and all(
+        each.started and not each.stopped and each.state in ("WORKING", "IDLE", "SYNCHRONIZING")
+        and each.frames["Heartbeat"] > 1 for each in robots
+    )  # fmt: skip
+
+
+def on_the_bus(folder: Path, condition: Callable[[Inspector], bool]) -> bool:
+    """True once it is so by frames alone; the page has no say."""
+    return asyncio.run(_on_the_bus(folder, condition))
+
+
+async def _on_the_bus(folder: Path, condition: Callable[[Inspector], bool]) -> bool:
+    where = json.loads((folder / "runs" / "launch" / "bus.json").read_text())
+    bus = attach("socketcand", where["channel"], 250_000, where["host"], where["port"])
+    loop, heard, done = asyncio.get_running_loop(), Inspector(), asyncio.Event()
+    operator = Operator(bus, None)
+
+    def hear(frame: Frame) -> None:
+        heard.hear(loop.time(), frame)
+        operator.hear(loop.time(), frame)
+        if condition(heard):
+            done.set()
+
+    bus.subscribe(hear)
+    try:
+        operator.ask_who()
+        await asyncio.wait_for(done.wait(), WAIT_S)
+    except TimeoutError:
+        return False
+    finally:
+        bus.close()
+    return True
+
+
+def freed(live: Live, folder: Path) -> None:
+    """Released and at work, for the next test."""
+    address, token = parts(live.url)
+    wish = {"keyless": True, "start": True}
+    answer = httpx.post(address + "reset", headers=bearer(token), json=wish, timeout=WAIT_S)
+    assert answer.json()["late"] == []
+    assert on_the_bus(folder, all_at_work)

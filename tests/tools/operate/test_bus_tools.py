@@ -1,0 +1,157 @@
+"""Tools of python-can on a hub, run as they are printed and documented (finding A7)."""
+
+import asyncio
+import contextlib
+import os
+import shlex
+import signal
+import sys
+from asyncio.subprocess import DEVNULL, Process
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+
+import can
+import pytest
+
+from protocol.frames.frame import Frame
+from sim.can.simulated_bus import FieldBus, forget, segment
+from sim.can.socketcand_server import Hub
+from tools.inspect.inspector import Inspector
+from tools.operate.foreign_groups import NAMES
+from tools.run.launch_bus import viewer_command
+
+LIMIT_S = 60.0
+DOCUMENT = Path(__file__).parents[3] / "docs" / "bus.md"
+
+
+def documented(tool: str, port: int) -> list[str]:
+    """The line of the document that runs it, with the port."""
+    lines = [line for line in DOCUMENT.read_text().splitlines() if f"-m {tool} " in line]
+    assert len(lines) == 1, lines
+    return words(lines[0].replace("PORT", str(port)))
+
+
+def words(command: str) -> list[str]:
+    return [sys.executable, *shlex.split(command)[1:]]
+
+
+async def until(holds: Callable[[], bool]) -> None:
+    loop = asyncio.get_running_loop()
+    async with asyncio.timeout(LIMIT_S):
+        while not holds():
+            turn = loop.create_future()
+            loop.call_later(0.02, turn.set_result, None)
+            await turn
+
+
+def on_a_hub(story: Callable[[Hub, FieldBus], Awaitable[None]]) -> None:
+    async def main() -> None:
+        hub = Hub(segment("bus tools"))
+        await hub.start()
+        other = FieldBus(hub.segment.channel)
+        try:
+            await story(hub, other)
+        finally:
+            other.shutdown()
+            await hub.stop()
+            forget("bus tools")
+
+    asyncio.run(main())
+
+
+async def ended(process: Process) -> int:
+    async with asyncio.timeout(LIMIT_S):
+        return await process.wait()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="the viewer needs a terminal")
+@pytest.mark.parametrize("source", ["launch", "document"])
+def test_a7_the_viewer_shows_frames(source: str) -> None:
+    pty = pytest.importorskip("pty")
+
+    async def story(hub: Hub, other: FieldBus) -> None:
+        printed = words(viewer_command("127.0.0.1", hub.port))
+        command = printed if source == "launch" else documented("can.viewer", hub.port)
+        master, terminal = pty.openpty()
+        process = await asyncio.create_subprocess_exec(
+            *command, stdin=terminal, stdout=terminal, stderr=terminal,
+            env={**os.environ, "TERM": "xterm", "LINES": "40", "COLUMNS": "120"},
+        )  # fmt: skip
+        os.close(terminal)
+        os.set_blocking(master, False)
+        seen = b""
+
+        def shown() -> bool:
+            nonlocal seen
+            with contextlib.suppress(OSError):
+                seen += os.read(master, 65536)
+            assert process.returncode is None, seen.decode()
+            if any(client.bus is not None for client in hub.clients):
+                other.submit(Frame(0x18ABCD80, b"\x01"))
+            return b"18ABCD80" in seen
+
+        await until(shown)
+        os.write(master, b"q")
+        assert await ended(process) == 0, seen.decode()
+        os.close(master)
+
+    on_a_hub(story)
+
+
+TRIES = 5
+
+
+def test_a7_the_logger_writes_what_the_player_plays(tmp_path: Path) -> None:
+    frames = [Frame(0x18FFFF00 | n, bytes((n,))) for n in range(50)]
+
+    async def story(hub: Hub, other: FieldBus) -> None:
+        heard: list[int] = []
+
+        def count(t_us: int, frame: Frame) -> None:
+            heard.append(frame.identifier)
+
+        hub.segment.taps.append(count)
+        played: list[int] = []
+        for _ in range(TRIES):  # an interrupt may come before the logger has read anything
+            heard.clear()
+            log = documented("can.logger", hub.port)
+            logger = await asyncio.create_subprocess_exec(*log, cwd=tmp_path, stdout=DEVNULL)
+            await until(lambda: any(client.bus is not None for client in hub.clients))
+            for frame in frames:
+                other.submit(frame)
+            await until(lambda: len(heard) == len(frames))
+            client = next(client for client in hub.clients if client.bus is not None)
+            await until(lambda client=client: client.unread_bytes == 0)  # type: ignore[misc]
+            logger.send_signal(signal.SIGINT)
+            assert await ended(logger) == 0
+            await until(lambda: not any(client.bus is not None for client in hub.clients))
+            with can.LogReader(tmp_path / "run.blf") as kept:
+                played = [m.arbitration_id for m in kept]
+            if played:
+                break
+        # Its end may come before it has read the last ones.
+        assert played and played == [frame.identifier for frame in frames[: len(played)]]
+        heard.clear()
+        play = documented("can.player", hub.port)
+        player = await asyncio.create_subprocess_exec(*play, cwd=tmp_path, stdout=DEVNULL)
+        assert await ended(player) == 0
+        await until(lambda: len(heard) == len(played))
+
+    on_a_hub(story)
+
+
+def test_a14_frames_of_others_are_unknown_by_their_group_and_not_malformed() -> None:
+    inspector = Inspector()
+    for number in range(5):
+        inspector.hear(number, Frame(0x0CF00400, b"\xff" * 8))
+        inspector.hear(number, Frame(0x0CCB2680, b"\xff" * 8))  # to a destination
+        inspector.hear(number, Frame(0x18FEFF80, b""))
+    told = inspector.to_dict()
+    assert told["malformed"] == {} and len(NAMES) == 20
+    assert told["unknown"] == {
+        "PGN 61444 (EEC1: engine speed)": 5,
+        "PGN 51968 (process data (ISO 11783-10))": 5,
+        "PGN 65279": 5,
+    }
+    inspector.hear(9.0, Frame(0x14FF1080, b"\x00"))
+    assert inspector.to_dict()["malformed"] == {"length": 1}

@@ -1,0 +1,149 @@
+"""Who has confirmed a stop or a release, and who has not (item 10; findings T12 and T14)."""
+
+import asyncio
+import json
+from pathlib import Path
+
+import pytest
+
+from agent.interface.lifecycle import State
+from protocol.authentication import Keyring, Keys
+from protocol.frames.accord_frames import Fallen
+from protocol.frames.codec import encode
+from protocol.frames.fleet_frames import Heartbeat, Member
+from protocol.frames.frame import Frame
+from protocol.frames.messages import Message
+from protocol.frames.network_frames import AddressClaimed
+from protocol.frames.safety_frames import EmergencyStop, Reason
+from protocol.links.bus import CanBus
+from protocol.name import fleet_name
+from sim.can.simulated_bus import FieldBus
+from sim.fleet.simulated_fleet import Cluster
+from sim.fleet.virtual_clock import elapse, run_virtual
+from sim.scenarios.field_setup import Setting
+from sim.scenarios.scenario import load
+from tools.common import bus_attach as attachment
+from tools.common.bus_attach import robots_of_launch
+from tools.operate.estop import press
+from tools.operate.operator_device import ECHOES_TRIED, Operator
+from tools.operate.reset import word
+
+KEYS = Keys(b"m" * 16, b"o" * 16)
+PANEL = 140
+
+
+class Silent:
+    def send(self, frame: Frame) -> bool:
+        return True
+
+    def subscribe(self, callback: object) -> None:
+        """Nothing comes."""
+
+
+def operator(keyring: Keyring | None = None) -> Operator:
+    return Operator(Silent(), keyring)  # type: ignore[arg-type]
+
+
+def beat(stopped: bool = False, leaving: bool = False) -> Heartbeat:
+    return Heartbeat(1, State.WORKING, stopped, False, True, leaving, 1.0, 0, 0)
+
+
+def say(who: Operator, t_s: float, slot: int, *messages: Message) -> None:
+    for message in messages:
+        who.hear(t_s, encode(message, 128 + slot))
+
+
+def test_t12_leaving_forged_50_times_a_second_takes_nobody_out_of_the_count() -> None:
+    tool = operator()
+    say(tool, 0.0, 1, Member(1, 1, 7))
+    for tick in range(200):
+        say(tool, tick * 0.02, 1, beat(leaving=True))
+        say(tool, tick * 0.02, 1, beat(leaving=True), beat())
+        assert [robot.slot for robot in tool.live] == [1]
+    assert [robot.slot for robot in tool.members if not tool.confirmed(robot)] == [1]
+
+
+def test_t12_a_frame_after_a_farewell_is_no_exception_and_silence_after_it_is_leaving() -> None:
+    tool = operator()
+    say(tool, 0.0, 1, Member(1, 1, 7), beat(), beat(leaving=True))
+    say(tool, 0.1, 1, EmergencyStop(1, 1, 1, Reason.OPERATOR_INTERVENTION, echo=True))
+    assert [robot.slot for robot in tool.live] == [1], "it may still beat"
+    tool.now_s = 0.7
+    assert not tool.members and not tool.silent
+    say(tool, 0.8, 1, beat())
+    assert [robot.slot for robot in tool.live] == [1], "it has not left"
+
+
+def test_t14_who_fell_silent_or_was_only_told_of_counts_and_is_named() -> None:
+    tool = operator()
+    say(tool, 0.0, 0, Member(0, 1, 7), beat(stopped=True))
+    say(tool, 0.0, 1, Member(1, 1, 7), beat())
+    say(tool, 2.0, 0, beat(stopped=True), Fallen(0, 0, 2, 0))
+    tool.expect([3])
+    assert [robot.slot for robot in tool.silent] == [1, 2, 3]
+    assert "NOT HEARD" in word(tool, tool.robots[3], False)
+
+
+def test_t14_another_device_at_an_address_is_not_the_robot_that_was_there() -> None:
+    tool = operator()
+    say(tool, 0.0, 1, AddressClaimed(fleet_name("f", 1).pack()), Member(1, 1, 7), beat())
+    say(tool, 0.1, 1, AddressClaimed(0))
+    for tick in range(40):
+        say(tool, 0.1 + tick * 0.05, 1, beat(stopped=True))
+    assert [robot.slot for robot in tool.silent] == [1] and not tool.unknown
+    assert not tool.confirmed(tool.robots[1])
+
+
+def test_t14_in_a_fleet_with_keys_only_a_signed_echo_confirms() -> None:
+    tool = operator(Keyring(KEYS, PANEL, b"1"))
+    robot = Keyring(KEYS, 1, b"2", sent=31_000)  # whatever its counter is
+    say(tool, 0.0, 1, Member(1, 1, 7))
+    tool.begin_press()
+    stop = tool.new_stop(Reason.OPERATOR_INTERVENTION)
+    tool.stop(stop)
+    echo = stop._replace(echo=True)
+    say(tool, 0.1, 1, beat(stopped=True), echo._replace(freshness=3, tag=0x123456))
+    assert tool.robots[1].stopped and not tool.confirmed(tool.robots[1]), "anybody can say that"
+    say(tool, 0.2, 1, robot.sign(echo))
+    assert tool.confirmed(tool.robots[1])
+    tool.begin_press()
+    assert not tool.confirmed(tool.robots[1]), "of an earlier press"
+    for guess in range(ECHOES_TRIED):
+        tool.stop(stop)
+        say(tool, 0.3, 1, echo._replace(tag=guess + 1))
+    say(tool, 0.4, 1, robot.sign(echo))
+    assert not tool.confirmed(tool.robots[1]), "after so many guesses none is believed"
+
+
+def test_t14_the_robots_of_a_launch_are_known_from_its_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(attachment, "LAUNCH", tmp_path / "bus.json")
+    assert robots_of_launch("socketcand", "127.0.0.1", 0) == []
+    where = {"host": "127.0.0.1", "port": 5, "channel": "can0", "robots": [0, 1, 2]}
+    (tmp_path / "bus.json").write_text(json.dumps(where))
+    assert robots_of_launch("socketcand", "127.0.0.1", 0) == [0, 1, 2]
+    assert robots_of_launch("socketcand", "127.0.0.1", 5) == [0, 1, 2]
+    assert robots_of_launch("socketcand", "127.0.0.1", 6) == [], "another bus"
+    assert robots_of_launch("socketcan", "127.0.0.1", 0) == []
+
+
+def test_t14_a_press_names_the_robot_that_is_dead() -> None:
+    async def main() -> tuple[list[int], list[int]]:
+        cluster = Cluster(Setting(load("small")), "confirmations")
+        cluster.boot_all()
+        bus = CanBus(FieldBus(cluster.segment.channel))
+        tool, loop = Operator(bus, None), asyncio.get_running_loop()
+        bus.subscribe(lambda frame: tool.hear(loop.time(), frame))
+        try:
+            await elapse(10.0)
+            tool.ask_who()
+            await elapse(1.0)
+            cluster.kill(2)
+            late = await press(tool, Reason.OPERATOR_INTERVENTION, 2.0)
+            return [robot.slot for robot in late], [r.slot for r in tool.members if r not in late]
+        finally:
+            bus.close()
+            await cluster.close()
+
+    assert run_virtual(main()) == ([2], [0, 1])

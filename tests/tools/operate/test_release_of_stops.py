@@ -1,0 +1,94 @@
+"""`headland reset` against fleets that hold many stops, and while somebody forges stops."""
+
+import asyncio
+from pathlib import Path
+
+import pytest
+
+from crdt.stops import StopDot
+from protocol.authentication import Keyring
+from protocol.frames.safety_frames import EmergencyStop, Reason, StopsHeld
+from protocol.links.bus import CanBus
+from sim.can.simulated_bus import FieldBus
+from sim.files.key_file import OPERATOR, fresh, read, write
+from sim.fleet.simulated_fleet import Cluster
+from sim.fleet.virtual_clock import elapse
+from sim.scenarios.scenario import load
+from tests.chaos.at_work import Done, at_work
+from tools.operate.operator_device import Operator
+from tools.operate.reset import LISTEN_S, release
+from tools.operate.shown_stops import ShownStops
+
+PANEL = 141
+RELEASE_S = 5.0
+
+
+def operator_on(cluster: Cluster, keyring: Keyring | None = None) -> Operator:
+    bus = CanBus(FieldBus(cluster.channel))
+    operator = Operator(bus, keyring)
+    loop = asyncio.get_running_loop()
+    bus.subscribe(lambda frame: operator.hear(loop.time(), frame))
+    return operator
+
+
+@pytest.mark.parametrize("count", [20, 2_000])
+def test_t9_one_reset_releases_a_fleet_that_holds_many_stops(count: int) -> None:
+    async def story(cluster: Cluster, seen: list[Done]) -> None:
+        for k in range(count):
+            cluster.inject(EmergencyStop(PANEL + (k >> 8), 1, k & 0xFF, 0), 38)
+            await elapse(0.001)
+        await elapse(1.0)
+        assert all(len(r.peer.safety.stops.active) >= 20 for r in cluster.running)
+        operator, loop = operator_on(cluster), asyncio.get_running_loop()
+        begun_s = loop.time()
+        await operator.listen(LISTEN_S, stops=True)
+        assert await release(operator, True, RELEASE_S) == []
+        assert loop.time() - begun_s < 3.0
+        assert not any(r.peer.safety.latched for r in cluster.running)
+
+    at_work(load("small").changed(3, 5), story)
+
+
+def test_t11_a_reset_clears_no_stop_that_only_a_forger_has_named(tmp_path: Path) -> None:
+    write(tmp_path / "fleet.json", tmp_path / "operator.json", fresh(), 249)
+    key = read(tmp_path / "operator.json", OPERATOR)
+    fleet = read(tmp_path / "fleet.json")
+
+    async def story(cluster: Cluster, seen: list[Done]) -> None:
+        async def forge() -> None:
+            while True:
+                for counter in range(2, 10):
+                    cluster.inject(EmergencyStop(PANEL, 1, counter, 0, tag=7), 38)
+                    await elapse(0.05)
+
+        cluster.robots[1].shell.operate(lambda p, now: p.press(Reason.PERSON_IN_FIELD, now))
+        forger = asyncio.ensure_future(forge())
+        await elapse(1.0)
+        operator = operator_on(cluster, key.keyring())
+        await operator.listen(LISTEN_S, stops=True)
+        assert await release(operator, True, RELEASE_S) == []
+        forger.cancel()
+        await elapse(4.0)
+        assert all(r.peer.safety.may_move for r in cluster.running)
+        for robot in cluster.running:
+            assert not [d for d in robot.peer.safety.stops.cleared if d.slot == PANEL]
+        panel = Keyring(fleet.keys, PANEL, b"panel")
+        for _ in range(30):
+            cluster.inject(panel.sign(EmergencyStop(PANEL, 1, 2, Reason.PERSON_IN_FIELD)), 38)
+            await elapse(0.005)
+        assert all(r.peer.safety.latched for r in cluster.running)
+
+    at_work(load("small").changed(3, 5, tmp_path / "fleet.json"), story)
+
+
+def test_t9_what_is_pressed_during_a_reset_is_not_cleared() -> None:
+    shown, first, second = ShownStops(None), StopDot(1, 1, 1), StopDot(2, 1, 1)
+    shown.hear_stop(EmergencyStop(*first, 0))
+    shown.hear_held(StopsHeld(0, 1, 77))
+    shown.release()
+    shown.hear_held(StopsHeld(0, 2, 78))
+    assert shown.sums == [77], "more than before"
+    shown.hear_stop(EmergencyStop(*second, 0))
+    shown.hear_held(StopsHeld(0, 1, 79))
+    shown.hear_stop(EmergencyStop(*second, 0, True))
+    assert shown.sums == [77] and shown.named == ([first], [])

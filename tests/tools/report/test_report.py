@@ -1,0 +1,318 @@
+"""The report of a run: what it says is what happened, and its page needs nothing else."""
+
+import csv
+import json
+import math
+import random
+import shutil
+from html.parser import HTMLParser
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from protocol.frames.codec import encode
+from protocol.frames.fleet_frames import Member, Pose
+from protocol.frames.frame import Frame
+from protocol.frames.safety_frames import EmergencyReset, EmergencyStop
+from sim.files.candump import CandumpWriter
+from sim.record.recording import Recording
+from sim.runs.field_run import Expedition
+from sim.scenarios.field_setup import Setting
+from sim.scenarios.scenario import Crash, Estop, Fault, Heal, Partition, Reset, Restart, load
+from tools.bench.browser import browser, complaints, missing
+from tools.common.run_recorder import Keeping
+from tools.report.command import report
+from tools.report.run_data import gather
+from tools.report.timeline import History
+from tools.report.tracking_error import SAME_M, followed
+from tools.run.run_field import run as run_command
+
+STOP_S, RESET_S, CRASH_S, AGAIN_S, END_S = 12.0, 16.0, 22.0, 27.0, 32.0
+HOSTILE = "<script>alert(1)</script>"
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Four robots on a small field: a stop, a release, a split, a death and a return; reported."""
+    out = tmp_path_factory.mktemp("run")
+    scenario = load("small").changed(4, 3)
+    faults: list[Fault] = [
+        Partition(at_s=5.0, kind="partition", islands=[[0, 1], [2, 3]]),
+        Heal(at_s=8.0, kind="heal"),
+        Estop(at_s=STOP_S, kind="estop", robot=2, reason="PERSON_IN_FIELD"),
+        Reset(at_s=RESET_S, kind="reset"),
+        Crash(at_s=CRASH_S, kind="crash", robot=1),
+        Restart(at_s=AGAIN_S, kind="restart", robot=1, disk="kept"),
+    ]
+    limit = scenario.run.model_copy(update={"time_limit_s": END_S})
+    setting = Setting(scenario.model_copy(update={"fault": faults, "run": limit}))
+    keeping = Keeping(setting, out)
+    expedition = Expedition(setting, out, attach=keeping)
+    outcome = expedition.run()
+    keeping.close()
+    figures = {**outcome.to_dict(), "scenario": HOSTILE, "faults": expedition.told_faults}
+    (out / "report.json").write_text(json.dumps(figures))
+    assert report(out, None, False) == 0
+    return out
+
+
+def values(run: Path, name: str) -> list[dict[str, str]]:
+    with (run / "report" / f"{name}.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def traces(run: Path) -> list[dict[str, str]]:
+    return [json.loads(line) for line in (run / "trace.jsonl").read_text().splitlines()]
+
+
+class Reader(HTMLParser):
+    """Tags that are open, and all that a page asks for."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.asked: list[str] = []
+        self.names: set[str] = set()
+        self.open: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.names.add(tag)
+        self.asked += [value or "" for name, value in attrs if name in ("src", "href")]
+        if tag not in ("meta", "img"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+
+def test_the_page_is_whole_and_asks_for_nothing(run: Path) -> None:
+    text = (run / "report.html").read_text()
+    reader = Reader()
+    reader.feed(text)
+    assert not reader.open
+    assert "script" not in reader.names, "names come from files that others wrote"
+    assert "&lt;script&gt;alert(1)&lt;/script&gt;" in text
+    for address in reader.asked:
+        local = address.startswith(("data:image/png;base64,", "#"))
+        assert local or (run / address).is_file(), address
+    pictures = sum(address.startswith("data:") for address in reader.asked)
+    assert pictures == len(list((run / "report").glob("*.png"))) == 7
+
+
+def test_states_are_those_that_the_robots_wrote_down(run: Path) -> None:
+    """The log's states against the robots' own trace, to the time of a beat."""
+    spans = values(run, "states")
+    for trace in traces(run):
+        if trace["machine"] != "lifecycle" or trace["target"] == "DISCONNECTED":
+            continue
+        at_s = int(trace["t_us"]) / 1e6
+        own = [s for s in spans if s["robot"] == str(trace["robot"])]
+        near = [float(s["from_s"]) for s in own if s["state"] == trace["target"]]
+        short = any(
+            float(s["from_s"]) - 0.1 <= at_s <= float(s["until_s"]) for s in own
+        )  # a state that was over before the next beat
+        assert short or any(abs(t_s - at_s) <= 0.1 for t_s in near), trace
+    silent = [s for s in spans if s["state"] == "SILENT"]
+    assert [s["robot"] for s in silent] == ["1"]
+    assert abs(float(silent[0]["from_s"]) - CRASH_S) < 0.2
+    assert AGAIN_S <= float(silent[0]["until_s"]) < AGAIN_S + 1.5
+
+
+def test_sections_are_those_that_the_robots_claimed(run: Path) -> None:
+    rows = values(run, "sections")
+    begun = {(r["section"], r["owner"]) for r in rows if r["phase"] == "STARTED"}
+    told = {
+        (t["source"], str(t["robot"])) for t in traces(run)
+        if t["machine"] == "claim" and t["target"] == "STARTED"
+    }  # fmt: skip
+    assert told and begun == told
+    for section in {r["section"] for r in rows}:
+        own = [r for r in rows if r["section"] == section]
+        for a, b in pairwise(own):
+            assert float(a["until_s"]) <= float(b["from_s"]), "one phase at a time"
+
+
+def test_a_stop_reached_every_robot(run: Path) -> None:
+    rows = values(run, "stops")
+    assert {r["robot"] for r in rows} == {"0", "1", "3"} and {r["by"] for r in rows} == {"robot 2"}
+    for row in rows:
+        echo_s, stopped_s, stands_s = (float(row[k]) for k in ("echo_s", "stopped_s", "stands_s"))
+        assert 0.0 < echo_s < 0.05 and echo_s <= stopped_s <= stands_s < 2.5
+    events = values(run, "events")
+    kinds = [e["kind"] for e in events]
+    assert [k for k in kinds if k.startswith("fault")] == [
+        f"fault: {kind}" for kind in ("partition", "heal", "estop", "reset", "crash", "restart")
+    ]
+    assert {"stop", "reset", "silence"} <= set(kinds)
+    assert [float(e["t_s"]) for e in events] == sorted(float(e["t_s"]) for e in events)
+
+
+def test_the_load_is_that_of_the_wire(run: Path) -> None:
+    figures = json.loads((run / "report.json").read_text())
+    shares = [float(row["all"]) for row in values(run, "load")]
+    mean = sum(shares) / figures["simulated_s"]
+    assert mean == pytest.approx(figures["bus_load_worst_case"], rel=0.02)
+
+
+# -------------------------------------------------------------------- planned against executed
+
+
+def intents(
+    points: list[tuple[float, float]], line: list[tuple[float, float]], passed: list[int]
+) -> list[tuple[int, dict[str, object]]]:
+    return [
+        (k * 200_000, {"slot": 0, "x": x, "y": y, "vx": 1.0, "vy": 0.0, "tool": k % 2 == 0,
+                       "path": [list(p) for p in line[gone:]]})
+        for k, ((x, y), gone) in enumerate(zip(points, passed, strict=True))
+    ]  # fmt: skip
+
+
+def test_the_error_is_the_distance_to_the_line_followed() -> None:
+    """Along an L with a known offset: that offset, and no other."""
+    line = [(0.0, 0.0), (10.0, 0.0), (10.0, 10.0)]
+    points = [(0.0, 0.0), *((x, 0.3) for x in (1.0, 5.0, 9.0)), (10.4, 2.0), (10.4, 9.0)]
+    robot = followed(intents(points, line, [1, 1, 1, 1, 2, 2]), 0)[0]
+    assert [round(s.off_m, 6) for s in robot.samples] == [0.3, 0.3, 0.3, 0.4, 0.4]
+    assert robot.rmse_m() == pytest.approx(math.sqrt((3 * 0.09 + 2 * 0.16) / 5))
+    assert len(robot.lines) == 1 and robot.rmse_m(True) != robot.rmse_m(False)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_another_way_is_another_line(seed: int) -> None:
+    """Back over the way that was come, and to one point of it: a new plan, without an old error."""
+    rng = random.Random(seed)
+    length_m = rng.uniform(5.0, 50.0)
+    for back in ([(length_m / 2, 0.0), (0.0, 0.0)], [(0.0, 0.0)], [(1.0, 0.0), (1.0, 9.0)]):
+        out = intents([(0.0, 0.0), (length_m - 1.0, 0.0)], [(length_m, 0.0)], [0, 0])
+        again = [(t + 400_000, told) for t, told in intents([(length_m - 0.1, 0.0)], back, [0])]
+        robot = followed([*out, *again], 0)[0]
+        assert len(robot.lines) == 2 and robot.worst_m < SAME_M, f"seed {seed}, {back}"
+
+
+def test_a_short_cut_that_rejoins_the_old_line_is_another_line() -> None:
+    """What is left lies on the line that was told before, and the robot never drives the bend."""
+    line = [(0.0, 0.0), (0.0, 5.0), (5.0, 5.0), (5.0, 0.0), (9.0, 0.0)]
+    points = [(0.0, 0.0), (0.0, 0.1), (1.0, 0.0), (4.0, 0.0), (6.0, 0.0)]
+    robot = followed(intents(points, line, [1, 1, 4, 4, 4]), 0)[0]
+    assert len(robot.lines) == 2 and robot.worst_m <= 0.1
+
+
+def test_a_way_told_in_thinned_points_is_one_line() -> None:
+    """Tractors tell a curve by other points each time (`agent.motion.tractor_tracker`), and only 48 of them."""
+    angle = np.linspace(0.0, math.pi, 1200)
+    curve = 20.0 * np.column_stack([np.cos(angle), np.sin(angle)])
+    rows = []
+    for k in range(0, 1190, 6):
+        rest = curve[k + 1 :]
+        thinned = [*rest[:-1:19], rest[-1]][:48]
+        (x, y), path = 1.005 * curve[k], [[round(v, 2) for v in p] for p in np.array(thinned)]
+        rows.append((k * 33_000, {"slot": 3, "x": x, "y": y, "vx": 1.0, "vy": 0.0, "path": path}))
+    robot = followed(rows, 0)[0]
+    assert len(robot.lines) == 1
+    assert robot.rmse_m() == pytest.approx(0.1, abs=0.03)
+
+
+def test_errors_of_errands_are_those_that_the_world_measured(tmp_path: Path) -> None:
+    """Two measurements of the same driving: by the world, and from what the robots told."""
+    assert run_command("corridor", 4, 2, tmp_path, True) == 0
+    assert report(tmp_path, tmp_path / "page.html", True) == 0
+    legs = json.loads((tmp_path / "report.json").read_text())["legs"]
+    with (tmp_path / "page" / "planned.csv").open(newline="") as file:
+        rows = {int(row["robot"]): row for row in csv.DictReader(file)}
+    for slot, row in rows.items():
+        worst = max(leg["rmse_m"] for leg in legs if leg["slot"] == slot)
+        assert abs(float(row["RMSE, m"]) - worst) < 0.03, (slot, row, legs)
+
+
+# -------------------------------------------------------------------- runs that lack something
+
+
+def test_a_log_alone(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shutil.copy(run / "can.log", tmp_path / "far.log")
+    assert report(tmp_path / "far.log", None, True) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["without"] == ["planned"] and Path(told["page"]).is_file()
+    text = Path(told["page"]).read_text()
+    assert "run.mcap" in text and "is not known here" in text and "No report.json" in text
+
+
+def test_a_log_in_which_nobody_is_a_robot(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = CandumpWriter(tmp_path / "can.log")
+    log.write(5_000_000, Frame(0x18FEF100, b"\1\2\3"))
+    log.close()
+    assert report(tmp_path, None, True) == 0
+    assert json.loads(capsys.readouterr().out)["chapters"] == ["load"]
+
+
+@pytest.mark.parametrize(
+    "text", ["[1, 2]", "{", '{"rings": 3, "grid": {"rows": "x"}}', '{"rings": [[]]}']
+)
+def test_what_others_wrote_may_be_nonsense(run: Path, tmp_path: Path, text: str) -> None:
+    shutil.copy(run / "can.log", tmp_path)
+    for name in ("scene.json", "report.json"):
+        (tmp_path / name).write_text(text)
+    assert report(tmp_path, None, True) == 0
+
+
+def test_a_campaign(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    broken = [{"seed": 7, "rule": "S1", "t_s": 1.5, "what": HOSTILE}]
+    told = {"profile": "stop", "runs": 9, "robot_hours": 1.0, "hash": "ab", "faults": {"crash": 3},
+            "broken": broken, "failed": [7], "reproduction": "stop-7-S1.toml"}  # fmt: skip
+    (tmp_path / "chaos.json").write_text(json.dumps(told))
+    assert report(tmp_path, None, True) == 0
+    assert json.loads(capsys.readouterr().out)["chapters"] == ["chaos"]
+    page = (tmp_path / "report.html").read_text()
+    assert "3 crash" in page and HOSTILE not in page and "stop-7-S1.toml" in page
+
+
+def test_what_cannot_be_done_is_one_line(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("")
+    (tmp_path / "empty.log").write_text("")
+    for source, out in (
+        (tmp_path / "none", None), (tmp_path, None), (tmp_path / "empty.log", None),
+        (run, tmp_path / "page.pdf"), (run, tmp_path / "file" / "page.html"),
+    ):  # fmt: skip
+        assert report(source, out, False) == 2
+        said = capsys.readouterr()
+        assert said.err.startswith("headland: ") and said.err.count("\n") == 1 and not said.out
+
+
+def test_times_of_a_real_bus_begin_at_its_first_frame(tmp_path: Path) -> None:
+    """A computer's clock; a press by a panel; a robot that does not answer."""
+    begun_us = 1_700_000_000_000_000
+    log = CandumpWriter(tmp_path / "can.log")
+    log.write(begun_us, encode(Member(4, 1, 7), 0x84))
+    for k in range(40):
+        log.write(begun_us + k * 100_000, encode(Pose(1.0, 2.0, 0.0, 0.0, 1, False, 255), 0x84))
+        if k == 10:
+            log.write(begun_us + 1_000_001, encode(EmergencyStop(200, 1, 1, 1), 0xF0))
+        if k == 30:
+            log.write(begun_us + 3_000_001, encode(EmergencyReset(200, 1, 1, 201), 0xF1))
+    log.close()
+    evidence = gather(tmp_path)
+    assert isinstance(evidence.recording, Recording)
+    history = History(evidence.zero_us)
+    for k in range(evidence.recording.count):
+        t_us, frame = evidence.recording[k]
+        history.hear(t_us / 1e6, frame)
+    history.close()
+    (stop,) = history.pressed
+    assert stop.by == "device 200" and stop.present == (4,) and not stop.echo_s
+    assert stop.t_s == pytest.approx(1.000001, abs=1e-5) and stop.cleared_s is not None
+    assert report(tmp_path, None, True) == 0
+    assert "nobody of 1" in (tmp_path / "report.html").read_text()
+
+
+@pytest.mark.skipif(bool(missing()), reason=missing() or "there is one")
+def test_a_browser_shows_every_picture(run: Path) -> None:
+    with browser() as page:
+        page.get((run / "report.html").absolute().as_uri())
+        widths = page.execute_script("return [...document.images].map(i => i.naturalWidth)")
+        assert len(widths) == 7 and all(width > 500 for width in widths)
+        assert not complaints(page)
+        assert page.execute_script("return document.querySelectorAll('script').length") == 0

@@ -1,0 +1,102 @@
+"""`headland coverage` as people use it: solve, replay, export; bad input is one line and exit 2."""
+
+import json
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner, Result
+
+from sim.files.coverage_plan_file import read_plan
+from sim.files.grid_map import read_instance
+from sim.world.plan_judge import judge
+from tools.run.coverage import app
+
+
+def call(*words: object) -> Result:
+    return CliRunner().invoke(app, [str(word) for word in words])
+
+
+def test_the_missions_own_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    done = call("solve", "--H", 32, "--W", 32, "--agents", 20, "--wall-prob", "0.20", "--seed", 1)
+    assert done.exit_code == 0 and "makespan" in done.stdout
+    plan = json.loads((tmp_path / "vacuum_plan.json").read_text())
+    assert (plan["H"], plan["W"], plan["n_agents"]) == (32, 32, 20)
+    assert all(len(line) == plan["makespan"] for line in plan["per_agent_actions"])
+    again = call("replay", "--plan", "vacuum_plan.json", "--delay", "0.03", "--stop-on-done")
+    assert again.exit_code == 0 and "0 to cover" in again.stdout
+    assert again.stdout.count("o") >= 20
+
+
+def test_equal_seeds_give_equal_plans(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        assert call("solve", "--agents", 5, "--seed", 3, "--out", tmp_path / name).exit_code == 0
+    assert (tmp_path / "a").read_text() == (tmp_path / "b").read_text()
+
+
+def test_an_export_is_solved_as_the_original(tmp_path: Path) -> None:
+    first, second = tmp_path / "first.json", tmp_path / "second.json"
+    export = tmp_path / "x.mcpp"
+    call("solve", "--agents", 7, "--seed", 2, "--out", first, "--export", export)
+    assert len(read_instance(export).starts) == 7
+    assert call("solve", export, "--out", second, "--json").exit_code == 0
+    assert first.read_text() == second.read_text()
+    third = call("solve", export, "--agents", 3, "--out", second, "--json")
+    assert json.loads(third.stdout)["robots"] == 3
+    fourth = call("solve", export.with_suffix(".map"), "--agents", 3, "--gate", "--out", second)
+    assert fourth.exit_code == 0
+
+
+def test_deaths_and_joins_are_in_the_plan(tmp_path: Path) -> None:
+    out = tmp_path / "plan.json"
+    words = ["--H", 24, "--W", 24, "--wall-prob", 0, "--agents", 4, "--out", out, "--json"]
+    done = call("solve", *words, "--die", "2@40", "--join", "23,23@60")
+    report = json.loads(done.stdout)
+    assert done.exit_code == 0 and report["ok"] and report["robots"] == 5
+    plan = read_plan(out)
+    assert plan.died == [-1, -1, 40, -1, -1] and plan.joined == [0, 0, 0, 0, 60]
+    assert judge(plan).ok and call("replay", out).exit_code == 0
+
+
+def test_a_plan_with_faults_is_not_exit_0(tmp_path: Path) -> None:
+    out = tmp_path / "plan.json"
+    call("solve", "--agents", 4, "--out", out)
+    document = json.loads(out.read_text())
+    document["per_agent_actions"][0] = []
+    out.write_text(json.dumps(document))
+    done = call("replay", out, "--json")
+    assert done.exit_code == 1 and not json.loads(done.stdout)["ok"]
+
+
+@pytest.mark.parametrize("words", [
+    ["solve"], ["solve", "--agents", "0"], ["solve", "--agents", "9999"],
+    ["solve", "--agents", "3", "--wall-prob", "2"], ["solve", "--agents", "3", "--H", "0"],
+    ["solve", "none.map", "--agents", "3"], ["solve", "none.mcpp"], ["replay", "none.json"],
+    ["solve", "--agents", "3", "--die", "3@1"], ["solve", "--agents", "3", "--die", "x"],
+    ["solve", "--agents", "3", "--join", "0,99@1"], ["solve", "--agents", "3", "--turn-cost", "-1"],
+    ["solve", "--agents", "3", "--export", "x.txt"], ["replay", "none.json", "--delay", "-1"],
+    ["solve", "--agents", "9", "--H", "2000", "--W", "3000"],
+    ["replay", "none.json", "--turn-cost", "nan"], ["replay", "none.json", "--turn-cost", "-1"],
+])  # fmt: skip
+def test_bad_input_is_one_line(
+    words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    done = call(*words)
+    assert done.exit_code == 2 and "Traceback" not in done.output
+    assert done.output.strip().count("\n") == 0 and "headland:" in done.output
+
+
+@pytest.mark.parametrize("change", [
+    {"H": -2, "W": -2}, {"starts": []}, {"starts": [[9, 0]]},
+    {"per_agent_actions": [[5]]}, {"died": [0.5]}, {"walls": [[0, 0], [0, 2]]}, None,
+])  # fmt: skip
+def test_a_bad_plan_is_one_line(change: dict[str, object] | None, tmp_path: Path) -> None:
+    good = {"H": 2, "W": 2, "walls": [[0, 0], [0, 0]], "starts": [[0, 0]]}
+    good |= {"per_agent_actions": [[4, 2, 3]]}
+    plan = tmp_path / "plan.json"
+    plan.write_text(json.dumps(good))
+    assert call("replay", plan).exit_code == 0
+    plan.write_text(json.dumps([] if change is None else {**good, **change}))
+    done = call("replay", plan)
+    assert done.exit_code == 2 and done.output.strip().count("\n") == 0

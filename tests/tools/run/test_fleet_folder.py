@@ -1,0 +1,258 @@
+"""A launch that was killed is continued: journals, stops, work and logs of the fleet are kept."""
+
+import asyncio
+import json
+import os
+from math import cos, sin
+from pathlib import Path
+from random import Random
+
+import can
+import pytest
+
+from agent.interface.config import S
+from agent.interface.effects import Drive
+from crdt import Phase
+from protocol.frames.codec import encode
+from protocol.frames.work_frames import TaskClaim
+from sim.scenarios.field_setup import Setting
+from sim.scenarios.scenario import load
+from sim.world.parcel_truth import Parcels
+from sim.world.world_memory import WorldMemory
+from tests.tools.complaint import Complaints
+from tests.tools.launching import WAIT_S, call, robots_up, said, start, states
+from tools.common.bus_attach import CHANNEL, attach
+from tools.common.run_folder import FolderError, folder_for
+from tools.run.fleet_folder import end_fleet, fleet_folder
+from tools.run.launch import STRAIGHT_M
+
+EPOCH_2020_S = 1_577_836_800
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not hasattr(os, "pidfd_open"), reason="robots are watched as in test_launch")
+def test_e2_a_latched_fleet_stays_latched_after_kill_9_and_the_same_command(tmp_path: Path) -> None:
+    async def story() -> None:
+        launch = await start(tmp_path, "launch", "small", "--robots", "2")
+        try:
+            await robots_up(launch, 2)
+            code, text = await call(tmp_path, "estop", "--json")
+            assert code == 0, text
+        finally:
+            launch.kill()
+            await launch.wait()
+        folder = (tmp_path / "runs/launch").resolve()
+        first = (folder / "can.log").read_bytes()
+        again = await start(tmp_path, "launch", "small", "--robots", "2")
+        try:
+            await said(again, r"(continuing the fleet in runs/small-1)")
+            await said(again, r"(\d+/\d+ sections  0:EMERGENCY_STOP 1:EMERGENCY_STOP)")
+            assert set((await states(tmp_path)).values()) == {"EMERGENCY_STOP"}
+            assert (tmp_path / "runs/launch").resolve() == folder
+            assert (tmp_path / "runs/latest").resolve() == folder
+            kept = (folder / "launch-1" / "can.log").read_bytes()
+            assert kept.startswith(first) and (folder / "launch-1" / "robot0.log").exists()
+            code, text = await call(tmp_path, "reset", "--start", "--json")
+            assert code == 0, text
+            again.terminate()
+            async with asyncio.timeout(WAIT_S):
+                await again.wait()
+        finally:
+            if again.returncode is None:
+                again.kill()
+                await again.wait()
+        report = json.loads((folder / "report.json").read_text())
+        assert report["launches"] == 2 and not report["finished"]
+        # A15: the time of day, on every topic.
+        times = [m.timestamp for m in can.LogReader(folder / "can.log")]
+        assert times and min(times) > EPOCH_2020_S
+        await _mcap_has_one_clock(folder / "run.mcap", min(times))
+
+    asyncio.run(story())
+
+
+def test_t3_a_launch_is_judged_by_the_ground_not_by_what_robots_say(tmp_path: Path) -> None:
+    """DONE of every section, forged in the name of a robot, ends a launch: not with exit 0."""
+
+    async def story() -> None:
+        launch = await start(tmp_path, "launch", "small", "--robots", "2")
+        try:
+            await robots_up(launch, 2)
+            where = json.loads((tmp_path / "runs/launch/bus.json").read_text())
+            bus = attach("socketcand", CHANNEL, 250_000, "127.0.0.1", where["port"])
+            addresses: set[int] = set()
+            bus.subscribe(lambda frame: addresses.add(frame.identifier & 0xFF))
+            async with asyncio.timeout(WAIT_S):
+                while launch.returncode is None:
+                    for section in range(_setting().section_count):
+                        for source in addresses & {128, 129}:
+                            forged = TaskClaim(section, 0, int(Phase.DONE), 0, 60_000, source - 128)
+                            bus.send(encode(forged, source))
+                    await asyncio.wait({asyncio.ensure_future(launch.wait())}, timeout=0.2)
+            bus.close()
+            assert launch.stdout is not None
+            text = (await launch.stdout.read()).decode()
+        finally:
+            if launch.returncode is None:
+                launch.kill()
+                await launch.wait()
+        report = json.loads((tmp_path / "runs/launch/report.json").read_text())
+        assert launch.returncode == 1, text
+        assert report["finished"] and report["coverage"] < 0.9
+        assert report["difference"].startswith("robots say 100 %, the ground says"), report
+        assert report["difference"] in text
+
+    asyncio.run(story())
+
+
+async def _mcap_has_one_clock(path: Path, begun_s: float) -> None:
+    """A15: no topic begins at 0, or in another clock."""
+    reading = pytest.importorskip("mcap.reader")
+    with path.open("rb") as file:
+        at_s = [m.log_time / 1e9 for _, _, m in reading.make_reader(file).iter_messages()]
+    assert at_s and min(at_s) > begun_s - 60 and max(at_s) < begun_s + 600
+
+
+def _setting(robots: int = 2) -> Setting:
+    return Setting(load("small").changed(robots=robots))
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_e2_a_launch_goes_on_until_its_work_is_done_or_it_is_told_otherwise(folder: Path) -> None:
+    def begin(robots: int = 2, fresh: bool = False, out: Path | None = None) -> tuple[str, bool]:
+        fleet = fleet_folder(out, _setting(robots), fresh)
+        (fleet.folder / "robot0.sqlite").write_text("memory")
+        (fleet.folder / "can.log").write_text(f"launch {fleet.launches}")
+        for lock in fleet.locks:
+            lock.close()
+        return str(fleet.folder), fleet.continues
+
+    assert begin() == ("runs/small-1", False)
+    assert begin() == ("runs/small-1", True)
+    assert begin() == ("runs/small-1", True)
+    assert Path("runs/small-1/launch-2/can.log").read_text() == "launch 2"
+    assert begin(fresh=True) == ("runs/small-2", False)
+    assert begin(robots=3) == ("runs/small-3", False), "another fleet"
+    fleet = fleet_folder(None, _setting(3), False)
+    assert fleet.continues
+    end_fleet(fleet, _setting(3))
+    for lock in fleet.locks:
+        lock.close()
+    assert begin(robots=3) == ("runs/small-4", False), "its work was done"
+    out = Path("mine")
+    assert begin(out=out) == ("mine", False)
+    assert begin(out=out) == ("mine", True)
+    with pytest.raises(FolderError, match="--fresh"):
+        begin(robots=3, out=out)
+    assert begin(robots=3, fresh=True, out=out) == ("mine", False)
+    assert (out / "launch-2" / "robot0.sqlite").exists(), "memory is put away, never deleted"
+    with pytest.raises(FolderError, match="journals"):
+        folder_for(out, "small")
+
+
+def test_e2_the_world_goes_on_where_it_was_killed(folder: Path) -> None:
+    path = folder / "truth.jsonl"
+    setting = _setting()
+    world = setting.world()
+    memory = WorldMemory(path, world)
+    assert memory.now_us == 0
+    world.place(world.robots[1], 3.0, 4.0, 0.5)
+    for k in (1, 2, 3):
+        world.advance(k * S)
+        memory.look()
+    memory.close()
+    whole = path.read_bytes()
+    path.write_bytes(whole + b'{"t_us": 4000000, "poses"')  # killed while it wrote
+    again = setting.world()
+    kept = WorldMemory(path, again)
+    assert kept.now_us == again.now_us == world.now_us
+    assert path.read_bytes() == whole
+    for slot, body in world.robots.items():
+        assert again.robots[slot].position == pytest.approx(body.position)
+        assert [p[:3] for p in again.robots[slot].track] == [p[:3] for p in body.track]
+    again.advance(4 * S)
+    kept.look()
+    kept.close()
+    third = setting.world()
+    WorldMemory(path, third).close()
+    assert len(third.robots[0].track) == len(again.robots[0].track)
+
+
+def test_f_the_truth_of_a_launch_grows_by_megabytes_a_day(folder: Path) -> None:
+    """Two looks a second of ten robots, each of which stayed, were 100 MB a day."""
+    path, seconds, seed = folder / "truth.jsonl", 300, 24
+    world = Setting(load("oxted").changed(10, seed, None)).world()
+    for body in world.robots.values():
+        body.track.straight_m = STRAIGHT_M
+    memory, rng = WorldMemory(path, world), Random(seed)
+    wanted = dict.fromkeys(world.robots, Drive(0.0, 0.0))
+    for look in range(2 * seconds):
+        for slot in world.robots:
+            if look % 40 == 0:  # a turn each 20 s
+                turn = rng.uniform(-0.3, 0.3)
+                wanted[slot] = Drive(0.6 * cos(turn), 0.6 * sin(turn), 0.0, look % 80 == 0)
+        for part in range(5):  # commands expire
+            for slot, body in world.robots.items():
+                body.drive(wanted[slot], (5 * look + part) * S // 10)
+        world.advance((look + 1) * S // 2)
+        memory.look()
+    assert all(body.track.driven_m > 0.3 * seconds for body in world.robots.values())
+    memory.close()
+    a_day = path.stat().st_size * 86_400 / seconds
+    assert a_day < 30e6, f"seed {seed}: {a_day / 1e6:.0f} MB a day"
+    again = Setting(load("oxted").changed(10, seed, None)).world()
+    WorldMemory(path, again).close()
+    for slot, body in world.robots.items():
+        assert [p[:3] for p in again.robots[slot].track] == [p[:3] for p in body.track]
+
+
+def test_e2_a_world_that_is_launched_three_times_keeps_all_of_its_track(folder: Path) -> None:
+    """The newest point of a life may still have moved; the next life tells it again."""
+    path = folder / "truth.jsonl"
+    for life in range(3):
+        world = _setting().world()
+        memory = WorldMemory(path, world)
+        assert (memory.now_us > 0) == (life > 0)
+        world.advance(world.now_us + 25 * S)
+        memory.look()
+        world.advance(world.now_us + 3 * S)
+        memory.look()
+        memory.close()
+        told = [list(body.track) for body in world.robots.values()]
+    last = _setting().world()
+    WorldMemory(path, last).close()
+    found = [list(body.track) for body in last.robots.values()]
+    assert [[p[:3] for p in track] for track in found] == [[p[:3] for p in track] for track in told]
+
+
+def test_e2_parcels_go_on_where_they_lay(folder: Path) -> None:
+    from sim.scenarios.delivery_scenario import load_warehouse
+    from sim.scenarios.delivery_setup import DeliverySetting
+
+    setting = DeliverySetting(load_warehouse("warehouse"))
+    parcels, path = setting.parcels(), folder / "truth.jsonl"
+    world = setting.world()
+    memory = WorldMemory(path, world, parcels)
+    parcels.appear(900, (1.0, 2.0), (5.0, 5.0), 7)
+    parcels.handle(0, 900, (1.0, 2.0), 9)
+    world.advance(S)
+    memory.look()
+    memory.close()
+    again: Parcels = setting.parcels()
+    WorldMemory(path, setting.world(), again).close()
+    assert again.aboard == {0: 900} and again.dropoff == parcels.dropoff
+    assert again.to_plain() == parcels.to_plain() and again.flaws == parcels.flaws
+
+
+def test_m22_faults_in_a_launch_are_refused(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    text = 'name = "x"\n[field]\nfile = "small.geojson"\n[[fault]]\nkind = "heal"\nat_s = 1\n'
+    (folder / "x.toml").write_text(text)
+    said = Complaints(monkeypatch, capfd).of("launch x.toml", folder)
+    assert said.code == 2 and "fault" in said.line and "headland run" in said.line

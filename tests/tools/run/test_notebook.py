@@ -1,0 +1,84 @@
+"""Python instead of a command: the examples run, and a run in Python is the run of the command."""
+
+import ast
+import json
+import runpy
+from pathlib import Path
+
+import pytest
+
+from sim.scenarios.scenario import ScenarioError
+from tools.run.notebook import Picture, Run, play
+from tools.run.run_field import run as run_command
+
+EXAMPLES = Path(__file__).parents[3] / "examples"
+PNG = b"\x89PNG"
+
+
+def test_ten_lines_are_ten_and_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = EXAMPLES / "ten_lines.py"
+    body = ast.parse(path.read_text()).body[1:]  # without its docstring
+    assert sum((node.end_lineno or 0) - node.lineno + 1 for node in body) == 10
+    monkeypatch.chdir(tmp_path)
+    runpy.run_path(str(path))
+    said = capsys.readouterr().out
+    assert " 0 contacts" in said and "PERSON_IN_FIELD" in said
+    assert (tmp_path / "sections.png").read_bytes().startswith(PNG)
+    assert "PERSON_IN_FIELD" in (tmp_path / "ten_lines.html").read_text()
+
+
+def test_the_notebook_runs_from_top_to_bottom() -> None:
+    notebook = json.loads((EXAMPLES / "ten_lines.ipynb").read_text())
+    assert notebook["nbformat"] == 4
+    cells = ["".join(c["source"]) for c in notebook["cells"] if c["cell_type"] == "code"]
+    assert all(not c.get("outputs") for c in notebook["cells"]), "outputs do not belong into git"
+    names: dict[str, object] = {}
+    shown = []
+    for cell in cells:
+        *first, last = ast.parse(cell).body
+        exec(compile(ast.Module(first, []), "cell", "exec"), names)
+        assert isinstance(last, ast.Expr)
+        shown.append(eval(compile(ast.Expression(last.value), "cell", "eval"), names))
+    run, tracks, sections, rmse_m, stops = shown
+    assert isinstance(run, Run) and "<td>coverage</td>" in run._repr_html_()
+    for picture in (tracks, sections):
+        assert isinstance(picture, Picture) and picture._repr_png_().startswith(PNG)
+    assert isinstance(rmse_m, dict) and set(rmse_m) == set(range(4))
+    assert isinstance(stops, list) and {row["robot"] for row in stops} == {0, 1, 3}
+
+
+def test_it_is_the_run_of_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_command("small", 2, 5, tmp_path, True) == 0
+    told = json.loads(capsys.readouterr().out)
+    run = play("small", 2, 5)
+    assert (run.trace_hash, run.log_hash) == (told["trace_hash"], told["log_hash"])
+    assert run.success and run.tracks[0].shape[1] == 3 and run.tracks[0][-1, 0] <= run.simulated_s
+    with pytest.raises(AttributeError, match="it has"):
+        _ = run.coverge
+    with pytest.raises(ValueError, match="choose one of"):
+        run.picture("gantt")
+    with pytest.raises(ValueError, match="Nobody pressed a stop"):
+        run.picture("stops")
+
+
+def test_errands_in_a_building() -> None:
+    run = play("corridor", robots=4, seed=2, time_limit_s=200.0)
+    assert run.finished and max(run.rmse_m.values()) < 0.5
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        ({"scenario": "nowhere"}, "no such file"),
+        ({"scenario": "warehouse"}, "headland run warehouse"),
+        ({"scenario": "small", "faults": [{"kind": "estop", "at_s": 1, "robot": 9}]}, "robot 9"),
+        ({"scenario": "small", "faults": [{"kind": "flood", "at_s": 1}]}, "fault"),
+        ({"scenario": "small", "time_limit_s": -1.0}, "time_limit_s"),
+    ],
+)
+def test_what_cannot_be_is_one_line(words: dict[str, object], why: str) -> None:
+    with pytest.raises(ScenarioError, match=why) as found:
+        play(**words)  # type: ignore[arg-type]
+    assert "\n" not in str(found.value)

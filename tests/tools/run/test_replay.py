@@ -1,0 +1,56 @@
+"""Logs in every format we write, read back by the inspector and by python-can."""
+
+import json
+from pathlib import Path
+
+import can
+import pytest
+
+from tools.inspect.inspection import frames_of
+from tools.run.replay import replay
+from tools.run.run_field import run
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("recorded")
+    logs = [out / f"more{suffix}" for suffix in (".blf", ".asc", ".csv")]
+    assert run("small", 2, 1, out, False, None, logs) == 0
+    return out
+
+
+@pytest.mark.parametrize("name", ["more.blf", "more.asc", "more.csv"])
+def test_every_format_holds_the_same_frames(recorded: Path, name: str) -> None:
+    ours = list(frames_of(recorded / "can.log"))
+    theirs = list(frames_of(recorded / name))
+    assert [frame for _, frame in theirs] == [frame for _, frame in ours]
+    # ASC begins at its first frame; all are exact to what the format can say
+    offset_us = ours[0][0] - theirs[0][0]
+    assert all(abs(a[0] - b[0] - offset_us) <= 100 for a, b in zip(ours, theirs, strict=True))
+    assert sum(1 for _ in can.LogReader(recorded / name)) == len(ours)
+
+
+def test_replay_shows_what_the_run_ended_with(
+    recorded: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert replay(recorded, 0.0, "", "can0", 250_000, "", 0, True) == 0
+    seen = json.loads(capsys.readouterr().out)
+    assert {robot["slot"] for robot in seen["robots"]} == {0, 1}
+    assert all(section["phase"] == "DONE" for section in seen["sections"].values())
+
+
+def test_replay_onto_a_bus(recorded: Path) -> None:
+    with can.Bus(interface="virtual", channel="replay") as listener:
+        assert replay(recorded, 0.0, "virtual", "replay", 250_000, "", 0, True) == 0
+        heard = 0
+        while listener.recv(0.0) is not None:
+            heard += 1
+    assert heard == sum(1 for _ in frames_of(recorded))
+
+
+def test_what_cannot_be_read_or_written_is_said_in_a_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert replay(tmp_path / "none.log", 0.0, "", "can0", 250_000, "", 0, False) == 2
+    assert run("small", 1, 1, tmp_path, False, None, [tmp_path / "log.db"]) == 2
+    assert all(line.startswith("headland: ") for line in capsys.readouterr().err.splitlines())

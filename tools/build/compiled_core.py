@@ -1,0 +1,59 @@
+"""The hot modules of a simulation as machine code, made by mypyc from the very same sources.
+
+Extension modules under `build/core/NAME`, where NAME has a digest of every source that a result depends
+on and the interpreter: what is stale has another name, and is never found. Nothing needs a core; who
+looks for one and finds none goes on interpreted. A native class cannot be changed from outside, so
+planted bugs, and tests that put something in a class's place, run without; so do robots.
+"""
+
+import os
+import sys
+import sysconfig
+from collections.abc import Sequence
+from importlib.machinery import ModuleSpec
+from importlib.util import spec_from_file_location
+from pathlib import Path
+from types import ModuleType
+
+from tools.common.fingerprint import ROOT, fingerprint
+
+FOLDER = ROOT / "build" / "core"
+SUFFIX: str = sysconfig.get_config_var("EXT_SUFFIX")
+OFF = "HEADLAND_INTERPRETED"  # set in the environment: no core is used
+
+
+def place() -> Path:
+    """Where a core of these sources for this interpreter is, or would be."""
+    return FOLDER / f"{fingerprint()}-{sys.implementation.cache_tag}"
+
+
+class Finder:
+    """Finds the modules of a core before anybody looks for their sources."""
+
+    def __init__(self, folder: Path) -> None:
+        self.files = {
+            ".".join(file.relative_to(folder).parts).removesuffix(SUFFIX): file
+            for file in folder.glob(f"**/*{SUFFIX}")
+        }
+
+    def find_spec(
+        self, name: str, path: Sequence[str] | None = None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        file = self.files.get(name)
+        return None if file is None else spec_from_file_location(name, file)
+
+
+def use(folder: Path | None = None) -> bool:
+    """Import from the core from now on. False: there is none, or this process has begun without.
+
+    `folder`: another one than that of these sources.
+    """
+    if OFF in os.environ:
+        return False
+    if any(isinstance(finder, Finder) for finder in sys.meta_path):
+        return True
+    finder = Finder(folder or place())
+    if not finder.files or any(name in sys.modules for name in finder.files):
+        return False
+    sys.meta_path.insert(0, finder)
+    return True

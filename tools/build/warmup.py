@@ -1,0 +1,200 @@
+"""`headland warmup`: compile the kernels once, so that no robot waits for it in the field."""
+
+import os
+import signal
+import time
+from collections.abc import Callable
+from multiprocessing import Pool
+
+import numpy as np
+from rich.console import Console
+
+
+def _paths() -> None:
+    from agent.paths.any_angle_planner import Planner
+
+    blocked = np.zeros((8, 8), dtype=bool)
+    blocked[3:5, 3:5] = True
+    planner = Planner(blocked)
+    planner.plan((0, 0), (7, 7))
+    planner.update([(4, 4, False)])
+    planner.plan_plain((0, 0), (7, 7))  # the last resort of a search
+
+
+def _map() -> None:
+    from agent.mapping.occupancy_grid import OccupancyGrid
+
+    grid = OccupancyGrid(30, 30, (0.0, 0.0), 0.3)
+    grid.observe((1.0, 1.0), 0.0, [2.0] * 8, 4.0)
+    grid.plan((1.0, 1.0), (5.0, 5.0))
+
+
+def _avoidance() -> None:
+    from agent.avoidance.fence_distance import gap_m, way_gap_m
+    from agent.avoidance.orca import Avoidance
+
+    fences = np.array([[0.0, 0.0, 9.0, 0.0]])
+    gap_m(1.0, 1.0, fences)
+    way_gap_m(1.0, 1.0, 1.0, 0.0, 0.5, 3, fences)
+    robot = Avoidance(0.5, 2.0, 1.0, 4.0, 0.05, fences)
+    rows: list[tuple[float, ...]] = [
+        (1.5, 0.1, -1.0, 0.0, 1.0, 0.5),
+        (0.1, 1.2, 0.0, -1.0, 1.0, 0.5),
+    ]
+    robot.velocity((3.0, 1.0), (1.0, 0.0), (1.5, 0.0), rows)
+
+
+def _coverage() -> None:
+    from agent.coverage.approach import lay
+    from agent.coverage.team import Team
+
+    team = Team(np.zeros((6, 6), dtype=np.bool_), [(0, 0), (3, 3)])
+    grid = team.grid  # the ways to far runs, which only larger places have
+    lay(grid.free, grid.free, grid.width, team.number((0, 0)), team.number((5, 5)), grid.queue)
+    while team.remaining():
+        team.advance()
+
+
+def _agreement() -> None:
+    from agent.mapf.linear_assignment import assigned
+    from agent.mapping.building import Floor
+    from agent.mapf.lacam import planned
+    from agent.interface.ports import Observation
+    from agent.motion.unexplained_echoes import Sensed
+
+    assigned(np.ones((2, 3)))
+    floor = Floor.drawn("...\n...", 1.0, 0.35)
+    planned(floor.lattice.near, [0, 2], [2, 0])  # one of them has to wait: it is put back, too
+    hall = Floor.drawn("\n".join(["....."] * 4), 1.0, 0.35)
+    planned(hall.lattice.near, list(range(12)), list(range(11, -1, -1)))  # many: in groups
+    here = Observation(1.5, 0.5, 0.0, 0.0, 0.0, (0.5, 1.0, 1.5))
+    Sensed(floor.fences, 0.35).strange(here, 5.0, [(0.5, 0.5)])
+
+
+def _exploration() -> None:
+    from agent.exploration.frontier import frontiers, wave_from
+
+    values = np.zeros((12, 12), dtype=np.int64)
+    values[:, :6] = 1  # free; the rest is unknown
+    frontiers(values, wave_from(values == 1, (5, 1)), 3)
+
+
+def _delivery() -> None:
+    from agent.delivery.auction import Planner
+    from agent.delivery.cost_matrix import Carrier, CostMatrix, Trip, workload
+    from agent.mapping.building import Floor
+    from agent.paths.nav_mesh import Mesh
+
+    floor = Floor.drawn("......\n..##..\n......", 1.0, 0.3)
+    costs = CostMatrix(Mesh(floor.inflated, floor.origin, floor.fine_m))
+    trips = [Trip((0.5, 0.5), (5.5, 0.5)), Trip((5.5, 2.5), (0.5, 2.5))]
+    planner = Planner(workload(costs, Carrier(1.0, 2.0), trips, [(0.5, 1.5)], [0]))
+    first = planner.auctioned()
+    planner.inserted(0, first[0][:1], first[0][1])
+    planner.improved(first, 1, 10)
+    planner.hastened(first, 1, 10)
+
+
+def _wire() -> None:
+    from sim.can.frame_timing import frame_bits
+
+    frame_bits(0x18FF1080, bytes(8))
+
+
+def _world() -> None:
+    from shapely.geometry import box
+
+    from agent.interface.effects import Drive
+    from sim.world.coverage_truth import coverage, sample_points
+    from sim.world.reachable_ground import Body, reachable_ground
+    from sim.world.drive_trains import Chassis
+    from sim.world.world import World
+
+    ring = [(0.0, 0.0), (20.0, 0.0), (20.0, 20.0), (0.0, 20.0)]
+    world = World([ring], 0, engine="contact_free")
+    world.add_robot(0, (5.0, 5.0), 0.5, Chassis())
+    world.body(0).drive(Drive(1.0, 0.0, 0.0, True), 0)
+    world.advance(1_000_000)
+    world.engine = "pymunk"
+    world.advance(1_100_000)
+    raster = sample_points(box(0, 0, 20, 20), 2.0, 0.2)
+    coverage(raster, {0: world.body(0).track}, 2.0)
+    reachable_ground(box(0, 0, 20, 20), raster, Body(2.0, 0.2, 0.5, 1.5), [(5.0, 5.0)])
+
+
+def _fleets() -> None:
+    """What simulations of many robots compute for all of them at once."""
+    from tools.bench.kernels.agent_table import AGENT_COLUMNS
+    from agent.avoidance.obstacle_tree import obstacle_tree
+    from tools.bench.kernels.occupancy_fleet import OccupancyFleet
+    from agent.avoidance.orca import Avoidance
+    from tools.bench.kernels.orca_fleet import Fleet
+    from sim.world.lidar import Lidar
+    from sim.world.drive_trains import Chassis
+    from sim.world.world import World
+
+    ring = [(0.0, 0.0), (20.0, 0.0), (20.0, 20.0), (0.0, 20.0)]
+    walls = obstacle_tree([ring[::-1]])
+    Fleet(np.ones((2, AGENT_COLUMNS), dtype=np.float32), 0.05, walls).step()
+    Avoidance(0.5, 2.0, 1.0, 4.0, 0.05, np.zeros((0, 4)), walls=walls).among_known(
+        (5.0, 5.0), (0.0, 0.0), (1.0, 0.0), 0.0
+    )
+    world = World([ring], 0, Lidar(8, 4.0))
+    world.add_robot(0, (5.0, 5.0), 0.5, Chassis())
+    maps = OccupancyFleet(1, np.zeros((100, 100), dtype=np.bool_), (0.0, 0.0), 0.5, 0.7)
+    maps.observe(world.motion[:, :3], world.ranges_of_all(), 4.0)
+
+
+def _turns() -> None:
+    from agent.paths.tractor_route import Pose, TurnRoute
+
+    blocked = np.zeros((80, 80), dtype=bool)
+    blocked[:4] = True
+    route = TurnRoute(blocked, 0.0, 0.0, 0.25, 1.8)
+    route.way(Pose(3.0, 3.0, 0.0), Pose(9.0, 9.0, 1.0))
+    route.way(Pose(9.0, 1.2, -1.57), Pose(9.0, 1.2, 1.57))
+
+
+# Longest first: two processes then end at about the same time.
+PARTS: tuple[tuple[str, Callable[[], None]], ...] = (
+    ("coverage", _coverage),
+    ("paths", _paths),
+    ("delivery", _delivery),
+    ("fleets", _fleets),
+    ("agreement", _agreement),
+    ("turns", _turns),
+    ("world", _world),
+    ("avoidance", _avoidance),
+    ("map", _map),
+    ("exploration", _exploration),
+    ("wire", _wire),
+)
+
+
+def warm(steering: bool) -> None:
+    """Compile what is not compiled; a fraction of a second where everything is."""
+    for name, part in PARTS:
+        # Only bodies that steer plan turns, and only simulations compute for all robots at once.
+        if name != "fleets" and (steering or name != "turns"):
+            part()
+
+
+def main(jobs: int) -> int:
+    """`jobs`: processes beside each other, 0: one for each core."""
+    console, begun_s = Console(), time.perf_counter()
+    numbers = range(len(PARTS))
+    # Those behind it leave Ctrl-C to the one in front, which ends them.
+    leave = signal.signal, (signal.SIGINT, signal.SIG_IGN)
+    with Pool(jobs or os.cpu_count(), *leave) as pool, console.status("compiling ..."):
+        for name, spent_s in pool.imap_unordered(_compiled, numbers):
+            console.print(f"{name:11} {spent_s:6.1f} s")
+    total_s = time.perf_counter() - begun_s
+    console.print(f"ready after {total_s:.1f} s; a first start without this takes longer")
+    return 0
+
+
+def _compiled(number: int) -> tuple[str, float]:
+    name, part = PARTS[number]
+    start_s = time.perf_counter()
+    part()
+    return name, time.perf_counter() - start_s

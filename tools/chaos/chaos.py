@@ -1,0 +1,252 @@
+"""`headland chaos`: bad luck by the thousand, judged from outside; the first failure made small."""
+
+import itertools
+import os
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from sim.chaos.fault_profiles import PROFILES, draw
+from sim.chaos.planted_bugs import MUTANTS
+from sim.chaos.shrink import shrink
+from sim.chaos.verdict import RULES, Verdict, judge
+from sim.files.strict_json import dumps
+from sim.fleet.gc_tuning import leave_standing
+from sim.scenarios.scenario import ScenarioError, load
+from sim.scenarios.toml_writer import to_toml
+from tools.chaos.campaign import ClusterError, room, workers
+from tools.chaos.chaos_report import ReportError, report
+from tools.chaos.planted_bug_hunt import hunt_all
+from tools.common.fingerprint import ROBOTS, fingerprint
+from tools.common.gc_collector import patient
+
+FAILED, WRONG = 1, 2
+KEEP_S = 30.0  # between two writings of what was shown so far: all that is lost with a process
+
+
+def chaos(
+    seeds: str, profile: str, jobs: int, seconds: float | None, out: Path, mutants: bool,
+    as_json: bool, cluster: str = "", only: Sequence[str] = (),
+) -> int:  # fmt: skip
+    console = Console(stderr=as_json)
+    try:
+        numbers = _range(seeds)
+        for name in only:
+            if name not in MUTANTS:
+                raise ValueError(f"no planted bug {name}: choose of {', '.join(MUTANTS)}")
+        if profile not in PROFILES:
+            raise ValueError(f"no profile {profile}: choose one of {', '.join(PROFILES)}")
+        out.mkdir(parents=True, exist_ok=True)
+    except (ValueError, OSError) as problem:
+        print(f"headland: {problem}", file=sys.stderr)
+        return WRONG
+    jobs = jobs or os.cpu_count() or 1
+    leave_standing()  # and the workers inherit it
+    if mutants:
+        rows = hunt_all(console, only, jobs, seconds, out, as_json, numbers.start)
+        found = sum(row["found"] for row in rows)
+        console.print(f"{found} of {len(rows)} planted bugs found")
+        return 0 if found == len(rows) else FAILED
+
+    def keep(verdicts: list[Verdict], cpu_s: float) -> dict[str, Any]:
+        told = _report(verdicts, profile)
+        told |= {
+            "seeds": _played(verdicts),
+            "code": fingerprint(),
+            "robots": fingerprint(ROBOTS),
+            "cpu_s": round(cpu_s, 1),
+        }
+        _write(out, told)
+        return told
+
+    try:
+        verdicts, cpu_s = _campaign(console, numbers, profile, jobs, seconds, cluster, keep)
+    except ClusterError as problem:
+        print(f"headland: {problem}", file=sys.stderr)
+        return WRONG
+    told = keep(verdicts, cpu_s)
+    failed = [verdict for verdict in verdicts if not verdict.ok]
+    if failed:
+        told["reproduction"] = _reproduce(console, failed[0], profile, out)
+        _write(out, told)
+    if as_json:
+        print(dumps(told))
+    else:
+        _show(console, told)
+    return FAILED if failed else 0
+
+
+def _write(out: Path, told: dict[str, Any]) -> None:
+    """Whole or not at all."""
+    written = out / "chaos.json.new"
+    written.write_text(dumps(told, indent=1) + "\n")
+    written.replace(out / "chaos.json")
+
+
+def _in_a_row(verdicts: list[Verdict], first: int) -> list[Verdict]:
+    """From the first seed on, without the runs that were quicker than one before them."""
+    done = {verdict.seed: verdict for verdict in verdicts}
+    return [done[seed] for seed in itertools.takewhile(done.__contains__, itertools.count(first))]
+
+
+def _played(verdicts: list[Verdict]) -> tuple[int, int]:
+    """Seeds are handed out in order: first, and one after the last."""
+    seeds = [verdict.seed for verdict in verdicts]
+    return min(seeds, default=0), max(seeds, default=-1) + 1
+
+
+def tell_report(folder: Path) -> int:
+    try:
+        print(report(folder), end="")
+    except ReportError as problem:
+        print(f"headland: {problem}", file=sys.stderr)
+        return WRONG
+    return 0
+
+
+def judge_file(path: Path, as_json: bool, golden: bool = False) -> int:
+    """A scenario of its own, with faults written by hand or found by a campaign.
+
+    `golden`: its trace hash is kept beside it, and has to be the same from now on.
+    """
+    try:
+        verdict = judge(load(str(path)))
+    except ScenarioError as problem:
+        print(f"headland: {problem}", file=sys.stderr)
+        return WRONG
+    if golden and verdict.ok:
+        path.with_suffix(".trace").write_text(f"{verdict.trace_hash}\n")
+    if as_json:
+        print(dumps(_report([verdict], str(path))))
+    else:
+        for broken in verdict.broken:
+            print(f"{broken.rule} at {broken.t_s:.3f} s: {broken.what} ({RULES[broken.rule]})")
+        if verdict.ok:
+            print(f"every rule kept in {verdict.simulated_s:.0f} s; trace {verdict.trace_hash}")
+    return 0 if verdict.ok else FAILED
+
+
+def _range(text: str) -> range:
+    first, colon, end = text.partition(":")
+    if not first.isdigit() or (colon and not end.isdigit()):
+        raise ValueError(f"--seeds {text}: a seed, or FIRST:END as in 0:1000")
+    seeds = range(int(first), int(end) if colon else int(first) + 1)
+    if not seeds:
+        raise ValueError(f"--seeds {text}: there is no seed from {first} to before {end}")
+    return seeds
+
+
+def judged(seed: int, profile: str) -> Verdict:
+    with patient():
+        return judge(draw(seed, profile))
+
+
+def _timed(seed: int, profile: str) -> tuple[Verdict, float]:
+    """And the CPU seconds that it took."""
+    begun_s = time.process_time()
+    return judged(seed, profile), time.process_time() - begun_s
+
+
+def _campaign(
+    console: Console, seeds: range, profile: str, jobs: int, seconds: float | None, cluster: str,
+    keep: Callable[[list[Verdict], float], object],
+) -> tuple[list[Verdict], float]:  # fmt: skip
+    """Verdicts in order of seeds, and their CPU seconds; stops handing out work when the time is over."""
+    verdicts, cpu_s = list[Verdict](), 0.0
+    kept_s = time.monotonic()
+    end_s = kept_s + (seconds if seconds is not None else float("inf"))
+    with (
+        Progress(TextColumn("{task.description}"), TimeElapsedColumn(), console=console,
+                 transient=True) as progress,
+        workers(jobs, cluster) as pool,
+    ):  # fmt: skip
+        bar = progress.add_task("")
+        todo: Iterator[int] = iter(seeds)
+        running: set[Future[tuple[Verdict, float]]] = set()
+        while True:
+            while len(running) < room(jobs, cluster) and time.monotonic() < end_s:
+                seed = next(todo, None)
+                if seed is None:
+                    break
+                running.add(pool.submit(_timed, seed, profile))
+            if not running:
+                break
+            done, running = wait(running, return_when=FIRST_COMPLETED)
+            for future in done:
+                verdict, spent_s = future.result()
+                verdicts.append(verdict)
+                cpu_s += spent_s
+            if time.monotonic() - kept_s > KEEP_S:
+                kept_s = time.monotonic()
+                keep(_in_a_row(verdicts, seeds.start), cpu_s)
+            bad = sum(not verdict.ok for verdict in verdicts)
+            text = f"{profile}: {len(verdicts)} of {len(seeds)} seeds, {bad} failed"
+            progress.update(bar, description=text)
+    return sorted(verdicts, key=lambda verdict: verdict.seed), cpu_s
+
+
+def campaign_hash(verdicts: list[Verdict]) -> str:
+    """Of every run's trace and of every rule it broke: equal wherever the runs ran."""
+    told = [(v.seed, v.trace_hash, [(b.rule, b.what) for b in v.broken]) for v in verdicts]
+    return sha256(repr(told).encode()).hexdigest()[:16]
+
+
+def _report(verdicts: list[Verdict], profile: str) -> dict[str, Any]:
+    faults: Counter[str] = sum((v.faults for v in verdicts), Counter())
+    hours = sum(v.robots * v.simulated_s for v in verdicts) / 3600
+    return {
+        "profile": profile, "hash": campaign_hash(verdicts), "runs": len(verdicts),
+        "robot_hours": round(hours, 2),
+        "faults": dict(faults.most_common()), "failed": [v.seed for v in verdicts if not v.ok],
+        "broken": [
+            {"seed": v.seed, "rule": b.rule, "t_s": round(b.t_s, 3), "what": b.what}
+            for v in verdicts for b in v.broken
+        ],
+    }  # fmt: skip
+
+
+def _reproduce(console: Console, verdict: Verdict, profile: str, out: Path) -> str:
+    """The first failure with as little as it takes, as a scenario that can be run again."""
+    rule = verdict.broken[0].rule
+    console.print(
+        f"seed {verdict.seed} breaks {rule}: {verdict.broken[0].what}; making it small ..."
+    )
+    small, runs = shrink(
+        draw(verdict.seed, profile), lambda s: any(b.rule == rule for b in judge(s).broken)
+    )
+    path = out / f"{profile}-{verdict.seed}-{rule}.toml"
+    path.write_text(f"# breaks {rule}: {verdict.broken[0].what}\n{to_toml(small)}")
+    faults = len(small.fault)
+    console.print(
+        f"{faults} faults with the mending, {small.fleet.robots} robots ({runs} runs): {path}"
+    )
+    see = "" if small.mission in ("drill", "sprint") else f"; see it with: headland run {path}"
+    console.print(
+        f"judge it again with: headland chaos --seeds {verdict.seed} --profile {profile}, "
+        f"or made small: headland chaos --scenario {path}{see}"
+    )
+    return str(path)
+
+
+def _show(console: Console, report: dict[str, Any]) -> None:
+    table = Table(title=f"{report['runs']} runs, {report['robot_hours']} robot-hours")
+    table.add_column("fault")
+    table.add_column("injected", justify="right")
+    for kind, count in report["faults"].items():
+        table.add_row(kind, str(count))
+    console.print(table)
+    for broken in report["broken"]:
+        console.print(
+            f"[red]seed {broken['seed']}: {broken['rule']} at {broken['t_s']} s: {broken['what']}"
+        )
+    if not report["broken"]:
+        console.print("every rule kept")

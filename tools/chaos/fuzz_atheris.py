@@ -1,0 +1,19 @@
+"""`python -m tools.chaos.fuzz_atheris TARGET [libFuzzer options]`: the process that `headland fuzz` starts."""
+
+import sys
+
+import atheris
+
+with atheris.instrument_imports(include=["protocol", "crdt", "agent.peer.durable_records", "agent.safety.stop_controller",
+                                         "agent.peer.inbound", "agent.peer.membership"]):  # fmt: skip
+    from sim.chaos.fuzz_targets import TARGETS
+
+
+def main() -> None:
+    target = TARGETS[sys.argv[1]]
+    atheris.Setup([sys.argv[0], *sys.argv[2:]], target)
+    atheris.Fuzz()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,179 @@
+"""`headland bridge`: a gateway between a bus and the rest of the fleet, over Eclipse Zenoh.
+
+Start two or more on a segment: one leads, all carry stops, and another leads when that one dies. A
+gateway on a socketcand bus is back by itself when the server of that bus is.
+"""
+
+import asyncio
+import secrets
+import signal
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from agent.interface.ports import Bus
+from agent.runtime.gateway_runner import GatewayShell
+from agent.segments.gateway import Gateway, Publish
+from agent.segments.map_relay import MapRelay
+from agent.segments.segment_area import Area, Place
+from protocol.backbone_messages import Kind
+from protocol.controller_health import Health
+from protocol.frames.segment_frames import SEGMENT_MAX
+from protocol.links.zenoh_link import LinkError, ZenohBus, ZenohLink, configure
+from protocol.name import GATEWAY_FUNCTION, Name
+from sim.files.given_file import SETTINGS_BYTES_MAX, read_toml
+from sim.files.strict_json import dumps
+from sim.fleet.gc_tuning import leave_standing
+from tools.common.bus_attach import AttachError, attach, keep_attached
+
+TELL_S = 5.0  # a status line this often
+WRONG = 2
+
+
+class ZenohBackbone:
+    """One segment's end of the backbone. Keys: headland/FLEET/SEGMENT/KIND[/TARGET]."""
+
+    def __init__(self, link: ZenohLink, fleet: str, segment: int) -> None:
+        self.link, self.fleet, self.segment = link, fleet, segment
+        self.sent = 0
+
+    def publish(self, message: Publish) -> None:
+        self.sent += 1
+        target = f"/{message.target}" if message.target else ""
+        key = f"headland/{self.fleet}/{self.segment}/{message.kind.name.lower()}{target}"
+        self.link.put(key, message.data, message.kind in (Kind.STOPS, Kind.RESETS))
+
+    def subscribe(self, callback: Callable[[bytes], None]) -> None:
+        def key(kind: Kind) -> str:
+            return f"headland/{self.fleet}/*/{kind.name.lower()}"
+
+        for kind in (Kind.STOPS, Kind.RESETS):
+            self.link.subscribe(key(kind), callback, keep=True)
+        for kind in (Kind.SUMMARY, Kind.MAP):
+            self.link.subscribe(key(kind), callback)
+        self.link.subscribe(f"{key(Kind.WORK)}/{self.segment}", callback)
+
+    def close(self) -> None:
+        self.link.close()
+
+
+def read_area(segment: int, file: Path | None) -> Area:
+    """A TOML file of the borders; none: a segment that shares no section. Raises AttachError.
+
+    home = 40                                       # sections 0 to 39 are this segment's
+    lent = [{ section = 39, to = [2] }]             # shared with segment 2
+    borrowed = [{ section = 40, of = 2, there = 0 }]  # here 40, at its home, segment 2, section 0
+    """
+    if not 1 <= segment <= SEGMENT_MAX:
+        raise AttachError(f"--segment {segment}: a number from 1 to {SEGMENT_MAX}")
+    if file is None:
+        return Area(segment, 0)
+    try:
+        told = read_toml(file, SETTINGS_BYTES_MAX)
+        return Area(
+            segment,
+            int(told.get("home", 0)),
+            {int(row["section"]): frozenset(map(int, row["to"])) for row in told.get("lent", ())},
+            {
+                int(row["section"]): Place(int(row["of"]), int(row["there"]))
+                for row in told.get("borrowed", ())
+            },
+        )
+    except (ValueError, KeyError, TypeError, AssertionError) as problem:
+        raise AttachError(f"{file} does not describe an area: {problem}") from None
+
+
+def read_map(segment: int, arena: str, now_us: int) -> MapRelay | None:
+    """The map of an arena that all segments explore. Raises AttachError."""
+    if not arena:
+        return None
+    from sim.scenarios.exploration_scenario import ArenaSetting, load_arena
+    from sim.scenarios.scenario import ScenarioError
+
+    try:
+        setting = ArenaSetting(load_arena(arena))
+    except ScenarioError as problem:
+        raise AttachError(f"--arena: {problem}") from None
+    return MapRelay(segment, setting.geometry, setting.order, now_us)
+
+
+async def open_bus_of(
+    interface: str, channel: str, bitrate: int, host: str, port: int, link: ZenohLink, key: str
+) -> Bus:
+    """A CAN bus, or for `-i zenoh` the one that robots on the backbone share."""
+    if interface == "zenoh":
+        return ZenohBus(link, key)
+    if interface == "socketcand":
+        return await keep_attached(channel, host, port, key)
+    return attach(interface, channel, bitrate, host, port)
+
+
+async def carry(
+    area: Area, bus: Bus, backbone: ZenohBackbone, as_json: bool, seconds: float | None, arena: str
+) -> None:
+    """Until a signal, or for so long."""
+    loop = asyncio.get_running_loop()
+    end = asyncio.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, end.set)
+    if seconds is not None:
+        loop.call_later(seconds, end.set)
+
+    def now_us() -> int:
+        return round(loop.time() * 1e6)
+
+    boot = secrets.randbits(32)
+    name = Name(boot & 0x1FFFFF, function=GATEWAY_FUNCTION, arbitrary_address=0)
+    gateway = Gateway(area, name, boot, now_us(), read_map(area.segment, arena, now_us()))
+
+    def at(t_us: int, call: Callable[[], None]) -> asyncio.TimerHandle:
+        return loop.call_at(t_us / 1e6, call)
+
+    shell = GatewayShell(gateway, bus, backbone, now_us, at)
+    leave_standing()
+    shell.begin()
+    shown: object = None
+    while not end.is_set():
+        status = {**gateway.status(now_us()), "bus": bus.health.name}
+        news = (status["number"], status["leads"], status["reached"], status["bus"])
+        if news != shown:
+            shown = news
+            print(dumps(status) if as_json else _line(status), flush=True)
+        try:
+            await asyncio.wait_for(end.wait(), 0.2)
+        except TimeoutError:
+            continue
+    shell.end()
+
+
+def _line(status: dict[str, Any]) -> str:
+    if status["number"] is None:
+        return f"segment {status['segment']}: listening who is there"
+    if status["bus"] != Health.ACTIVE.name:
+        return f"segment {status['segment']}: its bus is {status['bus']}; it is tried again"
+    role = "leads" if status["leads"] else "stands by"
+    reached = ", ".join(map(str, status["reached"])) or "none: this segment is alone"
+    return f"segment {status['segment']}: gateway {status['number']} {role}; reaches {reached}"
+
+
+def bridge(
+    segment: int, interface: str, channel: str, bitrate: int, host: str, port: int, fleet: str,
+    connect: list[str], listen: list[str], mode: str, config: Path | None, area: Path | None,
+    seconds: float | None, as_json: bool, arena: str = "",
+) -> int:  # fmt: skip
+    async def run() -> None:
+        if not connect and not listen and config is None:
+            raise AttachError("name the backbone: --zenoh tcp/HOST:PORT, or --listen tcp/HOST:PORT")
+        place = read_area(segment, area)
+        link = ZenohLink(configure(connect, listen, mode, config), asyncio.get_running_loop())
+        key = f"headland/{fleet}/{segment}/bus"
+        bus = await open_bus_of(interface, channel, bitrate, host, port, link, key)
+        await carry(place, bus, ZenohBackbone(link, fleet, segment), as_json, seconds, arena)
+
+    try:
+        asyncio.run(run())
+    except (AttachError, LinkError) as problem:
+        print(f"headland: {problem}", file=sys.stderr)
+        return WRONG
+    return 0

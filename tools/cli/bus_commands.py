@@ -1,0 +1,245 @@
+"""Commands that attach to a bus with robots on it, as devices that are none."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tools.common.options import (
+    PORT_MAX,
+    Bitrate,
+    Channel,
+    Host,
+    Interface,
+    Json,
+    KeyFile,
+    MapOperatorKey,
+    OperatorKey,
+    PagePort,
+    Port,
+)
+
+app = typer.Typer()
+
+
+@app.command()
+def estop(
+    interface: Interface = "socketcand", channel: Channel = "can0", bitrate: Bitrate = 250_000,
+    host: Host = "127.0.0.1", port: Port = 0, keys: KeyFile = None,
+    reason: Annotated[str, typer.Option(help="Reason code.")] = "OPERATOR_INTERVENTION",
+    timeout: Annotated[float, typer.Option(help="Seconds to wait for every robot's echo.")] = 2.0,
+    watch: Annotated[bool, typer.Option("--watch", help="Keep showing who is stopped.")] = False,
+    json: Json = False,
+) -> None:  # fmt: skip
+    """Stop every robot on a bus, and say who has confirmed. Exit 0 only when all live ones did.
+
+    Example: headland estop -i socketcan -c can0
+    """
+    from tools.operate.estop import estop as command
+
+    raise SystemExit(
+        command(interface, channel, bitrate, host, port, keys, reason, timeout, watch, json)
+    )
+
+
+@app.command()
+def reset(
+    interface: Interface = "socketcand", channel: Channel = "can0", bitrate: Bitrate = 250_000,
+    host: Host = "127.0.0.1", port: Port = 0, key: OperatorKey = None,
+    start: Annotated[bool, typer.Option("--start/--no-start", help="And start the work.")] = False,
+    timeout: Annotated[float, typer.Option(help="Seconds to wait.")] = 5.0,
+    json: Json = False,
+) -> None:  # fmt: skip
+    """Clear the stops that are shown, reset each machine, and (with --start) start the work again.
+
+    Example: headland reset --start
+    """
+    from tools.operate.reset import reset as command
+
+    raise SystemExit(command(interface, channel, bitrate, host, port, key, start, timeout, json))
+
+
+@app.command()
+def order(
+    robot: Annotated[int, typer.Argument(help="The robot's number.")],
+    what: Annotated[
+        str, typer.Argument(help="wait, continue, replan, stop, go-home, set-goal or start.")
+    ],
+    place: Annotated[
+        str | None, typer.Argument(help="Of set-goal: metres east,north, as 12.5,-40.")
+    ] = None,
+    interface: Interface = "socketcand", channel: Channel = "can0", bitrate: Bitrate = 250_000,
+    host: Host = "127.0.0.1", port: Port = 0, key: OperatorKey = None,
+    timeout: Annotated[float, typer.Option(help="Seconds to wait for the robot's word.")] = 5.0,
+    json: Json = False,
+) -> None:  # fmt: skip
+    """Answer a robot that has stopped before something, or direct it. It confirms, or exit 1.
+
+    Example: headland order 2 replan
+    """
+    from tools.operate.order import order as command
+
+    bus = (interface, channel, bitrate, host, port)
+    raise SystemExit(command(robot, what, place, bus, key, timeout, json))
+
+
+@app.command()
+def say(
+    phrase: Annotated[
+        list[str] | None, typer.Argument(help="What you want, in words; none: a conversation.")
+    ] = None,
+    interface: Interface = "socketcand", channel: Channel = "can0", bitrate: Bitrate = 250_000,
+    host: Host = "127.0.0.1", port: Port = 0, key: OperatorKey = None,
+    places: Annotated[
+        Path | None, typer.Option(help="TOML with named places; none: the launch's.")
+    ] = None,
+    by: Annotated[str | None, typer.Option(help="Which robot answers questions, or any.")] = None,
+    log: Annotated[
+        Path | None, typer.Option(help="Ask a run folder or a log instead of a bus.")
+    ] = None,
+    read: Annotated[bool, typer.Option("--read", help="Only show how it is understood.")] = False,
+    queue: Annotated[Path, typer.Option(help="Where goals wait for an idle robot.")] = Path(
+        "runs/queue.json"
+    ),
+    wait: Annotated[
+        bool, typer.Option("--wait/--no-wait", help="Stay until what is queued was given.")
+    ] = True,
+    yes: Annotated[bool, typer.Option("--yes", help="Say yes to what is asked back.")] = False,
+    endpoint: Annotated[
+        str | None, typer.Option(help="OpenAI-compatible URL for what the grammar cannot read.")
+    ] = None,
+    model: Annotated[str, typer.Option(help="Of the endpoint.")] = "default",
+    timeout: Annotated[float, typer.Option(help="Seconds to wait for a robot's word.")] = 5.0,
+    json: Json = False,
+) -> None:  # fmt: skip
+    """Tell or ask the fleet something in plain language. Ambiguous or unsafe: exit 3 and a question.
+
+    Example: headland say "send the nearest robot to the gate"
+    """
+    from tools.language.say import Options
+    from tools.language.say import say as command
+
+    bus = (interface, channel, bitrate, host, port)
+    options = Options(
+        bus, key, places, queue, by, endpoint, model, timeout, wait, yes, read, log, json
+    )
+    raise SystemExit(command(phrase or [], options))
+
+
+@app.command()
+def hub(
+    host: Host = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=0, max=PORT_MAX, help="0: any free one.")] = 29536,
+    bitrate: Bitrate = 250_000,
+    seed: Annotated[int, typer.Option(help="Of the wire's chance.")] = 1,
+    beacon: Annotated[
+        bool | None,
+        typer.Option("--beacon/--no-beacon", help="Tell tools by UDP; default: on loopback only."),
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Run a simulated bus by itself: who is on it stands while it is gone, and comes back alone.
+
+    Example: headland hub, then in another terminal: headland launch small --hub 29536
+    """
+    from tools.cli.hub import hub as command
+
+    raise SystemExit(command(host, port, bitrate, seed, json, beacon))
+
+
+@app.command()
+def inspect(
+    source: Annotated[Path | None, typer.Argument(help="Run folder or log; none: a live bus.")] = None,
+    interface: Interface = "socketcand", channel: Channel = "can0", bitrate: Bitrate = 250_000,
+    host: Host = "127.0.0.1", port: Port = 0,
+    seconds: Annotated[float, typer.Option(help="Listen this long to a live bus.")] = 3.0,
+    mermaid: Annotated[bool, typer.Option("--mermaid", help="Print the state machine.")] = False,
+    why: Annotated[str | None, typer.Option(help="How a section (S7) came to its owner.")] = None,
+    traces: Annotated[int | None, typer.Option(help="Ask this robot for its newest traces.")] = None,
+    plain: Annotated[bool, typer.Option("--plain", help="Text, also at a terminal.")] = False,
+    speed: Annotated[float, typer.Option(help="Of a log on the screen; 0: show its end.")] = 0.0,
+    picture: Annotated[Path | None, typer.Option(help="Write the screen as an SVG.")] = None,
+    json: Json = False,
+) -> None:  # fmt: skip
+    """Show each robot's state, peers, sections, vector clock, and the path of states that led there.
+
+    At a terminal this is a screen (`q` ends it); otherwise, and with --plain, text.
+
+    Example: headland inspect runs/latest --why S7
+    """
+    from tools.inspect.inspection import inspect as command
+
+    bus = (interface, channel, bitrate, host, port)
+    raise SystemExit(
+        command(source, *bus, seconds, mermaid, why, json, traces, plain, speed, picture)
+    )
+
+
+@app.command("map")
+def show_map(
+    source: Annotated[Path | None, typer.Argument(help="Run folder or log; none: a live bus.")] = None,
+    interface: Interface = "socketcand", channel: Channel = "can0", bitrate: Bitrate = 250_000,
+    host: Host = "127.0.0.1", port: Port = 0, keys: KeyFile = None,
+    scenario: Annotated[
+        str | None, typer.Option(help="Whose field to draw, where the source does not say.")
+    ] = None,
+    page_port: PagePort = 8700,
+    operator_key: MapOperatorKey = None,
+    json: Json = False,
+) -> None:  # fmt: skip
+    """Show a fleet in a browser: the newest launch, any bus, or a recorded run.
+
+    Example: headland map runs/latest, or on a real bus: headland map -i socketcan -c can0
+    """
+    from tools.livemap.command import show_map as command
+
+    raise SystemExit(
+        command(
+            source,
+            interface,
+            channel,
+            bitrate,
+            host,
+            port,
+            keys,
+            scenario,
+            page_port,
+            json,
+            operator_key=operator_key,
+        )
+    )
+
+
+@app.command()
+def bridge(
+    segment: Annotated[int, typer.Option(help="Number of this segment, from 1.")],
+    interface: Interface = "socketcand", channel: Channel = "can0", bitrate: Bitrate = 250_000,
+    host: Host = "127.0.0.1", port: Port = 0,
+    zenoh: Annotated[
+        list[str] | None, typer.Option(help="Connect to the backbone: tcp/HOST:PORT or tls/...")
+    ] = None,
+    listen: Annotated[
+        list[str] | None, typer.Option(help="Let others connect here: tcp/HOST:PORT or tls/...")
+    ] = None,
+    mode: Annotated[str, typer.Option(help="Of Zenoh: peer, client or router.")] = "",
+    config: Annotated[
+        Path | None, typer.Option(help="Zenoh's configuration: TLS, access control.")
+    ] = None,
+    area: Annotated[Path | None, typer.Option(help="Sections shared with neighbours.")] = None,
+    arena: Annotated[
+        str, typer.Option(help="Arena of which all segments make one map: file, or name.")
+    ] = "",
+    fleet: Annotated[str, typer.Option(help="Fleets of other names do not meet.")] = "fleet",
+    seconds: Annotated[float | None, typer.Option(help="End after this long.")] = None,
+    json: Json = False,
+) -> None:  # fmt: skip
+    """Join a bus to the rest of the fleet. Stops pass first and always; start two for each bus.
+
+    Example: headland bridge --segment 2 -i socketcan -c can0 --zenoh tcp/10.0.0.1:7447
+    """
+    from tools.cli.bridge import bridge as command
+
+    raise SystemExit(
+        command(segment, interface, channel, bitrate, host, port, fleet, zenoh or [], listen or [],
+                mode, config, area, seconds, json, arena)
+    )  # fmt: skip

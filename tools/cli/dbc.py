@@ -1,0 +1,146 @@
+"""`headland dbc`: every frame for tools nobody here wrote (cantools, SavvyCAN, CANalyzer, can-utils).
+
+The text is written here: the format is a page long, and cantools, whose writer has changed its interface
+with the years, stays free to be the judge of it in our tests.
+"""
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+from agent.interface.config import beat_of
+from protocol.frames.dbc_signals import SIGNALS, Signal, reserved_of
+from protocol.frames.delivery_frames import TaskOrder
+from protocol.frames.fleet_frames import Heartbeat, Pose
+from protocol.frames.identifier import GLOBAL_ADDRESS, NULL_ADDRESS, Identifier
+from protocol.frames.messages import GROUPS, Group, Message
+from protocol.frames.network_frames import (
+    Acknowledgment,
+    AddressClaimed,
+    Request,
+    TransportData,
+    TransportManagement,
+)
+from protocol.frames.operator_frames import OperatorGoal
+from protocol.frames.safety_frames import (
+    AllImplementsStop,
+    Challenge,
+    EmergencyReset,
+    EmergencyStop,
+    Freshness,
+    HeldReset,
+    OperatorCommand,
+)
+from protocol.frames.segment_frames import FleetReset, FleetStop, GatewayBeat, SegmentSummary
+from protocol.frames.work_frames import StateSyncRequest
+
+EXTENDED = 1 << 31  # how DBC files mark a 29-bit identifier
+PGN_MASK, ADDRESSED_MASK = 0x03FFFF00, 0x03FF0000
+NODES = ("robot", "tool", "gateway")
+BY_ANYBODY = (
+    EmergencyStop, FleetStop, AllImplementsStop, Challenge, Freshness, StateSyncRequest,
+    AddressClaimed, Request, Acknowledgment, TransportManagement, TransportData,
+)  # fmt: skip
+SENT_BY: dict[str, tuple[type[Message], ...]] = {
+    "tool": (EmergencyReset, HeldReset, OperatorCommand, OperatorGoal, TaskOrder),
+    "gateway": (FleetReset, GatewayBeat, SegmentSummary),
+}
+SENT_BY["robot"] = tuple(
+    g.kind for g in GROUPS
+    if g.kind not in (*BY_ANYBODY, *SENT_BY["tool"], *SENT_BY["gateway"])
+)  # fmt: skip
+# Of a fleet of up to 30 robots, in calm; the standard stop while it is latched.
+CYCLE_MS: dict[type[Message], int] = {
+    Pose: beat_of(1).pose_us // 1000,
+    Heartbeat: beat_of(1).heartbeat_us // 1000,
+    AllImplementsStop: 1000,
+}
+CYCLE_MAX_MS = 65_535
+START_MAX = (1 << 48) - 1  # the longest run of reserved bits
+FORMATS = ("StandardCAN", "ExtendedCAN", "reserved", "J1939PG")
+
+
+def _signals(group: Group) -> list[Signal]:
+    return [*SIGNALS[group.kind], *reserved_of(group.kind)]
+
+
+def _sender(group: Group) -> str:
+    """Who sends it by design; stops, requests and answers come from anybody."""
+    return next((node for node, kinds in SENT_BY.items() if group.kind in kinds), "Vector__XXX")
+
+
+def dbc(out: Path | None) -> int:
+    if out is None:
+        print(to_dbc(), end="")
+    else:
+        try:
+            out.write_text(to_dbc(), encoding="ascii")
+        except OSError as problem:
+            print(f"headland: {out}: cannot be written: {problem.strerror}", file=sys.stderr)
+            return 2
+        print(f"{len(GROUPS)} frames in {out}")
+    return 0
+
+
+def to_dbc() -> str:
+    """The text of the file. Source address 254 and destination 255 stand for any, as J1939 files do."""
+    return "\n".join(_lines()) + "\n"
+
+
+def pgn_key(identifier: int) -> int:
+    """What the identifiers of one parameter group have in common, whoever speaks to whomever."""
+    addressed = identifier >> 16 & 0xFF < 240
+    return identifier & (ADDRESSED_MASK if addressed else PGN_MASK)
+
+
+def _identifier(group: Group) -> int:
+    return Identifier(group.priority, group.pgn, GLOBAL_ADDRESS, NULL_ADDRESS).pack() | EXTENDED
+
+
+def _lines() -> Iterator[str]:
+    yield 'VERSION "headland"'
+    yield ""
+    yield "NS_ :"
+    yield ""
+    yield "BS_:"
+    yield ""
+    yield "BU_: " + " ".join(NODES)
+    for group in GROUPS:
+        yield ""
+        yield f"BO_ {_identifier(group)} {group.name}: {group.length} {_sender(group)}"
+        yield from (_signal(signal) for signal in _signals(group))
+    yield ""
+    for group in GROUPS:
+        text = (group.kind.__doc__ or "").split("\n", 1)[0].replace('"', "'")
+        yield f'CM_ BO_ {_identifier(group)} "{text}";'
+    names = ",".join(f'"{name}"' for name in FORMATS)
+    yield f'BA_DEF_ BO_ "VFrameFormat" ENUM {names};'
+    yield 'BA_DEF_ "ProtocolType" STRING ;'
+    yield 'BA_DEF_DEF_ "VFrameFormat" "J1939PG";'
+    yield 'BA_DEF_DEF_ "ProtocolType" "J1939";'
+    yield 'BA_ "ProtocolType" "J1939";'
+    yield f'BA_DEF_ BO_ "GenMsgCycleTime" INT 0 {CYCLE_MAX_MS};'
+    yield 'BA_DEF_DEF_ "GenMsgCycleTime" 0;'
+    yield f'BA_DEF_ SG_ "GenSigStartValue" INT 0 {START_MAX};'
+    yield 'BA_DEF_DEF_ "GenSigStartValue" 0;'
+    for group in GROUPS:
+        if group.kind in CYCLE_MS:
+            yield f'BA_ "GenMsgCycleTime" BO_ {_identifier(group)} {CYCLE_MS[group.kind]};'
+        for signal in reserved_of(group.kind):
+            yield f'BA_ "GenSigStartValue" SG_ {_identifier(group)} {signal.name} {signal.reserved};'
+    for group in GROUPS:
+        yield f'BA_ "VFrameFormat" BO_ {_identifier(group)} {FORMATS.index("J1939PG")};'
+    for group in GROUPS:
+        for signal in SIGNALS[group.kind]:
+            if signal.choices:
+                values = " ".join(f'{value} "{name}"' for value, name in reversed(signal.choices))
+                yield f"VAL_ {_identifier(group)} {signal.name} {values} ;"
+
+
+def _signal(signal: Signal) -> str:
+    top = ((1 << signal.length) - 1) * signal.scale + signal.offset
+    return (
+        f" SG_ {signal.name} : {signal.start}|{signal.length}@1+ "
+        f"({signal.scale!r},{signal.offset!r}) [{signal.offset!r}|{top!r}] "
+        f'"{signal.unit}" Vector__XXX'
+    )

@@ -1,0 +1,41 @@
+"""`headland fields`: what fields a file has, and what is wrong with which."""
+
+import sys
+from pathlib import Path
+
+from sim.files.field_error import FieldFileError
+from sim.files.field_file import fields_of, project
+from sim.files.strict_json import dumps
+
+WRONG = 2
+HECTARE_M2 = 10_000.0
+
+
+def fields(file: Path, as_json: bool) -> int:
+    """Exit code 0 where at least one field can be worked."""
+    rows: list[dict[str, object]] = []
+    try:
+        outlines, broken = fields_of(file)
+    except FieldFileError as problem:
+        print(f"headland: {problem}", file=sys.stderr)
+        return WRONG
+    for name in sorted({*outlines, *broken}):
+        try:
+            if name in broken:
+                raise broken[name]
+            hectares = project(file, name, outlines[name]).polygon.area / HECTARE_M2
+            points = sum(map(len, outlines[name]))
+            rows.append({"name": name, "hectares": round(hectares, 2), "points": points})
+        except FieldFileError as problem:
+            rows.append({"name": name, "wrong": str(problem)})
+    if as_json:
+        print(dumps(rows))
+    else:
+        for row in rows:
+            told = row.get("wrong") or f"{row['hectares']} ha, {row['points']} points"
+            print(f"{row['name']}: {told}")
+    if any("wrong" not in row for row in rows):
+        return 0
+    if not rows:
+        print(f"headland: {file}: no polygon in it", file=sys.stderr)
+    return WRONG

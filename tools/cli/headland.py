@@ -1,0 +1,339 @@
+"""The one command. Each sub-command imports what it needs when it is called: `--help` stays quick."""
+
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from tools.cli import bus_commands, keys, tasks
+from tools.cli import test_commands as trial_commands
+from tools.common import extras
+from tools.common.options import (
+    PORT_MAX,
+    Bitrate,
+    Channel,
+    Host,
+    Json,
+    KeyFile,
+    Map,
+    MapOperatorKey,
+    PagePort,
+    Port,
+)
+from tools.run import coverage
+
+WRONG, INTERRUPTED = 2, 130
+WRONG_WORDS: Any = typer.BadParameter.__base__  # click's UsageError, wherever typer keeps its click
+HELP = "A leaderless robot fleet on a CAN bus: every robot is a peer, none is in charge."
+app = typer.Typer(
+    help=HELP, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None
+)
+
+
+@app.command()
+def run(
+    scenario: Annotated[
+        str, typer.Argument(help="A scenario file, or the name of one that ships.")
+    ] = "oxted",
+    robots: Annotated[int | None, typer.Option(help="Instead of the scenario's number.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Instead of the scenario's seed.")] = None,
+    feature: Annotated[str | None, typer.Option(help="Which field of a file with several.")] = None,
+    drive: Annotated[str | None, typer.Option(help="mecanum, differential or ackermann.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder of the run (none: runs/NAME-N, and runs/latest).")
+    ] = None,
+    log: Annotated[
+        list[Path] | None, typer.Option(help="A further CAN log: .asc .blf .csv .log .trc")
+    ] = None,
+    limit: Annotated[
+        float | None,
+        typer.Option(help="End after this long in virtual time, s (none: by area and robots)."),
+    ] = None,
+    live: Annotated[
+        bool, typer.Option("--live", help="A warehouse in real time, for more tasks to be added.")
+    ] = False,
+    port: Annotated[
+        int, typer.Option(min=0, max=PORT_MAX, help="With --live: of the bus (0: any free one).")
+    ] = 0,
+    seconds: Annotated[float | None, typer.Option(help="With --live: end after this long.")] = None,
+    keys: KeyFile = None,
+    show_map: Map = False,
+    page_port: PagePort = 8700,
+    json: Json = False,
+) -> None:
+    """Work a scenario to its end in virtual time, as fast as it can go. A field file is one, too.
+
+    Example: headland run oxted --robots 8 --seed 3 --out runs/eight
+    Example: headland run warehouse --live, then elsewhere: headland task add 9.5,2.5 1.5,8.5
+    """
+    from sim.scenarios.delivery_scenario import is_warehouse
+    from tools.run.run_field import run as command
+
+    warehouse = is_warehouse(scenario)
+    unfit = {
+        "--live": live and not warehouse, "--port": port and not live,
+        "--seconds": seconds is not None and not live, "--map": show_map and warehouse,
+        "--drive": drive is not None and warehouse, "--feature": feature is not None and warehouse,
+        "--log": bool(log) and warehouse, "--limit": limit is not None and live,
+    }  # fmt: skip
+    _refuse(scenario, "a warehouse" if warehouse else "no warehouse", live, unfit)
+    if warehouse:
+        from tools.run.run_delivery import haul
+
+        raise SystemExit(haul(scenario, robots, seed, out, json, keys, live, port, seconds, limit))
+    page = page_port if show_map else None
+    raise SystemExit(
+        command(scenario, robots, seed, out, json, keys, log or [], feature, drive, page, limit)
+    )
+
+
+def _refuse(scenario: str, kind: str, live: bool, unfit: Mapping[str, object]) -> None:
+    """An option that would do nothing is said, not ignored."""
+    for option, is_unfit in unfit.items():
+        if is_unfit:
+            how = "" if option == "--live" or live else " without --live"
+            print(
+                f"headland: {option}: does nothing here: {scenario} is {kind}{how}; leave it out",
+                file=sys.stderr,
+            )
+            raise SystemExit(WRONG)
+
+
+@app.command()
+def explore(
+    scenario: Annotated[
+        str, typer.Argument(help="An arena file, or the name of one that ships.")
+    ] = "arena",
+    robots: Annotated[int | None, typer.Option(help="Instead of the scenario's number.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Instead of the scenario's seed.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder of the run (none: runs/NAME-N, and runs/latest).")
+    ] = None,
+    animate: Annotated[
+        bool, typer.Option("--film", help="Also maps.gif: the map, growing.")
+    ] = False,
+    json: Json = False,
+) -> None:
+    """Explore an arena to its end in virtual time. Exit 0 only for a run without a flaw.
+
+    Example: headland explore offices --robots 6 --out runs/offices
+    """
+    from tools.run.run_exploration import explore as command
+
+    raise SystemExit(command(scenario, robots, seed, out, json, animate))
+
+
+@app.command()
+def launch(
+    scenario: Annotated[
+        str, typer.Argument(help="A scenario file, or the name of one that ships.")
+    ] = "oxted",
+    robots: Annotated[int | None, typer.Option(help="Instead of the scenario's number.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Instead of the scenario's seed.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder of this fleet (none: runs/NAME-N, and runs/launch).")
+    ] = None,
+    fresh: Annotated[
+        bool, typer.Option("--fresh", help="A new fleet, also where the last one is not done.")
+    ] = False,
+    port: Annotated[
+        int, typer.Option(min=0, max=PORT_MAX, help="Port of the bus hub (0: any free one).")
+    ] = 0,
+    seconds: Annotated[float | None, typer.Option(help="End after this long.")] = None,
+    keys: KeyFile = None,
+    show_map: Map = False,
+    page_port: PagePort = 8700,
+    operator_key: MapOperatorKey = None,
+    segment: Annotated[
+        int, typer.Option(min=0, max=0x7FFF, help="Of a fleet of several, for headland bridge.")
+    ] = 0,
+    hub: Annotated[
+        int, typer.Option(min=0, max=PORT_MAX, help="Port of a bus by itself: headland hub.")
+    ] = 0,
+    json: Json = False,
+) -> None:
+    """Run every robot as a process of its own, in real time, on a bus others can attach to.
+
+    A fleet whose work is not done is continued by the same command, with its stops and its work.
+    Example: headland launch --robots 6, then in another terminal: headland estop
+    """
+    from tools.run.launch import launch as command
+
+    page = page_port if show_map else None
+    raise SystemExit(
+        command(
+            scenario,
+            robots,
+            seed,
+            out,
+            port,
+            seconds,
+            json,
+            keys,
+            page,
+            segment,
+            hub,
+            fresh,
+            operator_key,
+        )
+    )
+
+
+@app.command()
+def replay(
+    log: Annotated[Path, typer.Argument(help="Run folder, or log: .log .mcap .asc .blf .csv .trc")],
+    speed: Annotated[float, typer.Option(help="Times real time; 0: at once.")] = 0.0,
+    interface: Annotated[
+        str, typer.Option("-i", "--interface", help="Also send the frames to this interface.")
+    ] = "",
+    channel: Channel = "can0", bitrate: Bitrate = 250_000,
+    host: Host = "127.0.0.1", port: Port = 0, show_map: Map = False, page_port: PagePort = 8700,
+    json: Json = False,
+) -> None:  # fmt: skip
+    """Feed a log to the inspector, at the speed it was recorded or as fast as it goes.
+
+    Example: headland replay runs/latest --speed 10
+    """
+    from tools.run.replay import replay as command
+
+    page = page_port if show_map else None
+    raise SystemExit(command(log, speed, interface, channel, bitrate, host, port, json, page))
+
+
+@app.command()
+def report(
+    source: Annotated[Path, typer.Argument(help="Run folder or log.")] = Path("runs/latest"),
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", help="The page; none: in the run's folder.")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Write a run as one HTML page: tracks, errors, sections, bus load, states, stops, events.
+
+    Example: headland report runs/latest -o report.html
+    """
+    from tools.report.command import report as command
+
+    raise SystemExit(command(source, out, json))
+
+
+@app.command()
+def fields(
+    file: Annotated[Path, typer.Argument(help="GeoJSON, or task data: TASKDATA.XML, folder, zip.")],
+    json: Json = False,
+) -> None:
+    """List the fields of a file, with their size, and what is wrong with which.
+
+    Example: headland fields TASKDATA/
+    """
+    from tools.cli.fields import fields as command
+
+    raise SystemExit(command(file, json))
+
+
+@app.command()
+def export(
+    run: Annotated[Path, typer.Argument(help="Folder of a run.")],
+    isoxml: Annotated[
+        Path | None, typer.Option(help="Write ISO 11783-10 task data: a folder, or NAME.zip.")
+    ] = None,
+    geojson: Annotated[Path | None, typer.Option(help="Write GeoJSON.")] = None,
+) -> None:
+    """Write what a run has worked in formats that farm software reads.
+
+    Example: headland export runs/latest --isoxml TASKDATA
+    """
+    from tools.run.export import export as command
+
+    raise SystemExit(command(run, isoxml, geojson))
+
+
+@app.command()
+def dbc(
+    out: Annotated[
+        Path | None, typer.Argument(help="Where to write; none: to the terminal.")
+    ] = None,
+) -> None:
+    """Write a DBC of every frame, for cantools, SavvyCAN, CANalyzer and the like.
+
+    Example: headland dbc headland.dbc
+    """
+    from tools.cli.dbc import dbc as command
+
+    raise SystemExit(command(out))
+
+
+@app.command()
+def warmup(
+    jobs: Annotated[int, typer.Option(min=0, help="Processes; 0: one for each core.")] = 0,
+) -> None:
+    """Compile the kernels once, so that no robot waits for it.
+
+    Example: headland warmup
+    """
+    from tools.build.warmup import main as command
+
+    raise SystemExit(command(jobs))
+
+
+@app.command(name="compile")
+def compile_core(
+    profiled: Annotated[
+        bool,
+        typer.Option(
+            "--profiled",
+            help="Twice: to count what drills go through, and by these counts. GCC only.",
+        ),
+    ] = False,
+    remove: Annotated[bool, typer.Option("--remove", help="Delete what was compiled.")] = False,
+) -> None:
+    """Make machine code of what simulations spend their time in. Campaigns then use it by themselves.
+
+    Takes some minutes and a C compiler; results stay the same, bit for bit.
+    Example: headland compile --profiled
+    """
+    from tools.build.compile import compile_core as command
+
+    raise SystemExit(command(remove, profiled))
+
+
+app.add_typer(bus_commands.app)
+app.add_typer(trial_commands.app)
+app.add_typer(coverage.app, name="coverage")
+app.add_typer(keys.app, name="keys")
+app.add_typer(tasks.app, name="task")
+
+
+def main() -> None:
+    """Whatever a person can cause is one line; the exit code is that of the command."""
+    try:
+        raise SystemExit(app(prog_name="headland", standalone_mode=False))
+    except (KeyboardInterrupt, typer.Abort):
+        raise SystemExit(INTERRUPTED) from None
+    except WRONG_WORDS as problem:
+        context = problem.ctx
+        where = "headland" if context is None else context.command_path
+        if (
+            type(problem).__name__ == "NoArgsIsHelpError"
+        ):  # no word at all: the help, not a reproach
+            problem.show()
+        else:
+            line = " ".join(problem.format_message().split()).rstrip(".")
+            print(f"headland: {line}; see: {where} --help", file=sys.stderr)
+        raise SystemExit(WRONG) from None
+    except ImportError as problem:
+        missing = extras.needed(problem)
+        if missing is None:
+            raise
+        print(f"headland: {missing}", file=sys.stderr)
+        raise SystemExit(WRONG) from None
+    except OSError as problem:  # a full disk, a folder that is none: what no command expected
+        name = "" if problem.filename is None else f"{problem.filename}: "
+        print(f"headland: {name}{problem.strerror or problem}", file=sys.stderr)
+        raise SystemExit(WRONG) from None
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,78 @@
+"""`headland hub`: a simulated bus as a process of its own, which may end and be started again.
+
+Robots of `headland launch --hub PORT`, python-can's own tools and ours attach to it. Whoever is on it
+stands while it is gone, and comes back by itself.
+"""
+
+import asyncio
+import os
+import signal
+import sys
+from ipaddress import ip_address
+
+from rich.console import Console
+
+from sim.can.simulated_bus import segment
+from sim.can.socketcand_beacon import announce
+from sim.can.socketcand_server import Hub
+from sim.files.strict_json import dumps
+from sim.fleet.gc_tuning import leave_standing
+from tools.common.bus_attach import CHANNEL
+
+WRONG, INTERRUPTED = 2, 130
+OPEN = (
+    "headland: WARNING: everybody who reaches this address over the network can drive and stop the "
+    "robots on this bus; socketcand has no passwords"
+)
+
+
+async def _serve(
+    host: str, port: int, bitrate: int, seed: int, as_json: bool, announced: bool
+) -> None:
+    loop, end = asyncio.get_running_loop(), asyncio.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, end.set)
+    served = Hub(segment(f"hub {os.getpid()}", bitrate, seed), CHANNEL)
+    await served.start(host, port)
+    where = {"host": host, "port": served.port, "channel": CHANNEL, "pid": os.getpid()}
+    if as_json:
+        print(dumps(where), flush=True)
+    else:
+        Console(highlight=False, soft_wrap=True).print(
+            f"bus: socketcand {host}:{served.port} channel {CHANNEL}; Ctrl-C ends it. Robots on it: "
+            f"headland launch --hub {served.port}"
+        )
+        sys.stdout.flush()
+    if not loopback(host):
+        print(OPEN, file=sys.stderr)
+    leave_standing()
+    saying = asyncio.create_task(announce(host, served.port, CHANNEL)) if announced else None
+    await end.wait()
+    if saying is not None:
+        saying.cancel()
+    await served.stop()
+
+
+def loopback(host: str) -> bool:
+    """Only this machine reaches it."""
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def hub(
+    host: str, port: int, bitrate: int, seed: int, as_json: bool, announced: bool | None = None
+) -> int:
+    """`announced`: by socketcand's beacon; None: where only this machine can hear it."""
+    says = loopback(host) if announced is None else announced
+    try:
+        asyncio.run(_serve(host, port, bitrate, seed, as_json, says))
+    except OSError as problem:
+        print(
+            f"headland: --port {port}: {problem.strerror or problem}; choose another or 0 for any free "
+            "one",
+            file=sys.stderr,
+        )
+        return WRONG
+    return INTERRUPTED

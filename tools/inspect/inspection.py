@@ -1,0 +1,351 @@
+"""`headland inspect`: what a live bus, a log or a run folder tells of every robot."""
+
+import asyncio
+import sys
+from collections.abc import Callable, Iterator
+from importlib.util import find_spec
+from itertools import chain, count
+from pathlib import Path
+from typing import Any
+
+import can
+from rich.console import Console
+from rich.table import Table
+
+from agent.interface.lifecycle import TABLE, State
+from agent.interface.state_machine import to_mermaid
+from agent.peer.pgn_responder import LOG_PGN
+from agent.peer.self_health import POOR
+from protocol.frames.frame import Frame
+from protocol.links.bus import CanBus
+from sim.files.candump import read_candump
+from sim.files.given_file import check_regular
+from sim.files.log_parts import parts_of
+from sim.files.strict_json import dumps
+from sim.record.mcap_log import McapMissing, read_frames
+from tools.common.bus_attach import AttachError, attach
+from tools.inspect.inspector import Inspector
+
+WRONG = 2
+UNKNOWN_SHOWN = 12  # groups of other devices in the text; --json has all
+HEARD_S = 0.3  # by then we are on the bus
+
+
+class SourceError(Exception):
+    """One line for the person."""
+
+
+def inspect(
+    source: Path | None, interface: str, channel: str, bitrate: int, host: str, port: int,
+    seconds: float, mermaid: bool, why: str | None, as_json: bool, traces_of: int | None = None,
+    plain: bool = False, speed: float = 0.0, picture: Path | None = None,
+) -> int:  # fmt: skip
+    if mermaid:
+        diagram = to_mermaid(TABLE, State.DISCONNECTED)
+        print(dumps({"mermaid": diagram}) if as_json else diagram)
+        return 0
+    inspector = Inspector()
+    try:
+        if traces_of is not None:
+            return _traces(traces_of, interface, channel, bitrate, host, port, seconds, as_json)
+        section = _section(why)
+        if picture is not None:
+            return _draw(inspector, source, picture)
+        if _screen_wanted(plain or as_json or section is not None):
+            bus = (interface, channel, bitrate, host, port)
+            return _screen(inspector, source, lambda: attach(*bus), speed)
+        if source is not None:
+            for t_us, frame in frames_of(source):
+                inspector.hear(t_us / 1e6, frame)
+        else:
+            asyncio.run(_listen(inspector, interface, channel, bitrate, host, port, seconds))
+    except (AttachError, SourceError) as problem:
+        print(f"headland: {problem}", file=sys.stderr)
+        return WRONG
+    if section is not None:
+        return _why(inspector, section, as_json)
+    if as_json:
+        print(dumps(inspector.to_dict()))
+    else:
+        _show(Console(), inspector.to_dict())
+    return 0
+
+
+def _screen_wanted(text_wanted: bool) -> bool:
+    """Only people at a terminal get a screen; scripts and pipes get text."""
+    if text_wanted or not (sys.stdout.isatty() and sys.stdin.isatty()):
+        return False
+    if find_spec("textual") is None:
+        print(
+            "headland: text only: pip install 'headland[operator]' for the screen", file=sys.stderr
+        )
+        return False
+    return True
+
+
+def _draw(inspector: Inspector, source: Path | None, picture: Path) -> int:
+    if source is None:
+        raise SourceError("--picture needs a run folder or a log")
+    if find_spec("textual") is None:
+        raise SourceError("--picture needs textual: pip install 'headland[operator]'")
+    from tools.inspect.frame_feed import from_log
+    from tools.inspect.screen import InspectScreen, draw
+
+    frames = list(frames_of(source))
+    try:
+        draw(InspectScreen(inspector, str(source), from_log(frames, inspector, True)), picture)
+    except OSError as problem:
+        raise SourceError(f"--picture {picture}: {problem.strerror}") from None
+    return 0
+
+
+def _screen(
+    inspector: Inspector, source: Path | None, open_bus: Callable[[], CanBus], speed: float
+) -> int:
+    from tools.inspect.frame_feed import from_bus, from_log
+    from tools.inspect.screen import InspectScreen
+
+    if source is None:
+        asyncio.run(_try(open_bus))  # a wrong address is one line, before the screen
+        feed, title = from_bus(open_bus, inspector), "live bus"
+    else:
+        frames = frames_of(source)
+        first = next(frames, None)  # a file that is no log is one line, too
+        rest = chain([] if first is None else [first], frames)
+        feed, title = from_log(rest, inspector, speed == 0), str(source)
+    InspectScreen(inspector, title, feed, speed or 1.0).run()
+    return 0
+
+
+async def _try(open_bus: Callable[[], CanBus]) -> None:
+    open_bus().close()
+
+
+def _section(why: str | None) -> int | None:
+    if why is None:
+        return None
+    digits = why.lstrip("Ss")
+    if not digits.isdigit() or int(digits) > 0xFFFF:
+        raise SourceError(f"--why {why}: a section is written S7")
+    return int(digits)
+
+
+def frames_of(source: Path) -> Iterator[tuple[int, Frame]]:
+    """Frames of a run folder, a candump log, an MCAP, or any log python-can reads (.asc .blf .csv
+    .trc). SourceError, also where there is no frame in it."""
+    empty = True
+    for row in _frames_of(source):
+        empty = False
+        yield row
+    if empty:
+        raise SourceError(f"{source}: no CAN frame is in it: not a log, or nothing was said")
+
+
+def _frames_of(source: Path) -> Iterator[tuple[int, Frame]]:
+    path = source / "can.log" if source.is_dir() else source
+    if source.is_dir() and not path.is_file():
+        path = source / "run.mcap"
+    if not path.is_file():
+        raise SourceError(f"{source}: no such log, and no run folder with a can.log in it")
+    if path.suffix == ".log":
+        damaged = count()
+        try:
+            frames = False
+            for part in parts_of(path):
+                for row in read_candump(part, lambda: next(damaged)):
+                    frames = True
+                    yield row
+        except OSError as problem:
+            raise SourceError(f"{path}: cannot be read: {problem.strerror}") from None
+        if (lines := next(damaged)) and frames:
+            print(f"headland: {path}: {lines} damaged lines are left out", file=sys.stderr)
+        return
+    if path.suffix == ".mcap":
+        try:
+            for part in parts_of(path):
+                yield from read_frames(part)
+        except (McapMissing, ValueError) as problem:
+            raise SourceError(f"{path}: {problem}") from None
+        except OSError as problem:
+            raise SourceError(f"{path}: cannot be read: {problem.strerror}") from None
+        return
+    try:
+        check_regular(path)
+        for message in can.LogReader(path):
+            if message.is_extended_id and not (message.is_error_frame or message.is_remote_frame):
+                yield (
+                    round(message.timestamp * 1e6),
+                    Frame(message.arbitration_id, bytes(message.data)),
+                )
+    except Exception as problem:  # log readers raise what they like on files that are none
+        raise SourceError(f"{path}: not a CAN log: {_first_line(problem)}") from None
+
+
+def _first_line(problem: Exception) -> str:
+    lines = str(problem).splitlines()
+    return lines[0] if lines else type(problem).__name__
+
+
+async def _listen(
+    inspector: Inspector,
+    interface: str,
+    channel: str,
+    bitrate: int,
+    host: str,
+    port: int,
+    seconds: float,
+) -> None:
+    from tools.operate.operator_device import Operator
+
+    bus = attach(interface, channel, bitrate, host, port)
+    loop = asyncio.get_running_loop()
+    try:
+        bus.subscribe(lambda frame: inspector.hear(loop.time(), frame))
+        operator = Operator(bus, None)
+        loop.call_later(HEARD_S, operator.ask_work)
+        await operator.listen(seconds)
+    finally:
+        bus.close()
+
+
+def _traces(
+    slot: int, interface: str, channel: str, bitrate: int, host: str, port: int, seconds: float,
+    as_json: bool,
+) -> int:  # fmt: skip
+    """What a robot on a live bus has to tell of its last decisions, by the transport protocol."""
+    text = asyncio.run(_ask_traces(slot, interface, channel, bitrate, host, port, seconds))
+    if text is None:
+        print(f"headland: robot {slot} did not answer within {seconds:g} s", file=sys.stderr)
+        return 1
+    lines = text.splitlines()
+    print(dumps({"robot": slot, "traces": lines}) if as_json else text)
+    return 0
+
+
+async def _ask_traces(
+    slot: int, interface: str, channel: str, bitrate: int, host: str, port: int, seconds: float
+) -> str | None:
+    from tools.operate.operator_device import Operator
+    from tools.operate.pgn_client import Correspondent
+
+    bus = attach(interface, channel, bitrate, host, port)
+    loop = asyncio.get_running_loop()
+    try:
+        operator = Operator(bus, None)
+        letters = Correspondent(bus, operator.device)
+
+        def heard(frame: Frame) -> None:
+            operator.hear(loop.time(), frame)
+            letters.hear(loop.time(), frame)
+
+        bus.subscribe(heard)
+        await operator.listen(HEARD_S)
+        robot = operator.robots.get(slot)
+        if robot is None:
+            known = " ".join(map(str, sorted(operator.robots))) or "none"
+            raise SourceError(f"no robot {slot} on this bus; heard: {known}")
+        return await letters.ask(LOG_PGN, robot.address, seconds)
+    finally:
+        bus.close()
+
+
+def _why(inspector: Inspector, section: int, as_json: bool) -> int:
+    found = list(inspector.why(section))
+    if as_json:
+        print(dumps(found))
+    elif found:
+        print(f"S{section}: {found[-1]['text']}")
+        steps = {(step["t_s"], step["data"]): n for n, step in enumerate(found, 1)}
+        for number, step in enumerate(found, 1):
+            print(f"{number:3}. {_frame_line(step)}{_again(step)}")
+            for cause in step["because"]:
+                print(f"       because {_cause(cause, steps)}")
+            for rival in step["rivals"]:
+                print(f"       against {_frame_line(rival)}")
+    if not found:
+        print(f"headland: nothing was heard of S{section}", file=sys.stderr)
+    return 0 if found else 1
+
+
+def _frame_line(heard: dict[str, Any]) -> str:
+    who = "a device" if heard["said_by"] is None else f"robot {heard['said_by']}"
+    frame = f"{heard['id']}#{heard['data']}"
+    return f"{heard['t_s']:.6f} s  {who:8}  {heard['frame']} {frame}  {heard['text']}"
+
+
+def _cause(heard: dict[str, Any], steps: dict[tuple[float, str], int]) -> str:
+    number = steps.get((heard["t_s"], heard["data"]))
+    if number is None:
+        return _frame_line(heard)
+    return f"of {number}., and {heard['text'].rsplit('; now ', 1)[-1]}"
+
+
+def _again(step: dict[str, Any]) -> str:
+    return f" (said {step['again']} times more)" if step["again"] else ""
+
+
+def table_of(seen: dict[str, Any]) -> Table:
+    """The robots, a row each."""
+    table = Table(title=f"{len(seen['robots'])} robots, {seen['seconds']:.1f} s of the bus")
+    for column in (
+        "robot",
+        "address",
+        "state",
+        "health",
+        "peers",
+        "sections",
+        "vector clock",
+        "replica",
+        "path of states",
+    ):
+        table.add_column(column, overflow="fold", no_wrap=column in ("robot", "state"))
+    for robot in seen["robots"]:
+        state = (
+            robot["state"]
+            + (" (silent)" if robot["silent"] else "")
+            + (" (left)" if robot["left"] else "")
+        )
+        clock = " ".join(f"{slot}:{count}" for slot, count in robot["clock"].items())
+        replica = robot["replica"]
+        if replica == "differs":
+            replica += f": {robot['digest']}"
+        path = " > ".join(f"{t['to']}@{t['t_s']:.1f}" for t in robot["transitions"][-6:])
+        table.add_row(
+            str(robot["slot"]), str(robot["address"]), state, f"{robot['health']:.0%}",
+            " ".join(map(str, robot["peers"])),
+            " ".join(robot["sections"]), clock, replica, path,
+        )  # fmt: skip
+    return table
+
+
+def _show(console: Console, seen: dict[str, Any]) -> None:
+    console.print(table_of(seen))
+    done = sum(1 for s in seen["sections"].values() if s["phase"] == "DONE")
+    console.print(f"sections heard of: {len(seen['sections'])}, done: {done}")
+    if seen["leader"] is not None:
+        console.print(f"leader: robot {seen['leader']} answers for the fleet", highlight=False)
+    for robot in seen["robots"]:
+        if robot["health"] <= POOR and not robot["left"]:
+            ask = f"headland inspect --traces {robot['slot']} asks it why"
+            console.print(
+                f"robot {robot['slot']} health {robot['health']:.0%}: {ask}", highlight=False
+            )
+        for why in robot["stands"]:
+            console.print(f"robot {robot['slot']} stands: {why}", highlight=False)
+        if "itinerary" in robot:
+            stops, battery = ", ".join(robot["itinerary"]), robot["battery"]
+            console.print(
+                f"robot {robot['slot']}: \\[{stops}]  battery {battery:.0%}", highlight=False
+            )
+    console.print(f"frames: {', '.join(f'{n} {k}' for k, n in seen['frames'].items())}")
+    console.print(f"bus load at worst-case stuffing: {seen['bus_load_worst_case']:.1%}")
+    if seen["latched"]:
+        console.print(f"[bold red]EMERGENCY STOP latched: {', '.join(seen['latched'])}")
+    for key, whose in (("unknown", "not of Headland"), ("other_makers", "of other makers, not read")):
+        if seen[key]:
+            groups = [f"{n} {name}" for name, n in seen[key].items()]
+            beyond = len(groups) - UNKNOWN_SHOWN
+            more = f" and {beyond} more groups" if beyond > 0 else ""
+            console.print(f"{whose}: {', '.join(groups[:UNKNOWN_SHOWN])}{more}")
+    if seen["malformed"]:
+        console.print(f"malformed: {seen['malformed']}")

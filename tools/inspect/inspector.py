@@ -1,0 +1,374 @@
+"""What a listener can know of a fleet from its frames alone. Live bus, log or replay: the same.
+
+Nothing here asks a robot anything: states, sections and clocks are what the robots have said, with
+the time at which they said it.
+"""
+
+from collections import Counter, deque
+from collections.abc import Iterator
+from collections.abc import Set as AbstractSet
+from dataclasses import dataclass, field
+from typing import Any
+
+from agent.delivery.task_registry import TASKS_MAX, stop_names
+from agent.interface.lifecycle import State
+from agent.peer.leader_election import OPERATOR_GATEWAY
+from agent.peer.told_causes import ToldCauses
+from agent.safety.standard_stop import HOLD_US
+from agent.safety.stop_cause import Cause
+from crdt import FieldAllocationCRDT, Phase, Progress
+from crdt.register import pack
+from protocol.frames.codec import UNKNOWN, Malformed, decode
+from protocol.frames.delivery_frames import NO_TASK, Itinerary
+from protocol.frames.fleet_frames import (
+    NOWHERE_M,
+    Heartbeat,
+    LeaderElectionVote,
+    Member,
+    Pose,
+    Standstill,
+    VectorSlice,
+)  # fmt: skip
+from protocol.frames.frame import Frame
+from protocol.frames.network_frames import AddressClaimed
+from protocol.frames.operator_frames import Matter, OperatorReport
+from protocol.frames.safety_frames import (
+    AllImplementsStop,
+    EmergencyReset,
+    EmergencyStop,
+    HeldReset,
+    Switch,
+)
+from protocol.frames.work_frames import StateSyncResponse, TaskClaim, WorkProgress
+from tools.common.frame_makers import Makers
+from tools.inspect.bus_load import BIT_RATE, BusLoad, bits_of
+from tools.inspect.causality import Causality
+from tools.operate.foreign_groups import group_name
+
+BUTTON_S = HOLD_US / 1e6  # a shortcut button that is silent so long is forgotten
+TRANSITIONS_MAX = 64  # newest kept a robot; a path longer than that is not read by anybody
+SILENT_S = 1.0  # a robot not heard for longer is shown as silent
+
+
+@dataclass
+class Transition:
+    t_s: float
+    source: str
+    target: str
+    heard_by: str  # which kind of frame showed it
+
+
+@dataclass
+class Seen:
+    """One robot, as heard."""
+
+    slot: int
+    address: int
+    state: str = "?"
+    first_s: float = 0.0
+    last_s: float = 0.0
+    x_m: float = 0.0
+    y_m: float = 0.0
+    speed_m_s: float = 0.0
+    placed: bool = True  # it knows where it is
+    stopped: bool = False
+    left: bool = False
+    started: bool = True  # until a heartbeat says that it is not
+    held: bool = False  # something keeps it from moving
+    causes: ToldCauses = field(default_factory=ToldCauses)  # why it stands, as it tells it
+    question: int = 0  # number of what it asks its operators; 0: nothing
+    goal: tuple[float, float] | None = None  # where an operator has sent it, and it is not yet
+    incarnation: int = 0
+    health: float = 1.0
+    operations: int = 0
+    digest: int = 0
+    digest_s: float = 0.0  # when it said so
+    plan_version: int = -1  # of the itinerary that is being told, and its sections by position
+    plan: dict[int, int] = field(default_factory=dict)
+    battery: float | None = None  # None: it tells of none
+    clock: dict[int, int] = field(default_factory=dict)  # low bytes of its vector clock, as sliced
+    transitions: deque[Transition] = field(default_factory=lambda: deque(maxlen=TRANSITIONS_MAX))
+    frames: Counter[str] = field(default_factory=Counter)
+
+
+class Inspector:
+    def __init__(self, sections: AbstractSet[int] = frozenset()) -> None:
+        """`sections`: of the field; empty: it is not known, and any may be worked."""
+        self.sections = sections
+        self.beyond = 0  # frames of work in sections that the field does not have
+        self.makers = Makers()
+        self.robots: dict[int, Seen] = {}
+        self.slot_of: dict[int, int] = {}
+        self.allocation = FieldAllocationCRDT()
+        self.progress = Progress({})
+        self.kinds: Counter[str] = Counter()
+        self.malformed: Counter[str] = Counter()
+        self.unknown: Counter[int] = Counter()  # PGN -> frames of groups that are not ours
+        self.stops: dict[tuple[int, int, int], float] = {}
+        self.cleared: dict[tuple[int, int, int], float] = {}
+        self.votes: dict[tuple[int, int], dict[int, int]] = {}
+        self._buttons: dict[int, float] = {}  # address of a pressed button: when it was heard last
+        self.bits = 0
+        self.changed_s = 0.0  # when a frame last told of a claim or of work that was new
+        self.first_s: float | None = None
+        self.now_s = 0.0
+        self.causality = Causality()
+        self.load = BusLoad()
+
+    def hear(self, t_s: float, frame: Frame) -> None:
+        self.first_s = t_s if self.first_s is None else self.first_s
+        self.now_s = t_s
+        self.bits += bits_of(len(frame.data))
+        self.load.hear(t_s, len(frame.data))
+        if self.makers.refuse(frame):
+            return
+        source, message = decode(frame)
+        if message is UNKNOWN:
+            group = frame.identifier >> 8 & 0x3FFFF
+            self.unknown[group if group >> 8 & 0xFF >= 240 else group & 0x3FF00] += 1
+            return
+        if isinstance(message, Malformed):
+            self.malformed[message.reason] += 1
+            return
+        kind = type(message).__name__
+        self.kinds[kind] += 1
+        if isinstance(message, AddressClaimed) and not self.makers.claimed(source, message.name):
+            self._foreign(source)
+        if isinstance(message, Member):
+            self._member(t_s, source, message)
+        slot = self.slot_of.get(source)
+        self.causality.hear(t_s, frame, slot, message)
+        if isinstance(message, EmergencyStop):
+            if not message.spent:
+                self.stops.setdefault(message[:3], t_s)
+        elif isinstance(message, HeldReset):  # names all that robots hold by one sum
+            self.cleared = dict.fromkeys(self.stops, t_s) | self.cleared
+        elif isinstance(message, EmergencyReset):
+            self.cleared.setdefault(message[:3], t_s)
+        elif isinstance(message, AllImplementsStop):
+            self._button(t_s, source, message)
+        if slot is None:
+            return
+        robot = self.robots[slot]
+        robot.last_s = t_s
+        robot.frames[kind] += 1
+        self._robot(t_s, robot, kind, message)
+
+    def _member(self, t_s: float, source: int, message: Member) -> None:
+        self.slot_of = {a: s for a, s in self.slot_of.items() if s != message.slot}
+        self.slot_of[source] = message.slot
+        robot = self.robots.setdefault(message.slot, Seen(message.slot, source, first_s=t_s))
+        robot.address, robot.incarnation, robot.left = source, message.incarnation, False
+
+    def _foreign(self, source: int) -> None:
+        """What came from there before the claim was no robot's."""
+        slot = self.slot_of.pop(source, None)
+        if slot is not None and self.robots[slot].address == source:
+            del self.robots[slot]
+
+    def _in_field(self, section: int) -> bool:
+        if self.sections and section not in self.sections:
+            self.beyond += 1
+            return False
+        return True
+
+    def _robot(self, t_s: float, robot: Seen, kind: str, message: Any) -> None:
+        match message:
+            case Pose():
+                robot.placed = message.placed
+                if message.x_m > NOWHERE_M:
+                    robot.x_m, robot.y_m = message.x_m, message.y_m
+                robot.speed_m_s = message.speed_m_s if message.placed else 0.0
+                robot.stopped = message.stopped
+                self._state(t_s, robot, message.state, kind)
+            case Heartbeat():
+                robot.health, robot.operations = message.health, message.operations
+                robot.digest, robot.left = message.digest, message.leaving
+                robot.digest_s = t_s
+                robot.started, robot.held = message.started, message.held or message.stopped
+                if not robot.held:
+                    robot.causes.moves()
+                robot.clock[robot.slot] = message.operations
+                self._state(t_s, robot, message.state, kind)
+            case Standstill():
+                robot.causes.hear(message, round(t_s * 1e6))
+            case VectorSlice():
+                for offset, count in enumerate(message.counts):
+                    if message.base + offset != robot.slot and count:
+                        robot.clock[message.base + offset] = count
+            case TaskClaim() | StateSyncResponse() if self._in_field(message.section):
+                key = pack(
+                    message.epoch, message.phase, message.bid, message.lamport, message.owner
+                )
+                if self.allocation.apply(message.section, key):
+                    self.changed_s = t_s
+            case WorkProgress() if self._in_field(message.section):
+                if self.progress.apply(message.section, message.block, message.bits):
+                    self.changed_s = t_s
+            case LeaderElectionVote():
+                votes = self.votes.setdefault((message.election, message.term), {})
+                votes.setdefault(robot.slot, message.candidate)
+            case Itinerary():
+                _itinerary(robot, message)
+            case OperatorReport():
+                _operator_report(robot, message)
+
+    def _state(self, t_s: float, robot: Seen, state: int, kind: str) -> None:
+        name = State(state).name
+        if name != robot.state:
+            robot.transitions.append(Transition(t_s, robot.state, name, kind))
+            robot.state = name
+
+    def _button(self, t_s: float, source: int, m: AllImplementsStop) -> None:
+        """Each shortcut button permits for itself alone."""
+        if m.switch in (Switch.STOP, Switch.ERROR):
+            self._buttons[source] = t_s
+        elif m.switch == Switch.PERMIT:
+            self._buttons.pop(source, None)
+
+    # ---------------------------------------------------------------- what people ask
+
+    @property
+    def implements_stop(self) -> float | None:
+        """When the last button that stops implements was heard; None: all permit, or are silent."""
+        heard_s = max(self._buttons.values(), default=None)
+        held = heard_s is not None and self.now_s - heard_s < BUTTON_S
+        return heard_s if held else None
+
+    @property
+    def latched(self) -> list[tuple[int, int, int]]:
+        return sorted(set(self.stops) - set(self.cleared))
+
+    @property
+    def leader(self) -> int | None:
+        """The robot that answers for the fleet: a majority of those heard now has voted for it."""
+        live = {
+            r.slot for r in self.robots.values()
+            if not r.left and self.now_s - r.last_s <= SILENT_S
+        }  # fmt: skip
+        terms = [term for election, term in self.votes if election == OPERATOR_GATEWAY]
+        if not terms:
+            return None
+        cast = self.votes[OPERATOR_GATEWAY, max(terms)]
+        votes = Counter(candidate for voter, candidate in cast.items() if voter in live)
+        for candidate, count in votes.items():
+            if 2 * count > len(live):
+                return candidate
+        return None
+
+    def why(self, section: int) -> Iterator[dict[str, Any]]:
+        """The frames by which a section came to its owner, oldest first; each with what led to it."""
+        for step in self.causality.chain(section):
+            yield step.to_dict()
+
+    def to_dict(self) -> dict[str, Any]:
+        span_s = max(self.now_s - (self.first_s or 0.0), 1e-9)
+        return {
+            "robots": [self._robot_dict(self.robots[slot]) for slot in sorted(self.robots)],
+            "sections": {
+                f"S{section}": {
+                    "phase": self.allocation.phase_of(section).name,
+                    "owner": self.allocation.owner_of(section),
+                    "units": self.progress.covered(section),
+                }
+                for section in self.allocation.sections()
+            },
+            "frames": dict(self.kinds.most_common()),
+            "malformed": dict(self.malformed),
+            "unknown": {group_name(pgn): n for pgn, n in self.unknown.most_common()},
+            "other_makers": {group_name(pgn): n for pgn, n in self.makers.refused.most_common()},
+            "beyond_the_field": self.beyond,
+            "latched": [".".join(map(str, dot)) for dot in self.latched],
+            "leader": self.leader,
+            "leaders": {
+                f"{election}/{term}": dict(sorted(votes.items()))
+                for (election, term), votes in sorted(self.votes.items())
+            },
+            "bus_load_worst_case": round(self.bits / (span_s * BIT_RATE), 4),
+            "seconds": round(span_s, 3),
+        }
+
+    def _delivering(self, robot: Seen) -> dict[str, Any]:
+        """Of robots that carry parcels alone."""
+        if robot.battery is None:
+            return {}
+        return {"itinerary": self.itinerary(robot), "battery": round(robot.battery, 2)}
+
+    def itinerary(self, robot: Seen) -> list[str]:
+        """What it is at and means to do, as far as it has told: [P5, D5, C1]."""
+        own = [s for s in self.allocation.assigned_sections(robot.slot) if s < TASKS_MAX]
+        ahead = [
+            stop for _, stop in sorted(robot.plan.items())
+            if stop >= TASKS_MAX or self.allocation.phase_of(stop) is Phase.FREE
+        ]  # fmt: skip
+        aboard = next((s for s in own if self.progress.bits(s, 0) & 1), -1)
+        return stop_names(own, ahead, aboard)
+
+    def replica_of(self, robot: Seen) -> str:
+        """What its last heartbeat says of its replica, for people.
+
+        "in step": as every other robot that is there; "before the last change": it was sent before the
+        newest claim or work was heard, and says nothing of that; else it differs.
+        """
+        if robot.digest_s <= self.changed_s:
+            return "before the last change"
+        newer = {
+            other.digest
+            for other in self.robots.values()
+            if not other.left and other.digest_s > self.changed_s
+        }
+        return "in step" if newer <= {robot.digest} else "differs"
+
+    def stands(self, robot: Seen) -> list[str]:
+        """Why it stands and what a person can do, for each cause that it still tells. A silent robot
+        tells nothing: what can be done about its silence comes first."""
+        said = robot.causes.sentences(round(self.now_s * 1e6))
+        if self.now_s - robot.last_s > SILENT_S and not robot.left:
+            said.insert(0, f"SILENT: {Cause.MEMBER_SILENT.value.do}")
+        return said
+
+    def _robot_dict(self, robot: Seen) -> dict[str, Any]:
+        peers = sorted(s for s in robot.clock if s != robot.slot)
+        return {
+            "slot": robot.slot, "address": robot.address, "state": robot.state,
+            "silent": self.now_s - robot.last_s > SILENT_S and not robot.left, "left": robot.left,
+            "x_m": round(robot.x_m, 2), "y_m": round(robot.y_m, 2),
+            "speed_m_s": round(robot.speed_m_s, 2), "placed": robot.placed,
+            "stopped": robot.stopped, "health": round(robot.health, 3),
+            "started": robot.started, "question": robot.question, "goal": robot.goal,
+            "stands": self.stands(robot),
+            "incarnation": robot.incarnation, "digest": f"{robot.digest:06x}",
+            "replica": self.replica_of(robot),
+            "peers": peers, "clock": {str(s): robot.clock[s] for s in sorted(robot.clock)},
+            "sections": [f"S{s}" for s in self.allocation.assigned_sections(robot.slot)],
+            **self._delivering(robot),
+            "transitions": [
+                {"t_s": round(t.t_s, 3), "from": t.source, "to": t.target, "by": t.heard_by}
+                for t in robot.transitions
+            ],
+        }  # fmt: skip
+
+
+def _itinerary(robot: Seen, m: Itinerary) -> None:
+    if m.version != robot.plan_version:
+        robot.plan_version, robot.plan = m.version, {}
+    robot.battery = m.battery / 255
+    if m.task != NO_TASK:
+        robot.plan[m.first] = m.task
+    if m.after != NO_TASK:
+        robot.plan[m.first + 1] = m.after
+
+
+def _operator_report(robot: Seen, m: OperatorReport) -> None:
+    """What it asks, and where it was sent."""
+    match m.matter:
+        case Matter.REFUSED:
+            return
+        case Matter.ASKING | Matter.WAITING:
+            robot.question = m.number
+            return
+        case Matter.UNDER_WAY:
+            robot.goal = (m.x_m, m.y_m)
+        case Matter.ARRIVED | Matter.WORKING | Matter.STOPPED:
+            robot.goal = None
+    robot.question = 0

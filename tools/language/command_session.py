@@ -1,0 +1,250 @@
+"""From a phrase to what robots confirm: one operator's device on a bus that is spoken to.
+
+A stop of all does not wait until it is known who is there: it is said at once, again and again, and
+who has not confirmed it after half a second gets an emergency stop.
+"""
+
+import asyncio
+from collections.abc import Awaitable, Callable
+
+from agent.peer import fleet_summary as bulletin
+from protocol.authentication import Keyring
+from protocol.frames.frame import Frame
+from protocol.frames.identifier import GLOBAL_ADDRESS
+from protocol.frames.operator_frames import Matter
+from protocol.frames.safety_frames import Command, Reason
+from protocol.links.bus import CanBus
+from tools.inspect.inspector import Inspector
+from tools.language import view
+from tools.language.alarm import may_be_alarm
+from tools.language.answer import answer
+from tools.language.authorize import Order, Verdict, weigh
+from tools.language.fleet_state import FleetNow
+from tools.language.goal_queue import GoalQueue, Queued
+from tools.language.intent import AnyIntent, Control
+from tools.language.outcome import Outcome
+from tools.language.parse import read
+from tools.language.places import Places
+from tools.language.question import Question
+from tools.language.question import Reason as Why
+from tools.operate.estop import press
+from tools.operate.operator_device import Operator, Robot
+from tools.operate.order import LISTEN_S, convey
+from tools.operate.pgn_client import Correspondent
+
+REPEAT_S = 0.05  # a stop of all is said again: one control period
+PLAIN_STOP_S = 0.5  # then an emergency stop; a robot obeys within a control period and a bus delay
+HOLD_S = 3.0  # a hold is confirmed by a heartbeat: two of the slowest, every 1.4 s
+SERVE_S = 0.5  # the queue is looked at this often
+HEARD_S = 0.3  # by then we are on the bus
+PEER_S = 1.0  # a peer that does not answer within this is not waited for
+ANY = "any"  # the leader is asked, and without its answer one peer after the other
+Reader = Callable[[str], Awaitable[tuple[tuple[AnyIntent, ...] | Question, bool]]]
+Asker = Callable[[str], Awaitable[bool]]  # a question with yes or no
+
+
+class Speaker:
+    """Make it inside of the loop that drives the bus."""
+
+    def __init__(
+        self, bus: CanBus, keyring: Keyring | None, places: Places, queue: GoalQueue, read: Reader,
+        ask: Asker, timeout_s: float = 5.0, by: str | None = None,
+    ) -> None:  # fmt: skip
+        self.operator, self.inspector = Operator(bus, keyring), Inspector()
+        self.letters = Correspondent(bus, self.operator.device)
+        self.places, self.queue, self.read, self.ask = places, queue, read, ask
+        self.timeout_s, self.by = timeout_s, by
+        self.heard = False
+        loop = asyncio.get_running_loop()
+        bus.subscribe(lambda frame: self._hear(loop.time(), frame))
+
+    def _hear(self, now_s: float, frame: Frame) -> None:
+        for listener in (self.operator, self.inspector, self.letters):
+            listener.hear(now_s, frame)
+
+    async def hear_fleet(self) -> FleetNow:
+        """Who is there: the first time it takes as long as robots take to tell all of themselves."""
+        if not self.heard:
+            await self.operator.listen(HEARD_S)
+            self.operator.ask_work()  # what was claimed before we came
+            await self.operator.listen(LISTEN_S)
+            self.heard = True
+        self.operator.now_s = self.inspector.now_s = asyncio.get_running_loop().time()
+        return view.as_heard(self.inspector)
+
+    # ---------------------------------------------------------------- one phrase
+
+    async def say(self, phrase: str) -> Outcome:
+        alarm = may_be_alarm(phrase, self.places)
+        # A language model takes seconds. What may be an alarm is read by the grammar alone.
+        reading, by_model = (read(phrase, self.places), False) if alarm else await self.read(phrase)
+        if isinstance(reading, Question):
+            outcome = Outcome(phrase, question=reading)
+            if alarm:
+                await self._hold_all(outcome)
+            return outcome
+        outcome = Outcome(phrase, reading, by_model=by_model)
+        if stops_all(reading) and not by_model:
+            await self._stop_all(outcome, reading)
+            return outcome
+        fleet = await self.hear_fleet()
+        verdict = weigh(reading, fleet, self.places)
+        if isinstance(verdict, Question):
+            outcome.question = verdict
+            if any(isinstance(i, Control) and i.action == "stop" for i in reading):
+                await self._hold_all(outcome)
+            return outcome
+        if by_model and not await self.ask(f"the model read: {_told(reading)}; obey?"):
+            outcome.question = Question(Why.AMBIGUOUS, f"read as {_told(reading)}; not confirmed")
+            return outcome
+        for doubt in verdict.first_ask:
+            if not await self.ask(doubt):
+                outcome.question = Question(Why.UNSAFE, doubt, ("the same with --yes",))
+                return outcome
+        await self._obey(outcome, reading, verdict)
+        return outcome
+
+    async def _obey(
+        self, outcome: Outcome, intents: tuple[AnyIntent, ...], verdict: Verdict
+    ) -> None:
+        if verdict.stop_all or verdict.emergency_stop:
+            await self._stop_all(outcome, intents)
+        words = await asyncio.gather(*map(self._convey, verdict.orders))
+        outcome.orders = list(zip(verdict.orders, words, strict=True))
+        if verdict.clear_queue:
+            self.queue.clear()
+        for goal in verdict.waiting:
+            self.queue.add(goal.name, goal.place)
+            outcome.queued.append(goal.name)
+        if verdict.queries:
+            fleet = await self._view()
+            outcome.told_by = fleet.told_by
+            names = self.queue.names
+            outcome.answers = [answer(q, fleet, self.places, names) for q in verdict.queries]
+
+    async def _convey(self, order: Order) -> str | None:
+        """What the robot says, or None where it does not obey."""
+        robot = self.operator.robots.get(order.slot)
+        if robot is None:
+            return None
+        obeyed = await convey(self.operator, robot, order.what, order.place, self.timeout_s)
+        said = "STARTED" if robot.report is None else robot.report.matter.name
+        return said.replace("_", " ") if obeyed else None
+
+    # ---------------------------------------------------------------- stops
+
+    async def _stop_all(self, outcome: Outcome, intents: tuple[AnyIntent, ...]) -> None:
+        emergency = any(isinstance(i, Control) and i.action == "emergency_stop" for i in intents)
+        late = await self._all_late() if not emergency else None
+        if late is None or late:
+            late = await press(self.operator, Reason.OPERATOR_INTERVENTION, self.timeout_s)
+        self.operator.now_s = asyncio.get_running_loop().time()
+        live = self.operator.live
+        outcome.stopped = [robot.slot for robot in live if robot not in late]
+        # Who was heard and has fallen silent without saying goodbye has confirmed nothing.
+        outcome.not_stopped = sorted(set(self.operator.robots) - set(outcome.stopped))
+
+    async def _hold_all(self, outcome: Outcome) -> None:
+        """Everybody stands until a start; said again until all that beat have confirmed it."""
+        loop, operator = asyncio.get_running_loop(), self.operator
+        begun_s = loop.time()
+        operator.ask_who()
+        asked = set[int]()
+        while True:
+            for slot in operator.robots.keys() - asked:  # a heartbeat from now on has to confirm it
+                operator.robots[slot].started = True
+                asked.add(slot)
+            operator.command(Command.HOLD)
+            await asyncio.sleep(REPEAT_S)
+            operator.now_s = loop.time()
+            free = [
+                r for r in operator.live if (r.started or r.slot not in asked) and not r.stopped
+            ]
+            waited_s = loop.time() - begun_s
+            settled = waited_s >= PLAIN_STOP_S and not free and not operator.unknown
+            if settled or waited_s >= HOLD_S:
+                break
+        outcome.held = sorted(robot.slot for robot in operator.live if robot not in free)
+        outcome.not_stopped = sorted(set(operator.robots) - set(outcome.held))
+
+    async def _all_late(self) -> list[Robot] | None:
+        """An ordinary stop; who has not confirmed it in time. None: nobody is heard."""
+        loop, operator = asyncio.get_running_loop(), self.operator
+        end_s = loop.time() + PLAIN_STOP_S
+        operator.ask_who()
+        for robot in operator.robots.values():
+            robot.report = None
+        while True:
+            operator.command(Command.STOP)
+            await asyncio.sleep(REPEAT_S)
+            operator.now_s = loop.time()
+            late = [robot for robot in operator.live if not _stands(robot)]
+            if loop.time() >= end_s:
+                return late if operator.live and not operator.unknown else None
+
+    # ---------------------------------------------------------------- who answers
+
+    async def _view(self) -> FleetNow:
+        """Our own hearing, or what a peer tells when one is asked for."""
+        own = await self.hear_fleet()
+        if self.by is None:
+            return own
+        peers = [int(self.by)] if self.by != ANY else [r.slot for r in own.live]
+        known = [self.operator.robots[slot] for slot in peers if slot in self.operator.robots]
+        asked = [robot.address for robot in known]
+        if self.by == ANY:  # the leader answers that, and where there is none any other is asked
+            asked.insert(0, GLOBAL_ADDRESS)
+        for address in asked:
+            text = await self.letters.ask(bulletin.BULLETIN_PGN, address, PEER_S)
+            told = None if text is None else bulletin.read(text)
+            if told is not None:
+                return view.as_told(told)._replace(sections={**own.sections})
+        return own._replace(told_by=f"robot {self.by} did not answer; heard on the bus")
+
+    # ---------------------------------------------------------------- goals that wait
+
+    async def serve(self, tell: Callable[[Outcome], None]) -> None:
+        """Until the queue is empty: the oldest goal goes to the nearest robot that is idle."""
+        while self.queue:
+            with self.queue.delivering() as ours:
+                goals = self.queue.goals
+                outcome = await self._deliver(goals[0]) if ours and goals else None
+            if outcome is not None:
+                tell(outcome)
+            else:
+                await asyncio.sleep(SERVE_S)
+
+    async def _deliver(self, goal: Queued) -> Outcome | None:
+        """One goal, if a robot can take it; who refuses it has a reason that waiting does not mend."""
+        fleet = await self.hear_fleet()
+        robot = fleet.nearest(goal.place)
+        if goal.given_to is not None:  # a command before us died while it was sending
+            robot = fleet.robots.get(goal.given_to)
+        if robot is None:
+            return None
+        self.queue.give(goal.number, robot.slot)
+        order = Order(robot.slot, "set-goal", goal.place)
+        word = await self._convey(order)
+        report = self.operator.robots[robot.slot].report
+        if word is None and (report is None or report.matter is not Matter.REFUSED):
+            return None  # not heard: the same robot is told again
+        self.queue.done(goal.number)
+        return Outcome(f"queued: {goal.name}", orders=[(order, word)])
+
+
+def stops_all(intents: tuple[AnyIntent, ...]) -> bool:
+    """A phrase that is a stop of everybody and nothing else."""
+    if len(intents) != 1 or not isinstance(intents[0], Control):
+        return False
+    stop = intents[0]
+    all_of_them = isinstance(stop.robots, str)
+    return stop.action == "emergency_stop" or (stop.action == "stop" and all_of_them)
+
+
+def _stands(robot: Robot) -> bool:
+    said = robot.report is not None and robot.report.matter is Matter.STOPPED
+    return said or robot.stopped
+
+
+def _told(intents: tuple[AnyIntent, ...]) -> str:
+    return "; ".join(intent.model_dump_json(exclude_none=True) for intent in intents)

@@ -1,0 +1,58 @@
+"""What is known of the fleet when a person speaks: all that an order is weighed against."""
+
+from collections.abc import Mapping
+from math import hypot
+from typing import NamedTuple
+
+Point = tuple[float, float]
+STANDING_M_S = 0.05  # slower than this it stands; POSE tells speed in steps of 0.05 m/s or less
+
+
+class RobotNow(NamedTuple):
+    slot: int
+    state: str  # of agent.interface.lifecycle.State
+    x_m: float
+    y_m: float
+    speed_m_s: float = 0.0
+    stopped: bool = False  # a stop is latched
+    started: bool = True
+    silent: bool = False
+    asking: int = 0  # number of its open question; 0: none
+    goal: Point | None = None  # where an operator has sent it and it is not yet
+    sections: tuple[str, ...] = ()
+    heard_s: float = 0.0  # ago
+    battery: float | None = None  # share of a full one; None: it has none, or tells of none
+
+    @property
+    def idle(self) -> bool:
+        return (
+            self.state == "IDLE" and self.started and not (self.stopped or self.silent or self.asking)
+            and self.goal is None and self.speed_m_s <= STANDING_M_S
+        )  # fmt: skip
+
+    def away_m(self, place: Point) -> float:
+        return hypot(self.x_m - place[0], self.y_m - place[1])
+
+
+class SectionNow(NamedTuple):
+    phase: str
+    owner: int | None
+
+
+class FleetNow(NamedTuple):
+    robots: Mapping[int, RobotNow]
+    sections: Mapping[int, SectionNow]
+    told_by: str = "the bus"  # whose view this is
+
+    @property
+    def live(self) -> list[RobotNow]:
+        return [r for _, r in sorted(self.robots.items()) if not r.silent]
+
+    def nearest(self, place: Point, without: frozenset[int] = frozenset()) -> RobotNow | None:
+        """The idle robot nearest to a place, as the crow flies; of equals the lower slot."""
+        idle = [r for r in self.live if r.idle and r.slot not in without]
+        return min(idle, key=lambda r: (r.away_m(place), r.slot), default=None)
+
+    @property
+    def heard(self) -> str:
+        return ", ".join(str(r.slot) for r in self.live) or "none"

@@ -1,0 +1,153 @@
+"""An inspector that also knows what a map shows: courses, bus load now, the map told, islands.
+
+Everything is what was heard, or what robots told of themselves beside the bus (`sim.record.robot_intent`).
+"""
+
+from collections import Counter, deque
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from crdt.occupancy import Geometry, OccupancyMap, corner_of
+from crdt.sighting import VALUE, Order
+from protocol.frames.fleet_frames import Pose
+from protocol.frames.frame import Frame
+from protocol.frames.identifier import Identifier
+from protocol.frames.map_frames import MapPatch
+from protocol.frames.messages import GROUPS
+from protocol.frames.operator_frames import Matter, OperatorReport
+from protocol.frames.safety_frames import EmergencyStop
+from protocol.frames.work_frames import StateSyncResponse, TaskClaim, WorkProgress
+from protocol.sync.map_sync import decode_cells
+from sim.can.frame_timing import worst_bits
+from sim.record.scene import Scene
+from tools.inspect.inspector import Inspector, Seen
+
+LOAD_S = 1.0  # over which the load of the bus is told
+NAMES = {group.pgn: group.name for group in GROUPS}
+STALE_S = 1.0  # an intent older than this says nothing of now
+
+
+class Watcher(Inspector):
+    def __init__(self, scene: Scene | None = None) -> None:
+        super().__init__()
+        self.course: dict[int, float] = {}
+        self.intents: dict[int, tuple[float, dict[str, Any]]] = {}  # when, and what
+        self.things: list[list[float]] = []
+        self.reasons: dict[tuple[int, int, int], tuple[int, int | None]] = {}  # reason, said by
+        self.asking: dict[int, OperatorReport] = {}  # what a robot waits for an operator about
+        self.changed_sections: set[int] = set()
+        self.changed_blocks: set[tuple[int, int]] = set()
+        self.changed_patches: set[int] = set()
+        self.chart = _chart(scene)
+        self.bitrate = int((scene or {}).get("bitrate", 250_000))
+        self._loads: deque[tuple[float, int, int]] = deque()  # when, bits, group
+        self._load = 0
+        self._recent: Counter[int] = Counter()
+
+    def hear(self, t_s: float, frame: Frame) -> None:
+        super().hear(t_s, frame)
+        pgn = Identifier.unpack(frame.identifier).pgn
+        bits = worst_bits(len(frame.data))
+        self._loads.append((t_s, bits, pgn))
+        self._load += bits
+        self._recent[pgn] += 1
+        self.forget(t_s)
+
+    def forget(self, now_s: float) -> None:
+        """What is older than a second is not the load of now."""
+        while self._loads and self._loads[0][0] < now_s - LOAD_S:
+            _, bits, pgn = self._loads.popleft()
+            self._load -= bits
+            self._recent[pgn] -= 1
+
+    @property
+    def share(self) -> float:
+        """Share of the bus in the last second, at worst-case stuffing."""
+        return self._load / (LOAD_S * self.bitrate)
+
+    @property
+    def recent(self) -> dict[str, int]:
+        """Frames of each kind in the last second, most first."""
+        counts = [(pgn, count) for pgn, count in self._recent.most_common() if count > 0]
+        return {NAMES.get(pgn, f"PGN {pgn:04X}"): count for pgn, count in counts}
+
+    def intend(self, t_s: float, intent: dict[str, Any]) -> None:
+        self.intents[int(intent["slot"])] = (t_s, intent)
+
+    def intent(self, slot: int, now_s: float) -> dict[str, Any] | None:
+        at_s, intent = self.intents.get(slot, (0.0, None))
+        return intent if intent is not None and abs(now_s - at_s) <= STALE_S else None
+
+    def islands(self, now_s: float) -> list[list[int]]:
+        """Groups of robots of which each hears another: more than one where the bus is split."""
+        hears = {
+            slot: set(intent["hears"])
+            for slot, (at_s, intent) in self.intents.items()
+            if abs(now_s - at_s) <= STALE_S and self._state_of(slot) != "DISCONNECTED"
+        }
+        left, found = set(hears), []
+        while left:
+            group, edge = set(), {min(left)}
+            while edge:
+                slot = edge.pop()
+                group.add(slot)
+                edge |= {o for o in hears[slot] & left - group if slot in hears[o]}
+            left -= group
+            found.append(sorted(group))
+        return found
+
+    def _state_of(self, slot: int) -> str:
+        robot = self.robots.get(slot)
+        return "DISCONNECTED" if robot is None else robot.state
+
+    def _robot(self, t_s: float, robot: Seen, kind: str, message: Any) -> None:
+        match message:
+            case Pose():
+                if message.placed:
+                    self.course[robot.slot] = message.course_rad
+            case TaskClaim() | StateSyncResponse():
+                self.changed_sections.add(message.section)
+            case WorkProgress():
+                self.changed_blocks.add((message.section, message.block))
+            case MapPatch():
+                self._patch(message)
+            case OperatorReport(matter=Matter.ASKING | Matter.WAITING):
+                self.asking[robot.slot] = message
+            case OperatorReport():
+                self.asking.pop(robot.slot, None)
+            case EmergencyStop():
+                self.reasons.setdefault(message[:3], (message.reason, robot.slot))
+        super()._robot(t_s, robot, kind, message)
+
+    def _patch(self, m: MapPatch) -> None:
+        values = decode_cells(m.cells).astype(np.int64)
+        if self.chart is not None and self.chart.apply(
+            m.patch, values, m.level, m.time, m.observer
+        ):
+            self.changed_patches.add(m.patch)
+
+    def cells(self, patches: Iterable[int]) -> list[list[int]]:
+        """Row and column of a patch, then the values of its 16 cells, row by row."""
+        if self.chart is None:
+            return []
+        return [
+            [*corner_of(patch), *(self.chart.patch(patch) & VALUE).tolist()] for patch in patches
+        ]
+
+    def all_changed(self) -> None:
+        """Whoever looks knows nothing yet."""
+        self.changed_sections = set(self.allocation.sections())
+        self.changed_blocks = {(section, block) for section, block, _ in self.progress.entries()}
+        if self.chart is not None:
+            self.changed_patches = set(self.chart.known_patches())
+
+
+def _chart(scene: Scene | None) -> OccupancyMap | None:
+    cells = (scene or {}).get("cells")
+    if not cells:
+        return None
+    west, south = cells["origin"]
+    geometry = Geometry(int(cells["rows"]), int(cells["columns"]), (west, south), cells["cell_m"])
+    return OccupancyMap(geometry, Order(cells["order"]))

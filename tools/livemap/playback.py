@@ -1,0 +1,193 @@
+"""A playhead over a recording: where a person looks, and the watcher as it was then.
+
+The state at any time is that of the last snapshot before it, and the frames since. Snapshots are made
+once for all who look, by the index, which hears every frame as it comes. Of a live bus the snapshots
+outlive the frames: the older, the fewer.
+"""
+
+import pickle
+import zlib
+from bisect import bisect_right
+from collections import deque
+from itertools import pairwise
+from time import perf_counter
+from typing import NamedTuple
+
+from sim.record.recording import Recording
+from tools.livemap.map_state import Watcher
+
+SNAPSHOT_US = 10_000_000
+SPEED_MAX = 256.0
+AGES = 16  # of a live bus, two snapshots around one are at least its age over this apart
+EVENTS_MAX = 512  # marks on the line of time; more cannot be told apart
+FAST = 1  # level of zlib: a snapshot in a millisecond, in a fifth of its size
+LOOK = 512  # rows between two looks at the clock
+
+
+class Snapshot(NamedTuple):
+    t_us: int
+    frame: int  # the first frame after it
+    state: bytes  # compressed
+
+    def watcher(self) -> Watcher:
+        watcher: Watcher = pickle.loads(zlib.decompress(self.state))
+        return watcher
+
+
+class Reader:
+    """A watcher, and how far in the recording it has heard."""
+
+    def __init__(self, recording: Recording) -> None:
+        self.recording = recording
+        self.watcher = Watcher(recording.scene)
+        self.frame, self.t_us = recording.first, recording.from_us
+
+    def read(self, until_us: int, budget_s: float) -> bool:
+        """Hear everything up to then; False where the time was not enough."""
+        recording, watcher = self.recording, self.watcher
+        end_s = perf_counter() + budget_s
+        if self.frame < recording.first and recording.from_us <= until_us:
+            self.frame = recording.first  # what was between is forgotten
+        while recording.first <= self.frame < recording.count:
+            t_us, frame = recording[self.frame]
+            if t_us > until_us:
+                break
+            watcher.hear(t_us / 1e6, frame)
+            self.frame, self.t_us = self.frame + 1, t_us
+            if self.frame % LOOK == 0 and perf_counter() > end_s:
+                return False
+        self.t_us = max(self.t_us, until_us)
+        watcher.now_s = self.t_us / 1e6
+        watcher.forget(watcher.now_s)
+        return True
+
+
+class Index:
+    """Hears everything once, and keeps snapshots on the way."""
+
+    def __init__(self, recording: Recording) -> None:
+        self.recording = recording
+        self.reader = Reader(recording)
+        self.snapshots: list[Snapshot] = []
+        self.events: deque[tuple[float, str]] = deque(maxlen=EVENTS_MAX)  # for the line of time
+        self.noted = 0  # events in all
+        self._stops = 0
+        self._cleared = 0
+
+    @property
+    def complete(self) -> bool:
+        return self.reader.frame >= self.recording.count
+
+    def work(self, budget_s: float) -> None:
+        """Hear what is new, for at most this long."""
+        end_s = perf_counter() + budget_s
+        reader, recording = self.reader, self.recording
+        while reader.frame < recording.count and perf_counter() < end_s:
+            due_us = self.snapshots[-1].t_us + SNAPSHOT_US if self.snapshots else recording.from_us
+            left_s = end_s - perf_counter()
+            if reader.read(min(due_us, recording.until_us), left_s) and reader.t_us >= due_us:
+                state = zlib.compress(pickle.dumps(reader.watcher, pickle.HIGHEST_PROTOCOL), FAST)
+                self.snapshots.append(Snapshot(reader.t_us, reader.frame, state))
+                if recording.forgets:
+                    self._thin()
+            self._note()
+        while (
+            not recording.forgets and self.snapshots and self.snapshots[0].frame < recording.first
+        ):
+            self.snapshots.pop(0)
+
+    def _thin(self) -> None:
+        """As many in each doubling of age: about 250 of a day."""
+        newest_us = self.snapshots[-1].t_us
+        kept = self.snapshots[:1]
+        for snapshot, after in pairwise(self.snapshots[1:]):
+            if after.t_us - kept[-1].t_us > (newest_us - snapshot.t_us) / AGES:
+                kept.append(snapshot)
+        self.snapshots = [*kept, *self.snapshots[1:][-1:]]
+
+    @property
+    def from_us(self) -> int:
+        """From where on something can be shown."""
+        oldest_us = self.recording.from_us
+        return min(oldest_us, self.snapshots[0].t_us) if self.snapshots else oldest_us
+
+    def _note(self) -> None:
+        watcher, now_s = self.reader.watcher, self.reader.t_us / 1e6
+        if len(watcher.stops) > self._stops:
+            self.events.append((min(list(watcher.stops.values())[self._stops :]), "stop"))
+            self._stops, self.noted = len(watcher.stops), self.noted + 1
+        if len(watcher.cleared) > self._cleared:
+            self.events.append((now_s, "reset"))
+            self._cleared, self.noted = len(watcher.cleared), self.noted + 1
+
+    def before(self, t_us: int) -> Snapshot | None:
+        at = bisect_right(self.snapshots, t_us, key=lambda snapshot: snapshot.t_us)
+        return self.snapshots[max(at - 1, 0)] if self.snapshots else None
+
+
+class Player:
+    """`follow`: at the newest there is; else `playing` at `speed` from where it stands."""
+
+    def __init__(self, index: Index, follow: bool, speed: float) -> None:
+        self.index, self.recording = index, index.recording
+        self.reader = Reader(self.recording)
+        self.follow, self.playing, self.speed = follow, True, speed
+        self.goal_us = float(self.recording.from_us)  # where the person wants to be
+        self.caught_up = True  # and is
+        self.jumps = 0  # how often the past was taken up anew
+        if follow:
+            self.seek(self.recording.until_us)
+
+    @property
+    def watcher(self) -> Watcher:
+        return self.reader.watcher
+
+    def seek(self, t_us: int) -> None:
+        """Go there; back or far ahead by the nearest snapshot."""
+        recording = self.recording
+        t_us = min(max(t_us, self.index.from_us), recording.until_us)
+        snapshot = self.index.before(t_us)
+        ahead = snapshot is not None and snapshot.t_us > self.reader.t_us
+        if t_us < self.reader.t_us or ahead or self.reader.frame < recording.first:
+            self.reader = Reader(recording)
+            if snapshot is not None and (snapshot.t_us <= t_us or recording.first > 0):
+                self.reader.watcher = snapshot.watcher()
+                self.reader.frame, self.reader.t_us = snapshot.frame, snapshot.t_us
+            self.jumps += 1
+            self.reader.watcher.all_changed()
+        self.goal_us, self.caught_up = float(t_us), False
+
+    @property
+    def head_us(self) -> float:
+        """Where the watcher is; behind the goal while it reads its way there."""
+        return self.goal_us if self.caught_up else min(self.goal_us, float(self.reader.t_us))
+
+    def advance(self, elapsed_s: float, budget_s: float) -> None:
+        """Time goes on; reading may lag behind and catches up."""
+        until_us = self.recording.until_us
+        if self.follow:
+            if until_us - self.reader.t_us > 2 * SNAPSHOT_US:
+                self.seek(until_us)
+            self.goal_us = float(until_us)
+        elif self.playing and self.caught_up:
+            self.goal_us = min(self.goal_us + elapsed_s * 1e6 * self.speed, float(until_us))
+        self._over_the_forgotten()
+        self.caught_up = self.reader.read(round(self.goal_us), budget_s)
+        self._beside()
+
+    def _over_the_forgotten(self) -> None:
+        """Where the next frames are gone, from snapshot to snapshot."""
+        if self.reader.frame >= self.recording.first:
+            return
+        snapshot = self.index.before(round(self.goal_us))
+        if snapshot is not None and self.reader.t_us < snapshot.t_us <= self.goal_us:
+            self.seek(round(self.goal_us))
+
+    def _beside(self) -> None:
+        """Intents and things as they were then."""
+        watcher, now_us = self.watcher, round(self.head_us)
+        watcher.intents.clear()
+        for t_us, intent in self.recording.intents_at(now_us):
+            watcher.intend(t_us / 1e6, intent)
+        at = bisect_right(self.recording.things, now_us, key=lambda note: note[0])
+        watcher.things = self.recording.things[at - 1][1]["rows"] if at else []

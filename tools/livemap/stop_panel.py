@@ -1,0 +1,124 @@
+"""The map's operator device on a live bus: stops at once, releases with the operator's key."""
+
+import asyncio
+from pathlib import Path
+from typing import Any
+
+from protocol.authentication import Keyring
+from protocol.frames.frame import Frame
+from protocol.frames.safety_frames import Command, Reason
+from protocol.links.bus import CanBus
+from tools.common.bus_attach import AttachError
+from tools.operate.estop import press
+from tools.operate.operator_device import Operator
+from tools.operate.reset import LISTEN_S, STEP_S, operator_keyring, release
+
+CONFIRM_S = 10.0  # repeated until every live robot has echoed, at most this long
+RELEASE_S = 5.0
+ASK_S = 5.0  # who is there; an answer may have come before we were on the bus
+
+
+class PanelError(Exception):
+    """One line for the person."""
+
+
+STARTS = 3  # a start that is lost is only an inconvenience, but an annoying one
+NO_KEY = (
+    "this map holds no operator's key: start it with --operator-key, or use headland reset; "
+    "where the fleet has no keys, say so"
+)
+
+
+class Panel:
+    def __init__(
+        self, bus: CanBus, keyring: Keyring | None, operator_key: Path | None = None
+    ) -> None:
+        """`keyring`: of a stop panel of a fleet with keys. `operator_key`: file that releases it."""
+        self.bus, self.signed = bus, keyring is not None
+        self._key = operator_key  # chosen by who starts the map, never by a request
+        self.stopper = Operator(bus, keyring)
+        self._listeners = [self.stopper]
+        self._pressing: asyncio.Task[list[int]] | None = None
+        self._releasing = asyncio.Lock()
+
+    def hear(self, now_s: float, frame: Frame) -> None:
+        for operator in self._listeners:
+            operator.hear(now_s, frame)
+
+    async def keep_asking(self) -> None:
+        """Who is there, and what has been done: what a listener that came late has not heard."""
+        first = True
+        while True:
+            self.stopper.ask_who()
+            if first:
+                self.stopper.ask_work()
+                self.stopper.ask_stops()
+            first = False
+            await asyncio.sleep(ASK_S if self.stopper.robots else LISTEN_S)
+
+    async def stop(self) -> dict[str, Any]:
+        """Press, and tell who has not confirmed. A second press meanwhile waits for the same answer."""
+        if self._pressing is None or self._pressing.done():
+            self._pressing = asyncio.create_task(self._press())
+        late = await asyncio.shield(self._pressing)
+        live = [robot.slot for robot in self.stopper.live]
+        return {
+            "stopped": [slot for slot in live if slot not in late], "late": late,
+            "heard": bool(live), "signed": self.signed,
+        }  # fmt: skip
+
+    async def _press(self) -> list[int]:
+        for robot in self.stopper.robots.values():
+            robot.echoed = False
+        late = await press(self.stopper, Reason.OPERATOR_INTERVENTION, CONFIRM_S)
+        return [robot.slot for robot in late]
+
+    @property
+    def releases(self) -> bool:
+        """A fleet with keys can be released from here."""
+        return self._key is not None
+
+    async def release(self, keyless: bool, reset: bool, start: bool) -> dict[str, Any]:
+        """Clear the stops and reset each machine, and start: both or one of them.
+
+        `keyless`: the person says that the fleet has no keys. Raises PanelError.
+        """
+        if self._releasing.locked():
+            raise PanelError("a release is under way")
+        if self._key is None and not keyless:
+            raise PanelError(NO_KEY)
+        async with self._releasing:
+            try:
+                keyring = operator_keyring(self._key, RELEASE_S)
+            except AttachError as problem:
+                raise PanelError(str(problem)) from None
+            operator = Operator(self.bus, keyring, self.stopper.device)
+            self._listeners.append(operator)
+            try:
+                await operator.listen(LISTEN_S, stops=True)
+                cleared, _ = operator.shown.named
+                left = await (self._reset(operator, start) if reset else self._start(operator))
+            finally:
+                self._listeners.remove(operator)
+            return {
+                "cleared": [".".join(map(str, dot)) for dot in cleared] if reset else [],
+                "late": left, "heard": bool(operator.live), "signed": keyring is not None,
+                "started": start,
+            }  # fmt: skip
+
+    async def _reset(self, operator: Operator, start: bool) -> list[int]:
+        return await release(operator, start, RELEASE_S)
+
+    async def _start(self, operator: Operator) -> list[int]:
+        """Every machine that is not latched; returns those that did not start."""
+        loop = asyncio.get_running_loop()
+        end_s = loop.time() + RELEASE_S
+        while True:
+            for _ in range(STARTS):
+                operator.command(Command.START)
+                await asyncio.sleep(STEP_S)
+            await asyncio.sleep(LISTEN_S)  # until each has beaten
+            operator.now_s = loop.time()
+            left = [r.slot for r in operator.live if not r.started]
+            if not left or loop.time() >= end_s:
+                return left

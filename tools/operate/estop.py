@@ -1,0 +1,170 @@
+"""`headland estop`: stop every robot on a bus, and say who has confirmed."""
+
+import asyncio
+import sys
+from pathlib import Path
+
+from protocol.authentication import Keyring
+from protocol.frames.safety_frames import AllImplementsStop, Reason, Switch
+from protocol.links.bus import CanBus
+from sim.files.key_file import KeyFileError, read
+from sim.files.strict_json import dumps
+from tools.common.bus_attach import AttachError, attach, robots_of_launch
+from tools.operate.operator_device import Operator, Robot
+
+REPEAT_S = 0.005
+LISTEN_S = 0.5  # long enough for ten beats: who has not been heard by then is not there
+AGAIN_S = 0.1  # nobody latched by then: the dot may have been used and cleared long ago; another
+SIGN_AGAIN_S = (
+    0.5  # an echo is said once for each dot: where one was lost, another dot gets another
+)
+FIRST_STOP = 1  # stops that this device has said in the standard frame, since it was started
+NOT_ALL, WRONG = 1, 2
+NOT_SIGNED = (
+    "NOT SIGNED: a fleet without keys believes anybody on the bus; one with keys only brakes"
+)
+
+
+def estop(
+    interface: str, channel: str, bitrate: int, host: str, port: int, keys: Path | None,
+    reason: str, timeout: float, watch: bool, as_json: bool,
+) -> int:  # fmt: skip
+    if reason not in Reason.__members__:
+        known = ", ".join(Reason.__members__)
+        print(f"headland: --reason {reason}: unknown; one of {known}", file=sys.stderr)
+        return WRONG
+    try:
+        return asyncio.run(
+            _estop(
+                interface,
+                channel,
+                bitrate,
+                host,
+                port,
+                keys,
+                Reason[reason],
+                timeout,
+                watch,
+                as_json,
+            )
+        )
+    except AttachError as problem:
+        print(f"headland: {problem}", file=sys.stderr)
+        return WRONG
+
+
+async def _estop(
+    interface: str, channel: str, bitrate: int, host: str, port: int, keys: Path | None,
+    reason: Reason, timeout_s: float, watch: bool, as_json: bool,
+) -> int:  # fmt: skip
+    bus = attach(interface, channel, bitrate, host, port)
+    try:
+        operator = Operator(bus, keyring_of(keys))
+        operator.expect(robots_of_launch(interface, host, port))
+        listen_to(bus, operator)
+        if watch:
+            return await _watch(operator)
+        late = await press(operator, reason, timeout_s)
+        return _tell(operator, late, as_json, keys is not None)
+    finally:
+        bus.close()
+
+
+def keyring_of(keys: Path | None) -> Keyring | None:
+    """Of a stop panel (the fleet's file) or an operator device; raises AttachError."""
+    try:
+        return None if keys is None else read(keys).keyring()
+    except KeyFileError as problem:
+        raise AttachError(f"--keys {problem}") from None
+
+
+def listen_to(bus: CanBus, operator: Operator) -> None:
+    loop = asyncio.get_running_loop()
+    bus.subscribe(lambda frame: operator.hear(loop.time(), frame))
+
+
+async def press(operator: Operator, reason: Reason, timeout_s: float) -> list[Robot]:
+    """Repeat until every member has confirmed; returns those that have not, silent ones among them."""
+    loop = asyncio.get_running_loop()
+    operator.begin_press()
+    begun_s = dot_s = loop.time()
+    stop = operator.new_stop(reason)
+    operator.stop(stop)
+    operator.send(AllImplementsStop(FIRST_STOP, Switch.STOP))
+    operator.ask_who()
+    spoken_from = operator.device.address
+    while True:
+        await asyncio.sleep(REPEAT_S)
+        if operator.device.address != spoken_from:
+            # Devices of other makers hear a stop only from an address that was claimed.
+            spoken_from = operator.device.address
+            operator.send(AllImplementsStop(FIRST_STOP, Switch.STOP))
+            operator.stop(stop)
+        now_s = operator.now_s = loop.time()
+        late = [r for r in operator.members if not operator.confirmed(r)]
+        heard = bool(operator.live) and not operator.unknown
+        if heard and not late and now_s - begun_s >= LISTEN_S:
+            return []
+        if now_s - begun_s >= timeout_s:
+            return late
+        nobody = not any(r.stopped or r.echoed for r in operator.live)
+        unsigned = operator.signs and any(not r.signed for r in operator.live)
+        again_s = AGAIN_S if nobody else SIGN_AGAIN_S
+        again = operator.live and (nobody or unsigned) and now_s - dot_s >= again_s
+        if again or stop[:3] in operator.shown.spent:
+            stop, dot_s = operator.new_stop(reason), now_s
+        if late or not heard:
+            operator.stop(stop)
+        if operator.unknown and round((now_s - begun_s) / REPEAT_S) % 20 == 0:
+            operator.ask_who()
+
+
+def _tell(operator: Operator, late: list[Robot], as_json: bool, signed: bool) -> int:
+    live = operator.live
+    confirmed = [r for r in operator.members if r not in late]
+    if as_json:
+        print(dumps({
+            "stopped": [r.slot for r in confirmed],
+            "not_stopped": [r.slot for r in late if r in live],
+            "not_heard": [r.slot for r in late if r not in live],
+            "unknown_addresses": sorted(operator.unknown),
+            "all_stopped": bool(live) and not late and not operator.unknown, "signed": signed,
+        }))  # fmt: skip
+    else:
+        for robot in operator.members:
+            print(f"robot {robot.slot}: {_word(operator, robot, late)}")
+        for address in sorted(operator.unknown):
+            print(f"address {address}: speaks, but has not said which robot it is")
+        if not signed:
+            print(NOT_SIGNED)
+    if not live:
+        print("headland: no robot was heard on this bus: nobody has confirmed", file=sys.stderr)
+    return 0 if live and not late and not operator.unknown else NOT_ALL
+
+
+def _word(operator: Operator, robot: Robot, late: list[Robot]) -> str:
+    if robot not in late:
+        return "stopped"
+    if robot not in operator.live:
+        return "NOT HEARD: it has not confirmed; go and look at it"
+    if robot.stopped or robot.echoed:
+        return "says that it is stopped, but has not signed it: NOT CONFIRMED"
+    return "NOT STOPPED"
+
+
+async def _watch(operator: Operator) -> int:
+    """A lamp: one line whenever it changes."""
+    shown = ""
+    operator.ask_who()
+    while True:
+        await asyncio.sleep(0.2)
+        operator.now_s = asyncio.get_running_loop().time()
+        live = operator.live
+        stopped = [r.slot for r in live if r.stopped]
+        lamp = (
+            "ALL STOPPED" if live and len(stopped) == len(live) else "MOVING" if live else "NOBODY"
+        )
+        line = f"{lamp}  live {[r.slot for r in live]}  stopped {stopped}"
+        if line != shown:
+            shown = line
+            print(line, flush=True)

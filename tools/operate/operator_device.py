@@ -1,0 +1,281 @@
+"""An operator's device on the bus: who is there, who stands stopped, and frames to say.
+
+Sans I/O but for `Bus.send`: the commands below (`estop`, `reset`) own the loop and the clock.
+"""
+
+import asyncio
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from secrets import randbelow
+
+from agent.interface.lifecycle import State
+from agent.interface.ports import Bus
+from agent.peer.told_causes import ToldCauses
+from crdt.stops import FarDot
+from protocol.authentication import Keyring, Signed
+from protocol.fleet_tags import FleetTags, plain_reset
+from protocol.frames.accord_frames import Fallen
+from protocol.frames.codec import Malformed, decode
+from protocol.frames.fleet_frames import Heartbeat, Member, Pose, Standstill
+from protocol.frames.frame import Frame
+from protocol.frames.identifier import NULL_ADDRESS
+from protocol.frames.messages import GROUP_OF, Message
+from protocol.frames.network_frames import AddressClaimed, Request
+from protocol.frames.operator_frames import Matter, OperatorReport, goal_check, goal_frames
+from protocol.frames.safety_frames import (
+    Challenge,
+    Command,
+    EmergencyReset,
+    EmergencyStop,
+    HeldReset,
+    OperatorCommand,
+    StopsHeld,
+)
+from protocol.frames.segment_frames import FleetStop
+from protocol.frames.work_frames import REGISTERS, STOPS, StateSyncRequest
+from tools.common.frame_makers import Makers
+from tools.operate.shown_stops import ShownStops
+from tools.operate.tool_address import DeviceAddress
+
+OPERATOR_SLOT = 249  # an operator device in dots and commands, in a fleet without keys
+LIVE_S = 1.0  # heard within this: it has to stop
+LEFT_S = 0.5  # without a beat since it said that it leaves: ten beats; a robot that left is silent
+ECHOES_TRIED = 8  # of a robot, for one stop: a forger has 8 guesses of 2^-16
+EVERYBODY = 255
+NOT_HEARD_S = float("-inf")  # when a robot was heard that only others told of
+ASK_S = 0.25
+
+
+@dataclass
+class Robot:
+    slot: int
+    address: int
+    heard_s: float
+    state: State = State.DISCONNECTED
+    stopped: bool = False
+    echoed: bool = False
+    signed: bool = False  # and its echo has a tag that it alone could make
+    started: bool = False
+    held: bool = False  # something other than a latch keeps it from moving
+    causes: ToldCauses = field(default_factory=ToldCauses)  # why it stands, as it tells it
+    leaves_s: float | None = None  # it said so then, and has not beaten since
+    report: OperatorReport | None = None  # the newest, since it was last forgotten
+    question: OperatorReport | None = None  # that it is asking or waiting about
+    tried: int = 0  # echoes whose tag was looked at
+
+
+class Operator:
+    def __init__(
+        self, bus: Bus, keyring: Keyring | None, device: DeviceAddress | None = None
+    ) -> None:
+        """`device`: whose address this operator speaks from; none: it claims one of its own."""
+        self.bus, self.keyring = bus, keyring
+        self.device = DeviceAddress(bus) if device is None else device
+        self._own_device = device is None
+        self.slot = OPERATOR_SLOT if keyring is None else keyring.sender
+        self.robots: dict[int, Robot] = {}
+        self.slot_of: dict[int, int] = {}
+        self.names: dict[int, int] = {}  # address -> NAME, as claimed
+        self.unknown: dict[int, float] = {}  # addresses that beat and have not said who they are
+        self.makers = Makers()
+        # Robots known only by a word from an address whose claim was not heard yet: address -> slot.
+        self.doubtful: dict[int, int] = {}
+        self.shown = ShownStops(keyring)
+        self.pressed: set[tuple[int, int, int]] = set()  # dots of ours, the newest press
+        self.now_s = 0.0
+
+    def hear(self, now_s: float, frame: Frame) -> None:
+        self.now_s = now_s
+        if self._own_device:
+            self.device.hear(now_s, frame)
+        if self.makers.refuse(frame):
+            return
+        source, message = decode(frame)
+        if isinstance(message, Malformed):
+            return
+        if isinstance(message, AddressClaimed):
+            if self.names.get(source, message.name) != message.name:
+                self.slot_of.pop(source, None)  # another device: it has to say which robot it is
+            self.names[source] = message.name
+            if self.makers.claimed(source, message.name):
+                self.doubtful.pop(source, None)
+            else:
+                self._foreign(source)
+        if isinstance(message, Member):
+            self.slot_of[source] = message.slot
+            self.unknown.pop(source, None)
+            if message.slot not in self.robots and not self.makers.knows(source):
+                self.doubtful[source] = message.slot
+                self.robots[message.slot] = Robot(message.slot, source, now_s)
+            elif self.doubtful.get(source) != message.slot:
+                self.expect((message.slot,))
+            self.robots[message.slot].address = source
+        if isinstance(message, Fallen):
+            self.expect((message.slot,))  # it was there, and fell silent before we came
+        if isinstance(message, EmergencyStop):
+            self.shown.hear_stop(message)
+        if isinstance(message, StopsHeld):
+            self.shown.hear_held(message)
+        if isinstance(message, FleetStop):
+            far = FarDot(message.slot, message.incarnation, message.counter, message.segment)
+            self.shown.hear_far(far)
+        if isinstance(message, Challenge):
+            self._prove(source, message)
+        slot = self.slot_of.get(source)
+        if slot is None:
+            if isinstance(message, Pose | Heartbeat):
+                self.unknown[source] = now_s
+            return
+        robot = self.robots[slot]
+        robot.heard_s = now_s
+        if isinstance(message, Pose | Heartbeat):
+            if isinstance(message, Heartbeat) and message.leaving:
+                robot.leaves_s = now_s if robot.leaves_s is None else robot.leaves_s
+                return
+            robot.leaves_s = None  # who beats has not left, whatever is said in its name
+            robot.state, robot.stopped = State(message.state), message.stopped
+            if isinstance(message, Heartbeat):
+                robot.started, robot.held = message.started, message.held
+                if not (robot.held or robot.stopped):
+                    robot.causes.moves()
+        elif isinstance(message, Standstill):
+            robot.causes.hear(message, round(now_s * 1e6))
+        elif isinstance(message, OperatorReport):
+            robot.report = message
+            asking = message.matter in (Matter.ASKING, Matter.WAITING)
+            if asking or message.matter is not Matter.REFUSED:
+                robot.question = message if asking else None
+        elif isinstance(message, EmergencyStop) and message.echo and not message.spent:
+            robot.echoed = True
+            self._verify(robot, message)
+
+    def _foreign(self, source: int) -> None:
+        """Another maker's: what came from there before the claim was no robot's."""
+        self.unknown.pop(source, None)
+        slot = self.doubtful.pop(source, None)
+        if slot is not None:
+            self.slot_of.pop(source, None)
+            del self.robots[slot]
+
+    def _verify(self, robot: Robot, echo: EmergencyStop) -> None:
+        """An echo of a dot that we drew just now cannot be old, whatever the robot's counter is."""
+        if self.keyring is None or robot.signed or echo[:3] not in self.pressed:
+            return
+        if robot.tried < ECHOES_TRIED:
+            robot.tried += 1
+            robot.signed = self.keyring.wrote(echo, robot.slot)
+
+    def expect(self, slots: Iterable[int]) -> None:
+        """Robots that are or were there, heard or not: they count until they have confirmed."""
+        for slot in slots:
+            self.robots.setdefault(slot, Robot(slot, NULL_ADDRESS, NOT_HEARD_S))
+            self.doubtful = {a: s for a, s in self.doubtful.items() if s != slot}
+
+    @property
+    def signs(self) -> bool:
+        """Echoes can be verified: this device holds the secret that robots sign with."""
+        return self.keyring is not None and self.keyring.keys.master is not None
+
+    def begin_press(self) -> None:
+        """What was confirmed before is no confirmation of the press that comes."""
+        self.pressed.clear()
+        for robot in self.robots.values():
+            robot.echoed = robot.signed = False
+            robot.tried = 0
+
+    def confirmed(self, robot: Robot) -> bool:
+        """It stands stopped: by its signed echo where that can be verified, else by its own word."""
+        return robot.signed if self.signs else robot.stopped or robot.echoed
+
+    def _prove(self, source: int, question: Challenge) -> None:
+        """A robot that cannot follow our counter wants to know where it is."""
+        proof = (
+            None if self.keyring is None else self.keyring.answer(question, round(self.now_s * 1e6))
+        )
+        if proof is not None:
+            self.device.send(proof, source)
+
+    def left(self, robot: Robot) -> bool:
+        """It said that it leaves, and has not beaten since."""
+        return robot.leaves_s is not None and self.now_s - robot.leaves_s >= LEFT_S
+
+    @property
+    def members(self) -> list[Robot]:
+        """All that are or were there and have not left."""
+        return [r for _, r in sorted(self.robots.items()) if not self.left(r)]
+
+    @property
+    def live(self) -> list[Robot]:
+        return [r for r in self.members if self.now_s - r.heard_s < LIVE_S]
+
+    @property
+    def silent(self) -> list[Robot]:
+        """Members that are not heard now."""
+        return [r for r in self.members if self.now_s - r.heard_s >= LIVE_S]
+
+    def send(self, message: Message) -> bool:
+        return self.device.send(message)
+
+    def ask_who(self) -> None:
+        self.send(Request(GROUP_OF[Member].pgn))
+
+    async def listen(self, seconds: float, stops: bool = False) -> None:
+        """Hear who is there; ask again, because an answer may come before we are on the bus."""
+        loop = asyncio.get_running_loop()
+        await self.device.held()
+        end_s = loop.time() + seconds
+        while loop.time() < end_s:
+            self.ask_who()
+            if stops:
+                self.ask_stops()
+            await asyncio.sleep(min(ASK_S, max(end_s - loop.time(), 0.0)))
+        self.now_s = loop.time()
+
+    def ask_work(self) -> None:
+        """Somebody tells the registers and the progress of the fleet."""
+        self.send(StateSyncRequest(0, 0, REGISTERS, 0))
+
+    def ask_stops(self) -> None:
+        """Latched robots answer with the stops they hold."""
+        question = self.shown.question
+        self.send(StateSyncRequest(question & 0xFFFFFF, question >> 24, STOPS, 0))
+
+    def new_stop(self, reason: int) -> EmergencyStop:
+        """A dot nobody has used: two random bytes, tried again by the caller if nobody latches."""
+        return EmergencyStop(self.slot, randbelow(256), randbelow(256), reason)
+
+    def stop(self, message: EmergencyStop) -> None:
+        self.pressed.add(message[:3])
+        self.send(message if self.keyring is None else self.keyring.sign(message))
+
+    def clear_far(self, dot: FarDot) -> None:
+        """In all segments; twice, because a frame may be lost."""
+        tags = None if self.keyring is None else FleetTags(self.keyring.keys)
+        halves = plain_reset(dot) if tags is None else tags.reset(dot)
+        for half in (*halves, *halves):
+            self.send(half)
+
+    def clear_held(self, digest: int) -> None:
+        """All stops of the robots that hold exactly these."""
+        self._order(HeldReset(digest, self.slot))
+
+    def clear(self, dot: tuple[int, int, int]) -> None:
+        self._order(EmergencyReset(*dot, self.slot))
+
+    def command(self, command: Command, target: int = EVERYBODY, argument: int = 0) -> None:
+        self._order(OperatorCommand(command, target, self.slot, argument))
+
+    def send_to(self, slot: int, x_m: float, y_m: float) -> None:
+        """Name a place and send one robot there. ValueError where it cannot be said."""
+        frames = goal_frames(slot, self.slot, x_m, y_m)
+        for frame in frames:
+            self._order(frame)
+        self.command(Command.SET_GOAL, slot, goal_check(frames[0].value, frames[1].value))
+
+    def _order(self, message: Signed) -> None:
+        """With a tag it is said twice: robots act on two frames that agree."""
+        if self.keyring is None:
+            self.send(message)
+            return
+        for _ in range(2):
+            self.send(self.keyring.sign(message))

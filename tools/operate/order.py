@@ -1,0 +1,116 @@
+"""`headland order`: a person's answer to one robot, or where it shall go; the robot confirms."""
+
+import asyncio
+import sys
+from pathlib import Path
+
+from protocol.frames.operator_frames import Matter, goal_frames
+from protocol.frames.safety_frames import Command
+from sim.files.strict_json import dumps
+from tools.common.bus_attach import AttachError, attach
+from tools.operate.estop import NOT_ALL, WRONG, listen_to
+from tools.operate.operator_device import Operator, Robot
+from tools.operate.reset import NOT_SIGNED, operator_keyring
+
+LISTEN_S = 1.3  # an open question is said again every second
+STEP_S = 0.3  # between two tries: a robot may first have to ask who we are
+# What the robot tells when it obeys; those that answer a question also end an errand.
+CONFIRMED = {
+    "wait": (Command.WAIT, (Matter.WAITING,)),
+    "continue": (Command.CONTINUE, (Matter.GOING_ROUND, Matter.WORKING)),
+    "replan": (Command.REPLAN, (Matter.GOING_ROUND, Matter.WORKING)),
+    "stop": (Command.STOP, (Matter.STOPPED,)),
+    "go-home": (Command.GO_HOME, (Matter.UNDER_WAY, Matter.ARRIVED)),
+    "set-goal": (Command.SET_GOAL, (Matter.UNDER_WAY, Matter.ARRIVED)),
+    "start": (Command.START, ()),
+}
+Attached = tuple[str, str, int, str, int]  # interface, channel, bit rate, host, port
+
+
+def order(
+    robot: int, what: str, place: str | None, bus: Attached, key: Path | None, timeout_s: float,
+    as_json: bool,
+) -> int:  # fmt: skip
+    try:
+        if what not in CONFIRMED:
+            raise ValueError(f"{what}: unknown; one of {', '.join(CONFIRMED)}")
+        goal = _place(place) if what == "set-goal" else None
+        if place is not None and goal is None:
+            raise ValueError(f"{what} takes no place")
+        return asyncio.run(_order(robot, what, goal, bus, key, timeout_s, as_json))
+    except (ValueError, AttachError) as problem:
+        print(f"headland: {problem}", file=sys.stderr)
+        return WRONG
+
+
+def _place(text: str | None) -> tuple[float, float]:
+    try:
+        x_m, y_m = map(float, (text or "").split(","))
+        goal_frames(0, 0, x_m, y_m)
+    except (ValueError, OverflowError):
+        raise ValueError(
+            f"set-goal {text or ''}: needs metres east,north within 3276 m, as 12.5,-40"
+        ) from None
+    return x_m, y_m
+
+
+async def _order(
+    slot: int, what: str, goal: tuple[float, float] | None, bus: Attached, key: Path | None,
+    timeout_s: float, as_json: bool,
+) -> int:  # fmt: skip
+    keyring = operator_keyring(key, timeout_s)
+    can_bus = attach(*bus)
+    try:
+        operator = Operator(can_bus, keyring)
+        listen_to(can_bus, operator)
+        await operator.listen(LISTEN_S)
+        robot = next((r for r in operator.live if r.slot == slot), None)
+        if robot is None:
+            heard = ", ".join(str(r.slot) for r in operator.live) or "none"
+            print(f"headland: robot {slot} is not heard; heard: {heard}", file=sys.stderr)
+            return NOT_ALL
+        question = robot.question
+        obeyed = await convey(operator, robot, what, goal, timeout_s)
+        _tell(robot, what, question is not None, obeyed, keyring is not None, as_json)
+        return 0 if obeyed else NOT_ALL
+    finally:
+        can_bus.close()
+
+
+async def convey(
+    operator: Operator, robot: Robot, what: str, goal: tuple[float, float] | None, timeout_s: float
+) -> bool:
+    """Until the robot says that it obeys, or that it cannot."""
+    loop = asyncio.get_running_loop()
+    command, matters = CONFIRMED[what]
+    number = robot.question.number if robot.question is not None else 0
+    answers = command in (Command.WAIT, Command.CONTINUE, Command.REPLAN)
+    end_s = loop.time() + timeout_s
+    robot.report = None
+    while loop.time() < end_s:
+        if goal is not None:
+            operator.send_to(robot.slot, *goal)
+        else:
+            operator.command(command, robot.slot, number if answers else 0)
+        await asyncio.sleep(min(STEP_S, timeout_s))
+        if command is Command.START and robot.started:
+            return True
+        if robot.report is not None and robot.report.matter in (*matters, Matter.REFUSED):
+            return robot.report.matter in matters
+    return False
+
+
+def _tell(robot: Robot, what: str, asked: bool, obeyed: bool, signed: bool, as_json: bool) -> None:
+    report = robot.report
+    if as_json:
+        print(dumps({
+            "robot": robot.slot, "order": what, "obeyed": obeyed, "was_asking": asked,
+            "answer": None if report is None else report.matter.name,
+            "x_m": None if report is None else round(report.x_m, 1),
+            "y_m": None if report is None else round(report.y_m, 1), "signed": signed,
+        }))  # fmt: skip
+        return
+    said = "nothing" if report is None else report.matter.name.replace("_", " ")
+    print(f"robot {robot.slot}: {'obeys' if obeyed else 'DOES NOT OBEY'} {what}; it says: {said}")
+    if not signed:
+        print(NOT_SIGNED)

@@ -1,0 +1,191 @@
+"""`headland reset`: clear the stops that are shown, reset each machine, and start only if told to."""
+
+import asyncio
+import sys
+from pathlib import Path
+
+from agent.interface.lifecycle import State
+from agent.safety.stop_controller import COUNT_TOLD_MAX
+from protocol.authentication import Keyring
+from protocol.frames.safety_frames import AllImplementsStop, Command, Switch
+from sim.files.key_file import OPERATOR, RESERVE, KeyFileError, read
+from sim.files.strict_json import dumps
+from tools.common.bus_attach import AttachError, attach, robots_of_launch
+from tools.operate.estop import NOT_ALL, WRONG, listen_to
+from tools.operate.operator_device import Operator, Robot
+
+LISTEN_S = 0.7  # latched robots repeat the dots they know to those that beat without being stopped
+CAUSE_S = 1.6  # a robot that stands tells one of its causes each 1 to 1.4 s
+CAUSES_S = 8.0  # of a robot with many causes not all are waited for
+STEP_S = 0.1
+NAMES_EVERY = 4  # tries: a name that is cleared changes the sum of what is held
+BLOCK_S = 5  # seconds in which a block of reserved frames is not used up
+NOT_SIGNED = "NOT SIGNED: only a fleet without keys is released by this, and by anybody on the bus"
+
+
+def reset(
+    interface: str, channel: str, bitrate: int, host: str, port: int, key: Path | None,
+    start: bool, timeout: float, as_json: bool,
+) -> int:  # fmt: skip
+    try:
+        return asyncio.run(
+            _reset(interface, channel, bitrate, host, port, key, start, timeout, as_json)
+        )
+    except AttachError as problem:
+        print(f"headland: {problem}", file=sys.stderr)
+        return WRONG
+
+
+async def _reset(
+    interface: str, channel: str, bitrate: int, host: str, port: int, key: Path | None,
+    start: bool, timeout_s: float, as_json: bool,
+) -> int:  # fmt: skip
+    keyring = operator_keyring(key, timeout_s)
+    bus = attach(interface, channel, bitrate, host, port)
+    try:
+        operator = Operator(bus, keyring)
+        operator.expect(robots_of_launch(interface, host, port))
+        listen_to(bus, operator)
+        await operator.listen(LISTEN_S, stops=True)
+        cleared, _ = operator.shown.named
+        left = await release(operator, start, timeout_s)
+        if start and not left:
+            await started(operator, timeout_s)
+        await hear_causes(operator)
+        silent = [robot.slot for robot in operator.silent]
+        held = [r.slot for r in operator.live if start and (r.held or not r.started)]
+        if as_json:
+            print(dumps({
+                "cleared": [list(dot) for dot in cleared], "not_released": left,
+                "not_heard": silent, "held": held,
+                "stands": {str(r.slot): stands(operator, r) for r in operator.live},
+                "signed": keyring is not None,
+            }))  # fmt: skip
+        else:
+            shown = ", ".join(".".join(map(str, dot)) for dot in cleared) or in_sum(operator)
+            print(f"stops cleared: {shown}")
+            for robot in operator.members:
+                print(f"robot {robot.slot}: {word(operator, robot, start)}")
+                for why in stands(operator, robot):
+                    print(f"robot {robot.slot} stands: {why}")
+            if keyring is None:
+                print(NOT_SIGNED)
+        return 0 if operator.live and not (left or silent or held) else NOT_ALL
+    finally:
+        bus.close()
+
+
+def in_sum(operator: Operator) -> str:
+    """Of stops that are cleared without their names."""
+    most = max((held.stops for held in operator.shown.told.values()), default=0)
+    count = f"{most} or more" if most >= COUNT_TOLD_MAX else f"{most}"
+    return f"all {count} that hold a robot" if most else "none was shown"
+
+
+async def hear_causes(operator: Operator) -> None:
+    """Why robots stand, from those that do: what they tell from now on, all of it where that is soon."""
+    held = [robot for robot in operator.live if robot.held or robot.stopped]
+    for robot in operator.robots.values():
+        robot.causes.forget()
+    if not held:
+        return
+    end_s = operator.now_s + CAUSES_S
+    await operator.listen(CAUSE_S)
+    while operator.now_s < end_s and any(_untold(operator, robot) for robot in held):
+        await operator.listen(STEP_S)
+
+
+def _untold(operator: Operator, robot: Robot) -> bool:
+    return robot.causes.missing(round(operator.now_s * 1e6)) > 0
+
+
+def stands(operator: Operator, robot: Robot) -> list[str]:
+    """The causes that it has told lately, and what a person can do about each."""
+    return robot.causes.sentences(round(operator.now_s * 1e6))
+
+
+def word(operator: Operator, robot: Robot, start: bool) -> str:
+    """What a robot is doing now, or what holds it and what a person can do about it."""
+    if robot not in operator.live:
+        return "NOT HEARD: nobody knows what it does; see that it stands, is switched on and on this bus"
+    if robot.stopped or robot.state is State.EMERGENCY_STOP:
+        if operator.keyring is None:
+            return (
+                "NOT RELEASED: it holds a stop or a fault; a fleet with keys needs --operator-key"
+            )
+        return (
+            "NOT RELEASED: it holds a stop that was not cleared, or a fault at the machine; again"
+        )
+    if robot.state is State.DISCONNECTED:
+        return "NOT RELEASED: it has no address on the bus yet; wait, or restart it"
+    if not robot.started:
+        return f"{robot.state.name}, not started" + ("" if not start else ": START WAS NOT TAKEN")
+    if robot.held and stands(operator, robot):
+        return f"{robot.state.name}, HELD: the causes are named below"
+    if robot.held:
+        return (
+            f"{robot.state.name}, HELD by something else: headland inspect --traces {robot.slot} "
+            "asks it what"
+        )
+    return robot.state.name
+
+
+async def started(operator: Operator, timeout_s: float) -> None:
+    """Until every live robot says that it has been started and that nothing holds it."""
+    loop = asyncio.get_running_loop()
+    end_s = loop.time() + timeout_s
+    while loop.time() < end_s:
+        if all(robot.started and not robot.held for robot in operator.live):
+            return
+        operator.command(Command.START)
+        await asyncio.sleep(STEP_S)
+        operator.now_s = loop.time()
+
+
+def operator_keyring(key: Path | None, timeout_s: float) -> Keyring | None:
+    """With frames enough for this long; raises AttachError."""
+    try:
+        blocks = 1 + round(timeout_s) // BLOCK_S
+        return None if key is None else read(key, OPERATOR).keyring(blocks * RESERVE)
+    except KeyFileError as problem:
+        raise AttachError(f"--operator-key {problem}") from None
+
+
+def clear_named(operator: Operator) -> None:
+    """So that a robot that has missed a stop does not latch by a late echo of it."""
+    named, far_named = operator.shown.named
+    for dot in named:
+        operator.clear(dot)
+    for far in far_named:
+        operator.clear_far(far)
+
+
+async def release(operator: Operator, start: bool, timeout_s: float) -> list[int]:
+    """Clear, reset machine by machine, and start; returns the robots that still stand latched."""
+    loop = asyncio.get_running_loop()
+    begun_s = loop.time()
+    operator.shown.release()
+    tries = 1
+    while True:
+        for digest in operator.shown.sums:
+            operator.clear_held(digest)
+        if not operator.shown.sums or tries % NAMES_EVERY == 0:
+            clear_named(operator)
+        tries += 1
+        operator.ask_stops()
+        operator.send(AllImplementsStop(0, Switch.PERMIT))
+        await asyncio.sleep(STEP_S)
+        for robot in operator.live:
+            if robot.state is State.EMERGENCY_STOP:
+                operator.command(Command.MANUAL_RESET, robot.slot)
+        await asyncio.sleep(STEP_S)
+        operator.now_s = loop.time()
+        left = [r.slot for r in operator.live if r.stopped or r.state is State.DISCONNECTED]
+        if not left or loop.time() - begun_s >= timeout_s:
+            break
+    clear_named(operator)
+    if start and not left:
+        for _ in range(3):  # a start that is lost is only an inconvenience, but an annoying one
+            operator.command(Command.START)
+            await asyncio.sleep(STEP_S)
+    return left

@@ -1,0 +1,84 @@
+"""What an operator has been shown of the stops that hold robots, and so what a reset may clear.
+
+Latched robots tell their stops by name, some at a time, and all of them in sum (STOPS_HELD). With keys
+a robot's sum has a tag, and a name is believed where the names add up to it: anybody can say a stop that
+nobody has pressed, and a reset signed for it would be kept for the day on which it is pressed.
+A stop that is pressed while the reset runs was shown to nobody: it is not cleared.
+"""
+
+from collections.abc import Collection
+from secrets import randbits
+
+from crdt.stops import FarDot, FarStopSet, StopDot, StopSet, held_digest
+from protocol.authentication import Keyring
+from protocol.fleet_tags import HeldTags
+from protocol.frames.safety_frames import EmergencyStop, StopsHeld
+
+NAMED_MAX = 64  # resets by name; more are cleared in sum. With tags, twice each, 0.1 s of bus
+QUESTION_BITS = 48
+HEARD_MAX = 4096  # names remembered; a device that says more floods the bus
+
+
+class ShownStops:
+    def __init__(self, keyring: Keyring | None) -> None:
+        secret = None if keyring is None else keyring.keys.operator
+        self.signed = keyring is not None
+        self._tags = None if keyring is None or secret is None else HeldTags(keyring.keys)
+        self.question = randbits(QUESTION_BITS)  # nobody knows it before it is asked
+        self.near: set[tuple[int, int, int]] = set()
+        self.far: set[FarDot] = set()
+        self.spent: set[tuple[int, int, int]] = set()  # names that robots say were used before
+        self.told: dict[int, StopsHeld] = {}  # by robots; with keys only what they have signed
+        self.refused = 0  # answers without a valid tag
+        self._releasing = self._pressed = False
+
+    def hear_stop(self, m: EmergencyStop) -> None:
+        dot = StopDot(m.slot, m.incarnation, m.counter)
+        if m.spent:
+            if len(self.spent) < HEARD_MAX:
+                self.spent.add(dot)
+            return
+        if self._releasing and dot not in self.near and not m.echo:
+            self._pressed = True
+        if not self._pressed and len(self.near) < HEARD_MAX:
+            self.near.add(dot)
+
+    def hear_held(self, m: StopsHeld) -> None:
+        if self.signed and (self._tags is None or self._tags.sign(m, self.question) != m):
+            self.refused += 1
+            return
+        before = self.told.get(m.slot)
+        more = before is not None and m.stops > before.stops
+        if not (self._releasing and (more or self._pressed)):
+            self.told[m.slot] = m
+
+    def hear_far(self, dot: FarDot) -> None:
+        if not self._releasing and len(self.far) < HEARD_MAX:
+            self.far.add(dot)
+
+    def release(self) -> None:
+        """From now on a new press is one that was not shown."""
+        self._releasing = True
+
+    @property
+    def sums(self) -> list[int]:
+        """Digests of all that robots hold."""
+        return sorted({held.digest for held in self.told.values() if held.stops})
+
+    @property
+    def named(self) -> tuple[list[StopDot], list[FarDot]]:
+        """Stops to clear by name: so that a robot that has missed one does not latch by a late echo."""
+        near, far = [StopDot(*dot) for dot in self.near], sorted(self.far)
+        if len(near) + len(far) > NAMED_MAX or (self.signed and not self._adds_up(near, far)):
+            return [], []
+        return sorted(near), far
+
+    def _adds_up(self, near: Collection[StopDot], far: Collection[FarDot]) -> bool:
+        """A stop of the robots' own segment is said in both ways, and held once."""
+        stops, beyond = StopSet(), FarStopSet()
+        for dot in near:
+            stops.press(dot)
+        for away in far:
+            if StopDot(*away[:3]) not in stops.active:
+                beyond.press(away)
+        return held_digest(stops, beyond) in self.sums

@@ -1,0 +1,101 @@
+"""Ordering a transport over the bus, and hearing that the fleet knows of it."""
+
+import asyncio
+import sys
+from pathlib import Path
+
+from agent.delivery.cost_matrix import Carrier
+from agent.delivery.task_registry import Order
+from agent.delivery.warehouse import Warehouse
+from protocol.frames.codec import Malformed, decode
+from protocol.frames.frame import Frame
+from sim.files.strict_json import dumps
+from sim.fleet.transport_orders import OrderDesk
+from sim.scenarios.delivery_scenario import TaskRow, load_warehouse, read_tasks
+from sim.scenarios.delivery_setup import floor_of
+from sim.scenarios.scenario import ScenarioError
+from tools.common.bus_attach import AttachError, attach
+from tools.operate.tool_address import DeviceAddress
+
+LISTEN_S = 3.0  # robots tell which tasks they know, a bucket a second each
+CONFIRM_S = 5.0
+REFUSED, WRONG = 1, 2
+
+
+def order(
+    pickup: str | None, dropoff: str | None, file: Path | None, scenario: str,
+    where: tuple[str, str, int, str, int], as_json: bool,
+) -> int:  # fmt: skip
+    """Exit code 0 only where robots say that they know of all."""
+    try:
+        rows = _rows(pickup, dropoff, file)
+        house = _house(scenario)
+        orders = [Order(_cell(house, row.pickup), _cell(house, row.dropoff)) for row in rows]
+        known = asyncio.run(_order(orders, where))
+    except (ScenarioError, AttachError) as problem:
+        print(f"headland: {problem}", file=sys.stderr)
+        return WRONG
+    for number, sure in known.items():
+        line = {"task": number, "known": sure}
+        plain = f"task {number}: " + ("known to the fleet" if sure else "nobody has confirmed it")
+        print(dumps(line) if as_json else plain)
+    return 0 if all(known.values()) else REFUSED
+
+
+def _rows(pickup: str | None, dropoff: str | None, file: Path | None) -> list[TaskRow]:
+    if file is not None:
+        return read_tasks(file)
+    if pickup is None or dropoff is None:
+        raise ScenarioError("two places are needed: headland task add 9.5,2.5 1.5,8.5, or --file")
+    return [TaskRow(_point(pickup), _point(dropoff))]
+
+
+def _point(text: str) -> tuple[float, float]:
+    try:
+        x_m, y_m = (float(part) for part in text.split(","))
+    except ValueError:
+        raise ScenarioError(
+            f"{text}: not a place; write X,Y in metres, for example 9.5,2.5"
+        ) from None
+    return x_m, y_m
+
+
+def _house(name: str) -> Warehouse:
+    return Warehouse(floor_of(load_warehouse(name)), Carrier(1.0, 0.0))
+
+
+def _cell(house: Warehouse, at: tuple[float, float]) -> int:
+    cell = house.cell(at)
+    if cell is None:
+        raise ScenarioError(f"{at[0]},{at[1]}: no floor where a robot can stand; look at the map")
+    return cell
+
+
+async def _order(orders: list[Order], where: tuple[str, str, int, str, int]) -> dict[int, bool]:
+    """Task numbers, and whether two robots, or all there are, have said that they know them."""
+    bus = attach(*where)
+    desk, device = OrderDesk(), DeviceAddress(bus)
+    loop = asyncio.get_running_loop()
+
+    def hear(frame: Frame) -> None:
+        device.hear(loop.time(), frame)
+        source, message = decode(frame)
+        if not isinstance(message, Malformed):
+            desk.hear(source, message)
+
+    bus.subscribe(hear)
+    try:
+        await asyncio.sleep(LISTEN_S)
+        if not desk.robots:
+            raise AttachError(
+                "no delivering fleet is heard on this bus: headland run warehouse --live"
+            )
+        desk.order(orders)
+        end_s = loop.time() + CONFIRM_S
+        while loop.time() < end_s and desk.due():
+            for order in desk.due():
+                device.send(order)
+            await asyncio.sleep(0.5)
+        return {number: desk.confirmed(number) for number in desk.numbers}
+    finally:
+        bus.close()

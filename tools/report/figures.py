@@ -1,0 +1,233 @@
+"""The pictures of a report, one figure each, from what `history` and `followed` found."""
+
+import io
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from math import isfinite
+from typing import Any
+
+from agent.interface.lifecycle import State
+from crdt import Phase
+from sim.files import palette
+from sim.record.scene import Scene
+from tools.report.timeline import SILENT, Event, Place, Span, Stop
+from tools.report.tracking_error import Following
+
+Figure = Any  # matplotlib has no types
+DPI = 110
+LABELS_MAX = 12  # robots in a legend
+KINDS_MAX = 7  # of frames with a colour of their own
+BINS = 1200  # of the bus load: about the pixels there are
+ROWS_MAX = 400  # sections in the Gantt chart; more are no picture
+FULL = 0.7  # of the bus: what a CAN bus is commonly planned for
+FAULT_COLOUR = "#b00020"
+STATES = {
+    State.DISCONNECTED.name: "#d9d9d9", State.IDLE.name: "#9ecae1",
+    State.SYNCHRONIZING.name: "#fdd0a2", State.WORKING.name: "#31a354",
+    State.EMERGENCY_STOP.name: "#de2d26", SILENT: "#636363",
+}  # fmt: skip
+PHASES = {Phase.CLAIMED.name: 0.35, Phase.STARTED.name: 1.0, Phase.DONE.name: 0.12}
+
+
+def figure_of(width: float, height: float) -> tuple[Figure, Any]:
+    """Without pyplot: nothing is kept, and no screen is looked for."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure as Plain
+
+    figure = Plain(figsize=(width, height), dpi=DPI, layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure, figure.add_subplot()
+
+
+def png_of(figure: Figure) -> bytes:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png")
+    return buffer.getvalue()
+
+
+def colour_of(slot: int | None) -> Any:
+    return "#777777" if slot is None else palette.colour_of(slot)
+
+
+def _legend(axes: Any, robots: int) -> None:
+    if robots <= LABELS_MAX:
+        axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8, frameon=False)
+
+
+def _ground(axes: Any, scene: Scene | None) -> None:
+    """Fences, rows and walls, where the run has told them."""
+    scene = scene or {}
+    for ring in scene.get("rings", []):
+        axes.plot([p[0] for p in (*ring, ring[0])], [p[1] for p in (*ring, ring[0])],
+                  color="0.3", linewidth=1.0)  # fmt: skip
+    grid = scene.get("grid")
+    if grid:
+        from base64 import b64decode
+
+        import numpy as np
+
+        rows, columns = int(grid["rows"]), int(grid["columns"])
+        bits = np.unpackbits(np.frombuffer(b64decode(grid["walls"]), np.uint8))
+        west, south = grid["origin"]
+        box = (west, west + columns * grid["cell_m"], south, south + rows * grid["cell_m"])
+        axes.imshow(bits[: rows * columns].reshape(rows, columns), origin="lower", extent=box,
+                    cmap="Greys", vmax=2.0)  # fmt: skip
+    axes.set_aspect("equal")
+    axes.set_xlabel("east, m")
+    axes.set_ylabel("north, m")
+
+
+def tracks(scene: Scene | None, places: dict[int, list[Place]]) -> Figure:
+    figure, axes = figure_of(10, 8)
+    for section in (scene or {}).get("sections", []):
+        for swath in section["swaths"]:
+            axes.plot([p[0] for p in swath], [p[1] for p in swath], color="0.85", linewidth=0.6)
+    _ground(axes, scene)
+    for slot, track in sorted(places.items()):
+        axes.plot([p.x_m for p in track], [p.y_m for p in track], color=colour_of(slot),
+                  linewidth=0.9, label=f"robot {slot}")  # fmt: skip
+        axes.plot([track[-1].x_m], [track[-1].y_m], "o", color=colour_of(slot), markersize=5)
+    _legend(axes, len(places))
+    return figure
+
+
+def planned(scene: Scene | None, robots: Sequence[Following]) -> Figure:
+    """Dotted what was planned, solid what was driven."""
+    figure, axes = figure_of(10, 8)
+    _ground(axes, scene)
+    for robot in robots:
+        colour, told = colour_of(robot.slot), False
+        for line in robot.lines:
+            axes.plot(line[:, 0], line[:, 1], ":", color=colour, linewidth=1.6, alpha=0.6)
+        for run in _runs(robot):
+            axes.plot([s.x_m for s in run], [s.y_m for s in run], color=colour, linewidth=0.8,
+                      label=None if told else f"robot {robot.slot}")  # fmt: skip
+            told = True
+    _legend(axes, len(robots))
+    return figure
+
+
+def errors(robots: Sequence[Following]) -> Figure:
+    figure, axes = figure_of(10, 3.2)
+    for robot in robots:
+        for k, run in enumerate(_runs(robot)):
+            axes.plot([s.t_s for s in run], [s.off_m for s in run], color=colour_of(robot.slot),
+                      linewidth=0.7, label=None if k else f"robot {robot.slot}")  # fmt: skip
+    axes.set_xlabel("s")
+    axes.set_ylabel("off its line, m")
+    axes.set_ylim(bottom=0.0)
+    axes.grid(alpha=0.3)
+    _legend(axes, len(robots))
+    return figure
+
+
+def _runs(robot: Following) -> list[list[Any]]:
+    """Samples without a gap between them: where nothing was measured, no line is drawn."""
+    found: list[list[Any]] = []
+    for sample in robot.samples:
+        if not found or sample.t_s - found[-1][-1].t_s > 1.0:
+            found.append([])
+        found[-1].append(sample)
+    return found
+
+
+def gantt(held: Sequence[Span], until_s: float, marks: Sequence[Event]) -> Figure:
+    """A row for each section, in the order in which they were first claimed."""
+    order = list(dict.fromkeys(span.who for span in held))[:ROWS_MAX]
+    row_of = {section: row for row, section in enumerate(order)}
+    figure, axes = figure_of(10, min(max(2.5, 0.16 * len(order) + 1.0), 40))
+    for span in held:
+        row = row_of.get(span.who)
+        if row is not None:
+            axes.barh(row, span.until_s - span.from_s, left=span.from_s, height=0.8,
+                      color=colour_of(span.owner), alpha=PHASES.get(span.what, 0.5))  # fmt: skip
+    owners = sorted({span.owner for span in held if span.owner is not None})
+    from matplotlib.patches import Patch
+
+    patches = [Patch(color=colour_of(owner), label=f"robot {owner}") for owner in owners]
+    if len(owners) <= LABELS_MAX:
+        axes.legend(handles=patches, loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8,
+                    frameon=False)  # fmt: skip
+    axes.set_yticks(range(len(order)), [f"S{section}" for section in order], fontsize=6)
+    axes.set_ylim(len(order) - 0.4, -0.6)
+    _time(axes, until_s, marks)
+    return figure
+
+
+def states(spans: Sequence[Span], until_s: float, marks: Sequence[Event]) -> Figure:
+    from matplotlib.patches import Patch
+
+    robots = sorted({span.who for span in spans})
+    row_of = {slot: row for row, slot in enumerate(robots)}
+    figure, axes = figure_of(10, max(2.0, 0.26 * len(robots) + 1.0))
+    for name in STATES:
+        bars = [span for span in spans if span.what == name]
+        axes.barh([row_of[s.who] for s in bars], [s.until_s - s.from_s for s in bars],
+                  left=[s.from_s for s in bars], height=0.8, color=STATES[name])  # fmt: skip
+    seen = {span.what for span in spans}
+    axes.legend(handles=[Patch(color=c, label=name) for name, c in STATES.items() if name in seen],
+                loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8, frameon=False)  # fmt: skip
+    axes.set_yticks(range(len(robots)), [f"robot {slot}" for slot in robots], fontsize=8)
+    axes.set_ylim(len(robots) - 0.4, -0.6)
+    _time(axes, until_s, marks)
+    return figure
+
+
+def load(
+    width_s: int, bins: Sequence[tuple[int, Counter[str]]], bitrate: int, marks: Sequence[Event]
+) -> Figure:
+    """Stacked by kind, the most frequent at the bottom."""
+    total: Counter[str] = sum((bits for _, bits in bins), Counter())
+    kinds = [kind for kind, _ in total.most_common(KINDS_MAX)]
+    figure, axes = figure_of(10, 3.6)
+    bins = [*bins, (bins[-1][0] + width_s, bins[-1][1])]  # the last step has an end, too
+    t_s = [second for second, _ in bins]
+    rows = [[bits[kind] / (width_s * bitrate) for _, bits in bins] for kind in kinds]
+    names = list(kinds)
+    if len(total) > len(kinds):
+        named = set(kinds)
+        rows.append(
+            [sum(n for kind, n in bits.items() if kind not in named) / (width_s * bitrate)
+             for _, bits in bins]
+        )  # fmt: skip
+        names.append("others")
+    axes.stackplot(t_s, rows, labels=names, step="post", colors=[colour_of(k) for k in range(8)])
+    if max(map(sum, zip(*rows, strict=True))) > FULL / 2:  # or it would make all else small
+        axes.axhline(FULL, color="0.4", linestyle=":", linewidth=1.0)
+    axes.set_ylabel("share of the bus")
+    axes.yaxis.set_major_formatter(lambda share, _: f"{share:.0%}")
+    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=7, frameon=False)
+    _time(axes, bins[-1][0], marks)
+    return figure
+
+
+def latencies(stops: Sequence[Stop]) -> Figure:
+    """A row for each press; a mark for each robot that answered it."""
+    figure, axes = figure_of(10, min(max(2.2, 0.22 * len(stops) + 1.2), 30))
+    for name, mark, colour, of in LATENCIES:
+        points = [(ms * 1e3, row) for row, stop in enumerate(stops) for ms in of(stop).values()]
+        axes.plot([x for x, _ in points], [y for _, y in points], mark, color=colour,
+                  label=name, markersize=5)  # fmt: skip
+    axes.set_yticks(range(len(stops)), [f"{s.t_s:.1f} s, {s.by}" for s in stops], fontsize=7)
+    axes.set_ylim(len(stops) - 0.4, -0.6)
+    axes.set_xlabel("ms after the first frame of the press")
+    axes.set_xlim(left=0.0)
+    axes.grid(alpha=0.3, axis="x")
+    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8, frameon=False)
+    return figure
+
+
+Latencies = Callable[[Stop], dict[int, float]]
+LATENCIES: tuple[tuple[str, str, str, Latencies], ...] = (
+    ("says it again", "|", "#0072b2", lambda stop: stop.echo_s),
+    ("says it is stopped", ".", "#e69f00", lambda stop: stop.latch_s),
+    ("stands", "s", "#009e73", lambda stop: stop.still_s),
+)
+
+
+def _time(axes: Any, until_s: float, marks: Iterable[Event]) -> None:
+    for event in marks:
+        if isfinite(event.t_s):
+            axes.axvline(event.t_s, color=FAULT_COLOUR, linewidth=0.8, alpha=0.6)
+    axes.set_xlim(0.0, max(until_s, 1e-3))
+    axes.set_xlabel("s")

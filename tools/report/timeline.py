@@ -1,0 +1,229 @@
+"""A whole run from its frames: the inspector again, but it remembers when everything was so.
+
+Times are seconds since the run began. A robot that says nothing for a second is silent, whatever its
+last state was: what a listener cannot know is not guessed.
+"""
+
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+from crdt import Phase
+from protocol.frames.codec import decode
+from protocol.frames.fleet_frames import Member, Pose
+from protocol.frames.frame import Frame
+from protocol.frames.identifier import Identifier
+from protocol.frames.operator_frames import Matter, OperatorReport
+from protocol.frames.safety_frames import Command, EmergencyStop, OperatorCommand, Reason
+from protocol.frames.work_frames import StateSyncResponse, TaskClaim
+from sim.can.frame_timing import worst_bits
+from tools.inspect.inspector import SILENT_S, Inspector, Seen
+from tools.livemap.map_state import NAMES
+
+SILENT = "SILENT"
+STANDS_M_S = 0.05  # one step of a POSE: what it calls 0.0 is at most half of it
+
+
+class Span(NamedTuple):
+    """A robot in a state, or a section in the hands of an owner."""
+
+    who: int  # robot or section
+    what: str  # state or phase
+    owner: int | None  # of a section
+    from_s: float
+    until_s: float
+
+
+class Event(NamedTuple):
+    t_s: float
+    kind: str
+    who: str
+    what: str
+
+
+class Place(NamedTuple):
+    """A robot as its beat told it, to 5 cm."""
+
+    t_s: float
+    x_m: float
+    y_m: float
+    speed_m_s: float
+    stopped: bool
+
+
+@dataclass
+class Stop:
+    """One press, and when each robot that was there said it again and stood."""
+
+    dot: tuple[int, int, int]
+    reason: str
+    by: str
+    t_s: float
+    present: tuple[int, ...]  # the robots heard in the second before it, without who pressed
+    echo_s: dict[int, float] = field(default_factory=dict)  # since the press
+    latch_s: dict[int, float] = field(default_factory=dict)  # first beat that says: stopped
+    still_s: dict[int, float] = field(default_factory=dict)  # first such beat with no speed
+    cleared_s: float | None = None  # when, in the run
+
+
+class History(Inspector):
+    def __init__(self, zero_us: int = 0) -> None:
+        super().__init__()
+        self.zero_s = zero_us / 1e6
+        self.places: dict[int, list[Place]] = {}
+        self.states: list[Span] = []
+        self.held: list[Span] = []  # sections
+        self.pressed: list[Stop] = []
+        self.seen: list[Event] = []
+        self.loads: dict[int, Counter[str]] = {}  # worst-case bits by kind, by second
+        self._since: dict[int, tuple[str, float]] = {}
+        self._holding: dict[int, tuple[str, int | None, float]] = {}
+
+    def hear(self, t_s: float, frame: Frame) -> None:
+        t_s -= self.zero_s
+        pgn = Identifier.unpack(frame.identifier).pgn
+        kind = NAMES.get(pgn, f"PGN {pgn:04X}")
+        self.loads.setdefault(int(t_s // 1), Counter())[kind] += worst_bits(len(frame.data))
+        stops, cleared = len(self.stops), len(self.cleared)
+        slot = self.slot_of.get(frame.identifier & 0xFF)
+        last_s = self.robots[slot].last_s if slot is not None else t_s
+        if slot is not None and t_s - last_s > SILENT_S:
+            self._silent(slot, last_s, t_s)
+        super().hear(t_s, frame)
+        if len(self.stops) > stops:
+            self._press(t_s, frame)
+        if len(self.cleared) > cleared:
+            self._clear(t_s)
+        if pgn == OPERATOR_PGN:
+            self._command(t_s, frame)
+
+    def close(self) -> "History":
+        """After the last frame: what lasts, lasts until now."""
+        for slot, robot in self.robots.items():
+            if self.now_s - robot.last_s > SILENT_S:
+                self._silent(slot, robot.last_s, None)
+            self._end_state(slot, self.now_s)
+        for section in list(self._holding):
+            self._end_section(section, self.now_s)
+        self.states.sort(key=lambda span: (span.who, span.from_s))
+        self.held.sort(key=lambda span: (span.from_s, span.who))
+        self.seen.sort(key=lambda event: event.t_s)
+        return self
+
+    # ---------------------------------------------------------------- states
+
+    def _member(self, t_s: float, source: int, message: Member) -> None:
+        known = self.robots.get(message.slot)
+        if known is not None and known.incarnation != message.incarnation:
+            what = f"incarnation {message.incarnation}: it has lost its memory"
+            self.seen.append(Event(t_s, "restart", f"robot {message.slot}", what))
+        super()._member(t_s, source, message)
+
+    def _silent(self, slot: int, last_s: float, until_s: float | None) -> None:
+        if not self.robots[slot].left:
+            self._end_state(slot, last_s)
+            self._since[slot] = (SILENT, last_s)
+            how = "until the end" if until_s is None else f"for {until_s - last_s:.1f} s"
+            self.seen.append(Event(last_s, "silence", f"robot {slot}", how))
+        if until_s is not None:
+            self._end_state(slot, until_s)
+            self.robots[slot].state = "?"  # so that its next word is the beginning of a state
+
+    def _state(self, t_s: float, robot: Seen, state: int, kind: str) -> None:
+        before = robot.state
+        super()._state(t_s, robot, state, kind)
+        if robot.state != before:
+            self._end_state(robot.slot, t_s)
+            self._since[robot.slot] = (robot.state, t_s)
+
+    def _end_state(self, slot: int, t_s: float) -> None:
+        name, from_s = self._since.pop(slot, ("", t_s))
+        if t_s > from_s:
+            self.states.append(Span(slot, name, None, from_s, t_s))
+
+    # ---------------------------------------------------------------- places, sections, stops
+
+    def _robot(self, t_s: float, robot: Seen, kind: str, message: Any) -> None:
+        super()._robot(t_s, robot, kind, message)
+        match message:
+            case Pose() if message.placed:
+                place = Place(t_s, message.x_m, message.y_m, message.speed_m_s, message.stopped)
+                self.places.setdefault(robot.slot, []).append(place)
+                if message.stopped:
+                    self._stands(t_s, robot.slot, message.speed_m_s <= STANDS_M_S / 2)
+            case TaskClaim() | StateSyncResponse():
+                self._section(t_s, message.section)
+            case EmergencyStop(echo=True):
+                for stop in self.pressed:
+                    if stop.dot == message[:3] and robot.slot in stop.present:
+                        stop.echo_s.setdefault(robot.slot, t_s - stop.t_s)
+            case OperatorReport(matter=Matter.ASKING):
+                where = f"at {message.x_m:.1f}, {message.y_m:.1f}"
+                self.seen.append(Event(t_s, "question", f"robot {robot.slot}", where))
+
+    def _section(self, t_s: float, section: int) -> None:
+        phase, owner = self.allocation.phase_of(section), self.allocation.owner_of(section)
+        held = self._holding.get(section)
+        if held is None or held[:2] != (phase.name, owner):
+            self._end_section(section, t_s)
+            self._holding[section] = (phase.name, owner, t_s)
+
+    def _end_section(self, section: int, t_s: float) -> None:
+        phase, owner, from_s = self._holding.pop(section, (Phase.FREE.name, None, t_s))
+        if phase != Phase.FREE.name:
+            self.held.append(Span(section, phase, owner, from_s, t_s))
+
+    def _press(self, t_s: float, frame: Frame) -> None:
+        _, message = decode(frame)
+        assert isinstance(message, EmergencyStop)
+        dot = message[:3]
+        known = message.reason in Reason._value2member_map_
+        reason = Reason(message.reason).name if known else f"reason {message.reason}"
+        by = f"robot {dot[0]}" if dot[0] in self.robots else f"device {dot[0]}"
+        present = tuple(
+            slot for slot, robot in sorted(self.robots.items())
+            if slot != dot[0] and not robot.left and t_s - robot.last_s <= SILENT_S
+        )  # fmt: skip
+        self.pressed.append(Stop(dot, reason, by, t_s, present))
+        self.seen.append(Event(t_s, "stop", by, reason))
+
+    def _stands(self, t_s: float, slot: int, still: bool) -> None:
+        for stop in self.pressed:
+            if slot in stop.present and stop.cleared_s is None:
+                stop.latch_s.setdefault(slot, t_s - stop.t_s)
+                if still:
+                    stop.still_s.setdefault(slot, t_s - stop.t_s)
+
+    def _clear(self, t_s: float) -> None:
+        for stop in self.pressed:
+            if stop.cleared_s is None and stop.dot in self.cleared:
+                stop.cleared_s = t_s
+                self.seen.append(Event(t_s, "reset", "an operator", f"clears {_dotted(stop.dot)}"))
+
+    def _command(self, t_s: float, frame: Frame) -> None:
+        _, message = decode(frame)
+        if isinstance(message, OperatorCommand):
+            target = "all" if message.target == 255 else f"robot {message.target}"
+            event = Event(t_s, "command", target, Command(message.command).name)
+            recent = (e for e in reversed(self.seen) if t_s - e.t_s < AGAIN_S)
+            if all(e[1:] != event[1:] for e in recent):  # a command is said several times
+                self.seen.append(event)
+
+    def bins(self, count: int) -> tuple[int, list[tuple[int, Counter[str]]]]:
+        """Bits by kind in at most so many bins: their width in seconds, and (second, bits) of each."""
+        if not self.loads:
+            return 1, []
+        first, last = min(self.loads), max(self.loads)
+        width_s = (last - first) // count + 1
+        found = [(second, Counter[str]()) for second in range(first, last + 1, width_s)]
+        for second, bits in self.loads.items():
+            found[(second - first) // width_s][1].update(bits)
+        return width_s, found
+
+
+AGAIN_S = 1.0
+OPERATOR_PGN = next(pgn for pgn, name in NAMES.items() if name == "OPERATOR_COMMAND")
+
+
+def _dotted(dot: tuple[int, int, int]) -> str:
+    return ".".join(map(str, dot))

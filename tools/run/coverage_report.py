@@ -1,0 +1,128 @@
+"""Solving and replaying coverage plans for people: figures as text or JSON, drawings in the terminal."""
+
+import shutil
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from sim.files.coverage_plan_file import Plan, write_plan
+from sim.files.grid_map import Cell, Instance, Walls
+from sim.files.strict_json import dumps
+from sim.runs.planned_coverage import Arrival, Death, work
+from sim.world.plan_judge import Court, Verdict, judge, lower_bound, steps_from
+from tools.common.result_table import fact_table
+
+WALL, DIRT, CLEAN, ROBOT, WRECK = "█", "·", " ", "o", "x"
+COLORS = {ROBOT: "\x1b[1;32mo\x1b[0m", WRECK: "\x1b[1;31mx\x1b[0m", DIRT: "\x1b[33m·\x1b[0m"}
+
+
+def solved(
+    instance: Instance, turn_cost: float, deaths: Sequence[Death], arrivals: Sequence[Arrival],
+    out: Path, as_json: bool, reachable_only: bool = False,
+) -> int:  # fmt: skip
+    """`reachable_only`: cells that no robot can come to are no fault."""
+    begun_s = time.process_time()
+    plan = work(instance, turn_cost, deaths, arrivals)
+    cpu_s = time.process_time() - begun_s
+    write_plan(out, plan)
+    verdict = judge(plan)
+    bound = lower_bound(instance.walls, instance.starts)
+    report = figures(plan, verdict, turn_cost) | {
+        "lower_bound": bound,
+        "ratio": round(verdict.makespan / bound, 4) if bound else 1.0,
+        "cpu_s": round(cpu_s, 3),
+        "plan": str(out),
+    }
+    closed = closed_off(report["unreached_cells"], reachable_only)
+    report["ok"] = verdict.ok and not closed
+    _print(f"coverage of {instance.name}", report, as_json)
+    if closed:
+        print(closed, file=sys.stderr)
+    return 0 if report["ok"] else 1
+
+
+def closed_off(cells: int, reachable_only: bool) -> str:
+    """One line where the plan leaves out free cells; else nothing."""
+    if not cells or reachable_only:
+        return ""
+    return (
+        f"headland: {cells} free cells are not connected with any robot's start and stay uncovered; "
+        "--reachable-only accepts that"
+    )
+
+
+def unreached(walls: Walls, starts: Sequence[Cell]) -> int:
+    """Free cells that are not connected with any start."""
+    return int((~walls).sum()) - len(steps_from(walls.tolist(), list(starts)))
+
+
+def replayed(
+    plan: Plan, delay_s: float, stop_on_done: bool, turn_cost: float, as_json: bool
+) -> int:
+    court = Court(plan)
+    wanted = court.wanted()
+    show = sys.stdout.isatty() and not as_json
+    while not court.over and not (stop_on_done and wanted <= court.covered.keys()):
+        if show:
+            print("\x1b[H\x1b[2J" + drawing(court, wanted, True), flush=True)
+            time.sleep(delay_s)
+        court.advance()
+        if court.step in (*plan.died, *plan.joined):
+            wanted = court.wanted()
+    if not as_json:
+        print(drawing(court, wanted, show))
+    verdict = judge(plan)
+    _print("replay", figures(plan, verdict, turn_cost), as_json)
+    return 0 if verdict.ok else 1
+
+
+def figures(plan: Plan, verdict: Verdict, turn_cost: float) -> dict[str, Any]:
+    rows, columns = plan.walls.shape
+    return {
+        "rows": rows, "columns": columns, "cells": verdict.cells, "robots": len(plan.starts),
+        "makespan": verdict.makespan, "score": verdict.score(turn_cost),
+        "collisions": verdict.collisions, "swaps": verdict.swaps,
+        "wall_entries": verdict.wall_entries, "uncovered": verdict.uncovered,
+        "unreached_cells": unreached(plan.walls, plan.starts),
+        "moves": verdict.moves, "turns_90": verdict.turns_90, "turns_180": verdict.turns_180,
+        "repeats": verdict.repeats, "ok": verdict.ok,
+    }  # fmt: skip
+
+
+def drawing(court: Court, wanted: set[Cell], screen: bool) -> str:
+    """The map as text; on a screen in colour, and coarser where it would not fit.
+
+    A coarse mark is what matters most in its block: a wreck, a robot, dirt, clean ground, walls.
+    """
+    rows, columns = court.plan.walls.shape
+    coarse = 1
+    if screen:
+        room = shutil.get_terminal_size()
+        coarse = max(1, -(-columns // room.columns), -(-rows // max(1, room.lines - 2)))
+    marks = [[WALL if wall else DIRT for wall in row] for row in court.walls]
+    for row, column in court.covered:
+        marks[row][column] = CLEAN
+    for robot, (row, column) in court.at.items():
+        marks[row][column] = WRECK if robot in court.wrecks else ROBOT
+    lines = []
+    for top in range(0, rows, coarse):
+        line = ""
+        for left in range(0, columns, coarse):
+            block = {m for row in marks[top : top + coarse] for m in row[left : left + coarse]}
+            mark = next(m for m in (WRECK, ROBOT, DIRT, CLEAN, WALL) if m in block)
+            line += COLORS.get(mark, mark) if screen else mark
+        lines.append(line)
+    left_over = len(wanted - court.covered.keys())
+    return "\n".join([*lines, f"step {court.step} of {court.plan.makespan}, {left_over} to cover"])
+
+
+def _print(title: str, report: dict[str, Any], as_json: bool) -> None:
+    if as_json:
+        print(dumps(report))
+        return
+    facts = ((name.replace("_", " "), str(value)) for name, value in report.items())
+    Console().print(fact_table(title, facts))

@@ -1,0 +1,154 @@
+"""The folder of a launched fleet: its journals, the logs of its launches, and whether it goes on.
+
+A launch that was ended or killed before its work was done is continued by the next launch of the same
+fleet: journals and the truth of the world stay, a latched robot stays latched, and the logs of the
+earlier launch move into `launch-N`.
+"""
+
+import contextlib
+import fcntl
+import json
+from hashlib import blake2b
+from pathlib import Path
+from typing import IO, Any, NamedTuple
+
+from sim.scenarios.field_setup import Setting
+from tools.common.run_folder import (
+    LATEST,
+    LAUNCH,
+    RUNS,
+    WRITTEN,
+    FolderError,
+    folders,
+    link,
+    numbered,
+)
+from tools.run.robot import AnySetting
+
+FLEET = "fleet.json"
+TRUTH = "truth.jsonl"
+JOURNALS = "robot*.sqlite*"
+LOGS = (*WRITTEN, "robot*.log", "bus.json", "places.toml")
+FLEET_BYTES_MAX = 64 * 1024
+
+
+class Fleet(NamedTuple):
+    folder: Path
+    launches: int  # this one included
+    continues: bool
+    said: str  # one line for the person; empty for a new fleet
+    locks: tuple[IO[str], ...]
+
+
+def identity_of(setting: AnySetting) -> str:
+    """Two launches with the same identity are launches of the same fleet. Keys are not in it: a fleet
+    that was given keys is still latched. A seed is in it only where it makes the tasks."""
+    plain: dict[str, Any] = setting.scenario.model_dump(mode="json", exclude={"run", "folder"})
+    plain.get("fleet", {}).pop("keys", None)
+    seed = setting.scenario.run.seed
+    ground = setting.field.config_hash if isinstance(setting, Setting) else seed
+    text = json.dumps([plain, ground], sort_keys=True)
+    return blake2b(text.encode(), digest_size=8).hexdigest()
+
+
+def fleet_folder(out: Path | None, setting: AnySetting, fresh: bool) -> Fleet:
+    """Where this fleet is launched. Raises FolderError and OSError."""
+    identity = identity_of(setting)
+    locks: list[IO[str]] = []
+    try:
+        if out is None:
+            RUNS.mkdir(parents=True, exist_ok=True)
+            locks.append(_locked(RUNS / ".launch.lock", RUNS / LAUNCH))
+            folder, said = _of_name(setting.scenario.name, identity, fresh)
+        else:
+            out.mkdir(parents=True, exist_ok=True)
+            folder, said = out, ""
+        locks.append(_locked(folder / "lock", folder))
+        known = _known(folder)
+        same = known is not None and known["fleet"] == identity
+        going_on = same and not known["over"] and not fresh if known is not None else False
+        if any(folder.glob(JOURNALS)) and not fresh and not going_on and not _over(known):
+            raise FolderError(
+                f"{folder} holds another fleet that is not done; begin a new one there with --fresh, "
+                "or choose another folder with --out"
+            )
+        launches = _put_away(folder, journals=not going_on)
+        if going_on:
+            said = (
+                f"continuing the fleet in {folder}: its robots remember their work and their stops; "
+                "--fresh begins a new one"
+            )
+        if out is None:
+            link(RUNS / LAUNCH, folder)
+            link(RUNS / LATEST, folder)
+        _write(folder, identity, over=False)
+    except BaseException:
+        for lock in locks:
+            lock.close()
+        raise
+    return Fleet(folder, launches, going_on, said, tuple(locks))
+
+
+def end_fleet(fleet: Fleet, setting: AnySetting) -> None:
+    """Its work is done and nobody is latched: the next launch is a new fleet."""
+    _write(fleet.folder, identity_of(setting), over=True)
+
+
+def _of_name(name: str, identity: str, fresh: bool) -> tuple[Path, str]:
+    """The newest folder of that name if its fleet goes on, or a new one; and what to say of it."""
+    said = ""
+    with_fleet = [path for _, path in folders(RUNS, name) if (path / FLEET).is_file()]
+    if with_fleet and not fresh:
+        newest = with_fleet[-1]
+        known = _known(newest)
+        if known is not None and not known["over"]:
+            if known["fleet"] == identity:
+                return newest, ""
+            said = f"{newest} holds another fleet of {name}, not done: this one is new"
+    return numbered(RUNS, name), said
+
+
+def _locked(path: Path, folder: Path) -> IO[str]:
+    lock = path.open("w")
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        lock.close()
+        raise FolderError(
+            f"another launch is running in {folder}: end it, or choose another folder with --out"
+        ) from None
+    return lock
+
+
+def _known(folder: Path) -> dict[str, Any] | None:
+    """What a launch wrote of its fleet; none where there is none, or it cannot be read."""
+    with contextlib.suppress(OSError, ValueError, RecursionError, KeyError, TypeError):
+        with (folder / FLEET).open("rb") as file:
+            said = json.loads(file.read(FLEET_BYTES_MAX))
+        return {"fleet": str(said["fleet"]), "over": said["over"] is True}
+    return None
+
+
+def _over(known: dict[str, Any] | None) -> bool:
+    return known is not None and bool(known["over"])
+
+
+def _write(folder: Path, identity: str, over: bool) -> None:
+    new = folder / f"{FLEET}.new"
+    new.write_text(json.dumps({"fleet": identity, "over": over}) + "\n", encoding="utf-8")
+    new.replace(folder / FLEET)
+
+
+def _put_away(folder: Path, journals: bool) -> int:
+    """Move what an earlier launch left into `launch-N`; returns the number of this launch."""
+    names = (*LOGS, JOURNALS, TRUTH) if journals else LOGS
+    old = sorted({path for name in names for path in folder.glob(name)})
+    number = max((n for n, _ in folders(folder, "launch")), default=0)
+    if old:
+        aside = numbered(folder, "launch")
+        for path in old:
+            place = aside / path.relative_to(folder)
+            place.parent.mkdir(exist_ok=True)
+            path.rename(place)
+        number += 1
+    return number + 1

@@ -1,0 +1,424 @@
+"""`headland launch`: N robot processes on one simulated bus and world, in real time.
+
+This process owns the world and, unless it is told of a hub that runs by itself, the wire. It starts the
+robots and decides nothing for them. Killing any robot must not stop the work. Ctrl-C ends all of them;
+robots end by themselves when this process dies, because the pipe on their stdin does.
+"""
+
+import asyncio
+import contextlib
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from agent.interface.lifecycle import State
+from protocol.frames.frame import Frame
+from sim.files.candump import CandumpWriter
+from sim.files.log_parts import LAUNCH_LIMIT, PartedLog
+from sim.files.recording_end import Ending
+from sim.files.strict_json import dumps
+from sim.fleet.gc_tuning import leave_standing
+from sim.fleet.outcome import COVERAGE_MIN
+from sim.record.remote_body import BodyServer
+from sim.scenarios.field_setup import Setting
+from sim.scenarios.scenario import ScenarioError
+from sim.world.coverage_truth import coverage, sample_points
+from sim.world.implement_contacts import implement_contacts
+from sim.world.parcel_truth import Parcels
+from sim.world.world_memory import WorldMemory
+from tools.build.warmup import warm
+from tools.common.bus_attach import CHANNEL, AttachError
+from tools.common.child_process import module_command
+from tools.common.process_identity import identity
+from tools.common.run_folder import FolderError
+from tools.common.run_recorder import Keeping
+from tools.inspect.inspector import SILENT_S, Inspector
+from tools.language.places import Places
+from tools.livemap.command import ServerError, check_operator_key, listen
+from tools.run.fleet_folder import TRUTH, Fleet, end_fleet, fleet_folder
+from tools.run.launch_bus import LaunchBus, OutsideHub, OwnHub, viewer_command
+from tools.run.robot import AnySetting, setting_of
+
+HOST = "127.0.0.1"
+LOOK_S = 0.5
+STRAIGHT_M = 0.02  # that a track of truth may be off, as RTK GNSS is: one point in 2 s of driving
+TELL_S = 5.0  # a status line this often
+QUIET_LOOKS = 6  # all done for this many looks in a row: finished
+MAP_NICE = 5  # of the map's process, beside the robots'
+GRACE_S = 3.0  # between asking a robot to leave and killing it
+UNFINISHED, WRONG, INTERRUPTED = 1, 2, 130
+NO_KEYS = "[yellow]keys: NONE: anybody on the bus can stop and release this fleet[/yellow]"
+
+
+class BusError(Exception):
+    """One line: why there is no bus to launch on."""
+
+
+class Launch:
+    log_limit = LAUNCH_LIMIT  # of can.log, and of run.mcap
+    endless = False  # goes on when all is done: more may come
+
+    def __init__(
+        self, setting: AnySetting, name: str, fleet: Fleet, console: Console, keys: Path | None,
+        page_port: int | None = None,
+    ) -> None:  # fmt: skip
+        self.operator_key: str | None = (
+            None  # file of the map; its page may release and start with it
+        )
+        self.fleet, out = fleet, fleet.folder
+        self.page_port, self.log_hash, self.logs = page_port, "", ""
+        self.segment = 0  # of a fleet of several; 0: there are no others
+        self.hub_port = 0  # of a hub that runs by itself; 0: ours
+        self.map: asyncio.subprocess.Process | None = None
+        self.map_out: int | None = 2 if console.stderr else None  # where it prints its address
+        self.keys = None if keys is None else str(keys.absolute())
+        self.setting, self.name, self.out, self.console = setting, name, out, console
+        self.inspector = Inspector(self._sections())
+        self.processes: dict[int, asyncio.subprocess.Process] = {}
+        self.world = setting.world()
+        self.gone: set[int] = set()
+        self.latched: list[int] = []  # robots that a person has to look at before they move
+        self.unkept = False  # the truth of the world could not be written
+        self.memory: WorldMemory
+        self.world_began_us = 0  # where the world goes on, of an earlier launch
+        self.difference = ""  # between what robots say and what is true; empty: there is none
+
+    async def run(self, port: int, seconds: float | None) -> int:
+        loop = asyncio.get_running_loop()
+        end = asyncio.Event()
+        for number in (signal.SIGINT, signal.SIGTERM):
+            loop.add_signal_handler(number, end.set)
+        memory = WorldMemory(self.out / TRUTH, self.world, self._parcels())
+        self.world_began_us, self.memory = memory.now_us, memory
+        for body in self.world.robots.values():
+            body.track.straight_m = STRAIGHT_M
+        bus = self._bus(port)
+        # Logs of a launch carry the time of day, so that other logs can be laid beside them.
+        epoch_us = round((time.time() - loop.time()) * 1e6)
+        begun_us, told = epoch_us + round(loop.time() * 1e6), self.console.print
+        log = PartedLog(
+            self.out / "can.log", lambda path, _: CandumpWriter(path), begun_us, self.log_limit, told
+        )
+        keeping = Keeping(
+            self.setting, self.out, begun_us=begun_us, told=told, limit=self.log_limit
+        )
+        text = Ending("can.log", told)
+
+        def keep(t_us: int, frame: Frame) -> None:
+            keeping.write(epoch_us + t_us, frame)
+            text(log.write, epoch_us + t_us, frame)
+
+        try:
+            await bus.start([keep, self._heard])
+        except OSError as problem:
+            raise BusError(problem.strerror or str(problem)) from None
+        zero_us = round(loop.time() * 1e6) - memory.now_us
+        bodies = BodyServer(self.world, zero_us)
+        path = await bodies.start()
+        where = {
+            "host": HOST, "port": bus.port, "channel": CHANNEL, **identity(),
+            "bodies": str(path), "folder": str(self.out.absolute()),
+            "robots": sorted(self.world.robots),
+        }  # fmt: skip
+        going_on = self._furnish(bodies, bus)
+        bodies.relay.keep = lambda intent: keeping.tell(epoch_us + round(loop.time() * 1e6), intent)
+        (self.out / "bus.json").write_text(dumps(where))
+        (self.out / "places.toml").write_text(self._places())
+        self.console.print(
+            f"bus: socketcand {HOST}:{bus.port} channel {CHANNEL}   "
+            f"({viewer_command(HOST, bus.port)})"
+        )
+        if self.setting.keys is None:
+            self.console.print(NO_KEYS)
+        stepping = asyncio.create_task(bodies.run())
+        try:
+            if self.page_port is not None:
+                await self._start_map()
+            await self._start_all(bus.port, path)
+            leave_standing()
+            finished = await self._watch(end, seconds)
+            self.latched = self._latched()
+        finally:
+            await self._end_all()
+            for task in (stepping, *going_on):
+                task.cancel()
+            await bus.stop()
+            bodies.close()
+            self._keep_truth()
+            Ending(TRUTH, self._untold).close(memory.close)
+            text.close(log.close)
+            keeping.close()
+            self.log_hash, self.logs = keeping.log_hash, keeping.logs
+            (self.out / "bus.json").unlink(missing_ok=True)
+        self._report(bodies.now_us() / 1e6, finished)
+        if finished and not self.latched and not self.difference:
+            end_fleet(self.fleet, self.setting)
+        if end.is_set():
+            return INTERRUPTED
+        return 0 if finished and not self.flawed and not self.difference else UNFINISHED
+
+    # ---------------------------------------------------------------- what another mission has otherwise
+
+    @property
+    def flawed(self) -> bool:
+        return bool(self.world.contacts)
+
+    def _furnish(self, bodies: BodyServer, bus: LaunchBus) -> list["asyncio.Task[None]"]:
+        """What else is in the world; tasks that go on until the end."""
+        return []
+
+    def _progress(self) -> tuple[int, int, str]:
+        """How much is done, of how much, of what."""
+        return self.inspector.allocation.done_count(), self.setting.section_count, "sections"
+
+    def _sections(self) -> frozenset[int]:
+        """Of the field; work in others is none. Empty: any may be there."""
+        assert isinstance(self.setting, Setting)
+        return frozenset(section.id for section in self.setting.field.sections)
+
+    def _parcels(self) -> Parcels | None:
+        """What is true of the parcels of this world, where it has any."""
+        return None
+
+    def _bus(self, port: int) -> LaunchBus:
+        if self.hub_port:
+            return OutsideHub(HOST, self.hub_port)
+        scenario = self.setting.scenario
+        return OwnHub(HOST, port, scenario.bus.bitrate, scenario.run.seed)
+
+    def _places(self) -> str:
+        """What people can name when they speak to this fleet."""
+        assert isinstance(self.setting, Setting)
+        field = self.setting.field
+        named = {"gate": field.gate, **self.setting.scenario.places}
+        return Places.write(named, {section.name: section.ends[0] for section in field.sections})
+
+    def _heard(self, t_us: int, frame: Frame) -> None:
+        self.inspector.hear(t_us / 1e6, frame)
+
+    async def _start_all(self, bus_port: int, bodies: Path) -> None:
+        for slot in range(self.setting.scenario.fleet.robots):
+            order = {
+                "slot": slot, "scenario": self.name, "robots": self.setting.scenario.fleet.robots,
+                "seed": self.setting.scenario.run.seed, "host": HOST, "channel": CHANNEL,
+                "bus_port": bus_port, "bodies": str(bodies),
+                "journal": str(self.out / f"robot{slot}.sqlite"),
+                "first_boot": not self.fleet.continues,
+                "keys": self.keys, "segment": self.segment,
+            }  # fmt: skip
+            with (self.out / f"robot{slot}.log").open("wb") as errors:
+                process = await asyncio.create_subprocess_exec(
+                    *module_command("tools.run.robot"),
+                    stdin=asyncio.subprocess.PIPE, stdout=errors, stderr=errors,
+                    start_new_session=True,  # the terminal's Ctrl-C is ours to pass on
+                )  # fmt: skip
+            assert process.stdin is not None
+            process.stdin.write(dumps(order).encode() + b"\n")
+            self.processes[slot] = process
+            self.console.print(f"robot {slot}: process {process.pid}")
+
+    async def _start_map(self) -> None:
+        """A process of its own, and a polite one: the bus and the robots go first."""
+        words = ["map", str(self.out), "--page-port", str(self.page_port)]
+        words += [] if self.keys is None else ["--keys", self.keys]
+        words += [] if self.operator_key is None else ["--operator-key", self.operator_key]
+        self.map = await asyncio.create_subprocess_exec(
+            *module_command("tools.cli.headland"), *words, start_new_session=True,
+            stdout=self.map_out, preexec_fn=lambda: os.nice(MAP_NICE),
+        )  # fmt: skip
+
+    async def _watch(self, end: asyncio.Event, seconds: float | None) -> bool:
+        loop = asyncio.get_running_loop()
+        begun_s = told_s = loop.time()
+        quiet = 0
+        while not end.is_set() and (self.endless or quiet < QUIET_LOOKS):
+            if seconds is not None and loop.time() - begun_s >= seconds:
+                break
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(LOOK_S):
+                    await end.wait()
+            self._notice_deaths()
+            self._keep_truth()
+            if len(self.gone) == len(self.processes):
+                self.console.print("every robot process has ended")
+                break
+            done, all_of_it, _ = self._progress()
+            quiet = quiet + 1 if done == all_of_it else 0
+            if loop.time() - told_s >= TELL_S:
+                told_s = loop.time()
+                self._tell(told_s - begun_s)
+        return quiet >= QUIET_LOOKS
+
+    def _keep_truth(self) -> None:
+        """A full disk ends no launch; the next one begins where the last look is."""
+        try:
+            self.memory.look()
+        except OSError as problem:
+            if not self.unkept:
+                self.console.print(f"the world is not kept for the next launch: {problem.strerror}")
+            self.unkept = True
+
+    def _untold(self, message: str) -> None:
+        """What is said otherwise."""
+
+    def _notice_deaths(self) -> None:
+        for slot, process in self.processes.items():
+            if process.returncode is not None and slot not in self.gone:
+                self.gone.add(slot)
+                code = process.returncode
+                how = f"signal {-code}" if code < 0 else f"exit code {code}; see robot{slot}.log"
+                self.console.print(f"robot {slot} has ended ({how}); the others go on")
+        if self.map is not None and self.map.returncode is not None:
+            self.console.print(
+                f"[red]the map has ended (exit code {self.map.returncode}): its page is dead and "
+                f"its STOP stops nobody[/red]; again: headland map {self.out}"
+            )
+            self.map = None
+
+    def _tell(self, elapsed_s: float) -> None:
+        states = " ".join(
+            f"{slot}:{seen.state if self.inspector.now_s - seen.last_s < SILENT_S else 'silent'}"
+            for slot, seen in sorted(self.inspector.robots.items())
+        )
+        done, all_of_it, what = self._progress()
+        self.console.print(f"{elapsed_s:6.0f} s  {done}/{all_of_it} {what}  {states}")
+
+    async def _end_all(self) -> None:
+        everybody = [*self.processes.values(), *([self.map] if self.map is not None else [])]
+        running = [p for p in everybody if p.returncode is None]
+        for process in running:
+            with contextlib.suppress(ProcessLookupError):
+                process.terminate()
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(GRACE_S):
+                await asyncio.gather(*(p.wait() for p in running))
+        for process in running:
+            if process.returncode is None:
+                with contextlib.suppress(ProcessLookupError):
+                    process.kill()
+                await process.wait()
+
+    def _latched(self) -> list[int]:
+        """Robots that are latched, or whose process has ended, so that nobody can tell."""
+        known, stopped = self.inspector.robots, State.EMERGENCY_STOP.name
+        return [
+            slot for slot in self.processes
+            if slot in self.gone or slot not in known or known[slot].state == stopped
+        ]  # fmt: skip
+
+    def _report(self, elapsed_s: float, finished: bool) -> None:
+        assert isinstance(self.setting, Setting)
+        field = self.setting.field
+        raster = sample_points(field.polygon, field.implement_width_m, field.overlap_m)
+        tracks = {slot: body.track for slot, body in self.world.robots.items()}
+        ground = self.setting.ground(raster)
+        truth = coverage(raster, tracks, field.implement_width_m, ground.cells)
+        if finished and truth.reached < COVERAGE_MIN:
+            self.difference = f"robots say 100 %, the ground says {truth.reached:.2%}"
+        radius_m = self.setting.scenario.fleet.radius_m
+        met = implement_contacts(tracks, field.implement_width_m, field.overlap_m, radius_m)
+        of_it = {
+            "coverage": truth.share, "reachable": ground.share, "reached": truth.reached,
+            "unreached": [part._asdict() for part in ground.unreached],
+            "implement_contacts": len(met),
+        }  # fmt: skip
+        touches = f"{len(self.world.contacts)} contacts, {len(met)} of implements"
+        verdict = f"coverage {truth.share:.2%}, {touches}"
+        self._write(elapsed_s, finished, of_it, verdict)
+
+    def _write(self, elapsed_s: float, finished: bool, of_it: dict[str, Any], verdict: str) -> None:
+        touched = [
+            {"t_s": c.t_us / 1e6, "robot": c.first, "against": c.against, "depth_m": c.depth_m}
+            for c in self.world.contacts
+        ]
+        report: dict[str, Any] = {
+            "finished": finished, "seconds": round(elapsed_s, 1), **of_it,
+            "contacts": len(self.world.contacts),
+            "pymunk_steps": self.world.pymunk_steps,
+            "robots_ended": sorted(self.gone), "touched": touched,
+            "silence_policy": self.setting.scenario.fleet.silence,
+            "authenticated": self.setting.keys is not None, "difference": self.difference,
+            "launches": self.fleet.launches, "latched": self.latched,
+            "log_hash": self.log_hash, **self.inspector.to_dict(),
+        }  # fmt: skip
+        written = Ending("report.json", self._untold)
+        written((self.out / "report.json").write_text, dumps(report, indent=1) + "\n")
+        if written.why:
+            self.console.print(f"report.json is not written: {written.why}")
+        how = "finished" if finished else "not finished"
+        self.console.print(
+            f"{how} after {elapsed_s:.0f} s: {verdict}; report.json, {self.logs} are in {self.out}"
+        )
+        if self.difference:
+            self.console.print(f"[red]{self.difference}[/red]")
+        if self.setting.keys is None:
+            self.console.print(NO_KEYS)
+        self.report = report
+
+
+def launch(
+    scenario: str, robots: int | None, seed: int | None, out: Path | None, port: int,
+    seconds: float | None, as_json: bool, keys: Path | None = None, page_port: int | None = None,
+    segment: int = 0, hub_port: int = 0, fresh: bool = False, operator_key: Path | None = None,
+) -> int:  # fmt: skip
+    """`page_port`: of a map beside it. `hub_port`: of a bus that runs by itself. `out`: none, a folder
+    named after the scenario. `fresh`: a new fleet, also where the last one is not done. `operator_key`:
+    the map's page may release and start with it."""
+    console = Console(stderr=as_json, highlight=False, soft_wrap=True)
+    try:
+        setting = setting_of(scenario, robots, seed, keys)
+        if segment and not isinstance(setting, Setting):
+            return _wrong(
+                f"--segment: {scenario} is a warehouse, and they are not bridged: leave it out"
+            )
+        if setting.scenario.fault:
+            return _wrong(
+                f"{scenario}: [[fault]]: a launch has real processes and plays no faults; "
+                "play this scenario with headland run"
+            )
+        if page_port is not None:
+            listen(page_port).close()  # what is taken is known before the robots start
+            check_operator_key(operator_key)
+        fleet = fleet_folder(out, setting, fresh)
+    except (ScenarioError, ServerError, FolderError, AttachError) as problem:
+        return _wrong(str(problem))
+    except OSError as problem:
+        return _wrong(f"--out: {problem}")
+    if fleet.said:
+        console.print(fleet.said)
+    warm(isinstance(setting, Setting) and setting.turn_radius_m > 0.0)  # not in every robot at once
+    kind = Launch if isinstance(setting, Setting) else _haul()
+    running = kind(setting, scenario, fleet, console, keys, page_port)
+    running.operator_key = None if operator_key is None else str(operator_key.absolute())
+    running.segment, running.hub_port = segment, hub_port
+    begun = time.monotonic()
+    try:
+        code = asyncio.run(running.run(port, seconds))
+    except BusError as problem:
+        if hub_port:
+            return _wrong(f"--hub {hub_port}: {problem}")
+        return _wrong(f"--port {port}: {problem}; choose another or 0 for any free one")
+    except OSError as problem:
+        return _wrong(f"--out: {problem}")
+    finally:
+        for lock in fleet.locks:
+            lock.close()
+    if as_json:
+        print(dumps({**running.report, "wall_s": round(time.monotonic() - begun, 1)}))
+    return code
+
+
+def _haul() -> type[Launch]:
+    from tools.run.launch_delivery import HaulLaunch
+
+    return HaulLaunch
+
+
+def _wrong(message: str) -> int:
+    print(f"headland: {message}", file=sys.stderr)
+    return WRONG

@@ -1,0 +1,111 @@
+"""`headland launch` of a warehouse: each robot a process, in a world with parcels, arms, batteries.
+
+Transports may be ordered at any time, so it goes on until it is ended, by Ctrl-C or `--seconds`.
+"""
+
+import asyncio
+
+from agent.delivery.task_registry import TASKS_MAX
+from crdt import Phase
+from protocol.frames.frame import Frame
+from protocol.frames.messages import Message
+from sim.fleet.scheduler import follow
+from sim.fleet.warehouse_floor import Depot
+from sim.record.remote_body import BodyServer
+from sim.scenarios.delivery_setup import DeliverySetting
+from sim.world.parcel_truth import CarrierBody, Parcels
+from tools.language.places import Places
+from tools.operate.tool_address import DeviceAddress
+from tools.run.launch import Launch
+from tools.run.launch_bus import LaunchBus
+
+
+class _Desk:
+    """The bus of the launch, as a device speaks on it."""
+
+    def __init__(self, bus: LaunchBus) -> None:
+        self.bus = bus
+
+    def send(self, frame: Frame) -> bool:
+        self.bus.say(frame)
+        return True
+
+
+class HaulLaunch(Launch):
+    depot: Depot
+    endless = True
+
+    def _furnish(self, bodies: BodyServer, bus: LaunchBus) -> list["asyncio.Task[None]"]:
+        assert isinstance(self.setting, DeliverySetting)
+
+        loop = asyncio.get_running_loop()
+        desk = DeviceAddress(_Desk(bus))
+
+        def say(message: Message) -> None:
+            desk.send(message)
+
+        bus.taps.append(lambda t_us, frame: desk.hear(loop.time(), frame))
+        if self.world_began_us:
+            self.depot.recall(self.world_began_us)
+        self.depot.now_us, self.depot.say = bodies.now_us, say
+        bus.taps.append(lambda t_us, frame: self.depot.hear(bodies.now_us(), frame))
+        carriers = {
+            slot: CarrierBody(self.world.body(slot), slot, self.depot.truth, bodies.now_us)
+            for slot in self.world.robots
+        }
+        bodies.body = carriers.__getitem__
+        scripts = [self.depot.calls(), *self.depot.events()]
+        return [asyncio.create_task(follow(script, bodies.zero_us)) for script in scripts]
+
+    def _sections(self) -> frozenset[int]:
+        """Tasks come while it goes on."""
+        return frozenset()
+
+    def _parcels(self) -> Parcels:
+        assert isinstance(self.setting, DeliverySetting)
+
+        def unsaid(message: Message) -> None:
+            """Nobody orders before the bus is there."""
+
+        self.depot = Depot(self.setting, self.world, lambda: 0, self._is_up, unsaid)
+        return self.depot.truth
+
+    def _is_up(self, slot: int) -> bool:
+        process = self.processes.get(slot)
+        return process is not None and process.returncode is None
+
+    @property
+    def flawed(self) -> bool:
+        truth = self.depot.truth
+        return bool(self.world.contacts or truth.empty or any(truth.flaws.values()))
+
+    def _progress(self) -> tuple[int, int, str]:
+        """Parcels, as they lie; those of the scenario that have not come yet count as well."""
+        truth = self.depot.truth
+        to_do = max(len(truth.dropoff), len(self.depot.setting.rows))
+        return len(truth.delivered_us), to_do, "parcels"
+
+    def _places(self) -> str:
+        assert isinstance(self.setting, DeliverySetting)
+        bays = {f"charger {k}": place for k, place in enumerate(self.setting.house.bays)}
+        return Places.write({**bays, **self.setting.scenario.places}, {})
+
+    def _report(self, elapsed_s: float, finished: bool) -> None:
+        truth, allocation = self.depot.truth, self.inspector.allocation
+        known = all(allocation.phase_of(task) is Phase.DONE for task in truth.dropoff)
+        charges = sum(
+            section >= TASKS_MAX and allocation.phase_of(section) is Phase.DONE
+            for section in allocation.sections()
+        )
+        of_it = {
+            "tasks": len(truth.dropoff), "delivered": len(truth.delivered_us), "known_to_all": known,
+            "flaws": truth.flaws, "empty": sorted(truth.empty), "charges": charges,
+            "lowest_battery": min(truth.lowest.values(), default=1.0),
+        }  # fmt: skip
+        if finished and not known:
+            self.difference = "every parcel lies at its place, robots do not all say so"
+        verdict = (
+            f"{len(truth.delivered_us)} of {len(truth.dropoff)} parcels delivered, "
+            f"{len(self.world.contacts)} contacts"
+        )
+        self._write(elapsed_s, finished, of_it, verdict)

@@ -1,0 +1,99 @@
+"""Pictures of an exploration: the joined map, each robot's own, who saw what, and a film of it."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.files.palette import colour_of, rgb_of
+from sim.runs.exploration_run import Survey, SurveyOutcome
+
+GREYS = np.array([0.75, 1.0, 0.1])  # unknown, free, obstacle
+FRAME_MS = 250
+
+
+def _plain(axes: Any, survey: Survey, values: NDArray[np.int64], title: str) -> None:
+    axes.imshow(GREYS[values], origin="lower", extent=_extent(survey), cmap="gray", vmin=0, vmax=1)
+    _label(axes, title)
+
+
+def _label(axes: Any, title: str) -> None:
+    axes.set_title(title, fontsize=9)
+    axes.set_aspect("equal")
+    axes.tick_params(labelsize=7)
+
+
+def _who(axes: Any, survey: Survey, first: NDArray[np.int64], title: str) -> None:
+    """Each cell in the colour of the robot that saw it first."""
+    picture = np.ones((*first.shape, 3))
+    for slot in np.unique(first[first >= 0]).tolist():
+        picture[first == slot] = rgb_of(slot)
+    picture[first < 0] = 0.85
+    picture[survey.setting.solid] = 0.1
+    axes.imshow(picture, origin="lower", extent=_extent(survey))
+    _label(axes, title)
+
+
+def _extent(survey: Survey) -> tuple[float, float, float, float]:
+    rows, columns, (west, south), cell_m = survey.setting.geometry
+    return west, west + columns * cell_m, south, south + rows * cell_m
+
+
+def draw_maps(survey: Survey, outcome: SurveyOutcome, out: Path) -> None:
+    """One PNG: the joined map with the ways driven, who saw what first, and each robot's own map."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    assert survey.joined is not None
+    slots = sorted(survey.charts)
+    columns = min(4, len(slots) + 2)
+    rows = -(-(len(slots) + 2) // columns)
+    size = (4 * columns, 4 * rows)
+    figure, grid = pyplot.subplots(rows, columns, figsize=size, dpi=100, squeeze=False)
+    places = list(grid.flat)
+    title = f"joined map, {100 * outcome.explored:.1f} % in {outcome.time_s:.0f} s"
+    _plain(places[0], survey, survey.joined.values(), title)
+    for slot, track in survey.tracks.items():
+        xy = np.array([(x, y) for _, x, y, _ in track])
+        places[0].plot(xy[:, 0], xy[:, 1], color=colour_of(slot), linewidth=0.8)
+    again = f"{100 * outcome.overlap_end:.0f} % seen again by another"
+    _who(places[1], survey, survey.seen.first, f"who saw it first; {again}")
+    for axes, slot in zip(places[2:], slots, strict=False):
+        _plain(axes, survey, survey.charts[slot], f"what robot {slot} saw itself")
+    for axes in places[2 + len(slots) :]:
+        axes.set_axis_off()
+    figure.suptitle(
+        f"{outcome.scenario}: {outcome.robots} robots, seed {outcome.seed}", fontsize=11
+    )
+    figure.tight_layout()
+    figure.savefig(out)
+    pyplot.close(figure)
+
+
+def film(survey: Survey, out: Path) -> None:
+    """A GIF of both as they grow: the map of one robot after the other, and who saw what first."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+    from matplotlib.animation import FuncAnimation, PillowWriter
+
+    figure, (left, right) = pyplot.subplots(1, 2, figsize=(9, 5), dpi=80)
+
+    def draw(number: int) -> None:
+        still = survey.films[number]
+        left.clear()
+        right.clear()
+        _plain(left, survey, still.values, f"{still.now_s:.0f} s, as robot {still.slot} knows it")
+        _who(right, survey, still.first, "who saw it first")
+        for slot, (x_m, y_m) in still.places.items():
+            for axes, edge in ((left, "none"), (right, "black")):
+                axes.plot([x_m], [y_m], "o", color=colour_of(slot), markeredgecolor=edge,
+                          markersize=5)  # fmt: skip
+
+    movie = FuncAnimation(figure, draw, frames=len(survey.films))
+    movie.save(out, writer=PillowWriter(fps=1000 // FRAME_MS))
+    pyplot.close(figure)
