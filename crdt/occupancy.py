@@ -19,8 +19,8 @@ from crdt.sighting import (
     RECORD_MASK,
     UNKNOWN,
     VALUE,
-    Order,
-    Sighting,
+    CellObservation,
+    MergeOrder,
     base,
     unpack,
 )
@@ -35,7 +35,7 @@ HEAD = Struct("<HHdddB")  # rows, columns, origin, side of a cell, order
 PATCH = Struct("<H")
 PATCH_BYTES = 3 * CELLS
 EDGE = 1e-6  # of a cell: centres on a border of two cells belong to one of them
-ORDERS = tuple(Order)
+ORDERS = tuple(MergeOrder)
 
 
 class MergeResult(NamedTuple):
@@ -83,7 +83,7 @@ def _gather(number: int) -> int:
 
 
 class OccupancyMap:
-    def __init__(self, geometry: Geometry, order: Order = Order.MAX_CONFIDENCE) -> None:
+    def __init__(self, geometry: Geometry, order: MergeOrder = MergeOrder.MAX_CONFIDENCE) -> None:
         rows, columns, _, cell_m = geometry
         assert 0 < rows <= SIDE_MAX and 0 < columns <= SIDE_MAX and cell_m > 0
         self.geometry, self.order = geometry, order
@@ -163,7 +163,7 @@ class OccupancyMap:
 
     # ---------------------------------------------------------------- reading
 
-    def sighting(self, row: int, column: int) -> Sighting | None:
+    def sighting(self, row: int, column: int) -> CellObservation | None:
         """The record of a cell, None where nobody saw it."""
         key = int(self._keys.ravel()[self._place[row, column]])
         return unpack(key) if key else None

@@ -37,13 +37,13 @@ _LOGS = [
 ]  # of confidence, from level 0 up; rounded once
 
 
-class Order(Enum):
+class MergeOrder(Enum):
     MAX_CONFIDENCE = "max_confidence"
     LATEST_UPDATE = "latest_update"
     DECAYED = "decayed"
 
 
-class Sighting(NamedTuple):
+class CellObservation(NamedTuple):
     """One record, taken apart. No record has the value UNKNOWN."""
 
     value: int
@@ -61,27 +61,27 @@ class Sighting(NamedTuple):
         return self.confidence(reader) * exp(-RATE / 1000 * max(now - self.time, 0))
 
 
-def base(order: Order, level: int, time: int, observer: int) -> int:
+def base(order: MergeOrder, level: int, time: int, observer: int) -> int:
     """The key of a record but for its value, which is in the lowest two bits."""
     assert 0 <= level < LEVELS and 0 <= time <= TIME_MAX and 0 <= observer <= OBSERVER_MAX
-    if order is Order.MAX_CONFIDENCE:
+    if order is MergeOrder.MAX_CONFIDENCE:
         rank = level
-    elif order is Order.LATEST_UPDATE:
+    elif order is MergeOrder.LATEST_UPDATE:
         rank = time
     else:
         rank = _LOGS[level] + RATE * time
     return rank << RECORD_BITS | time << 11 | level << 7 | observer << 2
 
 
-def pack(order: Order, sighting: Sighting) -> int:
+def pack(order: MergeOrder, sighting: CellObservation) -> int:
     assert sighting.value in (FREE, OBSTACLE)
     return base(order, sighting.level, sighting.time, sighting.observer) | sighting.value
 
 
-def unpack(key: int) -> Sighting:
+def unpack(key: int) -> CellObservation:
     """Of a key or of its record alone."""
     assert key > 0
-    return Sighting(key & VALUE, key >> 7 & 15, key >> 11 & TIME_MAX, key >> 2 & OBSERVER_MAX)
+    return CellObservation(key & VALUE, key >> 7 & 15, key >> 11 & TIME_MAX, key >> 2 & OBSERVER_MAX)
 
 
 def level_of(confidence: float) -> int:

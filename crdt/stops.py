@@ -32,7 +32,7 @@ class StopDot(NamedTuple):
     counter: int
 
 
-class FarDot(NamedTuple):
+class RemoteStopDot(NamedTuple):
     """One press in another segment of the fleet."""
 
     slot: int
@@ -41,7 +41,7 @@ class FarDot(NamedTuple):
     segment: int
 
 
-D = TypeVar("D", StopDot, FarDot)
+D = TypeVar("D", StopDot, RemoteStopDot)
 Self = TypeVar("Self", bound="DotSet[Any]")
 
 
@@ -168,7 +168,7 @@ class DotSet(Generic[D]):
         return stops
 
 
-def turn(dots: Iterable[D], after: D | None, count: int) -> list[D]:
+def next_in_rotation(dots: Iterable[D], after: D | None, count: int) -> list[D]:
     """The next ones behind that one, in their order and round again: who can say only some at a time
     gets to all of them."""
     row = sorted(dots)
@@ -207,12 +207,12 @@ class StopSet(DotSet[StopDot]):
         raise AssertionError("more dots are remembered than may be")
 
 
-class FarStopSet(DotSet[FarDot]):
+class RemoteStopSet(DotSet[RemoteStopDot]):
     """Of all other segments."""
 
-    entry, kind = FAR_ENTRY, FarDot
+    entry, kind = FAR_ENTRY, RemoteStopDot
 
 
-def held_digest(near: StopSet, far: FarStopSet) -> int:
+def held_digest(near: StopSet, far: RemoteStopSet) -> int:
     """24 bits of all that a robot holds; 0 where nothing holds it."""
     return (near.digest() + far.digest() & MASK) >> 64 - DIGEST_BITS

@@ -8,11 +8,11 @@ from collections.abc import Mapping, Sequence
 from math import hypot
 
 from agent.interface.config import S
-from agent.interface.mission import STILL, Choice, FleetView, Wish
-from agent.motion.path_tracker import Tracker
+from agent.interface.mission import STILL, ClaimRequest, FleetView, MotionRequest
+from agent.motion.path_tracker import PathTracker
 from agent.paths.route import Route
 from crdt import Phase
-from sim.fleet.event_loop import Swarm
+from sim.fleet.event_loop import EventLoop
 from sim.fleet.scheduler import Script
 from sim.fleet.simulated_fleet import Cluster
 from sim.scenarios.field_setup import Setting
@@ -31,7 +31,7 @@ class SoilSamples:
         self.posts, self.route = posts, route
         self.speed_m_s, self.braking_m_s2 = speed_m_s, braking_m_s2
         self.section, self.goal = -1, (0.0, 0.0)
-        self.tracker: Tracker | None = None
+        self.tracker: PathTracker | None = None
         self.there_us: int | None = None
 
     @property
@@ -43,7 +43,7 @@ class SoilSamples:
         """For the map and the report."""
         return [] if self.tracker is None else self.tracker.rest_of_way
 
-    def choose(self, view: FleetView) -> Choice | None:
+    def choose(self, view: FleetView) -> ClaimRequest | None:
         """The nearest post that is free, or whose owner is silent for good."""
         open_posts = [
             (hypot(x - view.here.x_m, y - view.here.y_m), section, free)
@@ -54,7 +54,7 @@ class SoilSamples:
         if not open_posts:
             return None
         away_m, section, free = min(open_posts)
-        return Choice(section, bid=min(31, int(away_m / 5.0)), takeover=not free)
+        return ClaimRequest(section, bid=min(31, int(away_m / 5.0)), takeover=not free)
 
     def _orphan(self, section: int, view: FleetView) -> bool:
         owner = view.allocation.owner_of(section)
@@ -62,13 +62,13 @@ class SoilSamples:
         since_us = view.silent_since_us.get(-1 if owner is None else owner)
         return held and since_us is not None and view.now_us - since_us > 20 * S
 
-    def approach(self, section: int, view: FleetView) -> Wish:
+    def approach(self, section: int, view: FleetView) -> MotionRequest:
         return self.travel(self.posts[section], view)
 
     def begin(self, section: int, view: FleetView) -> None:
         self.section, self.there_us = section, None
 
-    def work(self, view: FleetView) -> Wish:
+    def work(self, view: FleetView) -> MotionRequest:
         wish = self.travel(self.posts[self.section], view)
         if self.tracker is None or not self.tracker.arrived:
             return wish
@@ -77,13 +77,13 @@ class SoilSamples:
             return STILL._replace(tool_on=True)  # the auger is down
         return STILL._replace(covered=(0,), finished=True)
 
-    def travel(self, goal: Point, view: FleetView) -> Wish:
+    def travel(self, goal: Point, view: FleetView) -> MotionRequest:
         here = (view.here.x_m, view.here.y_m)
         if self.tracker is None or self.goal != goal:
             way = list(self.route.path(here, goal))
-            self.goal, self.tracker = goal, Tracker(way, self.speed_m_s, self.braking_m_s2)
+            self.goal, self.tracker = goal, PathTracker(way, self.speed_m_s, self.braking_m_s2)
         self.tracker.locate(*here)
-        return Wish(*self.tracker.velocity(*here))
+        return MotionRequest(*self.tracker.velocity(*here))
 
     def admits(self, goal: Point) -> bool:
         return self.route.admits(goal)
@@ -95,7 +95,7 @@ class SoilSamples:
         """The auger is up, or a stop came between: dig anew."""
         self.there_us = None
 
-    def rest(self, view: FleetView) -> Wish:
+    def rest(self, view: FleetView) -> MotionRequest:
         return STILL
 
 
@@ -122,7 +122,7 @@ class SoilSetting(Setting):
 
 def sample(robots: int = 3, seed: int = 1, limit_s: float = 300.0) -> tuple[float, Cluster]:
     """Until every replica knows that every post is done; seconds, and the cluster as it was then."""
-    swarm = Swarm()
+    swarm = EventLoop()
     cluster = Cluster(SoilSetting(load("small").changed(robots, seed)), "soil", None, swarm)
 
     def play() -> Script[float]:

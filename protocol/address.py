@@ -1,6 +1,6 @@
 """Address claim: how a device comes to a source address and keeps it (ISO 11783-5, J1939-81).
 
-One device's machine, sans I/O. Outputs are `Claiming` values: a message and the source address it
+One device's machine, sans I/O. Outputs are `AddressMessage` values: a message and the source address it
 must leave with, because a claim is sent from the address it claims.
 
     state      what it is doing
@@ -47,7 +47,7 @@ class State(Enum):
     CANNOT = auto()
 
 
-class Claiming(NamedTuple):
+class AddressMessage(NamedTuple):
     message: AddressClaimed
     source: int
     destination: int = GLOBAL_ADDRESS
@@ -102,8 +102,8 @@ class AddressClaim:
         if self.state is State.WAITING:
             self._next_us = now_us
 
-    def tick(self, now_us: int) -> list[Claiming]:
-        claims: list[Claiming] = []
+    def tick(self, now_us: int) -> list[AddressMessage]:
+        claims: list[AddressMessage] = []
         if self._answer_us is not None and now_us >= self._answer_us:
             self._answer_us = None
             claims.append(self._answer())
@@ -127,7 +127,7 @@ class AddressClaim:
         assert self._next_us is not None
         self._next_us += ANSWERS_US
 
-    def receive(self, source: int, message: AddressClaimed, now_us: int) -> list[Claiming]:
+    def receive(self, source: int, message: AddressClaimed, now_us: int) -> list[AddressMessage]:
         if source == NULL_ADDRESS:
             return []
         if message.name == self.number and source != self.candidate:
@@ -144,15 +144,15 @@ class AddressClaim:
         self.losses += 1
         return self._move(now_us)
 
-    def violated(self, now_us: int) -> list[Claiming]:
+    def violated(self, now_us: int) -> list[AddressMessage]:
         """Somebody else speaks from our address: two parts of a bus have come together, in which nobody
         had reason to object. A claim makes one of us move (ISO 11783-5, address violation)."""
         if self.state is not State.HELD or now_us - self._violated_us < VIOLATION_US:
             return []
         self._violated_us = now_us
-        return [Claiming(AddressClaimed(self.number), self.candidate)]
+        return [AddressMessage(AddressClaimed(self.number), self.candidate)]
 
-    def asked(self, everybody: bool, now_us: int) -> list[Claiming]:
+    def asked(self, everybody: bool, now_us: int) -> list[AddressMessage]:
         """A request for address claimed. Where all were asked, each answers after its own random
         delay, once for all requests that came meanwhile: a fleet that boots together asks often."""
         if self.state is State.WAITING:
@@ -163,28 +163,28 @@ class AddressClaim:
             self._answer_us = now_us + self._rng.randrange(256) * DELAY_STEP_US
         return []
 
-    def _answer(self) -> Claiming:
+    def _answer(self) -> AddressMessage:
         source = NULL_ADDRESS if self.state is State.CANNOT else self.candidate
-        return Claiming(AddressClaimed(self.number), source)
+        return AddressMessage(AddressClaimed(self.number), source)
 
-    def _claim(self, now_us: int) -> list[Claiming]:
+    def _claim(self, now_us: int) -> list[AddressMessage]:
         holder = self.names.get(self.candidate, self.number)
         if holder < self.number or (self._modest_for_us is not None and holder != self.number):
             return self._move(now_us)
         at_once = self.candidate > LAST
         wait_us = SAID_US if at_once else CONTENTION_US
         self.state, self._next_us = State.CONTENDING, now_us + wait_us
-        return [Claiming(AddressClaimed(self.number), self.candidate)]
+        return [AddressMessage(AddressClaimed(self.number), self.candidate)]
 
-    def _defend(self, now_us: int) -> list[Claiming]:
+    def _defend(self, now_us: int) -> list[AddressMessage]:
         self._defences = [t for t in self._defences if t > now_us - S]
         if len(self._defences) >= DEFENCES_MAX:
             self.refused += 1
             return []
         self._defences.append(now_us)
-        return [Claiming(AddressClaimed(self.number), self.candidate)]
+        return [AddressMessage(AddressClaimed(self.number), self.candidate)]
 
-    def _move(self, now_us: int) -> list[Claiming]:
+    def _move(self, now_us: int) -> list[AddressMessage]:
         """Take the next address that nobody with a lower NAME holds."""
         width = LAST - FIRST + 1
         for step in range(1, width + 1):
@@ -194,12 +194,12 @@ class AddressClaim:
             if self.names.get(address) is None:
                 self.candidate = address
                 self.state, self._next_us = State.CONTENDING, now_us + CONTENTION_US
-                return [Claiming(AddressClaimed(self.number), address)]
+                return [AddressMessage(AddressClaimed(self.number), address)]
         self.state, self._next_us = State.CANNOT, None
         if self._modest_for_us is None:
             self._next_us = now_us + self._retry_us + self._rng.randrange(S)
             self._retry_us = min(2 * self._retry_us, RETRY_MAX_US)
-        return [Claiming(AddressClaimed(self.number), NULL_ADDRESS)]
+        return [AddressMessage(AddressClaimed(self.number), NULL_ADDRESS)]
 
 
 def holders(claim: AddressClaim) -> Mapping[int, Name]:

@@ -15,7 +15,7 @@ from cryptography.hazmat.primitives.cmac import CMAC
 from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.kdf.hkdf import HKDF
 
-from crdt.stops import FarDot
+from crdt.stops import RemoteStopDot
 from protocol.authentication import KEY_SIZE, Keys
 from protocol.frames.safety_frames import StopsHeld
 from protocol.frames.segment_frames import FleetReset, FleetStop
@@ -26,12 +26,12 @@ class FleetTags:
         self._stop = _mac(keys.master, b"headland fleet stop")
         self._reset = _mac(keys.operator, b"headland fleet reset")
 
-    def stop(self, dot: FarDot) -> FleetStop:
+    def stop(self, dot: RemoteStopDot) -> FleetStop:
         """ValueError for who does not hold the fleet's secret."""
         tag = int.from_bytes(_sum(self._stop, dot)[:3], "little")
         return FleetStop(dot.segment, *dot[:3], tag)
 
-    def reset(self, dot: FarDot) -> tuple[FleetReset, FleetReset]:
+    def reset(self, dot: RemoteStopDot) -> tuple[FleetReset, FleetReset]:
         """Both halves. ValueError for who does not hold the operator's secret."""
         tag = _sum(self._reset, dot)
         halves = [int.from_bytes(tag[3 * part : 3 * part + 3], "little") for part in (0, 1)]
@@ -57,12 +57,12 @@ class HeldTags:
         return held._replace(tag=int.from_bytes(running.finalize()[:3], "little"))
 
 
-def plain_stop(dot: FarDot) -> FleetStop:
+def plain_stop(dot: RemoteStopDot) -> FleetStop:
     """Of a fleet without keys."""
     return FleetStop(dot.segment, *dot[:3])
 
 
-def plain_reset(dot: FarDot) -> tuple[FleetReset, FleetReset]:
+def plain_reset(dot: RemoteStopDot) -> tuple[FleetReset, FleetReset]:
     return FleetReset(dot.segment, 0, *dot[:3]), FleetReset(dot.segment, 1, *dot[:3])
 
 
@@ -73,7 +73,7 @@ def _mac(secret: bytes | None, info: bytes) -> CMAC | None:
     return CMAC(AES(key))
 
 
-def _sum(mac: CMAC | None, dot: FarDot) -> bytes:
+def _sum(mac: CMAC | None, dot: RemoteStopDot) -> bytes:
     if mac is None:
         raise ValueError("the secret for this tag is not held here")
     running = mac.copy()

@@ -47,14 +47,14 @@ class Abort(IntEnum):
     SIZE = 9
 
 
-class Out(NamedTuple):
+class OutgoingFrame(NamedTuple):
     """A frame to send."""
 
     message: TransportManagement | TransportData
     destination: int
 
 
-class Arrived(NamedTuple):
+class ReceivedMessage(NamedTuple):
     """A whole message."""
 
     source: int
@@ -112,7 +112,7 @@ class Transport:
 
     # ---------------------------------------------------------------- sending
 
-    def send(self, pgn: int, data: bytes, destination: int, now_us: int) -> Iterable[Out] | None:
+    def send(self, pgn: int, data: bytes, destination: int, now_us: int) -> Iterable[OutgoingFrame] | None:
         """Begin to send a message; None where we already send to that device, or too many."""
         assert SIZE_MIN <= len(data) <= SIZE_MAX and 0 <= pgn < 1 << 18
         if destination in self._sending or len(self._sending) >= SENDING_MAX:
@@ -127,9 +127,9 @@ class Transport:
         session.due_us = now_us + T3_US
         return [_manage(Control.RTS, head + bytes((GRANT_PACKETS,)), pgn, destination)]
 
-    def tick(self, now_us: int) -> Iterable[Out]:
+    def tick(self, now_us: int) -> Iterable[OutgoingFrame]:
         """Packets whose time has come; sessions whose time is over."""
-        out: list[Out] = []
+        out: list[OutgoingFrame] = []
         for sending in list(self._sending.values()):
             if now_us >= sending.due_us:
                 out += self._send_on(sending, now_us)
@@ -138,12 +138,12 @@ class Transport:
                 out += self._overdue(key, receiving, now_us)
         return out
 
-    def _send_on(self, session: _Sending, now_us: int) -> Iterable[Out]:
+    def _send_on(self, session: _Sending, now_us: int) -> Iterable[OutgoingFrame]:
         if session.waiting:
             del self._sending[session.destination]
             self.counts["timeout"] += 1
             return [_abort(Abort.TIMEOUT, session.pgn, session.destination)]
-        out = [Out(session.packet(session.queue.popleft()), session.destination)]
+        out = [OutgoingFrame(session.packet(session.queue.popleft()), session.destination)]
         broadcast = session.destination == GLOBAL_ADDRESS
         session.due_us = now_us + (BAM_GAP_US if broadcast else DATA_GAP_US)
         if not session.queue:
@@ -158,7 +158,7 @@ class Transport:
 
     def receive(
         self, source: int, destination: int, m: TransportManagement | TransportData, now_us: int
-    ) -> tuple[Iterable[Out], Arrived | None]:
+    ) -> tuple[Iterable[OutgoingFrame], ReceivedMessage | None]:
         """A frame that was sent to us or to all."""
         broadcast = destination == GLOBAL_ADDRESS
         if isinstance(m, TransportData):
@@ -181,7 +181,7 @@ class Transport:
 
     def _announced(
         self, source: int, broadcast: bool, m: TransportManagement, now_us: int
-    ) -> Iterable[Out]:
+    ) -> Iterable[OutgoingFrame]:
         size, packets, limit = int.from_bytes(m.body[:2], "little"), m.body[2], m.body[3]
         if not SIZE_MIN <= size <= SIZE_MAX or packets != -(-size // PACKET):
             self.counts["malformed"] += 1
@@ -202,7 +202,7 @@ class Transport:
             return ()
         return [self._grant(session, source, now_us)]
 
-    def _grant(self, session: _Receiving, source: int, now_us: int) -> Out:
+    def _grant(self, session: _Receiving, source: int, now_us: int) -> OutgoingFrame:
         count = min(session.packets - session.expected + 1, session.limit, GRANT_PACKETS)
         session.granted_to = session.expected + count - 1
         # Asked again before the sender's T3 ends the session, then given the time of the standard.
@@ -212,7 +212,7 @@ class Transport:
 
     def _data(
         self, source: int, broadcast: bool, m: TransportData, now_us: int
-    ) -> tuple[Iterable[Out], Arrived | None]:
+    ) -> tuple[Iterable[OutgoingFrame], ReceivedMessage | None]:
         key = (source, broadcast)
         session = self._receiving.get(key)
         if session is None:
@@ -238,7 +238,7 @@ class Transport:
 
     def _ask_on(
         self, key: tuple[int, bool], session: _Receiving, sequence: int, now_us: int
-    ) -> Iterable[Out]:
+    ) -> Iterable[OutgoingFrame]:
         """The grant has passed: the next one, or again from the first that was lost."""
         if session.expected <= sequence:
             session.retries += 1
@@ -251,17 +251,17 @@ class Transport:
 
     def _complete(
         self, key: tuple[int, bool], session: _Receiving
-    ) -> tuple[Iterable[Out], Arrived]:
+    ) -> tuple[Iterable[OutgoingFrame], ReceivedMessage]:
         del self._receiving[key]
         self.counts["received"] += 1
         source, broadcast = key
-        arrived = Arrived(source, session.pgn, bytes(session.data[: session.size]), broadcast)
+        arrived = ReceivedMessage(source, session.pgn, bytes(session.data[: session.size]), broadcast)
         if broadcast:
             return (), arrived
         body = session.size.to_bytes(2, "little") + bytes((session.packets, 0xFF))
         return [_manage(Control.END, body, session.pgn, source)], arrived
 
-    def _overdue(self, key: tuple[int, bool], session: _Receiving, now_us: int) -> Iterable[Out]:
+    def _overdue(self, key: tuple[int, bool], session: _Receiving, now_us: int) -> Iterable[OutgoingFrame]:
         source, broadcast = key
         if (
             not broadcast and session.retries < RETRIES_MAX
@@ -275,7 +275,7 @@ class Transport:
 
     # ---------------------------------------------------------------- answers to our sending
 
-    def _granted(self, source: int, m: TransportManagement, now_us: int) -> Iterable[Out]:
+    def _granted(self, source: int, m: TransportManagement, now_us: int) -> Iterable[OutgoingFrame]:
         session = self._sending.get(source)
         if session is None or session.pgn != m.pgn:
             self.counts["unexpected CTS"] += 1
@@ -295,12 +295,12 @@ class Transport:
         session.waiting, session.due_us = False, now_us
         return ()
 
-    def _give_up(self, session: _Sending, reason: Abort) -> Iterable[Out]:
+    def _give_up(self, session: _Sending, reason: Abort) -> Iterable[OutgoingFrame]:
         del self._sending[session.destination]
         self.counts["given up"] += 1
         return [_abort(reason, session.pgn, session.destination)]
 
-    def _acknowledged(self, source: int, m: TransportManagement) -> Iterable[Out]:
+    def _acknowledged(self, source: int, m: TransportManagement) -> Iterable[OutgoingFrame]:
         session = self._sending.get(source)
         if session is None or session.pgn != m.pgn:
             self.counts["unexpected end"] += 1
@@ -319,9 +319,9 @@ class Transport:
             del self._receiving[source, False]
 
 
-def _manage(control: Control, body: bytes, pgn: int, destination: int) -> Out:
-    return Out(TransportManagement(control, body, pgn), destination)
+def _manage(control: Control, body: bytes, pgn: int, destination: int) -> OutgoingFrame:
+    return OutgoingFrame(TransportManagement(control, body, pgn), destination)
 
 
-def _abort(reason: Abort, pgn: int, destination: int) -> Out:
+def _abort(reason: Abort, pgn: int, destination: int) -> OutgoingFrame:
     return _manage(Control.ABORT, bytes((reason, 0xFF, 0xFF, 0xFF)), pgn, destination)

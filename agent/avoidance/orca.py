@@ -63,7 +63,7 @@ _ROWS_AT = 8 * FIRST_ROW
 _write_call, _write_all = _CALL.pack_into, Struct("10d").pack_into
 
 
-class Avoidance:
+class OrcaSolver:
     """One robot's ORCA: what it knows of its peers, and the memory of its kernel."""
 
     def __init__(

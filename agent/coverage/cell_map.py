@@ -21,7 +21,7 @@ NUMBERS_MAX = 1 << 16  # free cells: a number is a u16 on the wire
 NONE = -1
 
 
-class Ground:
+class CellMap:
     def __init__(self, walls: Walls, cell_m: float) -> None:
         """`walls`: (rows, columns), True where nobody can go. ValueError: too many free cells."""
         if int(np.count_nonzero(~walls)) > NUMBERS_MAX:

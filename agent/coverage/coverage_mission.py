@@ -9,14 +9,14 @@ from collections.abc import Mapping
 from math import cos, hypot, sin
 from random import Random
 
-from agent.coverage.cell_map import NONE, Ground
-from agent.coverage.plan_agreement import ANYBODY, Crew, GridRounds
+from agent.coverage.cell_map import NONE, CellMap
+from agent.coverage.plan_agreement import ANYBODY, CoverageAgreement, FleetSnapshot
 from agent.interface.config import ACTUATOR_TTL_US, CONTROL_PERIOD_US, MS, S
 from agent.interface.lifecycle import State
-from agent.interface.mission import STILL, Choice, FleetView, Swept, Wish
+from agent.interface.mission import STILL, ClaimRequest, CoveredUnits, FleetView, MotionRequest
 from agent.mapf.agreement_phase import Phase
 from crdt import Phase as Claimed
-from protocol.frames.accord_frames import Answer
+from protocol.frames.accord_frames import AgreementReply
 
 COVERED = 0.1  # of a cell: a cell is covered by whose centre comes so near to its own
 BOUND = 0.5  # of the way into a cell: from there on a robot goes on, and says that it is there
@@ -38,10 +38,10 @@ PERIOD_S = CONTROL_PERIOD_US / S
 
 class GridWork:
     def __init__(
-        self, slot: int, ground: Ground, speed_m_s: float, rng: Random, turn_cost: float = 0.0
+        self, slot: int, ground: CellMap, speed_m_s: float, rng: Random, turn_cost: float = 0.0
     ) -> None:
         self.slot, self.ground, self.speed_m_s, self.rng = slot, ground, speed_m_s, rng
-        self.accords = GridRounds(slot, ground, turn_cost)
+        self.accords = CoverageAgreement(slot, ground, turn_cost)
         self._from = self._to = NONE  # cells: whose middle we left last, and go to
         self._step = 0  # of the plan, that we are at or were at last
         self._onward = False  # to the next step's cell, not back
@@ -92,8 +92,8 @@ class GridWork:
             self._tell_of_silent(view)
         self._at_once = gathering
         free = state in ABLE and now_us - self._asked_us < HELD_US
-        answer = Answer.GRANT if free else Answer.STOPPED
-        crew = Crew(view.live, view.silent_since_us, view.progress)
+        answer = AgreementReply.GRANT if free else AgreementReply.STOPPED
+        crew = FleetSnapshot(view.live, view.silent_since_us, view.progress)
         rounds.tick(self._standing(view, free), answer, not self._told, crew, now_us)
         self._note_holding(view)
         self._wish = self._drive(view)
@@ -107,9 +107,9 @@ class GridWork:
         near = self._off_m(view, self._from) < COVERED * self.ground.cell_m
         return self._from if self._from == self._to and near else NONE
 
-    def swept(self) -> Swept:
+    def swept(self) -> CoveredUnits:
         news, self._news = tuple(self._news), []
-        return Swept(news, self._at_once)
+        return CoveredUnits(news, self._at_once)
 
     def _off_m(self, view: FleetView, number: int) -> float:
         x_m, y_m = self.ground.centre(number)
@@ -181,7 +181,7 @@ class GridWork:
             self._held_us = view.now_us
             self._strange_us = self._strange_us or view.now_us
 
-    def _drive(self, view: FleetView) -> Wish:
+    def _drive(self, view: FleetView) -> MotionRequest:
         here, now_us = view.here, view.now_us
         speed_m = self.speed_m_s * PERIOD_S
         x_m, y_m = self.ground.centre(self._to)
@@ -203,7 +203,7 @@ class GridWork:
         if (self._from == self._to or self._held_us) and self._is_stuck(now_us):
             self._report(view)
         scale = min(1.0, speed_m / left_m) / PERIOD_S if left_m > 1e-6 else 0.0
-        return Wish(dx * scale, dy * scale, tool_on=True)
+        return MotionRequest(dx * scale, dy * scale, tool_on=True)
 
     def _bind(self, left_m: float) -> None:
         if self._onward and left_m <= (1.0 - BOUND) * self.ground.cell_m:
@@ -290,7 +290,7 @@ class GridWork:
 
     # ---------------------------------------------------------------- sections
 
-    def choose(self, view: FleetView) -> Choice | None:
+    def choose(self, view: FleetView) -> ClaimRequest | None:
         if not self.accords.going:
             return None
         section = self._coming(view)
@@ -303,12 +303,12 @@ class GridWork:
         self._left_us = view.now_us + LEFT_US
         return self._unfinished(view)
 
-    def _choice(self, section: int, view: FleetView) -> Choice | None:
+    def _choice(self, section: int, view: FleetView) -> ClaimRequest | None:
         phase = view.allocation.phase_of(section)
         if phase is Claimed.FREE:
-            return Choice(section, 0)
+            return ClaimRequest(section, 0)
         gone = view.allocation.owner_of(section) not in view.live
-        return Choice(section, 0, takeover=True) if gone and phase is not Claimed.DONE else None
+        return ClaimRequest(section, 0, takeover=True) if gone and phase is not Claimed.DONE else None
 
     def _coming(self, view: FleetView) -> int | None:
         """The section of the next cell that we are to cover."""
@@ -319,7 +319,7 @@ class GridWork:
             self._turn += 1
         return self.ground.unit(turns[self._turn][1])[0] if self._turn < len(turns) else None
 
-    def _unfinished(self, view: FleetView) -> Choice | None:
+    def _unfinished(self, view: FleetView) -> ClaimRequest | None:
         """A section that is covered, and that nobody who is there has said to be done."""
         crew = len(view.live)
         rank = sum(slot < self.slot for slot in view.live)
@@ -342,20 +342,20 @@ class GridWork:
         """Nobody is sent out of a joint plan: hold it, and the others go round it."""
         return False
 
-    def travel(self, goal: tuple[float, float], view: FleetView) -> Wish:
+    def travel(self, goal: tuple[float, float], view: FleetView) -> MotionRequest:
         return STILL
 
     def interrupted(self) -> None:
         """What we stood on is covered; what we did not reach is not."""
 
-    def approach(self, section: int, view: FleetView) -> Wish:
+    def approach(self, section: int, view: FleetView) -> MotionRequest:
         return self.rest(view)
 
-    def rest(self, view: FleetView) -> Wish:
+    def rest(self, view: FleetView) -> MotionRequest:
         self._asked, self._asked_us = True, view.now_us
         return self._wish
 
-    def work(self, view: FleetView) -> Wish:
+    def work(self, view: FleetView) -> MotionRequest:
         self._asked, self._asked_us = True, view.now_us
         if self._section is None:  # kept over a stop or a restart
             self._section = view.allocation.assigned_sections(view.slot)[0]

@@ -12,7 +12,7 @@ from zlib import crc32
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.coverage.cell_map import NONE, Ground
+from agent.coverage.cell_map import NONE, CellMap
 from agent.coverage.team import Team
 
 Numbers = NDArray[np.int32]
@@ -31,12 +31,12 @@ class Wait(NamedTuple):
 FREE = Wait(NONE, 0, 0)
 
 
-class Course:
+class JointCourse:
     """Robots are indices into `slots`, cells are numbers of the ground."""
 
     def __init__(
         self,
-        ground: Ground,
+        ground: CellMap,
         slots: Sequence[int],
         places: Sequence[int],
         covered: NDArray[np.bool_],
@@ -110,10 +110,10 @@ class Course:
         return self._waits[step].get(robot, FREE)
 
 
-_KEPT: dict[object, tuple[Ground, Course]] = {}  # a ground kept keeps its id
+_KEPT: dict[object, tuple[CellMap, JointCourse]] = {}  # a ground kept keeps its id
 
 
-class Terms(NamedTuple):
+class CourseInputs(NamedTuple):
     """What a course is computed from."""
 
     slots: tuple[int, ...]
@@ -122,11 +122,11 @@ class Terms(NamedTuple):
     blocked: tuple[int, ...]
     turn_cost: float
 
-    def digest(self, ground: Ground) -> int:
+    def digest(self, ground: CellMap) -> int:
         return crc32(repr((ground.check, *self)).encode())
 
 
-def course_of(ground: Ground, terms: Terms) -> Course:
+def course_of(ground: CellMap, terms: CourseInputs) -> JointCourse:
     """The last ones are kept: robots that share a process compute the same one after the other."""
     key = (id(ground), terms)
     if key not in _KEPT:
@@ -134,7 +134,7 @@ def course_of(ground: Ground, terms: Terms) -> Course:
             del _KEPT[next(iter(_KEPT))]
         bits = np.unpackbits(np.frombuffer(terms.covered, np.uint8), count=len(ground))
         covered: NDArray[np.bool_] = bits.astype(np.bool_)
-        course = Course(
+        course = JointCourse(
             ground, terms.slots, terms.places, covered, terms.blocked, terms.turn_cost
         )  # fmt: skip
         _KEPT[key] = ground, course

@@ -20,12 +20,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.coverage.cell_map import NONE, Ground
-from agent.coverage.joint_course import Course, Terms, course_of
+from agent.coverage.cell_map import NONE, CellMap
+from agent.coverage.joint_course import CourseInputs, JointCourse, course_of
 from agent.interface.config import LEASE_US, MS, S
 from agent.mapf.agreement_phase import CALM_US, Phase, after, ahead
 from crdt.progress import BLOCK_UNITS, Progress
-from protocol.frames.accord_frames import Accord, Answer, Say
+from protocol.frames.accord_frames import Accord, AgreementKind, AgreementReply
 
 SETTLE_US = 300 * MS  # a view that has not changed for so long: boots come in bursts
 BOOT_US = 3 * S  # who hears nobody for so long after its start is alone: two heartbeats (1.4 s)
@@ -40,18 +40,18 @@ ANYBODY = 0xFFFF  # a body that nobody has announced
 FOREVER = 1 << 62
 
 
-class Place(NamedTuple):
+class CellPlace(NamedTuple):
     number: int
     digest: int  # 24 bits, of all registers of progress
-    answer: Answer
+    answer: AgreementReply
 
 
-class Body(NamedTuple):
+class CellObstacle(NamedTuple):
     slot: int  # or ANYBODY
     until_us: int  # of no account after
 
 
-class Crew(NamedTuple):
+class FleetSnapshot(NamedTuple):
     """What a peer knows about the others now."""
 
     live: frozenset[int]
@@ -59,28 +59,28 @@ class Crew(NamedTuple):
     progress: Progress
 
 
-class GridRounds:
-    def __init__(self, slot: int, ground: Ground, turn_cost: float = 0.0) -> None:
+class CoverageAgreement:
+    def __init__(self, slot: int, ground: CellMap, turn_cost: float = 0.0) -> None:
         self.slot, self.ground, self.turn_cost = slot, ground, turn_cost
         self.round = 0
         self.phase = Phase.FREE
-        self.course: Course | None = None  # the one agreed, or to be agreed, last
+        self.course: JointCourse | None = None  # the one agreed, or to be agreed, last
         self.me = NONE  # our index in it; -1: not one of it
         self.rounds = self.called = 0
         self.begun_us = 0  # of the round
         self._since_us = 0  # of the phase
-        self._places: dict[int, Place] = {}
-        self._used: dict[int, Place] = {}  # those the course was computed from
+        self._places: dict[int, CellPlace] = {}
+        self._used: dict[int, CellPlace] = {}  # those the course was computed from
         self._plans: dict[int, int] = {}
         self._reached: dict[int, int] = {}
-        self.bodies: dict[int, Body] = {}  # cell -> what stands there, not one of the crew
+        self.bodies: dict[int, CellObstacle] = {}  # cell -> what stands there, not one of the crew
         self._seen: dict[int, int] = {}  # cell -> how often somebody stood there
         self._plain = False
         self._left_out = False  # cells of our rooms are neither covered nor in the plan
         self.kept = False  # a part of the work is kept for silent robots
         self.owner: NDArray[np.int16] = np.full(len(ground), NONE, np.int16)
         self._differs_us: int | None = None  # since when the crew is not the live view
-        self._said: dict[Say, tuple[object, int, int]] = {}  # what, how often, when
+        self._said: dict[AgreementKind, tuple[object, int, int]] = {}  # what, how often, when
 
     # ---------------------------------------------------------------- hearing
 
@@ -98,7 +98,7 @@ class GridRounds:
         self._said.clear()
 
     def hear(self, slot: int, m: Accord, now_us: int) -> None:
-        if m.say == Say.BODY:
+        if m.say == AgreementKind.BODY:
             self._hear_body(m, now_us)
             return
         later = ahead(m.round, self.round)
@@ -106,10 +106,10 @@ class GridRounds:
             return  # a round that is over
         if later:
             self._begin(m.round, now_us)
-        if m.say == Say.PLACE:
+        if m.say == AgreementKind.PLACE:
             if m.first < len(self.ground):
-                self._places[slot] = Place(m.first, m.second | m.detail << 16, Answer(m.answer))
-        elif m.say == Say.PLAN:
+                self._places[slot] = CellPlace(m.first, m.second | m.detail << 16, AgreementReply(m.answer))
+        elif m.say == AgreementKind.PLAN:
             self._plans[slot] = m.first | m.second << 16
         elif self.slot in self._plans and self._plans[self.slot] & 0xFFFF == m.second:
             self._plans[slot] = self._plans[self.slot]  # it goes by our plan already
@@ -118,7 +118,7 @@ class GridRounds:
     def _hear_body(self, m: Accord, now_us: int) -> None:
         if m.first < len(self.ground) and m.first not in self.bodies:
             until_us = FOREVER if m.detail else now_us + OBSTACLE_US
-            self.bodies[m.first] = Body(m.second, until_us)
+            self.bodies[m.first] = CellObstacle(m.second, until_us)
             if self.phase is Phase.AGREE:
                 self.phase = Phase.GATHER
 
@@ -126,7 +126,7 @@ class GridRounds:
         """Something stands in that cell that goes by no plan of ours."""
         self._seen[number] = self._seen.get(number, 0) + 1
         lasting = slot != ANYBODY or self._seen[number] > AGAIN_MAX
-        self.bodies[number] = Body(slot, FOREVER if lasting else now_us + OBSTACLE_US)
+        self.bodies[number] = CellObstacle(slot, FOREVER if lasting else now_us + OBSTACLE_US)
 
     # ---------------------------------------------------------------- the plan's progress
 
@@ -188,7 +188,7 @@ class GridRounds:
 
     # ---------------------------------------------------------------- time
 
-    def tick(self, number: int, answer: Answer, ready: bool, crew: Crew, now_us: int) -> None:
+    def tick(self, number: int, answer: AgreementReply, ready: bool, crew: FleetSnapshot, now_us: int) -> None:
         """`number`: the cell in whose middle we are, -1 on the way. `ready`: all that we have
         covered is part of our replica."""
         if self._call_due(answer, crew, now_us):
@@ -196,7 +196,7 @@ class GridRounds:
             return
         if self.phase is Phase.GATHER:
             if number != NONE and ready:
-                self._places[self.slot] = Place(number, crew.progress.digest, answer)
+                self._places[self.slot] = CellPlace(number, crew.progress.digest, answer)
             self._gather(crew, now_us)
         if self.phase is Phase.AGREE:
             self._agree(crew, now_us)
@@ -204,7 +204,7 @@ class GridRounds:
         if waiting and now_us - self._since_us > PATIENCE_US and number != NONE:
             self.call(now_us)
 
-    def _call_due(self, answer: Answer, crew: Crew, now_us: int) -> bool:
+    def _call_due(self, answer: AgreementReply, crew: FleetSnapshot, now_us: int) -> bool:
         if self.phase in (Phase.GATHER, Phase.AGREE):
             return False
         own = self._used.get(self.slot)
@@ -225,7 +225,7 @@ class GridRounds:
         passing = any(body.until_us < FOREVER for body in self.bodies.values())
         return self._left_out and (self.kept or passing)
 
-    def _over(self, crew: Crew, now_us: int) -> bool:
+    def _over(self, crew: FleetSnapshot, now_us: int) -> bool:
         """Our part is done, and what was left out of it can be done now."""
         if not self.going or self.course is None or not self.later:
             return False
@@ -241,7 +241,7 @@ class GridRounds:
         assert self.course is not None
         return bool(covered_of(self.ground, progress)[self.course.todo].all())
 
-    def _gather(self, crew: Crew, now_us: int) -> None:
+    def _gather(self, crew: FleetSnapshot, now_us: int) -> None:
         places = {slot: p for slot, p in self._places.items() if slot in crew.live}
         if places.keys() < crew.live or self.slot not in places:
             return
@@ -254,13 +254,13 @@ class GridRounds:
         self._compute(crew, now_us)
         self.phase, self._since_us = Phase.AGREE, now_us
 
-    def _compute(self, crew: Crew, now_us: int) -> None:
+    def _compute(self, crew: FleetSnapshot, now_us: int) -> None:
         self.bodies = {
             number: body for number, body in self.bodies.items()
             if body.until_us > now_us + SPARE_US and body.slot not in crew.live
         }  # fmt: skip
-        movers = {s: p.number for s, p in self._used.items() if p.answer is Answer.GRANT}
-        stand = {p.number for p in self._used.values() if p.answer is not Answer.GRANT}
+        movers = {s: p.number for s, p in self._used.items() if p.answer is AgreementReply.GRANT}
+        stand = {p.number for p in self._used.values() if p.answer is not AgreementReply.GRANT}
         blocked = (stand | self.bodies.keys()) - set(movers.values())
         covered = covered_of(self.ground, crew.progress)
         uncovered = ~covered
@@ -270,7 +270,7 @@ class GridRounds:
         covered |= kept
         covered[list(blocked)] = True
         slots = tuple(sorted(movers))
-        terms = Terms(
+        terms = CourseInputs(
             slots, tuple(movers[s] for s in slots), np.packbits(covered).tobytes(),
             tuple(sorted(blocked)), self.turn_cost,
         )  # fmt: skip
@@ -281,9 +281,9 @@ class GridRounds:
         self._left_out = bool((uncovered & np.isin(rooms, rooms[list(movers.values())])).any())
         self._reached = {}
         self._plans[self.slot] = terms.digest(self.ground)
-        self._said.pop(Say.PLAN, None)
+        self._said.pop(AgreementKind.PLAN, None)
 
-    def _agree(self, crew: Crew, now_us: int) -> None:
+    def _agree(self, crew: FleetSnapshot, now_us: int) -> None:
         places = {slot: p for slot, p in self._places.items() if slot in crew.live}
         if places != self._used:
             self.phase = Phase.GATHER  # somebody has gone, come, or been told something
@@ -311,7 +311,7 @@ class GridRounds:
         left = self.owner[~covered_of(self.ground, progress)]
         return sorted(set(left.tolist()) & set(slots))
 
-    def _kept(self, covered: NDArray[np.bool_], crew: Crew) -> NDArray[np.bool_]:
+    def _kept(self, covered: NDArray[np.bool_], crew: FleetSnapshot) -> NDArray[np.bool_]:
         """Cells that silent robots are believed to be working on."""
         owing = self.owing(crew.progress, crew.silent_since_us)
         if self._plain or len(owing) < 2:
@@ -328,27 +328,27 @@ class GridRounds:
         if self.phase is Phase.FREE or (place is None and self.phase is Phase.GATHER):
             return words
         hurried = self.phase is not Phase.GO
-        if place is not None and self._due(Say.PLACE, place, hurried, now_us):
+        if place is not None and self._due(AgreementKind.PLACE, place, hurried, now_us):
             low, high = place.digest & 0xFFFF, place.digest >> 16
-            words.append(Accord(self.round, Say.PLACE, place.answer, place.number, low, high))
+            words.append(Accord(self.round, AgreementKind.PLACE, place.answer, place.number, low, high))
         plan = self._plans.get(self.slot)
         if plan is None:
             return words
-        if self._due(Say.PLAN, plan, hurried, now_us):
-            words.append(Accord(self.round, Say.PLAN, 0, plan & 0xFFFF, plan >> 16, 0))
+        if self._due(AgreementKind.PLAN, plan, hurried, now_us):
+            words.append(Accord(self.round, AgreementKind.PLAN, 0, plan & 0xFFFF, plan >> 16, 0))
             if any(self._plans.get(slot, plan) != plan for slot in self._used):
                 words += [
                     Accord(
-                        self.round, Say.BODY, 0, number, body.slot, int(body.until_us == FOREVER)
+                        self.round, AgreementKind.BODY, 0, number, body.slot, int(body.until_us == FOREVER)
                     )
                     for number, body in sorted(self.bodies.items())
                 ]
         step = self._reached.get(self.slot, 0)
-        if self.phase is Phase.GO and self._due(Say.AT, step, False, now_us):
-            words.append(Accord(self.round, Say.AT, 0, step, plan & 0xFFFF, 0))
+        if self.phase is Phase.GO and self._due(AgreementKind.AT, step, False, now_us):
+            words.append(Accord(self.round, AgreementKind.AT, 0, step, plan & 0xFFFF, 0))
         return words
 
-    def _due(self, say: Say, what: object, hurried: bool, now_us: int) -> bool:
+    def _due(self, say: AgreementKind, what: object, hurried: bool, now_us: int) -> bool:
         """News at once, again soon, and then now and then."""
         last, times, said_us = self._said.get(say, (None, 0, 0))
         if last == what:
@@ -359,7 +359,7 @@ class GridRounds:
         return True
 
 
-def covered_of(ground: Ground, progress: Progress) -> NDArray[np.bool_]:
+def covered_of(ground: CellMap, progress: Progress) -> NDArray[np.bool_]:
     """By number."""
     covered: NDArray[np.bool_] = np.zeros(len(ground), dtype=np.bool_)
     for section in ground.section_units:

@@ -9,7 +9,7 @@ from math import hypot
 
 from agent.interface.config import CONTROL_PERIOD_US, S
 from agent.interface.effects import HALT, Drive
-from agent.interface.mission import Wish
+from agent.interface.mission import MotionRequest
 from agent.interface.ports import Observation
 from agent.peer.membership import Neighbour
 
@@ -26,7 +26,7 @@ class GridGuard:
         assert self.guard_m - closing_m >= 2 * radius_m, "bodies are too large for their cells"
 
     def drive(
-        self, here: Observation, wish: Wish, neighbours: Mapping[int, Neighbour], now_us: int
+        self, here: Observation, wish: MotionRequest, neighbours: Mapping[int, Neighbour], now_us: int
     ) -> Drive:
         vx, vy = wish.vx_m_s, wish.vy_m_s
         for x_m, y_m in here.bodies:

@@ -9,7 +9,7 @@ from agent.interface.lifecycle import State
 from agent.interface.mission import FleetView
 
 
-class Absence:
+class AbsentOwners:
     def __init__(self) -> None:
         self._stopped_us: dict[int, int] = {}  # slot: since when it says that it stands stopped
 

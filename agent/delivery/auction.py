@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.delivery.routing_kernels import auction, search, span, walk
-from agent.delivery.routing_problem import IMPOSSIBLE_MS, Itineraries, Whole, Workload, Worth
+from agent.delivery.routing_problem import IMPOSSIBLE_MS, Itineraries, PlanCost, Whole, Workload
 from agent.delivery.waiting_kernels import least_waiting, shorten_waiting
 
 NEAR = 24  # tasks that one may follow: the cheapest links
@@ -23,7 +23,7 @@ HOT, COLD = 0.02, 0.0002  # of the mean route: a move this much dearer is taken 
 NO_BAY = np.zeros((1, 1), dtype=np.int64)
 
 
-class Planner:
+class RoutingPlanner:
     """A workload made ready for the kernels."""
 
     def __init__(self, work: Workload) -> None:
@@ -56,9 +56,9 @@ class Planner:
     def _rest(self) -> tuple[Any, ...]:
         return self._lead_bay_ms, self._power, self._charging
 
-    def worth(self, plan: Itineraries) -> Worth:
+    def worth(self, plan: Itineraries) -> PlanCost:
         spans = [self.span_ms(robot, tasks) for robot, tasks in enumerate(plan)]
-        return Worth(max(spans, default=0), sum(spans))
+        return PlanCost(max(spans, default=0), sum(spans))
 
     def waiting_ms(self, plan: Itineraries) -> int:
         """How long all tasks wait from now on, in sum."""

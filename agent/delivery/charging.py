@@ -5,9 +5,9 @@ from enum import Enum
 
 from agent.delivery.cost_matrix import Trip
 from agent.delivery.task_registry import TASKS_MAX
-from agent.delivery.warehouse import Standing, Warehouse
+from agent.delivery.warehouse import CarrierState, Warehouse
 from agent.interface.config import S
-from agent.interface.mission import Choice
+from agent.interface.mission import ClaimRequest
 from agent.paths.nav_mesh import Point
 from crdt import FieldAllocationCRDT
 
@@ -19,7 +19,7 @@ SHORT_US = (
 GAIN = 0.002  # of a battery, in that time
 
 
-class Bay(Enum):
+class ChargerState(Enum):
     CHARGES = 0
     FULL = 1
     DEAD = 2  # it gives nothing
@@ -36,7 +36,7 @@ class Charging:
     def _needed(self) -> bool:
         return self.house.carrier.runs_dry and bool(self.house.bays)
 
-    def before(self, standing: Standing, trip: Trip) -> bool:
+    def before(self, standing: CarrierState, trip: Trip) -> bool:
         """Before it is needed: behind the task a bay must still be within reach."""
         then = self.house.after(standing, trip, False)
         return self._needed and then.left < self.house.home(trip.dropoff)
@@ -48,7 +48,7 @@ class Charging:
         self._short_us = now_us + SHORT_US
         return True
 
-    def falls_short(self, standing: Standing, trip: Trip, loaded: bool) -> bool:
+    def falls_short(self, standing: CarrierState, trip: Trip, loaded: bool) -> bool:
         """Held up longer than any plan knew, or back from a restart: the reserve would not last for what
         is left of a task and a bay behind it. Half of that is for what nobody plans exactly."""
         if not self._needed:
@@ -62,7 +62,7 @@ class Charging:
         onward: Point | None,
         allocation: FieldAllocationCRDT,
         shunned: Container[int],
-    ) -> Choice | None:
+    ) -> ClaimRequest | None:
         """Of the bay that is least out of the way; None: all are taken. `shunned`: TASKS_MAX and bays."""
         best = None
         for bay, place in enumerate(self.house.bays):
@@ -75,19 +75,19 @@ class Charging:
             way_m += 0.0 if onward is None else self.house.way_m(place, onward)
             if best is None or way_m < best[0]:
                 best = (way_m, section)
-        return None if best is None else Choice(best[1], min(int(best[0] / 10), 31))
+        return None if best is None else ClaimRequest(best[1], min(int(best[0] / 10), 31))
 
     def begin(self, battery: float) -> None:
         self._level, self._look_us = battery, None
 
-    def look(self, battery: float, now_us: int) -> Bay:
+    def look(self, battery: float, now_us: int) -> ChargerState:
         """Each control period at a bay."""
         if battery >= FULL_AT:
-            return Bay.FULL
+            return ChargerState.FULL
         if self._look_us is None:
             self._look_us = now_us + round(self.house.carrier.dock_s * S) + GIVES_US
         if now_us > self._look_us:
             if battery <= self._level + GAIN:
-                return Bay.DEAD
+                return ChargerState.DEAD
             self._look_us, self._level = now_us + GIVES_US, battery
-        return Bay.CHARGES
+        return ChargerState.CHARGES

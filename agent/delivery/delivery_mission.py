@@ -10,17 +10,17 @@ from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from math import hypot
 
-from agent.delivery.charging import Bay, Charging
+from agent.delivery.charging import ChargerState, Charging
 from agent.delivery.cost_matrix import FULL, Trip
-from agent.delivery.parcel_search import Whereabouts
-from agent.delivery.reachability import CutOff
-from agent.delivery.task_allocation import Dispatch, Dispatched
+from agent.delivery.parcel_search import ParcelSearch
+from agent.delivery.reachability import Reachability
+from agent.delivery.task_allocation import Dispatched, TaskAllocation
 from agent.delivery.task_registry import TASKS_MAX, recalled_orders, stop_names
-from agent.delivery.warehouse import Standing, Warehouse
+from agent.delivery.warehouse import CarrierState, Warehouse
 from agent.interface.config import MS, S
 from agent.interface.lifecycle import State
-from agent.interface.mission import Choice, FleetView, Record, Wish
-from agent.navigation.navigation_mission import Errands
+from agent.interface.mission import ClaimRequest, FleetView, MotionRequest, Record
+from agent.navigation.navigation_mission import NavigationMission
 from agent.navigation.path_requests import AHEAD_S, PathRequests
 from crdt import Phase
 from protocol.frames.messages import Message
@@ -40,7 +40,7 @@ MISSING_US = 3 * S  # at a place where no parcel lies: it is believed
 SHUN_US = 30 * S  # a bay that gives nothing, a task whose parcel is not found
 
 
-class Delivery(Errands):
+class DeliveryMission(NavigationMission):
     passes = False  # it handles parcels where it stands
 
     def __init__(
@@ -53,13 +53,13 @@ class Delivery(Errands):
             asks=asks,
         )  # fmt: skip
         self.house, self.home = house, home
-        self.dispatch = Dispatch(slot, house, now_us, seed, recalled_orders(recalled))
+        self.dispatch = TaskAllocation(slot, house, now_us, seed, recalled_orders(recalled))
         self.paths = PathRequests(super()._way)
         self.replanning.path = partial(self.paths.urgent, self.hazards.path)
         self.hazards.reach_m = BESIDE_M
-        self.cut_off = CutOff(self.hazards)
+        self.cut_off = Reachability(self.hazards)
         self.charging = Charging(house)
-        self.whereabouts = Whereabouts(house, self.dispatch.book, self.hazards, self.bodies)
+        self.whereabouts = ParcelSearch(house, self.dispatch.book, self.hazards, self.bodies)
         self.section: int | None = None  # a task or a bay under way
         self.waited_us = 0  # for new itineraries, by the rule of scenario C
         self._load = -1
@@ -136,7 +136,7 @@ class Delivery(Errands):
 
     # ---------------------------------------------------------------- choosing
 
-    def choose(self, view: FleetView) -> Choice | None:
+    def choose(self, view: FleetView) -> ClaimRequest | None:
         load = self._load  # from an earlier life, or after an operator's order
         if load in self.dispatch.book and view.allocation.phase_of(load) is not Phase.DONE:
             bay = self._charge(view, load) if self._falls_short(load, view) else None
@@ -163,13 +163,13 @@ class Delivery(Errands):
                 return task
         return None
 
-    def _claim(self, task: int, view: FleetView) -> Choice | None:
+    def _claim(self, task: int, view: FleetView) -> ClaimRequest | None:
         owner = view.allocation.owner_of(task)
         if owner is not None and owner != self.slot:
             if not self.dispatch.absence.leaves(owner, task, view) and self._load != task:
                 return None
-            return Choice(task, 0, takeover=True)
-        return Choice(task, 0)
+            return ClaimRequest(task, 0, takeover=True)
+        return ClaimRequest(task, 0)
 
     def _waits(self, task: int, view: FleetView) -> bool:
         """Scenario C: a task shorter than what is left of the re-plan waits for it."""
@@ -186,8 +186,8 @@ class Delivery(Errands):
         trip = Trip(self._pickup(task, view), dropoff)
         return self.charging.before(self.dispatch.standing(view), trip)
 
-    def _here(self, view: FleetView) -> Standing:
-        return Standing(self.slot, (view.here.x_m, view.here.y_m), 0, self.dispatch.left)
+    def _here(self, view: FleetView) -> CarrierState:
+        return CarrierState(self.slot, (view.here.x_m, view.here.y_m), 0, self.dispatch.left)
 
     def _falls_short(self, task: int, view: FleetView) -> bool:
         loaded, dropoff = (
@@ -212,7 +212,7 @@ class Delivery(Errands):
         dropoff = self.house.trip(self.dispatch.book.tasks[section]).dropoff
         return self.charging.before(self._here(view), Trip(self.goal, dropoff))
 
-    def _charge(self, view: FleetView, task: int | None) -> Choice | None:
+    def _charge(self, view: FleetView, task: int | None) -> ClaimRequest | None:
         """A visit of a bay, on the way to what is next; None: all are taken."""
         onward = None
         if task is not None and task == self._load:
@@ -231,7 +231,7 @@ class Delivery(Errands):
     def begin(self, section: int, view: FleetView) -> None:
         self.section, self._since_us = section, None
 
-    def approach(self, section: int, view: FleetView) -> Wish:
+    def approach(self, section: int, view: FleetView) -> MotionRequest:
         self._go(self._goal(section, view))
         return self._drive(view)[0]
 
@@ -246,7 +246,7 @@ class Delivery(Errands):
         if goal != self.goal:
             self.goal, self._tracker, self._since_us = goal, None, None
 
-    def work(self, view: FleetView) -> Wish:
+    def work(self, view: FleetView) -> MotionRequest:
         self._idle_us = None
         if self.section is None:  # kept over a stop
             held = view.allocation.assigned_sections(view.slot)
@@ -255,7 +255,7 @@ class Delivery(Errands):
         assert section is not None
         if section < TASKS_MAX and self._delivered(section, view):
             self._through()
-            return Wish(0.0, 0.0, covered=(PICKED, DELIVERED), finished=True)
+            return MotionRequest(0.0, 0.0, covered=(PICKED, DELIVERED), finished=True)
         if self._hopeless(section):
             return self._given_up(section, view)
         if UNDER_WAY in self.cut_off.sections and self._load != section < TASKS_MAX:
@@ -265,7 +265,7 @@ class Delivery(Errands):
             return self._given_up(section, view)
         if self._short(section, view):
             self._through()
-            return Wish(0.0, 0.0, given_up=True)  # what is aboard stays aboard
+            return MotionRequest(0.0, 0.0, given_up=True)  # what is aboard stays aboard
         wish, arrived = self._drive(view)
         self._plan_ahead(section, view)
         if self._load == section and self._told_aboard != section:
@@ -342,37 +342,37 @@ class Delivery(Errands):
             return False
         return hypot(dropoff[0] - seen.x_m, dropoff[1] - seen.y_m) < REACH_M
 
-    def _handling(self, task: int, view: FleetView) -> Wish:
+    def _handling(self, task: int, view: FleetView) -> MotionRequest:
         """Load, or unload. The world says what has come of it: what is aboard, and what lies where."""
         assert self._since_us is not None
         if self._load != task and task not in view.here.parcels:
             if view.now_us - self._since_us > MISSING_US:
                 return self._missing(task, view)
-            return Wish(0.0, 0.0)
-        return Wish(0.0, 0.0, handle=task)
+            return MotionRequest(0.0, 0.0)
+        return MotionRequest(0.0, 0.0, handle=task)
 
-    def _missing(self, task: int, view: FleetView) -> Wish:
+    def _missing(self, task: int, view: FleetView) -> MotionRequest:
         """No parcel here: the next place, and after the last one others may, or we again later."""
         assert self.goal is not None
         self._since_us = None
         if self.whereabouts.looked(task, self.goal):
-            return Wish(0.0, 0.0)
+            return MotionRequest(0.0, 0.0)
         return self._given_up(task, view)
 
-    def _given_up(self, section: int, view: FleetView) -> Wish:
+    def _given_up(self, section: int, view: FleetView) -> MotionRequest:
         self._shunned_us[section] = view.now_us + SHUN_US
         self._through()
-        return Wish(0.0, 0.0, given_up=True)
+        return MotionRequest(0.0, 0.0, given_up=True)
 
-    def _at_bay(self, section: int, view: FleetView) -> Wish:
+    def _at_bay(self, section: int, view: FleetView) -> MotionRequest:
         state = self.charging.look(view.here.battery, view.now_us)
-        if state is Bay.CHARGES:
-            return Wish(0.0, 0.0)
-        if state is Bay.DEAD:  # leave it to who mends it
+        if state is ChargerState.CHARGES:
+            return MotionRequest(0.0, 0.0)
+        if state is ChargerState.DEAD:  # leave it to who mends it
             bay = self.house.bay_of(section)
             self._shunned_us[TASKS_MAX + bay] = view.now_us + 20 * SHUN_US
         self._through()
-        return Wish(0.0, 0.0, finished=state is Bay.FULL, given_up=state is Bay.DEAD)
+        return MotionRequest(0.0, 0.0, finished=state is ChargerState.FULL, given_up=state is ChargerState.DEAD)
 
     def _through(self) -> None:
         if self.section in self.dispatch.itinerary:
@@ -383,7 +383,7 @@ class Delivery(Errands):
     def abandon(self) -> None:
         self._through()
 
-    def rest(self, view: FleetView) -> Wish:
+    def rest(self, view: FleetView) -> MotionRequest:
         """Nothing to do: go where we were switched on, so that we stand in nobody's way."""
         self.section = None
         if self._idle_us is None:

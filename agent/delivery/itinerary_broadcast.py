@@ -16,7 +16,7 @@ FRAMES_A_BEAT = 4
 STOPS_MAX = 0xFF  # what a frame can count
 
 
-class Told(NamedTuple):
+class RemoteItinerary(NamedTuple):
     """The itinerary of another, as far as it was heard."""
 
     version: int
@@ -26,9 +26,9 @@ class Told(NamedTuple):
     whole: tuple[int, ...]  # the last one that was heard whole
 
 
-class Telling:
+class ItineraryBroadcast:
     def __init__(self, now_us: int) -> None:
-        self.told: dict[int, Told] = {}  # of others
+        self.told: dict[int, RemoteItinerary] = {}  # of others
         self.stops: list[int] = []  # ours
         self._version, self._tell_us, self._at = 0, now_us + TOLD_US, 0
         self._saying: Sequence[int] = ()
@@ -73,4 +73,4 @@ class Telling:
             tasks[m.first + 1] = m.after
         if all(k in tasks for k in range(m.length)):
             whole = tuple(tasks[k] for k in range(m.length))
-        self.told[slot] = Told(m.version, tasks, m.length, m.battery * FULL // 255, whole)
+        self.told[slot] = RemoteItinerary(m.version, tasks, m.length, m.battery * FULL // 255, whole)

@@ -8,20 +8,20 @@ where it was to go, and in the end all over the building. What the arm can feel 
 from functools import cached_property
 from math import hypot
 
-from agent.delivery.task_registry import TaskBook
+from agent.delivery.task_registry import TaskRegistry
 from agent.delivery.warehouse import Warehouse
 from agent.interface.mission import FleetView
 from agent.mapf.lattice import Lattice
-from agent.mapping.dynamic_obstacles import Hazards
-from agent.navigation.silent_robots import Bodies
+from agent.mapping.dynamic_obstacles import DynamicObstacles
+from agent.navigation.silent_robots import SilentRobots
 
 Point = tuple[float, float]
 LOOKED_M = 0.8  # a place nearer than this to one that was looked at need not be looked at
 SPOT_HOPS = 2  # of the lattice: rays see a body so far from a spot of the search
 
 
-class Whereabouts:
-    def __init__(self, house: Warehouse, book: TaskBook, hazards: Hazards, bodies: Bodies) -> None:
+class ParcelSearch:
+    def __init__(self, house: Warehouse, book: TaskRegistry, hazards: DynamicObstacles, bodies: SilentRobots) -> None:
         self.house, self.book, self.hazards, self.bodies = house, book, hazards, bodies
         self._looked: dict[int, list[Point]] = {}  # task: places where its parcel was not
 

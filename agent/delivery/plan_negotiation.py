@@ -16,7 +16,7 @@ from math import ceil
 from typing import NamedTuple
 from zlib import crc32
 
-from agent.delivery.auction import Planner
+from agent.delivery.auction import RoutingPlanner
 from agent.delivery.routing_problem import Itineraries, Workload
 from agent.interface.config import MS
 from protocol.frames.delivery_frames import HASTENS, NO_TASK, PlanOffer, PlanRow
@@ -39,7 +39,7 @@ HOT, COLD = 0.02, 0.0002  # temperatures of the whole search, shared out to its 
 Rows = dict[int, list[int]]  # slot: its tasks
 
 
-class Frozen(NamedTuple):
+class ProblemSnapshot(NamedTuple):
     """The problem of a round."""
 
     slots: tuple[int, ...]
@@ -48,23 +48,23 @@ class Frozen(NamedTuple):
     plan: Itineraries | None = None  # to begin from, so that its tasks wait less; None: anew
 
 
-class Step(Enum):
+class NegotiationPhase(Enum):
     REST = "no round"
     SEARCH = "searching, from the auction on"
     OFFER = "offers are heard"
     STREAM = "the plan is streamed"
 
 
-class PlanRound:
+class PlanNegotiation:
     def __init__(self, slot: int, seed: int) -> None:
         self.slot, self.seed = slot, seed
-        self.number, self.step = 0, Step.REST
+        self.number, self.step = 0, NegotiationPhase.REST
         self.ends_us = 0  # of the step
         self.adopted: Rows | None = None  # to be taken by who asks
         self.first: Rows = {}  # the auction's plan, the same for all
         self.streamed = 0  # rounds that we streamed
-        self._frozen: Frozen | None = None
-        self._planner: Planner | None = None
+        self._frozen: ProblemSnapshot | None = None
+        self._planner: RoutingPlanner | None = None
         self._plan: Itineraries = []
         self._hastens = False
         self._slices = self._done = self._calls = 0
@@ -79,17 +79,17 @@ class PlanRound:
 
     @property
     def active(self) -> bool:
-        return self.step is not Step.REST
+        return self.step is not NegotiationPhase.REST
 
     def left_us(self, now_us: int) -> int:
         """Until new itineraries can be expected."""
-        if self.step is Step.REST or self._hastens:
+        if self.step is NegotiationPhase.REST or self._hastens:
             return 0
-        return max(self.ends_us - now_us, 0) + (OFFERS_US if self.step is Step.SEARCH else 0)
+        return max(self.ends_us - now_us, 0) + (OFFERS_US if self.step is NegotiationPhase.SEARCH else 0)
 
     # ---------------------------------------------------------------- the steps
 
-    def call(self, frozen: Frozen, replan_us: int, now_us: int) -> None:
+    def call(self, frozen: ProblemSnapshot, replan_us: int, now_us: int) -> None:
         """Begin the next round."""
         units = min(ceil(replan_us / REPLAN_UNIT_US), 255)
         self._calls = CALLS
@@ -99,14 +99,14 @@ class PlanRound:
         """Whether this is the call of a round that we are to join."""
         return offer.replan > 0 and _newer(offer.round, self.number)
 
-    def join(self, offer: PlanOffer, frozen: Frozen, now_us: int) -> None:
+    def join(self, offer: PlanOffer, frozen: ProblemSnapshot, now_us: int) -> None:
         self._calls = 1 if self.slot % 4 == 0 else 0  # who missed the call may hear the echo
         self._begin(offer.round, offer.replan, frozen, now_us)
 
-    def _begin(self, number: int, units: int, frozen: Frozen, now_us: int) -> None:
-        self.number, self.step, self._replan = number, Step.SEARCH, units
+    def _begin(self, number: int, units: int, frozen: ProblemSnapshot, now_us: int) -> None:
+        self.number, self.step, self._replan = number, NegotiationPhase.SEARCH, units
         self.ends_us = now_us + units * REPLAN_UNIT_US
-        self._frozen, self._planner = frozen, Planner(frozen.work)
+        self._frozen, self._planner = frozen, RoutingPlanner(frozen.work)
         self._hastens = frozen.plan is not None
         self._plan = self._planner.auctioned() if frozen.plan is None else frozen.plan
         self.first = self._rows()
@@ -124,12 +124,12 @@ class PlanRound:
 
     def tick(self, now_us: int) -> None:
         """Each control period."""
-        if self.step is Step.SEARCH:
+        if self.step is NegotiationPhase.SEARCH:
             self._search(now_us)
-        elif self.step is Step.OFFER and now_us >= self.ends_us:
-            self.step, self._heard_us = Step.STREAM, now_us
+        elif self.step is NegotiationPhase.OFFER and now_us >= self.ends_us:
+            self.step, self._heard_us = NegotiationPhase.STREAM, now_us
             self._pass()
-        elif self.step is Step.STREAM:
+        elif self.step is NegotiationPhase.STREAM:
             self._stream(now_us)
 
     def _search(self, now_us: int) -> None:
@@ -139,13 +139,13 @@ class PlanRound:
                 self._plan = self._slice(self._planner)
                 self._done += 1
             return
-        self.step, self.ends_us = Step.OFFER, now_us + OFFERS_US
+        self.step, self.ends_us = NegotiationPhase.OFFER, now_us + OFFERS_US
         self._mine = self._rows()
         cost_ms = self._cost_ms(self._planner)
         if cost_ms is not None:
             self._offers[self.slot] = (min(cost_ms, 0xFFFFFFFF), digest_of(self._mine))
 
-    def _slice(self, planner: Planner) -> Itineraries:
+    def _slice(self, planner: RoutingPlanner) -> Itineraries:
         seed = self.seed + self._done
         if self._hastens:
             return planner.hastened(self._plan, seed, SLICE_MOVES_HASTE)
@@ -157,7 +157,7 @@ class PlanRound:
             moves = SLICE_MOVES_CHARGING * routes // max(planner.work.tasks, routes)
         return planner.improved(self._plan, seed, moves, (hot, cold))
 
-    def _cost_ms(self, planner: Planner) -> int | None:
+    def _cost_ms(self, planner: RoutingPlanner) -> int | None:
         """What our plan costs; None: it is none, or not worth its frames."""
         if self._hastens:
             assert self._frozen is not None and self._frozen.plan is not None
@@ -179,7 +179,7 @@ class PlanRound:
     def _stream(self, now_us: int) -> None:
         rank = self._rank()
         if not rank:
-            self.step = Step.REST
+            self.step = NegotiationPhase.REST
         elif self._queue:
             self._heard_us = now_us
         elif rank[0] == self.slot:  # all said
@@ -188,16 +188,16 @@ class PlanRound:
         elif now_us - self._heard_us > HUSH_US:
             self._mute.add(rank[0])  # it has died, or we cannot hear it: the next best is elected
             del self._offers[rank[0]]
-            self.step, self.ends_us = Step.OFFER, now_us + OFFERS_US
+            self.step, self.ends_us = NegotiationPhase.OFFER, now_us + OFFERS_US
 
     def _adopt(self, rows: Rows) -> None:
-        self.adopted, self.step = rows, Step.REST
+        self.adopted, self.step = rows, NegotiationPhase.REST
         self._queue = []
 
     # ---------------------------------------------------------------- frames
 
     def hear(self, slot: int, message: PlanOffer | PlanRow, now_us: int) -> None:
-        if message.round != self.number or self.step is Step.REST:
+        if message.round != self.number or self.step is NegotiationPhase.REST:
             return
         if isinstance(message, PlanOffer):
             if not message.replan and slot not in self._mute:
@@ -225,15 +225,15 @@ class PlanRound:
 
     def say(self, now_us: int) -> Iterator[PlanOffer | PlanRow]:
         """With our beat."""
-        if self.step is Step.SEARCH and self._calls:
+        if self.step is NegotiationPhase.SEARCH and self._calls:
             self._calls -= 1
             left_us = max(self.ends_us - now_us, 1)
             yield PlanOffer(
                 self.number, ceil(left_us / REPLAN_UNIT_US), HASTENS if self._hastens else 0, 0
             )
-        elif self.step is Step.OFFER and self._rank()[:1] == [self.slot]:
+        elif self.step is NegotiationPhase.OFFER and self._rank()[:1] == [self.slot]:
             yield PlanOffer(self.number, 0, *self._offers[self.slot])
-        elif self.step is Step.STREAM:
+        elif self.step is NegotiationPhase.STREAM:
             yield from self._queue[:ROWS_A_BEAT]
             del self._queue[:ROWS_A_BEAT]
 

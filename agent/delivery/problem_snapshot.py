@@ -4,14 +4,14 @@ from math import sqrt
 from typing import TYPE_CHECKING
 
 from agent.delivery.cost_matrix import FULL
-from agent.delivery.plan_negotiation import Frozen
-from agent.delivery.warehouse import Standing
+from agent.delivery.plan_negotiation import ProblemSnapshot
+from agent.delivery.warehouse import CarrierState
 from agent.interface.lifecycle import State
 from agent.interface.mission import FleetView
 from crdt import Phase
 
 if TYPE_CHECKING:
-    from agent.delivery.task_allocation import Dispatch
+    from agent.delivery.task_allocation import TaskAllocation
 
 # Tasks of one round: the auction's work grows as tasks to the fourth by robots to the second. So many of
 # six robots, with batteries, take 25 ms of a small computer, half of a control period.
@@ -19,7 +19,7 @@ ROUND_TASKS, ROUND_ROBOTS = 72, 6
 ABLE = (State.IDLE, State.WORKING, State.SYNCHRONIZING)
 
 
-def standings(dispatch: "Dispatch", view: FleetView, able: bool) -> list[Standing]:
+def standings(dispatch: "TaskAllocation", view: FleetView, able: bool) -> list[CarrierState]:
     """When and where each of the living will be free, by slots. `able`: we can work."""
     robots = [dispatch.standing(view)] if able else []
     for slot in sorted(view.live - {dispatch.slot}):
@@ -27,11 +27,11 @@ def standings(dispatch: "Dispatch", view: FleetView, able: bool) -> list[Standin
         if neighbour is not None and neighbour.pose.state in ABLE:
             left = dispatch.told[slot].left if slot in dispatch.told else FULL
             at = neighbour.pose.x_m, neighbour.pose.y_m
-            robots.append(dispatch.through(Standing(slot, at, 0, left), view))
+            robots.append(dispatch.through(CarrierState(slot, at, 0, left), view))
     return sorted(robots)
 
 
-def anew(dispatch: "Dispatch", view: FleetView, able: bool) -> Frozen:
+def anew(dispatch: "TaskAllocation", view: FleetView, able: bool) -> ProblemSnapshot:
     """Every free task, whoever means to begin it."""
     robots = standings(dispatch, view, able)
     fresh, _ = dispatch.open(view)
@@ -51,7 +51,7 @@ def round_tasks_max(robots: int) -> int:
     return int(ROUND_TASKS * sqrt(robots / ROUND_ROBOTS))
 
 
-def hastened(dispatch: "Dispatch", view: FleetView, able: bool) -> Frozen:
+def hastened(dispatch: "TaskAllocation", view: FleetView, able: bool) -> ProblemSnapshot:
     """What is in somebody's itinerary, and not held there by its age: to begin from as it is."""
     robots, rows = [], []
     met = set[int]()
@@ -68,7 +68,7 @@ def hastened(dispatch: "Dispatch", view: FleetView, able: bool) -> Frozen:
     return _frozen(dispatch, robots, tasks)._replace(plan=plan)
 
 
-def _plannable(dispatch: "Dispatch", view: FleetView, task: int) -> bool:
+def _plannable(dispatch: "TaskAllocation", view: FleetView, task: int) -> bool:
     order = dispatch.book.tasks.get(task)
     return (
         order is not None
@@ -79,7 +79,7 @@ def _plannable(dispatch: "Dispatch", view: FleetView, task: int) -> bool:
     )
 
 
-def _frozen(dispatch: "Dispatch", robots: list[Standing], tasks: list[int]) -> Frozen:
+def _frozen(dispatch: "TaskAllocation", robots: list[CarrierState], tasks: list[int]) -> ProblemSnapshot:
     trips = [dispatch.house.trip(dispatch.book.tasks[task]) for task in tasks]
     work = dispatch.house.work(trips, robots)
-    return Frozen(tuple(robot.slot for robot in robots), tuple(tasks), work)
+    return ProblemSnapshot(tuple(robot.slot for robot in robots), tuple(tasks), work)

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from math import hypot
 
 from agent.interface.config import S
-from agent.mapping.dynamic_obstacles import Hazards
+from agent.mapping.dynamic_obstacles import DynamicObstacles
 
 Point = tuple[float, float]
 LOOK_US = 1 * S
@@ -17,8 +17,8 @@ STANDSTILL_US = 30 * S  # not `GOT_ON_M` further in so long: others may take wha
 GOT_ON_M = 1.0
 
 
-class CutOff:
-    def __init__(self, hazards: Hazards) -> None:
+class Reachability:
+    def __init__(self, hazards: DynamicObstacles) -> None:
         self.hazards = hazards
         self.sections: frozenset[int] = frozenset()
         self._since_us: dict[int, int] = {}

@@ -54,7 +54,7 @@ class Workload(NamedTuple):
         return len(self.link)
 
 
-class Worth(NamedTuple):
+class PlanCost(NamedTuple):
     """What a plan costs; the less of two is the better, makespan first."""
 
     makespan_ms: int

@@ -13,17 +13,17 @@ and comes behind what the winner has already: own work first, also in a split.
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
-from agent.delivery.absent_owners import Absence
-from agent.delivery.auction import Planner
+from agent.delivery.absent_owners import AbsentOwners
+from agent.delivery.auction import RoutingPlanner
 from agent.delivery.cost_matrix import FULL
-from agent.delivery.itinerary_broadcast import STOPS_MAX, Telling, Told
-from agent.delivery.plan_negotiation import SLICE_US, PlanRound
+from agent.delivery.itinerary_broadcast import STOPS_MAX, ItineraryBroadcast, RemoteItinerary
+from agent.delivery.plan_negotiation import SLICE_US, PlanNegotiation
 from agent.delivery.problem_snapshot import anew, hastened, round_tasks_max
 from agent.delivery.routing_problem import IMPOSSIBLE_MS
-from agent.delivery.task_registry import TASKS_MAX, Order, TaskBook
+from agent.delivery.task_registry import TASKS_MAX, TaskRegistry, TransportTask
 from agent.delivery.waiting_policy import REPLAN_US as HASTE_US
-from agent.delivery.waiting_policy import Haste
-from agent.delivery.warehouse import Standing, Warehouse
+from agent.delivery.waiting_policy import WaitingPolicy
+from agent.delivery.warehouse import CarrierState, Warehouse
 from agent.interface.config import MS, S
 from agent.interface.mission import FleetView, Record
 from crdt import Phase
@@ -57,18 +57,18 @@ class Auction(NamedTuple):
     mine: TaskBid | None  # still to be said
 
 
-class Dispatch:
+class TaskAllocation:
     def __init__(
-        self, slot: int, house: Warehouse, now_us: int, seed: int, recalled: Mapping[int, Order]
+        self, slot: int, house: Warehouse, now_us: int, seed: int, recalled: Mapping[int, TransportTask]
     ) -> None:
         """`recalled`: tasks that were told in an earlier life."""
         self.slot, self.house = slot, house
-        self.book = TaskBook(slot, {**house.tasks, **recalled}, now_us)
-        self.round = PlanRound(slot, seed)
+        self.book = TaskRegistry(slot, {**house.tasks, **recalled}, now_us)
+        self.round = PlanNegotiation(slot, seed)
         self.itinerary: list[int] = []  # tasks that we mean to begin, not those begun
-        self.telling = Telling(now_us)
-        self.absence = Absence()
-        self.haste = Haste(now_us)
+        self.telling = ItineraryBroadcast(now_us)
+        self.absence = AbsentOwners()
+        self.haste = WaitingPolicy(now_us)
         self.left = FULL
         self._auction: Auction | None = None
         self._rival: tuple[int, tuple[int, int]] | None = (
@@ -83,7 +83,7 @@ class Dispatch:
         self._calls: list[PlanOffer] = []  # heard, to be answered at the next look
 
     @property
-    def told(self) -> dict[int, Told]:
+    def told(self) -> dict[int, RemoteItinerary]:
         return self.telling.told
 
     @property
@@ -246,9 +246,9 @@ class Dispatch:
             best, bid = rival[1], None
         self._auction = Auction(task, view.now_us + BIDS_US, best, bid)
 
-    def standing(self, view: FleetView) -> Standing:
+    def standing(self, view: FleetView) -> CarrierState:
         """When and where we are free for the next task."""
-        here = Standing(self.slot, (view.here.x_m, view.here.y_m), 0, self.left)
+        here = CarrierState(self.slot, (view.here.x_m, view.here.y_m), 0, self.left)
         return self.through(here, view)
 
     def _bid(self, task: int, behind: bool, view: FleetView) -> TaskBid | None:
@@ -257,7 +257,7 @@ class Dispatch:
             return None
         order = [*self.itinerary, task]
         trips = [self.house.trip(self.book.tasks[t]) for t in order]
-        planner = Planner(self.house.work(trips, [self.standing(view)]))
+        planner = RoutingPlanner(self.house.work(trips, [self.standing(view)]))
         last = len(order) - 1
         first = last if behind else self.haste.held(self.itinerary, view.now_us)
         place, cost_ms = planner.inserted(0, range(last), last, first)
@@ -321,7 +321,7 @@ class Dispatch:
         whole = self.told[slot].whole if slot in self.told else ()
         return [stop for stop in whole if stop in self.book]
 
-    def through(self, standing: Standing, view: FleetView) -> Standing:
+    def through(self, standing: CarrierState, view: FleetView) -> CarrierState:
         """After what a robot has claimed or begun: a task to its dropoff, a charge to the full."""
         for section in view.allocation.assigned_sections(standing.slot):
             order = self.book.tasks.get(section)
@@ -332,7 +332,7 @@ class Dispatch:
                 standing = self._charged(standing, section)
         return standing
 
-    def after_all(self, standing: Standing, tasks: Sequence[int]) -> Standing:
+    def after_all(self, standing: CarrierState, tasks: Sequence[int]) -> CarrierState:
         """After tasks of an itinerary, with the charges that they need."""
         orders = self.book.tasks
         known = [task for task in tasks if self.house.known(orders[task])]
@@ -343,10 +343,10 @@ class Dispatch:
                 standing = self.house.after(standing, self.house.trip(orders[stop]), False)
         return standing
 
-    def _charged(self, standing: Standing, section: int) -> Standing:
+    def _charged(self, standing: CarrierState, section: int) -> CarrierState:
         carrier, bay = self.house.carrier, self.house.bays[self.house.bay_of(section)]
         charge_ms = round((carrier.dock_s + carrier.charge_s) * 1000)
-        return Standing(standing.slot, bay, standing.ready_ms + charge_ms, FULL)
+        return CarrierState(standing.slot, bay, standing.ready_ms + charge_ms, FULL)
 
     def _adopt(self, view: FleetView) -> None:
         rows, self.round.adopted = self.round.adopted, None
@@ -362,7 +362,7 @@ class Dispatch:
             else:
                 old = self.told.get(slot)
                 left, version = (FULL, 0) if old is None else (old.left, old.version)
-                self.told[slot] = Told(version, {}, 0, left, (*first, *row))
+                self.told[slot] = RemoteItinerary(version, {}, 0, left, (*first, *row))
         self._tidy(view)
         self.telling.changed(view.now_us)
 

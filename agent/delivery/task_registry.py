@@ -18,24 +18,24 @@ KEY, LAYOUT = "order/", Struct("<HH")  # of a durable record
 ORDERS_A_BEAT = 2  # so that a late joiner of 500 tasks does not fill the bus
 
 
-class Order(NamedTuple):
+class TransportTask(NamedTuple):
     """A task: cells of the floor."""
 
     pickup: int
     dropoff: int
 
 
-def recalled_orders(recalled: Mapping[str, bytes]) -> dict[int, Order]:
+def recalled_orders(recalled: Mapping[str, bytes]) -> dict[int, TransportTask]:
     """Tasks that were told while running, from durable memory. What does not parse is left out."""
     found = {}
     for key, raw in sorted(recalled.items()):
         number = key.removeprefix(KEY)
         if key.startswith(KEY) and number.isdecimal() and len(raw) == LAYOUT.size:
-            found[int(number)] = Order(*LAYOUT.unpack(raw))
+            found[int(number)] = TransportTask(*LAYOUT.unpack(raw))
     return found
 
 
-def record(task: int, order: Order) -> tuple[str, bytes]:
+def record(task: int, order: TransportTask) -> tuple[str, bytes]:
     return f"{KEY}{task}", LAYOUT.pack(*order)
 
 
@@ -51,8 +51,8 @@ def stop_names(begun: Iterable[int], ahead: Iterable[int], load: int) -> list[st
     return found
 
 
-class TaskBook:
-    def __init__(self, slot: int, tasks: Mapping[int, Order], now_us: int) -> None:
+class TaskRegistry:
+    def __init__(self, slot: int, tasks: Mapping[int, TransportTask], now_us: int) -> None:
         """`tasks`: what every robot was given before the start."""
         self.tasks = dict(tasks)
         self.added = 0  # grows with every change: who keeps something made of the book compares it
@@ -82,7 +82,7 @@ class TaskBook:
             return ()
         self._heard_us[message.task] = now_us
         self._due.pop(message.task, None)
-        order, known = Order(message.pickup, message.dropoff), self.tasks.get(message.task)
+        order, known = TransportTask(message.pickup, message.dropoff), self.tasks.get(message.task)
         if known is None or order > known:
             self.tasks[message.task] = order
             self.added += 1

@@ -16,7 +16,7 @@ PATIENCE_US = (
 )  # what has waited for so long nothing overtakes: costs one hundredth of the mean
 
 
-class Haste:
+class WaitingPolicy:
     def __init__(self, now_us: int) -> None:
         self._born_us = now_us
         self._known_us: dict[int, int] = {}  # tasks that were told after the start

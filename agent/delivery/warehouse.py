@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from agent.delivery.cost_matrix import FULL, Carrier, CostMatrix, Trip, spare_energy, workload
 from agent.delivery.routing_problem import Whole, Workload
-from agent.delivery.task_registry import TASKS_MAX, Order
+from agent.delivery.task_registry import TASKS_MAX, TransportTask
 from agent.mapping.building import Floor
 from agent.paths.nav_mesh import Mesh, Point
 from crdt import FieldAllocationCRDT, Phase
@@ -22,7 +22,7 @@ T_MAX = 4  # new tasks up to here are inserted, more are planned anew
 ORDER_MAX = 0xFFFF
 
 
-class Standing(NamedTuple):
+class CarrierState(NamedTuple):
     """When and where a robot is free for the next task, and with what left."""
 
     slot: int
@@ -37,7 +37,7 @@ class Warehouse:
         floor: Floor,
         carrier: Carrier,
         bays: Sequence[Point] = (),
-        tasks: Mapping[int, Order] | None = None,
+        tasks: Mapping[int, TransportTask] | None = None,
         t_max: int = T_MAX,
     ) -> None:
         self.floor, self.carrier, self.bays = floor, carrier, tuple(bays)
@@ -81,7 +81,7 @@ class Warehouse:
         cell = row * columns + column
         return cell if cell <= ORDER_MAX and not floor.walls[row + 1, column + 1] else None
 
-    def known(self, order: Order) -> bool:
+    def known(self, order: TransportTask) -> bool:
         """Whether an order from the wire is for places of this building."""
         return all(
             self.place(cell)[1] < self.floor.cell_m * (self.floor.walls.shape[0] - 2)
@@ -89,7 +89,7 @@ class Warehouse:
             for cell in order
         )
 
-    def trip(self, order: Order) -> Trip:
+    def trip(self, order: TransportTask) -> Trip:
         return Trip(self.place(order.pickup), self.place(order.dropoff))
 
     # ---------------------------------------------------------------- costs
@@ -98,13 +98,13 @@ class Warehouse:
         self.costs.extend([b])
         return float(self.costs.metres([a], [b])[0, 0])
 
-    def work(self, trips: Sequence[Trip], robots: Sequence[Standing]) -> Workload:
+    def work(self, trips: Sequence[Trip], robots: Sequence[CarrierState]) -> Workload:
         return workload(
             self.costs, self.carrier, trips, [r.at for r in robots], [r.ready_ms for r in robots],
             self.bays, [r.left for r in robots],
         )  # fmt: skip
 
-    def after(self, standing: Standing, trip: Trip, loaded: bool) -> Standing:
+    def after(self, standing: CarrierState, trip: Trip, loaded: bool) -> CarrierState:
         """Where a robot stands after one more task; `loaded`: it has the parcel already."""
         way_m = self.way_m(standing.at, trip.dropoff if loaded else trip.pickup)
         handle_ms = self.carrier.handle_ms
@@ -113,7 +113,7 @@ class Warehouse:
             handle_ms *= 2
         time_ms = int(self.carrier.time_ms(_array(way_m))[0]) + handle_ms
         energy = int(self.carrier.energy(_array(way_m), _array(time_ms).astype("int64"))[0])
-        return Standing(
+        return CarrierState(
             standing.slot, trip.dropoff, standing.ready_ms + time_ms, standing.left - energy
         )
 
@@ -137,7 +137,7 @@ class Warehouse:
     # ---------------------------------------------------------------- bays
 
     def charged_between(
-        self, standing: Standing, tasks: Iterable[int], orders: Mapping[int, Order]
+        self, standing: CarrierState, tasks: Iterable[int], orders: Mapping[int, TransportTask]
     ) -> list[int]:
         """Sections in their order: tasks, and TASKS_MAX and a bay wherever a robot would have to charge
         first, by the rule by which it does when it is there."""
@@ -154,7 +154,7 @@ class Warehouse:
                     ),
                 )
                 found.append(TASKS_MAX + bay)
-                then = self.after(Standing(standing.slot, self.bays[bay], 0, FULL), trip, False)
+                then = self.after(CarrierState(standing.slot, self.bays[bay], 0, FULL), trip, False)
             found.append(task)
             standing = then
         return found

@@ -13,20 +13,27 @@ from math import hypot
 from agent.exploration.exploration_task import (
     ORDERS_FIRST,
     ROBOTS_MAX,
+    ExplorationOrder,
     FleetFullError,
     FleetTask,
     Kind,
-    Order,
     Status,
 )
-from agent.exploration.frontier import Choosing, Frontier, Rival, Values, frontiers, wave_from
-from agent.exploration.frontier_path import TURN_ROUND, XY, SurveyWay
+from agent.exploration.frontier import (
+    Frontier,
+    FrontierChooser,
+    OtherExplorer,
+    Values,
+    frontiers,
+    wave_from,
+)
+from agent.exploration.frontier_path import TURN_ROUND, XY, FrontierPath
 from agent.interface.config import LEASE_US, MS, S
 from agent.interface.lifecycle import State
-from agent.interface.mission import Choice, FleetView, Wish
+from agent.interface.mission import ClaimRequest, FleetView, MotionRequest
 from agent.mapping.inflation import Cell, Grid
-from agent.mapping.local_and_fleet_map import SurveyMap
-from agent.motion.holonomic_motion import Limits
+from agent.mapping.local_and_fleet_map import LocalAndFleetMap
+from agent.motion.holonomic_motion import BodyLimits
 from crdt import Phase
 from crdt.occupancy import SIDE, MergeResult, corner_of
 from crdt.sighting import FREE, UNKNOWN
@@ -40,14 +47,14 @@ VIEW_SHARE = 0.5  # of the sensors' range: from a station a frontier is seen fro
 VIEW_MAX_M = 1.0
 
 
-class Exploration:
+class ExplorationMission:
     def __init__(
         self,
-        chart: SurveyMap,
-        limits: Limits,
+        chart: LocalAndFleetMap,
+        limits: BodyLimits,
         robots: int,
         robots_max: int = ROBOTS_MAX,
-        orders: Sequence[Order] = (),
+        orders: Sequence[ExplorationOrder] = (),
     ) -> None:
         if robots > robots_max:
             raise FleetFullError(robots_max)
@@ -60,7 +67,7 @@ class Exploration:
         self.last_merge = MergeResult(0, 0, 0)
         self.over = False  # no frontier that we could reach, when we last looked
         self.switched = 0  # targets left for better ones
-        self._way = SurveyWay(chart, limits)
+        self._way = FrontierPath(chart, limits)
         self._legs: list[XY] = []  # of an order: places still to go to
         self._shunned_us: dict[int, int] = {}
         self._choose_us = self._check_us = self._reassign_us = 0
@@ -107,7 +114,7 @@ class Exploration:
 
     # ---------------------------------------------------------------- choosing
 
-    def choose(self, view: FleetView) -> Choice | None:
+    def choose(self, view: FleetView) -> ClaimRequest | None:
         if view.now_us < self._choose_us:
             return None
         self._choose_us = view.now_us + CHOOSE_US
@@ -119,9 +126,9 @@ class Exploration:
             return None
         self._aim(best, view)
         held = view.allocation.phase_of(best.patch) is not Phase.FREE
-        return Choice(best.patch, self._bid(view), takeover=held)
+        return ClaimRequest(best.patch, self._bid(view), takeover=held)
 
-    def _order(self, view: FleetView) -> Choice | None:
+    def _order(self, view: FleetView) -> ClaimRequest | None:
         """An order that nobody has taken, where we are the nearest free robot."""
         for section, order in self.orders.items():
             if view.allocation.phase_of(section) is not Phase.FREE:
@@ -135,7 +142,7 @@ class Exploration:
             )
             if not nearer:
                 self._pursue(section, order, view)
-                return Choice(section, self._bid(view))
+                return ClaimRequest(section, self._bid(view))
         return None
 
     def _best(self, view: FleetView, current: int | None) -> Frontier | None:
@@ -148,7 +155,7 @@ class Exploration:
         found = [f for f in frontiers(values, wave, self.view_cells) if self._open(f.patch, view)]
         self.over = not found
         rivals = self._rivals(view, passable, seen_by)
-        choosing = Choosing(view.slot, self.chart.geometry.cell_m, self.view_cells)
+        choosing = FrontierChooser(view.slot, self.chart.geometry.cell_m, self.view_cells)
         return choosing.best(found, wave, rivals, current)
 
     def _open(self, patch: int, view: FleetView) -> bool:
@@ -163,7 +170,7 @@ class Exploration:
         since_us = view.silent_since_us.get(owner)
         return since_us is not None and view.now_us - since_us >= LEASE_US
 
-    def _rivals(self, view: FleetView, passable: Grid, seen_by: Values) -> list[Rival]:
+    def _rivals(self, view: FleetView, passable: Grid, seen_by: Values) -> list[OtherExplorer]:
         """Live robots, each with the ways from where it is, and what it has claimed."""
         rivals = []
         for slot in sorted(view.live - {view.slot}):
@@ -175,7 +182,7 @@ class Exploration:
             target = self._middle(claimed[-1]) if claimed else None
             was, passable[at] = bool(passable[at]), True
             theirs = (seen_by >= 0) & (seen_by != slot)
-            rivals.append(Rival(slot, wave_from(passable, target or at, dear=theirs), target))
+            rivals.append(OtherExplorer(slot, wave_from(passable, target or at, dear=theirs), target))
             passable[at] = was
         return rivals
 
@@ -218,7 +225,7 @@ class Exploration:
         self._way.head_for(self.chart.geometry.centre(*frontier.station), view)
         self._begin_task(frontier.patch, view)
 
-    def _pursue(self, section: int, order: Order, view: FleetView) -> None:
+    def _pursue(self, section: int, order: ExplorationOrder, view: FleetView) -> None:
         self._legs = list(order.points[1:])
         self._way.head_for(order.points[0], view)
         self._begin_task(section, view)
@@ -260,14 +267,14 @@ class Exploration:
 
     # ---------------------------------------------------------------- moving
 
-    def approach(self, section: int, view: FleetView) -> Wish:
+    def approach(self, section: int, view: FleetView) -> MotionRequest:
         self._see(view)
         return self._way.drive(view)
 
     def admits(self, goal: XY) -> bool:
         return self.chart.admits(goal)
 
-    def travel(self, goal: XY, view: FleetView) -> Wish:
+    def travel(self, goal: XY, view: FleetView) -> MotionRequest:
         self._see(view)
         if goal != self._way.station:
             self._way.head_for(goal, view)
@@ -275,13 +282,13 @@ class Exploration:
             self._way.plan(view.here)
         return self._way.drive(view)
 
-    def rest(self, view: FleetView) -> Wish:
+    def rest(self, view: FleetView) -> MotionRequest:
         self._see(view)
         if self.task is not None:
             self._end_task(Status.FAILED)  # its claim was lost before it began
         return TURN_ROUND
 
-    def work(self, view: FleetView) -> Wish:
+    def work(self, view: FleetView) -> MotionRequest:
         self._see(view)
         now_us = view.now_us
         if self.task is None:

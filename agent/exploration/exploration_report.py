@@ -7,7 +7,7 @@ old each line is can be told with it; without ages the text has exactly the miss
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from agent.exploration.exploration_mission import Exploration
+from agent.exploration.exploration_mission import ExplorationMission
 from agent.exploration.exploration_task import FleetTask, Status, fixed
 from agent.interface.config import S
 from agent.peer.peer import Peer
@@ -39,7 +39,7 @@ class FleetStatus(NamedTuple):
     now_us: int
 
 
-def fleet_status(peer: Peer, mission: Exploration, now_us: int) -> FleetStatus:
+def fleet_status(peer: Peer, mission: ExplorationMission, now_us: int) -> FleetStatus:
     """As this peer knows it."""
     tasks = {task.assigned_to: task for task in _tasks(peer, mission)}
     members = []
@@ -63,7 +63,7 @@ def fleet_status(peer: Peer, mission: Exploration, now_us: int) -> FleetStatus:
     )  # fmt: skip
 
 
-def _tasks(peer: Peer, mission: Exploration) -> Sequence[FleetTask]:
+def _tasks(peer: Peer, mission: ExplorationMission) -> Sequence[FleetTask]:
     """Claims that are not done, the one in work last, so that it stands for its robot."""
     found = []
     for section in peer.allocation.sections():

@@ -29,7 +29,7 @@ class Status(Enum):
     FAILED = "failed"
 
 
-class Order(NamedTuple):
+class ExplorationOrder(NamedTuple):
     """A task that somebody gave the fleet, whoever does it: go there, or round these points once."""
 
     kind: Kind  # NAVIGATE_TO or PATROL

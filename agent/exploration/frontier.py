@@ -38,7 +38,7 @@ class Frontier(NamedTuple):
     unknown: int  # cells that nobody has seen, within view of the middle
 
 
-class Rival(NamedTuple):
+class OtherExplorer(NamedTuple):
     """Another robot that could go somewhere: its slot, its wave, and the target that it has claimed."""
 
     slot: int
@@ -172,13 +172,13 @@ def frontiers(values: Values, wave: Steps, view: int) -> list[Frontier]:
     ]
 
 
-class Choosing:
+class FrontierChooser:
     """How one robot chooses among frontiers; the same for all."""
 
     def __init__(self, slot: int, cell_m: float, view: int) -> None:
         self.slot, self.cell_m, self.view = slot, cell_m, view
 
-    def utility_m(self, frontier: Frontier, wave: Steps, rivals: Sequence[Rival]) -> float:
+    def utility_m(self, frontier: Frontier, wave: Steps, rivals: Sequence[OtherExplorer]) -> float:
         """Metres: what would be seen, less the way. What somebody else will see counts for nothing."""
         way_m = int(wave[frontier.station]) / STRAIGHT * self.cell_m
         promised = max(
@@ -194,7 +194,7 @@ class Choosing:
         dr, dc = abs(a[0] - b[0]), abs(a[1] - b[1])
         return max(side - dr, 0) * max(side - dc, 0) / side**2
 
-    def rank(self, frontier: Frontier, wave: Steps, rivals: Sequence[Rival]) -> int:
+    def rank(self, frontier: Frontier, wave: Steps, rivals: Sequence[OtherExplorer]) -> int:
         """How many others are nearer to it, who are not nearer to what they have claimed."""
         mine = int(wave[frontier.station])
         nearer = 0
@@ -211,7 +211,7 @@ class Choosing:
         self,
         found: Sequence[Frontier],
         wave: Steps,
-        rivals: Sequence[Rival],
+        rivals: Sequence[OtherExplorer],
         current: int | None = None,
     ) -> Frontier | None:
         """The one to go to: best rank, then best utility; another than `current` only if by far."""

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.interface.config import S
-from agent.interface.mission import STILL, FleetView, Wish
+from agent.interface.mission import STILL, FleetView, MotionRequest
 from agent.interface.ports import Observation
 from agent.mapping.inflation import Cell
-from agent.mapping.local_and_fleet_map import SurveyMap
-from agent.motion.holonomic_motion import Limits
+from agent.mapping.local_and_fleet_map import LocalAndFleetMap
+from agent.motion.holonomic_motion import BodyLimits
 
 XY = tuple[float, float]
 Cells = tuple[NDArray[np.intp], NDArray[np.intp]]  # rows, columns
@@ -24,8 +24,8 @@ AT_M = 0.12  # of a waypoint
 TURN_ROUND = STILL._replace(turn_rad_s=TURN_RAD_S)
 
 
-class SurveyWay:
-    def __init__(self, chart: SurveyMap, limits: Limits) -> None:
+class FrontierPath:
+    def __init__(self, chart: LocalAndFleetMap, limits: BodyLimits) -> None:
         self.chart, self.limits = chart, limits
         self.station: XY | None = None
         self.arrived_us = 0  # when the station was reached; 0: not yet
@@ -80,7 +80,7 @@ class SurveyWay:
         """Whether something solid has turned up on the way since it was planned."""
         return bool(self.rest) and bool(self.chart.grid.tight.blocked[self._open].any())
 
-    def drive(self, view: FleetView) -> Wish:
+    def drive(self, view: FleetView) -> MotionRequest:
         here = view.here
         if self.station is None:
             return TURN_ROUND
@@ -101,7 +101,7 @@ class SurveyWay:
         if rest_m < self._nearest_m - NEARER_M:
             self._nearest_m, self._nearest_us = rest_m, view.now_us
         speed_m_s = min(self.limits.speed_m_s, sqrt(self.limits.acceleration_m_s2 * rest_m))
-        return Wish(dx_m / next_m * speed_m_s, dy_m / next_m * speed_m_s, TURN_RAD_S)
+        return MotionRequest(dx_m / next_m * speed_m_s, dy_m / next_m * speed_m_s, TURN_RAD_S)
 
     @staticmethod
     def _near(at: XY, here: Observation) -> bool:

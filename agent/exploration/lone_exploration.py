@@ -4,14 +4,14 @@ What sharing is measured against. Robots still see and avoid each other; a front
 for each, so that no claim of one keeps another from it.
 """
 
-from agent.exploration.exploration_mission import Exploration
+from agent.exploration.exploration_mission import ExplorationMission
 from agent.exploration.frontier import Frontier, frontiers, wave_from
 from agent.interface.mission import FleetView
 
 PATCH_BITS = 12  # a map of up to 256 x 256 cells; slots above
 
 
-class LoneExploration(Exploration):
+class LoneExploration(ExplorationMission):
     def patch_of(self, section: int) -> int:
         return section & (1 << PATCH_BITS) - 1
 

@@ -15,7 +15,7 @@ LEAP_M: Final = 0.1  # further than at one and a half times the full speed, nobo
 LEAP_SHARE: Final = 1.5
 
 
-class Shove:
+class DisplacementDetector:
     def __init__(self) -> None:
         self._seen: tuple[float, float, int] | None = None
 

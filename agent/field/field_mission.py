@@ -9,16 +9,16 @@ from collections.abc import Mapping
 from math import hypot, inf
 from typing import Final
 
-from agent.field.displacement_detector import Shove
+from agent.field.displacement_detector import DisplacementDetector
 from agent.field.field_map import Field, Section
-from agent.field.field_obstructions import BLOCKED_M, Blockage
+from agent.field.field_obstructions import BLOCKED_M, FieldObstructions
 from agent.field.parking import Parking
-from agent.field.section_choice import Choosing
+from agent.field.section_choice import SectionChooser
 from agent.field.section_partition import Point
-from agent.field.work_leg import LEAD_M, STRAIGHT_M, SWUNG_M, Leads, Leg, working_leg
-from agent.interface.mission import STILL, Choice, FleetView, Wish
+from agent.field.work_leg import LEAD_M, STRAIGHT_M, SWUNG_M, LeadInOut, WorkLeg, working_leg
+from agent.interface.mission import STILL, ClaimRequest, FleetView, MotionRequest
 from agent.motion.implement_clearance import Implement
-from agent.motion.path_tracker import Tracker
+from agent.motion.path_tracker import PathTracker
 from agent.motion.stall_watchdog import Headway
 from agent.paths.route import Route
 
@@ -30,7 +30,7 @@ NEAR_END_S: Final = 5.0  # claim the next section when this much work is left
 _wish = tuple.__new__  # all fields at once: a third of the time, and one is made every period
 
 
-class FieldWork:
+class FieldMission:
     beside_m = BLOCKED_M  # left to a silent body
     turns_on_the_spot = True  # where a swath has a corner, and swings its bar round it
     past_end_m = 0.0  # driven beyond the last unit of a leg before it counts
@@ -47,16 +47,16 @@ class FieldWork:
         self.field, self.route, self.radius_m = field, route, radius_m
         self.speed_m_s, self.deceleration_m_s2 = speed_m_s, deceleration_m_s2
         self.tolerance_m = field.tracking_tolerance_m
-        self.choosing = Choosing(field, speed_m_s)
+        self.choosing = SectionChooser(field, speed_m_s)
         self.section: Section | None = None
-        self.legs: list[Leg] = []
-        self.tracker: Tracker | None = None
-        self.leg = Leg(())
+        self.legs: list[WorkLeg] = []
+        self.tracker: PathTracker | None = None
+        self.leg = WorkLeg(())
         self.unit = 0  # index into the leg's units
         self.worst_m = 0.0  # largest cross-track error inside the current unit
         self.lifted = False  # the implement was up since we last looked
         self.lifted_to_m = 0.0  # along the leg, until where it was
-        self.shove = Shove()
+        self.shove = DisplacementDetector()
         self.headway = Headway()
         self.worked: set[int] = set()  # units of the current section done since it was begun
         self.heading_to: int | Point | None = None  # section or place an approach path leads to
@@ -64,7 +64,7 @@ class FieldWork:
         bar_m = 0.0
         if self.turns_on_the_spot:  # robots that steer do not look after their implements yet
             bar_m = Implement(field.implement_width_m / 2 - field.overlap_m, radius_m).reach_m
-        self.blockage = Blockage(route, radius_m, deceleration_m_s2, self.beside_m, bar_m)
+        self.blockage = FieldObstructions(route, radius_m, deceleration_m_s2, self.beside_m, bar_m)
 
     @property
     def section_units(self) -> Mapping[int, int]:
@@ -78,7 +78,7 @@ class FieldWork:
 
     # ---------------------------------------------------------------- choosing
 
-    def choose(self, view: FleetView) -> Choice | None:
+    def choose(self, view: FleetView) -> ClaimRequest | None:
         return self.choosing.choose(view, self._own_end(view))
 
     def _own_end(self, view: FleetView) -> Point:
@@ -90,7 +90,7 @@ class FieldWork:
 
     # ---------------------------------------------------------------- working
 
-    def approach(self, section: int, view: FleetView) -> Wish:
+    def approach(self, section: int, view: FleetView) -> MotionRequest:
         self._look_round(view)
         if self.heading_to != section:
             self.heading_to = section
@@ -102,11 +102,11 @@ class FieldWork:
     def admits(self, goal: Point) -> bool:
         return self.route.admits(goal)
 
-    def travel(self, goal: Point, view: FleetView) -> Wish:
+    def travel(self, goal: Point, view: FleetView) -> MotionRequest:
         self._look_round(view)
         if self.heading_to != goal or (self.tracker is None and not self.legs):
             self.heading_to, self.tracker = goal, None
-            self.legs = [Leg(self.blockage.path((view.here.x_m, view.here.y_m), goal, view))]
+            self.legs = [WorkLeg(self.blockage.path((view.here.x_m, view.here.y_m), goal, view))]
         return self._drive(view)[0]
 
     def begin(self, section: int, view: FleetView) -> None:
@@ -129,7 +129,7 @@ class FieldWork:
         """The implement is up: the unit under way, if there is one, has to be worked again."""
         self.worst_m, self.lifted = inf, True
 
-    def rest(self, view: FleetView) -> Wish:
+    def rest(self, view: FleetView) -> MotionRequest:
         """No work for us: stand, but not where somebody works or will."""
         self.heading_to = None
         before = self.parking.spot
@@ -142,10 +142,10 @@ class FieldWork:
             here = (view.here.x_m, view.here.y_m)
             if _distance(here, spot) <= self.tolerance_m:
                 return STILL
-            self.legs, self.tracker = [Leg(self.blockage.path(here, spot, view))], None
+            self.legs, self.tracker = [WorkLeg(self.blockage.path(here, spot, view))], None
         return self._drive(view)[0]
 
-    def work(self, view: FleetView) -> Wish:
+    def work(self, view: FleetView) -> MotionRequest:
         if self.section is None:  # resumed after a stop or a sync that forgot the geometry
             (section,) = view.allocation.assigned_sections(view.slot)[:1]
             self.begin(section, view)
@@ -216,7 +216,7 @@ class FieldWork:
         assert self.section is not None
         return self.blockage.units(self.section, things_too=view.leave_out or not last)
 
-    def _drive(self, view: FleetView) -> tuple[Wish, list[int]]:
+    def _drive(self, view: FleetView) -> tuple[MotionRequest, list[int]]:
         here = view.here
         covered: list[int] = []
         if self.shove.noticed((here.x_m, here.y_m), view.now_us, self.speed_m_s):
@@ -226,7 +226,7 @@ class FieldWork:
                 if not self.legs:
                     return STILL, covered
                 self.leg = self.legs.pop(0)
-                self.tracker = Tracker(
+                self.tracker = PathTracker(
                     list(self.leg.points), self.speed_m_s, self.deceleration_m_s2
                 )
                 self.unit, self.worst_m, self.lifted_to_m = 0, 0.0, 0.0
@@ -243,7 +243,7 @@ class FieldWork:
         on_line = self.tracker.gap_m <= LEAD_M
         tool_on = bool(self.leg.units) and on_line
         return _wish(
-            Wish, (vx_m_s, vy_m_s, 0.0, tool_on, (), False, False, False, False, -1)
+            MotionRequest, (vx_m_s, vy_m_s, 0.0, tool_on, (), False, False, False, False, -1)
         ), covered
 
     def _go_astray(self, view: FleetView) -> None:
@@ -287,12 +287,12 @@ class FieldWork:
             return False
         return any(abs(start_m - at_m) < STRAIGHT_M for start_m in self.tracker.starts_m[1:-1])
 
-    def _leads(self, section: Section, units: tuple[int, ...]) -> Leads:
+    def _leads(self, section: Section, units: tuple[int, ...]) -> LeadInOut:
         if not self.turns_on_the_spot:
             return (), ()
         return section.leads(units[0], units[-1], LEAD_M)
 
-    def _legs(self, section: Section, view: FleetView) -> list[Leg]:
+    def _legs(self, section: Section, view: FleetView) -> list[WorkLeg]:
         """From here: the uncovered stretches of the section, nearest end first, joined by transits."""
         stretches = self._stretches(section, view, last=False)
         if not stretches:
@@ -301,19 +301,19 @@ class FieldWork:
             return []
         at: Point = (view.here.x_m, view.here.y_m)
         if _distance(at, stretches[-1].points[-1]) < _distance(at, stretches[0].points[0]):
-            stretches = [Leg(leg.points[::-1], leg.units[::-1]) for leg in reversed(stretches)]
-        legs: list[Leg] = []
+            stretches = [WorkLeg(leg.points[::-1], leg.units[::-1]) for leg in reversed(stretches)]
+        legs: list[WorkLeg] = []
         for leg in stretches:
             first, last = leg.points[0], leg.points[-1]
             if _distance(at, last) + 1e-6 < _distance(at, first):
-                leg = Leg(leg.points[::-1], leg.units[::-1])
+                leg = WorkLeg(leg.points[::-1], leg.units[::-1])
             if _distance(at, leg.points[0]) > self.tolerance_m:
-                legs.append(Leg(self.blockage.path(at, leg.points[0], view)))
+                legs.append(WorkLeg(self.blockage.path(at, leg.points[0], view)))
             legs.append(leg)
             at = leg.points[-1]
         return legs
 
-    def _stretches(self, section: Section, view: FleetView, last: bool) -> list[Leg]:
+    def _stretches(self, section: Section, view: FleetView, last: bool) -> list[WorkLeg]:
         """What is left to work; `last`: what comes last too."""
         mine = self.worked if self.section is section else frozenset[int]()
         blocked = self._blocked(view, last) if self.section is section else frozenset[int]()
@@ -329,11 +329,11 @@ class FieldWork:
         ]
 
 
-def _covering(wish: Wish, covered: list[int], finished: bool, near_end: bool) -> Wish:
+def _covering(wish: MotionRequest, covered: list[int], finished: bool, near_end: bool) -> MotionRequest:
     """The wish of who works: these units were completed."""
     vx_m_s, vy_m_s, turn_rad_s, tool_on, *_ = wish
     held = (tuple(covered), finished, wish.given_up, near_end, wish.hold, wish.handle)
-    return _wish(Wish, (vx_m_s, vy_m_s, turn_rad_s, tool_on, *held))
+    return _wish(MotionRequest, (vx_m_s, vy_m_s, turn_rad_s, tool_on, *held))
 
 
 def _distance(a: Point, b: Point) -> float:

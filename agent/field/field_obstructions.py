@@ -13,7 +13,7 @@ from agent.field.field_map import Section
 from agent.interface.config import S
 from agent.interface.lifecycle import State
 from agent.interface.mission import FleetView
-from agent.motion.stopping_zone import Coasting
+from agent.motion.stopping_zone import StoppingZone
 from agent.paths.route import Route
 
 Point = tuple[float, float]
@@ -31,7 +31,7 @@ FRESH_US: Final = 1 * S  # a beat older than this does not show that a robot sta
 FORGET_US: Final = 30 * S  # then it is tried again past who stood in the way
 
 
-class Blockage:
+class FieldObstructions:
     def __init__(
         self, route: Route, radius_m: float, deceleration_m_s2: float, beside_m: float = BLOCKED_M,
         bar_m: float = 0.0,
@@ -42,7 +42,7 @@ class Blockage:
         self.unit_m = max(self.body_m, bar_m)  # from a silent body to a unit that is worked
         self.way = route  # the same with everything that stands in it
         self.things: frozenset[Point] = frozenset()
-        self.coasting = Coasting(radius_m, deceleration_m_s2)
+        self.coasting = StoppingZone(radius_m, deceleration_m_s2)
         self.bodies: tuple[Point, ...] = ()  # where silent members may stand
         self.standing: dict[int, tuple[Point, int]] = {}  # who stood in our way: where, seen when
         self._silent: tuple[int, ...] = ()

@@ -8,9 +8,9 @@ from math import cos, hypot, sin
 from typing import Final
 
 from agent.field.field_map import Field
-from agent.field.section_partition import Job, Point, shares
+from agent.field.section_partition import Point, SectionJob, shares
 from agent.interface.config import CONTROL_PERIOD_US, LEASE_US, S
-from agent.interface.mission import Choice, FleetView
+from agent.interface.mission import ClaimRequest, FleetView
 from crdt import Phase
 
 UNTAKEN_US: Final = 5 * S  # claims take a quarter of a second, a parted view two
@@ -21,11 +21,11 @@ STAYS_M: Final = 4.0  # an owner that moves on further than this does not stand
 FORGET_US: Final = 2 * CONTROL_PERIOD_US  # we were not free to choose: no time to count
 
 
-class Choosing:
+class SectionChooser:
     def __init__(self, field: Field, speed_m_s: float) -> None:
         self.field, self.speed_m_s = field, speed_m_s
         self.reserved: dict[int, list[int]] = {}  # silent member -> its sections, in its order
-        self._plan: dict[int, list[Job]] = {}
+        self._plan: dict[int, list[SectionJob]] = {}
         self._none_free = -1  # changes of the allocation when nothing was free
         self._left = -1, 0  # changes of the allocation when others were to choose, and since when
         self._gave: dict[
@@ -34,7 +34,7 @@ class Choosing:
         self._stands: dict[int, tuple[Point, int, int]] = {}  # owner: where, units it had, how long
         self._asked_us = 0
 
-    def choose(self, view: FleetView, end: Point) -> Choice | None:
+    def choose(self, view: FleetView, end: Point) -> ClaimRequest | None:
         """`end`: where we will be free."""
         self._reserve(view)
         taken = {s for sections in self.reserved.values() for s in sections}
@@ -66,7 +66,7 @@ class Choosing:
             self._left = view.allocation.changes, view.now_us
         return view.now_us - self._left[1] >= UNTAKEN_US
 
-    def _jobs(self, view: FleetView) -> list[Job]:
+    def _jobs(self, view: FleetView) -> list[SectionJob]:
         if self._none_free == view.allocation.changes:
             return []
         jobs = []
@@ -74,7 +74,7 @@ class Choosing:
             if view.allocation.phase_of(section.id) is Phase.FREE:
                 left = 1.0 - view.progress.covered(section.id) / section.units
                 work_s = section.length_m * left / self.speed_m_s
-                jobs.append(Job(section.id, work_s, section.ends))
+                jobs.append(SectionJob(section.id, work_s, section.ends))
         if not jobs:
             self._none_free = view.allocation.changes
         return jobs
@@ -106,7 +106,7 @@ class Choosing:
             if slot not in self.reserved:
                 self.reserved[slot] = [job.section for job in self._plan.get(slot, [])]
 
-    def _orphan(self, view: FleetView) -> Choice | None:
+    def _orphan(self, view: FleetView) -> ClaimRequest | None:
         """Nothing is left but what silent members own or were going to do."""
         for slot in sorted(view.silent_since_us, key=lambda s: view.silent_since_us[s]):
             if view.now_us - view.silent_since_us[slot] < LEASE_US:
@@ -152,13 +152,13 @@ class Choosing:
             seen[slot] = was, units, stood_us
         self._stands = seen
 
-    def _job(self, view: FleetView, section: int) -> Job:
-        return Job(section, 0.0, self.field.section(section).ends)
+    def _job(self, view: FleetView, section: int) -> SectionJob:
+        return SectionJob(section, 0.0, self.field.section(section).ends)
 
-    def _bid(self, view: FleetView, job: Job) -> Choice:
+    def _bid(self, view: FleetView, job: SectionJob) -> ClaimRequest:
         """The private cost: metres to the nearer end, in 31 steps of a geometric scale."""
         way_m = min(hypot(x - view.here.x_m, y - view.here.y_m) for x, y in job.ends)
         bid = 0
         while bid < 31 and way_m > 1.25**bid:
             bid += 1
-        return Choice(job.section, bid)
+        return ClaimRequest(job.section, bid)

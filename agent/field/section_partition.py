@@ -20,7 +20,7 @@ from agent.mapf.linear_assignment import NOBODY, assigned
 Point = tuple[float, float]
 
 
-class Job(NamedTuple):
+class SectionJob(NamedTuple):
     """A section as the allocator sees it."""
 
     section: int
@@ -28,11 +28,11 @@ class Job(NamedTuple):
     ends: tuple[Point, ...]  # where it can be entered
 
 
-def cut(jobs: Sequence[Job], parts: int) -> list[list[Job]]:
+def cut(jobs: Sequence[SectionJob], parts: int) -> list[list[SectionJob]]:
     """Cut jobs, in their order, into runs of nearly equal work; fewer runs where jobs are few."""
-    runs: list[list[Job]] = []
+    runs: list[list[SectionJob]] = []
     rest_s, left = sum(job.work_s for job in jobs), parts
-    run: list[Job] = []
+    run: list[SectionJob] = []
     run_s = 0.0
     for job in jobs:
         if run and left > 1 and run_s + job.work_s / 2 > rest_s / left:
@@ -47,12 +47,12 @@ def cut(jobs: Sequence[Job], parts: int) -> list[list[Job]]:
 
 
 def shares(
-    jobs: Sequence[Job], robots: Mapping[int, Point], speed_m_s: float
-) -> dict[int, list[Job]]:
+    jobs: Sequence[SectionJob], robots: Mapping[int, Point], speed_m_s: float
+) -> dict[int, list[SectionJob]]:
     """Slot -> its run, nearest end first. Robots beyond the number of runs get an empty one."""
     order = sorted(robots)
     runs = cut(jobs, len(order))
-    result: dict[int, list[Job]] = {slot: [] for slot in order}
+    result: dict[int, list[SectionJob]] = {slot: [] for slot in order}
     if not runs:
         return result
     way_m = np.array([[_way(robots[slot], run) for run in runs] for slot in order])
@@ -67,12 +67,12 @@ def shares(
     return result
 
 
-def _near(here: Point, job: Job) -> float:
+def _near(here: Point, job: SectionJob) -> float:
     near_m = inf
     for x, y in job.ends:
         near_m = min(near_m, hypot(x - here[0], y - here[1]))
     return near_m
 
 
-def _way(here: Point, run: Sequence[Job]) -> float:
+def _way(here: Point, run: Sequence[SectionJob]) -> float:
     return min(_near(here, run[0]), _near(here, run[-1]))

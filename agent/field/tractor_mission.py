@@ -1,6 +1,6 @@
 """The field mission for bodies that steer: stretches joined by ways they can turn.
 
-What is claimed, counted and announced is as in `FieldWork`. The order of stretches respects the
+What is claimed, counted and announced is as in `FieldMission`. The order of stretches respects the
 turning circle: next comes the one that the shortest Dubins word leads to, so rows nearer than two
 radii are taken with others between them where there are any.
 """
@@ -8,14 +8,20 @@ radii are taken with others between them where there are any.
 from math import cos, hypot, pi, sin
 
 from agent.field.field_map import Field, Section
-from agent.field.field_mission import FieldWork
+from agent.field.field_mission import FieldMission
 from agent.field.section_partition import Point
-from agent.field.work_leg import Leg
+from agent.field.work_leg import WorkLeg
 from agent.interface.config import CONTROL_PERIOD_US, S
 from agent.interface.lifecycle import State
-from agent.interface.mission import STILL, FleetView, Wish
-from agent.motion.tractor_escape import Escape
-from agent.motion.tractor_tracker import Limits, TractorTracker, distance_m, heading_of, smooth_way
+from agent.interface.mission import STILL, FleetView, MotionRequest
+from agent.motion.tractor_escape import EscapeManoeuvre
+from agent.motion.tractor_tracker import (
+    SteeringLimits,
+    TractorTracker,
+    distance_m,
+    heading_of,
+    smooth_way,
+)
 from agent.paths.dubins import shortest_m
 from agent.paths.route import Route
 from agent.paths.tractor_route import Piece, Pose, TurnRoute, sampled
@@ -38,14 +44,14 @@ AGAIN_US = 1_000_000  # between attempts to find a way
 HALF_PERIOD_S = CONTROL_PERIOD_US / S / 2  # the course is that of the middle of the control period
 
 
-class TractorWork(FieldWork):
+class TractorMission(FieldMission):
     beside_m = BLOCKED_M
     turns_on_the_spot = False
     past_end_m = 0.2  # of `LEAD_M`: in a corner the bar is then where it has to be
     plans_without_headway = False  # `_notice_stuck` does: a turn is longer than the way that is left
 
     def __init__(
-        self, field: Field, route: Route, turns: TurnRoute, radius_m: float, limits: Limits
+        self, field: Field, route: Route, turns: TurnRoute, radius_m: float, limits: SteeringLimits
     ) -> None:
         super().__init__(field, route, radius_m, limits.speed_m_s, limits.deceleration_m_s2)
         self.turns, self.limits = turns, limits
@@ -54,9 +60,9 @@ class TractorWork(FieldWork):
         self.bodies: list[tuple[float, float]] = []  # gone round since we were stuck
         self.joined = False  # at the beginning of the first leg, pointing along it
         self._anchor, self._anchor_us, self._again_us = (0.0, 0.0), 0, 0
-        self._escape = Escape(turns, radius_m, limits)
+        self._escape = EscapeManoeuvre(turns, radius_m, limits)
 
-    def approach(self, section: int, view: FleetView) -> Wish:
+    def approach(self, section: int, view: FleetView) -> MotionRequest:
         self._look_round(view)
         if self.heading_to != section:
             self.heading_to = section
@@ -75,21 +81,21 @@ class TractorWork(FieldWork):
             self.legs, self.follow, self.joined = self._legs(self.section, view), None, False
         self.tracker = self.follow  # type: ignore[assignment]
 
-    def travel(self, goal: Point, view: FleetView) -> Wish:
+    def travel(self, goal: Point, view: FleetView) -> MotionRequest:
         """In whichever direction it can be reached, tried one after another."""
         self._look_round(view)
         if self.heading_to != goal:
             self.heading_to, self.follow, self.joined = goal, None, False
             away_rad = heading_of((view.here.x_m, view.here.y_m), goal)
             ends = (away_rad + k * pi / 4 for k in (0, 1, -1, 2, -2, 3, -3, 4))
-            self.legs = [Leg((goal, (goal[0] + cos(a), goal[1] + sin(a)))) for a in ends]
+            self.legs = [WorkLeg((goal, (goal[0] + cos(a), goal[1] + sin(a)))) for a in ends]
         return STILL if self.joined else self._drive(view, only_approach=True)[0]
 
     def abandon(self) -> None:
         super().abandon()
         self.follow, self.joined = None, False
 
-    def rest(self, view: FleetView) -> Wish:
+    def rest(self, view: FleetView) -> MotionRequest:
         """Stand, but not where somebody works."""
         self.heading_to, self.follow, self.joined = None, None, False
         here = Pose(view.here.x_m, view.here.y_m, view.here.heading_rad)
@@ -113,7 +119,7 @@ class TractorWork(FieldWork):
         super()._go_round(view)
         self.follow, self.joined = None, False
 
-    def _drive(self, view: FleetView, only_approach: bool = False) -> tuple[Wish, list[int]]:
+    def _drive(self, view: FleetView, only_approach: bool = False) -> tuple[MotionRequest, list[int]]:
         here = Pose(view.here.x_m, view.here.y_m, view.here.heading_rad)
         covered: list[int] = []
         self._notice_stuck(view, here)
@@ -158,7 +164,7 @@ class TractorWork(FieldWork):
                 self.bodies, self._again_us = [], view.now_us + AGAIN_US
                 self.legs.append(self.legs.pop(0))
                 return False
-            self.leg = Leg((here[:2], first))
+            self.leg = WorkLeg((here[:2], first))
             self.headway.again()  # the turn is way that was not counted before
             joins_m_s = JOIN_M_S if distance_m(first, second) > BENT_M else JOIN_BENT_M_S
             way, end_m_s = sampled(here, pieces), 0.0 if only_approach else joins_m_s
@@ -192,12 +198,12 @@ class TractorWork(FieldWork):
         if self.leg.units and len(self.legs) > 1:
             self.legs.append(self.legs.pop(0))
 
-    def _legs(self, section: Section, view: FleetView) -> list[Leg]:
+    def _legs(self, section: Section, view: FleetView) -> list[WorkLeg]:
         """The uncovered stretches of the section, each next by the shortest turn."""
         left = self._stretches(section, view, last=False)
         left = left or self._stretches(section, view, last=True)
         at = Pose(view.here.x_m, view.here.y_m, view.here.heading_rad)
-        legs: list[Leg] = []
+        legs: list[WorkLeg] = []
         while left:
             k, leg = min(
                 ((k, way) for k, leg in enumerate(left) for way in (leg, _turned(leg))),
@@ -209,17 +215,17 @@ class TractorWork(FieldWork):
         return legs
 
 
-def _turned(leg: Leg) -> Leg:
-    return Leg(leg.points[::-1], leg.units[::-1])
+def _turned(leg: WorkLeg) -> WorkLeg:
+    return WorkLeg(leg.points[::-1], leg.units[::-1])
 
 
-def _start(leg: Leg) -> Pose:
+def _start(leg: WorkLeg) -> Pose:
     return Pose(*leg.points[0], heading_of(leg.points[0], leg.points[1]))
 
 
-def _wish(here: Pose, command: tuple[float, float] | None, tool_on: bool) -> Wish:
+def _wish(here: Pose, command: tuple[float, float] | None, tool_on: bool) -> MotionRequest:
     if command is None:
         return STILL
     speed_m_s, turn_rad_s = command
     course = here.heading_rad + turn_rad_s * HALF_PERIOD_S
-    return Wish(speed_m_s * cos(course), speed_m_s * sin(course), turn_rad_s, tool_on)
+    return MotionRequest(speed_m_s * cos(course), speed_m_s * sin(course), turn_rad_s, tool_on)

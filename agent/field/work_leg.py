@@ -17,12 +17,12 @@ SWUNG_M: Final = (
 assert SWUNG_M < LEAD_M
 
 
-Leads = tuple[
+LeadInOut = tuple[
     tuple[Point, ...], tuple[Point, ...]
 ]  # what of the swath is before a stretch, and after
 
 
-class Leg(NamedTuple):
+class WorkLeg(NamedTuple):
     """A polyline to drive; `units` are passed in this order, and none means transit.
 
     A leg with units is longer than they are by `LEAD_M` at both ends.
@@ -39,8 +39,8 @@ class Leg(NamedTuple):
 def working_leg(
     points: tuple[Point, ...],
     units: tuple[int, ...],
-    leads: Leads = ((), ()),
-) -> Leg:
+    leads: LeadInOut = ((), ()),
+) -> WorkLeg:
     """A stretch of units with its lead-in and lead-out. `leads`: the swath before and after it, `LEAD_M`
     each; where that turns the leg follows it: the bar has to swing round a corner at a unit's end."""
     before, after = leads
@@ -50,7 +50,7 @@ def working_leg(
         first = before
     if after and dist(after[-1], last[0]) > STRAIGHT_M:
         last = after
-    return Leg((*first, *points[1:-1], *last), units)
+    return WorkLeg((*first, *points[1:-1], *last), units)
 
 
 def _beyond(a: Point, b: Point) -> Point:

@@ -41,7 +41,7 @@ SYNC_TIMEOUT_US: Final = (
 )  # SYNCHRONIZING ends when digests agree, or after this without an answer
 
 
-class Beat(NamedTuple):
+class BeaconTiming(NamedTuple):
     """How often a peer speaks, and how long silence is tolerated, for a fleet of some size."""
 
     peers_max: int
@@ -54,9 +54,9 @@ class Beat(NamedTuple):
 # 50 take 35 %, 108 take 40 %; claims, progress and who-is-who take one or two more. With a heartbeat a
 # second, 108 peers would take 43.
 BEATS: Final = (
-    Beat(30, 50 * MS, 500 * MS, 300 * MS),
-    Beat(50, 100 * MS, 1 * S, 500 * MS),
-    Beat(PEERS_MAX, 200 * MS, 1_400 * MS, 1 * S),
+    BeaconTiming(30, 50 * MS, 500 * MS, 300 * MS),
+    BeaconTiming(50, 100 * MS, 1 * S, 500 * MS),
+    BeaconTiming(PEERS_MAX, 200 * MS, 1_400 * MS, 1 * S),
 )
 for _beat in BEATS:
     assert 5 <= _beat.silence_us / _beat.pose_us <= 6, "five or six beats may be lost before a stop"
@@ -68,7 +68,7 @@ assert BEATS[0].silence_us <= 300 * MS, (
 )
 
 
-def beat_of(peers: int) -> Beat:
+def beat_of(peers: int) -> BeaconTiming:
     """The beat for a fleet of this many configured members.
 
     >>> beat_of(6).pose_us

@@ -35,13 +35,13 @@ class FleetView(NamedTuple):
     may_move: bool = True  # no cause makes it stand
 
 
-class Choice(NamedTuple):
+class ClaimRequest(NamedTuple):
     section: int
     bid: int  # 0 to 31, the private cost of reaching it; less is better
     takeover: bool = False  # the owner is silent and its lease is over
 
 
-class Wish(NamedTuple):
+class MotionRequest(NamedTuple):
     """What the mission wants of the drive now, before anybody else's rights and safety."""
 
     vx_m_s: float
@@ -56,7 +56,7 @@ class Wish(NamedTuple):
     handle: int = -1  # a parcel to pick up here, or to put down; -1: none
 
 
-STILL = Wish(0.0, 0.0)
+STILL = MotionRequest(0.0, 0.0)
 
 
 class Mission(Protocol):
@@ -65,19 +65,19 @@ class Mission(Protocol):
         """How many units each section has; the work there is."""
         ...
 
-    def choose(self, view: FleetView) -> Choice | None: ...
-    def approach(self, section: int, view: FleetView) -> Wish:
+    def choose(self, view: FleetView) -> ClaimRequest | None: ...
+    def approach(self, section: int, view: FleetView) -> MotionRequest:
         """Go towards a section whose claim is still contested."""
         ...
 
     def begin(self, section: int, view: FleetView) -> None: ...
-    def work(self, view: FleetView) -> Wish: ...
+    def work(self, view: FleetView) -> MotionRequest: ...
     def abandon(self) -> None: ...
     def admits(self, goal: tuple[float, float]) -> bool:
         """Whether a robot may be sent there."""
         ...
 
-    def travel(self, goal: tuple[float, float], view: FleetView) -> Wish:
+    def travel(self, goal: tuple[float, float], view: FleetView) -> MotionRequest:
         """Go to a place, without work."""
         ...
 
@@ -85,12 +85,12 @@ class Mission(Protocol):
         """The implement was lifted although the mission wanted it down: what is under way failed."""
         ...
 
-    def rest(self, view: FleetView) -> Wish:
+    def rest(self, view: FleetView) -> MotionRequest:
         """No section: stand, or get out of the way."""
         ...
 
 
-class Talk(Protocol):
+class AgreementChannel(Protocol):
     """Rounds of agreement over ACCORD frames."""
 
     def hear(self, slot: int, m: Accord, now_us: int) -> None: ...
@@ -123,7 +123,7 @@ class Agreeing(Protocol):
     """A mission that settles with the others who goes where; also those that stand take part."""
 
     @property
-    def accords(self) -> Talk: ...
+    def accords(self) -> AgreementChannel: ...
     def attend(self, view: FleetView, state: State) -> None:
         """Each control period, in every state, before anything is asked of the mission."""
         ...
@@ -143,7 +143,7 @@ class Conversing(Protocol):
         ...
 
 
-class Swept(NamedTuple):
+class CoveredUnits(NamedTuple):
     """Units covered since the last call, as (section, unit), of whatever section."""
 
     units: tuple[tuple[int, int], ...]
@@ -154,6 +154,6 @@ class Swept(NamedTuple):
 class Sweeping(Protocol):
     """A mission that covers units wherever it goes, not only those of the section it holds."""
 
-    def swept(self) -> Swept:
+    def swept(self) -> CoveredUnits:
         """Each control period, in every state, after `attend`."""
         ...

@@ -10,7 +10,7 @@ from protocol.frames.frame import Frame
 from protocol.frames.messages import Message
 
 
-class Lying(NamedTuple):
+class VisibleParcel(NamedTuple):
     """A parcel within reach, as a carrier's scanner sees it."""
 
     x_m: float
@@ -19,7 +19,7 @@ class Lying(NamedTuple):
 
 
 NEVER_US = -(1 << 62)  # without a time, what is sensed is as old as can be
-NOTHING_SEEN: Mapping[int, Lying] = {}
+NOTHING_SEEN: Mapping[int, VisibleParcel] = {}
 
 
 class Observation(NamedTuple):
@@ -36,12 +36,12 @@ class Observation(NamedTuple):
     battery: float = 1.0  # share of a full charge
     bodies: tuple[tuple[float, float], ...] = ()  # others in sight, metres east and north of us
     load: int = -1  # of a carrier: the parcel that is aboard; -1: none
-    parcels: Mapping[int, Lying] = NOTHING_SEEN  # and those within its reach
+    parcels: Mapping[int, VisibleParcel] = NOTHING_SEEN  # and those within its reach
     sensed_at_us: int = NEVER_US  # on the clock of the peer that is told
     health: float = 1.0  # what the machine's own controller says of it: 0.0 failed to 1.0 healthy
 
 
-class Beat(NamedTuple):
+class BufferedBeacon(NamedTuple):
     """A calm beat or heartbeat on a shelf: of somebody who neither stands stopped nor leaves."""
 
     source: int
@@ -68,10 +68,10 @@ class Bus(Protocol):
 
 
 @runtime_checkable
-class Shelving(Protocol):
+class BatchedDelivery(Protocol):
     """A bus that can keep calm beats for later: a simulated one, which hands over thousands a second."""
 
-    def shelve(self, shelf: list[Beat] | None) -> None:
+    def shelve(self, shelf: list[BufferedBeacon] | None) -> None:
         """From now on they are put on the shelf, and not called back for; None: they are again."""
         ...
 

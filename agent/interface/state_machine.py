@@ -26,7 +26,7 @@ def matrix(events: type[E], *rows: tuple[S | None, ...]) -> dict[tuple[S, E], S]
     return table
 
 
-class Machine(Generic[S, E]):
+class StateMachine(Generic[S, E]):
     """A current state and the table it moves by."""
 
     def __init__(self, name: str, table: Mapping[tuple[S, E], S], start: S) -> None:

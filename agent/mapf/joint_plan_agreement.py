@@ -28,10 +28,10 @@ from numpy.typing import NDArray
 
 from agent.interface.config import MS, S
 from agent.mapf.agreement_phase import CALM_US, Phase, after, ahead
-from agent.mapf.lacam import JointPlan, Turn, planned
+from agent.mapf.lacam import JointPlan, Precedence, planned
 from agent.mapf.lattice import FINE, Lattice, components
 from agent.mapf.linear_assignment import assigned
-from protocol.frames.accord_frames import Accord, Answer, Say
+from protocol.frames.accord_frames import Accord, AgreementKind, AgreementReply
 
 Point = tuple[float, float]
 STANDS_M_S = 0.06  # slower than this is standing: what POSE can tell apart from nothing
@@ -46,16 +46,16 @@ SEATS = 3  # pitches round a place in which a node is looked for
 AFAR = 1 << 24  # cost of a node that is none of ours; more than all squares of a map
 
 
-class Place(NamedTuple):
+class Participant(NamedTuple):
     """What one robot said of itself in this round."""
 
     node: int
     goal: int
-    answer: Answer
+    answer: AgreementReply
     detail: int
 
 
-class Accords:
+class JointPlanAgreement:
     """One robot's part in all rounds. It takes the time and what it hears, and returns words."""
 
     def __init__(self, slot: int, lattice: Lattice, radius_m: float) -> None:
@@ -67,7 +67,7 @@ class Accords:
         self.called = 0  # rounds that we called
         self.rounds = 0  # rounds that we took part in
         self.unsolved = 0  # rounds without a plan: nobody could be brought to where it wants
-        self._places: dict[int, Place] = {}
+        self._places: dict[int, Participant] = {}
         self._things: set[int] = set()  # nodes on which something stands that is no member
         self._seen: list[int] = []  # those of them that we have said
         self._used: object = None  # bodies and things that the plan was made round
@@ -75,7 +75,7 @@ class Accords:
         self._reached: dict[int, int] = {}  # index of the node reached; -1: not on the route yet
         self._since_us = 0  # of this phase, or of our own last progress in it
         self._progress_us = 0  # of anybody's
-        self._said_us: dict[Say, int] = {}
+        self._said_us: dict[AgreementKind, int] = {}
 
     # ---------------------------------------------------------------- facts in
 
@@ -90,14 +90,14 @@ class Accords:
             return  # a round that is over
         if later:
             self._begin(m.round, now_us)
-        if m.say == Say.PLACE:
+        if m.say == AgreementKind.PLACE:
             if m.first < len(self.lattice) and m.second < len(self.lattice):
-                place = Place(m.first, m.second, Answer(m.answer), m.detail)
+                place = Participant(m.first, m.second, AgreementReply(m.answer), m.detail)
                 self._places.setdefault(slot, place)
-        elif m.say == Say.BODY:
+        elif m.say == AgreementKind.BODY:
             if m.first < len(self.lattice):
                 self._things.add(m.first)
-        elif m.say == Say.PLAN:
+        elif m.say == AgreementKind.PLAN:
             self._digests[slot] = m.first | m.second << 16
         elif m.first - 1 > self._reached.get(slot, -1):
             self._reached[slot] = m.first - 1
@@ -151,7 +151,7 @@ class Accords:
         if index > self.index:
             self._reached[self.slot] = index
             self._since_us = now_us
-            self._said_us.pop(Say.AT, None)
+            self._said_us.pop(AgreementKind.AT, None)
 
     @property
     def _arrived(self) -> bool:
@@ -170,7 +170,7 @@ class Accords:
         at: Point,
         speed_m_s: float,
         goal: Point | None,
-        answer: Answer,
+        answer: AgreementReply,
         peers: Iterable[int],
         dead: Mapping[int, Point],
         things: Iterable[Point],
@@ -182,14 +182,14 @@ class Accords:
             if self.slot not in self._places and speed_m_s < STANDS_M_S:
                 node, detail = self.lattice.tell(at)
                 wants = node if goal is None or answer else self.lattice.nearest(goal)
-                self._places[self.slot] = Place(node, wants, answer, detail)
+                self._places[self.slot] = Participant(node, wants, answer, detail)
                 self._see(things)
             if self._places.keys() >= {self.slot, *peers}:
                 self.phase, self._since_us = Phase.AGREE, now_us
         if self.phase is Phase.AGREE:
             self._compute(dead)
             own = self._digests[self.slot]
-            movers = [s for s in self.order if self._places[s].answer is Answer.GRANT]
+            movers = [s for s in self.order if self._places[s].answer is AgreementReply.GRANT]
             if all(self._digests.get(slot) == own for slot in movers):
                 self.phase, self._since_us = Phase.GO, now_us
         if self.phase is Phase.GO and self._over:
@@ -197,7 +197,7 @@ class Accords:
         patience_us = PATIENCE_US if self.phase is Phase.GO else PATIENCE_US // 2
         if self.bound and now_us - max(self._since_us, self._progress_us) > patience_us:
             place = self._places.get(self.slot)
-            if self.phase is Phase.AGREE and place is not None and place.answer is Answer.DEAF:
+            if self.phase is Phase.AGREE and place is not None and place.answer is AgreementReply.DEAF:
                 self.phase = Phase.FREE  # it cannot agree; the others have done what they did
             else:
                 self.call(now_us)
@@ -206,21 +206,21 @@ class Accords:
         """What is due with this beat."""
         words: list[Accord] = []
         place = self._places.get(self.slot)
-        if place is not None and self._due(Say.PLACE, self.phase is Phase.GATHER, now_us):
+        if place is not None and self._due(AgreementKind.PLACE, self.phase is Phase.GATHER, now_us):
             words.append(
-                Accord(self.round, Say.PLACE, place.answer, place.node, place.goal, place.detail)
+                Accord(self.round, AgreementKind.PLACE, place.answer, place.node, place.goal, place.detail)
             )
-        if self._seen and self._due(Say.BODY, self.phase is not Phase.GO, now_us):
-            words += [Accord(self.round, Say.BODY, 0, node, 0, 0) for node in self._seen]
+        if self._seen and self._due(AgreementKind.BODY, self.phase is not Phase.GO, now_us):
+            words += [Accord(self.round, AgreementKind.BODY, 0, node, 0, 0) for node in self._seen]
         digest = self._digests.get(self.slot)
-        if digest is not None and self._due(Say.PLAN, self.phase is Phase.AGREE, now_us):
-            words.append(Accord(self.round, Say.PLAN, 0, digest & 0xFFFF, digest >> 16, 0))
+        if digest is not None and self._due(AgreementKind.PLAN, self.phase is Phase.AGREE, now_us):
+            words.append(Accord(self.round, AgreementKind.PLAN, 0, digest & 0xFFFF, digest >> 16, 0))
         hurried = self.phase is Phase.GO and now_us - self._since_us < HURRIED_US
-        if self.index >= 0 and self._due(Say.AT, hurried, now_us):
-            words.append(Accord(self.round, Say.AT, 0, self.index + 1, 0, 0))
+        if self.index >= 0 and self._due(AgreementKind.AT, hurried, now_us):
+            words.append(Accord(self.round, AgreementKind.AT, 0, self.index + 1, 0, 0))
         return words
 
-    def _due(self, say: Say, hurried: bool, now_us: int) -> bool:
+    def _due(self, say: AgreementKind, hurried: bool, now_us: int) -> bool:
         last_us = self._said_us.get(say)
         if last_us is not None and now_us - last_us < (HURRY_US if hurried else CALM_US):
             return False
@@ -250,19 +250,19 @@ class Accords:
             return
         self._used = used
         self._reached.clear()
-        self._said_us.pop(Say.PLAN, None)
+        self._said_us.pop(AgreementKind.PLAN, None)
         order = self.order = tuple(sorted(self._places))
         places = [self._places[slot] for slot in order]
         body_m = 2 * self.radius_m + KEPT_M
         bodies = [
-            self.lattice.told(p.node, p.detail) for p in places if p.answer is not Answer.GRANT
+            self.lattice.told(p.node, p.detail) for p in places if p.answer is not AgreementReply.GRANT
         ]
         bodies += bodies_used.values()
         blocked = {int(n) for body in bodies for n in self.lattice.within(body, body_m)}
         blocked |= self._things
-        movers = [k for k, p in enumerate(places) if p.answer is Answer.GRANT]
+        movers = [k for k, p in enumerate(places) if p.answer is AgreementReply.GRANT]
         routes: list[tuple[int, ...]] = [(p.node,) for p in places]
-        turns: list[tuple[Turn | None, ...]] = [(None,) for _ in places]
+        turns: list[tuple[Precedence | None, ...]] = [(None,) for _ in places]
         self.plan = JointPlan(tuple(routes), tuple(turns))
         found = plan_of(
             self.lattice, tuple(places[k] for k in movers), tuple(sorted(blocked)), self.round
@@ -275,7 +275,7 @@ class Accords:
                 turns[k] = tuple(t and t._replace(robot=movers[t.robot]) for t in turn)
             self.plan = JointPlan(tuple(routes), tuple(turns))
         for k, p in enumerate(places):
-            if p.answer is not Answer.GRANT or found is None:  # it stays where it is
+            if p.answer is not AgreementReply.GRANT or found is None:  # it stays where it is
                 self._reached[order[k]] = len(routes[k]) - 1
         self._digests[self.slot] = crc32(repr((order, self.plan)).encode())
 
@@ -284,7 +284,7 @@ _KEPT: dict[object, tuple[Lattice, JointPlan | None]] = {}  # a lattice kept kee
 
 
 def plan_of(
-    lattice: Lattice, places: tuple[Place, ...], blocked: tuple[int, ...], salt: int
+    lattice: Lattice, places: tuple[Participant, ...], blocked: tuple[int, ...], salt: int
 ) -> JointPlan | None:
     """The joint plan of these robots among these blocked nodes; None where there is none.
 
@@ -298,7 +298,7 @@ def plan_of(
 
 
 def _plan_of(
-    lattice: Lattice, places: tuple[Place, ...], blocked: tuple[int, ...], salt: int
+    lattice: Lattice, places: tuple[Participant, ...], blocked: tuple[int, ...], salt: int
 ) -> JointPlan | None:
     if not places:
         return JointPlan((), ())

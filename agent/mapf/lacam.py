@@ -157,7 +157,7 @@ def planned(
     return JointPlan.of(table.steps)
 
 
-class Turn(NamedTuple):
+class Precedence(NamedTuple):
     """Before a move: this robot must have reached its `node`-th node."""
 
     robot: int
@@ -168,24 +168,24 @@ class JointPlan(NamedTuple):
     """Each robot's nodes, and for each of them whom it waits for before it moves there."""
 
     routes: tuple[tuple[int, ...], ...]
-    turns: tuple[tuple[Turn | None, ...], ...]
+    turns: tuple[tuple[Precedence | None, ...], ...]
 
     @classmethod
     def of(cls, steps: Sequence[Ints]) -> "JointPlan":
         """From the configurations of `search`."""
         count = len(steps[0])
         routes: list[list[int]] = [[] for _ in range(count)]
-        turns: list[list[Turn | None]] = [[] for _ in range(count)]
-        visitor: dict[int, Turn] = {}  # node: who was there last, as its which node
+        turns: list[list[Precedence | None]] = [[] for _ in range(count)]
+        visitor: dict[int, Precedence] = {}  # node: who was there last, as its which node
         for at in steps:
             moved = [i for i in range(count) if not routes[i] or routes[i][-1] != at[i]]
             waits = [visitor.get(int(at[i])) for i in moved]
             for i, wait in zip(moved, waits, strict=True):
                 node = int(at[i])
                 routes[i].append(node)
-                gone = None if wait is None or wait.robot == i else Turn(wait.robot, wait.node + 1)
+                gone = None if wait is None or wait.robot == i else Precedence(wait.robot, wait.node + 1)
                 turns[i].append(gone)
-                visitor[node] = Turn(i, len(routes[i]) - 1)
+                visitor[node] = Precedence(i, len(routes[i]) - 1)
         return cls(tuple(map(tuple, routes)), tuple(map(tuple, turns)))
 
     def times(self) -> list[list[int]]:

@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from agent.interface.config import CONTROL_PERIOD_US, S
 from agent.interface.ports import Observation
 from agent.mapping.building import Floor
-from agent.mapping.local_and_fleet_map import SURE, SurveyMap
+from agent.mapping.local_and_fleet_map import SURE, LocalAndFleetMap
 from agent.mapping.occupancy_grid import Obstacle, OccupancyGrid
 from agent.mapping.ray_evidence import LEAST, MOST
-from agent.motion.unexplained_echoes import BODY_M, Sensed
+from agent.motion.unexplained_echoes import BODY_M, UnexplainedEchoes
 from crdt.occupancy import Geometry
 from crdt.sighting import FREE, OBSTACLE, TIME_MAX, UNKNOWN, VALUE, base, unpack
 from protocol.sync.map_sync import MapSync, Values
@@ -52,14 +52,14 @@ def geometry_of(floor: Floor) -> Geometry:
     return Geometry(rows, columns, floor.origin, floor.fine_m)
 
 
-class Hazards:
+class DynamicObstacles:
     def __init__(self, floor: Floor, sync: MapSync | None = None, reach_m: float = 0.0) -> None:
         """`sync`: None where nothing is shared. `reach_m`: so near to a goal is near enough where
         something stands on it."""
         self.floor, self.sync, self.reach_m = floor, sync, reach_m
-        self.sensed = Sensed(floor.fences, floor.radius_m)
+        self.sensed = UnexplainedEchoes(floor.fences, floor.radius_m)
         self.hits: list[XY] = []  # what our rays hit just now and neither wall nor robot explains
-        self.map: HazardMap | None = None
+        self.map: ObstacleMap | None = None
         self._geometry = geometry_of(floor)
         self._version = 0
 
@@ -75,7 +75,7 @@ class Hazards:
         if self.map is None:
             if not (self.hits or told or bodies):
                 return
-            self.map = HazardMap(self.floor, self.sync)
+            self.map = ObstacleMap(self.floor, self.sync)
         elif not (self.hits or told or self.map.awake):
             return  # nothing is there, and nothing has come: looks would change nothing
         if self.sync is not None:
@@ -86,7 +86,7 @@ class Hazards:
     def avoid(self, at: XY, now_us: int) -> None:
         """Ways go round a place for `BELIEVED_S`, because we were held up there and nothing is seen."""
         if self.map is None:
-            self.map = HazardMap(self.floor, self.sync)
+            self.map = ObstacleMap(self.floor, self.sync)
         self.map.avoid(at, now_us)
 
     @property
@@ -175,7 +175,7 @@ class Hazards:
         return gaps[near], np.column_stack((r, c))[near]
 
 
-class HazardMap(SurveyMap):
+class ObstacleMap(LocalAndFleetMap):
     """The two maps of one robot, less the walls that everybody knows."""
 
     def __init__(self, floor: Floor, sync: MapSync | None) -> None:

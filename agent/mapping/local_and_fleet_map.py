@@ -25,7 +25,7 @@ SEEN, SURE = (
 )  # confidence after one look, and after the most that count
 
 
-class SurveyMap:
+class LocalAndFleetMap:
     def __init__(
         self, sync: MapSync | None, geometry: Geometry, body_radius_m: float, range_m: float,
         grid: OccupancyGrid | None = None,

@@ -38,7 +38,7 @@ STEP_M: Final = 0.5  # of the way to a refuge
 RADII_M = (2.5, 4.5, 7.0)
 
 
-class Other(NamedTuple):
+class NearbyRobot(NamedTuple):
     """A neighbour close by, relative to us."""
 
     slot: int
@@ -51,7 +51,7 @@ class Other(NamedTuple):
         return hypot(self.dx_m, self.dy_m)
 
 
-class GivingWay:
+class DeadlockYield:
     def __init__(
         self,
         slot: int,
@@ -74,7 +74,7 @@ class GivingWay:
         self._for: int | None = None  # whom we give way to
         self._refuge: Point = (0.0, 0.0)
 
-    def wish(self, at: Point, wanted: Point, others: list[Other], now_us: int) -> Point | None:
+    def wish(self, at: Point, wanted: Point, others: list[NearbyRobot], now_us: int) -> Point | None:
         """Another velocity to want than the mission's, or None where nobody is in the way."""
         if now_us < self._until_us:
             return self._go(at, others)
@@ -92,7 +92,7 @@ class GivingWay:
         return self._decide(at, wanted, close, others, now_us)
 
     def _decide(
-        self, at: Point, wanted: Point, close: list[Other], others: list[Other], now_us: int
+        self, at: Point, wanted: Point, close: list[NearbyRobot], others: list[NearbyRobot], now_us: int
     ) -> Point | None:
         ahead = [o for o in close if o.dx_m * wanted[0] + o.dy_m * wanted[1] > 0] or close
         blocker = min(ahead, key=lambda o: (o.state != State.WORKING, o.slot))
@@ -109,7 +109,7 @@ class GivingWay:
         self._anchor_us, self._wanted_m = self._until_us, 0.0
         return self._go(at, others)
 
-    def _go(self, at: Point, others: list[Other]) -> Point:
+    def _go(self, at: Point, others: list[NearbyRobot]) -> Point:
         other = next((o for o in others if o.slot == self._for), None)
         if other is None or other.distance_m > 2 * self.radius_m + APART_M * self.scale:
             self._until_us = 0  # the way is free
@@ -120,7 +120,7 @@ class GivingWay:
         speed_m_s = min(0.6 * self.speed_m_s, distance_m)
         return dx_m / distance_m * speed_m_s, dy_m / distance_m * speed_m_s
 
-    def _find(self, at: Point, wanted: Point, blocker: Other, others: list[Other]) -> Point | None:
+    def _find(self, at: Point, wanted: Point, blocker: NearbyRobot, others: list[NearbyRobot]) -> Point | None:
         """A place that can be reached straight, away from fences and everybody, first of all from
         the one we give way to; round somebody that stands, one that lies towards where we want."""
         best: tuple[float, Point] | None = None
@@ -138,7 +138,7 @@ class GivingWay:
                     best = (score, spot)
         return None if best is None else best[1]
 
-    def _clear(self, at: Point, direction: Point, length_m: float, others: list[Other]) -> bool:
+    def _clear(self, at: Point, direction: Point, length_m: float, others: list[NearbyRobot]) -> bool:
         ux, uy = direction
         for other in others:
             along_m = min(max(other.dx_m * ux + other.dy_m * uy, 0.0), length_m)

@@ -13,19 +13,19 @@ from typing import Final, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.avoidance.orca import Avoidance
+from agent.avoidance.orca import OrcaSolver
 from agent.interface.config import CONTROL_PERIOD_US, NEIGHBOURS_MAX, S
 from agent.interface.effects import HALT, Drive
 from agent.interface.lifecycle import State
-from agent.interface.mission import Wish
+from agent.interface.mission import MotionRequest
 from agent.interface.ports import Observation
-from agent.motion.deadlock_yield import GivingWay, Other
+from agent.motion.deadlock_yield import DeadlockYield, NearbyRobot
 from agent.motion.implement_clearance import Implement
-from agent.motion.obstacle_detector import Lookout
+from agent.motion.obstacle_detector import ObstacleDetector
 from agent.motion.right_of_way import RightOfWay
 from agent.motion.sensed_walls import fences_of
-from agent.motion.stopping_zone import Coasting
-from agent.motion.unexplained_echoes import Sensed
+from agent.motion.stopping_zone import StoppingZone
+from agent.motion.unexplained_echoes import UnexplainedEchoes
 from agent.peer.membership import Neighbour
 
 MARGIN_M: Final = 0.15  # POSE rounds to 0.05 m, a drive takes a period to act, wheels slip
@@ -45,7 +45,7 @@ def _square(row: tuple[float, ...]) -> float:
     return row[0] * row[0] + row[1] * row[1]
 
 
-class Limits(NamedTuple):
+class BodyLimits(NamedTuple):
     """What the body is and can do."""
 
     radius_m: float
@@ -53,19 +53,19 @@ class Limits(NamedTuple):
     acceleration_m_s2: float
 
 
-class Mover(Protocol):
+class MotionController(Protocol):
     """What a control period asks: the drive for a wish, harming nobody."""
 
     def drive(
-        self, here: Observation, wish: Wish, neighbours: Mapping[int, Neighbour], now_us: int
+        self, here: Observation, wish: MotionRequest, neighbours: Mapping[int, Neighbour], now_us: int
     ) -> Drive: ...
 
 
-class Motion:
+class HolonomicMotion:
     def __init__(
         self,
         slot: int,
-        limits: Limits,
+        limits: BodyLimits,
         fences: NDArray[np.float64] | None,
         *,
         fence_m: float = FENCE_M,
@@ -86,34 +86,34 @@ class Motion:
         self.slot, self.limits = slot, limits
         self.sensing = fences is None
         fences = np.empty((0, 4)) if fences is None else fences
-        self.avoidance = Avoidance(
+        self.avoidance = OrcaSolver(
             limits.radius_m + fence_m, limits.speed_m_s, 0.5 * limits.acceleration_m_s2,
             horizon_s, CONTROL_PERIOD_US / S, fences, keep_right_rad=keep_right_rad,
             stopping_m_s2=limits.acceleration_m_s2 if stops else 0.0,
         )  # fmt: skip
         # Nobody further away can be met within the horizon, both at full speed.
         self.reach_m = 2 * limits.speed_m_s * horizon_s + 2 * limits.radius_m
-        self.sensed = Sensed(fences, limits.radius_m) if looks else None
+        self.sensed = UnexplainedEchoes(fences, limits.radius_m) if looks else None
         self.right = RightOfWay()
         self.implement = Implement(half_bar_m, limits.radius_m)
-        self.coasting = Coasting(limits.radius_m, limits.acceleration_m_s2)
+        self.coasting = StoppingZone(limits.radius_m, limits.acceleration_m_s2)
         self.state = State.IDLE  # ours, as the beat says
         self.strange: list[tuple[float, float]] = []  # seen at the last control period
-        self.others: list[Other] = []  # within reach at the last control period
+        self.others: list[NearbyRobot] = []  # within reach at the last control period
         # Who asks before going on needs to know every wall beforehand.
-        self.lookout: Lookout | None = None
+        self.lookout: ObstacleDetector | None = None
         assert not (asks and self.sensing)
         if asks or not (looks or self.sensing):
-            self.lookout = Lookout(limits.radius_m, limits.acceleration_m_s2, fences, self.coasting)
-        self.giving_way: GivingWay | None = None
+            self.lookout = ObstacleDetector(limits.radius_m, limits.acceleration_m_s2, fences, self.coasting)
+        self.giving_way: DeadlockYield | None = None
         if gives_way:
             scale = limits.radius_m / FIELD_RADIUS_M if self.sensing else 1.0
-            self.giving_way = GivingWay(
+            self.giving_way = DeadlockYield(
                 slot, limits.radius_m, limits.speed_m_s, fences, scale, self.implement.near_m
             )
 
     def drive(
-        self, here: Observation, wish: Wish, neighbours: Mapping[int, Neighbour], now_us: int
+        self, here: Observation, wish: MotionRequest, neighbours: Mapping[int, Neighbour], now_us: int
     ) -> Drive:
         if wish.hold:  # who stands is gone round; nobody is hurt by it
             return HALT._replace(handle=wish.handle)
@@ -142,10 +142,10 @@ class Motion:
     def _rows(
         self, here: Observation, neighbours: Mapping[int, Neighbour], now_us: int,
         keeps_off: bool = False,
-    ) -> tuple[list[tuple[float, ...]], list[Other]]:  # fmt: skip
+    ) -> tuple[list[tuple[float, ...]], list[NearbyRobot]]:  # fmt: skip
         """`keeps_off`: from implements that are down."""
         near: list[tuple[float, ...]] = []
-        others: list[Other] = []
+        others: list[NearbyRobot] = []
         bodies_m = 2 * self.limits.radius_m + MARGIN_M
         keeps_off = keeps_off and self.implement.has
         self.coasting.look(neighbours, here, now_us)
@@ -163,7 +163,7 @@ class Motion:
             if places is not None:
                 offsets = [(x_m - own_x_m, y_m - own_y_m) for x_m, y_m in places]
                 offsets.sort(key=lambda d: d[0] * d[0] + d[1] * d[1])
-                others += [Other(slot, *offset, state) for offset in offsets[:1]]
+                others += [NearbyRobot(slot, *offset, state) for offset in offsets[:1]]
                 near += [(*d, 0.0, 0.0, bodies_m, 1.0, 0.0) for d in offsets[:PLACES_MAX]]
                 continue
             if speed_m_s > STANDING_M_S and age_us < AGE_MAX_US and not stopped:
@@ -174,7 +174,7 @@ class Motion:
             combined_m = bodies_m
             if keeps_off and state == State.WORKING:
                 combined_m = self.implement.combined_m(hypot(dx_m, dy_m), bodies_m)
-            others.append(_tuple(Other, (slot, dx_m, dy_m, state)))
+            others.append(_tuple(NearbyRobot, (slot, dx_m, dy_m, state)))
             near.append((dx_m, dy_m, vx_m_s, vy_m_s, combined_m, share, moved_on_s))
         self.others = others
         if len(near) > 1:
@@ -195,7 +195,7 @@ class Motion:
         both = sorted(rows + seen, key=lambda row: hypot(row[0], row[1]) - row[4])
         return both[:NEIGHBOURS_MAX]
 
-    def _limited(self, wish: Wish) -> tuple[float, float]:
+    def _limited(self, wish: MotionRequest) -> tuple[float, float]:
         speed_m_s = hypot(wish.vx_m_s, wish.vy_m_s)
         if speed_m_s <= self.limits.speed_m_s:
             return wish.vx_m_s, wish.vy_m_s

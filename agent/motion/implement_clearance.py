@@ -12,7 +12,7 @@ from typing import Final
 
 from agent.field.work_leg import LEAD_M
 from agent.interface.ports import Observation
-from agent.motion.deadlock_yield import NEAR_M, Other
+from agent.motion.deadlock_yield import NEAR_M, NearbyRobot
 
 DEPTH_M: Final = 0.25  # along the course, before and behind the middle
 AHEAD_M: Final = 0.3  # what two robots close in on each other in a period, and the rounding of poses
@@ -40,7 +40,7 @@ class Implement:
         return max(bodies_m, min(self._aside_m, apart_m - NOT_NEARER_M)) if self.has else bodies_m
 
     def must_be_up(
-        self, here: Observation, wanted: tuple[float, float], others: Sequence[Other]
+        self, here: Observation, wanted: tuple[float, float], others: Sequence[NearbyRobot]
     ) -> bool:
         """Whether a body is, or may come within a period, where the bar is."""
         if not self.has:
@@ -53,7 +53,7 @@ class Implement:
             courses.append((wanted[0] / wanted_m_s, wanted[1] / wanted_m_s))
         return any(self._meets(course, other) for other in others for course in courses)
 
-    def _meets(self, course: tuple[float, float], other: Other) -> bool:
+    def _meets(self, course: tuple[float, float], other: NearbyRobot) -> bool:
         ux, uy = course
         ahead_m = abs(other.dx_m * ux + other.dy_m * uy) - self._depth_m
         aside_m = abs(other.dx_m * uy - other.dy_m * ux) - self._half_m

@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from agent.avoidance.fence_distance import gap_m
 from agent.interface.config import ACTUATOR_TTL_US, CONTROL_PERIOD_US, S
 from agent.interface.ports import Observation
-from agent.motion.stopping_zone import Coasting
+from agent.motion.stopping_zone import StoppingZone
 from agent.peer.membership import Neighbour
 
 Point = tuple[float, float]
-Grain = tuple[int, int]  # a square of the ground: one point is remembered in each
+GroundCell = tuple[int, int]  # a square of the ground: one point is remembered in each
 
 REACTION_S: Final = (
     ACTUATOR_TTL_US + CONTROL_PERIOD_US
@@ -40,7 +40,7 @@ BEYOND_M: Final = 0.4  # a ray that goes so much further than a point has passed
 FORGET_US: Final = 300 * S  # a point that nobody has looked at again for so long
 
 
-class Sighting(NamedTuple):
+class Detection(NamedTuple):
     """Something in the way."""
 
     x_m: float  # the nearest point of it
@@ -48,15 +48,15 @@ class Sighting(NamedTuple):
     free_m: float  # from the hull along the motion
 
 
-class Lookout:
+class ObstacleDetector:
     def __init__(
         self, radius_m: float, deceleration_m_s2: float, fences: NDArray[np.float64],
-        coasting: Coasting,
+        coasting: StoppingZone,
     ) -> None:  # fmt: skip
         """`fences`: known segments, (n, 4): ax, ay, bx, by in metres. `coasting`: kept by our motion."""
         self.radius_m, self.deceleration_m_s2 = radius_m, deceleration_m_s2
         self.fences, self.coasting = fences, coasting
-        self.points: dict[Grain, tuple[Point, int]] = {}  # the newest in each, and when it was seen
+        self.points: dict[GroundCell, tuple[Point, int]] = {}  # the newest in each, and when it was seen
 
     def stopping_m(self, speed_m_s: float) -> float:
         return speed_m_s * REACTION_S + speed_m_s * speed_m_s / (2 * self.deceleration_m_s2)
@@ -67,7 +67,7 @@ class Lookout:
         motions: Sequence[Point],
         neighbours: Mapping[int, Neighbour],
         now_us: int,
-    ) -> Sighting | None:
+    ) -> Detection | None:
         """Once a control period: the nearest thing in the way of motions, metres per second."""
         if not here.ranges_m:
             return None
@@ -104,13 +104,13 @@ class Lookout:
         """From the middle of the hull: further ahead nothing has to be looked for yet."""
         return self.radius_m + MARGIN_M + self.stopping_m(speed_m_s)
 
-    def ahead(self, here: Observation, velocity: Point, reach_m: float) -> Sighting | None:
+    def ahead(self, here: Observation, velocity: Point, reach_m: float) -> Detection | None:
         """The nearest remembered point in the strip that the hull will pass."""
         speed_m_s = hypot(*velocity)
         if speed_m_s == 0.0:
             return None
         ux, uy = velocity[0] / speed_m_s, velocity[1] / speed_m_s
-        best: Sighting | None = None
+        best: Detection | None = None
         for (x_m, y_m), _ in self.points.values():
             dx_m, dy_m = x_m - here.x_m, y_m - here.y_m
             along_m, across_m = dx_m * ux + dy_m * uy, abs(dy_m * ux - dx_m * uy)
@@ -118,7 +118,7 @@ class Lookout:
                 continue
             free_m = max(0.0, along_m - self.radius_m)
             if best is None or free_m < best.free_m:
-                best = Sighting(x_m, y_m, free_m)
+                best = Detection(x_m, y_m, free_m)
         return best
 
     # ---------------------------------------------------------------- echoes
@@ -189,7 +189,7 @@ class Lookout:
                 del self.points[grain]
 
 
-def middle(grain: Grain) -> Point:
+def middle(grain: GroundCell) -> Point:
     return (grain[0] + 0.5) * GRAIN_M, (grain[1] + 0.5) * GRAIN_M
 
 

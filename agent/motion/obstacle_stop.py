@@ -15,18 +15,18 @@ from typing import TYPE_CHECKING, Final
 from agent.interface.config import MS, S
 from agent.interface.effects import HALT, Drive, Effect, Send, Trace
 from agent.interface.ports import Observation
-from agent.motion.holonomic_motion import Limits, Motion, Mover
+from agent.motion.holonomic_motion import BodyLimits, HolonomicMotion, MotionController
 from agent.motion.obstacle_detector import (
     CHAIN_M,
     MARGIN_M,
-    Grain,
-    Lookout,
+    Detection,
+    GroundCell,
+    ObstacleDetector,
     Point,
-    Sighting,
     middle,
 )
-from agent.safety.stop_cause import Cause
-from protocol.frames.operator_frames import NUMBERS, Matter, OperatorReport
+from agent.safety.stop_cause import StopCause
+from protocol.frames.operator_frames import NUMBERS, OperatorReport, ReportKind
 from protocol.frames.safety_frames import Command
 
 if TYPE_CHECKING:
@@ -44,23 +44,23 @@ STANDING_M_S: Final = 0.02
 ANSWERS: Final = (Command.WAIT, Command.CONTINUE, Command.REPLAN)
 
 
-class Pause:
+class ObstacleStop:
     """One robot's; `peer` is told causes and work, `lookout` is its eyes."""
 
-    def __init__(self, peer: "Peer", limits: Limits, lookout: Lookout) -> None:
+    def __init__(self, peer: "Peer", limits: BodyLimits, lookout: ObstacleDetector) -> None:
         self.peer, self.limits, self.lookout = peer, limits, lookout
         self.number = 0  # of the newest question
-        self.matter: Matter | None = None  # where that stands
-        self.things: frozenset[Grain] = frozenset()  # to go round, by an operator's answer
+        self.matter: ReportKind | None = None  # where that stands
+        self.things: frozenset[GroundCell] = frozenset()  # to go round, by an operator's answer
         self.leave_out = False  # what they stand on is not worked
         self._known_as, self._places = self.things, frozenset[Point]()
         self._course: Point = (0.0, 0.0)  # the motion that was stopped, as a direction
-        self._sighting = Sighting(0.0, 0.0, 0.0)
+        self._sighting = Detection(0.0, 0.0, 0.0)
         self._seen_us = self._asked_us = self._moved_us = 0
 
     @property
     def asking(self) -> bool:
-        return self.matter in (Matter.ASKING, Matter.WAITING)
+        return self.matter in (ReportKind.ASKING, ReportKind.WAITING)
 
     @property
     def round(self) -> tuple[frozenset[Point], bool]:
@@ -103,7 +103,7 @@ class Pause:
         return motions
 
     def _ask(
-        self, here: Observation, motions: list[Point], sighting: Sighting, now_us: int
+        self, here: Observation, motions: list[Point], sighting: Detection, now_us: int
     ) -> list[Effect]:
         """Stop, and a new question."""
         motion = motions[-1] if self.lookout.ahead(here, motions[-1], 1e3) else motions[0]
@@ -112,24 +112,24 @@ class Pause:
         self.number = self.number % NUMBERS + 1
         self._seen_us = now_us
         why = f"{sighting.free_m:.1f} m ahead at {sighting.x_m:.1f}, {sighting.y_m:.1f}"
-        self.peer.safety.raise_cause(Cause.OBSTACLE_AHEAD, now_us, why)
+        self.peer.safety.raise_cause(StopCause.OBSTACLE_AHEAD, now_us, why)
         self._sighting = sighting
-        return self._turn(Matter.ASKING, why, now_us)
+        return self._turn(ReportKind.ASKING, why, now_us)
 
-    def _stand(self, seen: Sighting | None, now_us: int) -> list[Effect]:
+    def _stand(self, seen: Detection | None, now_us: int) -> list[Effect]:
         """Until an answer comes, or the thing has left."""
         if seen is not None:
             self._sighting, self._seen_us = seen, now_us
         elif now_us - self._seen_us >= FREE_US:
-            self.peer.safety.clear_cause(Cause.OBSTACLE_AHEAD, now_us)
-            return self._turn(Matter.GONE, "the way is free", now_us)
-        if self.matter is Matter.ASKING and now_us - self._asked_us >= ASK_US:
+            self.peer.safety.clear_cause(StopCause.OBSTACLE_AHEAD, now_us)
+            return self._turn(ReportKind.GONE, "the way is free", now_us)
+        if self.matter is ReportKind.ASKING and now_us - self._asked_us >= ASK_US:
             self._asked_us = now_us
-            return [Send(self.report(Matter.ASKING))]
+            return [Send(self.report(ReportKind.ASKING))]
         return []
 
     def _creep(
-        self, wanted: Drive, here: Observation, sighting: Sighting, now_us: int
+        self, wanted: Drive, here: Observation, sighting: Detection, now_us: int
     ) -> tuple[Drive, list[Effect]]:
         """Past a thing that an operator knows of: never faster than can be stopped before it."""
         room_m = max(0.0, sighting.free_m - KEEP_M)
@@ -168,11 +168,11 @@ class Pause:
         if not self.asking or number not in (0, self.number):
             why = f"question {number} is not open"
             return [
-                Send(self.report(Matter.REFUSED)),
+                Send(self.report(ReportKind.REFUSED)),
                 Trace("pause", "", command.name, "REFUSED", why),
             ]
         if command is Command.WAIT:
-            return self._turn(Matter.WAITING, "an operator's answer", now_us)
+            return self._turn(ReportKind.WAITING, "an operator's answer", now_us)
         self.leave_out = command is Command.CONTINUE
         return self.go_round(f"an operator's {command.name}", now_us)
 
@@ -182,10 +182,10 @@ class Pause:
             return []
         self.things = frozenset(self.lookout.points)
         self._moved_us = now_us
-        self.peer.safety.clear_cause(Cause.OBSTACLE_AHEAD, now_us)
-        return self._turn(Matter.GOING_ROUND, why, now_us)
+        self.peer.safety.clear_cause(StopCause.OBSTACLE_AHEAD, now_us)
+        return self._turn(ReportKind.GOING_ROUND, why, now_us)
 
-    def report(self, matter: Matter) -> OperatorReport:
+    def report(self, matter: ReportKind) -> OperatorReport:
         seen = self._sighting
         away_m = [hypot(x - seen.x_m, y - seen.y_m) for x, y in map(middle, self.lookout.points)]
         radius_m = max((m for m in away_m if m <= 2 * CHAIN_M), default=0.0)
@@ -193,9 +193,9 @@ class Pause:
             self.peer.slot, self.number, matter, seen.x_m, seen.y_m, seen.free_m, radius_m
         )
 
-    def _turn(self, matter: Matter, why: str, now_us: int) -> list[Effect]:
+    def _turn(self, matter: ReportKind, why: str, now_us: int) -> list[Effect]:
         was = "" if self.matter is None else self.matter.name
-        self.matter = None if matter is Matter.GONE else matter
+        self.matter = None if matter is ReportKind.GONE else matter
         self._asked_us = now_us
         return [
             Send(self.report(matter)),
@@ -203,11 +203,11 @@ class Pause:
         ]
 
 
-def pause_of(peer: "Peer", motion: Mover | None) -> Pause | None:
+def pause_of(peer: "Peer", motion: MotionController | None) -> ObstacleStop | None:
     """None for a robot that does not know every wall, so cannot tell a person from one."""
-    if not isinstance(motion, Motion) or motion.lookout is None:
+    if not isinstance(motion, HolonomicMotion) or motion.lookout is None:
         return None
-    return Pause(peer, motion.limits, motion.lookout)
+    return ObstacleStop(peer, motion.limits, motion.lookout)
 
 
 def _at_most(drive: Drive, speed_m_s: float) -> Drive:

@@ -27,7 +27,7 @@ SAMPLE_M: Final = 0.25  # of the line ahead: less than any body is wide
 CREEP_M_S: Final = 0.1  # approach speed at the very end, so that arrival does not take for ever
 
 
-class Tracker:
+class PathTracker:
     """Progress along one polyline, at most `speed_m_s`."""
 
     def __init__(self, points: list[Point], speed_m_s: float, deceleration_m_s2: float) -> None:

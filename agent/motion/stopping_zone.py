@@ -29,7 +29,7 @@ BEYOND_M: Final = 0.4  # a ray that goes so much further than a place has passed
 assert DRIVES_ON_US == 450 * MS
 
 
-class Coasting:
+class StoppingZone:
     """One robot's; what it has seen through stays so until the member is heard again."""
 
     def __init__(self, radius_m: float, deceleration_m_s2: float) -> None:

@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from math import hypot
 
-from agent.motion.tractor_tracker import Limits, TractorTracker
+from agent.motion.tractor_tracker import SteeringLimits, TractorTracker
 from agent.paths.dubins import step
 from agent.paths.tractor_route import Piece, Point, Pose, TurnRoute, sampled
 
@@ -13,8 +13,8 @@ STEP_M = 0.5  # between places where the way is looked at
 SPARE_M = 0.35  # between bodies, besides their radii
 
 
-class Escape:
-    def __init__(self, turns: TurnRoute, radius_m: float, limits: Limits) -> None:
+class EscapeManoeuvre:
+    def __init__(self, turns: TurnRoute, radius_m: float, limits: SteeringLimits) -> None:
         self.turns, self.radius_m, self.limits = turns, radius_m, limits
         self.follow: TractorTracker | None = None
 

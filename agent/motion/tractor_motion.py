@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 
 from agent.interface.config import CONTROL_PERIOD_US, MS, S
 from agent.interface.effects import Drive
-from agent.interface.mission import Wish
+from agent.interface.mission import MotionRequest
 from agent.interface.ports import Observation
-from agent.motion.deadlock_yield import Other
-from agent.motion.holonomic_motion import MARGIN_M, Motion
-from agent.motion.holonomic_motion import Limits as Body
-from agent.motion.obstacle_detector import Lookout
-from agent.motion.tractor_escape import Escape
-from agent.motion.tractor_tracker import Limits
+from agent.motion.deadlock_yield import NearbyRobot
+from agent.motion.holonomic_motion import MARGIN_M, HolonomicMotion
+from agent.motion.holonomic_motion import BodyLimits as Body
+from agent.motion.obstacle_detector import ObstacleDetector
+from agent.motion.tractor_escape import EscapeManoeuvre
+from agent.motion.tractor_tracker import SteeringLimits
 from agent.paths.tractor_route import Pose, TurnRoute
 from agent.peer.membership import Neighbour
 
@@ -38,22 +38,22 @@ GOT_ON_M = 0.4
 HALF_PERIOD_S = CONTROL_PERIOD_US / S / 2  # the course is that of the middle of the control period
 
 
-class TractorMotion(Motion):
+class TractorMotion(HolonomicMotion):
     def __init__(
-        self, slot: int, limits: Body, turns: TurnRoute, steering: Limits,
+        self, slot: int, limits: Body, turns: TurnRoute, steering: SteeringLimits,
         fences: NDArray[np.float64],
     ) -> None:  # fmt: skip
         """`fences`: known segments (n, 4), metres; only the lookout asks for them."""
         super().__init__(slot, limits, np.empty((0, 4)))
-        self.lookout = Lookout(limits.radius_m, limits.acceleration_m_s2, fences, self.coasting)
-        self.escape = Escape(turns, limits.radius_m, steering)
+        self.lookout = ObstacleDetector(limits.radius_m, limits.acceleration_m_s2, fences, self.coasting)
+        self.escape = EscapeManoeuvre(turns, limits.radius_m, steering)
         self.given = 0
         self._anchor, self._anchor_us = (0.0, 0.0), 0
         self._until_us = 0
         self._for = -1
 
     def drive(
-        self, here: Observation, wish: Wish, neighbours: Mapping[int, Neighbour], now_us: int
+        self, here: Observation, wish: MotionRequest, neighbours: Mapping[int, Neighbour], now_us: int
     ) -> Drive:
         rows, others = self._rows(here, neighbours, now_us)
         pose = Pose(here.x_m, here.y_m, here.heading_rad)
@@ -69,7 +69,7 @@ class TractorMotion(Motion):
             wish.tool_on,  # also while it waits: what it stands on is not worked twice for that
         )  # fmt: skip
 
-    def _permitted(self, here: Observation, wish: Wish, rows: list[tuple[float, ...]]) -> float:
+    def _permitted(self, here: Observation, wish: MotionRequest, rows: list[tuple[float, ...]]) -> float:
         """How much of the wanted velocity harms nobody."""
         if wish.vx_m_s == 0.0 and wish.vy_m_s == 0.0:
             return 0.0
@@ -91,7 +91,7 @@ class TractorMotion(Motion):
                 return share
         return 0.0
 
-    def _stalled(self, pose: Pose, wish: Wish, now_us: int) -> bool:
+    def _stalled(self, pose: Pose, wish: MotionRequest, now_us: int) -> bool:
         wants = wish.vx_m_s != 0.0 or wish.vy_m_s != 0.0
         moved_m = hypot(pose.x_m - self._anchor[0], pose.y_m - self._anchor[1])
         if moved_m > GOT_ON_M or not wants:
@@ -99,9 +99,9 @@ class TractorMotion(Motion):
         return now_us - self._anchor_us >= PATIENCE_US
 
     def _decide(
-        self, pose: Pose, wish: Wish, close: list[Other], places: Mapping[int, tuple[float, float]],
+        self, pose: Pose, wish: MotionRequest, close: list[NearbyRobot], places: Mapping[int, tuple[float, float]],
         now_us: int,
-    ) -> Wish:  # fmt: skip
+    ) -> MotionRequest:  # fmt: skip
         ahead = [o for o in close if o.dx_m * wish.vx_m_s + o.dy_m * wish.vy_m_s > 0.0]
         if not ahead:
             return wish
@@ -118,7 +118,7 @@ class TractorMotion(Motion):
         self._anchor_us = self._until_us
         return self._out_of_the_way(pose, places)
 
-    def _out_of_the_way(self, pose: Pose, places: Mapping[int, tuple[float, float]]) -> Wish:
+    def _out_of_the_way(self, pose: Pose, places: Mapping[int, tuple[float, float]]) -> MotionRequest:
         other = places.get(self._for)
         if other is None or (
             hypot(other[0] - pose.x_m, other[1] - pose.y_m)
@@ -126,12 +126,12 @@ class TractorMotion(Motion):
         ):
             self._until_us = 0
             self.escape.follow = None
-            return Wish(0.0, 0.0)
+            return MotionRequest(0.0, 0.0)
         gap_m = hypot(other[0] - pose.x_m, other[1] - pose.y_m)
         near = [other] if gap_m < 2 * self.limits.radius_m + NEAR_M + 1.0 else []
         command = self.escape.go(pose, near, list(places.values()))
         if command is None:
-            return Wish(0.0, 0.0)
+            return MotionRequest(0.0, 0.0)
         speed_m_s, turn_rad_s = command
         course = pose.heading_rad + turn_rad_s * HALF_PERIOD_S
-        return Wish(speed_m_s * cos(course), speed_m_s * sin(course), turn_rad_s)
+        return MotionRequest(speed_m_s * cos(course), speed_m_s * sin(course), turn_rad_s)

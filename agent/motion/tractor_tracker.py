@@ -26,7 +26,7 @@ SEARCH = 40  # samples looked at ahead of the last place
 GEAR = 4  # column of the gear: 1 or -1
 
 
-class Limits:
+class SteeringLimits:
     """What the chassis allows."""
 
     def __init__(self, speed_m_s: float, deceleration_m_s2: float, steer_1_m_s: float) -> None:
@@ -38,7 +38,7 @@ class Limits:
 class TractorTracker:
     """Progress along rows of x, y, heading, curvature, gear (see `turn_route.sampled`)."""
 
-    def __init__(self, way: NDArray[np.float64], limits: Limits, end_m_s: float = 0.0) -> None:
+    def __init__(self, way: NDArray[np.float64], limits: SteeringLimits, end_m_s: float = 0.0) -> None:
         assert way.shape[0] >= 2
         self.way, self.limits = way, limits
         gaps = np.hypot(np.diff(way[:, 0]), np.diff(way[:, 1]))
@@ -108,7 +108,7 @@ class TractorTracker:
 
 
 def _speeds(
-    way: NDArray[np.float64], along: NDArray[np.float64], limits: Limits, end_m_s: float
+    way: NDArray[np.float64], along: NDArray[np.float64], limits: SteeringLimits, end_m_s: float
 ) -> NDArray[np.float64]:
     """Allowed speed at each sample: bends, changes of curvature and of gear, and braking for them."""
     count = way.shape[0]

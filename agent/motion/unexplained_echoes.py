@@ -65,7 +65,7 @@ def echoes(
     return found
 
 
-class Sensed:
+class UnexplainedEchoes:
     """Strange hits of one robot. `walls`: segments (n, 4), metres."""
 
     def __init__(self, walls: NDArray[np.float64], radius_m: float) -> None:

@@ -14,19 +14,19 @@ from typing import NamedTuple
 
 from agent.interface.config import MS, S
 from agent.interface.lifecycle import State
-from agent.interface.mission import STILL, Choice, FleetView, Record, Wish
+from agent.interface.mission import STILL, ClaimRequest, FleetView, MotionRequest, Record
 from agent.interface.ports import Observation
 from agent.mapf.agreement_phase import Phase
-from agent.mapf.joint_plan_agreement import Accords
+from agent.mapf.joint_plan_agreement import JointPlanAgreement
 from agent.mapping.building import Floor
-from agent.mapping.dynamic_obstacles import RANGE_M, Hazards
-from agent.motion.path_tracker import Tracker
-from agent.navigation.path_lookahead import NextWay
+from agent.mapping.dynamic_obstacles import RANGE_M, DynamicObstacles
+from agent.motion.path_tracker import PathTracker
+from agent.navigation.path_lookahead import PathLookahead
 from agent.navigation.replan_policy import Replanning
-from agent.navigation.silent_robots import DEAD_US, Bodies
+from agent.navigation.silent_robots import DEAD_US, SilentRobots
 from agent.peer.membership import Neighbour
 from crdt import Phase as Claimed
-from protocol.frames.accord_frames import Answer, Fallen
+from protocol.frames.accord_frames import AgreementReply, Fallen
 from protocol.frames.messages import Message
 from protocol.sync.map_sync import MapSync
 
@@ -50,7 +50,7 @@ FOLLOWED_MAX = 512  # lines remembered, at most 2 MB: a goal takes a few of them
 LOST_M = 0.8  # this far off the path, another is planned
 
 
-class Followed(NamedTuple):
+class FollowedPath(NamedTuple):
     """A polyline that a robot was to follow, from a time on."""
 
     t_us: int
@@ -58,7 +58,7 @@ class Followed(NamedTuple):
     why: str  # goal, lost, blocked, stalled, restored, plan (of all together), after plan
 
 
-class Errands:
+class NavigationMission:
     passes = (
         True  # a goal on the way of a joint plan is reached; who has to stay there comes back to it
     )
@@ -83,17 +83,17 @@ class Errands:
         self.speed_m_s, self.deceleration_m_s2 = speed_m_s, deceleration_m_s2
         self.asks = asks
         self._keeps_on = asks  # on the plan's way: no operator has said to go round
-        self.accords = Accords(slot, floor.lattice, floor.radius_m)
+        self.accords = JointPlanAgreement(slot, floor.lattice, floor.radius_m)
         self.goal: Point | None = None
-        self.answer = Answer.GRANT
-        self.bodies = Bodies(slot, now_us)
-        self.hazards = Hazards(floor, chart)
+        self.answer = AgreementReply.GRANT
+        self.bodies = SilentRobots(slot, now_us)
+        self.hazards = DynamicObstacles(floor, chart)
         self.replanning = Replanning(self.hazards, speed_m_s, deceleration_m_s2)
-        self.next_way = NextWay(self.hazards)
+        self.next_way = PathLookahead(self.hazards)
         self._near_m = speed_m_s**2 / (2 * deceleration_m_s2) + CLAIM_S * speed_m_s
-        self.followed: deque[Followed] = deque(maxlen=FOLLOWED_MAX)  # what was driven along
-        self._tracker: Tracker | None = None  # on the way to the goal
-        self._lane: Tracker | None = None  # on the way of a plan
+        self.followed: deque[FollowedPath] = deque(maxlen=FOLLOWED_MAX)  # what was driven along
+        self._tracker: PathTracker | None = None  # on the way to the goal
+        self._lane: PathTracker | None = None  # on the way of a plan
         self._lane_of = (-1, -1, -1)  # round, first and last node of the lane
         self._gone_on: tuple[float, int] = (0.0, 0)  # along the path, since when
         self._alone_since: tuple[Point, int] | None = None  # where and since when it does not get on
@@ -120,21 +120,21 @@ class Errands:
 
     # ---------------------------------------------------------------- what a mission is asked
 
-    def choose(self, view: FleetView) -> Choice | None:
+    def choose(self, view: FleetView) -> ClaimRequest | None:
         first = self.slot * GOALS_MAX
         for section in range(first, first + len(self.goals.get(self.slot, ()))):
             if view.allocation.phase_of(section) is Claimed.FREE:
-                return Choice(section, 0)
+                return ClaimRequest(section, 0)
         return None
 
-    def approach(self, section: int, view: FleetView) -> Wish:
+    def approach(self, section: int, view: FleetView) -> MotionRequest:
         self._go_for(section)
         return self._drive(view)[0]
 
     def begin(self, section: int, view: FleetView) -> None:
         self._go_for(section)
 
-    def work(self, view: FleetView) -> Wish:
+    def work(self, view: FleetView) -> MotionRequest:
         (section,) = view.allocation.assigned_sections(view.slot)[:1]
         self._go_for(section)
         wish, arrived = self._drive(view)
@@ -157,12 +157,12 @@ class Errands:
     def admits(self, goal: Point) -> bool:
         return self.floor.route.admits(goal)
 
-    def travel(self, goal: Point, view: FleetView) -> Wish:
+    def travel(self, goal: Point, view: FleetView) -> MotionRequest:
         if goal != self.goal:
             self.goal, self._tracker = goal, None
         return self._drive(view)[0]
 
-    def rest(self, view: FleetView) -> Wish:
+    def rest(self, view: FleetView) -> MotionRequest:
         self.goal, self._tracker = None, None
         return self._drive(view)[0]
 
@@ -190,10 +190,10 @@ class Errands:
         if view.now_us - self._alone_us > ACQUAINTED_US:
             self.hazards.look(here, reach_m, around, view.now_us, dead)
         stopped = state is State.EMERGENCY_STOP
-        answer = Answer.DEAF if self._deaf(gone, view) else self.answer
+        answer = AgreementReply.DEAF if self._deaf(gone, view) else self.answer
         self.accords.tick(
             (here.x_m, here.y_m), hypot(here.vx_m_s, here.vy_m_s), self.goal,
-            Answer.STOPPED if stopped else answer,
+            AgreementReply.STOPPED if stopped else answer,
             (view.live | silent.keys()) - gone, dead, self.hazards.hits, view.now_us,
         )  # fmt: skip
 
@@ -227,7 +227,7 @@ class Errands:
         if goal != self.goal:
             self.goal, self._tracker = goal, None
 
-    def _drive(self, view: FleetView) -> tuple[Wish, bool]:
+    def _drive(self, view: FleetView) -> tuple[MotionRequest, bool]:
         """What is wanted now, and whether the goal has been reached."""
         if self.accords.bound:
             self._tracker, self._planned = None, True  # afterwards we begin from somewhere else
@@ -243,9 +243,9 @@ class Errands:
         vx_m_s, vy_m_s = tracker.velocity(here.x_m, here.y_m)
         if self.agrees and self._stuck(tracker, hypot(vx_m_s, vy_m_s), view):
             self._call(view.now_us)
-        return Wish(vx_m_s, vy_m_s), False
+        return MotionRequest(vx_m_s, vy_m_s), False
 
-    def _path(self, goal: Point, view: FleetView) -> Tracker:
+    def _path(self, goal: Point, view: FleetView) -> PathTracker:
         """What we follow to the goal: the path we have, wherever it will do."""
         here, now_us = view.here, view.now_us
         at, tracker = (here.x_m, here.y_m), self._tracker
@@ -258,7 +258,7 @@ class Errands:
         old = self.replanning.restored(here, now_us)
         if old is not None:
             self._tracker = old
-            self.followed.append(Followed(now_us, tuple(old.points), "restored"))
+            self.followed.append(FollowedPath(now_us, tuple(old.points), "restored"))
             return old
         if self._keeps_on:
             return tracker
@@ -270,7 +270,7 @@ class Errands:
                 return self._set_out(detour, "blocked", now_us)
         return tracker
 
-    def _stalled_alone(self, view: FleetView, tracker: Tracker) -> bool:
+    def _stalled_alone(self, view: FleetView, tracker: PathTracker) -> bool:
         """We want to move and may, do not for `STALLED_ALONE_US`, and no robot and no box explains it."""
         at = (view.here.x_m, view.here.y_m)
         wanted_m_s = hypot(*tracker.velocity(*at))
@@ -283,7 +283,7 @@ class Errands:
             return False
         return view.now_us - since[1] > STALLED_ALONE_US
 
-    def _round_what_stalls(self, goal: Point, view: FleetView, tracker: Tracker) -> Tracker:
+    def _round_what_stalls(self, goal: Point, view: FleetView, tracker: PathTracker) -> PathTracker:
         """Another way from here; the second time, round a place right ahead that cannot be passed."""
         at, now_us = (view.here.x_m, view.here.y_m), view.now_us
         self._alone_since, self._stalls = (at, now_us), self._stalls + 1
@@ -300,14 +300,14 @@ class Errands:
         prepared = self.next_way.take(at, goal)
         return prepared or self.hazards.path(at, goal) or self.floor.route.path(at, goal)
 
-    def _set_out(self, path: tuple[Point, ...], why: str, now_us: int) -> Tracker:
-        self.followed.append(Followed(now_us, path, why))
-        self._tracker = Tracker(list(path), self.speed_m_s, self.deceleration_m_s2)
+    def _set_out(self, path: tuple[Point, ...], why: str, now_us: int) -> PathTracker:
+        self.followed.append(FollowedPath(now_us, path, why))
+        self._tracker = PathTracker(list(path), self.speed_m_s, self.deceleration_m_s2)
         self._gone_on = (0.0, now_us)
         self._planned = False
         return self._tracker
 
-    def _along_plan(self, view: FleetView) -> Wish:
+    def _along_plan(self, view: FleetView) -> MotionRequest:
         """Our route, as far as those before us have gone on."""
         accords, here = self.accords, view.here
         first, last = max(accords.index, 0), accords.permitted
@@ -318,11 +318,11 @@ class Errands:
                 break
         if self._lane is None or self._lane_of != (accords.round, first, last):
             points = [self.floor.lattice.point(node) for node in route[first : last + 1]]
-            self._lane = Tracker(points, self.speed_m_s, self.deceleration_m_s2)
+            self._lane = PathTracker(points, self.speed_m_s, self.deceleration_m_s2)
             if self._lane_of[0] != accords.round:
                 nodes = (self.floor.lattice.point(node) for node in route)
                 way = ((here.x_m, here.y_m), *nodes)
-                self.followed.append(Followed(view.now_us, way, "plan"))
+                self.followed.append(FollowedPath(view.now_us, way, "plan"))
             self._lane_of = (accords.round, first, last)
         lane = self._lane
         lane.locate(here.x_m, here.y_m)
@@ -336,7 +336,7 @@ class Errands:
         x_m, y_m = self.floor.lattice.point(route[last])
         if hypot(x_m - here.x_m, y_m - here.y_m) < SETTLED_M / 2:
             return HOLD
-        return Wish(*lane.velocity(here.x_m, here.y_m))
+        return MotionRequest(*lane.velocity(here.x_m, here.y_m))
 
     def _at_goal(self, at: Point) -> bool:
         """Who has been at its goal has been there, wherever the plan takes it then."""
@@ -352,7 +352,7 @@ class Errands:
         self._calls = (count + 1, now_us + CALLS_US[min(count, len(CALLS_US) - 1)])
         self.accords.call(now_us)
 
-    def _stuck(self, tracker: Tracker, wanted_m_s: float, view: FleetView) -> bool:
+    def _stuck(self, tracker: PathTracker, wanted_m_s: float, view: FleetView) -> bool:
         """We want to move, do not, and somebody is near; or a narrow passage ahead is taken."""
         along_m, since_us = self._gone_on
         if tracker.along_m > along_m + GOT_ON_M or wanted_m_s < WANTS_M_S:
@@ -367,7 +367,7 @@ class Errands:
         near = [*self._around.values(), *self.bodies.dead.values()]
         return any(hypot(x_m - here.x_m, y_m - here.y_m) < reach_m for x_m, y_m in near)
 
-    def _head_on(self, tracker: Tracker, view: FleetView) -> bool:
+    def _head_on(self, tracker: PathTracker, view: FleetView) -> bool:
         """Somebody stands in, or comes out of, a passage that we are about to enter."""
         here, lattice = view.here, self.floor.lattice
         around = [

@@ -2,14 +2,14 @@
 
 from math import hypot
 
-from agent.mapping.dynamic_obstacles import Hazards
+from agent.mapping.dynamic_obstacles import DynamicObstacles
 
 Point = tuple[float, float]
 NEAR_M = 0.1  # who is this near to where the way begins has arrived there
 
 
-class NextWay:
-    def __init__(self, hazards: Hazards) -> None:
+class PathLookahead:
+    def __init__(self, hazards: DynamicObstacles) -> None:
         self.hazards = hazards
         self.taken = 0  # ways that were used
         self._ends: tuple[Point, Point] | None = None

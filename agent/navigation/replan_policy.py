@@ -12,8 +12,8 @@ from math import hypot
 
 from agent.interface.config import S
 from agent.interface.ports import Observation
-from agent.mapping.dynamic_obstacles import Hazards
-from agent.motion.path_tracker import SAMPLE_M, Tracker
+from agent.mapping.dynamic_obstacles import DynamicObstacles
+from agent.motion.path_tracker import SAMPLE_M, PathTracker
 
 Point = tuple[float, float]
 TICKS = 2  # a path blocked for longer than this many control periods is blocked
@@ -26,7 +26,7 @@ NEAR_M = 0.7  # a robot this near to its kept path may go back to it; further of
 
 
 class Replanning:
-    def __init__(self, hazards: Hazards, speed_m_s: float, deceleration_m_s2: float) -> None:
+    def __init__(self, hazards: DynamicObstacles, speed_m_s: float, deceleration_m_s2: float) -> None:
         self.hazards, self.radius_m = hazards, hazards.floor.radius_m
         self.path: Callable[[Point, Point], tuple[Point, ...] | None] = hazards.path
         self.horizon_m = max(
@@ -36,10 +36,10 @@ class Replanning:
         self._ticks = 0
         self._clear = 0  # control periods in which nothing stood on the kept path
         # the path that was left, until when, and how far along it what stood on it was at most
-        self._kept: tuple[Tracker, int, float] | None = None
+        self._kept: tuple[PathTracker, int, float] | None = None
         self._not_before_us = 0
 
-    def look(self, here: Observation, tracker: Tracker) -> None:
+    def look(self, here: Observation, tracker: PathTracker) -> None:
         """One control period, after that of `hazards`: what is hit now, and what others told of."""
         reach_m = self.horizon_m + self.radius_m
         self._near = self.hazards.hits + [
@@ -60,7 +60,7 @@ class Replanning:
         ahead = tracker.ahead(beyond_m + SAMPLE_M - tracker.along_m)  # its last sample may fall short
         return self.hazards.stands_near([(x, y) for x, y, _, _ in ahead], self.radius_m + GRAZE_M)
 
-    def _stands_on(self, tracker: Tracker) -> bool:
+    def _stands_on(self, tracker: PathTracker) -> bool:
         if not self._near:
             return False
         reach_m = self.radius_m + GRAZE_M
@@ -79,7 +79,7 @@ class Replanning:
         return self._ticks > TICKS and now_us >= self._not_before_us
 
     def detour(
-        self, at: Point, goal: Point, left: Tracker, now_us: int
+        self, at: Point, goal: Point, left: PathTracker, now_us: int
     ) -> tuple[Point, ...] | None:
         """Another path, round what stands there now; None: there is none, so wait on the old one."""
         self._ticks, self._not_before_us = 0, now_us + AGAIN_US
@@ -89,7 +89,7 @@ class Replanning:
         self._kept, self._clear = (left, now_us + KEPT_US, left.along_m + self.horizon_m), 0
         return path
 
-    def restored(self, here: Observation, now_us: int) -> Tracker | None:
+    def restored(self, here: Observation, now_us: int) -> PathTracker | None:
         """The path that was left, where nothing stands on it any more."""
         if self._kept is None:
             return None

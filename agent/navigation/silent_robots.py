@@ -26,7 +26,7 @@ NOWHERE_M = -PLACES * LENGTH_M  # of a body that is not where it was: x and y
 SURE_M = 2.0  # nearer than this two neighbouring rays are less than a body's radius apart
 
 
-class Bodies:
+class SilentRobots:
     def __init__(self, slot: int, now_us: int) -> None:
         self.slot = slot
         self.clock = HybridClock(now_us, TICK_US, STAMP_MAX)

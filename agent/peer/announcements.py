@@ -8,12 +8,12 @@ from collections.abc import Iterable
 from math import atan2, hypot
 from typing import TYPE_CHECKING, Final
 
-from agent.interface.config import BEATS, CONTROL_PERIOD_US, Beat, S
+from agent.interface.config import BEATS, CONTROL_PERIOD_US, BeaconTiming, S
 from agent.interface.effects import Effect, Persist, Send, Trace, to_all
 from agent.interface.lifecycle import EMERGENCY_STOP
-from agent.interface.mission import Swept
+from agent.interface.mission import CoveredUnits
 from agent.peer.self_health import POOR, Reading, Source, health, readings
-from agent.safety.stop_cause import Cause, about, further
+from agent.safety.stop_cause import StopCause, about, further
 from crdt.progress import BLOCK_UNITS
 from protocol.frames.fleet_frames import (
     NOBODY,
@@ -44,8 +44,8 @@ PROGRESS_PERIOD_US = 2 * S  # covered units are announced together, at most this
 _tuple = tuple.__new__
 
 
-class Voice:
-    def __init__(self, slot: int, members: int, beat: Beat, now_us: int) -> None:
+class Announcements:
+    def __init__(self, slot: int, members: int, beat: BeaconTiming, now_us: int) -> None:
         phase_us = beat.pose_us * slot // max(members, slot + 1)
         self.slot, self.beat = slot, beat
         self.next_pose_us = now_us + phase_us
@@ -114,7 +114,7 @@ class Voice:
             self.pending[section, block] = self.pending.get((section, block), 0) | 1 << bit
         return self.flush(peer, now_us) if now_us >= self.next_progress_us else []
 
-    def sweep(self, peer: "Peer", swept: Swept, now_us: int) -> list[Effect]:
+    def sweep(self, peer: "Peer", swept: CoveredUnits, now_us: int) -> list[Effect]:
         effects: list[Effect] = []
         for section, unit in swept.units:
             effects += self.cover(peer, section, (unit,), now_us)
@@ -215,7 +215,7 @@ class Voice:
         cause, detail = causes[place]
         stops, far = peer.safety.stops, peer.safety.far
         dots = len(stops.active) + stops.more + len(far.active) + far.more
-        count = min(dots if cause is Cause.STOP_DOT else further(cause, detail), 0xFFFF)
+        count = min(dots if cause is StopCause.STOP_DOT else further(cause, detail), 0xFFFF)
         about_whom = about(cause, detail)
         return Standstill(self.slot, cause.number, place, len(causes), about_whom, count)
 

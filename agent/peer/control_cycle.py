@@ -7,20 +7,20 @@ from typing import TYPE_CHECKING, Final
 from agent.interface.config import ACTUATOR_TTL_US
 from agent.interface.effects import Effect, Send, Trace
 from agent.interface.lifecycle import IDLE, WORKING, Event
-from agent.interface.mission import STILL, FleetView, Replanning, Sweeping, Wish
-from agent.motion.holonomic_motion import Motion
+from agent.interface.mission import STILL, FleetView, MotionRequest, Replanning, Sweeping
+from agent.motion.holonomic_motion import HolonomicMotion
 from agent.motion.stall_watchdog import Advice, Stall
-from protocol.frames.operator_frames import Matter, OperatorReport
+from protocol.frames.operator_frames import OperatorReport, ReportKind
 
 if TYPE_CHECKING:
     from agent.peer.peer import Peer
 
 NEAR_M: Final = 1.8  # between two hulls: one that is further away is not what we wait for
 # A number: mypyc makes C of a member of an IntEnum, given as an int, that no compiler takes.
-STALLED: Final = int(Matter.STALLED)
+STALLED: Final = int(ReportKind.STALLED)
 
 
-class Working:
+class ControlCycle:
     def __init__(self, peer: "Peer") -> None:
         self.peer = peer
         self._sweeping = peer.mission if isinstance(peer.mission, Sweeping) else None
@@ -65,7 +65,7 @@ class Working:
         if self._sweeping is not None:
             effects += peer.voice.sweep(peer, self._sweeping.swept(), now_us)
         peer.wish = self._wish(view, effects)
-        if isinstance(peer.motion, Motion):
+        if isinstance(peer.motion, HolonomicMotion):
             peer.motion.state = peer.lifecycle.state
         wanted = peer.motion.drive(peer.here, peer.wish, peer.membership.neighbours, now_us)
         if peer.pause is not None:
@@ -101,7 +101,7 @@ class Working:
             return [told]
         return [Send(OperatorReport(peer.slot, 0, STALLED, here.x_m, here.y_m)), told]
 
-    def _wish(self, view: FleetView, effects: list[Effect]) -> Wish:
+    def _wish(self, view: FleetView, effects: list[Effect]) -> MotionRequest:
         peer, now_us = self.peer, view.now_us
         assert peer.mission is not None
         state, claims = peer.lifecycle.state, peer.claims
@@ -137,7 +137,7 @@ class Working:
                     effects += peer.announce(section, key, "release", now_us)
         return effects
 
-    def _work(self, view: FleetView, section: int, effects: list[Effect]) -> Wish:
+    def _work(self, view: FleetView, section: int, effects: list[Effect]) -> MotionRequest:
         peer = self.peer
         assert peer.mission is not None
         wish = peer.mission.work(view)

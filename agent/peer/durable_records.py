@@ -29,7 +29,7 @@ MAP = "map/"
 FIRST_INCARNATION = 1
 
 
-class Records:
+class DurableRecords:
     def __init__(self, recalled: Mapping[str, bytes], first_boot: bool, rng: Random) -> None:
         self.recalled = recalled
         self.incarnation = self._number(INCARNATION, U16, 0)

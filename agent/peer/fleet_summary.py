@@ -27,7 +27,7 @@ BULLETIN_PGN = 0xFF1E  # our own: the fleet, as one peer sees it
 MORE = "more 999"  # room kept for the count of those left out
 
 
-class Line(NamedTuple):
+class MemberRow(NamedTuple):
     """One member. Of members never heard there is none."""
 
     slot: int
@@ -40,11 +40,11 @@ class Line(NamedTuple):
     age_s: float
 
 
-class Bulletin(NamedTuple):
+class FleetSummary(NamedTuple):
     by: int
     sections: int  # heard of
     done: int
-    lines: tuple[Line, ...]
+    lines: tuple[MemberRow, ...]
     more: int = 0  # members for whom there was no room
 
 
@@ -55,7 +55,7 @@ def offer(peer: "Peer") -> None:
     )
 
 
-def compose(peer: "Peer", now_us: int) -> Bulletin:
+def compose(peer: "Peer", now_us: int) -> FleetSummary:
     """As this peer knows it."""
     held: dict[int, list[int]] = {}
     for section in peer.allocation.sections():
@@ -68,7 +68,7 @@ def compose(peer: "Peer", now_us: int) -> Bulletin:
         if slot != peer.slot:
             pose, heard_us = peer.membership.neighbours[slot]
             lines.append(
-                Line(
+                MemberRow(
                     slot, State(pose.state), peer.membership.standing[slot].name, pose.x_m, pose.y_m,
                     pose.speed_m_s, sections, (now_us - heard_us) / S,
                 )
@@ -76,13 +76,13 @@ def compose(peer: "Peer", now_us: int) -> Bulletin:
         elif (here := peer.here) is not None:
             speed_m_s = (here.vx_m_s**2 + here.vy_m_s**2) ** 0.5
             lines.append(
-                Line(slot, peer.state, "LIVE", here.x_m, here.y_m, speed_m_s, sections, 0.0)
+                MemberRow(slot, peer.state, "LIVE", here.x_m, here.y_m, speed_m_s, sections, 0.0)
             )
     allocation = peer.allocation
-    return Bulletin(peer.slot, len(allocation.sections()), allocation.done_count(), tuple(lines))
+    return FleetSummary(peer.slot, len(allocation.sections()), allocation.done_count(), tuple(lines))
 
 
-def write(bulletin: Bulletin) -> str:
+def write(bulletin: FleetSummary) -> str:
     """At most what a transport session carries."""
     text = f"by {bulletin.by} sections {bulletin.sections} done {bulletin.done}"
     for number, m in enumerate(bulletin.lines):
@@ -97,7 +97,7 @@ def write(bulletin: Bulletin) -> str:
     return text + (f"\nmore {bulletin.more}" if bulletin.more else "")
 
 
-def read(text: str) -> Bulletin | None:
+def read(text: str) -> FleetSummary | None:
     """None for what is no bulletin: it came over a wire.
 
     >>> read("by 2 sections 3 done 1\\n0 IDLE LIVE 1.5 -2.0 0.0 S2 0.1").lines[0].sections
@@ -109,15 +109,15 @@ def read(text: str) -> Bulletin | None:
         if (word, named, completed) != ("by", "sections", "done"):
             return None
         more = int(rest.pop().split()[1]) if rest and rest[-1].startswith("more ") else 0
-        return Bulletin(int(by), int(sections), int(done), tuple(map(_line, rest)), more)
+        return FleetSummary(int(by), int(sections), int(done), tuple(map(_line, rest)), more)
     except (ValueError, KeyError, IndexError):
         return None
 
 
-def _line(text: str) -> Line:
+def _line(text: str) -> MemberRow:
     slot, state, standing, x_m, y_m, speed_m_s, sections, age_s = text.split()
     x, y, speed, age = (float(part) for part in (x_m, y_m, speed_m_s, age_s))
     if not all(map(isfinite, (x, y, speed, age))):
         raise ValueError
     named = () if sections == "-" else tuple(int(s.lstrip("S")) for s in sections.split(","))
-    return Line(int(slot), State[state], standing, x, y, speed, named, age)
+    return MemberRow(int(slot), State[state], standing, x, y, speed, named, age)

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any, Final
 
 from agent.interface.config import MS, S
 from agent.interface.effects import HALT, Effect, Persist, Trace
-from agent.interface.ports import Beat
+from agent.interface.ports import BufferedBeacon
 from agent.peer import fleet_summary as bulletin
 from agent.peer.frame_origin import PROPRIETARY, Origin
 from agent.peer.membership import Neighbour
 from agent.peer.operator_directive import DIRECTED
 from agent.peer.told_causes import ToldCauses
 from agent.peer.unknown_stop_sources import AnyStop
-from agent.safety.stop_cause import Cause
+from agent.safety.stop_cause import StopCause
 from agent.safety.stop_controller import UNAUTHENTICATED_HOLD_US
 from protocol.frames.accord_frames import Accord, Fallen
 from protocol.frames.codec import Malformed
@@ -80,7 +80,7 @@ EVERYBODY = 0xFF  # target of an operator's command
 Handler = Callable[[int, int | None, Any, int], Sequence[Effect]]
 
 
-class Hearing:
+class InboundHandlers:
     def __init__(self, peer: "Peer") -> None:
         self.peer = peer
         bulletin.offer(peer)
@@ -175,7 +175,7 @@ class Hearing:
         until_us = peer.doubts.hold(source, message, now_us)
         why = f"a stop from address {source}, which nobody has claimed"
         held_us = max(UNAUTHENTICATED_HOLD_US, until_us - now_us)
-        peer.safety.raise_cause(Cause.UNAUTHENTICATED_STOP, now_us, why, held_us)
+        peer.safety.raise_cause(StopCause.UNAUTHENTICATED_STOP, now_us, why, held_us)
         return [HALT]
 
     def overdue(self, now_us: int) -> list[Effect]:
@@ -187,7 +187,7 @@ class Hearing:
         return effects
 
     def beats(
-        self, beats: Sequence[Beat], local: Callable[[int], int] | None = None
+        self, beats: Sequence[BufferedBeacon], local: Callable[[int], int] | None = None
     ) -> list[Effect]:
         """Calm beats that have waited for our turn, each as if heard when it came.
 
@@ -340,7 +340,7 @@ class Hearing:
         if m.config_hash != peer.identity.field_hash:
             peer.membership.unbind(source)
             why = "it has another field description"
-            return peer.conflicts.found(Cause.CONFIG_MISMATCH, source, why, now_us)
+            return peer.conflicts.found(StopCause.CONFIG_MISMATCH, source, why, now_us)
         peer.roll_call.known(source)
         if m.slot == peer.slot:
             return peer.conflicts.claims_our_name(source, now_us)

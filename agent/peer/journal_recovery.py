@@ -30,7 +30,7 @@ from agent.safety.stop_controller import (
 )
 from crdt.allocation import SECTION_MAX
 from crdt.occupancy import PATCH_BYTES
-from crdt.stops import FarStopSet, StopSet
+from crdt.stops import RemoteStopSet, StopSet
 
 LOST = "lost"  # a record in place of a memory that is gone; its value says why
 BLOCK_MAX = 0xFF  # of a section's progress
@@ -59,7 +59,7 @@ _VALUES: Mapping[str, Callable[[bytes], bool]] = {
     OPERATIONS: _size(U32.size),
     ELECTION: _size(VOTE.size),
     STOPS_KEY: _parses(StopSet.deserialize),
-    FAR_KEY: _parses(FarStopSet.deserialize),
+    FAR_KEY: _parses(RemoteStopSet.deserialize),
     COUNTER_KEY: _size(*COUNTER_BYTES),
     HOLD_KEY: lambda raw: raw in (FREE, HELD, LATCHED),
 }

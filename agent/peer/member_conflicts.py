@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from agent.interface.config import S
 from agent.interface.effects import HALT, Effect, Trace
-from agent.safety.stop_cause import Cause
+from agent.safety.stop_cause import StopCause
 from protocol.frames.fleet_frames import Heartbeat, Pose
 
 if TYPE_CHECKING:
@@ -30,14 +30,14 @@ SAID_MAX = 64  # own beats that may still be given back: 2 s of them
 class Conflicts:
     def __init__(self, peer: "Peer") -> None:
         self.peer = peer
-        self._at: dict[int, Cause] = {}  # address of the other machine
+        self._at: dict[int, StopCause] = {}  # address of the other machine
         self._said: deque[Pose | Heartbeat] = deque(maxlen=SAID_MAX)
         self._doubled_us: int | None = None  # since when our address has two voices
         self._doubled_last_us = -GONE_US
 
     # ---------------------------------------------------------------- others
 
-    def found(self, cause: Cause, address: int, why: str, now_us: int) -> Sequence[Effect]:
+    def found(self, cause: StopCause, address: int, why: str, now_us: int) -> Sequence[Effect]:
         """That machine cannot work with us: stand while it speaks."""
         new = self._at.get(address) is not cause
         self._at[address] = cause
@@ -68,7 +68,7 @@ class Conflicts:
         """A claim of our NAME, or a MEMBER frame with our slot, from another address than ours."""
         if self.peer.joining.spoke_at(address, now_us - OURS_US):
             return ()
-        return self.found(Cause.DUPLICATE_ID, address, "it has our identity", now_us)
+        return self.found(StopCause.DUPLICATE_ID, address, "it has our identity", now_us)
 
     def speaks_from_our_address(self, message: object, now_us: int) -> Sequence[Effect]:
         """A frame with our source address that the bus gave us."""
@@ -84,4 +84,4 @@ class Conflicts:
             return ()
         address = self.peer.joining.address
         assert address is not None
-        return self.found(Cause.DUPLICATE_ID, address, "it has our identity", now_us)
+        return self.found(StopCause.DUPLICATE_ID, address, "it has our identity", now_us)

@@ -28,7 +28,7 @@ STRANGERS_MAX = 256  # addresses there are
 ASKED_ENOUGH = 3  # questions, in 6 s: who does not answer them is not waited for
 
 
-class RollCall:
+class MemberDiscovery:
     def __init__(self, slot: int, pgn: int = MEMBER_PGN) -> None:
         """`pgn`: what is asked for: which slot speaks from there, or which NAME."""
         self.slot, self.pgn = slot, pgn

@@ -23,7 +23,7 @@ DISBELIEVED_US = (
 )
 
 
-class Standing(Enum):
+class MemberStatus(Enum):
     ABSENT = auto()  # configured, never heard since we booted
     LIVE = auto()
     SILENT = auto()  # was live, stopped without leaving
@@ -42,7 +42,7 @@ class Membership:
     def __init__(self, slot: int, configured: frozenset[int], silence_us: int, now_us: int) -> None:
         assert slot in configured
         self.slot, self.silence_us = slot, silence_us
-        self.standing = {member: Standing.ABSENT for member in sorted(configured) if member != slot}
+        self.standing = {member: MemberStatus.ABSENT for member in sorted(configured) if member != slot}
         self.incarnation: dict[int, int] = {}
         self.neighbours: dict[int, Neighbour] = {}
         self.silent_since_us: dict[int, int] = {}
@@ -89,7 +89,7 @@ class Membership:
         if slot in heard:
             heard[slot] = now_us
             return False
-        if self.standing[slot] is Standing.LEFT:
+        if self.standing[slot] is MemberStatus.LEFT:
             if now_us - self._left_us[slot] <= FAREWELL_US:
                 return False  # the tail of a farewell; a new MEMBER frame brings it back
             self.void_farewells += 1
@@ -97,13 +97,13 @@ class Membership:
         if not heard:
             self._oldest_us = now_us
         heard[slot] = now_us
-        self._stand(slot, Standing.LIVE, now_us)
+        self._stand(slot, MemberStatus.LIVE, now_us)
         return True
 
     def returned(self, slot: int, now_us: int) -> None:
         """A member that had left announces itself again."""
-        if self.standing[slot] is Standing.LEFT:
-            self.standing[slot] = Standing.ABSENT
+        if self.standing[slot] is MemberStatus.LEFT:
+            self.standing[slot] = MemberStatus.ABSENT
             self.heard(slot, now_us)
 
     def pose(self, slot: int, pose: Pose, now_us: int) -> None:
@@ -113,18 +113,18 @@ class Membership:
         """It says that it leaves. Void where it goes on speaking: then somebody else has said it."""
         if now_us - self._void_us.get(slot, now_us - DISBELIEVED_US) < DISBELIEVED_US:
             return
-        if self.standing[slot] is Standing.LEFT:
+        if self.standing[slot] is MemberStatus.LEFT:
             return  # said again: its time counts from the first
         self._left_us[slot] = now_us
         self.signs_us.pop(slot, None)
         self.neighbours.pop(slot, None)
-        self._stand(slot, Standing.LEFT, now_us)
+        self._stand(slot, MemberStatus.LEFT, now_us)
 
     def waive(self, slot: int, now_us: int) -> bool:
         """An operator accounts for a silent member by name."""
-        if self.standing.get(slot) is not Standing.SILENT:
+        if self.standing.get(slot) is not MemberStatus.SILENT:
             return False
-        self._stand(slot, Standing.WAIVED, now_us)
+        self._stand(slot, MemberStatus.WAIVED, now_us)
         return True
 
     @property
@@ -150,22 +150,22 @@ class Membership:
         self._oldest_us = oldest_us
         for _, slot in sorted(fallen):
             del signs[slot]
-            self._stand(slot, Standing.SILENT, now_us)
+            self._stand(slot, MemberStatus.SILENT, now_us)
         return [slot for _, slot in sorted(fallen)]
 
     def forget_all(self, now_us: int) -> None:
         """We left the fleet ourselves: nobody's silence means anything to us now."""
         self.signs_us.clear()
         for slot in self.standing:
-            self._stand(slot, Standing.ABSENT, now_us)
+            self._stand(slot, MemberStatus.ABSENT, now_us)
 
-    def _stand(self, slot: int, standing: Standing, now_us: int) -> None:
+    def _stand(self, slot: int, standing: MemberStatus, now_us: int) -> None:
         self.standing[slot] = standing
         self.changed_us = now_us
-        if standing is Standing.SILENT:
+        if standing is MemberStatus.SILENT:
             self.silent_since_us[slot] = now_us
-        elif standing is not Standing.WAIVED:
+        elif standing is not MemberStatus.WAIVED:
             self.silent_since_us.pop(slot, None)
         states = self.standing.items()
-        self.live = frozenset({self.slot, *(s for s, st in states if st is Standing.LIVE)})
-        self.silent = frozenset(s for s, st in states if st is Standing.SILENT)
+        self.live = frozenset({self.slot, *(s for s, st in states if st is MemberStatus.LIVE)})
+        self.silent = frozenset(s for s, st in states if st is MemberStatus.SILENT)

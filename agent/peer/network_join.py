@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from agent.interface.config import ADDRESS_FIRST
 from agent.interface.effects import Effect, Send
-from protocol.address import AddressClaim, Claiming
+from protocol.address import AddressClaim, AddressMessage
 from protocol.frames.fleet_frames import Member
 from protocol.frames.identifier import NULL_ADDRESS
 from protocol.frames.messages import GROUP_OF
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 CLAIM_PGN = GROUP_OF[AddressClaimed].pgn
 
 
-class Joining:
+class NetworkJoin:
     def __init__(self, identity: "Identity", incarnation: int, rng: Random, now_us: int) -> None:
         self.identity, self.incarnation = identity, incarnation
         self.machine = AddressClaim(identity.name, ADDRESS_FIRST + identity.slot, rng, now_us)
@@ -96,7 +96,7 @@ class Joining:
         """Whether we had that address, or claimed it, at that time or later."""
         return self._spoke_us.get(address, since_us - 1) >= since_us
 
-    def _sends(self, claims: list[Claiming], now_us: int) -> list[Effect]:
+    def _sends(self, claims: list[AddressMessage], now_us: int) -> list[Effect]:
         for claim in claims:
             self._spoke_us[claim.source] = now_us
         return [Send(c.message, c.destination, c.source) for c in claims]

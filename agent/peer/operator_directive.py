@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 from agent.interface.config import S
 from agent.interface.effects import HALT, Effect, Send, Trace
-from agent.interface.mission import STILL, FleetView, Wish
-from protocol.frames.operator_frames import Matter, OperatorGoal, OperatorReport, goal_check
+from agent.interface.mission import STILL, FleetView, MotionRequest
+from protocol.frames.operator_frames import OperatorGoal, OperatorReport, ReportKind, goal_check
 from protocol.frames.safety_frames import Command, OperatorCommand
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ THERE_M = 0.5  # from the goal: arrived
 GOAL_LIFE_US = 2 * S  # coordinates wait so long for the order that means them
 
 
-class Directive:
+class OperatorDirective:
     def __init__(self, peer: "Peer") -> None:
         self.peer = peer
         self.home: Point | None = None  # where it stood when it was switched on
@@ -48,7 +48,7 @@ class Directive:
         """One of `DIRECTED`, from who may give it."""
         command = Command(m.command)
         if self.peer.safety.latched:
-            return [self._report(Matter.REFUSED, (0.0, 0.0))]
+            return [self._report(ReportKind.REFUSED, (0.0, 0.0))]
         if command is Command.STOP:
             return self._stop(now_us)
         if command in (Command.GO_HOME, Command.SET_GOAL):
@@ -69,20 +69,20 @@ class Directive:
             *peer.give_back_all(now_us),
             *self.over("an operator's STOP"),
             *self._pass("an operator's STOP", now_us),
-            self._report(Matter.STOPPED, here),
+            self._report(ReportKind.STOPPED, here),
             Trace("directive", "", "STOP", "HELD"),
         ]
 
     def _send(self, command: Command, goal: Point | None, now_us: int) -> Sequence[Effect]:
         mission = self.peer.mission
         if goal is None or mission is None or not mission.admits(goal):
-            return [self._report(Matter.REFUSED, goal or (0.0, 0.0))]
+            return [self._report(ReportKind.REFUSED, goal or (0.0, 0.0))]
         given_back = self.peer.give_back_all(now_us)
         self.goal, self.arrived = goal, False
         return [
             *given_back,
             *self._pass(f"an operator's {command.name}", now_us),
-            self._report(Matter.UNDER_WAY, goal),
+            self._report(ReportKind.UNDER_WAY, goal),
             Trace("directive", "", command.name, "UNDER_WAY", f"{goal[0]:.1f}, {goal[1]:.1f}"),
         ]
 
@@ -104,20 +104,20 @@ class Directive:
         if self.goal is None:
             return []
         was, self.goal = self.goal, None
-        return [self._report(Matter.WORKING, was), Trace("directive", "", "OVER", "", why)]
+        return [self._report(ReportKind.WORKING, was), Trace("directive", "", "OVER", "", why)]
 
-    def wish(self, view: FleetView, effects: list[Effect]) -> Wish:
+    def wish(self, view: FleetView, effects: list[Effect]) -> MotionRequest:
         assert self.goal is not None and self.peer.mission is not None
         off_m = hypot(self.goal[0] - view.here.x_m, self.goal[1] - view.here.y_m)
         if off_m <= THERE_M:
             if not self.arrived:
                 self.arrived = True
                 effects += [
-                    self._report(Matter.ARRIVED, self.goal),
+                    self._report(ReportKind.ARRIVED, self.goal),
                     Trace("directive", "UNDER_WAY", "THERE", "ARRIVED"),
                 ]
             return STILL
         return self.peer.mission.travel(self.goal, view)
 
-    def _report(self, matter: Matter, at: Point) -> Send:
+    def _report(self, matter: ReportKind, at: Point) -> Send:
         return Send(OperatorReport(self.peer.slot, 0, matter, *at))

@@ -13,25 +13,33 @@ from agent.interface import config
 from agent.interface.effects import HALT, Effect, Persist, Send, Trace
 from agent.interface.identity import Identity
 from agent.interface.lifecycle import IDLE, SYNCHRONIZING, TABLE, WORKING, Event, State
-from agent.interface.mission import STILL, Agreeing, Choice, Conversing, FleetView, Mission, Wish
+from agent.interface.mission import (
+    STILL,
+    Agreeing,
+    ClaimRequest,
+    Conversing,
+    FleetView,
+    Mission,
+    MotionRequest,
+)
 from agent.interface.ports import Observation
-from agent.interface.state_machine import Machine
-from agent.motion.holonomic_motion import Mover
+from agent.interface.state_machine import StateMachine
+from agent.motion.holonomic_motion import MotionController
 from agent.motion.obstacle_stop import pause_of
-from agent.peer.announcements import Voice
-from agent.peer.control_cycle import Working
-from agent.peer.durable_records import Records
+from agent.peer.announcements import Announcements
+from agent.peer.control_cycle import ControlCycle
+from agent.peer.durable_records import DurableRecords
 from agent.peer.frame_origin import Origins
-from agent.peer.inbound import Hearing
+from agent.peer.inbound import InboundHandlers
 from agent.peer.journal_recovery import LOST, sensible
 from agent.peer.leader_election import OPERATOR_GATEWAY, Election, Leader
 from agent.peer.member_conflicts import Conflicts
-from agent.peer.member_discovery import CLAIM_REQUEST, MEMBER_PGN, MEMBER_REQUEST, RollCall
+from agent.peer.member_discovery import CLAIM_REQUEST, MEMBER_PGN, MEMBER_REQUEST, MemberDiscovery
 from agent.peer.membership import Membership, Neighbour
-from agent.peer.network_join import CLAIM_PGN, Joining
-from agent.peer.operator_directive import Directive
-from agent.peer.pgn_responder import Letter, Letters
-from agent.peer.section_claims import Claims
+from agent.peer.network_join import CLAIM_PGN, NetworkJoin
+from agent.peer.operator_directive import OperatorDirective
+from agent.peer.pgn_responder import Letter, PgnResponder
+from agent.peer.section_claims import SectionClaims
 from agent.peer.self_check import SelfCheck
 from agent.peer.self_health import Known
 from agent.peer.sense_freshness import Senses
@@ -39,8 +47,8 @@ from agent.peer.stop_release import Release
 from agent.peer.told_causes import ToldCauses
 from agent.peer.unknown_stop_sources import Doubts
 from agent.peer.work_admission import Admission
-from agent.safety.stop_cause import Cause
-from agent.safety.stop_controller import Safety
+from agent.safety.stop_cause import StopCause
+from agent.safety.stop_controller import StopController
 from crdt import FieldAllocationCRDT, Phase, Progress, VectorClock
 from protocol.authentication import Keyring
 from protocol.frames.codec import Malformed, decode_once
@@ -52,7 +60,7 @@ from protocol.frames.network_frames import AddressClaimed, Request
 from protocol.frames.safety_frames import EmergencyStop, Reason
 from protocol.frames.work_frames import STOPS, StateSyncRequest, TaskClaim
 from protocol.sync.map_sync import MapSync
-from protocol.sync.synchronizer import Sync
+from protocol.sync.synchronizer import Synchronizer
 
 REQUEST_PF = 0xEA
 NOTHING_ROUND, _tuple = (frozenset[tuple[float, float]](), False), tuple.__new__
@@ -76,7 +84,7 @@ class Peer:
         now_us: int,
         recalled: Mapping[str, bytes],
         mission: Mission | None = None,
-        motion: Mover | None = None,
+        motion: MotionController | None = None,
         keyring: Keyring | None = None,
         chart: MapSync | None = None,
     ) -> None:
@@ -88,7 +96,7 @@ class Peer:
         asked: Any = mission  # a native core takes a protocol that is asked for for a base class
         self.agreeing: Agreeing | None = asked if isinstance(asked, Agreeing) else None
         self.conversing: Conversing | None = asked if isinstance(asked, Conversing) else None
-        self.records = Records(recalled, identity.first_boot, rng)
+        self.records = DurableRecords(recalled, identity.first_boot, rng)
         self.allocation = FieldAllocationCRDT(identity.field_hash)
         units = mission.section_units if mission else {}
         self.progress = Progress(units)
@@ -99,39 +107,39 @@ class Peer:
             self.records.restore_map(chart.chart)
             chart.recalled(now_us)
         self.clock = VectorClock({self.slot: self.records.operations})
-        self.lifecycle = Machine("lifecycle", TABLE, State.DISCONNECTED)
+        self.lifecycle = StateMachine("lifecycle", TABLE, State.DISCONNECTED)
         self.membership = Membership(self.slot, identity.members, self.beat.silence_us, now_us)
-        self.safety = Safety(
+        self.safety = StopController(
             self.slot, self.records.incarnation, identity.silence, keyring, recalled, now_us
         )
-        self.joining = Joining(identity, self.records.incarnation, rng, now_us)
-        self.roll_call = RollCall(self.slot)
-        self.origins, self.name_call = Origins(identity.name), RollCall(self.slot, CLAIM_PGN)
+        self.joining = NetworkJoin(identity, self.records.incarnation, rng, now_us)
+        self.roll_call = MemberDiscovery(self.slot)
+        self.origins, self.name_call = Origins(identity.name), MemberDiscovery(self.slot, CLAIM_PGN)
         self.doubts = Doubts()
         self.conflicts = Conflicts(self)
-        self.letters = Letters(identity.component, frozenset((MEMBER_PGN, CLAIM_PGN)))
-        self.sync = Sync(self.slot, self.allocation, self.progress)
+        self.letters = PgnResponder(identity.component, frozenset((MEMBER_PGN, CLAIM_PGN)))
+        self.sync = Synchronizer(self.slot, self.allocation, self.progress)
         self.election = Election(
             OPERATOR_GATEWAY, self.slot, identity.name.hash16, self.records.term, self.records.lost
         )
         self._led: Leader | None = None
-        self.claims = Claims(self.slot, self.allocation)
-        self.voice = Voice(self.slot, len(identity.members), self.beat, now_us)
+        self.claims = SectionClaims(self.slot, self.allocation)
+        self.voice = Announcements(self.slot, len(identity.members), self.beat, now_us)
         self.here: Observation | None = None
-        self.wish: Wish = STILL
+        self.wish: MotionRequest = STILL
         self.malformed: dict[str, int] = {}
         self.healths: dict[int, float] = {}  # of others, as their heartbeats say: slot -> 0 to 1
         self.releasing: Release | None = None  # that a person at this machine is giving
         # Why others stand, as they tell it, by slot.
         self.standstills: dict[int, ToldCauses] = {}
-        self.directive, self.check = Directive(self), SelfCheck(self, now_us)
+        self.directive, self.check = OperatorDirective(self), SelfCheck(self, now_us)
         self.senses = Senses(self)
         self.pause = pause_of(self, motion)
-        self._hearing, self._working = Hearing(self), Working(self)
+        self._hearing, self._working = InboundHandlers(self), ControlCycle(self)
         self.beats = self._hearing.beats
         if self.records.lost:
             why = recalled.get(LOST, b"durable memory was lost").decode(errors="replace")
-            self.safety.raise_cause(Cause.BOOT_UNCONFIRMED, now_us, why)
+            self.safety.raise_cause(StopCause.BOOT_UNCONFIRMED, now_us, why)
         if identity.started and not self.safety.latched and not self.safety.held:
             self.safety.start(now_us)
         if self.safety.latched:
@@ -287,12 +295,12 @@ class Peer:
     def _join(self, now_us: int) -> Sequence[Effect]:
         effects, was_joined = list[Effect](), self.joining.joined
         if self.joining.lost_address:  # before another one is ours, which may be in this very turn
-            self.safety.raise_cause(Cause.ADDRESS_LOST, now_us)
+            self.safety.raise_cause(StopCause.ADDRESS_LOST, now_us)
             effects += [HALT, *self.fire(Event.BUS_LOST, "lost the address")]
             self.joining.lost_address = False
         effects += self.joining.tick(now_us)
         if self.joining.joined and not was_joined:
-            self.safety.clear_cause(Cause.ADDRESS_LOST, now_us)
+            self.safety.clear_cause(StopCause.ADDRESS_LOST, now_us)
             self.membership.unbind(self.joining.address)  # whoever it was, now it is we
             self.sync.joined(now_us, self.beat.heartbeat_us)
             effects += self.roll_call.joined()
@@ -326,7 +334,7 @@ class Peer:
         permit = self.safety.button.release(now_us)
         if permit is not None:  # from the address that said the stop, before it is claimed again
             held.append(Send(permit, source=self.joining.address))
-        if not self.safety.holds(Cause.BUS_OFF):  # else when the bus is back
+        if not self.safety.holds(StopCause.BUS_OFF):  # else when the bus is back
             self.joining.rejoin(now_us)
             self.roll_call.power_up()
             self.name_call.power_up()
@@ -344,7 +352,7 @@ class Peer:
     ) -> Sequence[Effect]:
         if self.lifecycle.state not in (IDLE, WORKING):
             return NOTHING
-        key = self.claims.claim(Choice(section, bid, takeover), now_us)
+        key = self.claims.claim(ClaimRequest(section, bid, takeover), now_us)
         return NOTHING if key is None else self.announce(section, key, "claim", now_us)
 
     def release(self, section: int, now_us: int) -> Sequence[Effect]:
@@ -382,12 +390,12 @@ class Peer:
 
     def bus_lost(self, now_us: int) -> Sequence[Effect]:
         """The interface reports bus-off: nothing we say is heard."""
-        self.safety.raise_cause(Cause.BUS_OFF, now_us)
+        self.safety.raise_cause(StopCause.BUS_OFF, now_us)
         self.joining.away, self.joining.joined = True, False
         return [HALT, *self.fire(Event.BUS_LOST, "bus-off")]
 
     def bus_back(self, now_us: int) -> Sequence[Effect]:
-        self.safety.clear_cause(Cause.BUS_OFF, now_us)
+        self.safety.clear_cause(StopCause.BUS_OFF, now_us)
         self.joining.rejoin(now_us)
         self.roll_call.power_up()
         self.name_call.power_up()
@@ -395,7 +403,7 @@ class Peer:
 
     def disk_failed(self, now_us: int) -> Sequence[Effect]:
         """Durable memory may have lost something: stop for good. No retry (see reliability notes)."""
-        self.safety.raise_cause(Cause.DISK_ERROR, now_us)
+        self.safety.raise_cause(StopCause.DISK_ERROR, now_us)
         return [HALT, *self.latch("the disk failed")]
 
     # ---------------------------------------------------------------- what the parts share

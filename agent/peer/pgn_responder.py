@@ -17,7 +17,7 @@ from protocol.frames.network_frames import (
     TransportData,
     TransportManagement,
 )
-from protocol.transport import SIZE_MAX, SIZE_MIN, Arrived, Out, Transport
+from protocol.transport import SIZE_MAX, SIZE_MIN, OutgoingFrame, ReceivedMessage, Transport
 
 COMPONENT_PGN = 65259  # component identification (SAE J1939-71): make*model*serial number*unit*
 LOG_PGN = 0xFF1F  # our own: the newest traces as lines
@@ -28,13 +28,13 @@ INBOX_MAX = 16  # newest letters kept for whoever asks; nothing is decided by th
 Letter = Request | RepetitionRateRequest | TransportManagement | TransportData
 
 
-class Letters:
+class PgnResponder:
     """`known` are the groups that other parts of the peer answer."""
 
     def __init__(self, component: str, known: frozenset[int]) -> None:
         self.transport = Transport()
         self.names: dict[int, str] = {}  # address -> component identification, as told
-        self.inbox: deque[Arrived] = deque(maxlen=INBOX_MAX)
+        self.inbox: deque[ReceivedMessage] = deque(maxlen=INBOX_MAX)
         self._component, self._known = component, known
         self._speaks: dict[int, Callable[[], bool]] = {}  # groups that one peer tells for all
         self._lines: deque[str] = deque(maxlen=LINES_MAX)
@@ -109,5 +109,5 @@ def _refused(source: int, destination: int, pgn: int) -> Sequence[Effect]:
     return [Send(Acknowledgment(Control.NACK, 0xFF, source, pgn & 0x3FFFF))]
 
 
-def _sends(out: Iterable[Out]) -> Sequence[Effect]:
+def _sends(out: Iterable[OutgoingFrame]) -> Sequence[Effect]:
     return [Send(o.message, o.destination) for o in out]

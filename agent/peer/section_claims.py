@@ -6,11 +6,11 @@ with 108 peers is 213 ms), and only then started. Started work outranks a mere c
 """
 
 from agent.interface.config import CLAIM_AHEAD, CONTENTION_US
-from agent.interface.mission import Choice
+from agent.interface.mission import ClaimRequest
 from crdt import FieldAllocationCRDT, Phase
 
 
-class Claims:
+class SectionClaims:
     def __init__(self, slot: int, allocation: FieldAllocationCRDT) -> None:
         self.slot, self.allocation = slot, allocation
         self.contested_until_us: dict[int, int] = {}  # in the order in which they will be worked
@@ -25,7 +25,7 @@ class Claims:
     def next(self) -> int | None:
         return next(iter(self.contested_until_us), None)
 
-    def claim(self, choice: Choice, now_us: int) -> int | None:
+    def claim(self, choice: ClaimRequest, now_us: int) -> int | None:
         """The register key to announce, or None where the section is not to be had."""
         section = choice.section
         if choice.takeover:

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Final
 
 from agent.interface.config import ACTUATOR_TTL_US, S
 from agent.interface.effects import HALT, Effect, Trace
-from agent.safety.stop_cause import Cause
+from agent.safety.stop_cause import StopCause
 from protocol.controller_health import Health
 from protocol.frames.frame import Frame
 
@@ -100,7 +100,7 @@ class SelfCheck:
 
     def due(self, now_us: int) -> bool:
         stuck = self._sent is not None and now_us >= self._stall_us
-        return stuck and not self.peer.safety.holds(Cause.UNHEARD)
+        return stuck and not self.peer.safety.holds(StopCause.UNHEARD)
 
     def look(self, late_us: int, now_us: int) -> list[Effect]:
         """Once a control period, which comes `late_us` after its time, and when our frames are stuck."""
@@ -108,17 +108,17 @@ class SelfCheck:
         passive = self._passive_us is not None and now_us - self._passive_us >= PASSIVE_US
         why = self._unheard(now_us)
         if passive or why or not self.peer.safety.free:
-            effects += self._set(Cause.ERROR_PASSIVE, passive, "", now_us)
-            effects += self._set(Cause.UNHEARD, self._holds_on(why, now_us), why, now_us)
+            effects += self._set(StopCause.ERROR_PASSIVE, passive, "", now_us)
+            effects += self._set(StopCause.UNHEARD, self._holds_on(why, now_us), why, now_us)
         if late_us > ACTUATOR_TTL_US:
             why = f"{late_us / 1000:.0f} ms late"
-            self.peer.safety.raise_cause(Cause.LATE_TICK, now_us, why, LATE_HOLD_US)
+            self.peer.safety.raise_cause(StopCause.LATE_TICK, now_us, why, LATE_HOLD_US)
             effects += [HALT, Trace("safety", "", "LATE_TICK", "PROTECTIVE", why)]
         return effects
 
     def _holds_on(self, why: str, now_us: int) -> bool:
         """A silence longer than its reason: stops that have waited with our frames come first."""
-        if why or not self.peer.safety.holds(Cause.UNHEARD):
+        if why or not self.peer.safety.holds(StopCause.UNHEARD):
             self._well_us = None
             return bool(why)
         self._well_us = _first(self._well_us, now_us)
@@ -143,7 +143,7 @@ class SelfCheck:
             since_us = max(since_us, peer.membership.changed_us)
         return "" if now_us - since_us <= limit_us else f"none of {others} members hears us"
 
-    def _set(self, cause: Cause, there: bool, why: str, now_us: int) -> list[Effect]:
+    def _set(self, cause: StopCause, there: bool, why: str, now_us: int) -> list[Effect]:
         safety = self.peer.safety
         if there == safety.holds(cause):
             return []

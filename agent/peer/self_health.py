@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 
 from agent.interface.config import CONTROL_PERIOD_US
 from agent.peer.sense_freshness import AGE_MAX_US
-from agent.safety.stop_cause import Cause
+from agent.safety.stop_cause import StopCause
 from protocol.controller_health import Health
 
 FINE: Final = 1.0  # nothing is known against it
@@ -45,7 +45,7 @@ class Known(NamedTuple):
     battery: float | None  # share of a full charge
     machine: float | None  # what the controller of the machine says of itself, 0 to 1
     bus: Health
-    causes: Collection[Cause]
+    causes: Collection[StopCause]
     sense_age_us: int | None  # of the newest observation
     senses_expected: bool  # it drives by its senses, or has sensed before
 
@@ -59,21 +59,21 @@ OF_BUS: Final[Mapping[Health, tuple[float, str]]] = {
 }
 
 # Causes that a fault of this robot raises. All others come from people, other robots or the field.
-OF_CAUSE: Final[Mapping[Cause, tuple[float, Source]]] = {
-    Cause.BUS_OFF: (FAILED, Source.BUS),
-    Cause.ERROR_PASSIVE: (HOLDS, Source.BUS),  # for 1 s: no burst
-    Cause.UNHEARD: (HOLDS, Source.BUS),  # its beats do not leave, or are not reflected
-    Cause.ADDRESS_LOST: (HOLDS, Source.BUS),
-    Cause.DISK_ERROR: (FAILED, Source.DISK),  # an error while writing, a full disk among them
-    Cause.BOOT_UNCONFIRMED: (HOLDS, Source.DISK),  # it has lost what it had written
-    Cause.SENSES_OLD: (HOLDS, Source.SENSES),  # lower while they are old; see `_senses`
-    Cause.PLACE_FROZEN: (FAILED, Source.SENSES),  # it says a place that it does not have
-    Cause.LATE_TICK: (DEGRADED, Source.COMPUTER),
+OF_CAUSE: Final[Mapping[StopCause, tuple[float, Source]]] = {
+    StopCause.BUS_OFF: (FAILED, Source.BUS),
+    StopCause.ERROR_PASSIVE: (HOLDS, Source.BUS),  # for 1 s: no burst
+    StopCause.UNHEARD: (HOLDS, Source.BUS),  # its beats do not leave, or are not reflected
+    StopCause.ADDRESS_LOST: (HOLDS, Source.BUS),
+    StopCause.DISK_ERROR: (FAILED, Source.DISK),  # an error while writing, a full disk among them
+    StopCause.BOOT_UNCONFIRMED: (HOLDS, Source.DISK),  # it has lost what it had written
+    StopCause.SENSES_OLD: (HOLDS, Source.SENSES),  # lower while they are old; see `_senses`
+    StopCause.PLACE_FROZEN: (FAILED, Source.SENSES),  # it says a place that it does not have
+    StopCause.LATE_TICK: (DEGRADED, Source.COMPUTER),
 }
 NOT_OF_ITSELF: Final = frozenset({
-    Cause.NOT_STARTED, Cause.OBSTACLE_AHEAD, Cause.CREEP, Cause.MEMBER_SILENT, Cause.BACKBONE_LOST,
-    Cause.BACKBONE_CREEP, Cause.CONFIG_MISMATCH, Cause.DUPLICATE_ID, Cause.UNAUTHENTICATED_STOP,
-    Cause.SPENT_STOP, Cause.IMPLEMENTS_STOP, Cause.STOP_DOT,
+    StopCause.NOT_STARTED, StopCause.OBSTACLE_AHEAD, StopCause.CREEP, StopCause.MEMBER_SILENT, StopCause.BACKBONE_LOST,
+    StopCause.BACKBONE_CREEP, StopCause.CONFIG_MISMATCH, StopCause.DUPLICATE_ID, StopCause.UNAUTHENTICATED_STOP,
+    StopCause.SPENT_STOP, StopCause.IMPLEMENTS_STOP, StopCause.STOP_DOT,
 })  # fmt: skip
 
 

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Final
 from agent.interface.config import ACTUATOR_TTL_US, CONTROL_PERIOD_US, S
 from agent.interface.effects import HALT, Drive, Effect, Trace
 from agent.interface.ports import Observation
-from agent.motion.holonomic_motion import Motion
-from agent.safety.stop_cause import Cause
+from agent.motion.holonomic_motion import HolonomicMotion
+from agent.safety.stop_cause import StopCause
 
 if TYPE_CHECKING:
     from agent.peer.peer import Peer
@@ -85,16 +85,16 @@ class Senses:
         if old:
             self._late_us = now_us
         safety = peer.safety
-        steady = safety.holds(Cause.SENSES_OLD) and now_us - self._late_us < STEADY_US
-        effects = self._set(Cause.SENSES_OLD, bool(old) or steady, old, now_us)
+        steady = safety.holds(StopCause.SENSES_OLD) and now_us - self._late_us < STEADY_US
+        effects = self._set(StopCause.SENSES_OLD, bool(old) or steady, old, now_us)
         self._changed = False
         frozen = ""
         if self._sensed_us is not None and self._sensed_us != self._compared_us and not old:
             frozen = self._frozen(self._sensed_us)
             self._compared_us = self._sensed_us
         if frozen or self._changed:
-            effects += self._set(Cause.PLACE_FROZEN, bool(frozen), frozen, now_us)
-        self.current = not (old or safety.holds(Cause.PLACE_FROZEN))
+            effects += self._set(StopCause.PLACE_FROZEN, bool(frozen), frozen, now_us)
+        self.current = not (old or safety.holds(StopCause.PLACE_FROZEN))
         return effects
 
     def _old(self, now_us: int) -> str:
@@ -145,11 +145,11 @@ class Senses:
     @property
     def _acceleration_m_s2(self) -> float:
         motion = self.peer.motion
-        if isinstance(motion, Motion):
+        if isinstance(motion, HolonomicMotion):
             return ACCELERATION_SHARE * motion.limits.acceleration_m_s2
         return ACCELERATION_M_S2
 
-    def _set(self, cause: Cause, there: bool, why: str, now_us: int) -> list[Effect]:
+    def _set(self, cause: StopCause, there: bool, why: str, now_us: int) -> list[Effect]:
         safety = self.peer.safety
         if there == safety.holds(cause):
             return []

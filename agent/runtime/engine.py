@@ -30,7 +30,7 @@ from agent.peer.journal_recovery import remembers
 from agent.peer.peer import Peer
 from agent.peer.self_health import readings
 from agent.peer.stop_release import Release
-from agent.runtime.peer_runner import Shell
+from agent.runtime.peer_runner import PeerRunner
 from agent.runtime.section_names import SectionNames
 from agent.safety.stop_cause import Severity, about, sentence
 from agent.safety.stop_controller import CREEP_M_S, SilencePolicy
@@ -109,7 +109,7 @@ class FleetCoordinationEngine:
         self.slot, self.silence = int(digits), silence
         self.sections = SectionNames()
         self._rng = Random(self.slot if seed is None else seed)
-        self._shell: Shell | None = None
+        self._shell: PeerRunner | None = None
         self._task: asyncio.Task[None] | None = None
         self._changed = asyncio.Event()
         self._on_state: list[Callable[[str], Any]] = []
@@ -140,8 +140,8 @@ class FleetCoordinationEngine:
         keyring = None
         if self.keys is not None:
             keyring = Keyring(self.keys, self.slot, token_bytes(KEY_SIZE))
-        peer = Peer(identity, self._rng, Shell.now_us(), recalled, keyring=keyring)
-        self._shell = Shell(peer, self.bus, None, self.journal, self._effect)
+        peer = Peer(identity, self._rng, PeerRunner.now_us(), recalled, keyring=keyring)
+        self._shell = PeerRunner(peer, self.bus, None, self.journal, self._effect)
         self._task = asyncio.create_task(self._shell.run(), name=f"peer {self.tractor_id}")
         try:
             await self._wait(lambda: peer.lifecycle.state is not State.DISCONNECTED, JOIN_TIMEOUT_S)
@@ -290,7 +290,7 @@ class FleetCoordinationEngine:
 
     def get_fleet_status(self) -> dict[str, dict[str, Any]]:
         """The last known status of every member heard, ourselves included, by tractor id."""
-        peer, now_us = self._peer, Shell.now_us()
+        peer, now_us = self._peer, PeerRunner.now_us()
         status: dict[str, dict[str, Any]] = {}
         for slot, standing in sorted(peer.membership.standing.items()):
             neighbour = peer.membership.neighbours.get(slot)

@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 
 from agent.interface.effects import Drive, Effect, Persist, Send, Trace
-from agent.interface.ports import Beat, Body, Bus, Confirming, Journal, Shelving
+from agent.interface.ports import BatchedDelivery, Body, BufferedBeacon, Bus, Confirming, Journal
 from agent.peer.peer import Peer
 from protocol.frames.codec import encode
 from protocol.frames.fleet_frames import Pose
@@ -33,7 +33,7 @@ def _is_press(message: Message) -> bool:
     return isinstance(message, EmergencyStop) and not message.echo
 
 
-class Shell:
+class PeerRunner:
     def __init__(
         self,
         peer: Peer,
@@ -57,8 +57,8 @@ class Shell:
         self._confirming = bus if isinstance(bus, Confirming) else None
         self.withheld = 0  # frames that were not sent because those before them do not leave
         self._frozen_until_us = 0  # 0: not frozen
-        self._shelving = bus if isinstance(bus, Shelving) else None
-        self._shelf: list[Beat] = []  # calm beats, for the next turn
+        self._shelving = bus if isinstance(bus, BatchedDelivery) else None
+        self._shelf: list[BufferedBeacon] = []  # calm beats, for the next turn
         self._shelved = False  # they come there
 
     @property

@@ -26,7 +26,7 @@ AGREE_US = 2 * S  # two frames that say the same, each with its tag: 48 bits to 
 ORDERS_MAX = 64  # orders that wait for their second frame
 
 
-class Authority:
+class CommandAuthority:
     def __init__(self, slot: int, keyring: Keyring | None) -> None:
         self.slot, self.keyring = slot, keyring
         self.refused = 0  # frames without authority

@@ -19,7 +19,7 @@ class Severity(IntEnum):
     LATCHED = 4  # stand until a person at this machine resets it
 
 
-class Clears(Enum):
+class ClearCondition(Enum):
     BY_START = "an operator's start"
     BY_ANSWER = "it has left for 1 s, or an operator's answer"
     BY_POLICY = "the silent member is heard again and the membership is stable for 2 s; or as the policy says"
@@ -36,143 +36,143 @@ class Clears(Enum):
 
 class _Rule(NamedTuple):
     severity: Severity
-    clears: Clears
+    clears: ClearCondition
     why: str
     do: str = ""  # what a person can do about it
 
 
-class Cause(Enum):
+class StopCause(Enum):
     NOT_STARTED = _Rule(
         Severity.PAUSE,
-        Clears.BY_START,
+        ClearCondition.BY_START,
         "no start was given since boot or reset",
         "give the start: headland reset --start, or START on the map",
     )
     OBSTACLE_AHEAD = _Rule(
         Severity.PAUSE,
-        Clears.BY_ANSWER,
+        ClearCondition.BY_ANSWER,
         "something that is not a robot blocks the way",
         "look at what blocks it; take it away, or answer its question",
     )
     CREEP = _Rule(
         Severity.SLOW,
-        Clears.BY_POLICY,
+        ClearCondition.BY_POLICY,
         "a member is silent and the policy is slow",
         "find the silent robot, or waive it by name",
     )
     MEMBER_SILENT = _Rule(
         Severity.PROTECTIVE,
-        Clears.BY_POLICY,
+        ClearCondition.BY_POLICY,
         "a member stopped speaking without leaving",
         "look for the silent robot: power, bus, an accident; waive it by name if it stays away",
     )
     BACKBONE_LOST = _Rule(
         Severity.PROTECTIVE,
-        Clears.WHEN_GONE,
+        ClearCondition.WHEN_GONE,
         "no other segment is reached and the policy is stop",
         "look at the gateway and its link to the other segments",
     )
     BACKBONE_CREEP = _Rule(
         Severity.SLOW,
-        Clears.WHEN_GONE,
+        ClearCondition.WHEN_GONE,
         "no other segment is reached and the policy is slow",
         "look at the gateway and its link to the other segments",
     )
     BUS_OFF = _Rule(
         Severity.PROTECTIVE,
-        Clears.WHEN_GONE,
+        ClearCondition.WHEN_GONE,
         "the controller left the bus",
         "look at the wiring, the bit rate and the termination of this robot",
     )
     ERROR_PASSIVE = _Rule(
         Severity.PROTECTIVE,
-        Clears.WHEN_GONE,
+        ClearCondition.WHEN_GONE,
         "the controller has been error passive for 1 s",
         "look at the wiring, the bit rate and the termination of this robot",
     )
     UNHEARD = _Rule(
         Severity.PROTECTIVE,
-        Clears.WHEN_GONE,
+        ClearCondition.WHEN_GONE,
         "our frames do not leave, or nobody says that it hears us",
         "look at the connection of this robot to the bus, and whether something floods the bus",
     )
     SENSES_OLD = _Rule(
         Severity.PROTECTIVE,
-        Clears.WHEN_IN_TIME,
+        ClearCondition.WHEN_IN_TIME,
         "where the robot is was sensed more than 0.1 s ago, or not at all",
         "look at the receiver of this robot, its cable and its driver",
     )
     PLACE_FROZEN = _Rule(
         Severity.PROTECTIVE,
-        Clears.BY_MOVE_OR_START,
+        ClearCondition.BY_MOVE_OR_START,
         "the wheels were told to drive and the place did not change",
         "look at receiver and wheels of this robot, then give it a start",
     )
     ADDRESS_LOST = _Rule(
         Severity.PROTECTIVE,
-        Clears.WHEN_GONE,
+        ClearCondition.WHEN_GONE,
         "another device took the source address",
         "look for a device that claims the addresses of robots",
     )
     CONFIG_MISMATCH = _Rule(
         Severity.PROTECTIVE,
-        Clears.WHEN_APART,
+        ClearCondition.WHEN_APART,
         "a robot of this fleet has another field description",
         "start that robot with the field of this fleet, or switch it off",
     )
     DUPLICATE_ID = _Rule(
         Severity.PROTECTIVE,
-        Clears.WHEN_APART,
+        ClearCondition.WHEN_APART,
         "another machine has the identity of this one",
         "give one of the two machines another slot, or switch it off",
     )
     LATE_TICK = _Rule(
         Severity.PROTECTIVE,
-        Clears.BY_TIMEOUT,
+        ClearCondition.BY_TIMEOUT,
         "a control period came later than its drive command lives",
         "it goes on by itself; if it comes again, look at the load of its computer",
     )
     UNAUTHENTICATED_STOP = _Rule(
         Severity.PROTECTIVE,
-        Clears.BY_TIMEOUT,
+        ClearCondition.BY_TIMEOUT,
         "a stop without a valid tag, or from an address that nobody has claimed",
         "look for the device that says it; give it a key or a NAME of ours",
     )
     SPENT_STOP = _Rule(
         Severity.PROTECTIVE,
-        Clears.BY_TIMEOUT,
+        ClearCondition.BY_TIMEOUT,
         "a stop with a name that was cleared before",
         "look for the panel that says it; a press there again takes a new name",
     )
     IMPLEMENTS_STOP = _Rule(
         Severity.PROTECTIVE,
-        Clears.BY_TIMEOUT,
+        ClearCondition.BY_TIMEOUT,
         "ISO 11783-7 all implements stop",
         "release the stop button that is pressed",
     )
     DISK_ERROR = _Rule(
         Severity.LATCHED,
-        Clears.NEVER,
+        ClearCondition.NEVER,
         "durable memory failed",
         "replace the disk of this robot and restart it",
     )
     STOP_DOT = _Rule(
         Severity.LATCHED,
-        Clears.BY_RESET,
+        ClearCondition.BY_RESET,
         "an emergency stop",
         "see that nobody is in danger, then headland reset",
     )
     BOOT_UNCONFIRMED = _Rule(
         Severity.LATCHED,
-        Clears.BY_RESET,
+        ClearCondition.BY_RESET,
         "durable memory was lost or is unreadable",
         "look at this robot, then headland reset",
     )
 
     severity: Severity
-    clears: Clears
+    clears: ClearCondition
 
-    def __init__(self, severity: Severity, clears: Clears, why: str, do: str = "") -> None:
+    def __init__(self, severity: Severity, clears: ClearCondition, why: str, do: str = "") -> None:
         self.severity, self.clears = severity, clears  # read with every beat of a standing fleet
 
     @property
@@ -185,14 +185,14 @@ class Cause(Enum):
 
 # Names of their own for what is asked for with every beat of a standing fleet.
 WORST, LEAST = Severity.LATCHED, Severity.SLOW
-NOT_STARTED, SILENT, CREEP = Cause.NOT_STARTED, Cause.MEMBER_SILENT, Cause.CREEP
+NOT_STARTED, SILENT, CREEP = StopCause.NOT_STARTED, StopCause.MEMBER_SILENT, StopCause.CREEP
 
 
 def cause_table() -> str:
     """The table in the documents."""
     rows = [
         f"| {c.name} | {c.severity.name} | {c.value.why} | {c.clears.value} | {c.value.do} |"
-        for c in Cause
+        for c in StopCause
     ]
     head = "| cause | severity | why | what clears it | what a person can do |"
     return "\n".join([head, "|---|---|---|---|---|", *rows])
@@ -200,16 +200,16 @@ def cause_table() -> str:
 
 # Which number of a cause's detail says what it is about: an address, or the slot of a robot.
 _ABOUT = {
-    Cause.CONFIG_MISMATCH: ("address", re.compile(r"address (\d+)")),
-    Cause.DUPLICATE_ID: ("address", re.compile(r"address (\d+)")),
-    Cause.UNAUTHENTICATED_STOP: ("address", re.compile(r"address (\d+)")),
-    Cause.IMPLEMENTS_STOP: ("address", re.compile(r"address (\d+)")),
-    Cause.MEMBER_SILENT: ("robot", re.compile(r"(\d+)")),
-    Cause.CREEP: ("robot", re.compile(r"(\d+)")),
+    StopCause.CONFIG_MISMATCH: ("address", re.compile(r"address (\d+)")),
+    StopCause.DUPLICATE_ID: ("address", re.compile(r"address (\d+)")),
+    StopCause.UNAUTHENTICATED_STOP: ("address", re.compile(r"address (\d+)")),
+    StopCause.IMPLEMENTS_STOP: ("address", re.compile(r"address (\d+)")),
+    StopCause.MEMBER_SILENT: ("robot", re.compile(r"(\d+)")),
+    StopCause.CREEP: ("robot", re.compile(r"(\d+)")),
 }
 
 
-def about(cause: Cause, detail: str) -> int:
+def about(cause: StopCause, detail: str) -> int:
     """The address or slot that a cause is about; `NOBODY` where it is about none."""
     _, pattern = _ABOUT.get(cause, ("", None))
     found = None if pattern is None else pattern.search(detail)
@@ -217,17 +217,17 @@ def about(cause: Cause, detail: str) -> int:
     return min(number, NOBODY)
 
 
-def further(cause: Cause, detail: str) -> int:
+def further(cause: StopCause, detail: str) -> int:
     """How many robots beside the first a cause is about."""
-    if cause not in (Cause.MEMBER_SILENT, Cause.CREEP):
+    if cause not in (StopCause.MEMBER_SILENT, StopCause.CREEP):
         return 0
     return max(0, len(re.findall(r"\d+", detail)) - 1)
 
 
-def cause_of(number: int) -> Cause | None:
+def cause_of(number: int) -> StopCause | None:
     """The cause that is told under this number; None for one that this release does not know."""
     name = StandsBy(number).name if number in set(StandsBy) else StandsBy.OTHER.name
-    return Cause.__members__.get(name)
+    return StopCause.__members__.get(name)
 
 
 def sentence(number: int, subject: int, count: int = 0) -> str:
@@ -244,7 +244,7 @@ def sentence(number: int, subject: int, count: int = 0) -> str:
         return f"{StandsBy.OTHER.name} ({number}): headland inspect --traces asks it what"
     kind = _ABOUT.get(cause, ("", None))[0]
     told = f" with {kind} {subject}" if kind and subject != NOBODY else ""
-    if count and cause is Cause.STOP_DOT:
+    if count and cause is StopCause.STOP_DOT:
         told = f" ({count} stop{'s' if count > 1 else ''})"
     elif count and told:
         told += f" and {count} more"

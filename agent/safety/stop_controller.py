@@ -11,10 +11,10 @@ from math import hypot
 
 from agent.interface.config import MEMBERSHIP_STABLE_US, MS, STOP_REPEAT_US, STOP_SPACING_US, S
 from agent.interface.effects import HALT, Drive, Effect, Persist, Send, Trace
-from agent.safety.command_authority import Authority
+from agent.safety.command_authority import CommandAuthority
 from agent.safety.standard_stop import STOPS, OwnButton, ShortcutButtons
-from agent.safety.stop_cause import CREEP, LEAST, NOT_STARTED, SILENT, WORST, Cause, Severity
-from crdt.stops import FarDot, FarStopSet, StopDot, StopSet, held_digest, turn
+from agent.safety.stop_cause import CREEP, LEAST, NOT_STARTED, SILENT, WORST, Severity, StopCause
+from crdt.stops import RemoteStopDot, RemoteStopSet, StopDot, StopSet, held_digest, next_in_rotation
 from protocol.authentication import Keyring
 from protocol.frames.operator_frames import OperatorGoal
 from protocol.frames.safety_frames import (
@@ -56,7 +56,7 @@ class SilencePolicy(Enum):
     CONTINUE = "after 2 s of stable membership go on without it"
 
 
-class Safety:
+class StopController:
     def __init__(
         self,
         slot: int,
@@ -67,13 +67,13 @@ class Safety:
         now_us: int,
     ) -> None:
         self.slot, self.incarnation = slot, incarnation & 0xFF
-        self.policy, self.authority = policy, Authority(slot, keyring)
-        self.stops, self.far = StopSet(), FarStopSet()
+        self.policy, self.authority = policy, CommandAuthority(slot, keyring)
+        self.stops, self.far = StopSet(), RemoteStopSet()
         # A stop says an incarnation's low byte alone: a life without memory counts from the other one.
         began = bytes((incarnation >> 8 & 0xFF,))
         self.counter = int.from_bytes(recalled.get(COUNTER_KEY, began), "little")
-        self._causes: dict[Cause, str] = {Cause.NOT_STARTED: "boot"}
-        self._expires_us: dict[Cause, int] = {}
+        self._causes: dict[StopCause, str] = {StopCause.NOT_STARTED: "boot"}
+        self._expires_us: dict[StopCause, int] = {}
         self._live: frozenset[int] = frozenset({slot})
         self._silent: frozenset[int] = frozenset()
         self._stable_us = now_us
@@ -97,11 +97,11 @@ class Safety:
             if STOPS_KEY in recalled:
                 self.stops = StopSet.deserialize(recalled[STOPS_KEY])
             if FAR_KEY in recalled:
-                self.far = FarStopSet.deserialize(recalled[FAR_KEY])
+                self.far = RemoteStopSet.deserialize(recalled[FAR_KEY])
         except ValueError:
-            self._causes[Cause.BOOT_UNCONFIRMED] = "the stop set on disk is unreadable"
+            self._causes[StopCause.BOOT_UNCONFIRMED] = "the stop set on disk is unreadable"
         if self.stops.latched or self.far.latched or recalled.get(HOLD_KEY) == LATCHED:
-            self._causes[Cause.STOP_DOT] = "latched before the restart"
+            self._causes[StopCause.STOP_DOT] = "latched before the restart"
         self.held = recalled.get(HOLD_KEY, FREE) != FREE
 
     # ---------------------------------------------------------------- state
@@ -122,7 +122,7 @@ class Safety:
         return max(cause.severity for cause in self._causes)
 
     @property
-    def causes(self) -> tuple[tuple[Cause, str], ...]:
+    def causes(self) -> tuple[tuple[StopCause, str], ...]:
         return tuple(
             sorted(self._causes.items(), key=lambda item: (-item[0].severity, item[0].name))
         )
@@ -135,7 +135,7 @@ class Safety:
     @property
     def unconfirmed(self) -> bool:
         """Memory was lost: nobody has yet said that this machine may forget it."""
-        return Cause.BOOT_UNCONFIRMED in self._causes
+        return StopCause.BOOT_UNCONFIRMED in self._causes
 
     @property
     def started(self) -> bool:
@@ -148,15 +148,15 @@ class Safety:
     def echoed(self, dot: StopDot) -> frozenset[int]:
         return frozenset(self._echoes.get(dot, ()))
 
-    def holds(self, cause: Cause) -> bool:
+    def holds(self, cause: StopCause) -> bool:
         return cause in self._causes
 
-    def raise_cause(self, cause: Cause, now_us: int, detail: str = "", for_us: int = 0) -> None:
+    def raise_cause(self, cause: StopCause, now_us: int, detail: str = "", for_us: int = 0) -> None:
         self._causes[cause] = detail
         if for_us:
             self._expires_us[cause] = now_us + for_us
 
-    def clear_cause(self, cause: Cause, now_us: int) -> None:
+    def clear_cause(self, cause: StopCause, now_us: int) -> None:
         self._causes.pop(cause, None)
         self._expires_us.pop(cause, None)
 
@@ -176,7 +176,7 @@ class Safety:
         self.stops.press_own(dot)
         self._renew_us = FOREVER
         self.last_stop, self._reasons[dot] = (self.slot, reason), reason
-        self._causes[Cause.STOP_DOT] = f"pressed here: {reason.name}"
+        self._causes[StopCause.STOP_DOT] = f"pressed here: {reason.name}"
         self._own[dot], self._repeat_us = REPEATS_MAX, now_us + STOP_REPEAT_US
         return [
             HALT,
@@ -200,7 +200,7 @@ class Safety:
             return ()
         if not self.authority.believes(m, signer, now_us):
             self.raise_cause(
-                Cause.UNAUTHENTICATED_STOP, now_us, f"dot {dot}", UNAUTHENTICATED_HOLD_US
+                StopCause.UNAUTHENTICATED_STOP, now_us, f"dot {dot}", UNAUTHENTICATED_HOLD_US
             )
             return [HALT, *self.authority.ask(signer, now_us)]
         if self.stops.is_cleared(dot):  # an operator has cleared exactly this one: an echo is late
@@ -211,7 +211,7 @@ class Safety:
         reason = Reason(min(m.reason, max(Reason)))
         self.last_stop = m.slot, reason
         self._renew_us = FOREVER
-        self._causes[Cause.STOP_DOT] = f"{dot.slot}.{dot.incarnation}.{dot.counter}"
+        self._causes[StopCause.STOP_DOT] = f"{dot.slot}.{dot.incarnation}.{dot.counter}"
         self._echoes.setdefault(dot, set()).add(self.slot)
         return [
             HALT,
@@ -235,13 +235,13 @@ class Safety:
         answer = EmergencyStop(dot.slot, dot.incarnation, dot.counter, reason, True, spent=True)
         return [HALT, Send(self.authority.sign(answer))]
 
-    def press_used(self, dot: StopDot | FarDot, now_us: int) -> Sequence[Effect]:
+    def press_used(self, dot: StopDot | RemoteStopDot, now_us: int) -> Sequence[Effect]:
         """A press, believed, with a name that was cleared before. It brakes; where it is said still after
         `AGAIN_US`, the first robot in slot order presses in its own name, unless a stop latches it."""
         if now_us - self._spent_us > SPENT_FORGET_US or now_us < self._spent_us:
             self._spent_since_us = now_us
         self._spent_us = now_us
-        self.raise_cause(Cause.SPENT_STOP, now_us, f"dot {dot}", SPENT_HOLD_US)
+        self.raise_cause(StopCause.SPENT_STOP, now_us, f"dot {dot}", SPENT_HOLD_US)
         if now_us - self._spent_since_us >= AGAIN_US and not self.stops.latched:
             rank = sum(slot < self.slot for slot in self._live)
             self._renew_us = min(self._renew_us, now_us + rank * STOP_REPEAT_US)
@@ -251,7 +251,7 @@ class Safety:
         """Somebody is pressed with a name that was used before. If it is we, we take another."""
         self._spent_told_us = now_us
         if dot not in self._own:
-            self.raise_cause(Cause.SPENT_STOP, now_us, f"dot {dot}", SPENT_HOLD_US)
+            self.raise_cause(StopCause.SPENT_STOP, now_us, f"dot {dot}", SPENT_HOLD_US)
             return [HALT]
         if not self._renewals or now_us - self._pressed_us < STOP_SPACING_US:
             return ()
@@ -268,13 +268,13 @@ class Safety:
         self._more_us = now_us
         return [HALT, *self._remember()] if first else ()
 
-    def latch_far(self, dot: FarDot, now_us: int) -> Sequence[Effect]:
+    def latch_far(self, dot: RemoteStopDot, now_us: int) -> Sequence[Effect]:
         """A stop of another segment, believed: brake, remember."""
         more = self.far.more
         if not self.far.press(dot):
             first = self.far.more and not more
             return [HALT, Persist(FAR_KEY, self.far.serialize())] if first else ()
-        self._causes[Cause.STOP_DOT] = f"{dot.segment}/{dot.slot}.{dot.incarnation}.{dot.counter}"
+        self._causes[StopCause.STOP_DOT] = f"{dot.segment}/{dot.slot}.{dot.incarnation}.{dot.counter}"
         return [
             HALT,
             Persist(FAR_KEY, self.far.serialize()),
@@ -282,7 +282,7 @@ class Safety:
             Trace("safety", "", "HEARD_STOP", "LATCHED", f"{dot}"),
         ]
 
-    def clear_far(self, dot: FarDot) -> Sequence[Effect]:
+    def clear_far(self, dot: RemoteStopDot) -> Sequence[Effect]:
         """A reset that holds in all segments, believed."""
         if not self.far.clear(dot):
             return ()
@@ -296,7 +296,7 @@ class Safety:
         if not self.stops.press(dot):
             return ()
         self._renew_us = FOREVER
-        self._causes[Cause.STOP_DOT] = f"{dot.slot}.{dot.incarnation}.{dot.counter}"
+        self._causes[StopCause.STOP_DOT] = f"{dot.slot}.{dot.incarnation}.{dot.counter}"
         return [
             HALT,
             Send(self._stop(dot, Reason.OPERATOR_INTERVENTION, echo=True)),
@@ -330,7 +330,7 @@ class Safety:
         if now_us - self._answered_us < ANSWER_SPACING_US:
             return ()
         self._answered_us = now_us
-        dots = turn(self.stops.active, self._told, TOLD_MAX)
+        dots = next_in_rotation(self.stops.active, self._told, TOLD_MAX)
         self._told = dots[-1] if dots else None
         return [Send(self._stop(d, Reason.OPERATOR_INTERVENTION, echo=True)) for d in dots]
 
@@ -380,16 +380,16 @@ class Safety:
         self.buttons.hear(source, name, robot, m, now_us)
         if robot:
             self.button.heard(m, now_us)
-        held_us, held = self.buttons.until_us() - now_us, Cause.IMPLEMENTS_STOP in self._causes
+        held_us, held = self.buttons.until_us() - now_us, StopCause.IMPLEMENTS_STOP in self._causes
         if held_us <= 0:
-            self.clear_cause(Cause.IMPLEMENTS_STOP, now_us)
+            self.clear_cause(StopCause.IMPLEMENTS_STOP, now_us)
             return ()
-        self.raise_cause(Cause.IMPLEMENTS_STOP, now_us, f"address {source}", held_us)
+        self.raise_cause(StopCause.IMPLEMENTS_STOP, now_us, f"address {source}", held_us)
         return [HALT] if m.switch in STOPS or not held else ()
 
     def say_button(self, live: Collection[int], now_us: int) -> Sequence[Effect]:
         """With a beat: the standard frame, where an emergency stop holds us or has just ended."""
-        latched = Cause.STOP_DOT in self._causes
+        latched = StopCause.STOP_DOT in self._causes
         if not latched and not self.button.speaks:
             return ()
         rank = sum(slot < self.slot for slot in live)
@@ -409,19 +409,19 @@ class Safety:
 
     def manual_reset(self, now_us: int) -> bool:
         """Unlatch. Refused while a dot is not cleared or a cause that never clears is there."""
-        if self.stops.latched or self.far.latched or Cause.DISK_ERROR in self._causes:
+        if self.stops.latched or self.far.latched or StopCause.DISK_ERROR in self._causes:
             return False
-        for cause in (Cause.STOP_DOT, Cause.BOOT_UNCONFIRMED):
+        for cause in (StopCause.STOP_DOT, StopCause.BOOT_UNCONFIRMED):
             self._causes.pop(cause, None)
         return True
 
     def start(self, now_us: int) -> Sequence[Effect]:
-        self.clear_cause(Cause.NOT_STARTED, now_us)
-        self.clear_cause(Cause.PLACE_FROZEN, now_us)
+        self.clear_cause(StopCause.NOT_STARTED, now_us)
+        self.clear_cause(StopCause.PLACE_FROZEN, now_us)
         return [self.remember_hold()]
 
     def hold(self, now_us: int) -> Sequence[Effect]:
-        self.raise_cause(Cause.NOT_STARTED, now_us, "held by an operator")
+        self.raise_cause(StopCause.NOT_STARTED, now_us, "held by an operator")
         return [HALT, self.remember_hold()]
 
     def remember_hold(self) -> Persist:
@@ -438,8 +438,8 @@ class Safety:
         brake = bool(silent - self._silent)
         self._live, self._silent, self._stable_us = live, silent, now_us
         if brake:
-            self.clear_cause(Cause.CREEP, now_us)
-            self.raise_cause(Cause.MEMBER_SILENT, now_us, f"silent {sorted(silent)}")
+            self.clear_cause(StopCause.CREEP, now_us)
+            self.raise_cause(StopCause.MEMBER_SILENT, now_us, f"silent {sorted(silent)}")
             return [HALT, Trace("safety", "", "SILENCE", "PROTECTIVE", f"{sorted(silent)}")]
         return ()
 
@@ -476,17 +476,17 @@ class Safety:
     def _end_silence(self, now_us: int) -> None:
         if not self._settles or now_us < self._stable_us + MEMBERSHIP_STABLE_US:
             return
-        self.clear_cause(Cause.MEMBER_SILENT, now_us)
+        self.clear_cause(StopCause.MEMBER_SILENT, now_us)
         if self._silent and self.policy is SilencePolicy.SLOW:
-            self.raise_cause(Cause.CREEP, now_us, f"silent {sorted(self._silent)}")
+            self.raise_cause(StopCause.CREEP, now_us, f"silent {sorted(self._silent)}")
         else:
-            self.clear_cause(Cause.CREEP, now_us)
+            self.clear_cause(StopCause.CREEP, now_us)
 
     def _repeat(self, now_us: int) -> Sequence[Effect]:
         """As the source: every 5 ms until every live member has echoed. What nobody can hear has not been
         said: it does not count."""
         sends, others = list[Effect](), self._live - {self.slot}
-        unheard = Cause.UNHEARD in self._causes
+        unheard = StopCause.UNHEARD in self._causes
         for dot, left in sorted(self._own.items()):
             enough = left <= (0 if others else REPEATS_MAX - REPEATS_ALONE)
             if enough or (others and others <= self._echoes.get(dot, set())):

@@ -5,16 +5,21 @@ and so is its reset. The presser says it at once. Where it was a panel, a tool o
 robots that heard it say it: one does, in the order of their slots, and the others overhear it. Gateways
 carry these frames as they are and hold no secret. A frame with the bit `told` is no press: its sender
 holds the stop and tells it to one that may not know it. A press under a name that was cleared here
-brakes, and latches when it is said still (`Safety.press_used`), as such a press on the own bus does.
+brakes, and latches when it is said still (`StopController.press_used`), as such a press on the own bus does.
 """
 
 from collections.abc import Iterable, Sequence
 
 from agent.interface.config import MS
 from agent.interface.effects import HALT, Effect, Send
-from agent.safety.stop_cause import Cause
-from agent.safety.stop_controller import ANSWER_SPACING_US, FOREVER, UNAUTHENTICATED_HOLD_US, Safety
-from crdt.stops import FarDot, StopDot, turn
+from agent.safety.stop_cause import StopCause
+from agent.safety.stop_controller import (
+    ANSWER_SPACING_US,
+    FOREVER,
+    UNAUTHENTICATED_HOLD_US,
+    StopController,
+)
+from crdt.stops import RemoteStopDot, StopDot, next_in_rotation
 from protocol.fleet_tags import FleetTags, plain_reset, plain_stop
 from protocol.frames.segment_frames import FleetReset, FleetStop
 
@@ -24,7 +29,7 @@ HALVES_MAX = 64  # resets of which one half was heard
 
 
 class FleetStops:
-    def __init__(self, segment: int, slot: int, safety: Safety, tags: FleetTags | None) -> None:
+    def __init__(self, segment: int, slot: int, safety: StopController, tags: FleetTags | None) -> None:
         self.segment, self.slot, self.safety, self.tags = segment, slot, safety, tags
         self.refused = 0  # frames without a valid tag
         self.holds_far = safety.far.latched  # a stop of another segment is not cleared
@@ -32,10 +37,10 @@ class FleetStops:
         self._far = safety.far.active
         self._cleared = safety.stops.cleared
         self._stop_due_us: dict[StopDot, int] = {}  # of our segment, to be said to the others
-        self._reset_due_us: dict[FarDot, int] = {}
-        self._halves: dict[tuple[FarDot, int], int] = {}
+        self._reset_due_us: dict[RemoteStopDot, int] = {}
+        self._halves: dict[tuple[RemoteStopDot, int], int] = {}
         self._told_us = -ANSWER_SPACING_US
-        self._told: FarDot | None = None  # the last of those told
+        self._told: RemoteStopDot | None = None  # the last of those told
 
     # ---------------------------------------------------------------- what happened here
 
@@ -47,8 +52,8 @@ class FleetStops:
             return
         place = sorted(live).index(self.slot)
         for dot in active - self._pressed:
-            turn = 0 if dot.slot == self.slot else place
-            self._stop_due_us.setdefault(dot, now_us + turn * TURN_US)
+            next_in_rotation = 0 if dot.slot == self.slot else place
+            self._stop_due_us.setdefault(dot, now_us + next_in_rotation * TURN_US)
         for dot in cleared - self._cleared:
             self._stop_due_us.pop(dot, None)
             self._reset_due_us.setdefault(self._everywhere(dot), now_us + place * TURN_US)
@@ -86,23 +91,23 @@ class FleetStops:
             return ()
         self._told_us = now_us
         held = [*map(self._everywhere, self.safety.stops.active), *self.safety.far.active]
-        dots = turn(held, self._told, TOLD_MAX)
+        dots = next_in_rotation(held, self._told, TOLD_MAX)
         self._told = dots[-1] if dots else None
         return [Send(self.say_stop(dot)._replace(told=True)) for dot in dots]
 
-    def say_stop(self, dot: FarDot) -> FleetStop:
+    def say_stop(self, dot: RemoteStopDot) -> FleetStop:
         return plain_stop(dot) if self.tags is None else self.tags.stop(dot)
 
-    def say_reset(self, dot: FarDot) -> tuple[FleetReset, FleetReset]:
+    def say_reset(self, dot: RemoteStopDot) -> tuple[FleetReset, FleetReset]:
         return plain_reset(dot) if self.tags is None else self.tags.reset(dot)
 
-    def _everywhere(self, dot: StopDot) -> FarDot:
-        return FarDot(*dot, self.segment)
+    def _everywhere(self, dot: StopDot) -> RemoteStopDot:
+        return RemoteStopDot(*dot, self.segment)
 
     # ---------------------------------------------------------------- what is heard
 
     def receive_stop(self, m: FleetStop, now_us: int) -> Sequence[Effect]:
-        far = FarDot(m.slot, m.incarnation, m.counter, m.segment)
+        far = RemoteStopDot(m.slot, m.incarnation, m.counter, m.segment)
         near = StopDot(*far[:3]) if far.segment == self.segment else None
         if near is not None:
             self._stop_due_us.pop(near, None)  # somebody says it: we need not
@@ -111,7 +116,7 @@ class FleetStops:
         if m != self.say_stop(far)._replace(told=m.told):
             self.refused += 1
             self.safety.raise_cause(
-                Cause.UNAUTHENTICATED_STOP, now_us, f"{far}", UNAUTHENTICATED_HOLD_US
+                StopCause.UNAUTHENTICATED_STOP, now_us, f"{far}", UNAUTHENTICATED_HOLD_US
             )
             return [HALT]
         if self._cleared_here(far, near):
@@ -127,17 +132,17 @@ class FleetStops:
         self._pressed = self.safety.stops.active
         return effects
 
-    def _held(self, far: FarDot, near: StopDot | None) -> bool:
+    def _held(self, far: RemoteStopDot, near: StopDot | None) -> bool:
         active = self.safety.far.active if near is None else self.safety.stops.active
         return (far if near is None else near) in active
 
-    def _cleared_here(self, far: FarDot, near: StopDot | None) -> bool:
+    def _cleared_here(self, far: RemoteStopDot, near: StopDot | None) -> bool:
         if near is None:
             return self.safety.far.is_cleared(far)
         return self.safety.stops.is_cleared(near)
 
     def receive_reset(self, m: FleetReset, now_us: int) -> Sequence[Effect]:
-        far = FarDot(m.slot, m.incarnation, m.counter, m.segment)
+        far = RemoteStopDot(m.slot, m.incarnation, m.counter, m.segment)
         near = StopDot(*far[:3]) if far.segment == self.segment else None
         if self._cleared_here(far, near):
             self._reset_due_us.pop(far, None)

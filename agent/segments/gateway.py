@@ -15,13 +15,13 @@ from agent.interface.config import FRAME_US_MAX, MS, S
 from agent.interface.effects import Effect, Send
 from agent.peer.frame_origin import PROPRIETARY, Origin, Origins
 from agent.peer.member_discovery import CLAIM_PGN
-from agent.segments.gateway_election import Candidacy
+from agent.segments.gateway_election import GatewayElection
 from agent.segments.map_relay import MapRelay
 from agent.segments.segment_area import Area
-from agent.segments.segment_reachability import Reach
+from agent.segments.segment_reachability import SegmentReachability
 from agent.segments.stop_relay import LIVE_US, StopRelay
-from agent.segments.token_bucket import RateLimit
-from agent.segments.work_relay import FLUSH_US, BorderRelay
+from agent.segments.token_bucket import TokenBucket
+from agent.segments.work_relay import FLUSH_US, WorkRelay
 from protocol import backbone_messages as backbone
 from protocol.backbone_messages import Body, Header, Kind, Summary
 from protocol.frames.codec import Malformed, decode_once, destination_of
@@ -41,7 +41,7 @@ from protocol.frames.work_frames import (
     WorkProgress,
 )
 from protocol.name import Name
-from protocol.sync.synchronizer import Sync
+from protocol.sync.synchronizer import Synchronizer
 
 SHARE = 0.10  # of the bus, for all that is not a stop
 BURST_US = 20 * FRAME_US_MAX
@@ -76,14 +76,14 @@ class Gateway:
     ) -> None:
         """`boot`: anything that no two starts share, 32 bits. `chart`: where segments share a map."""
         self.area, self.name, self.boot = area, name, boot & 0xFFFF_FFFF
-        self.candidacy = Candidacy(boot, name.hash16, now_us)
-        self.reach = Reach(area.segment)
+        self.candidacy = GatewayElection(boot, name.hash16, now_us)
+        self.reach = SegmentReachability(area.segment)
         self.stops = StopRelay(area.segment, now_us)
-        self.border = BorderRelay(area)
-        self.sync = Sync(self.candidacy.election.slot, self.border.allocation, self.border.progress)
+        self.border = WorkRelay(area)
+        self.sync = Synchronizer(self.candidacy.election.slot, self.border.allocation, self.border.progress)
         self.chart = chart
         self.counts: Counter[str] = Counter()
-        self._limit = RateLimit(SHARE, BURST_US, now_us)
+        self._limit = TokenBucket(SHARE, BURST_US, now_us)
         self._slot_of: dict[int, int] = {}  # address -> slot, from MEMBER frames
         self._heard_us: dict[int, int] = {}  # slot -> last sign of life
         self._live: frozenset[int] = frozenset()

@@ -27,7 +27,7 @@ LISTEN_US = 600 * MS  # two beats of who is there already
 NUMBERS = range(GATEWAY_SLOT, GATEWAY_SLOT + CANDIDATES_MAX)
 
 
-class Candidacy:
+class GatewayElection:
     def __init__(self, lot: int, name_hash: int, now_us: int) -> None:
         self.lot = lot & 0xFFFF
         self.number: int | None = None

@@ -10,10 +10,10 @@ slot count as one observer, who trusts what it reads of the other as its own.
 """
 
 from agent.interface.config import FRAME_US_MAX, S
-from agent.segments.token_bucket import RateLimit
+from agent.segments.token_bucket import TokenBucket
 from crdt.hybrid_clock import HybridClock
 from crdt.occupancy import Geometry, OccupancyMap
-from crdt.sighting import TIME_MAX, Order
+from crdt.sighting import TIME_MAX, MergeOrder
 from protocol.backbone_messages import Entry
 from protocol.frames.map_frames import MapDigests, MapPatch
 from protocol.frames.segment_frames import GATEWAY_SLOT
@@ -24,7 +24,7 @@ KINDS: dict[int, type[MapPatch] | type[MapDigests]] = {PATCH: MapPatch, DIGESTS:
 
 
 class MapRelay:
-    def __init__(self, segment: int, geometry: Geometry, order: Order, now_us: int) -> None:
+    def __init__(self, segment: int, geometry: Geometry, order: MergeOrder, now_us: int) -> None:
         self.segment = segment
         self.chart = OccupancyMap(geometry, order)
         clock = HybridClock(now_us, S, TIME_MAX)
@@ -60,7 +60,7 @@ class MapRelay:
     def deadline_us(self) -> int:
         return min(self.near.deadline_us, self.far.deadline_us)
 
-    def tick(self, limit: RateLimit, now_us: int) -> tuple[list[Said], list[Entry]]:
+    def tick(self, limit: TokenBucket, now_us: int) -> tuple[list[Said], list[Entry]]:
         """(frames for our bus, entries for the backbone); the former as far as the limit lets."""
         near: list[Said] = []
         if self.near.deadline_us <= now_us and limit.take(FRAME_US_MAX, now_us):

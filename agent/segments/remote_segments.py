@@ -21,7 +21,7 @@ class Heard(NamedTuple):
     heard_us: int
 
 
-class Beyond:
+class RemoteSegments:
     def __init__(self, segment: int, now_us: int) -> None:
         self.segment = segment
         self.reached = 0  # other segments, as the leading gateway says

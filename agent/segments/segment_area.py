@@ -15,7 +15,7 @@ GUEST_FIRST = 108  # owners of other segments in registers; slots of robots are 
 NEIGHBOURS_MAX = 16  # up to the numbers of gateways
 
 
-class Place(NamedTuple):
+class SegmentPlace(NamedTuple):
     """A section of the whole fleet."""
 
     segment: int
@@ -28,7 +28,7 @@ class Area:
         segment: int,
         home: int,
         lent: Mapping[int, frozenset[int]] | None = None,
-        borrowed: Mapping[int, Place] | None = None,
+        borrowed: Mapping[int, SegmentPlace] | None = None,
     ) -> None:
         """`home`: sections 0 .. home-1 are this segment's. `lent`: home section -> neighbours that
         share it. `borrowed`: section number here -> where its home is."""
@@ -46,13 +46,13 @@ class Area:
         return tuple(sorted(borrowed.union(*self.lent.values())))
 
     @cached_property
-    def number_of(self) -> dict[Place, int]:
+    def number_of(self) -> dict[SegmentPlace, int]:
         """The number here of every section that is shared or borrowed."""
         numbers = {place: section for section, place in self.borrowed.items()}
-        return numbers | {Place(self.segment, section): section for section in self.lent}
+        return numbers | {SegmentPlace(self.segment, section): section for section in self.lent}
 
-    def place_of(self, section: int) -> Place:
-        return self.borrowed.get(section, Place(self.segment, section))
+    def place_of(self, section: int) -> SegmentPlace:
+        return self.borrowed.get(section, SegmentPlace(self.segment, section))
 
     def shared_with(self, neighbour: int) -> list[int]:
         """Numbers here of all sections that we and this neighbour both hold."""

@@ -14,10 +14,10 @@ from agent.interface.effects import HALT, Effect, Trace
 from agent.interface.identity import Identity
 from agent.peer.frame_origin import PROPRIETARY
 from agent.peer.peer import NOTHING, Peer
-from agent.safety.stop_cause import Cause
+from agent.safety.stop_cause import StopCause
 from agent.safety.stop_controller import SilencePolicy
 from agent.segments.fleet_stops import FleetStops
-from agent.segments.remote_segments import Beyond
+from agent.segments.remote_segments import RemoteSegments
 from agent.segments.segment_area import Area
 from agent.segments.work_relay import LAST_SLOT
 from protocol.fleet_tags import FleetTags
@@ -67,7 +67,7 @@ class SegmentPeer(Peer):
         keyring = self.safety.authority.keyring
         tags = None if keyring is None else FleetTags(keyring.keys)
         self.fleet_stops = FleetStops(area.segment, self.slot, self.safety, tags)
-        self.beyond = Beyond(area.segment, now_us)
+        self.beyond = RemoteSegments(area.segment, now_us)
 
     def hear(self, source: int, message: Message | Malformed, now_us: int) -> Sequence[Effect]:
         kind = type(message)
@@ -122,13 +122,13 @@ class SegmentPeer(Peer):
         alone = self.beyond.alone
         held: list[Effect] = []
         if self.policy is SilencePolicy.STOP:
-            self._cause(Cause.BACKBONE_LOST, alone)
+            self._cause(StopCause.BACKBONE_LOST, alone)
             held = [HALT] if alone else []
         elif self.policy is SilencePolicy.SLOW:
-            self._cause(Cause.BACKBONE_CREEP, alone)
+            self._cause(StopCause.BACKBONE_CREEP, alone)
         return [*held, Trace("beyond", "", "ALONE" if alone else "REACHED", "", "")]
 
-    def _cause(self, cause: Cause, raised: bool) -> None:
+    def _cause(self, cause: StopCause, raised: bool) -> None:
         if raised:
             self.safety.raise_cause(cause, 0, "no other segment is reached")
         else:

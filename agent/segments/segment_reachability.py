@@ -15,7 +15,7 @@ SEGMENTS_MAX = 4096  # remembered; a few hundred bytes each. More is a fleet bey
 
 
 @dataclass
-class Remote:
+class RemoteSegment:
     """Another segment, as its leading gateway tells."""
 
     term: int = 0
@@ -25,10 +25,10 @@ class Remote:
     last: dict[int, tuple[int, int]] = field(default_factory=dict)  # candidate -> boot, sequence
 
 
-class Reach:
+class SegmentReachability:
     def __init__(self, segment: int) -> None:
         self.segment = segment
-        self.remotes: dict[int, Remote] = {}
+        self.remotes: dict[int, RemoteSegment] = {}
         self.counts: Counter[str] = Counter()
         self.ever = False
 
@@ -44,7 +44,7 @@ class Reach:
             if len(self.remotes) >= SEGMENTS_MAX:
                 self.counts["too many"] += 1
                 return False
-            remote = self.remotes[header.segment] = Remote()
+            remote = self.remotes[header.segment] = RemoteSegment()
         if header.term < remote.term and now_us - remote.heard_us < GONE_US:
             self.counts["fenced"] += 1
             return False

@@ -12,9 +12,9 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 from agent.interface.config import MS, STOP_REPEAT_US, S
-from agent.segments.token_bucket import RateLimit
+from agent.segments.token_bucket import TokenBucket
 from crdt.digest import mix
-from crdt.stops import FarDot
+from crdt.stops import RemoteStopDot
 from protocol.frames.segment_frames import GATEWAY_ADDRESS, FleetReset, FleetStop
 
 DOTS_MAX = 1024  # of the fleet; beyond it those with a reset are forgotten, oldest first
@@ -40,18 +40,18 @@ class StopRelay:
     def __init__(self, segment: int, now_us: int) -> None:
         self.segment = segment
         self.leads = False
-        self.stops: dict[FarDot, FleetStop] = {}
-        self.resets: dict[FarDot, dict[int, FleetReset]] = {}
+        self.stops: dict[RemoteStopDot, FleetStop] = {}
+        self.resets: dict[RemoteStopDot, dict[int, FleetReset]] = {}
         self.refused = 0  # dots beyond the limit of news
-        self.disbelieved: set[FarDot] = set()  # said to the end, and nobody here stands for it
-        self._saying: dict[FarDot, Said] = {}
+        self.disbelieved: set[RemoteStopDot] = set()  # said to the end, and nobody here stands for it
+        self._saying: dict[RemoteStopDot, Said] = {}
         self._robots: dict[int, tuple[int, bool]] = {}  # address -> last beat, stands stopped
-        self._echoes: dict[FarDot, set[int]] = {}
+        self._echoes: dict[RemoteStopDot, set[int]] = {}
         self._next_us = 0  # one stop of ours at a time, whatever their number
         self._again_us = 0
-        self._pressed_us: dict[FarDot, int] = {}  # of presses, not of told stops: when carried last
+        self._pressed_us: dict[RemoteStopDot, int] = {}  # of presses, not of told stops: when carried last
         self._to_reset: list[FleetReset] = []
-        self._news = RateLimit(NEWS_A_SECOND / 1e6, NEWS_BURST, now_us)
+        self._news = TokenBucket(NEWS_A_SECOND / 1e6, NEWS_BURST, now_us)
 
     @property
     def digest(self) -> int:
@@ -136,11 +136,11 @@ class StopRelay:
                     self._to_reset += known.values()
         self._trim()
 
-    def _say(self, dot: FarDot, told: bool, now_us: int) -> None:
+    def _say(self, dot: RemoteStopDot, told: bool, now_us: int) -> None:
         next_us = now_us if self.leads else now_us + STANDBY_US
         self._saying[dot] = Said(REPEATS_MAX, next_us, told)
 
-    def _keep(self, dot: FarDot, stop: FleetStop) -> bool:
+    def _keep(self, dot: RemoteStopDot, stop: FleetStop) -> bool:
         self.stops[dot] = stop._replace(told=False)
         self._trim()
         return dot in self.stops
@@ -159,7 +159,7 @@ class StopRelay:
         while len(self._echoes) > DOTS_MAX:
             del self._echoes[next(iter(self._echoes))]
 
-    def _active(self, dot: FarDot) -> bool:
+    def _active(self, dot: RemoteStopDot) -> bool:
         return len(self.resets.get(dot, ())) < 2
 
     # ---------------------------------------------------------------- on our segment
@@ -190,10 +190,10 @@ class StopRelay:
         halves, self._to_reset = self._to_reset[:2], self._to_reset[2:]
         return [*halves, *halves]
 
-    def _leader_said(self, dot: FarDot) -> bool:
+    def _leader_said(self, dot: RemoteStopDot) -> bool:
         return not self.leads and any(a >= GATEWAY_ADDRESS for a in self._echoes.get(dot, ()))
 
-    def _all_stand(self, dot: FarDot, now_us: int) -> bool:
+    def _all_stand(self, dot: RemoteStopDot, now_us: int) -> bool:
         """Every robot heard lately has echoed this dot, or beats with the stopped bit.
 
         Nobody heard at all is not everybody: it is said until the repeats are used up.
@@ -203,5 +203,5 @@ class StopRelay:
         return bool(lately) and all(s or a in echoes for a, s in lately.items())
 
 
-def _dot(m: FleetStop | FleetReset) -> FarDot:
-    return FarDot(m.slot, m.incarnation, m.counter, m.segment)
+def _dot(m: FleetStop | FleetReset) -> RemoteStopDot:
+    return RemoteStopDot(m.slot, m.incarnation, m.counter, m.segment)

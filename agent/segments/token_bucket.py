@@ -3,7 +3,7 @@
 from agent.interface.config import S
 
 
-class RateLimit:
+class TokenBucket:
     """`share` of the time, at most `burst_us` of it at once."""
 
     def __init__(self, share: float, burst_us: int, now_us: int) -> None:

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 from agent.interface.config import MS
-from agent.segments.segment_area import GUEST_FIRST, Area, Place
+from agent.segments.segment_area import GUEST_FIRST, Area, SegmentPlace
 from crdt import FieldAllocationCRDT, Phase, Progress
 from crdt.digest import mix
 from crdt.register import DONE_BIT, Claim
@@ -36,7 +36,7 @@ class Change(NamedTuple):
     block: int = 0
 
 
-class BorderRelay:
+class WorkRelay:
     def __init__(self, area: Area) -> None:
         self.area = area
         self.allocation, self.progress = FieldAllocationCRDT(), Progress()
@@ -118,7 +118,7 @@ class BorderRelay:
         """Join them; returns (section, block or None for its register) of what was news."""
         self._fresh = []
         for entry in entries:
-            number = self.area.number_of.get(Place(entry.segment, entry.section))
+            number = self.area.number_of.get(SegmentPlace(entry.segment, entry.section))
             concerned = () if number is None else self.area.concerned(number)
             if number is None or source not in concerned:
                 self.counts["refused"] += 1  # not shared with who says it

@@ -11,7 +11,7 @@ ACCORD = Struct("<HBHHB")
 assert ACCORD.size == 8
 
 
-class Say(IntEnum):
+class AgreementKind(IntEnum):
     """What an ACCORD frame says; a robot says each at most one way in one round."""
 
     PLACE = 0  # I stand at node `first` and want to node `second`; `detail`: where in the node
@@ -23,7 +23,7 @@ class Say(IntEnum):
     # AT has a step of the plan as `first` and the low half of the plan's digest as `second`.
 
 
-class Answer(IntEnum):
+class AgreementReply(IntEnum):
     """With PLACE: whether this robot clears the way when it is asked to."""
 
     GRANT = 0
@@ -39,7 +39,7 @@ class Accord(NamedTuple):
     0..1  round   u16   a later round (modulo 2^16) makes earlier ones void
     2     say     bits  bits 0-3: 0 PLACE, 1 PLAN, 2 AT, 3 BODY; bits 4-7: answer, 0 GRANT,
                         1 STOPPED, 2 BUSY, 3 DEAF
-    3..4  first   u16   see `Say`
+    3..4  first   u16   see `AgreementKind`
     5..6  second  u16
     7     detail  u8    of PLACE: sixteenths of the pitch east (bits 0-3) and north (4-7) of the
                         node, offset 8
@@ -59,7 +59,7 @@ class Accord(NamedTuple):
     @classmethod
     def unpack(cls, data: bytes) -> "Accord":
         number, mixed, first, second, detail = ACCORD.unpack(data)
-        if mixed & 15 > max(Say) or mixed >> 4 > max(Answer):
+        if mixed & 15 > max(AgreementKind) or mixed >> 4 > max(AgreementReply):
             raise ValueError("range")
         return cls(number, mixed & 15, mixed >> 4, first, second, detail)
 

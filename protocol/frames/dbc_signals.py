@@ -11,7 +11,7 @@ from math import pi
 from random import Random
 from typing import NamedTuple
 
-from protocol.frames.accord_frames import Accord, Answer, Fallen, Say
+from protocol.frames.accord_frames import Accord, AgreementKind, AgreementReply, Fallen
 from protocol.frames.delivery_frames import (
     Itinerary,
     PlanOffer,
@@ -46,9 +46,9 @@ from protocol.frames.network_frames import (
 from protocol.frames.operator_frames import (
     LOWEST_M,
     PLACE_M,
-    Matter,
     OperatorGoal,
     OperatorReport,
+    ReportKind,
 )
 from protocol.frames.safety_frames import (
     AllImplementsStop,
@@ -126,7 +126,7 @@ SIGNALS: dict[type[Message], tuple[Signal, ...]] = {
     ),
     OperatorReport: (
         Signal("slot", 0, 8), Signal("number", 8, 4),
-        Signal("matter", 12, 4, choices=_members(Matter)),
+        Signal("matter", 12, 4, choices=_members(ReportKind)),
         Signal("x_m", 16, 16, PLACE_M, LOWEST_M, "m"),
         Signal("y_m", 32, 16, PLACE_M, LOWEST_M, "m"),
         Signal("distance_m", 48, 8, PLACE_M, 0, "m"), Signal("radius_m", 56, 8, PLACE_M, 0, "m"),
@@ -175,8 +175,8 @@ SIGNALS: dict[type[Message], tuple[Signal, ...]] = {
     ),
     WorkProgress: (Signal("section", 0, 16), Signal("block", 16, 8), Signal("bits", 24, 40)),
     Accord: (
-        Signal("round", 0, 16), Signal("say", 16, 4, choices=_members(Say)),
-        Signal("answer", 20, 4, choices=_members(Answer)), Signal("first", 24, 16),
+        Signal("round", 0, 16), Signal("say", 16, 4, choices=_members(AgreementKind)),
+        Signal("answer", 20, 4, choices=_members(AgreementReply)), Signal("first", 24, 16),
         Signal("second", 40, 16), Signal("detail", 56, 8),
     ),
     Fallen: (

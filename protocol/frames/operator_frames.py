@@ -14,7 +14,7 @@ assert REPORT.size == 8 and GOAL.size + 3 == 8
 GOAL_VALUES = 1 << 15
 
 
-class Matter(IntEnum):
+class ReportKind(IntEnum):
     """What a robot tells: four bits."""
 
     ASKING = 0  # something that is no robot is in the way: what now?
@@ -43,7 +43,7 @@ class OperatorReport(NamedTuple):
 
     slot: int
     number: int
-    matter: Matter
+    matter: ReportKind
     x_m: float
     y_m: float
     distance_m: float = 0.0
@@ -58,7 +58,7 @@ class OperatorReport(NamedTuple):
     def unpack(cls, data: bytes) -> "OperatorReport":
         slot, flags, x, y, distance, radius = REPORT.unpack(data)
         return cls(
-            slot, flags & 15, Matter(flags >> 4),
+            slot, flags & 15, ReportKind(flags >> 4),
             x * PLACE_M + LOWEST_M, y * PLACE_M + LOWEST_M, distance * PLACE_M, radius * PLACE_M,
         )  # fmt: skip
 

@@ -13,10 +13,10 @@ moment ago.
 from collections import Counter
 from typing import NamedTuple
 
-from protocol.sync.replica import NEVER, Moment, Replica
+from protocol.sync.replica import NEVER, Replica, ReplicaVersion
 
 
-class Odd(NamedTuple):
+class DigestMismatch(NamedTuple):
     """A peer's digest that nothing we had explains."""
 
     digest: int
@@ -28,12 +28,12 @@ class Divergence:
     def __init__(self, slot: int, replica: Replica) -> None:
         self.slot, self.replica = slot, replica
         self.live: frozenset[int] = frozenset({slot})
-        self.odd: dict[int, Odd] = {}
+        self.odd: dict[int, DigestMismatch] = {}
         self.suspects: set[int] = set()  # newly live, not heard in step since
         self.reunion = False  # a suspect was odd: islands met, or we are new here
         self._told: dict[int, int] = {}  # live slot -> digest it told last
         self._own_told: int | None = None  # what our last heartbeat told the others
-        self._agreed: dict[int, Moment] = {}  # slot -> our latest moment that it also had
+        self._agreed: dict[int, ReplicaVersion] = {}  # slot -> our latest moment that it also had
         self._met: dict[
             int, int
         ] = {}  # slot -> sum of our entries when it appeared, until it agrees
@@ -79,13 +79,13 @@ class Divergence:
         )
         if before is not None and not confirmed:
             confirmed = before.confirmed or self.replica.when(before.digest) is None
-        self.odd[slot] = Odd(digest, now_us, confirmed)
+        self.odd[slot] = DigestMismatch(digest, now_us, confirmed)
         if slot in self.suspects:
             self.suspects.discard(slot)
             self.reunion = True
         return confirmed
 
-    def _explained(self, slot: int, moment: Moment) -> None:
+    def _explained(self, slot: int, moment: ReplicaVersion) -> None:
         known = self._agreed.get(slot, NEVER)
         if moment.version >= known.version:
             self._agreed[slot] = moment
@@ -112,7 +112,7 @@ class Divergence:
 
     # ---------------------------------------------------------------- how far we agree
 
-    def agreed_with(self, slot: int, digest: int) -> Moment:
+    def agreed_with(self, slot: int, digest: int) -> ReplicaVersion:
         """The latest moment of ours that this peer, or one with the same digest, also had."""
         alike = [s for s, told in self._told.items() if told == digest]
         return max((self._agreed.get(s, NEVER) for s in (slot, *alike)), default=NEVER)
@@ -126,7 +126,7 @@ class Divergence:
         self._agreed.pop(slot, None)
 
     @property
-    def base(self) -> Moment:
+    def base(self) -> ReplicaVersion:
         """The latest moment that everybody odd has also had, as far as they are known."""
         moments = [self.agreed_with(slot, odd.digest) for slot, odd in self.odd.items()]
         return min((moment for moment in moments if moment != NEVER), default=NEVER)

@@ -25,7 +25,7 @@ EMPTY = 0  # the digest of a replica that knows nothing; everybody is ahead of i
 GROUPS = (BUCKETS + 2) // 3  # frames of three bucket digests
 
 
-class Moment(NamedTuple):
+class ReplicaVersion(NamedTuple):
     """A state we had: how many changes it had seen, the greatest Lamport time, the sum of entries."""
 
     version: int
@@ -33,10 +33,10 @@ class Moment(NamedTuple):
     total: int
 
 
-NEVER = Moment(0, 0, 0)
+NEVER = ReplicaVersion(0, 0, 0)
 
 
-class Heard(NamedTuple):
+class AppliedEntry(NamedTuple):
     """What a frame with one entry meant to us."""
 
     entry: int
@@ -56,7 +56,7 @@ class Replica:
         self.allocation, self.progress = allocation, progress
         self.version = 1
         self._changed: dict[int, int] = {}  # entry -> version of its last change; newest last
-        self._history: dict[int, Moment] = {}  # own digest -> moment; newest last
+        self._history: dict[int, ReplicaVersion] = {}  # own digest -> moment; newest last
         for entry in self.entries():
             self._changed[entry] = self.version
         self._remember()
@@ -96,17 +96,17 @@ class Replica:
     def _remember(self) -> None:
         history = self._history
         total = self.total
-        history[short(total)] = _tuple(Moment, (self.version, self.allocation.lamport, total))
+        history[short(total)] = _tuple(ReplicaVersion, (self.version, self.allocation.lamport, total))
         if len(history) > HISTORY_MAX:
             del history[next(iter(history))]
 
-    def when(self, digest: int) -> Moment | None:
+    def when(self, digest: int) -> ReplicaVersion | None:
         """When we had this digest, if lately; a peer that has it now lacks what changed since."""
         if digest == EMPTY:
             return NEVER
         return self._history.get(digest)
 
-    def fork(self, digest: int, met_total: int, after: int) -> Moment | None:
+    def fork(self, digest: int, met_total: int, after: int) -> ReplicaVersion | None:
         """The moment, later than version `after`, from which a replica went its own way that has told
         us all it had since, while we have told it nothing: then its entries are ours now, less what
         was our own news when we met. Sums tell that; None where no moment fits."""
@@ -133,7 +133,7 @@ class Replica:
 
     # ---------------------------------------------------------------- frames
 
-    def hear(self, message: TaskClaim | StateSyncResponse | WorkProgress) -> Heard:
+    def hear(self, message: TaskClaim | StateSyncResponse | WorkProgress) -> AppliedEntry:
         """Join what a frame says."""
         if isinstance(message, WorkProgress):
             section, block, bits = message
@@ -148,7 +148,7 @@ class Replica:
             entry = entry_of(REGISTERS, section)
         if changed:
             self.note(entry)
-        return _tuple(Heard, (entry, changed, stale))
+        return _tuple(AppliedEntry, (entry, changed, stale))
 
     def say(self, entry: int) -> StateSyncResponse | WorkProgress:
         """The frame that tells an entry as it is now."""

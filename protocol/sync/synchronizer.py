@@ -40,7 +40,7 @@ from protocol.frames.work_frames import (
     WorkProgress,
 )
 from protocol.sync.digest_comparison import Divergence
-from protocol.sync.replica import EMPTY, GROUPS, Heard, Replica, entry_of
+from protocol.sync.replica import EMPTY, GROUPS, AppliedEntry, Replica, entry_of
 
 MS = 1_000
 S = 1_000_000
@@ -74,7 +74,7 @@ class Question(NamedTuple):
     entries: frozenset[int]
 
 
-class Sync:
+class Synchronizer:
     def __init__(self, slot: int, allocation: FieldAllocationCRDT, progress: Progress) -> None:
         self.slot = slot
         self.replica = Replica(allocation, progress)
@@ -231,7 +231,7 @@ class Sync:
         wait_us = GAP_US + QUIET_US + self._place * SLOT_US
         self._speak_us = max(self._speak_us, now_us + wait_us)
 
-    def _correct(self, slot: int, heard: Heard, now_us: int) -> None:
+    def _correct(self, slot: int, heard: AppliedEntry, now_us: int) -> None:
         """The sender does not know what we know: its owner says so, or the first in order."""
         entry = heard.entry
         if entry in self._queue or now_us < self._aired_us.get(entry, -FRESH_US) + FRESH_US:

@@ -18,7 +18,7 @@ from typing import Any, Final, Protocol
 import can
 from can import BusABC, CanOperationError, CanProtocol, Message
 
-from agent.interface.ports import Beat
+from agent.interface.ports import BufferedBeacon
 from agent.peer.membership import Neighbour
 from protocol.frames.codec import decode_once
 from protocol.frames.fleet_frames import Heartbeat, Pose
@@ -49,7 +49,7 @@ class Alarm(Protocol):
     def cancel(self) -> None: ...
 
 
-def calm(frame: Frame, t_us: int) -> Beat | None:
+def calm(frame: Frame, t_us: int) -> BufferedBeacon | None:
     """A beat that may wait for the turns of those who hear it."""
     group = frame[0] >> 8 & 0x3FFFF
     if group != POSE_PGN and group != HEARTBEAT_PGN:
@@ -57,9 +57,9 @@ def calm(frame: Frame, t_us: int) -> Beat | None:
     source, message = decode_once(frame)
     if type(message) is Pose and not message.stopped and message.placed:
         seen = _tuple(Neighbour, (message, t_us))
-        return _tuple(Beat, (source, message, t_us, seen))
+        return _tuple(BufferedBeacon, (source, message, t_us, seen))
     if type(message) is Heartbeat and not message.stopped and not message.leaving:
-        return _tuple(Beat, (source, message, t_us, None))
+        return _tuple(BufferedBeacon, (source, message, t_us, None))
     return None
 
 
@@ -74,7 +74,7 @@ class Segment:
         self.wire = Wire(seed, 1_000_000 // bitrate)
         self.buses: dict[int, FieldBus] = {}
         self.ears: dict[int, Callable[[Frame], None]] = {}  # of buses that are listened to
-        self.shelves: dict[int, list[Beat]] = {}  # and of those that take calm beats later
+        self.shelves: dict[int, list[BufferedBeacon]] = {}  # and of those that take calm beats later
         self.tellers: dict[int, Tap] = {}  # told when a frame of theirs has left
         self.taps: list[Tap] = []
         self.taps_lost = 0  # that could not write any more
@@ -174,7 +174,7 @@ class Segment:
             self.taps.remove(tap)
             log.error("%s: a recorder of %s ends", problem, self.channel)
 
-    def _put(self, beat: Beat, receivers: tuple[int, ...]) -> tuple[int, ...]:
+    def _put(self, beat: BufferedBeacon, receivers: tuple[int, ...]) -> tuple[int, ...]:
         """On the shelves of those who have one; returns the others."""
         others: tuple[int, ...] = ()
         shelves = self.shelves
@@ -241,7 +241,7 @@ class FieldBus(BusABC):
         if self._open:
             self.segment.ears[self.node] = callback
 
-    def shelve(self, shelf: list[Beat] | None) -> None:
+    def shelve(self, shelf: list[BufferedBeacon] | None) -> None:
         """See `agent.interface.ports.Shelving`."""
         if shelf is not None and self._open:
             self.segment.shelves[self.node] = shelf

@@ -40,7 +40,7 @@ Batch = tuple[Persist, ...]
 Tape = list[Batch | Message]
 
 
-class TapedJournal(MemoryJournal):
+class RecordingJournal(MemoryJournal):
     """The `Journal` port; writes go on the tape as well."""
 
     def __init__(self, tape: Tape) -> None:
@@ -67,7 +67,7 @@ def record(seed: int, simulated_s: float = 180.0) -> dict[int, Tape]:
     async def play() -> None:
         cluster = Cluster(Setting(scenario), f"tape {seed}", keep)
         for slot, tape in tapes.items():
-            cluster.journals[slot] = TapedJournal(tape)
+            cluster.journals[slot] = RecordingJournal(tape)
         cluster.boot_all()
         script = asyncio.create_task(FaultPlan(cluster).run())
         loop = asyncio.get_running_loop()

@@ -8,25 +8,25 @@ from agent.interface.lifecycle import TABLE
 from protocol.frames.fleet_frames import Pose
 from protocol.frames.messages import Message
 from protocol.frames.work_frames import WorkProgress
-from sim.chaos.protocol_rules import Broken, WordRules
+from sim.chaos.protocol_rules import ProtocolRules, RuleViolation
 from sim.fleet.trace_recorder import Recorder
 
 
-class Witness(Recorder):
+class EffectObserver(Recorder):
     def __init__(self, robots: int) -> None:
         super().__init__()
-        self.words = WordRules(robots)
+        self.words = ProtocolRules(robots)
         self.told: defaultdict[int, list[Message]] = defaultdict(list)
         self.released: set[int] = set()  # reset by a person, and not yet shown in a pose
         self.clock: Callable[[], int] | None = None  # a person's; robots' own may run differently
-        self._edges_broken: list[Broken] = []
+        self._edges_broken: list[RuleViolation] = []
         self._edges = {
             (source.name, event.name.lower(), target.name)
             for (source, event), target in TABLE.items()
         }
 
     @property
-    def broken(self) -> list[Broken]:
+    def broken(self) -> list[RuleViolation]:
         return self._edges_broken + self.words.broken
 
     def __call__(self, slot: int, now_us: int, effect: Effect) -> None:
@@ -54,7 +54,7 @@ class Witness(Recorder):
             edge = (effect.source, effect.event.lower(), effect.target)
             if effect.source != effect.target and edge not in self._edges:
                 what = f"robot {slot}: {' '.join(edge)}"
-                self._edges_broken.append(Broken("S14", now_us / 1e6, what))
+                self._edges_broken.append(RuleViolation("S14", now_us / 1e6, what))
 
     def forget(self, slot: int) -> None:
         """Its memory is lost: nothing that it said binds it any longer."""

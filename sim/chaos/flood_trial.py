@@ -15,7 +15,7 @@ from agent.safety.stop_controller import SilencePolicy
 from protocol.frames.frame import Frame
 from protocol.frames.safety_frames import Command, EmergencyReset, OperatorCommand
 from sim.can.simulated_bus import FieldBus
-from sim.fleet.event_loop import Swarm
+from sim.fleet.event_loop import EventLoop
 from sim.fleet.scheduler import Script
 from sim.fleet.simulated_fleet import OPERATOR, Cluster
 from sim.scenarios.field_setup import Setting
@@ -91,7 +91,7 @@ def draw(
 
 class Trial:
     def __init__(self, flood: Flood) -> None:
-        self.flood, self.swarm = flood, Swarm()
+        self.flood, self.swarm = flood, EventLoop()
         scenario = load(FLEETS[flood.robots]).changed(flood.robots, flood.seed, faults=())
         fleet = scenario.fleet.model_copy(update={"silence": flood.policy})
         scenario = scenario.with_engine("contact_free")

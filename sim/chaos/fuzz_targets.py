@@ -40,7 +40,7 @@ from protocol.frames.network_frames import AddressClaimed, TransportData, Transp
 from protocol.frames.safety_frames import EmergencyReset, EmergencyStop, OperatorCommand, Reason
 from protocol.frames.work_frames import StateSyncResponse, TaskClaim, WorkProgress
 from protocol.name import fleet_name
-from protocol.sync.synchronizer import Sync
+from protocol.sync.synchronizer import Synchronizer
 from protocol.transport import Transport
 from sim.chaos.power_cuts import RAM
 from sim.files.candump import read_candump
@@ -94,7 +94,7 @@ def transport(data: bytes) -> None:
 def sync(data: bytes) -> None:
     """Sync frames of three peers, and ticks; the replica only grows."""
     allocation, progress = FieldAllocationCRDT(), Progress(UNITS)
-    replica, now_us = Sync(0, allocation, progress), 0
+    replica, now_us = Synchronizer(0, allocation, progress), 0
     replica.live(frozenset((0, 1, 2)), now_us)
     for identifier, wait_ms, body in ENTRY.iter_unpack(_whole(data)):
         now_us += wait_ms * 1_000

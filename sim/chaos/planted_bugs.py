@@ -10,31 +10,31 @@ from dataclasses import dataclass
 from typing import Any
 from unittest.mock import patch
 
-from agent.field.field_mission import FieldWork
+from agent.field.field_mission import FieldMission
 from agent.interface.effects import HALT, Drive, Effect, Send
-from agent.motion.holonomic_motion import Motion
+from agent.motion.holonomic_motion import HolonomicMotion
 from agent.peer import member_conflicts as conflicts
 from agent.peer import section_claims as claims
-from agent.peer.announcements import Voice
-from agent.peer.durable_records import Records
+from agent.peer.announcements import Announcements
+from agent.peer.durable_records import DurableRecords
 from agent.peer.frame_origin import Origin, Origins
-from agent.peer.member_discovery import RollCall
+from agent.peer.member_discovery import MemberDiscovery
 from agent.peer.membership import Membership
-from agent.peer.section_claims import Claims
+from agent.peer.section_claims import SectionClaims
 from agent.peer.self_check import NEVER_US, SelfCheck
 from agent.peer.sense_freshness import Senses
 from agent.peer.work_admission import Admission
-from agent.runtime.peer_runner import Shell
+from agent.runtime.peer_runner import PeerRunner
 from agent.safety import stop_controller as safety
 from agent.safety.standard_stop import OwnButton, ShortcutButtons
-from agent.safety.stop_controller import Safety
+from agent.safety.stop_controller import StopController
 from crdt.allocation import FieldAllocationCRDT
 from crdt.progress import Progress
 from crdt.stops import StopDot, StopSet
 from protocol.address import AddressClaim
 from protocol.frames.safety_frames import EmergencyStop, Switch
 from protocol.sync.digest_comparison import Divergence
-from protocol.sync.synchronizer import Sync
+from protocol.sync.synchronizer import Synchronizer
 from sim.fleet.simulated_disk import LogJournal
 from sim.world.drive_trains import EXPIRES_US
 from sim.world.robot_body import RobotBody
@@ -58,7 +58,7 @@ def _value(value: Any) -> Callable[[Any], Any]:
 
 
 def _without_halt(right: Any) -> Any:
-    def receive_stop(self: Safety, *args: Any) -> Sequence[Effect]:
+    def receive_stop(self: StopController, *args: Any) -> Sequence[Effect]:
         causes = dict(self._causes)
         effects = right(self, *args)
         self._causes = causes
@@ -68,7 +68,7 @@ def _without_halt(right: Any) -> Any:
 
 
 def _without_echo(right: Any) -> Any:
-    def receive_stop(self: Safety, *args: Any) -> Sequence[Effect]:
+    def receive_stop(self: StopController, *args: Any) -> Sequence[Effect]:
         return [e for e in right(self, *args) if not isinstance(e, Send)]
 
     return receive_stop
@@ -83,7 +83,7 @@ def _clears_all(right: Any) -> Any:
 
 
 def _first_echo_is_enough(right: Any) -> Any:
-    def repeat(self: Safety, now_us: int) -> Any:
+    def repeat(self: StopController, now_us: int) -> Any:
         if any(self._echoes.get(dot) for dot in self._own):
             self._own.clear()
         return right(self, now_us)
@@ -92,7 +92,7 @@ def _first_echo_is_enough(right: Any) -> Any:
 
 
 def _single_shot(right: Any) -> Any:
-    def press(self: Safety, *args: Any) -> Any:
+    def press(self: StopController, *args: Any) -> Any:
         effects = right(self, *args)
         self._own.clear()
         self._repeat_us = safety.FOREVER
@@ -104,7 +104,7 @@ def _single_shot(right: Any) -> Any:
 
 
 def _reset_starts(right: Any) -> Any:
-    def manual_reset(self: Safety, now_us: int) -> bool:
+    def manual_reset(self: StopController, now_us: int) -> bool:
         self.stops = StopSet()
         self._causes.clear()
         right(self, now_us)
@@ -114,7 +114,7 @@ def _reset_starts(right: Any) -> Any:
 
 
 def _forgets_latch(right: Any) -> Any:
-    def recall(self: Safety, recalled: Any) -> None:
+    def recall(self: StopController, recalled: Any) -> None:
         self.held = False
 
     return recall
@@ -164,7 +164,7 @@ def _unsynced(right: Any) -> Any:
 
 
 def _regardless(right: Any) -> Any:
-    def persist(self: Shell, records: Any) -> bool:
+    def persist(self: PeerRunner, records: Any) -> bool:
         with suppress(OSError):
             self.journal.write(records)  # type: ignore[union-attr]
         return True
@@ -173,7 +173,7 @@ def _regardless(right: Any) -> Any:
 
 
 def _early(right: Any) -> Any:
-    def passed(self: FieldWork, view: Any) -> list[int]:
+    def passed(self: FieldMission, view: Any) -> list[int]:
         self.lifted, self.lifted_to_m, self.worst_m = False, 0.0, 0.0
         return list(right(self, view))
 
@@ -181,7 +181,7 @@ def _early(right: Any) -> Any:
 
 
 def _straight_on(right: Any) -> Any:
-    def drive(self: Motion, here: Any, wish: Any, neighbours: Any, now_us: int) -> Drive:
+    def drive(self: HolonomicMotion, here: Any, wish: Any, neighbours: Any, now_us: int) -> Drive:
         return Drive(wish.vx_m_s, wish.vy_m_s, wish.turn_rad_s, wish.tool_on)
 
     return drive
@@ -253,7 +253,7 @@ def _gives_up(right: Any) -> Any:
 
 
 def _no_progress_kept(right: Any) -> Any:
-    def restore(self: Records, allocation: Any, progress: Any) -> None:
+    def restore(self: DurableRecords, allocation: Any, progress: Any) -> None:
         right(self, allocation, Progress({}))
 
     return restore
@@ -261,17 +261,17 @@ def _no_progress_kept(right: Any) -> Any:
 
 MUTANTS: dict[str, Mutant] = {
     "stop-without-brake": Mutant(
-        "a heard stop does not brake", Safety, "receive_stop", _without_halt, "press"
+        "a heard stop does not brake", StopController, "receive_stop", _without_halt, "press"
     ),
-    "gate-open": Mutant("the gate lets everything pass", Safety, "gate", _open, "stop"),
+    "gate-open": Mutant("the gate lets everything pass", StopController, "gate", _open, "stop"),
     "reset-clears-all": Mutant(
         "a reset clears what it does not name, here and unseen",
-        Safety,
+        StopController,
         "manual_reset",
         _reset_starts,
         "press",
     ),
-    "no-echo-single-shot": Mutant("a stop is said once", Safety, "_press", _single_shot, "press"),
+    "no-echo-single-shot": Mutant("a stop is said once", StopController, "_press", _single_shot, "press"),
     "silence-unnoticed": Mutant("nobody falls silent", Membership, "tick", _unnoticed, "claims"),
     "silence-ten-times": Mutant(
         "silence is noticed after ten times the limit",
@@ -281,7 +281,7 @@ MUTANTS: dict[str, Mutant] = {
         "claims",
     ),
     "silence-harmless": Mutant(
-        "silence does not brake", Safety, "members", _constant(()), "claims"
+        "silence does not brake", StopController, "members", _constant(()), "claims"
     ),
     "alone-unheard": Mutant(
         "frames that do not leave, and nobody who hears, keep nobody from going on",
@@ -291,7 +291,7 @@ MUTANTS: dict[str, Mutant] = {
         "flood",
     ),
     "latch-forgotten": Mutant(
-        "a restart forgets the latch and the hold", Safety, "_recall", _forgets_latch, "press"
+        "a restart forgets the latch and the hold", StopController, "_recall", _forgets_latch, "press"
     ),
     "hold-forgotten": Mutant(
         "a stop is not written down", StopSet, "serialize", _constant(b""), "press"
@@ -303,7 +303,7 @@ MUTANTS: dict[str, Mutant] = {
         "a journal that was rolled back is believed", LogJournal, "_rolled_back", _deaf, "claims"
     ),
     "disk-error-ignored": Mutant(
-        "what the disk did not take is said", Shell, "_persist", _regardless, "claims"
+        "what the disk did not take is said", PeerRunner, "_persist", _regardless, "claims"
     ),
     "old-senses-believed": Mutant(
         "the age of what is sensed is not looked at", Senses, "_old", _constant(""), "body"
@@ -321,7 +321,7 @@ MUTANTS: dict[str, Mutant] = {
         "progress is replaced, not joined", Progress, "apply", _replaces, "split"
     ),
     "lost-claims-kept": Mutant(
-        "a lost claim is worked on", Claims, "recheck", _constant([]), "split"
+        "a lost claim is worked on", SectionClaims, "recheck", _constant([]), "split"
     ),
     "claims-uncontested": Mutant(
         "a claim is work at once", claims, "CONTENTION_US", _value(0), "claims"
@@ -330,17 +330,17 @@ MUTANTS: dict[str, Mutant] = {
         "differences are not noticed", Divergence, "heard", _constant(False), "split"
     ),
     "never-answers": Mutant(
-        "questions are not answered", Sync, "_question", _constant(None), "split"
+        "questions are not answered", Synchronizer, "_question", _constant(None), "split"
     ),
     "digest-constant": Mutant(
         "every digest is the same", Divergence, "tell", _constant(7), "split"
     ),
-    "progress-unannounced": Mutant("progress is not told", Voice, "flush", _constant([]), "split"),
+    "progress-unannounced": Mutant("progress is not told", Announcements, "flush", _constant([]), "split"),
     "progress-not-restored": Mutant(
-        "progress is not read from the journal", Records, "restore", _no_progress_kept, "claims"
+        "progress is not read from the journal", DurableRecords, "restore", _no_progress_kept, "claims"
     ),
-    "covered-too-soon": Mutant("units that were not worked count", FieldWork, "_passed", _early),
-    "avoidance-off": Mutant("nobody avoids anybody", Motion, "drive", _straight_on),
+    "covered-too-soon": Mutant("units that were not worked count", FieldMission, "_passed", _early),
+    "avoidance-off": Mutant("nobody avoids anybody", HolonomicMotion, "drive", _straight_on),
     "commands-never-expire": Mutant(
         "the actuator keeps the last command", RobotBody, "drive", _never_expires_body, "crash"
     ),
@@ -356,7 +356,7 @@ MUTANTS: dict[str, Mutant] = {
     ),
     "used-stop-ignored": Mutant(
         "a stop whose name was cleared before is not heard",
-        Safety,
+        StopController,
         "_press_spent",
         _constant(()),
         "devices",
@@ -378,7 +378,7 @@ MUTANTS: dict[str, Mutant] = {
     "impossible-work-joined": Mutant(
         "any section, owner and epoch is joined", Admission, "admits", _constant(True), "strangers"
     ),
-    "strangers-unasked": Mutant("nobody asks who is who", RollCall, "answer_due", _deaf, "claims"),
+    "strangers-unasked": Mutant("nobody asks who is who", MemberDiscovery, "answer_due", _deaf, "claims"),
 }
 
 

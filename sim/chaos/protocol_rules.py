@@ -35,7 +35,7 @@ NEVER_US = -1
 CONTESTED_US = CONTENTION_US * 98 // 100  # by the robot's clock, which may drift by half a percent
 
 
-class Broken(NamedTuple):
+class RuleViolation(NamedTuple):
     """A rule that was broken."""
 
     rule: str
@@ -43,7 +43,7 @@ class Broken(NamedTuple):
     what: str
 
 
-class Speaker:
+class RobotStatements:
     """What one robot has said so far, since it last lost its memory."""
 
     def __init__(self) -> None:
@@ -68,11 +68,11 @@ class Speaker:
         self.votes: dict[int, LeaderElectionVote] = {}  # newest of each election
 
 
-class WordRules:
+class ProtocolRules:
     def __init__(self, robots: int) -> None:
         self.robots = robots
-        self.speakers: defaultdict[int, Speaker] = defaultdict(Speaker)
-        self.broken: list[Broken] = []
+        self.speakers: defaultdict[int, RobotStatements] = defaultdict(RobotStatements)
+        self.broken: list[RuleViolation] = []
         self.cleared: set[StopDot] = set()
         self.unknown_device = False  # one without a claim has spoken: its stops latch, to be safe
         self.units: dict[tuple[int, int], int] = {}  # section and block: bits that anybody has told
@@ -118,7 +118,7 @@ class WordRules:
 
     def forgets(self, slot: int) -> None:
         """Its memory is lost: from here it is another robot of the same slot."""
-        self.speakers[slot] = Speaker()
+        self.speakers[slot] = RobotStatements()
         for key in [key for key in self._votes if key[0] == slot]:
             del self._votes[key]
         for voters in self._voters.values():
@@ -176,7 +176,7 @@ class WordRules:
                 self._add("S8", now_us, f"robot {slot} changes its incarnation, memory kept")
             speaker.incarnation = message.incarnation
 
-    def _pose(self, slot: int, speaker: Speaker, now_us: int, pose: Pose) -> None:
+    def _pose(self, slot: int, speaker: RobotStatements, now_us: int, pose: Pose) -> None:
         if pose.stopped and not speaker.stopped:
             speaker.stopped_us = now_us
         elif speaker.stopped and not pose.stopped:
@@ -195,7 +195,7 @@ class WordRules:
             speaker.asks_start = False
         speaker.stopped = pose.stopped
 
-    def _stop(self, slot: int, speaker: Speaker, now_us: int, stop: EmergencyStop) -> None:
+    def _stop(self, slot: int, speaker: RobotStatements, now_us: int, stop: EmergencyStop) -> None:
         dot = StopDot(stop.slot, stop.incarnation, stop.counter)
         new = speaker.unnamed and speaker.pressed_us == now_us
         if new and stop.slot == slot and not stop.echo:
@@ -208,7 +208,7 @@ class WordRules:
                 "S21", now_us, f"robot {slot} tells a stop of {stop.slot}, which is not there"
             )
 
-    def _claim(self, slot: int, speaker: Speaker, now_us: int, section: int, phase: Phase) -> None:
+    def _claim(self, slot: int, speaker: RobotStatements, now_us: int, section: int, phase: Phase) -> None:
         if phase is Phase.CLAIMED:
             speaker.claimed_us[section] = now_us
             return
@@ -217,7 +217,7 @@ class WordRules:
         if phase is Phase.STARTED and not waited:
             self._add("S7", now_us, f"robot {slot} starts S{section}, which is contested still")
 
-    def _vote(self, slot: int, speaker: Speaker, now_us: int, vote: LeaderElectionVote) -> None:
+    def _vote(self, slot: int, speaker: RobotStatements, now_us: int, vote: LeaderElectionVote) -> None:
         key = slot, vote.election, vote.term
         before = self._votes.get(key)
         if before is None:
@@ -235,4 +235,4 @@ class WordRules:
 
     def _add(self, rule: str, now_us: int, what: str) -> None:
         if not any(broken.rule == rule for broken in self.broken):  # the first of each will do
-            self.broken.append(Broken(rule, now_us / 1e6, what))
+            self.broken.append(RuleViolation(rule, now_us / 1e6, what))

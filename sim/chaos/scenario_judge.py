@@ -16,21 +16,21 @@ from agent.peer.journal_recovery import LOST, remembers
 from agent.peer.sense_freshness import AGE_MAX_US
 from protocol.frames.frame import Frame
 from sim.chaos.durability_rules import STANDS, lost, unknown
-from sim.chaos.effect_observer import Witness
+from sim.chaos.effect_observer import EffectObserver
 from sim.chaos.fault_profiles import is_link_trouble, setting_of, span_of
-from sim.chaos.protocol_rules import Broken
-from sim.fleet.event_loop import Swarm
+from sim.chaos.protocol_rules import RuleViolation
+from sim.fleet.event_loop import EventLoop
 from sim.fleet.outcome import Outcome
 from sim.fleet.simulated_disk import Disk, LogJournal
 from sim.fleet.simulated_fleet import Cluster
 from sim.fleet.stop_monitor import motions
-from sim.runs.field_run import Expedition, Moment
-from sim.runs.protocol_run import DrillRun
+from sim.runs.field_run import FieldRun, RunProgress
+from sim.runs.protocol_run import ProtocolRun
 from sim.scenarios import scenario as kinds
 from sim.scenarios.scenario import DRILLS, Fault, Scenario
 from sim.world.checkers import ExclusiveWorkChecker, Violation
 from sim.world.coverage_truth import coverage, sample_points
-from sim.world.protocol_world import Parade
+from sim.world.protocol_world import ProtocolWorld
 from sim.world.world import World
 
 SLACK_US = 20 * MS  # a control tick, and a frame in the way
@@ -54,18 +54,18 @@ UNNOTICED_M = 0.3  # two control periods at full speed
 TOUCH_M = 0.02  # deeper than this is a contact; bodies of robots are measured to a centimetre
 
 
-class Enough(Exception):
+class StopEarly(Exception):
     """Something was found, and no more is asked for."""
 
 
-class Play:
+class ScenarioJudge:
     def __init__(self, scenario: Scenario, first_only: bool = False) -> None:
         """`first_only`: the run ends within a second of the first rule that is broken."""
         self.first_only = first_only
         self.scenario, self.span = scenario, span_of(scenario)
         self.setting = setting_of(scenario.with_engine("contact_free"))
-        self.witness = Witness(scenario.fleet.robots)
-        self.broken: list[Broken] = []
+        self.witness = EffectObserver(scenario.fleet.robots)
+        self.broken: list[RuleViolation] = []
         self.outcome: Outcome | None = None
         self._silences: dict[int, list[int]] = {}  # dead robot -> watches of those who must stand
         self._delivering: dict[int, int] = {}  # watches of stops: until when they are being said
@@ -78,30 +78,30 @@ class Play:
         self._frozen_at: dict[int, tuple[float, float]] = {}  # where they were when it froze
         self._excused: list[tuple[int, int]] = []  # robot and when: pushed, or a box before it
 
-    def run(self) -> "Play":
-        kind = DrillRun if self.scenario.mission in DRILLS else Expedition
+    def run(self) -> "ScenarioJudge":
+        kind = ProtocolRun if self.scenario.mission in DRILLS else FieldRun
         run = kind(self.setting, attach=self._attach)
         run.recorder = self.witness
         if self.first_only:
             run.told = self._enough
         try:
             self.outcome = run.run()
-        except Enough:
+        except StopEarly:
             self._moved()
             self._exclusive_work(self._together)
         except Exception as problem:  # an assertion of a robot, or of the simulation: both count
             text = f"{type(problem).__name__}: {problem}"
-            self.broken.append(Broken("S15", self.cluster.host.now_us() / 1e6, text))
+            self.broken.append(RuleViolation("S15", self.cluster.host.now_us() / 1e6, text))
         if self.outcome is not None:
             self._judge(self.outcome)
         self.broken += self.witness.broken
         self.broken.sort(key=lambda broken: broken.t_s)
         return self
 
-    def _enough(self, moment: Moment) -> None:
+    def _enough(self, moment: RunProgress) -> None:
         moved = any(checker.violations for _, checker in self._moving)
         if self.broken or self.witness.broken or moved or self._together:
-            raise Enough
+            raise StopEarly
 
     @property
     def faults(self) -> Counter[str]:
@@ -112,7 +112,7 @@ class Play:
         self.cluster, self.witness.clock = cluster, cluster.host.now_us
         for slot in range(self.scenario.fleet.robots):
             cluster.journals[slot] = LogJournal(Disk())
-        if isinstance(cluster.world, Parade) and self.scenario.fleet.silence != "stop":
+        if isinstance(cluster.world, ProtocolWorld) and self.scenario.fleet.silence != "stop":
             cluster.world.counts = self._all_told
         self.silence, self.delivery = motions(cluster.world), motions(cluster.world)
         self.senseless = motions(cluster.world)
@@ -125,7 +125,7 @@ class Play:
             self._at(round((span.again_s + RELEASED_S) * 1e6), self._all_released)
 
     def _at(self, t_us: int, call: Callable[[], object]) -> None:
-        assert isinstance(self.cluster.host, Swarm)
+        assert isinstance(self.cluster.host, EventLoop)
         self.cluster.host.at(t_us, call)
 
     def _watch(self, fault: Fault) -> None:
@@ -230,7 +230,7 @@ class Play:
     def _place_freezes(self, slot: int, until_us: int) -> None:
         """S19: it notices when it drives, and stands within its way."""
         self._now_us()
-        if not isinstance(self.cluster.world, Parade) and self.cluster.is_up(slot):
+        if not isinstance(self.cluster.world, ProtocolWorld) and self.cluster.is_up(slot):
             self._frozen_at[slot] = self.cluster.world.body(slot).position
             self._at(until_us, partial(self._thaws, slot))
 
@@ -264,7 +264,7 @@ class Play:
     def _shoved(self, slot: int, by_m: float) -> None:
         """An implement that is down is moved past a strip of ground, by less than a robot on its way
         could tell from its speed."""
-        bodies = not isinstance(self.cluster.world, Parade)
+        bodies = not isinstance(self.cluster.world, ProtocolWorld)
         if bodies and by_m < UNNOTICED_M and self.cluster.is_up(slot):
             reach_m = self.setting.field.implement_width_m / 2 + 2 * UNNOTICED_M
             self._left.append((*self.cluster.world.body(slot).position, reach_m))
@@ -400,7 +400,7 @@ class Play:
         world, end_s = self.cluster.world, outcome.simulated_s
         self._moved()
         self._contacts()
-        bodies = not isinstance(world, Parade) and self.scenario.fleet.silence == "stop"
+        bodies = not isinstance(world, ProtocolWorld) and self.scenario.fleet.silence == "stop"
         self._exclusive_work(self._exclusive(world) if bodies else self._together)
         if not outcome.replicas_equal:
             self._add("L1", end_s, "replicas differ")
@@ -416,19 +416,19 @@ class Play:
         else:
             self._all_units_told(world)
 
-    def _all_units_told(self, world: World | Parade) -> None:
+    def _all_units_told(self, world: World | ProtocolWorld) -> None:
         """What was worked is known to the fleet unit by unit, not only that sections are done."""
-        if not isinstance(world, Parade):
+        if not isinstance(world, ProtocolWorld):
             return
         told = sum(bits.bit_count() for bits in self.witness.words.units.values())
         untold = sum(world.units.values()) - told
         if untold:
             self._add("L5", world.now_us / 1e6, f"finished, and {untold} units were never told")
 
-    def _accounted_for(self, world: World | Parade) -> bool:
+    def _accounted_for(self, world: World | ProtocolWorld) -> bool:
         """All that was not worked lies about machines that nobody has switched on again, or where
         somebody has moved one a little."""
-        if isinstance(world, Parade):
+        if isinstance(world, ProtocolWorld):
             return False
         slots, left = range(self.scenario.fleet.robots), [*self._left]
         for body in (world.robots[slot] for slot in slots if not self.cluster.is_up(slot)):
@@ -462,7 +462,7 @@ class Play:
     @property
     def _together(self) -> list[Violation]:
         world = self.cluster.world
-        return world.together if isinstance(world, Parade) else []
+        return world.together if isinstance(world, ProtocolWorld) else []
 
     def _exclusive_work(self, found: list[Violation]) -> None:
         for violation in found[:1]:
@@ -489,4 +489,4 @@ class Play:
         return list(checker.violations(tracks))
 
     def _add(self, rule: str, t_s: float, what: str) -> None:
-        self.broken.append(Broken(rule, t_s, what))
+        self.broken.append(RuleViolation(rule, t_s, what))

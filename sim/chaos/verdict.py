@@ -7,8 +7,8 @@ S12 by `headland bench forgery`.
 from collections import Counter
 from typing import NamedTuple
 
-from sim.chaos.protocol_rules import Broken
-from sim.chaos.scenario_judge import Play
+from sim.chaos.protocol_rules import RuleViolation
+from sim.chaos.scenario_judge import ScenarioJudge
 from sim.scenarios.scenario import Scenario
 
 RULES = {
@@ -38,7 +38,7 @@ RULES = {
 
 class Verdict(NamedTuple):
     seed: int
-    broken: tuple[Broken, ...]
+    broken: tuple[RuleViolation, ...]
     faults: Counter[str]
     robots: int
     simulated_s: float
@@ -50,7 +50,7 @@ class Verdict(NamedTuple):
 
 
 def judge(scenario: Scenario, first_only: bool = False) -> Verdict:
-    play = Play(scenario, first_only).run()
+    play = ScenarioJudge(scenario, first_only).run()
     assert all(broken.rule in RULES for broken in play.broken)
     return Verdict(
         scenario.run.seed, tuple(play.broken), play.faults, scenario.fleet.robots,

@@ -13,7 +13,7 @@ from sim.can.can_segment import Wire
 MET_US = 3 * S  # an address (0.25 s, ten times as much where it is contested), and who is who
 
 
-class Acquaintance:
+class ContactHistory:
     def __init__(self, wire: Wire) -> None:
         self.wire = wire
         self._looked_us = 0

@@ -11,7 +11,7 @@ from heapq import heappop, heappush
 from math import ceil
 from typing import Any, TypeVar
 
-from agent.runtime.peer_runner import Shell
+from agent.runtime.peer_runner import PeerRunner
 from sim.fleet.scheduler import Script
 
 T = TypeVar("T")
@@ -31,10 +31,10 @@ class Timer:
         self.cancelled = True
 
 
-class SwarmShell(Shell):
+class SimulatedRunner(PeerRunner):
     """A shell that takes its turns from a swarm."""
 
-    swarm: "Swarm"
+    swarm: "EventLoop"
     _over = False
     _nudged = False
     _base_us = 0
@@ -42,7 +42,7 @@ class SwarmShell(Shell):
     _rate = 1.0
 
     def begin(self) -> None:
-        """What the first step of `Shell.run` does."""
+        """What the first step of `PeerRunner.run` does."""
         self.bus.subscribe(self._arrive)
         self._arm()
 
@@ -121,7 +121,7 @@ class SwarmShell(Shell):
 
 
 class ShellHandle:
-    def __init__(self, shell: SwarmShell) -> None:
+    def __init__(self, shell: SimulatedRunner) -> None:
         self.shell, self._done = shell, False
 
     def begin(self) -> None:
@@ -141,7 +141,7 @@ class ShellHandle:
 class ScriptHandle:
     """A script under way; its value is in `value`."""
 
-    def __init__(self, swarm: "Swarm", script: Script[Any]) -> None:
+    def __init__(self, swarm: "EventLoop", script: Script[Any]) -> None:
         self.swarm, self.script = swarm, script
         self.value: Any = None
         self._done = False
@@ -170,7 +170,7 @@ class ScriptHandle:
     def check(self) -> None: ...
 
 
-class Swarm:
+class EventLoop:
     def __init__(self) -> None:
         self.time_us = 0
         self._order = 0
@@ -189,13 +189,13 @@ class Swarm:
         heappush(self._timers, (t_us, self._order, timer))
         return timer
 
-    def shell(self, *parts: Any) -> Shell:
-        shell = SwarmShell(*parts)
+    def shell(self, *parts: Any) -> PeerRunner:
+        shell = SimulatedRunner(*parts)
         shell.swarm, shell.clock = self, shell.local_us
         return shell
 
-    def start(self, shell: Shell) -> ShellHandle:
-        assert isinstance(shell, SwarmShell)
+    def start(self, shell: PeerRunner) -> ShellHandle:
+        assert isinstance(shell, SimulatedRunner)
         handle = ShellHandle(shell)
         self.soon(handle.begin)
         return handle

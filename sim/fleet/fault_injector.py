@@ -12,7 +12,7 @@ from protocol.frames.network_frames import AddressClaimed
 from protocol.frames.operator_frames import goal_check, goal_frames
 from protocol.frames.safety_frames import Command, EmergencyReset, OperatorCommand, Reason
 from sim.can.simulated_bus import FieldBus
-from sim.fleet.event_loop import SwarmShell
+from sim.fleet.event_loop import SimulatedRunner
 from sim.fleet.foreign_devices import buttons, used_stop
 from sim.fleet.scheduler import Script, follow
 from sim.fleet.simulated_disk import Disk, LogJournal
@@ -142,11 +142,11 @@ class FaultPlan:
                 return self._disk_full(robot, for_s)
             case kinds.Drift(robot=robot, ppm=ppm):
                 shell = cluster.robots[robot].shell
-                if isinstance(shell, SwarmShell):  # asyncio has one clock for all
+                if isinstance(shell, SimulatedRunner):  # asyncio has one clock for all
                     shell.drift(ppm)
             case kinds.ClockJump(robot=robot, by_s=by_s):
                 shell = cluster.robots[robot].shell
-                if isinstance(shell, SwarmShell):
+                if isinstance(shell, SimulatedRunner):
                     shell.jump(by_s)
         return None
 

@@ -9,7 +9,7 @@ import asyncio
 from collections.abc import Generator
 from typing import Any, Protocol, TypeVar
 
-from agent.runtime.peer_runner import Shell
+from agent.runtime.peer_runner import PeerRunner
 
 T = TypeVar("T")
 Script = Generator[int, None, T]
@@ -27,8 +27,8 @@ class Handle(Protocol):
 
 class Host(Protocol):
     def now_us(self) -> int: ...
-    def shell(self, *parts: Any) -> Shell: ...
-    def start(self, shell: Shell) -> Handle: ...
+    def shell(self, *parts: Any) -> PeerRunner: ...
+    def start(self, shell: PeerRunner) -> Handle: ...
     def spawn(self, script: Script[Any]) -> Handle: ...
 
 
@@ -56,12 +56,12 @@ class LoopHost:
         self._tasks: set[asyncio.Task[Any]] = set()
 
     def now_us(self) -> int:
-        return Shell.now_us()
+        return PeerRunner.now_us()
 
-    def shell(self, *parts: Any) -> Shell:
-        return Shell(*parts)
+    def shell(self, *parts: Any) -> PeerRunner:
+        return PeerRunner(*parts)
 
-    def start(self, shell: Shell) -> Handle:
+    def start(self, shell: PeerRunner) -> Handle:
         return self._keep(asyncio.create_task(shell.run(), name=f"robot {shell.peer.slot}"))
 
     def spawn(self, script: Script[Any]) -> Handle:

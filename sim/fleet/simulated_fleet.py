@@ -16,7 +16,7 @@ from agent.interface.identity import Identity
 from agent.interface.lifecycle import State
 from agent.interface.ports import Body, Journal
 from agent.peer.peer import Peer
-from agent.runtime.peer_runner import Shell
+from agent.runtime.peer_runner import PeerRunner
 from agent.safety.stop_controller import SilencePolicy
 from agent.segments.segment_area import Area
 from agent.segments.segment_peer import SegmentPeer
@@ -30,12 +30,12 @@ from protocol.frames.safety_frames import Challenge, EmergencyReset, OperatorCom
 from protocol.links.bus import CanBus
 from protocol.name import fleet_name, tool_name
 from sim.can.simulated_bus import FieldBus, forget, segment
-from sim.fleet.contact_history import Acquaintance
-from sim.fleet.event_loop import Swarm
+from sim.fleet.contact_history import ContactHistory
+from sim.fleet.event_loop import EventLoop
 from sim.fleet.scheduler import Handle, Host, LoopHost
 from sim.fleet.sensor_faults import ReceivedBody, Receiver
 from sim.fleet.simulated_disk import MemoryJournal
-from sim.fleet.stop_monitor import StopWatch, reached
+from sim.fleet.stop_monitor import StopMonitor, reached
 from sim.scenarios.coverage_setup import GridSetting
 from sim.scenarios.field_setup import Setting
 from sim.scenarios.navigation_setup import ErrandSetting
@@ -55,7 +55,7 @@ def tool_claim(address: int) -> Frame:
 class Robot:
     """One peer with everything around it."""
 
-    def __init__(self, slot: int, shell: Shell, bus: FieldBus) -> None:
+    def __init__(self, slot: int, shell: PeerRunner, bus: FieldBus) -> None:
         self.slot, self.shell, self.bus = slot, shell, bus
         self.task: Handle | None = None
 
@@ -116,17 +116,17 @@ class Cluster:
         self.host: Host = self._loop_host if host is None else host
         self.scenario: Scenario = setting.scenario
         self.world = setting.world()
-        self.stops = StopWatch(
+        self.stops = StopMonitor(
             self.world, self.scenario.fleet.robots, self._up, self._mute, self._hearers,
             self.host.now_us,
         )  # fmt: skip
         bus, seed = self.scenario.bus, self.scenario.run.seed
-        clock = host if isinstance(host, Swarm) else None
+        clock = host if isinstance(host, EventLoop) else None
         self.segment = segment(channel, bitrate=bus.bitrate, seed=seed, clock=clock)
         faults = self.segment.wire.faults
         faults.loss, faults.error = bus.loss, bus.error_rate
         faults.omission, faults.duplicate = bus.omission, bus.duplicate
-        self.acquaintance = Acquaintance(self.segment.wire)
+        self.acquaintance = ContactHistory(self.segment.wire)
         self.robots: dict[int, Robot] = {}
         self.journals: dict[int, Journal] = {}
         self.receivers: dict[int, Receiver] = {}

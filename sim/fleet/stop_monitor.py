@@ -11,7 +11,7 @@ from agent.interface.config import MS, beat_of
 from protocol.frames.safety_frames import Command, EmergencyReset, OperatorCommand
 from sim.can.can_segment import Wire
 from sim.world.checkers import MotionAfterStopChecker, Violation
-from sim.world.protocol_world import CommandChecker, Parade
+from sim.world.protocol_world import CommandChecker, ProtocolWorld
 from sim.world.world import World
 
 EVERYBODY, NOBODY = 255, -1
@@ -20,7 +20,7 @@ REACTION_US = 20 * MS  # a tick and a frame's jitter on top of the silence that 
 
 def motions(world: World) -> MotionAfterStopChecker | CommandChecker:
     """A checker of who moves, that sees all of it from now on."""
-    return world.checker() if isinstance(world, Parade) else MotionAfterStopChecker(world)
+    return world.checker() if isinstance(world, ProtocolWorld) else MotionAfterStopChecker(world)
 
 
 class Stage(IntEnum):
@@ -29,7 +29,7 @@ class Stage(IntEnum):
     RESET = 2
 
 
-class StopWatch:
+class StopMonitor:
     def __init__(
         self,
         world: World,

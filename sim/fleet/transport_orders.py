@@ -6,23 +6,23 @@ number that somebody else has used at the same time is left to the greater order
 
 from collections.abc import Sequence
 
-from agent.delivery.task_registry import Order
+from agent.delivery.task_registry import TransportTask
 from protocol.frames.delivery_frames import BUCKET_TASKS, TaskBookDigest, TaskOrder
 from protocol.frames.messages import Message
 
 ENOUGH = 2
 
 
-class OrderDesk:
+class TransportClient:
     def __init__(self, known: int = 0) -> None:
         """`known`: tasks below this are known to all from the start."""
-        self.wanted: dict[int, tuple[int, Order]] = {}  # number: which one of ours, and the order
+        self.wanted: dict[int, tuple[int, TransportTask]] = {}  # number: which one of ours, and the order
         self.robots: set[int] = set()  # source addresses that have told what they know
         self._first_free = known
         self._sure: dict[int, set[int]] = {}  # task: who knows it
         self._count = 0
 
-    def order(self, orders: Sequence[Order]) -> None:
+    def order(self, orders: Sequence[TransportTask]) -> None:
         for order in orders:
             self.wanted[self._free()] = (self._count, order)
             self._count += 1
@@ -36,7 +36,7 @@ class OrderDesk:
         elif isinstance(message, TaskOrder):
             self._first_free = max(self._first_free, message.task + 1)
             mine = self.wanted.get(message.task)
-            other = Order(message.pickup, message.dropoff)
+            other = TransportTask(message.pickup, message.dropoff)
             if mine is not None and other > mine[1]:  # the number is somebody else's
                 del self.wanted[message.task]
                 self.wanted[self._free()] = mine

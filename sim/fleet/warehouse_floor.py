@@ -6,14 +6,14 @@ A simulation has it in its cluster, a launch in the process that is the world; r
 from collections.abc import Callable
 from functools import partial
 
-from agent.delivery.task_registry import TASKS_MAX, Order
+from agent.delivery.task_registry import TASKS_MAX, TransportTask
 from agent.interface.config import S
 from protocol.frames.codec import Malformed, decode_once
 from protocol.frames.delivery_frames import TaskOrder
 from protocol.frames.frame import Frame
 from protocol.frames.messages import Message
 from sim.fleet.scheduler import Script
-from sim.fleet.transport_orders import OrderDesk
+from sim.fleet.transport_orders import TransportClient
 from sim.scenarios.delivery_scenario import TaskRow
 from sim.scenarios.delivery_setup import DeliverySetting
 from sim.world.world import World
@@ -22,7 +22,7 @@ DESK_US = 500_000  # between two calls of an order that is not confirmed
 BOX_CLEAR_M = 2.0  # a box never falls on a robot, nor right before one
 
 
-class Depot:
+class WarehouseFloor:
     def __init__(
         self, setting: DeliverySetting, world: World, now_us: Callable[[], int],
         is_up: Callable[[int], bool], say: Callable[[Message], None],
@@ -32,7 +32,7 @@ class Depot:
         self.truth = setting.parcels()
         self.truth.is_up = is_up
         self.truth.place_of = lambda slot: world.body(slot).position
-        self.desk = OrderDesk(len(setting.house.tasks))
+        self.desk = TransportClient(len(setting.house.tasks))
         self.from_us = 0  # what happened before this instant is past: an earlier launch had it
 
     def hear(self, t_us: int, frame: Frame) -> None:
@@ -41,7 +41,7 @@ class Depot:
         if not isinstance(message, Malformed):
             self.desk.hear(source, message)
         if isinstance(message, TaskOrder):
-            order = Order(message.pickup, message.dropoff)
+            order = TransportTask(message.pickup, message.dropoff)
             house = self.setting.house
             if message.task < TASKS_MAX and house.known(order):
                 trip = house.trip(order)
@@ -50,7 +50,7 @@ class Depot:
     def recall(self, now_us: int) -> None:
         """Go on at that instant: the parcels that appeared in an earlier launch are known."""
         self.from_us = now_us
-        self.desk = OrderDesk(max([len(self.setting.house.tasks) - 1, *self.truth.dropoff]) + 1)
+        self.desk = TransportClient(max([len(self.setting.house.tasks) - 1, *self.truth.dropoff]) + 1)
 
     def order(self, row: TaskRow) -> None:
         """One more transport."""

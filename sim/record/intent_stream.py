@@ -51,7 +51,7 @@ class IntentRelay:
         return True
 
 
-class Watching(Link):
+class IntentListener(Link):
     """In the map's process."""
 
     def __init__(self, heard: Callable[[dict[str, Any]], None]) -> None:

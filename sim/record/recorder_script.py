@@ -12,14 +12,14 @@ from sim.world.walls import FREE
 EVERY_US = 200_000
 
 
-class Keeper(Protocol):
+class RecordingSink(Protocol):
     """A recording, or a file of one."""
 
     def tell(self, t_us: int, intent: dict[str, Any]) -> None: ...
     def place(self, t_us: int, rows: list[list[float]]) -> None: ...
 
 
-def watch(cluster: Cluster, keepers: Sequence[Keeper]) -> None:
+def watch(cluster: Cluster, keepers: Sequence[RecordingSink]) -> None:
     """Give to an expedition as `attach`. Only looks: the run is the same with and without it."""
     cluster.host.spawn(_look(cluster, keepers))
     writers = [keeper.effect for keeper in keepers if hasattr(keeper, "effect")]
@@ -35,7 +35,7 @@ def watch(cluster: Cluster, keepers: Sequence[Keeper]) -> None:
         cluster.record = both
 
 
-def _look(cluster: Cluster, keepers: Sequence[Keeper]) -> Script[None]:
+def _look(cluster: Cluster, keepers: Sequence[RecordingSink]) -> Script[None]:
     standing: list[list[float]] = []
     while True:
         now_us = cluster.host.now_us()

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from agent.interface.effects import Drive
-from agent.interface.ports import Body, Lying, Observation
+from agent.interface.ports import Body, Observation, VisibleParcel
 from sim.record.intent_stream import IntentRelay
 from sim.record.local_link import Link, LinkServer
 from sim.world.world import World
@@ -49,7 +49,7 @@ def observation_of(data: bytes) -> Observation | None:
     if rays < 0 or len(data) != begin + rays * RAY.size:
         return None
     lying = (LYING.unpack_from(data, SENSE.size + k * LYING.size) for k in range(count))
-    parcels = {task: Lying(x_m, y_m, on_robot) for task, x_m, y_m, on_robot in lying}
+    parcels = {task: VisibleParcel(x_m, y_m, on_robot) for task, x_m, y_m, on_robot in lying}
     ranges_m = struct.unpack_from(f"<{rays}f", data, begin)
     return Observation(*pose)._replace(
         ranges_m=ranges_m, battery=battery, load=load, parcels=parcels, sensed_at_us=sensed_at_us

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from agent.interface.config import NEIGHBOURS_MAX
 from agent.interface.mission import Underway
-from agent.motion.holonomic_motion import Motion
+from agent.motion.holonomic_motion import HolonomicMotion
 from agent.peer.peer import Peer
 
 XY = tuple[float, float]
@@ -50,7 +50,7 @@ class Intent(NamedTuple):
 def intent_of(peer: Peer) -> Intent | None:
     """None before its sensors have said anything."""
     here = peer.here
-    motion = peer.motion if isinstance(peer.motion, Motion) else None  # nobody to avoid on a grid
+    motion = peer.motion if isinstance(peer.motion, HolonomicMotion) else None  # nobody to avoid on a grid
     if here is None:
         return None
     others = sorted(motion.others, key=lambda o: o.distance_m) if motion is not None else []

@@ -6,7 +6,7 @@ import numpy as np
 
 from crdt.hybrid_clock import HybridClock
 from crdt.occupancy import Geometry, OccupancyMap
-from crdt.sighting import LEVELS, TIME_MAX, Order
+from crdt.sighting import LEVELS, TIME_MAX, MergeOrder
 from protocol.frames.codec import decode_once, encode
 from protocol.frames.map_frames import MapDigests, MapPatch
 from protocol.sync.map_sync import MapSync
@@ -19,7 +19,7 @@ S = 1_000_000
 class MapFleet:
     """A fleet in virtual time. `now_us` only moves in `run`."""
 
-    def __init__(self, size: int, geometry: Geometry, order: Order, seed: int = 0) -> None:
+    def __init__(self, size: int, geometry: Geometry, order: MergeOrder, seed: int = 0) -> None:
         self.rng = Random(f"{seed}/map fleet")
         self.wire = Wire(seed)
         self.geometry, self.order = geometry, order

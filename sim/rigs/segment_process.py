@@ -17,7 +17,7 @@ from typing import Any
 
 from agent.interface.effects import Drive, Effect
 from agent.interface.identity import Identity
-from agent.runtime.peer_runner import Shell
+from agent.runtime.peer_runner import PeerRunner
 from agent.safety.stop_controller import SilencePolicy
 from agent.segments.segment_area import Area
 from agent.segments.segment_peer import SegmentPeer
@@ -41,19 +41,19 @@ class SegmentHost:
         self.shells = [self._robot(name, slot, robots) for slot in range(robots)]
         self.tasks: list[asyncio.Task[None]] = []
 
-    def _robot(self, name: str, slot: int, robots: int) -> Shell:
+    def _robot(self, name: str, slot: int, robots: int) -> PeerRunner:
         identity = Identity(
             slot, frozenset(range(robots)), fleet_name(name, slot), FIELD_HASH,
             SilencePolicy.STOP, started=True, first_boot=True,
         )  # fmt: skip
         rng = Random(f"{self.seed}/{name}/{slot}")
-        peer = SegmentPeer(self.area, identity, rng, Shell.now_us(), {})
+        peer = SegmentPeer(self.area, identity, rng, PeerRunner.now_us(), {})
 
         def watch(now_us: int, effect: Effect) -> None:
             if type(effect) is Drive:
                 self.halts.setdefault(slot, now_us)
 
-        return Shell(peer, CanBus(FieldBus(name)), None, None, watch)
+        return PeerRunner(peer, CanBus(FieldBus(name)), None, None, watch)
 
     async def run(self, port: int) -> None:
         await self.hub.start("0.0.0.0", port)
@@ -73,7 +73,7 @@ class SegmentHost:
     def obey(self, order: dict[str, Any]) -> dict[str, Any]:
         match order["do"]:
             case "press":
-                pressed_us = Shell.now_us()
+                pressed_us = PeerRunner.now_us()
                 shell = self.shells[order["slot"]]
                 shell.operate(lambda peer, now: peer.press(Reason.PERSON_IN_FIELD, now))
                 return {"pressed_us": pressed_us}
@@ -112,7 +112,7 @@ class SegmentHost:
         }
 
 
-def _release(shell: Shell) -> None:
+def _release(shell: PeerRunner) -> None:
     """Between two presses of a bench: a reset at once, without the rejoining that a person causes."""
     safety = shell.peer.safety
     for dot in safety.stops.active:

@@ -13,15 +13,15 @@ import can
 from agent.interface.effects import Drive, Effect
 from agent.interface.identity import Identity
 from agent.runtime.gateway_runner import GatewayShell
-from agent.runtime.peer_runner import Shell
+from agent.runtime.peer_runner import PeerRunner
 from agent.safety.stop_controller import SilencePolicy
 from agent.segments.gateway import Gateway
 from agent.segments.map_relay import MapRelay
-from agent.segments.segment_area import Area, Place
+from agent.segments.segment_area import Area, SegmentPlace
 from agent.segments.segment_peer import SegmentPeer
 from crdt.hybrid_clock import HybridClock
 from crdt.occupancy import Geometry, OccupancyMap
-from crdt.sighting import TIME_MAX, Order
+from crdt.sighting import TIME_MAX, MergeOrder
 from protocol.authentication import Keyring, Keys
 from protocol.frames.frame import Frame
 from protocol.frames.segment_frames import gateway_slot
@@ -30,7 +30,7 @@ from protocol.name import GATEWAY_FUNCTION, Name, fleet_name
 from protocol.sync.map_sync import MapSync
 from sim.can.frame_timing import BIT_US, frame_bits
 from sim.can.simulated_bus import Segment, forget, segment
-from sim.fleet.event_loop import Swarm
+from sim.fleet.event_loop import EventLoop
 from sim.fleet.scheduler import Script
 from sim.rigs.simulated_backbone import SimulatedBackbone
 
@@ -46,8 +46,8 @@ def ring_area(number: int, segments: int, home: int, shared: int) -> Area:
     lent = {section: frozenset({before}) for section in range(shared)}
     for section in range(home - shared, home):
         lent[section] = lent.get(section, frozenset()) | {after}
-    theirs = [Place(before, section) for section in range(home - shared, home)]
-    theirs += [Place(after, section) for section in range(shared)]
+    theirs = [SegmentPlace(before, section) for section in range(home - shared, home)]
+    theirs += [SegmentPlace(after, section) for section in range(shared)]
     borrowed = {home + k: place for k, place in enumerate(dict.fromkeys(theirs))}
     return Area(number, home, lent, borrowed)
 
@@ -69,13 +69,13 @@ class SegmentFleet:
     ) -> None:
         """`geometry`: of the map that all segments make, where they make one."""
         self.segments, self.robots, self.seed = range(1, segments + 1), robots, seed
-        self.swarm = Swarm()
+        self.swarm = EventLoop()
         self.backbone = SimulatedBackbone(self.swarm, seed)
         self.rng = Random(f"{seed}/segments")
         self.keys, self.policy, self.geometry = keys, policy, geometry
         self.areas = {k: ring_area(k, segments, home, shared) for k in self.segments}
         self.wires: dict[int, Segment] = {}
-        self.shells: dict[tuple[int, int], Shell] = {}
+        self.shells: dict[tuple[int, int], PeerRunner] = {}
         self.gateways: dict[int, list[GatewayShell]] = {}
         self.halted_us: dict[tuple[int, int], int] = {}  # last zero command of each robot
         self.bits: Counter[int] = Counter()  # on each wire
@@ -119,7 +119,7 @@ class SegmentFleet:
         chart = None
         if self.geometry is not None:
             clock = HybridClock(0, MAP_TICK_US, TIME_MAX)
-            chart = MapSync(slot, OccupancyMap(self.geometry, Order.DECAYED), clock, 0)
+            chart = MapSync(slot, OccupancyMap(self.geometry, MergeOrder.DECAYED), clock, 0)
         parts = None, None, keyring, chart
         peer = SegmentPeer(self.areas[number], identity, rng, 0, {}, *parts, policy=self.policy)
         bus = can.Bus(interface="fieldbus", channel=self.channel(number))
@@ -138,7 +138,7 @@ class SegmentFleet:
         name = Name(boot & 0x1FFFFF, function=GATEWAY_FUNCTION, arbitrary_address=0)
         swarm, chart = self.swarm, None
         if self.geometry is not None:
-            chart = MapRelay(number, self.geometry, Order.DECAYED, swarm.now_us())
+            chart = MapRelay(number, self.geometry, MergeOrder.DECAYED, swarm.now_us())
         shell = GatewayShell(
             Gateway(self.areas[number], name, boot, swarm.now_us(), chart),
             CanBus(can.Bus(interface="fieldbus", channel=self.channel(number))),

@@ -8,14 +8,14 @@ from random import Random
 
 from agent.segments.gateway import Publish
 from protocol.backbone_messages import Kind
-from sim.fleet.event_loop import Swarm
+from sim.fleet.event_loop import EventLoop
 
 DELAY_US = (300, 3_000)  # from end to end; Zenoh over one switch takes 0.3 to 1 ms
 URGENT = (Kind.STOPS, Kind.RESETS)
 
 
 class SimulatedBackbone:
-    def __init__(self, swarm: Swarm, seed: int | str) -> None:
+    def __init__(self, swarm: EventLoop, seed: int | str) -> None:
         self.swarm = swarm
         self.nodes: list[Node] = []
         self.deaf: set[tuple[int, int]] = set()  # (from segment, to segment): nothing arrives

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from agent.interface.config import STOP_REPEAT_US, beat_of
 from agent.interface.effects import Drive, Effect, Send
-from agent.safety.stop_controller import Safety, SilencePolicy
+from agent.safety.stop_controller import SilencePolicy, StopController
 from protocol.frames.codec import decode_once, encode
 from protocol.frames.fleet_frames import Pose
 from protocol.frames.frame import Frame
@@ -47,7 +47,7 @@ class Heard(NamedTuple):
         return first + echo + self.errors * BROKEN_US + self.missed * FRAME_US + rounds
 
 
-class Copy(NamedTuple):
+class StopFrame(NamedTuple):
     """A stop frame, whoever sent it."""
 
     end_us: int
@@ -65,12 +65,12 @@ class StopFleet:
         self.safeties = []
         everybody = frozenset(range(robots))
         for slot in range(robots):
-            safety = Safety(slot, 1, SilencePolicy.STOP, None, {}, 0)
+            safety = StopController(slot, 1, SilencePolicy.STOP, None, {}, 0)
             safety.start(0)
             safety.members(everybody, frozenset(), 0)
             self.safeties.append(safety)
         self.stood_us: dict[int, int] = {}
-        self._copies: list[Copy] = []
+        self._copies: list[StopFrame] = []
         self._poses: list[tuple[int, int]] = []
         self._pose_us = beat_of(robots).pose_us
         for slot in range(robots):
@@ -98,7 +98,7 @@ class StopFleet:
         """(copies missed, dry rounds) until this robot had one. Copies that were ready follow each
         other at once, but for frames that are destroyed, and for the one before the first echo."""
         missed = dry = 0
-        before: Copy | None = None
+        before: StopFrame | None = None
         for copy in self._copies:
             if before is not None:
                 ready_us = FRAME_US + (copy.errors - before.errors) * BROKEN_US
@@ -142,7 +142,7 @@ class StopFleet:
         source, message = decode_once(delivery.frame)
         if not isinstance(message, EmergencyStop):
             return
-        copy = Copy(delivery.t_us, frozenset(delivery.receivers), self.wire.errors)
+        copy = StopFrame(delivery.t_us, frozenset(delivery.receivers), self.wire.errors)
         self._copies.append(copy)
         for node in delivery.receivers:
             if node < len(self.safeties):

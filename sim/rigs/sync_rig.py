@@ -1,4 +1,4 @@
-"""N replicas with their `Sync`, on the real wire model, and nothing else of a peer.
+"""N replicas with their `Synchronizer`, on the real wire model, and nothing else of a peer.
 
 Everything goes over the wire: claims, progress, heartbeats with their digests, sync frames. Members
 are live to each other while they are in one island, after a short silence.
@@ -18,7 +18,7 @@ from protocol.frames.work_frames import (
     TaskClaim,
     WorkProgress,
 )
-from protocol.sync.synchronizer import Said, Sync
+from protocol.sync.synchronizer import Said, Synchronizer
 from sim.can.can_segment import Delivery, Wire
 from sim.can.frame_timing import frame_bits
 
@@ -32,7 +32,7 @@ class Member:
     def __init__(self, slot: int, node: int) -> None:
         self.slot, self.node = slot, node
         self.allocation, self.progress = FieldAllocationCRDT(), Progress()
-        self.sync = Sync(slot, self.allocation, self.progress)
+        self.sync = Synchronizer(slot, self.allocation, self.progress)
         self.counter = 0
 
 

@@ -19,7 +19,7 @@ from agent.coverage.cell_map import NONE
 from agent.coverage.coverage_mission import GridWork
 from agent.interface.config import MS, S
 from sim.can.frame_counter import BusTally
-from sim.fleet.event_loop import Swarm
+from sim.fleet.event_loop import EventLoop
 from sim.fleet.fault_injector import FaultPlan
 from sim.fleet.scheduler import Handle, Script
 from sim.fleet.simulated_fleet import Cluster, Record, Robot
@@ -79,7 +79,7 @@ class GridOutcome(NamedTuple):
 
 class GridCluster(Cluster):
     def __init__(
-        self, setting: GridSetting, channel: str, record: Record | None, host: Swarm
+        self, setting: GridSetting, channel: str, record: Record | None, host: EventLoop
     ) -> None:
         super().__init__(setting, channel, record, host)
         self.place = setting
@@ -155,7 +155,7 @@ class GridCluster(Cluster):
         return (off < 0.8 * self.place.ground.cell_m).all(axis=1)
 
 
-class Witness:
+class ReplanAuditor:
     """Compares each new plan with what was covered when its round began."""
 
     def __init__(self, cluster: GridCluster) -> None:
@@ -187,7 +187,7 @@ class Witness:
                 self.untold += int(np.count_nonzero(before & ~told))
 
 
-class GridFleet:
+class CoverageRun:
     """One run."""
 
     def __init__(
@@ -200,10 +200,10 @@ class GridFleet:
         self.covered_us: Any = None  # by number: when each cell was covered; -1: never
 
     def run(self) -> GridOutcome:
-        swarm = Swarm()
+        swarm = EventLoop()
         return swarm.run(self._play(swarm))
 
-    def _play(self, host: Swarm) -> Script[GridOutcome]:
+    def _play(self, host: EventLoop) -> Script[GridOutcome]:
         began_s = time.process_time()
         if self.out is not None:
             self.out.mkdir(parents=True, exist_ok=True)
@@ -214,7 +214,7 @@ class GridFleet:
         cluster.segment.taps.append(self.tally.tap)
         cluster.boot_all()
         script = host.spawn(FaultPlan(cluster).script())
-        witness = Witness(cluster)
+        witness = ReplanAuditor(cluster)
         try:
             yield from self._watch(cluster, script, witness)
             cpu_s = time.process_time() - began_s
@@ -225,7 +225,7 @@ class GridFleet:
             self.tally.close()
         return outcome
 
-    def _watch(self, cluster: GridCluster, script: Handle, witness: Witness) -> Script[None]:
+    def _watch(self, cluster: GridCluster, script: Handle, witness: ReplanAuditor) -> Script[None]:
         host, limit_us = cluster.host, round(self.setting.scenario.run.time_limit_s * S)
         while host.now_us() < limit_us:
             yield host.now_us() + LOOK_US
@@ -241,7 +241,7 @@ class GridFleet:
             yield host.now_us() + LOOK_US // 5
 
     def _measure(
-        self, cluster: GridCluster, recorder: Recorder, witness: Witness, cpu_s: float
+        self, cluster: GridCluster, recorder: Recorder, witness: ReplanAuditor, cpu_s: float
     ) -> GridOutcome:
         now_us, world = cluster.host.now_us(), cluster.grid_world
         world.advance(now_us)

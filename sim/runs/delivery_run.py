@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from agent.delivery.delivery_mission import Delivery
+from agent.delivery.delivery_mission import DeliveryMission
 from agent.delivery.task_registry import TASKS_MAX
 from agent.interface.config import S
 from agent.peer.peer import Peer
@@ -16,12 +16,12 @@ from protocol.frames.codec import Malformed, decode_once
 from protocol.frames.frame import Frame
 from sim.chaos.scenario_judge import TOUCH_M
 from sim.files.can_log import open_log
-from sim.fleet.event_loop import Swarm
+from sim.fleet.event_loop import EventLoop
 from sim.fleet.fault_injector import FaultPlan
 from sim.fleet.scheduler import Handle, Host, LoopHost, Script, follow
 from sim.fleet.simulated_fleet import Cluster, Record, Robot
 from sim.fleet.trace_recorder import Recorder
-from sim.fleet.warehouse_floor import Depot
+from sim.fleet.warehouse_floor import WarehouseFloor
 from sim.scenarios.delivery_setup import DeliverySetting
 from sim.world.ground_truth import TrackPoint
 from sim.world.parcel_truth import CarrierBody
@@ -33,7 +33,7 @@ QUIET_US = 4 * S  # after the last parcel replicas must be equal within this
 _numbers = itertools.count()
 
 
-class HaulMoment(NamedTuple):
+class RunProgress(NamedTuple):
     simulated_s: float
     delivered: int
     tasks: int
@@ -89,16 +89,16 @@ class HaulCluster(Cluster):
     ) -> None:
         super().__init__(setting, channel, record, host)
         self.place = setting
-        self.depot = Depot(setting, self.world, host.now_us, self.is_up, self.inject)
+        self.depot = WarehouseFloor(setting, self.world, host.now_us, self.is_up, self.inject)
         self.truth, self.desk = self.depot.truth, self.depot.desk
-        self.missions: dict[int, Delivery] = {}
+        self.missions: dict[int, DeliveryMission] = {}
         self.segment.taps.append(self.depot.hear)
 
     def make(
         self, slot: int, now_us: int, recalled: Mapping[str, bytes], first_boot: bool, lot: str
     ) -> Peer:
         peer = super().make(slot, now_us, recalled, first_boot, lot)
-        assert isinstance(peer.mission, Delivery)
+        assert isinstance(peer.mission, DeliveryMission)
         self.missions[slot] = peer.mission
         return peer
 
@@ -132,10 +132,10 @@ class HaulCluster(Cluster):
         return frozenset(found)
 
 
-class Haul:
+class DeliveryRun:
     def __init__(
         self, setting: DeliverySetting, out: Path | None = None,
-        told: Callable[[HaulMoment], None] | None = None,
+        told: Callable[[RunProgress], None] | None = None,
         watch: Callable[[HaulCluster], None] | None = None, forever: bool = False,
     ) -> None:  # fmt: skip
         """`watch` is given the cluster twice a second. `forever`: more tasks may come at any time."""
@@ -149,7 +149,7 @@ class Haul:
         self.attach: Callable[[HaulCluster], None] | None = None
 
     def run(self) -> HaulOutcome:
-        swarm = Swarm()
+        swarm = EventLoop()
         return swarm.run(self._play(swarm))
 
     async def live(self, attach: Callable[[HaulCluster], None]) -> HaulOutcome:
@@ -216,9 +216,9 @@ class Haul:
         while not cluster.replicas_equal and host.now_us() < quiet_us:
             yield host.now_us() + LOOK_US // 5
 
-    def _moment(self, cluster: HaulCluster) -> HaulMoment:
+    def _moment(self, cluster: HaulCluster) -> RunProgress:
         running = {robot.slot for robot in cluster.running}
-        return HaulMoment(
+        return RunProgress(
             cluster.host.now_us() / S, len(cluster.truth.delivered_us), len(cluster.truth.dropoff),
             {slot: m.stops for slot, m in cluster.missions.items() if slot in running},
         )  # fmt: skip

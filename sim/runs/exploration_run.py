@@ -13,15 +13,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.exploration.exploration_mission import Exploration
+from agent.exploration.exploration_mission import ExplorationMission
 from agent.exploration.exploration_report import fleet_status, serialize_for_llm
-from agent.exploration.exploration_task import Order
+from agent.exploration.exploration_task import ExplorationOrder
 from agent.exploration.lone_exploration import LoneExploration
 from agent.interface.config import BRAKING_SHARE
 from agent.interface.identity import Identity
 from agent.interface.lifecycle import State
-from agent.mapping.local_and_fleet_map import SurveyMap
-from agent.motion.holonomic_motion import Limits, Motion
+from agent.mapping.local_and_fleet_map import LocalAndFleetMap
+from agent.motion.holonomic_motion import BodyLimits, HolonomicMotion
 from agent.peer.peer import Peer
 from crdt.hybrid_clock import HybridClock
 from crdt.occupancy import OccupancyMap
@@ -56,10 +56,10 @@ class Sharing(Enum):
     NONE = "each for itself, to the nearest frontier"
 
 
-class Omniscient(MapSync):
+class InstantMapSync(MapSync):
     """News reach all maps in no time and without a frame."""
 
-    fleet: "list[Omniscient]"
+    fleet: "list[InstantMapSync]"
     hold_us = 0
     now_us = 0
 
@@ -112,12 +112,12 @@ class SurveyOutcome(NamedTuple):
 class SurveyCluster(Cluster):
     def __init__(
         self, setting: ArenaSetting, channel: str, record: Record | None = None,
-        sharing: Sharing = Sharing.FLEET, orders: Sequence[Order] = (),
+        sharing: Sharing = Sharing.FLEET, orders: Sequence[ExplorationOrder] = (),
     ) -> None:  # fmt: skip
         super().__init__(setting, channel, record)
         self.place, self.sharing, self.orders = setting, sharing, orders
-        self.missions: dict[int, Exploration] = {}
-        self.at_once: list[Omniscient] = []
+        self.missions: dict[int, ExplorationMission] = {}
+        self.at_once: list[InstantMapSync] = []
 
     def make(
         self, slot: int, now_us: int, recalled: Mapping[str, bytes], first_boot: bool, lot: str
@@ -125,10 +125,10 @@ class SurveyCluster(Cluster):
         place, scenario = self.place, self.place.scenario
         fleet = scenario.fleet
         braking_m_s2 = BRAKING_SHARE * fleet.acceleration_m_s2
-        limits = Limits(fleet.radius_m, fleet.speed_m_s, braking_m_s2)
+        limits = BodyLimits(fleet.radius_m, fleet.speed_m_s, braking_m_s2)
         sync = self._sync(slot, now_us)
-        chart = SurveyMap(sync, place.geometry, fleet.radius_m, scenario.arena.range_m)
-        kind = LoneExploration if self.sharing is Sharing.NONE else Exploration
+        chart = LocalAndFleetMap(sync, place.geometry, fleet.radius_m, scenario.arena.range_m)
+        kind = LoneExploration if self.sharing is Sharing.NONE else ExplorationMission
         mission = kind(chart, limits, fleet.robots, scenario.arena.robots_max, self.orders)
         self.missions[slot] = mission
         identity = Identity(
@@ -137,7 +137,7 @@ class SurveyCluster(Cluster):
             silence=place.silence, started=True, first_boot=first_boot,
         )  # fmt: skip
         rng = Random(f"{scenario.run.seed}/peer/{slot}{lot}")
-        motion = Motion(
+        motion = HolonomicMotion(
             slot, limits._replace(acceleration_m_s2=fleet.acceleration_m_s2), None, fence_m=FENCE_M
         )
         on_wire = sync if self.sharing is Sharing.FLEET else None
@@ -149,7 +149,7 @@ class SurveyCluster(Cluster):
         clock = HybridClock(now_us, TICK_US, TIME_MAX)
         if self.sharing is Sharing.FLEET:
             return MapSync(slot, chart, clock, now_us)
-        sync = Omniscient(slot, chart, clock, now_us)
+        sync = InstantMapSync(slot, chart, clock, now_us)
         sync.fleet = [sync]
         if self.sharing is Sharing.AT_ONCE:
             self.at_once.append(sync)
@@ -180,7 +180,7 @@ class SurveyCluster(Cluster):
         return sum(sync.pending for sync in syncs if sync is not None)
 
 
-class Seen:
+class SeenCells:
     """Who saw which cell first, and who saw it again: from the robots' own evidence."""
 
     def __init__(self, setting: ArenaSetting) -> None:
@@ -191,7 +191,7 @@ class Seen:
         self.again = 0
         self.cells = int(np.count_nonzero(self.truth))  # that can be seen
 
-    def look(self, missions: Mapping[int, Exploration]) -> None:
+    def look(self, missions: Mapping[int, ExplorationMission]) -> None:
         for slot, mission in sorted(missions.items()):
             own = (mission.chart.own() != 0) & self.truth
             known = self.by.setdefault(slot, np.zeros_like(own))
@@ -211,7 +211,7 @@ class Seen:
         return self.again / self.cells
 
 
-class Still(NamedTuple):
+class FilmFrame(NamedTuple):
     """One picture of the film."""
 
     now_s: float
@@ -221,12 +221,12 @@ class Still(NamedTuple):
     places: Mapping[int, tuple[float, float]]
 
 
-class Survey:
+class ExplorationRun:
     """One run."""
 
     def __init__(
         self, scenario: ArenaScenario, sharing: Sharing = Sharing.FLEET, out: Path | None = None,
-        orders: Sequence[Order] = (), until: float = 2.0,
+        orders: Sequence[ExplorationOrder] = (), until: float = 2.0,
         attach: Callable[[Cluster], None] | None = None,
     ) -> None:  # fmt: skip
         """`until`: end when this share has been seen; above 1: when the fleet says it is over;
@@ -235,13 +235,13 @@ class Survey:
         self.setting, self.sharing, self.out = ArenaSetting(scenario), sharing, out
         self.orders = [*(table.order for table in scenario.order), *orders]
         self.until = until
-        self.seen = Seen(self.setting)
+        self.seen = SeenCells(self.setting)
         self.kinds: Counter[str] = Counter()
         self.map_bits = self.map_bytes = self.malformed = 0
         self.news_us = 0  # when the map last had news on the bus
         self.charts: dict[int, Values] = {}
         self.joined: OccupancyMap | None = None
-        self.films: list[Still] = []
+        self.films: list[FilmFrame] = []
         self.tracks: dict[int, list[TrackPoint]] = {}
         self.reports: list[tuple[float, str]] = []  # seconds, what the first robot would tell
 
@@ -319,7 +319,7 @@ class Survey:
         self.reports.append((now_s, serialize_for_llm(status, ages=True)))
         places = {slot: body.position for slot, body in cluster.world.robots.items()}
         first = self.seen.first.copy()
-        self.films.append(Still(now_s, robot.slot, mission.chart.values(), first, places))
+        self.films.append(FilmFrame(now_s, robot.slot, mission.chart.values(), first, places))
 
     def _measure(
         self, cluster: SurveyCluster, recorder: Recorder,

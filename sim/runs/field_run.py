@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from agent.interface.config import S
 from sim.can.frame_counter import BusTally
-from sim.fleet.event_loop import Swarm
+from sim.fleet.event_loop import EventLoop
 from sim.fleet.fault_injector import FaultPlan
 from sim.fleet.outcome import Outcome
 from sim.fleet.scheduler import Handle, Host, LoopHost, Script, follow
@@ -25,10 +25,10 @@ LOOK_US = 1 * S  # how often the end is looked for and progress is told
 RASTER_M = 0.25  # of the coverage check
 
 _numbers = itertools.count()
-Told = Callable[["Moment"], None]
+Told = Callable[["RunProgress"], None]
 
 
-class Moment(NamedTuple):
+class RunProgress(NamedTuple):
     """How a run is doing, for whoever watches."""
 
     simulated_s: float
@@ -38,7 +38,7 @@ class Moment(NamedTuple):
     states: tuple[str, ...]
 
 
-class Expedition:
+class FieldRun:
     def __init__(
         self,
         setting: Setting,
@@ -73,7 +73,7 @@ class Expedition:
         """Virtual time, as fast as it goes."""
         if not self.swarm:
             return run_virtual(self._on_asyncio())
-        swarm = Swarm()
+        swarm = EventLoop()
         return swarm.run(self._play(swarm))
 
     async def _on_asyncio(self) -> Outcome:
@@ -118,13 +118,13 @@ class Expedition:
         while not cluster.replicas_equal and host.now_us() < until_us:
             yield host.now_us() + LOOK_US // 10
 
-    def _moment(self, cluster: Cluster, now_s: float) -> Moment:
+    def _moment(self, cluster: Cluster, now_s: float) -> RunProgress:
         running = cluster.running
         best = max(running, key=lambda r: r.peer.allocation.done_count(), default=None)
         done = best.peer.allocation.done_count() if best else 0
         progress = max((r.peer.progress.fraction() for r in running), default=0.0)
         states = tuple(r.peer.state.name for r in running)
-        return Moment(now_s, done, self.setting.section_count, progress, states)
+        return RunProgress(now_s, done, self.setting.section_count, progress, states)
 
     def _measure(self, cluster: Cluster, recorder: Recorder, wall_s: float) -> Outcome:
         field, scenario, world = self.setting.field, self.setting.scenario, cluster.world

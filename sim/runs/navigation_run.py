@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from agent.interface.config import MS, S
 from agent.interface.effects import Trace
-from agent.navigation.navigation_mission import GOALS_MAX, Errands, Followed
+from agent.navigation.navigation_mission import GOALS_MAX, FollowedPath, NavigationMission
 from sim.can.frame_counter import BusTally
-from sim.fleet.event_loop import Swarm
+from sim.fleet.event_loop import EventLoop
 from sim.fleet.fault_injector import FaultPlan
 from sim.fleet.scheduler import Host, Script
 from sim.fleet.settling import quiet_us
@@ -28,7 +28,7 @@ _numbers = itertools.count()
 Points = tuple[tuple[float, float], ...]
 
 
-class Leg(NamedTuple):
+class GoalResult(NamedTuple):
     """One errand as it was driven."""
 
     slot: int
@@ -49,7 +49,7 @@ class OutingOutcome(NamedTuple):
     moved_after_stop: int  # steps in which a robot moved that had to stand
     simulated_s: float
     arrived_s: tuple[float, ...]  # each robot's last goal; inf: never
-    legs: tuple[Leg, ...]
+    legs: tuple[GoalResult, ...]
     rounds: int  # of agreement, the most that one robot saw
     unsolved: int
     obstacles: int  # boxes that came and went
@@ -79,7 +79,7 @@ class OutingOutcome(NamedTuple):
         return {**plain, "arrived_s": arrived_s, "legs": legs, "success": self.success}
 
 
-class Moment(NamedTuple):
+class RunProgress(NamedTuple):
     """How far a run is."""
 
     simulated_s: float
@@ -88,12 +88,12 @@ class Moment(NamedTuple):
     states: tuple[str, ...]
 
 
-class Outing:
+class NavigationRun:
     def __init__(
         self,
         setting: ErrandSetting,
         out: Path | None = None,
-        told: Callable[[Moment], None] | None = None,
+        told: Callable[[RunProgress], None] | None = None,
         logs: Sequence[Path] = (),
         attach: Callable[[Cluster], None] | None = None,
     ) -> None:
@@ -102,14 +102,14 @@ class Outing:
         self.setting, self.told, self.attach = setting, told, attach
         self.logs = [*([out / "can.log"] if out else []), *logs]
         self.tracks: dict[int, NDArray[np.float64]] = {}  # (n, 4): microseconds, x, y, -
-        self.followed: dict[int, list[Followed]] = {}
+        self.followed: dict[int, list[FollowedPath]] = {}
         self._done_us: dict[int, int] = {}  # section: when its robot said so
         self._recorder = Recorder(out / "trace.jsonl" if out else None)
         self._tally = BusTally()
 
     def run(self) -> OutingOutcome:
         """Virtual time, as fast as it goes."""
-        swarm = Swarm()
+        swarm = EventLoop()
         return swarm.run(self._play(swarm))
 
     def _play(self, host: Host) -> Script[OutingOutcome]:
@@ -139,7 +139,7 @@ class Outing:
         if self.told is not None:
             states = tuple(robot.peer.state.name for robot in cluster.running)
             goals, now_s = self.setting.section_count, cluster.host.now_us() / S
-            self.told(Moment(now_s, len(self._done_us), goals, states))
+            self.told(RunProgress(now_s, len(self._done_us), goals, states))
 
     def _settle(self, cluster: Cluster) -> Script[None]:
         """The last news reaches everybody."""
@@ -156,7 +156,7 @@ class Outing:
         world, setting, now_us = cluster.world, self.setting, cluster.host.now_us()
         world.advance(now_us)
         missions = {slot: robot.peer.mission for slot, robot in cluster.robots.items()}
-        errands = {s: m for s, m in missions.items() if isinstance(m, Errands)}
+        errands = {s: m for s, m in missions.items() if isinstance(m, NavigationMission)}
         self.tracks = {slot: body.track.to_array() for slot, body in world.robots.items()}
         self.followed = {slot: list(errand.followed) for slot, errand in errands.items()}
         legs = [leg for slot in errands for leg in self._legs(slot)]
@@ -189,14 +189,14 @@ class Outing:
             wall_s=wall_s,
         )
 
-    def _legs(self, slot: int) -> list[Leg]:
+    def _legs(self, slot: int) -> list[GoalResult]:
         found, since_us = [], 0
         for number in range(len(self.setting.goals[slot])):
             done_us = self._done_us.get(slot * GOALS_MAX + number)
             until_us = done_us if done_us is not None else 1 << 62
             paths = [p for p in self.followed[slot] if since_us <= p.t_us < until_us]
             found.append(
-                Leg(
+                GoalResult(
                     slot,
                     number,
                     inf if done_us is None else done_us / 1e6,
@@ -209,7 +209,7 @@ class Outing:
         return found
 
 
-def rmse_m(track: NDArray[np.float64], paths: list[Followed], until_us: int) -> float:
+def rmse_m(track: NDArray[np.float64], paths: list[FollowedPath], until_us: int) -> float:
     """Root mean square of the distance to the polyline (not to its vertices) followed at the time.
 
     nan where nothing was driven.

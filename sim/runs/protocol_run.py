@@ -6,11 +6,11 @@ from agent.interface.config import S
 from sim.fleet.outcome import Outcome
 from sim.fleet.simulated_fleet import Cluster
 from sim.fleet.trace_recorder import Recorder
-from sim.runs.field_run import Expedition
+from sim.runs.field_run import FieldRun
 from sim.scenarios.protocol_setup import DrillSetting
 
 
-class DrillRun(Expedition):
+class ProtocolRun(FieldRun):
     setting: DrillSetting
 
     def _measure(self, cluster: Cluster, recorder: Recorder, wall_s: float) -> Outcome:

@@ -5,7 +5,7 @@ from pathlib import Path
 from random import Random
 from typing import cast
 
-from agent.coverage.cell_map import Ground
+from agent.coverage.cell_map import CellMap
 from agent.coverage.coverage_mission import GridWork
 from agent.coverage.proximity_guard import GridGuard
 from agent.safety.stop_controller import SilencePolicy
@@ -24,7 +24,7 @@ class GridSetting:
     def __init__(self, scenario: Scenario, instance: Instance, turn_cost: float = 0.0) -> None:
         """ValueError: more free cells than have a number on the wire."""
         self.scenario, self.instance, self.turn_cost = scenario, instance, turn_cost
-        self.ground = Ground(instance.walls, CELL_M)
+        self.ground = CellMap(instance.walls, CELL_M)
         self.cells = [self.ground.number(cell) for cell in instance.starts]
         self.starts = [self.ground.centre(number) for number in self.cells]  # metres
         self.silence = SilencePolicy[scenario.fleet.silence.upper()]

@@ -7,8 +7,8 @@ from random import Random
 import numpy as np
 
 from agent.delivery.cost_matrix import Carrier
-from agent.delivery.delivery_mission import Delivery
-from agent.delivery.task_registry import Order
+from agent.delivery.delivery_mission import DeliveryMission
+from agent.delivery.task_registry import TransportTask
 from agent.delivery.warehouse import Warehouse
 from agent.interface.config import BRAKING_SHARE
 from agent.mapping.building import Floor, FloorError
@@ -72,17 +72,17 @@ class DeliverySetting(ErrandSetting):
                     )
         return rows
 
-    def _known(self, house: Warehouse) -> dict[int, Order]:
+    def _known(self, house: Warehouse) -> dict[int, TransportTask]:
         """What robots are given before the start; the rest is told on the bus when it comes."""
         return {
             number: self.order(house, row) for number, row in enumerate(self.rows) if not row.at_s
         }
 
     @staticmethod
-    def order(house: Warehouse, row: TaskRow) -> Order:
+    def order(house: Warehouse, row: TaskRow) -> TransportTask:
         pickup, dropoff = house.cell(row.pickup), house.cell(row.dropoff)
         assert pickup is not None and dropoff is not None
-        return Order(pickup, dropoff)
+        return TransportTask(pickup, dropoff)
 
     @cached_property
     def cells(self) -> list[tuple[float, float]]:
@@ -109,11 +109,11 @@ class DeliverySetting(ErrandSetting):
     def mission(
         self, slot: int, chart: MapSync | None = None, now_us: int = 0,
         recalled: Mapping[str, bytes] = NOTHING,
-    ) -> Delivery:  # fmt: skip
+    ) -> DeliveryMission:  # fmt: skip
         fleet = self.scenario.fleet
         braking_m_s2 = BRAKING_SHARE * fleet.acceleration_m_s2
         seed = self.scenario.run.seed * 1000 + slot
-        return Delivery(
+        return DeliveryMission(
             slot, self.house, self.starts[slot], fleet.speed_m_s, braking_m_s2, now_us, seed,
             chart, recalled, fleet.asks,
         )  # fmt: skip

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from agent.exploration.exploration_task import ORDERS_MAX, ROBOTS_MAX, Kind
-from agent.exploration.exploration_task import Order as Task
+from agent.exploration.exploration_task import ExplorationOrder as Task
 from agent.safety.stop_controller import SilencePolicy
 from crdt.allocation import FieldAllocationCRDT
 from crdt.occupancy import Geometry
-from crdt.sighting import Order
+from crdt.sighting import MergeOrder
 from sim.scenarios.field_setup import Setting
 from sim.scenarios.scenario import FieldTable, Scenario, ScenarioError, _Table, load_kind
 from sim.world.drive_trains import Chassis
@@ -84,7 +84,7 @@ class ArenaSetting(Setting):
                     f"{half_m[0]:g} m east and west, {half_m[1]:g} m north and south"
                 )
         self.starts = list(table.starts)
-        self.order = Order(table.merge_strategy)
+        self.order = MergeOrder(table.merge_strategy)
         rows, columns = (round(m / table.cell_m) for m in (table.height_m, table.width_m))
         origin = (-table.width_m / 2, -table.height_m / 2)
         self.geometry = Geometry(rows, columns, origin, table.cell_m)

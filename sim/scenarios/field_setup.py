@@ -14,14 +14,14 @@ from shapely.geometry import Point, Polygon
 
 from agent.field.field_division import divide
 from agent.field.field_map import XY, Field, joins, rasterise, start_poses
-from agent.field.field_mission import FieldWork
-from agent.field.tractor_mission import TractorWork
+from agent.field.field_mission import FieldMission
+from agent.field.tractor_mission import TractorMission
 from agent.interface.config import BRAKING_SHARE
-from agent.motion.holonomic_motion import FENCE_M, Motion
-from agent.motion.holonomic_motion import Limits as BodyLimits
+from agent.motion.holonomic_motion import FENCE_M, HolonomicMotion
+from agent.motion.holonomic_motion import BodyLimits as BodyLimits
 from agent.motion.path_tracker import ALIGN_M
 from agent.motion.tractor_motion import TractorMotion
-from agent.motion.tractor_tracker import Limits
+from agent.motion.tractor_tracker import SteeringLimits
 from agent.paths.route import Route
 from agent.paths.tractor_route import TurnRoute
 from agent.safety.stop_controller import SilencePolicy
@@ -185,13 +185,13 @@ class Setting:
         return max(self.chassis.turn_radius_m * TURN_SPARE, PIVOT_RADIUS_M)
 
     @cached_property
-    def steering(self) -> Limits:
+    def steering(self) -> SteeringLimits:
         """What a body that steers can do."""
         fleet, chassis = self.scenario.fleet, self.chassis
         rate = chassis.steer_rad_s / fleet.wheelbase_m
         if chassis.kind is Kind.DIFFERENTIAL:
             rate = PIVOT_STEER_1_M_S
-        return Limits(fleet.speed_m_s, BRAKING_SHARE * fleet.acceleration_m_s2, rate)
+        return SteeringLimits(fleet.speed_m_s, BRAKING_SHARE * fleet.acceleration_m_s2, rate)
 
     @cached_property
     def turns(self) -> TurnRoute:
@@ -236,20 +236,20 @@ class Setting:
     def section_count(self) -> int:
         return len(self.field.sections)
 
-    def mission(self, slot: int) -> FieldWork:
+    def mission(self, slot: int) -> FieldMission:
         fleet = self.scenario.fleet
         if self.turn_radius_m:
-            return TractorWork(self.field, self.route, self.turns, fleet.radius_m, self.steering)
+            return TractorMission(self.field, self.route, self.turns, fleet.radius_m, self.steering)
         braking_m_s2 = BRAKING_SHARE * fleet.acceleration_m_s2
-        return FieldWork(self.field, self.route, fleet.radius_m, fleet.speed_m_s, braking_m_s2)
+        return FieldMission(self.field, self.route, fleet.radius_m, fleet.speed_m_s, braking_m_s2)
 
-    def motion(self, slot: int) -> Motion:
+    def motion(self, slot: int) -> HolonomicMotion:
         fleet = self.scenario.fleet
         limits = BodyLimits(fleet.radius_m, fleet.speed_m_s, fleet.acceleration_m_s2)
         if self.turn_radius_m:
             return TractorMotion(slot, limits, self.turns, self.steering, self.fences)
         half_bar_m = self.field.implement_width_m / 2 - self.field.overlap_m
-        return Motion(slot, limits, self.fences, half_bar_m=half_bar_m)
+        return HolonomicMotion(slot, limits, self.fences, half_bar_m=half_bar_m)
 
     def world(self) -> World:
         """A fresh world with every robot at its place near the gate."""

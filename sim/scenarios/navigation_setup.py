@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from agent.interface.config import BRAKING_SHARE, S
 from agent.mapping.building import Floor
 from agent.mapping.dynamic_obstacles import geometry_of
-from agent.motion.holonomic_motion import Limits, Motion
-from agent.navigation.navigation_mission import Errands
+from agent.motion.holonomic_motion import BodyLimits, HolonomicMotion
+from agent.navigation.navigation_mission import NavigationMission
 from agent.safety.stop_controller import SilencePolicy
 from crdt.hybrid_clock import HybridClock
 from crdt.occupancy import SIDE_MAX, OccupancyMap
-from crdt.sighting import OBSERVER_MAX, TIME_MAX, Order
+from crdt.sighting import OBSERVER_MAX, TIME_MAX, MergeOrder
 from protocol.authentication import Keyring, Keys
 from protocol.sync.map_sync import MapSync
 from sim.scenarios.scenario import BusTable, FieldTable, FleetTable, RunTable, Scenario
@@ -97,16 +97,16 @@ class ErrandSetting:
         if self.scenario.fleet.robots > OBSERVER_MAX + 1 or max(geometry[:2]) > SIDE_MAX:
             return None
         clock = HybridClock(now_us, S, TIME_MAX)
-        return MapSync(slot, OccupancyMap(geometry, Order.LATEST_UPDATE), clock, now_us)
+        return MapSync(slot, OccupancyMap(geometry, MergeOrder.LATEST_UPDATE), clock, now_us)
 
     def mission(
         self, slot: int, chart: MapSync | None = None, now_us: int = 0,
         recalled: Mapping[str, bytes] = NOTHING,
-    ) -> Errands:  # fmt: skip
+    ) -> NavigationMission:  # fmt: skip
         """`recalled`: what its durable memory has kept."""
         fleet = self.scenario.fleet
         braking_m_s2 = BRAKING_SHARE * fleet.acceleration_m_s2
-        return Errands(
+        return NavigationMission(
             slot,
             self.goals,
             self.floor,
@@ -118,10 +118,10 @@ class ErrandSetting:
             fleet.asks,
         )
 
-    def motion(self, slot: int) -> Motion:
+    def motion(self, slot: int) -> HolonomicMotion:
         fleet = self.scenario.fleet
-        limits = Limits(fleet.radius_m, fleet.speed_m_s, fleet.acceleration_m_s2)
-        return Motion(
+        limits = BodyLimits(fleet.radius_m, fleet.speed_m_s, fleet.acceleration_m_s2)
+        return HolonomicMotion(
             slot, limits, self.floor.fences, fence_m=self.floor.margin_m / 2,
             horizon_s=HORIZON_S, gives_way=False, keep_right_rad=KEEP_RIGHT_RAD, looks=True,
             stops=self.agrees, asks=fleet.asks,

@@ -6,7 +6,13 @@ from pathlib import Path
 from agent.safety.stop_controller import SilencePolicy
 from sim.scenarios.field_setup import Setting
 from sim.scenarios.scenario import DRILLS, FieldTable, FleetTable, RunTable, Scenario
-from sim.world.protocol_world import SECTIONS_A_ROBOT, SPRINT_SECTIONS, Parade, Steady, Straight
+from sim.world.protocol_world import (
+    SECTIONS_A_ROBOT,
+    SPRINT_SECTIONS,
+    PassThroughMotion,
+    ProtocolWorld,
+    TimedMission,
+)
 
 CONFIG_HASH = 1  # all peers have the same field: none
 
@@ -18,10 +24,10 @@ class DrillSetting(Setting):
         self.silence = SilencePolicy[scenario.fleet.silence.upper()]
 
     @cached_property
-    def parade(self) -> Parade:
-        return Parade(self.scenario.fleet.robots, self.section_count)
+    def parade(self) -> ProtocolWorld:
+        return ProtocolWorld(self.scenario.fleet.robots, self.section_count)
 
-    def world(self) -> Parade:
+    def world(self) -> ProtocolWorld:
         return self.parade
 
     @property
@@ -41,11 +47,11 @@ class DrillSetting(Setting):
     def _crowded(self) -> bool:
         return self.scenario.mission == "sprint"
 
-    def mission(self, slot: int) -> Steady:  # type: ignore[override]
-        return Steady(self.parade, slot, self._crowded)
+    def mission(self, slot: int) -> TimedMission:  # type: ignore[override]
+        return TimedMission(self.parade, slot, self._crowded)
 
-    def motion(self, slot: int) -> Straight:
-        return Straight(slot)
+    def motion(self, slot: int) -> PassThroughMotion:
+        return PassThroughMotion(slot)
 
 
 def drill(robots: int, seed: int, mission: str = "drill", silence: str = "stop") -> Scenario:

@@ -11,7 +11,7 @@ from math import inf
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.coverage.cell_map import NONE, Ground
+from agent.coverage.cell_map import NONE, CellMap
 from agent.interface.config import ACTUATOR_TTL_US, MS
 from agent.interface.effects import Drive
 from agent.interface.ports import Observation
@@ -68,7 +68,7 @@ class GridTruth:
 
 
 class GridWorld:
-    def __init__(self, ground: Ground, radius_m: float) -> None:
+    def __init__(self, ground: CellMap, radius_m: float) -> None:
         self.ground, self.radius_m = ground, radius_m
         self.robots: dict[int, GridBody] = {}
         self.guards: list[object] = []  # never called: steps are not as fine here

@@ -12,7 +12,7 @@ from agent.delivery.cost_matrix import Carrier
 from agent.delivery.delivery_mission import REACH_M
 from agent.interface.config import S
 from agent.interface.effects import HALT, Drive
-from agent.interface.ports import Body, Lying, Observation
+from agent.interface.ports import Body, Observation, VisibleParcel
 
 Point = tuple[float, float]
 STILL_M_S = 0.1  # a robot handles and charges standing
@@ -76,10 +76,10 @@ class Parcels:
             self.lies[task], self.dropoff[task] = pickup, dropoff
             self.appeared_us[task] = now_us
 
-    def seen(self, slot: int, at: Point) -> dict[int, Lying]:
+    def seen(self, slot: int, at: Point) -> dict[int, VisibleParcel]:
         """Parcels within reach that lie, or stand on robots that are dead."""
         found = {
-            task: Lying(*place, False)
+            task: VisibleParcel(*place, False)
             for task, place in self.lies.items()
             if _gap(place, at) < REACH_M
         }
@@ -87,7 +87,7 @@ class Parcels:
             if other != slot and not self.is_up(other):
                 place = self.place_of(other)
                 if _gap(place, at) < REACH_M:
-                    found[task] = Lying(*place, True)
+                    found[task] = VisibleParcel(*place, True)
         return found
 
     def handle(self, slot: int, task: int, at: Point, now_us: int) -> None:

@@ -54,7 +54,7 @@ def steps_from(walls: list[list[bool]], sources: list[Cell]) -> dict[Cell, int]:
 
 
 def judge(plan: Plan) -> Verdict:
-    court = Court(plan)
+    court = PlanJudge(plan)
     while not court.over:
         court.advance()
     return court.verdict()
@@ -79,7 +79,7 @@ def lower_bound(walls: Walls, starts: list[Cell]) -> int:
     return best
 
 
-class Court:
+class PlanJudge:
     """Plays a plan step by step, noting faults; `advance` to its end, then `verdict`."""
 
     def __init__(self, plan: Plan) -> None:

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from math import cos, sin
 
 from agent.interface.effects import Drive
-from agent.interface.mission import STILL, Choice, FleetView, Wish
+from agent.interface.mission import STILL, ClaimRequest, FleetView, MotionRequest
 from agent.interface.ports import Observation
 from crdt import Phase
 
@@ -33,19 +33,19 @@ class Drill:
     def section_units(self) -> Mapping[int, int]:
         return self._units
 
-    def choose(self, view: FleetView) -> Choice | None:
+    def choose(self, view: FleetView) -> ClaimRequest | None:
         for section in self._order:
             if view.allocation.phase_of(section) is Phase.FREE:
-                return Choice(section, 3)
+                return ClaimRequest(section, 3)
         return None
 
-    def approach(self, section: int, view: FleetView) -> Wish:
+    def approach(self, section: int, view: FleetView) -> MotionRequest:
         return STILL
 
     def begin(self, section: int, view: FleetView) -> None:
         self._next_us = view.now_us + round(UNIT_S * 1e6)
 
-    def work(self, view: FleetView) -> Wish:
+    def work(self, view: FleetView) -> MotionRequest:
         covered: tuple[int, ...] = ()
         if view.now_us >= self._next_us:
             covered, self._done = (self._done,), self._done + 1
@@ -53,18 +53,18 @@ class Drill:
         finished = self._done >= SECTION_UNITS
         near = self._done >= SECTION_UNITS - 2
         self._done = 0 if finished else self._done
-        return Wish(SPEED_M_S, 0.0, 0.0, True, covered, finished=finished, near_end=near)
+        return MotionRequest(SPEED_M_S, 0.0, 0.0, True, covered, finished=finished, near_end=near)
 
     def abandon(self) -> None: ...
     def admits(self, goal: tuple[float, float]) -> bool:
         return False
 
-    def travel(self, goal: tuple[float, float], view: FleetView) -> Wish:
+    def travel(self, goal: tuple[float, float], view: FleetView) -> MotionRequest:
         return STILL
 
     def interrupted(self) -> None: ...
 
-    def rest(self, view: FleetView) -> Wish:
+    def rest(self, view: FleetView) -> MotionRequest:
         return STILL
 
 

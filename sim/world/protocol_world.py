@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 from agent.interface.config import ACTUATOR_TTL_US, CONTENTION_US, LEASE_US, MS, S
 from agent.interface.effects import HALT, Drive
-from agent.interface.mission import STILL, Choice, FleetView, Wish
+from agent.interface.mission import STILL, ClaimRequest, FleetView, MotionRequest
 from agent.interface.ports import NOTHING_SEEN, Observation
-from agent.motion.holonomic_motion import Limits, Motion
+from agent.motion.holonomic_motion import BodyLimits, HolonomicMotion
 from crdt import Phase
 from sim.world.checkers import VIOLATIONS_MAX, Violation, lapse_us
 from sim.world.drive_trains import Chassis
@@ -79,10 +79,10 @@ class CommandChecker:
                 return
 
 
-class Stand(RobotBody):
+class StationaryBody(RobotBody):
     """The body of one robot."""
 
-    def __init__(self, parade: "Parade", slot: int) -> None:
+    def __init__(self, parade: "ProtocolWorld", slot: int) -> None:
         super().__init__(parade, slot, slot, 0.5, Chassis())
         self.parade = parade
         self.x_m, self.y_m = SPACING_M * (slot % 12), SPACING_M * (slot // 12)
@@ -119,13 +119,13 @@ class Stand(RobotBody):
         self.x_m, self.y_m = self.x_m + dx_m, self.y_m + dy_m
 
 
-class Parade(World):
+class ProtocolWorld(World):
     """Every body, what was worked, and who worked where and when. Nothing of a world is computed."""
 
     def __init__(self, robots: int, sections: int) -> None:
         self.now_us, self.lidar = 0, None
         self._checkers: list[CommandChecker] = []
-        self.stands = {slot: Stand(self, slot) for slot in range(robots)}
+        self.stands = {slot: StationaryBody(self, slot) for slot in range(robots)}
         self.robots = dict[int, RobotBody](self.stands)
         self.units = dict.fromkeys(range(sections), UNITS)
         self.worked: set[tuple[int, int]] = set()
@@ -176,13 +176,13 @@ class Parade(World):
         return len(self.worked) / (UNITS * len(self.units))
 
 
-class Steady:
+class TimedMission:
     """The mission: the next free section from a place of one's own, unit after unit by the clock.
 
     `crowded`: everybody looks from the first section on, so that every claim is contested.
     """
 
-    def __init__(self, parade: Parade, slot: int, crowded: bool = False) -> None:
+    def __init__(self, parade: ProtocolWorld, slot: int, crowded: bool = False) -> None:
         self.parade, self.slot = parade, slot
         sections = len(parade.units)
         first = 0 if crowded else slot * sections // len(parade.stands)
@@ -196,17 +196,17 @@ class Steady:
     def section_units(self) -> Mapping[int, int]:
         return self.parade.units
 
-    def choose(self, view: FleetView) -> Choice | None:
+    def choose(self, view: FleetView) -> ClaimRequest | None:
         for section in self._order:
             if view.allocation.phase_of(section) is Phase.FREE:
-                return Choice(section, 3)
+                return ClaimRequest(section, 3)
         for slot, since_us in sorted(view.silent_since_us.items()):
             if view.now_us - since_us >= LEASE_US:
                 for section in sorted(view.allocation.assigned_sections(slot)):
-                    return Choice(section, 3, takeover=True)
+                    return ClaimRequest(section, 3, takeover=True)
         return None
 
-    def approach(self, section: int, view: FleetView) -> Wish:
+    def approach(self, section: int, view: FleetView) -> MotionRequest:
         return STILL
 
     def begin(self, section: int, view: FleetView) -> None:
@@ -222,13 +222,13 @@ class Steady:
     def admits(self, goal: tuple[float, float]) -> bool:
         return False
 
-    def travel(self, goal: tuple[float, float], view: FleetView) -> Wish:
+    def travel(self, goal: tuple[float, float], view: FleetView) -> MotionRequest:
         return STILL
 
-    def rest(self, view: FleetView) -> Wish:
+    def rest(self, view: FleetView) -> MotionRequest:
         return STILL
 
-    def work(self, view: FleetView) -> Wish:
+    def work(self, view: FleetView) -> MotionRequest:
         if self._section is None:  # resumed after a stop or a sync
             self.begin(view.allocation.assigned_sections(view.slot)[0], view)
         section, now_us = self._section, view.now_us
@@ -242,7 +242,7 @@ class Steady:
             return WORKING
         return self._next(section, view)
 
-    def _next(self, section: int, view: FleetView) -> Wish:
+    def _next(self, section: int, view: FleetView) -> MotionRequest:
         covered: tuple[int, ...] = ()
         left = [u for u in range(UNITS)
                 if u not in self._worked and not view.progress.has(section, u)]  # fmt: skip
@@ -256,19 +256,19 @@ class Steady:
         return WORKING._replace(covered=covered, finished=not left, near_end=len(left) <= 2)
 
 
-WORKING = Wish(SPEED_M_S, 0.0, 0.0, True)
+WORKING = MotionRequest(SPEED_M_S, 0.0, 0.0, True)
 
 
-class Straight(Motion):
+class PassThroughMotion(HolonomicMotion):
     """Nobody is in anybody's way."""
 
     def __init__(self, slot: int) -> None:
-        self.slot, self.limits = slot, Limits(0.5, SPEED_M_S, 1.0)
+        self.slot, self.limits = slot, BodyLimits(0.5, SPEED_M_S, 1.0)
         self.lookout = None
         self._wish, self._drive = STILL, HALT
 
     def drive(
-        self, here: Observation, wish: Wish, neighbours: Mapping[int, object], now_us: int
+        self, here: Observation, wish: MotionRequest, neighbours: Mapping[int, object], now_us: int
     ) -> Drive:
         if wish is not self._wish:
             self._wish = wish

@@ -9,18 +9,18 @@ from agent.interface.config import S
 from agent.interface.effects import HALT, Drive, Effect, Send
 from agent.interface.identity import Identity
 from agent.interface.lifecycle import State
-from agent.interface.mission import Choice, FleetView, Wish
+from agent.interface.mission import ClaimRequest, FleetView, MotionRequest
 from agent.interface.ports import Observation
-from agent.motion.holonomic_motion import Limits, Motion
+from agent.motion.holonomic_motion import BodyLimits, HolonomicMotion
 from agent.peer.peer import Peer
-from agent.safety.stop_cause import Cause, Clears
+from agent.safety.stop_cause import ClearCondition, StopCause
 from agent.safety.stop_controller import SilencePolicy
 from protocol.controller_health import Health
 from protocol.frames.fleet_frames import Member
 from protocol.frames.network_frames import AddressClaimed
 from protocol.name import fleet_name, tool_name
 
-FULL = Wish(2.0, 0.0, 0.0, True)
+FULL = MotionRequest(2.0, 0.0, 0.0, True)
 BY_TIME_US = 1 * S  # what is raised with a time holds so long here
 
 
@@ -29,39 +29,39 @@ class Eager:
 
     section_units: Mapping[int, int] = {0: 4}
 
-    def choose(self, view: FleetView) -> Choice | None:
+    def choose(self, view: FleetView) -> ClaimRequest | None:
         return None
 
-    def approach(self, section: int, view: FleetView) -> Wish:
+    def approach(self, section: int, view: FleetView) -> MotionRequest:
         return FULL
 
     def begin(self, section: int, view: FleetView) -> None: ...
-    def work(self, view: FleetView) -> Wish:
+    def work(self, view: FleetView) -> MotionRequest:
         return FULL
 
     def abandon(self) -> None: ...
     def admits(self, goal: tuple[float, float]) -> bool:
         return True
 
-    def travel(self, goal: tuple[float, float], view: FleetView) -> Wish:
+    def travel(self, goal: tuple[float, float], view: FleetView) -> MotionRequest:
         return FULL
 
     def interrupted(self) -> None: ...
-    def rest(self, view: FleetView) -> Wish:
+    def rest(self, view: FleetView) -> MotionRequest:
         return FULL
 
 
-def peer_in(state: State, cause: Cause | None, policy: SilencePolicy = SilencePolicy.STOP) -> Peer:
+def peer_in(state: State, cause: StopCause | None, policy: SilencePolicy = SilencePolicy.STOP) -> Peer:
     identity = Identity(
         0, frozenset(range(3)), fleet_name("total", 0), 1, policy, started=True, first_boot=True
     )
-    motion = Motion(0, Limits(0.8, 2.5, 1.5), np.empty((0, 4)))
+    motion = HolonomicMotion(0, BodyLimits(0.8, 2.5, 1.5), np.empty((0, 4)))
     peer = Peer(identity, Random(1), 0, {}, Eager(), motion)
     peer.observe(Observation(0.0, 0.0, 0.0, 0.0, 0.0, sensed_at_us=0), 0)
     peer.claims.current = 0 if state is State.WORKING else None
     peer.lifecycle.state = state
     if cause is not None:
-        timed = cause.clears in (Clears.BY_TIMEOUT, Clears.WHEN_APART)
+        timed = cause.clears in (ClearCondition.BY_TIMEOUT, ClearCondition.WHEN_APART)
         peer.safety.raise_cause(cause, 0, "", BY_TIME_US if timed else 0)
     return peer
 
@@ -79,7 +79,7 @@ def introduce_tools(peer: Peer, *addresses: int) -> Peer:
     return peer
 
 
-def held_by(peer: Peer) -> set[Cause]:
+def held_by(peer: Peer) -> set[StopCause]:
     return {cause for cause, _ in peer.safety.causes}
 
 

@@ -7,7 +7,12 @@ import pytest
 
 from agent.delivery import plan_negotiation as plan_round
 from agent.delivery.cost_matrix import Carrier, CostMatrix, Trip, workload
-from agent.delivery.plan_negotiation import SLICE_US, Frozen, PlanRound, Step
+from agent.delivery.plan_negotiation import (
+    SLICE_US,
+    NegotiationPhase,
+    PlanNegotiation,
+    ProblemSnapshot,
+)
 from agent.delivery.routing_problem import Workload
 from agent.mapping.building import Floor
 from agent.paths.nav_mesh import Mesh
@@ -45,24 +50,24 @@ def random_work(robots: int, tasks: int, seed: int) -> Workload:
     return workload(COSTS, Carrier(1.0, 2.0), trips(tasks, rng), starts, [0] * robots)
 
 
-def frozen(robots: int, tasks: int, seed: int) -> Frozen:
+def frozen(robots: int, tasks: int, seed: int) -> ProblemSnapshot:
     rng = np.random.default_rng(seed)
     lead = rng.integers(1_000, 60_000, (robots, tasks))
     link = rng.integers(1_000, 60_000, (tasks, tasks))
-    return Frozen(
+    return ProblemSnapshot(
         tuple(range(robots)), tuple(100 + t for t in range(tasks)),
         Workload(np.zeros(robots, dtype=np.int64), lead, link),
     )  # fmt: skip
 
 
 def play(
-    robots: int, loss: float, seed: int, dies_streaming: bool = False, problem: Frozen | None = None
-) -> list[PlanRound]:
+    robots: int, loss: float, seed: int, dies_streaming: bool = False, problem: ProblemSnapshot | None = None
+) -> list[PlanNegotiation]:
     """Until all are at rest; those that live."""
     print(f"seed {seed}")
     rng = Random(seed)
     problem = frozen(robots, 12, seed) if problem is None else problem
-    peers = {slot: PlanRound(slot, seed + slot) for slot in range(robots)}
+    peers = {slot: PlanNegotiation(slot, seed + slot) for slot in range(robots)}
     peers[0].call(problem, 1_000_000, 0)
     now_us = 0
     for _ in range(400):
@@ -81,6 +86,6 @@ def play(
                         other.join(said, problem, now_us)
                     else:
                         other.hear(slot, said, now_us)
-        if all(peer.step is Step.REST for peer in peers.values()):
+        if all(peer.step is NegotiationPhase.REST for peer in peers.values()):
             break
     return list(peers.values())

@@ -11,7 +11,7 @@ import pytest
 
 from agent.interface.effects import Persist, Send
 from agent.interface.lifecycle import State
-from agent.safety.stop_cause import Cause
+from agent.safety.stop_cause import StopCause
 from agent.safety.stop_controller import HOLD_KEY, LATCHED
 from protocol.frames.fleet_frames import Heartbeat, Member, Pose
 from protocol.frames.messages import Message
@@ -20,7 +20,7 @@ from sim.chaos.durability_rules import lost
 from sim.fleet.simulated_disk import Disk, LogJournal, MemoryJournal, PowerCut
 from sim.fleet.simulated_fleet import OPERATOR, Cluster
 from sim.fleet.virtual_clock import elapse
-from sim.runs.field_run import Expedition
+from sim.runs.field_run import FieldRun
 from sim.scenarios.field_setup import Setting
 from sim.scenarios.scenario import Crash, Fault, Reset, Restart, load
 from tests.chaos.at_work import Done, Story, at_work
@@ -183,7 +183,7 @@ def test_nothing_is_said_that_a_failing_disk_did_not_take(step: int) -> None:
         await elapse(0.2)
         await release(cluster)
         await elapse(10.0)
-        assert Cause.DISK_ERROR in dict(peer.safety.causes) and not peer.safety.may_move
+        assert StopCause.DISK_ERROR in dict(peer.safety.causes) and not peer.safety.may_move
         not_stops = [
             m for m in said(seen, 2) if not isinstance(m, EmergencyStop | Pose | Heartbeat)
         ]
@@ -226,5 +226,5 @@ def test_what_a_robot_held_before_its_restart_is_worked_by_somebody(disk: str) -
         Reset(at_s=30.0, kind="reset"),
     ]
     scenario = load("small").model_copy(update={"fault": faults})
-    outcome = Expedition(Setting(scenario)).run()
+    outcome = FieldRun(Setting(scenario)).run()
     assert outcome.success, outcome

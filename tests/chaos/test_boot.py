@@ -6,12 +6,12 @@ view, filled a bus of fifty robots for good.
 
 import pytest
 
-from agent.safety.stop_cause import Cause
+from agent.safety.stop_cause import StopCause
 from protocol.frames.fleet_frames import LeaderElectionVote, Member
 from protocol.frames.messages import GROUP_OF
 from protocol.frames.network_frames import AddressClaimed, Request
 from sim.fleet.virtual_clock import elapse, run_virtual
-from tools.bench.drill import Squad
+from tools.bench.drill import ProtocolFleet
 
 PGN_PF = {kind: GROUP_OF[kind].pgn >> 8 for kind in (Request, AddressClaimed)}
 
@@ -19,11 +19,11 @@ PGN_PF = {kind: GROUP_OF[kind].pgn >> 8 for kind in (Request, AddressClaimed)}
 @pytest.mark.parametrize(("robots", "seed"), [(6, 1), (40, 2)])
 def test_boot_is_a_few_frames_a_robot(robots: int, seed: int) -> None:
     async def main() -> tuple[bool, dict[int, int], set[object]]:
-        squad = Squad(robots, seed)
+        squad = ProtocolFleet(robots, seed)
         try:
             working = await squad.until_working(20.0)
             await elapse(4.0)
-            assert not any(s.peer.safety.holds(Cause.UNHEARD) for s in squad.shells)
+            assert not any(s.peer.safety.holds(StopCause.UNHEARD) for s in squad.shells)
             leaders: set[object] = {s.peer.election.leader for s in squad.shells}
             return working, dict(squad.segment.wire.by_group), leaders
         finally:

@@ -8,17 +8,17 @@ from random import Random
 
 import pytest
 
-from agent.field.field_mission import FieldWork
+from agent.field.field_mission import FieldMission
 from agent.interface.lifecycle import State
-from agent.safety.stop_cause import Cause
+from agent.safety.stop_cause import StopCause
 from protocol.frames.codec import decode_once
 from protocol.frames.frame import Frame
-from protocol.frames.operator_frames import Matter, OperatorReport, goal_check, goal_frames
+from protocol.frames.operator_frames import OperatorReport, ReportKind, goal_check, goal_frames
 from protocol.frames.safety_frames import Command, OperatorCommand
 from sim.files.key_file import fresh, write
 from sim.fleet.simulated_fleet import OPERATOR, Cluster
 from sim.fleet.virtual_clock import elapse, run_virtual
-from sim.runs.field_run import Expedition
+from sim.runs.field_run import FieldRun
 from sim.scenarios.field_setup import Setting
 from sim.scenarios.scenario import Scenario, load
 from sim.world.temporary_obstacles import random_temporary_obstacle_generator, schedule
@@ -71,7 +71,7 @@ async def until_at_work(cluster: Cluster, slot: int, after_s: float = 12.0) -> N
     while loop.time() < LIMIT_S:
         peer = cluster.robots[slot].peer
         mission = peer.mission
-        assert isinstance(mission, FieldWork)
+        assert isinstance(mission, FieldMission)
         tracker = mission.tracker
         if peer.state is State.WORKING and tracker is not None and mission.leg.units:
             left_m = tracker.total_m - tracker.along_m
@@ -85,7 +85,7 @@ async def asked(cluster: Cluster, slot: int) -> None:
     """The question comes while the robot brakes, and it comes to stand."""
     peer = cluster.robots[slot].peer
     await elapse(4.0)
-    assert Cause.OBSTACLE_AHEAD in dict(peer.safety.causes)
+    assert StopCause.OBSTACLE_AHEAD in dict(peer.safety.causes)
     assert cluster.world.body(slot).speed_m_s == 0.0
 
 
@@ -97,9 +97,9 @@ async def finished(cluster: Cluster) -> None:
     assert cluster.finished
 
 
-def matters(reports: Reports, slot: int = ROBOT) -> list[Matter]:
+def matters(reports: Reports, slot: int = ROBOT) -> list[ReportKind]:
     """What was told, repetitions left out."""
-    told: list[Matter] = []
+    told: list[ReportKind] = []
     for _, report in reports:
         if report.slot == slot and told[-1:] != [report.matter]:
             told.append(report.matter)
@@ -118,15 +118,15 @@ def test_a_robot_stops_asks_and_goes_on_when_the_way_is_free() -> None:
         box = put_box_before(cluster, ROBOT, 7.0)
         await asked(cluster, ROBOT)
         question = reports[-1][1]
-        assert question.matter is Matter.ASKING and question.number == 1
+        assert question.matter is ReportKind.ASKING and question.number == 1
         assert 0.3 < question.distance_m < 3.0 and 0.3 < question.radius_m < 2.0
         await elapse(5.0)
-        asks_us = [t for t, r in reports if r.matter is Matter.ASKING]
+        asks_us = [t for t, r in reports if r.matter is ReportKind.ASKING]
         assert len(asks_us) >= 8, "said again for operators that come later"
         cluster.world.remove_box(box)
         await elapse(1.5)
         assert cluster.robots[ROBOT].peer.safety.may_move
-        assert matters(reports) == [Matter.ASKING, Matter.GONE]
+        assert matters(reports) == [ReportKind.ASKING, ReportKind.GONE]
         reports.clear()
 
         await until_at_work(cluster, ROBOT)
@@ -137,7 +137,7 @@ def test_a_robot_stops_asks_and_goes_on_when_the_way_is_free() -> None:
         assert cluster.world.body(ROBOT).speed_m_s == 0.0
         cluster.world.remove_box(box)
         await finished(cluster)
-        assert matters(reports) == [Matter.ASKING, Matter.WAITING, Matter.GONE]
+        assert matters(reports) == [ReportKind.ASKING, ReportKind.WAITING, ReportKind.GONE]
         assert cluster.robots[ROBOT].peer.progress.fraction() == 1.0
 
     play(story, broad())
@@ -160,7 +160,7 @@ def test_going_round(command: Command) -> None:
             assert peer.claims.current == section
             cluster.world.remove_box(box)
         await finished(cluster)
-        assert matters(reports)[:2] == [Matter.ASKING, Matter.GOING_ROUND]
+        assert matters(reports)[:2] == [ReportKind.ASKING, ReportKind.GOING_ROUND]
         fraction = peer.progress.fraction()
         assert fraction == 1.0 if command is Command.REPLAN else 0.9 < fraction < 1.0
 
@@ -181,7 +181,7 @@ def test_stop_gives_the_work_back_and_stands_until_a_start() -> None:
         order(cluster, Command.START)
         await finished(cluster)
         assert peer.progress.fraction() == 1.0
-        assert Matter.STOPPED in matters(reports)
+        assert ReportKind.STOPPED in matters(reports)
 
     play(story, broad())
 
@@ -200,9 +200,9 @@ def test_being_sent_elsewhere() -> None:
             cluster.order(frame)
         order(cluster, command, goal_check(frames[0].value, frames[1].value))
         loop, until_s = asyncio.get_running_loop(), asyncio.get_running_loop().time() + 90
-        while loop.time() < until_s and Matter.ARRIVED not in matters(reports):
+        while loop.time() < until_s and ReportKind.ARRIVED not in matters(reports):
             await elapse(0.5)
-        assert matters(reports)[-1] is Matter.ARRIVED
+        assert matters(reports)[-1] is ReportKind.ARRIVED
         x_m, y_m = cluster.world.body(ROBOT).position
         assert hypot(x_m - goal[0], y_m - goal[1]) < 1.0 and peer.claims.current is None
         cluster.world.remove_box(box)
@@ -235,8 +235,8 @@ def test_answers_to_another_question_and_mixed_up_places_do_nothing() -> None:
             order(cluster, Command.SET_GOAL, goal_check(frames[0].value, frames[1].value))
         await elapse(3.0)
         assert cluster.world.body(ROBOT).speed_m_s == 0.0
-        assert Cause.OBSTACLE_AHEAD in dict(cluster.robots[ROBOT].peer.safety.causes)
-        assert set(matters(reports)) == {Matter.ASKING, Matter.REFUSED}
+        assert StopCause.OBSTACLE_AHEAD in dict(cluster.robots[ROBOT].peer.safety.causes)
+        assert set(matters(reports)) == {ReportKind.ASKING, ReportKind.REFUSED}
 
     play(story, broad())
 
@@ -269,17 +269,17 @@ def test_with_keys_only_an_operator_is_obeyed(tmp_path: Path) -> None:
             cluster.inject(OperatorCommand(Command.REPLAN, ROBOT, OPERATOR))
             cluster.inject(OperatorCommand(Command.GO_HOME, ROBOT, OPERATOR))
             await elapse(0.2)
-        assert set(matters(reports)) == {Matter.ASKING}
+        assert set(matters(reports)) == {ReportKind.ASKING}
         for _ in range(5):
             order(cluster, Command.REPLAN, reports[-1][1].number)
             await elapse(0.2)
-        assert matters(reports)[:2] == [Matter.ASKING, Matter.GOING_ROUND]
+        assert matters(reports)[:2] == [ReportKind.ASKING, ReportKind.GOING_ROUND]
 
     play(story, broad().changed(3, 5, tmp_path / "fleet.json"))
 
 
 def test_the_scenario_that_ships_is_finished_without_a_flaw() -> None:
-    outcome = Expedition(Setting(load("bystander"))).run()
+    outcome = FieldRun(Setting(load("bystander"))).run()
     assert outcome.success and outcome.frames["OperatorReport"] >= 10, outcome
 
 
@@ -298,11 +298,11 @@ def test_boxes_that_come_and_go_are_never_touched(seed: int) -> None:
             cluster.check()
             for robot in cluster.running:
                 pause = robot.peer.pause
-                if pause is not None and pause.matter is Matter.ASKING and rng.random() < 0.3:
+                if pause is not None and pause.matter is ReportKind.ASKING and rng.random() < 0.3:
                     what = rng.choice((Command.WAIT, Command.CONTINUE, Command.REPLAN))
                     cluster.order(OperatorCommand(what, robot.slot, OPERATOR, pause.number))
         assert cluster.finished, f"seed {seed}"
-        assert any(r.matter is Matter.ASKING for _, r in reports)
+        assert any(r.matter is ReportKind.ASKING for _, r in reports)
 
     play(story, load("small").changed(3, seed))
 
@@ -319,7 +319,7 @@ def test_a_tractor_asks_too_and_drives_home_on_its_turning_circle() -> None:
         await elapse(2.0)
         order(cluster, Command.GO_HOME)
         loop = asyncio.get_running_loop()
-        while loop.time() < LIMIT_S and matters(reports)[-1:] != [Matter.ARRIVED]:
+        while loop.time() < LIMIT_S and matters(reports)[-1:] != [ReportKind.ARRIVED]:
             await elapse(0.5)
         x_m, y_m = cluster.world.body(ROBOT).position
         assert hypot(x_m - home[0], y_m - home[1]) < 0.6

@@ -9,7 +9,7 @@ import pytest
 
 from agent.interface.config import ACTUATOR_TTL_US, S
 from agent.peer.self_check import LATE_HOLD_US, PASSIVE_US
-from agent.safety.stop_cause import Cause
+from agent.safety.stop_cause import StopCause
 from protocol.controller_health import Health
 from protocol.frames.frame import Frame
 from protocol.links.bus import CanBus, open_bus
@@ -37,7 +37,7 @@ def play(story: Story, robots: int = 3, scenario: str = "small") -> None:
     run_virtual(main())
 
 
-def causes(cluster: Cluster, slot: int) -> set[Cause]:
+def causes(cluster: Cluster, slot: int) -> set[StopCause]:
     return {cause for cause, _ in cluster.robots[slot].peer.safety.causes}
 
 
@@ -54,7 +54,7 @@ def test_who_is_heard_by_nobody_stands_and_goes_on_when_it_is_heard_again() -> N
     async def story(cluster: Cluster) -> None:
         deafen(cluster, 1, [0, 2])
         await elapse(0.3 + 0.3 + 2 * 0.05 + 0.1)  # theirs, ours, a round, two periods
-        assert Cause.UNHEARD in causes(cluster, 1)
+        assert StopCause.UNHEARD in causes(cluster, 1)
         assert cluster.robots[1].peer.membership.live == {0, 1, 2}, "it hears them well"
         await elapse(3.0)
         assert stands(cluster, 1) and not stands(cluster, 0), "they go on, by their policy"
@@ -69,7 +69,7 @@ def test_who_is_heard_by_one_goes_on() -> None:
     async def story(cluster: Cluster) -> None:
         deafen(cluster, 1, [0])
         await elapse(5.0)
-        assert Cause.UNHEARD not in causes(cluster, 1)
+        assert StopCause.UNHEARD not in causes(cluster, 1)
 
     play(story)
 
@@ -81,7 +81,7 @@ def test_nobody_is_alarmed_in_a_sound_fleet(robots: int) -> None:
         for _ in range(40):
             await elapse(0.5)
             found = {cause for slot in range(robots) for cause in causes(cluster, slot)}
-            assert not found & {Cause.UNHEARD, Cause.ERROR_PASSIVE, Cause.LATE_TICK}
+            assert not found & {StopCause.UNHEARD, StopCause.ERROR_PASSIVE, StopCause.LATE_TICK}
 
     play(story, robots, "small" if robots < 12 else "oxted")
 
@@ -92,7 +92,7 @@ def test_a_bus_that_takes_nothing_is_noticed() -> None:
         submit = robot.bus.submit
         robot.shell.bus._submit = lambda frame: False  # type: ignore[attr-defined]
         await elapse(0.5)
-        assert Cause.UNHEARD in causes(cluster, 2)
+        assert StopCause.UNHEARD in causes(cluster, 2)
         await elapse(1.5)
         assert stands(cluster, 2)
         robot.shell.bus._submit = submit  # type: ignore[attr-defined]
@@ -116,7 +116,7 @@ def test_error_passive_is_borne_for_a_second() -> None:
         node.tec = 0
         await elapse(0.2)
         await sick(PASSIVE_US / S + 0.2)
-        assert causes(cluster, 1) == {Cause.ERROR_PASSIVE}
+        assert causes(cluster, 1) == {StopCause.ERROR_PASSIVE}
         await sick(1.5)
         assert stands(cluster, 1)
         node.tec = 0
@@ -131,7 +131,7 @@ def test_bus_off_is_noticed_by_itself() -> None:
         now_us = cluster.robots[1].shell.now_us()
         cluster.segment.wire.bus_off(cluster.node_of(1), now_us + 2 * S)
         await elapse(0.1)
-        assert causes(cluster, 1) >= {Cause.BUS_OFF}
+        assert causes(cluster, 1) >= {StopCause.BUS_OFF}
         await elapse(1.5)
         assert stands(cluster, 1)
         await elapse(4.0)
@@ -145,12 +145,12 @@ def test_a_late_control_period_is_looked_round_after() -> None:
         shell = cluster.robots[0].shell
         shell.freeze(ACTUATOR_TTL_US / S - 0.02)
         await elapse(0.2)
-        assert Cause.LATE_TICK not in causes(cluster, 0), "the actuator has not missed it"
+        assert StopCause.LATE_TICK not in causes(cluster, 0), "the actuator has not missed it"
         shell.freeze(ACTUATOR_TTL_US / S + 0.1)
         await elapse(0.25)
-        assert causes(cluster, 0) == {Cause.LATE_TICK}
+        assert causes(cluster, 0) == {StopCause.LATE_TICK}
         await elapse(LATE_HOLD_US / S - 0.1)
-        assert Cause.LATE_TICK in causes(cluster, 0) and stands(cluster, 0)
+        assert StopCause.LATE_TICK in causes(cluster, 0) and stands(cluster, 0)
         await elapse(0.5)
         assert not causes(cluster, 0)
 
@@ -237,9 +237,9 @@ def test_item_2_a_robot_that_hears_nobody_goes_on_only_where_its_frames_are_conf
             assert not any(causes(cluster, slot) for slot in range(2)), "they hear each other"
             cluster.kill(1)
             await elapse(0.4)
-            assert Cause.MEMBER_SILENT in causes(cluster, 0)
+            assert StopCause.MEMBER_SILENT in causes(cluster, 0)
             await elapse(3.0)
-            assert (Cause.UNHEARD in causes(cluster, 0)) is not confirms
+            assert (StopCause.UNHEARD in causes(cluster, 0)) is not confirms
             return stands(cluster, 0)
         finally:
             await cluster.close()

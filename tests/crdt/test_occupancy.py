@@ -10,34 +10,44 @@ from hypothesis import strategies as st
 from crdt.digest import mix as slow_mix
 from crdt.hybrid_clock import HybridClock
 from crdt.occupancy import Geometry, OccupancyMap, corner_of, mix, patch_of, resample
-from crdt.sighting import FREE, LEVELS, OBSTACLE, RATE, Order, Sighting, level_of, pack, unpack
+from crdt.sighting import (
+    FREE,
+    LEVELS,
+    OBSTACLE,
+    RATE,
+    CellObservation,
+    MergeOrder,
+    level_of,
+    pack,
+    unpack,
+)
 
 SMALL = Geometry(9, 21, (-1.0, 2.0), 0.1)  # no multiple of a patch, more than a tile
-sightings = st.builds(Sighting, st.integers(1, 2), st.integers(0, 15), st.integers(0, 20),
+sightings = st.builds(CellObservation, st.integers(1, 2), st.integers(0, 15), st.integers(0, 20),
                       st.integers(0, 3))  # fmt: skip
 looks = st.lists(st.tuples(st.integers(0, 8), st.integers(0, 20), sightings), max_size=40)
-orders = st.sampled_from(Order)
-Look = tuple[int, int, Sighting]
+orders = st.sampled_from(MergeOrder)
+Look = tuple[int, int, CellObservation]
 
 
-def see(chart: OccupancyMap, row: int, column: int, s: Sighting) -> int:
+def see(chart: OccupancyMap, row: int, column: int, s: CellObservation) -> int:
     values = np.zeros(16, dtype=np.int64)
     values[row % 4 * 4 + column % 4] = s.value
     return chart.apply(patch_of(row, column), values, s.level, s.time, s.observer)
 
 
-def make(found: list[Look], order: Order, geometry: Geometry = SMALL) -> OccupancyMap:
+def make(found: list[Look], order: MergeOrder, geometry: Geometry = SMALL) -> OccupancyMap:
     chart = OccupancyMap(geometry, order)
     for look in found:
         see(chart, *look)
     return chart
 
 
-def weight(order: Order, s: Sighting) -> tuple[float, ...]:
+def weight(order: MergeOrder, s: CellObservation) -> tuple[float, ...]:
     """The orders as the mission words them."""
-    if order is Order.MAX_CONFIDENCE:
+    if order is MergeOrder.MAX_CONFIDENCE:
         return s.level, s.time, s.observer, s.value
-    if order is Order.LATEST_UPDATE:
+    if order is MergeOrder.LATEST_UPDATE:
         return s.time, s.level, s.observer, s.value
     now = 60  # any time after all: that it does not matter which is tested below
     faded = round(1000 * (np.log((s.level + 1) / LEVELS) + np.log(LEVELS)))
@@ -47,14 +57,14 @@ def weight(order: Order, s: Sighting) -> tuple[float, ...]:
 def test_a_faded_confidence_is_rounded_once() -> None:
     """Found by the model below: two roundings put level 8 a thousandth too high, and it tied with a
     level 10 of four seconds before."""
-    older, newer = Sighting(1, 10, 4, 0), Sighting(1, 8, 8, 0)
-    assert weight(Order.DECAYED, older) > weight(Order.DECAYED, newer)
-    assert make([(4, 4, older), (4, 4, newer)], Order.DECAYED).sighting(4, 4) == older
+    older, newer = CellObservation(1, 10, 4, 0), CellObservation(1, 8, 8, 0)
+    assert weight(MergeOrder.DECAYED, older) > weight(MergeOrder.DECAYED, newer)
+    assert make([(4, 4, older), (4, 4, newer)], MergeOrder.DECAYED).sighting(4, 4) == older
 
 
 @given(looks, orders)
-def test_it_is_the_slow_model(found: list[Look], order: Order) -> None:
-    model: dict[tuple[int, int], Sighting] = {}
+def test_it_is_the_slow_model(found: list[Look], order: MergeOrder) -> None:
+    model: dict[tuple[int, int], CellObservation] = {}
     for row, column, s in found:
         known = model.get((row, column))
         if known is None or weight(order, s) > weight(order, known):
@@ -69,7 +79,7 @@ def test_it_is_the_slow_model(found: list[Look], order: Order) -> None:
 
 @given(looks, looks, looks, orders)
 @settings(deadline=None)
-def test_laws_of_a_join(a: list[Look], b: list[Look], c: list[Look], order: Order) -> None:
+def test_laws_of_a_join(a: list[Look], b: list[Look], c: list[Look], order: MergeOrder) -> None:
     def joined(*parts: OccupancyMap) -> OccupancyMap:
         result = OccupancyMap(SMALL, order)
         result.merge(parts, 0)
@@ -87,7 +97,7 @@ def test_laws_of_a_join(a: list[Look], b: list[Look], c: list[Look], order: Orde
 
 
 @given(looks, orders)
-def test_bytes_and_back_and_digests(found: list[Look], order: Order) -> None:
+def test_bytes_and_back_and_digests(found: list[Look], order: MergeOrder) -> None:
     chart = make(found, order)
     back = OccupancyMap.deserialize(chart.serialize())
     assert back == chart and back.digest == chart.digest
@@ -99,17 +109,17 @@ def test_bytes_and_back_and_digests(found: list[Look], order: Order) -> None:
 
 
 @given(sightings, sightings, st.integers(21, 2000))
-def test_a_decayed_order_holds_at_every_later_time(a: Sighting, b: Sighting, now: int) -> None:
+def test_a_decayed_order_holds_at_every_later_time(a: CellObservation, b: CellObservation, now: int) -> None:
     later = [(s.level + 1) / LEVELS * np.exp(-RATE / 1000 * (now - s.time)) for s in (a, b)]
     if not 0.999 < later[0] / later[1] < 1.001:  # ranks are rounded to a thousandth
-        assert (pack(Order.DECAYED, a) > pack(Order.DECAYED, b)) == (later[0] > later[1])
+        assert (pack(MergeOrder.DECAYED, a) > pack(MergeOrder.DECAYED, b)) == (later[0] > later[1])
 
 
 def test_second_hand_counts_for_less_and_never_compounds() -> None:
-    s = Sighting(FREE, level_of(1.0), 3, 5)
+    s = CellObservation(FREE, level_of(1.0), 3, 5)
     assert s.confidence(5) == 1.0 and s.confidence(4) == pytest.approx(0.8)
-    chart, relay = make([(0, 0, s)], Order.DECAYED), OccupancyMap(SMALL, Order.DECAYED)
-    third = OccupancyMap(SMALL, Order.DECAYED)
+    chart, relay = make([(0, 0, s)], MergeOrder.DECAYED), OccupancyMap(SMALL, MergeOrder.DECAYED)
+    third = OccupancyMap(SMALL, MergeOrder.DECAYED)
     relay.merge([chart], 0)
     third.merge([relay], 0)
     found = third.sighting(0, 0)
@@ -119,7 +129,7 @@ def test_second_hand_counts_for_less_and_never_compounds() -> None:
 @given(looks, looks, orders, st.sampled_from([0.05, 0.1, 0.2, 0.37]), st.floats(-0.3, 0.3))
 @settings(deadline=None)
 def test_resampling_a_join_is_joining_what_was_resampled(
-    a: list[Look], b: list[Look], order: Order, cell_m: float, shift_m: float
+    a: list[Look], b: list[Look], order: MergeOrder, cell_m: float, shift_m: float
 ) -> None:
     other = Geometry(12, 17, (-1.0 + shift_m, 2.0), cell_m)
     both = resample(make(a + b, order), other)
@@ -132,11 +142,11 @@ def test_resampling_a_join_is_joining_what_was_resampled(
 def test_an_obstacle_is_where_it_was_on_another_map() -> None:
     """The mission skips maps of another size without a word."""
     finer = OccupancyMap(Geometry(40, 40, (0.0, 0.0), 0.05))
-    see(finer, 10, 21, Sighting(OBSTACLE, 9, 4, 2))
+    see(finer, 10, 21, CellObservation(OBSTACLE, 9, 4, 2))
     chart = OccupancyMap(Geometry(30, 30, (-1.0, -1.0), 0.1))
     assert chart.merge([finer], 0).cells_updated == 1
     x_m, y_m = finer.geometry.centre(10, 21)
-    assert chart.sighting(*chart.geometry.cell((x_m, y_m))) == Sighting(OBSTACLE, 9, 4, 2)
+    assert chart.sighting(*chart.geometry.cell((x_m, y_m))) == CellObservation(OBSTACLE, 9, 4, 2)
 
 
 def test_the_mission_s_rule_depends_on_order_and_ours_does_not() -> None:
@@ -153,17 +163,17 @@ def test_the_mission_s_rule_depends_on_order_and_ours_does_not() -> None:
 
     a, b = (FREE, 0.5, 1), (OBSTACLE, 0.5, 2)
     assert theirs([a, b]) != theirs([b, a])
-    found = [(0, 0, Sighting(FREE, 7, 1, 0)), (0, 0, Sighting(OBSTACLE, 7, 2, 1))]
-    assert make(found, Order.MAX_CONFIDENCE) == make(found[::-1], Order.MAX_CONFIDENCE)
+    found = [(0, 0, CellObservation(FREE, 7, 1, 0)), (0, 0, CellObservation(OBSTACLE, 7, 2, 1))]
+    assert make(found, MergeOrder.MAX_CONFIDENCE) == make(found[::-1], MergeOrder.MAX_CONFIDENCE)
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_thousands_of_orders_one_map(seed: int) -> None:
     rng = Random(f"{seed}/orders")
     found = [(rng.randrange(9), rng.randrange(21),
-              Sighting(rng.randint(1, 2), rng.randrange(16), rng.randrange(20), rng.randrange(4)))
+              CellObservation(rng.randint(1, 2), rng.randrange(16), rng.randrange(20), rng.randrange(4)))
              for _ in range(60)]  # fmt: skip
-    for order in Order:
+    for order in MergeOrder:
         parts = [make(found[k::4], order) for k in range(4)]
         digests = set()
         for _ in range(300):
@@ -199,7 +209,7 @@ def test_both_mixers_are_one(number: int) -> None:
 
 
 @given(sightings, orders)
-def test_a_record_comes_back_from_its_key(s: Sighting, order: Order) -> None:
+def test_a_record_comes_back_from_its_key(s: CellObservation, order: MergeOrder) -> None:
     assert unpack(pack(order, s)) == s
 
 

@@ -3,7 +3,16 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from crdt.stops import ACTIVE_MAX, DOTS_MAX, OWN_MAX, FarDot, FarStopSet, StopDot, StopSet, turn
+from crdt.stops import (
+    ACTIVE_MAX,
+    DOTS_MAX,
+    OWN_MAX,
+    RemoteStopDot,
+    RemoteStopSet,
+    StopDot,
+    StopSet,
+    next_in_rotation,
+)
 
 dots = st.builds(StopDot, st.integers(0, 3), st.integers(0, 1), st.integers(0, 3))
 acts = st.lists(st.tuples(st.booleans(), dots), max_size=30)
@@ -41,14 +50,14 @@ def test_an_old_reset_does_not_mask_a_new_stop() -> None:
     assert stops.latched
 
 
-@given(st.sets(st.builds(FarDot, *[st.integers(0, 255)] * 3, st.integers(1, 0x7FFF)), max_size=20))
-def test_dots_of_other_segments(dots: set[FarDot]) -> None:
-    stops = FarStopSet()
+@given(st.sets(st.builds(RemoteStopDot, *[st.integers(0, 255)] * 3, st.integers(1, 0x7FFF)), max_size=20))
+def test_dots_of_other_segments(dots: set[RemoteStopDot]) -> None:
+    stops = RemoteStopSet()
     for k, dot in enumerate(sorted(dots)):
         stops.press(dot)
         if k % 2:
             stops.clear(dot)
-    again = FarStopSet.deserialize(stops.serialize())
+    again = RemoteStopSet.deserialize(stops.serialize())
     assert again == stops and again.active == stops.active
 
 
@@ -76,7 +85,7 @@ def test_a_button_is_never_worn_out() -> None:
 def test_all_have_their_turn(held: set[StopDot], count: int, last: StopDot | None) -> None:
     told = list[StopDot]()
     while len(told) < len(held):
-        row = turn(held, last, count)
+        row = next_in_rotation(held, last, count)
         assert len(set(row)) == len(row) == min(count, len(held))
         told, last = [*told, *row], row[-1]
     assert set(told[: len(held)]) == held

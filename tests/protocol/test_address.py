@@ -13,7 +13,7 @@ from protocol.address import (
     RETRY_MAX_US,
     VIOLATION_US,
     AddressClaim,
-    Claiming,
+    AddressMessage,
     State,
 )
 from protocol.frames.identifier import NULL_ADDRESS
@@ -28,7 +28,7 @@ class Bus:
     def __init__(self, seed: int = 0) -> None:
         self.seed, self.now_us, self.frames = seed, 0, 0
         self.machines: list[AddressClaim] = []
-        self._flying: list[tuple[int, int, int, Claiming]] = []
+        self._flying: list[tuple[int, int, int, AddressMessage]] = []
 
     def add(self, name: Name, preferred: int) -> AddressClaim:
         rng = Random(f"{self.seed}/{len(self.machines)}")
@@ -36,7 +36,7 @@ class Bus:
         self.machines.append(machine)
         return machine
 
-    def put(self, sender: int, claims: list[Claiming]) -> None:
+    def put(self, sender: int, claims: list[AddressMessage]) -> None:
         for claim in claims:
             self.frames += 1
             heappush(self._flying, (self.now_us + DELAY_US, self.frames, sender, claim))
@@ -104,7 +104,7 @@ def test_a_device_that_claims_without_end_is_answered_a_few_times_a_second() -> 
     bus = Bus()
     ours = bus.add(fleet_name("f", 1), 140)
     bus.run(1 * S)
-    greedy = Claiming(ours._answer().message._replace(name=(1 << 64) - 1), 140)
+    greedy = AddressMessage(ours._answer().message._replace(name=(1 << 64) - 1), 140)
     answers = sum(len(ours.receive(140, greedy.message, 2 * S + k * 1_000)) for k in range(3000))
     assert answers <= 4 * DEFENCES_MAX and ours.refused > 2_900 and ours.address == 140
 
@@ -170,7 +170,7 @@ def test_t2_who_cannot_claim_tries_again_and_recovers() -> None:
     bus.run(S)
     for second in range(30):  # and again, each second for half a minute
         for address in range(FIRST, LAST + 1):
-            bus.put(-1, [Claiming(AddressClaimed(0), address)])
+            bus.put(-1, [AddressMessage(AddressClaimed(0), address)])
         bus.run((2 + second) * S)
     assert all(m.address is None for m in bus.machines)
     said = bus.frames

@@ -19,16 +19,16 @@ from protocol.transport import (
     SIZE_MAX,
     T2_US,
     Abort,
-    Arrived,
     Control,
-    Out,
+    OutgoingFrame,
+    ReceivedMessage,
     Transport,
 )
 
 PGN = 0xFEEB
 DELAY_US = 700
 END_US = 60_000_000
-Lose = Callable[[int, Out], bool]  # the frame's number, the frame
+Lose = Callable[[int, OutgoingFrame], bool]  # the frame's number, the frame
 
 
 class Channel:
@@ -36,11 +36,11 @@ class Channel:
 
     def __init__(self, size: int, lose: Lose = lambda number, out: False) -> None:
         self.ends = [Transport() for _ in range(size)]
-        self.arrived: list[tuple[int, Arrived]] = []
+        self.arrived: list[tuple[int, ReceivedMessage]] = []
         self.lose, self.frames, self.now_us = lose, 0, 0
         self._flying: list[tuple[int, int, int, int, Frame]] = []
 
-    def put(self, source: int, out: Iterable[Out]) -> None:
+    def put(self, source: int, out: Iterable[OutgoingFrame]) -> None:
         for o in out:
             self.frames += 1
             if not self.lose(self.frames, o):
@@ -87,7 +87,7 @@ def test_a_message_arrives_whole_and_once(size: int, destination: int) -> None:
     channel.run()
     receivers = [1] if destination == 1 else [1, 2]
     broadcast = destination == GLOBAL_ADDRESS
-    assert channel.arrived == [(r, Arrived(0, PGN, data, broadcast)) for r in receivers]
+    assert channel.arrived == [(r, ReceivedMessage(0, PGN, data, broadcast)) for r in receivers]
     assert channel.ends[0].counts["sent"] == 1 and not any(e.sessions for e in channel.ends)
     if broadcast:
         assert channel.now_us >= -(-size // 7) * BAM_GAP_US
@@ -166,7 +166,7 @@ def test_a_second_message_from_one_sender_is_refused_and_the_first_arrives() -> 
     assert (answer.message.control, answer.message.body[0]) == (Control.ABORT, Abort.BUSY)
     for k in (1, 2, 3):
         _, arrived = end.receive(5, 130, TransportData(k, bytes(7)), 2)
-    assert arrived == Arrived(5, PGN, bytes(20), False)
+    assert arrived == ReceivedMessage(5, PGN, bytes(20), False)
 
 
 def test_a_receiver_that_asks_for_ever_is_given_up() -> None:

@@ -13,7 +13,7 @@ from statistics import median
 from typing import NamedTuple
 
 from agent.mapping.building import Floor
-from sim.runs.navigation_run import Outing
+from sim.runs.navigation_run import NavigationRun
 from sim.scenarios.building_generator import CORRIDOR, DEAD_END, JUNCTION
 from sim.scenarios.navigation_setup import ErrandSetting
 from tools.bench import crowd
@@ -79,7 +79,7 @@ def trial(layout: str, loss: float, agrees: bool, seed: int) -> Result:
         layout, floor, starts, [[goal] for goal in goals], seed=seed, loss=loss, agrees=agrees,
         time_limit_s=LIMIT_S if agrees else PLAIN_LIMIT_S,
     )  # fmt: skip
-    outcome = Outing(setting).run()
+    outcome = NavigationRun(setting).run()
     return Result(outcome.finished, outcome.contacts, outcome.simulated_s)
 
 

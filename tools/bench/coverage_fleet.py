@@ -16,7 +16,7 @@ from sim.files.grid_map import (
     random_walls,
     room_walls,
 )
-from sim.runs.coverage_run import GridFleet, GridOutcome
+from sim.runs.coverage_run import CoverageRun, GridOutcome
 from sim.runs.planned_coverage import work
 from sim.scenarios.coverage_setup import STEP_S, GridSetting
 from sim.scenarios.scenario import Crash, Fault, Heal, Join, Loss, Partition
@@ -51,7 +51,7 @@ def drive(
     setting = GridSetting.made(
         instance, seed=seed, faults=faults, loss=loss, time_limit_s=limit_s
     )  # fmt: skip
-    return Drive(instance, GridFleet(setting).run())
+    return Drive(instance, CoverageRun(setting).run())
 
 
 def scattered(side: int, robots: int, seed: int) -> Instance:

@@ -19,7 +19,7 @@ from agent.mapf.joint_plan_agreement import seats
 from agent.mapf.lacam import planned
 from agent.mapf.pibt import ways
 from agent.mapping.building import Floor
-from sim.runs.navigation_run import Outing
+from sim.runs.navigation_run import NavigationRun
 from sim.scenarios.building_generator import rooms
 from sim.scenarios.navigation_setup import ErrandSetting, scattered
 from tools.bench.figure import Figure
@@ -33,7 +33,7 @@ WAIT_SHARE = 3.0
 XY = tuple[float, float]
 
 
-class Crowd(NamedTuple):
+class RoomsScenario(NamedTuple):
     """A floor, and a start and a goal on it for each robot."""
 
     floor: Floor
@@ -42,14 +42,14 @@ class Crowd(NamedTuple):
     goals: list[XY]
 
 
-def crowd_of(seed: int, robots: int = ROBOTS, side: int = SIDE) -> Crowd:
+def crowd_of(seed: int, robots: int = ROBOTS, side: int = SIDE) -> RoomsScenario:
     """`side`: other than that of the public map, or without its file, rooms like it are drawn."""
     path = data_folder() / "maps" / "room-64-64-8.map"
     public = side == SIDE and path.exists()
     drawing = path.read_text() if public else rooms(seed, side)
     floor, rng = Floor.drawn(drawing, CELL_M, RADIUS_M), Random(f"{seed}/crowd/{robots}")
     starts, goals = (scattered(floor, robots, rng, CELL_M) for _ in range(2))
-    return Crowd(floor, path.stem if public else f"{side} x {side} cells of rooms", starts, goals)
+    return RoomsScenario(floor, path.stem if public else f"{side} x {side} cells of rooms", starts, goals)
 
 
 def unfairness(waits: list[float]) -> float:
@@ -103,7 +103,7 @@ def whole(seed: int, robots: int, side: int, loss: float = 0.0) -> Iterator[Figu
         "crowd", crowd.floor, crowd.starts, [[goal] for goal in crowd.goals], seed=seed, loss=loss,
         time_limit_s=LIMIT_S,
     )  # fmt: skip
-    outcome = Outing(setting).run()
+    outcome = NavigationRun(setting).run()
     arrived = sum(map(isfinite, outcome.arrived_s)) / robots
     yield Figure(
         f"{robots} whole peers in rooms: arrived", arrived, "share", "= 1", arrived == 1.0, "",

@@ -6,7 +6,7 @@ from random import Random
 
 import numpy as np
 
-from agent.delivery.auction import Planner
+from agent.delivery.auction import RoutingPlanner
 from agent.delivery.cost_matrix import FULL, Carrier, CostMatrix, Trip, workload
 from agent.delivery.routing_problem import Workload
 from agent.mapping.building import Floor
@@ -92,7 +92,7 @@ def batteries(costs: CostMatrix, quick: bool, seed: int) -> Iterator[Figure]:
         starts, bays = places(costs, 10, rng), places(costs, 4, rng)
         carrier = Carrier(1.0, 0.0, battery_m=TIGHT_M, dock_s=100.0, charge_s=0.0, reserve=0.0)
         work = workload(costs, carrier, trips, starts, [0] * 10, bays, [FULL] * 10)
-        planner = Planner(work)
+        planner = RoutingPlanner(work)
         seconds = 2.0 if quick else OPPONENT_S
         began = time.process_time()
         plan = planner.improved(planner.auctioned(), seed, MOVES // 2)
@@ -140,7 +140,7 @@ def plans(
     ours, rivals, travels, cpu_s = [], [], [], []
     for seed in seeds:
         work = instance(costs, robots, tasks, seed)
-        planner, bound = Planner(work), bound_ms(work)
+        planner, bound = RoutingPlanner(work), bound_ms(work)
         planner.improved(planner.auctioned(), seed, 1)  # compiled
         began = time.process_time()
         first = planner.auctioned()

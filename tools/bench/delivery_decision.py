@@ -11,12 +11,12 @@ from itertools import pairwise
 from random import Random
 from typing import NamedTuple
 
-from agent.delivery.auction import Planner
+from agent.delivery.auction import RoutingPlanner
 from agent.delivery.cost_matrix import FULL, Carrier, CostMatrix, Trip
-from agent.delivery.delivery_mission import Delivery
-from agent.delivery.itinerary_broadcast import Telling
-from agent.delivery.task_registry import Order
-from agent.delivery.warehouse import Standing, Warehouse
+from agent.delivery.delivery_mission import DeliveryMission
+from agent.delivery.itinerary_broadcast import ItineraryBroadcast
+from agent.delivery.task_registry import TransportTask
+from agent.delivery.warehouse import CarrierState, Warehouse
 from agent.interface.config import MS
 from agent.interface.lifecycle import State
 from agent.interface.mission import FleetView
@@ -52,11 +52,11 @@ def fleet(floor: Floor, costs: CostMatrix, seed: int) -> Fleet:
     house = Warehouse(floor, Carrier(1.0, 5.0))
     house.costs = costs
     cells = [cell for cell in range(floor.cells) if house.cell(house.place(cell)) == cell]
-    house.tasks = {k: Order(*rng.sample(cells, 2)) for k in range(TASKS)}
+    house.tasks = {k: TransportTask(*rng.sample(cells, 2)) for k in range(TASKS)}
     starts = [house.place(cell) for cell in rng.sample(cells, ROBOTS)]
     trips = [house.trip(order) for order in house.tasks.values()]
-    robots = [Standing(slot, at, 0, FULL) for slot, at in enumerate(starts)]
-    plan = Planner(house.work(trips, robots)).auctioned()
+    robots = [CarrierState(slot, at, 0, FULL) for slot, at in enumerate(starts)]
+    plan = RoutingPlanner(house.work(trips, robots)).auctioned()
     allocation = FieldAllocationCRDT()
     for slot, own in enumerate(plan):
         if own:
@@ -69,12 +69,12 @@ class OnePeer:
 
     def __init__(self, of: Fleet, slot: int) -> None:
         self.fleet, self.slot, self.now_us = of, slot, 0
-        self.mission = Delivery(slot, of.house.twin(), of.starts[slot], 1.0, 1.6, 0, slot)
+        self.mission = DeliveryMission(slot, of.house.twin(), of.starts[slot], 1.0, 1.6, 0, slot)
         self.mission.section = of.plan[slot][0] if of.plan[slot] else None
         self.mission.dispatch.itinerary = of.plan[slot][1:]
         for other, own in enumerate(of.plan):
             if other != slot:
-                telling = Telling(0)
+                telling = ItineraryBroadcast(0)
                 telling.stops = own[1:]
                 telling.changed(0)
                 for _ in range(len(own)):

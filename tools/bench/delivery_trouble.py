@@ -13,7 +13,7 @@ from random import Random
 from typing import Any
 
 from agent.interface.config import S
-from sim.runs.delivery_run import Haul, HaulCluster, HaulOutcome
+from sim.runs.delivery_run import DeliveryRun, HaulCluster, HaulOutcome
 from sim.scenarios.building_generator import warehouse
 from sim.scenarios.delivery_scenario import WarehouseScenario
 from sim.scenarios.delivery_setup import DeliverySetting
@@ -153,10 +153,10 @@ class CarrierDies:
             cluster.kill(aboard[0])
 
 
-def troubled(kind: str, seed: int) -> Haul:
+def troubled(kind: str, seed: int) -> DeliveryRun:
     """A run with one trouble, or with all of `bad_luck`."""
     if kind == MIXED:
-        return Haul(DeliverySetting(bad_luck(seed)))
+        return DeliveryRun(DeliverySetting(bad_luck(seed)))
     rng = Random(f"{seed}/{kind}")
     outage: Faults = []
     if kind == "charger":
@@ -166,7 +166,7 @@ def troubled(kind: str, seed: int) -> Haul:
         kind, seed, TROUBLES[kind](rng), 12.0 if kind == "boxes" else 0.0, loss, outage
     )
     watch = CarrierDies(rng.uniform(2.0, 60.0)) if kind == "carrier" else None
-    return Haul(DeliverySetting(given), watch=watch)
+    return DeliveryRun(DeliverySetting(given), watch=watch)
 
 
 def told(kind: str, seed: int, outcome: HaulOutcome) -> dict[str, Any]:

@@ -7,9 +7,9 @@ from random import Random
 import numpy as np
 
 from agent.interface.identity import Identity
-from agent.motion.holonomic_motion import Limits, Motion
+from agent.motion.holonomic_motion import BodyLimits, HolonomicMotion
 from agent.peer.peer import Peer
-from agent.runtime.peer_runner import Shell
+from agent.runtime.peer_runner import PeerRunner
 from protocol.links.bus import CanBus
 from protocol.name import fleet_name
 from sim.can.simulated_bus import FieldBus, Segment, forget, segment
@@ -21,14 +21,14 @@ NO_FENCES = np.zeros((0, 4))
 _numbers = itertools.count()
 
 
-class Squad:
+class ProtocolFleet:
     """N such peers in one virtual loop. Make it inside of `run_virtual`."""
 
     def __init__(self, robots: int, seed: int, sections: int | None = None) -> None:
         self.channel = f"drill {next(_numbers)}"
         self.segment: Segment = segment(self.channel, seed=seed)
         self.bodies = [Place(slot) for slot in range(robots)]
-        self.shells: list[Shell] = []
+        self.shells: list[PeerRunner] = []
         sections = sections or 8 * robots
         for slot, body in enumerate(self.bodies):
             identity = Identity(
@@ -39,11 +39,11 @@ class Squad:
                 started=True,
                 first_boot=True,
             )
-            motion = Motion(slot, Limits(0.5, SPEED_M_S, 1.0), NO_FENCES)
+            motion = HolonomicMotion(slot, BodyLimits(0.5, SPEED_M_S, 1.0), NO_FENCES)
             mission = Drill(slot, robots, sections)
             rng = Random(f"{seed}/drill/{slot}")
-            peer = Peer(identity, rng, Shell.now_us(), {}, mission, motion)
-            self.shells.append(Shell(peer, CanBus(FieldBus(self.channel)), body, MemoryJournal()))
+            peer = Peer(identity, rng, PeerRunner.now_us(), {}, mission, motion)
+            self.shells.append(PeerRunner(peer, CanBus(FieldBus(self.channel)), body, MemoryJournal()))
         self.tasks = [asyncio.create_task(shell.run()) for shell in self.shells]
 
     async def until_working(self, limit_s: float = 60.0) -> bool:

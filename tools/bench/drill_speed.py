@@ -56,13 +56,13 @@ def speed(robots: int, seed: int, cpu_s: float) -> Speed:
 
 def _drill(robots: int, seed: int, cpu_s: float) -> tuple[float, float, int]:
     """(simulated, CPU) seconds of a fleet at work, and frames from its start to its end."""
-    from sim.chaos.effect_observer import Witness
-    from sim.fleet.event_loop import Swarm
+    from sim.chaos.effect_observer import EffectObserver
+    from sim.fleet.event_loop import EventLoop
     from sim.fleet.simulated_fleet import Cluster
     from sim.scenarios.protocol_setup import DrillSetting, drill
 
-    swarm, setting = Swarm(), DrillSetting(drill(robots, seed))
-    witness = Witness(robots)
+    swarm, setting = EventLoop(), DrillSetting(drill(robots, seed))
+    witness = EffectObserver(robots)
     cluster = Cluster(setting, f"speed {robots}/{seed}", witness, swarm)
     checker = setting.parade.checker()
     spent: list[float] = []

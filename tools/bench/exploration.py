@@ -6,8 +6,8 @@ from random import Random
 import numpy as np
 
 from crdt.occupancy import Geometry, OccupancyMap
-from crdt.sighting import OBSTACLE, UNKNOWN, Order
-from sim.runs.exploration_run import Sharing, Survey, SurveyOutcome
+from crdt.sighting import OBSTACLE, UNKNOWN, MergeOrder
+from sim.runs.exploration_run import ExplorationRun, Sharing, SurveyOutcome
 from sim.scenarios.exploration_scenario import load_arena
 from sim.scenarios.scenario import Crash, Loss
 from tools.bench.figure import Figure
@@ -23,7 +23,7 @@ def play(
     faults: Sequence[Loss | Crash] = (),
 ) -> SurveyOutcome:  # fmt: skip
     scenario = load_arena(arena).changed(robots, seed)
-    return Survey(scenario.model_copy(update={"fault": list(faults)}), sharing, until=until).run()
+    return ExplorationRun(scenario.model_copy(update={"fault": list(faults)}), sharing, until=until).run()
 
 
 def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
@@ -127,14 +127,14 @@ def merge_orders(orders: int, seed: int) -> Figure:
     found: set[int] = set()
     maps = []
     for slot in range(5):
-        chart = OccupancyMap(geometry, Order.DECAYED)
+        chart = OccupancyMap(geometry, MergeOrder.DECAYED)
         for _ in range(12):
             values = rng.integers(UNKNOWN, OBSTACLE + 1, 16)
             patch, level, time = (int(rng.integers(n)) for n in (4, 16, 30))
             chart.apply(patch, values, level, time, slot)
         maps.append(chart)
     for _ in range(orders):
-        joined = OccupancyMap(geometry, Order.DECAYED)
+        joined = OccupancyMap(geometry, MergeOrder.DECAYED)
         for slot in rng.permutation(5).tolist():
             joined.join_map(maps[slot])
         found.add(joined.digest)

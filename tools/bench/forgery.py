@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from random import Random
 
 from agent.interface.effects import Persist
-from agent.safety.stop_controller import Safety, SilencePolicy
+from agent.safety.stop_controller import SilencePolicy, StopController
 from crdt.stops import StopDot, StopSet
 from protocol.authentication import BAD_MAX, BAD_WINDOW_US, KEY_SIZE, SESSION_US, Keyring, Keys
 from protocol.frames.safety_frames import Challenge, EmergencyReset, EmergencyStop
@@ -27,7 +27,7 @@ LUNCH = 0.02  # share of its turns after which the operator says nothing until i
 KINDS = ("guess", "replay", "change", "held back", "other kind", "other fleet")
 
 
-class Siege:
+class ForgeryAttack:
     """One latched robot, its operator, and an attacker between them."""
 
     def __init__(self, seed: int, spacing_us: int, operates_every: int) -> None:
@@ -36,7 +36,7 @@ class Siege:
         foreign = Keys(rng.randbytes(KEY_SIZE), rng.randbytes(KEY_SIZE))
         self.spacing_us, self.operates_every, self.now_us = spacing_us, operates_every, 0
         self.keyring = Keyring(keys, ROBOT, rng.randbytes(KEY_SIZE))
-        self.safety = Safety(ROBOT, 1, SilencePolicy.STOP, self.keyring, {}, 0)
+        self.safety = StopController(ROBOT, 1, SilencePolicy.STOP, self.keyring, {}, 0)
         self.operator = Keyring(Keys(None, keys.operator), OPERATOR, b"")
         self.presser = Keyring(keys, PRESSER, b"")
         self.stranger = Keyring(foreign, OPERATOR, b"")
@@ -134,7 +134,7 @@ def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
     for name, spacing_us, operates_every in (
         ("at bus speed", BUS_SPACING_US, 50), ("every tag looked at", SLOW_SPACING_US, 3),
     ):  # fmt: skip
-        siege = Siege(seed, spacing_us, operates_every)
+        siege = ForgeryAttack(seed, spacing_us, operates_every)
         siege.run(frames)
         accepted, ring = sum(siege.accepted.values()), siege.keyring
         scope = (

@@ -17,8 +17,8 @@ from typing import NamedTuple
 import numpy as np
 
 from agent.mapping.building import Floor
-from agent.mapping.dynamic_obstacles import HazardMap
-from sim.runs.navigation_run import Outing, OutingOutcome
+from agent.mapping.dynamic_obstacles import ObstacleMap
+from sim.runs.navigation_run import NavigationRun, OutingOutcome
 from sim.scenarios.building_generator import office
 from sim.scenarios.navigation_setup import ErrandSetting
 from tools.bench import whole_robots
@@ -90,7 +90,7 @@ def batch(inflation_m: float, count: int, out: Path | None) -> Batch:
         setting = ErrandSetting.made(
             "thesis", floor, starts, [[goal] for goal in goals], seed=seed, time_limit_s=LIMIT_S
         )
-        outing = Outing(setting)
+        outing = NavigationRun(setting)
         outcome = outing.run()
         legs, contacts = legs + len(outcome.legs), contacts + outcome.contacts
         arrived += sum(leg.arrived_s < LIMIT_S for leg in outcome.legs)
@@ -103,7 +103,7 @@ def batch(inflation_m: float, count: int, out: Path | None) -> Batch:
     return Batch(legs, arrived, contacts, fmean(errors_m), max(errors_m), replans, joint, plan_ms)
 
 
-def slowest_ms(floor: Floor, outing: Outing, outcome: OutingOutcome) -> float:
+def slowest_ms(floor: Floor, outing: NavigationRun, outcome: OutingOutcome) -> float:
     """Every search of the run once more, with a new grid as after a first box, by the clock."""
     worst_s = 0.0
     for followed in outing.followed.values():
@@ -111,7 +111,7 @@ def slowest_ms(floor: Floor, outing: Outing, outcome: OutingOutcome) -> float:
             if path.why == "plan" or len(path.points) < 2:
                 continue
             begun_s = perf_counter()
-            HazardMap(floor, None).grid.plan(path.points[0], path.points[-1])
+            ObstacleMap(floor, None).grid.plan(path.points[0], path.points[-1])
             worst_s = max(worst_s, perf_counter() - begun_s)
     return worst_s * 1000.0
 

@@ -20,14 +20,14 @@ from random import Random
 from rich.console import Console
 
 from sim.record.recording import Recording
-from sim.runs.field_run import Expedition
+from sim.runs.field_run import FieldRun
 from sim.scenarios.field_setup import Setting
 from sim.scenarios.scenario import load
 from tools.bench.browser import browser, missing, open_page, until
 from tools.bench.figure import Figure, percentile
 from tools.bench.stop import _Presses
 from tools.build.warmup import warm
-from tools.common.run_recorder import Keeping
+from tools.common.run_recorder import RunRecorder
 from tools.livemap.command import MapThread, recorded
 from tools.livemap.playback import Index, Player
 
@@ -75,10 +75,10 @@ def map_recording(folder: Path, simulated_s: float, seconds: float, seed: int) -
     limit = scenario.run.model_copy(update={"time_limit_s": simulated_s})
     setting = Setting(scenario.model_copy(update={"run": limit}))
     begun_s = time.process_time()
-    plain = Expedition(setting, folder).run()
+    plain = FieldRun(setting, folder).run()
     between_s = time.process_time()
-    keeping = Keeping(setting, folder)
-    kept = Expedition(setting, folder, attach=keeping).run()
+    keeping = RunRecorder(setting, folder)
+    kept = FieldRun(setting, folder, attach=keeping).run()
     keeping.close()
     ended_s = time.process_time()
     yield Figure("keeping a run as MCAP, with intents", (ended_s - between_s) / (between_s - begun_s) - 1,

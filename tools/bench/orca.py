@@ -1,6 +1,6 @@
 """ORCA: CPU time of what a robot runs, and of its kernels against RVO2 through pyrvo, to the same bits.
 
-What every robot calls each control period is `Motion.drive`; the fleet step and `among_known` are kernels
+What every robot calls each control period is `HolonomicMotion.drive`; the fleet step and `among_known` are kernels
 that no robot calls by themselves.
 
 Circle: the example of the RVO2 library, 250 agents that change sides. Where pyrvo is not installed
@@ -19,12 +19,12 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.avoidance.orca import Avoidance
+from agent.avoidance.orca import OrcaSolver
 from agent.interface.config import CONTROL_PERIOD_US, NEIGHBOURS_MAX
 from agent.interface.lifecycle import State
-from agent.interface.mission import Wish
+from agent.interface.mission import MotionRequest
 from agent.interface.ports import Observation
-from agent.motion.holonomic_motion import Motion
+from agent.motion.holonomic_motion import HolonomicMotion
 from agent.peer.membership import Neighbour
 from protocol.frames.fleet_frames import Pose
 from sim.scenarios.field_setup import Setting
@@ -140,7 +140,7 @@ def whole_robot(batches: int) -> Iterator[Figure]:
     """The avoidance of a control period as `agent/peer/peer.py` asks for it, on the fences of a real field."""
     setting = Setting(load("oxted"))
     motion = setting.motion(0)
-    assert isinstance(motion, Motion)
+    assert isinstance(motion, HolonomicMotion)
     rng = np.random.default_rng(SEED)
     x_m, y_m = setting.starts[0]
     here = Observation(x_m, y_m, 0.0, 1.0, 0.2)
@@ -149,7 +149,7 @@ def whole_robot(batches: int) -> Iterator[Figure]:
         slot: Neighbour(Pose(x_m + dx, y_m + dy, 0.2 * dx, 1.5, working, False, 0), 0)
         for slot, (dx, dy) in enumerate(rng.uniform(-15.0, 15.0, (PEERS, 2)).tolist(), start=1)
     }
-    wish, now_us = Wish(1.5, 0.3), 0
+    wish, now_us = MotionRequest(1.5, 0.3), 0
     found: list[float] = []
     for _ in range(batches + 1):  # the first one compiles
         start = process_time()
@@ -175,7 +175,7 @@ def one_robot(rvo: Any, batches: int) -> Iterator[Figure]:
     at = rng.uniform(-15.0, 15.0, (PEERS, 2))
     at = at[np.argsort(np.hypot(at[:, 0], at[:, 1]))]
     moving = rng.uniform(-1.0, 1.0, (PEERS, 2))
-    robot = Avoidance(0.5, 1.5, 1.0, 4.0, 0.05, np.zeros((0, 4)))
+    robot = OrcaSolver(0.5, 1.5, 1.0, 4.0, 0.05, np.zeros((0, 4)))
     for slot, ((x, y), (vx, vy)) in enumerate(zip(at.tolist(), moving.tolist(), strict=True)):
         robot.know(slot, x, y, vx, vy, 0.5, 0.5, 0.0)
     here, own, wanted = (0.0, 0.0), (0.6, 0.1), (1.0, 0.2)

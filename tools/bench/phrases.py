@@ -25,11 +25,11 @@ from sim.fleet.simulated_fleet import Cluster
 from sim.fleet.virtual_clock import elapse, run_virtual
 from sim.scenarios.field_setup import Setting
 from sim.scenarios.scenario import load
-from tools.bench.drill import Squad
+from tools.bench.drill import ProtocolFleet
 from tools.bench.figure import Figure
 from tools.inspect.inspector import Inspector
 from tools.language.authorize import Verdict, weigh
-from tools.language.command_session import Speaker
+from tools.language.command_session import CommandSession
 from tools.language.fleet_state import FleetNow, RobotNow, SectionNow
 from tools.language.goal_queue import GoalQueue
 from tools.language.intent import AnyIntent
@@ -245,7 +245,7 @@ def _speaking(robots: int, seed: int) -> Iterator[Figure]:
 
 async def _spoken(robots: int, seed: int) -> tuple[float, int, int]:
     """Milliseconds to the last zero command; who confirmed; who answered alike."""
-    squad, loop = Squad(robots, seed), asyncio.get_running_loop()
+    squad, loop = ProtocolFleet(robots, seed), asyncio.get_running_loop()
     bus = CanBus(FieldBus(squad.channel))
     places = Places({})
 
@@ -256,7 +256,7 @@ async def _spoken(robots: int, seed: int) -> tuple[float, int, int]:
         return False
 
     with tempfile.TemporaryDirectory() as folder:
-        speaker = Speaker(bus, None, places, GoalQueue(Path(folder) / "queue.json"), words, no)
+        speaker = CommandSession(bus, None, places, GoalQueue(Path(folder) / "queue.json"), words, no)
         try:
             assert await squad.until_working()
             answers = []
@@ -346,7 +346,7 @@ def _screen(robots: int, seed: int) -> Iterator[Figure]:
 
 
 async def _heard(robots: int, seed: int) -> list[tuple[int, Frame]]:
-    squad, frames = Squad(robots, seed), list[tuple[int, Frame]]()
+    squad, frames = ProtocolFleet(robots, seed), list[tuple[int, Frame]]()
     squad.segment.taps.append(lambda t_us, frame: frames.append((t_us, frame)))
     try:
         await squad.until_working()

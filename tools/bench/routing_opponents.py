@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.delivery.routing_problem import Power, Workload, Worth
+from agent.delivery.routing_problem import PlanCost, Power, Workload
 
 STEPS = 4  # of PyVRP's bisection, each with its share of the time
 SPAN_COST = 100  # of a millisecond of the last finish, in those of travel
@@ -52,7 +52,7 @@ def _pyvrp(work: Workload, limit_ms: int, seconds: float, seed: int) -> int | No
     return max(route.duration() for route in result.best.routes())
 
 
-def ortools_plan(work: Workload, seconds: float, balanced: bool, bays: int = 0) -> Worth | None:
+def ortools_plan(work: Workload, seconds: float, balanced: bool, bays: int = 0) -> PlanCost | None:
     """By guided local search. `balanced`: the last finish, else total travel. `bays`: how many visits
     of each bay are modelled; a bay sets the energy back."""
     from ortools.constraint_solver import pywrapcp, routing_enums_pb2
@@ -89,7 +89,7 @@ def ortools_plan(work: Workload, seconds: float, balanced: bool, bays: int = 0) 
         return None
     dimension = routing.GetDimensionOrDie("time")
     spans = [found.Value(dimension.CumulVar(routing.End(r))) for r in range(robots)]
-    return Worth(max(spans), sum(spans))
+    return PlanCost(max(spans), sum(spans))
 
 
 def _tables(work: Workload, copies: int) -> tuple[list[list[int]], list[list[int]], list[int]]:

@@ -24,7 +24,7 @@ from sim.fleet.virtual_clock import run_virtual
 from sim.rigs.stop_rig import LIMIT_US, StopFleet
 from sim.scenarios.field_setup import Setting
 from sim.scenarios.scenario import load
-from tools.bench.drill import Squad
+from tools.bench.drill import ProtocolFleet
 from tools.bench.figure import Figure, percentile
 from tools.build.warmup import warm
 from tools.operate.tool_address import DeviceAddress
@@ -94,7 +94,7 @@ def silence(robots: int, rounds: int, seed: int) -> Figure:
 
 async def _silence(robots: int, kind: str, seed: str) -> int:
     """Microseconds from the event until no robot's command to move is in force."""
-    rng, squad = Random(seed), Squad(robots, hash_free(seed))
+    rng, squad = Random(seed), ProtocolFleet(robots, hash_free(seed))
     try:
         assert await squad.until_working(), "a drill that does not begin shows nothing"
         await asyncio.sleep(rng.uniform(0.5, 1.5))

@@ -10,15 +10,15 @@ from random import Random
 
 import numpy as np
 
-from agent.delivery.auction import Planner
+from agent.delivery.auction import RoutingPlanner
 from agent.delivery.plan_negotiation import SLICE_MOVES_HASTE, SLICE_US, worth_streaming
 from agent.delivery.routing_problem import Workload
-from agent.delivery.waiting_policy import REPLAN_US, Haste
+from agent.delivery.waiting_policy import REPLAN_US, WaitingPolicy
 from agent.interface.config import MS
 from tools.bench.routing_opponents import bound_ms
 
 Plan = list[list[int]]
-Policy = Callable[[Planner, Plan, int, int], None]  # puts a task into a plan, at this time in ms
+Policy = Callable[[RoutingPlanner, Plan, int, int], None]  # puts a task into a plan, at this time in ms
 MOVES = REPLAN_US // SLICE_US * SLICE_MOVES_HASTE  # of a round
 
 
@@ -26,10 +26,10 @@ class LeastWaiting:
     """Ours. `rounds`: with rounds that make planned tasks wait less."""
 
     def __init__(self, rounds: bool = True) -> None:
-        self.haste, self.rounds = Haste(0), rounds
+        self.haste, self.rounds = WaitingPolicy(0), rounds
         self.added = 0
 
-    def __call__(self, planner: Planner, plan: Plan, task: int, now_ms: int) -> None:
+    def __call__(self, planner: RoutingPlanner, plan: Plan, task: int, now_ms: int) -> None:
         now_us = now_ms * MS
         self.haste.known(task, now_us)
         self.added += 1
@@ -43,7 +43,7 @@ class LeastWaiting:
             plan[:] = hastened(planner, plan, held, self.added)
 
 
-def hastened(planner: Planner, plan: Plan, held: Sequence[int], seed: int) -> Plan:
+def hastened(planner: RoutingPlanner, plan: Plan, held: Sequence[int], seed: int) -> Plan:
     """What comes behind the first `held` tasks of each itinerary planned better."""
     work = planner.work
     tasks = sorted(task for own, first in zip(plan, held, strict=True) for task in own[first:])
@@ -53,7 +53,7 @@ def hastened(planner: Planner, plan: Plan, held: Sequence[int], seed: int) -> Pl
             ready[robot] = planner.span_ms(robot, own[:first])
             lead[robot] = work.link[own[first - 1], tasks]
     link = np.ascontiguousarray(work.link[np.ix_(tasks, tasks)])
-    rest = Planner(Workload(ready, np.ascontiguousarray(lead), link))
+    rest = RoutingPlanner(Workload(ready, np.ascontiguousarray(lead), link))
     rows = [[tasks.index(t) for t in own[first:]] for own, first in zip(plan, held, strict=True)]
     found = rest.hastened(rows, seed, MOVES)
     if not worth_streaming(rest.waiting_ms(rows), rest.waiting_ms(found)):
@@ -64,7 +64,7 @@ def hastened(planner: Planner, plan: Plan, held: Sequence[int], seed: int) -> Pl
     ]
 
 
-def least_travel(planner: Planner, plan: Plan, task: int, now_ms: int) -> None:
+def least_travel(planner: RoutingPlanner, plan: Plan, task: int, now_ms: int) -> None:
     """The mission's scenario B: the place where the itinerary becomes longer by the least."""
     best = (1 << 60, 0, 0)
     for robot, own in enumerate(plan):
@@ -106,6 +106,6 @@ def latency_s(work: Workload, at_ms: Sequence[int], policy: Policy) -> float:
             [work.lead[r] if last[r] < 0 else work.link[last[r]] for r in range(work.robots)]
         )
         ready = np.array([free - now_ms for free in free_ms], dtype=np.int64)
-        policy(Planner(Workload(ready, lead, work.link)), plan, task, now_ms)
+        policy(RoutingPlanner(Workload(ready, lead, work.link)), plan, task, now_ms)
     start_until(1 << 60)
     return sum(done_ms[task] - now_ms for task, now_ms in enumerate(at_ms)) / 1000 / work.tasks

@@ -18,7 +18,7 @@ from agent.avoidance.obstacle_tree import obstacle_tree
 from agent.interface.config import CONTROL_PERIOD_US, NEIGHBOUR_RANGE_M, NEIGHBOURS_MAX, S
 from agent.interface.effects import Drive
 from agent.mapping.occupancy_grid import CELL_M, OccupancyGrid
-from agent.motion.path_tracker import Tracker
+from agent.motion.path_tracker import PathTracker
 from sim.world.drive_trains import Chassis
 from sim.world.lidar import Lidar
 from sim.world.world import World
@@ -87,7 +87,7 @@ class Crowd:
         agents[:, column.HORIZON], agents[:, column.WALL_HORIZON] = HORIZON_S, WALL_HORIZON_S
         walls = obstacle_tree([boundary[::-1], *racks()])
         self.fleet = Fleet(agents, CONTROL_PERIOD_US / S, walls)
-        self.trackers: list[Tracker | None] = [None] * ROBOTS
+        self.trackers: list[PathTracker | None] = [None] * ROBOTS
         self.goals = [self._goal() for _ in range(ROBOTS)]
         self.reached = 0
 
@@ -129,7 +129,7 @@ class Crowd:
             world.body(slot).drive(Drive(vx_m_s, vy_m_s), now_us)
         world.advance(now_us + CONTROL_PERIOD_US)
 
-    def _way(self, slot: int, at: XY, grid: OccupancyGrid, news: bool) -> Tracker:
+    def _way(self, slot: int, at: XY, grid: OccupancyGrid, news: bool) -> PathTracker:
         goal = self.goals[slot]
         if hypot(goal[0] - at[0], goal[1] - at[1]) < ARRIVED_M:
             self.reached += 1
@@ -140,11 +140,11 @@ class Crowd:
             if abs(tracker.off_m) < LOST_M and not (news and self._blocked(tracker, grid)):
                 return tracker
         path = grid.plan(at, self.goals[slot]) or [at, self.goals[slot]]
-        tracker = self.trackers[slot] = Tracker(path, SPEED_M_S, ACCELERATION_M_S2 / 2)
+        tracker = self.trackers[slot] = PathTracker(path, SPEED_M_S, ACCELERATION_M_S2 / 2)
         tracker.locate(*at)
         return tracker
 
-    def _blocked(self, tracker: Tracker, grid: OccupancyGrid) -> bool:
+    def _blocked(self, tracker: PathTracker, grid: OccupancyGrid) -> bool:
         blocked, ahead = grid.tight.blocked, tracker.ahead(AHEAD_M)
         return any(blocked[int(y / CELL_M), int(x / CELL_M)] for x, y, _, _ in ahead)
 

@@ -22,7 +22,7 @@ from sim.can.can_segment import Wire
 from sim.can.frame_timing import BIT_US, worst_bits
 from sim.can.simulated_bus import FieldBus, forget
 from sim.fleet.virtual_clock import run_virtual
-from tools.bench.drill import Squad
+from tools.bench.drill import ProtocolFleet
 from tools.bench.figure import Figure
 from tools.bench.response_time import Stream, bound_us
 
@@ -60,7 +60,7 @@ def load(robots: int, target: float, seed: int, seconds: float) -> Figure:
 
 
 async def _load(robots: int, seed: int, seconds: float) -> tuple[float, bool]:
-    squad = Squad(robots, seed)
+    squad = ProtocolFleet(robots, seed)
     try:
         working = await squad.until_working()
         before_us = squad.segment.wire.worst_us

@@ -15,7 +15,7 @@ def _paths() -> None:
 
     blocked = np.zeros((8, 8), dtype=bool)
     blocked[3:5, 3:5] = True
-    planner = Planner(blocked)
+    planner = RoutingPlanner(blocked)
     planner.plan((0, 0), (7, 7))
     planner.update([(4, 4, False)])
     planner.plan_plain((0, 0), (7, 7))  # the last resort of a search
@@ -31,12 +31,12 @@ def _map() -> None:
 
 def _avoidance() -> None:
     from agent.avoidance.fence_distance import gap_m, way_gap_m
-    from agent.avoidance.orca import Avoidance
+    from agent.avoidance.orca import OrcaSolver
 
     fences = np.array([[0.0, 0.0, 9.0, 0.0]])
     gap_m(1.0, 1.0, fences)
     way_gap_m(1.0, 1.0, 1.0, 0.0, 0.5, 3, fences)
-    robot = Avoidance(0.5, 2.0, 1.0, 4.0, 0.05, fences)
+    robot = OrcaSolver(0.5, 2.0, 1.0, 4.0, 0.05, fences)
     rows: list[tuple[float, ...]] = [
         (1.5, 0.1, -1.0, 0.0, 1.0, 0.5),
         (0.1, 1.2, 0.0, -1.0, 1.0, 0.5),
@@ -60,7 +60,7 @@ def _agreement() -> None:
     from agent.mapping.building import Floor
     from agent.mapf.lacam import planned
     from agent.interface.ports import Observation
-    from agent.motion.unexplained_echoes import Sensed
+    from agent.motion.unexplained_echoes import UnexplainedEchoes
 
     assigned(np.ones((2, 3)))
     floor = Floor.drawn("...\n...", 1.0, 0.35)
@@ -68,7 +68,7 @@ def _agreement() -> None:
     hall = Floor.drawn("\n".join(["....."] * 4), 1.0, 0.35)
     planned(hall.lattice.near, list(range(12)), list(range(11, -1, -1)))  # many: in groups
     here = Observation(1.5, 0.5, 0.0, 0.0, 0.0, (0.5, 1.0, 1.5))
-    Sensed(floor.fences, 0.35).strange(here, 5.0, [(0.5, 0.5)])
+    UnexplainedEchoes(floor.fences, 0.35).strange(here, 5.0, [(0.5, 0.5)])
 
 
 def _exploration() -> None:
@@ -80,7 +80,7 @@ def _exploration() -> None:
 
 
 def _delivery() -> None:
-    from agent.delivery.auction import Planner
+    from agent.delivery.auction import RoutingPlanner
     from agent.delivery.cost_matrix import Carrier, CostMatrix, Trip, workload
     from agent.mapping.building import Floor
     from agent.paths.nav_mesh import Mesh
@@ -88,7 +88,7 @@ def _delivery() -> None:
     floor = Floor.drawn("......\n..##..\n......", 1.0, 0.3)
     costs = CostMatrix(Mesh(floor.inflated, floor.origin, floor.fine_m))
     trips = [Trip((0.5, 0.5), (5.5, 0.5)), Trip((5.5, 2.5), (0.5, 2.5))]
-    planner = Planner(workload(costs, Carrier(1.0, 2.0), trips, [(0.5, 1.5)], [0]))
+    planner = RoutingPlanner(workload(costs, Carrier(1.0, 2.0), trips, [(0.5, 1.5)], [0]))
     first = planner.auctioned()
     planner.inserted(0, first[0][:1], first[0][1])
     planner.improved(first, 1, 10)
@@ -127,7 +127,7 @@ def _fleets() -> None:
     from tools.bench.kernels.agent_table import AGENT_COLUMNS
     from agent.avoidance.obstacle_tree import obstacle_tree
     from tools.bench.kernels.occupancy_fleet import OccupancyFleet
-    from agent.avoidance.orca import Avoidance
+    from agent.avoidance.orca import OrcaSolver
     from tools.bench.kernels.orca_fleet import Fleet
     from sim.world.lidar import Lidar
     from sim.world.drive_trains import Chassis
@@ -136,7 +136,7 @@ def _fleets() -> None:
     ring = [(0.0, 0.0), (20.0, 0.0), (20.0, 20.0), (0.0, 20.0)]
     walls = obstacle_tree([ring[::-1]])
     Fleet(np.ones((2, AGENT_COLUMNS), dtype=np.float32), 0.05, walls).step()
-    Avoidance(0.5, 2.0, 1.0, 4.0, 0.05, np.zeros((0, 4)), walls=walls).among_known(
+    OrcaSolver(0.5, 2.0, 1.0, 4.0, 0.05, np.zeros((0, 4)), walls=walls).among_known(
         (5.0, 5.0), (0.0, 0.0), (1.0, 0.0), 0.0
     )
     world = World([ring], 0, Lidar(8, 4.0))

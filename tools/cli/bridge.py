@@ -16,7 +16,7 @@ from agent.interface.ports import Bus
 from agent.runtime.gateway_runner import GatewayShell
 from agent.segments.gateway import Gateway, Publish
 from agent.segments.map_relay import MapRelay
-from agent.segments.segment_area import Area, Place
+from agent.segments.segment_area import Area, SegmentPlace
 from protocol.backbone_messages import Kind
 from protocol.controller_health import Health
 from protocol.frames.segment_frames import SEGMENT_MAX
@@ -76,7 +76,7 @@ def read_area(segment: int, file: Path | None) -> Area:
             int(told.get("home", 0)),
             {int(row["section"]): frozenset(map(int, row["to"])) for row in told.get("lent", ())},
             {
-                int(row["section"]): Place(int(row["of"]), int(row["there"]))
+                int(row["section"]): SegmentPlace(int(row["of"]), int(row["there"]))
                 for row in told.get("borrowed", ())
             },
         )

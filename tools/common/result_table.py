@@ -9,7 +9,7 @@ NO_KEYS = "[yellow]NONE: anybody on the bus can stop and release this fleet[/yel
 Fact = tuple[str, str]  # name, and what is to be said, with rich's markup
 
 
-class Ran(Protocol):
+class RunOutcome(Protocol):
     """What outcomes of all kinds of runs tell."""
 
     @property
@@ -37,7 +37,7 @@ def fact_table(title: str, facts: Iterable[Fact]) -> Table:
     return table
 
 
-def run_table(ran: Ran, facts: Iterable[Fact]) -> Table:
+def run_table(ran: RunOutcome, facts: Iterable[Fact]) -> Table:
     """The table of a scenario's run: whether it was without a flaw, `facts`, how to know it again."""
     return fact_table(
         f"{ran.scenario}: {ran.robots} robots, seed {ran.seed}",

@@ -11,7 +11,7 @@ from sim.files.recording_end import Ending, say
 from sim.files.strict_json import dumps
 from sim.fleet.simulated_fleet import Cluster
 from sim.record.mcap_log import McapLog, McapMissing
-from sim.record.recorder_script import Keeper, watch
+from sim.record.recorder_script import RecordingSink, watch
 from sim.record.recording import FramesDigest, Recording
 from sim.record.scene import FILE, scene_of
 from sim.scenarios.field_setup import Setting
@@ -20,7 +20,7 @@ from sim.scenarios.navigation_setup import ErrandSetting
 MCAP = "run.mcap"
 
 
-class Keeping:
+class RunRecorder:
     """Given to an expedition or a survey as `attach`, or fed by a launch; close it after the run."""
 
     def __init__(
@@ -48,7 +48,7 @@ class Keeping:
 
     def __call__(self, cluster: Cluster) -> None:
         cluster.segment.taps.append(self.write)
-        keepers: list[Keeper] = [] if self.recording is None else [self.recording]
+        keepers: list[RecordingSink] = [] if self.recording is None else [self.recording]
         if isinstance(self.mcap, McapLog):
             keepers.append(_UntilFull(self.mcap, self._ending))
         watch(cluster, keepers)

@@ -226,13 +226,13 @@ async def _ask_traces(
     slot: int, interface: str, channel: str, bitrate: int, host: str, port: int, seconds: float
 ) -> str | None:
     from tools.operate.operator_device import Operator
-    from tools.operate.pgn_client import Correspondent
+    from tools.operate.pgn_client import PgnClient
 
     bus = attach(interface, channel, bitrate, host, port)
     loop = asyncio.get_running_loop()
     try:
         operator = Operator(bus, None)
-        letters = Correspondent(bus, operator.device)
+        letters = PgnClient(bus, operator.device)
 
         def heard(frame: Frame) -> None:
             operator.hear(loop.time(), frame)

@@ -15,7 +15,7 @@ from agent.interface.lifecycle import State
 from agent.peer.leader_election import OPERATOR_GATEWAY
 from agent.peer.told_causes import ToldCauses
 from agent.safety.standard_stop import HOLD_US
-from agent.safety.stop_cause import Cause
+from agent.safety.stop_cause import StopCause
 from crdt import FieldAllocationCRDT, Phase, Progress
 from crdt.register import pack
 from protocol.frames.codec import UNKNOWN, Malformed, decode
@@ -31,7 +31,7 @@ from protocol.frames.fleet_frames import (
 )  # fmt: skip
 from protocol.frames.frame import Frame
 from protocol.frames.network_frames import AddressClaimed
-from protocol.frames.operator_frames import Matter, OperatorReport
+from protocol.frames.operator_frames import OperatorReport, ReportKind
 from protocol.frames.safety_frames import (
     AllImplementsStop,
     EmergencyReset,
@@ -324,7 +324,7 @@ class Inspector:
         tells nothing: what can be done about its silence comes first."""
         said = robot.causes.sentences(round(self.now_s * 1e6))
         if self.now_s - robot.last_s > SILENT_S and not robot.left:
-            said.insert(0, f"SILENT: {Cause.MEMBER_SILENT.value.do}")
+            said.insert(0, f"SILENT: {StopCause.MEMBER_SILENT.value.do}")
         return said
 
     def _robot_dict(self, robot: Seen) -> dict[str, Any]:
@@ -362,13 +362,13 @@ def _itinerary(robot: Seen, m: Itinerary) -> None:
 def _operator_report(robot: Seen, m: OperatorReport) -> None:
     """What it asks, and where it was sent."""
     match m.matter:
-        case Matter.REFUSED:
+        case ReportKind.REFUSED:
             return
-        case Matter.ASKING | Matter.WAITING:
+        case ReportKind.ASKING | ReportKind.WAITING:
             robot.question = m.number
             return
-        case Matter.UNDER_WAY:
+        case ReportKind.UNDER_WAY:
             robot.goal = (m.x_m, m.y_m)
-        case Matter.ARRIVED | Matter.WORKING | Matter.STOPPED:
+        case ReportKind.ARRIVED | ReportKind.WORKING | ReportKind.STOPPED:
             robot.goal = None
     robot.question = 0

@@ -28,7 +28,7 @@ ROOM_M = (
 ANSWERS = ("wait", "continue", "replan")
 
 
-class Order(NamedTuple):
+class AuthorizedOrder(NamedTuple):
     """As `headland order` says it."""
 
     slot: int
@@ -44,7 +44,7 @@ class Waiting(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    orders: tuple[Order, ...] = ()
+    orders: tuple[AuthorizedOrder, ...] = ()
     waiting: tuple[Waiting, ...] = ()
     queries: tuple[Query, ...] = ()
     stop_all: bool = False  # said to everybody at once, heard of or not
@@ -74,7 +74,7 @@ def weigh(intents: Sequence[AnyIntent], fleet: FleetNow, places: Places) -> Verd
 class _Scales:
     def __init__(self, fleet: FleetNow, places: Places) -> None:
         self.fleet, self.places = fleet, places
-        self.orders: list[Order] = []
+        self.orders: list[AuthorizedOrder] = []
         self.waiting: list[Waiting] = []
         self.queries: list[Query] = []
         self.first_ask: list[str] = []
@@ -112,7 +112,7 @@ class _Scales:
                 assert isinstance(slot, int)
                 self._able(slot)
                 self._room(place, slot)
-                self.orders.append(Order(slot, "set-goal", place))
+                self.orders.append(AuthorizedOrder(slot, "set-goal", place))
 
     def _nearest(self, place: Point, name: str) -> None:
         if not self.fleet.live:
@@ -123,7 +123,7 @@ class _Scales:
         if robot is None:
             self.waiting.append(Waiting(place, name))
         else:
-            self.orders.append(Order(robot.slot, "set-goal", place))
+            self.orders.append(AuthorizedOrder(robot.slot, "set-goal", place))
 
     def _place(self, target: Target) -> Point:
         match target:
@@ -195,7 +195,7 @@ class _Scales:
             for slot in slots:
                 assert isinstance(slot, int)
                 self._may(slot, action)
-                self.orders.append(Order(slot, action.replace("_", "-")))
+                self.orders.append(AuthorizedOrder(slot, action.replace("_", "-")))
 
     def _may(self, slot: int, action: str) -> None:
         if action != "start":
@@ -216,7 +216,7 @@ class _Scales:
                     f"robot {slot} is not heard; heard: {self.fleet.heard}",
                     "stop all",
                 )
-            self.orders.append(Order(slot, "stop"))
+            self.orders.append(AuthorizedOrder(slot, "stop"))
 
     def _answer(self, control: Control) -> None:
         """The answer to a question: only to a robot that asks, or that is on an errand."""
@@ -231,7 +231,7 @@ class _Scales:
                     f"{len(asking)} robots are asking: {asking}" if asking else "no robot is asking"
                 )
                 raise Refused(Reason.AMBIGUOUS, f"{who}; say which", f"robot 2 {control.action}")
-            self.orders.append(Order(asking[0], control.action))
+            self.orders.append(AuthorizedOrder(asking[0], control.action))
             return
         for slot in control.robots:
             robot = self._able(slot)
@@ -239,7 +239,7 @@ class _Scales:
             away = robot.state != "WORKING" and control.action != "wait"
             if not robot.asking and not away:
                 raise Refused(Reason.NOT_NOW, f"robot {slot} is not asking anything")
-            self.orders.append(Order(slot, control.action))
+            self.orders.append(AuthorizedOrder(slot, control.action))
 
     # ---------------------------------------------------------------- questions
 

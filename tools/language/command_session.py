@@ -11,14 +11,14 @@ from agent.peer import fleet_summary as bulletin
 from protocol.authentication import Keyring
 from protocol.frames.frame import Frame
 from protocol.frames.identifier import GLOBAL_ADDRESS
-from protocol.frames.operator_frames import Matter
+from protocol.frames.operator_frames import ReportKind
 from protocol.frames.safety_frames import Command, Reason
 from protocol.links.bus import CanBus
 from tools.inspect.inspector import Inspector
 from tools.language import view
 from tools.language.alarm import may_be_alarm
 from tools.language.answer import answer
-from tools.language.authorize import Order, Verdict, weigh
+from tools.language.authorize import AuthorizedOrder, Verdict, weigh
 from tools.language.fleet_state import FleetNow
 from tools.language.goal_queue import GoalQueue, Queued
 from tools.language.intent import AnyIntent, Control
@@ -30,7 +30,7 @@ from tools.language.question import Reason as Why
 from tools.operate.estop import press
 from tools.operate.operator_device import Operator, Robot
 from tools.operate.order import LISTEN_S, convey
-from tools.operate.pgn_client import Correspondent
+from tools.operate.pgn_client import PgnClient
 
 REPEAT_S = 0.05  # a stop of all is said again: one control period
 PLAIN_STOP_S = 0.5  # then an emergency stop; a robot obeys within a control period and a bus delay
@@ -43,7 +43,7 @@ Reader = Callable[[str], Awaitable[tuple[tuple[AnyIntent, ...] | Question, bool]
 Asker = Callable[[str], Awaitable[bool]]  # a question with yes or no
 
 
-class Speaker:
+class CommandSession:
     """Make it inside of the loop that drives the bus."""
 
     def __init__(
@@ -51,7 +51,7 @@ class Speaker:
         ask: Asker, timeout_s: float = 5.0, by: str | None = None,
     ) -> None:  # fmt: skip
         self.operator, self.inspector = Operator(bus, keyring), Inspector()
-        self.letters = Correspondent(bus, self.operator.device)
+        self.letters = PgnClient(bus, self.operator.device)
         self.places, self.queue, self.read, self.ask = places, queue, read, ask
         self.timeout_s, self.by = timeout_s, by
         self.heard = False
@@ -122,7 +122,7 @@ class Speaker:
             names = self.queue.names
             outcome.answers = [answer(q, fleet, self.places, names) for q in verdict.queries]
 
-    async def _convey(self, order: Order) -> str | None:
+    async def _convey(self, order: AuthorizedOrder) -> str | None:
         """What the robot says, or None where it does not obey."""
         robot = self.operator.robots.get(order.slot)
         if robot is None:
@@ -223,10 +223,10 @@ class Speaker:
         if robot is None:
             return None
         self.queue.give(goal.number, robot.slot)
-        order = Order(robot.slot, "set-goal", goal.place)
+        order = AuthorizedOrder(robot.slot, "set-goal", goal.place)
         word = await self._convey(order)
         report = self.operator.robots[robot.slot].report
-        if word is None and (report is None or report.matter is not Matter.REFUSED):
+        if word is None and (report is None or report.matter is not ReportKind.REFUSED):
             return None  # not heard: the same robot is told again
         self.queue.done(goal.number)
         return Outcome(f"queued: {goal.name}", orders=[(order, word)])
@@ -242,7 +242,7 @@ def stops_all(intents: tuple[AnyIntent, ...]) -> bool:
 
 
 def _stands(robot: Robot) -> bool:
-    said = robot.report is not None and robot.report.matter is Matter.STOPPED
+    said = robot.report is not None and robot.report.matter is ReportKind.STOPPED
     return said or robot.stopped
 
 

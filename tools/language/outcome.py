@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from tools.language.answer import Answer
-from tools.language.authorize import Order
+from tools.language.authorize import AuthorizedOrder
 from tools.language.intent import AnyIntent, plain
 from tools.language.question import Question, Reason
 
@@ -16,7 +16,7 @@ class Outcome:
     phrase: str
     intents: tuple[AnyIntent, ...] = ()
     question: Question | None = None
-    orders: list[tuple[Order, str | None]] = field(default_factory=list)  # None: not obeyed
+    orders: list[tuple[AuthorizedOrder, str | None]] = field(default_factory=list)  # None: not obeyed
     stopped: list[int] | None = (
         None  # robots that confirmed a stop of all; None: none was asked for
     )
@@ -83,7 +83,7 @@ class Outcome:
         return [f"NOT STOPPED: {slots}: use the switch on the machine"]
 
 
-def _order_line(order: Order, word: str | None) -> str:
+def _order_line(order: AuthorizedOrder, word: str | None) -> str:
     where = "" if order.place is None else f" {order.place[0]:g}, {order.place[1]:g}"
     if word is None:
         return f"robot {order.slot}: DOES NOT OBEY {order.what}{where}"

@@ -25,7 +25,7 @@ from tools.operate.order import Attached
 from tools.operate.reset import operator_keyring
 
 if TYPE_CHECKING:
-    from tools.language.command_session import Speaker
+    from tools.language.command_session import CommandSession
 
 WRONG = 2
 PROMPT = "> "
@@ -95,11 +95,11 @@ class _Conversation:
     async def _on_bus(
         self, bus: CanBus, keyring: Keyring | None, phrases: AsyncIterator[str], talking: bool
     ) -> None:
-        from tools.language.command_session import Speaker
+        from tools.language.command_session import CommandSession
 
         options = self.options
         queue = GoalQueue(options.queue)
-        speaker = Speaker(
+        speaker = CommandSession(
             bus, keyring, self.places, queue, self.read, self.ask, options.timeout_s, options.by
         )
         serving: asyncio.Task[None] | None = None
@@ -115,7 +115,7 @@ class _Conversation:
             with suppress(asyncio.CancelledError):
                 await serving
 
-    async def _wait(self, speaker: "Speaker", queue: GoalQueue) -> None:
+    async def _wait(self, speaker: "CommandSession", queue: GoalQueue) -> None:
         """Served by whoever is there: this command, until its goals are given."""
         if not self.options.wait:
             return

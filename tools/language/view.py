@@ -1,6 +1,6 @@
 """The fleet as it is now: from what a listener has heard, or from what one peer tells."""
 
-from agent.peer.fleet_summary import Bulletin
+from agent.peer.fleet_summary import FleetSummary
 from tools.inspect.inspector import SILENT_S, Inspector
 from tools.language.fleet_state import FleetNow, RobotNow, SectionNow
 
@@ -26,7 +26,7 @@ def as_heard(inspector: Inspector) -> FleetNow:
     return FleetNow(robots, sections_now)
 
 
-def as_told(bulletin: Bulletin) -> FleetNow:
+def as_told(bulletin: FleetSummary) -> FleetNow:
     """What it does not tell, as questions of others to their operators, is taken as not being."""
     robots: dict[int, RobotNow] = {}
     sections: dict[int, SectionNow] = {}

@@ -18,7 +18,7 @@ from sim.files.given_file import REPORT_BYTES_MAX, SETTINGS_BYTES_MAX, GivenFile
 from sim.files.key_file import OPERATOR, KeyFileError, read
 from sim.files.strict_json import dumps
 from sim.fleet.gc_tuning import leave_standing
-from sim.record.intent_stream import Watching
+from sim.record.intent_stream import IntentListener
 from sim.record.live_recording import LiveRecording
 from sim.record.mcap_log import McapMissing, add_notes, read_recording
 from sim.record.recording import Recording
@@ -265,7 +265,7 @@ async def _watch(recording: Recording, bodies: str | None) -> None:
     if bodies is None:
         return
     loop = asyncio.get_running_loop()
-    watching = Watching(lambda intent: recording.tell(round(loop.time() * 1e6), intent))
+    watching = IntentListener(lambda intent: recording.tell(round(loop.time() * 1e6), intent))
     try:
         await watching.connect(Path(bodies))
         await watching.run()

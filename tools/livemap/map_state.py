@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 
 from crdt.occupancy import Geometry, OccupancyMap, corner_of
-from crdt.sighting import VALUE, Order
+from crdt.sighting import VALUE, MergeOrder
 from protocol.frames.fleet_frames import Pose
 from protocol.frames.frame import Frame
 from protocol.frames.identifier import Identifier
 from protocol.frames.map_frames import MapPatch
 from protocol.frames.messages import GROUPS
-from protocol.frames.operator_frames import Matter, OperatorReport
+from protocol.frames.operator_frames import OperatorReport, ReportKind
 from protocol.frames.safety_frames import EmergencyStop
 from protocol.frames.work_frames import StateSyncResponse, TaskClaim, WorkProgress
 from protocol.sync.map_sync import decode_cells
@@ -113,7 +113,7 @@ class Watcher(Inspector):
                 self.changed_blocks.add((message.section, message.block))
             case MapPatch():
                 self._patch(message)
-            case OperatorReport(matter=Matter.ASKING | Matter.WAITING):
+            case OperatorReport(matter=ReportKind.ASKING | ReportKind.WAITING):
                 self.asking[robot.slot] = message
             case OperatorReport():
                 self.asking.pop(robot.slot, None)
@@ -150,4 +150,4 @@ def _chart(scene: Scene | None) -> OccupancyMap | None:
         return None
     west, south = cells["origin"]
     geometry = Geometry(int(cells["rows"]), int(cells["columns"]), (west, south), cells["cell_m"])
-    return OccupancyMap(geometry, Order(cells["order"]))
+    return OccupancyMap(geometry, MergeOrder(cells["order"]))

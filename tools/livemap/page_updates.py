@@ -11,7 +11,7 @@ KINDS_MAX = 8  # frames of the last second are told by kind, most first
 TRANSITIONS_TOLD = 12
 
 
-class Teller:
+class PageUpdates:
     """Of one page."""
 
     def __init__(self, player: Player) -> None:

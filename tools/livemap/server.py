@@ -23,7 +23,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from sim.files.palette import ROBOTS
 from sim.record.recording import Recording
-from tools.livemap.page_updates import Teller
+from tools.livemap.page_updates import PageUpdates
 from tools.livemap.playback import SPEED_MAX, Index, Player
 from tools.livemap.stop_panel import Panel, PanelError
 
@@ -142,7 +142,7 @@ class MapServer:
             return
         self.pages += 1
         player = Player(self.index, self.follow, self.speed)
-        teller = Teller(player)
+        teller = PageUpdates(player)
         telling = asyncio.create_task(self._tell(socket, player, teller))
         try:
             while (message := await socket.receive())["type"] == "websocket.receive":
@@ -161,7 +161,7 @@ class MapServer:
             with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
                 await telling
 
-    async def _tell(self, socket: WebSocket, player: Player, teller: Teller) -> None:
+    async def _tell(self, socket: WebSocket, player: Player, teller: PageUpdates) -> None:
         loop = asyncio.get_running_loop()
         scene = {
             "kind": "scene", "title": self.title, "live": self.panel is not None,
@@ -239,7 +239,7 @@ async def _body(request: Request) -> bytes:
     return body
 
 
-def _obey(text: str, player: Player, teller: Teller) -> dict[str, Any] | None:
+def _obey(text: str, player: Player, teller: PageUpdates) -> dict[str, Any] | None:
     """What the page asks; what makes no sense is passed over."""
     try:
         wish = json.loads(text)

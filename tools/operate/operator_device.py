@@ -11,7 +11,7 @@ from secrets import randbelow
 from agent.interface.lifecycle import State
 from agent.interface.ports import Bus
 from agent.peer.told_causes import ToldCauses
-from crdt.stops import FarDot
+from crdt.stops import RemoteStopDot
 from protocol.authentication import Keyring, Signed
 from protocol.fleet_tags import FleetTags, plain_reset
 from protocol.frames.accord_frames import Fallen
@@ -21,7 +21,7 @@ from protocol.frames.frame import Frame
 from protocol.frames.identifier import NULL_ADDRESS
 from protocol.frames.messages import GROUP_OF, Message
 from protocol.frames.network_frames import AddressClaimed, Request
-from protocol.frames.operator_frames import Matter, OperatorReport, goal_check, goal_frames
+from protocol.frames.operator_frames import OperatorReport, ReportKind, goal_check, goal_frames
 from protocol.frames.safety_frames import (
     Challenge,
     Command,
@@ -117,7 +117,7 @@ class Operator:
         if isinstance(message, StopsHeld):
             self.shown.hear_held(message)
         if isinstance(message, FleetStop):
-            far = FarDot(message.slot, message.incarnation, message.counter, message.segment)
+            far = RemoteStopDot(message.slot, message.incarnation, message.counter, message.segment)
             self.shown.hear_far(far)
         if isinstance(message, Challenge):
             self._prove(source, message)
@@ -142,8 +142,8 @@ class Operator:
             robot.causes.hear(message, round(now_s * 1e6))
         elif isinstance(message, OperatorReport):
             robot.report = message
-            asking = message.matter in (Matter.ASKING, Matter.WAITING)
-            if asking or message.matter is not Matter.REFUSED:
+            asking = message.matter in (ReportKind.ASKING, ReportKind.WAITING)
+            if asking or message.matter is not ReportKind.REFUSED:
                 robot.question = message if asking else None
         elif isinstance(message, EmergencyStop) and message.echo and not message.spent:
             robot.echoed = True
@@ -248,7 +248,7 @@ class Operator:
         self.pressed.add(message[:3])
         self.send(message if self.keyring is None else self.keyring.sign(message))
 
-    def clear_far(self, dot: FarDot) -> None:
+    def clear_far(self, dot: RemoteStopDot) -> None:
         """In all segments; twice, because a frame may be lost."""
         tags = None if self.keyring is None else FleetTags(self.keyring.keys)
         halves = plain_reset(dot) if tags is None else tags.reset(dot)

@@ -4,7 +4,7 @@ import asyncio
 import sys
 from pathlib import Path
 
-from protocol.frames.operator_frames import Matter, goal_frames
+from protocol.frames.operator_frames import ReportKind, goal_frames
 from protocol.frames.safety_frames import Command
 from sim.files.strict_json import dumps
 from tools.common.bus_attach import AttachError, attach
@@ -16,12 +16,12 @@ LISTEN_S = 1.3  # an open question is said again every second
 STEP_S = 0.3  # between two tries: a robot may first have to ask who we are
 # What the robot tells when it obeys; those that answer a question also end an errand.
 CONFIRMED = {
-    "wait": (Command.WAIT, (Matter.WAITING,)),
-    "continue": (Command.CONTINUE, (Matter.GOING_ROUND, Matter.WORKING)),
-    "replan": (Command.REPLAN, (Matter.GOING_ROUND, Matter.WORKING)),
-    "stop": (Command.STOP, (Matter.STOPPED,)),
-    "go-home": (Command.GO_HOME, (Matter.UNDER_WAY, Matter.ARRIVED)),
-    "set-goal": (Command.SET_GOAL, (Matter.UNDER_WAY, Matter.ARRIVED)),
+    "wait": (Command.WAIT, (ReportKind.WAITING,)),
+    "continue": (Command.CONTINUE, (ReportKind.GOING_ROUND, ReportKind.WORKING)),
+    "replan": (Command.REPLAN, (ReportKind.GOING_ROUND, ReportKind.WORKING)),
+    "stop": (Command.STOP, (ReportKind.STOPPED,)),
+    "go-home": (Command.GO_HOME, (ReportKind.UNDER_WAY, ReportKind.ARRIVED)),
+    "set-goal": (Command.SET_GOAL, (ReportKind.UNDER_WAY, ReportKind.ARRIVED)),
     "start": (Command.START, ()),
 }
 Attached = tuple[str, str, int, str, int]  # interface, channel, bit rate, host, port
@@ -95,7 +95,7 @@ async def convey(
         await asyncio.sleep(min(STEP_S, timeout_s))
         if command is Command.START and robot.started:
             return True
-        if robot.report is not None and robot.report.matter in (*matters, Matter.REFUSED):
+        if robot.report is not None and robot.report.matter in (*matters, ReportKind.REFUSED):
             return robot.report.matter in matters
     return False
 

@@ -8,19 +8,19 @@ from protocol.frames.frame import Frame
 from protocol.frames.identifier import GLOBAL_ADDRESS, Identifier
 from protocol.frames.messages import Message
 from protocol.frames.network_frames import Request, TransportData, TransportManagement
-from protocol.transport import Arrived, Transport
+from protocol.transport import ReceivedMessage, Transport
 from tools.operate.tool_address import DeviceAddress
 
 LOOK_S = 0.02  # sessions are looked after this often; their shortest limit is 200 ms
 
 
-class Correspondent:
+class PgnClient:
     def __init__(self, bus: Bus, device: DeviceAddress | None = None) -> None:
         """`device`: whose address it speaks from; none: it claims one of its own."""
         self.bus, self.transport = bus, Transport()
         self.device = DeviceAddress(bus) if device is None else device
         self._own_device = device is None
-        self.arrived: list[Arrived] = []
+        self.arrived: list[ReceivedMessage] = []
 
     def hear(self, now_s: float, frame: Frame) -> None:
         if self._own_device:

@@ -9,7 +9,7 @@ A stop that is pressed while the reset runs was shown to nobody: it is not clear
 from collections.abc import Collection
 from secrets import randbits
 
-from crdt.stops import FarDot, FarStopSet, StopDot, StopSet, held_digest
+from crdt.stops import RemoteStopDot, RemoteStopSet, StopDot, StopSet, held_digest
 from protocol.authentication import Keyring
 from protocol.fleet_tags import HeldTags
 from protocol.frames.safety_frames import EmergencyStop, StopsHeld
@@ -26,7 +26,7 @@ class ShownStops:
         self._tags = None if keyring is None or secret is None else HeldTags(keyring.keys)
         self.question = randbits(QUESTION_BITS)  # nobody knows it before it is asked
         self.near: set[tuple[int, int, int]] = set()
-        self.far: set[FarDot] = set()
+        self.far: set[RemoteStopDot] = set()
         self.spent: set[tuple[int, int, int]] = set()  # names that robots say were used before
         self.told: dict[int, StopsHeld] = {}  # by robots; with keys only what they have signed
         self.refused = 0  # answers without a valid tag
@@ -52,7 +52,7 @@ class ShownStops:
         if not (self._releasing and (more or self._pressed)):
             self.told[m.slot] = m
 
-    def hear_far(self, dot: FarDot) -> None:
+    def hear_far(self, dot: RemoteStopDot) -> None:
         if not self._releasing and len(self.far) < HEARD_MAX:
             self.far.add(dot)
 
@@ -66,16 +66,16 @@ class ShownStops:
         return sorted({held.digest for held in self.told.values() if held.stops})
 
     @property
-    def named(self) -> tuple[list[StopDot], list[FarDot]]:
+    def named(self) -> tuple[list[StopDot], list[RemoteStopDot]]:
         """Stops to clear by name: so that a robot that has missed one does not latch by a late echo."""
         near, far = [StopDot(*dot) for dot in self.near], sorted(self.far)
         if len(near) + len(far) > NAMED_MAX or (self.signed and not self._adds_up(near, far)):
             return [], []
         return sorted(near), far
 
-    def _adds_up(self, near: Collection[StopDot], far: Collection[FarDot]) -> bool:
+    def _adds_up(self, near: Collection[StopDot], far: Collection[RemoteStopDot]) -> bool:
         """A stop of the robots' own segment is said in both ways, and held once."""
-        stops, beyond = StopSet(), FarStopSet()
+        stops, beyond = StopSet(), RemoteStopSet()
         for dot in near:
             stops.press(dot)
         for away in far:

@@ -14,7 +14,7 @@ from random import Random
 from secrets import randbits
 from typing import Protocol
 
-from protocol.address import AddressClaim, Claiming, State
+from protocol.address import AddressClaim, AddressMessage, State
 from protocol.frames.codec import decode, encode
 from protocol.frames.frame import Frame
 from protocol.frames.identifier import GLOBAL_ADDRESS, NULL_ADDRESS, Identifier
@@ -120,7 +120,7 @@ class DeviceAddress:
             self.bus.send(encode(Request(CLAIM_PGN), NULL_ADDRESS))
         self._say(self.claim.tick(now_us))
 
-    def _say(self, claims: list[Claiming]) -> None:
+    def _say(self, claims: list[AddressMessage]) -> None:
         for message, source, destination in claims:
             self.bus.send(encode(message, source, destination))
         address = self.address

@@ -5,12 +5,12 @@ import sys
 from pathlib import Path
 
 from agent.delivery.cost_matrix import Carrier
-from agent.delivery.task_registry import Order
+from agent.delivery.task_registry import TransportTask
 from agent.delivery.warehouse import Warehouse
 from protocol.frames.codec import Malformed, decode
 from protocol.frames.frame import Frame
 from sim.files.strict_json import dumps
-from sim.fleet.transport_orders import OrderDesk
+from sim.fleet.transport_orders import TransportClient
 from sim.scenarios.delivery_scenario import TaskRow, load_warehouse, read_tasks
 from sim.scenarios.delivery_setup import floor_of
 from sim.scenarios.scenario import ScenarioError
@@ -30,7 +30,7 @@ def order(
     try:
         rows = _rows(pickup, dropoff, file)
         house = _house(scenario)
-        orders = [Order(_cell(house, row.pickup), _cell(house, row.dropoff)) for row in rows]
+        orders = [TransportTask(_cell(house, row.pickup), _cell(house, row.dropoff)) for row in rows]
         known = asyncio.run(_order(orders, where))
     except (ScenarioError, AttachError) as problem:
         print(f"headland: {problem}", file=sys.stderr)
@@ -71,10 +71,10 @@ def _cell(house: Warehouse, at: tuple[float, float]) -> int:
     return cell
 
 
-async def _order(orders: list[Order], where: tuple[str, str, int, str, int]) -> dict[int, bool]:
+async def _order(orders: list[TransportTask], where: tuple[str, str, int, str, int]) -> dict[int, bool]:
     """Task numbers, and whether two robots, or all there are, have said that they know them."""
     bus = attach(*where)
-    desk, device = OrderDesk(), DeviceAddress(bus)
+    desk, device = TransportClient(), DeviceAddress(bus)
     loop = asyncio.get_running_loop()
 
     def hear(frame: Frame) -> None:

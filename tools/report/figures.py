@@ -10,7 +10,7 @@ from agent.interface.lifecycle import State
 from crdt import Phase
 from sim.files import palette
 from sim.record.scene import Scene
-from tools.report.timeline import SILENT, Event, Place, Span, Stop
+from tools.report.timeline import SILENT, BusAddress, Event, Span, Stop
 from tools.report.tracking_error import Following
 
 Figure = Any  # matplotlib has no types
@@ -77,7 +77,7 @@ def _ground(axes: Any, scene: Scene | None) -> None:
     axes.set_ylabel("north, m")
 
 
-def tracks(scene: Scene | None, places: dict[int, list[Place]]) -> Figure:
+def tracks(scene: Scene | None, places: dict[int, list[BusAddress]]) -> Figure:
     figure, axes = figure_of(10, 8)
     for section in (scene or {}).get("sections", []):
         for swath in section["swaths"]:

@@ -13,7 +13,7 @@ from protocol.frames.codec import decode
 from protocol.frames.fleet_frames import Member, Pose
 from protocol.frames.frame import Frame
 from protocol.frames.identifier import Identifier
-from protocol.frames.operator_frames import Matter, OperatorReport
+from protocol.frames.operator_frames import OperatorReport, ReportKind
 from protocol.frames.safety_frames import Command, EmergencyStop, OperatorCommand, Reason
 from protocol.frames.work_frames import StateSyncResponse, TaskClaim
 from sim.can.frame_timing import worst_bits
@@ -41,7 +41,7 @@ class Event(NamedTuple):
     what: str
 
 
-class Place(NamedTuple):
+class BusAddress(NamedTuple):
     """A robot as its beat told it, to 5 cm."""
 
     t_s: float
@@ -70,7 +70,7 @@ class History(Inspector):
     def __init__(self, zero_us: int = 0) -> None:
         super().__init__()
         self.zero_s = zero_us / 1e6
-        self.places: dict[int, list[Place]] = {}
+        self.places: dict[int, list[BusAddress]] = {}
         self.states: list[Span] = []
         self.held: list[Span] = []  # sections
         self.pressed: list[Stop] = []
@@ -147,7 +147,7 @@ class History(Inspector):
         super()._robot(t_s, robot, kind, message)
         match message:
             case Pose() if message.placed:
-                place = Place(t_s, message.x_m, message.y_m, message.speed_m_s, message.stopped)
+                place = BusAddress(t_s, message.x_m, message.y_m, message.speed_m_s, message.stopped)
                 self.places.setdefault(robot.slot, []).append(place)
                 if message.stopped:
                     self._stands(t_s, robot.slot, message.speed_m_s <= STANDS_M_S / 2)
@@ -157,7 +157,7 @@ class History(Inspector):
                 for stop in self.pressed:
                     if stop.dot == message[:3] and robot.slot in stop.present:
                         stop.echo_s.setdefault(robot.slot, t_s - stop.t_s)
-            case OperatorReport(matter=Matter.ASKING):
+            case OperatorReport(matter=ReportKind.ASKING):
                 where = f"at {message.x_m:.1f}, {message.y_m:.1f}"
                 self.seen.append(Event(t_s, "question", f"robot {robot.slot}", where))
 

@@ -11,7 +11,7 @@ from agent.coverage.team import TURN_COST_MAX
 from agent.interface.config import PEERS_MAX
 from sim.files.grid_map import GridFileError, Instance
 from sim.files.strict_json import dumps
-from sim.runs.coverage_run import GridFleet, GridOutcome
+from sim.runs.coverage_run import CoverageRun, GridOutcome
 from sim.scenarios.coverage_setup import STEP_S, GridSetting
 from sim.scenarios.scenario import Crash, Fault, Heal, Join, Partition
 from tools.common.result_table import fact_table
@@ -101,7 +101,7 @@ def driven(
         def told(now_s: float, share: float) -> None:
             status.update(f"{now_s:.0f} s simulated, {share:.0%} covered")
 
-        outcome = GridFleet(setting, out, told).run()
+        outcome = CoverageRun(setting, out, told).run()
     report = {**outcome.to_dict(), "step_s": STEP_S, "unreached_cells": cells_left}
     if out is not None:
         (out / "report.json").write_text(dumps(report, indent=1) + "\n", encoding="utf-8")

@@ -13,7 +13,7 @@ from sim.files.coverage_plan_file import Plan, write_plan
 from sim.files.grid_map import Cell, Instance, Walls
 from sim.files.strict_json import dumps
 from sim.runs.planned_coverage import Arrival, Death, work
-from sim.world.plan_judge import Court, Verdict, judge, lower_bound, steps_from
+from sim.world.plan_judge import PlanJudge, Verdict, judge, lower_bound, steps_from
 from tools.common.result_table import fact_table
 
 WALL, DIRT, CLEAN, ROBOT, WRECK = "█", "·", " ", "o", "x"
@@ -63,7 +63,7 @@ def unreached(walls: Walls, starts: Sequence[Cell]) -> int:
 def replayed(
     plan: Plan, delay_s: float, stop_on_done: bool, turn_cost: float, as_json: bool
 ) -> int:
-    court = Court(plan)
+    court = PlanJudge(plan)
     wanted = court.wanted()
     show = sys.stdout.isatty() and not as_json
     while not court.over and not (stop_on_done and wanted <= court.covered.keys()):
@@ -93,7 +93,7 @@ def figures(plan: Plan, verdict: Verdict, turn_cost: float) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def drawing(court: Court, wanted: set[Cell], screen: bool) -> str:
+def drawing(court: PlanJudge, wanted: set[Cell], screen: bool) -> str:
     """The map as text; on a screen in colour, and coarser where it would not fit.
 
     A coarse mark is what matters most in its block: a wreck, a robot, dirt, clean ground, walls.

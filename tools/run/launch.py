@@ -36,7 +36,7 @@ from tools.common.bus_attach import CHANNEL, AttachError
 from tools.common.child_process import module_command
 from tools.common.process_identity import identity
 from tools.common.run_folder import FolderError
-from tools.common.run_recorder import Keeping
+from tools.common.run_recorder import RunRecorder
 from tools.inspect.inspector import SILENT_S, Inspector
 from tools.language.places import Places
 from tools.livemap.command import ServerError, check_operator_key, listen
@@ -104,7 +104,7 @@ class Launch:
         log = PartedLog(
             self.out / "can.log", lambda path, _: CandumpWriter(path), begun_us, self.log_limit, told
         )
-        keeping = Keeping(
+        keeping = RunRecorder(
             self.setting, self.out, begun_us=begun_us, told=told, limit=self.log_limit
         )
         text = Ending("can.log", told)

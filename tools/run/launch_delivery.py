@@ -10,7 +10,7 @@ from crdt import Phase
 from protocol.frames.frame import Frame
 from protocol.frames.messages import Message
 from sim.fleet.scheduler import follow
-from sim.fleet.warehouse_floor import Depot
+from sim.fleet.warehouse_floor import WarehouseFloor
 from sim.record.remote_body import BodyServer
 from sim.scenarios.delivery_setup import DeliverySetting
 from sim.world.parcel_truth import CarrierBody, Parcels
@@ -32,7 +32,7 @@ class _Desk:
 
 
 class HaulLaunch(Launch):
-    depot: Depot
+    depot: WarehouseFloor
     endless = True
 
     def _furnish(self, bodies: BodyServer, bus: LaunchBus) -> list["asyncio.Task[None]"]:
@@ -67,7 +67,7 @@ class HaulLaunch(Launch):
         def unsaid(message: Message) -> None:
             """Nobody orders before the bus is there."""
 
-        self.depot = Depot(self.setting, self.world, lambda: 0, self._is_up, unsaid)
+        self.depot = WarehouseFloor(self.setting, self.world, lambda: 0, self._is_up, unsaid)
         return self.depot.truth
 
     def _is_up(self, slot: int) -> bool:

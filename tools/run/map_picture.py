@@ -7,13 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.files.palette import colour_of, rgb_of
-from sim.runs.exploration_run import Survey, SurveyOutcome
+from sim.runs.exploration_run import ExplorationRun, SurveyOutcome
 
 GREYS = np.array([0.75, 1.0, 0.1])  # unknown, free, obstacle
 FRAME_MS = 250
 
 
-def _plain(axes: Any, survey: Survey, values: NDArray[np.int64], title: str) -> None:
+def _plain(axes: Any, survey: ExplorationRun, values: NDArray[np.int64], title: str) -> None:
     axes.imshow(GREYS[values], origin="lower", extent=_extent(survey), cmap="gray", vmin=0, vmax=1)
     _label(axes, title)
 
@@ -24,7 +24,7 @@ def _label(axes: Any, title: str) -> None:
     axes.tick_params(labelsize=7)
 
 
-def _who(axes: Any, survey: Survey, first: NDArray[np.int64], title: str) -> None:
+def _who(axes: Any, survey: ExplorationRun, first: NDArray[np.int64], title: str) -> None:
     """Each cell in the colour of the robot that saw it first."""
     picture = np.ones((*first.shape, 3))
     for slot in np.unique(first[first >= 0]).tolist():
@@ -35,12 +35,12 @@ def _who(axes: Any, survey: Survey, first: NDArray[np.int64], title: str) -> Non
     _label(axes, title)
 
 
-def _extent(survey: Survey) -> tuple[float, float, float, float]:
+def _extent(survey: ExplorationRun) -> tuple[float, float, float, float]:
     rows, columns, (west, south), cell_m = survey.setting.geometry
     return west, west + columns * cell_m, south, south + rows * cell_m
 
 
-def draw_maps(survey: Survey, outcome: SurveyOutcome, out: Path) -> None:
+def draw_maps(survey: ExplorationRun, outcome: SurveyOutcome, out: Path) -> None:
     """One PNG: the joined map with the ways driven, who saw what first, and each robot's own map."""
     import matplotlib
 
@@ -73,7 +73,7 @@ def draw_maps(survey: Survey, outcome: SurveyOutcome, out: Path) -> None:
     pyplot.close(figure)
 
 
-def film(survey: Survey, out: Path) -> None:
+def film(survey: ExplorationRun, out: Path) -> None:
     """A GIF of both as they grow: the map of one robot after the other, and who saw what first."""
     import matplotlib
 

@@ -20,8 +20,8 @@ from sim.fleet.simulated_fleet import Cluster
 from sim.record.recorder_script import watch
 from sim.record.recording import Recording
 from sim.record.scene import scene_of
-from sim.runs.field_run import Expedition
-from sim.runs.navigation_run import Outing, OutingOutcome
+from sim.runs.field_run import FieldRun
+from sim.runs.navigation_run import NavigationRun, OutingOutcome
 from sim.scenarios.delivery_scenario import is_warehouse
 from sim.scenarios.field_setup import Setting
 from sim.scenarios.navigation_scenario import ErrandScenario, load_mission, setting_of
@@ -155,7 +155,7 @@ def play(
 def _field(scenario: Scenario, recording: Recording, attach: Any) -> Run:
     setting = Setting(scenario)
     recording.scene = scene_of(setting)
-    expedition = Expedition(setting, attach=attach)
+    expedition = FieldRun(setting, attach=attach)
     outcome = expedition.run()
     recording.close()
     tracks = {
@@ -168,7 +168,7 @@ def _field(scenario: Scenario, recording: Recording, attach: Any) -> Run:
 def _errands(scenario: ErrandScenario, recording: Recording, attach: Any) -> Run:
     setting: ErrandSetting = setting_of(scenario)
     recording.scene = scene_of(setting)
-    outing = Outing(setting, attach=attach)
+    outing = NavigationRun(setting, attach=attach)
     outcome = outing.run()
     recording.close()
     tracks = {slot: rows[:, :3] * (1e-6, 1.0, 1.0) for slot, rows in outing.tracks.items()}

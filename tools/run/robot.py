@@ -13,7 +13,7 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
-from agent.runtime.peer_runner import Shell
+from agent.runtime.peer_runner import PeerRunner
 from agent.runtime.sqlite_journal import SqliteJournal
 from protocol.links.socketcand_link import SocketcandLink
 from sim.fleet.gc_tuning import leave_standing
@@ -71,13 +71,13 @@ async def run(order: dict[str, Any]) -> None:
     peer = make_peer(
         setting,
         slot,
-        Shell.now_us(),
+        PeerRunner.now_us(),
         recalled,
         order["first_boot"],
         secrets.token_hex(16),
         int(order["segment"]),
     )
-    shell = Shell(peer, bus, body, journal)
+    shell = PeerRunner(peer, bus, body, journal)
     leave_standing()
     task = asyncio.create_task(shell.run())
     telling = asyncio.create_task(tell(peer, body.tell))

@@ -13,7 +13,7 @@ from sim.can.socketcand_server import Hub
 from sim.files.palette import colour_of
 from sim.files.strict_json import dumps
 from sim.fleet.virtual_clock import WallLoop
-from sim.runs.delivery_run import Haul, HaulCluster, HaulMoment, HaulOutcome
+from sim.runs.delivery_run import DeliveryRun, HaulCluster, HaulOutcome, RunProgress
 from sim.scenarios.delivery_scenario import load_warehouse
 from sim.scenarios.delivery_setup import DeliverySetting
 from sim.scenarios.scenario import ScenarioError
@@ -21,7 +21,7 @@ from tools.common.bus_attach import CHANNEL
 from tools.common.process_identity import identity
 from tools.common.result_table import run_table
 from tools.common.run_folder import LAUNCH, RUNS, FolderError, folder_for, link
-from tools.common.run_recorder import Keeping
+from tools.common.run_recorder import RunRecorder
 
 UNFINISHED, WRONG, UNREACHABLE, INTERRUPTED = 1, 2, 3, 130
 HOST = "127.0.0.1"
@@ -39,7 +39,7 @@ def haul(
             load_warehouse(scenario).changed(robots, seed, keys, time_limit_s=limit_s)
         )
         out = folder_for(to, setting.scenario.name)
-        keeping = Keeping(setting, out)
+        keeping = RunRecorder(setting, out)
     except (ScenarioError, FolderError) as problem:
         print(f"headland: {problem}", file=sys.stderr)
         return WRONG
@@ -77,15 +77,15 @@ def exit_code(outcome: HaulOutcome) -> int:
 
 def _watch(
     console: Console, setting: DeliverySetting, out: Path, live: bool, port: int,
-    seconds: float | None, keeping: Keeping,
-) -> tuple[HaulOutcome, Haul, bool]:  # fmt: skip
+    seconds: float | None, keeping: RunRecorder,
+) -> tuple[HaulOutcome, DeliveryRun, bool]:  # fmt: skip
     with Progress(
         TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}/{task.total}"),
         TextColumn("{task.fields[note]}"), TimeElapsedColumn(), console=console, transient=True,
     ) as progress:  # fmt: skip
         bar = progress.add_task(setting.scenario.name, total=len(setting.rows), note="")
 
-        def told(moment: HaulMoment) -> None:
+        def told(moment: RunProgress) -> None:
             plans = "  ".join(
                 f"{slot} [{', '.join(stops[:3])}{', ...' if len(stops) > 3 else ''}]"
                 for slot, stops in moment.itineraries.items()
@@ -93,7 +93,7 @@ def _watch(
             note = f"{moment.simulated_s:.0f} s  {plans}"
             progress.update(bar, completed=moment.delivered, total=moment.tasks, note=note)
 
-        run = Haul(setting, out, told, forever=live)
+        run = DeliveryRun(setting, out, told, forever=live)
         run.attach = keeping
         if not live:
             return run.run(), run, False
@@ -103,7 +103,7 @@ def _watch(
 
 
 async def _live(
-    console: Console, run: Haul, port: int, seconds: float | None, keeping: Keeping, out: Path
+    console: Console, run: DeliveryRun, port: int, seconds: float | None, keeping: RunRecorder, out: Path
 ) -> tuple[HaulOutcome, bool]:
     """In real time, on a bus that tools can attach to."""
     loop = asyncio.get_running_loop()
@@ -174,7 +174,7 @@ def outcome_table(outcome: HaulOutcome) -> Table:
     return run_table(outcome, facts)
 
 
-def draw_warehouse(setting: DeliverySetting, run: Haul, outcome: HaulOutcome, out: Path) -> None:
+def draw_warehouse(setting: DeliverySetting, run: DeliveryRun, outcome: HaulOutcome, out: Path) -> None:
     """One PNG: walls, bays, and where each robot drove."""
     import matplotlib
 

@@ -8,12 +8,12 @@ from rich.table import Table
 
 from agent.exploration.exploration_task import FleetFullError
 from sim.files.strict_json import dumps
-from sim.runs.exploration_run import Sharing, Survey, SurveyOutcome
+from sim.runs.exploration_run import ExplorationRun, Sharing, SurveyOutcome
 from sim.scenarios.exploration_scenario import load_arena
 from sim.scenarios.scenario import ScenarioError
 from tools.common.result_table import run_table
 from tools.common.run_folder import FolderError, folder_for
-from tools.common.run_recorder import Keeping
+from tools.common.run_recorder import RunRecorder
 from tools.run.map_picture import draw_maps, film
 
 UNFINISHED, WRONG = 1, 2  # exit codes; 0 only for a run without a flaw
@@ -31,8 +31,8 @@ def explore(
     try:
         arena = load_arena(scenario).changed(robots, seed)
         out = folder_for(to, arena.name)
-        survey = Survey(arena, Sharing.FLEET, out)
-        survey.attach = keeping = Keeping(survey.setting, out)
+        survey = ExplorationRun(arena, Sharing.FLEET, out)
+        survey.attach = keeping = RunRecorder(survey.setting, out)
         with console.status(f"{survey.setting.scenario.name}: exploring"):
             try:
                 outcome = survey.run()

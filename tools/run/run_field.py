@@ -14,7 +14,7 @@ from sim.files.can_log import open_log
 from sim.files.strict_json import dumps
 from sim.fleet.outcome import Outcome
 from sim.record.recording import Recording
-from sim.runs.field_run import Expedition, Moment
+from sim.runs.field_run import FieldRun, RunProgress
 from sim.runs.work_geojson import write_geojson
 from sim.runs.work_record import record_of
 from sim.scenarios.field_setup import Setting
@@ -23,7 +23,7 @@ from sim.scenarios.navigation_setup import ErrandSetting
 from sim.scenarios.scenario import Scenario, ScenarioError
 from tools.common.result_table import NO_KEYS, run_table
 from tools.common.run_folder import FolderError, folder_for
-from tools.common.run_recorder import Keeping
+from tools.common.run_recorder import RunRecorder
 from tools.livemap.command import MapThread, ServerError
 from tools.run.picture import draw_field
 from tools.run.run_navigation import run_errands
@@ -58,7 +58,7 @@ def run(
         if isinstance(setting, ErrandSetting):
             return run_errands(console, setting, folder, logs, as_json)
         shown = None if page_port is None else MapThread(Recording(), setting.field.name, page_port)
-        keeping = Keeping(setting, folder, None if shown is None else shown.server.recording)
+        keeping = RunRecorder(setting, folder, None if shown is None else shown.server.recording)
     except (ScenarioError, ServerError, FolderError) as problem:
         print(f"headland: {problem}", file=sys.stderr)
         return WRONG
@@ -102,15 +102,15 @@ def _errands(scenario: Scenario, page_port: int | None) -> ErrandSetting | None:
 
 
 def _watch(
-    console: Console, setting: Setting, out: Path, logs: Sequence[Path], keeping: Keeping
-) -> tuple[Outcome, Expedition]:
+    console: Console, setting: Setting, out: Path, logs: Sequence[Path], keeping: RunRecorder
+) -> tuple[Outcome, FieldRun]:
     with Progress(
         TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>5.1f} %"),
         TextColumn("{task.fields[note]}"), TimeElapsedColumn(), console=console, transient=True,
     ) as progress:  # fmt: skip
         bar = progress.add_task(f"{setting.field.name}", total=1.0, note="")
 
-        def told(moment: Moment) -> None:
+        def told(moment: RunProgress) -> None:
             counts = ", ".join(
                 f"{moment.states.count(state.name)} {state.name}"
                 for state in State
@@ -119,7 +119,7 @@ def _watch(
             note = f"{moment.simulated_s:.0f} s, {moment.done}/{moment.sections} sections, {counts}"
             progress.update(bar, completed=moment.progress, note=note)
 
-        expedition = Expedition(setting, out, told, logs, attach=keeping)
+        expedition = FieldRun(setting, out, told, logs, attach=keeping)
         return expedition.run(), expedition
 
 

@@ -11,10 +11,10 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from sim.files.strict_json import dumps
-from sim.runs.navigation_run import Moment, Outing, OutingOutcome
+from sim.runs.navigation_run import NavigationRun, OutingOutcome, RunProgress
 from sim.scenarios.navigation_setup import ErrandSetting
 from tools.common.result_table import NO_KEYS, run_table
-from tools.common.run_recorder import Keeping
+from tools.common.run_recorder import RunRecorder
 from tools.run.path_picture import draw_paths
 
 UNFINISHED = 1  # exit code; 0 only for a run without a flaw
@@ -23,15 +23,15 @@ UNFINISHED = 1  # exit code; 0 only for a run without a flaw
 def run_errands(
     console: Console, setting: ErrandSetting, out: Path, logs: Sequence[Path], as_json: bool
 ) -> int:
-    keeping = Keeping(setting, out)
-    outing = Outing(setting, out, None, logs, keeping)
+    keeping = RunRecorder(setting, out)
+    outing = NavigationRun(setting, out, None, logs, keeping)
     with Progress(
         TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[note]}"),
         TimeElapsedColumn(), console=console, transient=True,
     ) as progress:  # fmt: skip
         bar = progress.add_task(setting.scenario.name, total=setting.section_count, note="")
 
-        def told(moment: Moment) -> None:
+        def told(moment: RunProgress) -> None:
             states = ", ".join(
                 f"{n} {state}" for state, n in sorted(Counter(moment.states).items())
             )

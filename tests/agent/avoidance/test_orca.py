@@ -8,14 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from agent.avoidance.orca import Avoidance
+from agent.avoidance.orca import OrcaSolver
 
 NO_FENCES = np.zeros((0, 4))
 DT_S, RADIUS_M, SPEED_M_S, HORIZON_S = 0.05, 0.5, 2.0, 4.0
 
 
-def robot(fences: NDArray[np.float64] = NO_FENCES) -> Avoidance:
-    return Avoidance(RADIUS_M, SPEED_M_S, 1.0, HORIZON_S, DT_S, fences)
+def robot(fences: NDArray[np.float64] = NO_FENCES) -> OrcaSolver:
+    return OrcaSolver(RADIUS_M, SPEED_M_S, 1.0, HORIZON_S, DT_S, fences)
 
 
 def play(starts: list[tuple[float, float]], goals: list[tuple[float, float]], steps: int) -> float:

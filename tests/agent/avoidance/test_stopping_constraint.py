@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agent.avoidance.orca import Avoidance
+from agent.avoidance.orca import OrcaSolver
 from agent.avoidance.stopping_constraint import HARDEST_M_S2
 
 NO_FENCES = np.zeros((0, 4))
@@ -25,7 +25,7 @@ class Robot:
         self.at, self.v, self.wanted = (x_m, y_m), (vx_m_s, 0.0), (vx_m_s, 0.0)
         self.hard_m_s2 = BRAKING_M_S2
         self.heard: dict[int, tuple[XY, XY, float]] = {}
-        self.avoidance = Avoidance(
+        self.avoidance = OrcaSolver(
             RADIUS_M, SPEED_M_S, 1.0, 1.0, DT_S, NO_FENCES, keep_right_rad=0.05,
             stopping_m_s2=BRAKING_M_S2 if stops else 0.0,
         )  # fmt: skip

@@ -8,19 +8,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from agent.coverage.cell_map import NONE, Ground
-from agent.coverage.joint_course import Course, Terms, course_of
+from agent.coverage.cell_map import NONE, CellMap
+from agent.coverage.joint_course import CourseInputs, JointCourse, course_of
 
 
-def scene(seed: int, rows: int, columns: int, robots: int) -> tuple[Ground, list[int]]:
+def scene(seed: int, rows: int, columns: int, robots: int) -> tuple[CellMap, list[int]]:
     rng = Random(f"{seed}/course")
     walls = np.array([[rng.random() < 0.3 for _ in range(columns)] for _ in range(rows)])
-    ground = Ground(walls, 4.0)
+    ground = CellMap(walls, 4.0)
     return ground, rng.sample(range(len(ground)), min(robots, len(ground)))
 
 
-def course(ground: Ground, places: list[int], covered: NDArray[np.bool_]) -> Course:
-    return Course(ground, range(len(places)), places, covered, (), 0.0)
+def course(ground: CellMap, places: list[int], covered: NDArray[np.bool_]) -> JointCourse:
+    return JointCourse(ground, range(len(places)), places, covered, (), 0.0)
 
 
 @settings(max_examples=60, deadline=None)
@@ -37,10 +37,10 @@ def test_every_free_cell_has_one_number(seed: int, rows: int, columns: int) -> N
 
 def test_a_map_that_does_not_fit_the_wire_is_refused() -> None:
     with pytest.raises(ValueError, match="65536"):
-        Ground(np.zeros((257, 256), dtype=np.bool_), 4.0)
+        CellMap(np.zeros((257, 256), dtype=np.bool_), 4.0)
 
 
-def movers(plan: Course, at: list[int], willing: set[int]) -> set[int]:
+def movers(plan: JointCourse, at: list[int], willing: set[int]) -> set[int]:
     """Of those that want to go, who gets there: nobody enters a cell that is not being left."""
     moving = set(willing)
     while True:
@@ -79,10 +79,10 @@ def test_driven_at_any_pace_nobody_meets_and_all_arrive(seed: int, robots: int) 
 
 
 def test_what_is_covered_or_blocked_is_left_out() -> None:
-    ground = Ground(np.zeros((6, 6), dtype=np.bool_), 4.0)
+    ground = CellMap(np.zeros((6, 6), dtype=np.bool_), 4.0)
     covered = np.zeros(36, dtype=np.bool_)
     covered[:12] = True
-    plan = Course(
+    plan = JointCourse(
         ground, (3, 5), (ground.number((5, 5)), ground.number((4, 5))), covered, (20,), 0.0
     )
     assert not set(plan.todo.tolist()) & {*range(12), 20}
@@ -95,6 +95,6 @@ def test_what_is_covered_or_blocked_is_left_out() -> None:
 def test_equal_terms_are_one_course() -> None:
     ground, places = scene(4, 8, 8, 3)
     bits = np.packbits(np.zeros(len(ground), dtype=np.bool_)).tobytes()
-    one = Terms((0, 1, 2), tuple(places), bits, (), 0.0)
-    assert course_of(ground, one) is course_of(ground, Terms(*one))
+    one = CourseInputs((0, 1, 2), tuple(places), bits, (), 0.0)
+    assert course_of(ground, one) is course_of(ground, CourseInputs(*one))
     assert one.digest(ground) != one._replace(blocked=(5,)).digest(ground)

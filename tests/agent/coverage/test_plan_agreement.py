@@ -5,22 +5,22 @@ from random import Random
 import numpy as np
 import pytest
 
-from agent.coverage.cell_map import Ground
-from agent.coverage.plan_agreement import ANYBODY, Crew, GridRounds
+from agent.coverage.cell_map import CellMap
+from agent.coverage.plan_agreement import ANYBODY, CoverageAgreement, FleetSnapshot
 from agent.interface.config import MS, S
 from agent.mapf.agreement_phase import Phase
 from crdt import Progress
-from protocol.frames.accord_frames import Accord, Answer, Say
+from protocol.frames.accord_frames import Accord, AgreementKind, AgreementReply
 
 
 class Table:
     """Robots that stand at fixed cells and talk; who is in which island hears whom."""
 
     def __init__(self, robots: int, seed: int = 0, loss: float = 0.0) -> None:
-        self.ground = Ground(np.zeros((6, 6), dtype=np.bool_), 4.0)
-        self.rounds = {s: GridRounds(s, self.ground) for s in range(robots)}
+        self.ground = CellMap(np.zeros((6, 6), dtype=np.bool_), 4.0)
+        self.rounds = {s: CoverageAgreement(s, self.ground) for s in range(robots)}
         self.progress = {s: Progress(self.ground.section_units) for s in range(robots)}
-        self.answers = dict.fromkeys(range(robots), Answer.GRANT)
+        self.answers = dict.fromkeys(range(robots), AgreementReply.GRANT)
         self.live = {s: frozenset(range(robots)) for s in range(robots)}
         self.silent: dict[int, dict[int, int]] = {s: {} for s in range(robots)}
         self.rng, self.loss, self.now_us = Random(seed), loss, 0
@@ -30,7 +30,7 @@ class Table:
         while self.now_us < end_us:
             self.now_us += 50 * MS
             for slot, rounds in self.rounds.items():
-                crew = Crew(self.live[slot], self.silent[slot], self.progress[slot])
+                crew = FleetSnapshot(self.live[slot], self.silent[slot], self.progress[slot])
                 rounds.tick(slot, self.answers[slot], True, crew, self.now_us)
                 for word in rounds.say(self.now_us):
                     for other in self.live[slot] - {slot}:
@@ -73,12 +73,12 @@ def test_nobody_goes_while_replicas_differ() -> None:
 def test_one_that_cannot_move_is_gone_round_until_it_can() -> None:
     table = Table(3)
     table.run(2 * S)
-    table.answers[1] = Answer.STOPPED
+    table.answers[1] = AgreementReply.STOPPED
     table.run(3 * S)
     course = table.rounds[0].course
     assert course is not None and course.slots == (0, 2) and 1 not in course.todo
     assert all(course.place(r, s) != 1 for r in range(2) for s in range(course.finish() + 1))
-    table.answers[1] = Answer.GRANT
+    table.answers[1] = AgreementReply.GRANT
     table.run(3 * S)
     assert all(r.going for r in table.rounds.values())
 
@@ -129,8 +129,8 @@ def test_a_robot_far_ahead_in_rounds_is_followed() -> None:
     assert all(r.going for r in table.rounds.values())
 
 
-@pytest.mark.parametrize("say", list(Say))
-def test_words_out_of_range_do_nothing(say: Say) -> None:
+@pytest.mark.parametrize("say", list(AgreementKind))
+def test_words_out_of_range_do_nothing(say: AgreementKind) -> None:
     """What comes from the wire never raises; a cell that does not exist is not believed."""
     rounds, rng = Table(2).rounds[0], Random(7)
     for _ in range(300):

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agent.delivery.auction import Planner
+from agent.delivery.auction import RoutingPlanner
 from agent.delivery.cost_matrix import FULL, Carrier, workload
 from tests.agent.planning import COSTS, random_work, trips
 
@@ -14,7 +14,7 @@ from tests.agent.planning import COSTS, random_work, trips
 def test_every_task_is_given_to_one_robot_and_a_search_never_makes_it_worse(
     robots: int, tasks: int, seed: int
 ) -> None:
-    planner = Planner(random_work(robots, tasks, seed))
+    planner = RoutingPlanner(random_work(robots, tasks, seed))
     first = planner.auctioned()
     assert sorted(t for row in first for t in row) == list(range(tasks))
     better = planner.improved(first, seed, 2_000)
@@ -23,21 +23,21 @@ def test_every_task_is_given_to_one_robot_and_a_search_never_makes_it_worse(
 
 
 def test_the_same_seed_finds_the_same_plan() -> None:
-    planner = Planner(random_work(5, 30, 1))
+    planner = RoutingPlanner(random_work(5, 30, 1))
     first = planner.auctioned()
-    assert first == Planner(random_work(5, 30, 1)).auctioned()
+    assert first == RoutingPlanner(random_work(5, 30, 1)).auctioned()
     assert planner.improved(first, 7, 20_000) == planner.improved(first, 7, 20_000)
     assert planner.improved(first, 7, 20_000) != planner.improved(first, 8, 20_000)
 
 
 def test_a_small_problem_is_solved_to_its_optimum() -> None:
     work = random_work(2, 5, 3)
-    planner = Planner(work)
+    planner = RoutingPlanner(work)
     found = planner.worth(planner.improved(planner.auctioned(), 1, 20_000)).makespan_ms
     assert found == _best(planner)
 
 
-def _best(planner: Planner) -> int:
+def _best(planner: RoutingPlanner) -> int:
     from itertools import permutations
 
     tasks = range(planner.work.tasks)
@@ -49,7 +49,7 @@ def _best(planner: Planner) -> int:
 
 
 def test_insertion_costs_what_all_tasks_wait_longer() -> None:
-    planner = Planner(random_work(1, 4, 5))
+    planner = RoutingPlanner(random_work(1, 4, 5))
     place, cost = planner.inserted(0, [0, 1, 2], 3)
     waits = [
         sum(planner.span_ms(0, order[: k + 1]) for k in range(len(order)))
@@ -67,7 +67,7 @@ def test_a_battery_that_is_too_small_for_a_task_takes_none_of_it() -> None:
     for battery_m, feasible in ((3.0, False), (80.0, True)):
         carrier = Carrier(1.0, 2.0, battery_m=battery_m)
         work = workload(COSTS, carrier, given, [(0.5, 0.5)], [0], bays, [FULL])
-        plan = Planner(work).auctioned()
+        plan = RoutingPlanner(work).auctioned()
         assert (len(plan[0]) == 3) is feasible
 
 
@@ -79,7 +79,7 @@ def test_charging_makes_a_route_longer_and_keeps_it_possible() -> None:
     for battery_m in (1e6, 90.0):
         carrier = Carrier(1.0, 2.0, battery_m=battery_m, dock_s=10.0, charge_s=20.0)
         work = workload(COSTS, carrier, given, [(0.5, 0.5)], [0], bays, [FULL])
-        planner = Planner(work)
+        planner = RoutingPlanner(work)
         spans.append(planner.worth(planner.auctioned()))
     assert all(worth.feasible for worth in spans)
     assert spans[1].makespan_ms > spans[0].makespan_ms + 10_000

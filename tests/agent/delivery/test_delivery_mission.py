@@ -3,11 +3,11 @@
 import pytest
 
 from agent.delivery.cost_matrix import FULL, Carrier
-from agent.delivery.delivery_mission import Delivery
-from agent.delivery.itinerary_broadcast import Telling
-from agent.delivery.plan_negotiation import Frozen
-from agent.delivery.task_registry import TASKS_MAX, Order, stop_names
-from agent.delivery.warehouse import Standing, Warehouse
+from agent.delivery.delivery_mission import DeliveryMission
+from agent.delivery.itinerary_broadcast import ItineraryBroadcast
+from agent.delivery.plan_negotiation import ProblemSnapshot
+from agent.delivery.task_registry import TASKS_MAX, TransportTask, stop_names
+from agent.delivery.warehouse import CarrierState, Warehouse
 from agent.interface.config import S
 from agent.interface.lifecycle import State
 from agent.interface.mission import FleetView
@@ -21,7 +21,7 @@ NEAR, FAR = 0, 1  # a task of 20 s, and one of 90 s
 
 
 def house(carrier: Carrier, bays: list[tuple[float, float]]) -> Warehouse:
-    orders = {NEAR: Order(5, 20), FAR: Order(45, 0)}  # cells of the one row
+    orders = {NEAR: TransportTask(5, 20), FAR: TransportTask(45, 0)}  # cells of the one row
     return Warehouse(FLOOR, carrier, bays, orders)
 
 
@@ -37,10 +37,10 @@ def test_a_short_task_waits_for_the_new_plan_and_a_long_one_goes_on(
 ) -> None:
     """The mission's numbers: T_replan is 45 s, T_next 20 s or 90 s."""
     home = house(Carrier(1.0, 0.0), [])
-    mission = Delivery(0, home, (0.5, 0.5), 1.0, 1.6, 0, 1)
+    mission = DeliveryMission(0, home, (0.5, 0.5), 1.0, 1.6, 0, 1)
     now_us = 10 * S
-    here = [Standing(0, (0.5, 0.5), 0, FULL)]
-    mission.dispatch.round.call(Frozen((0,), (), home.work([], here)), 45 * S, now_us)
+    here = [CarrierState(0, (0.5, 0.5), 0, FULL)]
+    mission.dispatch.round.call(ProblemSnapshot((0,), (), home.work([], here)), 45 * S, now_us)
     mission.dispatch.itinerary = [task]
     choice = mission.choose(view(now_us))
     assert (choice is not None) is proceeds
@@ -52,13 +52,13 @@ def test_a_short_task_waits_for_the_new_plan_and_a_long_one_goes_on(
 def test_an_itinerary_names_the_charger_that_it_will_need() -> None:
     """105 m of a battery's 130 m leave too little for the way from there to the bay: first the bay."""
     home = house(Carrier(1.0, 0.0, battery_m=130.0, reserve=0.0), [(50.5, 0.5)])
-    mission = Delivery(0, home, (0.5, 0.5), 1.0, 1.6, 0, 1)
+    mission = DeliveryMission(0, home, (0.5, 0.5), 1.0, 1.6, 0, 1)
     mission.dispatch.itinerary = [NEAR, FAR]
     mission.dispatch.telling.changed(0)
     for k in range(10):
         mission.attend(view(k * S // 10), State.IDLE)
     assert mission.stops == ["P0", "D0", "C0", "P1", "D1"]
-    told, heard = [], Telling(0)
+    told, heard = [], ItineraryBroadcast(0)
     for frame in mission.say(S):
         told.append(frame)
         if type(frame).__name__ == "Itinerary":

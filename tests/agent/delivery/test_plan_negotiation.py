@@ -4,8 +4,8 @@ from random import Random
 
 import pytest
 
-from agent.delivery.plan_negotiation import PlanRound, Step, digest_of
-from agent.delivery.task_registry import Order, TaskBook
+from agent.delivery.plan_negotiation import NegotiationPhase, PlanNegotiation, digest_of
+from agent.delivery.task_registry import TaskRegistry, TransportTask
 from protocol.frames.delivery_frames import PlanRow
 from tests.agent.planning import frozen, play, short_search
 
@@ -33,11 +33,11 @@ def test_when_the_elected_dies_the_next_is_elected(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(4))
 def test_no_loss_keeps_anybody_in_a_round(seed: int) -> None:
     for peer in play(4, 0.3, seed):
-        assert peer.step is Step.REST
+        assert peer.step is NegotiationPhase.REST
 
 
 def test_rows_of_an_older_round_are_not_believed() -> None:
-    peer = PlanRound(0, 1)
+    peer = PlanNegotiation(0, 1)
     peer.call(frozen(2, 4, 1), 1_000_000, 0)
     peer.hear(1, PlanRow((peer.number - 1) & 0xFF, 0, 0, 1, 100, 0xFFFF), 0)
     assert not peer._told
@@ -51,12 +51,12 @@ def test_a_digest_tells_plans_apart() -> None:
 def test_task_books_become_equal_whatever_is_lost(seed: int) -> None:
     print(f"seed {seed}")
     rng = Random(seed)
-    books = [TaskBook(slot, {}, 0) for slot in range(4)]
+    books = [TaskRegistry(slot, {}, 0) for slot in range(4)]
     for task in {*range(60)} - {7}:
-        order = Order(rng.randrange(900), rng.randrange(900))
+        order = TransportTask(rng.randrange(900), rng.randrange(900))
         books[rng.randrange(4)].tasks[task] = order
     # one number was given to two tasks, in different halves of a split
-    books[0].tasks[7], books[1].tasks[7] = Order(1, 2), Order(3, 4)
+    books[0].tasks[7], books[1].tasks[7] = TransportTask(1, 2), TransportTask(3, 4)
     for step in range(1_200):
         for slot, book in enumerate(books):
             for said in list(book.say(step * 50_000)):
@@ -64,4 +64,4 @@ def test_task_books_become_equal_whatever_is_lost(seed: int) -> None:
                     if other != slot and rng.random() > 0.2:
                         heard.hear(said, step * 50_000)
     assert all(book.tasks == books[0].tasks for book in books)
-    assert len(books[0].tasks) == 60 and books[0].tasks[7] == Order(3, 4)
+    assert len(books[0].tasks) == 60 and books[0].tasks[7] == TransportTask(3, 4)

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agent.delivery.auction import Planner
+from agent.delivery.auction import RoutingPlanner
 from agent.delivery.routing_problem import Workload
-from agent.delivery.waiting_policy import EVERY_US, PATIENCE_US, Haste
+from agent.delivery.waiting_policy import EVERY_US, PATIENCE_US, WaitingPolicy
 from agent.interface.config import MS, S
 from protocol.frames.delivery_frames import HASTENS, PlanOffer
 from tests.agent.planning import frozen, play, random_work
@@ -21,7 +21,7 @@ from tools.bench.task_stream import LeastWaiting, Plan
 def test_hastened_tasks_wait_less_in_sum_and_the_last_finish_is_no_later(
     robots: int, tasks: int, seed: int
 ) -> None:
-    planner = Planner(random_work(robots, tasks, seed))
+    planner = RoutingPlanner(random_work(robots, tasks, seed))
     rng = Random(seed)
     plan: Plan = [[] for _ in range(robots)]
     for task in range(tasks):
@@ -38,7 +38,7 @@ def test_ways_that_cross_are_uncrossed() -> None:
     near, far = 10_000, 100_000
     lead = np.array([[near, near, far, far], [far, far, near, near]])
     link = np.array([[near if a // 2 == b // 2 else far for b in range(4)] for a in range(4)])
-    planner = Planner(Workload(np.zeros(2, dtype=np.int64), lead, link))
+    planner = RoutingPlanner(Workload(np.zeros(2, dtype=np.int64), lead, link))
     found = planner.hastened([[2, 3], [0, 1]], 1, 2_000)
     assert [set(row) for row in found] == [{0, 1}, {2, 3}]
     assert planner.waiting_ms(found) == 6 * near
@@ -47,7 +47,7 @@ def test_ways_that_cross_are_uncrossed() -> None:
 def test_no_sum_is_worth_a_later_last_finish() -> None:
     """After 50 and 60 ms; the other way round after 10 and 70, which is less in sum."""
     lead, link = np.array([[50, 10]]), np.array([[0, 10], [60, 0]])
-    planner = Planner(Workload(np.zeros(1, dtype=np.int64), lead, link))
+    planner = RoutingPlanner(Workload(np.zeros(1, dtype=np.int64), lead, link))
     assert planner.waiting_ms([[1, 0]]) < planner.waiting_ms([[0, 1]])
     assert planner.hastened([[0, 1]], 1, 2_000) == [[0, 1]]
 
@@ -57,7 +57,7 @@ def test_no_sum_is_worth_a_later_last_finish() -> None:
 def test_a_round_over_what_is_planned_is_adopted_by_all_or_ends(seed: int, loss: float) -> None:
     problem = frozen(4, 12, seed)
     plan = [[k, k + 4, k + 8] for k in range(4)]
-    planner = Planner(problem.work)
+    planner = RoutingPlanner(problem.work)
     peers = play(4, loss, seed, problem=problem._replace(plan=plan))
     assert not any(peer.active for peer in peers)
     adopted = [peer.adopted for peer in peers if peer.adopted is not None]
@@ -72,7 +72,7 @@ def test_a_round_over_what_is_planned_is_adopted_by_all_or_ends(seed: int, loss:
 
 def test_a_round_that_finds_nothing_streams_nothing() -> None:
     problem = frozen(4, 12, 1)
-    planner = Planner(problem.work)
+    planner = RoutingPlanner(problem.work)
     best = planner.hastened([[k, k + 4, k + 8] for k in range(4)], 1, 200_000)
     peers = play(4, 0.0, 1, problem=problem._replace(plan=best))
     assert not any(peer.active or peer.adopted or peer.streamed for peer in peers)
@@ -85,7 +85,7 @@ def test_a_call_says_what_for() -> None:
 
 
 def test_a_round_is_due_when_tasks_have_come_and_one_waits_behind_another() -> None:
-    haste = Haste(0)
+    haste = WaitingPolicy(0)
     assert haste.due(EVERY_US, 1, 4, 3)
     assert not haste.due(EVERY_US - 1, 1, 4, 3)
     assert not haste.due(EVERY_US, 0, 4, 3)  # nothing has come
@@ -97,7 +97,7 @@ def test_a_round_is_due_when_tasks_have_come_and_one_waits_behind_another() -> N
 
 
 def test_what_has_waited_for_long_is_held_with_all_before_it() -> None:
-    haste = Haste(0)
+    haste = WaitingPolicy(0)
     haste.known(5, 100 * S)
     haste.known(6, 200 * S)
     haste.known(5, 900 * S)  # told again: it is as old as before
@@ -125,6 +125,6 @@ def test_nothing_waits_for_ever_however_many_come(seed: int) -> None:
             ready = max(ready, 0) + int(link[0, first])
         work = Workload(np.array([ready - now_ms]), link[:1], link)
         before = plan[0][: policy.haste.held(plan[0], now_ms * MS)]
-        policy(Planner(work), plan, task, now_ms)
+        policy(RoutingPlanner(work), plan, task, now_ms)
         assert plan[0][: len(before)] == before
     assert begun_ms[0] <= PATIENCE_US // MS + near * rng.randint(1, 2)

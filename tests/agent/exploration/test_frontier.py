@@ -14,8 +14,8 @@ from agent.exploration.frontier import (
     NEVER,
     SEPARATION_M,
     STRAIGHT,
-    Choosing,
-    Rival,
+    FrontierChooser,
+    OtherExplorer,
     border_cells,
     frontiers,
     wave_from,
@@ -101,8 +101,8 @@ def choose(slot: int, at: tuple[int, int], others: dict[int, tuple[int, int]],
     values = half_known()
     free = values == FREE
     wave = wave_from(free, at)
-    rivals = [Rival(s, wave_from(free, a), claims.get(s)) for s, a in others.items()]
-    best = Choosing(slot, 0.1, 6).best(frontiers(values, wave, 6), wave, rivals)
+    rivals = [OtherExplorer(s, wave_from(free, a), claims.get(s)) for s, a in others.items()]
+    best = FrontierChooser(slot, 0.1, 6).best(frontiers(values, wave, 6), wave, rivals)
     return None if best is None else best.middle
 
 
@@ -126,7 +126,7 @@ def test_a_target_is_kept_unless_another_is_better_by_far(gain: float) -> None:
     values = half_known()
     wave = wave_from(values == FREE, (10, 15))
     found = frontiers(values, wave, 6)
-    choosing = Choosing(0, 0.1, 6)
+    choosing = FrontierChooser(0, 0.1, 6)
     best = choosing.best(found, wave, [])
     assert best is not None
     kept = next(f for f in found if f.patch != best.patch)

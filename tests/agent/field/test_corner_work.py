@@ -6,7 +6,7 @@ import numpy as np
 from shapely.geometry import box
 
 from agent.field.field_map import Field, Section
-from agent.field.field_mission import FieldWork
+from agent.field.field_mission import FieldMission
 from agent.field.work_leg import LEAD_M
 from agent.interface.config import CONTROL_PERIOD_US
 from agent.interface.mission import FleetView
@@ -36,7 +36,7 @@ def _worked(lifted_at: tuple[float, float] | None) -> tuple[list[int], float]:
     """
     field = _field()
     route = Route(np.zeros((120, 120), dtype=np.bool_), -1.0, -1.0, 0.25)
-    work = FieldWork(field, route, 0.8, 2.5, 1.5)
+    work = FieldMission(field, route, 0.8, 2.5, 1.5)
     progress, track = Progress(work.section_units), Track()
     x_m, y_m, now_us, stands = 2.0, 2.0, 0, 0
     covered: list[int] = []

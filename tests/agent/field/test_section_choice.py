@@ -3,7 +3,7 @@
 from shapely.geometry import Polygon
 
 from agent.field.field_division import divide
-from agent.field.section_choice import UNTAKEN_US, Choosing
+from agent.field.section_choice import UNTAKEN_US, SectionChooser
 from agent.interface.config import S
 from agent.interface.lifecycle import State
 from agent.interface.mission import FleetView
@@ -38,7 +38,7 @@ def all_but_one() -> FieldAllocationCRDT:
 def first_wants_us(slot: int, places: dict[int, tuple[float, float]]) -> int | None:
     """When it wants the last section, while nobody takes it."""
     progress = Progress({section.id: section.units for section in FIELD.sections})
-    choosing, other = Choosing(FIELD, 2.5), 2 - slot
+    choosing, other = SectionChooser(FIELD, 2.5), 2 - slot
     here = Observation(*places[slot], 0.0, 0.0, 0.0)
     view = FleetView(
         slot, 0, here, all_but_one(), progress, frozenset(places), {},

@@ -3,15 +3,15 @@
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agent.field.section_partition import Job, cut, shares
+from agent.field.section_partition import SectionJob, cut, shares
 
 jobs_of = st.lists(st.floats(0.1, 50), min_size=0, max_size=60).map(
-    lambda works: [Job(i, w, ((float(i), 0.0), (float(i), 9.0))) for i, w in enumerate(works)]
+    lambda works: [SectionJob(i, w, ((float(i), 0.0), (float(i), 9.0))) for i, w in enumerate(works)]
 )
 
 
 @given(jobs_of, st.integers(1, 12))
-def test_a_cut_is_a_partition_in_order(jobs: list[Job], parts: int) -> None:
+def test_a_cut_is_a_partition_in_order(jobs: list[SectionJob], parts: int) -> None:
     runs = cut(jobs, parts)
     assert [job for run in runs for job in run] == jobs
     assert len(runs) == min(parts, len(jobs)) or len(runs) <= parts
@@ -19,7 +19,7 @@ def test_a_cut_is_a_partition_in_order(jobs: list[Job], parts: int) -> None:
 
 
 @given(jobs_of, st.integers(1, 12))
-def test_no_run_is_longer_than_its_share_and_one_job(jobs: list[Job], parts: int) -> None:
+def test_no_run_is_longer_than_its_share_and_one_job(jobs: list[SectionJob], parts: int) -> None:
     if jobs:
         total_s, longest_s = sum(j.work_s for j in jobs), max(j.work_s for j in jobs)
         for run in cut(jobs, parts):
@@ -34,7 +34,7 @@ def test_no_run_is_longer_than_its_share_and_one_job(jobs: list[Job], parts: int
     ),
 )
 def test_everybody_gets_the_same_answer(
-    jobs: list[Job], robots: dict[int, tuple[float, float]]
+    jobs: list[SectionJob], robots: dict[int, tuple[float, float]]
 ) -> None:
     mine = shares(jobs, robots, 2.0)
     theirs = shares(jobs, dict(reversed(robots.items())), 2.0)
@@ -45,7 +45,7 @@ def test_everybody_gets_the_same_answer(
 
 
 def test_runs_go_to_the_robots_that_are_near() -> None:
-    jobs = [Job(i, 10.0, ((10.0 * i, 0.0),)) for i in range(8)]
+    jobs = [SectionJob(i, 10.0, ((10.0 * i, 0.0),)) for i in range(8)]
     robots = {3: (75.0, 0.0), 5: (0.0, 0.0)}
     result = shares(jobs, robots, 2.0)
     assert [job.section for job in result[5]] == [0, 1, 2, 3]

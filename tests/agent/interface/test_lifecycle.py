@@ -13,9 +13,9 @@ import pytest
 from agent.interface.config import S
 from agent.interface.effects import HALT, Drive
 from agent.interface.lifecycle import TABLE, Event, State
-from agent.interface.state_machine import Machine, matrix, to_mermaid
+from agent.interface.state_machine import StateMachine, matrix, to_mermaid
 from agent.peer.peer import Peer
-from agent.safety.stop_cause import Cause, Severity
+from agent.safety.stop_cause import Severity, StopCause
 from agent.safety.stop_controller import CREEP_M_S, SilencePolicy
 from protocol.frames.network_frames import AddressClaimed
 from protocol.frames.safety_frames import EmergencyReset, Reason
@@ -70,7 +70,7 @@ def test_a_table_with_a_hole_is_refused() -> None:
 
 
 def test_a_machine_moves_by_its_table() -> None:
-    machine = Machine("lifecycle", TABLE, State.DISCONNECTED)
+    machine = StateMachine("lifecycle", TABLE, State.DISCONNECTED)
     assert machine.fire(Event.FLEET_JOINED) == (State.DISCONNECTED, State.IDLE)
     assert machine.fire(Event.MANUAL_RESET) == (State.IDLE, State.IDLE)
 
@@ -78,8 +78,8 @@ def test_a_machine_moves_by_its_table() -> None:
 # ---------------------------------------------------------------- every state, event and cause
 
 
-@pytest.mark.parametrize("cause", [None, *Cause], ids=lambda c: c.name if c else "no cause")
-def test_every_state_event_and_cause(cause: Cause | None) -> None:
+@pytest.mark.parametrize("cause", [None, *StopCause], ids=lambda c: c.name if c else "no cause")
+def test_every_state_event_and_cause(cause: StopCause | None) -> None:
     """Events change the state as the table says and clear no cause; the gate knows causes alone."""
     severity = Severity.CLEAR if cause is None else cause.severity
     wanted = Drive(2.0, 0.0, 0.1, True)
@@ -100,15 +100,15 @@ def test_every_state_event_and_cause(cause: Cause | None) -> None:
             assert drive == wanted
 
 
-@pytest.mark.parametrize("cause", [None, *Cause], ids=lambda c: c.name if c else "no cause")
-def test_what_a_control_period_drives(cause: Cause | None) -> None:
+@pytest.mark.parametrize("cause", [None, *StopCause], ids=lambda c: c.name if c else "no cause")
+def test_what_a_control_period_drives(cause: StopCause | None) -> None:
     """Motion only in IDLE and WORKING, only with no cause above SLOW, the implement not else."""
     for state in State:
         peer = peer_in(state, cause)
         (drive,) = (e for e in peer._working.control(0) if isinstance(e, Drive))
         moves = state in (State.IDLE, State.WORKING) and peer.safety.may_move
         assert (drive != HALT) is moves, state
-        if cause is Cause.CREEP:
+        if cause is StopCause.CREEP:
             assert hypot(drive.vx_m_s, drive.vy_m_s) <= CREEP_M_S + 1e-9
 
 
@@ -125,39 +125,39 @@ ACTS: dict[str, Act] = {
     "disk failed": lambda peer: peer.disk_failed(0),
     "time": pass_time,
 }
-ENDED_BY: dict[Cause, str | None] = {
-    Cause.NOT_STARTED: "start",
-    Cause.OBSTACLE_AHEAD: None,  # by its answer, or when it leaves: tests/chaos/test_pause.py
-    Cause.CREEP: "time",  # here nobody is silent any more
-    Cause.MEMBER_SILENT: "time",
-    Cause.BACKBONE_LOST: None,  # when a segment is reached: tests/sim/rigs/test_segments_rig.py
-    Cause.BACKBONE_CREEP: None,
-    Cause.BUS_OFF: "bus back",
-    Cause.ERROR_PASSIVE: "time",  # the driver says that it is gone
-    Cause.UNHEARD: "time",
-    Cause.SENSES_OLD: "time",  # here they are in time again
-    Cause.PLACE_FROZEN: "start",  # or when the place changes, which it does not while the robot stands
-    Cause.ADDRESS_LOST: "time",  # it claims another
-    Cause.CONFIG_MISMATCH: "time",  # the other machine is not heard any more
-    Cause.DUPLICATE_ID: "time",
-    Cause.LATE_TICK: "time",
-    Cause.UNAUTHENTICATED_STOP: "time",
-    Cause.SPENT_STOP: "time",
-    Cause.IMPLEMENTS_STOP: "time",
-    Cause.DISK_ERROR: None,
-    Cause.STOP_DOT: "manual reset",  # here every dot is cleared
-    Cause.BOOT_UNCONFIRMED: "manual reset",
+ENDED_BY: dict[StopCause, str | None] = {
+    StopCause.NOT_STARTED: "start",
+    StopCause.OBSTACLE_AHEAD: None,  # by its answer, or when it leaves: tests/chaos/test_pause.py
+    StopCause.CREEP: "time",  # here nobody is silent any more
+    StopCause.MEMBER_SILENT: "time",
+    StopCause.BACKBONE_LOST: None,  # when a segment is reached: tests/sim/rigs/test_segments_rig.py
+    StopCause.BACKBONE_CREEP: None,
+    StopCause.BUS_OFF: "bus back",
+    StopCause.ERROR_PASSIVE: "time",  # the driver says that it is gone
+    StopCause.UNHEARD: "time",
+    StopCause.SENSES_OLD: "time",  # here they are in time again
+    StopCause.PLACE_FROZEN: "start",  # or when the place changes, which it does not while the robot stands
+    StopCause.ADDRESS_LOST: "time",  # it claims another
+    StopCause.CONFIG_MISMATCH: "time",  # the other machine is not heard any more
+    StopCause.DUPLICATE_ID: "time",
+    StopCause.LATE_TICK: "time",
+    StopCause.UNAUTHENTICATED_STOP: "time",
+    StopCause.SPENT_STOP: "time",
+    StopCause.IMPLEMENTS_STOP: "time",
+    StopCause.DISK_ERROR: None,
+    StopCause.STOP_DOT: "manual reset",  # here every dot is cleared
+    StopCause.BOOT_UNCONFIRMED: "manual reset",
 }
 RAISED_BY = {
-    "press": Cause.STOP_DOT,
-    "hold": Cause.NOT_STARTED,
-    "bus lost": Cause.BUS_OFF,
-    "disk failed": Cause.DISK_ERROR,
+    "press": StopCause.STOP_DOT,
+    "hold": StopCause.NOT_STARTED,
+    "bus lost": StopCause.BUS_OFF,
+    "disk failed": StopCause.DISK_ERROR,
 }
 
 
-@pytest.mark.parametrize("cause", Cause, ids=lambda c: c.name)
-def test_what_ends_each_cause_in_every_state(cause: Cause) -> None:
+@pytest.mark.parametrize("cause", StopCause, ids=lambda c: c.name)
+def test_what_ends_each_cause_in_every_state(cause: StopCause) -> None:
     for state, (name, act) in product(State, ACTS.items()):
         latches = cause.severity is Severity.LATCHED
         source = State.EMERGENCY_STOP if latches else state
@@ -172,9 +172,9 @@ def test_what_ends_each_cause_in_every_state(cause: Cause) -> None:
         if (
             name == "manual reset"
             and source is State.EMERGENCY_STOP
-            and cause is not Cause.DISK_ERROR
+            and cause is not StopCause.DISK_ERROR
         ):
-            expected |= {Cause.NOT_STARTED}  # reset is not start
+            expected |= {StopCause.NOT_STARTED}  # reset is not start
             assert peer.state is State.DISCONNECTED
         if name == "start" and latches:
             assert cause in held_by(peer), "a latched robot takes no start"
@@ -189,13 +189,13 @@ def test_how_silence_ends(policy: SilencePolicy) -> None:
     safety, everybody = peer.safety, frozenset(range(3))
     safety.members(everybody, frozenset(), 0)
     safety.members(everybody - {2}, frozenset({2}), 1 * S)
-    assert held_by(peer) == {Cause.MEMBER_SILENT}
+    assert held_by(peer) == {StopCause.MEMBER_SILENT}
     safety.tick(3 * S - 1)
-    assert held_by(peer) == {Cause.MEMBER_SILENT}, "two seconds without a change first"
+    assert held_by(peer) == {StopCause.MEMBER_SILENT}, "two seconds without a change first"
     safety.tick(3 * S)
     kept = {
-        SilencePolicy.STOP: {Cause.MEMBER_SILENT},
-        SilencePolicy.SLOW: {Cause.CREEP},
+        SilencePolicy.STOP: {StopCause.MEMBER_SILENT},
+        SilencePolicy.SLOW: {StopCause.CREEP},
         SilencePolicy.CONTINUE: set(),
     }
     assert held_by(peer) == kept[policy]
@@ -242,4 +242,4 @@ def test_an_address_that_is_lost_and_had_again_in_one_turn_is_had(late_us: int) 
         peer.tick(now_us)
     assert peer.address not in (None, address)
     assert peer.joining.joined and peer.state is State.IDLE
-    assert Cause.ADDRESS_LOST not in held_by(peer)
+    assert StopCause.ADDRESS_LOST not in held_by(peer)

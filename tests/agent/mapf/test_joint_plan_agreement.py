@@ -4,9 +4,9 @@ from random import Random
 
 from agent.interface.config import MS, S
 from agent.mapf.agreement_phase import Phase
-from agent.mapf.joint_plan_agreement import Accords
+from agent.mapf.joint_plan_agreement import JointPlanAgreement
 from agent.mapping.building import Floor
-from protocol.frames.accord_frames import Accord, Answer, Say
+from protocol.frames.accord_frames import Accord, AgreementKind, AgreementReply
 from sim.scenarios.building_generator import CORRIDOR
 
 FLOOR = Floor.drawn(CORRIDOR, 1.0, 0.35)
@@ -19,8 +19,8 @@ class Fleet:
 
     def __init__(self, at: list[Point], goals: list[Point | None], loss: float, seed: int) -> None:
         self.at, self.goals, self.loss, self.rng = list(at), goals, loss, Random(seed)
-        self.answers = [Answer.GRANT] * len(at)
-        self.accords = [Accords(slot, FLOOR.lattice, 0.35) for slot in range(len(at))]
+        self.answers = [AgreementReply.GRANT] * len(at)
+        self.accords = [JointPlanAgreement(slot, FLOOR.lattice, 0.35) for slot in range(len(at))]
         self.dead: set[int] = set()
         self.unaware: set[int] = set()  # of where the dead stand
         self.things: dict[int, list[Point]] = {}  # what a robot sees standing
@@ -103,7 +103,7 @@ def test_a_parked_robot_clears_the_way_and_returns() -> None:
 
 def test_who_refuses_is_an_obstacle() -> None:
     fleet = Fleet([(0.5, 0.5), (2.5, 0.5)], [(3.5, 0.5), None], 0.0, 1)
-    fleet.answers[1] = Answer.BUSY
+    fleet.answers[1] = AgreementReply.BUSY
     fleet.accords[0].call(0)
     fleet.run(30.0)
     assert fleet.at == [(3.5, 0.5), (2.5, 0.5)]
@@ -114,7 +114,7 @@ def test_who_refuses_is_an_obstacle() -> None:
 
 def test_where_a_refusal_leaves_no_way_nobody_moves_and_the_round_ends() -> None:
     fleet = Fleet([(5.5, 2.5), (8.5, 2.5)], [(12.5, 1.5), None], 0.0, 1)
-    fleet.answers[1] = Answer.STOPPED
+    fleet.answers[1] = AgreementReply.STOPPED
     fleet.accords[0].call(0)
     fleet.run(5.0)
     assert fleet.at[1] == (8.5, 2.5)
@@ -134,11 +134,11 @@ def test_words_of_an_old_round_are_not_heard_and_bad_nodes_do_no_harm() -> None:
     own = two(0.0, 1).accords[0]
     own.call(0)
     own.call(0)
-    own.hear(1, Accord(1, Say.PLACE, 0, 0, 0, 0), 0)
+    own.hear(1, Accord(1, AgreementKind.PLACE, 0, 0, 0, 0), 0)
     assert 1 not in own._places and own.round == 2
-    own.hear(1, Accord(2, Say.PLACE, 0, 60_000, 60_000, 0), 0)
+    own.hear(1, Accord(2, AgreementKind.PLACE, 0, 60_000, 60_000, 0), 0)
     assert 1 not in own._places
-    own.hear(1, Accord(3, Say.AT, 0, 9, 0, 0), 0)
+    own.hear(1, Accord(3, AgreementKind.AT, 0, 9, 0, 0), 0)
     assert own.round == 3 and own.phase is Phase.GATHER
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from agent.interface.config import CONTROL_PERIOD_US, S
 from agent.mapping.building import Floor
-from agent.mapping.dynamic_obstacles import BELIEVED_S, Hazards
+from agent.mapping.dynamic_obstacles import BELIEVED_S, DynamicObstacles
 from agent.mapping.ray_evidence import LEAST
 from protocol.sync.map_sync import MapSync
 from sim.scenarios.navigation_setup import ErrandSetting
@@ -30,7 +30,7 @@ class Two:
             assert sync is not None
             sync.live(frozenset((0, 1)))
             self.syncs.append(sync)
-        self.robots = [Hazards(floor, sync) for sync in self.syncs]
+        self.robots = [DynamicObstacles(floor, sync) for sync in self.syncs]
         self.looks = {0, 1}
         self.now_us = 0
 

@@ -6,13 +6,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agent.motion.path_tracker import Tracker
+from agent.motion.path_tracker import PathTracker
 
 DT_S = 0.05
 coordinate = st.floats(-50, 50)
 
 
-def drive(tracker: Tracker, x_m: float, y_m: float, seconds: float) -> tuple[float, float, float]:
+def drive(tracker: PathTracker, x_m: float, y_m: float, seconds: float) -> tuple[float, float, float]:
     """Simulate an ideal holonomic body; returns the end and the largest distance from the line."""
     worst_m = 0.0
     for _ in range(round(seconds / DT_S)):
@@ -27,13 +27,13 @@ def drive(tracker: Tracker, x_m: float, y_m: float, seconds: float) -> tuple[flo
 
 
 def test_a_straight_line_is_driven_straight() -> None:
-    tracker = Tracker([(0.0, 0.0), (40.0, 0.0)], 2.0, 1.0)
+    tracker = PathTracker([(0.0, 0.0), (40.0, 0.0)], 2.0, 1.0)
     x_m, y_m, worst_m = drive(tracker, 0.0, 0.0, 30.0)
     assert tracker.arrived and hypot(x_m - 40.0, y_m) < 0.3 and worst_m < 1e-6
 
 
 def test_an_offset_is_closed() -> None:
-    tracker = Tracker([(0.0, 0.0), (40.0, 0.0)], 2.0, 1.0)
+    tracker = PathTracker([(0.0, 0.0), (40.0, 0.0)], 2.0, 1.0)
     drive(tracker, 0.0, 0.8, 3.0)
     assert abs(tracker.off_m) < 0.05
 
@@ -43,7 +43,7 @@ def test_an_offset_is_closed() -> None:
 def test_it_arrives_from_anywhere(
     points: list[tuple[float, float]], x_m: float, y_m: float
 ) -> None:
-    tracker = Tracker(points, 2.0, 1.0)
+    tracker = PathTracker(points, 2.0, 1.0)
     x_m, y_m, _ = drive(tracker, x_m, y_m, 900.0)
     assert tracker.arrived, f"stands at {x_m:.2f}, {y_m:.2f} of {points}"
     assert hypot(x_m - points[-1][0], y_m - points[-1][1]) < 0.5
@@ -54,14 +54,14 @@ def test_it_slows_down_for_corners(angle: float) -> None:
     from math import cos, sin
 
     corner = [(0.0, 0.0), (20.0, 0.0), (20.0 + 20.0 * cos(angle), 20.0 * sin(angle))]
-    tracker = Tracker(corner, 3.0, 1.0)
+    tracker = PathTracker(corner, 3.0, 1.0)
     _, _, worst_m = drive(tracker, 0.0, 0.0, 120.0)
     assert tracker.arrived and worst_m < 0.6
 
 
 def test_before_its_beginning_and_after_its_end_a_line_is_as_far_as_its_ends() -> None:
     """An implement was lowered 3.6 m before its robot's section, in another's (found by chaos)."""
-    tracker = Tracker([(0.0, 0.0), (10.0, 0.0)], 2.5, 1.0)
+    tracker = PathTracker([(0.0, 0.0), (10.0, 0.0)], 2.5, 1.0)
     for x_m, y_m, gap_m in ((-3.0, 0.4, 3.026), (5.0, 0.4, 0.4), (12.0, 0.0, 2.0)):
         tracker.locate(x_m, y_m)
         assert abs(tracker.gap_m - gap_m) < 0.001

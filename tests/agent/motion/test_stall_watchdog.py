@@ -1,6 +1,6 @@
 """Who wants to drive and gets nowhere plans again, says so, and gives back what it gets nowhere with."""
 
-from agent.field.section_choice import AGAIN_US, STANDS_US, Choosing
+from agent.field.section_choice import AGAIN_US, STANDS_US, SectionChooser
 from agent.interface.config import CONTROL_PERIOD_US, S
 from agent.interface.lifecycle import State
 from agent.interface.mission import FleetView
@@ -73,7 +73,7 @@ def view(now_us: int, at: tuple[float, float], x_m: float, done: int = 0) -> Fle
 
 
 def taken_us(moves_m_s: float, until_us: int = 3 * STANDS_US) -> int | None:
-    choosing = Choosing(FIELD, 2.5)
+    choosing = SectionChooser(FIELD, 2.5)
     for now_us in range(0, until_us, CONTROL_PERIOD_US):
         choice = choosing.choose(view(now_us, (0.0, 0.0), moves_m_s * now_us / S), (0.0, 0.0))
         if choice is not None:
@@ -96,7 +96,7 @@ def test_a_live_robot_that_moves_on_keeps_its_claim() -> None:
 
 
 def test_a11_what_we_gave_back_is_left_to_others_until_one_gets_on() -> None:
-    choosing, last = Choosing(FIELD, 2.5), FIELD.sections[-1].id
+    choosing, last = SectionChooser(FIELD, 2.5), FIELD.sections[-1].id
     choosing.gave_back(last, 2, 0)
     free = view(AGAIN_US - 1, (0.0, 0.0), 0.0, done=2)
     free.allocation.release(last, 1)

@@ -9,16 +9,16 @@ from hypothesis import strategies as st
 from agent.interface.config import CONTROL_PERIOD_US, S
 from agent.interface.effects import Drive
 from agent.interface.lifecycle import State
-from agent.interface.mission import Wish
+from agent.interface.mission import MotionRequest
 from agent.interface.ports import Observation
-from agent.motion.holonomic_motion import MARGIN_M, Limits, Motion
-from agent.motion.stopping_zone import DRIVES_ON_US, GONE_QUIET_US, SPACING_M, Coasting
+from agent.motion.holonomic_motion import MARGIN_M, BodyLimits, HolonomicMotion
+from agent.motion.stopping_zone import DRIVES_ON_US, GONE_QUIET_US, SPACING_M, StoppingZone
 from agent.peer.membership import Neighbour
 from protocol.frames.fleet_frames import Pose
 from sim.world.drive_trains import Chassis
 from sim.world.world import World
 
-RADIUS_M, LIMITS = 0.8, Limits(0.8, 2.5, 1.5)
+RADIUS_M, LIMITS = 0.8, BodyLimits(0.8, 2.5, 1.5)
 NOBODY = Observation(0.0, 0.0, 0.0, 0.0, 0.0)
 SLIP_M = 0.2  # of wheels, and POSE rounds
 
@@ -54,7 +54,7 @@ def test_a_body_comes_to_rest_in_one_of_the_places(
         world.advance(now_us)
     world.advance(now_us := now_us + 4 * S)
     rest = body.sense(now_us)
-    coasting = Coasting(RADIUS_M, LIMITS.acceleration_m_s2)
+    coasting = StoppingZone(RADIUS_M, LIMITS.acceleration_m_s2)
     coasting.look({0: told}, NOBODY, now_us)
     places = coasting.places(0)
     assert places
@@ -64,7 +64,7 @@ def test_a_body_comes_to_rest_in_one_of_the_places(
 
 def test_it_is_known_until_it_is_heard_again_or_seen_through() -> None:
     silent = {4: beat_of(Observation(3.0, 0.0, 0.0, 2.0, 0.0), 0)}
-    coasting = Coasting(RADIUS_M, 1.5)
+    coasting = StoppingZone(RADIUS_M, 1.5)
     coasting.look(silent, NOBODY, GONE_QUIET_US - 1)
     assert coasting.places(4) is None  # it may only be between two beats: moved on by its age
     coasting.look(silent, NOBODY, GONE_QUIET_US)
@@ -94,7 +94,7 @@ def test_nobody_drives_into_a_body_that_braked_behind_its_last_beat(
     chassis = Chassis(acceleration_m_s2=1.5)
     dead = world.add_robot(0, (-6.0, 0.0), RADIUS_M, chassis, 0.0)
     alive = world.add_robot(1, (9.0 * cos(from_rad), 9.0 * sin(from_rad)), RADIUS_M, chassis, 0.0)
-    motion = Motion(1, LIMITS, np.empty((0, 4)))
+    motion = HolonomicMotion(1, LIMITS, np.empty((0, 4)))
     died_us, told = 2_400_000, beat_of(NOBODY, 0)
     closest_m = inf
     for now_us in range(0, 20 * S, CONTROL_PERIOD_US):
@@ -110,7 +110,7 @@ def test_nobody_drives_into_a_body_that_braked_behind_its_last_beat(
         dx_m, dy_m = goal[0] - here.x_m, goal[1] - here.y_m
         away_m = max(hypot(dx_m, dy_m), 1e-9)
         speed_m_s = min(2.5, away_m)
-        wish = Wish(dx_m / away_m * speed_m_s, dy_m / away_m * speed_m_s)
+        wish = MotionRequest(dx_m / away_m * speed_m_s, dy_m / away_m * speed_m_s)
         alive.drive(motion.drive(here, wish, {0: told}, now_us), now_us)
         rest = dead.sense(now_us)
         closest_m = min(closest_m, hypot(rest.x_m - here.x_m, rest.y_m - here.y_m))

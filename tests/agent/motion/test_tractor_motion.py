@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from agent.interface.lifecycle import State
-from agent.interface.mission import Wish
-from agent.motion.holonomic_motion import Limits as Body
+from agent.interface.mission import MotionRequest
+from agent.motion.holonomic_motion import BodyLimits as Body
 from agent.motion.tractor_motion import TractorMotion
-from agent.motion.tractor_tracker import Limits
+from agent.motion.tractor_tracker import SteeringLimits
 from agent.paths.tractor_route import TurnRoute
 from agent.peer.membership import Neighbour
 from protocol.frames.fleet_frames import Pose as Beat
@@ -19,7 +19,7 @@ from sim.world.world import World
 RADIUS_M, SPEED_M_S = 0.8, 2.0
 CELLS = np.zeros((240, 240), dtype=bool)  # 60 x 60 m
 TURNS = TurnRoute(CELLS, -30.0, -30.0, 0.25, 1.72)
-BODY, STEERING = Body(RADIUS_M, 2.5, 1.5), Limits(2.5, 0.7, 0.67)
+BODY, STEERING = Body(RADIUS_M, 2.5, 1.5), SteeringLimits(2.5, 0.7, 0.67)
 
 
 def meet(angle_rad: float, offset_m: float, seed: int) -> tuple[World, float, list[TractorMotion]]:
@@ -45,7 +45,7 @@ def meet(angle_rad: float, offset_m: float, seed: int) -> tuple[World, float, li
             heard[slot] = Neighbour(beat, now_us)
         for slot, (here, motion) in enumerate(zip(seen, motions, strict=True)):
             heading = here.heading_rad
-            wish = Wish(SPEED_M_S * cos(heading), SPEED_M_S * sin(heading), 0.0, True)
+            wish = MotionRequest(SPEED_M_S * cos(heading), SPEED_M_S * sin(heading), 0.0, True)
             others = {s: n for s, n in heard.items() if s != slot}
             bodies[slot].drive(motion.drive(here, wish, others, now_us), now_us)
     return world, closest_m, motions

@@ -8,14 +8,14 @@ from numpy.typing import NDArray
 from shapely.geometry import box
 
 from agent.interface.effects import Drive
-from agent.motion.tractor_tracker import Limits, TractorTracker, smooth_way
+from agent.motion.tractor_tracker import SteeringLimits, TractorTracker, smooth_way
 from agent.paths.tractor_route import Piece, Pose, sampled
 from sim.world.drive_trains import TRACTOR, Chassis, Kind
 from sim.world.world import World
 
 BEND = 1.0 / (1.2 * TRACTOR.turn_radius_m)
-LIMITS = Limits(2.5, 0.7, TRACTOR.steer_rad_s / (2 * TRACTOR.half_base_m))
-PIVOT_LIMITS = Limits(2.5, 0.7, 6.0)
+LIMITS = SteeringLimits(2.5, 0.7, TRACTOR.steer_rad_s / (2 * TRACTOR.half_base_m))
+PIVOT_LIMITS = SteeringLimits(2.5, 0.7, 6.0)
 PIVOT = Chassis(kind=Kind.DIFFERENTIAL)
 
 

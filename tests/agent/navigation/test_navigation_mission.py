@@ -9,7 +9,7 @@ from agent.interface.ports import Observation
 from agent.mapf.agreement_phase import Phase
 from agent.mapf.lacam import JointPlan
 from agent.mapping.building import Floor
-from agent.navigation.navigation_mission import FOLLOWED_MAX, Errands
+from agent.navigation.navigation_mission import FOLLOWED_MAX, NavigationMission
 from crdt import FieldAllocationCRDT, Progress
 from sim.scenarios.building_generator import CORRIDOR
 
@@ -17,7 +17,7 @@ FLOOR = Floor.drawn(CORRIDOR, 1.0, 0.35)
 PERIOD_US = 50_000
 
 
-def driven(errands: Errands, at: tuple[float, float]) -> tuple[list[float], list[float]]:
+def driven(errands: NavigationMission, at: tuple[float, float]) -> tuple[list[float], list[float]]:
     """Where a body that does as it is told was when its errand was done and in the end, and how fast
     it was on the way."""
     allocation = FieldAllocationCRDT(0)
@@ -44,7 +44,7 @@ def test_who_is_driven_over_its_goal_has_been_there(over: bool) -> None:
     lattice = FLOOR.lattice
     route = tuple(lattice.nearest((column + 0.5, 2.5)) for column in range(2, 12))
     goal = lattice.point(route[4]) if over else (13.5, 0.5)
-    errands = Errands(0, {0: [goal]}, FLOOR, 1.0, 1.0)
+    errands = NavigationMission(0, {0: [goal]}, FLOOR, 1.0, 1.0)
     accords = errands.accords
     accords.phase, accords.order = Phase.GO, (0,)
     accords.plan = JointPlan((route,), ((None,) * len(route),))
@@ -62,7 +62,7 @@ def test_m16_what_holds_a_lone_robot_up_and_no_ray_sees_is_driven_round() -> Non
     """A body that cannot get on, nobody near and nothing in sight: it stood for good."""
     floor = Floor.drawn("\n".join(["." * 16] * 5), 1.0, 0.35)
     goal, (x_m, y_m), (stop_x_m, stop_y_m) = (13.5, 2.5), (2.5, 2.5), (7.5, 2.5)
-    errands = Errands(0, {0: [goal]}, floor, 1.0, 1.0)
+    errands = NavigationMission(0, {0: [goal]}, floor, 1.0, 1.0)
     allocation = FieldAllocationCRDT(0)
     allocation.claim(0, 0)
     allocation.start(0, 0)
@@ -83,7 +83,7 @@ def test_m16_what_holds_a_lone_robot_up_and_no_ray_sees_is_driven_round() -> Non
 
 def test_f_lines_that_were_followed_are_forgotten_when_there_are_many() -> None:
     """A robot that is sent on its way again and again does not fill its memory."""
-    errands = Errands(0, {0: [(13.5, 0.5)]}, FLOOR, 1.0, 1.0)
+    errands = NavigationMission(0, {0: [(13.5, 0.5)]}, FLOOR, 1.0, 1.0)
     for number in range(FOLLOWED_MAX + 10):
         errands._set_out(((1.0, 0.5), (2.0, 0.5)), "lost", number)
     assert len(errands.followed) == FOLLOWED_MAX and errands.followed[0].t_us == 10

@@ -9,7 +9,7 @@ from random import Random
 import pytest
 
 from agent.mapping.building import Floor
-from sim.runs.navigation_run import Outing, OutingOutcome
+from sim.runs.navigation_run import NavigationRun, OutingOutcome
 from sim.scenarios.navigation_setup import ErrandSetting
 from sim.world.world import World
 
@@ -23,7 +23,7 @@ AISLES = 5  # in parallel, of one cell each, joined at both ends
 
 def outing(
     boxes: list[tuple[float, float, float, float]], floor: Floor = HALL
-) -> tuple[Outing, OutingOutcome]:
+) -> tuple[NavigationRun, OutingOutcome]:
     """One robot from west to east at 1 m/s; boxes of 0.8 m: from, until (seconds), x, y."""
     y_m = START[1] if floor is HALL else 0.5
     setting = ErrandSetting.made(
@@ -35,7 +35,7 @@ def outing(
 
 def _boxed(
     setting: ErrandSetting, boxes: Sequence[tuple[float, float, float, float]], size_m: float
-) -> tuple[Outing, OutingOutcome]:
+) -> tuple[NavigationRun, OutingOutcome]:
     def put(world: World, until_s: float, x_m: float, box_y_m: float) -> None:
         number = world.add_box(x_m, box_y_m, size_m)
         if until_s < inf:
@@ -49,11 +49,11 @@ def _boxed(
             return world
 
     starts, goals = setting.starts, list(setting.goals.values())
-    run = Outing(Boxed(setting.scenario, setting.floor, starts, goals))
+    run = NavigationRun(Boxed(setting.scenario, setting.floor, starts, goals))
     return run, run.run()
 
 
-def why(run: Outing) -> list[str]:
+def why(run: NavigationRun) -> list[str]:
     return [path.why for path in run.followed[0]]
 
 

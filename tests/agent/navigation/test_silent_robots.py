@@ -10,7 +10,7 @@ from agent.interface.config import MS, S
 from agent.interface.mission import FleetView
 from agent.interface.ports import Observation
 from agent.motion.stopping_zone import seen_through
-from agent.navigation.silent_robots import DEAD_US, NOWHERE_M, SURE_M, Bodies
+from agent.navigation.silent_robots import DEAD_US, NOWHERE_M, SURE_M, SilentRobots
 from agent.peer.membership import Neighbour
 from crdt import FieldAllocationCRDT, Progress
 from protocol.frames.accord_frames import Fallen
@@ -34,7 +34,7 @@ def beat(x_m: float, y_m: float, heard_us: int) -> Neighbour:
 
 
 def test_who_has_restarted_is_told_where_a_silent_member_stands() -> None:
-    knows, restarted = Bodies(0, 0), Bodies(1, 20 * S)
+    knows, restarted = SilentRobots(0, 0), SilentRobots(1, 20 * S)
     now_us = 10 * S + DEAD_US + 1
     knows.look(view(0, now_us, {0, 1}, {2: 10 * S}, {2: beat(3.2, 4.1, 10 * S)}))
     assert knows.dead == {2: (3.2, 4.1)} or abs(knows.dead[2][0] - 3.2) < 1e-6
@@ -45,7 +45,7 @@ def test_who_has_restarted_is_told_where_a_silent_member_stands() -> None:
 
 
 def test_a_member_that_is_heard_again_is_no_body() -> None:
-    bodies = Bodies(0, 0)
+    bodies = SilentRobots(0, 0)
     bodies.look(view(0, 20 * S, {0}, {2: 10 * S}, {2: beat(3.0, 4.0, 10 * S)}))
     assert 2 in bodies.dead
     bodies.look(view(0, 21 * S, {0, 2}, {}, {2: beat(3.0, 4.0, 21 * S)}))
@@ -55,7 +55,7 @@ def test_a_member_that_is_heard_again_is_no_body() -> None:
 @given(st.integers(0, 1 << 30))
 def test_all_come_to_know_the_latest_word_whatever_is_lost(seed: int) -> None:
     rng = Random(seed)
-    fleet = [Bodies(slot, rng.randrange(S)) for slot in range(4)]
+    fleet = [SilentRobots(slot, rng.randrange(S)) for slot in range(4)]
     for own in fleet:  # each has heard another last beat, before or behind a split
         heard_us = rng.randrange(1 * S, 30 * S)
         poses = {9: beat(rng.uniform(0, 50), rng.uniform(0, 50), heard_us)}
@@ -76,7 +76,7 @@ def test_all_come_to_know_the_latest_word_whatever_is_lost(seed: int) -> None:
 
 def test_a_place_that_is_seen_to_be_free_is_told_to_be() -> None:
     """A robot that drove on in a split stands elsewhere: its last place heard blocks nobody."""
-    bodies = Bodies(0, 0)
+    bodies = SilentRobots(0, 0)
     open_floor = HERE._replace(ranges_m=(inf,) * 36)
     known = {2: beat(1.0, 0.3, 10 * S)}
     bodies.look(view(0, 20 * S, {0}, {2: 10 * S}, known, open_floor))

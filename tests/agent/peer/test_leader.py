@@ -14,7 +14,7 @@ from protocol.links.bus import CanBus
 from sim.can.simulated_bus import FieldBus, forget, segment
 from sim.fleet.virtual_clock import elapse, run_virtual
 from tools.inspect.inspector import Inspector
-from tools.operate.pgn_client import Correspondent
+from tools.operate.pgn_client import PgnClient
 
 SIZE = 4
 numbers = count()
@@ -27,7 +27,7 @@ class Fleet:
     def __init__(self, engines: Engines, channel: str) -> None:
         self.engines, self.wire = engines, segment(channel).wire
         bus = FieldBus(channel)
-        self.device, self.letters, self.inspector = bus, Correspondent(CanBus(bus)), Inspector()
+        self.device, self.letters, self.inspector = bus, PgnClient(CanBus(bus)), Inspector()
         loop = asyncio.get_running_loop()
 
         def heard(frame) -> None:  # type: ignore[no-untyped-def]

@@ -10,7 +10,7 @@ from agent.interface.lifecycle import State
 from agent.peer.member_discovery import MEMBER_PGN
 from agent.peer.network_join import CLAIM_PGN
 from agent.peer.peer import Peer
-from agent.safety.stop_cause import Cause
+from agent.safety.stop_cause import StopCause
 from agent.safety.stop_controller import UNAUTHENTICATED_HOLD_US
 from crdt import Phase
 from protocol.frames.codec import encode
@@ -103,12 +103,12 @@ def test_a2_a_stop_from_an_unknown_address_holds_and_asks_until_its_name_is_know
     pass_until(peer, 2 * S)
     assert not held_by(peer)
     effects = [*peer.receive(encode(STOP, AT), 2 * S)]
-    assert HALT in effects and held_by(peer) == {Cause.UNAUTHENTICATED_STOP}
+    assert HALT in effects and held_by(peer) == {StopCause.UNAUTHENTICATED_STOP}
     effects += turn(peer, 2 * S)
     assert asked(effects, CLAIM_PGN) == [AT], "at once"
     for k in range(1, 18):
         effects += turn(peer, 2 * S + k * 50 * MS)
-        assert held_by(peer) == {Cause.UNAUTHENTICATED_STOP}, "said once, it holds all the same"
+        assert held_by(peer) == {StopCause.UNAUTHENTICATED_STOP}, "said once, it holds all the same"
     assert asked(effects, CLAIM_PGN) == [AT] * 5, "again and again, not faster"
     claims(peer, FOREIGN, now_us=2 * S + 900 * MS)
     turn(peer, 2 * S + UNAUTHENTICATED_HOLD_US)
@@ -161,7 +161,7 @@ def test_a2_a_used_stop_of_a_sender_without_a_name_is_a_press() -> None:
     for k in range(41):
         peer.receive(encode(STOP, AT), 3 * S + k * 20 * MS)
         turn(peer, 3 * S + k * 20 * MS)
-        assert Cause.UNAUTHENTICATED_STOP in held_by(peer)
+        assert StopCause.UNAUTHENTICATED_STOP in held_by(peer)
     for k in range(41, 60):
         turn(peer, 3 * S + k * 20 * MS)
         assert held_by(peer)
@@ -192,7 +192,7 @@ def test_a2_a_tool_with_our_name_commands() -> None:
     peer = peer_in(State.WORKING, None)
     claims(peer, tool_name(1), 249)
     peer.receive(encode(OperatorCommand(Command.HOLD, 255, 249), 249), 0)
-    assert held_by(peer) == {Cause.NOT_STARTED}
+    assert held_by(peer) == {StopCause.NOT_STARTED}
     peer.receive(encode(STOP, 249), 0)
     assert peer.safety.latched
 

@@ -10,7 +10,7 @@ from agent.interface.lifecycle import State
 from agent.peer.member_conflicts import GONE_US, TOLD_APART_US
 from agent.peer.membership import FAREWELL_US
 from agent.peer.peer import Peer
-from agent.safety.stop_cause import Cause
+from agent.safety.stop_cause import StopCause
 from protocol.frames.fleet_frames import Heartbeat, Member, Pose
 from protocol.frames.identifier import GLOBAL_ADDRESS
 from protocol.frames.messages import Message
@@ -52,7 +52,7 @@ def test_t1_another_field_description_holds_while_its_robot_speaks() -> None:
     for k in range(10):
         peer.hear(200, POSE, (3 + k) * S)
         list(running(peer, (3 + k) * S, (4 + k) * S))
-        assert Cause.CONFIG_MISMATCH in held_by(peer), k
+        assert StopCause.CONFIG_MISMATCH in held_by(peer), k
     list(running(peer, 13 * S, 13 * S + GONE_US))
     assert not held_by(peer), "it is gone"
 
@@ -61,7 +61,7 @@ def test_t1_it_ends_when_the_other_agrees() -> None:
     peer = robot()
     peer.hear(200, AddressClaimed(fleet_name("total", 2).pack()), 2 * S)
     peer.hear(200, Member(2, 0, OTHER_FIELD), 2 * S)
-    assert held_by(peer) == {Cause.CONFIG_MISMATCH}
+    assert held_by(peer) == {StopCause.CONFIG_MISMATCH}
     peer.hear(200, Member(2, 0, 1), 3 * S)
     assert not held_by(peer) and peer.membership.live == {0, 2}
 
@@ -81,7 +81,7 @@ def test_m17_our_slot_from_another_address() -> None:
     peer = robot()
     peer.hear(200, AddressClaimed(fleet_name("total", 0).pack() | 1 << 56), 2 * S)
     peer.hear(200, Member(0, 5, 1), 2 * S)
-    assert held_by(peer) == {Cause.DUPLICATE_ID}
+    assert held_by(peer) == {StopCause.DUPLICATE_ID}
     list(running(peer, 2 * S, 2 * S + GONE_US + S))
     assert not held_by(peer)
 
@@ -89,7 +89,7 @@ def test_m17_our_slot_from_another_address() -> None:
 def test_m17_our_name_from_another_address() -> None:
     peer = robot()
     peer.hear(200, AddressClaimed(peer.identity.name.pack()), 2 * S)
-    assert held_by(peer) == {Cause.DUPLICATE_ID}
+    assert held_by(peer) == {StopCause.DUPLICATE_ID}
 
 
 @pytest.mark.parametrize("late_us", [0, 300 * MS])
@@ -106,9 +106,9 @@ def test_m17_two_machines_with_one_identity_at_one_address_both_stand(late_us: i
                     source = peer.address if effect.source is None else effect.source
                     if source is not None:
                         other.hear(source, effect.message, now_us)
-    assert Cause.DUPLICATE_ID in held_by(one) and Cause.DUPLICATE_ID in held_by(two)
+    assert StopCause.DUPLICATE_ID in held_by(one) and StopCause.DUPLICATE_ID in held_by(two)
     list(running(one, 6 * S, 7 * S + GONE_US))
-    assert Cause.DUPLICATE_ID not in held_by(one), "the other is gone"
+    assert StopCause.DUPLICATE_ID not in held_by(one), "the other is gone"
 
 
 def test_m17_frames_that_a_driver_gives_back_are_our_own() -> None:
@@ -126,7 +126,7 @@ def test_m17_frames_that_a_driver_gives_back_are_our_own() -> None:
     list(running(peer, 5 * S, 6 * S))
     assert peer.address not in (None, address)
     peer.hear(address, AddressClaimed(peer.identity.name.pack()), 5 * S + S)
-    assert Cause.DUPLICATE_ID not in held_by(peer)
+    assert StopCause.DUPLICATE_ID not in held_by(peer)
 
 
 def test_m17_two_names_at_one_address_are_told_apart_first() -> None:
@@ -152,7 +152,7 @@ def test_t6_a_farewell_of_a_robot_that_goes_on_speaking_is_void() -> None:
         peer.hear(140, POSE, now_us)
     assert peer.membership.live == {0, 1} and peer.membership.void_farewells == 1
     list(running(peer, 4 * S, 5 * S))
-    assert Cause.MEMBER_SILENT in held_by(peer)
+    assert StopCause.MEMBER_SILENT in held_by(peer)
 
 
 def test_t6_the_tail_of_a_farewell_is_none() -> None:

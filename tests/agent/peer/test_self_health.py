@@ -28,7 +28,7 @@ from agent.peer.self_health import (
     readings,
 )
 from agent.peer.sense_freshness import AGE_MAX_US
-from agent.safety.stop_cause import Cause
+from agent.safety.stop_cause import StopCause
 from protocol.controller_health import Health
 from protocol.frames.codec import encode
 from protocol.frames.fleet_frames import Heartbeat, Member
@@ -83,16 +83,16 @@ def test_m25_nothing_against_it_is_full_health() -> None:
         (WELL._replace(bus=Health.WARNING), WARNED, Source.BUS),
         (WELL._replace(bus=Health.PASSIVE), DEGRADED, Source.BUS),
         (WELL._replace(bus=Health.OFF), FAILED, Source.BUS),
-        (WELL._replace(causes=[Cause.UNHEARD]), HOLDS, Source.BUS),
-        (WELL._replace(causes=[Cause.DISK_ERROR]), FAILED, Source.DISK),
-        (WELL._replace(causes=[Cause.BOOT_UNCONFIRMED]), HOLDS, Source.DISK),
+        (WELL._replace(causes=[StopCause.UNHEARD]), HOLDS, Source.BUS),
+        (WELL._replace(causes=[StopCause.DISK_ERROR]), FAILED, Source.DISK),
+        (WELL._replace(causes=[StopCause.BOOT_UNCONFIRMED]), HOLDS, Source.DISK),
         (WELL._replace(sense_age_us=None), FAILED, Source.SENSES),
         (WELL._replace(sense_age_us=AGE_MAX_US), DEGRADED, Source.SENSES),
         (WELL._replace(sense_age_us=AGE_MAX_US + 1), FAILED, Source.SENSES),
         (WELL._replace(sense_age_us=-1), FAILED, Source.SENSES),
-        (WELL._replace(causes=[Cause.PLACE_FROZEN]), FAILED, Source.SENSES),
-        (WELL._replace(causes=[Cause.SENSES_OLD]), HOLDS, Source.SENSES),
-        (WELL._replace(causes=[Cause.LATE_TICK]), DEGRADED, Source.COMPUTER),
+        (WELL._replace(causes=[StopCause.PLACE_FROZEN]), FAILED, Source.SENSES),
+        (WELL._replace(causes=[StopCause.SENSES_OLD]), HOLDS, Source.SENSES),
+        (WELL._replace(causes=[StopCause.LATE_TICK]), DEGRADED, Source.COMPUTER),
     ],
 )
 def test_m25_each_source_lowers_health(known: Known, share: float, source: Source) -> None:
@@ -103,13 +103,13 @@ def test_m25_each_source_lowers_health(known: Known, share: float, source: Sourc
 
 
 def test_m25_the_worst_source_counts() -> None:
-    bad = WELL._replace(battery=0.6, bus=Health.PASSIVE, causes=[Cause.SENSES_OLD, Cause.UNHEARD])
+    bad = WELL._replace(battery=0.6, bus=Health.PASSIVE, causes=[StopCause.SENSES_OLD, StopCause.UNHEARD])
     assert health(bad) == HOLDS
-    assert health(bad._replace(causes=[Cause.SENSES_OLD, Cause.DISK_ERROR])) == FAILED
+    assert health(bad._replace(causes=[StopCause.SENSES_OLD, StopCause.DISK_ERROR])) == FAILED
 
 
 def test_m25_every_cause_and_every_state_of_a_controller_has_its_rule() -> None:
-    assert set(OF_CAUSE) | NOT_OF_ITSELF == set(Cause)
+    assert set(OF_CAUSE) | NOT_OF_ITSELF == set(StopCause)
     assert not set(OF_CAUSE) & NOT_OF_ITSELF
     assert set(OF_BUS) == set(Health)
     for cause in NOT_OF_ITSELF:
@@ -125,15 +125,15 @@ def test_m25_a_heartbeat_of_a_robot_that_is_well_says_so() -> None:
 
 @pytest.mark.parametrize(("cause", "share"), [(c, share) for c, (share, _) in OF_CAUSE.items()])
 def test_m25_a_fault_is_in_the_heartbeat_and_its_reason_in_the_traces(
-    cause: Cause, share: float
+    cause: StopCause, share: float
 ) -> None:
     peer, now_us = joined()
     peer.safety.raise_cause(cause, now_us, "", 60 * S)
-    if cause is Cause.ERROR_PASSIVE:
+    if cause is StopCause.ERROR_PASSIVE:
         peer.check._passive_us = now_us - 2 * S
     known = peer.self_known(now_us)
     assert health(known) == share
-    if cause in (Cause.BUS_OFF, Cause.ADDRESS_LOST):  # it says nothing
+    if cause in (StopCause.BUS_OFF, StopCause.ADDRESS_LOST):  # it says nothing
         return
     beat = peer.voice._heartbeat(peer, now_us)
     assert heartbeats(beat)[0].health == share

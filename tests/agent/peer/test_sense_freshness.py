@@ -11,17 +11,17 @@ from agent.interface.config import ACTUATOR_TTL_US, CONTROL_PERIOD_US, MS, S
 from agent.interface.effects import HALT, Drive, Effect, Send
 from agent.interface.lifecycle import State
 from agent.interface.ports import Observation
-from agent.motion.holonomic_motion import Limits, Motion
+from agent.motion.holonomic_motion import BodyLimits, HolonomicMotion
 from agent.motion.stopping_zone import GONE_QUIET_US
 from agent.peer.peer import Peer
 from agent.peer.sense_freshness import AGE_MAX_US, FROZEN_M, STEADY_US
-from agent.safety.stop_cause import Cause
+from agent.safety.stop_cause import StopCause
 from protocol.controller_health import Health
 from protocol.frames.fleet_frames import NOWHERE_M, PLACE_UNKNOWN_M_S, Pose
 from tests.agent.lone_peer import held_by, introduce, peer_in
 
 SPEED_M_S, ACCELERATION_M_S2 = 2.5, 1.5
-SENSES = {Cause.SENSES_OLD, Cause.PLACE_FROZEN}
+SENSES = {StopCause.SENSES_OLD, StopCause.PLACE_FROZEN}
 
 
 class Robot:
@@ -57,7 +57,7 @@ class Robot:
         return self
 
     @property
-    def held(self) -> set[Cause]:
+    def held(self) -> set[StopCause]:
         return held_by(self.peer) & SENSES
 
 
@@ -77,7 +77,7 @@ def test_item_3_old_senses_stop_a_robot_two_periods_later() -> None:
     while robot.told != HALT:
         robot.period()
     assert robot.now_us - lost_us <= AGE_MAX_US + CONTROL_PERIOD_US
-    assert robot.held == {Cause.SENSES_OLD} and AGE_MAX_US <= ACTUATOR_TTL_US
+    assert robot.held == {StopCause.SENSES_OLD} and AGE_MAX_US <= ACTUATOR_TTL_US
     before_m = robot.x_m
     robot.periods(100)
     assert robot.v_m_s == 0.0 and robot.x_m - before_m < 2.0
@@ -101,7 +101,7 @@ def test_item_3_a_time_of_the_future_or_of_never_is_no_time(wrong_us: int) -> No
     robot.blind = True
     assert robot.sensed is not None
     robot.sensed = robot.sensed._replace(sensed_at_us=wrong_us)
-    assert robot.periods(1).told == HALT and robot.held == {Cause.SENSES_OLD}
+    assert robot.periods(1).told == HALT and robot.held == {StopCause.SENSES_OLD}
     robot.sensed = Observation(0.0, 0.0, 0.0, 0.0, 0.0)
     assert robot.periods(1).told == HALT
 
@@ -119,7 +119,7 @@ def test_item_3_a_frozen_place_stops_a_robot_that_drives() -> None:
     robot.frozen, from_m = True, robot.x_m
     while robot.told != HALT:
         robot.period()
-    assert robot.held == {Cause.PLACE_FROZEN}
+    assert robot.held == {StopCause.PLACE_FROZEN}
     assert robot.x_m - from_m <= SPEED_M_S * 0.2
     robot.periods(100)
     assert robot.v_m_s == 0.0 and robot.x_m - from_m < 2.5
@@ -131,7 +131,7 @@ def test_item_3_a_frozen_place_stops_a_robot_that_begins_to_drive() -> None:
     robot.periods(1)
     robot.frozen = True
     robot.periods(100)
-    assert robot.held == {Cause.PLACE_FROZEN}
+    assert robot.held == {StopCause.PLACE_FROZEN}
     assert FROZEN_M < robot.x_m < 0.6, "and it does not try again by itself"
 
 
@@ -147,14 +147,14 @@ def test_item_3_a_place_that_changes_ends_it_and_so_does_an_operators_start() ->
         at_m = robot.x_m
         robot.peer.start(robot.now_us)
         robot.periods(60)
-        assert robot.held == {Cause.PLACE_FROZEN}, "it looks again, and stands again"
+        assert robot.held == {StopCause.PLACE_FROZEN}, "it looks again, and stands again"
         assert FROZEN_M < robot.x_m - at_m < 0.6
 
 
 @pytest.mark.parametrize("slow_m_s2", [0.05, 0.3, 1.5])
 def test_item_3_a_robot_that_begins_slowly_is_not_frozen(slow_m_s2: float) -> None:
     robot = Robot()
-    motion = Motion(0, Limits(0.8, SPEED_M_S, slow_m_s2), np.empty((0, 4)))
+    motion = HolonomicMotion(0, BodyLimits(0.8, SPEED_M_S, slow_m_s2), np.empty((0, 4)))
     robot.peer.motion = motion
     step_m_s = slow_m_s2 * CONTROL_PERIOD_US / S
     for _ in range(200):
@@ -180,7 +180,7 @@ def test_item_3_a_beat_without_a_place_leaves_the_last_one_and_makes_it_uncertai
     assert (pose.x_m, pose.speed_m_s, pose.state) == (5.0, 2.0, State.IDLE)
     assert now_us - heard_us > GONE_QUIET_US
     here = Observation(0.0, 0.0, 0.0, 0.0, 0.0, sensed_at_us=now_us)
-    assert isinstance(peer.motion, Motion)
+    assert isinstance(peer.motion, HolonomicMotion)
     peer.motion.coasting.look(peer.membership.neighbours, here, now_us)
     places = peer.motion.coasting.places(1)
     assert places is not None and max(hypot(x_m - 5.0, y_m) for x_m, y_m in places) > 1.5

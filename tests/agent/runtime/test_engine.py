@@ -11,7 +11,7 @@ import can
 import pytest
 
 from agent.runtime.engine import FleetCoordinationEngine
-from agent.safety.stop_cause import Cause
+from agent.safety.stop_cause import StopCause
 from agent.safety.stop_controller import CREEP_M_S, SilencePolicy
 from protocol.authentication import Keyring, Keys
 from protocol.links.bus import CanBus
@@ -360,7 +360,7 @@ def test_m18_a_machine_whose_receiver_falls_silent_stands_and_says_so() -> None:
 def test_m18_the_speed_limit_of_a_machine_says_creep_and_stand() -> None:
     async def story(engines: list[FleetCoordinationEngine]) -> None:
         engine = engines[0]
-        engine._peer.safety.raise_cause(Cause.CREEP, 0, "silent [1]")
+        engine._peer.safety.raise_cause(StopCause.CREEP, 0, "silent [1]")
         assert engine.speed_limit_m_s == CREEP_M_S
         await engines[1].broadcast_emergency_stop("SYSTEM_FAULT")
         await elapse(0.05)

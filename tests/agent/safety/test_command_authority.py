@@ -2,7 +2,7 @@
 
 import pytest
 
-from agent.safety.command_authority import AGREE_US, Authority
+from agent.safety.command_authority import AGREE_US, CommandAuthority
 from protocol.authentication import Keyring, Keys
 from protocol.frames.safety_frames import Command, EmergencyReset, EmergencyStop, OperatorCommand
 from tools.bench import forgery
@@ -11,9 +11,9 @@ KEYS = Keys(bytes(16), bytes(range(16)))
 DEVICE, ROBOT = 249, 0
 
 
-def proven() -> tuple[Authority, Keyring]:
+def proven() -> tuple[CommandAuthority, Keyring]:
     """A robot and an operator that has proven where its counter is, at time 0."""
-    authority = Authority(ROBOT, Keyring(KEYS, ROBOT, b"boot"))
+    authority = CommandAuthority(ROBOT, Keyring(KEYS, ROBOT, b"boot"))
     device = Keyring(Keys(None, KEYS.operator), DEVICE, b"session")
     ring = authority.keyring
     assert ring is not None
@@ -27,7 +27,7 @@ def proven() -> tuple[Authority, Keyring]:
 @pytest.mark.parametrize("every", [3, 50])
 @pytest.mark.parametrize("spacing_us", [forgery.BUS_SPACING_US, forgery.SLOW_SPACING_US])
 def test_an_attacker_releases_nobody(spacing_us: int, every: int) -> None:
-    siege = forgery.Siege(7, spacing_us, every)
+    siege = forgery.ForgeryAttack(7, spacing_us, every)
     siege.run(5_000)
     assert sum(siege.accepted.values()) == 0, "seed 7"
     assert siege.safety.authority.refused > 3_000 and siege.safety.stops.latched
@@ -35,7 +35,7 @@ def test_an_attacker_releases_nobody(spacing_us: int, every: int) -> None:
 
 def test_the_campaign_finds_a_robot_that_does_not_look(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Keyring, "verify", lambda self, message, sender, now_us: True)
-    siege = forgery.Siege(7, forgery.SLOW_SPACING_US, 50)
+    siege = forgery.ForgeryAttack(7, forgery.SLOW_SPACING_US, 50)
     siege.run(300)
     assert sum(siege.accepted.values())
 
@@ -64,7 +64,7 @@ def test_a_robot_gives_no_orders() -> None:
 
 
 def test_without_keys_everybody_is_believed() -> None:
-    authority = Authority(ROBOT, None)
+    authority = CommandAuthority(ROBOT, None)
     reset = EmergencyReset(1, 1, 1, DEVICE)
     assert authority.believes(reset, DEVICE, 0) and authority.agreed(reset, 0)
     assert not authority.ask(DEVICE, 0) and authority.refused == 0

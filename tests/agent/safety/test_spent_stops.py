@@ -8,8 +8,8 @@ from agent.interface.config import MS, STOP_REPEAT_US, S
 from agent.interface.effects import HALT, Effect, Send
 from agent.interface.lifecycle import State
 from agent.peer.peer import Peer
-from agent.safety.stop_cause import Cause
-from agent.safety.stop_controller import AGAIN_US, SPENT_HOLD_US, Safety, SilencePolicy
+from agent.safety.stop_cause import StopCause
+from agent.safety.stop_controller import AGAIN_US, SPENT_HOLD_US, SilencePolicy, StopController
 from crdt.stops import ACTIVE_MAX, StopDot
 from protocol.authentication import Keyring, Keys
 from protocol.fleet_tags import HeldTags
@@ -107,7 +107,7 @@ def test_t5_a_pressed_robot_that_is_told_takes_another_name() -> None:
 
 
 def test_t11_a_signed_stop_stops_though_its_name_was_cleared() -> None:
-    safety = Safety(0, 1, SilencePolicy.STOP, Keyring(KEYS, 0, b"robot"), {}, 0)
+    safety = StopController(0, 1, SilencePolicy.STOP, Keyring(KEYS, 0, b"robot"), {}, 0)
     panel = Keyring(Keys(KEYS.master, None), PANEL, b"panel")
     safety.start(0)
     safety.stops.clear(DOT)
@@ -122,7 +122,7 @@ def test_t11_a_signed_stop_stops_though_its_name_was_cleared() -> None:
 def test_t5_forged_words_that_a_name_was_used_hold_for_a_moment_only() -> None:
     peer = introduce_tools(peer_in(State.WORKING, None), PANEL, 249)
     peer.hear(PANEL, PRESS._replace(echo=True, spent=True), S)
-    assert held_by(peer) == {Cause.SPENT_STOP}
+    assert held_by(peer) == {StopCause.SPENT_STOP}
     peer.safety.tick(S + SPENT_HOLD_US)
     assert peer.safety.may_move and not peer.safety.latched
 
@@ -130,8 +130,8 @@ def test_t5_forged_words_that_a_name_was_used_hold_for_a_moment_only() -> None:
 # ---------------------------------------------------------------- many stops
 
 
-def full(count: int, keyring: Keyring | None = None) -> Safety:
-    safety = Safety(0, 1, SilencePolicy.STOP, keyring, {}, 0)
+def full(count: int, keyring: Keyring | None = None) -> StopController:
+    safety = StopController(0, 1, SilencePolicy.STOP, keyring, {}, 0)
     for k in range(count):
         safety.press_near(StopDot(k >> 8 & 0x7F, k & 0xFF, k & 0xFF), 0)
     return safety

@@ -17,7 +17,7 @@ from agent.safety.standard_stop import (
     OwnButton,
     ShortcutButtons,
 )
-from agent.safety.stop_cause import Cause
+from agent.safety.stop_cause import StopCause
 from crdt.stops import StopDot
 from protocol.frames.fleet_frames import Member
 from protocol.frames.network_frames import AddressClaimed
@@ -49,9 +49,9 @@ def test_a1_release_of_one_button_keeps_the_stop_of_another(named: bool, switch:
     for second in range(10):
         peer.hear(FIRST, AllImplementsStop(1, switch), second * S)
         peer.hear(SECOND, AllImplementsStop(0, Switch.PERMIT), second * S + S // 2)
-        assert Cause.IMPLEMENTS_STOP in held_by(peer), second
+        assert StopCause.IMPLEMENTS_STOP in held_by(peer), second
     peer.hear(FIRST, AllImplementsStop(1, Switch.PERMIT), 10 * S)
-    assert Cause.IMPLEMENTS_STOP not in held_by(peer), "its own permit ends it"
+    assert StopCause.IMPLEMENTS_STOP not in held_by(peer), "its own permit ends it"
 
 
 def test_a1_a_silent_button_holds_for_its_time_out() -> None:
@@ -60,28 +60,28 @@ def test_a1_a_silent_button_holds_for_its_time_out() -> None:
     for now_us in range(0, 2 * HOLD_US, S // 2):
         peer.hear(SECOND, AllImplementsStop(0, Switch.PERMIT), now_us)
         peer.safety.tick(now_us)
-        assert (Cause.IMPLEMENTS_STOP in held_by(peer)) is (now_us < HOLD_US), now_us
+        assert (StopCause.IMPLEMENTS_STOP in held_by(peer)) is (now_us < HOLD_US), now_us
 
 
 def test_a1_a_missed_transition_stops() -> None:
     peer = bus(True)
     peer.hear(FIRST, AllImplementsStop(4, Switch.PERMIT), 0)
-    assert Cause.IMPLEMENTS_STOP not in held_by(peer), "what it counted before we were there"
+    assert StopCause.IMPLEMENTS_STOP not in held_by(peer), "what it counted before we were there"
     peer.hear(FIRST, AllImplementsStop(5, Switch.PERMIT), S)
     for now_us in range(S, S + HOLD_US, S // 2):
         peer.hear(FIRST, AllImplementsStop(5, Switch.PERMIT), now_us)
-        assert Cause.IMPLEMENTS_STOP in held_by(peer), "a press was missed"
+        assert StopCause.IMPLEMENTS_STOP in held_by(peer), "a press was missed"
     peer.hear(FIRST, AllImplementsStop(5, Switch.PERMIT), S + HOLD_US)
-    assert Cause.IMPLEMENTS_STOP not in held_by(peer)
+    assert StopCause.IMPLEMENTS_STOP not in held_by(peer)
     peer.hear(FIRST, AllImplementsStop(0, Switch.PERMIT), 6 * S)
-    assert Cause.IMPLEMENTS_STOP not in held_by(peer), "it was switched off and on"
+    assert StopCause.IMPLEMENTS_STOP not in held_by(peer), "it was switched off and on"
 
 
 def test_t4_a_reset_tool_permits_for_itself_alone() -> None:
     peer = bus(True)
     peer.hear(FIRST, AllImplementsStop(1, Switch.STOP), 0)
     peer.hear(249, AllImplementsStop(0, Switch.PERMIT), MS)
-    assert Cause.IMPLEMENTS_STOP in held_by(peer)
+    assert StopCause.IMPLEMENTS_STOP in held_by(peer)
 
 
 def test_a1_more_buttons_than_addresses_only_stand_longer() -> None:
@@ -176,6 +176,6 @@ def test_a4_a_robot_that_stays_latched_alone_brakes_the_others_once() -> None:
     for now_us in range(0, 6 * S, S):
         peer.hear(140, AllImplementsStop(1, Switch.STOP), now_us)
         peer.safety.tick(now_us)
-        assert (Cause.IMPLEMENTS_STOP in held_by(peer)) is (now_us < HOLD_US), now_us
+        assert (StopCause.IMPLEMENTS_STOP in held_by(peer)) is (now_us < HOLD_US), now_us
     peer.hear(140, AllImplementsStop(2, Switch.STOP), 6 * S)
-    assert Cause.IMPLEMENTS_STOP in held_by(peer), "pressed again"
+    assert StopCause.IMPLEMENTS_STOP in held_by(peer), "pressed again"

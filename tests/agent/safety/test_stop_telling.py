@@ -7,7 +7,7 @@ import pytest
 from agent.interface.config import MS, STOP_REPEAT_US, S
 from agent.interface.effects import Effect, Send
 from agent.interface.lifecycle import State
-from agent.safety.stop_controller import REPEATS_ALONE, Safety, SilencePolicy
+from agent.safety.stop_controller import REPEATS_ALONE, SilencePolicy, StopController
 from crdt.stops import StopDot
 from protocol.frames.fleet_frames import Pose
 from protocol.frames.network_frames import AddressClaimed
@@ -105,7 +105,7 @@ def test_a_life_without_memory_names_its_stops_anew() -> None:
     byte of the first, which is all that a stop says of it."""
     names = set()
     for incarnation in (1, 39681, 39682):
-        safety = Safety(0, incarnation, SilencePolicy.STOP, None, {}, 0)
+        safety = StopController(0, incarnation, SilencePolicy.STOP, None, {}, 0)
         (stop,) = stops_of(safety.press(Reason.PERSON_IN_FIELD, 0))
         names.add((stop.incarnation, stop.counter))
     assert len(names) == 3

@@ -21,9 +21,9 @@ from protocol.frames.network_frames import (
 from protocol.frames.operator_frames import (
     LOWEST_M,
     PLACE_M,
-    Matter,
     OperatorGoal,
     OperatorReport,
+    ReportKind,
     goal_frames,
 )
 from protocol.frames.safety_frames import (
@@ -62,7 +62,7 @@ KINDS: dict[Any, st.SearchStrategy[Any]] = {
         OperatorReport,
         u8,
         st.integers(0, 15),
-        st.sampled_from(Matter),
+        st.sampled_from(ReportKind),
         u16.map(lambda n: n * PLACE_M + LOWEST_M),
         u16.map(lambda n: n * PLACE_M + LOWEST_M),
         u8.map(lambda n: n * PLACE_M),

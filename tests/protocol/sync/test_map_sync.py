@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from crdt.occupancy import Geometry
-from crdt.sighting import Order
+from crdt.sighting import MergeOrder
 from protocol.frames.map_frames import CODES, NODES, MapDigests, MapPatch
 from protocol.sync.map_sync import decode_cells, encode_cells
 from sim.rigs.map_rig import MapFleet
@@ -39,7 +39,7 @@ def test_what_is_out_of_range_is_not_read() -> None:
 
 
 def test_news_reach_everybody_without_repair() -> None:
-    fleet = MapFleet(4, ARENA, Order.DECAYED, 1)
+    fleet = MapFleet(4, ARENA, MergeOrder.DECAYED, 1)
     for _ in range(200):
         fleet.look(fleet.rng.randrange(4))
         fleet.run(20_000)
@@ -54,7 +54,7 @@ def test_news_reach_everybody_without_repair() -> None:
 def test_loss_splits_and_joins_end_equal_after_two_seconds_of_quiet(seed: int) -> None:
     rng = Random(f"{seed}/maps")
     size = rng.choice([2, 3, 5, 8])
-    fleet = MapFleet(size, ARENA, rng.choice(list(Order)), seed)
+    fleet = MapFleet(size, ARENA, rng.choice(list(MergeOrder)), seed)
     fleet.wire.faults.loss = rng.choice([0.0, 0.05, 0.2])
     for _ in range(3):
         slots = list(fleet.members)
@@ -73,7 +73,7 @@ def test_loss_splits_and_joins_end_equal_after_two_seconds_of_quiet(seed: int) -
 
 
 def test_the_share_of_the_bus_is_kept_and_shared_out() -> None:
-    fleet = MapFleet(8, Geometry(200, 200, (0.0, 0.0), 0.1), Order.DECAYED, 3)
+    fleet = MapFleet(8, Geometry(200, 200, (0.0, 0.0), 0.1), MergeOrder.DECAYED, 3)
     for _ in range(300):
         for slot in range(8):
             fleet.look(slot)

@@ -14,7 +14,7 @@ import pytest
 from agent.interface.identity import Identity
 from agent.peer.peer import Peer
 from agent.peer.pgn_responder import COMPONENT_PGN
-from agent.runtime.peer_runner import Shell
+from agent.runtime.peer_runner import PeerRunner
 from protocol.frames.codec import encode
 from protocol.frames.frame import Frame
 from protocol.frames.network_frames import Acknowledgment, Control
@@ -47,8 +47,8 @@ class Bus:
 
     def add_peer(self, slot: int) -> Peer:
         identity = Identity(slot, frozenset({slot}), fleet_name("interop", slot), 1)
-        peer = Peer(identity, Random(slot), Shell.now_us(), {})
-        shell = Shell(peer, CanBus(FieldBus(self.segment.channel)), None, None)
+        peer = Peer(identity, Random(slot), PeerRunner.now_us(), {})
+        shell = PeerRunner(peer, CanBus(FieldBus(self.segment.channel)), None, None)
         self._tasks.append(asyncio.create_task(shell.run()))
         self.peers.append(peer)
         return peer

@@ -7,15 +7,15 @@ from crdt import Phase
 from protocol.frames.safety_frames import EmergencyStop
 from protocol.frames.work_frames import StateSyncResponse, TaskClaim, WorkProgress
 from sim.chaos.durability_rules import lost
-from sim.chaos.protocol_rules import WordRules
-from sim.world.protocol_world import BOTH_US, Parade
+from sim.chaos.protocol_rules import ProtocolRules
+from sim.world.protocol_world import BOTH_US, ProtocolWorld
 
 OWN, OTHER = 1, 2  # sections
 
 
-def _spoken() -> WordRules:
+def _spoken() -> ProtocolRules:
     """Robot 0 has claimed a section, and told again what it had of another's."""
-    rules = WordRules(2)
+    rules = ProtocolRules(2)
     rules.said(0, 1 * S, TaskClaim(OWN, 2, Phase.STARTED, 3, 9, 0))
     rules.said(0, 1 * S, StateSyncResponse(OTHER, 2, Phase.STARTED, 3, 9, 1))
     rules.said(0, 1 * S, WorkProgress(OTHER, 0, 0b111))
@@ -43,12 +43,12 @@ def test_what_it_wrote_itself_stands_over_restarts() -> None:
     assert [broken.rule for broken in rules.broken] == ["S9"]
 
 
-def _stop(rules: WordRules, t_us: int, counter: int) -> None:
+def _stop(rules: ProtocolRules, t_us: int, counter: int) -> None:
     rules.said(0, t_us, EmergencyStop(0, 1, counter, 1, False, 0, 0))
 
 
 def test_a_stop_is_repeated_while_the_same_hand_presses_again() -> None:
-    rules = WordRules(1)
+    rules = ProtocolRules(1)
     rules.pressed(0, 1 * S)
     _stop(rules, 1 * S, 1)
     # Bounces: the next repetition is due in this very microsecond.
@@ -62,7 +62,7 @@ def test_a_stop_is_repeated_while_the_same_hand_presses_again() -> None:
 def test_a_new_press_needs_a_new_name(names: tuple[int, ...]) -> None:
     """Found by `headland chaos`, profile press, seed 8380: the stop of an earlier press was repeated in
     the very microsecond of the next one, before the new one."""
-    rules = WordRules(1)
+    rules = ProtocolRules(1)
     rules.pressed(0, 1 * S)
     _stop(rules, 1 * S, 1)
     again_us = 1 * S + STOP_SPACING_US
@@ -74,7 +74,7 @@ def test_a_new_press_needs_a_new_name(names: tuple[int, ...]) -> None:
 
 
 def test_a_section_that_is_handed_over_is_not_worked_by_two() -> None:
-    parade = Parade(2, 2)
+    parade = ProtocolWorld(2, 2)
     parade.works(0, 0, 1 * S)
     parade.works(1, 0, 1 * S + BOTH_US + 1 * MS)
     assert not parade.together
@@ -83,7 +83,7 @@ def test_a_section_that_is_handed_over_is_not_worked_by_two() -> None:
 
 
 def test_two_sides_of_a_split_are_asked_only_once_they_are_one() -> None:
-    parade = Parade(2, 2)
+    parade = ProtocolWorld(2, 2)
     parade.counts = lambda: False
     parade.works(0, 0, 1 * S)
     parade.works(1, 0, 1 * S)

@@ -2,13 +2,13 @@
 
 from agent.interface.config import S
 from sim.can.can_segment import Wire
-from sim.fleet.contact_history import MET_US, Acquaintance
+from sim.fleet.contact_history import MET_US, ContactHistory
 
 
 def test_robots_on_one_bus_have_met_after_a_while() -> None:
     wire = Wire()
     nodes = {slot: wire.attach() for slot in range(3)}
-    known = Acquaintance(wire)
+    known = ContactHistory(wire)
     known.look(MET_US - 1, nodes)
     assert not known.met(0, 1)
     known.look(MET_US, nodes)
@@ -20,7 +20,7 @@ def test_who_boots_behind_a_cut_has_met_nobody_there() -> None:
     had never heard of the one that was pressed."""
     wire = Wire()
     nodes = {slot: wire.attach() for slot in range(3)}
-    known = Acquaintance(wire)
+    known = ContactHistory(wire)
     known.look(10 * S, nodes)
     wire.partition({nodes[0]}, {nodes[1], nodes[2]})
     del nodes[2]
@@ -38,7 +38,7 @@ def test_what_is_lost_or_heard_one_way_only_is_no_meeting() -> None:
     wire = Wire()
     nodes = {slot: wire.attach() for slot in range(2)}
     wire.faults.deaf.add((nodes[0], nodes[1]))
-    known = Acquaintance(wire)
+    known = ContactHistory(wire)
     known.look(10 * S, nodes)
     assert known.met(0, 1) and not known.met(1, 0)
     wire.faults.deaf.clear()
@@ -52,7 +52,7 @@ def test_one_that_hangs_meets_nobody_meanwhile() -> None:
     switched on while the one that was pressed hung."""
     wire = Wire()
     nodes = {slot: wire.attach() for slot in range(2)}
-    known = Acquaintance(wire)
+    known = ContactHistory(wire)
     known.hangs(0, 4 * S, 6 * S)
     known.hangs(0, 5 * S, 8 * S)
     assert known.hung_since_us(0, 7 * S) == 4 * S and known.hung_since_us(0, 8 * S) is None

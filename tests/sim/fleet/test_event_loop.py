@@ -2,10 +2,10 @@
 
 import pytest
 
-from sim.fleet.event_loop import Swarm, SwarmShell
+from sim.fleet.event_loop import EventLoop, SimulatedRunner
 from sim.fleet.outcome import Outcome
 from sim.fleet.scheduler import Script
-from sim.runs.field_run import Expedition
+from sim.runs.field_run import FieldRun
 from sim.scenarios.field_setup import Setting
 from sim.scenarios.scenario import (
     BusOff,
@@ -43,7 +43,7 @@ def play(robots: int, seed: int, faults: list[Fault], swarm: bool) -> Outcome:
     plain = load("small").changed(robots, seed)
     run = plain.run.model_copy(update={"time_limit_s": LIMIT_S})
     scenario = plain.model_copy(update={"fault": faults, "run": run})
-    return Expedition(Setting(scenario), swarm=swarm).run()
+    return FieldRun(Setting(scenario), swarm=swarm).run()
 
 
 @pytest.mark.slow
@@ -57,7 +57,7 @@ def test_both_loops_give_the_same_trace_hash(robots: int, seed: int, faults: lis
 
 
 def test_timers_of_one_instant_fire_in_the_order_they_were_set() -> None:
-    swarm, seen = Swarm(), list[str]()
+    swarm, seen = EventLoop(), list[str]()
 
     def main() -> Script[int]:
         swarm.at(5, lambda: seen.append("first"))
@@ -74,7 +74,7 @@ def test_timers_of_one_instant_fire_in_the_order_they_were_set() -> None:
 
 def test_a_clock_that_runs_fast_reaches_every_deadline() -> None:
     """Found by `headland chaos`, profile protocol, seed 1130: by a last bit, time stood still."""
-    shell = SwarmShell.__new__(SwarmShell)
+    shell = SimulatedRunner.__new__(SimulatedRunner)
     shell._base_us = shell._since_us = 117_798_000
     for ppm in (5_000.0, -5_000.0, 37.0):
         shell._rate = 1.0 + ppm * 1e-6
@@ -84,7 +84,7 @@ def test_a_clock_that_runs_fast_reaches_every_deadline() -> None:
 
 def test_a_run_in_which_time_stands_still_ends() -> None:
     """Who asks to be woken and does not do what it was woken for."""
-    swarm = Swarm()
+    swarm = EventLoop()
 
     def again() -> None:
         swarm.at(swarm.now_us(), again)

@@ -14,7 +14,7 @@ from agent.peer.peer import Peer
 from crdt import digest
 from protocol.sync import replica
 from sim.fleet.simulated_fleet import Cluster
-from sim.runs.field_run import Expedition, Moment
+from sim.runs.field_run import FieldRun, RunProgress
 from sim.scenarios.field_setup import Setting
 from sim.scenarios.scenario import load
 
@@ -74,7 +74,7 @@ def test_f_nothing_in_a_peer_grows_with_time(monkeypatch: pytest.MonkeyPatch) ->
     class EndError(Exception):
         pass
 
-    def look(moment: Moment) -> None:
+    def look(moment: RunProgress) -> None:
         if moment.simulated_s >= (END_S if found else WARM_UP_S):
             (cluster,) = clusters
             work = sum(1 for _ in cluster.robots[0].peer.sync.replica.entries())
@@ -84,7 +84,7 @@ def test_f_nothing_in_a_peer_grows_with_time(monkeypatch: pytest.MonkeyPatch) ->
 
     setting = Setting(load("oxted").changed(2, 1, None))
     with pytest.raises(EndError):
-        Expedition(setting, told=look, attach=clusters.append).run()
+        FieldRun(setting, told=look, attach=clusters.append).run()
     (before, entries), (after, entries_after) = found
     allowed = entries_after - entries + SLACK  # each entry of the work is once in a container
     for was, now in zip(before, after, strict=True):

@@ -8,11 +8,11 @@ from agent.interface.config import MS, S
 from agent.interface.effects import Drive
 from protocol.frames.safety_frames import Command, EmergencyReset, OperatorCommand
 from sim.fleet.simulated_fleet import OPERATOR, Cluster
-from sim.fleet.stop_monitor import StopWatch
+from sim.fleet.stop_monitor import StopMonitor
 from sim.fleet.virtual_clock import elapse, run_virtual
 from sim.scenarios.field_setup import Setting
 from sim.scenarios.scenario import load
-from sim.world.protocol_world import Parade
+from sim.world.protocol_world import ProtocolWorld
 
 Story = Callable[[Cluster], Awaitable[None]]
 
@@ -113,8 +113,8 @@ def test_a_robot_that_is_pushed_by_hand_is_excused() -> None:
 def test_a_stop_that_nobody_remembers_needs_no_clearing(forgetful: tuple[int, ...]) -> None:
     """Found by `headland chaos`, profile protocol, seed 30179: S1 was asked for a stop of which no
     memory was left, so that no operator could be shown what to clear."""
-    parade = Parade(2, 2)
-    watch = StopWatch(parade, 2)
+    parade = ProtocolWorld(2, 2)
+    watch = StopMonitor(parade, 2)
     watch.pressed(0, (0, 1))
     for slot in forgetful:
         watch.forgets(slot)
@@ -128,8 +128,8 @@ def test_a_stop_that_nobody_remembers_needs_no_clearing(forgetful: tuple[int, ..
 def test_who_has_not_heard_a_stop_is_held_by_a_silence_alone(memory: str) -> None:
     """Found by `headland chaos`, profile protocol, seeds 100335 (who was pressed lost its memory), 52125
     (who had not heard it was switched on anew): S1 asked for what nobody could know."""
-    parade = Parade(2, 2)
-    watch = StopWatch(parade, 2)
+    parade = ProtocolWorld(2, 2)
+    watch = StopMonitor(parade, 2)
     watch.pressed(0, (0, 1), unheard=(1,))
     if memory == "lost":
         watch.forgets(0)
@@ -145,8 +145,8 @@ def test_who_has_not_heard_a_stop_is_held_by_a_silence_alone(memory: str) -> Non
 def test_a_stop_that_was_hardly_said_is_known_to_who_was_pressed_alone(since_us: int) -> None:
     """Thought of behind `headland chaos`, profile protocol, seed 1801786: the power of who was pressed
     goes in the same moment, and its memory is lost."""
-    parade = Parade(2, 2)
-    watch = StopWatch(parade, 2)
+    parade = ProtocolWorld(2, 2)
+    watch = StopMonitor(parade, 2)
     watch.pressed(2 * S, (0, 1), by=0)
     watch.interrupted(since_us)
     watch.forgets(0)
@@ -158,8 +158,8 @@ def test_a_stop_that_was_hardly_said_is_known_to_who_was_pressed_alone(since_us:
 def test_what_a_hung_process_has_not_read_its_next_life_does_not_know(since_us: int) -> None:
     """Found by `headland chaos`, profile protocol, seed 1700617: the stop came while the process hung,
     and its power went before it ran on."""
-    parade = Parade(2, 2)
-    watch = StopWatch(parade, 2)
+    parade = ProtocolWorld(2, 2)
+    watch = StopMonitor(parade, 2)
     watch.pressed(2 * S, (0, 1))
     watch.dies_hung(1, since_us)
     watch.boots(1)
@@ -173,8 +173,8 @@ def test_a_stop_that_is_cleared_before_it_could_be_said_holds_who_was_pressed_al
 ) -> None:
     """Found by `headland chaos`, profile protocol, seed 2612345: pressed while it claimed its address,
     and cleared 77 ms later."""
-    parade, mute = Parade(2, 2), {0}
-    watch = StopWatch(parade, 2, mute=lambda: mute)
+    parade, mute = ProtocolWorld(2, 2), {0}
+    watch = StopMonitor(parade, 2, mute=lambda: mute)
     watch.pressed(0, (0, 1), by=0)
     if said:
         mute.clear()
@@ -189,8 +189,8 @@ def test_a_stop_that_is_cleared_before_it_could_be_said_holds_who_was_pressed_al
 def test_a_stop_that_only_a_dead_machine_remembers_is_shown_to_nobody(up: set[int]) -> None:
     """Found by `headland chaos`, profile protocol, seed 602173: S1 asked for the clearing of a stop that
     was on the disk of a machine without power."""
-    parade = Parade(2, 2)
-    watch = StopWatch(parade, 2, lambda: up)
+    parade = ProtocolWorld(2, 2)
+    watch = StopMonitor(parade, 2, lambda: up)
     watch.pressed(0, (0, 1))
     watch.forgets(1)
     for command in (Command.MANUAL_RESET, Command.START):
@@ -207,7 +207,7 @@ def test_what_a_dead_robot_said_last_expires_in_its_actuator(
 ) -> None:
     """Found by `headland chaos`, profile crash, seeds 6022 and 6172: one that died just before it would
     have noticed a silence drove for a tenth of a second more."""
-    checker = Parade(1, 1).checker()
+    checker = ProtocolWorld(1, 1).checker()
     checker.press(0, 320 * MS, [0])
     if dies_ms is not None:
         checker.lapses(0, dies_ms * MS)

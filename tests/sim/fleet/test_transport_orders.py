@@ -1,8 +1,8 @@
 """Orders are said until two robots know them, or all there are; a number is one task's."""
 
-from agent.delivery.task_registry import Order, TaskBook
+from agent.delivery.task_registry import TaskRegistry, TransportTask
 from protocol.frames.delivery_frames import TaskBookDigest, TaskOrder
-from sim.fleet.transport_orders import OrderDesk
+from sim.fleet.transport_orders import TransportClient
 
 
 def digest(tasks: set[int]) -> TaskBookDigest:
@@ -11,8 +11,8 @@ def digest(tasks: set[int]) -> TaskBookDigest:
 
 def test_an_order_is_repeated_until_two_robots_know_it() -> None:
     """Found: the only robot that had heard an order died before it told the others."""
-    desk = OrderDesk(3)
-    desk.order([Order(1, 2)])
+    desk = TransportClient(3)
+    desk.order([TransportTask(1, 2)])
     assert desk.numbers == [3]
     for source in (1, 2):
         desk.hear(source, digest({0, 1, 2}))
@@ -24,8 +24,8 @@ def test_an_order_is_repeated_until_two_robots_know_it() -> None:
 
 
 def test_of_two_devices_that_use_one_number_the_lesser_order_moves_on() -> None:
-    desk = OrderDesk(3)
-    desk.order([Order(1, 2)])
+    desk = TransportClient(3)
+    desk.order([TransportTask(1, 2)])
     desk.hear(9, TaskOrder(3, 5, 6))
     assert desk.numbers == [4]
     desk.hear(9, TaskOrder(4, 0, 6))  # less than ours: the other one moves on
@@ -33,8 +33,8 @@ def test_of_two_devices_that_use_one_number_the_lesser_order_moves_on() -> None:
 
 
 def test_the_book_is_as_the_desk_believes() -> None:
-    book = TaskBook(0, {}, 0)
+    book = TaskRegistry(0, {}, 0)
     assert book.hear(TaskOrder(3, 1, 2), 0)  # to be kept
     assert book.hear(TaskOrder(3, 5, 6), 0)
     assert not book.hear(TaskOrder(3, 1, 2), 0)
-    assert book.tasks[3] == Order(5, 6)
+    assert book.tasks[3] == TransportTask(5, 6)

@@ -15,10 +15,10 @@ from sim.record import recording as recordings
 from sim.record.intent_stream import MAGIC_INTENT, read_intent
 from sim.record.mcap_log import CDR, McapLog, read_frames, read_recording
 from sim.record.recording import FramesDigest, Recording
-from sim.runs.field_run import Expedition
+from sim.runs.field_run import FieldRun
 from sim.scenarios.field_setup import Setting
 from sim.scenarios.scenario import load
-from tools.common.run_recorder import Keeping
+from tools.common.run_recorder import RunRecorder
 from tools.livemap.command import recorded
 
 SECONDS = 30.0
@@ -34,14 +34,14 @@ def setting() -> Setting:
 def kept(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str, str]:
     """Folder, trace hash and hash of the frames of a short run."""
     out = tmp_path_factory.mktemp("kept")
-    keeping = Keeping(setting(), out)
-    outcome = Expedition(setting(), out, logs=[out / "more.blf"], attach=keeping).run()
+    keeping = RunRecorder(setting(), out)
+    outcome = FieldRun(setting(), out, logs=[out / "more.blf"], attach=keeping).run()
     keeping.close()
     return out, outcome.trace_hash, keeping.log_hash
 
 
 def test_a_watched_run_is_the_same_run(kept: tuple[Path, str, str]) -> None:
-    assert Expedition(setting()).run().trace_hash == kept[1]
+    assert FieldRun(setting()).run().trace_hash == kept[1]
 
 
 @pytest.mark.parametrize("name", ["can.log", "run.mcap", "more.blf", "."])

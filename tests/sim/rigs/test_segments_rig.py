@@ -12,7 +12,7 @@ from agent.peer.peer import Peer
 from agent.safety.stop_controller import SilencePolicy
 from agent.segments.gateway import Publish
 from crdt.occupancy import Geometry
-from crdt.stops import FarDot
+from crdt.stops import RemoteStopDot
 from protocol import backbone_messages as backbone
 from protocol.authentication import Keys
 from protocol.backbone_messages import Header, Kind
@@ -316,7 +316,7 @@ def clear_here(fleet: SegmentFleet, dot: tuple[int, int, int, int], number: int)
         return lambda peer, now: peer.hear(GATEWAY_ADDRESS, half, now)
 
     for slot in range(3):
-        for half in plain_reset(FarDot(*dot)):
+        for half in plain_reset(RemoteStopDot(*dot)):
             fleet.shells[number, slot].operate(hear(half))
 
 
@@ -331,7 +331,7 @@ def hold_button(fleet: SegmentFleet, bus: CanBus, for_us: int) -> None:
 def release(fleet: SegmentFleet, dot: tuple[int, ...], bus: CanBus) -> None:
     """An operator's device clears a dot of segment 1 for all segments, then every machine is reset and
     started."""
-    for half in plain_reset(FarDot(dot[0], dot[1], dot[2], 1)):
+    for half in plain_reset(RemoteStopDot(dot[0], dot[1], dot[2], 1)):
         bus.send(encode(half, PANEL, 255))
     peers = [peer for k in fleet.segments for peer in fleet.peers(k)]
     cleared = [peer.safety for peer in peers]
@@ -347,7 +347,7 @@ def release(fleet: SegmentFleet, dot: tuple[int, ...], bus: CanBus) -> None:
 def test_t5_a_press_elsewhere_with_a_name_that_was_cleared_here_latches(fleet: SegmentFleet) -> None:
     bus = panel_of(fleet, 1)
     clear_here(fleet, (*PANEL_DOT, 1), 2)
-    assert all(p.safety.far.is_cleared(FarDot(*PANEL_DOT, 1)) for p in fleet.peers(2))
+    assert all(p.safety.far.is_cleared(RemoteStopDot(*PANEL_DOT, 1)) for p in fleet.peers(2))
     hold_button(fleet, bus, 60_000)
     assert all_latched(fleet, 1, 3), f"seed {SEED}"
     assert not any(p.safety.may_move for p in fleet.peers(2)), "it brakes at once"

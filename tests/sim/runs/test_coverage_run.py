@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from sim.files.grid_map import Instance, gate_starts, rack_walls, random_starts, random_walls
-from sim.runs.coverage_run import GridFleet, GridOutcome
+from sim.runs.coverage_run import CoverageRun, GridOutcome
 from sim.runs.planned_coverage import work
 from sim.scenarios.coverage_setup import STEP_S, GridSetting
 from sim.scenarios.scenario import (
@@ -38,7 +38,7 @@ def play(instance: Instance, *faults: Fault, seed: int = 1, loss: float = 0.0) -
     setting = GridSetting.made(
         instance, seed=seed, faults=faults, loss=loss, time_limit_s=400.0
     )  # fmt: skip
-    return GridFleet(setting).run()
+    return CoverageRun(setting).run()
 
 
 def test_the_wire_costs_a_few_steps() -> None:

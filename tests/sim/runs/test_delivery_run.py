@@ -5,14 +5,14 @@ from typing import Any
 
 import pytest
 
-from agent.delivery.delivery_mission import Delivery
+from agent.delivery.delivery_mission import DeliveryMission
 from agent.delivery.problem_snapshot import round_tasks_max
 from agent.delivery.warehouse import Warehouse
 from agent.interface.config import S
 from protocol.frames.codec import decode_once
 from protocol.frames.delivery_frames import PlanRow
 from sim.fleet.simulated_disk import MemoryJournal
-from sim.runs.delivery_run import Haul, HaulCluster, HaulOutcome
+from sim.runs.delivery_run import DeliveryRun, HaulCluster, HaulOutcome
 from sim.scenarios.delivery_scenario import Outage, TaskRow, WarehouseScenario
 from sim.scenarios.delivery_setup import DeliverySetting
 from sim.scenarios.scenario import Crash, Heal, Loss, Partition, Restart
@@ -48,8 +48,8 @@ def scenario(
     })  # fmt: skip
 
 
-def play(given: WarehouseScenario, watch: Any = None) -> tuple[HaulOutcome, Haul]:
-    run = Haul(DeliverySetting(given), watch=watch)
+def play(given: WarehouseScenario, watch: Any = None) -> tuple[HaulOutcome, DeliveryRun]:
+    run = DeliveryRun(DeliverySetting(given), watch=watch)
     outcome = run.run()
     print(outcome)
     assert outcome.flaws == NOTHING
@@ -80,7 +80,7 @@ def test_a_listener_on_the_bus_reads_every_itinerary_and_battery() -> None:
                 assert abs(told[slot]["battery"] - cluster.truth.battery[slot]) < 0.2
                 checked[0] += means == heard
 
-    run = Haul(
+    run = DeliveryRun(
         DeliverySetting(scenario(random_tasks=9, bays=[(0.5, 0.5)], battery={"range_m": 90.0}))
     )
     run.watch = watch
@@ -119,7 +119,7 @@ def test_up_to_t_max_new_tasks_are_inserted_and_more_are_planned_anew(
     """Scenarios B and C, at the threshold; t_max is 4."""
     setting = DeliverySetting(scenario(random_tasks=0))
     setting.rows = [TaskRow((2.5 + k, 0.5), (1.5 + k, 4.5), 6.0) for k in range(count)]
-    outcome = Haul(setting).run()
+    outcome = DeliveryRun(setting).run()
     print(outcome)
     assert outcome.finished and not outcome.flawed
     assert outcome.rounds == rounds
@@ -205,7 +205,7 @@ def test_a_split_with_parcels_in_flight_delivers_each_once() -> None:
 
 def test_the_elected_dies_as_it_begins_to_stream_and_the_next_best_does() -> None:
     given = scenario(robots=4, random_tasks=8)
-    run = Haul(DeliverySetting(given))
+    run = DeliveryRun(DeliverySetting(given))
     killed: list[int] = []
 
     def attach(cluster: HaulCluster) -> None:
@@ -281,7 +281,7 @@ def test_a_parcel_behind_a_dead_body_is_reported_and_the_rest_is_delivered() -> 
     orders = {k: setting.order(setting.house, row) for k, row in enumerate(setting.rows)}
     setting.house = Warehouse(setting.floor, setting.carrier, (), orders)
     killer = Blocks()
-    run = Haul(setting, watch=killer)
+    run = DeliveryRun(setting, watch=killer)
     outcome = run.run()
     print(outcome)
     assert killer.done
@@ -320,7 +320,7 @@ def test_a_task_to_a_floor_that_no_way_leads_to_is_reported() -> None:
     setting.rows = [TaskRow((1.5, 1.5), (6.5, 1.5)), TaskRow((2.5, 0.5), (3.5, 2.5))]
     orders = {k: setting.order(setting.house, row) for k, row in enumerate(setting.rows)}
     setting.house = Warehouse(setting.floor, setting.carrier, (), orders)
-    outcome = Haul(setting).run()
+    outcome = DeliveryRun(setting).run()
     print(outcome)
     assert outcome.delivered == 1 and outcome.unreachable == (0,)
     assert outcome.simulated_s < 150.0
@@ -370,7 +370,7 @@ def test_t13_a_burst_of_orders_makes_no_round_larger_than_a_control_period_allow
     def watch(cluster: HaulCluster) -> None:
         for robot in cluster.robots.values():
             mission = robot.peer.mission
-            assert isinstance(mission, Delivery)
+            assert isinstance(mission, DeliveryMission)
             frozen = mission.dispatch.round._frozen  # of the newest round
             if frozen is not None:
                 sizes.append((len(frozen.tasks), len(frozen.slots)))

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from sim.chaos.fault_profiles import draw
-from sim.chaos.scenario_judge import Play
+from sim.chaos.scenario_judge import ScenarioJudge
 from sim.fleet.outcome import Outcome
-from sim.runs.delivery_run import Haul
-from sim.runs.exploration_run import Survey
-from sim.runs.field_run import Expedition
-from sim.runs.navigation_run import Outing
+from sim.runs.delivery_run import DeliveryRun
+from sim.runs.exploration_run import ExplorationRun
+from sim.runs.field_run import FieldRun
+from sim.runs.navigation_run import NavigationRun
 from sim.scenarios.delivery_scenario import WarehouseScenario
 from sim.scenarios.delivery_setup import DeliverySetting
 from sim.scenarios.exploration_scenario import load_arena
@@ -32,7 +32,7 @@ SHORT_S = 20.0
 def played(engine: Engine, robots: int, seed: int) -> tuple[Outcome, dict[int, np.ndarray], World]:
     worlds: list[World] = []
     scenario = load("small").changed(robots, seed).with_engine(engine)
-    expedition = Expedition(Setting(scenario), attach=lambda cluster: worlds.append(cluster.world))
+    expedition = FieldRun(Setting(scenario), attach=lambda cluster: worlds.append(cluster.world))
     outcome = expedition.run()
     return outcome, {s: np.array(t) for s, t in expedition.tracks.items()}, worlds[0]
 
@@ -68,7 +68,7 @@ def test_m23_errands_deliveries_and_explorations_are_moved_by_pymunk() -> None:
     assert isinstance(haul, WarehouseScenario)
     arena = load_arena("arena").changed(2, 1, time_limit_s=SHORT_S)
     outing = setting_of(rooms)
-    for outcome in (Outing(outing).run(), Haul(DeliverySetting(haul)).run(), Survey(arena).run()):
+    for outcome in (NavigationRun(outing).run(), DeliveryRun(DeliverySetting(haul)).run(), ExplorationRun(arena).run()):
         assert outcome.pymunk_steps > 500, outcome
 
 
@@ -76,6 +76,6 @@ def test_m23_launched_worlds_are_moved_by_pymunk_and_campaigns_choose_the_other_
     world = Setting(load("small")).world()  # as `headland launch` makes it
     world.advance(1_000_000)
     assert world.engine == "pymunk" and world.pymunk_steps == 100
-    play = Play(draw(1, "body"))
+    play = ScenarioJudge(draw(1, "body"))
     assert play.setting.scenario.run.engine == "contact_free"
     assert play.setting.world().engine == "contact_free"

@@ -4,15 +4,15 @@ from functools import cache
 
 import pytest
 
-from agent.exploration.exploration_task import FleetFullError, Kind, Order
-from sim.runs.exploration_run import Sharing, Survey, SurveyOutcome
+from agent.exploration.exploration_task import ExplorationOrder, FleetFullError, Kind
+from sim.runs.exploration_run import ExplorationRun, Sharing, SurveyOutcome
 from sim.scenarios.exploration_scenario import load_arena
 from sim.scenarios.scenario import Crash, Heal, Join, Loss, Partition, Reset, Restart, ScenarioError
 
 
 def play(robots: int, seed: int, *faults: object, name: str = "arena") -> SurveyOutcome:
     scenario = load_arena(name).changed(robots, seed).model_copy(update={"fault": list(faults)})
-    return Survey(scenario).run()
+    return ExplorationRun(scenario).run()
 
 
 @cache
@@ -75,10 +75,10 @@ def test_a_fifth_of_all_frames_lost_and_one_robot_killed(seed: int) -> None:
 
 def test_orders_are_carried_out_by_somebody() -> None:
     orders = [
-        Order(Kind.NAVIGATE_TO, ((2.0, -2.0),)),
-        Order(Kind.PATROL, ((-2.0, -2.0), (-2.0, 2.0), (2.0, 2.0))),
+        ExplorationOrder(Kind.NAVIGATE_TO, ((2.0, -2.0),)),
+        ExplorationOrder(Kind.PATROL, ((-2.0, -2.0), (-2.0, 2.0), (2.0, 2.0))),
     ]
-    survey = Survey(load_arena("arena").changed(2, 1), orders=orders)
+    survey = ExplorationRun(load_arena("arena").changed(2, 1), orders=orders)
     outcome = survey.run()
     assert outcome.success, outcome
     ends = [(x, y) for track in survey.tracks.values() for _, x, y, _ in track]
@@ -90,7 +90,7 @@ def test_orders_are_carried_out_by_somebody() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["dropout", "split"])
 def test_what_ships_with_troubles_ends_well(name: str) -> None:
-    survey = Survey(load_arena(name))
+    survey = ExplorationRun(load_arena(name))
     outcome = survey.run()
     assert outcome.success, outcome
     ends = [(x, y) for track in survey.tracks.values() for _, x, y, _ in track]
@@ -103,12 +103,12 @@ def test_orders_out_of_the_arena_are_refused() -> None:
     scenario = load_arena("split")
     away = scenario.order[0].model_copy(update={"points": [(4.6, 0.0)]})
     with pytest.raises(ScenarioError, match=r"order\.0\.points: outside of the arena"):
-        Survey(scenario.model_copy(update={"order": [away]}))
+        ExplorationRun(scenario.model_copy(update={"order": [away]}))
 
 
 def test_without_sharing_everybody_sees_everything() -> None:
     scenario = load_arena("arena").changed(2, 1)
-    alone, shared = Survey(scenario, Sharing.NONE).run(), undisturbed(2, 1)
+    alone, shared = ExplorationRun(scenario, Sharing.NONE).run(), undisturbed(2, 1)
     assert alone.overlap_end > 0.9 > shared.overlap_end
 
 
@@ -116,6 +116,6 @@ def test_a_fleet_has_a_limit() -> None:
     scenario = load_arena("arena").changed(3, 1)
     small = scenario.arena.model_copy(update={"robots_max": 2})
     with pytest.raises(FleetFullError, match=r"Fleet is full \(max 2 robots\)"):
-        Survey(scenario.model_copy(update={"arena": small})).run()
+        ExplorationRun(scenario.model_copy(update={"arena": small})).run()
     with pytest.raises(ScenarioError, match=r"arena\.starts"):
-        Survey(load_arena("arena").changed(9, 1))
+        ExplorationRun(load_arena("arena").changed(9, 1))

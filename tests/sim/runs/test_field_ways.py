@@ -8,7 +8,7 @@ import pytest
 from shapely.geometry import LineString, Point
 
 from agent.motion.holonomic_motion import FENCE_M
-from sim.runs.field_run import Expedition
+from sim.runs.field_run import FieldRun
 from sim.scenarios.field_setup import Setting
 from tests.sim.drawn_fields import SHAPES, rectangle, scenario
 
@@ -36,14 +36,14 @@ def test_a11_a_fleet_finishes_a_field_with_inner_corners(
     shape: object, seed: int, tmp_path: Path
 ) -> None:
     draw = random.Random(seed)
-    outcome = Expedition(Setting(scenario(tmp_path, shape(draw), 3, seed))).run()  # type: ignore[operator]
+    outcome = FieldRun(Setting(scenario(tmp_path, shape(draw), 3, seed))).run()  # type: ignore[operator]
     assert outcome.success, outcome
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a11_a_fleet_finishes_round_the_corner_of_a_hole(seed: int, tmp_path: Path) -> None:
     made = scenario(tmp_path, rectangle(90.0, 60.0), 3, seed, hole=WEDGE)
-    outcome = Expedition(Setting(made)).run()
+    outcome = FieldRun(Setting(made)).run()
     assert outcome.success, outcome
 
 
@@ -62,14 +62,14 @@ def test_m3_a_field_of_a_few_metres_is_finished(
     side_m: float, robots: int, seed: int, tmp_path: Path
 ) -> None:
     made = scenario(tmp_path, rectangle(side_m, side_m), robots, seed, time_limit_s=400.0)
-    outcome = Expedition(Setting(made)).run()
+    outcome = FieldRun(Setting(made)).run()
     assert outcome.success, outcome
 
 
 @pytest.mark.parametrize("robots", (2, 4, 6))
 def test_m26_six_robots_in_a_small_field_get_on(robots: int, tmp_path: Path) -> None:
     made = scenario(tmp_path, rectangle(20.0, 20.0), robots, 1, time_limit_s=200.0)
-    outcome = Expedition(Setting(made)).run()
+    outcome = FieldRun(Setting(made)).run()
     assert outcome.success, outcome
 
 
@@ -81,18 +81,18 @@ def test_m26_three_tractors_finish_a_strip_in_which_they_cannot_pass(
     made = scenario(
         tmp_path, rectangle(100.0, 9.0), 3, seed, drive="ackermann", time_limit_s=700.0
     )
-    outcome = Expedition(Setting(made)).run()
+    outcome = FieldRun(Setting(made)).run()
     assert outcome.finished and outcome.replicas_equal, outcome
     assert outcome.reached > 0.9998, outcome  # two cells at most, in corners
 
 
 def test_m26_a_tractor_is_not_made_to_plan_again_in_its_turns(tmp_path: Path) -> None:
     made = scenario(tmp_path, rectangle(100.0, 9.0), 1, 1, drive="ackermann", time_limit_s=700.0)
-    outcome = Expedition(Setting(made)).run()
+    outcome = FieldRun(Setting(made)).run()
     assert outcome.success and outcome.makespan_s < 250.0, outcome
 
 
 def test_m4_a_field_hardly_wider_than_the_implement_is_finished(tmp_path: Path) -> None:
     made = scenario(tmp_path, rectangle(60.0, 60.0), 3, 1, implement_width_m=59.0)
-    outcome = Expedition(Setting(made)).run()
+    outcome = FieldRun(Setting(made)).run()
     assert outcome.success, outcome

@@ -10,7 +10,7 @@ import pytest
 from agent.delivery.warehouse import Warehouse
 from agent.interface.config import S
 from agent.navigation.path_requests import AHEAD_S
-from sim.runs.delivery_run import Haul, HaulCluster, HaulOutcome
+from sim.runs.delivery_run import DeliveryRun, HaulCluster, HaulOutcome
 from sim.scenarios.delivery_scenario import TaskRow, WarehouseScenario
 from sim.scenarios.delivery_setup import DeliverySetting
 from sim.world.world import World
@@ -53,8 +53,8 @@ class Alone(DeliverySetting):
             world.at(round(until_s * S), partial(world.remove_box, number))
 
 
-def play(setting: Alone, watch: object = None) -> tuple[Haul, HaulOutcome, list[str]]:
-    run = Haul(setting)
+def play(setting: Alone, watch: object = None) -> tuple[DeliveryRun, HaulOutcome, list[str]]:
+    run = DeliveryRun(setting)
     if callable(watch):
         run.watch = watch
     outcome = run.run()

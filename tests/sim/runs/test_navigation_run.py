@@ -12,8 +12,8 @@ from agent.interface.effects import HALT
 from agent.interface.mission import STILL
 from agent.interface.ports import Observation
 from agent.mapping.building import Floor, FloorError
-from sim.runs.delivery_run import Haul
-from sim.runs.navigation_run import Outing, to_polyline_m
+from sim.runs.delivery_run import DeliveryRun
+from sim.runs.navigation_run import NavigationRun, to_polyline_m
 from sim.scenarios.building_generator import CORRIDOR, office, rooms
 from sim.scenarios.delivery_scenario import WarehouseScenario
 from sim.scenarios.delivery_setup import DeliverySetting
@@ -52,7 +52,7 @@ def hall(seed: int, robots: int) -> ErrandSetting:
 
 
 def test_a_hall_of_rooms_and_the_same_again() -> None:
-    outcomes = [Outing(hall(2, 6)).run() for _ in range(2)]
+    outcomes = [NavigationRun(hall(2, 6)).run() for _ in range(2)]
     assert outcomes[0].trace_hash == outcomes[1].trace_hash
     assert outcomes[0].finished and not outcomes[0].contacts
     assert all(map(isfinite, outcomes[0].arrived_s))
@@ -62,7 +62,7 @@ def test_a_parked_robot_clears_a_corridor_and_returns() -> None:
     """Robot 1 has nowhere to go and stands in the only way."""
     floor = Floor.drawn(CORRIDOR, 1.0, 0.35)
     setting = ErrandSetting.made("parked", floor, [(1.5, 2.5), (7.5, 2.5)], [[(13.5, 2.5)], []])
-    outing = Outing(setting)
+    outing = NavigationRun(setting)
     outcome = outing.run()
     track = outing.tracks[1]
     assert outcome.finished and not outcome.contacts
@@ -74,7 +74,7 @@ def test_a_parked_robot_clears_a_corridor_and_returns() -> None:
 def test_goals_one_after_the_other() -> None:
     floor = Floor.drawn(office(), 0.2, 0.35)
     goals = [[(7.0, 2.0), (11.0, 9.0), (1.0, 1.0)]]
-    outing = Outing(ErrandSetting.made("tour", floor, [(1.0, 1.0)], goals))
+    outing = NavigationRun(ErrandSetting.made("tour", floor, [(1.0, 1.0)], goals))
     outcome = outing.run()
     assert outcome.finished and not outcome.contacts
     set_out_s = [way.t_us / 1e6 for way in outing.followed[0]]
@@ -107,7 +107,7 @@ def test_distance_to_a_polyline() -> None:
 
 def test_m19_robots_stand_before_a_person_indoors_and_ask() -> None:
     """One goes on when the way is free, the other by an operator's word; none drives round by itself."""
-    run = Outing(setting_of(cast(ErrandScenario, load_mission("visitor"))))
+    run = NavigationRun(setting_of(cast(ErrandScenario, load_mission("visitor"))))
     outcome = run.run()
     assert outcome.finished and not outcome.contacts
     for slot, until_s in ((0, 23.0), (1, 40.0)):
@@ -129,6 +129,6 @@ def test_m19_deliveries_stand_before_a_person_and_ask(tmp_path: Path) -> None:
                   "asks": True},
         "run": {"seed": 1, "time_limit_s": 200.0},
     })  # fmt: skip
-    outcome = Haul(DeliverySetting(given)).run()
+    outcome = DeliveryRun(DeliverySetting(given)).run()
     assert outcome.finished and outcome.delivered == 1 and outcome.contacts == 0
     assert outcome.simulated_s > 32.0, "it waited until the way was free"

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from sim.fleet.outcome import Outcome
-from sim.runs.field_run import Expedition
+from sim.runs.field_run import FieldRun
 from sim.scenarios.field_setup import Setting
 from sim.scenarios.scenario import Crash, Estop, Loss, Reset, Scenario, load
 from tests.chaos.broad import broad
@@ -17,7 +17,7 @@ ROOT = Path(__file__).parents[3]
 
 
 def play(scenario: Scenario) -> Outcome:
-    return Expedition(Setting(scenario)).run()
+    return FieldRun(Setting(scenario)).run()
 
 
 @pytest.mark.parametrize("seed", [1, 2])

@@ -2,7 +2,7 @@
 
 import pytest
 
-from sim.runs.field_run import Expedition
+from sim.runs.field_run import FieldRun
 from sim.scenarios.field_setup import Setting
 from sim.scenarios.scenario import Crash, ScenarioError, load
 
@@ -10,7 +10,7 @@ from sim.scenarios.scenario import Crash, ScenarioError, load
 @pytest.mark.slow
 @pytest.mark.parametrize("drive", ["ackermann", "differential"])
 def test_m5_a_fleet_that_steers_finishes_a_field(drive: str) -> None:
-    outcome = Expedition(Setting(load("small").changed(drive=drive))).run()
+    outcome = FieldRun(Setting(load("small").changed(drive=drive))).run()
     assert outcome.success and outcome.units_twice == 0, outcome
 
 
@@ -34,6 +34,6 @@ def test_chassis_keys_reach_the_wheels() -> None:
 def test_a_tractor_that_dies_is_gone_round() -> None:
     faults = [Crash(at_s=40.0, kind="crash", robot=1)]
     scenario = load("small").changed(drive="ackermann").model_copy(update={"fault": faults})
-    outcome = Expedition(Setting(scenario)).run()
+    outcome = FieldRun(Setting(scenario)).run()
     assert outcome.finished and outcome.replicas_equal and outcome.contacts == 0, outcome
     assert outcome.coverage > 0.95, "all but the rows it stands on"

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from agent.interface.lifecycle import State
-from sim.runs.navigation_run import Outing
+from sim.runs.navigation_run import NavigationRun
 from sim.scenarios.navigation_scenario import ErrandScenario, load_mission, setting_of
 from sim.scenarios.navigation_setup import ErrandSetting
 from sim.scenarios.scenario import Scenario, ScenarioError
@@ -77,7 +77,7 @@ def test_a_shipped_building_with_boxes_in_the_way(tmp_path: Path) -> None:
     scenario = load_mission("rooms").changed(robots=4, seed=3)
     assert isinstance(scenario, ErrandScenario)
     made = setting_of(scenario)
-    outcome = Outing(made, tmp_path).run()
+    outcome = NavigationRun(made, tmp_path).run()
     print("seed", scenario.run.seed, outcome.legs)
     assert outcome.success and outcome.obstacles > 0
     assert (tmp_path / "can.log").stat().st_size > 0

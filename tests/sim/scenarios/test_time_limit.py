@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from sim.runs.field_run import Expedition
+from sim.runs.field_run import FieldRun
 from sim.scenarios.field_setup import Setting
 from sim.scenarios.scenario import load
 from tests.sim.drawn_fields import rectangle, scenario
@@ -21,7 +21,7 @@ def test_m6_one_robot_may_take_as_long_as_it_needs(name: str) -> None:
 def test_m6_a_limit_that_a_scenario_says_is_kept(tmp_path: Path) -> None:
     said = Setting(scenario(tmp_path, rectangle(30.0, 30.0), 1, 1, time_limit_s=12.0))
     assert said.time_limit_s == 12.0
-    assert Expedition(said).run().simulated_s < 15.0
+    assert FieldRun(said).run().simulated_s < 15.0
 
 
 def test_m6_trouble_extends_the_limit() -> None:

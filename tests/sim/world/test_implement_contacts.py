@@ -4,10 +4,10 @@ import pytest
 
 from agent.interface.lifecycle import State
 from agent.interface.ports import Observation
-from agent.motion.deadlock_yield import Other
+from agent.motion.deadlock_yield import NearbyRobot
 from agent.motion.implement_clearance import Implement
 from sim.fleet.outcome import Outcome
-from sim.runs.field_run import Expedition
+from sim.runs.field_run import FieldRun
 from sim.scenarios.field_setup import Setting
 from sim.scenarios.scenario import load
 from sim.world.contact_free_steps import TRACK_US
@@ -58,14 +58,14 @@ def test_m21_an_implement_goes_up_before_it_comes_into_a_body() -> None:
     implement = Implement(WIDTH_M / 2 - OVERLAP_M, RADIUS_M)
     here = Observation(0.0, 0.0, 0.0, 2.5, 0.0)
     for dx_m, dy_m, up in ((1.0, 2.4, True), (-1.0, -2.4, True), (3.0, 2.4, False), (0.0, 3.6, False)):
-        other = Other(1, dx_m, dy_m, State.IDLE)
+        other = NearbyRobot(1, dx_m, dy_m, State.IDLE)
         assert implement.must_be_up(here, (2.5, 0.0), [other]) is up, (dx_m, dy_m)
-    assert not Implement(0.0, RADIUS_M).must_be_up(here, (2.5, 0.0), [Other(1, 1.0, 0.0, State.IDLE)])
+    assert not Implement(0.0, RADIUS_M).must_be_up(here, (2.5, 0.0), [NearbyRobot(1, 1.0, 0.0, State.IDLE)])
 
 
 def played(robots: int, seed: int) -> Outcome:
     print("seed", seed)
-    return Expedition(Setting(load("small").changed(robots, seed).with_engine("contact_free"))).run()
+    return FieldRun(Setting(load("small").changed(robots, seed).with_engine("contact_free"))).run()
 
 
 @pytest.mark.parametrize(("robots", "seed"), [(3, 1), (3, 2), (3, 3), (6, 1)])

@@ -11,7 +11,7 @@ from socket import socket
 
 import pytest
 
-from sim.record.intent_stream import Watching
+from sim.record.intent_stream import IntentListener
 from tests.tools.complaint import Complaints
 from tests.tools.launching import WAIT_S, call, robots_up, start
 from tests.tools.watch import STANDING_M_S, Watch
@@ -60,7 +60,7 @@ def test_a_hub_that_is_killed_hangs_and_comes_back(tmp_path: Path) -> None:
             where = json.loads((tmp_path / "runs/launch/bus.json").read_text())
             assert where["port"] == port
             watch = Watch(ROBOTS)
-            watching = await Watching(watch.told).connect(Path(where["bodies"]))
+            watching = await IntentListener(watch.told).connect(Path(where["bodies"]))
             telling = asyncio.create_task(watching.run())
             await watch.until("they work", watch.work)
 

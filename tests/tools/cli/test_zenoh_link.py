@@ -12,7 +12,7 @@ import pytest
 pytest.importorskip("zenoh", reason="the extra `backbone` is not installed")
 
 from agent.interface.identity import Identity
-from agent.runtime.peer_runner import Shell
+from agent.runtime.peer_runner import PeerRunner
 from agent.segments.segment_area import Area
 from agent.segments.segment_peer import SegmentPeer
 from protocol.frames.codec import encode
@@ -62,9 +62,9 @@ def test_peers_live_on_the_backbone_itself() -> None:
                 started=True,
                 first_boot=True,
             )
-            peer = SegmentPeer(Area(1, 4), identity, Random(slot), Shell.now_us(), {})
+            peer = SegmentPeer(Area(1, 4), identity, Random(slot), PeerRunner.now_us(), {})
             bus = ZenohBus(link, "headland/test/1/bus")
-            shells.append(Shell(peer, bus, None, None))
+            shells.append(PeerRunner(peer, bus, None, None))
         tasks = [asyncio.create_task(shell.run()) for shell in shells]
         assert await until(lambda: all(len(s.peer.membership.live) == 3 for s in shells))
         shells[1].operate(lambda peer, now: peer.press(Reason.PERSON_IN_FIELD, now))

@@ -18,7 +18,7 @@ from sim.fleet.simulated_fleet import Cluster
 from sim.fleet.virtual_clock import elapse, run_virtual
 from sim.scenarios.field_setup import Setting
 from sim.scenarios.scenario import load
-from tools.language.command_session import Speaker
+from tools.language.command_session import CommandSession
 from tools.language.goal_queue import GoalQueue
 from tools.language.intent import AnyIntent, Goal
 from tools.language.outcome import Outcome
@@ -29,7 +29,7 @@ from tools.language.question import Reason as Why
 
 SETTING = Setting(load("small"))
 PLACES = Places({"gate": SETTING.field.gate, "shelf": (10.0, -5.0)})
-Story = Callable[[Cluster, Speaker], Awaitable[None]]
+Story = Callable[[Cluster, CommandSession], Awaitable[None]]
 _numbers = itertools.count()
 
 
@@ -44,7 +44,7 @@ def play(story: Story, folder: Path, by: str | None = None, yes: bool = False) -
         cluster = Cluster(SETTING, f"speaker {next(_numbers)}")
         cluster.boot_all()
         bus = CanBus(FieldBus(cluster.segment.channel))
-        speaker = Speaker(bus, None, PLACES, GoalQueue(folder / "queue.json"), words, answer, by=by)
+        speaker = CommandSession(bus, None, PLACES, GoalQueue(folder / "queue.json"), words, answer, by=by)
         try:
             await elapse(15.0)
             await story(cluster, speaker)
@@ -62,7 +62,7 @@ def at_m(cluster: Cluster, slot: int, place: tuple[float, float]) -> float:
 
 
 def test_a_named_robot_goes_and_the_others_work_on(tmp_path: Path) -> None:
-    async def story(cluster: Cluster, speaker: Speaker) -> None:
+    async def story(cluster: Cluster, speaker: CommandSession) -> None:
         told = await speaker.say("send robot 1 to the shelf")
         assert told.code == 0 and told.orders[0][1] == "UNDER WAY", told
         busy = await speaker.say("what is robot 1 doing")
@@ -79,7 +79,7 @@ def test_a_named_robot_goes_and_the_others_work_on(tmp_path: Path) -> None:
 
 
 def test_a_stop_of_all_is_said_at_once_and_confirmed(tmp_path: Path) -> None:
-    async def story(cluster: Cluster, speaker: Speaker) -> None:
+    async def story(cluster: Cluster, speaker: CommandSession) -> None:
         loop = asyncio.get_running_loop()
         begun_s = loop.time()
         told = await speaker.say("STOP!")
@@ -109,7 +109,7 @@ ALARMS = (  # of M13: each was answered by a question while the fleet drove on
 
 
 def test_m13_what_may_be_an_alarm_holds_everybody_and_asks_then(tmp_path: Path) -> None:
-    async def story(cluster: Cluster, speaker: Speaker) -> None:
+    async def story(cluster: Cluster, speaker: CommandSession) -> None:
         loop = asyncio.get_running_loop()
         for phrase in ALARMS:
             begun_s = loop.time()
@@ -130,7 +130,7 @@ def test_m13_what_may_be_an_alarm_holds_everybody_and_asks_then(tmp_path: Path) 
 
 
 def test_m13_a_hold_that_a_robot_does_not_confirm_is_told(tmp_path: Path) -> None:
-    async def story(cluster: Cluster, speaker: Speaker) -> None:
+    async def story(cluster: Cluster, speaker: CommandSession) -> None:
         await speaker.hear_fleet()
         cluster.partition([{0, 1}, {2}])
         told = await speaker.say("whoa")
@@ -141,7 +141,7 @@ def test_m13_a_hold_that_a_robot_does_not_confirm_is_told(tmp_path: Path) -> Non
 
 
 def test_m14_questions_of_the_trial_are_answered(tmp_path: Path) -> None:
-    async def story(cluster: Cluster, speaker: Speaker) -> None:
+    async def story(cluster: Cluster, speaker: CommandSession) -> None:
         for phrase in (
             "what's the battery of robot 1", "how much is left to do", "which sections are done",
             "is robot 2 ok", "how far is robot 2 from the gate",
@@ -153,7 +153,7 @@ def test_m14_questions_of_the_trial_are_answered(tmp_path: Path) -> None:
 
 
 def test_an_emergency_stop_latches_and_nothing_is_sent_then(tmp_path: Path) -> None:
-    async def story(cluster: Cluster, speaker: Speaker) -> None:
+    async def story(cluster: Cluster, speaker: CommandSession) -> None:
         told = await speaker.say("emergency stop")
         assert told.stopped == [0, 1, 2] and told.code == 0
         assert all(r.peer.state is State.EMERGENCY_STOP for r in cluster.robots.values())
@@ -165,7 +165,7 @@ def test_an_emergency_stop_latches_and_nothing_is_sent_then(tmp_path: Path) -> N
 
 
 def test_a_stop_that_is_not_heard_is_told(tmp_path: Path) -> None:
-    async def story(cluster: Cluster, speaker: Speaker) -> None:
+    async def story(cluster: Cluster, speaker: CommandSession) -> None:
         assert len((await speaker.hear_fleet()).live) == 3
         cluster.partition([{0, 1}, {2}])
         await elapse(3.0)
@@ -177,7 +177,7 @@ def test_a_stop_that_is_not_heard_is_told(tmp_path: Path) -> None:
 
 
 def test_a_goal_waits_for_an_idle_robot(tmp_path: Path) -> None:
-    async def story(cluster: Cluster, speaker: Speaker) -> None:
+    async def story(cluster: Cluster, speaker: CommandSession) -> None:
         told = await speaker.say("send the nearest robot to the shelf")
         assert told.queued == ["shelf"] and told.orders == [] and told.code == 0
         again = await speaker.say("what is queued")
@@ -197,7 +197,7 @@ def test_a_goal_waits_for_an_idle_robot(tmp_path: Path) -> None:
 
 
 def test_any_peer_answers_and_all_say_the_same(tmp_path: Path) -> None:
-    async def story(cluster: Cluster, speaker: Speaker) -> None:
+    async def story(cluster: Cluster, speaker: CommandSession) -> None:
         positions = []
         for slot in range(3):
             speaker.by = str(slot)
@@ -223,14 +223,14 @@ def test_what_a_model_read_is_obeyed_only_after_a_yes(tmp_path: Path) -> None:
     async def model(phrase: str) -> tuple[tuple[AnyIntent, ...] | Question, bool]:
         return (Goal(robot=1, place="shelf"),), True
 
-    async def no(cluster: Cluster, speaker: Speaker) -> None:
+    async def no(cluster: Cluster, speaker: CommandSession) -> None:
         speaker.read = model
         told = await speaker.say("the box is over there you know")
         assert told.question is not None and told.by_model and told.orders == []
         await elapse(1.0)
         assert cluster.robots[1].peer.state is State.WORKING
 
-    async def yes(cluster: Cluster, speaker: Speaker) -> None:
+    async def yes(cluster: Cluster, speaker: CommandSession) -> None:
         speaker.read = model
         told = await speaker.say("the box is over there you know")
         assert told.orders[0][1] == "UNDER WAY"
@@ -241,10 +241,10 @@ def test_what_a_model_read_is_obeyed_only_after_a_yes(tmp_path: Path) -> None:
 
 def test_a_bulletin_is_read_as_it_was_written() -> None:
     lines = tuple(
-        bulletin.Line(slot, State.WORKING, "LIVE", -1234.5, 1000.0, 2.5, (slot, 60_000), 0.1)
+        bulletin.MemberRow(slot, State.WORKING, "LIVE", -1234.5, 1000.0, 2.5, (slot, 60_000), 0.1)
         for slot in range(100)
     )
-    whole = bulletin.Bulletin(3, 14, 2, lines)
+    whole = bulletin.FleetSummary(3, 14, 2, lines)
     told = bulletin.read(bulletin.write(whole))
     assert told is not None and told.more == 100 - len(told.lines)
     assert told.lines == lines[: len(told.lines)] and len(told.lines) >= 25

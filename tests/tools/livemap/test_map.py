@@ -21,13 +21,13 @@ import httpx
 
 from sim.files import key_file
 from sim.record.recording import Recording
-from sim.runs.field_run import Expedition
+from sim.runs.field_run import FieldRun
 from sim.scenarios.field_setup import Setting
 from sim.scenarios.scenario import Estop, Heal, Partition, Reset, load
 from tools.bench.browser import browser, complaints, missing, until
-from tools.common.run_recorder import Keeping
+from tools.common.run_recorder import RunRecorder
 from tools.livemap.command import MapThread, recorded, show_map
-from tools.livemap.page_updates import Teller
+from tools.livemap.page_updates import PageUpdates
 from tools.livemap.playback import Index, Player, Reader
 from tools.livemap.server import _obey
 
@@ -55,8 +55,8 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ]
     limit = scenario.run.model_copy(update={"time_limit_s": END_S})
     setting = Setting(scenario.model_copy(update={"fault": faults, "run": limit}))
-    keeping = Keeping(setting, out)
-    Expedition(setting, out, attach=keeping).run()
+    keeping = RunRecorder(setting, out)
+    FieldRun(setting, out, attach=keeping).run()
     keeping.close()
     return out
 
@@ -88,7 +88,7 @@ def test_a_jump_shows_what_playing_would_have_shown(run: Path) -> None:
 
 def test_what_is_told_is_the_split_and_the_stop(run: Path) -> None:
     player = Player(Index(recorded(run, None)), False, 1.0)
-    teller = Teller(player)
+    teller = PageUpdates(player)
 
     def at(seconds: float) -> dict[str, object]:
         player.seek(round(seconds * 1e6))
@@ -126,7 +126,7 @@ def test_only_this_page_is_answered(shown: str) -> None:
 )  # fmt: skip
 def test_requests_that_make_no_sense_are_passed_over(text: str) -> None:
     player = Player(Index(Recording()), False, 1.0)
-    assert _obey(text, player, Teller(player)) is None
+    assert _obey(text, player, PageUpdates(player)) is None
 
 
 def test_what_a_person_can_get_wrong_is_one_line(

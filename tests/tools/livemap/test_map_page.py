@@ -42,7 +42,7 @@ from tools.bench.browser import browser, complaints, until
 from tools.common.bus_attach import attach
 from tools.inspect.inspector import Inspector
 from tools.livemap.command import MapThread
-from tools.livemap.page_updates import Teller
+from tools.livemap.page_updates import PageUpdates
 from tools.livemap.playback import Index, Player
 from tools.operate.operator_device import Operator
 
@@ -414,7 +414,7 @@ def test_why_a_robot_stands_is_told_from_the_bus() -> None:
         recording.write(1_000_000, encode(message, 0x80))
     player = Player(Index(recording), True, 1.0)
     player.advance(0.0, 1.0)
-    (robot,) = Teller(player).tell()["robots"]
+    (robot,) = PageUpdates(player).tell()["robots"]
     assert "start" in robot["stands"][0]
 
 

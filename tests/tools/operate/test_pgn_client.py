@@ -6,15 +6,15 @@ from agent.peer.pgn_responder import COMPONENT_PGN, LOG_PGN
 from protocol.links.bus import CanBus
 from sim.can.simulated_bus import FieldBus
 from sim.fleet.virtual_clock import run_virtual
-from tools.bench.drill import Squad
-from tools.operate.pgn_client import Correspondent
+from tools.bench.drill import ProtocolFleet
+from tools.operate.pgn_client import PgnClient
 
 
 def test_a_robot_tells_its_name_and_its_newest_traces() -> None:
     async def main() -> tuple[str | None, str | None, str | None]:
-        squad = Squad(3, 1)
+        squad = ProtocolFleet(3, 1)
         bus = CanBus(FieldBus(squad.channel))
-        asker, loop = Correspondent(bus), asyncio.get_running_loop()
+        asker, loop = PgnClient(bus), asyncio.get_running_loop()
         bus.subscribe(lambda frame: asker.hear(loop.time(), frame))
         try:
             await squad.until_working()

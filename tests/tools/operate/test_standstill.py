@@ -9,7 +9,7 @@ from agent.interface.effects import Send
 from agent.interface.lifecycle import State
 from agent.peer.peer import Peer
 from agent.runtime.engine import FleetCoordinationEngine
-from agent.safety.stop_cause import Cause, about, sentence
+from agent.safety.stop_cause import StopCause, about, sentence
 from protocol.frames.codec import decode, encode
 from protocol.frames.fleet_frames import Member, StandsBy, Standstill
 from protocol.frames.frame import Frame
@@ -26,8 +26,8 @@ from tools.operate.reset import hear_causes, stands
 TOLD = "CONFIG_MISMATCH with address 200: start that robot with the field of this fleet, or switch it off"
 
 
-@pytest.mark.parametrize("cause", list(Cause), ids=lambda cause: cause.name)
-def test_item_11_every_cause_has_a_number_and_says_what_a_person_can_do(cause: Cause) -> None:
+@pytest.mark.parametrize("cause", list(StopCause), ids=lambda cause: cause.name)
+def test_item_11_every_cause_has_a_number_and_says_what_a_person_can_do(cause: StopCause) -> None:
     assert cause.number is not StandsBy.OTHER and cause.value.do
     assert sentence(cause.number, about(cause, "")).startswith(cause.name)
 
@@ -76,7 +76,7 @@ def test_item_11_what_holds_a_fleet_is_told_to_inspect_reset_and_the_engine() ->
     run_virtual(main())
 
 
-def heard_frames(*causes: Cause) -> tuple[Peer, list[tuple[int, Frame]]]:
+def heard_frames(*causes: StopCause) -> tuple[Peer, list[tuple[int, Frame]]]:
     """Robot 0 is held by these causes; all that it says in the following 4 s."""
     peer = peer_in(State.IDLE, None)
     for cause in causes:
@@ -103,11 +103,11 @@ def told_everywhere(frames: list[tuple[int, Frame]]) -> list[list[str]]:
     return [inspector.to_dict()["robots"][0]["stands"], stands(operator, operator.robots[0])]
 
 
-SILENCES = (Cause.MEMBER_SILENT, Cause.CREEP)
+SILENCES = (StopCause.MEMBER_SILENT, StopCause.CREEP)
 
 
-@pytest.mark.parametrize("cause", list(Cause), ids=lambda cause: cause.name)
-def test_item_11_every_cause_is_named_with_its_remedy_by_inspect_and_reset(cause: Cause) -> None:
+@pytest.mark.parametrize("cause", list(StopCause), ids=lambda cause: cause.name)
+def test_item_11_every_cause_is_named_with_its_remedy_by_inspect_and_reset(cause: StopCause) -> None:
     _, frames = heard_frames(cause)
     for lines in told_everywhere(frames):
         (line,) = lines
@@ -119,7 +119,7 @@ def test_item_11_every_cause_is_named_with_its_remedy_by_inspect_and_reset(cause
 
 def test_item_11_a_cause_is_told_also_between_two_frames_that_name_it() -> None:
     """A heartbeat of a robot that creeps says that it may move."""
-    for cause in Cause:
+    for cause in StopCause:
         _, frames = heard_frames(cause)
         first = next(k for k, (_, frame) in enumerate(frames) if isinstance(decode(frame)[1], Standstill))
         for count in range(first + 1, len(frames) + 1):
@@ -127,7 +127,7 @@ def test_item_11_a_cause_is_told_also_between_two_frames_that_name_it() -> None:
 
 
 def test_item_11_all_causes_of_one_robot_are_told_worst_first() -> None:
-    several = (Cause.STOP_DOT, Cause.NOT_STARTED, Cause.SENSES_OLD, Cause.UNHEARD)
+    several = (StopCause.STOP_DOT, StopCause.NOT_STARTED, StopCause.SENSES_OLD, StopCause.UNHEARD)
     _, frames = heard_frames(*several)
     for lines in told_everywhere(frames):
         assert [line.split(":")[0].split(" ")[0] for line in lines] == [
@@ -139,8 +139,8 @@ def test_item_11_all_causes_of_one_robot_are_told_worst_first() -> None:
 
 
 def test_item_11_a_cause_that_is_gone_is_told_no_longer() -> None:
-    peer, frames = heard_frames(Cause.UNHEARD, Cause.NOT_STARTED)
-    peer.safety.clear_cause(Cause.UNHEARD, 4 * S)
+    peer, frames = heard_frames(StopCause.UNHEARD, StopCause.NOT_STARTED)
+    peer.safety.clear_cause(StopCause.UNHEARD, 4 * S)
     for beat in range(9, 13):
         for effect in peer.voice._heartbeat(peer, beat * S // 2):
             if isinstance(effect, Send):
@@ -150,13 +150,13 @@ def test_item_11_a_cause_that_is_gone_is_told_no_longer() -> None:
 
 
 def test_item_11_a_robot_that_can_say_nothing_is_named_as_silent() -> None:
-    _, frames = heard_frames(Cause.NOT_STARTED)
+    _, frames = heard_frames(StopCause.NOT_STARTED)
     inspector = Inspector()
     for t_us, frame in frames:
         inspector.hear(t_us / 1e6, frame)
     inspector.hear(30.0, encode(AddressClaimed(fleet_name("total", 1).pack()), 129))
     (robot,) = inspector.to_dict()["robots"]
-    assert robot["stands"] == [f"SILENT: {Cause.MEMBER_SILENT.value.do}"]
+    assert robot["stands"] == [f"SILENT: {StopCause.MEMBER_SILENT.value.do}"]
 
 
 def test_item_11_reset_waits_until_a_robot_has_told_all_of_its_causes() -> None:
@@ -170,7 +170,7 @@ def test_item_11_reset_waits_until_a_robot_has_told_all_of_its_causes() -> None:
         ear.subscribe(lambda frame: operator.hear(loop.time(), frame))
         await engine.start()
         await elapse(1.0)
-        held = (Cause.DISK_ERROR, Cause.BOOT_UNCONFIRMED, Cause.NOT_STARTED)
+        held = (StopCause.DISK_ERROR, StopCause.BOOT_UNCONFIRMED, StopCause.NOT_STARTED)
         for cause in held:
             engine._peer.safety.raise_cause(cause, 0)
         await engine.broadcast_emergency_stop("SYSTEM_FAULT")

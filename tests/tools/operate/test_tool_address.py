@@ -21,7 +21,7 @@ from sim.fleet.virtual_clock import elapse, run_virtual
 from tests.tools.launching import call
 from tools.operate.estop import press
 from tools.operate.operator_device import Operator
-from tools.operate.pgn_client import Correspondent
+from tools.operate.pgn_client import PgnClient
 from tools.operate.tool_address import CLAIM_PGN, PREFERRED, DeviceAddress
 
 HOLDERS = {
@@ -118,7 +118,7 @@ def test_a3_a_device_that_holds_249_keeps_it(name: Name) -> None:
         operator = heard.operator()
         await press(operator, Reason.OPERATOR_INTERVENTION, 1.0)
         operator.command(Command.WAIT)
-        letters = Correspondent(operator.bus, operator.device)
+        letters = PgnClient(operator.bus, operator.device)
         await letters.ask(65242, 130, 0.3)
         spoken = {type(m) for s, m in map(decode, heard.frames) if s == PREFERRED}
         assert spoken == {AddressClaimed}, "the holder's own claims"

@@ -18,11 +18,11 @@ from protocol.frames.frame import Frame
 from protocol.frames.safety_frames import EmergencyReset, EmergencyStop
 from sim.files.candump import CandumpWriter
 from sim.record.recording import Recording
-from sim.runs.field_run import Expedition
+from sim.runs.field_run import FieldRun
 from sim.scenarios.field_setup import Setting
 from sim.scenarios.scenario import Crash, Estop, Fault, Heal, Partition, Reset, Restart, load
 from tools.bench.browser import browser, complaints, missing
-from tools.common.run_recorder import Keeping
+from tools.common.run_recorder import RunRecorder
 from tools.report.command import report
 from tools.report.run_data import gather
 from tools.report.timeline import History
@@ -48,8 +48,8 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ]
     limit = scenario.run.model_copy(update={"time_limit_s": END_S})
     setting = Setting(scenario.model_copy(update={"fault": faults, "run": limit}))
-    keeping = Keeping(setting, out)
-    expedition = Expedition(setting, out, attach=keeping)
+    keeping = RunRecorder(setting, out)
+    expedition = FieldRun(setting, out, attach=keeping)
     outcome = expedition.run()
     keeping.close()
     figures = {**outcome.to_dict(), "scenario": HOSTILE, "faults": expedition.told_faults}
