@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from agent.avoidance.half_planes import (
@@ -24,6 +25,8 @@ from agent.avoidance.half_planes import (
     PREVIOUS,
     RIGHT,
 )
+from agent.avoidance.k_nearest import insert
+from agent.avoidance.linear_program import ONE, ZERO
 
 Table = NDArray[np.float32]  # (edges, COLUMNS)
 Vertex = tuple[float, float]
@@ -149,3 +152,59 @@ def obstacle_tree(rings: Sequence[Sequence[Vertex]]) -> ObstacleTree:
         todo.append((np.asarray(rights, dtype=np.int64), edge, RIGHT))
         todo.append((np.asarray(lefts, dtype=np.int64), edge, LEFT))
     return ObstacleTree(table, root)
+
+
+WALLS_MAX = 256  # walls in reach of one robot; the nearest are kept
+
+
+@njit(cache=True, error_model="numpy")
+def _to_edge(table, a, b, x, y):  # type: ignore[no-untyped-def]
+    """Square of the distance from a point to an edge."""
+    ax, ay = x - table[a, AT_X], y - table[a, AT_Y]
+    ex, ey = table[b, AT_X] - table[a, AT_X], table[b, AT_Y] - table[a, AT_Y]
+    r = (ax * ex + ay * ey) / (ex * ex + ey * ey)
+    if r > ONE:
+        ax, ay = x - table[b, AT_X], y - table[b, AT_Y]
+    elif r >= ZERO:
+        ax, ay = x - (table[a, AT_X] + r * ex), y - (table[a, AT_Y] + r * ey)
+    return ax * ax + ay * ay
+
+
+@njit(cache=True, error_model="numpy")
+def near_walls(table, root, x, y, reach, stack, near, squares):  # type: ignore[no-untyped-def]
+    """Fill `near` with the edges that face (x, y) within the square root of `reach`, nearest first.
+
+    The tree is walked in its own order: the side of the partition on which we are, the edge of the
+    partition itself, the other side. A node that waits for its turn is on the stack as -2 - node.
+    """
+    count, top, most = int(np.int64(0)), 0, int(np.int64(WALLS_MAX))  # not literals
+    if root >= 0:
+        stack[0], top = root, 1
+    while top > 0:
+        top -= 1
+        node = stack[top]
+        entered = node >= 0
+        edge = node if entered else -2 - node
+        b = int(table[edge, NEXT])
+        ex, ey = table[b, AT_X] - table[edge, AT_X], table[b, AT_Y] - table[edge, AT_Y]
+        side = (table[edge, AT_X] - x) * ey - (table[edge, AT_Y] - y) * ex
+        ours = int(table[edge, LEFT if side >= ZERO else RIGHT])
+        if entered:
+            stack[top] = -2 - edge
+            top += 1
+            if ours >= 0:
+                stack[top] = ours
+                top += 1
+            continue
+        if not side * side / (ex * ex + ey * ey) < reach:
+            continue
+        if side < ZERO:
+            square = _to_edge(table, edge, b, x, y)
+            if square < reach and (count < WALLS_MAX or square < squares[count - 1]):
+                insert(near, squares, count, most, edge, square)
+                count = min(count + 1, WALLS_MAX)
+        beyond = int(table[edge, RIGHT if side >= ZERO else LEFT])
+        if beyond >= 0:
+            stack[top] = beyond
+            top += 1
+    return count

@@ -14,9 +14,9 @@ from numba import njit
 from agent.avoidance.half_planes import beside_agent, beside_wall
 from agent.avoidance.k_nearest import take
 from agent.avoidance.linear_program import DX, DY, ONE, PX, PY, ZERO, solve, violation
+from agent.avoidance.obstacle_tree import WALLS_MAX, near_walls
 from agent.avoidance.stopping_constraint import before_agent, within_grip
 from agent.interface.config import NEIGHBOURS_MAX
-from tools.bench.kernels.orca_fleet import WALLS_MAX, near_walls
 
 f32 = np.float32
 PEERS_MAX = 256  # a row for every slot of a fleet, operators' devices included

@@ -10,8 +10,7 @@ from math import hypot
 from agent.interface.config import CONTROL_PERIOD_US, S
 from agent.interface.effects import HALT, Drive
 from agent.interface.mission import MotionRequest
-from agent.interface.ports import Observation
-from agent.peer.membership import Neighbour
+from agent.interface.ports import Neighbour, Observation
 
 GUARD = 0.6  # of a cell, between centres
 PERIOD_S = CONTROL_PERIOD_US / S

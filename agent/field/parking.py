@@ -20,12 +20,12 @@ import shapely
 from numpy.typing import NDArray
 
 from agent.field.field_map import Field, Polyline
-from agent.field.work_leg import LEAD_M
 from agent.interface.config import MS, S
 from agent.interface.lifecycle import State
 from agent.interface.mission import FleetView
 from agent.motion.deadlock_yield import APART_M as PAST_M
 from agent.motion.deadlock_yield import NEAR_M
+from agent.motion.implement_clearance import LEAD_M
 
 Point = tuple[float, float]
 

@@ -5,10 +5,8 @@ from math import dist, hypot
 from typing import Final, NamedTuple
 
 from agent.field.section_partition import Point
+from agent.motion.implement_clearance import LEAD_M
 
-LEAD_M: Final = (
-    0.3  # a stretch is entered before its first unit and left after its last: arriving at a
-)
 # point within centimetres would leave that much of the work out
 STRAIGHT_M: Final = 0.01  # a lead-in that begins closer to the line of its first unit does not turn
 SWUNG_M: Final = (

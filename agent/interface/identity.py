@@ -1,9 +1,19 @@
 """What a peer is told before it starts: who it is, and in which fleet."""
 
+from enum import Enum
 from typing import NamedTuple
 
-from agent.safety.stop_controller import SilencePolicy
 from protocol.name import Name
+
+
+class SilencePolicy(Enum):
+    """Silence always brakes; the policy says how the protective stop ends."""
+
+    STOP = "until the member is back, or an operator waives it by name"
+    SLOW = "after 2 s of stable membership go on at creep speed"
+    CONTINUE = "after 2 s of stable membership go on without it"
+
+
 
 
 class Identity(NamedTuple):

@@ -8,8 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple, Protocol, runtime_checkable
 
 from agent.interface.lifecycle import State
-from agent.interface.ports import Observation
-from agent.peer.membership import Neighbour
+from agent.interface.ports import Neighbour, Observation
 from crdt import FieldAllocationCRDT, Progress
 from protocol.frames.accord_frames import Accord
 from protocol.frames.messages import Message

@@ -4,10 +4,19 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple, Protocol, runtime_checkable
 
 from agent.interface.effects import Drive, Persist
-from agent.peer.membership import Neighbour
 from protocol.controller_health import Health
+from protocol.frames.fleet_frames import Pose
 from protocol.frames.frame import Frame
 from protocol.frames.messages import Message
+
+
+class Neighbour(NamedTuple):
+    """The newest pose of another member and when it was heard."""
+
+    pose: Pose
+    heard_us: int
+
+
 
 
 class VisibleParcel(NamedTuple):

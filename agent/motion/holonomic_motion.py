@@ -18,7 +18,7 @@ from agent.interface.config import CONTROL_PERIOD_US, NEIGHBOURS_MAX, S
 from agent.interface.effects import HALT, Drive
 from agent.interface.lifecycle import State
 from agent.interface.mission import MotionRequest
-from agent.interface.ports import Observation
+from agent.interface.ports import Neighbour, Observation
 from agent.motion.deadlock_yield import DeadlockYield, NearbyRobot
 from agent.motion.implement_clearance import Implement
 from agent.motion.obstacle_detector import ObstacleDetector
@@ -26,7 +26,6 @@ from agent.motion.right_of_way import RightOfWay
 from agent.motion.sensed_walls import fences_of
 from agent.motion.stopping_zone import StoppingZone
 from agent.motion.unexplained_echoes import UnexplainedEchoes
-from agent.peer.membership import Neighbour
 
 MARGIN_M: Final = 0.15  # POSE rounds to 0.05 m, a drive takes a period to act, wheels slip
 HORIZON_S: Final = 4.0  # how far ahead two moving robots agree to be clear of each other

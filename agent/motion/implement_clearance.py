@@ -10,9 +10,14 @@ from collections.abc import Sequence
 from math import hypot
 from typing import Final
 
-from agent.field.work_leg import LEAD_M
 from agent.interface.ports import Observation
 from agent.motion.deadlock_yield import NEAR_M, NearbyRobot
+
+LEAD_M: Final = (
+    0.3  # a stretch is entered before its first unit and left after its last: arriving at a
+)
+
+
 
 DEPTH_M: Final = 0.25  # along the course, before and behind the middle
 AHEAD_M: Final = 0.3  # what two robots close in on each other in a period, and the rounding of poses

@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 
 from agent.avoidance.fence_distance import gap_m
 from agent.interface.config import ACTUATOR_TTL_US, CONTROL_PERIOD_US, S
-from agent.interface.ports import Observation
+from agent.interface.ports import Neighbour, Observation
 from agent.motion.stopping_zone import StoppingZone
-from agent.peer.membership import Neighbour
 
 Point = tuple[float, float]
 GroundCell = tuple[int, int]  # a square of the ground: one point is remembered in each

@@ -11,8 +11,7 @@ from math import atan2, ceil, cos, floor, hypot, pi, sin
 from typing import Final
 
 from agent.interface.config import ACTUATOR_TTL_US, BEATS, CONTROL_PERIOD_US, MS, S
-from agent.interface.ports import Observation
-from agent.peer.membership import Neighbour
+from agent.interface.ports import Neighbour, Observation
 
 Point = tuple[float, float]
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from agent.interface.config import CONTROL_PERIOD_US, MS, S
 from agent.interface.effects import Drive
 from agent.interface.mission import MotionRequest
-from agent.interface.ports import Observation
+from agent.interface.ports import Neighbour, Observation
 from agent.motion.deadlock_yield import NearbyRobot
 from agent.motion.holonomic_motion import MARGIN_M, HolonomicMotion
 from agent.motion.holonomic_motion import BodyLimits as Body
@@ -24,7 +24,6 @@ from agent.motion.obstacle_detector import ObstacleDetector
 from agent.motion.tractor_escape import EscapeManoeuvre
 from agent.motion.tractor_tracker import SteeringLimits
 from agent.paths.tractor_route import Pose, TurnRoute
-from agent.peer.membership import Neighbour
 
 DISC_M = 0.2  # the disc is larger by this: what tracking may be off, and the swing into an arc
 SHARES = (1.0, 0.8, 0.6, 0.4, 0.25, 0.12)  # of the wanted speed, tried in this order

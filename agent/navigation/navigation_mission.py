@@ -15,7 +15,7 @@ from typing import NamedTuple
 from agent.interface.config import MS, S
 from agent.interface.lifecycle import State
 from agent.interface.mission import STILL, ClaimRequest, FleetView, MotionRequest, Record
-from agent.interface.ports import Observation
+from agent.interface.ports import Neighbour, Observation
 from agent.mapf.agreement_phase import Phase
 from agent.mapf.joint_plan_agreement import JointPlanAgreement
 from agent.mapping.building import Floor
@@ -24,7 +24,6 @@ from agent.motion.path_tracker import PathTracker
 from agent.navigation.path_lookahead import PathLookahead
 from agent.navigation.replan_policy import Replanning
 from agent.navigation.silent_robots import DEAD_US, SilentRobots
-from agent.peer.membership import Neighbour
 from crdt import Phase as Claimed
 from protocol.frames.accord_frames import AgreementReply, Fallen
 from protocol.frames.messages import Message

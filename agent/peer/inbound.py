@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 from agent.interface.config import MS, S
 from agent.interface.effects import HALT, Effect, Persist, Trace
-from agent.interface.ports import BufferedBeacon
+from agent.interface.ports import BufferedBeacon, Neighbour
 from agent.peer import fleet_summary as bulletin
 from agent.peer.frame_origin import PROPRIETARY, Origin
-from agent.peer.membership import Neighbour
 from agent.peer.operator_directive import DIRECTED
 from agent.peer.told_causes import ToldCauses
 from agent.peer.unknown_stop_sources import AnyStop

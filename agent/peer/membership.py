@@ -12,8 +12,8 @@ is heard a thousand times a second, a beat, costs one write, that of its sender'
 """
 
 from enum import Enum, auto
-from typing import NamedTuple
 
+from agent.interface.ports import Neighbour
 from protocol.frames.fleet_frames import Pose
 
 # After a farewell: frames that were sent before it, and wait behind those of others, have come by then.
@@ -29,13 +29,6 @@ class MemberStatus(Enum):
     SILENT = auto()  # was live, stopped without leaving
     LEFT = auto()  # said that it leaves
     WAIVED = auto()  # silent, and an operator said by name to go on without it
-
-
-class Neighbour(NamedTuple):
-    """The newest pose of another member and when it was heard."""
-
-    pose: Pose
-    heard_us: int
 
 
 class Membership:

@@ -22,7 +22,7 @@ from agent.interface.mission import (
     Mission,
     MotionRequest,
 )
-from agent.interface.ports import Observation
+from agent.interface.ports import Neighbour, Observation
 from agent.interface.state_machine import StateMachine
 from agent.motion.holonomic_motion import MotionController
 from agent.motion.obstacle_stop import pause_of
@@ -35,7 +35,7 @@ from agent.peer.journal_recovery import LOST, sensible
 from agent.peer.leader_election import OPERATOR_GATEWAY, Election, Leader
 from agent.peer.member_conflicts import Conflicts
 from agent.peer.member_discovery import CLAIM_REQUEST, MEMBER_PGN, MEMBER_REQUEST, MemberDiscovery
-from agent.peer.membership import Membership, Neighbour
+from agent.peer.membership import Membership
 from agent.peer.network_join import CLAIM_PGN, NetworkJoin
 from agent.peer.operator_directive import OperatorDirective
 from agent.peer.pgn_responder import Letter, PgnResponder

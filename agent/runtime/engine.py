@@ -23,7 +23,7 @@ from can import BusABC
 
 from agent.interface.config import CONTENTION_US, S
 from agent.interface.effects import Effect, Trace
-from agent.interface.identity import Identity
+from agent.interface.identity import Identity, SilencePolicy
 from agent.interface.lifecycle import State
 from agent.interface.ports import Bus, Journal, Observation
 from agent.peer.journal_recovery import remembers
@@ -33,7 +33,7 @@ from agent.peer.stop_release import Release
 from agent.runtime.peer_runner import PeerRunner
 from agent.runtime.section_names import SectionNames
 from agent.safety.stop_cause import Severity, about, sentence
-from agent.safety.stop_controller import CREEP_M_S, SilencePolicy
+from agent.safety.stop_controller import CREEP_M_S
 from crdt import FieldAllocationCRDT
 from protocol.authentication import KEY_SIZE, OPERATOR_FIRST, Keyring, Keys
 from protocol.frames.fleet_frames import NOWHERE_M, Pose

@@ -6,11 +6,11 @@ is declared in `agent/safety/stop_cause.py`; the bounds are in `docs/stopping.md
 """
 
 from collections.abc import Collection, Mapping, Sequence
-from enum import Enum
 from math import hypot
 
 from agent.interface.config import MEMBERSHIP_STABLE_US, MS, STOP_REPEAT_US, STOP_SPACING_US, S
 from agent.interface.effects import HALT, Drive, Effect, Persist, Send, Trace
+from agent.interface.identity import SilencePolicy
 from agent.safety.command_authority import CommandAuthority
 from agent.safety.standard_stop import STOPS, OwnButton, ShortcutButtons
 from agent.safety.stop_cause import CREEP, LEAST, NOT_STARTED, SILENT, WORST, Severity, StopCause
@@ -46,14 +46,6 @@ RENEWALS_MAX = 8  # further dots for one press because robots say that it was us
 COUNT_TOLD_MAX = 255  # of STOPS_HELD
 FOREVER = 1 << 62
 STANDS = (Command.HOLD, Command.STOP, Command.WAIT)  # one tag is enough for what moves nobody
-
-
-class SilencePolicy(Enum):
-    """Silence always brakes; the policy says how the protective stop ends."""
-
-    STOP = "until the member is back, or an operator waives it by name"
-    SLOW = "after 2 s of stable membership go on at creep speed"
-    CONTINUE = "after 2 s of stable membership go on without it"
 
 
 class StopController:

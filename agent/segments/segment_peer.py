@@ -11,11 +11,10 @@ from random import Random
 from typing import Any
 
 from agent.interface.effects import HALT, Effect, Trace
-from agent.interface.identity import Identity
+from agent.interface.identity import Identity, SilencePolicy
 from agent.peer.frame_origin import PROPRIETARY
 from agent.peer.peer import NOTHING, Peer
 from agent.safety.stop_cause import StopCause
-from agent.safety.stop_controller import SilencePolicy
 from agent.segments.fleet_stops import FleetStops
 from agent.segments.remote_segments import RemoteSegments
 from agent.segments.segment_area import Area

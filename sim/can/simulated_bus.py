@@ -18,8 +18,7 @@ from typing import Any, Final, Protocol
 import can
 from can import BusABC, CanOperationError, CanProtocol, Message
 
-from agent.interface.ports import BufferedBeacon
-from agent.peer.membership import Neighbour
+from agent.interface.ports import BufferedBeacon, Neighbour
 from protocol.frames.codec import decode_once
 from protocol.frames.fleet_frames import Heartbeat, Pose
 from protocol.frames.frame import Frame

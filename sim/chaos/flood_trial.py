@@ -11,7 +11,7 @@ from random import Random
 from typing import NamedTuple
 
 from agent.interface.config import MS, S, beat_of
-from agent.safety.stop_controller import SilencePolicy
+from agent.interface.identity import SilencePolicy
 from protocol.frames.frame import Frame
 from protocol.frames.safety_frames import Command, EmergencyReset, OperatorCommand
 from sim.can.simulated_bus import FieldBus

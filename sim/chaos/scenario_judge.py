@@ -10,8 +10,8 @@ from functools import partial
 from math import hypot
 from typing import Any
 
-from agent.field.work_leg import LEAD_M
 from agent.interface.config import CONTROL_PERIOD_US, MS, S, beat_of
+from agent.motion.implement_clearance import LEAD_M
 from agent.peer.journal_recovery import LOST, remembers
 from agent.peer.sense_freshness import AGE_MAX_US
 from protocol.frames.frame import Frame
@@ -29,6 +29,7 @@ from sim.runs.protocol_run import ProtocolRun
 from sim.scenarios import scenario as kinds
 from sim.scenarios.scenario import DRILLS, Fault, Scenario
 from sim.world.checkers import ExclusiveWorkChecker, Violation
+from sim.world.contacts import TOUCH_M
 from sim.world.coverage_truth import coverage, sample_points
 from sim.world.protocol_world import ProtocolWorld
 from sim.world.world import World
@@ -51,7 +52,6 @@ ON_LINE_M = 0.2  # closer than this to a line is on it; who comes to another lin
 # which it may have come to rest, and two bodies beside it), and half an implement.
 DEAD_M = 12.0
 UNNOTICED_M = 0.3  # two control periods at full speed
-TOUCH_M = 0.02  # deeper than this is a contact; bodies of robots are measured to a centimetre
 
 
 class StopEarly(Exception):

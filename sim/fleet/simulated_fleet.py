@@ -12,12 +12,11 @@ import can
 
 from agent.interface.config import ADDRESS_FIRST, ADDRESS_LAST
 from agent.interface.effects import Effect
-from agent.interface.identity import Identity
+from agent.interface.identity import Identity, SilencePolicy
 from agent.interface.lifecycle import State
 from agent.interface.ports import Body, Journal
 from agent.peer.peer import Peer
 from agent.runtime.peer_runner import PeerRunner
-from agent.safety.stop_controller import SilencePolicy
 from agent.segments.segment_area import Area
 from agent.segments.segment_peer import SegmentPeer
 from protocol.authentication import Signed

@@ -16,9 +16,8 @@ from random import Random
 from typing import Any
 
 from agent.interface.effects import Drive, Effect
-from agent.interface.identity import Identity
+from agent.interface.identity import Identity, SilencePolicy
 from agent.runtime.peer_runner import PeerRunner
-from agent.safety.stop_controller import SilencePolicy
 from agent.segments.segment_area import Area
 from agent.segments.segment_peer import SegmentPeer
 from protocol.frames.safety_frames import Reason

@@ -11,10 +11,9 @@ from random import Random
 import can
 
 from agent.interface.effects import Drive, Effect
-from agent.interface.identity import Identity
+from agent.interface.identity import Identity, SilencePolicy
 from agent.runtime.gateway_runner import GatewayShell
 from agent.runtime.peer_runner import PeerRunner
-from agent.safety.stop_controller import SilencePolicy
 from agent.segments.gateway import Gateway
 from agent.segments.map_relay import MapRelay
 from agent.segments.segment_area import Area, SegmentPlace

@@ -10,7 +10,8 @@ from typing import NamedTuple
 
 from agent.interface.config import STOP_REPEAT_US, beat_of
 from agent.interface.effects import Drive, Effect, Send
-from agent.safety.stop_controller import SilencePolicy, StopController
+from agent.interface.identity import SilencePolicy
+from agent.safety.stop_controller import StopController
 from protocol.frames.codec import decode_once, encode
 from protocol.frames.fleet_frames import Pose
 from protocol.frames.frame import Frame

@@ -14,7 +14,6 @@ from agent.peer.peer import Peer
 from crdt import Phase
 from protocol.frames.codec import Malformed, decode_once
 from protocol.frames.frame import Frame
-from sim.chaos.scenario_judge import TOUCH_M
 from sim.files.can_log import open_log
 from sim.fleet.event_loop import EventLoop
 from sim.fleet.fault_injector import FaultPlan
@@ -23,6 +22,7 @@ from sim.fleet.simulated_fleet import Cluster, Record, Robot
 from sim.fleet.trace_recorder import Recorder
 from sim.fleet.warehouse_floor import WarehouseFloor
 from sim.scenarios.delivery_setup import DeliverySetting
+from sim.world.contacts import TOUCH_M
 from sim.world.ground_truth import TrackPoint
 from sim.world.parcel_truth import CarrierBody
 

@@ -8,7 +8,7 @@ from typing import cast
 from agent.coverage.cell_map import CellMap
 from agent.coverage.coverage_mission import GridWork
 from agent.coverage.proximity_guard import GridGuard
-from agent.safety.stop_controller import SilencePolicy
+from agent.interface.identity import SilencePolicy
 from protocol.authentication import Keyring
 from sim.files.grid_map import Instance
 from sim.scenarios.scenario import BusTable, Fault, FieldTable, FleetTable, RunTable, Scenario

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from agent.exploration.exploration_task import ORDERS_MAX, ROBOTS_MAX, Kind
 from agent.exploration.exploration_task import ExplorationOrder as Task
-from agent.safety.stop_controller import SilencePolicy
+from agent.interface.identity import SilencePolicy
 from crdt.allocation import FieldAllocationCRDT
 from crdt.occupancy import Geometry
 from crdt.sighting import MergeOrder

@@ -17,6 +17,7 @@ from agent.field.field_map import XY, Field, joins, rasterise, start_poses
 from agent.field.field_mission import FieldMission
 from agent.field.tractor_mission import TractorMission
 from agent.interface.config import BRAKING_SHARE
+from agent.interface.identity import SilencePolicy
 from agent.motion.holonomic_motion import FENCE_M, HolonomicMotion
 from agent.motion.holonomic_motion import BodyLimits as BodyLimits
 from agent.motion.path_tracker import ALIGN_M
@@ -24,7 +25,6 @@ from agent.motion.tractor_motion import TractorMotion
 from agent.motion.tractor_tracker import SteeringLimits
 from agent.paths.route import Route
 from agent.paths.tractor_route import TurnRoute
-from agent.safety.stop_controller import SilencePolicy
 from protocol.authentication import Keyring, Keys
 from sim.files.field_error import FILE_BYTES_MAX, FieldFileError
 from sim.files.field_file import read_boundary

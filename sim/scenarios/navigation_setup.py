@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.interface.config import BRAKING_SHARE, S
+from agent.interface.identity import SilencePolicy
 from agent.mapping.building import Floor
 from agent.mapping.dynamic_obstacles import geometry_of
 from agent.motion.holonomic_motion import BodyLimits, HolonomicMotion
 from agent.navigation.navigation_mission import NavigationMission
-from agent.safety.stop_controller import SilencePolicy
 from crdt.hybrid_clock import HybridClock
 from crdt.occupancy import SIDE_MAX, OccupancyMap
 from crdt.sighting import OBSERVER_MAX, TIME_MAX, MergeOrder

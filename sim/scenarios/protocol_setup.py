@@ -3,7 +3,7 @@
 from functools import cached_property
 from pathlib import Path
 
-from agent.safety.stop_controller import SilencePolicy
+from agent.interface.identity import SilencePolicy
 from sim.scenarios.field_setup import Setting
 from sim.scenarios.scenario import DRILLS, FieldTable, FleetTable, RunTable, Scenario
 from sim.world.protocol_world import (

@@ -7,14 +7,13 @@ import numpy as np
 
 from agent.interface.config import S
 from agent.interface.effects import HALT, Drive, Effect, Send
-from agent.interface.identity import Identity
+from agent.interface.identity import Identity, SilencePolicy
 from agent.interface.lifecycle import State
 from agent.interface.mission import ClaimRequest, FleetView, MotionRequest
 from agent.interface.ports import Observation
 from agent.motion.holonomic_motion import BodyLimits, HolonomicMotion
 from agent.peer.peer import Peer
 from agent.safety.stop_cause import ClearCondition, StopCause
-from agent.safety.stop_controller import SilencePolicy
 from protocol.controller_health import Health
 from protocol.frames.fleet_frames import Member
 from protocol.frames.network_frames import AddressClaimed

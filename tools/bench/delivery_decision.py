@@ -20,9 +20,8 @@ from agent.delivery.warehouse import CarrierState, Warehouse
 from agent.interface.config import MS
 from agent.interface.lifecycle import State
 from agent.interface.mission import FleetView
-from agent.interface.ports import Observation
+from agent.interface.ports import Neighbour, Observation
 from agent.mapping.building import Floor
-from agent.peer.membership import Neighbour
 from crdt import FieldAllocationCRDT, Phase, Progress
 from crdt.register import pack
 from protocol.frames.codec import decode, encode

@@ -11,7 +11,8 @@ from collections.abc import Iterator
 from random import Random
 
 from agent.interface.effects import Persist
-from agent.safety.stop_controller import SilencePolicy, StopController
+from agent.interface.identity import SilencePolicy
+from agent.safety.stop_controller import StopController
 from crdt.stops import StopDot, StopSet
 from protocol.authentication import BAD_MAX, BAD_WINDOW_US, KEY_SIZE, SESSION_US, Keyring, Keys
 from protocol.frames.safety_frames import Challenge, EmergencyReset, EmergencyStop

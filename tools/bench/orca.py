@@ -23,9 +23,8 @@ from agent.avoidance.orca import OrcaSolver
 from agent.interface.config import CONTROL_PERIOD_US, NEIGHBOURS_MAX
 from agent.interface.lifecycle import State
 from agent.interface.mission import MotionRequest
-from agent.interface.ports import Observation
+from agent.interface.ports import Neighbour, Observation
 from agent.motion.holonomic_motion import HolonomicMotion
-from agent.peer.membership import Neighbour
 from protocol.frames.fleet_frames import Pose
 from sim.scenarios.field_setup import Setting
 from sim.scenarios.scenario import load

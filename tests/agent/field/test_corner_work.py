@@ -7,10 +7,10 @@ from shapely.geometry import box
 
 from agent.field.field_map import Field, Section
 from agent.field.field_mission import FieldMission
-from agent.field.work_leg import LEAD_M
 from agent.interface.config import CONTROL_PERIOD_US
 from agent.interface.mission import FleetView
 from agent.interface.ports import Observation
+from agent.motion.implement_clearance import LEAD_M
 from agent.paths.route import Route
 from crdt import FieldAllocationCRDT, Progress
 from sim.world.coverage_truth import coverage, sample_points

@@ -12,11 +12,12 @@ import pytest
 
 from agent.interface.config import S
 from agent.interface.effects import HALT, Drive
+from agent.interface.identity import SilencePolicy
 from agent.interface.lifecycle import TABLE, Event, State
 from agent.interface.state_machine import StateMachine, matrix, to_mermaid
 from agent.peer.peer import Peer
 from agent.safety.stop_cause import Severity, StopCause
-from agent.safety.stop_controller import CREEP_M_S, SilencePolicy
+from agent.safety.stop_controller import CREEP_M_S
 from protocol.frames.network_frames import AddressClaimed
 from protocol.frames.safety_frames import EmergencyReset, Reason
 from tests.agent.lone_peer import held_by, pass_time, peer_in

@@ -7,11 +7,11 @@ import pytest
 
 from agent.interface.lifecycle import State
 from agent.interface.mission import MotionRequest
+from agent.interface.ports import Neighbour
 from agent.motion.holonomic_motion import BodyLimits as Body
 from agent.motion.tractor_motion import TractorMotion
 from agent.motion.tractor_tracker import SteeringLimits
 from agent.paths.tractor_route import TurnRoute
-from agent.peer.membership import Neighbour
 from protocol.frames.fleet_frames import Pose as Beat
 from sim.world.drive_trains import TRACTOR
 from sim.world.world import World

@@ -8,10 +8,9 @@ from hypothesis import strategies as st
 
 from agent.interface.config import MS, S
 from agent.interface.mission import FleetView
-from agent.interface.ports import Observation
+from agent.interface.ports import Neighbour, Observation
 from agent.motion.stopping_zone import seen_through
 from agent.navigation.silent_robots import DEAD_US, NOWHERE_M, SURE_M, SilentRobots
-from agent.peer.membership import Neighbour
 from crdt import FieldAllocationCRDT, Progress
 from protocol.frames.accord_frames import Fallen
 from protocol.frames.fleet_frames import Pose

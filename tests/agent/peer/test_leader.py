@@ -5,10 +5,10 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from itertools import count
 
+from agent.interface.identity import SilencePolicy
 from agent.peer import fleet_summary as bulletin
 from agent.peer.fleet_summary import BULLETIN_PGN
 from agent.runtime.engine import FleetCoordinationEngine
-from agent.safety.stop_controller import SilencePolicy
 from protocol.frames.identifier import GLOBAL_ADDRESS
 from protocol.links.bus import CanBus
 from sim.can.simulated_bus import FieldBus, forget, segment

@@ -12,11 +12,11 @@ from shutil import copyfile
 import pytest
 
 from agent.interface.effects import Persist
-from agent.interface.identity import Identity
+from agent.interface.identity import Identity, SilencePolicy
 from agent.peer.journal_recovery import LOST
 from agent.peer.peer import Peer
 from agent.runtime.sqlite_journal import CHECK_SIZE, MARK_SUFFIX, SqliteJournal, _checked
-from agent.safety.stop_controller import HOLD_KEY, LATCHED, SilencePolicy
+from agent.safety.stop_controller import HOLD_KEY, LATCHED
 from protocol.frames.safety_frames import Reason
 from protocol.name import fleet_name
 

@@ -10,9 +10,10 @@ from typing import Any
 import can
 import pytest
 
+from agent.interface.identity import SilencePolicy
 from agent.runtime.engine import FleetCoordinationEngine
 from agent.safety.stop_cause import StopCause
-from agent.safety.stop_controller import CREEP_M_S, SilencePolicy
+from agent.safety.stop_controller import CREEP_M_S
 from protocol.authentication import Keyring, Keys
 from protocol.links.bus import CanBus
 from sim.can.simulated_bus import forget, segment

@@ -6,10 +6,11 @@ import pytest
 
 from agent.interface.config import MS, STOP_REPEAT_US, S
 from agent.interface.effects import HALT, Effect, Send
+from agent.interface.identity import SilencePolicy
 from agent.interface.lifecycle import State
 from agent.peer.peer import Peer
 from agent.safety.stop_cause import StopCause
-from agent.safety.stop_controller import AGAIN_US, SPENT_HOLD_US, SilencePolicy, StopController
+from agent.safety.stop_controller import AGAIN_US, SPENT_HOLD_US, StopController
 from crdt.stops import ACTIVE_MAX, StopDot
 from protocol.authentication import Keyring, Keys
 from protocol.fleet_tags import HeldTags

@@ -6,8 +6,9 @@ import pytest
 
 from agent.interface.config import MS, STOP_REPEAT_US, S
 from agent.interface.effects import Effect, Send
+from agent.interface.identity import SilencePolicy
 from agent.interface.lifecycle import State
-from agent.safety.stop_controller import REPEATS_ALONE, SilencePolicy, StopController
+from agent.safety.stop_controller import REPEATS_ALONE, StopController
 from crdt.stops import StopDot
 from protocol.frames.fleet_frames import Pose
 from protocol.frames.network_frames import AddressClaimed

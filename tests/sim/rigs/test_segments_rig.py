@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from agent.interface.effects import Effect
+from agent.interface.identity import SilencePolicy
 from agent.peer.peer import Peer
-from agent.safety.stop_controller import SilencePolicy
 from agent.segments.gateway import Publish
 from crdt.occupancy import Geometry
 from crdt.stops import RemoteStopDot
