@@ -10,13 +10,14 @@ from math import hypot
 from agent.interface.config import CONTROL_PERIOD_US, S
 from agent.interface.effects import HALT, Drive
 from agent.interface.mission import MotionRequest
+from agent.interface.motion_controller import MotionController
 from agent.interface.ports import Neighbour, Observation
 
 GUARD = 0.6  # of a cell, between centres
 PERIOD_S = CONTROL_PERIOD_US / S
 
 
-class GridGuard:
+class GridGuard(MotionController):
     """The `Motion` of a robot on a grid: its wishes are safe by the plan, if all keep to it."""
 
     def __init__(self, cell_m: float, radius_m: float, speed_m_s: float) -> None:

@@ -31,9 +31,9 @@ from agent.exploration.frontier_path import TURN_ROUND, XY, FrontierPath
 from agent.interface.config import LEASE_US, MS, S
 from agent.interface.lifecycle import State
 from agent.interface.mission import ClaimRequest, FleetView, MotionRequest
+from agent.interface.motion_controller import BodyLimits
 from agent.mapping.inflation import Cell, Grid
 from agent.mapping.local_and_fleet_map import LocalAndFleetMap
-from agent.motion.holonomic_motion import BodyLimits
 from crdt import Phase
 from crdt.occupancy import SIDE, MergeResult, corner_of
 from crdt.sighting import FREE, UNKNOWN

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from agent.interface.config import S
 from agent.interface.mission import STILL, FleetView, MotionRequest
+from agent.interface.motion_controller import BodyLimits
 from agent.interface.ports import Observation
 from agent.mapping.inflation import Cell
 from agent.mapping.local_and_fleet_map import LocalAndFleetMap
-from agent.motion.holonomic_motion import BodyLimits
 
 XY = tuple[float, float]
 Cells = tuple[NDArray[np.intp], NDArray[np.intp]]  # rows, columns

@@ -15,11 +15,11 @@ from agent.field.field_obstructions import BLOCKED_M, FieldObstructions
 from agent.field.parking import Parking
 from agent.field.section_choice import SectionChooser
 from agent.field.section_partition import Point
+from agent.field.work_headway import Headway
 from agent.field.work_leg import STRAIGHT_M, SWUNG_M, LeadInOut, WorkLeg, working_leg
 from agent.interface.mission import STILL, ClaimRequest, FleetView, MotionRequest
 from agent.motion.implement_clearance import LEAD_M, Implement
 from agent.motion.path_tracker import PathTracker
-from agent.motion.stall_watchdog import Headway
 from agent.paths.route import Route
 
 ASTRAY_M: Final = (

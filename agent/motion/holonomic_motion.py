@@ -8,7 +8,7 @@ one may have come to rest that says nothing any more is `agent/motion/stopping_z
 
 from collections.abc import Mapping
 from math import cos, hypot, sin
-from typing import Final, NamedTuple, Protocol
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,10 +18,12 @@ from agent.interface.config import CONTROL_PERIOD_US, NEIGHBOURS_MAX, S
 from agent.interface.effects import HALT, Drive
 from agent.interface.lifecycle import State
 from agent.interface.mission import MotionRequest
+from agent.interface.motion_controller import BodyLimits, MotionController
 from agent.interface.ports import Neighbour, Observation
 from agent.motion.deadlock_yield import DeadlockYield, NearbyRobot
 from agent.motion.implement_clearance import Implement
 from agent.motion.obstacle_detector import ObstacleDetector
+from agent.motion.obstacle_stop import ObstacleStop
 from agent.motion.right_of_way import RightOfWay
 from agent.motion.sensed_walls import fences_of
 from agent.motion.stopping_zone import StoppingZone
@@ -44,23 +46,7 @@ def _square(row: tuple[float, ...]) -> float:
     return row[0] * row[0] + row[1] * row[1]
 
 
-class BodyLimits(NamedTuple):
-    """What the body is and can do."""
-
-    radius_m: float
-    speed_m_s: float
-    acceleration_m_s2: float
-
-
-class MotionController(Protocol):
-    """What a control period asks: the drive for a wish, harming nobody."""
-
-    def drive(
-        self, here: Observation, wish: MotionRequest, neighbours: Mapping[int, Neighbour], now_us: int
-    ) -> Drive: ...
-
-
-class HolonomicMotion:
+class HolonomicMotion(MotionController):
     def __init__(
         self,
         slot: int,
@@ -110,6 +96,17 @@ class HolonomicMotion:
             self.giving_way = DeadlockYield(
                 slot, limits.radius_m, limits.speed_m_s, fences, scale, self.implement.near_m
             )
+
+    @property
+    def body_limits(self) -> BodyLimits:
+        return self.limits
+
+    def set_state(self, state: State) -> None:
+        self.state = state
+
+    def obstacle_question(self) -> ObstacleStop | None:
+        """None for a robot that does not know every wall, so cannot tell a person from one."""
+        return ObstacleStop(self.slot, self.limits, self.lookout) if self.lookout else None
 
     def drive(
         self, here: Observation, wish: MotionRequest, neighbours: Mapping[int, Neighbour], now_us: int

@@ -8,14 +8,14 @@ is found behind the thing belongs to it; something else in the way, or no way at
 anew. An answer that names another question than the open one is not obeyed.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import hypot, sqrt
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from agent.interface.config import MS, S
 from agent.interface.effects import HALT, Drive, Effect, Send, Trace
-from agent.interface.ports import Observation
-from agent.motion.holonomic_motion import BodyLimits, HolonomicMotion, MotionController
+from agent.interface.motion_controller import BodyLimits
+from agent.interface.ports import Neighbour, Observation
 from agent.motion.obstacle_detector import (
     CHAIN_M,
     MARGIN_M,
@@ -25,12 +25,8 @@ from agent.motion.obstacle_detector import (
     Point,
     middle,
 )
-from agent.safety.stop_cause import StopCause
 from protocol.frames.operator_frames import NUMBERS, OperatorReport, ReportKind
 from protocol.frames.safety_frames import Command
-
-if TYPE_CHECKING:
-    from agent.peer.peer import Peer
 
 FREE_US: Final = 1 * S  # the way is free for so long: it has left
 ASK_US: Final = 1 * S  # the question is said again, for operators that come later
@@ -45,15 +41,16 @@ ANSWERS: Final = (Command.WAIT, Command.CONTINUE, Command.REPLAN)
 
 
 class ObstacleStop:
-    """One robot's; `peer` is told causes and work, `lookout` is its eyes."""
+    """One robot's; `lookout` is its eyes. While it is `asking` the peer holds the robot."""
 
-    def __init__(self, peer: "Peer", limits: BodyLimits, lookout: ObstacleDetector) -> None:
-        self.peer, self.limits, self.lookout = peer, limits, lookout
+    def __init__(self, slot: int, limits: BodyLimits, lookout: ObstacleDetector) -> None:
+        self.slot, self.limits, self.lookout = slot, limits, lookout
         self.number = 0  # of the newest question
         self.matter: ReportKind | None = None  # where that stands
         self.things: frozenset[GroundCell] = frozenset()  # to go round, by an operator's answer
         self.leave_out = False  # what they stand on is not worked
         self._known_as, self._places = self.things, frozenset[Point]()
+        self.why = ""  # of the newest question
         self._course: Point = (0.0, 0.0)  # the motion that was stopped, as a direction
         self._sighting = Detection(0.0, 0.0, 0.0)
         self._seen_us = self._asked_us = self._moved_us = 0
@@ -61,6 +58,10 @@ class ObstacleStop:
     @property
     def asking(self) -> bool:
         return self.matter in (ReportKind.ASKING, ReportKind.WAITING)
+
+    @property
+    def passing(self) -> bool:
+        return bool(self.things)
 
     @property
     def round(self) -> tuple[frozenset[Point], bool]:
@@ -71,14 +72,16 @@ class ObstacleStop:
 
     # ---------------------------------------------------------------- each control period
 
-    def watch(self, wanted: Drive, here: Observation, now_us: int) -> tuple[Drive, list[Effect]]:
+    def watch(
+        self, wanted: Drive, here: Observation, neighbours: Mapping[int, Neighbour],
+        may_move: bool, now_us: int,
+    ) -> tuple[Drive, list[Effect]]:  # fmt: skip
         """The drive that spares what is in the way, and what to say. The gate comes after."""
-        neighbours = self.peer.membership.neighbours
         if self.asking:
             ux, uy = self._course
             way = (ux * self.limits.speed_m_s, uy * self.limits.speed_m_s)
             return HALT, self._stand(self.lookout.look(here, (way,), neighbours, now_us), now_us)
-        if not self.peer.safety.may_move:
+        if not may_move:
             return wanted, []  # it stands for another reason
         motions = self._motions(wanted, here)
         sighting = self.lookout.look(here, motions, neighbours, now_us)
@@ -88,7 +91,7 @@ class ObstacleStop:
             self._moved_us = now_us
             return (self._slowed(wanted, here) if self.things else wanted), []
         if self._known((sighting.x_m, sighting.y_m)):
-            return self._creep(wanted, here, sighting, now_us)
+            return self._creep(wanted, here, sighting, may_move, now_us)
         return HALT, self._ask(here, motions, sighting, now_us)
 
     def _motions(self, wanted: Drive, here: Observation) -> list[Point]:
@@ -111,17 +114,15 @@ class ObstacleStop:
         self._course = motion[0] / speed_m_s, motion[1] / speed_m_s
         self.number = self.number % NUMBERS + 1
         self._seen_us = now_us
-        why = f"{sighting.free_m:.1f} m ahead at {sighting.x_m:.1f}, {sighting.y_m:.1f}"
-        self.peer.safety.raise_cause(StopCause.OBSTACLE_AHEAD, now_us, why)
+        self.why = f"{sighting.free_m:.1f} m ahead at {sighting.x_m:.1f}, {sighting.y_m:.1f}"
         self._sighting = sighting
-        return self._turn(ReportKind.ASKING, why, now_us)
+        return self._turn(ReportKind.ASKING, self.why, now_us)
 
     def _stand(self, seen: Detection | None, now_us: int) -> list[Effect]:
         """Until an answer comes, or the thing has left."""
         if seen is not None:
             self._sighting, self._seen_us = seen, now_us
         elif now_us - self._seen_us >= FREE_US:
-            self.peer.safety.clear_cause(StopCause.OBSTACLE_AHEAD, now_us)
             return self._turn(ReportKind.GONE, "the way is free", now_us)
         if self.matter is ReportKind.ASKING and now_us - self._asked_us >= ASK_US:
             self._asked_us = now_us
@@ -129,13 +130,13 @@ class ObstacleStop:
         return []
 
     def _creep(
-        self, wanted: Drive, here: Observation, sighting: Detection, now_us: int
+        self, wanted: Drive, here: Observation, sighting: Detection, may_move: bool, now_us: int
     ) -> tuple[Drive, list[Effect]]:
         """Past a thing that an operator knows of: never faster than can be stopped before it."""
         room_m = max(0.0, sighting.free_m - KEEP_M)
         most_m_s = sqrt(2 * self.limits.acceleration_m_s2 * room_m) / 2
         drive = _at_most(wanted, min(most_m_s, CREEP_M_S))
-        if hypot(drive.vx_m_s, drive.vy_m_s) > STUCK_M_S or not self.peer.safety.may_move:
+        if hypot(drive.vx_m_s, drive.vy_m_s) > STUCK_M_S or not may_move:
             self._moved_us = now_us
         if now_us - self._moved_us < STUCK_US:
             return drive, []
@@ -182,7 +183,6 @@ class ObstacleStop:
             return []
         self.things = frozenset(self.lookout.points)
         self._moved_us = now_us
-        self.peer.safety.clear_cause(StopCause.OBSTACLE_AHEAD, now_us)
         return self._turn(ReportKind.GOING_ROUND, why, now_us)
 
     def report(self, matter: ReportKind) -> OperatorReport:
@@ -190,7 +190,7 @@ class ObstacleStop:
         away_m = [hypot(x - seen.x_m, y - seen.y_m) for x, y in map(middle, self.lookout.points)]
         radius_m = max((m for m in away_m if m <= 2 * CHAIN_M), default=0.0)
         return OperatorReport(
-            self.peer.slot, self.number, matter, seen.x_m, seen.y_m, seen.free_m, radius_m
+            self.slot, self.number, matter, seen.x_m, seen.y_m, seen.free_m, radius_m
         )
 
     def _turn(self, matter: ReportKind, why: str, now_us: int) -> list[Effect]:
@@ -201,13 +201,6 @@ class ObstacleStop:
             Send(self.report(matter)),
             Trace("pause", was, f"question {self.number}", matter.name, why),
         ]
-
-
-def pause_of(peer: "Peer", motion: MotionController | None) -> ObstacleStop | None:
-    """None for a robot that does not know every wall, so cannot tell a person from one."""
-    if not isinstance(motion, HolonomicMotion) or motion.lookout is None:
-        return None
-    return ObstacleStop(peer, motion.limits, motion.lookout)
 
 
 def _at_most(drive: Drive, speed_m_s: float) -> Drive:

@@ -8,8 +8,7 @@ from agent.interface.config import ACTUATOR_TTL_US
 from agent.interface.effects import Effect, Send, Trace
 from agent.interface.lifecycle import IDLE, WORKING, Event
 from agent.interface.mission import STILL, FleetView, MotionRequest, Replanning, Sweeping
-from agent.motion.holonomic_motion import HolonomicMotion
-from agent.motion.stall_watchdog import Advice, Stall
+from agent.peer.stall_watchdog import Advice, Stall
 from protocol.frames.operator_frames import OperatorReport, ReportKind
 
 if TYPE_CHECKING:
@@ -65,11 +64,13 @@ class ControlCycle:
         if self._sweeping is not None:
             effects += peer.voice.sweep(peer, self._sweeping.swept(), now_us)
         peer.wish = self._wish(view, effects)
-        if isinstance(peer.motion, HolonomicMotion):
-            peer.motion.state = peer.lifecycle.state
+        peer.motion.set_state(peer.lifecycle.state)
         wanted = peer.motion.drive(peer.here, peer.wish, peer.membership.neighbours, now_us)
         if peer.pause is not None:
-            wanted, said = peer.pause.watch(wanted, peer.here, now_us)
+            neighbours, may_move = peer.membership.neighbours, peer.safety.may_move
+            asked = peer.pause.asking
+            wanted, said = peer.pause.watch(wanted, peer.here, neighbours, may_move, now_us)
+            peer.stand_while_asking(asked, now_us)
             effects += said
         drive = peer.safety.gate(wanted, now_us)
         peer.senses.drove(drive)
@@ -83,7 +84,7 @@ class ControlCycle:
         peer, here, wish = self.peer, view.here, self.peer.wish
         if self._replanning is None or not peer.safety.may_move:
             return ()
-        if peer.pause is not None and peer.pause.things:
+        if peer.pause is not None and peer.pause.passing:
             return ()  # it creeps round what an operator knows of, and asks again by itself
         near_m = NEAR_M + 2 * getattr(getattr(peer.motion, "limits", None), "radius_m", 0.0)
         crowded = any(

@@ -58,7 +58,10 @@ class OperatorDirective:
         ended = [] if command is Command.WAIT else self.over(f"an operator's {command.name}")
         if ended or pause is None:
             return ended
-        return pause.answer(command, m.argument, now_us)
+        asked = pause.asking
+        effects = pause.answer(command, m.argument, now_us)
+        self.peer.stand_while_asking(asked, now_us)
+        return effects
 
     def _stop(self, now_us: int) -> Sequence[Effect]:
         peer = self.peer
@@ -88,7 +91,13 @@ class OperatorDirective:
 
     def _pass(self, why: str, now_us: int) -> list[Effect]:
         """What is in the way is known to who gave the order: it is gone round."""
-        return [] if self.peer.pause is None else self.peer.pause.go_round(why, now_us)
+        pause = self.peer.pause
+        if pause is None:
+            return []
+        asked = pause.asking
+        effects = pause.go_round(why, now_us)
+        self.peer.stand_while_asking(asked, now_us)
+        return effects
 
     def _meant(self, m: OperatorCommand, now_us: int) -> Point | None:
         east, north = self._named.get((m.operator, False)), self._named.get((m.operator, True))

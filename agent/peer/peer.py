@@ -22,10 +22,9 @@ from agent.interface.mission import (
     Mission,
     MotionRequest,
 )
+from agent.interface.motion_controller import MotionController
 from agent.interface.ports import Neighbour, Observation
 from agent.interface.state_machine import StateMachine
-from agent.motion.holonomic_motion import MotionController
-from agent.motion.obstacle_stop import pause_of
 from agent.peer.announcements import Announcements
 from agent.peer.control_cycle import ControlCycle
 from agent.peer.durable_records import DurableRecords
@@ -134,7 +133,7 @@ class Peer:
         self.standstills: dict[int, ToldCauses] = {}
         self.directive, self.check = OperatorDirective(self), SelfCheck(self, now_us)
         self.senses = Senses(self)
-        self.pause = pause_of(self, motion)
+        self.pause = None if motion is None else motion.obstacle_question()
         self._hearing, self._working = InboundHandlers(self), ControlCycle(self)
         self.beats = self._hearing.beats
         if self.records.lost:
@@ -434,6 +433,16 @@ class Peer:
             members.live, members.silent_since_us, members.neighbours, things, leave_out,
             self.safety.may_move,
         ))  # fmt: skip
+
+    def stand_while_asking(self, asked: bool, now_us: int) -> None:
+        """An open question before an obstacle holds the robot; `asked`: one was open before."""
+        pause = self.pause
+        if pause is None or pause.asking == asked:
+            return
+        if pause.asking:
+            self.safety.raise_cause(StopCause.OBSTACLE_AHEAD, now_us, pause.why)
+        else:
+            self.safety.clear_cause(StopCause.OBSTACLE_AHEAD, now_us)
 
     def membership_changed(self, now_us: int) -> list[Effect]:
         """The live view changed: tell the parts that depend on it."""

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Final
 from agent.interface.config import ACTUATOR_TTL_US, CONTROL_PERIOD_US, S
 from agent.interface.effects import HALT, Drive, Effect, Trace
 from agent.interface.ports import Observation
-from agent.motion.holonomic_motion import HolonomicMotion
 from agent.safety.stop_cause import StopCause
 
 if TYPE_CHECKING:
@@ -145,9 +144,10 @@ class Senses:
     @property
     def _acceleration_m_s2(self) -> float:
         motion = self.peer.motion
-        if isinstance(motion, HolonomicMotion):
-            return ACCELERATION_SHARE * motion.limits.acceleration_m_s2
-        return ACCELERATION_M_S2
+        limits = None if motion is None else motion.body_limits
+        if limits is None:
+            return ACCELERATION_M_S2
+        return ACCELERATION_SHARE * limits.acceleration_m_s2
 
     def _set(self, cause: StopCause, there: bool, why: str, now_us: int) -> list[Effect]:
         safety = self.peer.safety

@@ -20,8 +20,9 @@ from agent.exploration.lone_exploration import LoneExploration
 from agent.interface.config import BRAKING_SHARE
 from agent.interface.identity import Identity
 from agent.interface.lifecycle import State
+from agent.interface.motion_controller import BodyLimits
 from agent.mapping.local_and_fleet_map import LocalAndFleetMap
-from agent.motion.holonomic_motion import BodyLimits, HolonomicMotion
+from agent.motion.holonomic_motion import HolonomicMotion
 from agent.peer.peer import Peer
 from crdt.hybrid_clock import HybridClock
 from crdt.occupancy import OccupancyMap

@@ -18,8 +18,8 @@ from agent.field.field_mission import FieldMission
 from agent.field.tractor_mission import TractorMission
 from agent.interface.config import BRAKING_SHARE
 from agent.interface.identity import SilencePolicy
+from agent.interface.motion_controller import BodyLimits as BodyLimits
 from agent.motion.holonomic_motion import FENCE_M, HolonomicMotion
-from agent.motion.holonomic_motion import BodyLimits as BodyLimits
 from agent.motion.path_tracker import ALIGN_M
 from agent.motion.tractor_motion import TractorMotion
 from agent.motion.tractor_tracker import SteeringLimits

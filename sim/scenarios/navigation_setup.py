@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from agent.interface.config import BRAKING_SHARE, S
 from agent.interface.identity import SilencePolicy
+from agent.interface.motion_controller import BodyLimits
 from agent.mapping.building import Floor
 from agent.mapping.dynamic_obstacles import geometry_of
-from agent.motion.holonomic_motion import BodyLimits, HolonomicMotion
+from agent.motion.holonomic_motion import HolonomicMotion
 from agent.navigation.navigation_mission import NavigationMission
 from crdt.hybrid_clock import HybridClock
 from crdt.occupancy import SIDE_MAX, OccupancyMap

@@ -12,8 +12,9 @@ from typing import NamedTuple
 from agent.interface.config import ACTUATOR_TTL_US, CONTENTION_US, LEASE_US, MS, S
 from agent.interface.effects import HALT, Drive
 from agent.interface.mission import STILL, ClaimRequest, FleetView, MotionRequest
+from agent.interface.motion_controller import BodyLimits
 from agent.interface.ports import NOTHING_SEEN, Observation
-from agent.motion.holonomic_motion import BodyLimits, HolonomicMotion
+from agent.motion.holonomic_motion import HolonomicMotion
 from crdt import Phase
 from sim.world.checkers import VIOLATIONS_MAX, Violation, lapse_us
 from sim.world.drive_trains import Chassis

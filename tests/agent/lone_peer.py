@@ -10,8 +10,9 @@ from agent.interface.effects import HALT, Drive, Effect, Send
 from agent.interface.identity import Identity, SilencePolicy
 from agent.interface.lifecycle import State
 from agent.interface.mission import ClaimRequest, FleetView, MotionRequest
+from agent.interface.motion_controller import BodyLimits
 from agent.interface.ports import Observation
-from agent.motion.holonomic_motion import BodyLimits, HolonomicMotion
+from agent.motion.holonomic_motion import HolonomicMotion
 from agent.peer.peer import Peer
 from agent.safety.stop_cause import ClearCondition, StopCause
 from protocol.controller_health import Health

@@ -7,7 +7,8 @@ from random import Random
 import numpy as np
 
 from agent.interface.identity import Identity
-from agent.motion.holonomic_motion import BodyLimits, HolonomicMotion
+from agent.interface.motion_controller import BodyLimits
+from agent.motion.holonomic_motion import HolonomicMotion
 from agent.peer.peer import Peer
 from agent.runtime.peer_runner import PeerRunner
 from protocol.links.bus import CanBus

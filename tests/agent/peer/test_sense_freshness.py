@@ -10,8 +10,9 @@ import pytest
 from agent.interface.config import ACTUATOR_TTL_US, CONTROL_PERIOD_US, MS, S
 from agent.interface.effects import HALT, Drive, Effect, Send
 from agent.interface.lifecycle import State
+from agent.interface.motion_controller import BodyLimits
 from agent.interface.ports import Observation
-from agent.motion.holonomic_motion import BodyLimits, HolonomicMotion
+from agent.motion.holonomic_motion import HolonomicMotion
 from agent.motion.stopping_zone import GONE_QUIET_US
 from agent.peer.peer import Peer
 from agent.peer.sense_freshness import AGE_MAX_US, FROZEN_M, STEADY_US

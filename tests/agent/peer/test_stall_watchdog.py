@@ -1,11 +1,12 @@
 """Who wants to drive and gets nowhere plans again, says so, and gives back what it gets nowhere with."""
 
 from agent.field.section_choice import AGAIN_US, STANDS_US, SectionChooser
+from agent.field.work_headway import Headway
 from agent.interface.config import CONTROL_PERIOD_US, S
 from agent.interface.lifecycle import State
 from agent.interface.mission import FleetView
 from agent.interface.ports import Neighbour, Observation
-from agent.motion.stall_watchdog import ALONE_US, CROWDED_US, TOLD_AFTER, Advice, Headway, Stall
+from agent.peer.stall_watchdog import ALONE_US, CROWDED_US, TOLD_AFTER, Advice, Stall
 from crdt import FieldAllocationCRDT, Progress
 from protocol.frames.fleet_frames import Pose
 from tests.agent.field.test_section_choice import FIELD
