@@ -81,7 +81,9 @@ def pack(order: MergeOrder, sighting: CellObservation) -> int:
 def unpack(key: int) -> CellObservation:
     """Of a key or of its record alone."""
     assert key > 0
-    return CellObservation(key & VALUE, key >> 7 & 15, key >> 11 & TIME_MAX, key >> 2 & OBSERVER_MAX)
+    return CellObservation(
+        key & VALUE, key >> 7 & 15, key >> 11 & TIME_MAX, key >> 2 & OBSERVER_MAX
+    )
 
 
 def level_of(confidence: float) -> int:

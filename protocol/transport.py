@@ -112,7 +112,9 @@ class Transport:
 
     # ---------------------------------------------------------------- sending
 
-    def send(self, pgn: int, data: bytes, destination: int, now_us: int) -> Iterable[OutgoingFrame] | None:
+    def send(
+        self, pgn: int, data: bytes, destination: int, now_us: int
+    ) -> Iterable[OutgoingFrame] | None:
         """Begin to send a message; None where we already send to that device, or too many."""
         assert SIZE_MIN <= len(data) <= SIZE_MAX and 0 <= pgn < 1 << 18
         if destination in self._sending or len(self._sending) >= SENDING_MAX:
@@ -255,13 +257,17 @@ class Transport:
         del self._receiving[key]
         self.counts["received"] += 1
         source, broadcast = key
-        arrived = ReceivedMessage(source, session.pgn, bytes(session.data[: session.size]), broadcast)
+        arrived = ReceivedMessage(
+            source, session.pgn, bytes(session.data[: session.size]), broadcast
+        )
         if broadcast:
             return (), arrived
         body = session.size.to_bytes(2, "little") + bytes((session.packets, 0xFF))
         return [_manage(Control.END, body, session.pgn, source)], arrived
 
-    def _overdue(self, key: tuple[int, bool], session: _Receiving, now_us: int) -> Iterable[OutgoingFrame]:
+    def _overdue(
+        self, key: tuple[int, bool], session: _Receiving, now_us: int
+    ) -> Iterable[OutgoingFrame]:
         source, broadcast = key
         if (
             not broadcast and session.retries < RETRIES_MAX

@@ -1,8 +1,8 @@
 """Permitted velocities next to a neighbour or a wall, one half-plane each; float32 kernels.
 
 van den Berg, Guy, Lin, Manocha (2011), sections 4 and 5.4, with the arithmetic of the RVO2 library
-(Apache-2.0) in its order. A wall is a row of an obstacle table (`agent.avoidance.obstacle_tree`): the edge
-from its vertex to the vertex of row `NEXT`, solid to the left of that direction.
+(Apache-2.0) in its order. A wall is a row of an obstacle table (`agent.avoidance.obstacle_tree`):
+the edge from its vertex to the vertex of row `NEXT`, solid to the left of that direction.
 """
 
 from math import sqrt

@@ -12,8 +12,8 @@ Walls and fences come first and are never traded against robots (the paper's sec
 The kernel has one argument, because each array argument costs its dispatcher 0.1 to 0.2 us: a
 float64 buffer of a head, `PEERS_MAX` rows of known peers, `GIVEN_MAX` rows given with a call,
 `FENCES_MAX` near fences, and scratch. Positions stay double until they are relative to us; from
-there on all is single precision, bit for bit that of the RVO2 library (see `tools.bench.kernels.orca_fleet` for
-many robots). Metres and seconds, x east, y north.
+there on all is single precision, bit for bit that of the RVO2 library (see
+`tools.bench.kernels.orca_fleet` for many robots). Metres and seconds, x east, y north.
 """
 
 from math import cos, inf, pi, sin

@@ -1,8 +1,8 @@
 """A mission: cover a grid map together, by plans that the whole crew agrees on.
 
-The plan says where to go, the rounds when (`agent/coverage/plan_agreement.py`); this drives from cell to cell. Claims
-of sections are for those that look on and for robots that come later: they say who has begun what, and
-a section is done when all its cells are covered, whoever was there.
+The plan says where to go, the rounds when (`agent/coverage/plan_agreement.py`); this drives from
+cell to cell. Claims of sections are for those that look on and for robots that come later: they
+say who has begun what, and a section is done when all its cells are covered, whoever was there.
 """
 
 from collections.abc import Mapping
@@ -308,7 +308,9 @@ class GridWork:
         if phase is Claimed.FREE:
             return ClaimRequest(section, 0)
         gone = view.allocation.owner_of(section) not in view.live
-        return ClaimRequest(section, 0, takeover=True) if gone and phase is not Claimed.DONE else None
+        return (
+            ClaimRequest(section, 0, takeover=True) if gone and phase is not Claimed.DONE else None
+        )
 
     def _coming(self, view: FleetView) -> int | None:
         """The section of the next cell that we are to cover."""

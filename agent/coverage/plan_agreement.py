@@ -7,8 +7,8 @@ theirs and the digests are equal, each computes the same plan and says the diges
 from; when these are equal, too, all go. Who has other bodies in mind says them, so that all know them.
 
 From then on each says the step of the plan that it has reached, and drives the next one when the robots
-that were in its cell before have gone on (`agent/coverage/joint_course.py`). Nothing here carries safety: a robot
-also sees who is before it (`agent/coverage/proximity_guard.py`).
+that were in its cell before have gone on (`agent/coverage/joint_course.py`). Nothing here carries
+safety: a robot also sees who is before it (`agent/coverage/proximity_guard.py`).
 
 One silent robot is a wreck, and its work is cut again at once. Where several fall silent together the
 bus is cut, and they work: their part is kept for them until ours is done and their lease is over.
@@ -108,7 +108,9 @@ class CoverageAgreement:
             self._begin(m.round, now_us)
         if m.say == AgreementKind.PLACE:
             if m.first < len(self.ground):
-                self._places[slot] = CellPlace(m.first, m.second | m.detail << 16, AgreementReply(m.answer))
+                self._places[slot] = CellPlace(
+                    m.first, m.second | m.detail << 16, AgreementReply(m.answer)
+                )
         elif m.say == AgreementKind.PLAN:
             self._plans[slot] = m.first | m.second << 16
         elif self.slot in self._plans and self._plans[self.slot] & 0xFFFF == m.second:
@@ -188,7 +190,9 @@ class CoverageAgreement:
 
     # ---------------------------------------------------------------- time
 
-    def tick(self, number: int, answer: AgreementReply, ready: bool, crew: FleetSnapshot, now_us: int) -> None:
+    def tick(
+        self, number: int, answer: AgreementReply, ready: bool, crew: FleetSnapshot, now_us: int
+    ) -> None:
         """`number`: the cell in whose middle we are, -1 on the way. `ready`: all that we have
         covered is part of our replica."""
         if self._call_due(answer, crew, now_us):
@@ -330,7 +334,9 @@ class CoverageAgreement:
         hurried = self.phase is not Phase.GO
         if place is not None and self._due(AgreementKind.PLACE, place, hurried, now_us):
             low, high = place.digest & 0xFFFF, place.digest >> 16
-            words.append(Accord(self.round, AgreementKind.PLACE, place.answer, place.number, low, high))
+            words.append(
+                Accord(self.round, AgreementKind.PLACE, place.answer, place.number, low, high)
+            )
         plan = self._plans.get(self.slot)
         if plan is None:
             return words
@@ -339,7 +345,12 @@ class CoverageAgreement:
             if any(self._plans.get(slot, plan) != plan for slot in self._used):
                 words += [
                     Accord(
-                        self.round, AgreementKind.BODY, 0, number, body.slot, int(body.until_us == FOREVER)
+                        self.round,
+                        AgreementKind.BODY,
+                        0,
+                        number,
+                        body.slot,
+                        int(body.until_us == FOREVER),
                     )
                     for number, body in sorted(self.bodies.items())
                 ]

@@ -26,7 +26,11 @@ class GridGuard(MotionController):
         assert self.guard_m - closing_m >= 2 * radius_m, "bodies are too large for their cells"
 
     def drive(
-        self, here: Observation, wish: MotionRequest, neighbours: Mapping[int, Neighbour], now_us: int
+        self,
+        here: Observation,
+        wish: MotionRequest,
+        neighbours: Mapping[int, Neighbour],
+        now_us: int,
     ) -> Drive:
         vx, vy = wish.vx_m_s, wish.vy_m_s
         for x_m, y_m in here.bodies:

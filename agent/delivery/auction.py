@@ -2,8 +2,8 @@
 
 The auction is whole numbers and fixed ties, so equal knowledge gives equal itineraries without a frame.
 The search that follows has the peer's own seed: peers find different plans, and the cheapest is adopted
-(`agent/delivery/plan_negotiation.py`). Simulated annealing over moves of up to three tasks and of whole tails, towards
-the neighbours that cost least; `reference` figures are in docs/delivery.md.
+(`agent/delivery/plan_negotiation.py`). Simulated annealing over moves of up to three tasks and of
+whole tails, towards the neighbours that cost least; `reference` figures are in docs/delivery.md.
 """
 
 from collections.abc import Sequence

@@ -372,7 +372,9 @@ class DeliveryMission(NavigationMission):
             bay = self.house.bay_of(section)
             self._shunned_us[TASKS_MAX + bay] = view.now_us + 20 * SHUN_US
         self._through()
-        return MotionRequest(0.0, 0.0, finished=state is ChargerState.FULL, given_up=state is ChargerState.DEAD)
+        return MotionRequest(
+            0.0, 0.0, finished=state is ChargerState.FULL, given_up=state is ChargerState.DEAD
+        )
 
     def _through(self) -> None:
         if self.section in self.dispatch.itinerary:

@@ -73,4 +73,6 @@ class ItineraryBroadcast:
             tasks[m.first + 1] = m.after
         if all(k in tasks for k in range(m.length)):
             whole = tuple(tasks[k] for k in range(m.length))
-        self.told[slot] = RemoteItinerary(m.version, tasks, m.length, m.battery * FULL // 255, whole)
+        self.told[slot] = RemoteItinerary(
+            m.version, tasks, m.length, m.battery * FULL // 255, whole
+        )

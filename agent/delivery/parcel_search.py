@@ -21,7 +21,9 @@ SPOT_HOPS = 2  # of the lattice: rays see a body so far from a spot of the searc
 
 
 class ParcelSearch:
-    def __init__(self, house: Warehouse, book: TaskRegistry, hazards: DynamicObstacles, bodies: SilentRobots) -> None:
+    def __init__(
+        self, house: Warehouse, book: TaskRegistry, hazards: DynamicObstacles, bodies: SilentRobots
+    ) -> None:
         self.house, self.book, self.hazards, self.bodies = house, book, hazards, bodies
         self._looked: dict[int, list[Point]] = {}  # task: places where its parcel was not
 

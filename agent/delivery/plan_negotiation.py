@@ -23,7 +23,9 @@ from protocol.frames.delivery_frames import HASTENS, NO_TASK, PlanOffer, PlanRow
 
 SLICE_US = 50 * MS  # a control period
 SLICE_MOVES = 15_000  # of the search in each: 10 ms of a small computer's 50; and
-SLICE_MOVES_CHARGING = 3_000  # where routes are walked with bays: as long; for routes of so many tasks:
+SLICE_MOVES_CHARGING = (
+    3_000  # where routes are walked with bays: as long; for routes of so many tasks:
+)
 ROUTE_TASKS = 5  # longer ones are walked longer, so that there are fewer moves
 SLICE_MOVES_HASTE = 2_000  # more found nothing more
 WORTH = 0.99  # of the waiting before: a better plan is worth its frames
@@ -85,7 +87,9 @@ class PlanNegotiation:
         """Until new itineraries can be expected."""
         if self.step is NegotiationPhase.REST or self._hastens:
             return 0
-        return max(self.ends_us - now_us, 0) + (OFFERS_US if self.step is NegotiationPhase.SEARCH else 0)
+        return max(self.ends_us - now_us, 0) + (
+            OFFERS_US if self.step is NegotiationPhase.SEARCH else 0
+        )
 
     # ---------------------------------------------------------------- the steps
 

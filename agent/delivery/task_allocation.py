@@ -3,28 +3,29 @@
 Each robot alone says its own itinerary: what it means to begin, in its order. A task that is in nobody's
 is open. Up to `t_max` open ones are auctioned one after the other: each robot bids what the task would
 cost it, and is silent if it has heard of less (scenario B). More are planned anew by all (scenarios A
-and C, `agent/delivery/plan_negotiation.py`). All of this is soft: before a task is begun its register is claimed, and
-what is told too late, twice or never is only waste for a moment.
+and C, `agent/delivery/plan_negotiation.py`). All of this is soft: before a task is begun its
+register is claimed, and what is told too late, twice or never is only waste for a moment.
 
 What a silent robot had keeps its owner for a lease; then it is auctioned, the last of its order first,
 and comes behind what the winner has already: own work first, also in a split.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from math import sqrt
 from typing import NamedTuple
 
 from agent.delivery.absent_owners import AbsentOwners
 from agent.delivery.auction import RoutingPlanner
 from agent.delivery.cost_matrix import FULL
 from agent.delivery.itinerary_broadcast import STOPS_MAX, ItineraryBroadcast, RemoteItinerary
-from agent.delivery.plan_negotiation import SLICE_US, PlanNegotiation
-from agent.delivery.problem_snapshot import anew, hastened, round_tasks_max
+from agent.delivery.plan_negotiation import SLICE_US, PlanNegotiation, ProblemSnapshot
 from agent.delivery.routing_problem import IMPOSSIBLE_MS
 from agent.delivery.task_registry import TASKS_MAX, TaskRegistry, TransportTask
 from agent.delivery.waiting_policy import REPLAN_US as HASTE_US
 from agent.delivery.waiting_policy import WaitingPolicy
 from agent.delivery.warehouse import CarrierState, Warehouse
 from agent.interface.config import MS, S
+from agent.interface.lifecycle import State
 from agent.interface.mission import FleetView, Record
 from crdt import Phase
 from protocol.frames.delivery_frames import (
@@ -36,6 +37,10 @@ from protocol.frames.delivery_frames import (
     TaskOrder,
 )
 
+# Tasks of one round: the auction's work grows as tasks to the fourth by robots to the second. So many of
+# six robots, with batteries, take 25 ms of a small computer, half of a control period.
+ROUND_TASKS, ROUND_ROBOTS = 72, 6
+ABLE = (State.IDLE, State.WORKING, State.SYNCHRONIZING)
 LOOK_US = 250 * MS  # between two looks for open tasks
 BIDS_US = 300 * MS  # bids for a task are collected this long: six beats of a small fleet
 AWARDED_US = 2 * S  # the winner has told its itinerary by then
@@ -59,7 +64,12 @@ class Auction(NamedTuple):
 
 class TaskAllocation:
     def __init__(
-        self, slot: int, house: Warehouse, now_us: int, seed: int, recalled: Mapping[int, TransportTask]
+        self,
+        slot: int,
+        house: Warehouse,
+        now_us: int,
+        seed: int,
+        recalled: Mapping[int, TransportTask],
     ) -> None:
         """`recalled`: tasks that were told in an earlier life."""
         self.slot, self.house = slot, house
@@ -401,3 +411,74 @@ class TaskAllocation:
             yield auction.mine
             self._auction = auction._replace(mine=None)
         yield from self.telling.say(now_us, self.left)
+
+
+# ---------------------------------------------------------------- the problem of a round
+
+
+def standings(dispatch: TaskAllocation, view: FleetView, able: bool) -> list[CarrierState]:
+    """When and where each of the living will be free, by slots. `able`: we can work."""
+    robots = [dispatch.standing(view)] if able else []
+    for slot in sorted(view.live - {dispatch.slot}):
+        neighbour = view.neighbours.get(slot)
+        if neighbour is not None and neighbour.pose.state in ABLE:
+            left = dispatch.told[slot].left if slot in dispatch.told else FULL
+            at = neighbour.pose.x_m, neighbour.pose.y_m
+            robots.append(dispatch.through(CarrierState(slot, at, 0, left), view))
+    return sorted(robots)
+
+
+def anew(dispatch: TaskAllocation, view: FleetView, able: bool) -> ProblemSnapshot:
+    """Every free task, whoever means to begin it."""
+    robots = standings(dispatch, view, able)
+    fresh, _ = dispatch.open(view)
+    planned = {t for s, told in dispatch.told.items() if s in view.live for t in told.whole}
+    wanted = sorted({*fresh, *dispatch.itinerary, *planned})
+    tasks = [task for task in wanted if _plannable(dispatch, view, task)]
+    del tasks[round_tasks_max(len(robots)) :]  # the lowest numbers, alike at all; others wait
+    return _frozen(dispatch, robots, tasks)
+
+
+def round_tasks_max(robots: int) -> int:
+    """How many tasks one round plans for so many robots; what is beyond them waits for a later round.
+
+    >>> round_tasks_max(1), round_tasks_max(6), round_tasks_max(60)
+    (29, 72, 227)
+    """
+    return int(ROUND_TASKS * sqrt(robots / ROUND_ROBOTS))
+
+
+def hastened(dispatch: TaskAllocation, view: FleetView, able: bool) -> ProblemSnapshot:
+    """What is in somebody's itinerary, and not held there by its age: to begin from as it is."""
+    robots, rows = [], []
+    met = set[int]()
+    for robot in standings(dispatch, view, able):
+        own = dispatch.means(robot.slot)
+        held = dispatch.haste.held(own, view.now_us)
+        robots.append(dispatch.after_all(robot, own[:held]))
+        row = [t for t in own[held:] if t not in met and _plannable(dispatch, view, t)]
+        met.update(own)
+        rows.append(row)
+    tasks = sorted(task for row in rows for task in row)
+    index = {task: k for k, task in enumerate(tasks)}
+    plan = [[index[task] for task in row] for row in rows]
+    return _frozen(dispatch, robots, tasks)._replace(plan=plan)
+
+
+def _plannable(dispatch: TaskAllocation, view: FleetView, task: int) -> bool:
+    order = dispatch.book.tasks.get(task)
+    return (
+        order is not None
+        and view.allocation.phase_of(task) is Phase.FREE
+        and not view.progress.bits(task, 0)
+        and dispatch.house.known(order)
+        and task not in dispatch.cut
+    )
+
+
+def _frozen(
+    dispatch: TaskAllocation, robots: list[CarrierState], tasks: list[int]
+) -> ProblemSnapshot:
+    trips = [dispatch.house.trip(dispatch.book.tasks[task]) for task in tasks]
+    work = dispatch.house.work(trips, robots)
+    return ProblemSnapshot(tuple(robot.slot for robot in robots), tuple(tasks), work)

@@ -1,8 +1,9 @@
 """That tasks wait less: when what is planned is planned better, and what nothing may overtake.
 
 Insertion one by one leaves ways that cross. While more tasks wait than there are robots, robots look now
-and then for a plan of the same tasks in which these wait less in sum (`agent/delivery/plan_negotiation.py`). What has
-waited for long is not of that plan any more: it stays where it is, and with it all that is before it.
+and then for a plan of the same tasks in which these wait less in sum
+(`agent/delivery/plan_negotiation.py`). What has waited for long is not of that plan any more: it
+stays where it is, and with it all that is before it.
 """
 
 from collections.abc import Sequence

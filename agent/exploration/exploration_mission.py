@@ -182,7 +182,9 @@ class ExplorationMission:
             target = self._middle(claimed[-1]) if claimed else None
             was, passable[at] = bool(passable[at]), True
             theirs = (seen_by >= 0) & (seen_by != slot)
-            rivals.append(OtherExplorer(slot, wave_from(passable, target or at, dear=theirs), target))
+            rivals.append(
+                OtherExplorer(slot, wave_from(passable, target or at, dear=theirs), target)
+            )
             passable[at] = was
         return rivals
 

@@ -3,7 +3,8 @@
 With implement width w and overlap v, the ring runs w/2 inside the fence and serves everything up to
 w - v from it. What is deeper is cut into strips not wider than w - v at the best angle; each strip's
 swath is as long as the strip is deep inside. A robot on a swath is therefore never nearer to a
-fence than (w - v) / 2, and ring and strips together leave nothing out (`tests/agent/field/test_field_division.py`).
+fence than (w - v) / 2, and ring and strips together leave nothing out
+(`tests/agent/field/test_field_division.py`).
 """
 
 import itertools
@@ -21,9 +22,7 @@ from agent.field.ring_corners import cut_at_corners
 SWEEP_DEG = 10.0  # angles tried besides the directions of the edges
 EDGE_SHARE_MIN = 0.05  # edges shorter than this share of the outline propose no angle
 CORNER_RAD = 0.05  # a smaller turn leaves no gap that the overlap would not close
-UNITS_LEAST = (
-    8  # of a whole field: in a tiny one, work done beside a standing robot counts
-)
+UNITS_LEAST = 8  # of a whole field: in a tiny one, work done beside a standing robot counts
 SHARP_CORNERS_MAX = 8  # a ring with more of them is rounded
 UNIT_LEAST_M = 1.0  # three times the lead of a stretch
 CUT_STEP_M = 1.0  # how finely a straight place for a cut is looked for

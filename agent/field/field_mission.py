@@ -34,7 +34,9 @@ class FieldMission:
     beside_m = BLOCKED_M  # left to a silent body
     turns_on_the_spot = True  # where a swath has a corner, and swings its bar round it
     past_end_m = 0.0  # driven beyond the last unit of a leg before it counts
-    plans_without_headway = True  # before a section is given back; else a body has a watch of its own
+    plans_without_headway = (
+        True  # before a section is given back; else a body has a watch of its own
+    )
 
     def __init__(
         self,
@@ -329,7 +331,9 @@ class FieldMission:
         ]
 
 
-def _covering(wish: MotionRequest, covered: list[int], finished: bool, near_end: bool) -> MotionRequest:
+def _covering(
+    wish: MotionRequest, covered: list[int], finished: bool, near_end: bool
+) -> MotionRequest:
     """The wish of who works: these units were completed."""
     vx_m_s, vy_m_s, turn_rad_s, tool_on, *_ = wish
     held = (tuple(covered), finished, wish.given_up, near_end, wish.hold, wish.handle)

@@ -1,7 +1,8 @@
 """Which section a robot without one wants next: of its own share, or one that nobody takes.
 
-What is shared alike by everybody is in `agent/field/section_partition.py`; here is what this robot knows of the others:
-where each will be free, what silent ones left, and what was left to somebody and not taken.
+What is shared alike by everybody is in `agent/field/section_partition.py`; here is what this robot
+knows of the others: where each will be free, what silent ones left, and what was left to somebody
+and not taken.
 """
 
 from math import cos, hypot, sin

@@ -48,7 +48,9 @@ class TractorMission(FieldMission):
     beside_m = BLOCKED_M
     turns_on_the_spot = False
     past_end_m = 0.2  # of `LEAD_M`: in a corner the bar is then where it has to be
-    plans_without_headway = False  # `_notice_stuck` does: a turn is longer than the way that is left
+    plans_without_headway = (
+        False  # `_notice_stuck` does: a turn is longer than the way that is left
+    )
 
     def __init__(
         self, field: Field, route: Route, turns: TurnRoute, radius_m: float, limits: SteeringLimits
@@ -119,7 +121,9 @@ class TractorMission(FieldMission):
         super()._go_round(view)
         self.follow, self.joined = None, False
 
-    def _drive(self, view: FleetView, only_approach: bool = False) -> tuple[MotionRequest, list[int]]:
+    def _drive(
+        self, view: FleetView, only_approach: bool = False
+    ) -> tuple[MotionRequest, list[int]]:
         here = Pose(view.here.x_m, view.here.y_m, view.here.heading_rad)
         covered: list[int] = []
         self._notice_stuck(view, here)

@@ -14,8 +14,6 @@ class SilencePolicy(Enum):
     CONTINUE = "after 2 s of stable membership go on without it"
 
 
-
-
 class Identity(NamedTuple):
     """What a peer is told before it starts."""
 

@@ -57,7 +57,11 @@ class MotionController:
     """From a motion request to a drive that harms nobody; the safety gate comes after it."""
 
     def drive(
-        self, here: Observation, wish: MotionRequest, neighbours: Mapping[int, Neighbour], now_us: int
+        self,
+        here: Observation,
+        wish: MotionRequest,
+        neighbours: Mapping[int, Neighbour],
+        now_us: int,
     ) -> Drive:
         """Asked once a control period."""
         raise NotImplementedError

@@ -17,8 +17,6 @@ class Neighbour(NamedTuple):
     heard_us: int
 
 
-
-
 class VisibleParcel(NamedTuple):
     """A parcel within reach, as a carrier's scanner sees it."""
 

@@ -1,8 +1,9 @@
 """Rounds of agreement, as all that hold them count and name them.
 
-Robots in each other's way (`agent/mapf/joint_plan_agreement.py`) and crews on a grid (`agent/coverage/plan_agreement.py`) agree in
-the same four phases; what they say in them, and what a plan is, differs. Numbers of rounds are u16 on
-the wire and go round: the nearer half of the circle is later, the other half is over.
+Robots in each other's way (`agent/mapf/joint_plan_agreement.py`) and crews on a grid
+(`agent/coverage/plan_agreement.py`) agree in the same four phases; what they say in them, and what
+a plan is, differs. Numbers of rounds are u16 on the wire and go round: the nearer half of the
+circle is later, the other half is over.
 """
 
 from enum import Enum

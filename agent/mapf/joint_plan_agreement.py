@@ -8,7 +8,8 @@ until the round is over:
            so all who have heard everybody know the same, whatever was lost on the way.
     BODY   a node on which I see something that is no member of the fleet.
     PLAN   the digest of the joint plan that I computed from it (`agent/mapf/lacam.py`) and from where
-           silent members stand (`agent/navigation/silent_robots.py`). Nobody moves before all who move have the same.
+           silent members stand (`agent/navigation/silent_robots.py`). Nobody moves before all who
+           move have the same.
     AT     how far I am on my route. A robot drives to a node when those that come before it there
            have gone on; the order is the plan's, the time is everybody's own.
 
@@ -197,7 +198,11 @@ class JointPlanAgreement:
         patience_us = PATIENCE_US if self.phase is Phase.GO else PATIENCE_US // 2
         if self.bound and now_us - max(self._since_us, self._progress_us) > patience_us:
             place = self._places.get(self.slot)
-            if self.phase is Phase.AGREE and place is not None and place.answer is AgreementReply.DEAF:
+            if (
+                self.phase is Phase.AGREE
+                and place is not None
+                and place.answer is AgreementReply.DEAF
+            ):
                 self.phase = Phase.FREE  # it cannot agree; the others have done what they did
             else:
                 self.call(now_us)
@@ -208,13 +213,22 @@ class JointPlanAgreement:
         place = self._places.get(self.slot)
         if place is not None and self._due(AgreementKind.PLACE, self.phase is Phase.GATHER, now_us):
             words.append(
-                Accord(self.round, AgreementKind.PLACE, place.answer, place.node, place.goal, place.detail)
+                Accord(
+                    self.round,
+                    AgreementKind.PLACE,
+                    place.answer,
+                    place.node,
+                    place.goal,
+                    place.detail,
+                )
             )
         if self._seen and self._due(AgreementKind.BODY, self.phase is not Phase.GO, now_us):
             words += [Accord(self.round, AgreementKind.BODY, 0, node, 0, 0) for node in self._seen]
         digest = self._digests.get(self.slot)
         if digest is not None and self._due(AgreementKind.PLAN, self.phase is Phase.AGREE, now_us):
-            words.append(Accord(self.round, AgreementKind.PLAN, 0, digest & 0xFFFF, digest >> 16, 0))
+            words.append(
+                Accord(self.round, AgreementKind.PLAN, 0, digest & 0xFFFF, digest >> 16, 0)
+            )
         hurried = self.phase is Phase.GO and now_us - self._since_us < HURRIED_US
         if self.index >= 0 and self._due(AgreementKind.AT, hurried, now_us):
             words.append(Accord(self.round, AgreementKind.AT, 0, self.index + 1, 0, 0))
@@ -255,7 +269,9 @@ class JointPlanAgreement:
         places = [self._places[slot] for slot in order]
         body_m = 2 * self.radius_m + KEPT_M
         bodies = [
-            self.lattice.told(p.node, p.detail) for p in places if p.answer is not AgreementReply.GRANT
+            self.lattice.told(p.node, p.detail)
+            for p in places
+            if p.answer is not AgreementReply.GRANT
         ]
         bodies += bodies_used.values()
         blocked = {int(n) for body in bodies for n in self.lattice.within(body, body_m)}

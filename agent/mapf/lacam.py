@@ -5,8 +5,9 @@ depth-first search over whole configurations, whose next one is made by PIBT. Wh
 circle, constraints are added robot by robot until every successor has been tried, so the search is
 complete: it finds a plan wherever one exists on the lattice, and says that there is none otherwise.
 Both within `STEPS_MAX`; a pure function of its arguments, so that all robots compute the same.
-The first plan found is seldom a good one. `planned` makes some, shortens each (`agent/mapf/plan_schedule.py`),
-and takes the one that is fairest; that of many robots is made fairer (`agent/mapf/lns.py`).
+The first plan found is seldom a good one. `planned` makes some, shortens each
+(`agent/mapf/plan_schedule.py`), and takes the one that is fairest; that of many robots is made
+fairer (`agent/mapf/lns.py`).
 
 A plan is driven without a common clock. What is kept of it is each robot's route, and in which
 order robots visit each node: whoever comes after somebody waits until that one has gone on.
@@ -183,7 +184,11 @@ class JointPlan(NamedTuple):
             for i, wait in zip(moved, waits, strict=True):
                 node = int(at[i])
                 routes[i].append(node)
-                gone = None if wait is None or wait.robot == i else Precedence(wait.robot, wait.node + 1)
+                gone = (
+                    None
+                    if wait is None or wait.robot == i
+                    else Precedence(wait.robot, wait.node + 1)
+                )
                 turns[i].append(gone)
                 visitor[node] = Precedence(i, len(routes[i]) - 1)
         return cls(tuple(map(tuple, routes)), tuple(map(tuple, turns)))

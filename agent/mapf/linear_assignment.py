@@ -2,8 +2,8 @@
 
 Shortest augmenting paths, as D. F. Crouse gives them ("On implementing 2D rectangular assignment
 algorithms", IEEE TAES 2016). Ours, because every peer must break ties alike, whatever is installed
-beside it; they are broken as scipy 1.17 does (tests/agent/mapf/test_linear_assignment.py compares). And the import of
-scipy.optimize takes longer than all of the rest that a robot starts with.
+beside it; they are broken as scipy 1.17 does (tests/agent/mapf/test_linear_assignment.py
+compares). And the import of scipy.optimize takes longer than all of the rest that a robot starts with.
 """
 
 from typing import Any

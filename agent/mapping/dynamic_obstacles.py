@@ -5,9 +5,9 @@
 
 What is seen is told to the fleet through its map (`crdt/occupancy.py`, the latest look wins), cell by
 cell: the record's observer is the owner, its time the birth, and after `BELIEVED_S` without another
-look it expires. Who sees that a thing has gone says so. A grid of our own (`agent/mapping/occupancy_grid.py`) is made
-when something first turns up; as long as nothing does, ways are planned on the plan that all robots
-share.
+look it expires. Who sees that a thing has gone says so. A grid of our own
+(`agent/mapping/occupancy_grid.py`) is made when something first turns up; as long as nothing does,
+ways are planned on the plan that all robots share.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -197,7 +197,10 @@ class ObstacleMap(LocalAndFleetMap):
         self._doublings = np.zeros(blocks, dtype=np.int8)  # of the time that a block is believed
         self._forgotten = np.zeros(blocks, dtype=np.bool_)  # and not seen since, free or solid
         self._records = np.zeros(floor.fine.shape, dtype=np.int64)  # as they were when last read
-        self._cells_of, self._centres = -1, np.empty((0, 2))  # solid off the walls, at those changes
+        self._cells_of, self._centres = (
+            -1,
+            np.empty((0, 2)),
+        )  # solid off the walls, at those changes
         self._standing = (0, False)  # at that count of changes, whether anything stands
         self._told = (-1, False)  # at that version of the chart, whether it says that anything does
 
@@ -310,9 +313,7 @@ class ObstacleMap(LocalAndFleetMap):
         self.grid.remove(NOBODY_SLOT, IMPASSABLE)
         cell_m = self.geometry.cell_m
         until_us = now_us + BELIEVED_S * S
-        self.grid.place(
-            Obstacle(*at, cell_m, now_us, until_us, NOBODY_SLOT, IMPASSABLE), now_us
-        )
+        self.grid.place(Obstacle(*at, cell_m, now_us, until_us, NOBODY_SLOT, IMPASSABLE), now_us)
 
     def hear_all(self, now_us: int) -> None:
         """Take what others say stands, or has gone, into our own grid as temporary obstacles."""

@@ -74,7 +74,9 @@ class DeadlockYield:
         self._for: int | None = None  # whom we give way to
         self._refuge: Point = (0.0, 0.0)
 
-    def wish(self, at: Point, wanted: Point, others: list[NearbyRobot], now_us: int) -> Point | None:
+    def wish(
+        self, at: Point, wanted: Point, others: list[NearbyRobot], now_us: int
+    ) -> Point | None:
         """Another velocity to want than the mission's, or None where nobody is in the way."""
         if now_us < self._until_us:
             return self._go(at, others)
@@ -92,7 +94,12 @@ class DeadlockYield:
         return self._decide(at, wanted, close, others, now_us)
 
     def _decide(
-        self, at: Point, wanted: Point, close: list[NearbyRobot], others: list[NearbyRobot], now_us: int
+        self,
+        at: Point,
+        wanted: Point,
+        close: list[NearbyRobot],
+        others: list[NearbyRobot],
+        now_us: int,
     ) -> Point | None:
         ahead = [o for o in close if o.dx_m * wanted[0] + o.dy_m * wanted[1] > 0] or close
         blocker = min(ahead, key=lambda o: (o.state != State.WORKING, o.slot))
@@ -120,7 +127,9 @@ class DeadlockYield:
         speed_m_s = min(0.6 * self.speed_m_s, distance_m)
         return dx_m / distance_m * speed_m_s, dy_m / distance_m * speed_m_s
 
-    def _find(self, at: Point, wanted: Point, blocker: NearbyRobot, others: list[NearbyRobot]) -> Point | None:
+    def _find(
+        self, at: Point, wanted: Point, blocker: NearbyRobot, others: list[NearbyRobot]
+    ) -> Point | None:
         """A place that can be reached straight, away from fences and everybody, first of all from
         the one we give way to; round somebody that stands, one that lies towards where we want."""
         best: tuple[float, Point] | None = None
@@ -138,7 +147,9 @@ class DeadlockYield:
                     best = (score, spot)
         return None if best is None else best[1]
 
-    def _clear(self, at: Point, direction: Point, length_m: float, others: list[NearbyRobot]) -> bool:
+    def _clear(
+        self, at: Point, direction: Point, length_m: float, others: list[NearbyRobot]
+    ) -> bool:
         ux, uy = direction
         for other in others:
             along_m = min(max(other.dx_m * ux + other.dy_m * uy, 0.0), length_m)

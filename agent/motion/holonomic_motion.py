@@ -89,7 +89,9 @@ class HolonomicMotion(MotionController):
         self.lookout: ObstacleDetector | None = None
         assert not (asks and self.sensing)
         if asks or not (looks or self.sensing):
-            self.lookout = ObstacleDetector(limits.radius_m, limits.acceleration_m_s2, fences, self.coasting)
+            self.lookout = ObstacleDetector(
+                limits.radius_m, limits.acceleration_m_s2, fences, self.coasting
+            )
         self.giving_way: DeadlockYield | None = None
         if gives_way:
             scale = limits.radius_m / FIELD_RADIUS_M if self.sensing else 1.0
@@ -109,7 +111,11 @@ class HolonomicMotion(MotionController):
         return ObstacleStop(self.slot, self.limits, self.lookout) if self.lookout else None
 
     def drive(
-        self, here: Observation, wish: MotionRequest, neighbours: Mapping[int, Neighbour], now_us: int
+        self,
+        here: Observation,
+        wish: MotionRequest,
+        neighbours: Mapping[int, Neighbour],
+        now_us: int,
     ) -> Drive:
         if wish.hold:  # who stands is gone round; nobody is hurt by it
             return HALT._replace(handle=wish.handle)

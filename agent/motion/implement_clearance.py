@@ -18,9 +18,10 @@ LEAD_M: Final = (
 )
 
 
-
 DEPTH_M: Final = 0.25  # along the course, before and behind the middle
-AHEAD_M: Final = 0.3  # what two robots close in on each other in a period, and the rounding of poses
+AHEAD_M: Final = (
+    0.3  # what two robots close in on each other in a period, and the rounding of poses
+)
 ASIDE_M: Final = 0.1  # the rounding of poses, and what a robot is off its line
 MOVES_M_S: Final = 0.2  # slower than this a robot has its last course, and soon the one it wants
 NOT_NEARER_M: Final = 0.02  # within the distance that is there

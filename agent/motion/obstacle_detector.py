@@ -1,11 +1,11 @@
 """What the range sensors see in the way that nobody told us of: no fence, no robot, so perhaps a person.
 
 An echo is explained where a known fence or hole is, and where a known robot may be between its last
-pose and where that leads, or may have come to rest (`agent/motion/stopping_zone.py`). What is not explained and
-lies within stopping distance along the motion is in the way. From then on all unexplained echoes near
-by are remembered, as points, until the two rays on either side of one both pass it: a body wider than
-the gap between two rays is not lost out of sight while it stands. Narrower ones than that gap at
-stopping distance can be missed.
+pose and where that leads, or may have come to rest (`agent/motion/stopping_zone.py`). What is not
+explained and lies within stopping distance along the motion is in the way. From then on all
+unexplained echoes near by are remembered, as points, until the two rays on either side of one both
+pass it: a body wider than the gap between two rays is not lost out of sight while it stands.
+Narrower ones than that gap at stopping distance can be missed.
 """
 
 from collections.abc import Mapping, Sequence
@@ -55,7 +55,9 @@ class ObstacleDetector:
         """`fences`: known segments, (n, 4): ax, ay, bx, by in metres. `coasting`: kept by our motion."""
         self.radius_m, self.deceleration_m_s2 = radius_m, deceleration_m_s2
         self.fences, self.coasting = fences, coasting
-        self.points: dict[GroundCell, tuple[Point, int]] = {}  # the newest in each, and when it was seen
+        self.points: dict[
+            GroundCell, tuple[Point, int]
+        ] = {}  # the newest in each, and when it was seen
 
     def stopping_m(self, speed_m_s: float) -> float:
         return speed_m_s * REACTION_S + speed_m_s * speed_m_s / (2 * self.deceleration_m_s2)

@@ -44,7 +44,9 @@ class TractorMotion(HolonomicMotion):
     ) -> None:  # fmt: skip
         """`fences`: known segments (n, 4), metres; only the lookout asks for them."""
         super().__init__(slot, limits, np.empty((0, 4)))
-        self.lookout = ObstacleDetector(limits.radius_m, limits.acceleration_m_s2, fences, self.coasting)
+        self.lookout = ObstacleDetector(
+            limits.radius_m, limits.acceleration_m_s2, fences, self.coasting
+        )
         self.escape = EscapeManoeuvre(turns, limits.radius_m, steering)
         self.given = 0
         self._anchor, self._anchor_us = (0.0, 0.0), 0
@@ -52,7 +54,11 @@ class TractorMotion(HolonomicMotion):
         self._for = -1
 
     def drive(
-        self, here: Observation, wish: MotionRequest, neighbours: Mapping[int, Neighbour], now_us: int
+        self,
+        here: Observation,
+        wish: MotionRequest,
+        neighbours: Mapping[int, Neighbour],
+        now_us: int,
     ) -> Drive:
         rows, others = self._rows(here, neighbours, now_us)
         pose = Pose(here.x_m, here.y_m, here.heading_rad)
@@ -68,7 +74,9 @@ class TractorMotion(HolonomicMotion):
             wish.tool_on,  # also while it waits: what it stands on is not worked twice for that
         )  # fmt: skip
 
-    def _permitted(self, here: Observation, wish: MotionRequest, rows: list[tuple[float, ...]]) -> float:
+    def _permitted(
+        self, here: Observation, wish: MotionRequest, rows: list[tuple[float, ...]]
+    ) -> float:
         """How much of the wanted velocity harms nobody."""
         if wish.vx_m_s == 0.0 and wish.vy_m_s == 0.0:
             return 0.0
@@ -98,7 +106,8 @@ class TractorMotion(HolonomicMotion):
         return now_us - self._anchor_us >= PATIENCE_US
 
     def _decide(
-        self, pose: Pose, wish: MotionRequest, close: list[NearbyRobot], places: Mapping[int, tuple[float, float]],
+        self, pose: Pose, wish: MotionRequest, close: list[NearbyRobot],
+        places: Mapping[int, tuple[float, float]],
         now_us: int,
     ) -> MotionRequest:  # fmt: skip
         ahead = [o for o in close if o.dx_m * wish.vx_m_s + o.dy_m * wish.vy_m_s > 0.0]
@@ -117,7 +126,9 @@ class TractorMotion(HolonomicMotion):
         self._anchor_us = self._until_us
         return self._out_of_the_way(pose, places)
 
-    def _out_of_the_way(self, pose: Pose, places: Mapping[int, tuple[float, float]]) -> MotionRequest:
+    def _out_of_the_way(
+        self, pose: Pose, places: Mapping[int, tuple[float, float]]
+    ) -> MotionRequest:
         other = places.get(self._for)
         if other is None or (
             hypot(other[0] - pose.x_m, other[1] - pose.y_m)

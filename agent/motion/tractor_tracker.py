@@ -38,7 +38,9 @@ class SteeringLimits:
 class TractorTracker:
     """Progress along rows of x, y, heading, curvature, gear (see `turn_route.sampled`)."""
 
-    def __init__(self, way: NDArray[np.float64], limits: SteeringLimits, end_m_s: float = 0.0) -> None:
+    def __init__(
+        self, way: NDArray[np.float64], limits: SteeringLimits, end_m_s: float = 0.0
+    ) -> None:
         assert way.shape[0] >= 2
         self.way, self.limits = way, limits
         gaps = np.hypot(np.diff(way[:, 0]), np.diff(way[:, 1]))

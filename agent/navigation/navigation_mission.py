@@ -2,7 +2,8 @@
 
 Alone, a robot drives its Theta* path and lets ORCA keep it from the others. Where that gets it no
 further, or would lead it into a narrow passage against somebody who comes out, it calls a round of
-agreement (`agent/mapf/joint_plan_agreement.py`), and drives the route of the joint plan until it is through.
+agreement (`agent/mapf/joint_plan_agreement.py`), and drives the route of the joint plan until it
+is through.
 
 A goal is a section of the shared state with one unit, so that what was reached stays reached.
 """
@@ -43,7 +44,9 @@ VOUCHED_US = 3 * S  # in a fleet of ten each member is named by some other ten t
 AGE_MAX_US = 500 * MS  # a robot moves on as it last said for so long: 10 beats, 30 % of them lost
 CLAIM_S = 0.5  # a claim is contested for half of it: the next goal is ours when we are at this one
 CLOSE_M = RANGE_M + 2.0  # whom our rays can meet, wherever it has driven since its last beat
-STALLED_ALONE_US = 5 * S  # standing with a wish and nobody near: longer than braking for what passes
+STALLED_ALONE_US = (
+    5 * S
+)  # standing with a wish and nobody near: longer than braking for what passes
 AHEAD_M = 0.3  # beyond the body: where what cannot be passed is taken to stand
 FOLLOWED_MAX = 512  # lines remembered, at most 2 MB: a goal takes a few of them
 LOST_M = 0.8  # this far off the path, another is planned
@@ -95,7 +98,9 @@ class NavigationMission:
         self._lane: PathTracker | None = None  # on the way of a plan
         self._lane_of = (-1, -1, -1)  # round, first and last node of the lane
         self._gone_on: tuple[float, int] = (0.0, 0)  # along the path, since when
-        self._alone_since: tuple[Point, int] | None = None  # where and since when it does not get on
+        self._alone_since: tuple[Point, int] | None = (
+            None  # where and since when it does not get on
+        )
         self._stalls = 0  # in a row on the way to this goal
         self._planned = False  # a joint plan was driven since the last path
         self._around: dict[

@@ -26,7 +26,9 @@ NEAR_M = 0.7  # a robot this near to its kept path may go back to it; further of
 
 
 class Replanning:
-    def __init__(self, hazards: DynamicObstacles, speed_m_s: float, deceleration_m_s2: float) -> None:
+    def __init__(
+        self, hazards: DynamicObstacles, speed_m_s: float, deceleration_m_s2: float
+    ) -> None:
         self.hazards, self.radius_m = hazards, hazards.floor.radius_m
         self.path: Callable[[Point, Point], tuple[Point, ...] | None] = hazards.path
         self.horizon_m = max(
@@ -57,7 +59,9 @@ class Replanning:
         tracker, _, beyond_m = self._kept
         if self._stands_on(tracker):
             return True
-        ahead = tracker.ahead(beyond_m + SAMPLE_M - tracker.along_m)  # its last sample may fall short
+        ahead = tracker.ahead(
+            beyond_m + SAMPLE_M - tracker.along_m
+        )  # its last sample may fall short
         return self.hazards.stands_near([(x, y) for x, y, _, _ in ahead], self.radius_m + GRAZE_M)
 
     def _stands_on(self, tracker: PathTracker) -> bool:

@@ -1,4 +1,5 @@
-"""The memory behind `agent.paths.corner_graph`: a padded grid, its runs and corners, and their changes."""
+"""The memory behind `agent.paths.corner_graph`: a padded grid, its runs and corners, and their
+changes."""
 
 import numpy as np
 from numba import njit

@@ -11,8 +11,8 @@ is part of and the column after it, END negative where the run is blocked. `colu
 for the transposed grid. With them a line of sight costs one look-up a row or a column, whichever
 is less, and a field of view one step for each run that it meets.
 
-The kernels of `agent.paths.corner_graph` contain these: numba's cache of that file does not notice a change
-in this one, so touch it (or delete `__pycache__`) after one.
+The kernels of `agent.paths.corner_graph` contain these: numba's cache of that file does not notice
+a change in this one, so touch it (or delete `__pycache__`) after one.
 """
 
 import numpy as np

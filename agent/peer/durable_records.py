@@ -1,7 +1,8 @@
 """What one peer remembers over a restart: which keys there are and what they hold.
 
 Own operations are numbered before they are revealed; registers and progress are kept so that a
-fleet that loses power as a whole loses no work. The stop records belong to `agent/safety/stop_controller.py`.
+fleet that loses power as a whole loses no work. The stop records belong to
+`agent/safety/stop_controller.py`.
 
 A peer without its incarnation has lost its memory. Its dots and numbers would be used twice, so it
 retires that identity: it takes an incarnation by lot and stays latched until a person has looked.

@@ -1,7 +1,8 @@
 """What one peer knows of the fleet, as a text that any peer tells when it is asked.
 
-A question to everybody is answered by the elected leader (`agent/peer/leader_election.py`), so that one text comes
-and not thirty. Nothing depends on it: without an answer the same question goes to any other peer.
+A question to everybody is answered by the elected leader (`agent/peer/leader_election.py`), so
+that one text comes and not thirty. Nothing depends on it: without an answer the same question goes
+to any other peer.
 
     by 2 sections 14 done 9
     0 WORKING LIVE 12.3 -4.5 0.8 S3,S4 0.1
@@ -79,7 +80,9 @@ def compose(peer: "Peer", now_us: int) -> FleetSummary:
                 MemberRow(slot, peer.state, "LIVE", here.x_m, here.y_m, speed_m_s, sections, 0.0)
             )
     allocation = peer.allocation
-    return FleetSummary(peer.slot, len(allocation.sections()), allocation.done_count(), tuple(lines))
+    return FleetSummary(
+        peer.slot, len(allocation.sections()), allocation.done_count(), tuple(lines)
+    )
 
 
 def write(bulletin: FleetSummary) -> str:

@@ -153,8 +153,8 @@ class InboundHandlers:
         """None: a stop from there is to be judged as a stop of ours. Else what to do about it.
 
         Another maker's frame is none. Of an address that nobody is known to have claimed we do not
-        know: stand until it has said who it is, and ask it (`agent/peer/unknown_stop_sources.py`). With keys its tag says
-        it at once.
+        know: stand until it has said who it is, and ask it (`agent/peer/unknown_stop_sources.py`).
+        With keys its tag says it at once.
         """
         peer = self.peer
         origin = peer.origins.of(source)

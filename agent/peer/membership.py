@@ -35,7 +35,9 @@ class Membership:
     def __init__(self, slot: int, configured: frozenset[int], silence_us: int, now_us: int) -> None:
         assert slot in configured
         self.slot, self.silence_us = slot, silence_us
-        self.standing = {member: MemberStatus.ABSENT for member in sorted(configured) if member != slot}
+        self.standing = {
+            member: MemberStatus.ABSENT for member in sorted(configured) if member != slot
+        }
         self.incarnation: dict[int, int] = {}
         self.neighbours: dict[int, Neighbour] = {}
         self.silent_since_us: dict[int, int] = {}

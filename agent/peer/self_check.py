@@ -1,7 +1,8 @@
 """What a robot watches about itself: the state of its bus, whether it is heard, whether it is in time.
 
 * The driver says whether the controller is error passive or off the bus, and whether it takes frames.
-* The driver may tell which own frames have left (`agent.interface.ports.Confirming`). When none has for a silence,
+* The driver may tell which own frames have left (`agent.interface.ports.Confirming`). When none
+has for a silence,
   the robot cannot be heard, and on a bus that is full of more urgent frames nobody's stop can be heard
   either: UNHEARD. A stop outranks what a robot says: where its frame has left, a stop could have.
 * Each member names in each beat one other that it hears, all of them in turn. Who is named by nobody
@@ -33,8 +34,12 @@ ROUND_MAX = (
 LATE_HOLD_US = 1 * S  # a robot that was frozen looks around before it moves
 NEVER_US: Final = -(1 << 62)
 FOREVER_US: Final = 1 << 62
-URGENT: Final = 3  # frames up to this priority are sent although nothing leaves: stops, resets, proofs
-PROBE_US: Final = 2 * S  # one other frame is, so often: a bus that has lost what it took shows it is back
+URGENT: Final = (
+    3  # frames up to this priority are sent although nothing leaves: stops, resets, proofs
+)
+PROBE_US: Final = (
+    2 * S
+)  # one other frame is, so often: a bus that has lost what it took shows it is back
 
 
 class SelfCheck:

@@ -71,9 +71,10 @@ OF_CAUSE: Final[Mapping[StopCause, tuple[float, Source]]] = {
     StopCause.LATE_TICK: (DEGRADED, Source.COMPUTER),
 }
 NOT_OF_ITSELF: Final = frozenset({
-    StopCause.NOT_STARTED, StopCause.OBSTACLE_AHEAD, StopCause.CREEP, StopCause.MEMBER_SILENT, StopCause.BACKBONE_LOST,
-    StopCause.BACKBONE_CREEP, StopCause.CONFIG_MISMATCH, StopCause.DUPLICATE_ID, StopCause.UNAUTHENTICATED_STOP,
-    StopCause.SPENT_STOP, StopCause.IMPLEMENTS_STOP, StopCause.STOP_DOT,
+    StopCause.NOT_STARTED, StopCause.OBSTACLE_AHEAD, StopCause.CREEP, StopCause.MEMBER_SILENT,
+    StopCause.BACKBONE_LOST, StopCause.BACKBONE_CREEP, StopCause.CONFIG_MISMATCH,
+    StopCause.DUPLICATE_ID, StopCause.UNAUTHENTICATED_STOP, StopCause.SPENT_STOP,
+    StopCause.IMPLEMENTS_STOP, StopCause.STOP_DOT,
 })  # fmt: skip
 
 

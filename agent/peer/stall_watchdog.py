@@ -1,8 +1,9 @@
 """A robot that wants to drive and gets nowhere: when to plan again, and when to say so on the bus.
 
 Whatever holds it (a leg too near a wall, two robots with one wish, a wheel that does not turn), it
-must not stand silently for ever. The same watch serves every mission: `agent/peer/control_cycle.py` asks it once a
-control period, tells the mission to plan again, and says the word.
+must not stand silently for ever. The same watch serves every mission:
+`agent/peer/control_cycle.py` asks it once a control period, tells the mission to plan again, and
+says the word.
 """
 
 from enum import IntEnum
@@ -51,5 +52,3 @@ class Stall:
         self.seen += self.plans == 0
         self.plans += 1
         return Advice.TELL if self.plans % TOLD_AFTER == 0 else Advice.REPLAN
-
-

@@ -6,8 +6,8 @@
         ...
         await engine.release_section("S7")
 
-Everything it says and decides is said and decided by `agent/peer/peer.py`; nothing here but names, waiting
-and callbacks.
+Everything it says and decides is said and decided by `agent/peer/peer.py`; nothing here but names,
+waiting and callbacks.
 """
 
 import asyncio

@@ -37,7 +37,10 @@ NOT_TO_BE_HAD = {  # errors about getting at the file; any other is about what i
     sqlite3.SQLITE_READONLY, sqlite3.SQLITE_INTERRUPT, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_FULL,
     sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_PROTOCOL, sqlite3.SQLITE_NOLFS, sqlite3.SQLITE_AUTH,
 }  # fmt: skip
-WRITE_VERSION_AT, WRITE_VERSION_MAX = 18, 2  # in the header of a database (sqlite.org/fileformat.html)
+WRITE_VERSION_AT, WRITE_VERSION_MAX = (
+    18,
+    2,
+)  # in the header of a database (sqlite.org/fileformat.html)
 PROBLEMS = (sqlite3.Error, UnicodeDecodeError)  # the second where damaged text is decoded
 
 

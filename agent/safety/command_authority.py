@@ -71,7 +71,9 @@ class CommandAuthority:
         return () if question is None else [Send(question)]
 
     def answer(self, source: int, m: Challenge, now_us: int) -> Sequence[Effect]:
-        proofs = [ring.answer(m, now_us) for ring in (self.keyring, self.operator) if ring is not None]
+        proofs = [
+            ring.answer(m, now_us) for ring in (self.keyring, self.operator) if ring is not None
+        ]
         return [Send(proof, source) for proof in proofs if proof is not None]
 
     def prove(self, m: Freshness, now_us: int) -> Sequence[Effect]:

@@ -266,7 +266,9 @@ class StopController:
         if not self.far.press(dot):
             first = self.far.more and not more
             return [HALT, Persist(FAR_KEY, self.far.serialize())] if first else ()
-        self._causes[StopCause.STOP_DOT] = f"{dot.segment}/{dot.slot}.{dot.incarnation}.{dot.counter}"
+        self._causes[StopCause.STOP_DOT] = (
+            f"{dot.segment}/{dot.slot}.{dot.incarnation}.{dot.counter}"
+        )
         return [
             HALT,
             Persist(FAR_KEY, self.far.serialize()),

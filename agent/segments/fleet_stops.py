@@ -5,7 +5,8 @@ and so is its reset. The presser says it at once. Where it was a panel, a tool o
 robots that heard it say it: one does, in the order of their slots, and the others overhear it. Gateways
 carry these frames as they are and hold no secret. A frame with the bit `told` is no press: its sender
 holds the stop and tells it to one that may not know it. A press under a name that was cleared here
-brakes, and latches when it is said still (`StopController.press_used`), as such a press on the own bus does.
+brakes, and latches when it is said still (`StopController.press_used`), as such a press on the own
+bus does.
 """
 
 from collections.abc import Iterable, Sequence
@@ -29,7 +30,9 @@ HALVES_MAX = 64  # resets of which one half was heard
 
 
 class FleetStops:
-    def __init__(self, segment: int, slot: int, safety: StopController, tags: FleetTags | None) -> None:
+    def __init__(
+        self, segment: int, slot: int, safety: StopController, tags: FleetTags | None
+    ) -> None:
         self.segment, self.slot, self.safety, self.tags = segment, slot, safety, tags
         self.refused = 0  # frames without a valid tag
         self.holds_far = safety.far.latched  # a stop of another segment is not cleared

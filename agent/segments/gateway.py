@@ -1,10 +1,11 @@
 """A gateway between a segment and the rest of the fleet: facts in, effects out, like a peer.
 
 It is no member: its silence stops nobody, it claims nothing, and it holds no secret. Stops come first
-and always, whether it leads or not (`agent/segments/stop_relay.py`); work at the border is carried by the one
-that leads (`agent/segments/work_relay.py`); all heartbeats of the segment become one summary. Frames that
-gateways say are never carried on, messages of the own segment are dropped, and everything is
-idempotent, so loops end where they begin. What goes to the bus is limited to `SHARE` of it.
+and always, whether it leads or not (`agent/segments/stop_relay.py`); work at the border is carried
+by the one that leads (`agent/segments/work_relay.py`); all heartbeats of the segment become one
+summary. Frames that gateways say are never carried on, messages of the own segment are dropped,
+and everything is idempotent, so loops end where they begin. What goes to the bus is limited to
+`SHARE` of it.
 """
 
 from collections import Counter
@@ -80,7 +81,9 @@ class Gateway:
         self.reach = SegmentReachability(area.segment)
         self.stops = StopRelay(area.segment, now_us)
         self.border = WorkRelay(area)
-        self.sync = Synchronizer(self.candidacy.election.slot, self.border.allocation, self.border.progress)
+        self.sync = Synchronizer(
+            self.candidacy.election.slot, self.border.allocation, self.border.progress
+        )
         self.chart = chart
         self.counts: Counter[str] = Counter()
         self._limit = TokenBucket(SHARE, BURST_US, now_us)
@@ -143,9 +146,7 @@ class Gateway:
             return [self._send(AddressClaimed(self.name.pack()))]
         return ()
 
-    def _stop(
-        self, source: int, stop: FleetStop, from_gateway: bool, now_us: int
-    ) -> Sequence[Out]:
+    def _stop(self, source: int, stop: FleetStop, from_gateway: bool, now_us: int) -> Sequence[Out]:
         news = self.stops.hear_stop(source, stop, now_us)
         return self._publish(Kind.STOPS, tuple(news)) if news and not from_gateway else ()
 

@@ -2,8 +2,8 @@
 
 A candidate listens first and takes the lowest free number, and with it an address. Of two with one
 number the one with the lower lot looks for another. Leading is decided by votes, as for every
-convenience (`agent/peer/leader_election.py`); a candidate that is silent is no longer counted, and a new term
-fences it off. Nothing here is needed to stop: every candidate carries stops.
+convenience (`agent/peer/leader_election.py`); a candidate that is silent is no longer counted, and
+a new term fences it off. Nothing here is needed to stop: every candidate carries stops.
 """
 
 from collections.abc import Sequence

@@ -2,8 +2,8 @@
 
 On its own segment nothing is different: the same frames, the same rules. What is added are stops and
 resets that hold everywhere (`agent/segments/fleet_stops.py`), knowing whether other segments are reached
-(`agent/segments/remote_segments.py`), and the rule that a section which another segment has lent is claimed only while
-that segment is reached: it alone decides about it.
+(`agent/segments/remote_segments.py`), and the rule that a section which another segment has lent
+is claimed only while that segment is reached: it alone decides about it.
 """
 
 from collections.abc import Mapping, Sequence

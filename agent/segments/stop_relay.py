@@ -43,13 +43,17 @@ class StopRelay:
         self.stops: dict[RemoteStopDot, FleetStop] = {}
         self.resets: dict[RemoteStopDot, dict[int, FleetReset]] = {}
         self.refused = 0  # dots beyond the limit of news
-        self.disbelieved: set[RemoteStopDot] = set()  # said to the end, and nobody here stands for it
+        self.disbelieved: set[RemoteStopDot] = (
+            set()
+        )  # said to the end, and nobody here stands for it
         self._saying: dict[RemoteStopDot, Said] = {}
         self._robots: dict[int, tuple[int, bool]] = {}  # address -> last beat, stands stopped
         self._echoes: dict[RemoteStopDot, set[int]] = {}
         self._next_us = 0  # one stop of ours at a time, whatever their number
         self._again_us = 0
-        self._pressed_us: dict[RemoteStopDot, int] = {}  # of presses, not of told stops: when carried last
+        self._pressed_us: dict[
+            RemoteStopDot, int
+        ] = {}  # of presses, not of told stops: when carried last
         self._to_reset: list[FleetReset] = []
         self._news = TokenBucket(NEWS_A_SECOND / 1e6, NEWS_BURST, now_us)
 
@@ -121,7 +125,9 @@ class StopRelay:
                 continue
             if not self._keep(dot, stop):
                 continue
-            if known and not self._active(dot):  # who has echoed it before has not echoed this press
+            if known and not self._active(
+                dot
+            ):  # who has echoed it before has not echoed this press
                 self._echoes.pop(dot, None)
             if not stop.told:
                 self._pressed_us[dot] = now_us

@@ -158,7 +158,8 @@ class Member(NamedTuple):
 
 
 class StandsBy(IntEnum):
-    """Causes for which a robot stands, as numbered on the bus; `agent/safety/stop_cause.py` says what they mean."""
+    """Causes for which a robot stands, as numbered on the bus; `agent/safety/stop_cause.py` says
+    what they mean."""
 
     OTHER = 0
     NOT_STARTED = 1

@@ -16,7 +16,9 @@ ACTIVE = can.BusState.ACTIVE
 # Interfaces that hand an own frame back when it has been sent, and mark it: SocketCAN by the echo of the
 # driver, the others by the receipt of the controller. `virtual` is a queue in this process: sent is sent.
 CONFIRMING: Final = frozenset({"socketcan", "kvaser", "pcan", "vector", "virtual"})
-UNCONFIRMED_MAX: Final = 512  # own frames whose confirmation is waited for; beyond it the oldest is not
+UNCONFIRMED_MAX: Final = (
+    512  # own frames whose confirmation is waited for; beyond it the oldest is not
+)
 
 
 class CanBus:
@@ -55,7 +57,8 @@ class CanBus:
         return taken
 
     def shelve(self, shelf: Any) -> None:
-        """See `agent.interface.ports.Shelving`; where the interface cannot, everything is called back for."""
+        """See `agent.interface.ports.Shelving`; where the interface cannot, everything is called
+        back for."""
         if self._shelve is not None:
             self._shelve(shelf)
 

@@ -45,7 +45,9 @@ class SocketcandLink(asyncio.Protocol):
         self.connections = 0  # that came to be
         self.malformed = 0  # answers that made no sense
         self.refused = 0  # frames that were not taken
-        self.sent: int | None = None  # frames that have left; see `agent.interface.ports.Confirming`
+        self.sent: int | None = (
+            None  # frames that have left; see `agent.interface.ports.Confirming`
+        )
         self._sent_before = 0  # in earlier connections
         self._full = False  # what the server said last is that it could not take a frame
         self._callback: Callable[[Frame], None] | None = None
@@ -186,7 +188,11 @@ class SocketcandLink(asyncio.Protocol):
 
     def _count(self, words: list[bytes]) -> bool:
         """`sent N` or `refused N` of a hub."""
-        if len(words) != 2 or words[0] not in (b"sent", b"refused") or len(words[1]) > COUNT_DIGITS_MAX:
+        if (
+            len(words) != 2
+            or words[0] not in (b"sent", b"refused")
+            or len(words[1]) > COUNT_DIGITS_MAX
+        ):
             return False
         if not words[1].isdigit():
             return False

@@ -23,7 +23,9 @@ from protocol.frames.map_frames import DIGEST_BITS, FIRST_NODES, SALTS, MapDiges
 MS = 1_000
 FRAME_US = 640  # worst-case stuffing, 250 kbit/s
 NEWS_SHARE = 0.10  # of the bus: with digests and repairs a fleet stays below the mission's 15 %
-REPAIR_SHARE = 0.30  # after a split or a join, as long as it takes; that of `protocol/sync/synchronizer.py`
+REPAIR_SHARE = (
+    0.30  # after a split or a join, as long as it takes; that of `protocol/sync/synchronizer.py`
+)
 NEWS_GAP_US = round(FRAME_US / NEWS_SHARE)
 REPAIR_GAP_US = round(FRAME_US / REPAIR_SHARE)
 SLOT_US = 700  # step of the order of speaking: a frame, and some

@@ -96,7 +96,9 @@ class Replica:
     def _remember(self) -> None:
         history = self._history
         total = self.total
-        history[short(total)] = _tuple(ReplicaVersion, (self.version, self.allocation.lamport, total))
+        history[short(total)] = _tuple(
+            ReplicaVersion, (self.version, self.allocation.lamport, total)
+        )
         if len(history) > HISTORY_MAX:
             del history[next(iter(history))]
 

@@ -1,7 +1,7 @@
 """Anti-entropy: how replicas that differ become equal again, one entry a frame.
 
-Every heartbeat carries a digest; `protocol/sync/digest_comparison.py` judges which of them mean that we lack
-something. Then, on a bus on which everybody hears everybody:
+Every heartbeat carries a digest; `protocol/sync/digest_comparison.py` judges which of them mean
+that we lack something. Then, on a bus on which everybody hears everybody:
 
 1. **One asks.** STATE_SYNC_REQUEST with the stable cut T0, in the order of `Divergence.order`; who
    hears it waits for the end of the conversation and needs fresh evidence to ask again. So there is
@@ -137,7 +137,9 @@ class Synchronizer:
         for slot in returned:
             self._live_since_us[slot] = now_us
         self.divergence.see(slots)
-        if returned:  # nobody may have been there to answer: the pauses between questions begin again
+        if (
+            returned
+        ):  # nobody may have been there to answer: the pauses between questions begin again
             self._tries, self._ask_us = 0, None
         self._judge(now_us)
 

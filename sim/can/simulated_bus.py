@@ -73,7 +73,9 @@ class Segment:
         self.wire = Wire(seed, 1_000_000 // bitrate)
         self.buses: dict[int, FieldBus] = {}
         self.ears: dict[int, Callable[[Frame], None]] = {}  # of buses that are listened to
-        self.shelves: dict[int, list[BufferedBeacon]] = {}  # and of those that take calm beats later
+        self.shelves: dict[
+            int, list[BufferedBeacon]
+        ] = {}  # and of those that take calm beats later
         self.tellers: dict[int, Tap] = {}  # told when a frame of theirs has left
         self.taps: list[Tap] = []
         self.taps_lost = 0  # that could not write any more

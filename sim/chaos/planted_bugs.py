@@ -271,7 +271,9 @@ MUTANTS: dict[str, Mutant] = {
         _reset_starts,
         "press",
     ),
-    "no-echo-single-shot": Mutant("a stop is said once", StopController, "_press", _single_shot, "press"),
+    "no-echo-single-shot": Mutant(
+        "a stop is said once", StopController, "_press", _single_shot, "press"
+    ),
     "silence-unnoticed": Mutant("nobody falls silent", Membership, "tick", _unnoticed, "claims"),
     "silence-ten-times": Mutant(
         "silence is noticed after ten times the limit",
@@ -291,7 +293,11 @@ MUTANTS: dict[str, Mutant] = {
         "flood",
     ),
     "latch-forgotten": Mutant(
-        "a restart forgets the latch and the hold", StopController, "_recall", _forgets_latch, "press"
+        "a restart forgets the latch and the hold",
+        StopController,
+        "_recall",
+        _forgets_latch,
+        "press",
     ),
     "hold-forgotten": Mutant(
         "a stop is not written down", StopSet, "serialize", _constant(b""), "press"
@@ -335,9 +341,15 @@ MUTANTS: dict[str, Mutant] = {
     "digest-constant": Mutant(
         "every digest is the same", Divergence, "tell", _constant(7), "split"
     ),
-    "progress-unannounced": Mutant("progress is not told", Announcements, "flush", _constant([]), "split"),
+    "progress-unannounced": Mutant(
+        "progress is not told", Announcements, "flush", _constant([]), "split"
+    ),
     "progress-not-restored": Mutant(
-        "progress is not read from the journal", DurableRecords, "restore", _no_progress_kept, "claims"
+        "progress is not read from the journal",
+        DurableRecords,
+        "restore",
+        _no_progress_kept,
+        "claims",
     ),
     "covered-too-soon": Mutant("units that were not worked count", FieldMission, "_passed", _early),
     "avoidance-off": Mutant("nobody avoids anybody", HolonomicMotion, "drive", _straight_on),
@@ -369,16 +381,24 @@ MUTANTS: dict[str, Mutant] = {
     ),
     "another-field-holds": Mutant(
         "a robot of another field holds the fleet after it is gone",
-        conflicts, "GONE_US", _value(1 << 50), "strangers",
+        conflicts,
+        "GONE_US",
+        _value(1 << 50),
+        "strangers",
     ),
     "addresses-gone-for-good": Mutant(
         "a robot that found no address does not try again",
-        AddressClaim, "_try_again", _gives_up, "strangers",
+        AddressClaim,
+        "_try_again",
+        _gives_up,
+        "strangers",
     ),
     "impossible-work-joined": Mutant(
         "any section, owner and epoch is joined", Admission, "admits", _constant(True), "strangers"
     ),
-    "strangers-unasked": Mutant("nobody asks who is who", MemberDiscovery, "answer_due", _deaf, "claims"),
+    "strangers-unasked": Mutant(
+        "nobody asks who is who", MemberDiscovery, "answer_due", _deaf, "claims"
+    ),
 }
 
 

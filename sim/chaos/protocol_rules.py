@@ -208,7 +208,9 @@ class ProtocolRules:
                 "S21", now_us, f"robot {slot} tells a stop of {stop.slot}, which is not there"
             )
 
-    def _claim(self, slot: int, speaker: RobotStatements, now_us: int, section: int, phase: Phase) -> None:
+    def _claim(
+        self, slot: int, speaker: RobotStatements, now_us: int, section: int, phase: Phase
+    ) -> None:
         if phase is Phase.CLAIMED:
             speaker.claimed_us[section] = now_us
             return
@@ -217,7 +219,9 @@ class ProtocolRules:
         if phase is Phase.STARTED and not waited:
             self._add("S7", now_us, f"robot {slot} starts S{section}, which is contested still")
 
-    def _vote(self, slot: int, speaker: RobotStatements, now_us: int, vote: LeaderElectionVote) -> None:
+    def _vote(
+        self, slot: int, speaker: RobotStatements, now_us: int, vote: LeaderElectionVote
+    ) -> None:
         key = slot, vote.election, vote.term
         before = self._votes.get(key)
         if before is None:

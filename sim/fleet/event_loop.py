@@ -1,9 +1,9 @@
 """A plain event loop over a heap: the same shells, wire, scripts and order of events as asyncio's.
 
 What asyncio does for a callback costs several microseconds; here it is a heap entry. The order is the
-one of `asyncio.BaseEventLoop` with `sim/fleet/virtual_clock.py`, step by step (due timers in the order in which they
-were set, behind what is ready; a woken shell takes its turn one round later), so that the same seed
-gives the same trace hash: a test compares them.
+one of `asyncio.BaseEventLoop` with `sim/fleet/virtual_clock.py`, step by step (due timers in the
+order in which they were set, behind what is ready; a woken shell takes its turn one round later),
+so that the same seed gives the same trace hash: a test compares them.
 """
 
 from collections.abc import Callable

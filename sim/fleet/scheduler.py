@@ -1,8 +1,9 @@
 """What drives a cluster: a clock, timers, and the turns of shells and scripts.
 
 Two hosts, one behaviour: asyncio on a virtual or real clock, which is what runs on a robot, and a plain
-event loop over a heap (`sim/fleet/event_loop.py`), which is faster. A script is a generator that yields the
-microsecond at which it wants to go on, so that both can run the same faults and the same checks.
+event loop over a heap (`sim/fleet/event_loop.py`), which is faster. A script is a generator that
+yields the microsecond at which it wants to go on, so that both can run the same faults and the
+same checks.
 """
 
 import asyncio

@@ -4,7 +4,8 @@ from sim.scenarios.scenario import BusTable
 
 S = 1_000_000
 QUIET_US = 2 * S  # on a bus that loses nothing
-# On one that does: a question that was lost is asked again after 38 s at the latest (`protocol.sync.synchronizer`).
+# On one that does: a question that was lost is asked again after 38 s at the latest
+# (`protocol.sync.synchronizer`).
 LOSSY_QUIET_US = 40 * S
 
 

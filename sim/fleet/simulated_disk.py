@@ -108,7 +108,8 @@ class LogJournal:
     """The `Journal` port as a log of numbered, checked batches on a `Disk`.
 
     The mark is the number of the newest batch in a second place. A log that ends before its mark was
-    rolled back, and recalls only that it is lost. (`agent/runtime/sqlite_journal.py` does the same with files.)
+    rolled back, and recalls only that it is lost. (`agent/runtime/sqlite_journal.py` does the same
+    with files.)
 
     `synced=False` is the planted bug: a journal that forgets to sync, which a campaign must find.
     """

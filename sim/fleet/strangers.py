@@ -36,8 +36,8 @@ BEATS_A_HEARTBEAT: Final = 4
 TWIN_PLACE_M: Final = 8.0  # the twin tells a place within this of the middle
 NONSENSE_US: Final = 100 * MS
 SAID_US: Final = 1 * S  # in which 108 claims have left
-# Beyond `EPOCH_EXPLAINED_MAX`; one that is told for 3 s is believed (`agent/peer/work_admission.py`), so that all
-# take turns.
+# Beyond `EPOCH_EXPLAINED_MAX`; one that is told for 3 s is believed
+# (`agent/peer/work_admission.py`), so that all take turns.
 EPOCH_LEAST, EPOCH_MOST = 100, 255
 SECTION_BEYOND: Final = 60_000  # numbers of sections that no field has begin here
 OWNER_BEYOND: Final = 200  # slots that no fleet has begin here

@@ -16,7 +16,9 @@ ENOUGH = 2
 class TransportClient:
     def __init__(self, known: int = 0) -> None:
         """`known`: tasks below this are known to all from the start."""
-        self.wanted: dict[int, tuple[int, TransportTask]] = {}  # number: which one of ours, and the order
+        self.wanted: dict[
+            int, tuple[int, TransportTask]
+        ] = {}  # number: which one of ours, and the order
         self.robots: set[int] = set()  # source addresses that have told what they know
         self._first_free = known
         self._sure: dict[int, set[int]] = {}  # task: who knows it

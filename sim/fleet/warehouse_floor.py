@@ -50,7 +50,9 @@ class WarehouseFloor:
     def recall(self, now_us: int) -> None:
         """Go on at that instant: the parcels that appeared in an earlier launch are known."""
         self.from_us = now_us
-        self.desk = TransportClient(max([len(self.setting.house.tasks) - 1, *self.truth.dropoff]) + 1)
+        self.desk = TransportClient(
+            max([len(self.setting.house.tasks) - 1, *self.truth.dropoff]) + 1
+        )
 
     def order(self, row: TaskRow) -> None:
         """One more transport."""

@@ -50,7 +50,9 @@ class Intent(NamedTuple):
 def intent_of(peer: Peer) -> Intent | None:
     """None before its sensors have said anything."""
     here = peer.here
-    motion = peer.motion if isinstance(peer.motion, HolonomicMotion) else None  # nobody to avoid on a grid
+    motion = (
+        peer.motion if isinstance(peer.motion, HolonomicMotion) else None
+    )  # nobody to avoid on a grid
     if here is None:
         return None
     others = sorted(motion.others, key=lambda o: o.distance_m) if motion is not None else []

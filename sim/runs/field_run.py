@@ -133,9 +133,7 @@ class FieldRun:
         self.tracks = {slot: body.track.points for slot, body in world.robots.items()}
         raster = sample_points(field.polygon, field.implement_width_m, field.overlap_m, RASTER_M)
         ground = self.setting.ground(raster)
-        truth = self.truth = coverage(
-            raster, self.tracks, field.implement_width_m, ground.cells
-        )
+        truth = self.truth = coverage(raster, self.tracks, field.implement_width_m, ground.cells)
         met = implement_contacts(
             self.tracks, field.implement_width_m, field.overlap_m, scenario.fleet.radius_m
         )

@@ -210,7 +210,8 @@ class Setting:
         return self.field.polygon.buffer(-radius_m)
 
     def ground(self, raster: Raster) -> Ground:
-        """What of the area asked for these bodies can work. `raster`: see `sim/world/coverage_truth.py`."""
+        """What of the area asked for these bodies can work. `raster`: see
+        `sim/world/coverage_truth.py`."""
         field, radius_m = self.field, self.scenario.fleet.radius_m
         body = Body(field.implement_width_m, field.overlap_m, radius_m, self.turn_radius_m)
         return reachable_ground(field.polygon, raster, body, self.starts)

@@ -13,7 +13,6 @@ from sim.world.walls import AT_X, AT_Y, BOX, COS, FIRST, FREE, HALF_X, HALF_Y, H
 TOUCH_M = 0.02  # deeper than this is a contact; bodies of robots are measured to a centimetre
 
 
-
 TOUCHES_MAX = 1024  # overlaps at one instant; a hundred robots in one heap have about 300
 LOOK_M = 0.5  # the gap to fences and obstacles is known up to this; further is far enough
 FENCE, OBSTACLE = -1, -2  # what is touched: a robot's index; the fence; OBSTACLE - k: obstacle k

@@ -1,8 +1,9 @@
 """A world of cells: bodies that drive straight from cell to cell, and what they have really done.
 
-Plainer than `sim/world/world.py`, so that a hundred robots can cover a large map: a body follows its command
-at once, sees the others within two cells, and stands still when its commands stop. Contacts, coverage
-and who was where are judged from true places every `LOOK_US`, and know nothing of agents.
+Plainer than `sim/world/world.py`, so that a hundred robots can cover a large map: a body follows
+its command at once, sees the others within two cells, and stands still when its commands stop.
+Contacts, coverage and who was where are judged from true places every `LOOK_US`, and know nothing
+of agents.
 """
 
 from dataclasses import dataclass, field

@@ -53,7 +53,9 @@ def implement_contacts(
 ) -> list[Met]:
     """Of all pairs, by time. Tracks are points (microseconds, x, y, implement down), metres."""
     points = {slot: _points(track) for slot, track in sorted(tracks.items())}
-    steps = 1 + max((int(rows[-1, 0]) // TRACK_US for rows in points.values() if len(rows)), default=0)
+    steps = 1 + max(
+        (int(rows[-1, 0]) // TRACK_US for rows in points.values() if len(rows)), default=0
+    )
     ways = {slot: _way(rows, steps) for slot, rows in points.items() if len(rows)}
     half_m, found = width_m / 2 - overlap_m, list[Met]()
     for a, b in combinations(ways, 2):

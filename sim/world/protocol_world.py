@@ -1,8 +1,8 @@
 """A world without physics, for campaigns about the protocol: bodies that stand in their places and do
 what they are told, sections that are worked by the clock, and the truth of both.
 
-It gives a cluster what `sim/world/world.py` gives it. Who works where is known to the parade itself, so that
-no checker has to ask a robot.
+It gives a cluster what `sim/world/world.py` gives it. Who works where is known to the parade
+itself, so that no checker has to ask a robot.
 """
 
 from collections.abc import Callable, Collection, Mapping

@@ -1,7 +1,9 @@
 """One robot's body: the `Body` port of its peer, the hooks of faults, and what checkers look at."""
 
 from math import hypot, isfinite, pi, remainder
-from typing import TYPE_CHECKING
+from typing import Any, Protocol
+
+from numpy.typing import NDArray
 
 from agent.interface.config import ACTUATOR_TTL_US
 from agent.interface.effects import HALT, Drive
@@ -24,16 +26,31 @@ from sim.world.drive_trains import (
 )
 from sim.world.ground_truth import Track
 
-if TYPE_CHECKING:
-    from sim.world.world import World
-
 XY = tuple[float, float]
 OBSERVATION = tuple.__new__
 
 
+class BodyRows(Protocol):
+    """The world that a body is a row of: one row a robot in each array, metres, radians, seconds."""
+
+    motion: NDArray[Any]
+    rows: NDArray[Any]
+    moved_us: NDArray[Any]
+    places: Any  # the bytes of `motion`
+    commands: Any  # the bytes of `rows`
+    now_us: int
+
+    def advance(self, now_us: int) -> None:
+        """Steps until `now_us`."""
+
+    def ranges(self, index: int) -> tuple[float, ...]: ...
+
+    def place(self, body: "RobotBody", x_m: float, y_m: float, heading_rad: float) -> None: ...
+
+
 class RobotBody:
     def __init__(
-        self, world: "World", slot: int, index: int, radius_m: float, chassis: Chassis
+        self, world: BodyRows, slot: int, index: int, radius_m: float, chassis: Chassis
     ) -> None:
         self.world, self.slot, self.index = world, slot, index  # index: row in the world's arrays
         self.radius_m, self.chassis = radius_m, chassis

@@ -4,10 +4,11 @@ Nobody but a robot's own `sense` and `drive` reaches into it, and the checkers, 
 Time is lazy: whoever asks first brings the world to the instant it asks for. The same steps are
 made whoever asks and however often, so a run has one history.
 
-Each step: obstacles come and go, the wheels answer the commands in force (`sim.world.drive_trains`), bodies move,
-and touches are judged from the new positions (`sim.world.contacts`). pymunk moves the bodies (`sim.world.pymunk_engine`).
-A world of the engine `contact_free` calls it only where something is near; elsewhere they glide, with the
-same result (`sim.world.contact_free_steps`).
+Each step: obstacles come and go, the wheels answer the commands in force
+(`sim.world.drive_trains`), bodies move, and touches are judged from the new positions
+(`sim.world.contacts`). pymunk moves the bodies (`sim.world.pymunk_engine`). A world of the engine
+`contact_free` calls it only where something is near; elsewhere they glide, with the same result
+(`sim.world.contact_free_steps`).
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -98,7 +99,9 @@ class World:
         self.guards: list[Guard] = []  # call `guard` when what they say changes
         self.engine: Engine = engine
         self.pymunk_steps = 0  # of `STEP_US`, that pymunk has made
-        self.rows = np.empty((0, COLUMNS))  # see sim.world.drive_trains; one row a robot, in order of adding
+        self.rows = np.empty(
+            (0, COLUMNS)
+        )  # see sim.world.drive_trains; one row a robot, in order of adding
         self.motion = np.empty((0, 7))
         self.commands = self.places = memoryview(b"")  # both, for who reads or writes one row
         self.moved_us = np.empty(0, dtype=np.int64)  # the last step at whose end each robot moved

@@ -51,7 +51,9 @@ class Eager:
         return FULL
 
 
-def peer_in(state: State, cause: StopCause | None, policy: SilencePolicy = SilencePolicy.STOP) -> Peer:
+def peer_in(
+    state: State, cause: StopCause | None, policy: SilencePolicy = SilencePolicy.STOP
+) -> Peer:
     identity = Identity(
         0, frozenset(range(3)), fleet_name("total", 0), 1, policy, started=True, first_boot=True
     )

@@ -61,7 +61,11 @@ def frozen(robots: int, tasks: int, seed: int) -> ProblemSnapshot:
 
 
 def play(
-    robots: int, loss: float, seed: int, dies_streaming: bool = False, problem: ProblemSnapshot | None = None
+    robots: int,
+    loss: float,
+    seed: int,
+    dies_streaming: bool = False,
+    problem: ProblemSnapshot | None = None,
 ) -> list[PlanNegotiation]:
     """Until all are at rest; those that live."""
     print(f"seed {seed}")

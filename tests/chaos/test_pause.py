@@ -10,6 +10,7 @@ import pytest
 
 from agent.field.field_mission import FieldMission
 from agent.interface.lifecycle import State
+from agent.motion.obstacle_stop import ObstacleStop
 from agent.safety.stop_cause import StopCause
 from protocol.frames.codec import decode_once
 from protocol.frames.frame import Frame
@@ -298,7 +299,11 @@ def test_boxes_that_come_and_go_are_never_touched(seed: int) -> None:
             cluster.check()
             for robot in cluster.running:
                 pause = robot.peer.pause
-                if pause is not None and pause.matter is ReportKind.ASKING and rng.random() < 0.3:
+                if (
+                    isinstance(pause, ObstacleStop)
+                    and pause.matter is ReportKind.ASKING
+                    and rng.random() < 0.3
+                ):
                     what = rng.choice((Command.WAIT, Command.CONTINUE, Command.REPLAN))
                     cluster.order(OperatorCommand(what, robot.slot, OPERATOR, pause.number))
         assert cluster.finished, f"seed {seed}"

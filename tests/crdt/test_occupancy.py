@@ -109,7 +109,9 @@ def test_bytes_and_back_and_digests(found: list[Look], order: MergeOrder) -> Non
 
 
 @given(sightings, sightings, st.integers(21, 2000))
-def test_a_decayed_order_holds_at_every_later_time(a: CellObservation, b: CellObservation, now: int) -> None:
+def test_a_decayed_order_holds_at_every_later_time(
+    a: CellObservation, b: CellObservation, now: int
+) -> None:
     later = [(s.level + 1) / LEVELS * np.exp(-RATE / 1000 * (now - s.time)) for s in (a, b)]
     if not 0.999 < later[0] / later[1] < 1.001:  # ranks are rounded to a thousandth
         assert (pack(MergeOrder.DECAYED, a) > pack(MergeOrder.DECAYED, b)) == (later[0] > later[1])

@@ -50,7 +50,11 @@ def test_an_old_reset_does_not_mask_a_new_stop() -> None:
     assert stops.latched
 
 
-@given(st.sets(st.builds(RemoteStopDot, *[st.integers(0, 255)] * 3, st.integers(1, 0x7FFF)), max_size=20))
+@given(
+    st.sets(
+        st.builds(RemoteStopDot, *[st.integers(0, 255)] * 3, st.integers(1, 0x7FFF)), max_size=20
+    )
+)
 def test_dots_of_other_segments(dots: set[RemoteStopDot]) -> None:
     stops = RemoteStopSet()
     for k, dot in enumerate(sorted(dots)):

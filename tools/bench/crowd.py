@@ -49,7 +49,9 @@ def crowd_of(seed: int, robots: int = ROBOTS, side: int = SIDE) -> RoomsScenario
     drawing = path.read_text() if public else rooms(seed, side)
     floor, rng = Floor.drawn(drawing, CELL_M, RADIUS_M), Random(f"{seed}/crowd/{robots}")
     starts, goals = (scattered(floor, robots, rng, CELL_M) for _ in range(2))
-    return RoomsScenario(floor, path.stem if public else f"{side} x {side} cells of rooms", starts, goals)
+    return RoomsScenario(
+        floor, path.stem if public else f"{side} x {side} cells of rooms", starts, goals
+    )
 
 
 def unfairness(waits: list[float]) -> float:

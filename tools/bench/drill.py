@@ -1,4 +1,5 @@
-"""A squad of drilling peers (`sim/world/protocol_drill.py`) on asyncio's loop, for figures about the bus."""
+"""A squad of drilling peers (`sim/world/protocol_drill.py`) on asyncio's loop, for figures about
+the bus."""
 
 import asyncio
 import itertools
@@ -44,7 +45,9 @@ class ProtocolFleet:
             mission = Drill(slot, robots, sections)
             rng = Random(f"{seed}/drill/{slot}")
             peer = Peer(identity, rng, PeerRunner.now_us(), {}, mission, motion)
-            self.shells.append(PeerRunner(peer, CanBus(FieldBus(self.channel)), body, MemoryJournal()))
+            self.shells.append(
+                PeerRunner(peer, CanBus(FieldBus(self.channel)), body, MemoryJournal())
+            )
         self.tasks = [asyncio.create_task(shell.run()) for shell in self.shells]
 
     async def until_working(self, limit_s: float = 60.0) -> bool:

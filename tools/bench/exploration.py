@@ -23,7 +23,9 @@ def play(
     faults: Sequence[Loss | Crash] = (),
 ) -> SurveyOutcome:  # fmt: skip
     scenario = load_arena(arena).changed(robots, seed)
-    return ExplorationRun(scenario.model_copy(update={"fault": list(faults)}), sharing, until=until).run()
+    return ExplorationRun(
+        scenario.model_copy(update={"fault": list(faults)}), sharing, until=until
+    ).run()
 
 
 def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:

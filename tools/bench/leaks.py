@@ -3,7 +3,8 @@
 Anonymous memory of each process (`RssAnon` of `/proc`): what it has asked for itself and cannot be
 dropped. A page looks at the map all the time, as an operator's does. Files: the folder of the launch
 but for what has a bound of its own: `can.log` and `run.mcap`, in parts up to
-`sim.files.log_parts.LAUNCH_LIMIT` each, and the write-ahead logs of the journals, which sqlite keeps at 4 MB.
+`sim.files.log_parts.LAUNCH_LIMIT` each, and the write-ahead logs of the journals, which sqlite
+keeps at 4 MB.
 """
 
 import contextlib

@@ -2,8 +2,8 @@
 
 The thesis reports, for inflations of 0.05, 0.10 and 0.20 m: success 85, 98 and 50 %; RMSE 0.01, 0.08
 and 0.16 m; replans a run 4, 1.0 and 0. Its hall is known only as a picture; ours is
-`sim.scenarios.building_generator.office`, and the places are the same at every inflation. Error is to the polyline
-that was followed, not to its vertices.
+`sim.scenarios.building_generator.office`, and the places are the same at every inflation. Error is
+to the polyline that was followed, not to its vertices.
 """
 
 from collections.abc import Iterator

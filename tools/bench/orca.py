@@ -1,7 +1,7 @@
 """ORCA: CPU time of what a robot runs, and of its kernels against RVO2 through pyrvo, to the same bits.
 
-What every robot calls each control period is `HolonomicMotion.drive`; the fleet step and `among_known` are kernels
-that no robot calls by themselves.
+What every robot calls each control period is `HolonomicMotion.drive`; the fleet step and
+`among_known` are kernels that no robot calls by themselves.
 
 Circle: the example of the RVO2 library, 250 agents that change sides. Where pyrvo is not installed
 only our own times are measured.
@@ -136,7 +136,8 @@ def circle(rvo: Any, steps: int) -> Iterator[Figure]:
 
 
 def whole_robot(batches: int) -> Iterator[Figure]:
-    """The avoidance of a control period as `agent/peer/peer.py` asks for it, on the fences of a real field."""
+    """The avoidance of a control period as `agent/peer/peer.py` asks for it, on the fences of a
+    real field."""
     setting = Setting(load("oxted"))
     motion = setting.motion(0)
     assert isinstance(motion, HolonomicMotion)

@@ -256,7 +256,9 @@ async def _spoken(robots: int, seed: int) -> tuple[float, int, int]:
         return False
 
     with tempfile.TemporaryDirectory() as folder:
-        speaker = CommandSession(bus, None, places, GoalQueue(Path(folder) / "queue.json"), words, no)
+        speaker = CommandSession(
+            bus, None, places, GoalQueue(Path(folder) / "queue.json"), words, no
+        )
         try:
             assert await squad.until_working()
             answers = []

@@ -1,8 +1,9 @@
 """Tasks that arrive one by one, robots without congestion: how long a task waits to be delivered.
 
-Policies decide when a task arrives, nobody is interrupted. Ours is the bid of `agent/delivery/auction.py` in the
-hands of all robots, and at the times of `agent/delivery/waiting_policy.py` what one of them finds in a round; the
-mission's is the insertion of least extra travel.
+Policies decide when a task arrives, nobody is interrupted. Ours is the bid of
+`agent/delivery/auction.py` in the hands of all robots, and at the times of
+`agent/delivery/waiting_policy.py` what one of them finds in a round; the mission's is the
+insertion of least extra travel.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,7 +19,9 @@ from agent.interface.config import MS
 from tools.bench.routing_opponents import bound_ms
 
 Plan = list[list[int]]
-Policy = Callable[[RoutingPlanner, Plan, int, int], None]  # puts a task into a plan, at this time in ms
+Policy = Callable[
+    [RoutingPlanner, Plan, int, int], None
+]  # puts a task into a plan, at this time in ms
 MOVES = REPLAN_US // SLICE_US * SLICE_MOVES_HASTE  # of a round
 
 

@@ -28,15 +28,26 @@ CACHE = FOLDER.with_name("core_types")  # of mypy: that of `make check` has othe
 # `sim/chaos/scenario_judge.py`, on which mypyc 2 itself crashes. mypyc calls a `cached_property` each time.
 GROUP = {
     "crdt": "allocation clock digest progress register",
-    "protocol": "accord_frames address bus codec delivery_frames divergence fleet_frames identifier "
-    "map_frames messages network_frames operator_frames replica safety_frames segment_frames sync "
-    "transport work_frames",
-    "agent": "allocator area authority beyond blockage bulletin choosing claims coasting core "
-    "directive doubts effects election field_work fleet_stops fsm giving_way hearing joining leg letters "
-    "lookout membership motion orca parking pause records right_of_way roll_call safety segment_peer "
-    "self_check shell shove tracker voice working",
-    "sim": "acquaintance bits body bus_tally checkers cluster disk fieldbus parade physics stop_watch "
-    "swarm trace truth wire witness word_rules world",
+    "protocol": "address frames.accord_frames frames.codec frames.delivery_frames frames.fleet_frames "
+    "frames.identifier frames.map_frames frames.messages frames.network_frames "
+    "frames.operator_frames frames.safety_frames frames.segment_frames frames.work_frames "
+    "links.bus sync.digest_comparison sync.replica sync.synchronizer transport",
+    "agent": "avoidance.orca field.displacement_detector field.field_mission "
+    "field.field_obstructions field.parking field.section_choice field.section_partition "
+    "field.work_leg interface.effects interface.state_machine motion.deadlock_yield "
+    "motion.holonomic_motion motion.obstacle_detector motion.obstacle_stop "
+    "motion.path_tracker motion.right_of_way motion.stopping_zone peer.announcements "
+    "peer.control_cycle peer.durable_records peer.fleet_summary peer.inbound "
+    "peer.leader_election peer.member_discovery peer.membership peer.network_join "
+    "peer.operator_directive peer.peer peer.pgn_responder peer.section_claims "
+    "peer.self_check peer.unknown_stop_sources runtime.peer_runner "
+    "safety.command_authority safety.stop_controller segments.fleet_stops "
+    "segments.remote_segments segments.segment_area segments.segment_peer",
+    "sim": "can.can_segment can.frame_counter can.frame_timing can.simulated_bus "
+    "chaos.effect_observer chaos.protocol_rules fleet.contact_history fleet.event_loop "
+    "fleet.simulated_disk fleet.simulated_fleet fleet.stop_monitor fleet.trace_recorder "
+    "world.checkers world.ground_truth world.protocol_world world.pymunk_engine "
+    "world.robot_body world.world",
 }  # fmt: skip
 
 
@@ -78,7 +89,7 @@ class ToolMissingError(CompileError):
 
 
 def files(group: dict[str, str]) -> list[str]:
-    return [f"{package}/{name}.py" for package, names in group.items() for name in names.split()]
+    return [f"{package}/{name.replace('.', '/')}.py" for package, names in group.items() for name in names.split()]
 
 
 def build(

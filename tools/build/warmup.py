@@ -15,7 +15,7 @@ def _paths() -> None:
 
     blocked = np.zeros((8, 8), dtype=bool)
     blocked[3:5, 3:5] = True
-    planner = RoutingPlanner(blocked)
+    planner = Planner(blocked)
     planner.plan((0, 0), (7, 7))
     planner.update([(4, 4, False)])
     planner.plan_plain((0, 0), (7, 7))  # the last resort of a search

@@ -1,10 +1,12 @@
-"""`python -m tools.chaos.fuzz_atheris TARGET [libFuzzer options]`: the process that `headland fuzz` starts."""
+"""`python -m tools.chaos.fuzz_atheris TARGET [libFuzzer options]`: the process that `headland
+fuzz` starts."""
 
 import sys
 
 import atheris
 
-with atheris.instrument_imports(include=["protocol", "crdt", "agent.peer.durable_records", "agent.safety.stop_controller",
+with atheris.instrument_imports(include=["protocol", "crdt", "agent.peer.durable_records",
+                                         "agent.safety.stop_controller",
                                          "agent.peer.inbound", "agent.peer.membership"]):  # fmt: skip
     from sim.chaos.fuzz_targets import TARGETS
 

@@ -1,10 +1,10 @@
 """`headland chaos --mutants`: how soon is each planted bug found? In slices, if it must be.
 
-Each is hunted in the profile that `sim/chaos/planted_bugs.py` names, seed after seed from a first one. What was
-found is kept in `mutants.json`, or `mutants-FIRST.json` where the first seed is another than 0; another
-call goes on with the rest, each hunt at the seed at which it stopped, so that a budget of CPU time can be
-spent a few minutes at a time. A broken rule counts only where the same seed keeps it without the bug;
-what that costs is part of the time.
+Each is hunted in the profile that `sim/chaos/planted_bugs.py` names, seed after seed from a first
+one. What was found is kept in `mutants.json`, or `mutants-FIRST.json` where the first seed is
+another than 0; another call goes on with the rest, each hunt at the seed at which it stopped, so
+that a budget of CPU time can be spent a few minutes at a time. A broken rule counts only where the
+same seed keeps it without the bug; what that costs is part of the time.
 """
 
 import json

@@ -61,7 +61,8 @@ def states() -> str:
         rows.append(f"| **{state.name}** | " + " | ".join(cells) + " |")
     return "\n".join(
         [NOTE, "# States", "", "What a robot is to its fleet. Events that are not listed for a state are "
-         "seen and deliberately ignored; why each edge is there stands in `agent/interface/lifecycle.py`.", "",
+         "seen and deliberately ignored; why each edge is there stands in "
+         "`agent/interface/lifecycle.py`.", "",
          "![the state machine of a robot](states.svg)", "", head,
          "|---" * (len(Event) + 1) + "|", *rows, ""]
     )  # fmt: skip

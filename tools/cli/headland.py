@@ -159,7 +159,7 @@ def launch(
     A fleet whose work is not done is continued by the same command, with its stops and its work.
     Example: headland launch --robots 6, then in another terminal: headland estop
     """
-    from tools.run.launch import launch as command
+    from tools.run.launch_command import launch as command
 
     page = page_port if show_map else None
     raise SystemExit(

@@ -341,7 +341,10 @@ def _show(console: Console, seen: dict[str, Any]) -> None:
     console.print(f"bus load at worst-case stuffing: {seen['bus_load_worst_case']:.1%}")
     if seen["latched"]:
         console.print(f"[bold red]EMERGENCY STOP latched: {', '.join(seen['latched'])}")
-    for key, whose in (("unknown", "not of Headland"), ("other_makers", "of other makers, not read")):
+    for key, whose in (
+        ("unknown", "not of Headland"),
+        ("other_makers", "of other makers, not read"),
+    ):
         if seen[key]:
             groups = [f"{n} {name}" for name, n in seen[key].items()]
             beyond = len(groups) - UNKNOWN_SHOWN

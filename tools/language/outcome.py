@@ -16,7 +16,9 @@ class Outcome:
     phrase: str
     intents: tuple[AnyIntent, ...] = ()
     question: Question | None = None
-    orders: list[tuple[AuthorizedOrder, str | None]] = field(default_factory=list)  # None: not obeyed
+    orders: list[tuple[AuthorizedOrder, str | None]] = field(
+        default_factory=list
+    )  # None: not obeyed
     stopped: list[int] | None = (
         None  # robots that confirmed a stop of all; None: none was asked for
     )

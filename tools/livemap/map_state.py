@@ -1,6 +1,7 @@
 """An inspector that also knows what a map shows: courses, bus load now, the map told, islands.
 
-Everything is what was heard, or what robots told of themselves beside the bus (`sim.record.robot_intent`).
+Everything is what was heard, or what robots told of themselves beside the bus
+(`sim.record.robot_intent`).
 """
 
 from collections import Counter, deque

@@ -30,7 +30,9 @@ def order(
     try:
         rows = _rows(pickup, dropoff, file)
         house = _house(scenario)
-        orders = [TransportTask(_cell(house, row.pickup), _cell(house, row.dropoff)) for row in rows]
+        orders = [
+            TransportTask(_cell(house, row.pickup), _cell(house, row.dropoff)) for row in rows
+        ]
         known = asyncio.run(_order(orders, where))
     except (ScenarioError, AttachError) as problem:
         print(f"headland: {problem}", file=sys.stderr)
@@ -71,7 +73,9 @@ def _cell(house: Warehouse, at: tuple[float, float]) -> int:
     return cell
 
 
-async def _order(orders: list[TransportTask], where: tuple[str, str, int, str, int]) -> dict[int, bool]:
+async def _order(
+    orders: list[TransportTask], where: tuple[str, str, int, str, int]
+) -> dict[int, bool]:
     """Task numbers, and whether two robots, or all there are, have said that they know them."""
     bus = attach(*where)
     desk, device = TransportClient(), DeviceAddress(bus)

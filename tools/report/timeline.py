@@ -147,7 +147,9 @@ class History(Inspector):
         super()._robot(t_s, robot, kind, message)
         match message:
             case Pose() if message.placed:
-                place = BusAddress(t_s, message.x_m, message.y_m, message.speed_m_s, message.stopped)
+                place = BusAddress(
+                    t_s, message.x_m, message.y_m, message.speed_m_s, message.stopped
+                )
                 self.places.setdefault(robot.slot, []).append(place)
                 if message.stopped:
                     self._stands(t_s, robot.slot, message.speed_m_s <= STANDS_M_S / 2)

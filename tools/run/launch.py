@@ -9,7 +9,6 @@ import asyncio
 import contextlib
 import os
 import signal
-import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -26,23 +25,19 @@ from sim.fleet.gc_tuning import leave_standing
 from sim.fleet.outcome import COVERAGE_MIN
 from sim.record.remote_body import BodyServer
 from sim.scenarios.field_setup import Setting
-from sim.scenarios.scenario import ScenarioError
 from sim.world.coverage_truth import coverage, sample_points
 from sim.world.implement_contacts import implement_contacts
 from sim.world.parcel_truth import Parcels
 from sim.world.world_memory import WorldMemory
-from tools.build.warmup import warm
-from tools.common.bus_attach import CHANNEL, AttachError
+from tools.common.bus_attach import CHANNEL
 from tools.common.child_process import module_command
 from tools.common.process_identity import identity
-from tools.common.run_folder import FolderError
 from tools.common.run_recorder import RunRecorder
 from tools.inspect.inspector import SILENT_S, Inspector
 from tools.language.places import Places
-from tools.livemap.command import ServerError, check_operator_key, listen
-from tools.run.fleet_folder import TRUTH, Fleet, end_fleet, fleet_folder
+from tools.run.fleet_folder import TRUTH, Fleet, end_fleet
 from tools.run.launch_bus import LaunchBus, OutsideHub, OwnHub, viewer_command
-from tools.run.robot import AnySetting, setting_of
+from tools.run.robot import AnySetting
 
 HOST = "127.0.0.1"
 LOOK_S = 0.5
@@ -102,7 +97,11 @@ class Launch:
         epoch_us = round((time.time() - loop.time()) * 1e6)
         begun_us, told = epoch_us + round(loop.time() * 1e6), self.console.print
         log = PartedLog(
-            self.out / "can.log", lambda path, _: CandumpWriter(path), begun_us, self.log_limit, told
+            self.out / "can.log",
+            lambda path, _: CandumpWriter(path),
+            begun_us,
+            self.log_limit,
+            told,
         )
         keeping = RunRecorder(
             self.setting, self.out, begun_us=begun_us, told=told, limit=self.log_limit
@@ -359,66 +358,3 @@ class Launch:
         if self.setting.keys is None:
             self.console.print(NO_KEYS)
         self.report = report
-
-
-def launch(
-    scenario: str, robots: int | None, seed: int | None, out: Path | None, port: int,
-    seconds: float | None, as_json: bool, keys: Path | None = None, page_port: int | None = None,
-    segment: int = 0, hub_port: int = 0, fresh: bool = False, operator_key: Path | None = None,
-) -> int:  # fmt: skip
-    """`page_port`: of a map beside it. `hub_port`: of a bus that runs by itself. `out`: none, a folder
-    named after the scenario. `fresh`: a new fleet, also where the last one is not done. `operator_key`:
-    the map's page may release and start with it."""
-    console = Console(stderr=as_json, highlight=False, soft_wrap=True)
-    try:
-        setting = setting_of(scenario, robots, seed, keys)
-        if segment and not isinstance(setting, Setting):
-            return _wrong(
-                f"--segment: {scenario} is a warehouse, and they are not bridged: leave it out"
-            )
-        if setting.scenario.fault:
-            return _wrong(
-                f"{scenario}: [[fault]]: a launch has real processes and plays no faults; "
-                "play this scenario with headland run"
-            )
-        if page_port is not None:
-            listen(page_port).close()  # what is taken is known before the robots start
-            check_operator_key(operator_key)
-        fleet = fleet_folder(out, setting, fresh)
-    except (ScenarioError, ServerError, FolderError, AttachError) as problem:
-        return _wrong(str(problem))
-    except OSError as problem:
-        return _wrong(f"--out: {problem}")
-    if fleet.said:
-        console.print(fleet.said)
-    warm(isinstance(setting, Setting) and setting.turn_radius_m > 0.0)  # not in every robot at once
-    kind = Launch if isinstance(setting, Setting) else _haul()
-    running = kind(setting, scenario, fleet, console, keys, page_port)
-    running.operator_key = None if operator_key is None else str(operator_key.absolute())
-    running.segment, running.hub_port = segment, hub_port
-    begun = time.monotonic()
-    try:
-        code = asyncio.run(running.run(port, seconds))
-    except BusError as problem:
-        if hub_port:
-            return _wrong(f"--hub {hub_port}: {problem}")
-        return _wrong(f"--port {port}: {problem}; choose another or 0 for any free one")
-    except OSError as problem:
-        return _wrong(f"--out: {problem}")
-    finally:
-        for lock in fleet.locks:
-            lock.close()
-    if as_json:
-        print(dumps({**running.report, "wall_s": round(time.monotonic() - begun, 1)}))
-    return code
-
-
-def _haul() -> type[Launch]:
-    from tools.run.launch_delivery import HaulLaunch
-
-    return HaulLaunch
-
-
-def _wrong(message: str) -> int:
-    print(f"headland: {message}", file=sys.stderr)
-    return WRONG

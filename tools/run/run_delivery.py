@@ -103,7 +103,12 @@ def _watch(
 
 
 async def _live(
-    console: Console, run: DeliveryRun, port: int, seconds: float | None, keeping: RunRecorder, out: Path
+    console: Console,
+    run: DeliveryRun,
+    port: int,
+    seconds: float | None,
+    keeping: RunRecorder,
+    out: Path,
 ) -> tuple[HaulOutcome, bool]:
     """In real time, on a bus that tools can attach to."""
     loop = asyncio.get_running_loop()
@@ -174,7 +179,9 @@ def outcome_table(outcome: HaulOutcome) -> Table:
     return run_table(outcome, facts)
 
 
-def draw_warehouse(setting: DeliverySetting, run: DeliveryRun, outcome: HaulOutcome, out: Path) -> None:
+def draw_warehouse(
+    setting: DeliverySetting, run: DeliveryRun, outcome: HaulOutcome, out: Path
+) -> None:
     """One PNG: walls, bays, and where each robot drove."""
     import matplotlib
 

@@ -21,7 +21,9 @@ def test_a_rectangle_becomes_its_sides_each_a_little_longer() -> None:
     pieces = cut_at_corners(ring(), 1.8, 2.0, FREE)
     assert len(pieces) == 4
     whole = unary_union([LineString(piece) for piece in pieces])
-    assert LineString(ring()).difference(whole.buffer(0.02)).length < 2.0, "bends leave it at its ends"
+    assert LineString(ring()).difference(whole.buffer(0.02)).length < 2.0, (
+        "bends leave it at its ends"
+    )
     assert all(FREE.buffer(1e-6).contains(LineString(piece)) for piece in pieces)
     longer = sum(LineString(piece).length for piece in pieces) - LineString(ring()).length
     assert longer == pytest.approx(6 * 0.8, abs=0.6), "0.8 m to the fence's margin, at six ends"

@@ -6,7 +6,9 @@ from hypothesis import strategies as st
 from agent.field.section_partition import SectionJob, cut, shares
 
 jobs_of = st.lists(st.floats(0.1, 50), min_size=0, max_size=60).map(
-    lambda works: [SectionJob(i, w, ((float(i), 0.0), (float(i), 9.0))) for i, w in enumerate(works)]
+    lambda works: [
+        SectionJob(i, w, ((float(i), 0.0), (float(i), 9.0))) for i, w in enumerate(works)
+    ]
 )
 
 

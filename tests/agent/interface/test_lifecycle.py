@@ -137,7 +137,8 @@ ENDED_BY: dict[StopCause, str | None] = {
     StopCause.ERROR_PASSIVE: "time",  # the driver says that it is gone
     StopCause.UNHEARD: "time",
     StopCause.SENSES_OLD: "time",  # here they are in time again
-    StopCause.PLACE_FROZEN: "start",  # or when the place changes, which it does not while the robot stands
+    # or when the place changes, which it does not while the robot stands
+    StopCause.PLACE_FROZEN: "start",
     StopCause.ADDRESS_LOST: "time",  # it claims another
     StopCause.CONFIG_MISMATCH: "time",  # the other machine is not heard any more
     StopCause.DUPLICATE_ID: "time",

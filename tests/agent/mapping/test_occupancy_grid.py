@@ -183,7 +183,9 @@ def test_m16_a_way_out_of_the_inflation_passes_no_corner_nearer_than_the_body(se
     tried = 0
     while tried < 20:
         start, goal = ((rng.uniform(0.5, 11.5), rng.uniform(0.5, 11.5)) for _ in range(2))
-        inflated = bool(grid.tight.blocked[cell_of((start[1] / CELL_M - 0.5, start[0] / CELL_M - 0.5))])
+        inflated = bool(
+            grid.tight.blocked[cell_of((start[1] / CELL_M - 0.5, start[0] / CELL_M - 0.5))]
+        )
         # Its body touches no wall, and it is in the inflation.
         if not inflated or gap_m(*start) < BODY_M or gap_m(*goal) < 2 * BODY_M:
             continue

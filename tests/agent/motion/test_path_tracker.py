@@ -12,7 +12,9 @@ DT_S = 0.05
 coordinate = st.floats(-50, 50)
 
 
-def drive(tracker: PathTracker, x_m: float, y_m: float, seconds: float) -> tuple[float, float, float]:
+def drive(
+    tracker: PathTracker, x_m: float, y_m: float, seconds: float
+) -> tuple[float, float, float]:
     """Simulate an ideal holonomic body; returns the end and the largest distance from the line."""
     worst_m = 0.0
     for _ in range(round(seconds / DT_S)):

@@ -129,13 +129,14 @@ def test_m15_drawn_aisles_with_boxes_that_stay_are_got_through(seed: int) -> Non
         for aisle in range(AISLES)
         if aisle != open_aisle
     ]
-    start, goal = (0.5, 2 * rng.randrange(AISLES) + 0.5), (length - 0.5, 2 * rng.randrange(AISLES) + 0.5)
+    start, goal = (
+        (0.5, 2 * rng.randrange(AISLES) + 0.5),
+        (length - 0.5, 2 * rng.randrange(AISLES) + 0.5),
+    )
     setting = ErrandSetting.made("aisles", floor, [start], [[goal]], time_limit_s=1200.0)
     run, outcome = _boxed(setting, boxes, BOX_M)
     assert outcome.finished and not outcome.contacts, (seed, boxes, why(run))
     track = run.tracks[0]
-    driven_m = sum(
-        hypot(b[1] - a[1], b[2] - a[2]) for a, b in pairwise(track)
-    )
+    driven_m = sum(hypot(b[1] - a[1], b[2] - a[2]) for a, b in pairwise(track))
     # Into every blocked aisle and back, between all of them, and through the free one.
     assert driven_m < 1.5 * (AISLES * 2 * length + 4 * AISLES), (seed, driven_m)

@@ -41,7 +41,9 @@ class Fleet:
         self.letters.arrived.clear()
         await self.letters.ask(BULLETIN_PGN, GLOBAL_ADDRESS, 1.0)
         await elapse(1.0)
-        told = [bulletin.read(a.data.decode()) for a in self.letters.arrived if a.pgn == BULLETIN_PGN]
+        told = [
+            bulletin.read(a.data.decode()) for a in self.letters.arrived if a.pgn == BULLETIN_PGN
+        ]
         return [t.by for t in told if t is not None]
 
     def leaders(self) -> list[str | None]:

@@ -103,7 +103,9 @@ def test_m25_each_source_lowers_health(known: Known, share: float, source: Sourc
 
 
 def test_m25_the_worst_source_counts() -> None:
-    bad = WELL._replace(battery=0.6, bus=Health.PASSIVE, causes=[StopCause.SENSES_OLD, StopCause.UNHEARD])
+    bad = WELL._replace(
+        battery=0.6, bus=Health.PASSIVE, causes=[StopCause.SENSES_OLD, StopCause.UNHEARD]
+    )
     assert health(bad) == HOLDS
     assert health(bad._replace(causes=[StopCause.SENSES_OLD, StopCause.DISK_ERROR])) == FAILED
 

@@ -46,7 +46,9 @@ class Robot:
             self.sensed = Observation(
                 self.x_m, 0.0, 0.0, self.v_m_s, 0.0, (inf,) * 72, sensed_at_us=self.now_us
             )
-        self.peer.check.bus(Health.ACTIVE, True, self.now_us, self.now_us)  # a frame leaves each time
+        self.peer.check.bus(
+            Health.ACTIVE, True, self.now_us, self.now_us
+        )  # a frame leaves each time
         self.peer.observe(self.sensed, self.now_us)
         effects = self.peer.tick(self.now_us)
         self.told = next((e for e in effects if isinstance(e, Drive)), self.told)

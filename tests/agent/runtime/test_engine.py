@@ -250,7 +250,11 @@ def test_m18_a_fleet_without_keys_is_released_by_the_engine_that_says_so() -> No
     async def story(engines: list[FleetCoordinationEngine]) -> None:
         await engines[2].broadcast_emergency_stop("OBSTACLE_DETECTED")
         await elapse(0.3)
-        for wrong in ({}, {"operator": operator_key()}, {"operator": operator_key(), "keyless": True}):
+        for wrong in (
+            {},
+            {"operator": operator_key()},
+            {"operator": operator_key(), "keyless": True},
+        ):
             with pytest.raises(ValueError, match="has no keys"):
                 await engines[0].clear_stops(**wrong)
         assert not await engines[0].manual_reset()

@@ -68,9 +68,7 @@ def test_a_flood_without_events_is_the_same_as_one_frame_by_frame(seed: int) -> 
     flooding, now_us = True, 100
     for _ in range(400):
         now_us += rng.choice((1, 2, 3, 5, 7, 101, 903, 3001))
-        if (
-            now_us % 4 == 0
-        ):  # no frame ends there: a frame of that very microsecond may be too late
+        if now_us % 4 == 0:  # no frame ends there: a frame of that very microsecond may be too late
             now_us += 1
         dice, node = rng.random(), rng.randrange(4)
         sent = frame(rng.choice((0x00FF0080, 0x14FF1080, 0x18FF1181)) + node, rng.randrange(256))

@@ -167,7 +167,16 @@ def test_a6_nothing_is_missed_from_rawmode_on() -> None:
     on_a_hub("rawmode", story)
 
 
-ODD = ["-0000001", "+8FFFF00", "0x18FFFF", "18_FFF00", " 8FFFF00", "18FFFF0", "38FFFF00", "١8FFFF00"]
+ODD = [
+    "-0000001",
+    "+8FFFF00",
+    "0x18FFFF",
+    "18_FFF00",
+    " 8FFFF00",
+    "18FFFF0",
+    "38FFFF00",
+    "١8FFFF00",
+]
 
 
 def test_l4_numbers_that_only_python_reads_are_no_frames() -> None:

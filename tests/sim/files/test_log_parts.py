@@ -43,13 +43,17 @@ def test_f11_a_log_keeps_its_newest_parts_and_says_once_that_older_ones_go(tmp_p
     parts = parts_of(tmp_path / "can.log")
     assert len(parts) == LIMIT.parts and sorted(parts) == sorted(tmp_path.iterdir())
     assert all(part.stat().st_size < LIMIT.part_bytes + LINE_BYTES for part in parts)
-    assert said == ["can.log: its newest 12288 bytes are kept; what is older is deleted from now on"]
+    assert said == [
+        "can.log: its newest 12288 bytes are kept; what is older is deleted from now on"
+    ]
     kept = [frame for part in parts for _, frame in read_candump(part)]
     assert kept == [_frame(number) for number in range(FRAMES - len(kept), FRAMES)]
     assert len(kept) > (LIMIT.parts - 1) * (LIMIT.part_bytes // LINE_BYTES)
     assert [frame for _, frame in frames_of(tmp_path)] == kept  # inspect, say, replay
     assert [frame for _, frame in frames_of(tmp_path / "can.log")] == kept
-    assert [frame for _, frame in frames_of(parts[0])] == kept[: sum(1 for _ in read_candump(parts[0]))]
+    assert [frame for _, frame in frames_of(parts[0])] == kept[
+        : sum(1 for _ in read_candump(parts[0]))
+    ]
 
 
 def test_f11_an_mcap_is_closed_and_begun_again_by_size(tmp_path: Path) -> None:

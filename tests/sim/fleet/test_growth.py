@@ -23,7 +23,18 @@ SLACK = 96  # elements of what comes and goes: the rest of a way, the legs of a 
 CHANGES = 20_000  # four hours of ten robots
 CACHES_BYTES_MAX = 1_000_000
 POOL = "._corners."  # arrays of a path planner, doubled when too small: `corner_memory.POOL_MAX`
-ATOMS = (int, float, str, bytes, bool, type(None), type, ModuleType, FunctionType, BuiltinFunctionType)
+ATOMS = (
+    int,
+    float,
+    str,
+    bytes,
+    bool,
+    type(None),
+    type,
+    ModuleType,
+    FunctionType,
+    BuiltinFunctionType,
+)
 HELD = (dict, list, set, frozenset, deque, bytearray)
 
 

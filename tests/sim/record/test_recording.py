@@ -177,9 +177,12 @@ def test_a20_the_schemas_of_the_mcap_say_every_message_path(kept: tuple[Path, st
                 schemas[channel.topic] = json.loads(schema.data)
                 paths[channel.topic] = _foxglove_fields(schemas[channel.topic], channel.topic)
     assert {"/scene", "/log", "/robots/0", "/things"} - paths.keys() <= {"/things"}
-    assert {"/robots/0.vx", "/robots/0.path[].x", "/robots/0.wanted.y", "/robots/0.holds[]"} <= paths[
-        "/robots/0"
-    ]
+    assert {
+        "/robots/0.vx",
+        "/robots/0.path[].x",
+        "/robots/0.wanted.y",
+        "/robots/0.holds[]",
+    } <= paths["/robots/0"]
     assert {"/log.level", "/log.timestamp.nsec"} <= paths["/log"]
     assert "/scene.entities[].lines[].points[].z" in paths["/scene"]
     assert schemas["/scene"]["title"] == "foxglove.SceneUpdate"

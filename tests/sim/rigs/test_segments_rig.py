@@ -312,6 +312,7 @@ def panel_of(fleet: SegmentFleet, number: int) -> CanBus:
 
 def clear_here(fleet: SegmentFleet, dot: tuple[int, int, int, int], number: int) -> None:
     """The robots of a segment have cleared a stop, whoever made them; no gateway has heard of it."""
+
     def hear(half: FleetReset) -> Callable[[Peer, int], Sequence[Effect]]:
         return lambda peer, now: peer.hear(GATEWAY_ADDRESS, half, now)
 
@@ -344,7 +345,9 @@ def release(fleet: SegmentFleet, dot: tuple[int, ...], bus: CanBus) -> None:
     assert fleet.run(3 * S, lambda: all(peer.safety.may_move for peer in peers)), f"seed {SEED}"
 
 
-def test_t5_a_press_elsewhere_with_a_name_that_was_cleared_here_latches(fleet: SegmentFleet) -> None:
+def test_t5_a_press_elsewhere_with_a_name_that_was_cleared_here_latches(
+    fleet: SegmentFleet,
+) -> None:
     bus = panel_of(fleet, 1)
     clear_here(fleet, (*PANEL_DOT, 1), 2)
     assert all(p.safety.far.is_cleared(RemoteStopDot(*PANEL_DOT, 1)) for p in fleet.peers(2))

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from agent.delivery.delivery_mission import DeliveryMission
-from agent.delivery.problem_snapshot import round_tasks_max
+from agent.delivery.task_allocation import round_tasks_max
 from agent.delivery.warehouse import Warehouse
 from agent.interface.config import S
 from protocol.frames.codec import decode_once
@@ -354,9 +354,7 @@ def test_m1_one_robot_delivers_although_boxes_stand_for_the_whole_run() -> None:
             (5.0, 10.5, 6.5, 0.8), (10.0, 1.0, 5.5, 1.2), (20.0, 12.5, 10.5, 0.8),
         )
     ]  # fmt: skip
-    given = scenario(
-        1, seed=1, faults=boxes, map=ONE_AISLE, random_tasks=8, random_over_s=60.0
-    )
+    given = scenario(1, seed=1, faults=boxes, map=ONE_AISLE, random_tasks=8, random_over_s=60.0)
     given = given.model_copy(update={"run": given.run.model_copy(update={"time_limit_s": 1200.0})})
     outcome, _ = play(given)
     assert outcome.finished and outcome.delivered == 8

@@ -68,7 +68,11 @@ def test_m23_errands_deliveries_and_explorations_are_moved_by_pymunk() -> None:
     assert isinstance(haul, WarehouseScenario)
     arena = load_arena("arena").changed(2, 1, time_limit_s=SHORT_S)
     outing = setting_of(rooms)
-    for outcome in (NavigationRun(outing).run(), DeliveryRun(DeliverySetting(haul)).run(), ExplorationRun(arena).run()):
+    for outcome in (
+        NavigationRun(outing).run(),
+        DeliveryRun(DeliverySetting(haul)).run(),
+        ExplorationRun(arena).run(),
+    ):
         assert outcome.pymunk_steps > 500, outcome
 
 

@@ -78,9 +78,7 @@ def test_m26_six_robots_in_a_small_field_get_on(robots: int, tmp_path: Path) -> 
 def test_m26_three_tractors_finish_a_strip_in_which_they_cannot_pass(
     seed: int, tmp_path: Path
 ) -> None:
-    made = scenario(
-        tmp_path, rectangle(100.0, 9.0), 3, seed, drive="ackermann", time_limit_s=700.0
-    )
+    made = scenario(tmp_path, rectangle(100.0, 9.0), 3, seed, drive="ackermann", time_limit_s=700.0)
     outcome = FieldRun(Setting(made)).run()
     assert outcome.finished and outcome.replicas_equal, outcome
     assert outcome.reached > 0.9998, outcome  # two cells at most, in corners

@@ -57,10 +57,17 @@ def test_m21_neighbours_on_their_swaths_are_none() -> None:
 def test_m21_an_implement_goes_up_before_it_comes_into_a_body() -> None:
     implement = Implement(WIDTH_M / 2 - OVERLAP_M, RADIUS_M)
     here = Observation(0.0, 0.0, 0.0, 2.5, 0.0)
-    for dx_m, dy_m, up in ((1.0, 2.4, True), (-1.0, -2.4, True), (3.0, 2.4, False), (0.0, 3.6, False)):
+    for dx_m, dy_m, up in (
+        (1.0, 2.4, True),
+        (-1.0, -2.4, True),
+        (3.0, 2.4, False),
+        (0.0, 3.6, False),
+    ):
         other = NearbyRobot(1, dx_m, dy_m, State.IDLE)
         assert implement.must_be_up(here, (2.5, 0.0), [other]) is up, (dx_m, dy_m)
-    assert not Implement(0.0, RADIUS_M).must_be_up(here, (2.5, 0.0), [NearbyRobot(1, 1.0, 0.0, State.IDLE)])
+    assert not Implement(0.0, RADIUS_M).must_be_up(
+        here, (2.5, 0.0), [NearbyRobot(1, 1.0, 0.0, State.IDLE)]
+    )
 
 
 def played(robots: int, seed: int) -> Outcome:

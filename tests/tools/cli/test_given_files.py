@@ -137,7 +137,9 @@ def test_f_what_is_large_is_refused_soon_and_in_little_memory(
         code, said, used_s, used_kb = measured(tmp_path, *words)
         assert code == 2 and said.startswith("headland: ") and said.count("\n") == 1, said[-500:]
         more_s, more_kb = used_s - start_s, used_kb - start_kb
-        assert more_s < CPU_S and more_kb < MEMORY_KB, f"{words}: {more_s:.1f} s, {more_kb >> 10} MB"
+        assert more_s < CPU_S and more_kb < MEMORY_KB, (
+            f"{words}: {more_s:.1f} s, {more_kb >> 10} MB"
+        )
 
 
 def test_l8_key_files_that_are_none_are_one_line(
@@ -147,7 +149,11 @@ def test_l8_key_files_that_are_none_are_one_line(
     (tmp_path / "deep.json").write_text("[" * 60_000)
     (tmp_path / "deep.json").chmod(0o600)
     wrong = Complaints(monkeypatch, capfd)
-    for name, why in (("fifo.json", "regular"), ("/dev/zero", "regular"), ("deep.json", "not JSON")):
+    for name, why in (
+        ("fifo.json", "regular"),
+        ("/dev/zero", "regular"),
+        ("deep.json", "not JSON"),
+    ):
         said = wrong.of(f"keys show {name}", tmp_path)
         assert said.code == 2 and why in said.line
         assert wrong.of(f"run small --keys {name}", tmp_path).code == 2
@@ -234,7 +240,8 @@ def test_b6_the_reasons_of_a_scenario_are_those_of_the_wire() -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ['a = "' + "x." * 500 + '"', "# " + "." * 90, "a = [" + "1.0, " * 500 + "]", "a.b.c = 1"]
+    "text",
+    ['a = "' + "x." * 500 + '"', "# " + "." * 90, "a = [" + "1.0, " * 500 + "]", "a.b.c = 1"],
 )
 def test_f1_honest_dots_are_read(text: str) -> None:
     parse_toml(text)
@@ -263,9 +270,7 @@ def test_m6_a_limit_may_be_said(tmp_path: Path) -> None:
     assert done.returncode == 1 and not report["finished"] and report["simulated_s"] < 30
 
 
-def test_m20_a_disconnected_map_is_said(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_m20_a_disconnected_map_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     text = "type octile\nheight 3\nwidth 9\nmap\n" + "...@.....\n" * 3
     (tmp_path / "m.map").write_text(text)
     (tmp_path / "i.mcpp").write_text("map: m\nroot: [[0, 0]]\n")
@@ -273,7 +278,9 @@ def test_m20_a_disconnected_map_is_said(
     code, said, _, _ = measured(tmp_path, "coverage", "solve", "i.mcpp", "--json")
     assert code == 1 and "--reachable-only" in said
     assert '"unreached_cells": 15' in said and '"ok": false' in said
-    code, said, _, _ = measured(tmp_path, "coverage", "solve", "i.mcpp", "--json", "--reachable-only")
+    code, said, _, _ = measured(
+        tmp_path, "coverage", "solve", "i.mcpp", "--json", "--reachable-only"
+    )
     assert code == 0 and '"unreached_cells": 15' in said and '"ok": true' in said
 
 
@@ -307,7 +314,9 @@ def _square(side: float, at: float = 0.0) -> list[tuple[float, float]]:
 
 def _task_data(folder: Path, *fields: tuple[str, str]) -> Path:
     pytest.importorskip("isoxml")
-    parts = "".join(PFD.format(n=k + 1, name=name, plns=plns) for k, (name, plns) in enumerate(fields))
+    parts = "".join(
+        PFD.format(n=k + 1, name=name, plns=plns) for k, (name, plns) in enumerate(fields)
+    )
     head = '<ISO11783_TaskData VersionMajor="4" VersionMinor="3" DataTransferOrigin="1">'
     path = folder / "TASKDATA.XML"
     path.write_text(f'<?xml version="1.0" encoding="UTF-8"?>{head}{parts}</ISO11783_TaskData>')
@@ -393,7 +402,12 @@ def test_a12_exported_files_are_named_and_labelled_as_others_do(tmp_path: Path) 
     from sim.runs.isoxml_writer import write_isoxml
     from sim.runs.work_geojson import read_work_geojson
 
-    head = {"kind": "boundary", "name": "f", "started": "2026-01-01T00:00:00+00:00", "width_mm": 4000}
+    head = {
+        "kind": "boundary",
+        "name": "f",
+        "started": "2026-01-01T00:00:00+00:00",
+        "width_mm": 4000,
+    }
     square = [[list(point) for point in _square(2e-3)]]
     log = {"kind": "log", "robot": 0, "t_ms": [0, 1000], "working": [1, 0]}
     features = [

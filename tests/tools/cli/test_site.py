@@ -26,7 +26,9 @@ DOCS = ROOT / "docs"
 
 @pytest.mark.parametrize("name", handbook.pages())
 def test_what_is_printed_is_current(name: str) -> None:
-    assert (DOCS / name).read_text() == handbook.pages()[name], "run: python -m tools.cli.doc_pages docs"
+    assert (DOCS / name).read_text() == handbook.pages()[name], (
+        "run: python -m tools.cli.doc_pages docs"
+    )
 
 
 def test_the_pages_say_it_all() -> None:

@@ -32,7 +32,11 @@ def test_b3_two_runs_have_two_folders_and_export_never_mixes_them(tmp_path: Path
 def test_b3_parts_of_two_runs_are_not_exported(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    head: dict[str, object] = {"kind": "boundary", "name": "f", "started": "2026-01-01T00:00:00+00:00"}
+    head: dict[str, object] = {
+        "kind": "boundary",
+        "name": "f",
+        "started": "2026-01-01T00:00:00+00:00",
+    }
     head |= {"finished": True, "width_mm": 4000}
     square = [[[0, 0], [0, 1e-3], [1e-3, 1e-3], [0, 0]]]
     feature = {"properties": head, "geometry": {"coordinates": square}}

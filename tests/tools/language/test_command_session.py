@@ -44,7 +44,9 @@ def play(story: Story, folder: Path, by: str | None = None, yes: bool = False) -
         cluster = Cluster(SETTING, f"speaker {next(_numbers)}")
         cluster.boot_all()
         bus = CanBus(FieldBus(cluster.segment.channel))
-        speaker = CommandSession(bus, None, PLACES, GoalQueue(folder / "queue.json"), words, answer, by=by)
+        speaker = CommandSession(
+            bus, None, PLACES, GoalQueue(folder / "queue.json"), words, answer, by=by
+        )
         try:
             await elapse(15.0)
             await story(cluster, speaker)

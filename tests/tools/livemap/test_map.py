@@ -252,7 +252,8 @@ class Live(NamedTuple):
 def launched(folder: Path, *words: str) -> Iterator[Live]:
     """A launch of three robots with a map. It must end without a traceback."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "tools.cli.headland", "launch", "small", "--map", "--page-port", "0", *words],
+        [sys.executable, "-m", "tools.cli.headland",
+         "launch", "small", "--map", "--page-port", "0", *words],
         cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
         env={**os.environ, "PYTHONPATH": str(ROOT)},
     )  # fmt: skip

@@ -107,7 +107,9 @@ SILENCES = (StopCause.MEMBER_SILENT, StopCause.CREEP)
 
 
 @pytest.mark.parametrize("cause", list(StopCause), ids=lambda cause: cause.name)
-def test_item_11_every_cause_is_named_with_its_remedy_by_inspect_and_reset(cause: StopCause) -> None:
+def test_item_11_every_cause_is_named_with_its_remedy_by_inspect_and_reset(
+    cause: StopCause,
+) -> None:
     _, frames = heard_frames(cause)
     for lines in told_everywhere(frames):
         (line,) = lines
@@ -121,7 +123,9 @@ def test_item_11_a_cause_is_told_also_between_two_frames_that_name_it() -> None:
     """A heartbeat of a robot that creeps says that it may move."""
     for cause in StopCause:
         _, frames = heard_frames(cause)
-        first = next(k for k, (_, frame) in enumerate(frames) if isinstance(decode(frame)[1], Standstill))
+        first = next(
+            k for k, (_, frame) in enumerate(frames) if isinstance(decode(frame)[1], Standstill)
+        )
         for count in range(first + 1, len(frames) + 1):
             assert all(len(lines) == 1 for lines in told_everywhere(frames[:count])), cause
 

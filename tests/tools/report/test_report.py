@@ -199,7 +199,8 @@ def test_a_short_cut_that_rejoins_the_old_line_is_another_line() -> None:
 
 
 def test_a_way_told_in_thinned_points_is_one_line() -> None:
-    """Tractors tell a curve by other points each time (`agent.motion.tractor_tracker`), and only 48 of them."""
+    """Tractors tell a curve by other points each time (`agent.motion.tractor_tracker`), and only
+    48 of them."""
     angle = np.linspace(0.0, math.pi, 1200)
     curve = 20.0 * np.column_stack([np.cos(angle), np.sin(angle)])
     rows = []

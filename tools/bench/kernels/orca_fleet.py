@@ -4,8 +4,9 @@
     fleet.agents[:, WANT_X : WANT_Y + 1] = ... every step: velocities wanted, m/s
     fleet.step()                               velocities and positions after dt_s
 
-`agents` is a table of `tools.bench.kernels.agent_table`. Neighbours come from the last step's (`tools.bench.kernels.neighbourhood`),
-and are those that the kd-tree of the RVO2 library (Apache-2.0) finds, in its order.
+`agents` is a table of `tools.bench.kernels.agent_table`. Neighbours come from the last step's
+(`tools.bench.kernels.neighbourhood`), and are those that the kd-tree of the RVO2 library
+(Apache-2.0) finds, in its order.
 """
 
 import numpy as np

@@ -1,0 +1,81 @@
+"""`headland launch`: a fleet of processes in real time, from what the command line says."""
+
+import asyncio
+import sys
+import time
+from pathlib import Path
+
+from rich.console import Console
+
+from sim.files.strict_json import dumps
+from sim.scenarios.field_setup import Setting
+from sim.scenarios.scenario import ScenarioError
+from tools.build.warmup import warm
+from tools.common.bus_attach import AttachError
+from tools.common.run_folder import FolderError
+from tools.livemap.command import ServerError, check_operator_key, listen
+from tools.run.fleet_folder import fleet_folder
+from tools.run.launch import (
+    WRONG,
+    BusError,
+    Launch,
+)
+from tools.run.launch_delivery import HaulLaunch
+from tools.run.robot import setting_of
+
+
+def launch(
+    scenario: str, robots: int | None, seed: int | None, out: Path | None, port: int,
+    seconds: float | None, as_json: bool, keys: Path | None = None, page_port: int | None = None,
+    segment: int = 0, hub_port: int = 0, fresh: bool = False, operator_key: Path | None = None,
+) -> int:  # fmt: skip
+    """`page_port`: of a map beside it. `hub_port`: of a bus that runs by itself. `out`: none, a folder
+    named after the scenario. `fresh`: a new fleet, also where the last one is not done. `operator_key`:
+    the map's page may release and start with it."""
+    console = Console(stderr=as_json, highlight=False, soft_wrap=True)
+    try:
+        setting = setting_of(scenario, robots, seed, keys)
+        if segment and not isinstance(setting, Setting):
+            return _wrong(
+                f"--segment: {scenario} is a warehouse, and they are not bridged: leave it out"
+            )
+        if setting.scenario.fault:
+            return _wrong(
+                f"{scenario}: [[fault]]: a launch has real processes and plays no faults; "
+                "play this scenario with headland run"
+            )
+        if page_port is not None:
+            listen(page_port).close()  # what is taken is known before the robots start
+            check_operator_key(operator_key)
+        fleet = fleet_folder(out, setting, fresh)
+    except (ScenarioError, ServerError, FolderError, AttachError) as problem:
+        return _wrong(str(problem))
+    except OSError as problem:
+        return _wrong(f"--out: {problem}")
+    if fleet.said:
+        console.print(fleet.said)
+    warm(isinstance(setting, Setting) and setting.turn_radius_m > 0.0)  # not in every robot at once
+    kind = Launch if isinstance(setting, Setting) else HaulLaunch
+    running = kind(setting, scenario, fleet, console, keys, page_port)
+    running.operator_key = None if operator_key is None else str(operator_key.absolute())
+    running.segment, running.hub_port = segment, hub_port
+    begun = time.monotonic()
+    try:
+        code = asyncio.run(running.run(port, seconds))
+    except BusError as problem:
+        if hub_port:
+            return _wrong(f"--hub {hub_port}: {problem}")
+        return _wrong(f"--port {port}: {problem}; choose another or 0 for any free one")
+    except OSError as problem:
+        return _wrong(f"--out: {problem}")
+    finally:
+        for lock in fleet.locks:
+            lock.close()
+    if as_json:
+        print(dumps({**running.report, "wall_s": round(time.monotonic() - begun, 1)}))
+    return code
+
+
+def _wrong(message: str) -> int:
+    print(f"headland: {message}", file=sys.stderr)
+    return WRONG
