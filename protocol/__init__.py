@@ -1,0 +1,6 @@
+"""What peers say to each other: frames, addresses, keys, and how replicas are made equal.
+
+`frames` has the layouts, `links` the buses. `address` claims a source address (ISO 11783-5,
+J1939-81), `transport` sends messages of more than eight bytes, `authentication` signs commands,
+`sync` makes replicas equal. Nothing in here reads a clock.
+"""

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from agent.exploration.exploration_mission import ExplorationMission
 from agent.exploration.exploration_task import FleetTask, Status, fixed
 from agent.interface.config import S
-from agent.peer.peer import Peer
+from agent.interface.mission import FleetView
 from crdt import Phase
 from crdt.occupancy import MergeResult
 
@@ -39,38 +39,38 @@ class FleetStatus(NamedTuple):
     now_us: int
 
 
-def fleet_status(peer: Peer, mission: ExplorationMission, now_us: int) -> FleetStatus:
-    """As this peer knows it."""
-    tasks = {task.assigned_to: task for task in _tasks(peer, mission)}
+def fleet_status(view: FleetView, mission: ExplorationMission) -> FleetStatus:
+    """As one peer knows it at the time of its view."""
+    tasks = {task.assigned_to: task for task in _tasks(view, mission)}
     members = []
-    for slot in sorted({peer.slot, *peer.membership.neighbours}):
+    for slot in sorted({view.slot, *view.neighbours}):
         task = tasks.get(slot)
-        if slot == peer.slot:
-            if peer.here is not None:
-                here = peer.here
-                members.append(
-                    FleetMember(slot, here.x_m, here.y_m, here.heading_rad, task, now_us, True)
-                )
+        if slot == view.slot:
+            here = view.here
+            members.append(
+                FleetMember(slot, here.x_m, here.y_m, here.heading_rad, task, view.now_us, True)
+            )
             continue
-        pose, heard_us = peer.membership.neighbours[slot]
-        active = slot in peer.membership.live
+        pose, heard_us = view.neighbours[slot]
         members.append(
-            FleetMember(slot, pose.x_m, pose.y_m, pose.course_rad, task, heard_us, active)
+            FleetMember(
+                slot, pose.x_m, pose.y_m, pose.course_rad, task, heard_us, slot in view.live
+            )
         )
     return FleetStatus(
         tuple(members), tuple(tasks[slot] for slot in sorted(tasks)), mission.last_merge,
-        mission.progress_percent, now_us,
+        mission.progress_percent, view.now_us,
     )  # fmt: skip
 
 
-def _tasks(peer: Peer, mission: ExplorationMission) -> Sequence[FleetTask]:
+def _tasks(view: FleetView, mission: ExplorationMission) -> Sequence[FleetTask]:
     """Claims that are not done, the one in work last, so that it stands for its robot."""
     found = []
-    for section in peer.allocation.sections():
-        claim = peer.allocation.entry(section)
+    for section in view.allocation.sections():
+        claim = view.allocation.entry(section)
         if claim.phase in (Phase.CLAIMED, Phase.STARTED):
             status = Status.ACTIVE if claim.phase is Phase.STARTED else Status.PENDING
-            created_us = mission.task.created_us if mission.task and claim.owner == peer.slot else 0
+            created_us = mission.task.created_us if mission.task and claim.owner == view.slot else 0
             found.append(
                 FleetTask(section, mission.kind_of(section), mission.place_of(section), claim.owner,
                           status, created_us)

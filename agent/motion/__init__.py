@@ -1,0 +1,7 @@
+"""From what a mission wants to what the drive is told, before safety has its say.
+
+`holonomic_motion` and `tractor_motion` are the two motion controllers; `path_tracker` and
+`tractor_tracker` follow paths. `obstacle_detector` finds what no robot explains, `obstacle_stop`
+stops and asks a person. `right_of_way`, `deadlock_yield` and `stopping_zone` settle meetings.
+`implement_clearance` keeps robots off implements.
+"""

@@ -1,0 +1,1 @@
+"""Buses: python-can, socketcand and the zenoh backbone. The only modules of this layer with I/O."""

@@ -1,0 +1,1 @@
+"""Parts of the system alone on the real wire model, for benches and tests only."""

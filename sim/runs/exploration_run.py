@@ -316,7 +316,9 @@ class ExplorationRun:
             return
         robot = cluster.running[len(self.reports) % len(cluster.running)]
         mission = cluster.missions[robot.slot]
-        status = fleet_status(robot.peer, mission, round(now_s * 1e6))
+        if robot.peer.here is None:  # its sensors have said nothing yet
+            return
+        status = fleet_status(robot.peer.view(round(now_s * 1e6)), mission)
         self.reports.append((now_s, serialize_for_llm(status, ages=True)))
         places = {slot: body.position for slot, body in cluster.world.robots.items()}
         first = self.seen.first.copy()

@@ -1,0 +1,1 @@
+"""Commands that prepare: kernels compiled ahead, the compiled core for campaigns."""

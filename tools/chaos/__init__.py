@@ -1,0 +1,1 @@
+"""Campaigns of chaos, the hunt for planted bugs, fuzzing, and their report."""

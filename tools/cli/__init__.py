@@ -1,0 +1,1 @@
+"""The command line: `headland` and its groups of commands."""

@@ -1,0 +1,3 @@
+"""Commands that run: fields, errands, deliveries, explorations, coverage; `launch` with real
+processes.
+"""

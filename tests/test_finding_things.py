@@ -1,0 +1,63 @@
+"""Questions of a newcomer, each with the file whose name alone must answer it.
+
+The list was written before the modules were moved. A change that renames a file changes its row: ask
+somebody who has not read the code whether the new name answers the question.
+"""
+
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+QUESTIONS = {
+    "Why does this robot stand, and what clears each cause?": "agent/safety/stop_cause.py",
+    "Where is the last word before the wheels are told to drive?": "agent/safety/stop_controller.py",
+    "Who may press a stop or release it, and how is that checked?": "agent/safety/command_authority.py",
+    "Which states does a robot have, and which events change them?": "agent/interface/lifecycle.py",
+    "Where do all limits of the core stand, with their reasons?": "agent/interface/config.py",
+    "What must a new mission implement?": "agent/interface/mission.py",
+    "What does a body tell its robot?": "agent/interface/ports.py",
+    "What can come out of the core?": "agent/interface/effects.py",
+    "What happens in one control period?": "agent/peer/control_cycle.py",
+    "What does a robot do with a frame that it receives?": "agent/peer/inbound.py",
+    "How does a robot know which others are alive?": "agent/peer/membership.py",
+    "How is a leader elected?": "agent/peer/leader_election.py",
+    "How does a robot claim a section?": "agent/peer/section_claims.py",
+    "How does a robot notice that its position is old or frozen?": "agent/peer/sense_freshness.py",
+    "Where is Theta*?": "agent/paths/theta_star.py",
+    "Where is ORCA?": "agent/avoidance/orca.py",
+    "Where is PIBT?": "agent/mapf/pibt.py",
+    "Where are Dubins paths?": "agent/paths/dubins.py",
+    "How is a field cut into rows and sections?": "agent/field/field_division.py",
+    "How does a robot stop before a person?": "agent/motion/obstacle_stop.py",
+    "How are transport tasks put into tours?": "agent/delivery/auction.py",
+    "Where are frontiers of an unknown building found?": "agent/exploration/frontier.py",
+    "Where is a robot's durable memory written?": "agent/runtime/sqlite_journal.py",
+    "How do I run a robot from my own program?": "agent/runtime/engine.py",
+    "Which source address does a device take, and what if two want the same?": "protocol/address.py",
+    "What is in an emergency-stop frame?": "protocol/frames/safety_frames.py",
+    "How are long messages sent in frames of eight bytes?": "protocol/transport.py",
+    "How are replicas made equal after a partition?": "protocol/sync/synchronizer.py",
+    "Which claim of a section wins when two robots claimed it?": "crdt/register.py",
+    "How does the simulated wire arbitrate?": "sim/can/can_segment.py",
+    "Which steps does pymunk make?": "sim/world/pymunk_engine.py",
+    "Which faults can chaos play?": "sim/fleet/fault_injector.py",
+    "Who judges what robots covered?": "sim/world/coverage_truth.py",
+    "Which bugs are planted to test the judges?": "sim/chaos/planted_bugs.py",
+    "What does `headland estop` do?": "tools/operate/estop.py",
+    "What does `headland launch` start?": "tools/run/launch.py",
+    "Which subcommands are there?": "tools/cli/headland.py",
+    "How are commands in plain language understood?": "tools/language/parse.py",
+}
+
+
+@pytest.mark.parametrize("question", QUESTIONS)
+def test_the_file_of_a_question_is_there(question: str) -> None:
+    assert (ROOT / QUESTIONS[question]).is_file(), question
+
+
+def test_there_are_thirty_questions_about_every_layer() -> None:
+    assert len(QUESTIONS) >= 30
+    assert {file.split("/")[0] for file in QUESTIONS.values()} == {
+        "crdt", "protocol", "agent", "sim", "tools",
+    }  # fmt: skip
