@@ -1,6 +1,7 @@
 """What the documents print from the code is what the code prints."""
 
 import re
+import subprocess
 from pathlib import Path
 
 from agent.interface.lifecycle import TABLE, State
@@ -16,7 +17,7 @@ def test_the_table_of_causes() -> None:
 
 
 def test_the_rules_of_the_checkers() -> None:
-    code = (ROOT / "sim" / "checkers.py").read_text()
+    code = (ROOT / "sim" / "world" / "checkers.py").read_text()
     rules = set(re.findall(r'Violation\(\s*"([a-z ]+)"', code))
     assert len(rules) >= 4
     for document in ("ARCHITECTURE.md", "docs/stopping.md"):
@@ -33,3 +34,21 @@ def test_every_frame_is_in_the_table() -> None:
     text = (ROOT / "ARCHITECTURE.md").read_text()
     for group in GROUPS:
         assert f"| {group.name} | {group.pgn:#06x} | {group.priority} |" in text, group.name
+
+
+NAMED = re.compile(r"(?<![\w./-])(?:agent|protocol|crdt|sim|tools|tests|docs|examples)/[\w/]+\.\w+")
+OVER = ("CHANGELOG.md", "changes/", "docs/history/")  # these tell of files as they were
+
+
+def test_every_file_that_documents_and_sources_name_is_there() -> None:
+    """On a move it is easy to forget those who point at the old place."""
+    listed = subprocess.run(
+        ["git", "ls-files", "*.md", "*.py", "*.toml", "*.yml", "Makefile"],
+        cwd=ROOT, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    missing = []
+    for name in listed.stdout.split():
+        if not name.startswith(OVER) and (ROOT / name).exists():
+            found = NAMED.findall((ROOT / name).read_text(encoding="utf-8"))
+            missing += [f"{name}: {path}" for path in found if not (ROOT / path).exists()]
+    assert not missing

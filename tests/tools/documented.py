@@ -42,7 +42,7 @@ def shown() -> list[Shown]:
                 found += [Shown(path.name, line) for line in block.splitlines()]
         inline = INLINE.findall(FENCE.sub("", text))
         found += [Shown(path.name, " ".join(code.split()), False) for code in inline]
-    for path in sorted((ROOT / "tools").glob("*.py")):
+    for path in sorted((ROOT / "tools").rglob("*.py")):
         for line in re.findall(r"Example: (headland .*)", path.read_text()):
             parts = re.split(r", (?:then[^:]*|or on a real bus): (?=headland )", line)
             found += [Shown(path.name, part) for part in parts]
