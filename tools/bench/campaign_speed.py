@@ -4,13 +4,13 @@ Example: python -m tools.bench.campaign_speed all --seed 1 --runs 20
 """
 
 import argparse
-import json
 import os
 import subprocess
 import sys
 import time
 from typing import TYPE_CHECKING, NamedTuple
 
+from sim.files.strict_json import dumps
 from tools.build.compiled_core import OFF, use
 from tools.common.fingerprint import ROOT
 
@@ -72,4 +72,4 @@ if __name__ == "__main__":
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--runs", type=int, default=20)
     given = parser.parse_args()
-    print(json.dumps(campaign(given.profile, given.runs, given.seed)._asdict()))
+    print(dumps(campaign(given.profile, given.runs, given.seed)._asdict()))

@@ -4,13 +4,13 @@ Example: python -m tools.bench.drill_speed 5 --seed 1 --cpu-s 4
 """
 
 import argparse
-import json
 import os
 import subprocess
 import sys
 import time
 from typing import TYPE_CHECKING, NamedTuple
 
+from sim.files.strict_json import dumps
 from tools.build.compiled_core import OFF, use
 from tools.common.fingerprint import ROOT
 from tools.common.gc_collector import patient
@@ -88,4 +88,4 @@ if __name__ == "__main__":
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--cpu-s", type=float, default=4.0)
     given = parser.parse_args()
-    print(json.dumps(speed(given.robots, given.seed, given.cpu_s)._asdict()))
+    print(dumps(speed(given.robots, given.seed, given.cpu_s)._asdict()))
