@@ -4,6 +4,7 @@ Example: python -m tools.bench.campaign_speed all --seed 1 --runs 20
 """
 
 import argparse
+import json
 import os
 import subprocess
 import sys

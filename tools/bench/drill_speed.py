@@ -4,6 +4,7 @@ Example: python -m tools.bench.drill_speed 5 --seed 1 --cpu-s 4
 """
 
 import argparse
+import json
 import os
 import subprocess
 import sys
