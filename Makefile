@@ -1,7 +1,7 @@
 # make demo   sets everything up and lets six robots work a real field, on a map in your browser
 # make test   sets everything up, checks style and types, runs the tests but for the slow ones
 # make slow   the slow tests: real launches, long runs, documented commands as they stand
-# make check  style and types only      make bench  every figure our documents claim, quickly
+# make check  format, style and types only      make bench  every figure our documents claim, quickly
 # make site   the documents as a site in build/site
 # make clean  removes what the others made
 PYTHON ?= python3
@@ -32,6 +32,7 @@ demo: setup
 	$(BIN)/headland run --map
 
 check: setup
+	$(BIN)/ruff format --check --quiet .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 
