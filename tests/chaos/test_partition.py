@@ -33,12 +33,14 @@ class Watch:
     def __init__(self) -> None:
         self.started: dict[int, list[tuple[float, int]]] = defaultdict(list)
         self.done: dict[int, list[tuple[float, int]]] = defaultdict(list)
+        self.epochs: dict[tuple[int, int], list[float]] = defaultdict(list)  # starts in each
 
     def __call__(self, t_us: int, frame: Frame) -> None:
         _, message = decode_once(frame)
         if isinstance(message, TaskClaim):
             if message.phase == Phase.STARTED:
                 self.started[message.section].append((t_us / 1e6, message.owner))
+                self.epochs[message.section, message.epoch].append(t_us / 1e6)
             elif message.phase == Phase.DONE:
                 self.done[message.section].append((t_us / 1e6, message.owner))
 
@@ -104,8 +106,10 @@ def test_cut_and_heal(seed: int) -> None:
         first_s = min(t_s for t_s, _ in finishes)
         late = [t_s for t_s, _ in watch.started[section] if t_s > max(first_s, settled_s)]
         assert not late, f"S{section} was finished at {first_s:.1f} and started again; {replay}"
-        after = [t_s for t_s, _ in watch.started[section] if t_s > settled_s]
-        assert len(after) <= 1, f"S{section} was started twice after the heal; {replay}"
+    for (section, epoch), starts_s in watch.epochs.items():
+        # A robot that does not get on gives its section back, which raises the epoch.
+        after = [t_s for t_s in starts_s if t_s > settled_s]
+        assert len(after) <= 1, f"S{section}, epoch {epoch}, was started twice; {replay}"
         again = [t_s for t_s, _ in finishes if t_s > settled_s]
         assert len(again) <= 1, f"S{section} was finished twice after the heal; {replay}"
 

@@ -34,12 +34,12 @@ def test_one_robot_is_a_fleet() -> None:
 @pytest.mark.slow
 def test_the_same_seed_is_the_same_run_in_another_process_with_other_hashes() -> None:
     code = (
-        "from sim.runs.field_run import Expedition; from sim.scenarios.scenario import load; "
+        "from sim.runs.field_run import FieldRun; from sim.scenarios.scenario import load; "
         "from sim.scenarios.field_setup import Setting; "
         "plain = load('small').changed(3, 5); "
         "limit = plain.run.model_copy(update={'time_limit_s': 60}); "
         "scenario = plain.model_copy(update={'run': limit}); "
-        "print(Expedition(Setting(scenario)).run().trace_hash)"
+        "print(FieldRun(Setting(scenario)).run().trace_hash)"
     )
     hashes = {
         subprocess.run(
