@@ -159,7 +159,7 @@ class _Meaning(Transformer[Any, Any]):
     def start(self, parts: list[Any]) -> tuple[AnyIntent, ...]:
         return tuple(parts)
 
-    # ---------------------------------------------------------------- who
+    # ---------------------------------------------------------------- robots
 
     def slot(self, parts: list[Any]) -> int:
         return _whole(parts[0])

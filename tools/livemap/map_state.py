@@ -138,7 +138,7 @@ class Watcher(Inspector):
         ]
 
     def all_changed(self) -> None:
-        """Whoever looks knows nothing yet."""
+        """A viewer knows nothing yet."""
         self.changed_sections = set(self.allocation.sections())
         self.changed_blocks = {(section, block) for section, block, _ in self.progress.entries()}
         if self.chart is not None:

@@ -112,7 +112,7 @@ class PageUpdates:
 
 
 def _stop(watcher: Watcher, now_s: float) -> dict[str, Any]:
-    """Which stops are latched, who stands, who does not."""
+    """Which stops are latched, which robots stand, and which do not."""
     live = [
         r for r in watcher.robots.values() if not r.left and now_s - r.last_s <= SILENT_S
     ]  # fmt: skip

@@ -205,7 +205,7 @@ class MapServer:
         return await self._released(request, reset=False)
 
     async def _released(self, request: Request, reset: bool) -> Response:
-        """Whoever asks says that the fleet has no keys, or this map holds its operator's key."""
+        """The request says that the fleet has no keys, or this map holds its operator's key."""
         if not self._trusted(request):
             return JSONResponse({"problem": "open the whole address that the map printed"}, 403)
         if self.panel is None:

@@ -1,4 +1,4 @@
-"""An operator's device on the bus: who is there, who stands stopped, and frames to say.
+"""An operator's device on the bus: which robots are there, which are stopped, and frames to send.
 
 Sans I/O but for `Bus.send`: the commands below (`estop`, `reset`) own the loop and the clock.
 """
@@ -132,7 +132,7 @@ class Operator:
             if isinstance(message, Heartbeat) and message.leaving:
                 robot.leaves_s = now_s if robot.leaves_s is None else robot.leaves_s
                 return
-            robot.leaves_s = None  # who beats has not left, whatever is said in its name
+            robot.leaves_s = None  # a robot that beats has not left, whatever is said in its name
             robot.state, robot.stopped = State(message.state), message.stopped
             if isinstance(message, Heartbeat):
                 robot.started, robot.held = message.started, message.held
@@ -220,7 +220,7 @@ class Operator:
         self.send(Request(GROUP_OF[Member].pgn))
 
     async def listen(self, seconds: float, stops: bool = False) -> None:
-        """Hear who is there; ask again, because an answer may come before we are on the bus."""
+        """Hear which robots are there; ask again, because an answer may come before we are on the bus."""
         loop = asyncio.get_running_loop()
         await self.device.held()
         end_s = loop.time() + seconds

@@ -59,7 +59,7 @@ class OwnHub:
             self._beacon.cancel()
         await self.hub.stop()
         self.wire.taps.clear()
-        forget(self.wire.channel)  # another launch of this process begins anew
+        forget(self.wire.channel)  # another launch of this process begins from zero
 
 
 class OutsideHub:
