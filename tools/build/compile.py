@@ -21,7 +21,6 @@ from tools.common.fingerprint import ROOT
 
 WRONG = 1
 LEVEL = "2"  # of optimization
-PROFILED = "profiled"  # a file beside the modules of a core that was made with feedback
 CACHE = FOLDER.with_name("core_types")  # of mypy: that of `make check` has other options
 # What turns and frames go through. Not: modules of kernels (numba has those), of constants and
 # protocols alone, what is seldom called, what mypyc refuses (constrained type variables), and
@@ -51,35 +50,6 @@ GROUP = {
 }  # fmt: skip
 
 
-class Pass(NamedTuple):
-    """What the C compiler and the linker are told beside what mypyc and Python tell them."""
-
-    compiling: tuple[str, ...] = ()
-    linking: tuple[str, ...] = ()
-
-
-PLAIN = Pass()
-COUNTING = Pass(("-fprofile-generate", "-fvisibility=hidden"), ("-fprofile-generate",))
-# No -march: a fused multiplication and addition has other last bits than Python's two.
-COUNTED = Pass(
-    (
-        "-fprofile-use", "-Wno-missing-profile", "-flto", "-fvisibility=hidden",
-        "-fno-semantic-interposition", "-fno-plt",
-    ),
-    (f"-O{LEVEL}", "-fprofile-use", "-flto=auto", "-Wl,-Bsymbolic", "-Wl,-z,now"),
-)  # fmt: skip
-PLAYED = 30  # drills: each fault of the profile comes dozens of times; half a minute
-PLAY = """
-import sys
-from pathlib import Path
-from tools.build.compiled_core import use
-assert use(Path(sys.argv[1]))
-from tools.chaos.chaos import judged
-for seed in range(int(sys.argv[2])):
-    judged(seed, "protocol")
-"""
-
-
 class CompileError(Exception):
     """One line for the person: what is wrong and what to do."""
 
@@ -92,33 +62,24 @@ def files(group: dict[str, str]) -> list[str]:
     return [f"{package}/{name.replace('.', '/')}.py" for package, names in group.items() for name in names.split()]
 
 
-def build(
-    folder: Path, group: dict[str, str] = GROUP, profiled: bool = False
-) -> Iterator[tuple[str, int, int]]:
-    """Makes a core of these modules there; tells of each step: what, how many are done, of how many.
+def build(folder: Path, group: dict[str, str] = GROUP) -> Iterator[tuple[str, int, int]]:
+    """Make a core of these modules in `folder`. Yields each step: what, how many are done, of how many.
 
-    `profiled`: with feedback. A core that counts plays drills; what they went through is compiled again,
-    as often as they did. Raises CompileError.
+    Raises CompileError.
     """
     try:
         from mypyc.build import mypycify
         from setuptools._distutils.errors import CCompilerError
     except ImportError as problem:
         raise ToolMissingError(f"{problem.name} is needed: pip install mypy setuptools") from None
-    compiler = _compiler(profiled)
+    compiler = _compiler()
     scratch = folder.with_suffix(".making")
     shutil.rmtree(scratch, ignore_errors=True)
     try:
         scratch.mkdir(parents=True)
         yield "types and C", 0, 0
         modules = _translated(mypycify, files(group), scratch / "c")
-        if profiled:
-            yield from _machine_code(compiler, modules, scratch, COUNTING)
-            yield f"{PLAYED} drills played", 0, 0
-            _play(scratch / "core")
-        yield from _machine_code(compiler, modules, scratch, COUNTED if profiled else PLAIN)
-        if profiled:
-            (scratch / "core" / PROFILED).touch()
+        yield from _machine_code(compiler, modules, scratch)
         shutil.rmtree(folder, ignore_errors=True)
         (scratch / "core").rename(folder)
     except (CCompilerError, OSError) as problem:
@@ -127,7 +88,7 @@ def build(
         shutil.rmtree(scratch, ignore_errors=True)
 
 
-def _compiler(profiled: bool) -> Any:
+def _compiler() -> Any:
     """As Python itself was compiled. Raises ToolMissingError."""
     from setuptools._distutils.ccompiler import new_compiler
     from setuptools._distutils.sysconfig import customize_compiler
@@ -140,23 +101,19 @@ def _compiler(profiled: bool) -> Any:
     headers = sysconfig.get_paths()["include"]
     if not Path(headers, "Python.h").exists():
         raise ToolMissingError(f"no Python.h in {headers}: apt-get install python3-dev")
-    if profiled:  # Clang writes its counts otherwise, and takes none of GCC's
-        version = subprocess.run([name, "--version"], capture_output=True, text=True)
-        if "Free Software Foundation" not in version.stdout:
-            raise ToolMissingError(f"--profiled needs GCC, and {name} is not: compile without it")
     compiler.add_include_dir(headers)
     return compiler
 
 
 def _machine_code(
-    compiler: Any, modules: list[Any], scratch: Path, how: Pass
+    compiler: Any, modules: list[Any], scratch: Path
 ) -> Iterator[tuple[str, int, int]]:
-    """Each extension under `scratch`/core. Objects, and what they counted, lie under `scratch`/o."""
+    """Each extension under `scratch`/core, its objects under `scratch`/o."""
 
     def compiled(module: Any, source: str) -> tuple[str, str]:
         (file,) = compiler.compile(
             [source], output_dir=f"{scratch}/o", include_dirs=module.include_dirs,
-            extra_postargs=[*module.extra_compile_args, *how.compiling],
+            extra_postargs=module.extra_compile_args,
         )  # fmt: skip
         return source, file
 
@@ -169,17 +126,7 @@ def _machine_code(
                 done += 1
                 yield Path(source).stem.removeprefix("__native_").replace("___", "."), done, total
             target = scratch / "core" / (module.name.replace(".", "/") + SUFFIX)
-            compiler.link_shared_object(objects, str(target), extra_postargs=list(how.linking))
-
-
-def _play(folder: Path) -> None:
-    """Drills by a core that counts: it writes beside its objects how often it went where."""
-    command = [sys.executable, "-c", PLAY, str(folder), str(PLAYED)]
-    rest = {name: value for name, value in os.environ.items() if name != OFF}
-    done = subprocess.run(command, cwd=ROOT, env=rest, capture_output=True, text=True)
-    if done.returncode:
-        last = (done.stderr.strip().splitlines() or ["?"])[-1]
-        raise CompileError(f"the core that counts did not play its drills: {last}")
+            compiler.link_shared_object(objects, str(target))
 
 
 def _translated(mypycify: Callable[..., list[Any]], sources: list[str], folder: Path) -> list[Any]:
@@ -196,7 +143,7 @@ def _translated(mypycify: Callable[..., list[Any]], sources: list[str], folder: 
         raise CompileError(f"mypyc refuses the sources: {(wrong or ['?'])[0]}") from None
 
 
-def compile_core(remove: bool, profiled: bool) -> int:
+def compile_core(remove: bool) -> int:
     console = Console()
     if remove:
         there = FOLDER.is_dir()
@@ -205,12 +152,12 @@ def compile_core(remove: bool, profiled: bool) -> int:
         console.print(f"removed {FOLDER}" if there else "there was no compiled core")
         return 0
     folder, begun_s = place(), time.monotonic()
-    if folder.is_dir() and (not profiled or (folder / PROFILED).exists()):
+    if folder.is_dir():
         console.print(f"there is one of these sources: {folder}")
         return 0
     try:
         with console.status("") as status:
-            for name, done, total in build(folder, profiled=profiled):
+            for name, done, total in build(folder):
                 status.update(f"compiling {name} ... {done} of {total or '?'}")
     except CompileError as problem:
         print(f"headland: {problem}", file=sys.stderr)

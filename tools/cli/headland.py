@@ -280,23 +280,16 @@ def warmup(
 
 @app.command(name="compile")
 def compile_core(
-    profiled: Annotated[
-        bool,
-        typer.Option(
-            "--profiled",
-            help="Twice: to count what drills go through, and by these counts. GCC only.",
-        ),
-    ] = False,
     remove: Annotated[bool, typer.Option("--remove", help="Delete what was compiled.")] = False,
 ) -> None:
     """Make machine code of what simulations spend their time in. Campaigns then use it by themselves.
 
     Takes some minutes and a C compiler; results stay the same, bit for bit.
-    Example: headland compile --profiled
+    Example: headland compile
     """
     from tools.build.compile import compile_core as command
 
-    raise SystemExit(command(remove, profiled))
+    raise SystemExit(command(remove))
 
 
 app.add_typer(bus_commands.app)

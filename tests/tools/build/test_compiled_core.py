@@ -40,21 +40,19 @@ def play(runs: list[tuple[str, int]], *folder: str) -> tuple[bool, str, list[str
 
 @pytest.fixture(scope="module")
 def core(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The one that `headland compile` has made of these sources, or a small one, with feedback: what C
-    means is the same however well it is optimized, and its compiler is twice as quick without."""
+    """The one that `headland compile` has made of these sources, or a small one: what C means is
+    the same however well it is optimized, and its compiler is twice as quick without."""
     if place().is_dir():
         return place()
     folder = tmp_path_factory.mktemp("core") / "small"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(compiling, "LEVEL", "0")
-        patch.setattr(compiling, "PLAYED", 1)
-        for profiled in (True, False):  # the first with GCC only
-            try:
-                for _ in build(folder, SMALL, profiled):
-                    pass
-                return folder
-            except ToolMissingError as problem:
-                missing = str(problem)
+        try:
+            for _ in build(folder, SMALL):
+                pass
+            return folder
+        except ToolMissingError as problem:
+            missing = str(problem)
     pytest.skip(missing)
 
 

@@ -90,7 +90,7 @@ def test_the_mission_of_the_page_is_done(seed: int) -> None:
 
 def test_a_dead_robot_s_post_is_taken_over() -> None:
     example = runpy.run_path(str(ROOT / "examples" / "soil_samples.py"))
-    cluster_type, swarm_type = example["Cluster"], example["Swarm"]
+    cluster_type, swarm_type = example["Cluster"], example["EventLoop"]
     swarm = swarm_type()
     setting = example["SoilSetting"](example["load"]("small").changed(3, 1))
     cluster = cluster_type(setting, "soil, a death", None, swarm)
