@@ -47,7 +47,7 @@ class Verdict(NamedTuple):
     orders: tuple[AuthorizedOrder, ...] = ()
     waiting: tuple[Waiting, ...] = ()
     queries: tuple[Query, ...] = ()
-    stop_all: bool = False  # said to everybody at once, heard of or not
+    stop_all: bool = False  # sent to all robots immediately, heard or not
     emergency_stop: bool = False
     clear_queue: bool = False
     first_ask: tuple[str, ...] = ()  # obeyed only after a yes
@@ -156,7 +156,7 @@ class _Scales:
             raise Refused(Reason.UNSAFE, f"two robots within {ROOM_M:g} m of one place")
 
     def _able(self, slot: int) -> RobotNow:
-        """A robot that could move if it is told to."""
+        """A robot that could move if it is ordered to."""
         robot = self._known(slot)
         if robot.stopped or robot.state == "EMERGENCY_STOP":
             raise Refused(

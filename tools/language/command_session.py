@@ -227,13 +227,13 @@ class CommandSession:
         word = await self._convey(order)
         report = self.operator.robots[robot.slot].report
         if word is None and (report is None or report.matter is not ReportKind.REFUSED):
-            return None  # not heard: the same robot is told again
+            return None  # not heard: the same robot gets the order again
         self.queue.done(goal.number)
         return Outcome(f"queued: {goal.name}", orders=[(order, word)])
 
 
 def stops_all(intents: tuple[AnyIntent, ...]) -> bool:
-    """A phrase that is a stop of everybody and nothing else."""
+    """A phrase that is a stop of all robots and nothing else."""
     if len(intents) != 1 or not isinstance(intents[0], Control):
         return False
     stop = intents[0]

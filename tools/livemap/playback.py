@@ -19,7 +19,7 @@ from tools.livemap.map_state import Watcher
 SNAPSHOT_US = 10_000_000
 SPEED_MAX = 256.0
 AGES = 16  # of a live bus, two snapshots around one are at least its age over this apart
-EVENTS_MAX = 512  # marks on the line of time; more cannot be told apart
+EVENTS_MAX = 512  # marks on the time line; more cannot be distinguished
 FAST = 1  # level of zlib: a snapshot in a millisecond, in a fifth of its size
 LOOK = 512  # rows between two looks at the clock
 

@@ -1,4 +1,4 @@
-"""The map's operator device on a live bus: stops at once, releases with the operator's key."""
+"""The map's operator device on a live bus: stops immediately, releases with the operator's key."""
 
 import asyncio
 from pathlib import Path

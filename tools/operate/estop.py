@@ -14,7 +14,7 @@ from tools.operate.operator_device import Operator, Robot
 
 REPEAT_S = 0.005
 LISTEN_S = 0.5  # ten beats: a robot that has not been heard by then is not there
-AGAIN_S = 0.1  # nobody latched by then: the dot may have been used and cleared long ago; another
+AGAIN_S = 0.1  # no robot latched by then: the dot may have been used and cleared; try another
 SIGN_AGAIN_S = (
     0.5  # an echo is said once for each dot: where one was lost, another dot gets another
 )

@@ -42,7 +42,7 @@ LIVE_S = 1.0  # heard within this: it has to stop
 LEFT_S = 0.5  # without a beat since it said that it leaves: ten beats; a robot that left is silent
 ECHOES_TRIED = 8  # of a robot, for one stop: a forger has 8 guesses of 2^-16
 EVERYBODY = 255
-NOT_HEARD_S = float("-inf")  # when a robot was heard that only others told of
+NOT_HEARD_S = float("-inf")  # when a robot was heard that only others reported
 ASK_S = 0.25
 
 
@@ -241,7 +241,7 @@ class Operator:
         self.send(StateSyncRequest(question & 0xFFFFFF, question >> 24, STOPS, 0))
 
     def new_stop(self, reason: int) -> EmergencyStop:
-        """A dot nobody has used: two random bytes, tried again by the caller if nobody latches."""
+        """An unused dot: two random bytes. The caller tries another if no robot latches."""
         return EmergencyStop(self.slot, randbelow(256), randbelow(256), reason)
 
     def stop(self, message: EmergencyStop) -> None:

@@ -42,7 +42,7 @@ class Event(NamedTuple):
 
 
 class BusAddress(NamedTuple):
-    """A robot as its beat told it, to 5 cm."""
+    """A robot as its beat reported it, to 5 cm."""
 
     t_s: float
     x_m: float
