@@ -1,7 +1,7 @@
-"""`headland dbc`: every frame for tools nobody here wrote (cantools, SavvyCAN, CANalyzer, can-utils).
+"""`headland dbc`: every frame for tools of other makers (cantools, SavvyCAN, CANalyzer, can-utils).
 
-The text is written here: the format is a page long, and cantools, whose writer has changed its interface
-with the years, stays free to be the judge of it in our tests.
+The text is written here, because the format is only a page long and the interface of the writer of
+cantools has changed over the years. So our tests can use cantools as an independent judge.
 """
 
 import sys

@@ -1,7 +1,7 @@
-"""What a listener can know of a fleet from its frames alone. Live bus, log or replay: the same.
+"""What a listener can know of a fleet from its frames alone, on a live bus, from a log or in a replay.
 
-Nothing here asks a robot anything: states, sections and clocks are what the robots have said, with
-the time at which they said it.
+Nothing here asks a robot. States, sections and clocks are what the robots have sent, with the time at
+which they sent it.
 """
 
 from collections import Counter, deque

@@ -1,4 +1,4 @@
-"""From a phrase to intents, or to a question. Knows the language and the names of places, no fleet."""
+"""From a phrase to intents, or to a question. Uses the language and place names, not the fleet."""
 
 import re
 from collections import Counter
