@@ -1,4 +1,4 @@
-"""Robots against each other where only one fits: who gets through, and what ORCA alone would do.
+"""Robots that meet where only one fits: which of them get through, and what ORCA alone would do.
 
 All by real peers on the simulated wire in virtual time: `sim/runs/navigation_run.py`. A run
 succeeds when every robot reaches its goal within the time limit; contacts are judged from true positions.

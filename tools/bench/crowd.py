@@ -55,7 +55,7 @@ def crowd_of(seed: int, robots: int = ROBOTS, side: int = SIDE) -> RoomsScenario
 
 
 def unfairness(waits: list[float]) -> float:
-    """The longest wait, of the median; who waits a second or less does not wait."""
+    """The longest wait over the median. A median below a second counts as a second."""
     return max(waits) / max(median(waits), 1.0)
 
 
@@ -65,7 +65,7 @@ def figures(quick: bool) -> Iterator[Figure]:
 
 
 def joint(seeds: range) -> Iterator[Figure]:
-    """What the joint plan of all alone is worth, whoever drives it."""
+    """The quality of the joint plan alone, without robots that drive it."""
     found, worst, medians, name = 0, [], [], ""
     begun_s = process_time()
     for seed in seeds:

@@ -33,7 +33,7 @@ ROBOTS, TASKS = 50, 500
 TICK_US = 50 * MS
 RAYS = 180
 SENDER = 249  # of the order
-KNOWN_US = 6_000 * MS  # the fleet has been together for so long
+KNOWN_US = 6_000 * MS  # the fleet has been together for this time
 
 
 class Fleet(NamedTuple):

@@ -1,8 +1,8 @@
-"""A small warehouse and bad luck from a seed: everything that may go wrong with parcels on the way.
+"""A small warehouse with random faults from a seed: everything that may go wrong with parcels.
 
-`bad_luck` mixes troubles; `TROUBLES` are single ones. Who wants to know more than the bench says runs
+`bad_luck` mixes troubles; `TROUBLES` are single ones. To play more seeds than the bench does, run
 `python -m tools.bench.delivery_trouble --kinds split,freeze --seeds 0:20 --out results.jsonl`, which
-goes on where it stopped.
+continues where it stopped.
 """
 
 import argparse
@@ -65,7 +65,7 @@ def scenario(
 
 
 def _one_way(rng: Random, heals: bool = True) -> Faults:
-    """Some do not hear some others, who hear them."""
+    """Some robots do not hear some others, but the others hear them."""
     at_s = rng.uniform(2.0, 40.0)
     pairs = rng.sample([(a, b) for a in range(ROBOTS) for b in range(ROBOTS) if a != b], 3)
     cuts: Faults = [
@@ -96,7 +96,7 @@ def _restart(*disks: str) -> Draw:
             {"at_s": at_s, "kind": "crash", "robot": robot},
             back | {"disk": rng.choice(disks)},
         ]
-        if "lost" in disks and rng.random() < 0.5:  # who has lost its memory waits for a person
+        if "lost" in disks and rng.random() < 0.5:  # a robot without its memory waits for a person
             found.append({"at_s": back["at_s"] + rng.uniform(5.0, 60.0), "kind": "reset"})
         return found
 
@@ -139,7 +139,7 @@ TROUBLES: dict[str, Draw] = {
 
 
 class CarrierDies:
-    """Power off for whoever is the first to have a parcel aboard from a time on."""
+    """Power off for the first robot that has a parcel aboard from a time on."""
 
     def __init__(self, at_s: float) -> None:
         self.at_us, self.killed = round(at_s * S), False

@@ -1,7 +1,7 @@
-"""What it takes to refuse a damaged file: mutations of every kind of file that is read.
+"""The cost of refusing a damaged file: mutations of every kind of file that is read.
 
-Each kind has a process of its own, so that its memory is known. An input that ends in anything but an
-answer or one line, or takes longer than two seconds, breaks a promise: it is kept, and counted.
+Each kind has a process of its own, so that its memory is known. An input must end in an answer or one
+line, within two seconds. An input that breaks this promise is kept and counted.
 """
 
 from collections.abc import Iterator

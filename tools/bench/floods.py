@@ -1,4 +1,4 @@
-"""Floods of frames of every priority, with presses meanwhile: who moves on, how soon all is well again.
+"""Floods of frames of every priority, with presses: which robots still move, and how soon all recover.
 
 `python -m tools.bench.floods SEED` plays one trial again and prints it.
 """

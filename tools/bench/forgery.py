@@ -1,9 +1,9 @@
 """Forged, replayed and held-back reset frames, at the safety of a robot that stands latched.
 
-An attacker hears every frame, keeps those it likes, changes them and sends its own. Twice: as fast as
-a bus can carry frames, where lock-out answers most of them, and slowly enough that every tag is looked
-at. Odds of a tag that is right by chance are 2^-24, which a million frames may well meet; a reset needs
-two of them that agree, and that is what is counted as accepted.
+An attacker hears every frame, keeps those it likes, changes them and sends its own. The bench plays this
+twice: as fast as a bus can carry frames, where the lock-out refuses most of them, and slowly enough that
+every tag is checked. A tag is right by chance with odds of 2^-24, which may well happen in a million
+frames. A reset needs two of them that agree, and only such a pair is counted as accepted.
 """
 
 from collections import Counter

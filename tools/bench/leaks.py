@@ -1,9 +1,9 @@
-"""What a launch of ten robots with its map grows by in a day, from its growth after a warm-up.
+"""The growth of a launch of ten robots with its map in a day, from its growth after a warm-up.
 
-Anonymous memory of each process (`RssAnon` of `/proc`): what it has asked for itself and cannot be
-dropped. A page looks at the map all the time, as an operator's does. Files: the folder of the launch
-but for what has a bound of its own: `can.log` and `run.mcap`, in parts up to
-`sim.files.log_parts.LAUNCH_LIMIT` each, and the write-ahead logs of the journals, which sqlite
+Memory is the anonymous memory of each process (`RssAnon` of `/proc`), which the process has allocated
+and which cannot be dropped. A page shows the map all the time, as an operator's does. Files are those
+in the folder of the launch, except those with a bound of their own: `can.log` and `run.mcap`, in parts
+up to `sim.files.log_parts.LAUNCH_LIMIT` each, and the write-ahead logs of the journals, which sqlite
 keeps at 4 MB.
 """
 

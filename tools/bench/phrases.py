@@ -244,7 +244,7 @@ def _speaking(robots: int, seed: int) -> Iterator[Figure]:
 
 
 async def _spoken(robots: int, seed: int) -> tuple[float, int, int]:
-    """Milliseconds to the last zero command; who confirmed; who answered alike."""
+    """Milliseconds to the last zero command; robots that confirmed; robots that answered alike."""
     squad, loop = ProtocolFleet(robots, seed), asyncio.get_running_loop()
     bus = CanBus(FieldBus(squad.channel))
     places = Places({})

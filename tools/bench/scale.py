@@ -24,7 +24,7 @@ T = TypeVar("T")
 S = 1_000_000
 PAGE = 4096
 PROFILE = "bus"  # of the campaign that is run on a cluster and here
-OPERATION_US = 30 * S  # each robot works a section in so long: 2 a minute
+OPERATION_US = 30 * S  # each robot works a section in this time: 2 a minute
 LIMIT_US = 30 * S
 PRESS_MS, SHARE, HEAL_S, MEMORY, SPEEDUP = 60.0, 0.15, 5.0, 1.5, 1.7
 

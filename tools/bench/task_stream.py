@@ -103,7 +103,7 @@ def latency_s(work: Workload, at_ms: Sequence[int], policy: Policy) -> float:
     for task, now_ms in enumerate(at_ms):
         start_until(now_ms)
         for robot, own in enumerate(plan):
-            if not own:  # who has nothing to do has waited
+            if not own:  # a robot without a task has waited
                 free_ms[robot] = max(free_ms[robot], now_ms)
         lead = np.stack(
             [work.lead[r] if last[r] < 0 else work.link[last[r]] for r in range(work.robots)]

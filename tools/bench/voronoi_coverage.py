@@ -1,9 +1,10 @@
 """The mission document's own coverage planner, to compare with: Voronoi, DFS with hops, reservations.
 
 Written after `grid-coverage-planner.md`, stages A to C and their sketches. Stage C as it stands there
-(`strict=False`) gives a cell to the lowest index among those who propose it, also where another robot
-stands in it and does not leave: robots meet. Made safe (`strict=True`: nobody enters a cell that is
-not being left) it stops moving where two wait for each other. The judge of `sim/` counts both.
+(`strict=False`) gives a cell to the lowest index among the robots that propose it, even if another
+robot stands in it and does not leave. So robots collide. With `strict=True` no robot enters a cell
+that is not being left. Then robots stop for good where two wait for each other. The judge of `sim/`
+counts both.
 """
 
 from collections import deque
@@ -86,7 +87,7 @@ def reservations(paths: list[list[Cell]], strict: bool) -> tuple[list[list[Cell]
 
 
 def _granted(places: list[Cell], wishes: list[Cell], strict: bool) -> set[int]:
-    """Who moves: the lowest index that wants a cell, and of two who would change places only one."""
+    """Robots that move: the lowest index that wants a cell, and only one of two that would swap."""
     winner: dict[Cell, int] = {}
     for robot, wish in enumerate(wishes):
         winner.setdefault(wish, robot)

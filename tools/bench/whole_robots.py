@@ -111,7 +111,7 @@ class Crowd:
                 return x, y
 
     def tick(self) -> None:
-        """One control period of everybody."""
+        """One control period of all robots."""
         world, agents = self.world, self.fleet.agents
         now_us = world.now_us
         motion = world.motion

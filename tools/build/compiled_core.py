@@ -1,9 +1,9 @@
 """The hot modules of a simulation as machine code, made by mypyc from the very same sources.
 
 Extension modules under `build/core/NAME`, where NAME has a digest of every source that a result depends
-on and the interpreter: what is stale has another name, and is never found. Nothing needs a core; who
-looks for one and finds none goes on interpreted. A native class cannot be changed from outside, so
-planted bugs, and tests that put something in a class's place, run without; so do robots.
+on and the interpreter. A stale core has another name, so it is never found. Nothing needs a core: a
+program that finds none runs interpreted. A native class cannot be changed from outside, so planted bugs,
+and tests that replace something in a class, run without a core. Robots run without one, too.
 """
 
 import os

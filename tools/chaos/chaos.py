@@ -1,4 +1,4 @@
-"""`headland chaos`: bad luck by the thousand, judged from outside; the first failure made small."""
+"""`headland chaos`: thousands of runs with faults, judged from outside; shrinks the first failure."""
 
 import itertools
 import os

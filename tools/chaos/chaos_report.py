@@ -1,4 +1,4 @@
-"""`headland chaos --report FOLDER`: what campaigns, hunts and fuzzing showed, from their results alone.
+"""`headland chaos --report FOLDER`: results of campaigns, bug searches and fuzzing, from their files.
 
 The folder holds the JSON files that `headland chaos` and `headland fuzz` have written, under any names.
 """

@@ -112,7 +112,7 @@ async def open_bus_of(
 async def carry(
     area: Area, bus: Bus, backbone: ZenohBackbone, as_json: bool, seconds: float | None, arena: str
 ) -> None:
-    """Until a signal, or for so long."""
+    """Until a signal, or for the given time."""
     loop = asyncio.get_running_loop()
     end = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):

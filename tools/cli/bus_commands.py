@@ -31,7 +31,7 @@ def estop(
     watch: Annotated[bool, typer.Option("--watch", help="Keep showing who is stopped.")] = False,
     json: Json = False,
 ) -> None:  # fmt: skip
-    """Stop every robot on a bus, and say who has confirmed. Exit 0 only when all live ones did.
+    """Stop every robot on a bus, and say which have confirmed. Exit 0 only when all live ones did.
 
     Example: headland estop -i socketcan -c can0
     """
@@ -138,7 +138,7 @@ def hub(
     ] = None,
     json: Json = False,
 ) -> None:
-    """Run a simulated bus by itself: who is on it stands while it is gone, and comes back alone.
+    """Run a simulated bus by itself: robots on it stand while it is gone, and reconnect by themselves.
 
     Example: headland hub, then in another terminal: headland launch small --hub 29536
     """

@@ -1,7 +1,7 @@
-"""`headland dbc`: every frame for tools nobody here wrote (cantools, SavvyCAN, CANalyzer, can-utils).
+"""`headland dbc`: every frame for tools of other makers (cantools, SavvyCAN, CANalyzer, can-utils).
 
-The text is written here: the format is a page long, and cantools, whose writer has changed its interface
-with the years, stays free to be the judge of it in our tests.
+The text is written here, because the format is only a page long and the interface of the writer of
+cantools has changed over the years. So our tests can use cantools as an independent judge.
 """
 
 import sys
@@ -65,7 +65,7 @@ def _signals(group: Group) -> list[Signal]:
 
 
 def _sender(group: Group) -> str:
-    """Who sends it by design; stops, requests and answers come from anybody."""
+    """The devices that send it by design. Any device sends stops, requests and answers."""
     return next((node for node, kinds in SENT_BY.items() if group.kind in kinds), "Vector__XXX")
 
 
@@ -88,7 +88,7 @@ def to_dbc() -> str:
 
 
 def pgn_key(identifier: int) -> int:
-    """What the identifiers of one parameter group have in common, whoever speaks to whomever."""
+    """What the identifiers of one parameter group have in common, for any sender and receiver."""
     addressed = identifier >> 16 & 0xFF < 240
     return identifier & (ADDRESSED_MASK if addressed else PGN_MASK)
 

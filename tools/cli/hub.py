@@ -1,7 +1,7 @@
 """`headland hub`: a simulated bus as a process of its own, which may end and be started again.
 
-Robots of `headland launch --hub PORT`, python-can's own tools and ours attach to it. Whoever is on it
-stands while it is gone, and comes back by itself.
+Robots of `headland launch --hub PORT`, python-can's own tools and ours attach to it. Robots on it
+stand while it is gone, and reconnect by themselves.
 """
 
 import asyncio

@@ -1,7 +1,7 @@
 """A process of ours that is started as a module of this very installation.
 
-`python -m` looks into the working folder first, where a person may have a `tools` or an `agent` of their
-own; `-P` keeps it out.
+`python -m` searches the working folder first, where a person may have a `tools` or an `agent` of their
+own. `-P` excludes that folder.
 """
 
 import sys

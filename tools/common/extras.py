@@ -1,4 +1,4 @@
-"""What a base install leaves out, and the extra that brings it."""
+"""Packages that a base install leaves out, and the extra that installs each."""
 
 EXTRA_OF = {
     "textual": "operator", "starlette": "operator", "uvicorn": "operator", "websockets": "operator",

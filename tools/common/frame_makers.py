@@ -1,9 +1,9 @@
-"""Whose proprietary frames a listener reads: those of our maker, as robots do
+"""Which proprietary frames a listener reads: those of our maker, as robots do
 (`agent/peer/frame_origin.py`).
 
 PGN 0xFF00 to 0xFFFF and 0xEF00 mean something else to each maker. A listener may come later than the
-claims, or read a log that has none: what comes from an address that nobody is known to have claimed is
-read, until another maker claims that address.
+claims, or read a log that has none. So frames from an address without a known claim are read, until
+another maker claims that address.
 """
 
 from collections import Counter

@@ -1,7 +1,8 @@
-"""The collector of cyclic garbage, told how simulations live: millions of tuples that die by themselves,
-and one big cycle, a fleet, that is garbage when its run is over.
+"""The collector of cyclic garbage, set up for simulations. These make millions of tuples that are freed
+by reference counting, and one big cycle, a fleet, that is garbage when its run is over.
 
-Left to itself it looks through a fleet of a hundred robots some times a second: a fifth of the CPU time.
+With default settings it scans a fleet of a hundred robots several times a second, which takes a fifth
+of the CPU time.
 """
 
 import gc

@@ -1,8 +1,8 @@
 """How a section came to its owner: every frame that changed its register, and the frames that led to it.
 
-A register is a maximum over one order, so for every frame it can be said by which field it won, and
-what it was written upon. Only frames are evidence: a robot that fell silent shows as the last frame
-that was heard of it.
+A register is a maximum over one order. So for every frame it is known by which field it won, and over
+which value. Only frames are evidence: the evidence for a silent robot is the last frame that was heard
+from it.
 """
 
 from collections import deque

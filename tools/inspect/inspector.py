@@ -1,7 +1,7 @@
-"""What a listener can know of a fleet from its frames alone. Live bus, log or replay: the same.
+"""What a listener can know of a fleet from its frames alone, on a live bus, from a log or in a replay.
 
-Nothing here asks a robot anything: states, sections and clocks are what the robots have said, with
-the time at which they said it.
+Nothing here asks a robot. States, sections and clocks are what the robots have sent, with the time at
+which they sent it.
 """
 
 from collections import Counter, deque
@@ -45,7 +45,7 @@ from tools.inspect.bus_load import BIT_RATE, BusLoad, bits_of
 from tools.inspect.causality import Causality
 from tools.operate.foreign_groups import group_name
 
-BUTTON_S = HOLD_US / 1e6  # a shortcut button that is silent so long is forgotten
+BUTTON_S = HOLD_US / 1e6  # a shortcut button that is silent this long is forgotten
 TRANSITIONS_MAX = 64  # newest kept a robot; a path longer than that is not read by anybody
 SILENT_S = 1.0  # a robot not heard for longer is shown as silent
 

@@ -31,7 +31,7 @@ Feed = Callable[["InspectScreen"], Awaitable[None]]
 
 
 class InspectScreen(App[None]):
-    """Arrow keys choose a robot; `w` asks why a section is whose it is."""
+    """Arrow keys choose a robot; `w` asks why a section has its owner."""
 
     TITLE = "headland inspect"
     CSS = """
@@ -128,7 +128,7 @@ class InspectScreen(App[None]):
         self.query_one(f"#{name}", Rows).show(sorted(rows, key=lambda row: _in_order(row[0])))
 
     def _text(self, name: str, text: str | Text) -> None:
-        """Only what differs is drawn; only what has another number of lines is laid out anew."""
+        """Draws only what differs, and repeats the layout only for another number of lines."""
         plain = text if isinstance(text, str) else text.plain
         before = self.shown.get(name)
         if text == before and isinstance(text, str):

@@ -1,6 +1,6 @@
 """A table of the screen: lines that change several times a second, and a cursor.
 
-Textual's own table renders every cell anew when one has changed, which at 20 robots takes most of a
+Textual's own table renders every cell again when one has changed, which at 20 robots takes most of a
 core. Here only the lines in view are built, each from its cells.
 """
 

@@ -1,4 +1,4 @@
-"""Whether a phrase may be an alarm. Then every robot is held at once, before anybody is asked.
+"""Whether a phrase may be an alarm. Then every robot is held, before a question is asked.
 
 A hold latches nothing, takes no work away and ends with a start. A false alarm costs a stop of some
 seconds. A missed alarm may cost a person. So a phrase is an alarm if any part of it may be one.

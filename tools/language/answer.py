@@ -94,7 +94,7 @@ def _finished(fleet: FleetNow) -> list[int]:
 
 
 def _progress(fleet: FleetNow, places: Places) -> Answer:
-    """Sections of the places file and those that the bus has told of."""
+    """Sections of the places file and those that were reported on the bus."""
     told = {f"S{n}" for n in fleet.sections} | {n for n in places.points if n not in places.named}
     done, begun = _finished(fleet), [s for s in fleet.sections.values() if s.phase == "STARTED"]
     value = {"sections": len(told), "done": len(done), "begun": len(begun)}

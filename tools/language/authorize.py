@@ -1,7 +1,7 @@
 """Whether intents are obeyed, given the fleet as it is: orders, goals that wait, or a question back.
 
-All or nothing: one intent of a phrase that cannot be obeyed, and none is. A stop is never made smaller:
-of whom it is not clear whom it means, it means everybody.
+If one intent of a phrase cannot be obeyed, none is. A stop is never made smaller: if it is not clear
+which robots it means, it means all robots.
 """
 
 from collections.abc import Sequence
@@ -37,7 +37,7 @@ class AuthorizedOrder(NamedTuple):
 
 
 class Waiting(NamedTuple):
-    """A goal for whoever is idle first."""
+    """A goal for the first robot that is idle."""
 
     place: Point
     name: str
@@ -47,7 +47,7 @@ class Verdict(NamedTuple):
     orders: tuple[AuthorizedOrder, ...] = ()
     waiting: tuple[Waiting, ...] = ()
     queries: tuple[Query, ...] = ()
-    stop_all: bool = False  # said to everybody at once, heard of or not
+    stop_all: bool = False  # sent to all robots immediately, heard or not
     emergency_stop: bool = False
     clear_queue: bool = False
     first_ask: tuple[str, ...] = ()  # obeyed only after a yes
@@ -156,7 +156,7 @@ class _Scales:
             raise Refused(Reason.UNSAFE, f"two robots within {ROOM_M:g} m of one place")
 
     def _able(self, slot: int) -> RobotNow:
-        """A robot that could move if it is told to."""
+        """A robot that could move if it is ordered to."""
         robot = self._known(slot)
         if robot.stopped or robot.state == "EMERGENCY_STOP":
             raise Refused(
@@ -235,7 +235,7 @@ class _Scales:
             return
         for slot in control.robots:
             robot = self._able(slot)
-            # Who is not working may be on an errand from before we listened; it knows, and refuses.
+            # A robot that does not work may be on an errand from before we listened; then it refuses.
             away = robot.state != "WORKING" and control.action != "wait"
             if not robot.asking and not away:
                 raise Refused(Reason.NOT_NOW, f"robot {slot} is not asking anything")

@@ -1,7 +1,7 @@
-"""From a phrase to what robots confirm: one operator's device on a bus that is spoken to.
+"""From a phrase to what robots confirm: one operator's device on a bus that takes phrases.
 
-A stop of all does not wait until it is known who is there: it is said at once, again and again, and
-who has not confirmed it after half a second gets an emergency stop.
+A stop of all robots does not wait until it is known which robots are there. It is sent immediately and
+repeated. A robot that has not confirmed it after half a second gets an emergency stop.
 """
 
 import asyncio
@@ -63,7 +63,7 @@ class CommandSession:
             listener.hear(now_s, frame)
 
     async def hear_fleet(self) -> FleetNow:
-        """Who is there: the first time it takes as long as robots take to tell all of themselves."""
+        """The robots that are there. The first call takes as long as robots need to report themselves."""
         if not self.heard:
             await self.operator.listen(HEARD_S)
             self.operator.ask_work()  # what was claimed before we came
@@ -141,7 +141,7 @@ class CommandSession:
         self.operator.now_s = asyncio.get_running_loop().time()
         live = self.operator.live
         outcome.stopped = [robot.slot for robot in live if robot not in late]
-        # Who was heard and has fallen silent without saying goodbye has confirmed nothing.
+        # A robot that was heard and fell silent without saying goodbye has confirmed nothing.
         outcome.not_stopped = sorted(set(self.operator.robots) - set(outcome.stopped))
 
     async def _hold_all(self, outcome: Outcome) -> None:
@@ -168,7 +168,7 @@ class CommandSession:
         outcome.not_stopped = sorted(set(operator.robots) - set(outcome.held))
 
     async def _all_late(self) -> list[Robot] | None:
-        """An ordinary stop; who has not confirmed it in time. None: nobody is heard."""
+        """An ordinary stop; robots that have not confirmed it in time. None: no robot is heard."""
         loop, operator = asyncio.get_running_loop(), self.operator
         end_s = loop.time() + PLAIN_STOP_S
         operator.ask_who()
@@ -182,7 +182,7 @@ class CommandSession:
             if loop.time() >= end_s:
                 return late if operator.live and not operator.unknown else None
 
-    # ---------------------------------------------------------------- who answers
+    # ---------------------------------------------------------------- answers
 
     async def _view(self) -> FleetNow:
         """Our own hearing, or what a peer tells when one is asked for."""
@@ -215,7 +215,7 @@ class CommandSession:
                 await asyncio.sleep(SERVE_S)
 
     async def _deliver(self, goal: Queued) -> Outcome | None:
-        """One goal, if a robot can take it; who refuses it has a reason that waiting does not mend."""
+        """One goal, if a robot can take it. Waiting does not help when a robot refuses it."""
         fleet = await self.hear_fleet()
         robot = fleet.nearest(goal.place)
         if goal.given_to is not None:  # a command before us died while it was sending
@@ -227,13 +227,13 @@ class CommandSession:
         word = await self._convey(order)
         report = self.operator.robots[robot.slot].report
         if word is None and (report is None or report.matter is not ReportKind.REFUSED):
-            return None  # not heard: the same robot is told again
+            return None  # not heard: the same robot gets the order again
         self.queue.done(goal.number)
         return Outcome(f"queued: {goal.name}", orders=[(order, word)])
 
 
 def stops_all(intents: tuple[AnyIntent, ...]) -> bool:
-    """A phrase that is a stop of everybody and nothing else."""
+    """A phrase that is a stop of all robots and nothing else."""
     if len(intents) != 1 or not isinstance(intents[0], Control):
         return False
     stop = intents[0]

@@ -1,9 +1,9 @@
 """Goals that wait for an idle robot: first come, first served, in a file that outlives the command.
 
 One command at a time delivers (a lock of the operating system, free again when its owner dies). A goal
-leaves the file when a robot has said that it goes there. Who dies between that word and the writing
-leaves the goal with the robot's number, and the same robot is sent to the same place again: no
-second robot is sent.
+leaves the file when a robot has said that it goes there. A command that dies between that answer and
+the write leaves the goal with the robot's number. Then the same robot is sent to the same place again,
+and no second robot is sent.
 """
 
 import fcntl

@@ -159,7 +159,7 @@ class _Meaning(Transformer[Any, Any]):
     def start(self, parts: list[Any]) -> tuple[AnyIntent, ...]:
         return tuple(parts)
 
-    # ---------------------------------------------------------------- who
+    # ---------------------------------------------------------------- robots
 
     def slot(self, parts: list[Any]) -> int:
         return _whole(parts[0])
@@ -225,7 +225,7 @@ class _Meaning(Transformer[Any, Any]):
     def control(self, parts: list[Any]) -> Control:
         verb = next(p for p in parts if isinstance(p, str) and p.startswith("!"))[1:]
         whom = [p for p in parts if p != "!" + verb]
-        # A stop that names nobody stops everybody: the one thing that is not asked back.
+        # A stop that names no robot stops all robots. Only this is not asked back.
         stop = verb in ("stop", "emergency_stop")
         robots: Any = whom[0] if whom else "all" if stop else "unnamed"
         return Control(action=cast(Action, verb), robots=robots)

@@ -1,7 +1,7 @@
 """What a person can want of the fleet: the only things that words are ever turned into.
 
-Whoever turns words into intents, the grammar or a language model, gives these and nothing else:
-unknown keys, other values and further text are refused by the types.
+The grammar or a language model turns words into these intents and nothing else. The types refuse
+unknown keys, other values and further text.
 """
 
 from typing import Annotated, Literal

@@ -1,4 +1,4 @@
-"""From a phrase to intents, or to a question. Knows the language and the names of places, no fleet."""
+"""From a phrase to intents, or to a question. Uses the language and place names, not the fleet."""
 
 import re
 from collections import Counter
@@ -23,7 +23,7 @@ from tools.language.vocabulary import (
     words_of,
 )
 
-PHRASE_MAX = 400  # characters; nobody gives one order in more
+PHRASE_MAX = 400  # characters; no order needs more
 TOKENS_MAX = 40
 LIKE = 0.7  # likeness of a word that was probably meant
 SHORT = 5  # letters; a longer word may have two of them wrong

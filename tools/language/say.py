@@ -116,7 +116,7 @@ class _Conversation:
                 await serving
 
     async def _wait(self, speaker: "CommandSession", queue: GoalQueue) -> None:
-        """Served by whoever is there: this command, until its goals are given."""
+        """This command serves the queue until its goals are given."""
         if not self.options.wait:
             return
         print(f"waiting for an idle robot; Ctrl-C leaves it in {queue.path}", file=sys.stderr)

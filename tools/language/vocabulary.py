@@ -1,8 +1,9 @@
 """The words of the language: each word, or group of words, is one token of the grammar.
 
-A group of words comes before its parts ("go on" is no GO). What is not here is no word of the language,
-and a phrase with such a word is asked back; only the words in FILLERS may stand anywhere and say
-nothing. A word that could change the meaning of an order ("not", "if", "then") must never be one.
+A group of words comes before its parts ("go on" is no GO). A word that is not here is no word of the
+language, and a phrase with such a word is asked back. Only the words in FILLERS may stand anywhere and
+mean nothing. A word that could change the meaning of an order ("not", "if", "then") must never be a
+filler.
 """
 
 import re

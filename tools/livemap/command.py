@@ -33,7 +33,7 @@ from tools.operate.estop import keyring_of
 if TYPE_CHECKING:
     from tools.livemap.server import MapServer
 
-HOST = "127.0.0.1"  # nobody else can see it; there is no option for more
+HOST = "127.0.0.1"  # not visible from other machines; there is no option for that
 WRONG = 2
 RECORDED_SPEED = 10.0
 TOKEN_BYTES = 16  # 128 bits: not to be guessed
@@ -261,7 +261,7 @@ def _hearing(bus: CanBus, recording: Recording, panel: Panel) -> Iterator[None]:
 
 
 async def _watch(recording: Recording, bodies: str | None) -> None:
-    """What the robots of a launch mean to do; on another bus nobody tells, nor to another user."""
+    """What the robots of a launch intend; not available on another bus, nor to another user."""
     if bodies is None:
         return
     loop = asyncio.get_running_loop()

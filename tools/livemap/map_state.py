@@ -1,6 +1,6 @@
-"""An inspector that also knows what a map shows: courses, bus load now, the map told, islands.
+"""An inspector that also knows what a map shows: courses, bus load now, the shared map, islands.
 
-Everything is what was heard, or what robots told of themselves beside the bus
+All of it comes from the bus, or from what robots report about themselves beside the bus
 (`sim.record.robot_intent`).
 """
 
@@ -25,7 +25,7 @@ from sim.can.frame_timing import worst_bits
 from sim.record.scene import Scene
 from tools.inspect.inspector import Inspector, Seen
 
-LOAD_S = 1.0  # over which the load of the bus is told
+LOAD_S = 1.0  # over which the load of the bus is averaged
 NAMES = {group.pgn: group.name for group in GROUPS}
 STALE_S = 1.0  # an intent older than this says nothing of now
 
@@ -138,7 +138,7 @@ class Watcher(Inspector):
         ]
 
     def all_changed(self) -> None:
-        """Whoever looks knows nothing yet."""
+        """A viewer knows nothing yet."""
         self.changed_sections = set(self.allocation.sections())
         self.changed_blocks = {(section, block) for section, block, _ in self.progress.entries()}
         if self.chart is not None:

@@ -1,4 +1,4 @@
-"""What one page is told: everything once, then only what has changed. Plain values, as JSON."""
+"""What one page is sent: everything once, then only what has changed. Plain values, as JSON."""
 
 from typing import Any
 
@@ -7,7 +7,7 @@ from tools.inspect.inspector import SILENT_S, Seen
 from tools.livemap.map_state import Watcher
 from tools.livemap.playback import Player
 
-KINDS_MAX = 8  # frames of the last second are told by kind, most first
+KINDS_MAX = 8  # frames of the last second are listed by kind, most first
 TRANSITIONS_TOLD = 12
 
 
@@ -99,7 +99,7 @@ class PageUpdates:
             told["events"] = list(index.events)
 
     def robot(self, slot: int) -> dict[str, Any] | None:
-        """All that is known of one, as `headland inspect` tells it."""
+        """All that is known of one robot, as `headland inspect` shows it."""
         watcher = self.player.watcher
         robot = watcher.robots.get(slot)
         if robot is None:
@@ -112,7 +112,7 @@ class PageUpdates:
 
 
 def _stop(watcher: Watcher, now_s: float) -> dict[str, Any]:
-    """Which stops are latched, who stands, who does not."""
+    """Which stops are latched, which robots stand, and which do not."""
     live = [
         r for r in watcher.robots.values() if not r.left and now_s - r.last_s <= SILENT_S
     ]  # fmt: skip

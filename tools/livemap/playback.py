@@ -1,8 +1,8 @@
 """A playhead over a recording: where a person looks, and the watcher as it was then.
 
 The state at any time is that of the last snapshot before it, and the frames since. Snapshots are made
-once for all who look, by the index, which hears every frame as it comes. Of a live bus the snapshots
-outlive the frames: the older, the fewer.
+once for all viewers, by the index, which hears every frame as it comes. For a live bus the snapshots
+are kept longer than the frames, and fewer of the older ones are kept.
 """
 
 import pickle
@@ -19,7 +19,7 @@ from tools.livemap.map_state import Watcher
 SNAPSHOT_US = 10_000_000
 SPEED_MAX = 256.0
 AGES = 16  # of a live bus, two snapshots around one are at least its age over this apart
-EVENTS_MAX = 512  # marks on the line of time; more cannot be told apart
+EVENTS_MAX = 512  # marks on the time line; more cannot be distinguished
 FAST = 1  # level of zlib: a snapshot in a millisecond, in a fifth of its size
 LOOK = 512  # rows between two looks at the clock
 
@@ -134,7 +134,7 @@ class Player:
         self.follow, self.playing, self.speed = follow, True, speed
         self.goal_us = float(self.recording.from_us)  # where the person wants to be
         self.caught_up = True  # and is
-        self.jumps = 0  # how often the past was taken up anew
+        self.jumps = 0  # how often the past was loaded again
         if follow:
             self.seek(self.recording.until_us)
 

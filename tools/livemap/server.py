@@ -31,7 +31,7 @@ PAGE = Path(__file__).parent / "page"
 PICTURES_A_SECOND = 30
 READ_SHARE = 0.5  # of the time between two pictures may be spent on reading
 INDEX_SHARE = 0.4  # the same for the index, when it is behind
-AHEAD_MAX = 3  # pictures told and not yet drawn: a slow page sees fewer, never older ones
+AHEAD_MAX = 3  # pictures sent and not yet drawn: a slow page sees fewer, never older ones
 PAGES_MAX = 16
 MESSAGE_MAX = 4096  # bytes of one message of a page's socket
 BODY_MAX = 64 * 1024  # bytes of a POST; the page sends less than 100
@@ -205,7 +205,7 @@ class MapServer:
         return await self._released(request, reset=False)
 
     async def _released(self, request: Request, reset: bool) -> Response:
-        """Whoever asks says that the fleet has no keys, or this map holds its operator's key."""
+        """The request says that the fleet has no keys, or this map holds its operator's key."""
         if not self._trusted(request):
             return JSONResponse({"problem": "open the whole address that the map printed"}, 403)
         if self.panel is None:

@@ -1,4 +1,4 @@
-"""The map's operator device on a live bus: stops at once, releases with the operator's key."""
+"""The map's operator device on a live bus: stops immediately, releases with the operator's key."""
 
 import asyncio
 from pathlib import Path
@@ -15,7 +15,7 @@ from tools.operate.reset import LISTEN_S, STEP_S, operator_keyring, release
 
 CONFIRM_S = 10.0  # repeated until every live robot has echoed, at most this long
 RELEASE_S = 5.0
-ASK_S = 5.0  # who is there; an answer may have come before we were on the bus
+ASK_S = 5.0  # asks which robots are there; an answer may have come before we were on the bus
 
 
 class PanelError(Exception):
@@ -35,7 +35,7 @@ class Panel:
     ) -> None:
         """`keyring`: of a stop panel of a fleet with keys. `operator_key`: file that releases it."""
         self.bus, self.signed = bus, keyring is not None
-        self._key = operator_key  # chosen by who starts the map, never by a request
+        self._key = operator_key  # chosen at the start of the map, never by a request
         self.stopper = Operator(bus, keyring)
         self._listeners = [self.stopper]
         self._pressing: asyncio.Task[list[int]] | None = None
@@ -46,7 +46,7 @@ class Panel:
             operator.hear(now_s, frame)
 
     async def keep_asking(self) -> None:
-        """Who is there, and what has been done: what a listener that came late has not heard."""
+        """Asks which robots are there and what has been done, because a late listener has missed it."""
         first = True
         while True:
             self.stopper.ask_who()
@@ -57,7 +57,7 @@ class Panel:
             await asyncio.sleep(ASK_S if self.stopper.robots else LISTEN_S)
 
     async def stop(self) -> dict[str, Any]:
-        """Press, and tell who has not confirmed. A second press meanwhile waits for the same answer."""
+        """Press, and report which robots have not confirmed. A second press waits for the same answer."""
         if self._pressing is None or self._pressing.done():
             self._pressing = asyncio.create_task(self._press())
         late = await asyncio.shield(self._pressing)

@@ -1,4 +1,4 @@
-"""`headland estop`: stop every robot on a bus, and say who has confirmed."""
+"""`headland estop`: stop every robot on a bus, and say which robots have confirmed."""
 
 import asyncio
 import sys
@@ -13,8 +13,8 @@ from tools.common.bus_attach import AttachError, attach, robots_of_launch
 from tools.operate.operator_device import Operator, Robot
 
 REPEAT_S = 0.005
-LISTEN_S = 0.5  # long enough for ten beats: who has not been heard by then is not there
-AGAIN_S = 0.1  # nobody latched by then: the dot may have been used and cleared long ago; another
+LISTEN_S = 0.5  # ten beats: a robot that has not been heard by then is not there
+AGAIN_S = 0.1  # no robot latched by then: the dot may have been used and cleared; try another
 SIGN_AGAIN_S = (
     0.5  # an echo is said once for each dot: where one was lost, another dot gets another
 )

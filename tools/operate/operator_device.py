@@ -1,4 +1,4 @@
-"""An operator's device on the bus: who is there, who stands stopped, and frames to say.
+"""An operator's device on the bus: which robots are there, which are stopped, and frames to send.
 
 Sans I/O but for `Bus.send`: the commands below (`estop`, `reset`) own the loop and the clock.
 """
@@ -42,7 +42,7 @@ LIVE_S = 1.0  # heard within this: it has to stop
 LEFT_S = 0.5  # without a beat since it said that it leaves: ten beats; a robot that left is silent
 ECHOES_TRIED = 8  # of a robot, for one stop: a forger has 8 guesses of 2^-16
 EVERYBODY = 255
-NOT_HEARD_S = float("-inf")  # when a robot was heard that only others told of
+NOT_HEARD_S = float("-inf")  # when a robot was heard that only others reported
 ASK_S = 0.25
 
 
@@ -132,7 +132,7 @@ class Operator:
             if isinstance(message, Heartbeat) and message.leaving:
                 robot.leaves_s = now_s if robot.leaves_s is None else robot.leaves_s
                 return
-            robot.leaves_s = None  # who beats has not left, whatever is said in its name
+            robot.leaves_s = None  # a robot that beats has not left, whatever is said in its name
             robot.state, robot.stopped = State(message.state), message.stopped
             if isinstance(message, Heartbeat):
                 robot.started, robot.held = message.started, message.held
@@ -220,7 +220,7 @@ class Operator:
         self.send(Request(GROUP_OF[Member].pgn))
 
     async def listen(self, seconds: float, stops: bool = False) -> None:
-        """Hear who is there; ask again, because an answer may come before we are on the bus."""
+        """Hear which robots are there; ask again, because an answer may come before we are on the bus."""
         loop = asyncio.get_running_loop()
         await self.device.held()
         end_s = loop.time() + seconds
@@ -241,7 +241,7 @@ class Operator:
         self.send(StateSyncRequest(question & 0xFFFFFF, question >> 24, STOPS, 0))
 
     def new_stop(self, reason: int) -> EmergencyStop:
-        """A dot nobody has used: two random bytes, tried again by the caller if nobody latches."""
+        """An unused dot: two random bytes. The caller tries another if no robot latches."""
         return EmergencyStop(self.slot, randbelow(256), randbelow(256), reason)
 
     def stop(self, message: EmergencyStop) -> None:

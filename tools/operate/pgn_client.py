@@ -44,7 +44,7 @@ class PgnClient:
         loop = asyncio.get_running_loop()
         await self.device.held()  # an answer in parts goes to an address
         end_s = loop.time() + seconds
-        # What it told when it was asked before is no answer to this.
+        # Its answer to an earlier question is no answer to this one.
         anybody = address == GLOBAL_ADDRESS
         self.arrived = [
             a for a in self.arrived if a.pgn != pgn or not (anybody or a.source == address)

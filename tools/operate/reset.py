@@ -1,4 +1,4 @@
-"""`headland reset`: clear the stops that are shown, reset each machine, and start only if told to."""
+"""`headland reset`: clear the stops that are shown, reset each machine, and start only if asked."""
 
 import asyncio
 import sys
@@ -83,7 +83,7 @@ def in_sum(operator: Operator) -> str:
 
 
 async def hear_causes(operator: Operator) -> None:
-    """Why robots stand, from those that do: what they tell from now on, all of it where that is soon."""
+    """Why robots stand, as they report it from now on; all reasons, if they come soon."""
     held = [robot for robot in operator.live if robot.held or robot.stopped]
     for robot in operator.robots.values():
         robot.causes.forget()
@@ -100,7 +100,7 @@ def _untold(operator: Operator, robot: Robot) -> bool:
 
 
 def stands(operator: Operator, robot: Robot) -> list[str]:
-    """The causes that it has told lately, and what a person can do about each."""
+    """The causes that it has reported lately, and what a person can do about each."""
     return robot.causes.sentences(round(operator.now_s * 1e6))
 
 

@@ -1,9 +1,9 @@
 """What an operator has been shown of the stops that hold robots, and so what a reset may clear.
 
-Latched robots tell their stops by name, some at a time, and all of them in sum (STOPS_HELD). With keys
-a robot's sum has a tag, and a name is believed where the names add up to it: anybody can say a stop that
-nobody has pressed, and a reset signed for it would be kept for the day on which it is pressed.
-A stop that is pressed while the reset runs was shown to nobody: it is not cleared.
+Latched robots send their stops by name, some at a time, and all of them in sum (STOPS_HELD). With keys
+a robot's sum has a tag, and names are believed only if they add up to it. The reason: any device can
+send a stop that was never pressed, and could keep a reset signed for it until that stop is pressed.
+A stop that is pressed while the reset runs was not shown to the operator, so it is not cleared.
 """
 
 from collections.abc import Collection
@@ -24,7 +24,7 @@ class ShownStops:
         secret = None if keyring is None else keyring.keys.operator
         self.signed = keyring is not None
         self._tags = None if keyring is None or secret is None else HeldTags(keyring.keys)
-        self.question = randbits(QUESTION_BITS)  # nobody knows it before it is asked
+        self.question = randbits(QUESTION_BITS)  # unknown to others before it is asked
         self.near: set[tuple[int, int, int]] = set()
         self.far: set[RemoteStopDot] = set()
         self.spent: set[tuple[int, int, int]] = set()  # names that robots say were used before

@@ -3,9 +3,9 @@
     address = DeviceAddress(bus)     # in an event loop it keeps its own time
     address.send(message)            # waits for the address; an urgent one leaves from 254 at once
 
-The tool asks who holds which address, waits for the answers, and takes 249 or, where that has a holder,
+The tool asks which device holds which address, waits for the answers, and takes 249 or, if that is held,
 the highest free address. Until then it has none: urgent messages (stops, requests) leave from the null
-address, others are kept and leave in their order as soon as the claim is said.
+address, others are kept and leave in their order as soon as the claim is sent.
 """
 
 import asyncio
@@ -67,7 +67,7 @@ class DeviceAddress:
         return self.claim is not None and self.claim.state is State.CANNOT
 
     async def held(self, seconds: float = 2.0) -> bool:
-        """Wait for the address, at most so long."""
+        """Wait for the address, at most for this time."""
         try:
             async with asyncio.timeout(seconds):
                 await self._held.wait()

@@ -55,7 +55,7 @@ def _legend(axes: Any, robots: int) -> None:
 
 
 def _ground(axes: Any, scene: Scene | None) -> None:
-    """Fences, rows and walls, where the run has told them."""
+    """Fences, rows and walls, if the run has recorded them."""
     scene = scene or {}
     for ring in scene.get("rings", []):
         axes.plot([p[0] for p in (*ring, ring[0])], [p[1] for p in (*ring, ring[0])],

@@ -42,7 +42,7 @@ class Event(NamedTuple):
 
 
 class BusAddress(NamedTuple):
-    """A robot as its beat told it, to 5 cm."""
+    """A robot as its beat reported it, to 5 cm."""
 
     t_s: float
     x_m: float
@@ -59,7 +59,7 @@ class Stop:
     reason: str
     by: str
     t_s: float
-    present: tuple[int, ...]  # the robots heard in the second before it, without who pressed
+    present: tuple[int, ...]  # the robots heard in the second before it, without the pressed one
     echo_s: dict[int, float] = field(default_factory=dict)  # since the press
     latch_s: dict[int, float] = field(default_factory=dict)  # first beat that says: stopped
     still_s: dict[int, float] = field(default_factory=dict)  # first such beat with no speed

@@ -1,9 +1,9 @@
-"""Planned against executed: how far each robot was from the line that it meant to follow.
+"""Planned against executed: how far each robot was from the line that it intended to follow.
 
-A robot tells what is left of its way five times a second. Its line is what it told when it set out;
-as long as what is left lies on that line, it still follows it, and the distance from where it is to
-the piece it is on, and all that comes after, is its error. Where a new way begins there is no error
-yet. A robot that stands is not counted: it would count for as long as it stands.
+A robot reports the rest of its path five times a second. Its line is what it reported when it started.
+As long as the rest lies on that line, the robot still follows it. Its error is the distance from its
+place to the piece it is on and all later pieces. Where a new path begins there is no error yet. A robot
+that stands is not counted, because it would count for as long as it stands.
 """
 
 from collections.abc import Iterable
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 Points = NDArray[np.float64]  # (n, 2)
 
-SAME_M = 0.05  # what is told is rounded to a centimetre, and ways with bends are thinned to a metre
+SAME_M = 0.05  # intents are rounded to a centimetre, and paths with bends are thinned to a metre
 MOVES_M_S = 0.05
 SKIP_M = 0.5  # between two intents a robot drives at most this: 0.2 s at 2.5 m/s
 NONE: Points = np.empty((0, 2))
@@ -52,7 +52,7 @@ def followed(intents: Iterable[tuple[int, dict[str, Any]]], zero_us: int) -> lis
     robots: dict[int, Following] = {}
     now: dict[
         int, tuple[int, Points]
-    ] = {}  # when it was told, and the line from the piece it is on
+    ] = {}  # when it was sent, and the line from the piece it is on
     for t_us, intent in intents:
         told = _told(intent)
         if told is None:

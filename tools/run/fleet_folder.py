@@ -90,7 +90,7 @@ def fleet_folder(out: Path | None, setting: AnySetting, fresh: bool) -> Fleet:
 
 
 def end_fleet(fleet: Fleet, setting: AnySetting) -> None:
-    """Its work is done and nobody is latched: the next launch is a new fleet."""
+    """Its work is done and no robot is latched, so the next launch is a new fleet."""
     _write(fleet.folder, identity_of(setting), over=True)
 
 

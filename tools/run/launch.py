@@ -1,6 +1,6 @@
 """`headland launch`: N robot processes on one simulated bus and world, in real time.
 
-This process owns the world and, unless it is told of a hub that runs by itself, the wire. It starts the
+This process owns the world and, unless a separate hub is given, the wire. It starts the
 robots and decides nothing for them. Killing any robot must not stop the work. Ctrl-C ends all of them;
 robots end by themselves when this process dies, because the pipe on their stdin does.
 """
@@ -303,7 +303,7 @@ class Launch:
                 await process.wait()
 
     def _latched(self) -> list[int]:
-        """Robots that are latched, or whose process has ended, so that nobody can tell."""
+        """Robots that are latched, or whose process has ended, so that this is unknown."""
         known, stopped = self.inspector.robots, State.EMERGENCY_STOP.name
         return [
             slot for slot in self.processes

@@ -23,7 +23,7 @@ def viewer_command(host: str, port: int) -> str:
 
 class LaunchBus(Protocol):
     port: int
-    taps: list[Tap]  # told of every frame, ours too
+    taps: list[Tap]  # get every frame, ours too
 
     async def start(self, taps: list[Tap]) -> None:
         """Raises OSError."""
@@ -59,11 +59,11 @@ class OwnHub:
             self._beacon.cancel()
         await self.hub.stop()
         self.wire.taps.clear()
-        forget(self.wire.channel)  # another launch of this process begins anew
+        forget(self.wire.channel)  # another launch of this process begins from zero
 
 
 class OutsideHub:
-    """We listen on it like anybody; what is said while it is gone, nobody hears."""
+    """We listen on it like any device. Frames that are sent while it is gone are lost."""
 
     def __init__(self, host: str, port: int) -> None:
         self.host, self.port = host, port
@@ -77,7 +77,7 @@ class OutsideHub:
 
     def say(self, frame: Frame) -> None:
         if self.link.send(frame):
-            self._heard(frame)  # a hub tells nobody what it said itself
+            self._heard(frame)  # a hub does not return its own frames
 
     async def start(self, taps: list[Tap]) -> None:
         self.taps += taps

@@ -1,4 +1,4 @@
-"""Pictures of an exploration: the joined map, each robot's own, who saw what, and a film of it."""
+"""Pictures of an exploration: the joined map, each robot's own, what each saw, and a film of it."""
 
 from pathlib import Path
 from typing import Any
@@ -41,7 +41,7 @@ def _extent(survey: ExplorationRun) -> tuple[float, float, float, float]:
 
 
 def draw_maps(survey: ExplorationRun, outcome: SurveyOutcome, out: Path) -> None:
-    """One PNG: the joined map with the ways driven, who saw what first, and each robot's own map."""
+    """One PNG: the joined map with the paths driven, which robot saw what first, and each robot's map."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -74,7 +74,7 @@ def draw_maps(survey: ExplorationRun, outcome: SurveyOutcome, out: Path) -> None
 
 
 def film(survey: ExplorationRun, out: Path) -> None:
-    """A GIF of both as they grow: the map of one robot after the other, and who saw what first."""
+    """A GIF of both as they grow: the map of one robot after another, and which robot saw what first."""
     import matplotlib
 
     matplotlib.use("Agg")

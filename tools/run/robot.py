@@ -1,7 +1,7 @@
 """One robot as a process of its own; started by `headland launch`, one line of JSON on stdin.
 
-It ends when told to (SIGTERM: a graceful leave), and when the launcher is gone, however that died:
-the pipe on its stdin is then at its end.
+It ends on SIGTERM (with a graceful leave), and when the launcher is gone for any reason, because then
+the pipe on its stdin is at its end.
 """
 
 import asyncio

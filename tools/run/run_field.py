@@ -86,7 +86,7 @@ def run(
         console.print(
             f"report.json, field.png, work.geojson, trace.jsonl, {keeping.logs} are in {folder}"
         )
-    if shown is not None and sys.stdout.isatty():  # with nobody to press Ctrl-C it would never end
+    if shown is not None and sys.stdout.isatty():  # without a person it would never end
         console.print(f"the map stays at {shown.url} until Ctrl-C")
         shown.join()
     return 0 if outcome.success else UNFINISHED

@@ -1,1 +1,1 @@
-"""Kernels that step whole fleets at once: opponents for benches, used by no robot."""
+"""Kernels that step whole fleets together: opponents for benches, used by no robot."""
