@@ -1,6 +1,6 @@
-"""The frame by which robots agree on who goes where: in each other's way
-(`agent/mapf/joint_plan_agreement.py`), and on a grid that they cover together
-(`agent/coverage/plan_agreement.py`). A fleet does one or the other."""
+"""Frames by which robots agree on who goes where. One use is robots in each other's way
+(`agent/mapf/joint_plan_agreement.py`), the other a grid that robots cover together
+(`agent/coverage/plan_agreement.py`). A fleet has one of the two uses."""
 
 from enum import IntEnum
 from struct import Struct

@@ -82,7 +82,7 @@ class Signal(NamedTuple):
     offset: float = 0
     unit: str = ""
     choices: tuple[tuple[int, str], ...] = ()
-    reserved: int | None = None  # always sent with this value, and never looked at
+    reserved: int | None = None  # always sent with this value, and never read
 
 
 def _members(kind: type) -> tuple[tuple[int, str], ...]:
@@ -249,7 +249,7 @@ NAME_OF_FIELD = {"operator": "operator_id", "switch": "state"}  # of signals, wh
 
 
 def _ones(kind: type[Message], length: int) -> int:
-    """Bits that are 1 in every frame of this kind, as far as a few of them tell."""
+    """Bits that are 1 in every frame of this kind, judged from a few samples."""
     rng, ones, left = Random(0), (1 << 8 * length) - 1, SAMPLES
     while left:
         with suppress(ValueError):
@@ -259,7 +259,7 @@ def _ones(kind: type[Message], length: int) -> int:
 
 
 def reserved_of(kind: type[Message]) -> tuple[Signal, ...]:
-    """The bits of a frame that carry nothing, run by run, each with the value that we send."""
+    """The unused bits of a frame, run by run, each with the value that we send."""
     length = GROUP_OF[kind].length
     used = {bit for s in SIGNALS[kind] for bit in range(s.start, s.start + s.length)}
     sent = _ones(kind, length)

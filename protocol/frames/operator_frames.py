@@ -1,13 +1,13 @@
-"""Frames between a robot and the person who directs it; the orders are in `safety_frames.py`."""
+"""Frames between a robot and its operator; the commands are in `safety_frames.py`."""
 
 from enum import IntEnum
 from struct import Struct
 from typing import NamedTuple
 
-PLACE_M = 0.1  # unit of what a robot tells
-GOAL_M = 0.2  # unit of where it is sent: 15 bits for each coordinate
-LOWEST_M = -3276.8  # of a coordinate, as in POSE: both are sent as steps from there
-NUMBERS = 15  # questions are numbered 1 to 15 and begin again
+PLACE_M = 0.1  # unit of distances in reports
+GOAL_M = 0.2  # unit of goals: 15 bits for each coordinate
+LOWEST_M = -3276.8  # lowest coordinate, as in POSE; both kinds count steps from it
+NUMBERS = 15  # questions are numbered 1 to 15, then from 1 again
 REPORT = Struct("<BBHHBB")
 GOAL = Struct("<BBHB")
 assert REPORT.size == 8 and GOAL.size + 3 == 8

@@ -218,7 +218,7 @@ class SocketcandLink(asyncio.Protocol):
 
 
 def _frame(words: list[bytes]) -> Frame | None:
-    """`frame ID TIME DATA`; None for what is no data frame with a 29-bit identifier."""
+    """Parse `frame ID TIME DATA`; None if it is no data frame with a 29-bit identifier."""
     try:
         identifier, data = int(words[1], 16), bytes.fromhex(b"".join(words[3:]).decode("ascii"))
     except (ValueError, IndexError):

@@ -8,8 +8,7 @@ that we lack something. Then, on a bus on which every peer receives every frame:
    evidence to ask again. So there is one question at a time on the segment, whatever the number of
    peers that differ.
 2. **Few peers answer.** Peers with another digest than the asker compute what it lacks. If its
-digest
-   was one of theirs recently, they know exactly. Else they take what changed since they last
+   digest was one of theirs recently, they know exactly. Else they take what changed since they last
    agreed, without what the asker's side itself has sent. If they have never agreed, they take
    registers later than T0. The first three in order make a list. One sends; the others delete what
    they receive and continue where it falls silent.
