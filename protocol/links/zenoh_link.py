@@ -1,8 +1,9 @@
-"""The one place that knows Eclipse Zenoh: a session with explicit endpoints, and a bus made of it.
+"""The only module that imports Eclipse Zenoh: a session with explicit endpoints, and a bus on top.
 
-Nothing is found by multicast; who is connected to is named. Callbacks of the session come in threads
-of its own and are handed to the event loop here. What the loop cannot keep up with is dropped and
-counted; a stop never is, because it comes over a lane of its own and there are few.
+Nothing is found by multicast; endpoints to connect to are named. Callbacks of the session come in
+its own threads and are handed to the event loop here. Messages that the loop is too slow for are
+dropped and counted. A stop is never dropped, because stops have a separate lane and there are few
+of them.
 """
 
 import asyncio
