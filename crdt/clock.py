@@ -21,7 +21,7 @@ class Dot(NamedTuple):
 
 
 class VectorClock:
-    """How many events of each replica have been seen; replicas never heard of count as 0.
+    """How many events of each replica have been seen; unknown replicas count as 0.
 
     >>> a, b = VectorClock({1: 2}), VectorClock({1: 1, 2: 1})
     >>> a.concurrent_with(b), a.happens_before(a.merged(b))

@@ -157,7 +157,7 @@ class Transport:
                 session.waiting, session.due_us = True, now_us + T3_US
         return out
 
-    # ---------------------------------------------------------------- hearing
+    # ---------------------------------------------------------------- receiving
 
     def receive(
         self, source: int, destination: int, m: TransportManagement | TransportData, now_us: int
@@ -208,8 +208,8 @@ class Transport:
     def _grant(self, session: _Receiving, source: int, now_us: int) -> OutgoingFrame:
         count = min(session.packets - session.expected + 1, session.limit, GRANT_PACKETS)
         session.granted_to = session.expected + count - 1
-        # Request again before the sender's T3 ends the session; the last time wait as long as the
-        # standard.
+        # Request again before the sender's T3 ends the session. The last request gets the time of
+        # the standard.
         session.due_us = now_us + (T1_US if session.retries < RETRIES_MAX else T2_US)
         body = bytes((count, session.expected, 0xFF, 0xFF))
         return _manage(Control.CTS, body, session.pgn, source)

@@ -6,7 +6,7 @@ from struct import Struct
 from typing import Final, NamedTuple
 
 STATES: Final = 5  # values of agent.interface.lifecycle.State
-NOBODY = 255  # heard, in POSE
+NOBODY = 255  # value of `heard` in POSE
 LENGTH_M: Final = 0.05  # unit of x and y in POSE
 SPEED_M_S: Final = 0.05  # unit of the speed in POSE
 _FASTEST: Final = 254  # in that unit; 255 is what J1939 calls not available
@@ -54,7 +54,7 @@ class Pose(NamedTuple):
 
     @property
     def placed(self) -> bool:
-        """Whether it says where the robot is now."""
+        """Whether the frame contains the robot's present position."""
         return self.speed_m_s < PLACE_UNKNOWN_M_S
 
     def pack(self) -> bytes:

@@ -19,7 +19,7 @@ class ReportKind(IntEnum):
 
     ASKING = 0  # something that is no robot is in the way: what now?
     WAITING = 1  # it waits until that has left
-    GOING_ROUND = 2  # it goes on round it
+    GOING_ROUND = 2  # it drives round it
     GONE = 3  # it has left by itself
     STOPPED = 4  # work given back; it stands until an operator's start
     UNDER_WAY = 5  # to the place it was sent to
@@ -103,7 +103,7 @@ class OperatorGoal(NamedTuple):
 
 
 def goal_frames(target: int, operator: int, x_m: float, y_m: float) -> tuple[OperatorGoal, ...]:
-    """Both coordinates. ValueError outside of what they can say.
+    """Both coordinates. ValueError if they are out of range.
 
     >>> [round(frame.metres, 1) for frame in goal_frames(3, 200, 12.34, -7.0)]
     [12.4, -7.0]

@@ -22,7 +22,7 @@ assert BEAT.size == SUMMARY.size == 8
 
 
 def gateway_slot(address: int) -> int | None:
-    """The number of the gateway that speaks from an address.
+    """The number of the gateway with an address.
 
     >>> gateway_slot(241), gateway_slot(128)
     (125, None)

@@ -45,7 +45,7 @@ def configure(
     connect, listen = list(connect), list(listen)
     try:
         config = zenoh.Config() if file is None else zenoh.Config.from_file(str(file))
-    except Exception as problem:  # the binding raises what it likes
+    except Exception as problem:  # the binding raises undocumented exceptions
         raise LinkError(f"{file} is not a configuration of Zenoh: {_first_line(problem)}") from None
     settings: dict[str, object] = {
         "mode": mode or ("router" if listen else "client"),

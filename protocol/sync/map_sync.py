@@ -115,7 +115,7 @@ class MapSync:
         self._merged.clear()
         return result
 
-    # ---------------------------------------------------------------- hearing
+    # ---------------------------------------------------------------- receiving
 
     def receive(self, slot: int, message: Said, now_us: int) -> int:
         """Handle any map frame; return how many cells changed."""

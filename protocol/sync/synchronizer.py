@@ -70,7 +70,7 @@ Said = StateSyncRequest | StateSyncResponse | WorkProgress | Digests
 
 
 class Question(NamedTuple):
-    """A question whose bucket digests are to follow."""
+    """A question whose bucket digests follow in later frames."""
 
     salt: int
     place: int  # ours in the order of answering
@@ -166,7 +166,7 @@ class Synchronizer:
             and now_us < self._learned_us + PATIENCE_US
         )
 
-    # ---------------------------------------------------------------- hearing
+    # ---------------------------------------------------------------- receiving
 
     def heard_digest(self, slot: int, digest: int, now_us: int) -> None:
         """Handle the digest of a peer's heartbeat."""

@@ -193,7 +193,7 @@ class Wire:
         for number, node in self.nodes.items():
             node.island = next((i for i, names in enumerate(islands) if number in names), 0)
         self._audience.clear()
-        for number in self._waiting:  # what waits goes on in the new island
+        for number in self._waiting:  # waiting frames continue in the new island
             self._wish(self._islands[self.nodes[number].island], self._now_us)
 
     def heal(self) -> None:
@@ -338,7 +338,7 @@ class Wire:
             island.train_us = bits * self.bit_us
             return
         broken = self.faults.error > 0.0 and self._rng["error"].random() < self.faults.error
-        if broken:  # somewhere inside the frame, then everybody shouts
+        if broken:  # at a random bit of the frame all nodes send an error flag
             length_us = self._rng["error"].randrange(1, bits) * self.bit_us + ERROR_US
         else:
             length_us = bits * self.bit_us
@@ -434,7 +434,7 @@ class Wire:
             )
             self._audience[sender] = audience
         faults = self.faults
-        if self._off:  # it neither sends nor hears
+        if self._off:  # a node in bus-off neither sends nor receives
             audience = tuple(n for n in audience if n not in self._off)
         if faults.deaf:
             audience = tuple(n for n in audience if (sender, n) not in faults.deaf)

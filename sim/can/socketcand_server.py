@@ -34,7 +34,7 @@ DRAIN_LOOK_S = 0.01  # interval of checks whether it is empty
 LEFT_BYTES_MAX = 65_536  # read from a connection that was reset while we wrote to it
 OPEN_S = 30.0  # time for a connection to ask for frames; a person who types may take a while
 SPEAKS_S = 5.0  # a client that sent within this time keeps its seat; robots beat every 50 to 200 ms
-GOODBYE_S = 0.5  # a closed connection ends at once
+GOODBYE_S = 0.5  # time limit; a closed connection normally ends immediately
 REFUSED_US = 1_000_000  # a client without `confirm` gets a report of refused frames once a second
 CLIENTS_MAX = 160  # 108 peers and their tools
 # Attached clients that have never sent a frame: viewers and loggers. Each frame is written to each

@@ -43,7 +43,7 @@ class EffectObserver(Recorder):
                 self.released.discard(slot)
                 told = self.told[slot]
                 if told and isinstance(told[-1], Pose) and told[-1].stopped == message.stopped:
-                    return  # says nothing new of what must be remembered
+                    return  # no new information that must be remembered
             elif isinstance(message, WorkProgress):
                 own_progress = self.words.speakers[slot].own_progress
                 own = own_progress.get((message.section, message.block), 0)

@@ -124,7 +124,7 @@ def _older_wins(right: Any) -> Any:
     def apply(self: FieldAllocationCRDT, section: int, key: int) -> bool:
         known = self._keys.get(section)
         if known is not None and key != known and (known >> 37 & 7) == (key >> 37 & 7) != 7:
-            return False  # what came first stays, whatever the order says
+            return False  # the first value stays, whatever the order
         return bool(right(self, section, key))
 
     return apply

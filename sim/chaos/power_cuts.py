@@ -42,7 +42,7 @@ def judge(tape: Tape, known: list[dict[str, bytes]], recalled: Mapping[str, byte
           acknowledged: int, begun: int) -> str:  # fmt: skip
     """A description of what was lost, or empty. `acknowledged` and `begun` count batches."""
     if recalled in known[acknowledged + 1 : begun + 1]:
-        return ""  # newer than what was acknowledged: nothing of it has been said yet
+        return ""  # newer than the acknowledged batch, of which nothing has been sent yet
     if recalled != known[acknowledged]:
         return f"after batch {acknowledged} of {begun} begun: {len(recalled)} records, other ones"
     seen, revealed = 0, []

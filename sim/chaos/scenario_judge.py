@@ -172,7 +172,7 @@ class ScenarioJudge:
             case kinds.DiskFull(robot=robot, for_s=for_s):
                 self._at(at_us + round(for_s * S) - 1, partial(self._keeps_silent, robot))
             case kinds.ClockJump(robot=robot):
-                self._at(at_us, self._interrupted)  # of whoever was pressed
+                self._at(at_us, self._interrupted)  # for any robot that was pressed
                 self._at(at_us, partial(self.witness.words.leaps, robot))
             case kinds.Foreign(claims=False):
                 self._at(at_us, self.witness.words.without_name)

@@ -1,4 +1,4 @@
-"""Grid maps and coverage instances: the Moving-AI `.map` and LS-MCPP's `.mcpp`, and maps by chance.
+"""Grid maps and coverage instances: the Moving-AI `.map` and LS-MCPP's `.mcpp`, and random maps.
 
 A cell is (row, column) from the upper left, one step apart from its four neighbours. A `.map` has a
 header of four lines and one character a cell; passable are `.`, `G` and `S` (Sturtevant, Benchmarks

@@ -22,7 +22,8 @@ from shapely.validation import explain_validity
 from sim.files.field_error import FILE_BYTES_MAX, POINTS_MAX, FieldFileError, LonLat
 from sim.files.given_file import GivenFileError, check_regular, read_bytes
 
-logging.getLogger("xsdata").addHandler(logging.NullHandler())  # what is wrong is told in one line
+# Errors are reported in one line instead.
+logging.getLogger("xsdata").addHandler(logging.NullHandler())
 NAME = "TASKDATA.XML"
 EXTERNAL = re.compile(r"[A-Z]{3}[0-9]{5}")  # the standard's own pattern for names of further files
 EXTERNAL_MAX = 100_000  # five digits
@@ -145,7 +146,7 @@ def _from_zip(path: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo | No
     if member is None:
         return None
     try:
-        with archive.open(member) as file:  # what the directory says of its size is not believed
+        with archive.open(member) as file:  # the size in the directory is not trusted
             return _within(path, file.read(FILE_BYTES_MAX + 1))
     except Exception as problem:  # zlib, lzma, bz2, a password: each has its own exceptions
         if isinstance(problem, FieldFileError):

@@ -78,7 +78,7 @@ class FaultPlan:
         cluster, wire = self.cluster, self.cluster.segment.wire
         cluster.look()
         if not isinstance(fault, kinds.Join) and self._absent(fault):
-            return None  # what is not there yet cannot break
+            return None  # a robot that does not exist yet cannot break
         match fault:
             case kinds.Partition(islands=islands):
                 cluster.partition([set(island) for island in islands])

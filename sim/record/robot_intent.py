@@ -1,4 +1,4 @@
-"""What one robot means to do, read from its peer: for people who watch, never for other robots.
+"""The intent of one robot, read from its peer: for observers, never for other robots.
 
 A listener on the bus knows where robots are and what they own. Only the robots know where they want
 to drive, which robots they avoid and which they receive. Reading this changes nothing, so an

@@ -319,7 +319,7 @@ class ExplorationRun:
             return
         robot = cluster.running[len(self.reports) % len(cluster.running)]
         mission = cluster.missions[robot.slot]
-        if robot.peer.here is None:  # its sensors have said nothing yet
+        if robot.peer.here is None:  # its sensors have no observation yet
             return
         status = fleet_status(robot.peer.view(round(now_s * 1e6)), mission)
         self.reports.append((now_s, serialize_for_llm(status, ages=True)))

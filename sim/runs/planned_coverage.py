@@ -43,7 +43,7 @@ def work(
             number = team.number(arrival.cell)
             if team.grid.here[number] < 0:
                 waiting.remove(arrival)
-                if team.grid.free[number]:  # nobody comes out of a wreck
+                if team.grid.free[number]:  # no robot can start from a wreck
                     recorder.join(arrival.cell)
         if not team.remaining() and not any(a.step > team.now for a in waiting) and not ends:
             break  # no work is left for a robot that would arrive

@@ -99,7 +99,7 @@ class Setting:
         try:
             content = read_bytes(path, FILE_BYTES_MAX)
         except GivenFileError:
-            return self._divided(path)  # which says what is wrong
+            return self._divided(path)  # this raises the error with its reason
         key = (
             path,
             content,

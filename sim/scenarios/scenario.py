@@ -193,8 +193,8 @@ class Join(_Fault):
 class Babble(_Fault):
     kind: Literal["babble"]  # a device that sends without pause
     priority: int = Field(default=7, ge=0, le=7)  # of a group that no robot knows
-    # instead: all 29 bits of the identifier; below 0x00FF0000 it outranks a stop, and 0 outranks
-    # all
+    # instead: all 29 bits of the identifier; below 0x00FF0000 it outranks a stop, and
+    # 0 outranks every frame
     identifier: int | None = Field(default=None, ge=0, lt=1 << 29)
     for_s: float = Field(gt=0.0)
 

@@ -107,7 +107,7 @@ def glide(  # type: ignore[no-untyped-def]
     rows, motion, keys, push, inertia, floats, ints, obstacles, moved_us, nearest, limits,
     now_us, until_us, rolled, near_m,
 ):  # fmt: skip
-    """Steps from `now_us` on, none beyond `until_us`, until somebody has to look.
+    """Make steps from `now_us`, none beyond `until_us`, until something must be handled.
 
     `rolled`: the wheels have turned for the first one. Returns the new time, times `CODES`, and why.
     """

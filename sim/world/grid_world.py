@@ -116,7 +116,7 @@ class GridWorld:
         gaps = self.places - (
             x_m,
             y_m,
-        )  # not moved on: with a cell to spare, that picks who is near
+        )  # positions at the command; a cell of margin covers the motion since
         spare_m = sight_m + self.ground.cell_m
         near = np.flatnonzero((np.abs(gaps) < spare_m).all(axis=1)).tolist()
         found = []

@@ -105,7 +105,8 @@ class World:
             (0, COLUMNS)
         )  # see sim.world.drive_trains; one row a robot, in order of adding
         self.motion = np.empty((0, 7))
-        self.commands = self.places = memoryview(b"")  # both, for who reads or writes one row
+        # Byte views of both arrays, to read or write one row.
+        self.commands = self.places = memoryview(b"")
         self.moved_us = np.empty(0, dtype=np.int64)  # the last step at whose end each robot moved
         self._seed = seed
         self._keys = np.empty(0, dtype=np.uint64)
