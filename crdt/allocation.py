@@ -103,7 +103,7 @@ class FieldAllocationCRDT:
     def _raise(self, section: int, key: int, phase: Phase, bid: int, owner: int) -> int | None:
         epoch = epoch_of(key)
         if epoch == EPOCH_MAX:
-            return None  # the stated limit: 255 hand-overs; the section stays with its owner
+            return None  # the limit of 255 hand-overs is reached; the section stays with its owner
         return self._write(section, epoch + 1, phase, bid, owner)
 
     def _write(self, section: int, epoch: int, phase: Phase, bid: int, owner: int) -> int:
@@ -244,7 +244,7 @@ class FieldAllocationCRDT:
         lamport = rows["low"] | rows["high"].astype(np.uint32) << 16
         keys = pack_all(rows["epoch"], phase, bid, lamport, rows["owner"])
         sections = rows["section"]
-        if (sections[1:] <= sections[:-1]).any():  # not as we write it
+        if (sections[1:] <= sections[:-1]).any():  # our own output is strictly sorted
             # If a section was written twice, the greater key is kept.
             order = np.argsort(keys, kind="stable")
             sections, keys = sections[order], keys[order]

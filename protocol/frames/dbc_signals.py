@@ -1,9 +1,9 @@
-"""Every bit of every frame as a named signal: what outside tools need to read a log.
+"""Every bit of every frame as a named signal, for external tools that read a log.
 
-Little-endian throughout: `start` is the lowest bit, counted from bit 0 of byte 0. A signal has the name
-of the message's field, unless that is a keyword of C or C++, and gives its value as
-`raw * scale + offset`. Reserved bits have signals of their own, with the value that they are sent with:
-encoders of others would send 0 where J1939 wants 1.
+Little-endian throughout: `start` is the lowest bit, counted from bit 0 of byte 0. A signal has the
+name of the message's field, unless that is a keyword of C or C++, and gives its value as `raw *
+scale + offset`. Reserved bits have separate signals with their fixed value, because encoders of
+other makers would otherwise send 0 where J1939 requires 1.
 """
 
 from contextlib import suppress

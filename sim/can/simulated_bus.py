@@ -232,7 +232,7 @@ class FieldBus(BusABC):
         self._fd: int | None = None
         self._open = True
         self._sent = 0  # the number when it was closed
-        if receive_own_messages:  # as SocketCAN: when they have left, not before
+        if receive_own_messages:  # as with SocketCAN: after they have left, not before
             self.tell_sent(self._deliver)
 
     # ---------------------------------------------------------------- direct interface

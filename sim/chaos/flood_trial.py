@@ -75,7 +75,7 @@ def draw(
     identifier = low if rng.random() < 0.4 else priority << 26 | rng.choice((ADDRESS, UNKNOWN))
     for_s = round(
         longest_s ** rng.random(), 3
-    )  # as many between 1 and 11 s as between 11 and 120 s
+    )  # half of the draws are between 1 and 11 s, half between 11 and 120 s
     share, length = rng.choice(SHARES), rng.choice((0, 8, 8, 8))
     presses = rng.choice((0, 1, 1, 1, 3))
     count, ending = robots or count, policy or ending

@@ -115,7 +115,7 @@ def sync(data: bytes) -> None:
 def peer(data: bytes) -> None:
     """Frames to a whole peer, stopped first if the first byte is odd: only a reset releases it."""
     ours, now_us, resets = _peer({}), 0, 0
-    for _ in range(4):  # it joins
+    for _ in range(4):  # ticks until the peer has joined
         now_us = max(now_us, ours.deadline_us)
         ours.tick(now_us)
     if data[:1] and data[0] & 1:

@@ -42,7 +42,7 @@ def read_bytes(path: Path, bytes_max: int) -> bytes:
         raise GivenFileError(f"cannot be read: {problem.strerror}") from None
     except ValueError:  # a NUL in the name
         raise GivenFileError("cannot be read: that is no file name") from None
-    if stat.S_ISDIR(os.fstat(handle).st_mode):  # Python opens no file on a folder
+    if stat.S_ISDIR(os.fstat(handle).st_mode):  # Python does not open a folder as a file
         os.close(handle)
         raise GivenFileError("cannot be read: not a regular file")
     with os.fdopen(handle, "rb") as file:

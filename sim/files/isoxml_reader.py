@@ -273,7 +273,7 @@ def position(path: Path, name: str, point: Any) -> LonLat:
         raise FieldFileError(
             f"{path}: {name}: a point at C={point.north!s:.20} D={point.east!s:.20}, not two numbers"
         ) from None
-    if not (-180 <= lon <= 180 and -90 <= lat <= 90):  # also where it is not a number
+    if not (-180 <= lon <= 180 and -90 <= lat <= 90):  # also true for NaN
         raise FieldFileError(
             f"{path}: {name}: a point at {lat:g}, {lon:g}; latitude and longitude are in degrees"
         )

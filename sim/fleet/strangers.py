@@ -133,7 +133,8 @@ def _impossible_work(
             yield TaskClaim(beyond, 1, phase, 3, lamport, owner)
             yield TaskClaim(section, 1, phase, 3, lamport, OWNER_BEYOND + rng.randrange(50))
             yield TaskClaim(section, epochs[turn % len(epochs)], phase, 3, lamport, owner)
-            yield TaskClaim(section, 9, phase, 3, rng.randrange(9), owner)  # each was an operation
+            # Each frame is an operation.
+            yield TaskClaim(section, 9, phase, 3, rng.randrange(9), owner)
             yield WorkProgress(beyond, rng.randrange(8), rng.getrandbits(32))
             turn += 1
 

@@ -194,7 +194,7 @@ def _scene(path: Path) -> Scene | None:
                     scene: Scene = json.loads(attachment.data)
                     return scene if isinstance(scene, dict) else None
         except Exception:  # a killed run has no index, and a damaged one may have any content
-            return None  # its frames are there all the same
+            return None  # its frames can be read without the scene
     return None
 
 

@@ -245,9 +245,7 @@ class Clone(_Fault):
 
 
 class Blind(_Fault):
-    kind: Literal[
-        "blind"
-    ]  # nothing of what the robot senses arrives: a muted antenna, a dead driver
+    kind: Literal["blind"]  # no observation reaches the robot: a muted antenna, a dead driver
     robot: Slot
     for_s: float = Field(gt=0.0)
 
@@ -268,7 +266,7 @@ class Late(_Fault):
 class DiskFull(_Fault):
     kind: Literal[
         "disk_full"
-    ]  # the robot's disk takes no write; then it is switched on with another
+    ]  # every write to the robot's disk fails; then it is switched on with another disk
     robot: Slot
     for_s: float = Field(gt=0.0)
 

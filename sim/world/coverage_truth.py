@@ -112,7 +112,7 @@ def _strokes(track):  # type: ignore[no-untyped-def]
         length = np.hypot(dx, dy)
         if length < MERGE_M and not last:
             continue
-        if length < MERGE_M and has_course:  # the end of a run: on in the last direction
+        if length < MERGE_M and has_course:  # the end of a run continues in the last direction
             along = max(dx * cx + dy * cy, 0.0)
             dx, dy = along * cx, along * cy
         if length < 1e-9:

@@ -44,7 +44,7 @@ SPIN_RAD_S2 = 70.0  # the same, with wheels a decimetre from the middle
 BACK_RAD, FORTH_RAD = 2.6, 2.0  # further off its course a tractor backs up; nearer it goes forward
 # A differential drive; between the two it keeps its present direction.
 BACK_FOREMOST_RAD, FRONT_FOREMOST_RAD = 1.8, 1.3
-PIVOT_PER_S = 4.0  # a differential drive turns this share of its course error
+PIVOT_PER_S = 4.0  # a differential drive turns this share of its course error per second
 CREEP = 0.4  # share of the wanted speed that a tractor keeps while it turns towards its course
 
 

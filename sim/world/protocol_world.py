@@ -135,7 +135,7 @@ class ProtocolWorld(World):
         self.together: list[Violation] = []  # S7
         self.counts: Callable[[], bool] = lambda: (
             True
-        )  # whether two in a section are wrong just now
+        )  # whether two robots in a section are a violation at present
         self.contacts: list[Contact] = []
         self._at_work: dict[int, tuple[int, int]] = {}  # section -> robot and when it last worked
 
@@ -232,7 +232,7 @@ class TimedMission:
         return STILL
 
     def work(self, view: FleetView) -> MotionRequest:
-        if self._section is None:  # resumed after a stop or a sync
+        if self._section is None:  # continues after a stop or a sync
             self.begin(view.allocation.assigned_sections(view.slot)[0], view)
         section, now_us = self._section, view.now_us
         assert section is not None

@@ -180,7 +180,7 @@ def _strokes_pass(  # type: ignore[no-untyped-def]
 def _edges_near(edges, x, y, reach, near):  # type: ignore[no-untyped-def]
     count = 0
     within = reach
-    while True:  # nearer ones only, where there are too many
+    while True:  # if there are too many, take only nearer ones
         count = 0
         for k in range(edges.shape[0]):
             if _distance(x, y, edges[k]) <= within:

@@ -116,7 +116,7 @@ def _fill(floats, columns, rows, cursor, items):  # type: ignore[no-untyped-def]
             for c in range(max(first_c, 0), min(last_c, columns - 1) + 1):
                 mx, my = west + (c + 0.5) * side, south + (r + 0.5) * side
                 if abs((mx - x) * dy - (my - y) * dx) > half * (abs(dx) + abs(dy)):
-                    continue  # the line passes the bucket by
+                    continue  # the line does not cross the bucket
                 bucket = r * columns + c
                 if items.size:
                     items[cursor[bucket]] = k
