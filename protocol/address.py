@@ -4,13 +4,12 @@ One device's state machine, sans I/O. It outputs `AddressMessage` values: a mess
 address that it must be sent from, because a claim is sent from the address it claims.
 
     state      what it is doing
-        WAITING    random delay of 0 to 153 ms, so that devices powered up together do not collide
-        CONTENDING our claim is on the bus; for 250 ms a device with a lower NAME may object
-        HELD       the address is ours; a claim by a higher NAME is answered with ours
-        CANNOT     no address is left; the device sends only "cannot claim" answers from address
-        254.
-                   After a while it forgets the claims it has heard, requests all claims, and starts
-                   again (J1939-81)
+    WAITING    random delay of 0 to 153 ms, so that devices powered up together do not collide
+    CONTENDING our claim is on the bus; for 250 ms a device with a lower NAME may object
+    HELD       the address is ours; a claim by a higher NAME is answered with ours
+    CANNOT     no address is left; the device sends only "cannot claim" from address 254. After a
+               while it forgets the claims it has heard, requests all claims, and starts again
+               (J1939-81)
 """
 
 from collections.abc import Mapping
