@@ -1,11 +1,13 @@
-"""Who works which section: a map of registers, each joined by maximum, and a Lamport clock.
+"""The owner and state of each section: a map of registers, each joined by maximum, and a Lamport
+clock.
 
-Local operations write and return the key to broadcast, or None where the rules do not allow them.
-Whether an operation is wise is policy and lives elsewhere.
+Local operations write and return the key to broadcast, or None if the rules do not allow them.
+Whether an operation is useful is decided by policy elsewhere.
 
-Registers are Python integers in one dict: joining a replica is a comparison an entry, and a register is
-8 bytes on the wire and on disk. Limits: 65,536 sections; 255 hand-overs of a section; 2^24 - 1 operations
-of the whole fleet on one field, after which the Lamport clock stands still and earlier no longer wins.
+Registers are Python integers in one dict. Joining a replica is one comparison per entry, and a
+register is 8 bytes on the wire and on disk. Limits: 65,536 sections; 255 hand-overs of a section;
+2^24 - 1 operations of the whole fleet on one field, after which the Lamport clock stops and the
+earlier claim no longer wins.
 """
 
 from collections.abc import Iterator, Mapping
@@ -37,7 +39,7 @@ HEADER = Struct("<I")
 ROWS = np.dtype([("section", "<u2"), ("epoch", "u1"), ("mixed", "u1"), ("low", "<u2"), ("high", "u1"),
                  ("owner", "u1")])  # fmt: skip
 assert ROWS.itemsize == ENTRY.size == 8
-PHASES = np.isin(np.arange(8), [int(phase) for phase in Phase])  # those that exist
+PHASES = np.isin(np.arange(8), [int(phase) for phase in Phase])  # the valid values of a phase
 HELD = (Phase.CLAIMED, Phase.STARTED)
 BY_NUMBER = {int(phase): phase for phase in Phase}  # calling an Enum is slow; missions ask often
 
@@ -49,20 +51,19 @@ class FieldAllocationCRDT:
         self._keys: dict[int, int] = {}
         self._sums = Sums(KIND, self._keys)
         self._done = 0
-        self._held: dict[int, list[int]] = {}  # by owner, what was asked for since the last change
-        self.changes = (
-            0  # grows with every register that grows: who looked then need not look again
-        )
+        self._held: dict[int, list[int]] = {}  # by owner, cached since the last change
+        # Grows with every register that grows, so that readers can skip an unchanged allocation.
+        self.changes = 0
 
     @staticmethod
     def hash_of(description: str) -> int:
-        """24 bits of a field or fleet description: replicas of different ones never merge."""
+        """24 bits of a field or fleet description; replicas with different hashes never merge."""
         return crc32(description.encode()) & 0xFFFFFF
 
     # ---------------------------------------------------------------- local operations
 
     def claim(self, section: int, owner: int, bid: int = 0) -> int | None:
-        """Want a free section. None where somebody has it, or it is done."""
+        """Claim a free section. None if it has an owner or is done."""
         key = self._keys.get(section)
         if key is None:
             return self._write(section, 0, Phase.CLAIMED, bid, owner)
@@ -71,28 +72,29 @@ class FieldAllocationCRDT:
         return self._write(section, epoch_of(key), Phase.CLAIMED, bid, owner)
 
     def start(self, section: int, owner: int) -> int | None:
-        """Begin what is claimed: from now on no cheaper claim of this epoch takes it away."""
+        """Start claimed work: from now on no cheaper claim of this epoch takes it away."""
         key = self._keys.get(section)
         if key is None or phase_of(key) != Phase.CLAIMED or owner_of(key) != owner:
             return None
         return self._write(section, epoch_of(key), Phase.STARTED, bid_of(key), owner)
 
     def done(self, section: int, owner: int) -> int | None:
-        """Finished. Absorbs everything, from whoever finished it; None where it was done already."""
+        """Mark as finished, whatever the owner; this wins every join. None if it was done
+        already."""
         key = self._keys.get(section, 0)
         if phase_of(key) == Phase.DONE:
             return None
         return self._write(section, epoch_of(key), Phase.DONE, 0, owner)
 
     def release(self, section: int, owner: int) -> int | None:
-        """Give an own section back. None for a section that is not ours."""
+        """Give an own section back. None for a section of another owner."""
         key = self._keys.get(section)
         if key is None or owner_of(key) != owner or phase_of(key) not in HELD:
             return None
         return self._raise(section, key, Phase.FREE, 0, owner)
 
     def takeover(self, section: int, owner: int, bid: int = 0) -> int | None:
-        """Take a section from an owner that is gone; the raised epoch fences it off."""
+        """Take a section from an owner that is gone; the raised epoch rejects its later writes."""
         key = self._keys.get(section)
         if key is None or owner_of(key) == owner or phase_of(key) not in HELD:
             return None
@@ -101,12 +103,12 @@ class FieldAllocationCRDT:
     def _raise(self, section: int, key: int, phase: Phase, bid: int, owner: int) -> int | None:
         epoch = epoch_of(key)
         if epoch == EPOCH_MAX:
-            return None  # the stated limit: 255 hand-overs; the section stays with its owner
+            return None  # the limit of 255 hand-overs is reached; the section stays with its owner
         return self._write(section, epoch + 1, phase, bid, owner)
 
     def _write(self, section: int, epoch: int, phase: Phase, bid: int, owner: int) -> int:
         assert 0 <= section <= SECTION_MAX
-        # One frame from the wire can carry the clock to its end: it then stands still, it never wraps.
+        # One frame from the wire can carry the clock to its end; it then stops and never wraps.
         self.lamport = min(self.lamport + 1, LAMPORT_MAX)
         key = pack(epoch, phase, bid, self.lamport, owner)
         changed = self.apply(section, key)
@@ -116,7 +118,7 @@ class FieldAllocationCRDT:
     # ---------------------------------------------------------------- joining
 
     def apply(self, section: int, key: int) -> bool:
-        """Join one register; True where it changed."""
+        """Join one register; True if it changed."""
         lamport = lamport_of(key)
         if lamport > self.lamport:
             self.lamport = lamport
@@ -131,7 +133,8 @@ class FieldAllocationCRDT:
         return True
 
     def merge(self, other: "FieldAllocationCRDT") -> set[int]:
-        """Join a whole replica; returns the sections that changed. ValueError: another field."""
+        """Join a whole replica; returns the sections that changed. ValueError if it is of another
+        field."""
         if other.field_hash != self.field_hash:
             raise ValueError(
                 f"replicas of different fields: {self.field_hash:06x} and {other.field_hash:06x}"
@@ -155,8 +158,8 @@ class FieldAllocationCRDT:
     def delta(self, cut: int) -> Iterator[tuple[int, int]]:
         """(section, key) written after Lamport time `cut`, in section order.
 
-        All that another replica lacks, if nobody wrote who was behind `cut` then. A key at the end of
-        the clock is always news.
+        This is all that another replica lacks, provided that no writer was behind `cut` at that
+        time. A key at the end of the clock is always included.
         """
         for section in sorted(self._keys):
             key = self._keys[section]
@@ -169,19 +172,19 @@ class FieldAllocationCRDT:
         return self._keys.get(section)
 
     def entry(self, section: int) -> Claim:
-        """The register taken apart; a section nobody wrote is FREE at epoch 0."""
+        """The fields of the register; a section that was never written is FREE at epoch 0."""
         return Claim.unpack(self._keys.get(section, pack(0, Phase.FREE, 0, 0, 0)))
 
     def phase_of(self, section: int) -> Phase:
         return BY_NUMBER[phase_of(self._keys.get(section, 0))]
 
     def owner_of(self, section: int) -> int | None:
-        """The slot that holds or finished a section; None where it is free."""
+        """The slot that holds or finished a section; None if it is free."""
         key = self._keys.get(section)
         return None if key is None or phase_of(key) == Phase.FREE else owner_of(key)
 
     def assigned_sections(self, owner: int) -> list[int]:
-        """Sections claimed or started by a slot, not the finished ones."""
+        """Sections claimed or started by a slot, without the finished ones."""
         held = self._held.get(owner)
         if held is None:
             held = self._held[owner] = sorted(
@@ -230,7 +233,7 @@ class FieldAllocationCRDT:
 
     @classmethod
     def deserialize(cls, data: bytes) -> "FieldAllocationCRDT":
-        """ValueError where the bytes are not a serialized allocation."""
+        """ValueError if the bytes are not a serialized allocation."""
         if (len(data) - HEADER.size) % ENTRY.size or len(data) < HEADER.size:
             raise ValueError(f"an allocation does not have {len(data)} bytes")
         replica = cls(HEADER.unpack_from(data)[0])
@@ -241,10 +244,9 @@ class FieldAllocationCRDT:
         lamport = rows["low"] | rows["high"].astype(np.uint32) << 16
         keys = pack_all(rows["epoch"], phase, bid, lamport, rows["owner"])
         sections = rows["section"]
-        if (sections[1:] <= sections[:-1]).any():  # not as we write it
-            order = np.argsort(
-                keys, kind="stable"
-            )  # of a section written twice the greater one stays
+        if (sections[1:] <= sections[:-1]).any():  # our own output is strictly sorted
+            # If a section was written twice, the greater key is kept.
+            order = np.argsort(keys, kind="stable")
             sections, keys = sections[order], keys[order]
         replica._keys.update(zip(sections.tolist(), keys.tolist(), strict=True))
         replica._sums.changing_all(dict.fromkeys(replica._keys))

@@ -1,12 +1,12 @@
 """Dots and vector clocks: which events of which replica have been seen.
 
-A `VectorClock` is mutable and owned by one peer: with 108 members it is updated at a hundred heartbeats
-a second, and an immutable one would copy 108 entries each time. `copy()` gives one that stays as it is;
-nothing that comes in or goes out shares a dictionary with the clock.
+A `VectorClock` is mutable and owned by one peer. With 108 members it is updated at a hundred
+heartbeats a second, and an immutable one would copy 108 entries each time. `copy()` gives an
+independent one; no dictionary that is passed in or out is shared with the clock.
 
-A component is never taken away. A clock without it would forget which events it covers, and a replica
-that came back would number its events from 1 again: two events under one dot. A replica that leaves for
-ever is retired instead: it keeps its last count and gets no further dot.
+A component is never removed. A clock without it would forget which events it covers, and a replica
+that came back would number its events from 1 again: two events with one dot. A replica that leaves
+forever is retired instead: it keeps its last count and gets no further dot.
 """
 
 from collections.abc import Iterator, Mapping
@@ -14,14 +14,14 @@ from typing import NamedTuple
 
 
 class Dot(NamedTuple):
-    """The counter-th event of one replica. A dot names one event for ever; it is never reused."""
+    """The counter-th event of one replica. A dot names one event forever; it is never reused."""
 
     replica: int
     counter: int
 
 
 class VectorClock:
-    """How many events of each replica have been seen; replicas never heard of count as 0.
+    """How many events of each replica have been seen; unknown replicas count as 0.
 
     >>> a, b = VectorClock({1: 2}), VectorClock({1: 1, 2: 1})
     >>> a.concurrent_with(b), a.happens_before(a.merged(b))
@@ -32,7 +32,7 @@ class VectorClock:
 
     def __init__(self, counts: Mapping[int, int] | None = None) -> None:
         self._counts: dict[int, int] = {}
-        self._retired: set[int] = set()  # local knowledge, no part of the clock's value
+        self._retired: set[int] = set()  # local knowledge, not part of the clock's value
         for replica, count in (counts or {}).items():
             assert count >= 0
             if count:
@@ -48,14 +48,14 @@ class VectorClock:
         return len(self._counts)
 
     def increment(self, replica: int) -> Dot:
-        """Count one more own event, and name it."""
+        """Count one more own event, and return its dot."""
         assert replica not in self._retired, "a retired replica writes under a new identity"
         counter = self._counts.get(replica, 0) + 1
         self._counts[replica] = counter
         return Dot(replica, counter)
 
     def retire(self, replica: int) -> None:
-        """The replica gives no more events: keep what it did, number nothing after it."""
+        """The replica gives no more events: keep its count, and number no event after it."""
         self._retired.add(replica)
 
     def is_retired(self, replica: int) -> bool:
@@ -103,7 +103,7 @@ class VectorClock:
         return self <= other and self != other
 
     def concurrent_with(self, other: "VectorClock") -> bool:
-        """Neither is before the other, and they are not the same."""
+        """Whether neither is before the other, and they are not equal."""
         return not self <= other and not other <= self
 
     def copy(self) -> "VectorClock":

@@ -1,10 +1,11 @@
 """Digests of replicated state: order-independent, kept up to date entry by entry.
 
-An entry (kind, name, value) is mixed to 64 bits with splitmix64's finaliser (Steele, Lea, Flood 2014)
-and added modulo 2^64 to the sum of its bucket; the digest that travels is the top 24 bits of the sum of
-all buckets. Sums and not XOR: both are incremental, but an entry that is wrongly counted twice vanishes
-from an XOR and shows in a sum. Two different states agree in 24 bits once in 17 million; since the next
-change of either draws again, a collision only hides a difference while nothing happens.
+An entry (kind, name, value) is mixed to 64 bits with splitmix64's finaliser (Steele, Lea, Flood
+2014) and added modulo 2^64 to the sum of its bucket. The transmitted digest is the top 24 bits of
+the sum of all buckets. Sums are used and not XOR: both are incremental, but an entry that is
+wrongly counted twice cancels in an XOR and shows in a sum. Two different states agree in 24 bits
+once in 17 million. The next change of either state gives new digests, so a collision hides a
+difference only while nothing changes.
 """
 
 from collections.abc import Mapping
@@ -12,9 +13,9 @@ from functools import lru_cache
 
 MASK = (1 << 64) - 1
 DIGEST_BITS = 24
-BUCKETS = 32  # of the fall-back sync; 11 frames of three digests carry them
-# Hashes that are remembered, of each kind: 0.2 MB. Peers in one process hash the same few changes within
-# a second; a robot by itself hashes each change once, and would fill a larger memory for hours.
+BUCKETS = 32  # of the fall-back sync; sent in 11 frames of three digests
+# Cached hashes, of each kind: 0.2 MB. Peers in one process hash the same few changes within a
+# second. A robot alone hashes each change once, and would fill a larger cache for hours.
 HASHES_MAX = 1 << 9
 
 
@@ -28,19 +29,20 @@ def mix(number: int) -> int:
 
 @lru_cache(maxsize=HASHES_MAX)
 def place(kind: int, name: int) -> int:
-    """64 bits of a name; `kind` separates the collections."""
+    """A 64-bit hash of a name; `kind` separates the collections."""
     return mix(kind << 32 | name)
 
 
 @lru_cache(maxsize=HASHES_MAX)
 def entry_hash(kind: int, name: int, value: int) -> int:
-    """Of one entry. Values wider than 64 bits would be cut off; registers have 49, blocks 40."""
+    """The hash of one entry. Values wider than 64 bits would be cut; registers have 49, blocks
+    40."""
     return mix(place(kind, name) ^ value)
 
 
 @lru_cache(maxsize=HASHES_MAX)
 def change_of(kind: int, name: int, before: int | None, value: int) -> tuple[int, int]:
-    """(bucket, what is added to its sum) where an entry changes."""
+    """(bucket, value to add to its sum) for a change of an entry."""
     change = entry_hash(kind, name, value)
     if before is not None:
         change -= entry_hash(kind, name, before)
@@ -52,7 +54,7 @@ def bucket_of(kind: int, name: int) -> int:
 
 
 def short(total: int) -> int:
-    """The 24 bits that travel."""
+    """The 24 bits that are transmitted."""
     return (total & MASK) >> (64 - DIGEST_BITS)
 
 
@@ -68,7 +70,7 @@ class Sums:
         self._before: dict[int, int | None] = {}  # name -> the value that is still in the sums
 
     def changing(self, name: int, before: int | None) -> None:
-        """An entry is about to change. Hashing waits until somebody asks."""
+        """An entry is about to change. It is hashed only when a sum is needed."""
         self._before.setdefault(name, before)
 
     def changing_all(self, before: Mapping[int, int | None]) -> None:

@@ -1,14 +1,15 @@
 """A clock that a fleet shares without agreeing on the time of day: a Lamport clock that also ticks.
 
-It counts ticks since it was made and jumps ahead to every later stamp it hears, so nobody is ever behind
-what it has seen, and all of a fleet run with the one that is ahead. Nothing is compared with a
-wall clock. One wrong stamp can carry all clocks to the end of their range; there they stand still.
+It counts ticks since it was made and jumps ahead to every later stamp it receives. So no clock is
+behind what its robot has seen, and all clocks of a fleet follow the one that is ahead. Nothing is
+compared with a wall clock. One wrong stamp can carry all clocks to the end of their range, where
+they stop.
 """
 
 
 class HybridClock:
     def __init__(self, now_us: int, tick_us: int, last: int) -> None:
-        """Its first tick is 1: nothing was written before. `last`: where it stands still."""
+        """Its first tick is 1, because nothing was written before. `last`: where it stops."""
         assert tick_us > 0 and last > 0
         self._zero_us, self.tick_us, self.last = now_us - tick_us, tick_us, last
 
@@ -16,5 +17,5 @@ class HybridClock:
         return min(max((now_us - self._zero_us) // self.tick_us, 1), self.last)
 
     def witness(self, stamp: int, now_us: int) -> None:
-        """A stamp that was seen: ours is not behind it from now on."""
+        """Make sure that our clock is not behind a stamp that was received."""
         self._zero_us = min(self._zero_us, now_us - stamp * self.tick_us)

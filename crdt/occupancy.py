@@ -1,9 +1,10 @@
 """The fleet's map: for each cell the record of one robot, joined by one total order.
 
-Cells lie in patches of 4 x 4, what one frame tells; patches are numbered along the Z-order curve (Morton
-1966), so that 16 of them in a row are a square tile of 16 x 16 cells, 16 tiles a square of tiles, and a
-digest of any square is a sum over a slice. A patch is a row of `_keys`; `crdt.sighting` says what a key
-is. What was explored is a set of its own that only grows: progress never goes back.
+Cells lie in patches of 4 x 4, the content of one frame. Patches are numbered along the Z-order
+curve (Morton 1966), so 16 consecutive patches are a square tile of 16 x 16 cells, 16 tiles a square
+of tiles, and a digest of any square is a sum over a slice. A patch is a row of `_keys`;
+`crdt.sighting` defines a key. The explored cells are a separate set that only grows, so progress
+never goes back.
 """
 
 from collections.abc import Iterable, Iterator
@@ -29,8 +30,8 @@ Keys = NDArray[np.int64]
 XY = tuple[float, float]
 SIDE = 4  # cells of a patch, each way
 CELLS = SIDE * SIDE
-FANOUT = 16  # squares in the next greater one
-SIDE_MAX = 960  # cells each way: patch numbers stay below 0xFF00, above are other sections
+FANOUT = 16  # squares in the next larger one
+SIDE_MAX = 960  # cells each way: patch numbers stay below 0xFF00; higher numbers are other sections
 HEAD = Struct("<HHdddB")  # rows, columns, origin, side of a cell, order
 PATCH = Struct("<H")
 PATCH_BYTES = 3 * CELLS
@@ -39,13 +40,13 @@ ORDERS = tuple(MergeOrder)
 
 
 class MergeResult(NamedTuple):
-    cells_updated: int  # no update: everybody explores what is known, spread out
+    cells_updated: int  # without updates, all robots explore what is known, spread out
     robots_merged: int
     time_us: int
 
 
 class Geometry(NamedTuple):
-    """Which square of the world a cell is. Row 0 is in the south, column 0 in the west."""
+    """Maps cells to squares of the world. Row 0 is in the south, column 0 in the west."""
 
     rows: int
     columns: int
@@ -59,7 +60,7 @@ class Geometry(NamedTuple):
         )
 
     def cell(self, at: XY) -> tuple[int, int]:
-        """Row and column; may be outside."""
+        """Row and column; may be outside of the map."""
         row = (at[1] - self.origin_m[1]) / self.cell_m
         return int(row // 1), int((at[0] - self.origin_m[0]) / self.cell_m // 1)
 
@@ -100,14 +101,14 @@ class OccupancyMap:
         self._inside.ravel()[self._place.ravel()] = True
         self._explored = np.zeros((patches, CELLS), dtype=np.bool_)
         self._sums = np.zeros(patches, dtype=np.uint64)
-        self._stale: set[int] = set()  # patches that are not in the sums as they are
+        self._stale: set[int] = set()  # patches whose present content is not in the sums yet
         self.explored_count = 0
-        self.refused = 0  # cells told of that are not on the map
-        self.version = 0  # counts joins that changed something
+        self.refused = 0  # received cells that are not on the map
+        self.version = 0  # number of joins that changed the map
 
     @property
     def patches(self) -> int:
-        """How many numbers of patches there are: a power of 16."""
+        """The size of the range of patch numbers: a power of 16."""
         return len(self._keys)
 
     # ---------------------------------------------------------------- joining
@@ -115,7 +116,8 @@ class OccupancyMap:
     def apply(
         self, patch: int, values: NDArray[np.int64], level: int, time: int, observer: int
     ) -> int:
-        """Join what one robot saw of one patch at one time; UNKNOWN is nothing. Cells that changed."""
+        """Join one robot's view of one patch at one time; UNKNOWN means none. Returns the changed
+        cells."""
         keys = np.where(values != UNKNOWN, base(self.order, level, time, observer) | values, 0)
         return self.join(patch, keys)
 
@@ -144,7 +146,8 @@ class OccupancyMap:
         self.version += 1
 
     def join_map(self, other: "OccupancyMap") -> int:
-        """Join a whole map, of any size, origin and cell. Cells that changed."""
+        """Join a whole map, of any size, origin and cell size. Returns the number of changed
+        cells."""
         assert other.order is self.order, "maps of different orders do not join"
         theirs = other if other.geometry == self.geometry else resample(other, self.geometry)
         keys = theirs._keys
@@ -157,19 +160,19 @@ class OccupancyMap:
         return changed
 
     def merge(self, others: Iterable["OccupancyMap"], time_us: int) -> MergeResult:
-        """Join the maps of some robots, with what the mission wants to know of it."""
+        """Join the maps of some robots; returns the values that the mission needs."""
         changed = [self.join_map(other) for other in others]
         return MergeResult(sum(changed), len(changed), time_us)
 
     # ---------------------------------------------------------------- reading
 
     def sighting(self, row: int, column: int) -> CellObservation | None:
-        """The record of a cell, None where nobody saw it."""
+        """The record of a cell; None if no robot saw it."""
         key = int(self._keys.ravel()[self._place[row, column]])
         return unpack(key) if key else None
 
     def keys(self) -> Keys:
-        """(rows, columns), a copy; 0 where nobody saw."""
+        """(rows, columns), a copy; 0 for cells that no robot saw."""
         found: Keys = self._keys.ravel()[self._place]
         return found
 
@@ -178,7 +181,8 @@ class OccupancyMap:
         return self.keys() & VALUE
 
     def observers(self) -> NDArray[np.int64]:
-        """(rows, columns): the slot whose record stands; meaningless where nobody saw."""
+        """(rows, columns): the slot whose record is valid; meaningless for cells that no robot
+        saw."""
         return self.keys() >> 2 & OBSERVER_MAX
 
     def explored(self) -> NDArray[np.bool_]:
@@ -187,7 +191,7 @@ class OccupancyMap:
 
     @property
     def progress(self) -> float:
-        """Share of the cells that somebody has ever seen."""
+        """Share of the cells that any robot has ever seen."""
         return self.explored_count / (self.geometry.rows * self.geometry.columns)
 
     def patch(self, patch: int) -> Keys:
@@ -201,7 +205,7 @@ class OccupancyMap:
     # ---------------------------------------------------------------- digests
 
     def sums(self) -> NDArray[np.uint64]:
-        """A hash of each patch, modulo 2**64; 0 where nothing is known."""
+        """A hash of each patch, modulo 2**64; 0 if nothing is known of it."""
         if self._stale:
             rows = np.array(sorted(self._stale), dtype=np.int64)
             keys = self._keys[rows]
@@ -224,7 +228,7 @@ class OccupancyMap:
         return bytes(records.view(np.uint8).reshape(CELLS, 4)[:, :3].tobytes())
 
     def join_bytes(self, patch: int, data: bytes) -> int:
-        """ValueError where these are not the records of a patch."""
+        """ValueError if these are not the records of a patch."""
         if len(data) != PATCH_BYTES:
             raise ValueError(f"a patch does not have {len(data)} bytes")
         records = [int.from_bytes(data[k : k + 3], "little") for k in range(0, PATCH_BYTES, 3)]
@@ -238,7 +242,7 @@ class OccupancyMap:
         return base(self.order, level, time, observer) | value
 
     def serialize(self) -> bytes:
-        """Equal maps, equal bytes."""
+        """Equal maps give equal bytes."""
         rows, columns, origin, cell_m = self.geometry
         head = HEAD.pack(rows, columns, *origin, cell_m, ORDERS.index(self.order))
         known = [PATCH.pack(p) + self.patch_bytes(p) for p in self.known_patches()]
@@ -246,7 +250,7 @@ class OccupancyMap:
 
     @classmethod
     def deserialize(cls, data: bytes) -> "OccupancyMap":
-        """ValueError where the bytes are not a serialized map."""
+        """ValueError if the bytes are not a serialized map."""
         size = PATCH.size + PATCH_BYTES
         if len(data) < HEAD.size or (len(data) - HEAD.size) % size:
             raise ValueError(f"a map does not have {len(data)} bytes")
@@ -278,9 +282,10 @@ def mix(numbers: NDArray[np.uint64]) -> NDArray[np.uint64]:
 
 
 def resample(source: OccupancyMap, geometry: Geometry) -> OccupancyMap:
-    """A map on other cells: each takes the greatest record of the cells it shares a centre with.
+    """A map on other cells: each takes the greatest record of the cells with which it shares a
+    centre.
 
-    A maximum of maxima: resampling a join is joining what was resampled, whatever the order.
+    It is a maximum of maxima, so resampling a join equals joining resampled maps, in any order.
     """
     result = OccupancyMap(geometry, source.order)
     coarse, fine = np.zeros((geometry.rows, geometry.columns), dtype=np.int64), source.keys()
@@ -299,7 +304,7 @@ def resample(source: OccupancyMap, geometry: Geometry) -> OccupancyMap:
 
 
 def _indices(of: Geometry, within: Geometry) -> tuple[Keys, Keys]:
-    """For each row and column `of` one grid the one of the other its centre is in, or -1."""
+    """For each row and column of `of`, the one of `within` that contains its centre, or -1."""
     found = []
     for count, axis, limit in ((of.rows, 1, within.rows), (of.columns, 0, within.columns)):
         centres = of.origin_m[axis] + (np.arange(count) + 0.5) * of.cell_m

@@ -1,8 +1,9 @@
-"""What has been done: for each section a set of units that only grows, joined by union.
+"""The work done: for each section a set of units that only grows, joined by union.
 
-Claims are hints, this is the truth: a claim can be lost, a covered unit cannot. Units travel in
-blocks of 40, the bits of one WORK_PROGRESS frame. A block has no Lamport time, because its join needs
-none; what a peer lacks is found by when a block last grew here (`protocol/sync/replica.py`).
+Claims are hints and progress is the truth, because a claim can be lost and a covered unit cannot.
+Units are sent in blocks of 40, the bits of one WORK_PROGRESS frame. A block has no Lamport time,
+because its join needs none. The version of a block's last growth here tells what a peer lacks
+(`protocol/sync/replica.py`).
 """
 
 from collections.abc import Iterator, Mapping
@@ -24,23 +25,24 @@ def name_of(section: int, block: int) -> int:
 
 class Progress:
     def __init__(self, units: Mapping[int, int] | None = None) -> None:
-        """`units`: how many units each section has; bits beyond are refused. Others: unlimited."""
+        """`units`: the number of units of each section; higher bits are refused. Others:
+        unlimited."""
         self.units = dict(units or {})
         assert all(0 <= n <= UNITS_MAX for n in self.units.values())
         self._blocks: dict[int, int] = {}  # name -> bits
         self._sums = Sums(KIND, self._blocks)
         self._count: dict[int, int] = {}
-        self.refused = 0  # bits of units that do not exist: a field description that differs
+        self.refused = 0  # bits of units that do not exist, caused by a different field description
 
     def cover(self, section: int, unit: int) -> tuple[int, int]:
-        """Add one unit; returns (block, bits of the block now), which is what is announced."""
+        """Add one unit; returns (block, present bits of the block) for the announcement."""
         block, bit = divmod(unit, BLOCK_UNITS)
         assert 0 <= unit < self.units.get(section, UNITS_MAX), "no such unit"
         self.apply(section, block, 1 << bit)
         return block, self._blocks[name_of(section, block)]
 
     def apply(self, section: int, block: int, bits: int) -> bool:
-        """Join one block; True where it grew."""
+        """Join one block; True if it grew."""
         name = name_of(section, block)
         known = self._blocks.get(name, 0)
         if not bits & ~known:
@@ -75,7 +77,7 @@ class Progress:
         return self._blocks.get(name_of(section, block), 0)
 
     def covered(self, section: int) -> int:
-        """How many units of the section are covered."""
+        """The number of covered units of the section."""
         return self._count.get(section, 0)
 
     def complete(self, section: int) -> bool:
@@ -92,7 +94,7 @@ class Progress:
             yield name >> 8, name & 0xFF, self._blocks[name]
 
     def __len__(self) -> int:
-        """How many blocks have a covered unit."""
+        """The number of blocks with a covered unit."""
         return len(self._blocks)
 
     def __eq__(self, other: object) -> bool:
@@ -118,7 +120,7 @@ class Progress:
 
     @classmethod
     def deserialize(cls, data: bytes, units: Mapping[int, int] | None = None) -> "Progress":
-        """ValueError where the bytes are not serialized progress."""
+        """ValueError if the bytes are not serialized progress."""
         if len(data) % ENTRY.size:
             raise ValueError(f"progress does not have {len(data)} bytes")
         progress = cls(units)

@@ -1,4 +1,4 @@
-"""The register of one section: everything that is known of who works it, as one integer.
+"""The register of one section: its owner and state, as one integer.
 
 The join of two registers is the greater integer. The order, most significant first:
 
@@ -9,8 +9,8 @@ The join of two registers is the greater integer. The order, most significant fi
     ~lamport 24 bits  then the earlier
     ~owner    8 bits  then the lower slot
 
-One total order, so the join is commutative, associative and idempotent by construction; and every
-write is greater than what its writer had seen, so it extends causality. No wall clock takes part.
+It is one total order, so the join is commutative, associative and idempotent by construction. Every
+write is greater than what its writer had seen, so it extends causality. No wall clock is involved.
 """
 
 from enum import IntEnum
@@ -30,7 +30,7 @@ Column = NDArray[Any]  # one field of many registers
 
 
 class Phase(IntEnum):
-    """FREE also means released. The gap is room for phases between."""
+    """FREE also means released. The gap leaves room for further phases."""
 
     FREE = 0
     CLAIMED = 1
@@ -39,23 +39,23 @@ class Phase(IntEnum):
 
 
 class Claim(NamedTuple):
-    """One register, taken apart."""
+    """The fields of one register."""
 
     epoch: int
     phase: Phase
     bid: int
     lamport: int
-    owner: int  # of a FREE register: who released it
+    owner: int  # of a FREE register: the slot that released it
 
     def pack(self) -> int:
-        """The key: what is stored, compared and joined."""
+        """The key: the value that is stored, compared and joined."""
         assert 0 <= self.epoch <= EPOCH_MAX and 0 <= self.bid <= BID_MAX
         assert 0 <= self.lamport <= LAMPORT_MAX and 0 <= self.owner <= OWNER_MAX
         return pack(*self)
 
     @classmethod
     def unpack(cls, key: int) -> "Claim":
-        """ValueError for a phase that does not exist: no frame can carry one, a disk can."""
+        """ValueError for an invalid phase, which no frame can carry, but a disk can."""
         return cls(epoch_of(key), Phase(phase_of(key)), bid_of(key), lamport_of(key), owner_of(key))
 
 

@@ -1,18 +1,19 @@
-"""What one robot saw of one cell, as a whole record, and the order in which records replace others.
+"""One robot's observation of one cell, as a whole record, and the order in which records replace
+others.
 
 The parts of two records are never mixed: a join takes one of them as it is. A key is `rank << 24 |
-record`, and the join of two keys is the greater integer. The record is in the key, so the order is
-total and two different records never tie. The rank is what the configured order looks at:
+record`, and the join of two keys is the greater integer. The record is part of the key, so the
+order is total and two different records never tie. The rank depends on the configured order:
 
     MAX_CONFIDENCE  the confidence, then the later
     LATEST_UPDATE   the later, then the confidence
     DECAYED         ln(confidence) + rate * time
 
-DECAYED contains both. Where every confidence fades as c * exp(-rate * age) with one rate, the order of
-two faded confidences is the same at every later time; so comparing the rank once is comparing the
-faded confidences for ever. A rate towards 0 is MAX_CONFIDENCE, a great one LATEST_UPDATE. 0.05 a second
-is the mission's factor 0.995 ten times a second, to 0.02 %: a sure cell loses to a fresh look of half
-its confidence after 14 s.
+DECAYED contains both. If every confidence fades as c * exp(-rate * age) with one rate, the order of
+two faded confidences is the same at every later time. So comparing the rank once compares the faded
+confidences forever. A rate towards 0 gives MAX_CONFIDENCE, a large one LATEST_UPDATE. 0.05 a second
+is the mission's factor 0.995 ten times a second, to 0.02 %: after 14 s, a certain cell loses to a
+new observation of half its confidence.
 """
 
 from enum import Enum
@@ -21,20 +22,17 @@ from typing import NamedTuple
 
 UNKNOWN, FREE, OBSTACLE = range(3)  # of a cell
 LEVELS = 16  # of confidence: level k is (k + 1) / 16
-TIME_MAX = (
-    1 << 13
-) - 1  # seconds: two and a quarter hours of one exploration; then later is not newer
+# Seconds: two and a quarter hours of one exploration; after that, later is not newer.
+TIME_MAX = (1 << 13) - 1
 OBSERVER_MAX = (1 << 5) - 1  # slots 0 to 31
 RECORD_BITS = 24
 RECORD_MASK = (1 << RECORD_BITS) - 1
 VALUE = 3  # the bits of a key that are the value
-SECOND_HAND = (
-    0.8  # of the confidence, when read by somebody else; never stored, so never compounded
-)
+# Factor for the confidence when another robot reads it; never stored, so never compounded.
+SECOND_HAND = 0.8
 RATE = 50  # of DECAYED, in thousandths a second
-_LOGS = [
-    round(1000 * log(k + 1)) for k in range(LEVELS)
-]  # of confidence, from level 0 up; rounded once
+# Of confidence, from level 0 up; rounded once.
+_LOGS = [round(1000 * log(k + 1)) for k in range(LEVELS)]
 
 
 class MergeOrder(Enum):
@@ -44,7 +42,7 @@ class MergeOrder(Enum):
 
 
 class CellObservation(NamedTuple):
-    """One record, taken apart. No record has the value UNKNOWN."""
+    """The fields of one record. No record has the value UNKNOWN."""
 
     value: int
     level: int  # of confidence
@@ -52,17 +50,17 @@ class CellObservation(NamedTuple):
     observer: int  # slot
 
     def confidence(self, reader: int) -> float:
-        """As `reader` may trust it: what another has seen counts for less."""
+        """The confidence for `reader`: another robot's observation counts for less."""
         own = (self.level + 1) / LEVELS
         return own if reader == self.observer else own * SECOND_HAND
 
     def faded(self, reader: int, now: int) -> float:
-        """The same at a time, by the rate of DECAYED."""
+        """The confidence at a time, faded by the rate of DECAYED."""
         return self.confidence(reader) * exp(-RATE / 1000 * max(now - self.time, 0))
 
 
 def base(order: MergeOrder, level: int, time: int, observer: int) -> int:
-    """The key of a record but for its value, which is in the lowest two bits."""
+    """The key of a record without its value, which is in the lowest two bits."""
     assert 0 <= level < LEVELS and 0 <= time <= TIME_MAX and 0 <= observer <= OBSERVER_MAX
     if order is MergeOrder.MAX_CONFIDENCE:
         rank = level
@@ -79,7 +77,7 @@ def pack(order: MergeOrder, sighting: CellObservation) -> int:
 
 
 def unpack(key: int) -> CellObservation:
-    """Of a key or of its record alone."""
+    """The fields of a key or of its record alone."""
     assert key > 0
     return CellObservation(
         key & VALUE, key >> 7 & 15, key >> 11 & TIME_MAX, key >> 2 & OBSERVER_MAX

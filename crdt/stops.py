@@ -1,12 +1,12 @@
 """The stop set: which stops were pressed, and which of them an operator has cleared.
 
-Two sets of dots that only grow. The fleet is latched while any pressed dot is not cleared. A reset clears
-the dots that it names and no other, so an old reset can never mask a new stop (an epoch that is
-raised and cleared "up to" can: see `tests/models`).
+It is two sets of dots that only grow. The fleet is latched while any pressed dot is not cleared. A
+reset clears exactly the dots that it names, so an old reset can never mask a new stop (an epoch
+that is raised and cleared "up to" can: see `tests/models`).
 
-As many as `ACTIVE_MAX` pressed dots are held by name. Those that come then are held as one further
-stop without a name, `more`, which counts how often it was pressed. A reset that names the whole of what
-is held, by its digest, clears that one too.
+At most `ACTIVE_MAX` pressed dots are held by name. Further ones are held together as one stop
+without a name, `more`, which counts its presses. A reset that names the digest of everything held
+clears that one too.
 """
 
 from bisect import bisect_right
@@ -18,14 +18,15 @@ from crdt.digest import DIGEST_BITS, MASK, mix
 
 ENTRY = Struct("<BBB")
 FAR_ENTRY = Struct("<BBBH")
-ACTIVE_MAX = 256  # held by name; one more is held without one. 256 of them fill a bus for 0.2 s
-OWN_MAX = 64  # of one presser beyond that: its own presses are always said by name
-MORE_FLAG = 0x8000  # in the count of a serialized set: more are held than are named
-DOTS_MAX = 4096  # a season's presses; beyond it cleared dots are forgotten oldest first
+ACTIVE_MAX = 256  # held by name; more are held without a name. 256 of them fill a bus for 0.2 s
+OWN_MAX = 64  # for one presser beyond that, because its own presses are always sent by name
+MORE_FLAG = 0x8000  # in the count of a serialized set: more stops are held than are named
+DOTS_MAX = 4096  # a season's presses; beyond this the oldest cleared dots are forgotten
 
 
 class StopDot(NamedTuple):
-    """One press: never reused, which is why the counter is durable before the dot is revealed."""
+    """One press. It is never reused; therefore the counter is durable before the dot is
+    revealed."""
 
     slot: int
     incarnation: int  # low byte
@@ -46,7 +47,7 @@ Self = TypeVar("Self", bound="DotSet[Any]")
 
 
 class DotSet(Generic[D]):
-    """Dots of one kind; `entry` is how one is laid out in bytes."""
+    """Dots of one kind; `entry` is the byte layout of a dot."""
 
     entry: Struct
     kind: type[D]
@@ -54,10 +55,11 @@ class DotSet(Generic[D]):
     def __init__(self) -> None:
         self._pressed: dict[D, None] = {}
         self._cleared: dict[D, None] = {}
-        # Pressed and not cleared. Kept beside them, as values: both are asked for with every frame.
+        # Pressed and not cleared. Stored separately as values, because both are needed with every
+        # frame.
         self.active: frozenset[D] = frozenset()
         self.latched = False
-        self.more = 0  # presses that were not held by name
+        self.more = 0  # presses that are not held by name
 
     @property
     def cleared(self) -> frozenset[D]:
@@ -65,12 +67,12 @@ class DotSet(Generic[D]):
 
     @property
     def full(self) -> bool:
-        """The next dot is not held by name."""
+        """Whether the next dot would not be held by name."""
         return len(self.active) >= ACTIVE_MAX
 
     def press(self, dot: D) -> bool:
-        """Join one press; True where it was new and is not cleared already. One that finds the set full
-        is held as one of more."""
+        """Join one press; True if it was new and is not cleared already. If the set is full, it is
+        added to `more`."""
         new = dot not in self._pressed and dot not in self._cleared
         if new and self.full:
             self.press_more()
@@ -86,7 +88,7 @@ class DotSet(Generic[D]):
         self._activate(self.active)
 
     def clear_all(self) -> list[D]:
-        """Clear what is held, named or not; the dots that were named."""
+        """Clear everything held, with or without a name; returns the named dots."""
         dots, self.more = sorted(self.active), 0
         self._cleared.update(dict.fromkeys(dots))
         self._activate(frozenset())
@@ -94,14 +96,14 @@ class DotSet(Generic[D]):
         return dots
 
     def digest(self) -> int:
-        """64 bits of what is held; 0 where nothing is."""
+        """64 bits of everything held; 0 if nothing is held."""
         size = self.entry.size  # so that dots of two kinds with equal numbers differ
         dots = (int.from_bytes(self.entry.pack(*dot), "little") for dot in self.active)
         total = sum(mix(dot << 8 | size) for dot in dots)
         return (total + (mix(self.more << 8) if self.more else 0)) & MASK
 
     def clear(self, dot: D) -> bool:
-        """Join one clearance; True where it was new."""
+        """Join one clearance; True if it was new."""
         new = dot not in self._cleared
         self._cleared.setdefault(dot)
         self._activate(self.active - {dot})
@@ -135,22 +137,22 @@ class DotSet(Generic[D]):
     __hash__ = None  # type: ignore[assignment]  # mutable
 
     def _trim(self) -> None:
-        """Forget the oldest finished business; an active stop is never forgotten."""
+        """Forget the oldest cleared dots; an active stop is never forgotten."""
         while len(self._cleared) > DOTS_MAX:
             dot = next(iter(self._cleared))
             del self._cleared[dot]
             self._pressed.pop(dot, None)
 
     def serialize(self) -> bytes:
-        """Count of pressed (u15, and a bit: more are held), then pressed and cleared dots of one entry
-        each, sorted."""
+        """The number of pressed dots (u15, and a bit for `more`), then pressed and cleared dots of
+        one entry each, sorted."""
         dots = [*sorted(self._pressed), *sorted(self._cleared)]
         count = (len(self._pressed) | (MORE_FLAG if self.more else 0)).to_bytes(2, "little")
         return count + b"".join(self.entry.pack(*dot) for dot in dots)
 
     @classmethod
     def deserialize(cls: type[Self], data: bytes) -> Self:
-        """ValueError where the bytes are not a stop set: the caller must then stay stopped."""
+        """ValueError if the bytes are not a stop set; the caller must then stay stopped."""
         if len(data) < 2 or (len(data) - 2) % cls.entry.size:
             raise ValueError("not a stop set")
         dots = [cls.kind(*fields) for fields in cls.entry.iter_unpack(data[2:])]
@@ -169,20 +171,21 @@ class DotSet(Generic[D]):
 
 
 def next_in_rotation(dots: Iterable[D], after: D | None, count: int) -> list[D]:
-    """The next ones behind that one, in their order and round again: who can say only some at a time
-    gets to all of them."""
+    """The next dots after `after`, in cyclic order. So a sender that can send only some at a time
+    reaches all of them."""
     row = sorted(dots)
     k = 0 if after is None else bisect_right(row, after)
     return (row[k:] + row[:k])[:count]
 
 
 class StopSet(DotSet[StopDot]):
-    """Of this segment."""
+    """The stops of this segment."""
 
     entry, kind = ENTRY, StopDot
 
     def press_own(self, dot: StopDot) -> None:
-        """A press at this machine, held by name; of too many own ones the oldest as one of more."""
+        """A press at this machine, held by name; beyond the limit, the oldest own one moves to
+        `more`."""
         self._pressed.setdefault(dot)
         own = [held for held in self._pressed if held.slot == dot.slot and held in self.active]
         if len(own) >= OWN_MAX:
@@ -193,10 +196,10 @@ class StopSet(DotSet[StopDot]):
         self._trim()
 
     def unused(self, slot: int, incarnation: int, counter: int) -> tuple[StopDot, int]:
-        """The next dot after `counter` that nobody has pressed or cleared, and the counter then.
+        """The next dot after `counter` that was never pressed or cleared, and its counter.
 
-        After 256 cleared presses the dots of the next incarnations are taken: as many as are ever
-        remembered are fewer than there are.
+        After 256 cleared presses, dots of the next incarnations are used. There is always a free
+        one, because fewer dots are remembered than exist.
         """
         for ahead in range((DOTS_MAX + ACTIVE_MAX + OWN_MAX) // 256 + 1):
             for _ in range(256):
@@ -208,11 +211,11 @@ class StopSet(DotSet[StopDot]):
 
 
 class RemoteStopSet(DotSet[RemoteStopDot]):
-    """Of all other segments."""
+    """The stops of all other segments."""
 
     entry, kind = FAR_ENTRY, RemoteStopDot
 
 
 def held_digest(near: StopSet, far: RemoteStopSet) -> int:
-    """24 bits of all that a robot holds; 0 where nothing holds it."""
+    """24 bits of everything that a robot holds; 0 if it holds nothing."""
     return (near.digest() + far.digest() & MASK) >> 64 - DIGEST_BITS

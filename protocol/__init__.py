@@ -1,4 +1,4 @@
-"""What peers say to each other: frames, addresses, keys, and how replicas are made equal.
+"""What peers send each other: frames, addresses, keys, and how replicas are made equal.
 
 `frames` has the layouts, `links` the buses. `address` claims a source address (ISO 11783-5,
 J1939-81), `transport` sends messages of more than eight bytes, `authentication` signs commands,

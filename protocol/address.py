@@ -1,14 +1,15 @@
 """Address claim: how a device comes to a source address and keeps it (ISO 11783-5, J1939-81).
 
-One device's machine, sans I/O. Outputs are `AddressMessage` values: a message and the source address it
-must leave with, because a claim is sent from the address it claims.
+One device's state machine, sans I/O. It outputs `AddressMessage` values: a message and the source
+address that it must be sent from, because a claim is sent from the address it claims.
 
     state      what it is doing
     WAITING    random delay of 0 to 153 ms, so that devices powered up together do not collide
-    CONTENDING our claim is on the bus; for 250 ms anybody with a lower NAME may object
+    CONTENDING our claim is on the bus; for 250 ms a device with a lower NAME may object
     HELD       the address is ours; a claim by a higher NAME is answered with ours
-    CANNOT     no address is left; silent but for "cannot claim" answers from address 254. After a while
-               it forgets what it has heard, asks everybody, and begins again (J1939-81)
+    CANNOT     no address is left; the device sends only "cannot claim" from address 254. After a
+               while it forgets the claims it has heard, requests all claims, and starts again
+               (J1939-81)
 """
 
 from collections.abc import Mapping
@@ -22,21 +23,20 @@ from protocol.name import Name
 
 MS = 1_000
 FIRST, LAST = 128, 235  # self-configurable addresses of industry group 2
-# Preferred addresses that a standard gives to one kind of device: it speaks as soon as it has claimed
-# (J1939-81). The standard lists 0 to 127 as well; no device of ours prefers one of those.
+# Preferred addresses that a standard assigns to one kind of device. Such a device sends as soon as
+# it has claimed (J1939-81). The standard lists 0 to 127 as well; none of our devices prefers those.
 AT_ONCE_FIRST, AT_ONCE_LAST = 248, 253
-SAID_US = (
-    20 * MS
-)  # for such a claim to leave: frames that are more urgent would overtake it in our queue
+# Time for such a claim to leave: more urgent frames would overtake it in our transmit queue.
+SAID_US = 20 * MS
 CONTENTION_US = 250 * MS
 DELAY_STEP_US = 600  # RTxD = rand(0..255) * 0.6 ms
-DEFENCES_MAX = 5  # in a second: two devices with one NAME would answer each other for ever
+DEFENCES_MAX = 5  # per second; otherwise two devices with one NAME would answer each other forever
 S = 1_000_000
-# From "cannot claim" to the next try; doubles, and a random part of a second is added for each of many.
+# From "cannot claim" to the next try. It doubles, and each device adds a random part of a second.
 RETRY_US, RETRY_MAX_US = 5 * S, 20 * S
-ANSWERS_US = 200 * MS  # devices answer a request for claims within 153 ms, and a bus may be full
-# Between two claims because somebody else speaks from our address: a driver that gives us our own frames
-# back must not make us claim with every one of them.
+ANSWERS_US = 200 * MS  # devices answer a request for claims within 153 ms, and the bus may be full
+# Minimum time between two claims sent because another device uses our address. A driver that
+# returns our own frames must not make us claim after each of them.
 VIOLATION_US = 5 * S
 
 
@@ -57,29 +57,29 @@ class AddressClaim:
     def __init__(
         self, name: Name, preferred: int, rng: Random, now_us: int, modest_for_us: int | None = None
     ) -> None:
-        """`modest_for_us`: of a guest, which listens for so long before it claims, leaves every
-        address to its holder, whatever that NAME is, and looks for a free one from the top."""
+        """`modest_for_us`: for a guest. It listens this long before it claims, leaves every address
+        to its holder, whatever that NAME is, and searches for a free one from the top."""
         at_once = modest_for_us is not None and AT_ONCE_FIRST <= preferred <= AT_ONCE_LAST
         assert FIRST <= preferred <= LAST or at_once
         self._modest_for_us = modest_for_us
         self.name, self.number, self._rng = name, name.pack(), rng
         self.preferred = self.candidate = preferred
-        self.names: dict[int, int] = {}  # address -> NAME, of others
+        self.names: dict[int, int] = {}  # address -> NAME, of other devices
         self.state = State.WAITING
-        self.duplicates = 0  # claims with our own NAME by somebody else: a configuration error
+        self.duplicates = 0  # claims with our own NAME by another device: a configuration error
         self.losses = 0
-        self.refused = 0  # answers not given, beyond the limit
-        self.asks = False  # everybody is to be asked for its claim now
+        self.refused = 0  # defences not sent because of the limit
+        self.asks = False  # a request for all claims is to be sent now
         self._retry_us = RETRY_US
         self._next_us: int | None = None
-        self._answer_us: int | None = None  # everybody was asked: our turn
+        self._answer_us: int | None = None  # all claims were requested: when our answer is due
         self._defences: list[int] = []
         self._violated_us = now_us - VIOLATION_US
         self.restart(now_us)
 
     @property
     def address(self) -> int | None:
-        """Ours to use, once nobody has objected for the contention time."""
+        """Our address, once no device has objected for the contention time; None before."""
         return self.candidate if self.state is State.HELD else None
 
     @property
@@ -90,15 +90,16 @@ class AddressClaim:
         return min(next_us, answer_us)
 
     def restart(self, now_us: int) -> None:
-        """Power up, or back on the bus."""
+        """Start claiming, after power-up or after a return to the bus."""
         self.state, self._answer_us = State.WAITING, None
         self._next_us = now_us + self._rng.randrange(256) * DELAY_STEP_US
         if self._modest_for_us is not None:
             self._next_us = now_us + self._modest_for_us
 
     def hurry(self, now_us: int) -> None:
-        """Claim at once: a random delay may be none, and who waits to say a stop must not wait longer
-        than others take to notice its silence, which a claim puts off."""
+        """Claim immediately. A random delay may be zero, so this is allowed. A robot that has a
+        stop to send must not wait longer than others take to notice its silence, and a claim delays
+        that."""
         if self.state is State.WAITING:
             self._next_us = now_us
 
@@ -120,7 +121,8 @@ class AddressClaim:
         return claims
 
     def _try_again(self, now_us: int) -> None:
-        """Who is there answers; claims of devices that are gone count no longer."""
+        """Request all claims: devices that are present answer, and claims of absent ones are
+        dropped."""
         self.names.clear()
         self.candidate, self.asks = self.preferred, True
         self.restart(now_us)
@@ -145,16 +147,18 @@ class AddressClaim:
         return self._move(now_us)
 
     def violated(self, now_us: int) -> list[AddressMessage]:
-        """Somebody else speaks from our address: two parts of a bus have come together, in which nobody
-        had reason to object. A claim makes one of us move (ISO 11783-5, address violation)."""
+        """Another device uses our address: two parts of a bus were joined, and in neither part did
+        a device have a reason to object. A claim makes one of us move (ISO 11783-5, address
+        violation)."""
         if self.state is not State.HELD or now_us - self._violated_us < VIOLATION_US:
             return []
         self._violated_us = now_us
         return [AddressMessage(AddressClaimed(self.number), self.candidate)]
 
     def asked(self, everybody: bool, now_us: int) -> list[AddressMessage]:
-        """A request for address claimed. Where all were asked, each answers after its own random
-        delay, once for all requests that came meanwhile: a fleet that boots together asks often."""
+        """Handle a request for address claimed. If all devices were asked, each answers after its
+        own random delay, once for all requests in that time, because a fleet that boots together
+        asks often."""
         if self.state is State.WAITING:
             return []
         if not everybody:
@@ -185,7 +189,7 @@ class AddressClaim:
         return [AddressMessage(AddressClaimed(self.number), self.candidate)]
 
     def _move(self, now_us: int) -> list[AddressMessage]:
-        """Take the next address that nobody with a lower NAME holds."""
+        """Take the next address that is not held by a lower NAME."""
         width = LAST - FIRST + 1
         for step in range(1, width + 1):
             address = FIRST + (self.candidate - FIRST + step) % width
@@ -203,5 +207,5 @@ class AddressClaim:
 
 
 def holders(claim: AddressClaim) -> Mapping[int, Name]:
-    """Who holds which address, as far as this device has heard."""
+    """The NAME that holds each address, as far as this device has received claims."""
     return {address: Name.unpack(number) for address, number in sorted(claim.names.items())}

@@ -1,18 +1,21 @@
 """Tags on the frames that stop and release a fleet: AES-CMAC, 24 bits, 8 bits of freshness.
 
-After AUTOSAR SecOC profile 1. Each sender has its own key, derived by HKDF: robots and stop panels
-from the fleet's master, operator devices from a secret of their own, so that a panel releases nobody.
-The tag covers the parameter group, the sender, the full 64-bit counter and the payload; 8 bits of the
-counter travel. A receiver accepts a counter 1 to 127 ahead of the last it accepted: no replay.
+After AUTOSAR SecOC profile 1. Each sender has its own key, derived by HKDF. Robots and stop panels
+derive it from the fleet's master secret, operator devices from a separate secret, so a panel can
+release no robot.
+The tag covers the parameter group, the sender, the full 64-bit counter and the payload; 8 bits of
+the counter travel. A receiver accepts a counter 1 to 127 ahead of the last it accepted: no replay.
 
-Who cannot follow a sender's counter (a restart, a long cut) asks it with a number used once, and the
-sender proves where its counter is. Operators must do so before anything they order is believed, and
-again after `SESSION_US` without a word: a frame that was held back cannot be played later. An
-operator's counter never goes back, over restarts too. A robot's may: what can be replayed are stops.
+A receiver that cannot follow a sender's counter (after a restart or a long cut) sends it a nonce,
+and the sender proves its current counter with it. Operators must do so before any order is
+accepted, and again after `SESSION_US` without a frame, so a delayed frame cannot be replayed later.
+An operator's counter never goes back, not even over restarts. A robot's counter may, because only
+stops can be replayed.
 
-Guessing a tag succeeds with odds of 2^-24 a try; after `BAD_MAX` bad tags in `BAD_WINDOW_US` a sender
-is not believed for as long. What this is not: every holder of a secret can speak for everybody under
-it, and a robot must hold both to verify. It defends against devices that hold none.
+Guessing a tag succeeds with odds of 2^-24 a try. After `BAD_MAX` bad tags in `BAD_WINDOW_US` the
+sender is ignored for the same time. Limits: every holder of a secret can sign for every sender
+under it, and a robot must hold both secrets to verify. The tags defend against devices that hold
+none.
 """
 
 from collections import deque
@@ -40,14 +43,16 @@ PANEL_FIRST = 128  # sender ids from here are stop panels
 OPERATOR_FIRST = 192  # and from here operator devices, which may release
 KEY_SIZE = 16  # bytes
 WINDOW = 127  # a counter this far ahead is fresh; more frames than that are never lost in a row
-COUNTER_MAX = 0xFFFF_FFFF  # what Freshness can say: repeating a stop without pause, 248 days
-SESSION_US = 10_000_000  # an operator who said nothing for this long proves itself again
+# The largest counter in Freshness: 248 days of repeating a stop without pause.
+COUNTER_MAX = 0xFFFF_FFFF
+SESSION_US = 10_000_000  # an operator that sent nothing for this long must prove its counter again
 BAD_MAX = 8
 BAD_WINDOW_US = 10_000_000
-ASK_SPACING_US = 100_000  # between questions, whomever to: forged frames make no flood of them
-NUMBER_LIFE_US = 1_000_000  # of a number used once: a proof that was held back for longer is void
-ANSWER_SPACING_US = 10_000  # and answers one asker at most this often
-COUNTERS_TRIED = 256  # high bytes of a robot's counter that `wrote` looks at: 65,536 signed frames
+# Between challenges to any senders, so that forged frames cannot cause a flood of them.
+ASK_SPACING_US = 100_000
+NUMBER_LIFE_US = 1_000_000  # of a nonce: a proof that arrives later than this is void
+ANSWER_SPACING_US = 10_000  # minimum time between answers to one asker
+COUNTERS_TRIED = 256  # high bytes of a robot's counter that `wrote` tries: 65,536 signed frames
 _GROUPS = {
     EmergencyStop: 0xFF00,
     EmergencyReset: 0xFF01,
@@ -59,16 +64,16 @@ _FRESHNESS_GROUP = 0xEF00
 
 
 class Keys(NamedTuple):
-    """The secrets of a fleet, 16 bytes each. A device has none of those that it does not need."""
+    """The secrets of a fleet, 16 bytes each. A device holds only those that it needs."""
 
     master: bytes | None
     operator: bytes | None
 
 
 class Keyring:
-    """Signs for one sender and verifies for all.
+    """Signs for one sender and verifies frames of all senders.
 
-    `lot` is anything that no two starts of this sender share: numbers used once are made of it.
+    `lot` is any value that no two starts of this sender share; nonces are derived from it.
     """
 
     def __init__(self, keys: Keys, sender: int, lot: bytes, sent: int = 0) -> None:
@@ -78,29 +83,29 @@ class Keyring:
         self._keys, self._lot = keys, lot
         self._macs: dict[int, CMAC] = {}
         self._bad_us: dict[int, deque[int]] = {}
-        self._asked: dict[int, bytes] = {}  # sender -> the number that its proof must cover
+        self._asked: dict[int, bytes] = {}  # sender -> the nonce that its proof must cover
         self._asked_us = -ASK_SPACING_US
-        self._drawn_us: dict[int, int] = {}  # when that number was drawn
+        self._drawn_us: dict[int, int] = {}  # when that nonce was drawn
         self._proven_us: dict[int, int] = {}  # operator -> when it was last believed
         self._answered_us: dict[int, int] = {}
         self._questions = 0
 
     @property
     def keys(self) -> Keys:
-        """For tags of another kind: `protocol/fleet_tags.py`."""
+        """The secrets, for other kinds of tags: `protocol/fleet_tags.py`."""
         return self._keys
 
     # ---------------------------------------------------------------- frames
 
     def sign(self, message: Signed) -> Signed:
-        """The message with the next freshness and its tag."""
+        """Return the message with the next freshness and its tag."""
         self.sent += 1
         assert self.sent <= COUNTER_MAX
         fresh = message._replace(freshness=self.sent & 0xFF, tag=0)
         return fresh._replace(tag=self._tag(self.sender, self.sent, fresh))
 
     def verify(self, message: AnySigned, sender: int, now_us: int) -> bool:
-        """Whether `sender` wrote this and we have not accepted it before."""
+        """Whether `sender` signed this and it was not accepted before."""
         if self._locked_out(sender, now_us):
             return False
         if sender >= OPERATOR_FIRST and not self._proven(sender, now_us):
@@ -122,9 +127,9 @@ class Keyring:
         return True
 
     def wrote(self, message: EmergencyStop, sender: int) -> bool:
-        """Whether `sender` wrote this at any time, whatever its counter was.
+        """Whether `sender` signed this at any time, whatever its counter was.
 
-        Only for a frame that names something that nobody could know before, as an echo of a dot that was
+        Only for a frame whose content could not be known earlier, such as an echo of a dot that was
         drawn just now. A guessed tag passes with odds of 2^-16.
         """
         if not self._holds(sender):
@@ -137,7 +142,8 @@ class Keyring:
     # ---------------------------------------------------------------- proofs of where a counter is
 
     def ask(self, sender: int, now_us: int) -> Challenge | None:
-        """To a sender whose frame could not be verified. None: it was asked just now."""
+        """The challenge to a sender whose frame could not be verified; None if one was just
+        sent."""
         if now_us - self._asked_us < ASK_SPACING_US:
             return None
         self._asked_us = now_us
@@ -160,7 +166,7 @@ class Keyring:
         return Freshness(self.sender, self.sent, tag)
 
     def prove(self, answer: Freshness, now_us: int) -> bool:
-        """Take a counter over from who proves that it is there now."""
+        """Adopt the sender's counter if its proof is valid and answers a recent challenge."""
         sender = answer.sender
         number = self._asked.get(sender)
         late = now_us - self._drawn_us.get(sender, now_us) >= NUMBER_LIFE_US
@@ -181,7 +187,8 @@ class Keyring:
         if operator:
             self._proven_us[sender] = now_us
         else:
-            self._bad_us.pop(sender, None)  # others in its name do not keep its stops unheard
+            # Forged frames in its name must not keep its stops from being accepted.
+            self._bad_us.pop(sender, None)
         return True
 
     # ---------------------------------------------------------------- inside

@@ -1,8 +1,8 @@
-"""What gateways say to each other over the backbone: one header, five kinds, bytes.
+"""Messages between gateways over the backbone: one header, five kinds, bytes.
 
-Everything is idempotent: dots and resets are grow-only, work is joined by maximum or union, of
-summaries the newer counts. So a message that comes twice, late, or around a loop does nothing. What
-cannot be read is a counted None, never an exception.
+Every message is idempotent. Dots and resets are grow-only, work is joined by maximum or union, and
+of two summaries the newer one is kept. So a message that arrives twice, late, or around a loop has
+no further effect. A message that cannot be parsed gives None and is counted; it never raises.
 """
 
 from enum import IntEnum
@@ -18,8 +18,8 @@ SUMMARY = Struct("<BBBHHIIIHH")
 PAIR, HEARD = Struct("<HI"), Struct("<HH")
 ENTRY = Struct("<BHHHB8s")
 FRAME = 8  # bytes of a stop or of half a reset
-ENTRIES_MAX = 64  # of one message, so that none blocks a link for long
-MESSAGE_MAX = 1 << 16  # what is longer is not ours
+ENTRIES_MAX = 64  # per message, so that no message blocks a link for long
+MESSAGE_MAX = 1 << 16  # longer messages are not ours
 
 
 class Kind(IntEnum):
@@ -31,33 +31,34 @@ class Kind(IntEnum):
 
 
 class Header(NamedTuple):
-    """Who speaks: segment, its gateway's term and number, and which of its messages this is."""
+    """The sender: segment, its gateway's term and number, and which of its messages this is."""
 
     kind: int
     segment: int
-    term: int  # of the election of this segment's gateways; an earlier one is fenced off
+    # Of the election of this segment's gateways; messages of an earlier term are rejected.
+    term: int
     candidate: int
-    boot: int  # drawn when the gateway started: a sequence begins anew
+    boot: int  # drawn when the gateway started; the sequence restarts with it
     sequence: int
 
 
 class Summary(NamedTuple):
-    """The heartbeats of a segment in one, and what its replicas are to be compared by."""
+    """The heartbeats of a segment in one message, and the digests to compare its replicas by."""
 
     live: int
     silent: int
-    halted: int  # stand stopped
+    halted: int  # robots that are stopped
     done: int  # of the home sections
     home: int  # sections that belong to this segment
-    digest: int  # of all that this segment's replica holds of its home
-    stops: int  # of stops and resets of the whole fleet
-    map: int  # of the map, where there is one
-    shared: dict[int, int]  # neighbour -> digest of what both hold
-    heard: dict[int, int]  # segment that is heard here -> the term of its gateway
+    digest: int  # of all that this segment's replica holds of its home sections
+    stops: int  # digest of the stops and resets of the whole fleet
+    map: int  # digest of the map, if there is one
+    shared: dict[int, int]  # neighbour -> digest of what both segments hold
+    heard: dict[int, int]  # segment that is received here -> the term of its gateway
 
 
 class Entry(NamedTuple):
-    """One value of a section at the border, in the numbers of its home, or a patch of the map."""
+    """One value of a section at the border, in the numbering of its home, or a patch of the map."""
 
     kind: int  # 1 register, 2 progress block, 3 patch of the map, 4 digests of it
     segment: int  # home of the section
@@ -90,7 +91,7 @@ def pack(header: Header, body: Body) -> bytes:
 
 
 def unpack(data: bytes) -> Message | None:
-    """None for what is not a message of ours."""
+    """Parse a message; None if it is not one of ours."""
     if not HEADER.size <= len(data) <= MESSAGE_MAX:
         return None
     version, *numbers = HEADER.unpack_from(data)

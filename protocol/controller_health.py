@@ -1,21 +1,22 @@
-"""Fault confinement of a CAN controller (ISO 11898-1), as far as its driver tells."""
+"""Fault confinement of a CAN controller (ISO 11898-1), as far as its driver reports it."""
 
 from enum import Enum
 
 # Linux SocketCAN, include/uapi/linux/can/error.h: classes in the identifier, details in byte 1.
 CONTROLLER, BUS_OFF, RESTARTED = 0x004, 0x040, 0x100
-WARNING_BITS, PASSIVE_BITS, ACTIVE_BIT = 0x0C, 0x30, 0x40  # receiving or sending; active again
+# Warning or passive, receiving or sending; active again.
+WARNING_BITS, PASSIVE_BITS, ACTIVE_BIT = 0x0C, 0x30, 0x40
 
 
 class Health(Enum):
     ACTIVE = 0
-    PASSIVE = 1  # too many errors: it may not shout any more
+    PASSIVE = 1  # too many errors: it may no longer send active error flags
     OFF = 2  # it has left the bus
-    WARNING = 3  # 96 errors and more: it works as an active one
+    WARNING = 3  # 96 errors or more; it still works as an active one
 
 
 def told_by(error_class: int, data: bytes, was: Health) -> Health:
-    """What an error frame of SocketCAN says; most say nothing about this.
+    """The health after an error frame of SocketCAN; most error frames do not change it.
 
     >>> told_by(CONTROLLER, bytes((0, 0x20)), Health.ACTIVE)
     <Health.PASSIVE: 1>

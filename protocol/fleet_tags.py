@@ -1,13 +1,14 @@
-"""Tags that hold from one segment to any other: of stops 24 bits, of resets 48.
+"""Tags that are valid in all segments: 24 bits for stops, 48 bits for resets.
 
-A tag covers the whole dot (segment, slot, incarnation, counter), which names one press for ever. So it
-needs no counter of its own, and a gateway can carry it without holding a secret: replayed, a stop that
-was cleared stays cleared, and a reset clears what it has cleared. What a replay can do is to press
-again a dot that nobody remembers; that stops, and releases nothing.
+A tag covers the whole dot (segment, slot, incarnation, counter), which identifies one press
+forever. So it needs no counter of its own, and a gateway can forward it without holding a secret.
+After a replay, a cleared stop stays cleared, and a reset clears only what it has already cleared. A
+replay can only press again a dot that no robot remembers; this stops robots and releases none.
 
-A reset has its 48 bits in two frames, compared together: guessing one half at a time teaches nothing.
-At a full bus of guesses, 1,500 frames a second, that takes 6,000 years. Who holds the fleet's secrets
-can make both tags; robots hold them, gateways and whoever listens to the backbone do not.
+The 48 bits of a reset are in two frames and compared together, so guessing one half at a time gives
+no information. At a bus full of guesses, 1,500 frames a second, that takes 6,000 years. A device
+that holds the fleet's secrets can make both tags. Robots hold them; gateways and listeners on the
+backbone do not.
 """
 
 from cryptography.hazmat.primitives.ciphers.algorithms import AES
@@ -27,12 +28,12 @@ class FleetTags:
         self._reset = _mac(keys.operator, b"headland fleet reset")
 
     def stop(self, dot: RemoteStopDot) -> FleetStop:
-        """ValueError for who does not hold the fleet's secret."""
+        """The tagged stop. ValueError if the fleet's secret is not held here."""
         tag = int.from_bytes(_sum(self._stop, dot)[:3], "little")
         return FleetStop(dot.segment, *dot[:3], tag)
 
     def reset(self, dot: RemoteStopDot) -> tuple[FleetReset, FleetReset]:
-        """Both halves. ValueError for who does not hold the operator's secret."""
+        """Both halves. ValueError if the operator's secret is not held here."""
         tag = _sum(self._reset, dot)
         halves = [int.from_bytes(tag[3 * part : 3 * part + 3], "little") for part in (0, 1)]
         first, second = (
@@ -42,14 +43,14 @@ class FleetTags:
 
 
 class HeldTags:
-    """That a robot of this fleet holds these stops: told to an operator who has asked just now. Robots
-    hold the operator's secret; an operator's device holds no other."""
+    """Tags that prove to an operator, which has just asked, that a robot of this fleet holds these
+    stops. Robots hold the operator's secret; an operator's device holds no other secret."""
 
     def __init__(self, keys: Keys) -> None:
         self._held = _mac(keys.operator, b"headland stops held")
 
     def sign(self, held: StopsHeld, question: int) -> StopsHeld:
-        """`question`: the 48 bits that were asked with, used once."""
+        """`question`: the 48-bit nonce of the challenge."""
         if self._held is None:
             raise ValueError("the secret for this tag is not held here")
         running = self._held.copy()
@@ -58,7 +59,7 @@ class HeldTags:
 
 
 def plain_stop(dot: RemoteStopDot) -> FleetStop:
-    """Of a fleet without keys."""
+    """The stop of a fleet without keys."""
     return FleetStop(dot.segment, *dot[:3])
 
 

@@ -1,4 +1,4 @@
-"""The 64-bit NAME by which a device is known, whatever its address (ISO 11783-5, SAE J1939-81).
+"""The 64-bit NAME that identifies a device whatever its address is (ISO 11783-5, SAE J1939-81).
 
     bits   0..20   identity number        40..47  function
           21..31   manufacturer code      48      reserved, 0
@@ -19,9 +19,9 @@ FUNCTION = 128  # first function that depends on industry group and device class
 DEVICE_CLASS = 1  # tractor
 TOOL_FUNCTION = 129  # off-board diagnostic or service tool, of the non-specific device class
 NON_SPECIFIC = 0  # device class
-GATEWAY_FUNCTION = 66  # a device that joins networks: here the segments of one fleet
+GATEWAY_FUNCTION = 66  # a device that joins networks: here, the segments of one fleet
 OUR_FUNCTIONS = frozenset((FUNCTION, TOOL_FUNCTION, GATEWAY_FUNCTION))
-SLOT_BITS = 7  # of the identity number of a robot; the other 14 say its fleet
+SLOT_BITS = 7  # of the identity number of a robot; the other 14 bits are its fleet
 IDENTITY_MAX = (1 << 21) - 1
 
 FIELDS = (  # name, shift, bits
@@ -56,7 +56,7 @@ class Name(NamedTuple):
 
     @property
     def is_robot(self) -> bool:
-        """Of our maker and function, whatever fleet it belongs to."""
+        """Whether manufacturer and function are ours, in any fleet."""
         ours = Name(self.identity)
         return self.manufacturer == ours.manufacturer and self[4:6] == ours[4:6]
 
@@ -66,15 +66,16 @@ class Name(NamedTuple):
 
 
 def tool_name(identity: int) -> Name:
-    """The NAME of an operator's tool. The highest device class instance makes it lose every address
-    that a robot wants too."""
+    """The NAME of an operator's tool. The highest device class instance makes it lose every
+    contended address to a robot."""
     return Name(
         identity, function=TOOL_FUNCTION, device_class=NON_SPECIFIC, device_class_instance=15
     )
 
 
 def is_ours(name: Name) -> bool:
-    """Of our maker and industry group, and of a function that speaks our proprietary groups."""
+    """Whether manufacturer and industry group are ours and the function uses our proprietary
+    groups."""
     return (
         name.manufacturer == MANUFACTURER
         and name.industry_group == AGRICULTURE
@@ -87,7 +88,7 @@ def is_robot(name: Name) -> bool:
 
 
 def fleet_of(name: Name) -> int:
-    """The 14 bits of a robot's NAME that say its fleet.
+    """The 14 bits of a robot's NAME that identify its fleet.
 
     >>> fleet_of(fleet_name("north", 3)) == fleet_of(fleet_name("north", 4))
     True

@@ -1,7 +1,8 @@
 """Transport protocol: messages of 9 to 1,785 bytes, for names and logs, never for state or safety.
 
-ISO 11783-3 and SAE J1939-21 5.10: to all by BAM, to one by RTS and CTS. One device's end, sans I/O.
-Sessions are few and bounded; whatever another device does, it costs a count and at most an abort.
+ISO 11783-3 and SAE J1939-21 5.10: to all devices by BAM, to one by RTS and CTS. One device's end,
+sans I/O. Sessions are few and bounded. Whatever another device sends causes at most a count and an
+abort.
 """
 
 from collections import Counter, deque
@@ -15,17 +16,16 @@ from protocol.frames.network_frames import TransportData, TransportManagement
 MS = 1_000
 PACKET = 7  # bytes of the message in one TP.DT
 SIZE_MIN, SIZE_MAX = 9, 1785  # 255 packets
-TR_US, TH_US = 200 * MS, 500 * MS  # answer within; hold again within
+TR_US, TH_US = 200 * MS, 500 * MS  # time limit for an answer; time limit for the next hold
 T1_US, T2_US, T3_US, T4_US = 750 * MS, 1250 * MS, 1250 * MS, 1050 * MS
 BAM_GAP_US = 50 * MS  # J1939-21: 50 to 200 ms; ISO 11783-3 would allow 10
-DATA_GAP_US = 3 * MS  # between our TP.DT to one: a fifth of the bus at most
-GRANT_PACKETS = 16  # packets we let another send before it has to ask again: 112 bytes
-RECEIVING_MAX = 8  # sessions towards us: 14 kB
+DATA_GAP_US = 3 * MS  # between our TP.DT frames to one device: at most a fifth of the bus
+GRANT_PACKETS = 16  # packets that we let a sender send before it needs the next CTS: 112 bytes
+RECEIVING_MAX = 8  # sessions to us: 14 kB
 SENDING_MAX = 4  # sessions of ours
-RETRIES_MAX = 2  # a CTS asks again for lost packets so often (J1939-21: at most two retransmits)
-WORDS_MAX = (
-    20  # CTS accepted in one session, beyond one a packet: holds, and packets asked for again
-)
+RETRIES_MAX = 2  # how often a CTS requests lost packets again (J1939-21: at most two retransmits)
+# CTS accepted in one session beyond one per packet: holds, and packets requested again.
+WORDS_MAX = 20
 
 
 class Control(IntEnum):
@@ -64,27 +64,27 @@ class ReceivedMessage(NamedTuple):
 
 
 class _Receiving:
-    """A message on its way to us, or to all."""
+    """A message being received, addressed to us or to all."""
 
     def __init__(self, pgn: int, size: int, packets: int, limit: int) -> None:
         self.pgn, self.size, self.packets = pgn, size, packets
-        self.limit = limit  # packets that the sender wants to be asked for at once
+        self.limit = limit  # packets per CTS that the sender allows
         self.data = bytearray()
         self.expected = 1
-        self.granted_to = 0  # last packet that we have asked for
+        self.granted_to = 0  # last packet that we have requested
         self.retries = 0
         self.due_us = 0
 
 
 class _Sending:
-    """A message on its way from us."""
+    """A message being sent by us."""
 
     def __init__(self, pgn: int, data: bytes, destination: int) -> None:
         self.pgn, self.data, self.destination = pgn, data, destination
         self.packets = -(-len(data) // PACKET)
         self.queue: deque[int] = deque()  # sequence numbers to send
-        self.words = 0  # CTS heard
-        self.waiting = True  # for the other's word; then `due_us` is a time limit
+        self.words = 0  # CTS received
+        self.waiting = True  # for the receiver's answer; then `due_us` is a time limit
         self.due_us = 0
 
     def packet(self, sequence: int) -> TransportData:
@@ -94,7 +94,7 @@ class _Sending:
 
 class Transport:
     def __init__(self) -> None:
-        self.counts: Counter[str] = Counter()  # what went wrong, by kind; and what went well
+        self.counts: Counter[str] = Counter()  # errors and successes, by kind
         self._receiving: dict[tuple[int, bool], _Receiving] = {}  # (source, broadcast)
         self._sending: dict[int, _Sending] = {}  # destination
 
@@ -115,7 +115,8 @@ class Transport:
     def send(
         self, pgn: int, data: bytes, destination: int, now_us: int
     ) -> Iterable[OutgoingFrame] | None:
-        """Begin to send a message; None where we already send to that device, or too many."""
+        """Start to send a message; None if a session to that device is open, or too many are
+        open."""
         assert SIZE_MIN <= len(data) <= SIZE_MAX and 0 <= pgn < 1 << 18
         if destination in self._sending or len(self._sending) >= SENDING_MAX:
             self.counts["refused"] += 1
@@ -130,7 +131,7 @@ class Transport:
         return [_manage(Control.RTS, head + bytes((GRANT_PACKETS,)), pgn, destination)]
 
     def tick(self, now_us: int) -> Iterable[OutgoingFrame]:
-        """Packets whose time has come; sessions whose time is over."""
+        """Send packets that are due; end sessions that have timed out."""
         out: list[OutgoingFrame] = []
         for sending in list(self._sending.values()):
             if now_us >= sending.due_us:
@@ -156,7 +157,7 @@ class Transport:
                 session.waiting, session.due_us = True, now_us + T3_US
         return out
 
-    # ---------------------------------------------------------------- hearing
+    # ---------------------------------------------------------------- receiving
 
     def receive(
         self, source: int, destination: int, m: TransportManagement | TransportData, now_us: int
@@ -165,7 +166,7 @@ class Transport:
         broadcast = destination == GLOBAL_ADDRESS
         if isinstance(m, TransportData):
             return self._data(source, broadcast, m, now_us)
-        if broadcast != (m.control == Control.BAM):  # all else is between two devices
+        if broadcast != (m.control == Control.BAM):  # all other controls are between two devices
             self.counts["malformed"] += 1
             return (), None
         match m.control:
@@ -207,7 +208,8 @@ class Transport:
     def _grant(self, session: _Receiving, source: int, now_us: int) -> OutgoingFrame:
         count = min(session.packets - session.expected + 1, session.limit, GRANT_PACKETS)
         session.granted_to = session.expected + count - 1
-        # Asked again before the sender's T3 ends the session, then given the time of the standard.
+        # Request again before the sender's T3 ends the session. The last request gets the time of
+        # the standard.
         session.due_us = now_us + (T1_US if session.retries < RETRIES_MAX else T2_US)
         body = bytes((count, session.expected, 0xFF, 0xFF))
         return _manage(Control.CTS, body, session.pgn, source)
@@ -231,7 +233,7 @@ class Transport:
             session.data += m.body
             session.expected += 1
             session.due_us = now_us + T1_US
-        # else: one was lost; the rest of the grant passes, then it is asked for again
+        # else: a packet was lost; the rest of the grant passes, then the packet is requested again
         if session.expected > session.packets:
             return self._complete(key, session)
         if not broadcast and m.sequence == session.granted_to:
@@ -241,7 +243,7 @@ class Transport:
     def _ask_on(
         self, key: tuple[int, bool], session: _Receiving, sequence: int, now_us: int
     ) -> Iterable[OutgoingFrame]:
-        """The grant has passed: the next one, or again from the first that was lost."""
+        """The grant has passed: request the next packets, or again from the first that was lost."""
         if session.expected <= sequence:
             session.retries += 1
             self.counts["asked again"] += 1
@@ -269,9 +271,8 @@ class Transport:
         self, key: tuple[int, bool], session: _Receiving, now_us: int
     ) -> Iterable[OutgoingFrame]:
         source, broadcast = key
-        if (
-            not broadcast and session.retries < RETRIES_MAX
-        ):  # the last packets, or our CTS, were lost
+        # The last packets, or our CTS, were lost.
+        if not broadcast and session.retries < RETRIES_MAX:
             session.retries += 1
             self.counts["asked again"] += 1
             return [self._grant(session, source, now_us)]

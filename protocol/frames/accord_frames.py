@@ -1,6 +1,6 @@
-"""The frame by which robots agree on who goes where: in each other's way
-(`agent/mapf/joint_plan_agreement.py`), and on a grid that they cover together
-(`agent/coverage/plan_agreement.py`). A fleet does one or the other."""
+"""Frames by which robots agree on who goes where. One use is robots in each other's way
+(`agent/mapf/joint_plan_agreement.py`), the other a grid that robots cover together
+(`agent/coverage/plan_agreement.py`). A fleet has one of the two uses."""
 
 from enum import IntEnum
 from struct import Struct
@@ -18,7 +18,7 @@ class AgreementKind(IntEnum):
     PLACE = 0  # I stand at node `first` and want to node `second`; `detail`: where in the node
     PLAN = 1  # the digest of the plan that I computed: `first` low, `second` high half
     AT = 2  # I have reached the `first`-th node of my route, counted from 1; 0: not yet on it
-    BODY = 3  # on a grid: something stands in cell `first`; `second`: its slot, 0xFFFF: nobody's;
+    BODY = 3  # on a grid: something is in cell `first`; `second`: its slot, 0xFFFF: not a robot;
     # `detail`: 1 where it is taken to stay. Else: something that I see stands on node `first`
     # On a grid PLACE has a cell as `first` and a digest of what is covered as `second` and `detail`;
     # AT has a step of the plan as `first` and the low half of the plan's digest as `second`.
@@ -30,7 +30,8 @@ class AgreementReply(IntEnum):
     GRANT = 0
     STOPPED = 1  # refused: an emergency stop, a hold, a fault: it does not move
     BUSY = 2  # refused: it is in the middle of something that must not move, a drop or a charge
-    DEAF = 3  # refused: it does not hear a member that others hear, so it cannot agree with all
+    # refused: it does not receive a member that others receive, so it cannot agree with all.
+    DEAF = 3
 
 
 class Accord(NamedTuple):

@@ -1,4 +1,4 @@
-"""Between frames and messages. Decoding never raises: what cannot be read is a counted value."""
+"""Frames to messages and back. Decoding never raises: an unreadable frame is a value to count."""
 
 from struct import error as StructError
 from typing import NamedTuple
@@ -16,7 +16,7 @@ class Malformed(NamedTuple):
 
 UNKNOWN, LENGTH, RANGE = Malformed("unknown PGN"), Malformed("length"), Malformed("range")
 
-# Addressed groups (PF < 240) carry the destination in the low byte: every value of it leads there.
+# Addressed groups (PF < 240) carry the destination in the low byte, so all values map to the group.
 _READERS = {
     group.pgn | low: (group.kind.unpack, group.length)
     for group in GROUPS
@@ -42,7 +42,7 @@ _packed: tuple[Message | None, bytes] = (None, b"")  # the newest
 
 
 def packed(message: Message) -> bytes:
-    """The data of a message; whoever else wants them of the one just sent gets them for nothing."""
+    """The data of a message; a second call for the message just sent returns the cached data."""
     global _packed
     last, data = _packed
     if last is not message:
@@ -70,7 +70,7 @@ _decoded: tuple[Frame | None, tuple[int, Message | Malformed]] = (None, (0, UNKN
 
 
 def decode_once(frame: Frame) -> tuple[int, Message | Malformed]:
-    """`decode`, for simulators: all receivers are given the very same frame, one after another."""
+    """`decode`, for simulators, where all receivers get the same frame object one after another."""
     global _decoded
     last, result = _decoded
     if last is not frame:

@@ -1,9 +1,9 @@
-"""Every bit of every frame as a named signal: what outside tools need to read a log.
+"""Every bit of every frame as a named signal, for external tools that read a log.
 
-Little-endian throughout: `start` is the lowest bit, counted from bit 0 of byte 0. A signal has the name
-of the message's field, unless that is a keyword of C or C++, and gives its value as
-`raw * scale + offset`. Reserved bits have signals of their own, with the value that they are sent with:
-encoders of others would send 0 where J1939 wants 1.
+Little-endian throughout: `start` is the lowest bit, counted from bit 0 of byte 0. A signal has the
+name of the message's field, unless that is a keyword of C or C++, and gives its value as `raw *
+scale + offset`. Reserved bits have separate signals with their fixed value, because encoders of
+other makers would otherwise send 0 where J1939 requires 1.
 """
 
 from contextlib import suppress
@@ -82,7 +82,7 @@ class Signal(NamedTuple):
     offset: float = 0
     unit: str = ""
     choices: tuple[tuple[int, str], ...] = ()
-    reserved: int | None = None  # always sent with this value, and never looked at
+    reserved: int | None = None  # always sent with this value, and never read
 
 
 def _members(kind: type) -> tuple[tuple[int, str], ...]:
@@ -249,7 +249,7 @@ NAME_OF_FIELD = {"operator": "operator_id", "switch": "state"}  # of signals, wh
 
 
 def _ones(kind: type[Message], length: int) -> int:
-    """Bits that are 1 in every frame of this kind, as far as a few of them tell."""
+    """Bits that are 1 in every frame of this kind, judged from a few samples."""
     rng, ones, left = Random(0), (1 << 8 * length) - 1, SAMPLES
     while left:
         with suppress(ValueError):
@@ -259,7 +259,7 @@ def _ones(kind: type[Message], length: int) -> int:
 
 
 def reserved_of(kind: type[Message]) -> tuple[Signal, ...]:
-    """The bits of a frame that carry nothing, run by run, each with the value that we send."""
+    """The unused bits of a frame, run by run, each with the value that we send."""
     length = GROUP_OF[kind].length
     used = {bit for s in SIGNALS[kind] for bit in range(s.start, s.start + s.length)}
     sent = _ones(kind, length)

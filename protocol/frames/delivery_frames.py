@@ -1,4 +1,4 @@
-"""Frames of a delivering fleet: what is to be carried, who plans to, bids, and plans of all together."""
+"""Frames of a delivery fleet: transport tasks, their planned carriers, bids, and joint plans."""
 
 from struct import Struct
 from typing import NamedTuple

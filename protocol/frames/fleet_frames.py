@@ -1,4 +1,4 @@
-"""Frames by which members know each other: who, where, how, and who leads."""
+"""Frames by which members know each other: identity, place, state, and the leader."""
 
 from enum import IntEnum
 from math import pi
@@ -6,19 +6,21 @@ from struct import Struct
 from typing import Final, NamedTuple
 
 STATES: Final = 5  # values of agent.interface.lifecycle.State
-NOBODY = 255  # heard, in POSE
+NOBODY = 255  # value of `heard` in POSE
 LENGTH_M: Final = 0.05  # unit of x and y in POSE
 SPEED_M_S: Final = 0.05  # unit of the speed in POSE
 _FASTEST: Final = 254  # in that unit; 255 is what J1939 calls not available
-PLACE_UNKNOWN_M_S: Final = 255 * SPEED_M_S  # the speed of a robot that does not know where it is
+# The speed in a frame of a robot that does not know its position.
+PLACE_UNKNOWN_M_S: Final = 255 * SPEED_M_S
 COURSES: Final = 512  # steps of a full turn in POSE
 _COURSE_RAD: Final = 2 * pi / COURSES
 _HALF: Final = 1 << 16  # offset of the 17-bit coordinates
 _LAST: Final = 2 * _HALF - 1
-_ORIGIN: Final = _HALF + 0.5  # so that what is cut off is rounded
-_TURNED: Final = (1 << 20) * COURSES + 0.5  # nobody has turned as often: positive too
+_ORIGIN: Final = _HALF + 0.5  # makes truncation round to nearest
+# No robot has turned this many times, so the sum is positive too.
+_TURNED: Final = (1 << 20) * COURSES + 0.5
 _LOWEST_M: Final = _HALF * LENGTH_M
-NOWHERE_M: Final = -_LOWEST_M  # x and y of a robot that has never known where it is
+NOWHERE_M: Final = -_LOWEST_M  # x and y of a robot that has never known its position
 _HALVES = Struct("<II").unpack
 _tuple = tuple.__new__
 
@@ -52,7 +54,7 @@ class Pose(NamedTuple):
 
     @property
     def placed(self) -> bool:
-        """Whether it says where the robot is now."""
+        """Whether the frame contains the robot's present position."""
         return self.speed_m_s < PLACE_UNKNOWN_M_S
 
     def pack(self) -> bytes:

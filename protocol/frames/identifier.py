@@ -10,7 +10,7 @@ number has a low byte of 0. PF of 240 and above (PDU2) is broadcast, and PS belo
 from typing import NamedTuple
 
 GLOBAL_ADDRESS = 255
-NULL_ADDRESS = 254  # a device that could not claim an address speaks from here
+NULL_ADDRESS = 254  # source address of a device that could not claim an address
 
 
 class Identifier(NamedTuple):

@@ -1,4 +1,4 @@
-"""Frames of the fleet's map: what one robot saw of a patch of 16 cells, and digests of any square."""
+"""Frames of the fleet's map: one robot's view of a patch of 16 cells, and digests of squares."""
 
 from struct import Struct
 from typing import NamedTuple

@@ -66,7 +66,7 @@ class Group(NamedTuple):
     pgn: int
     priority: int
     length: int  # data bytes
-    name: str  # as the mission and the standards write it
+    name: str  # as the mission and the standards spell it
 
 
 GROUPS = (
@@ -75,7 +75,8 @@ GROUPS = (
     Group(HeldReset, 0xFF07, 1, 8, "HELD_RESET"),
     Group(FleetStop, 0xFF30, 0, 8, "FLEET_STOP"),
     Group(FleetReset, 0xFF31, 1, 8, "FLEET_RESET"),
-    Group(OperatorGoal, 0xFF06, 1, 8, "OPERATOR_GOAL"),  # so that it leaves before its SET_GOAL
+    # Priority 1, so that it leaves before its SET_GOAL.
+    Group(OperatorGoal, 0xFF06, 1, 8, "OPERATOR_GOAL"),
     Group(OperatorCommand, 0xFF02, 2, 8, "OPERATOR_COMMAND"),
     Group(Challenge, 0xFF03, 2, 8, "CHALLENGE"),
     Group(Freshness, 0xEF00, 2, 8, "FRESHNESS"),

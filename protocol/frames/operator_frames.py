@@ -1,13 +1,13 @@
-"""Frames between a robot and the person who directs it; the orders are in `safety_frames.py`."""
+"""Frames between a robot and its operator; the commands are in `safety_frames.py`."""
 
 from enum import IntEnum
 from struct import Struct
 from typing import NamedTuple
 
-PLACE_M = 0.1  # unit of what a robot tells
-GOAL_M = 0.2  # unit of where it is sent: 15 bits for each coordinate
-LOWEST_M = -3276.8  # of a coordinate, as in POSE: both are sent as steps from there
-NUMBERS = 15  # questions are numbered 1 to 15 and begin again
+PLACE_M = 0.1  # unit of distances in reports
+GOAL_M = 0.2  # unit of goals: 15 bits for each coordinate
+LOWEST_M = -3276.8  # lowest coordinate, as in POSE; both kinds count steps from it
+NUMBERS = 15  # questions are numbered 1 to 15, then from 1 again
 REPORT = Struct("<BBHHBB")
 GOAL = Struct("<BBHB")
 assert REPORT.size == 8 and GOAL.size + 3 == 8
@@ -19,7 +19,7 @@ class ReportKind(IntEnum):
 
     ASKING = 0  # something that is no robot is in the way: what now?
     WAITING = 1  # it waits until that has left
-    GOING_ROUND = 2  # it goes on round it
+    GOING_ROUND = 2  # it drives round it
     GONE = 3  # it has left by itself
     STOPPED = 4  # work given back; it stands until an operator's start
     UNDER_WAY = 5  # to the place it was sent to
@@ -103,7 +103,7 @@ class OperatorGoal(NamedTuple):
 
 
 def goal_frames(target: int, operator: int, x_m: float, y_m: float) -> tuple[OperatorGoal, ...]:
-    """Both coordinates. ValueError outside of what they can say.
+    """Both coordinates. ValueError if they are out of range.
 
     >>> [round(frame.metres, 1) for frame in goal_frames(3, 200, 12.34, -7.0)]
     [12.4, -7.0]

@@ -1,4 +1,4 @@
-"""Frames that stop a fleet and let it go again. Highest priorities; see `docs/stopping.md`."""
+"""Frames that stop a fleet and release it. Highest priorities; see `docs/stopping.md`."""
 
 from enum import IntEnum
 from typing import NamedTuple
@@ -20,10 +20,11 @@ class Command(IntEnum):
     MANUAL_RESET = 0
     START = 1
     HOLD = 2
-    WAIVE = 3  # argument: the silent member to go on without
+    WAIVE = 3  # argument: the silent member to continue without
     GO_HOME = 4  # give back the work, drive to where it was switched on, and stay there
-    CONTINUE = 5  # go on, past what is in the way; leave out what it stands on
-    REPLAN = 6  # go on with what is left, round what is in the way; come back to its place last
+    CONTINUE = 5  # continue past what is in the way; leave out the ground under it
+    # Continue with the remaining work, round what is in the way; return to its place last.
+    REPLAN = 6
     WAIT = 7  # stand until it has left
     STOP = 8  # give back the work and stand until START
     SET_GOAL = 9  # give back the work and drive to the place that OPERATOR_GOAL named

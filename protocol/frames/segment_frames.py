@@ -1,18 +1,19 @@
-"""Frames of a fleet of several segments: what every robot hears of the rest of it.
+"""Frames of a fleet of several segments: what every robot receives about the other segments.
 
-A robot of such a fleet is (segment, slot). On its own segment it speaks as ever; these frames carry
-the segment as well, and are the same bytes wherever they are said, so that tags hold end to end.
-Gateways speak from addresses of their own and number themselves like slots that no robot has.
+A robot of such a fleet is (segment, slot). The frames on its own segment do not change. These
+frames carry the segment too and have the same bytes on every segment, so tags are valid end to end.
+Gateways have fixed addresses, and slots that no robot has.
 """
 
 from struct import Struct
 from typing import NamedTuple
 
 SEGMENT_MAX = 0x7FFF  # 15 bits; segment 0: a fleet of one segment
-TOLD_FLAG = 0x8000  # above a segment: the stop is told to one that may not know it
+TOLD_FLAG = 0x8000  # above a segment: the stop is sent to a segment that may not know it
 CANDIDATES_MAX = 4  # gateways of one segment; one of them leads
-GATEWAY_SLOT = 124  # of the first: no robot's, below those of operator devices
-GATEWAY_ADDRESS = 240  # of the first: a fixed address beyond those that robots claim
+# Of the first gateway; no robot has it, and it is below the slots of operator devices.
+GATEWAY_SLOT = 124
+GATEWAY_ADDRESS = 240  # of the first gateway: a fixed address above those that robots claim
 SEGMENT_GATEWAY = 3  # the election in which candidates vote
 
 BEAT = Struct("<BBHHH")
@@ -21,7 +22,7 @@ assert BEAT.size == SUMMARY.size == 8
 
 
 def gateway_slot(address: int) -> int | None:
-    """The number of the gateway that speaks from an address.
+    """The number of the gateway with an address.
 
     >>> gateway_slot(241), gateway_slot(128)
     (125, None)

@@ -1,4 +1,4 @@
-"""Frames about work: claims, progress, and the anti-entropy that repairs what was missed."""
+"""Frames about work: claims, progress, and the anti-entropy that repairs lost frames."""
 
 from struct import Struct
 from typing import NamedTuple

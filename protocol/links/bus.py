@@ -1,4 +1,4 @@
-"""The one place of the core that knows python-can: a `can.BusABC` as the `Bus` a shell needs."""
+"""The only module that imports python-can here: wraps a `can.BusABC` as the `Bus` of a runner."""
 
 import asyncio
 from collections import deque
@@ -13,26 +13,27 @@ from protocol.frames.frame import Frame
 ACTIVE = can.BusState.ACTIVE
 
 
-# Interfaces that hand an own frame back when it has been sent, and mark it: SocketCAN by the echo of the
-# driver, the others by the receipt of the controller. `virtual` is a queue in this process: sent is sent.
+# Interfaces that return an own frame when it has been sent, and mark it. SocketCAN does so by the
+# echo of the driver, the others by the receipt of the controller. `virtual` is a queue in this
+# process, so a frame is sent as soon as it is queued.
 CONFIRMING: Final = frozenset({"socketcan", "kvaser", "pcan", "vector", "virtual"})
-UNCONFIRMED_MAX: Final = (
-    512  # own frames whose confirmation is waited for; beyond it the oldest is not
-)
+# Own frames that wait for their confirmation; above this number the oldest is dropped.
+UNCONFIRMED_MAX: Final = 512
 
 
 class CanBus:
-    """Any python-can bus. What cannot be used is counted, and nothing here raises while running."""
+    """Any python-can bus. Frames that cannot be used are counted; nothing here raises while
+    running."""
 
     def __init__(self, bus: can.BusABC, confirms: bool = False) -> None:
-        """`confirms`: it was opened with `receive_own_messages`."""
+        """`confirms`: whether the bus was opened with `receive_own_messages`."""
         self.bus = bus
         self._direct_sent = hasattr(bus, "sent")
         self._confirmed: int | None = 0 if confirms else None
         self._unconfirmed: deque[Frame] = deque(maxlen=UNCONFIRMED_MAX)
         self.ignored = 0  # error, remote and 11-bit frames
-        self.refused = 0  # frames the driver did not take
-        self._told = Health.ACTIVE  # by error frames
+        self.refused = 0  # frames that the driver did not accept
+        self._told = Health.ACTIVE  # health as reported by error frames
         self._notifier: can.Notifier | None = None
         self._shelve: Callable[[Any], None] | None = getattr(bus, "shelve", None)
         self._submit: Callable[[Frame], bool] | None = getattr(bus, "submit", None)
@@ -57,14 +58,14 @@ class CanBus:
         return taken
 
     def shelve(self, shelf: Any) -> None:
-        """See `agent.interface.ports.Shelving`; where the interface cannot, everything is called
-        back for."""
+        """See `agent.interface.ports.Shelving`; if the interface does not support it, every frame
+        is passed to the callback."""
         if self._shelve is not None:
             self._shelve(shelf)
 
     @property
     def health(self) -> Health:
-        """Of the controller: what the interface says, or else its error frames."""
+        """Health of the controller, from the interface or else from its error frames."""
         try:
             state = self.bus.state
         except (NotImplementedError, can.CanError, OSError):
@@ -82,19 +83,20 @@ class CanBus:
         return self._confirmed
 
     def _is_own(self, message: can.Message) -> bool:
-        """A frame of ours that comes back. SocketCAN marks those of other programs here as well."""
+        """Whether this is our own frame returned. SocketCAN marks frames of other local programs
+        too."""
         if message.is_rx or self._confirmed is None:
             return False
         frame = Frame(message.arbitration_id, bytes(message.data))
         if frame not in self._unconfirmed:
             return False
         while self._unconfirmed.popleft() != frame:
-            pass  # the driver has told nothing about those
+            pass  # the driver did not confirm those
         self._confirmed += 1
         return True
 
     def subscribe(self, callback: Callable[[Frame], None]) -> None:
-        """Give every data frame to the callback, in the running loop's thread."""
+        """Pass every data frame to the callback, in the running loop's thread."""
         direct = getattr(self.bus, "subscribe", None)
         if direct is not None:
             direct(callback)
@@ -120,10 +122,9 @@ class CanBus:
 
 
 def open_bus(interface: str, channel: str, bitrate: int = 250_000, **options: Any) -> CanBus:
-    """Open by python-can's own options; raises what the interface raises."""
-    if (
-        interface == "socketcand"
-    ):  # no bit rate of its own; without tcp_tune frames wait for company
+    """Open by python-can's own options; raises the interface's exceptions."""
+    # The interface has no bit rate of its own. Without tcp_tune, TCP delays small frames.
+    if interface == "socketcand":
         bus = can.Bus(interface=interface, channel=channel, tcp_tune=True, **options)
     else:
         if interface in CONFIRMING:

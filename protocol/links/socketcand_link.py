@@ -1,19 +1,20 @@
-"""A bus behind a socketcand server, whose connection is made again by itself when it ends.
+"""A bus behind a socketcand server; the link reconnects by itself when the connection ends.
 
     link = SocketcandLink("127.0.0.1", 29536, "can0", Random(f"line of robot {slot}"))
     await link.up()            # the first connection; then it is a `Bus` like any other
 
-A server that ends is seen at once, by the end of the stream; one that hangs or is cut off, by its
-silence, because it answers `echo`. From then on the controller is off the bus: nothing is taken,
-nothing is heard, and `health` says so, which stops a robot. python-can's client notices neither
-(measured with 4.5: after the server's end its thread reads nothing without pause, and `sendall` waits
-for a server that hangs).
+The end of a server is detected immediately by the end of the stream. A server that hangs or is cut
+off is detected by its silence, because a socketcand server answers `echo`. From then on the
+controller is off the bus: no frame is accepted or received, and `health` reports it, which stops a
+robot. python-can's client detects neither case (measured with 4.5: after the server's end its
+thread reads empty data in a busy loop, and `sendall` blocks on a server that hangs).
 
-A hub of ours is asked by `confirm` to tell which frames have left the wire, and which it could not
-take: it answers `sent N` and `refused N`, counted since the connection. Other servers know no such
-command; behind them nobody can tell (`sent` is None), and a robot that hears nobody stands.
+The command `confirm` asks our own server to report which frames have left the wire and which it
+could not accept. It answers `sent N` and `refused N`, counted since the connection. Other servers
+do not know this command. Behind them `sent` is None because it cannot be known, and a robot that
+receives no other member stands.
 
-What was under way when a connection is given up is thrown away on both sides: a beat that arrives
+When a connection is given up, both sides discard the frames under way, because a beat that arrives
 seconds late would be believed.
 """
 
@@ -28,38 +29,37 @@ from protocol.controller_health import Health
 from protocol.frames.frame import Frame
 
 LINE_MAX = 256  # bytes of an answer; a frame has 52
-ANSWER_S = 2.0  # for a connection and its greeting; milliseconds where the server is well
-ASK_S = 0.3  # nothing heard for so long: ask; a fleet beats 20 times a second
-DEAD_S = 1.0  # no answer either: three askings, and ten times what a busy machine takes
-UNSENT_MAX = 16_384  # bytes that wait for the server: 300 frames, a sixth of a second of a full bus
-FIRST_S = 0.1  # before another try, doubled each time
-LAST_S = 1.0  # and not longer: the tries of a whole fleet are a hundred a second
+ANSWER_S = 2.0  # for a connection and its greeting; takes milliseconds with a healthy server
+ASK_S = 0.3  # after this silence we ask; a fleet sends 20 beats a second
+DEAD_S = 1.0  # without an answer either: three questions, and ten times what a busy machine takes
+UNSENT_MAX = 16_384  # bytes waiting for the server: 300 frames, a sixth of a second of a full bus
+FIRST_S = 0.1  # before the next try, doubled each time
+LAST_S = 1.0  # upper limit; at this limit a whole fleet makes a hundred tries a second
 COUNT_DIGITS_MAX = 18  # of a number of frames: more than any wire will ever carry
-NO_LINGER = struct.pack("ii", 1, 0)  # close throws away what the other side has not taken
+NO_LINGER = struct.pack("ii", 1, 0)  # close discards what the other side has not read
 
 
 class SocketcandLink(asyncio.Protocol):
     def __init__(self, host: str, port: int, channel: str, rng: Random) -> None:
-        """`rng`: pauses differ, so that not all robots come at once."""
+        """`rng`: makes the pauses differ, so that not all robots reconnect at the same time."""
         self.host, self.port, self.channel, self._rng = host, port, channel, rng
-        self.connections = 0  # that came to be
-        self.malformed = 0  # answers that made no sense
-        self.refused = 0  # frames that were not taken
-        self.sent: int | None = (
-            None  # frames that have left; see `agent.interface.ports.Confirming`
-        )
+        self.connections = 0  # established so far
+        self.malformed = 0  # answers that could not be parsed
+        self.refused = 0  # frames that were not accepted
+        # Frames that have left the wire; see `agent.interface.ports.Confirming`.
+        self.sent: int | None = None
         self._sent_before = 0  # in earlier connections
-        self._full = False  # what the server said last is that it could not take a frame
+        self._full = False  # the server's latest report is that it could not accept a frame
         self._callback: Callable[[Frame], None] | None = None
         self._transport: asyncio.Transport | None = None
-        self._raw = asyncio.Event()  # frames go both ways
-        self._over = asyncio.Event()  # this connection
-        self._answers = 0  # of the greeting
+        self._raw = asyncio.Event()  # set while frames go both ways
+        self._over = asyncio.Event()  # set when this connection has ended
+        self._answers = 0  # answers received during the greeting
         self._pending = b""
         self._heard_s = 0.0
         self._task: asyncio.Task[None] | None = None
 
-    # ---------------------------------------------------------------- the port of a shell
+    # ---------------------------------------------------------------- the port of a runner
 
     def send(self, frame: Frame) -> bool:
         transport = self._transport
@@ -90,7 +90,7 @@ class SocketcandLink(asyncio.Protocol):
             self._transport.close()
 
     async def up(self) -> None:
-        """Wait for the connection."""
+        """Wait until the connection is established."""
         self._begin()
         await self._raw.wait()
 
@@ -128,7 +128,7 @@ class SocketcandLink(asyncio.Protocol):
         return self._raw.is_set()
 
     async def _watch(self) -> None:
-        """Until the connection ends, or nothing is heard on it."""
+        """Wait until the connection ends or falls silent."""
         loop = asyncio.get_running_loop()
         while not self._over.is_set():
             due_s = loop.time() + ASK_S
@@ -136,7 +136,8 @@ class SocketcandLink(asyncio.Protocol):
                 async with asyncio.timeout_at(due_s):
                     await self._over.wait()
             except TimeoutError:
-                if loop.time() - due_s > ASK_S:  # we hung ourselves: what has come is not read yet
+                # Our own process hung, so data that has arrived is not read yet.
+                if loop.time() - due_s > ASK_S:
                     self._heard_s = loop.time()
                 if loop.time() - self._heard_s > DEAD_S:
                     return
@@ -183,11 +184,12 @@ class SocketcandLink(asyncio.Protocol):
         expected = ([b"hi"], [b"ok"], [b"ok"])
         if self._answers < len(expected) and words == expected[self._answers]:
             self._greet()
-        elif words != [b"echo"] and words[:2] != [b"error", b"unknown"]:  # what `confirm` may get
+        # The reply of other servers to `confirm`.
+        elif words != [b"echo"] and words[:2] != [b"error", b"unknown"]:
             self.malformed += 1
 
     def _count(self, words: list[bytes]) -> bool:
-        """`sent N` or `refused N` of a hub."""
+        """Handle `sent N` or `refused N` of our server."""
         if (
             len(words) != 2
             or words[0] not in (b"sent", b"refused")
@@ -202,7 +204,7 @@ class SocketcandLink(asyncio.Protocol):
         return True
 
     def _greet(self) -> None:
-        """What socketcand asks for, one after the other: hi, open, rawmode."""
+        """Send the next command of socketcand's greeting: hi, open, rawmode."""
         self._answers += 1
         assert self._transport is not None
         if self._answers == 1:
@@ -216,7 +218,7 @@ class SocketcandLink(asyncio.Protocol):
 
 
 def _frame(words: list[bytes]) -> Frame | None:
-    """`frame ID TIME DATA`; None for what is no data frame with a 29-bit identifier."""
+    """Parse `frame ID TIME DATA`; None if it is no data frame with a 29-bit identifier."""
     try:
         identifier, data = int(words[1], 16), bytes.fromhex(b"".join(words[3:]).decode("ascii"))
     except (ValueError, IndexError):

@@ -1,8 +1,9 @@
-"""The one place that knows Eclipse Zenoh: a session with explicit endpoints, and a bus made of it.
+"""The only module that imports Eclipse Zenoh: a session with explicit endpoints, and a bus on top.
 
-Nothing is found by multicast; who is connected to is named. Callbacks of the session come in threads
-of its own and are handed to the event loop here. What the loop cannot keep up with is dropped and
-counted; a stop never is, because it comes over a lane of its own and there are few.
+Nothing is found by multicast; endpoints to connect to are named. Callbacks of the session come in
+its own threads and are handed to the event loop here. Messages that the loop is too slow for are
+dropped and counted. A stop is never dropped, because stops have a separate lane and there are few
+of them.
 """
 
 import asyncio
@@ -17,12 +18,11 @@ import zenoh
 from protocol.controller_health import Health
 from protocol.frames.frame import Frame
 
-LEASE_MS = (
-    2_000  # a link that is silent so long is closed, and tried again; Zenoh's default is 10 s
-)
+# A link that is silent this long is closed and opened again; Zenoh's default is 10 s.
+LEASE_MS = 2_000
 RETRY_MS = 500  # between attempts to reach an endpoint
 OPEN_MS = 1_000  # for one attempt
-INBOX_MAX = 4096  # messages under way to the event loop
+INBOX_MAX = 4096  # messages on their way to the event loop
 FRAME_BYTES = 4  # of the identifier before the data of a frame
 IDENTIFIER_MAX = 1 << 29
 
@@ -30,21 +30,22 @@ Heard = Callable[[bytes], None]
 
 
 class LinkError(Exception):
-    """One line for the person: what is wrong and what to do."""
+    """One line for the user: what is wrong and what to do."""
 
 
 def configure(
     connect: Iterable[str], listen: Iterable[str], mode: str = "", file: Path | None = None
 ) -> zenoh.Config:
-    """`file`: Zenoh's own configuration (JSON5), where TLS and access control are.
+    """`file`: Zenoh's own configuration (JSON5), which contains TLS and access control.
 
-    `mode`: peer, client or router; none: router for who listens, which passes on what others say to
-    each other, client for who only connects (a router carries nothing between peers). Raises LinkError.
+    `mode`: peer, client or router. Default: router for a program that listens, because a router
+    forwards messages between those that connect to it; client for a program that only connects (a
+    router carries nothing between peers). Raises LinkError.
     """
     connect, listen = list(connect), list(listen)
     try:
         config = zenoh.Config() if file is None else zenoh.Config.from_file(str(file))
-    except Exception as problem:  # the binding raises what it likes
+    except Exception as problem:  # the binding raises undocumented exceptions
         raise LinkError(f"{file} is not a configuration of Zenoh: {_first_line(problem)}") from None
     settings: dict[str, object] = {
         "mode": mode or ("router" if listen else "client"),
@@ -52,7 +53,7 @@ def configure(
         "scouting/gossip/enabled": False,
         "transport/link/tx/lease": LEASE_MS,
         "transport/unicast/open_timeout": OPEN_MS,
-        "connect/timeout_ms": -1,  # go on trying: a gateway may be up before its backbone is
+        "connect/timeout_ms": -1,  # keep trying: a gateway may start before its backbone
         "connect/exit_on_failure": False,
         "connect/retry": {
             "period_init_ms": RETRY_MS, "period_max_ms": RETRY_MS, "period_increase_factor": 1,
@@ -75,15 +76,15 @@ def _first_line(problem: Exception) -> str:
 
 
 class ZenohLink:
-    """A session of one program. Raises LinkError where an endpoint cannot be listened on.
+    """A session of one program. Raises LinkError if it cannot listen on an endpoint.
 
-    Who only connects may be up before its backbone is: the session is then opened in a thread, which
-    goes on trying, and until it is there nothing is sent.
+    A program that only connects may start before its backbone. So the session is opened in a thread
+    that keeps trying, and nothing is sent until it is open.
     """
 
     def __init__(self, config: zenoh.Config, loop: asyncio.AbstractEventLoop) -> None:
         self._loop = loop
-        self.dropped = 0  # messages that found the inbox full
+        self.dropped = 0  # messages dropped because the inbox was full
         self.session: zenoh.Session | None = None
         self.refusal = ""  # why it does not open
         self._waiting = 0
@@ -99,7 +100,7 @@ class ZenohLink:
             raise LinkError(f"the backbone does not open: {_first_line(problem)}") from None
 
     def _connect(self, config: zenoh.Config) -> None:
-        """In a thread of its own: opens, which may take for ever."""
+        """Open the session, in a separate thread because that may take forever."""
         while self._open:
             try:
                 session = zenoh.open(config)
@@ -121,7 +122,7 @@ class ZenohLink:
             self._declare(pattern, arrived)
 
     def put(self, key: str, data: bytes, urgent: bool = False) -> None:
-        """Send. What is urgent overtakes everything else, is not batched, and is not dropped."""
+        """Send. Urgent messages overtake all others, are not batched, and are not dropped."""
         if self.session is None or not self._open:
             return
         if urgent:
@@ -136,7 +137,7 @@ class ZenohLink:
             )  # fmt: skip
 
     def subscribe(self, pattern: str, heard: Heard, keep: bool = False) -> None:
-        """Call back in the loop's thread for what others put. `keep`: drop nothing."""
+        """Call back in the loop's thread for messages of others. `keep`: drop none."""
 
         def arrived(sample: zenoh.Sample) -> None:
             if not keep and self._waiting >= INBOX_MAX:
@@ -179,9 +180,9 @@ class ZenohLink:
 
 
 class ZenohBus:
-    """A segment that is no cable: robots on Wi-Fi that share a key. The same frames, the same `Bus`.
+    """A segment without a cable: robots on Wi-Fi that share a key, with the same frames and `Bus`.
 
-    There is no arbitration; frames of priority 0 and 1, stops and resets, take the urgent lane.
+    There is no arbitration. Frames of priority 0 and 1, stops and resets, take the urgent lane.
     """
 
     def __init__(self, link: ZenohLink, key: str) -> None:
@@ -196,7 +197,7 @@ class ZenohBus:
 
     @property
     def health(self) -> Health:
-        """There is no controller to confine; without a session nothing we say is heard."""
+        """There is no controller to confine; without a session no frame of ours is received."""
         return Health.OFF if self._link.session is None else Health.ACTIVE
 
     def subscribe(self, callback: Callable[[Frame], None]) -> None:

@@ -1,13 +1,13 @@
-"""Who differs from us, judged from the digests in heartbeats.
+"""Which members differ from us, judged from the digests in heartbeats.
 
-A digest that we have now, or had a moment ago, is *explained*: its sender is in step or behind, and
-if it is behind it is the one to ask. Any other digest is *odd*: the sender knows something that we do
+A digest that we have now, or had a short time ago, is *explained*: its sender is in step or behind.
+A sender that is behind asks us. Any other digest is *odd*: the sender knows something that we do
 not.
 
-One odd digest proves nothing while work goes on: a peer's own operation is in its digest before its
-frame is on the bus. It counts when it is confirmed: by the next heartbeat of the same peer, by another
-peer with the same digest, or at once where we expect a difference, from a peer that was not there a
-moment ago.
+One odd digest proves nothing while work goes on, because a peer's own operation is in its digest
+before its frame is on the bus. It counts when it is confirmed: by the next heartbeat of the same
+peer, by another peer with the same digest, or immediately if it comes from a peer that was absent
+until just now, where we expect a difference.
 """
 
 from collections import Counter
@@ -17,7 +17,7 @@ from protocol.sync.replica import NEVER, Replica, ReplicaVersion
 
 
 class DigestMismatch(NamedTuple):
-    """A peer's digest that nothing we had explains."""
+    """A peer's digest that is none of ours, present or past."""
 
     digest: int
     heard_us: int
@@ -29,17 +29,17 @@ class Divergence:
         self.slot, self.replica = slot, replica
         self.live: frozenset[int] = frozenset({slot})
         self.odd: dict[int, DigestMismatch] = {}
-        self.suspects: set[int] = set()  # newly live, not heard in step since
-        self.reunion = False  # a suspect was odd: islands met, or we are new here
-        self._told: dict[int, int] = {}  # live slot -> digest it told last
-        self._own_told: int | None = None  # what our last heartbeat told the others
-        self._agreed: dict[int, ReplicaVersion] = {}  # slot -> our latest moment that it also had
+        self.suspects: set[int] = set()  # newly live peers, not received in step since
+        self.reunion = False  # a suspect was odd: two parts of the bus met, or we are new here
+        self._told: dict[int, int] = {}  # live slot -> digest in its latest heartbeat
+        self._own_told: int | None = None  # digest in our latest heartbeat
+        self._agreed: dict[int, ReplicaVersion] = {}  # slot -> our latest version that it also had
         self._met: dict[
             int, int
         ] = {}  # slot -> sum of our entries when it appeared, until it agrees
 
     def see(self, live: frozenset[int]) -> None:
-        """The members we hear now."""
+        """Update the set of members that we receive now."""
         appeared = live - self.live - {self.slot}
         self.suspects = (self.suspects | appeared) & live
         self.live = live
@@ -51,17 +51,17 @@ class Divergence:
         self._end_of_reunion()
 
     def expect(self) -> None:
-        """We come onto the bus: whoever differs from us, differs."""
+        """We join the bus, so expect every member to differ from us."""
         self.suspects = set(self.live - {self.slot})
         self._told.clear()
 
     def tell(self) -> int:
-        """The digest for our heartbeat: from now on it places us in everybody's order."""
+        """The digest for our heartbeat. From now on it determines our position in the order."""
         self._own_told = self.replica.digest
         return self._own_told
 
     def heard(self, slot: int, digest: int, now_us: int) -> bool:
-        """A live peer told its digest; True where it is odd and confirmed."""
+        """Process a live peer's digest; True if it is odd and confirmed."""
         self._told[slot] = digest
         moment = self.replica.when(digest)
         if moment is not None:
@@ -70,7 +70,7 @@ class Divergence:
             return False
         if slot in self._met:
             fork = self.replica.fork(digest, self._met[slot], self._agreed.get(slot, NEVER).version)
-            if fork is not None:  # it told us everything; what it lacks it will ask for
+            if fork is not None:  # it has sent us all its entries; it will ask for those it lacks
                 self._explained(slot, fork)
                 return False
         before = self.odd.get(slot)
@@ -91,7 +91,7 @@ class Divergence:
             self._agreed[slot] = moment
         self.suspects.discard(slot)
         odd = self.odd.pop(slot, None)
-        if odd is not None:  # one speaks for its class: the others had the same digest
+        if odd is not None:  # one peer stands for its class: the others had the same digest
             for other in [s for s, o in self.odd.items() if o.digest == odd.digest]:
                 del self.odd[other]
             self._end_of_reunion()
@@ -101,7 +101,7 @@ class Divergence:
             self.reunion = False
 
     def still_odd(self, since_us: int) -> bool:
-        """Whether what we learned left a digest unexplained that was told after `since_us`."""
+        """Whether a digest received after `since_us` is still unexplained by what we learned."""
         for slot, odd in list(self.odd.items()):
             moment = self.replica.when(odd.digest)
             if moment is not None:
@@ -113,46 +113,47 @@ class Divergence:
     # ---------------------------------------------------------------- how far we agree
 
     def agreed_with(self, slot: int, digest: int) -> ReplicaVersion:
-        """The latest moment of ours that this peer, or one with the same digest, also had."""
+        """Our latest version that this peer, or one with the same digest, also had."""
         alike = [s for s, told in self._told.items() if told == digest]
         return max((self._agreed.get(s, NEVER) for s in (slot, *alike)), default=NEVER)
 
     def was_away(self, slot: int) -> bool:
-        """We have not agreed since it appeared."""
+        """Whether we have not agreed with it since it appeared."""
         return slot in self._met
 
     def forget(self, slot: int) -> None:
-        """It says that it agrees with nobody: its memory is younger than ours."""
+        """The peer agrees with no member, because its memory is younger than ours."""
         self._agreed.pop(slot, None)
 
     @property
     def base(self) -> ReplicaVersion:
-        """The latest moment that everybody odd has also had, as far as they are known."""
+        """The latest version that all odd peers also had, as far as known."""
         moments = [self.agreed_with(slot, odd.digest) for slot, odd in self.odd.items()]
         return min((moment for moment in moments if moment != NEVER), default=NEVER)
 
     def has(self, slot: int, digest: int) -> bool:
-        """Whether this peer told that digest last."""
+        """Whether this digest is the latest one of this peer."""
         return self._told.get(slot) == digest
 
     @property
     def in_step(self) -> bool:
-        """Every live peer told our digest last."""
+        """Whether the latest digest of every live peer is ours."""
         digest = self.replica.digest
         return all(self._told.get(s) == digest for s in self.live if s != self.slot)
 
     @property
     def outvoted(self) -> bool:
-        """At least half of the live members are odd or not yet heard since they appeared."""
+        """Whether at least half of the live members are odd or not received since they
+        appeared."""
         return 2 * len(self.odd.keys() | self.suspects) >= len(self.live)
 
     # ---------------------------------------------------------------- order of speaking
 
     def order(self, without: int | None = None) -> list[int]:
-        """Slots in the order in which they speak, ours among them.
+        """Slots in the order in which they send, ours among them.
 
-        Peers with equal digests are a class and could say the same, so the lowest slot of each class
-        comes first. Peers of digest `without`, and those that told none, are left out.
+        Peers with equal digests form a class and could send the same entries, so the lowest slot of
+        each class comes first. Peers of digest `without`, and those without a digest, are left out.
         """
         told = dict(self._told)
         told[self.slot] = self.replica.digest if self._own_told is None else self._own_told

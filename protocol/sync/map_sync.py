@@ -1,13 +1,15 @@
-"""The map on the wire: news as it is seen, and anti-entropy that makes all maps equal bit for bit.
+"""The map on the wire: new observations when they are made, and anti-entropy that makes all maps
+equal bit for bit.
 
-News joins the own map when it is said, not before. Lost frames are found by digests. Every peer says
-the digests of the 16 greatest squares once a beat; whoever differs in one answers with those of its
-16 parts, down to a tile, where both sides tell the patches that differ. A digest has 3 bits and a salt
-that changes with each beat: what a collision hides shows in the next one. What was on the bus a moment
-ago is not said again, by nobody: on one segment all have heard it.
+A new observation joins this robot's map when it is sent, not before. Lost frames are found by
+digests. Every peer sends the digests of the 16 largest squares once a beat. A peer that differs in
+one answers with the digests of its 16 parts, down to a tile, where both sides send the patches that
+differ. A digest has 3 bits and a salt that changes with each beat, so a difference hidden by a
+collision shows in the next one. A record that was on the bus a short time ago is not sent again by
+any peer, because all peers of a segment have received it.
 
-Map frames of the whole fleet stay below a share of the bus without a schedule: who hears one leaves a
-gap, and then they speak in the cyclic order of slots behind the last speaker.
+Map frames of the whole fleet stay below a share of the bus without a schedule. A peer that receives
+one leaves a gap; then peers send in the cyclic order of slots after the last sender.
 """
 
 from collections import Counter
@@ -23,18 +25,18 @@ from protocol.frames.map_frames import DIGEST_BITS, FIRST_NODES, SALTS, MapDiges
 MS = 1_000
 FRAME_US = 640  # worst-case stuffing, 250 kbit/s
 NEWS_SHARE = 0.10  # of the bus: with digests and repairs a fleet stays below the mission's 15 %
-REPAIR_SHARE = (
-    0.30  # after a split or a join, as long as it takes; that of `protocol/sync/synchronizer.py`
-)
+# After a split or a join, for as long as it takes; as in `protocol/sync/synchronizer.py`.
+REPAIR_SHARE = 0.30
 NEWS_GAP_US = round(FRAME_US / NEWS_SHARE)
 REPAIR_GAP_US = round(FRAME_US / REPAIR_SHARE)
-SLOT_US = 700  # step of the order of speaking: a frame, and some
-BEAT_US = 62_500  # from one digest of the whole to the next, whoever says it: 1 % of the bus
-ALONE_US = 1_000 * MS  # the same where nobody is known to listen
-SETTLE_US = 100 * MS  # what changed so lately may be on its way to others
-FRESH_US = 100 * MS  # what was on the bus so lately is not said again: a question may be older
+SLOT_US = 700  # step of the sending order: a frame plus a margin
+BEAT_US = 62_500  # between two digests of the whole map, by any sender: 1 % of the bus
+ALONE_US = 1_000 * MS  # the same if no listener is known
+SETTLE_US = 100 * MS  # younger changes may still be on their way to others
+# Records this young on the bus are not sent again: a question may be older than they are.
+FRESH_US = 100 * MS
 AGAIN_US = 100 * MS  # between two digests of one square by one peer
-AIRED_MAX = 256  # digests remembered: more than there are in that time
+AIRED_MAX = 256  # digests remembered: more than are sent in that time
 ALL = np.ones(CELLS, dtype=np.bool_)
 POWERS = 3 ** np.arange(CELLS, dtype=np.int64)
 
@@ -54,53 +56,53 @@ def decode_cells(cells: int) -> Values:
 
 
 class MapSync:
-    hold_us = 400 * MS  # a patch waits so long for the rest of its cells before it is told
+    hold_us = 400 * MS  # a patch waits this long for the rest of its cells before it is sent
 
     def __init__(self, slot: int, chart: OccupancyMap, clock: HybridClock, now_us: int) -> None:
         self.slot, self.chart, self.clock = slot, chart, clock
         self.counts: Counter[str] = Counter()
         self._order: list[int] = [slot]  # live slots
-        self._news: dict[tuple[int, int], Values] = {}  # (patch, level) -> what we saw
-        self._digests: dict[int, int] = {}  # node -> salt, to say
-        self._repairs: dict[int, Mask] = {}  # patch -> cells to tell
-        self._heard_us: dict[MapDigests, int] = {}  # digests on the bus lately; oldest first
-        self._said_us: dict[int, int] = {}  # node -> when we said its digests
-        self._aired_us = np.full(
-            (chart.patches, CELLS), -FRESH_US, dtype=np.int64
-        )  # of our records
-        self._recent: dict[int, None] = {}  # tiles that changed since we said their digests
+        self._news: dict[tuple[int, int], Values] = {}  # (patch, level) -> what we observed
+        self._digests: dict[int, int] = {}  # node -> salt, to send
+        self._repairs: dict[int, Mask] = {}  # patch -> cells to send
+        self._heard_us: dict[MapDigests, int] = {}  # digests recently on the bus; oldest first
+        self._said_us: dict[int, int] = {}  # node -> when we sent its digests
+        # When each of our records was last on the bus.
+        self._aired_us = np.full((chart.patches, CELLS), -FRESH_US, dtype=np.int64)
+        self._recent: dict[int, None] = {}  # tiles that changed since we sent their digests
         self._changed_us = np.full(chart.patches, -SETTLE_US, dtype=np.int64)
-        self._last_us, self._turn = now_us, 0  # last map frame on the bus; our place behind it
+        # Last map frame on the bus; our position in the order after it.
+        self._last_us, self._turn = now_us, 0
         self._own_us = now_us  # our own last one
         self._beats = 0
         self._beat_us = now_us + BEAT_US * (slot + 1)
-        self._merged: Counter[int] = Counter()  # slot -> cells it has told us of since `merged`
+        self._merged: Counter[int] = Counter()  # slot -> cells it has sent us since `merged`
         self.root = FIRST_NODES[int(np.log2(chart.patches)) // 4 - 1]
 
     # ---------------------------------------------------------------- here
 
     def recalled(self, now_us: int) -> None:
-        """The map was read from a disk: our clock is not behind it."""
+        """The map was read from a disk: advance our clock so that it is not behind the map."""
         times = self.chart.keys() >> 11 & TIME_MAX
         self.clock.witness(int(times.max(initial=0)), now_us)
 
     def live(self, slots: frozenset[int]) -> None:
-        if not slots <= set(self._order):  # somebody is new: compare at once
+        if not slots <= set(self._order):  # a new member: compare immediately
             self._beat_us = self._last_us
         self._order = sorted(slots | {self.slot})
 
     def see(self, patch: int, values: Values, level: int) -> None:
-        """Something seen that the fleet's map does not have, to be told when it is our turn."""
+        """Store an observation that the fleet's map lacks, to be sent when it is our turn."""
         known = self._news.get((patch, level))
         self._news[patch, level] = values if known is None else np.where(values, values, known)
 
     @property
     def pending(self) -> int:
-        """Patches seen and not told yet."""
+        """Number of patches observed and not sent yet."""
         return len(self._news)
 
     def awaits(self, patch: int) -> Values:
-        """What of a patch is seen and not told yet."""
+        """The cells of a patch that are observed and not sent yet."""
         found = np.zeros(CELLS, dtype=np.int64)
         for (number, _), values in self._news.items():
             if number == patch:
@@ -108,19 +110,19 @@ class MapSync:
         return found
 
     def merged(self, now_us: int) -> MergeResult:
-        """What others have told since this was last asked."""
+        """What other robots have sent since the last call."""
         result = MergeResult(sum(self._merged.values()), len(self._merged), now_us)
         self._merged.clear()
         return result
 
-    # ---------------------------------------------------------------- hearing
+    # ---------------------------------------------------------------- receiving
 
     def receive(self, slot: int, message: Said, now_us: int) -> int:
-        """Any map frame; how many cells changed."""
+        """Handle any map frame; return how many cells changed."""
         self._floor_taken(slot, now_us)
         if isinstance(message, MapPatch):
             return self._patch(slot, message, now_us)
-        if message.node == self.root:  # one peer after the other, as with all map frames
+        if message.node == self.root:  # senders take turns, as with all map frames
             self._beat_us = now_us + BEAT_US * (self._turn + 1)
         self._note(message, now_us)
         self._compare(message, now_us)
@@ -133,7 +135,7 @@ class MapSync:
         if changed:
             self._merged[slot] += changed
             self._recent[m.patch // FANOUT] = None
-            if m.observer == slot:  # news: others may hear it a little later
+            if m.observer == slot:  # a new observation: other robots may receive it a little later
                 self._changed_us[m.patch] = now_us
         if m.patch < self.chart.patches:
             better = self._air(m, values, now_us)
@@ -142,7 +144,7 @@ class MapSync:
         return changed
 
     def _air(self, m: MapPatch, values: Values, now_us: int) -> Mask:
-        """A frame with records is on the bus; the cells of it that we know better than it says."""
+        """Note a frame with records on the bus; return its cells of which our record is newer."""
         keys = self.chart.patch(m.patch)
         told = (m.time << 9 | m.level << 5 | m.observer) << 2 | values
         said, same = values != UNKNOWN, (keys & RECORD_MASK) == told
@@ -160,7 +162,7 @@ class MapSync:
         size = next(k for k in (3, 2, 1, 0) if m.node >= FIRST_NODES[k])
         index, width = m.node - FIRST_NODES[size], FANOUT**size
         if (index + 1) * FANOUT * width > self.chart.patches:
-            return  # a square of a greater map than ours
+            return  # a square of a larger map than ours
         ours = self._digest(m.node, m.salt)
         first = index * FANOUT
         differing = [
@@ -171,7 +173,7 @@ class MapSync:
         if not differing:
             return
         if size == 0:
-            self._queue(m.node, m.salt, now_us)  # the other side wants to know ours
+            self._queue(m.node, m.salt, now_us)  # the other side needs our digests
             for patch in differing:
                 self._repair(patch, ALL)
         else:
@@ -183,7 +185,7 @@ class MapSync:
         return int(changed_us.max()) <= now_us - SETTLE_US
 
     def _queue(self, node: int, salt: int, now_us: int) -> None:
-        """Digests change while records are told: each square's own ones are said now and then only."""
+        """Queue our digests of a square, rarely: they change while records are being sent."""
         if self._said_us.get(node, -AGAIN_US) + AGAIN_US <= now_us:
             self._digests[node] = salt
 
@@ -204,7 +206,7 @@ class MapSync:
             del self._heard_us[next(iter(self._heard_us))]
 
     def _floor_taken(self, slot: int, now_us: int) -> None:
-        """Somebody has spoken: those behind it in the cyclic order go first."""
+        """A peer has sent: those behind it in the cyclic order go first."""
         order = self._order
         last = next((k for k, member in enumerate(order) if member >= slot), 0)
         self._last_us = now_us
@@ -215,7 +217,8 @@ class MapSync:
 
     @property
     def _news_us(self) -> int:
-        """When news may be said: repairs of others do not keep us from it for longer than our turn."""
+        """When we may send observations: repairs by others delay us by one round of turns at
+        most."""
         turn_us = max(self._own_us + len(self._order) * NEWS_GAP_US, self._may_us(REPAIR_GAP_US))
         return min(self._may_us(NEWS_GAP_US), turn_us)
 
@@ -234,8 +237,10 @@ class MapSync:
             alone = len(self._order) == 1
             self._beat_us = now_us + (ALONE_US if alone else BEAT_US * len(self._order))
             self._beats += 1
-            salt = (self._beats + self.slot) % SALTS  # not the same for everybody at one time
-            if self._recent:  # what changed lately is where something may have been lost
+            salt = (
+                self._beats + self.slot
+            ) % SALTS  # so that peers differ in the salt they use at a time
+            if self._recent:  # frames may have been lost where something changed recently
                 tile = next(iter(self._recent))
                 del self._recent[tile]
                 self._queue(tile, (salt + SALTS // 2) % SALTS, now_us)
@@ -260,7 +265,7 @@ class MapSync:
         return [message]
 
     def _next_news(self, now_us: int) -> MapPatch | None:
-        """The oldest of what we saw, less what is known better meanwhile."""
+        """The oldest of our observations, without cells that are known better by now."""
         while self._news:
             (patch, level), values = next(iter(self._news.items()))
             del self._news[patch, level]
@@ -279,7 +284,7 @@ class MapSync:
             patch, cells = next(iter(self._repairs.items()))
             message = self._record(patch, cells & (self._aired_us[patch] <= now_us - FRESH_US))
             if message is not None:
-                return message  # the patch stays in the queue for what else there is
+                return message  # the patch stays in the queue for its other records
             del self._repairs[patch]
         while self._digests:
             node, salt = self._digests.popitem()
@@ -290,7 +295,7 @@ class MapSync:
         return None
 
     def _record(self, patch: int, cells: Mask) -> MapPatch | None:
-        """The newest of our records of some cells, with all that share its time and observer."""
+        """The newest of our records of some cells, with all cells of the same time and observer."""
         keys = self.chart.patch(patch)
         stamps = np.where(keys > 0, (keys & RECORD_MASK) >> 2, -1)
         wanted = stamps[cells]

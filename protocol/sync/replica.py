@@ -1,10 +1,11 @@
-"""A peer's shared state as one set of entries, with what the sync needs to remember of it.
+"""A peer's shared state as one set of entries, with what the sync must remember of it.
 
-An entry is a register or a progress block; its code is kind and name in one integer. The replica counts
-its changes (`version`) and keeps, for each entry, the version at which it last changed, and, for each
-digest it lately had, the version it belongs to. So for a peer whose digest is one of ours of a moment
-ago, what it lacks is exact: the entries that changed since. This needs no Lamport time, and therefore
-holds for progress, which has none, and for entries of a third replica that was behind everybody's cut.
+An entry is a register or a progress block; its code is kind and name in one integer. The replica
+counts its changes (`version`). For each entry it keeps the version of its last change, and for each
+digest it recently had, the version it belongs to. So for a peer whose digest is one of our recent
+ones, we know exactly what it lacks: the entries that changed since. This needs no Lamport time. It
+therefore works for progress, which has none, and for entries of a third replica that was behind the
+cut of all others.
 """
 
 from collections.abc import Iterator
@@ -18,15 +19,15 @@ from crdt.progress import KIND as BLOCKS
 from crdt.register import pack
 from protocol.frames.work_frames import Digests, StateSyncResponse, TaskClaim, WorkProgress
 
-FORKS_MAX = 256  # moments tried as a fork, newest first; a fifth of a millisecond
+FORKS_MAX = 256  # versions tried as a fork, newest first; takes a fifth of a millisecond
 HISTORY_MAX = 512  # own digests remembered: 10 s of the busiest fleet, minutes of a small one
 NAME_BITS = 24
-EMPTY = 0  # the digest of a replica that knows nothing; everybody is ahead of it
+EMPTY = 0  # the digest of an empty replica; every other replica is ahead of it
 GROUPS = (BUCKETS + 2) // 3  # frames of three bucket digests
 
 
 class ReplicaVersion(NamedTuple):
-    """A state we had: how many changes it had seen, the greatest Lamport time, the sum of entries."""
+    """A state we had: its number of changes, its greatest Lamport time, its sum of entries."""
 
     version: int
     lamport: int
@@ -37,10 +38,10 @@ NEVER = ReplicaVersion(0, 0, 0)
 
 
 class AppliedEntry(NamedTuple):
-    """What a frame with one entry meant to us."""
+    """What a frame with one entry changed here."""
 
     entry: int
-    changed: bool  # it was news
+    changed: bool  # it was new to us
     stale: bool  # ours is newer: the sender lacks something
 
 
@@ -56,7 +57,7 @@ class Replica:
         self.allocation, self.progress = allocation, progress
         self.version = 1
         self._changed: dict[int, int] = {}  # entry -> version of its last change; newest last
-        self._history: dict[int, ReplicaVersion] = {}  # own digest -> moment; newest last
+        self._history: dict[int, ReplicaVersion] = {}  # own digest -> version; newest last
         for entry in self.entries():
             self._changed[entry] = self.version
         self._remember()
@@ -103,15 +104,18 @@ class Replica:
             del history[next(iter(history))]
 
     def when(self, digest: int) -> ReplicaVersion | None:
-        """When we had this digest, if lately; a peer that has it now lacks what changed since."""
+        """The version at which we had this digest, if recently; a peer with it lacks later
+        changes."""
         if digest == EMPTY:
             return NEVER
         return self._history.get(digest)
 
     def fork(self, digest: int, met_total: int, after: int) -> ReplicaVersion | None:
-        """The moment, later than version `after`, from which a replica went its own way that has told
-        us all it had since, while we have told it nothing: then its entries are ours now, less what
-        was our own news when we met. Sums tell that; None where no moment fits."""
+        """The version, later than `after`, at which another replica diverged from ours.
+
+        It has sent us all that it changed since, and we have sent it nothing. So it holds our
+        entries of now without those that were new on our side when we met. This is checked by the
+        sums; None if no version fits."""
         learned = self.total - met_total
         for moment in islice(reversed(self._history.values()), FORKS_MAX):
             if moment.version < after:
@@ -136,7 +140,7 @@ class Replica:
     # ---------------------------------------------------------------- frames
 
     def hear(self, message: TaskClaim | StateSyncResponse | WorkProgress) -> AppliedEntry:
-        """Join what a frame says."""
+        """Join the entry of a frame."""
         if isinstance(message, WorkProgress):
             section, block, bits = message
             changed = self.progress.apply(section, block, bits)
@@ -153,7 +157,7 @@ class Replica:
         return _tuple(AppliedEntry, (entry, changed, stale))
 
     def say(self, entry: int) -> StateSyncResponse | WorkProgress:
-        """The frame that tells an entry as it is now."""
+        """The frame that carries the present value of an entry."""
         kind, name = entry >> NAME_BITS, entry & (1 << NAME_BITS) - 1
         if kind == REGISTERS:
             return StateSyncResponse(name, *self.allocation.entry(name))
@@ -168,7 +172,7 @@ class Replica:
         return [Digests(k, salt, *digests[3 * k : 3 * k + 3]) for k in range(GROUPS)]
 
     def differing(self, told: Digests) -> set[int]:
-        """The buckets of a frame in which the teller's entries are not ours."""
+        """The buckets of a frame in which the sender's entries differ from ours."""
         index, salt, *theirs = told
         ours = self._bucket_digests(salt)
         return {

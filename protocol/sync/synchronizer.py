@@ -1,25 +1,27 @@
 """Anti-entropy: how replicas that differ become equal again, one entry a frame.
 
-Every heartbeat carries a digest; `protocol/sync/digest_comparison.py` judges which of them mean
-that we lack something. Then, on a bus on which everybody hears everybody:
+Every heartbeat carries a digest; `protocol/sync/digest_comparison.py` decides which of them mean
+that we lack something. Then, on a bus on which every peer receives every frame:
 
-1. **One asks.** STATE_SYNC_REQUEST with the stable cut T0, in the order of `Divergence.order`; who
-   hears it waits for the end of the conversation and needs fresh evidence to ask again. So there is
-   one question at a time on the segment, whatever the number of peers that differ.
-2. **Few answer.** Peers that have another digest than the asker know what it lacks: if its digest
-   was theirs a moment ago, exactly; else what changed since they last agreed, less what the asker's
-   side itself has said; else, if they do not know each other, registers later than T0. The first
-   three in order make a list; one speaks, and the others strike what they hear and go on where it
-   falls silent.
-3. **What is stale is corrected** by its owner, or by the first in order: also a claim of a section
-   that its claimant does not know to be taken, long before its next heartbeat shows that.
-4. **What did not help is repeated differently.** After a question that taught nothing, and where
-   much would have to be said for a small loss, bucket digests follow the question (11 frames) and
-   only the entries of buckets that differ are answered; after two such questions, whatever the cut
-   says. Pauses double.
+1. **One peer asks.** It sends STATE_SYNC_REQUEST with the stable cut T0, in the order of
+   `Divergence.order`. A peer that receives it waits for the end of the conversation and needs fresh
+   evidence to ask again. So there is one question at a time on the segment, whatever the number of
+   peers that differ.
+2. **Few peers answer.** Peers with another digest than the asker compute what it lacks. If its
+   digest was one of theirs recently, they know exactly. Else they take what changed since they last
+   agreed, without what the asker's side itself has sent. If they have never agreed, they take
+   registers later than T0. The first three in order make a list. One sends; the others delete what
+   they receive and continue where it falls silent.
+3. **A stale entry is corrected** by its owner, or by the first in order. This includes a claim of a
+   section that its claimant does not know to be taken, long before its next heartbeat shows that.
+4. **A question without effect is repeated differently.** After a question that taught nothing, and
+   where much would have to be sent for a small loss, bucket digests follow the question (11
+   frames). Then only the entries of buckets that differ are answered, and after two such questions
+   regardless of the cut. Pauses double.
 
-Sync frames of the whole segment stay below `SHARE` of the bus: who says or hears one leaves a gap.
-A fresh join has T0 = 0 and the digest of nothing, which makes the answer a snapshot said once.
+Sync frames of the whole segment stay below `SHARE` of the bus, because a peer that sends or
+receives one leaves a gap. A fresh join has T0 = 0 and the digest of an empty replica, so the answer
+is a snapshot that is sent once.
 """
 
 from collections import Counter, deque
@@ -47,19 +49,20 @@ S = 1_000_000
 FRAME_US = 640  # worst-case stuffing, 250 kbit/s
 SHARE = 0.30
 GAP_US = round(FRAME_US / SHARE)  # from one sync frame of the segment to the next
-SLOT_US = 3 * MS  # step of the order of speaking: a frame behind the blocking of another, and some
-QUIET_US = 25 * MS  # a speaker that is silent for so long has finished or is gone
-SETTLE_US = 50 * MS  # frames that a heartbeat has overtaken have arrived by then
-ANSWERERS = (
-    3  # who keep a list: a speaker and two stand-ins. All of them would each repeat what it lost
-)
+SLOT_US = 3 * MS  # step of the sending order: a frame, the frame that blocks it, and a margin
+QUIET_US = 25 * MS  # a sender that is silent this long has finished or is gone
+SETTLE_US = 50 * MS  # by then, frames that a heartbeat has overtaken have arrived
+# Peers that keep a list: a sender and two stand-ins. If all peers kept one, each would repeat what
+# it lost.
+ANSWERERS = 3
 PAUSE_US = 150 * MS  # between questions that teach nothing; doubles
-DOUBLINGS_MAX = 8  # up to 38 s: a peer that can not be repaired costs next to nothing
-TURN_US = 150 * MS  # after our question it is the others' turn; their heartbeats are behind it
-GIVE_UP = 5  # questions that taught nothing, after which the state counts as beyond repair for now
-PATIENCE_US = 2 * S  # a reunion holds work up only while something is being learned
-FRESH_US = 250 * MS  # an entry that was on the bus so lately needs no correction
-GRACE_US = 100 * MS  # after a heartbeat period everybody has had time to contradict
+DOUBLINGS_MAX = 8  # up to 38 s: a peer that cannot be repaired costs next to nothing
+TURN_US = 150 * MS  # after our question other peers may ask; their heartbeats arrive after it
+# After this many questions that taught nothing, the state counts as beyond repair for now.
+GIVE_UP = 5
+PATIENCE_US = 2 * S  # a reunion delays work only while something is being learned
+FRESH_US = 250 * MS  # an entry that was on the bus this recently needs no correction
+GRACE_US = 100 * MS  # a heartbeat period and this time are enough for every member to contradict
 
 
 ENTRIES: Final = (TaskClaim, StateSyncResponse, WorkProgress)
@@ -67,7 +70,7 @@ Said = StateSyncRequest | StateSyncResponse | WorkProgress | Digests
 
 
 class Question(NamedTuple):
-    """A question whose bucket digests are to follow."""
+    """A question whose bucket digests follow in later frames."""
 
     salt: int
     place: int  # ours in the order of answering
@@ -81,19 +84,19 @@ class Synchronizer:
         self.divergence = Divergence(slot, self.replica)
         self.synchronizing = False
         self.counts: Counter[str] = Counter()
-        self._aired_us: dict[int, int] = {}  # entry -> when the value we hold was on the bus
+        self._aired_us: dict[int, int] = {}  # entry -> when our present value was on the bus
         self._live_since_us: dict[int, int] = {}
-        self._queue: dict[int, None] = {}  # entries to say, in order
-        self._digests: deque[Digests] = deque()  # bucket digests to say, before any entry
-        self._questions: dict[int, Question] = {}  # asker -> what it may be told
-        self._place = 0  # in the order of the conversation that goes on
-        self._speak_us = 0  # we say nothing before
+        self._queue: dict[int, None] = {}  # entries to send, in order
+        self._digests: deque[Digests] = deque()  # bucket digests to send, before any entry
+        self._questions: dict[int, Question] = {}  # asker -> what may be sent to it
+        self._place = 0  # in the order of the present conversation
+        self._speak_us = 0  # we send nothing before this time
         self._heard_us = -1  # last sync frame on the bus, ours included
         self._ask_us: int | None = None
         self._asked_us = -DOUBLINGS_MAX * S
-        self._our_turn_was_last = False  # the last question was ours, or asked what ours would
+        self._our_turn_was_last = False  # the last question was ours, or had our digest
         self._learned = False  # by sync frames, since the digests began to differ
-        self._taught = 0  # news by sync frames since our last question
+        self._taught = 0  # new entries from sync frames since our last question
         self._tries = 0  # questions since one taught us something
         self._learned_us = 0
         self._round = 0
@@ -106,7 +109,7 @@ class Synchronizer:
         return self.replica.digest
 
     def tell(self) -> int:
-        """The digest for the heartbeat that leaves now."""
+        """The digest for the heartbeat that is sent now."""
         return self.divergence.tell()
 
     @property
@@ -115,21 +118,21 @@ class Synchronizer:
 
     @property
     def cut(self) -> int:
-        """T0: the Lamport time at which we last agreed with everybody that differs now."""
+        """T0: the Lamport time at which we last agreed with all peers that differ now."""
         return self.divergence.base.lamport
 
     def statistics(self) -> dict[str, int]:
-        """Questions, answers begun, entries told, corrections, given up; since the start."""
+        """Questions, answers begun, entries sent, corrections, given up; since the start."""
         return dict(self.counts)
 
     def joined(self, now_us: int, heartbeat_us: int) -> None:
-        """We are on the bus: ready once everybody had time to contradict."""
+        """We have joined the bus: ready once every member has had time to contradict."""
         self._ready_us = now_us + heartbeat_us + GRACE_US
         self._learned_us = now_us
         self.divergence.expect()
 
     def ready(self, now_us: int) -> bool:
-        """Whether what we know is good enough to choose work by."""
+        """Whether our knowledge is good enough to choose work."""
         return self._ready_us is not None and now_us >= self._ready_us and not self.synchronizing
 
     def live(self, slots: frozenset[int], now_us: int) -> None:
@@ -137,14 +140,13 @@ class Synchronizer:
         for slot in returned:
             self._live_since_us[slot] = now_us
         self.divergence.see(slots)
-        if (
-            returned
-        ):  # nobody may have been there to answer: the pauses between questions begin again
+        # Maybe no peer was there to answer before, so the pauses between questions start again.
+        if returned:
             self._tries, self._ask_us = 0, None
         self._judge(now_us)
 
     def changed_here(self, section: int, block: int | None, now_us: int) -> None:
-        """An own operation or own progress was written and is being announced."""
+        """An own operation or own progress was written and is being sent."""
         if block is None:
             entry = entry_of(REGISTER, section)
         else:
@@ -153,7 +155,7 @@ class Synchronizer:
         self.replica.note(entry)
 
     def _judge(self, now_us: int) -> None:
-        """Whether a reunion has to be finished before we decide what to do next."""
+        """Decide whether a reunion must be finished before we choose the next work."""
         divergence = self.divergence
         if not divergence.odd:
             self._tries, self._learned = 0, False
@@ -164,10 +166,10 @@ class Synchronizer:
             and now_us < self._learned_us + PATIENCE_US
         )
 
-    # ---------------------------------------------------------------- hearing
+    # ---------------------------------------------------------------- receiving
 
     def heard_digest(self, slot: int, digest: int, now_us: int) -> None:
-        """A peer's heartbeat."""
+        """Handle the digest of a peer's heartbeat."""
         divergence = self.divergence
         if slot not in divergence.live:
             return
@@ -176,20 +178,20 @@ class Synchronizer:
 
     def _told(self, slot: int, digest: int, now_us: int) -> bool:
         if not self.divergence.reunion:
-            self._learned_us = now_us  # patience begins with the reunion
+            self._learned_us = now_us  # the patience interval starts with the reunion
         odd = self.divergence.heard(slot, digest, now_us)
         self._judge(now_us)
         return odd
 
     @property
     def _allowed_us(self) -> int:
-        """Before this we do not ask: the floor is taken, or our last question taught nothing."""
+        """We ask not before this: others are sending, or our last question taught nothing."""
         pause_us = PAUSE_US << min(max(self._tries - 1, 0), DOUBLINGS_MAX)
         turn_us = TURN_US if self._our_turn_was_last else 0
         return max(self._heard_us + GAP_US + QUIET_US + turn_us, self._asked_us + pause_us)
 
     def receive(self, slot: int, message: object, now_us: int) -> set[int]:
-        """Any work frame; returns the sections whose register changed."""
+        """Handle any work frame; return the sections whose register changed."""
         if isinstance(message, ENTRIES):
             return self._entry(slot, message, now_us)
         if isinstance(message, StateSyncRequest):
@@ -222,19 +224,20 @@ class Synchronizer:
         return set()
 
     def _is_relayed(self, slot: int, message: object, entry: int) -> bool:
-        """A sync frame, not an announcement. Progress has one frame for both: its owner announces."""
+        """Whether this is a sync frame, not an announcement. Progress has one frame for both; from
+        the owner of the section it is an announcement."""
         if isinstance(message, WorkProgress):
             return entry in self._queue or self.replica.owner_of(entry) != slot
         return isinstance(message, StateSyncResponse)
 
     def _floor_taken(self, now_us: int) -> None:
-        """Somebody speaks: go on where it falls silent."""
+        """A peer is sending: continue its list where it falls silent."""
         self._heard_us = now_us
         wait_us = GAP_US + QUIET_US + self._place * SLOT_US
         self._speak_us = max(self._speak_us, now_us + wait_us)
 
     def _correct(self, slot: int, heard: AppliedEntry, now_us: int) -> None:
-        """The sender does not know what we know: its owner says so, or the first in order."""
+        """The sender lacks an entry of ours: its owner sends it, or the first in order."""
         entry = heard.entry
         if entry in self._queue or now_us < self._aired_us.get(entry, -FRESH_US) + FRESH_US:
             return
@@ -255,7 +258,7 @@ class Synchronizer:
     def _question(self, slot: int, m: StateSyncRequest, now_us: int) -> None:
         self._heard_us = now_us
         self._questions.pop(slot, None)
-        self._digests.clear()  # one question at a time; ours is asked again
+        self._digests.clear()  # one question at a time; ours is asked again later
         self._speak_us = max(self._speak_us, now_us + GAP_US + QUIET_US)
         self._our_turn_was_last = m.digest == self.digest
         if self._our_turn_was_last:
@@ -263,7 +266,8 @@ class Synchronizer:
         if slot in self.divergence.live:
             if m.cut == 0:
                 self.divergence.forget(slot)
-            if self._told(slot, m.digest, now_us + 1):  # evidence for our turn, after this one
+            # Evidence for our question, which comes after this one.
+            if self._told(slot, m.digest, now_us + 1):
                 self._ask_us = self._allowed_us + self.divergence.place() * SLOT_US
         order = [s for s in self.divergence.order(m.digest) if s != slot]
         place = (order.index(self.slot) - ANSWERERS * m.round) % len(order)
@@ -279,7 +283,7 @@ class Synchronizer:
         self._queue.update(dict.fromkeys(entries))
 
     def _lacking(self, slot: int, m: StateSyncRequest) -> list[int]:
-        """What the asker does not know, as far as we know."""
+        """What the asker lacks, as far as we know."""
         replica, divergence = self.replica, self.divergence
         if m.scope == ALL_BUCKETS or m.digest == EMPTY:
             return replica.since(0)
@@ -305,9 +309,8 @@ class Synchronizer:
         different = self.replica.differing(m)
         chosen = [e for e in sorted(question.entries) if self.replica.bucket(e) in different]
         self._queue.update(dict.fromkeys(chosen))
-        last = (
-            m[0] == GROUPS - 1
-        )  # its index; the tuple's method hides the field from type checkers
+        # Index of the frame; the tuple's method hides the field from type checkers.
+        last = m[0] == GROUPS - 1
         wait_us = GAP_US + question.place * SLOT_US + (0 if last else QUIET_US)
         self._place, self._speak_us = question.place, now_us + wait_us
 
@@ -345,7 +348,7 @@ class Synchronizer:
         self._ask_us = None
         if not divergence.still_odd(self._heard_us):
             self._judge(now_us)
-            return ()  # explained meanwhile, or we wait for fresh evidence
+            return ()  # explained by now, or we wait for fresh evidence
         if now_us < self._allowed_us:
             self._ask_us = self._allowed_us + divergence.place() * SLOT_US
             return ()
@@ -367,7 +370,7 @@ class Synchronizer:
         return [StateSyncRequest(divergence.base.lamport, digest, scope, self._round)]
 
     def _scope(self, digest: int) -> int:
-        """How to ask: bucket digests cost 11 frames and pay when little of much is missing."""
+        """How to ask: bucket digests cost 11 frames and pay off if little of much is missing."""
         if digest == EMPTY:
             return REGISTERS
         if self._tries >= 2:

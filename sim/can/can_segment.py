@@ -1,15 +1,15 @@
-"""One CAN segment, sans I/O: who may speak, for how long, and who hears it.
+"""One CAN segment, sans I/O: which node sends, for how long, and which nodes receive.
 
 Frames submitted at one instant all enter the arbitration that starts at the next bit boundary, so
 the order of submissions inside an instant does not matter. The lowest identifier among the heads of
 the nodes' transmit queues goes first; it is not interrupted. An idle wire schedules nothing.
 
 Faults: islands (a cut bus), one-way links, loss, duplicates, bus errors with retransmission, error
-counters through error passive to bus-off and back, inconsistent omission. Chance comes from one
-generator per kind of fault, so that removing one fault does not reshuffle the others.
+counters through error passive to bus-off and back, inconsistent omission. Each kind of fault has
+its own random generator, so removing one fault does not change the random numbers of the others.
 
-Every frame is acknowledged, also that of a robot that is alone: a machine has a second controller on its
-bus, that of its implement. So `Node.sent` is what a CAN controller can confirm.
+Every frame is acknowledged, also that of a robot that is alone, because a machine has a second
+controller on its bus, that of its implement. So `Node.sent` is what a CAN controller can confirm.
 """
 
 from dataclasses import dataclass, field
@@ -20,11 +20,11 @@ from typing import Final, NamedTuple
 from protocol.frames.frame import Frame
 from sim.can.frame_timing import BIT_US, WORST_BITS, frame_bits
 
-QUEUE_MAX = 256  # frames a node may have waiting: 0.15 s of a whole bus for itself
+QUEUE_MAX = 256  # frames that a node may have waiting: 0.15 s of a bus used by it alone
 ERROR_US = 31 * BIT_US  # error flag, its superposition and delimiter, interframe space
 PASSIVE = 127  # above this a node is error passive
 BUS_OFF_TEC = 256
-SUSPEND_US = 8 * BIT_US  # an error passive node waits so long after its own frame (ISO 11898-1)
+SUSPEND_US = 8 * BIT_US  # an error passive node waits this long after its own frame (ISO 11898-1)
 NEVER_US: Final = -1
 ENDLESS_US: Final = 1 << 62
 NO_FRAME = Frame(0, b"")
@@ -35,7 +35,7 @@ _tuple = tuple.__new__
 
 
 class Delivery(NamedTuple):
-    """A frame that has reached its end, with the nodes that accepted it."""
+    """A frame that was sent completely, with the nodes that accepted it."""
 
     t_us: int
     frame: Frame
@@ -50,41 +50,42 @@ class Node:
     queue: list[tuple[int, int, Frame]] = field(default_factory=list)
     tec: int = 0  # transmit error counter
     rec: int = 0  # receive error counter
-    off_until_us: int | None = None  # bus-off until then
-    ready_us: int = 0  # error passive: not before this, after a frame of its own
-    refused: int = 0  # frames that found the queue full or the node off the bus
-    sent: int = 0  # frames that have left and were acknowledged; its driver can tell
-    flood: Frame | None = None  # it has this frame to send, always
+    off_until_us: int | None = None  # bus-off until that time
+    ready_us: int = 0  # an error passive node must not send before this time, after its own frame
+    refused: int = 0  # frames rejected because the queue was full or the node off the bus
+    sent: int = 0  # frames sent and acknowledged; its driver can report the number
+    flood: Frame | None = None  # this node always has this frame to send
 
 
 @dataclass
 class Faults:
-    """Rates are odds a frame, per receiver where a receiver can differ."""
+    """Rates are probabilities per frame, and per receiver if receivers can differ."""
 
-    loss: float = 0.0  # a receiver misses a frame, and nobody notices
+    loss: float = 0.0  # a receiver misses a frame, and no node detects it
     omission: float = 0.0  # inconsistent omission: some receivers miss it (Rufino et al. 1998)
-    duplicate: float = 0.0  # the frame is repeated although all had it
+    duplicate: float = 0.0  # the frame is repeated although all received it
     error: float = 0.0  # a bit error: error frame and retransmission
     deaf: set[tuple[int, int]] = field(default_factory=set)  # (sender, receiver) links that are cut
 
 
 class Island:
-    """A piece of the bus, and what goes on there."""
+    """A connected part of the bus, and its state."""
 
     def __init__(self, number: int) -> None:
         self.number = number
-        self.free_us = 0  # the last frame ended then
+        self.free_us = 0  # when the last frame ended
         self.start_us = NEVER_US  # when arbitration is due
-        self.begun_us = 0  # start of the frame that is being sent; may be a bit ahead of now
-        self.end_us = NEVER_US  # of the frame that is being sent
+        # Start of the frame being sent; may be slightly ahead of the present time.
+        self.begun_us = 0
+        self.end_us = NEVER_US  # of the frame being sent
         self.sender = 0
         self.frame = NO_FRAME
         self.broken = False
-        self.train_us = 0  # length of each of the same frames that follow one another; 0: no train
+        self.train_us = 0  # length of each frame in a train of equal frames; 0: no train
 
     @property
     def next_us(self) -> int:
-        """When something happens here, or `NEVER_US`. A train goes on by itself."""
+        """When the next event occurs here, or `NEVER_US`. A train needs no events."""
         if self.train_us:
             return NEVER_US
         return self.start_us if self.end_us == NEVER_US else self.end_us
@@ -97,20 +98,20 @@ class Wire:
         self.faults = Faults()
         self.frames = self.errors = 0
         self.busy_us = 0
-        self.worst_us = 0  # the same frames at worst-case stuffing
+        self.worst_us = 0  # time of the same frames at worst-case stuffing
         self.by_group: dict[int, int] = {}  # frames of each parameter group
         self._rng = {
             k: Random(f"{seed}/wire/{k}") for k in ("loss", "omission", "duplicate", "error")
         }
         self._order = 0
-        self._islands = [Island(0)]  # by their numbers; one, unless the bus was cut
+        self._islands = [Island(0)]  # by their numbers; only one unless the bus was cut
         self._audience: dict[int, tuple[int, ...]] = {}
-        self._off: dict[int, int] = {}  # nodes in bus-off -> until when
+        self._off: dict[int, int] = {}  # nodes in bus-off -> end of it
         self._waiting: set[int] = set()  # nodes with something to send
         self._next_node = 0
-        self._now_us = 0  # the latest time that we were told
+        self._now_us = 0  # the latest time given by a caller
         self._next_us: int | None = None
-        self._next_known = False  # nothing has changed since that was found
+        self._next_known = False  # nothing has changed since the next event was computed
 
     # ---------------------------------------------------------------- nodes
 
@@ -122,8 +123,8 @@ class Wire:
         return number
 
     def detach(self, number: int, now_us: int = 0) -> None:
-        """Without power: what it has waiting is lost, and a frame of its own that is under way breaks
-        off. The others see an error and arbitrate behind it."""
+        """Remove the power of a node: its waiting frames are lost, and its frame on the wire breaks
+        off. The others see an error and then arbitrate."""
         now_us = self._now_us = max(self._now_us, now_us)
         self._settle_all(now_us)
         self.nodes.pop(number, None)
@@ -136,7 +137,7 @@ class Wire:
         self._audience.clear()
 
     def _break_off(self, island: Island, now_us: int) -> None:
-        """Its sender is gone."""
+        """End the frame whose sender is gone."""
         if island.begun_us > now_us:
             self._withdraw(island)
             return  # a node with something to send arbitrates at that bit
@@ -145,9 +146,9 @@ class Wire:
         island.start_us = island.free_us
 
     def flood(self, number: int, frame: Frame | None, now_us: int) -> None:
-        """From now on the node has this frame to send, always; None: no longer. Where nothing else can
-        win, its frames follow one another without an event each: they are counted, and not delivered.
-        So it is for frames of groups that no robot reads."""
+        """From now on the node always has this frame to send; None: no longer. While no other node
+        can win, the frames follow one another without an event each: they are counted, but not
+        delivered. So use it only for frames of groups that no robot reads."""
         self._now_us = max(self._now_us, now_us)
         self._settle_all(now_us)
         node = self.nodes[number]
@@ -161,7 +162,7 @@ class Wire:
             self.submit(number, frame, now_us)
 
     def settle(self, now_us: int) -> None:
-        """Count what a flood has sent until now."""
+        """Count the flood frames sent until now."""
         self._settle_all(now_us)
 
     def _settle_all(self, now_us: int) -> None:
@@ -170,7 +171,7 @@ class Wire:
                 self._settle(island, now_us)
 
     def _settle(self, island: Island, now_us: int) -> None:
-        """The train ends with the frame that is under way now, and the next arbitration behind it."""
+        """The train ends with the frame on the wire; the next arbitration follows it."""
         ended = max(0, (now_us - island.begun_us) // island.train_us)
         node, length = self.nodes[island.sender], len(island.frame[1])
         node.sent += ended
@@ -185,14 +186,14 @@ class Wire:
         self._next_known = False
 
     def partition(self, *islands: set[int]) -> None:
-        """Cut the bus: the named nodes fall into these islands, the others stay in the first."""
+        """Cut the bus: the named nodes form these islands, all others stay in the first."""
         self._settle_all(self._now_us)
         while len(self._islands) < len(islands):
             self._islands.append(Island(len(self._islands)))
         for number, node in self.nodes.items():
             node.island = next((i for i, names in enumerate(islands) if number in names), 0)
         self._audience.clear()
-        for number in self._waiting:  # what waits goes on in the new island
+        for number in self._waiting:  # waiting frames continue in the new island
             self._wish(self._islands[self.nodes[number].island], self._now_us)
 
     def heal(self) -> None:
@@ -202,8 +203,8 @@ class Wire:
     # ---------------------------------------------------------------- sending
 
     def submit(self, number: int, frame: Frame, now_us: int) -> bool:
-        """Queue a frame; False where the queue is full of frames that are as urgent, or the node is off
-        the bus. A more urgent frame displaces the least urgent one."""
+        """Queue a frame. False if the queue is full of frames that are at least as urgent, or the
+        node is off the bus. A more urgent frame displaces the least urgent one."""
         node = self.nodes.get(number)
         if node is None:
             return False
@@ -220,8 +221,9 @@ class Wire:
         self._waiting.add(number)
         island = self._islands[node.island]
         self._wish(island, now_us)
-        # Who speaks into silence is not waited for: the arbitration is held now, and once more where
-        # somebody joins it before its bit has come. With errors it is held in its time, chance and all.
+        # On an idle wire the arbitration is decided immediately, and again if another node joins
+        # before its bit time. With error faults it is decided at its bit time, with the random
+        # draws in order.
         if island.start_us > now_us and self.faults.error == 0.0:
             self._arbitrate(island, island.start_us)
             self._next_known = False
@@ -253,7 +255,7 @@ class Wire:
             self._next_known = False
 
     def _outranks(self, island: Island) -> bool:
-        """Somebody has a frame that a train does not win against."""
+        """Whether another node has a frame that wins against the train."""
         best = self.nodes[island.sender].queue[0]
         return any(
             self.nodes[n].queue[0] < best
@@ -262,7 +264,7 @@ class Wire:
         )
 
     def _withdraw(self, island: Island) -> None:
-        """The arbitration that was held ahead of its bit was not the last word."""
+        """Cancel an arbitration that was decided before its bit time."""
         length_us = island.end_us - island.begun_us
         self.busy_us -= length_us
         self.worst_us -= WORST_BITS[len(island.frame[1])] * self.bit_us
@@ -270,7 +272,7 @@ class Wire:
 
     @property
     def next_us(self) -> int | None:
-        """When something happens next by itself."""
+        """When the next event occurs by itself."""
         if self._next_known:
             return self._next_us
         next_us = NEVER_US
@@ -285,7 +287,7 @@ class Wire:
         return self._next_us
 
     def advance(self, now_us: int) -> list[Delivery]:
-        """Everything that ends until now, in order."""
+        """Process everything that ends until now, in order."""
         deliveries: list[Delivery] = []
         self._now_us = max(self._now_us, now_us)
         while (t_us := self.next_us) is not None and t_us <= now_us:
@@ -301,7 +303,7 @@ class Wire:
         return deliveries
 
     def _recover(self, t_us: int) -> None:
-        """Nodes whose time off the bus is over."""
+        """Return nodes whose bus-off time is over."""
         for number in [n for n, until_us in self._off.items() if until_us <= t_us]:
             del self._off[number]
             node = self.nodes[number]
@@ -309,7 +311,7 @@ class Wire:
 
     def _arbitrate(self, island: Island, t_us: int) -> None:
         island.start_us = NEVER_US
-        best: tuple[int, int, Frame] | None = None  # no two have one order
+        best: tuple[int, int, Frame] | None = None  # no two entries have the same order
         sender, later_us = -1, list[int]()
         for number in self._waiting:
             node = self.nodes[number]
@@ -336,7 +338,7 @@ class Wire:
             island.train_us = bits * self.bit_us
             return
         broken = self.faults.error > 0.0 and self._rng["error"].random() < self.faults.error
-        if broken:  # somewhere inside the frame, then everybody shouts
+        if broken:  # at a random bit of the frame all nodes send an error flag
             length_us = self._rng["error"].randrange(1, bits) * self.bit_us + ERROR_US
         else:
             length_us = bits * self.bit_us
@@ -377,16 +379,16 @@ class Wire:
                 break
 
     def _undisturbed(self, node: Node) -> bool:
-        """Nothing but a frame that is submitted can change who wins."""
+        """Whether only a newly submitted frame can change which node wins."""
         faults = self.faults
         return not (faults.error or faults.duplicate or self._off or node.tec > PASSIVE)
 
     @staticmethod
     def _drop_head(node: Node, frame: Frame) -> None:
-        """Take the sent frame off the queue; a more urgent one may have been queued meanwhile.
+        """Remove the sent frame from the queue; a more urgent one may have been queued meanwhile.
 
-        It is there no longer where the bus was cut in the middle of it, and the node has sent it to its
-        end in its new island.
+        The frame is no longer in the queue if the bus was cut while it was sent and the node has
+        completed it in its new island.
         """
         if node.queue[0][2] is frame:
             heappop(node.queue)
@@ -400,7 +402,7 @@ class Wire:
             heappush(node.queue, entry)
 
     def _punish(self, number: int, node: Node, t_us: int) -> None:
-        """A broken frame: ISO 11898-1 fault confinement, 8 for the sender and 1 for who listens."""
+        """A broken frame: ISO 11898-1 fault confinement, 8 for the sender and 1 for receivers."""
         for other in self.nodes.values():
             if other is not node and other.island == node.island:
                 other.rec = min(other.rec + 1, PASSIVE + 1)
@@ -432,7 +434,7 @@ class Wire:
             )
             self._audience[sender] = audience
         faults = self.faults
-        if self._off:  # it neither sends nor hears
+        if self._off:  # a node in bus-off neither sends nor receives
             audience = tuple(n for n in audience if n not in self._off)
         if faults.deaf:
             audience = tuple(n for n in audience if (sender, n) not in faults.deaf)

@@ -1,4 +1,4 @@
-"""What is on a simulated bus: frames counted by kind, and written to logs."""
+"""Counts the frames on a simulated bus by kind, and writes them to logs."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -15,11 +15,11 @@ class BusTally:
         self._logs: list[LogWriter] = []
 
     def open(self, paths: Sequence[Path]) -> None:
-        """From now on frames are written there, too."""
+        """From now on, write frames to these files too."""
         self._logs = [open_log(path) for path in paths]
 
     def tap(self, t_us: int, frame: Frame) -> None:
-        """One frame of the wire."""
+        """Handle one frame of the wire."""
         _, message = decode_once(frame)
         kind = type(message)
         self._kinds[kind] = self._kinds.get(kind, 0) + 1
@@ -28,7 +28,7 @@ class BusTally:
 
     @property
     def kinds(self) -> Counter[str]:
-        """Frames of each kind of message."""
+        """Number of frames of each kind of message."""
         return Counter({kind.__name__: count for kind, count in self._kinds.items()})
 
     @property

@@ -1,8 +1,8 @@
-"""How long a frame takes: exact bits of a 29-bit-identifier data frame, with CRC and stuffing.
+"""The duration of a frame: exact bits of a 29-bit-identifier data frame, with CRC and stuffing.
 
-ISO 11898-1: after five equal bits a bit of the other value is stuffed, from start of frame to the
-end of the CRC sequence. Then CRC delimiter, acknowledge slot and delimiter, seven bits end of frame
-and three bits interframe space, which are not stuffed.
+ISO 11898-1: after five equal bits, a bit of the opposite value is stuffed, from start of frame to
+the end of the CRC sequence. CRC delimiter, acknowledge slot and delimiter, seven bits end of frame
+and three bits interframe space follow without stuffing.
 """
 
 from typing import Final
@@ -16,7 +16,7 @@ EQUAL_BITS_MAX: Final = 5
 
 
 def worst_bits(data_bytes: int) -> int:
-    """With the most stuffing there can be: 80 + 10 bits a byte (Davis et al. 2007, g = 54)."""
+    """Bits with maximum stuffing: 80 + 10 bits a byte (Davis et al. 2007, g = 54)."""
     stuffable = HEAD_BITS + CRC_BITS + 8 * data_bytes
     return stuffable + (stuffable - 1) // 4 + TAIL_BITS
 
@@ -24,11 +24,11 @@ def worst_bits(data_bytes: int) -> int:
 WORST_BITS = tuple(worst_bits(count) for count in range(9))  # by data bytes
 assert WORST_BITS[8] == 160 and WORST_BITS[0] == 80
 
-FREE: Final = -1  # before a frame there is no run of equal bits
+FREE: Final = -1  # the state before a frame, without a run of equal bits
 
 
 def run_on(state: int, bits: int, count: int) -> tuple[int, int]:
-    """Stuffing over so many bits, the highest first: (state after them, bits stuffed).
+    """Stuffing over `count` bits, the highest first: (state after them, bits stuffed).
 
     A state is twice the length of the run of equal bits so far, 1 to 4, and the value of the last.
     """
@@ -45,7 +45,7 @@ def run_on(state: int, bits: int, count: int) -> tuple[int, int]:
 
 
 def divided(crc: int, bits: int, count: int) -> int:
-    """The CRC register after so many bits more, the highest first."""
+    """The CRC register after `count` more bits, the highest first."""
     for k in range(count - 1, -1, -1):
         feedback = (bits >> k ^ crc >> 14) & 1
         crc = crc << 1 & 0x7FFF ^ (CRC_POLYNOMIAL if feedback else 0)
@@ -53,7 +53,8 @@ def divided(crc: int, bits: int, count: int) -> int:
 
 
 def _stuffing(bits: int) -> bytes:
-    """For every state and value of so many bits: state after them, and 16 times what was stuffed."""
+    """For every state and every value of this many bits: state after them, and 16 times the stuffed
+    bits."""
     rows = (run_on(state, v, bits) if state > 1 else (0, 0) for state in range(10)
             for v in range(1 << bits))  # fmt: skip
     return bytes(state | stuffed << 4 for state, stuffed in rows)
@@ -63,7 +64,7 @@ _BY_BYTE: Final = _stuffing(8)
 _BY_SEVEN: Final = _stuffing(7)  # the upper bits of a CRC
 _CRC: Final = [divided(0, byte, 8) for byte in range(256)]
 _heads: dict[int, tuple[int, int, int]] = {}  # of frames sent before
-HEADS_MAX = 4096  # a fleet has a hundred senders with a dozen kinds each
+HEADS_MAX = 4096  # a fleet has a hundred senders with a dozen frame kinds each
 
 
 def _head(identifier: int, length: int) -> tuple[int, int, int]:

@@ -1,8 +1,8 @@
 """`can.Bus(interface="fieldbus", channel="...")`: the simulated wire as a python-can interface.
 
-All buses of one channel name in a process share one segment. In an asyncio loop the segment is
-driven by the loop's timers, in virtual or in real time alike; without a loop, `recv` and `send`
-drive it by the wall clock. No threads, and no copy per receiver.
+All buses of one channel name in a process share one segment. In an asyncio loop, the loop's timers
+drive the segment, in virtual or real time. Without a loop, `recv` and `send` drive it by the wall
+clock. There are no threads, and no copy per receiver.
 """
 
 import asyncio
@@ -25,8 +25,9 @@ from protocol.frames.frame import Frame
 from protocol.frames.messages import GROUP_OF
 from sim.can.can_segment import PASSIVE, Wire
 
-RX_QUEUE_MAX = 8192  # frames kept for a program that does not read; then the newest are dropped
-POLL_S = 0.002  # how often a program without an event loop looks at the wire
+# Frames kept for a program that does not read; beyond this the newest are dropped.
+RX_QUEUE_MAX = 8192
+POLL_S = 0.002  # how often a program without an event loop polls the wire
 
 ACTIVE, SHAKEN, OFF = can.BusState.ACTIVE, can.BusState.PASSIVE, can.BusState.ERROR
 POSE_PGN: Final = GROUP_OF[Pose].pgn
@@ -38,7 +39,7 @@ log = logging.getLogger(__name__)
 
 
 class Clock(Protocol):
-    """What drives a segment's time where that is not an asyncio loop."""
+    """What drives a segment's time if it is not an asyncio loop."""
 
     def now_us(self) -> int: ...
     def at(self, t_us: int, call: Callable[[], object]) -> "Alarm": ...
@@ -49,7 +50,7 @@ class Alarm(Protocol):
 
 
 def calm(frame: Frame, t_us: int) -> BufferedBeacon | None:
-    """A beat that may wait for the turns of those who hear it."""
+    """A beat that may wait until its receivers take their turns; None for other frames."""
     group = frame[0] >> 8 & 0x3FFFF
     if group != POSE_PGN and group != HEARTBEAT_PGN:
         return None
@@ -72,13 +73,13 @@ class Segment:
         self.channel, self.bitrate = channel, bitrate
         self.wire = Wire(seed, 1_000_000 // bitrate)
         self.buses: dict[int, FieldBus] = {}
-        self.ears: dict[int, Callable[[Frame], None]] = {}  # of buses that are listened to
+        self.ears: dict[int, Callable[[Frame], None]] = {}  # callbacks of buses with a subscriber
         self.shelves: dict[
             int, list[BufferedBeacon]
-        ] = {}  # and of those that take calm beats later
-        self.tellers: dict[int, Tap] = {}  # told when a frame of theirs has left
+        ] = {}  # buffers of buses that accept deferred beats
+        self.tellers: dict[int, Tap] = {}  # called when a frame of the node has left
         self.taps: list[Tap] = []
-        self.taps_lost = 0  # that could not write any more
+        self.taps_lost = 0  # taps that failed to write
         self.lock = threading.RLock()  # programs without an event loop send and receive in threads
         self._loop: asyncio.AbstractEventLoop | None = None
         self._clock = clock
@@ -115,7 +116,7 @@ class Segment:
             self.arm()
 
     def arm(self) -> None:
-        """See to it that somebody looks when the wire does something next."""
+        """Make sure that the segment is called when the next event occurs on the wire."""
         loop: asyncio.AbstractEventLoop | None = None
         if self._clock is None:
             try:
@@ -150,7 +151,7 @@ class Segment:
             for tap in self.taps:
                 try:
                     tap(t_us, frame)
-                except OSError as problem:  # a recorder's disk is full: what is recorded goes on
+                except OSError as problem:  # a recorder's disk is full: the recorded run continues
                     lost = [*lost, (tap, problem)]
             if sender in tellers:
                 tellers[sender](t_us, frame)
@@ -169,14 +170,14 @@ class Segment:
                 lost = ()
 
     def _end_taps(self, lost: Sequence[tuple[Tap, OSError]]) -> None:
-        """Those that failed hear nothing more."""
+        """Remove the taps that failed."""
         for tap, problem in lost:
             self.taps_lost += 1
             self.taps.remove(tap)
             log.error("%s: a recorder of %s ends", problem, self.channel)
 
     def _put(self, beat: BufferedBeacon, receivers: tuple[int, ...]) -> tuple[int, ...]:
-        """On the shelves of those who have one; returns the others."""
+        """Put a beat into the buffers of receivers that have one; returns the others."""
         others: tuple[int, ...] = ()
         shelves = self.shelves
         for node in receivers:
@@ -202,7 +203,7 @@ def segment(
 
 
 def forget(channel: str) -> None:
-    """The next bus of this name is on a new wire."""
+    """Make the next bus of this name start on a new wire."""
     _segments.pop(channel, None)
 
 
@@ -230,14 +231,14 @@ class FieldBus(BusABC):
         self._callback: Callable[[Frame], None] | None = None
         self._fd: int | None = None
         self._open = True
-        self._sent = 0  # when it was closed
-        if receive_own_messages:  # as SocketCAN: when they have left, not before
+        self._sent = 0  # the number when it was closed
+        if receive_own_messages:  # as with SocketCAN: after they have left, not before
             self.tell_sent(self._deliver)
 
-    # ---------------------------------------------------------------- the fast way
+    # ---------------------------------------------------------------- direct interface
 
     def subscribe(self, callback: Callable[[Frame], None]) -> None:
-        """Every frame is given to this callback in the loop's thread, and no longer queued."""
+        """Pass every frame to this callback in the loop's thread, and no longer queue it."""
         self._callback = callback
         if self._open:
             self.segment.ears[self.node] = callback
@@ -261,7 +262,7 @@ class FieldBus(BusABC):
             self.segment.tellers[self.node] = callback
 
     def submit(self, frame: Frame) -> bool:
-        """Queue a frame without a `can.Message`; False where the node cannot take it."""
+        """Queue a frame without a `can.Message`; False if the node cannot accept it."""
         if not self._open:
             return False
         return self.segment.submit(self.node, frame)

@@ -1,7 +1,7 @@
-"""The beacon of socketcand: a datagram that says where a bus is served, so that tools find it.
+"""The beacon of socketcand: a datagram that announces where a bus is served, so that tools find it.
 
-SavvyCAN lists only servers that it has heard so, and python-can's `detect_available_configs` looks for
-them as well. A server on loopback is announced on loopback alone.
+SavvyCAN lists only servers whose beacon it has received, and python-can's
+`detect_available_configs` uses beacons as well. A server on loopback is announced on loopback only.
 """
 
 import asyncio
@@ -10,10 +10,10 @@ import socket
 from ipaddress import ip_address
 from xml.sax.saxutils import escape, quoteattr
 
-PORT = 42_000  # where listeners expect it, as socketcand sends it
+PORT = 42_000  # the port on which listeners expect it, as with socketcand
 EVERY_S = 3.0  # as socketcand does
-LOOPBACK, NETWORK = "127.255.255.255", "255.255.255.255"  # to all who listen there
-BYTES_MAX = 1024  # that listeners read; socketcand's own limit, too
+LOOPBACK, NETWORK = "127.255.255.255", "255.255.255.255"  # broadcast addresses
+BYTES_MAX = 1024  # the size that listeners read; socketcand's own limit, too
 NAME_MAX, CHANNEL_MAX = 64, 32  # characters of a host name and of a channel
 TYPE = "SocketCAN"  # SavvyCAN and Kayak know this kind and "adapter"
 
@@ -30,12 +30,12 @@ def beacon(name: str, host: str, port: int, channel: str) -> bytes:
 
 
 async def announce(host: str, port: int, channel: str) -> None:
-    """Until it is cancelled. `host`: where the server listens. A network that takes no datagram is no
-    reason to end: it may come back."""
+    """Announce until cancelled. `host`: where the server listens. A network that rejects a datagram
+    is no reason to end, because it may recover."""
     local = "127.0.0.1" if host == "localhost" else host
     try:
         address = ip_address(local)
-    except ValueError:  # a name: which addresses it has is not ours to say
+    except ValueError:  # a host name: its addresses cannot be known here
         return
     if address.version != 4:  # the beacon is a broadcast, which IPv6 does not have
         return

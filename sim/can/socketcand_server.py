@@ -1,11 +1,11 @@
 """A simulated segment for several processes: a server of the socketcand protocol on loopback.
 
 python-can's own `socketcand` interface, its logger, its viewer and our robots attach as to any bus.
-Each client is a node of its own on the wire: what it sends goes through arbitration, what it hears
-has been through it. A client that does not read is dropped, and never slows the wire.
+Each client is a separate node on the wire: the frames it sends and receives go through arbitration.
+A client that does not read is dropped, so it never slows the wire.
 
-A client may close as soon as it has sent: its node stays on the wire until its queue is empty. Commands
-are read in small portions, turn by turn, so that no client keeps the others from being heard.
+A client may close right after sending; its node stays on the wire until its queue is empty.
+Commands are read in small portions, client by client, so that no client delays the others.
 """
 
 import asyncio
@@ -22,32 +22,34 @@ log = logging.getLogger(__name__)
 
 LINE_MAX = 256  # bytes of a command; the longest valid one has 180, with sign-extended data
 READ_BYTES = 1024  # of one client in one turn: fifty frames, a millisecond of work
-BACKLOG_BYTES_MAX = 1 << 20  # unread by a client, answers included: about ten seconds of a full bus
-ERRORS_MAX = 1000  # commands without sense, then it is no client of ours
-COMMANDS_S = (
-    2000  # of one client in a second: a whole bus of 250 kbit/s; then it is read more slowly
-)
-QUIET_S = 0.05  # after "rawmode": python-can's client takes what follows in one read for the answer
-DRAIN_S = 2.0  # for the queue of a closed client: 256 frames are 0.15 s of a whole bus
-DRAIN_LOOK_S = 0.01  # whether it is empty
-LEFT_BYTES_MAX = 65_536  # read of a connection that was reset while we wrote to it
-OPEN_S = 30.0  # for a connection to ask for frames; a person who types may take a while
-SPEAKS_S = 5.0  # a client that sent within this keeps its seat; robots beat every 50 to 200 ms
-GOODBYE_S = 0.5  # a closed connection ends at once
-REFUSED_US = 1_000_000  # a client that does not ask is told of refused frames once a second
+# Not read by a client, answers included: about ten seconds of a full bus.
+BACKLOG_BYTES_MAX = 1 << 20
+ERRORS_MAX = 1000  # invalid commands; after this many, the client is dropped
+# Of one client per second: a whole bus of 250 kbit/s. A faster client is read more slowly.
+COMMANDS_S = 2000
+# After "rawmode": python-can's client takes data that follows in the same read for the answer.
+QUIET_S = 0.05
+DRAIN_S = 2.0  # time limit for the queue of a closed client: 256 frames are 0.15 s of a whole bus
+DRAIN_LOOK_S = 0.01  # interval of checks whether it is empty
+LEFT_BYTES_MAX = 65_536  # read from a connection that was reset while we wrote to it
+OPEN_S = 30.0  # time for a connection to ask for frames; a person who types may take a while
+SPEAKS_S = 5.0  # a client that sent within this time keeps its seat; robots beat every 50 to 200 ms
+GOODBYE_S = 0.5  # time limit; a closed connection normally ends immediately
+REFUSED_US = 1_000_000  # a client without `confirm` gets a report of refused frames once a second
 CLIENTS_MAX = 160  # 108 peers and their tools
-# Attached clients that have never sent a frame: viewers and loggers. Each frame is written to each of
-# them, and 150 that did not even read took a whole core, so that the fleet stood for minutes.
+# Attached clients that have never sent a frame: viewers and loggers. Each frame is written to each
+# of them. With 150 that did not even read, one core was fully loaded and the fleet stood for
+# minutes.
 LISTENERS_MAX = 32
-LISTENER_S = 5.0  # a robot or a tool has sent its first frame by then
-EFF_FLAG = 1 << 31  # SocketCAN's mark of a 29-bit identifier, which some clients leave in it
+LISTENER_S = 5.0  # by then a robot or a tool has sent its first frame
+EFF_FLAG = 1 << 31  # SocketCAN's flag of a 29-bit identifier, which some clients leave in it
 HEX = re.compile(r"[0-9A-Fa-f]+")
 BYTE_DIGITS_MAX = 16  # some clients extend the sign of a byte to 32 or 64 bits
 NO_FRAME = "error not a classic data frame with a 29-bit identifier"
 
 
 def frame_of(identifier: str, length: str, data: list[str]) -> Frame | None:
-    """The words of a `send` command; None where they are no frame that a bus of ours carries.
+    """The frame of a `send` command; None if it is no frame that our bus carries.
 
     As socketcand reads them: an identifier may carry the EFF flag, and of each byte the low 8 bits
     count. Signs, underscores and prefixes, which Python's `int` would take, are no digits.
@@ -65,22 +67,22 @@ def frame_of(identifier: str, length: str, data: list[str]) -> Frame | None:
 
 
 class Client(asyncio.BufferedProtocol):
-    """One connection: the commands of socketcand in, frames out."""
+    """One connection: commands of socketcand in, frames out."""
 
     def __init__(self, hub: "Hub") -> None:
         self.hub = hub
         self.bus: FieldBus | None = None
-        self.errors = 0  # commands that made no sense
-        self.refused = 0  # frames that the wire did not take
-        self._confirms = False  # it wants to know what becomes of its frames
+        self.errors = 0  # invalid commands
+        self.refused = 0  # frames that the wire did not accept
+        self._confirms = False  # whether it asked for reports about its frames
         self._told_us = -REFUSED_US
-        self.since_s = self.spoke_s = 0.0  # connected; sent a frame
+        self.since_s = self.spoke_s = 0.0  # times of connection and of its last frame
         self.spoke = False
         self._transport: asyncio.Transport | None = None
-        self._twin: socket.socket | None = None  # what is unread is read here after a reset
+        self._twin: socket.socket | None = None  # used to read the remaining data after a reset
         self._buffer = bytearray(READ_BYTES)
         self._pending = b""
-        self._quiet: list[bytes] | None = None  # held back: the client may not be ready
+        self._quiet: list[bytes] | None = None  # held back, because the client may not be ready
         self._commands = 0  # since `_window_s`
         self._window_s = 0.0
 
@@ -151,12 +153,13 @@ class Client(asyncio.BufferedProtocol):
         self.spoke, self.spoke_s = True, asyncio.get_running_loop().time()
         if self.bus is not None:
             taken = self.bus.submit(frame)
-        else:  # sent before the first frame is heard
+        else:  # sent before the first frame is received
             taken = self.hub.segment.submit(self.hub.spare.node, frame)
         return None if taken else self._refuse()
 
     def _refuse(self) -> str | None:
-        """The wire has not taken a frame: said to a client that asks, with each; to others seldom."""
+        """The wire has rejected a frame. A client with `confirm` gets a report for each, others
+        rarely."""
         self.refused += 1
         if self._confirms:
             return f"refused {self.refused}"
@@ -167,7 +170,7 @@ class Client(asyncio.BufferedProtocol):
         return "error the bus takes no frame"
 
     def _confirm(self) -> str | None:
-        """From now on it is told how many of its frames have left the wire."""
+        """From now on, report how many of its frames have left the wire."""
         if not self._confirms or self.bus is None:
             return None
         self.bus.tell_sent(self._left)
@@ -178,7 +181,7 @@ class Client(asyncio.BufferedProtocol):
             self._write(f"< sent {self.bus.sent} >".encode("ascii"))
 
     def _attach(self) -> None:
-        """On the wire at once. What is heard follows the answer after a pause."""
+        """Attach to the wire immediately. Received frames follow the answer after a pause."""
         if self.bus is None:
             self.bus = FieldBus(self.hub.segment.channel)
             self.bus.subscribe(self._frame)
@@ -217,8 +220,8 @@ class Client(asyncio.BufferedProtocol):
             self._drop("it does not speak the protocol")
 
     def _take_what_is_left(self) -> None:
-        """A client that closes with frames unread resets the connection. Where we notice that by
-        writing, what it sent last is still to be read."""
+        """Read the last data of a client that closed with frames unread. That resets the
+        connection, and if we notice it by a write, its last data is still to be read."""
         left, self._transport = b"", None
         if self._twin is not None:
             self._twin.setblocking(False)
@@ -228,7 +231,7 @@ class Client(asyncio.BufferedProtocol):
         self._take(left)
 
     def _pace(self) -> None:
-        """A client with too many commands is not read for a while."""
+        """Stop reading a client with too many commands for a while."""
         loop, transport = asyncio.get_running_loop(), self._transport
         due_s = self._window_s + self._commands / COMMANDS_S
         if due_s <= loop.time():
@@ -262,7 +265,7 @@ class Client(asyncio.BufferedProtocol):
 
     @property
     def unread_bytes(self) -> int:
-        """Of what was written for it, in this process."""
+        """Bytes written for it that are still in this process."""
         held = sum(map(len, self._quiet or ()))
         return held + (0 if self._transport is None else self._transport.get_write_buffer_size())
 
@@ -272,7 +275,7 @@ class Client(asyncio.BufferedProtocol):
 
     @property
     def listens(self) -> bool:
-        """It hears every frame, and has sent none although it had the time."""
+        """Whether it receives every frame, and has sent none although it had the time."""
         now_s = asyncio.get_running_loop().time()
         return self.bus is not None and not self.spoke and now_s - self.since_s >= LISTENER_S
 
@@ -293,7 +296,7 @@ class Hub:
         self._retiring: dict[FieldBus, float] = {}  # of closed clients, until when at most
 
     async def start(self, host: str = "127.0.0.1", port: int = 0) -> None:
-        """Listen; the port is in `port`. OSError where it is in use."""
+        """Listen; the port is in `port`. OSError if it is in use."""
         loop = asyncio.get_running_loop()
         self._server = await loop.create_server(lambda: Client(self), host, port)
         self.port = self._server.sockets[0].getsockname()[1]
@@ -312,7 +315,8 @@ class Hub:
         self._retiring.clear()
 
     def seat(self, client: Client) -> bool:
-        """Where all are taken, the one that has said nothing for the longest time gives its up."""
+        """Find a seat. If all are taken, the client that was silent for the longest time loses its
+        seat."""
         if len(self.clients) >= CLIENTS_MAX:
             now_s = asyncio.get_running_loop().time()
             silent = [c for c in self.clients if not c.spoke or now_s - c.spoke_s > SPEAKS_S]
@@ -326,14 +330,15 @@ class Hub:
         return True
 
     def thin_out(self) -> None:
-        """Of too many that only listen, those that came first give way."""
+        """If too many clients only listen, drop the oldest of them."""
         listening = sorted((c for c in self.clients if c.listens), key=lambda c: c.since_s)
         for client in listening[: max(len(listening) - LISTENERS_MAX, 0)]:
             self.clients.discard(client)
             client.give_up_seat()
 
     def retire(self, bus: FieldBus) -> None:
-        """Its client has closed: it hears nothing more, and leaves when its queue is empty."""
+        """Its client has closed: the node receives nothing more, and is removed when its queue is
+        empty."""
         bus.subscribe(_ignore)
         self._retiring[bus] = asyncio.get_running_loop().time() + DRAIN_S
         self._look_after(bus)
@@ -351,4 +356,4 @@ class Hub:
 
 
 def _ignore(frame: Frame) -> None:
-    """Of a node that listens to nothing."""
+    """The callback of a node that ignores all frames."""

@@ -1,6 +1,6 @@
-"""Runs with drawn faults, and the judges that decide whether a rule was broken.
+"""Runs with random faults, and the judges that decide whether a rule was broken.
 
-`fault_profiles` and `fault_generators` draw faults, `scenario_judge` plays and judges a scenario,
-`protocol_rules` and `durability_rules` judge what robots say and store. `planted_bugs` checks the
-judges, `shrink` makes failures small.
+`fault_profiles` and `fault_generators` draw faults, `scenario_judge` runs and judges a scenario,
+`protocol_rules` and `durability_rules` judge what robots send and store. `planted_bugs` checks the
+judges, `shrink` reduces failing scenarios.
 """

@@ -1,7 +1,7 @@
-"""What peers wrote down and what they said, in order: the material of every durability campaign.
+"""What peers wrote to disk and what they sent, in order: the input of every durability campaign.
 
 `lost` is the judge. It knows the rules (durable before revealed; brake and send a stop first) and
-nothing of how a journal works.
+does not know how a journal works.
 """
 
 import asyncio
@@ -41,7 +41,7 @@ Tape = list[Batch | Message]
 
 
 class RecordingJournal(MemoryJournal):
-    """The `Journal` port; writes go on the tape as well."""
+    """The `Journal` port; records each write on the tape as well."""
 
     def __init__(self, tape: Tape) -> None:
         super().__init__()
@@ -54,7 +54,8 @@ class RecordingJournal(MemoryJournal):
 
 
 def record(seed: int, simulated_s: float = 180.0) -> dict[int, Tape]:
-    """Three robots work a small field, are stopped and released many times; their tapes by slot."""
+    """Three robots work a small field and are stopped and released many times; their tapes by
+    slot."""
     rng = Random(f"{seed}/tape")
     resets = [Reset(at_s=float(at_s), kind="reset") for at_s in range(20, int(simulated_s), 15)]
     scenario = load("small").changed(3, seed).model_copy(update={"fault": resets})
@@ -84,8 +85,9 @@ def record(seed: int, simulated_s: float = 180.0) -> dict[int, Tape]:
 
 
 def lost(revealed: Iterable[Message], recalled: Mapping[str, bytes]) -> str:
-    """What this robot has told others and would no longer know; empty: nothing."""
-    claims, owned = 0, set[int]()  # progress of others, told again to whoever lacks it, is not ours
+    """Data that this robot has sent but would have lost; empty if nothing."""
+    # Progress of other robots, relayed to robots that lack it, is not ours.
+    claims, owned = 0, set[int]()
     operations = _number(recalled, OPERATIONS, U32.size)
     stopped, sent, told_stops = False, set[StopDot](), set[StopDot]()
     for m in revealed:
@@ -107,9 +109,8 @@ def lost(revealed: Iterable[Message], recalled: Mapping[str, bytes]) -> str:
                 return f"units of S{m.section}"
         if isinstance(m, EmergencyStop):
             sent.add(StopDot(m.slot, m.incarnation, m.counter))
-        if isinstance(
-            m, Pose | Heartbeat
-        ):  # the next frame after a stop: by now it is written down
+        # The next frame after a stop: by then the stop must be on the disk.
+        if isinstance(m, Pose | Heartbeat):
             stopped = m.stopped
             told_stops |= sent
     try:
@@ -127,8 +128,9 @@ def lost(revealed: Iterable[Message], recalled: Mapping[str, bytes]) -> str:
 def unknown(
     revealed: Iterable[Message], allocation: FieldAllocationCRDT, progress: Progress
 ) -> str:
-    """What this robot has told of its own work and its replicas do not hold after a restart, before
-    anybody has told it anything: what is on a disk and is not read is lost as well. Empty: nothing."""
+    """Own work that this robot has sent but that its replicas lack after a restart, before it
+    receives any frame. Data that is on the disk but is not read counts as lost as well. Empty if
+    nothing."""
     owned = set[int]()
     for m in revealed:
         if isinstance(m, TaskClaim):

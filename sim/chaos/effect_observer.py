@@ -1,4 +1,4 @@
-"""Sees every effect of every robot at the edge of its shell: what was told, and how its life went."""
+"""Records every effect of every robot at its runner: sent frames and lifecycle changes."""
 
 from collections import defaultdict
 from collections.abc import Callable
@@ -18,7 +18,8 @@ class EffectObserver(Recorder):
         self.words = ProtocolRules(robots)
         self.told: defaultdict[int, list[Message]] = defaultdict(list)
         self.released: set[int] = set()  # reset by a person, and not yet shown in a pose
-        self.clock: Callable[[], int] | None = None  # a person's; robots' own may run differently
+        # The observer's clock; robots' own clocks may run differently.
+        self.clock: Callable[[], int] | None = None
         self._edges_broken: list[RuleViolation] = []
         self._edges = {
             (source.name, event.name.lower(), target.name)
@@ -42,7 +43,7 @@ class EffectObserver(Recorder):
                 self.released.discard(slot)
                 told = self.told[slot]
                 if told and isinstance(told[-1], Pose) and told[-1].stopped == message.stopped:
-                    return  # says nothing new of what must be remembered
+                    return  # no new information that must be remembered
             elif isinstance(message, WorkProgress):
                 own_progress = self.words.speakers[slot].own_progress
                 own = own_progress.get((message.section, message.block), 0)
@@ -57,6 +58,6 @@ class EffectObserver(Recorder):
                 self._edges_broken.append(RuleViolation("S14", now_us / 1e6, what))
 
     def forget(self, slot: int) -> None:
-        """Its memory is lost: nothing that it said binds it any longer."""
+        """Its memory is lost, so nothing that it sent before binds it."""
         self.told[slot].clear()
         self.words.forgets(slot)

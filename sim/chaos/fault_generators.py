@@ -1,6 +1,6 @@
-"""How one fault of each kind is drawn: with the parts that belong together, and the end of it.
+"""How a fault of each kind is drawn, together with its related faults and its end.
 
-A draw is given the dice, the size of the fleet, when the fault begins and until when it must be over.
+A generator gets the random source, the fleet size, when the fault begins, and when it must be over.
 """
 
 from collections.abc import Callable
@@ -9,10 +9,10 @@ from random import Random
 from sim.scenarios import scenario as kinds
 from sim.scenarios.scenario import Fault
 
-BABBLING = 0x4D  # the lowest bits of an identifier: the group 0, and a device's address
-NONSENSE_S = 5.0  # at most, and as long before the end
-YARD_M = 18.0, 12.0  # boxes fall within this of the middle
-Draw = Callable[[Random, int, float, float], list[Fault]]  # dice, robots, when, until when
+BABBLING = 0x4D  # lowest bits of an identifier: group 0, and a device's address
+NONSENSE_S = 5.0  # upper limit; the same time must be left before the end
+YARD_M = 18.0, 12.0  # boxes appear within this distance of the middle
+Draw = Callable[[Random, int, float, float], list[Fault]]  # random source, robots, start, end
 
 
 def _cut(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
@@ -60,7 +60,7 @@ def _bus_off(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]
 
 
 def _babble(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
-    """Of any urgency, below and above a stop; longer than a policy waits before it goes on."""
+    """Of any priority, above and below a stop; longer than a policy waits before it continues."""
     priority, for_s = rng.randrange(8), rng.uniform(0.1, 8.0)
     identifier = rng.choice((None, priority << 26 | BABBLING, BABBLING, 0))
     return [
@@ -109,7 +109,7 @@ def _push(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
 
 
 def _haste(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
-    """A person resets or starts one machine, whatever still holds it: it must refuse."""
+    """A person resets or starts one machine although something still holds it: it must refuse."""
     table = {"at_s": at_s, "kind": "order", "robot": rng.randrange(robots)}
     order = rng.choice(("manual_reset", "manual_reset", "start"))
     return [kinds.Order.model_validate(table | {"order": order})]
@@ -126,7 +126,7 @@ def _frozen(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
 
 
 def _late(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
-    """Later than a robot may drive by; what comes a little late is a matter of accuracy."""
+    """Later than the age limit of a position; smaller delays affect only the accuracy."""
     by_s, for_s = rng.choice((0.15, 0.5, 2.0)), min(rng.uniform(0.5, 8.0), end_s - at_s)
     robot = rng.randrange(robots)
     return [kinds.Late(at_s=at_s, kind="late", robot=robot, by_s=by_s, for_s=for_s)]
@@ -143,7 +143,8 @@ def _press(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
 
 def _buttons(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
     for_s = rng.uniform(0.5, 5.0)
-    at_s = max(0.0, min(at_s, end_s - for_s - 6.5))  # they permit for a while before and after
+    # The buttons send "permit" for a while before and after.
+    at_s = max(0.0, min(at_s, end_s - for_s - 6.5))
     lost, unheard, count = rng.randrange(2), rng.random() < 0.3, rng.randint(2, 4)
     return [kinds.Buttons(at_s=round(at_s, 3), kind="buttons", buttons=count, for_s=for_s,
                           lost=lost, unheard=unheard)]  # fmt: skip
@@ -169,7 +170,7 @@ def _twin(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
 
 
 def _nonsense(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
-    """A robot that has lost every address tries again after 5 s, and after 10 s the second time."""
+    """A robot that has lost every address tries again after 5 s, the second time after 10 s."""
     at_s = round(max(0.0, min(at_s, end_s - NONSENSE_S)), 3)
     table = {"at_s": at_s, "kind": "nonsense", "robot": rng.randrange(robots)}
     table |= {"what": rng.choice(("field", "work", "claims")), "same_slot": rng.random() < 0.3}
@@ -181,7 +182,7 @@ def _release(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]
 
 
 def _blackout(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
-    """Everybody's power fails, one after another within a moment, and nobody is left to remember."""
+    """All robots lose power within 0.3 s, so no running robot keeps the state of the fleet."""
     faults: list[Fault] = []
     for robot in range(robots):
         off_s = round(at_s + rng.uniform(0.0, 0.3), 3)
@@ -196,9 +197,10 @@ def _blackout(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault
 
 
 def _burst(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
-    """A contactor drops out because somebody presses: each receiver misses copies of the stop.
+    """A contactor opens because a person presses: each receiver misses copies of the stop.
 
-    Up to half of them: of 20 copies in 100 ms all but one in a million presses leave one.
+    At most half of the copies are lost: 20 copies are sent in 100 ms, and at least one of them
+    arrives for all but one in a million presses.
     """
     from_s, over_s = at_s - rng.uniform(0.0, 0.1), min(at_s + rng.uniform(0.1, 0.5), end_s)
     rate = rng.choice((0.2, 0.35, 0.5))
@@ -210,7 +212,7 @@ def _burst(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
 
 
 def _split(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
-    """Two islands for long enough that both work on, where the policy lets them."""
+    """Two islands for long enough that both continue to work, if the policy allows it."""
     cut = _cut(rng, robots, at_s, end_s)[0]
     healed_s = min(at_s + rng.uniform(3.0, 25.0), end_s)
     return [cut, kinds.Heal(at_s=healed_s, kind="heal")]

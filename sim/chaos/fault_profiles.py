@@ -1,8 +1,8 @@
-"""Bad luck drawn from a seed: a scenario with faults of every kind, in two phases.
+"""Random fault scenarios, drawn from a seed: faults of every kind, in two phases.
 
-Until `Span.calm_s` anything may happen; then everything is mended (links, rates, crashed robots, a reset
-and a start), and what comes after must be well within bounded time. The result is a scenario like any
-other: it can be printed, edited, shrunk and run again.
+Until `Span.calm_s` any fault may occur. Then everything is repaired (links, rates, crashed robots,
+a reset and a start), and the fleet must recover within bounded time. The result is an ordinary
+scenario: it can be printed, edited, shrunk and run again.
 """
 
 from random import Random
@@ -16,11 +16,11 @@ from sim.scenarios.scenario import DRILLS, Fault, Scenario, load
 
 
 class Span(NamedTuple):
-    """When what happens in a run, by its mission."""
+    """The phases of a run, by its mission."""
 
-    calm_s: float  # nothing new goes wrong after this
+    calm_s: float  # no new fault after this
     limit_s: float  # the work must be finished by then
-    first_s: float = 4.0  # nothing goes wrong before
+    first_s: float = 4.0  # no fault before this
 
     @property
     def reset_s(self) -> float:
@@ -28,39 +28,39 @@ class Span(NamedTuple):
 
     @property
     def again_s(self) -> float:
-        """Twice: who was out of reach of the first reset is there for the second."""
+        """The time of a second reset, for robots that were out of reach of the first."""
         return self.calm_s + 12.0
 
 
 SPANS = {
-    "field": Span(40.0, 300.0),  # without trouble the yard takes 90 s
-    "drill": Span(120.0, 600.0),  # and a drill 180 s
-    "sprint": Span(30.0, 240.0),  # and a sprint 70 s
+    "field": Span(40.0, 300.0),  # without faults it takes 90 s
+    "drill": Span(120.0, 600.0),  # without faults it takes 180 s
+    "sprint": Span(30.0, 240.0),  # without faults it takes 70 s
 }
 
-CLOSE_S = 3.0  # links stay bad for seconds: what happens so soon after, happens in the middle of it
+CLOSE_S = 3.0  # links stay bad for seconds: a fault within this time falls into the trouble
 
-BODIES = ("box", "pushed", "blind", "frozen", "late")  # useless where there is no world
+BODIES = ("box", "pushed", "blind", "frozen", "late")  # no effect without a world
 LINKS = (kinds.Partition, kinds.Heal, kinds.OneWay, kinds.Loss, kinds.Omission, kinds.Errors,
          kinds.Duplicate, kinds.BusOff, kinds.Babble, kinds.Clone, kinds.Freeze, kinds.Drift,
          kinds.ClockJump, kinds.Foreign, kinds.Twin, kinds.Nonsense)  # fmt: skip
 
 
 def is_link_trouble(fault: Fault) -> bool:
-    """After this nobody can say from outside who hears whom."""
+    """Whether, after this fault, it is unknown from outside which robots receive each other."""
     return isinstance(fault, LINKS)
 
 
 class Profile(NamedTuple):
-    """Which kinds, how often, in what fleet."""
+    """Which fault kinds, how often, in which fleet."""
 
     robots: tuple[int, int]
     faults: tuple[int, int]
     weights: dict[str, float]
     about: str
     mission: str = "field"
-    together: float = 0.0  # chance that a fault comes within `CLOSE_S` of one that was drawn before
-    silence: str = "stop"  # the policy
+    together: float = 0.0  # chance that a fault comes within `CLOSE_S` of an earlier drawn one
+    silence: str = "stop"  # the silence policy
 
 
 OFTEN = {"estop": 2.0, "crash": 2.0, "partition": 2.0, "join": 0.5}
@@ -121,7 +121,7 @@ PROFILES = {
 
 
 def draw(seed: int, profile: str = "all") -> Scenario:
-    """The scenario of a seed; KeyError for a profile that does not exist."""
+    """The scenario of a seed; KeyError for an unknown profile."""
     kind, rng = PROFILES[profile], Random(f"{seed}/trouble/{profile}")
     robots, span = rng.randint(*kind.robots), SPANS[kind.mission]
     names = sorted(kind.weights)
@@ -146,7 +146,7 @@ def setting_of(scenario: Scenario) -> Setting:
 
 
 def with_faults(scenario: Scenario, faults: list[Fault]) -> Scenario:
-    """A scenario with these faults, sorted, and the calm after them."""
+    """The scenario with these faults, sorted, and the repairs after them."""
     span = span_of(scenario)
     drawn = [f for f in sorted(faults, key=lambda f: f.at_s) if f.at_s <= span.calm_s]
     run = scenario.run.model_copy(update={"time_limit_s": span.limit_s})

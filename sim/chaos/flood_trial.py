@@ -1,9 +1,9 @@
-"""One trial of a fleet at work on a bus that a device fills, with presses meanwhile.
+"""One trial of a working fleet on a bus that a device floods, with presses meanwhile.
 
-A flooder sends one frame without pause, or with short pauses. From some time after a press nobody may
-be told to move and nobody may move, by the true commands and positions of the bodies. After the flood the
-wire carries frames again. The fleet works again: by itself, or after a reset and a start where somebody
-pressed.
+A flooder sends one frame without pause, or with short pauses. From a time limit after a press, no
+robot may be commanded to move and no robot may move, judged by the true commands and positions of
+the bodies. After the flood the wire carries frames again, and the fleet works again: by itself, or,
+if a stop was pressed, after a reset and a start.
 """
 
 from math import inf
@@ -22,25 +22,23 @@ from sim.scenarios.field_setup import Setting
 from sim.scenarios.scenario import load
 
 FLEETS = {3: "small", 6: "small", 20: "oxted"}  # robots and where they work
-DRAWN = (3,) * 9 + (6,) * 9 + (20,) * 2  # twenty robots cost ten times as much
+DRAWN = (3,) * 9 + (6,) * 9 + (20,) * 2  # twenty robots take ten times as long
 ADDRESS = 0x4D  # of the flooder
-LOWEST = (0, ADDRESS, 0x0000FFFE)  # identifiers that outrank whatever can be made more urgent
+LOWEST = (0, ADDRESS, 0x0000FFFE)  # identifiers that outrank any frame that a robot can send
 UNKNOWN = 0x1FF0700 | ADDRESS  # a group that no robot reads
-REACTION_US = 120 * MS  # from a press to the last command, on top of the silence limit
-WORK_S, WORK_MAX_S = (
-    2.0,
-    20.0,
-)  # somebody has moved for so long before the flood; not longer than that
-SHARES = (1.0, 1.0, 1.0, 0.999, 0.99, 0.9)  # of the time that the flooder sends
-PIECE_US = 100 * MS  # sending and pausing alternate so fast
-RECOVER_US = 5 * S  # wire and fleet work again so soon
-AFTER_US = 3 * S  # and stand so long after a flood in which somebody pressed, before the reset
+REACTION_US = 120 * MS  # from a press to the last command, in addition to the silence limit
+# A robot must have moved for this long before the flood; upper limit for that wait.
+WORK_S, WORK_MAX_S = (2.0, 20.0)
+SHARES = (1.0, 1.0, 1.0, 0.999, 0.99, 0.9)  # share of the time in which the flooder sends
+PIECE_US = 100 * MS  # period in which sending and pausing alternate
+RECOVER_US = 5 * S  # limit for the wire and the fleet to work again
+AFTER_US = 3 * S  # how long robots stand after a flood with a press, before the reset
 LOOK_US = 20 * MS
-RESET_US = 500 * MS  # between two tries of an operator
+RESET_US = 500 * MS  # between two attempts of an operator
 
 
 class Flood(NamedTuple):
-    """What happens in a trial."""
+    """The events of a trial."""
 
     seed: int
     robots: int
@@ -48,19 +46,18 @@ class Flood(NamedTuple):
     identifier: int
     length: int  # data bytes
     for_s: float
-    share: float  # of the time
+    share: float  # share of the time
     presses: tuple[tuple[float, int], ...]  # seconds after its beginning, robot
-    longest_s: float = 0.0  # that it was drawn with
+    longest_s: float = 0.0  # the upper limit with which it was drawn
 
 
 class Result(NamedTuple):
     flood: Flood
-    late: int  # robots that were told to move, or moved, after the bound of a press
+    late: int  # robots that were commanded to move, or moved, after the bound of a press
     wire_s: float  # from the end of the flood until every robot's frame has left; inf: never
-    fleet_s: (
-        float  # from its end, or from the reset and start, until a robot moves and all are heard
-    )
-    moved_m: float  # the longest way of a robot during the flood
+    # From its end, or from the reset and start, until a robot moves and all members are received.
+    fleet_s: float
+    moved_m: float  # the longest distance of a robot during the flood
 
     @property
     def broken(self) -> bool:
@@ -71,14 +68,14 @@ class Result(NamedTuple):
 def draw(
     seed: int, robots: int | None = None, policy: str | None = None, longest_s: float = 120.0
 ) -> Flood:
-    """The trial of a seed. What is given is not drawn."""
+    """The trial of a seed. Arguments that are given are not drawn."""
     rng = Random(f"{seed}/flood")
     count, ending = rng.choice(DRAWN), rng.choice([p.name.lower() for p in SilencePolicy])
     low, priority = rng.choice(LOWEST), rng.randrange(8)
     identifier = low if rng.random() < 0.4 else priority << 26 | rng.choice((ADDRESS, UNKNOWN))
     for_s = round(
         longest_s ** rng.random(), 3
-    )  # as many between 1 and 11 s as between 11 and 120 s
+    )  # half of the draws are between 1 and 11 s, half between 11 and 120 s
     share, length = rng.choice(SHARES), rng.choice((0, 8, 8, 8))
     presses = rng.choice((0, 1, 1, 1, 3))
     count, ending = robots or count, policy or ending
@@ -142,7 +139,7 @@ class Trial:
         return Result(flood, len(late), wire_us / S, found_us / S, moved_m)
 
     def _send(self, bus: FieldBus, until_us: int) -> Script[None]:
-        """Without pause, or for its share of each piece of time."""
+        """Send without pause, or for its share of each period."""
         flood, wire = self.flood, self.cluster.segment.wire
         frame = Frame(flood.identifier, bytes(flood.length))
         while (now_us := self._now_us()) < until_us:
@@ -163,7 +160,7 @@ class Trial:
             self.cluster.press(slot)
 
     def _reset(self) -> Script[None]:
-        """An operator clears what is shown, resets and starts, until the fleet works."""
+        """An operator clears the known stops, resets and starts, until the fleet works."""
         cluster = self.cluster
         while True:
             for dot in sorted({d for r in cluster.running for d in r.peer.safety.stops.active}):
@@ -175,7 +172,7 @@ class Trial:
             yield self._now_us() + 4 * RESET_US
 
     def _until(self, holds, limit_us: int) -> Script[float]:  # type: ignore[no-untyped-def]
-        """Microseconds until it holds; inf: it does not within the limit."""
+        """Microseconds until the condition holds; inf if not within the limit."""
         begun_us = self._now_us()
         while not holds():
             if self._now_us() - begun_us >= limit_us:
@@ -192,7 +189,7 @@ class Trial:
         return any(body.speed_m_s > 0.1 for body in self.cluster.world.robots.values())
 
     def _works(self) -> bool:
-        """Everybody hears everybody, and somebody drives."""
+        """Whether all robots receive each other and at least one drives."""
         everybody = frozenset(range(self.flood.robots))
         heard = all(robot.peer.membership.live == everybody for robot in self.cluster.running)
         return heard and self._at_work()

@@ -1,7 +1,8 @@
-"""One function for every decoder: any bytes in, an assertion where a promise is broken.
+"""One function for every decoder: it takes any bytes and asserts the promises.
 
-Promised: no exception but the one declared, limits are kept, what was read is written alike again, and
-no frame but an operator's reset leads out of EMERGENCY_STOP. `headland fuzz` runs them.
+Promised: no exception except the declared one, limits are kept, decoding and encoding again gives
+the same bytes, and no frame except an operator's reset leaves EMERGENCY_STOP. `headland fuzz` runs
+them.
 """
 
 import json
@@ -57,7 +58,7 @@ from sim.scenarios.scenario import ScenarioError, load
 
 ENTRY = Struct("<IB8s")  # of a sequence: identifier, milliseconds since the last, data
 STEPS_MAX = 64
-SECTIONS_MAX = 1 << 16  # what a section number can say
+SECTIONS_MAX = 1 << 16  # the range of a section number
 UNITS = dict.fromkeys(range(8), 70)
 
 
@@ -65,7 +66,8 @@ Target = Callable[[bytes], None]
 
 
 def frame(data: bytes) -> None:
-    """A frame: 4 bytes of identifier, then its data. What is read is written alike."""
+    """A frame: 4 bytes of identifier, then its data. A decoded message encodes to the same
+    bytes."""
     if len(data) < 4:
         return
     identifier = int.from_bytes(data[:4], "little") & 0x1FFFFFFF
@@ -92,7 +94,7 @@ def transport(data: bytes) -> None:
 
 
 def sync(data: bytes) -> None:
-    """Sync frames of three peers, and ticks; the replica only grows."""
+    """Sync frames of three peers, and ticks; the replica may only grow."""
     allocation, progress = FieldAllocationCRDT(), Progress(UNITS)
     replica, now_us = Synchronizer(0, allocation, progress), 0
     replica.live(frozenset((0, 1, 2)), now_us)
@@ -111,9 +113,9 @@ def sync(data: bytes) -> None:
 
 
 def peer(data: bytes) -> None:
-    """Frames into a whole peer, stopped first if the first byte is odd: only a reset releases it."""
+    """Frames to a whole peer, stopped first if the first byte is odd: only a reset releases it."""
     ours, now_us, resets = _peer({}), 0, 0
-    for _ in range(4):  # it joins
+    for _ in range(4):  # ticks until the peer has joined
         now_us = max(now_us, ours.deadline_us)
         ours.tick(now_us)
     if data[:1] and data[0] & 1:
@@ -132,7 +134,7 @@ def peer(data: bytes) -> None:
 
 
 def keyed(data: bytes) -> None:
-    """The same into a peer with keys: nothing without a tag releases it."""
+    """The same for a peer with keys: no frame without a tag releases it."""
     ours, now_us = _peer({}, KEYRING), 1_000_000
     ours.press(Reason.PERSON_IN_FIELD, now_us)
     for identifier, wait_ms, body in ENTRY.iter_unpack(_whole(data)):
@@ -142,7 +144,7 @@ def keyed(data: bytes) -> None:
 
 
 def memory(data: bytes) -> None:
-    """What a journal gives back, with any value under any of our keys."""
+    """The contents of a journal, with any value under any of our keys."""
     recalled, at = dict[str, bytes](), 0
     while at + 2 <= len(data):
         key, size = KEYS[data[at] % len(KEYS)], data[at + 1] % 80
@@ -187,7 +189,7 @@ def occupancy(data: bytes) -> None:
 
 
 def journal(data: bytes) -> None:
-    """A disk with anything on it: what is recovered goes on being recovered."""
+    """A disk with any contents: what was recovered once is recovered again."""
     ours = LogJournal(Disk(data))
     known = dict(ours.load())
     ours.write([Persist("key", b"value")])
@@ -196,8 +198,9 @@ def journal(data: bytes) -> None:
 
 
 def sqlite_journal(data: bytes) -> None:
-    """The files of a robot's journal with anything in them: what is recalled was once written, or the
-    memory is said to be lost. Nothing older than the mark comes back. The journal goes on."""
+    """The files of a robot's journal with any contents. What is recalled was once written, or the
+    memory is reported as lost. Nothing older than the mark is recalled. The journal stays
+    usable."""
     sizes, files = data[: SIZES.size].ljust(SIZES.size, b"\0"), data[SIZES.size :]
     main, log = (min(size, len(files)) for size in SIZES.unpack(sizes))
     parts = files[:main], files[main : main + log], files[main + log :]
@@ -297,16 +300,16 @@ def candump(data: bytes) -> None:
 GRID = b"type octile\nheight 2\nwidth 3\nmap\n..@\n...\n"
 JOURNAL = "robot.sqlite"
 SIZES = Struct("<II")  # bytes of the database and of its log; the mark follows
-AGAIN_EVERY = 16  # inputs, for the one that is also written to: each write waits for a disk
+AGAIN_EVERY = 16  # every 16th input is also written to, because each write waits for a disk
 WRITES = (
     {records.INCARNATION: b"\1\0", records.OPERATIONS: bytes(4)},
     {f"{records.REGISTER}3": bytes(range(8)), records.OPERATIONS: b"\1\0\0\0"},
     {f"{records.PROGRESS}3/1": bytes(range(8)), f"{records.REGISTER}4": bytes(range(1, 9))},
 )
-WRITTEN: list[dict[str, bytes]] = [{}]  # what is to be recalled after each write
+WRITTEN: list[dict[str, bytes]] = [{}]  # the expected contents after each write
 for _records in WRITES:
     WRITTEN.append({**WRITTEN[-1], **_records})
-# What reads a file of somebody else's, or of before a crash: `headland fuzz --files`.
+# Targets that read a file from someone else, or from before a crash: `headland fuzz --files`.
 FILES = [journal, sqlite_journal, scenario, key_file, field_file]
 FILES += [grid_map, grid_instance, grid_plan, candump]
 FILES += [task_data, task_zip] if find_spec("isoxml") is not None else []
@@ -328,14 +331,14 @@ def _peer(recalled: dict[str, bytes], keyring: Keyring | None = None) -> Peer:
 
 
 def _whole(data: bytes) -> bytes:
-    """As many entries of a sequence as there are."""
+    """As many whole entries of a sequence as there are."""
     return data[: min(len(data) // ENTRY.size, STEPS_MAX) * ENTRY.size]
 
 
 @cache
 def _folder() -> "TemporaryDirectory[str]":
-    """Of this process: no other user can have made it before."""
-    where = RAM if os.access(RAM, os.W_OK) else None  # no disk has to survive this
+    """A folder of this process, which no other user can have created before."""
+    where = RAM if os.access(RAM, os.W_OK) else None  # these files need not survive a power cut
     return TemporaryDirectory(prefix="headland-fuzz-", dir=where)
 
 
@@ -349,11 +352,11 @@ def _scratch(name: str, data: bytes) -> Path:
     return path
 
 
-# -------------------------------------------------------------------- first inputs
+# -------------------------------------------------------------------- initial inputs
 
 
 def seeds(name: str) -> Iterator[bytes]:
-    """Sound inputs of a target, to begin from."""
+    """Valid inputs of a target, to start from."""
     messages = _messages()
     if name == "frame":
         for message in messages:
@@ -398,7 +401,8 @@ def seeds(name: str) -> Iterator[bytes]:
 
 
 def _journals() -> Iterator[bytes]:
-    """Of a robot that was killed, its log not yet in the database; and of one that has ended."""
+    """Journals of a robot that was killed before its log was in the database, and of one that
+    ended."""
     with TemporaryDirectory(dir=_folder().name) as folder:
         path = Path(folder) / JOURNAL
         ours = SqliteJournal(path)

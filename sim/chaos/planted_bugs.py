@@ -1,7 +1,7 @@
 """Planted bugs, each a change of one rule, in force only inside of `planted`.
 
-A campaign that does not find them proves nothing when it finds nothing. None of this is reachable from a
-robot: the package `agent` does not know this file.
+A campaign that does not find these bugs proves nothing when it finds no error. A robot cannot reach
+this code, because the package `agent` does not import this file.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -45,7 +45,7 @@ class Mutant:
     about: str
     where: Any
     name: str
-    change: Callable[[Any], Any]  # the right one in, the wrong one out
+    change: Callable[[Any], Any]  # takes the correct function and returns the wrong one
     profile: str = "all"
 
 
@@ -124,7 +124,7 @@ def _older_wins(right: Any) -> Any:
     def apply(self: FieldAllocationCRDT, section: int, key: int) -> bool:
         known = self._keys.get(section)
         if known is not None and key != known and (known >> 37 & 7) == (key >> 37 & 7) != 7:
-            return False  # what came first stays, whatever the order says
+            return False  # the first value stays, whatever the order
         return bool(right(self, section, key))
 
     return apply
@@ -188,7 +188,7 @@ def _straight_on(right: Any) -> Any:
 
 
 def _never_expires_body(right: Any) -> Any:
-    """The command stays in force as long as the run."""
+    """The command stays in force for the whole run."""
 
     def drive(self: RobotBody, command: Drive, now_us: int) -> None:
         right(self, command, now_us)
@@ -404,7 +404,7 @@ MUTANTS: dict[str, Mutant] = {
 
 @contextmanager
 def planted(name: str) -> Iterator[None]:
-    """The bug is there until the end of the block. KeyError for a name that is none."""
+    """Apply the bug until the end of the block. KeyError for an unknown name."""
     mutant = MUTANTS[name]
     right = mutant.where.__dict__.get(mutant.name)
     with patch.object(mutant.where, mutant.name, mutant.change(right), create=right is None):

@@ -1,8 +1,8 @@
-"""Power cuts and kills by the thousand: journals are written from a tape, cut, and read again.
+"""Thousands of power cuts and kills: journals are written from a tape, cut, and read again.
 
-Each generator yields one line for every state in which something was lost, and nothing else; the
-number of states is an argument. What must be there again is exact: the memory after some batch between
-the last one that was acknowledged and the last one that was begun.
+Each generator yields one line for every state in which data was lost, and nothing else; the number
+of states is an argument. The expected memory is exact: that after some batch between the last one
+that was acknowledged and the last one that was begun.
 """
 
 import os
@@ -19,18 +19,19 @@ from sim.chaos.durability_rules import Batch, Tape, lost
 from sim.chaos.sqlite_vfs_recorder import Recording, Step
 from sim.fleet.simulated_disk import Disk, LogJournal, PowerCut, tear
 
-CHECKPOINT_PAGES = 20  # of the recorded journal: a tape of a minute then sees many checkpoints
-RAM = Path("/dev/shm")  # states are written there where it exists: nobody has to survive them twice
+CHECKPOINT_PAGES = 20  # of the recorded journal, so that a tape of a minute has many checkpoints
+# States are written there if it exists, because they need not survive a real power cut.
+RAM = Path("/dev/shm")
 Image = dict[str, bytearray]
 
 
 def batches(tape: Tape) -> list[Batch]:
-    """Writes only. A batch is the one tuple on a tape that is not itself a message."""
+    """The batches on a tape. A batch is the only kind of tuple on a tape that is not a message."""
     return [entry for entry in tape if type(entry) is tuple]  # type: ignore[misc]
 
 
 def memories(tape: Tape) -> list[dict[str, bytes]]:
-    """What is to be remembered after each number of batches."""
+    """The expected memory after each number of batches."""
     known: list[dict[str, bytes]] = [{}]
     for batch in batches(tape):
         known.append({**known[-1], **dict(batch)})
@@ -39,9 +40,9 @@ def memories(tape: Tape) -> list[dict[str, bytes]]:
 
 def judge(tape: Tape, known: list[dict[str, bytes]], recalled: Mapping[str, bytes],
           acknowledged: int, begun: int) -> str:  # fmt: skip
-    """Empty, or what was lost. `acknowledged` and `begun` count batches."""
+    """A description of what was lost, or empty. `acknowledged` and `begun` count batches."""
     if recalled in known[acknowledged + 1 : begun + 1]:
-        return ""  # newer than what was acknowledged: nothing of it has been said yet
+        return ""  # newer than the acknowledged batch, of which nothing has been sent yet
     if recalled != known[acknowledged]:
         return f"after batch {acknowledged} of {begun} begun: {len(recalled)} records, other ones"
     seen, revealed = 0, []
@@ -49,12 +50,12 @@ def judge(tape: Tape, known: list[dict[str, bytes]], recalled: Mapping[str, byte
         if type(entry) is not tuple:
             revealed.append(entry)
         elif (seen := seen + 1) > acknowledged:
-            break  # nothing after a batch that was not acknowledged has been said
+            break  # no frame after an unacknowledged batch was sent
     return lost(revealed, recalled)  # type: ignore[arg-type]
 
 
 def log_states(tape: Tape, states: int, rng: Random, synced: bool = True) -> Iterator[str]:
-    """Cut `LogJournal` before any step of any write, in every way its disk allows."""
+    """Cut `LogJournal` before any step of any write, in every way that its disk allows."""
     known, writes = memories(tape), batches(tape)
     for _ in range(states):
         first = rng.randrange(len(writes))
@@ -80,8 +81,8 @@ def log_states(tape: Tape, states: int, rng: Random, synced: bool = True) -> Ite
 class Files:
     """The files of one sqlite journal: what is synced, and what a power cut may still undo.
 
-    With the first sync of a new journal or log sqlite syncs the folder (`os_unix.c`, DIRSYNC), and
-    with that makes deletions in it durable.
+    With the first sync of a new journal or log, sqlite also syncs the folder (`os_unix.c`,
+    DIRSYNC). That makes deletions in it durable.
     """
 
     def __init__(self) -> None:
@@ -101,7 +102,8 @@ class Files:
             self.unsynced = [waiting for waiting in self.unsynced if waiting not in durable]
 
     def after_cut(self, rng: Random) -> Image:
-        """A first part of the unsynced steps and a torn one; or any of them, as a cache writes back."""
+        """Apply a first part of the unsynced steps and a torn one; or any subset, as a cache writes
+        back."""
         image = {name: bytearray(data) for name, data in self.synced.items()}
         in_order = rng.random() < 0.5
         kept = rng.randint(0, len(self.unsynced))
@@ -125,7 +127,7 @@ def _apply(image: Image, step: Step) -> None:
 
 
 class RecordedMark(Mark):
-    """Its steps stand in their order among those of sqlite."""
+    """Records its steps in order among those of sqlite."""
 
     def __init__(self, path: Path, steps: list[Step]) -> None:
         super().__init__(path)
@@ -141,7 +143,8 @@ class RecordedMark(Mark):
 
 
 def record_sqlite(tape: Tape, synchronous: str = "FULL") -> list[Step]:
-    """Every step sqlite takes to write a tape; NORMAL is the planted bug, which does not sync."""
+    """Every step that sqlite takes to write a tape; NORMAL is the planted bug, which does not
+    sync."""
     with tempfile.TemporaryDirectory() as folder, Recording() as recording:
         journal = SqliteJournal(Path(folder) / "journal")
         journal.mark = RecordedMark(journal.mark.path, recording.steps)
@@ -157,7 +160,7 @@ def record_sqlite(tape: Tape, synchronous: str = "FULL") -> list[Step]:
 
 
 def sqlite_states(tape: Tape, steps: list[Step], states: int, rng: Random) -> Iterator[str]:
-    """Cut the real journal between any two steps of sqlite, and open what is left with sqlite."""
+    """Cut the real journal between any two steps of sqlite, and open the remains with sqlite."""
     known = memories(tape)
     cuts = sorted(rng.randrange(len(steps)) for _ in range(states))
     files, done, acknowledged, begun = Files(), 0, 0, 0
@@ -183,7 +186,8 @@ def sqlite_states(tape: Tape, steps: list[Step], states: int, rng: Random) -> It
 
 
 def kills(tape: Tape, count: int, rng: Random) -> Iterator[str]:
-    """SIGKILL a process that writes the real journal, at a chance moment; the next one goes on."""
+    """SIGKILL a process that writes the real journal, at a random moment; the next one
+    continues."""
     writes, memory, number = batches(tape), dict[str, bytes](), 0
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "journal"
@@ -194,7 +198,8 @@ def kills(tape: Tape, count: int, rng: Random) -> Iterator[str]:
                 number += 1
             journal, recalled = SqliteJournal.opened(path)
             journal.close()
-            if recalled == {**memory, **_numbered(writes, number)}:  # written, not yet acknowledged
+            # written, but not acknowledged yet.
+            if recalled == {**memory, **_numbered(writes, number)}:
                 memory, number = dict(recalled), number + 1
             elif recalled != memory:
                 yield f"after {acknowledged} acknowledged writes: {len(recalled)} records"
@@ -206,7 +211,7 @@ def _numbered(writes: list[Batch], number: int) -> dict[str, bytes]:
 
 
 def _killed_writer(path: Path, writes: list[Batch], first: int, rng: Random) -> int:
-    """How many writes were acknowledged in all when the writer died."""
+    """The total number of writes that were acknowledged when the writer died."""
     incoming, outgoing = os.pipe()
     process = os.fork()
     if process == 0:
@@ -215,7 +220,8 @@ def _killed_writer(path: Path, writes: list[Batch], first: int, rng: Random) -> 
     acknowledged, wanted = first, first + rng.randint(0, 12)
     while acknowledged < wanted and os.read(incoming, 1):
         acknowledged += 1
-    select.select([incoming], [], [], rng.random() * 0.004)  # somewhere inside of the next write
+    # At some point inside of the next write.
+    select.select([incoming], [], [], rng.random() * 0.004)
     os.kill(process, signal.SIGKILL)
     while os.read(incoming, 1):
         acknowledged += 1
@@ -225,7 +231,7 @@ def _killed_writer(path: Path, writes: list[Batch], first: int, rng: Random) -> 
 
 
 def _write_for_ever(path: Path, writes: list[Batch], number: int, outgoing: int) -> None:
-    """The robot's side: acknowledge each write with a byte; ends by SIGKILL only."""
+    """The robot's side: acknowledge each write with a byte; ends only by SIGKILL."""
     try:
         journal = SqliteJournal(path)
         while True:

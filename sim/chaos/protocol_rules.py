@@ -1,11 +1,11 @@
-"""Rules about what robots say, judged from their words and from what people did.
+"""Rules about the frames of robots, judged from the frames and from what people did.
 
-S2 and S3: who has held a stop does not say that it is released before an operator has cleared that
-very stop. S4: after a reset nobody works before a start. S8: a press makes a stop of a new name. S9:
-what a robot has said of a register, of progress, of its operations it never takes back, over restarts
-too; so a released claim does not return (S11). S7: nobody starts what it has claimed before everybody
-had the time to claim it better. S16: one vote a term, one leader a term. S21: nobody tells a stop of a
-machine that is not there.
+S2 and S3: a robot that has held a stop does not report its release before an operator has cleared
+that stop. S4: after a reset no robot works before a start. S7: a robot starts claimed work only
+after every robot has had the time for a better claim. S8: a press creates a stop with a new name.
+S9: a robot never takes back what it has sent of a register, of progress, or of its operations, not
+even over restarts; so a released claim does not return (S11). S16: one vote a term, one leader a
+term. S21: no robot sends a stop of a machine that does not exist.
 """
 
 from collections import Counter, defaultdict
@@ -36,7 +36,7 @@ CONTESTED_US = CONTENTION_US * 98 // 100  # by the robot's clock, which may drif
 
 
 class RuleViolation(NamedTuple):
-    """A rule that was broken."""
+    """A violation of a rule."""
 
     rule: str
     t_s: float
@@ -44,27 +44,27 @@ class RuleViolation(NamedTuple):
 
 
 class RobotStatements:
-    """What one robot has said so far, since it last lost its memory."""
+    """What one robot has sent so far, since it last lost its memory."""
 
     def __init__(self) -> None:
         self.incarnation = -1
         self.operations = -1
-        self.registers: dict[int, int] = {}  # of all sections that it has spoken of
-        self.own: dict[int, int] = {}  # those that it wrote itself: they are on its disk
+        self.registers: dict[int, int] = {}  # of all sections that it has sent
+        self.own: dict[int, int] = {}  # those that it wrote itself, which are on its disk
         self.progress: dict[tuple[int, int], int] = {}
-        # Units of sections it has claimed that nobody had told before: its own work, on its disk before
-        # it is told. Those of others are told again to whoever lacks them, and are on no disk of its.
+        # New units of sections it has claimed: its own work, which is on its disk before it is
+        # sent. Units relayed for other robots are not on this robot's disk.
         self.own_progress: dict[tuple[int, int], int] = {}
-        self.claimed_us: dict[int, int] = {}  # section: when it said that it wants it
+        self.claimed_us: dict[int, int] = {}  # section -> when it sent its claim
         self.dots: set[StopDot] = set()  # every stop that it has pressed or echoed
         self.stopped = False
-        self.stopped_us = NEVER_US  # since when it says so
-        self.reset_us = NEVER_US  # the newest order that it be reset, and started
+        self.stopped_us = NEVER_US  # since when it reports it
+        self.reset_us = NEVER_US  # the newest order to reset it; then the newest order to start it
         self.start_us = NEVER_US
         self.asks_start = False  # it was reset, and has not been started since
         self.pressed_us = NEVER_US
-        self.unnamed = False  # the stop pressed then has yet to be said
-        self.old_name: StopDot | None = None  # all that it has said since
+        self.unnamed = False  # the stop of that press has not been sent yet
+        self.old_name: StopDot | None = None  # the only stop that it has sent since the press
         self.votes: dict[int, LeaderElectionVote] = {}  # newest of each election
 
 
@@ -74,24 +74,26 @@ class ProtocolRules:
         self.speakers: defaultdict[int, RobotStatements] = defaultdict(RobotStatements)
         self.broken: list[RuleViolation] = []
         self.cleared: set[StopDot] = set()
-        self.unknown_device = False  # one without a claim has spoken: its stops latch, to be safe
-        self.units: dict[tuple[int, int], int] = {}  # section and block: bits that anybody has told
-        self.questions: Counter[int] = Counter()  # of each robot, for what it lacks
-        self.implements_stop_us = NEVER_US  # when a robot said the standard stop last
+        # A device without a claim has sent; its stops latch, to be safe.
+        self.unknown_device = False
+        # (section, block) -> bits that any robot has sent.
+        self.units: dict[tuple[int, int], int] = {}
+        self.questions: Counter[int] = Counter()  # questions of each robot for entries it lacks
+        self.implements_stop_us = NEVER_US  # when a robot last sent the standard stop
         self._votes: dict[tuple[int, int, int], int] = {}  # voter, election, term -> candidate
-        # Of an election, a term and a candidate.
+        # (election, term, candidate) -> voters.
         self._voters: defaultdict[tuple[int, int, int], set[int]] = defaultdict(set)
 
     # ---------------------------------------------------------------- what people do
 
     def pressed(self, slot: int, now_us: int) -> None:
-        """Called before the robot is told."""
+        """Call before the robot gets the press."""
         speaker = self.speakers[slot]
         if now_us - speaker.pressed_us >= STOP_SPACING_US or speaker.pressed_us == NEVER_US:
             speaker.pressed_us, speaker.unnamed, speaker.old_name = now_us, True, None
 
     def ordered(self, order: Message, now_us: int) -> None:
-        """An operator's frame, whether anybody hears it or not."""
+        """Handle an operator's frame, whether or not any robot receives it."""
         if isinstance(order, EmergencyReset):
             self.cleared.add(StopDot(order.slot, order.incarnation, order.counter))
         elif isinstance(order, OperatorCommand):
@@ -103,28 +105,29 @@ class ProtocolRules:
                         self.speakers[slot].start_us = now_us
 
     def without_name(self) -> None:
-        """A device speaks whose NAME nobody can learn; from now on S21 cannot be judged."""
+        """A device with an unknown NAME has sent a frame, so S21 cannot be judged from now on."""
         self.unknown_device = True
 
     def leaps(self, slot: int) -> None:
-        """Its clock is set: how long it waits after a claim cannot be told from outside."""
+        """Its clock is set, so its waiting time after a claim cannot be measured from outside."""
         self.speakers[slot].claimed_us.clear()
 
     def restarts(self, slot: int) -> None:
-        """Memory kept. What it had from others, and has told again, was never written down."""
+        """A restart with its memory kept. Entries of other robots that it relayed were never on
+        disk."""
         speaker = self.speakers[slot]
         speaker.registers = dict(speaker.own)
         speaker.progress = dict(speaker.own_progress)
 
     def forgets(self, slot: int) -> None:
-        """Its memory is lost: from here it is another robot of the same slot."""
+        """Its memory is lost; from now on it counts as another robot of the same slot."""
         self.speakers[slot] = RobotStatements()
         for key in [key for key in self._votes if key[0] == slot]:
             del self._votes[key]
         for voters in self._voters.values():
             voters.discard(slot)
 
-    # ---------------------------------------------------------------- what robots say
+    # ---------------------------------------------------------------- frames of robots
 
     def said(self, slot: int, now_us: int, message: Message) -> None:
         speaker = self.speakers[slot]
@@ -140,7 +143,7 @@ class ProtocolRules:
             if message.switch == Switch.STOP:
                 self.implements_stop_us = now_us
         elif isinstance(message, EmergencyStop):
-            if not message.spent:  # that a name was used before is no stop
+            if not message.spent:  # a report of a used name is not a stop
                 self._stop(slot, speaker, now_us, message)
         elif isinstance(message, Heartbeat):
             ahead = (message.operations - speaker.operations) & 0xFFFF
@@ -199,7 +202,7 @@ class ProtocolRules:
         dot = StopDot(stop.slot, stop.incarnation, stop.counter)
         new = speaker.unnamed and speaker.pressed_us == now_us
         if new and stop.slot == slot and not stop.echo:
-            # An old one may be repeated in the very microsecond of the press, before the new one.
+            # An old stop may be repeated in the microsecond of the press, before the new one.
             speaker.unnamed = dot in speaker.dots or dot in self.cleared
             speaker.old_name = dot if speaker.unnamed else None
         speaker.dots.add(dot)
@@ -238,5 +241,6 @@ class ProtocolRules:
         speaker.votes[vote.election] = vote
 
     def _add(self, rule: str, now_us: int, what: str) -> None:
-        if not any(broken.rule == rule for broken in self.broken):  # the first of each will do
+        # Only the first violation of each rule.
+        if not any(broken.rule == rule for broken in self.broken):
             self.broken.append(RuleViolation(rule, now_us / 1e6, what))

@@ -1,7 +1,7 @@
-"""One scenario under the eyes of every checker: they see bodies, words, disks and what people do.
+"""Runs one scenario with every checker. They observe bodies, frames, disks and what people do.
 
-Nothing here asks a robot what it believes, but for its replicas: in the end (L1), and after a restart,
-before it has heard anybody (S13).
+No check asks a robot for its belief, with one exception, its replicas: at the end (L1), and after a
+restart before it has received any frame (S13).
 """
 
 from collections import Counter
@@ -34,49 +34,61 @@ from sim.world.coverage_truth import coverage, sample_points
 from sim.world.protocol_world import ProtocolWorld
 from sim.world.world import World
 
-SLACK_US = 20 * MS  # a control tick, and a frame in the way
-RELEASED_S = 12.0  # after the last reset nobody may still stand stopped, and all have been told all
-DELIVERED_US = 120 * MS  # a stop, where all are on one bus, whatever is lost: 20 copies, and a tick
-STANDARD_US = 5 * S  # after a press: the first frame is forgotten, if it was the only one
+SLACK_US = 20 * MS  # a control tick, and a frame that blocks
+# After this time from the last reset, no robot may still be stopped and all data must be exchanged.
+RELEASED_S = 12.0
+# Limit for a stop if all robots are on one bus, whatever is lost: 20 copies, and a tick.
+DELIVERED_US = 120 * MS
+STANDARD_US = 5 * S  # after a press; by then the first frame is forgotten, if it was the only one
 FORGET_US = 3 * S  # of silence, ISO 11783-7
-SETTLED_US = 3 * S  # links and members without trouble for so long: everybody hears everybody
-LEFT_US = 50 * MS  # what was under way when an address was lost is on the bus by then
-EXCUSED_US = 3 * S  # who is pushed, or has a box dropped before it, may touch something so long
-# What was sensed last is a period old at most, is old one period after its limit, and is noticed then.
+# After this time without trouble of links and members, all robots receive each other.
+SETTLED_US = 3 * S
+LEFT_US = 50 * MS  # frames under way when an address was lost are on the bus by then
+# A robot that is pushed, or has a box dropped before it, may touch something for this long.
+EXCUSED_US = 3 * S
+# The latest observation is one period old at most, expires one period after its limit, and that is
+# noticed one control period later.
 SENSELESS_US = AGE_MAX_US + 2 * CONTROL_PERIOD_US + SLACK_US
-STARTING_M = 0.5  # of a robot that begins to drive while its place is frozen, and brakes again
-LOSSY = (kinds.Loss, kinds.Omission, kinds.Duplicate, kinds.Errors)  # copies are lost, nobody is
+# Distance of a robot that starts to drive while its position is frozen, and brakes again.
+STARTING_M = 0.5
+# Copies are lost, but no robot is cut off.
+LOSSY = (kinds.Loss, kinds.Omission, kinds.Duplicate, kinds.Errors)
 CLAIM_PF = 0xEE  # of an identifier: ADDRESS_CLAIMED
-ON_LINE_M = 0.2  # closer than this to a line is on it; who comes to another line passes further off
-# What is left where a machine is dead in the end: units of 5 m that it may stand on (3 m of a way on
-# which it may have come to rest, and two bodies beside it), and half an implement.
+# A robot closer than this to a line is on it; a robot on another line passes at a greater distance.
+ON_LINE_M = 0.2
+# Ground that may be left at a machine that is dead at the end: units of 5 m on which it may stand
+# (a stopping distance of 3 m, and two bodies beside it), and half an implement.
 DEAD_M = 12.0
 UNNOTICED_M = 0.3  # two control periods at full speed
 
 
 class StopEarly(Exception):
-    """Something was found, and no more is asked for."""
+    """A violation was found, and only the first one is wanted."""
 
 
 class ScenarioJudge:
     def __init__(self, scenario: Scenario, first_only: bool = False) -> None:
-        """`first_only`: the run ends within a second of the first rule that is broken."""
+        """`first_only`: end the run within a second of the first violation."""
         self.first_only = first_only
         self.scenario, self.span = scenario, span_of(scenario)
         self.setting = setting_of(scenario.with_engine("contact_free"))
         self.witness = EffectObserver(scenario.fleet.robots)
         self.broken: list[RuleViolation] = []
         self.outcome: Outcome | None = None
-        self._silences: dict[int, list[int]] = {}  # dead robot -> watches of those who must stand
-        self._delivering: dict[int, int] = {}  # watches of stops: until when they are being said
-        self._trouble_us = 0  # the newest trouble of a link or of a member
-        self._cut_us = SETTLED_US  # until then, not everybody need be able to hear
-        self._lost: dict[int, tuple[int, bytes, int]] = {}  # address: since when, NAME, slot
-        self._settled = False  # `RELEASED_S` are over
-        self._left: list[tuple[float, float, float]] = []  # x, y, radius (m) of ground left
-        self._blind: dict[int, list[int]] = {}  # watches of robots that have lost their senses
-        self._frozen_at: dict[int, tuple[float, float]] = {}  # where they were when it froze
-        self._excused: list[tuple[int, int]] = []  # robot and when: pushed, or a box before it
+        # Dead robot -> watches of the robots that must stand.
+        self._silences: dict[int, list[int]] = {}
+        self._delivering: dict[int, int] = {}  # watch of a stop -> until when it is being sent
+        self._trouble_us = 0  # the newest trouble of a link or a member
+        self._cut_us = SETTLED_US  # until then, some robots may be unable to receive
+        # Address -> since when it is lost, NAME, slot.
+        self._lost: dict[int, tuple[int, bytes, int]] = {}
+        self._settled = False  # `RELEASED_S` is over
+        # x, y, radius (m) of ground that may be left.
+        self._left: list[tuple[float, float, float]] = []
+        self._blind: dict[int, list[int]] = {}  # watches of robots that have lost their sensors
+        # The true position of each when it froze.
+        self._frozen_at: dict[int, tuple[float, float]] = {}
+        self._excused: list[tuple[int, int]] = []  # (robot, time) of a push or a box before it
 
     def run(self) -> "ScenarioJudge":
         kind = ProtocolRun if self.scenario.mission in DRILLS else FieldRun
@@ -89,7 +101,8 @@ class ScenarioJudge:
         except StopEarly:
             self._moved()
             self._exclusive_work(self._together)
-        except Exception as problem:  # an assertion of a robot, or of the simulation: both count
+        # A failed assertion of a robot or of the simulation counts as a violation.
+        except Exception as problem:
             text = f"{type(problem).__name__}: {problem}"
             self.broken.append(RuleViolation("S15", self.cluster.host.now_us() / 1e6, text))
         if self.outcome is not None:
@@ -105,7 +118,7 @@ class ScenarioJudge:
 
     @property
     def faults(self) -> Counter[str]:
-        """How many of each kind there were before the calm."""
+        """The number of faults of each kind before the repairs."""
         return Counter(f.kind for f in self.scenario.fault if f.at_s <= self.span.calm_s)
 
     def _attach(self, cluster: Cluster) -> None:
@@ -129,9 +142,10 @@ class ScenarioJudge:
         self.cluster.host.at(t_us, call)
 
     def _watch(self, fault: Fault) -> None:
-        """What the checkers have to do at a fault: before it at its time, after it a moment later."""
+        """Call the checkers at a fault: before it at its time, and after it a moment later."""
         at_us = round(fault.at_s * 1e6)
-        if isinstance(fault, kinds.Clone) and fault.wins:  # before it is trouble itself
+        # Before the clone itself counts as trouble.
+        if isinstance(fault, kinds.Clone) and fault.wins:
             self._at(at_us, partial(self._loses_address, fault.robot))
         if is_link_trouble(fault):
             lossy = isinstance(fault, LOSSY)
@@ -150,14 +164,15 @@ class ScenarioJudge:
                 self._at(at_us, partial(self._loses_senses, robot, at_us + round(for_s * S)))
             case kinds.Late(robot=robot, by_s=by_s, for_s=for_s) if by_s * S > AGE_MAX_US:
                 self._at(at_us, partial(self._loses_senses, robot, at_us + round(for_s * S)))
-            case kinds.Reset() | kinds.Order():  # a start: a robot with a frozen place tries again
+            # Includes a start: a robot with a frozen position tries again.
+            case kinds.Reset() | kinds.Order():
                 self._at(at_us, self._frozen_at.clear)
             case kinds.Frozen(robot=robot, for_s=for_s):
                 self._at(at_us, partial(self._place_freezes, robot, at_us + round(for_s * S)))
             case kinds.DiskFull(robot=robot, for_s=for_s):
                 self._at(at_us + round(for_s * S) - 1, partial(self._keeps_silent, robot))
             case kinds.ClockJump(robot=robot):
-                self._at(at_us, self._interrupted)  # of whoever was pressed
+                self._at(at_us, self._interrupted)  # for any robot that was pressed
                 self._at(at_us, partial(self.witness.words.leaps, robot))
             case kinds.Foreign(claims=False):
                 self._at(at_us, self.witness.words.without_name)
@@ -180,38 +195,41 @@ class ScenarioJudge:
             self._heard_of(slot)
 
     def _loses_address(self, slot: int) -> None:
-        """S18: where it must hear the better claim, it says nothing more from there."""
+        """S18: if it must have received the better claim, it sends nothing more from that
+        address."""
         cluster, now_us = self.cluster, self.cluster.host.now_us()
         faults = cluster.segment.wire.faults
         if not cluster.is_up(slot) or faults.loss or faults.omission:
             return
         peer = cluster.robots[slot].peer
-        beside = cluster.segment.wire.nodes[cluster.node_of(slot)].island == 0  # the tool's piece
+        # The part of the bus with the tool.
+        beside = cluster.segment.wire.nodes[cluster.node_of(slot)].island == 0
         if now_us >= self._cut_us and self._one_bus and beside and peer.address is not None:
             name = peer.identity.name.pack().to_bytes(8, "little")
             self._lost[peer.address] = now_us + LEFT_US, name, slot
             self._overhear()
 
     def _overhear(self) -> None:
-        """Listen to the bus, as long as there is a lost address to listen for."""
+        """Listen to the bus while there are lost addresses to check."""
         taps = [tap for tap in self.cluster.segment.taps if tap != self._overheard]
         self.cluster.segment.taps = [*taps, *([self._overheard] if self._lost else [])]
 
     def _overheard(self, t_us: int, frame: Frame) -> None:
-        """Every frame on the bus."""
+        """Handle every frame on the bus."""
         address = frame.identifier & 0xFF
         if address not in self._lost:
             return
         since_us, name, _ = self._lost[address]
         if frame.identifier >> 16 & 0xFF == CLAIM_PF:
-            if frame.data == name or t_us >= since_us:  # claimed again, by who may not know of it
+            # Claimed again by a device that may not know of the loss.
+            if frame.data == name or t_us >= since_us:
                 del self._lost[address]
         elif t_us >= since_us:
             del self._lost[address]
             self._add("S18", t_us / 1e6, f"address {address} is lost and spoken from")
 
     def _loses_senses(self, slot: int, until_us: int) -> None:
-        """S19: it stands until they are back."""
+        """S19: it stands until its sensors work again."""
         now_us = self._now_us()
         if until_us - now_us > SENSELESS_US and self.cluster.is_up(slot):
             watch = self.senseless.press(now_us, SENSELESS_US, (slot,))
@@ -219,7 +237,7 @@ class ScenarioJudge:
             self._at(until_us, partial(self._sees_again, slot, watch))
 
     def _sees_again(self, slot: int, watch: int | None = None) -> None:
-        """Its senses are back, or somebody moves it by hand."""
+        """Its sensors work again, or a person moves it by hand."""
         for number in list(self._blind.get(slot, ())):
             if watch in (None, number):
                 self._blind[slot].remove(number)
@@ -228,7 +246,7 @@ class ScenarioJudge:
             self._frozen_at.pop(slot, None)
 
     def _place_freezes(self, slot: int, until_us: int) -> None:
-        """S19: it notices when it drives, and stands within its way."""
+        """S19: it notices this when it drives, and stops within its distance limit."""
         self._now_us()
         if not isinstance(self.cluster.world, ProtocolWorld) and self.cluster.is_up(slot):
             self._frozen_at[slot] = self.cluster.world.body(slot).position
@@ -246,9 +264,10 @@ class ScenarioJudge:
                 self._add("S19", self.cluster.host.now_us() / 1e6, what)
 
     def _keeps_silent(self, slot: int) -> None:
-        """S13: while its disk takes nothing, it says nothing that would have to be on it.
+        """S13: while its disk is full, it sends nothing that would have to be on the disk.
 
-        Stops are said all the same. So are units, in answers: they are worked, and others keep them.
+        Stops are sent all the same. So are units, in answers, because they are worked and other
+        robots store them.
         """
         journal = self.cluster.journals[slot]
         if isinstance(journal, LogJournal) and self.cluster.is_up(slot):
@@ -262,8 +281,8 @@ class ScenarioJudge:
         self._excused += [(slot, self.cluster.host.now_us()) for slot in slots]
 
     def _shoved(self, slot: int, by_m: float) -> None:
-        """An implement that is down is moved past a strip of ground, by less than a robot on its way
-        could tell from its speed."""
+        """A lowered implement is moved past a strip of ground, by less than a working robot could
+        detect from its speed."""
         bodies = not isinstance(self.cluster.world, ProtocolWorld)
         if bodies and by_m < UNNOTICED_M and self.cluster.is_up(slot):
             reach_m = self.setting.field.implement_width_m / 2 + 2 * UNNOTICED_M
@@ -282,7 +301,8 @@ class ScenarioJudge:
             self._at(now_us + STANDARD_US, partial(self._implements_stand, slot, now_us))
 
     def _implements_stand(self, slot: int, pressed_us: int) -> None:
-        """S20: an implement that forgets a button after 3 s of silence stands as long as the fleet."""
+        """S20: an implement that forgets a button after 3 s of silence stands as long as the
+        fleet."""
         now_us, words = self.cluster.host.now_us(), self.witness.words
         stood = words.speakers[slot].stopped and words.speakers[slot].stopped_us <= pressed_us + S
         calm = self._trouble_us < pressed_us and self._one_bus and self.cluster.is_up(slot)
@@ -296,7 +316,8 @@ class ScenarioJudge:
             self.delivery.release(watch)
 
     def _interrupted(self) -> None:
-        """A stop that is being said may not be said to its end: only the silence limit binds then."""
+        """A stop that is being sent may not be sent completely, so only the silence limit
+        applies."""
         now_us = self.cluster.host.now_us()
         for watch in [watch for watch, end_us in self._delivering.items() if now_us < end_us]:
             self._delivered(watch)
@@ -304,14 +325,14 @@ class ScenarioJudge:
 
     @property
     def _one_bus(self) -> bool:
-        """All that are switched on are on one bus that works."""
+        """Whether all robots that are switched on are on one working bus."""
         wire = self.cluster.segment.wire
         nodes = [wire.nodes[robot.bus.node] for robot in self.cluster.running]
         off = any(node.off_until_us is not None or node.tec for node in nodes)
         return not wire.faults.deaf and not off and len({node.island for node in nodes}) == 1
 
     def _all_told(self) -> bool:
-        """Everybody has heard everybody for so long that two sides of a split are one again."""
+        """Whether all robots have received each other for so long that a split has healed."""
         faults = self.cluster.segment.wire.faults
         lossy = faults.loss or faults.omission or faults.error
         calm = self.cluster.host.now_us() - self._trouble_us > SETTLED_US
@@ -322,7 +343,8 @@ class ScenarioJudge:
         return beat_of(self.scenario.fleet.robots).silence_us + SLACK_US
 
     def _dies(self, slot: int) -> None:
-        """S6: where links are calm, all that have met it must stand until it is back."""
+        """S6: if links are without trouble, all robots that have met it must stand until it is
+        back."""
         cluster, now_us = self.cluster, self._now_us()
         calm = now_us - self._trouble_us > SETTLED_US
         if cluster.is_up(slot) and calm and self.scenario.fleet.silence == "stop":
@@ -341,7 +363,7 @@ class ScenarioJudge:
                 checker.lapses(slot, self.cluster.host.now_us())
 
     def _heard_of(self, slot: int) -> None:
-        """It is back, or nobody can say any longer who hears whom."""
+        """It is back, or it can no longer be determined which robots receive each other."""
         for number in self._silences.pop(slot, []):
             self.silence.release(number)
 
@@ -352,7 +374,7 @@ class ScenarioJudge:
             return
         now_us = self._now_us()
         self._lost = {address: lost for address, lost in self._lost.items() if lost[2] != slot}
-        for dead in list(self._silences):  # who boots has never heard the dead ones
+        for dead in list(self._silences):  # a robot that boots has never received the dead ones
             self._heard_of(dead)
         self._trouble_us = now_us
         self._cut_us = max(self._cut_us, now_us + SETTLED_US)
@@ -371,7 +393,7 @@ class ScenarioJudge:
         self._at(now_us, partial(self._reads, slot))
 
     def _reads(self, slot: int) -> None:
-        """It has read its disk, and heard nobody yet."""
+        """It has read its disk, and has received no frame yet."""
         peer = self.cluster.robots[slot].peer
         missing = unknown(self.witness.told[slot], peer.allocation, peer.progress)
         if missing:
@@ -394,7 +416,7 @@ class ScenarioJudge:
             if max(tally.values()) * 2 <= len(up):
                 self._add("L7", now_us / 1e6, f"no leader of election {election}: {dict(tally)}")
 
-    # ---------------------------------------------------------------- in the end
+    # ---------------------------------------------------------------- at the end
 
     def _judge(self, outcome: Outcome) -> None:
         world, end_s = self.cluster.world, outcome.simulated_s
@@ -417,7 +439,7 @@ class ScenarioJudge:
             self._all_units_told(world)
 
     def _all_units_told(self, world: World | ProtocolWorld) -> None:
-        """What was worked is known to the fleet unit by unit, not only that sections are done."""
+        """Check that the fleet knows all worked units, not only that sections are done."""
         if not isinstance(world, ProtocolWorld):
             return
         told = sum(bits.bit_count() for bits in self.witness.words.units.values())
@@ -426,8 +448,8 @@ class ScenarioJudge:
             self._add("L5", world.now_us / 1e6, f"finished, and {untold} units were never told")
 
     def _accounted_for(self, world: World | ProtocolWorld) -> bool:
-        """All that was not worked lies about machines that nobody has switched on again, or where
-        somebody has moved one a little."""
+        """Whether all unworked ground lies around machines that stayed switched off, or where a
+        person has moved one a little."""
         if isinstance(world, ProtocolWorld):
             return False
         slots, left = range(self.scenario.fleet.robots), [*self._left]

@@ -1,4 +1,4 @@
-"""A failing scenario made small: fewer faults, fewer robots, as long as the same rule is broken."""
+"""Reduce a failing scenario: fewer faults and robots, as long as it breaks the same rule."""
 
 from collections.abc import Callable, Iterator
 
@@ -9,7 +9,8 @@ RUNS_MAX = 80  # tries; a run takes a few seconds
 
 
 def shrink(scenario: Scenario, fails: Callable[[Scenario], bool]) -> tuple[Scenario, int]:
-    """(the smallest found, runs it took). `fails` plays a scenario; ddmin (Zeller 1999) on faults."""
+    """The smallest failing scenario found, and the number of runs. `fails` runs a scenario; ddmin
+    (Zeller 1999) on faults."""
     runs = 0
 
     def tried(candidate: Scenario) -> bool:
@@ -39,7 +40,7 @@ def shrink(scenario: Scenario, fails: Callable[[Scenario], bool]) -> tuple[Scena
 
 
 def _without(faults: list[Fault], pieces: int) -> Iterator[list[Fault]]:
-    """The list less each of its pieces."""
+    """The list without each of its pieces in turn."""
     size = -(-len(faults) // pieces)
     for begin in range(0, len(faults), size):
         yield faults[:begin] + faults[begin + size :]

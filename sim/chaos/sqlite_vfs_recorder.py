@@ -1,8 +1,9 @@
-"""sqlite's own writes, truncations and syncs, in order: what a power cut may undo is then known.
+"""Records sqlite's writes, truncations and syncs in order, so that a power cut can be simulated
+exactly.
 
-A ctypes shim over sqlite's default VFS: the files are opened by the original, and three of their
-methods are replaced by ones that write down what they pass on. It works where Python's sqlite3 is
-linked with a shared libsqlite3 (Linux distributions; `available()` says). A log of one connection
+A ctypes shim over sqlite's default VFS. The original opens the files, and three of their methods
+are replaced by ones that record their arguments and pass them on. It works if Python's sqlite3 is
+linked with a shared libsqlite3 (Linux distributions; see `available()`). It records one connection
 with `locking_mode=EXCLUSIVE`, which keeps the index of the write-ahead log in memory.
 """
 
@@ -47,7 +48,7 @@ class Step(NamedTuple):
 
 
 def available() -> bool:
-    """Whether Python's sqlite3 can be watched: the same shared library is loaded by name."""
+    """Whether Python's sqlite3 can be recorded: the same shared library is loaded by name."""
     try:
         return bool(_library().sqlite3_libversion().decode() == sqlite3.sqlite_version)
     except (OSError, AttributeError):

@@ -1,7 +1,7 @@
-"""Whether a run kept the rules. Each is a name that docs/chaos.md explains and `headland chaos` prints.
+"""Whether a run kept the rules. docs/chaos.md explains their names; `headland chaos` prints them.
 
-Some are judged elsewhere: S5 by `tests/chaos/test_amnesia.py` and the Spin models, S10 by `tests/crdt`,
-S12 by `headland bench forgery`.
+Some rules are checked elsewhere: S5 by `tests/chaos/test_amnesia.py` and the Spin models, S10 by
+`tests/crdt`, S12 by `headland bench forgery`.
 """
 
 from collections import Counter

@@ -1,4 +1,4 @@
-"""CAN logs by suffix: candump text is ours, everything else is written by python-can."""
+"""CAN logs by suffix: we write candump text, python-can writes all others."""
 
 from pathlib import Path
 from typing import Protocol
@@ -31,7 +31,7 @@ class PythonCanWriter:
 
 
 def open_log(path: Path) -> LogWriter:
-    """OSError where it cannot be written; ValueError for a suffix that is none of `SUFFIXES`."""
+    """Open a log. OSError if it cannot be written; ValueError for a suffix not in `SUFFIXES`."""
     if path.suffix not in SUFFIXES:
         raise ValueError(f"{path}: a log ends in {', '.join(SUFFIXES)}")
     return CandumpWriter(path) if path.suffix == ".log" else PythonCanWriter(path)

@@ -7,8 +7,8 @@ from typing import TextIO
 
 from protocol.frames.frame import Frame
 
-LINE_BYTES_MAX = 512  # a CAN FD frame has 180
-# Time; channel; identifier and data (a classic frame), or what is none of ours: remote (R), FD (##).
+LINE_BYTES_MAX = 512  # a CAN FD frame has 180 bytes
+# Time; channel; identifier and data (a classic frame), or an unsupported kind: remote (R), FD (##).
 LINE = re.compile(
     r"\((\d{1,12})\.(\d{1,9})\)\s+\S+\s+([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})"
     r"#(?:((?:[0-9A-Fa-f]{2}){0,8})|R\d?|#[0-9A-Fa-f]+)(?:\s+[RT])?"
@@ -40,8 +40,8 @@ def read_candump(
 ) -> Iterator[tuple[int, Frame]]:
     """(microseconds, frame) of every data frame with a 29-bit identifier.
 
-    Frames with 11-bit identifiers, remote and error frames are passed over; `damaged` is called for each
-    line that is no line of candump. OSError.
+    Frames with 11-bit identifiers, remote and error frames are skipped; `damaged` is called for
+    each line that is not in candump format. OSError.
     """
     with path.open("rb") as file:
         while line := file.readline(LINE_BYTES_MAX):

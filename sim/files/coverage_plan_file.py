@@ -1,4 +1,4 @@
-"""The plan file of a grid coverage run: what every robot does at every step, for exact replay.
+"""The plan file of a grid coverage run: the action of every robot at every step, for exact replay.
 
 JSON with the keys of the mission's `vacuum_plan.json`: `H`, `W`, `n_agents`, `makespan`,
 `per_agent_actions` (0 wait, 1 up, 2 down, 3 left, 4 right), `walls` and `dirt` (H rows of 0 and 1;
@@ -18,14 +18,14 @@ from sim.files.given_file import PLAN_BYTES_MAX, GivenFileError, parse_json, rea
 from sim.files.grid_map import CELLS_MAX, Cell, GridFileError, Walls, check_starts
 
 STEPS = ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1))  # row and column of each action
-FILE_FACTOR = 16  # a plan has about three bytes a robot and step beside its map
+FILE_FACTOR = 16  # a plan has about three bytes per robot and step in addition to its map
 
 
 @dataclass
 class Plan:
     walls: Walls
     starts: list[Cell]
-    actions: list[list[int]]  # a list for each robot; shorter ones wait at their end
+    actions: list[list[int]]  # a list for each robot; robots with shorter lists wait at their end
     dirt: Walls
     joined: list[int] = field(default_factory=list)
     died: list[int] = field(default_factory=list)
@@ -82,7 +82,7 @@ def _mask(value: Any, rows: int, columns: int, what: str) -> Walls:
 
 
 def parse_plan(text: str, name: str = "plan") -> Plan:
-    """A plan, or GridFileError. Whether it is a good one is the judge's business."""
+    """Parse a plan, or raise GridFileError. The judge decides whether the plan is good."""
     try:
         document = parse_json(text)
         if not isinstance(document, dict):

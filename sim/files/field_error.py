@@ -1,16 +1,16 @@
-"""What is wrong with somebody's field file, in one line."""
+"""The error in a user's field file, as one line."""
 
 FILE_BYTES_MAX = 64 << 20  # a boundary is kilobytes; a task file with a season's logs is megabytes
-# Points of a field, its holes included: five hours of walking its edge with a place each second. Dividing
-# a field takes time in proportion, 5 s for 10,000 points.
+# Points of a field, its holes included: five hours of walking its edge with a position each second.
+# Dividing a field takes proportional time, 5 s for 10,000 points.
 POINTS_MAX = 20_000
-LINE_MAX = 400  # names from the file are in it, and a name may be anything
+LINE_MAX = 400  # it contains names from the file, and a name may be anything
 
 LonLat = tuple[float, float]
 
 
 class FieldFileError(Exception):
-    """One line for the person who named the file; what a file says cannot break or colour it."""
+    """One line for the user of the file; no content of the file can break or colour it."""
 
     def __init__(self, text: str) -> None:
         line = "".join(c if c.isprintable() else " " for c in text)

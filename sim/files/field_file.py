@@ -25,7 +25,7 @@ NAME_MAX = 200  # characters of a field's name
 
 
 class Boundary(NamedTuple):
-    """One field outline in metres, and where it lies."""
+    """One field outline in metres, and its position."""
 
     name: str
     polygon: Polygon
@@ -33,7 +33,7 @@ class Boundary(NamedTuple):
 
 
 def read_boundary(path: Path, feature: str | None = None) -> Boundary:
-    """The named field of a file, or its only one. Only that field is judged."""
+    """The named field of a file, or its only one. Only that field is validated."""
     outlines, broken = fields_of(path)
     names = sorted({*outlines, *broken})
     if not names:
@@ -53,7 +53,7 @@ def read_boundary(path: Path, feature: str | None = None) -> Boundary:
 
 
 def fields_of(path: Path) -> tuple[dict[str, list[list[LonLat]]], dict[str, FieldFileError]]:
-    """Every field of a file: name -> rings of longitude and latitude; and name -> what is wrong with it.
+    """Every field of a file: name -> rings of longitude and latitude; and name -> its error.
 
     FieldFileError where the file as a whole cannot be read.
     """
@@ -75,7 +75,7 @@ def read_geojson(
 ) -> dict[str, list[list[LonLat]]]:
     """Name -> rings of longitude and latitude, the exterior first.
 
-    What is wrong with a feature is raised, or put into `broken` by its name.
+    An error of a feature is raised, or put into `broken` by its name.
     """
     document = load_json(path, GEOJSON_BYTES_MAX)
     if document.get("type") == "FeatureCollection":

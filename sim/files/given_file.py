@@ -1,8 +1,8 @@
-"""The one door for files that somebody gives us: regular files of limited size, parsed within limits.
+"""The only way to read files from users: regular files of limited size, parsed within limits.
 
-Everything wrong with such a file is one `GivenFileError` with one line that does not name the file: its
-reader knows what the file is for. A FIFO never blocks, a device never fills the memory, and deep or
-quadratic text is refused before it costs more than a second.
+Every error of such a file is a `GivenFileError` with one line that does not name the file, because
+the caller knows its purpose. A FIFO never blocks, a device never fills the memory, and deep or
+quadratic text is rejected before it takes more than a second.
 """
 
 import json
@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 KIB, MIB = 1 << 10, 1 << 20
-# The most that a file of each kind may have, bytes; beside each what the largest honest one has.
+# Upper limits for a file of each kind, bytes; the comment gives the size of the largest real one.
 SCENARIO_BYTES_MAX = 512 * KIB  # 30 kB: 100 faults of a campaign
 DRAWING_BYTES_MAX = 8 * MIB  # 4 MB: a floor of 2000 x 2000 characters
 TASKS_BYTES_MAX = 4 * MIB  # 100 kB: 2,000 transports
@@ -22,12 +22,12 @@ KEY_BYTES_MAX = 64 * KIB  # 300 bytes
 REPORT_BYTES_MAX = 64 * MIB  # 1 MB: report.json of a day
 PLAN_BYTES_MAX = 64 * MIB  # 10 MB: a coverage plan of 100 robots
 SETTINGS_BYTES_MAX = 1 * MIB  # 10 kB: places, addresses, queues
-DOTS_MAX = 32  # in one key of TOML: each costs the parser time and memory of all before it
+DOTS_MAX = 32  # in one key of TOML; for each one the parser needs time and memory of all before it
 REASON_MAX = 200  # characters
 
 
 class GivenFileError(ValueError):
-    """One line for the person, without the file's name."""
+    """One line for the user, without the file's name."""
 
     def __init__(self, reason: str) -> None:
         line = "".join(c if c.isprintable() else " " for c in reason)
@@ -42,7 +42,7 @@ def read_bytes(path: Path, bytes_max: int) -> bytes:
         raise GivenFileError(f"cannot be read: {problem.strerror}") from None
     except ValueError:  # a NUL in the name
         raise GivenFileError("cannot be read: that is no file name") from None
-    if stat.S_ISDIR(os.fstat(handle).st_mode):  # Python opens no file on a folder
+    if stat.S_ISDIR(os.fstat(handle).st_mode):  # Python does not open a folder as a file
         os.close(handle)
         raise GivenFileError("cannot be read: not a regular file")
     with os.fdopen(handle, "rb") as file:
@@ -61,7 +61,7 @@ def read_bytes(path: Path, bytes_max: int) -> bytes:
 
 
 def check_regular(path: Path) -> None:
-    """For a file that somebody else's library opens. GivenFileError where it is no regular file."""
+    """For a file that another library opens. GivenFileError if it is no regular file."""
     try:
         mode = path.stat().st_mode
     except OSError as problem:
@@ -73,7 +73,7 @@ def check_regular(path: Path) -> None:
 
 
 def read_text(path: Path, bytes_max: int) -> str:
-    """UTF-8. GivenFileError."""
+    """Read UTF-8 text. GivenFileError."""
     try:
         return read_bytes(path, bytes_max).decode("utf-8")
     except UnicodeDecodeError:
@@ -81,17 +81,17 @@ def read_text(path: Path, bytes_max: int) -> str:
 
 
 def read_json(path: Path, bytes_max: int) -> Any:
-    """GivenFileError."""
+    """Read a JSON file. GivenFileError."""
     return parse_json(read_text(path, bytes_max))
 
 
 def read_toml(path: Path, bytes_max: int) -> dict[str, Any]:
-    """GivenFileError."""
+    """Read a TOML file. GivenFileError."""
     return parse_toml(read_text(path, bytes_max))
 
 
 def parse_json(text: str) -> Any:
-    """GivenFileError where it is not JSON, nested too deep, or has numbers that are none."""
+    """GivenFileError if it is not JSON, nested too deep, or has NaN or infinite numbers."""
     try:
         return json.loads(text, parse_constant=_no_number)
     except (ValueError, RecursionError) as problem:
@@ -99,7 +99,7 @@ def parse_json(text: str) -> Any:
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """GivenFileError where it is not TOML, nested too deep, or has a key of too many parts."""
+    """GivenFileError if it is not TOML, nested too deep, or has a key of too many parts."""
     if any(run.group().count(".") > DOTS_MAX for run in _DOTTED.finditer(_STRINGS.sub("q", text))):
         raise GivenFileError(f"not TOML of ours: a key of more than {DOTS_MAX} parts")
     try:

@@ -1,4 +1,4 @@
-"""Grid maps and coverage instances: the Moving-AI `.map` and LS-MCPP's `.mcpp`, and maps by chance.
+"""Grid maps and coverage instances: the Moving-AI `.map` and LS-MCPP's `.mcpp`, and random maps.
 
 A cell is (row, column) from the upper left, one step apart from its four neighbours. A `.map` has a
 header of four lines and one character a cell; passable are `.`, `G` and `S` (Sturtevant, Benchmarks
@@ -19,20 +19,20 @@ from numpy.typing import NDArray
 from sim.files.given_file import GivenFileError, parse_json, read_text
 
 Cell = tuple[int, int]  # row, column
-Walls = NDArray[np.bool_]  # (rows, columns), True where nobody can go
+Walls = NDArray[np.bool_]  # (rows, columns), True for cells that no robot can enter
 PASSABLE = ".GS"
 CELLS_MAX = 4 << 20  # 2048 x 2048: twice the side of the largest published benchmark map
-FREE_CELLS_MAX = 1 << 18  # of a map that is planned: 512 x 512, 10 s and 300 MB
+FREE_CELLS_MAX = 1 << 18  # of a map that is planned: 512 x 512 takes 10 s and 300 MB
 DIGITS_MAX = 9  # of a height or width
 FILE_BYTES_MAX = 2 * CELLS_MAX
 
 
 class GridFileError(Exception):
-    """One line for the person who named the file."""
+    """One line for the user who named the file."""
 
 
 class Instance(NamedTuple):
-    """A map and where the robots start."""
+    """A map and the starts of the robots."""
 
     name: str
     walls: Walls
@@ -90,7 +90,7 @@ def parse_roots(text: str, rows: int, name: str = "instance") -> tuple[str, list
             key, _, rest = line.partition(":")
             values[key] = rest
         elif key:
-            values[key] += line  # a list that goes on
+            values[key] += line  # continuation of a list
     try:
         roots = parse_json(values["root"])
         if not isinstance(roots, list) or not roots:
@@ -112,7 +112,7 @@ def mcpp_text(map_name: str, starts: list[Cell]) -> str:
 
 
 def check_starts(name: str, walls: Walls, starts: list[Cell]) -> None:
-    """GridFileError where a robot would start outside, in a wall, or on top of another."""
+    """GridFileError if a robot would start outside, in a wall, or in the cell of another."""
     rows, columns = walls.shape
     seen: dict[Cell, int] = {}
     for robot, (row, column) in enumerate(starts):
@@ -131,7 +131,7 @@ def read_map(path: Path) -> Walls:
 
 
 def read_instance(path: Path) -> Instance:
-    """An `.mcpp` with its map: beside it, or in `../gridmaps` as LS-MCPP keeps them."""
+    """An `.mcpp` with its map: beside it, or in `../gridmaps` as in LS-MCPP."""
     text = _text(path)
     map_name, _ = parse_roots(text, 1, str(path))
     places = [path.parent / f"{map_name}.map", path.parent.parent / "gridmaps" / f"{map_name}.map"]
@@ -155,7 +155,7 @@ def write_instance(path: Path, instance: Instance) -> list[Path]:
 
 
 def random_walls(rows: int, columns: int, wall_probability: float, seed: int) -> Walls:
-    """Each cell a wall by chance; the same on every machine for a seed."""
+    """Each cell is a wall with this probability; a seed gives the same map on every machine."""
     rng = Random(f"{seed}/walls/{rows}/{columns}")
     return np.array(
         [[rng.random() < wall_probability for _ in range(columns)] for _ in range(rows)],
@@ -207,7 +207,7 @@ def largest_room(walls: Walls) -> list[Cell]:
 
 
 def random_starts(walls: Walls, robots: int, seed: int) -> list[Cell]:
-    """Different cells of the largest room; ValueError where it is too small."""
+    """Distinct cells of the largest room; ValueError if it is too small."""
     room = largest_room(walls)
     if robots > len(room):
         raise ValueError(f"{robots} robots do not fit into {len(room)} connected free cells")
@@ -215,7 +215,7 @@ def random_starts(walls: Walls, robots: int, seed: int) -> list[Cell]:
 
 
 def gate_starts(walls: Walls, robots: int) -> list[Cell]:
-    """The cells nearest to one corner of the largest room: how machines come into a field."""
+    """The cells nearest to one corner of the largest room, as if machines entered a field there."""
     room = largest_room(walls)
     if robots > len(room):
         raise ValueError(f"{robots} robots do not fit into {len(room)} connected free cells")

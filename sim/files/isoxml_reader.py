@@ -1,8 +1,9 @@
 """Reading ISO 11783-10 task data: a TASKDATA.XML, its folder, or a zip of it.
 
-The package `isoxml` (an extra) turns the text into objects. By itself it lets bad numbers, unknown
-kinds of geometry and document types pass, and raises whatever its parser raises; here every wrong
-file is one `FieldFileError`. Nothing is ever unpacked to disk, and no entity is ever expanded.
+The package `isoxml` (an extra) turns the text into objects. By itself it accepts bad numbers,
+unknown kinds of geometry and document types, and passes on any exception of its parser. Here every
+invalid file is one `FieldFileError`. Nothing is ever unpacked to disk, and no entity is ever
+expanded.
 """
 
 import logging
@@ -21,13 +22,14 @@ from shapely.validation import explain_validity
 from sim.files.field_error import FILE_BYTES_MAX, POINTS_MAX, FieldFileError, LonLat
 from sim.files.given_file import GivenFileError, check_regular, read_bytes
 
-logging.getLogger("xsdata").addHandler(logging.NullHandler())  # what is wrong is told in one line
+# Errors are reported in one line instead.
+logging.getLogger("xsdata").addHandler(logging.NullHandler())
 NAME = "TASKDATA.XML"
 EXTERNAL = re.compile(r"[A-Z]{3}[0-9]{5}")  # the standard's own pattern for names of further files
 EXTERNAL_MAX = 100_000  # five digits
 ELEMENTS_MAX = 200_000  # of one XML file: a farm of 200 fields of 1,000 points; 3 s of parsing
 BOUNDARY, EXTERIOR, INTERIOR = "1", "1", "2"  # values of PLN A and LSG A
-OBSTACLES = {"3", "4", "6"}  # PLN A: water, building, obstacle: nobody drives there
+OBSTACLES = {"3", "4", "6"}  # PLN A: water, building, obstacle: no robot drives there
 DECLARED = re.compile(r"""^\s*<\?xml[^>]*encoding\s*=\s*["']([^"']*)["']""")
 
 Read = Callable[[str], bytes | None]
@@ -38,8 +40,8 @@ def read_isoxml(
 ) -> dict[str, list[list[LonLat]]]:
     """Partfield -> rings of longitude and latitude, the exterior first; several parts are numbered.
 
-    What is wrong with a field is raised, or put into `broken` by its name, so that one odd outline spoils
-    no other.
+    An error of a field is raised, or put into `broken` by its name, so that one invalid outline
+    does not affect the others.
     """
     outlines: dict[str, list[list[LonLat]]] = {}
     for number, partfield in enumerate(load_task_data(path).partfields):
@@ -60,7 +62,7 @@ def read_isoxml(
 
 
 def load_task_data(path: Path) -> Any:
-    """The task data as `isoxml` has it, with the elements of its external files."""
+    """The task data as objects of `isoxml`, with the elements of its external files."""
     try:
         import isoxml.models.base.v3 as v3
         import isoxml.models.base.v4 as v4
@@ -97,7 +99,7 @@ def load_task_data(path: Path) -> Any:
 
 
 def read_part(path: Path, name: str) -> bytes | None:
-    """A file beside the task data, from the same folder or zip; none where there is none."""
+    """A file beside the task data, from the same folder or zip; None if it does not exist."""
     archive, read = _reader(path)
     try:
         return read(name)
@@ -107,7 +109,7 @@ def read_part(path: Path, name: str) -> bytes | None:
 
 
 def _reader(path: Path) -> tuple[zipfile.ZipFile | None, Read]:
-    """How to get at a file by its name, whatever its case: in a folder, or in a zip."""
+    """A function that reads a file by its name, ignoring case: from a folder or from a zip."""
     if path.suffix.lower() == ".zip":
         try:
             check_regular(path)
@@ -144,9 +146,9 @@ def _from_zip(path: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo | No
     if member is None:
         return None
     try:
-        with archive.open(member) as file:  # what the directory says of its size is not believed
+        with archive.open(member) as file:  # the size in the directory is not trusted
             return _within(path, file.read(FILE_BYTES_MAX + 1))
-    except Exception as problem:  # zlib, lzma, bz2, a password: each says it in its own way
+    except Exception as problem:  # zlib, lzma, bz2, a password: each has its own exceptions
         if isinstance(problem, FieldFileError):
             raise
         raise FieldFileError(f"{path}: {member.filename} cannot be unpacked: {problem}") from None
@@ -182,9 +184,10 @@ def _parse(path: Path, name: str, text: str, kind: type) -> Any:
     lenient = ParserConfig(fail_on_unknown_properties=False, fail_on_unknown_attributes=False)
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # values it could not convert are checked where used
+            # Values that it could not convert are checked where they are used.
+            warnings.simplefilter("ignore")
             return XmlParser(lenient).from_string(text, kind)
-    except Exception as problem:  # somebody else's parser on anybody's file: all it may raise
+    except Exception as problem:  # an external parser on any file: it may raise anything
         reason = " ".join(str(problem).split())[:120]
         raise FieldFileError(f"{path}: {name} is not task data: {reason}") from None
 
@@ -198,7 +201,7 @@ def _parts(path: Path, name: str, polygons: list[Any]) -> Iterator[Polygon]:
         if code(polygon.type) in OBSTACLES
         for part in _exteriors(path, name, polygon)
     ]
-    # Some terminals write each hole as a boundary of its own, with nothing but an interior ring.
+    # Some terminals write each hole as a separate boundary with only an interior ring.
     alone = [p for p in boundaries if p.line_strings and _only_holes(p)]
     outlined = [p for p in boundaries if not any(p is q for q in alone)]
     holes = [
@@ -224,7 +227,8 @@ def _only_holes(polygon: Any) -> bool:
 
 
 def _exteriors(path: Path, name: str, polygon: Any) -> Iterator[Polygon]:
-    """The polygons of a PLN: version 3 allows several outlines in one, holes being where they lie."""
+    """The polygons of a PLN. Version 3 allows several outlines in one; holes belong to the outline
+    around them."""
     shells: list[list[LonLat]] = []
     holes: list[list[LonLat]] = []
     for line in polygon.line_strings:
@@ -262,14 +266,14 @@ def _ring(path: Path, name: str, points: list[Any]) -> list[LonLat]:
 
 
 def position(path: Path, name: str, point: Any) -> LonLat:
-    """Longitude and latitude of a PNT; `isoxml` leaves what is no number as it stands."""
+    """Longitude and latitude of a PNT; `isoxml` leaves values that are not numbers unconverted."""
     try:
         lon, lat = float(point.east), float(point.north)
     except (TypeError, ValueError):
         raise FieldFileError(
             f"{path}: {name}: a point at C={point.north!s:.20} D={point.east!s:.20}, not two numbers"
         ) from None
-    if not (-180 <= lon <= 180 and -90 <= lat <= 90):  # also where it is not a number
+    if not (-180 <= lon <= 180 and -90 <= lat <= 90):  # also true for NaN
         raise FieldFileError(
             f"{path}: {name}: a point at {lat:g}, {lon:g}; latitude and longitude are in degrees"
         )
@@ -277,7 +281,7 @@ def position(path: Path, name: str, point: Any) -> LonLat:
 
 
 def code(value: Any) -> str:
-    """What an attribute said: an enumeration's value, or the text that fitted none."""
+    """The value of an attribute: that of an enumeration, or text that matched none."""
     said = getattr(value, "value", value)
     return str(said[0] if isinstance(said, tuple) else said)
 

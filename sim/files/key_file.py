@@ -1,7 +1,8 @@
-"""Key files: a fleet's, for its robots and stop panels, and an operator's, who may release it.
+"""Key files: one of a fleet, for its robots and stop panels, and one of an operator, who may
+release it.
 
-JSON, readable by their owner only. An operator's counter must never go back, so it is kept beside its
-key file, reserved ahead in blocks: one durable write for as many frames.
+JSON that only the owner can read. An operator's counter must never go back, so it is stored beside
+its key file and reserved in blocks: one durable write covers many frames.
 """
 
 import fcntl
@@ -17,29 +18,30 @@ from sim.files.given_file import KEY_BYTES_MAX, GivenFileError, read_json, read_
 
 FLEET, OPERATOR = "headland fleet keys", "headland operator key"
 PANEL = 140  # sender of a stop panel that holds the fleet's keys
-DEVICE = 249  # operator device, where the file names no other
+DEVICE = 249  # the operator device if the file names no other
 DEVICE_MAX = 254
 RESERVE = 8192  # frames; a reset of a hundred machines that takes 5 s sends 6,000
 
 
 class KeyFileError(Exception):
-    """One line for the person."""
+    """One line for the user."""
 
 
 class KeyFile(NamedTuple):
     path: Path
     kind: str  # FLEET or OPERATOR
     keys: Keys
-    device: int | None = None  # of an operator's
+    device: int | None = None  # for an operator's file
 
     @property
     def ids(self) -> dict[str, str]:
-        """What a person may read aloud to compare two files; says nothing of the keys."""
+        """Short ids that people may read aloud to compare two files; they reveal nothing of the
+        keys."""
         named = {"fleet": self.keys.master, "operator": self.keys.operator}
         return {name: key_id(key) for name, key in named.items() if key is not None}
 
     def keyring(self, frames: int = RESERVE) -> Keyring:
-        """Of a device with this file: `frames` may be signed with it."""
+        """The keyring of a device with this file; it may sign `frames` frames."""
         lot = token_bytes(KEY_SIZE)
         if self.kind == FLEET:
             return Keyring(self.keys, PANEL, lot)
@@ -56,7 +58,7 @@ def fresh() -> Keys:
 
 
 def write(fleet: Path, operator: Path, keys: Keys, device: int) -> None:
-    """Both files of a fleet. Raises OSError; FileExistsError where one is there already."""
+    """Write both files of a fleet. Raises OSError; FileExistsError if one exists already."""
     assert keys.master is not None and keys.operator is not None
     own = {"operator_id": key_id(keys.operator), "operator_key": keys.operator.hex()}
     master = {"id": key_id(keys.master), "key": keys.master.hex()}
@@ -73,7 +75,7 @@ def _create(path: Path, text: str) -> None:
 
 
 def read(path: Path, kind: str | None = None) -> KeyFile:
-    """Raises KeyFileError. `kind`: nothing else will do."""
+    """Read a key file. Raises KeyFileError. `kind`: the only accepted kind."""
     try:
         document = read_json(path, KEY_BYTES_MAX)
         mode = path.stat().st_mode
@@ -114,7 +116,7 @@ def counter_path(path: Path) -> Path:
 
 
 def counter(path: Path) -> int:
-    """Frames that an operator's key file may have signed. Raises KeyFileError."""
+    """Number of frames that an operator's key file may have signed. Raises KeyFileError."""
     beside = counter_path(path)
     try:
         count = int(read_text(beside, KEY_BYTES_MAX)) if beside.exists() else 0
@@ -126,7 +128,7 @@ def counter(path: Path) -> int:
 
 
 def reserve(file: KeyFile, frames: int) -> int:
-    """The counter to go on from; what is reserved is durable before it is used."""
+    """The counter to continue from; the reserved range is durable before it is used."""
     beside = counter_path(file.path)
     new = beside.with_name(beside.name + ".new")
     try:

@@ -1,4 +1,4 @@
-"""A log in parts: a new file by size, and the newest files are kept.
+"""A log in parts: a new file starts at a size limit, and only the newest files are kept.
 
 `can.log` is the part that is written; `can.1.log`, `can.2.log` and so on are those before it, in their
 order. Each part is a whole log by itself.
@@ -17,17 +17,17 @@ MIB = 1 << 20
 
 class Limit(NamedTuple):
     part_bytes: int
-    parts: int  # two or more; the one that is written included
+    parts: int  # two or more; includes the one being written
 
     @property
     def text(self) -> str:
-        """For a message."""
+        """The limit as text for a message."""
         size = self.part_bytes * self.parts
         return f"{size >> 20} MiB" if size >= MIB else f"{size} bytes"
 
 
-# Of each log of a launch: about a day of ten robots. A launch has the index of the MCAP part that it
-# writes in memory, a quarter of a megabyte; writing it takes milliseconds.
+# For each log of a launch: about a day of ten robots. A launch keeps the index of the MCAP part
+# that it writes in memory, a quarter of a megabyte; writing the index takes milliseconds.
 LAUNCH_LIMIT = Limit(part_bytes=8 * MIB, parts=128)
 
 
@@ -44,22 +44,23 @@ W = TypeVar("W", bound=Writer)
 
 
 class PartedLog(Generic[W]):
-    """Calls of the writer go to `part`, which begins a new one where the last is full."""
+    """Calls go to the writer `part`, which starts a new part if the last is full."""
 
     def __init__(
         self, path: Path, begin: Callable[[Path, int], W], begun_us: int,
         limit: Limit = LAUNCH_LIMIT, told: Callable[[str], None] = say,
     ) -> None:  # fmt: skip
-        """`begin`: opens a part, of a time in microseconds. `told`: one line for the person where the
-        first part is deleted. Raises what `begin` raises."""
+        """`begin`: opens a part, for a time in microseconds. `told`: gets one line for the user
+        when the first part is deleted. Raises what `begin` raises."""
         self.path, self.limit, self.told = path, limit, told
         self.deleted = 0  # parts
         self._begin = begin
         self._writer = begin(path, begun_us)
-        self._full_bytes = self._writer.size + limit.part_bytes  # beside what a part begins with
+        # In addition to what a part begins with.
+        self._full_bytes = self._writer.size + limit.part_bytes
 
     def part(self, t_us: int) -> W:
-        """The writer of what comes now. Raises OSError."""
+        """The writer for the next data. Raises OSError."""
         if self._writer.size >= self._full_bytes:
             self._writer.close()
             self._put_back()
@@ -68,12 +69,12 @@ class PartedLog(Generic[W]):
         return self._writer
 
     def write(self, t_us: int, frame: Frame) -> None:
-        """Of a log of frames. Raises OSError."""
+        """Write to a log of frames. Raises OSError."""
         writer: Any = self.part(t_us)
         writer.write(t_us, frame)
 
     def tell(self, t_us: int, intent: dict[str, Any]) -> None:
-        """Of a log that takes intents. Raises OSError."""
+        """Write to a log that accepts intents. Raises OSError."""
         writer: Any = self.part(t_us)
         writer.tell(t_us, intent)
 
@@ -81,7 +82,7 @@ class PartedLog(Generic[W]):
         self._writer.close()
 
     def _put_back(self) -> None:
-        """The full part gets a number; the oldest part goes where there are too many."""
+        """Give the full part a number; delete the oldest part if there are too many."""
         older = _older(self.path)
         number = max((number for number, _ in older), default=0) + 1
         self.path.rename(part_path(self.path, number))
@@ -94,12 +95,12 @@ class PartedLog(Generic[W]):
 
 
 def part_path(path: Path, number: int) -> Path:
-    """Of a part that is full."""
+    """The path of a full part."""
     return path.with_name(f"{path.stem}.{number}{path.suffix}")
 
 
 def parts_of(path: Path) -> list[Path]:
-    """All parts of a log that are there, oldest first; the log itself is the last."""
+    """All existing parts of a log, oldest first; the log itself is the last."""
     return [*(part for _, part in _older(path)), path]
 
 

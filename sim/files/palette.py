@@ -1,7 +1,7 @@
 """The colours of robots, by slot: the same in the map, in every picture and in the report.
 
-Ten hues that can be told apart on black and on white, then the same hues lighter. Text names every robot
-as well, because no ten colours can be told apart by everybody.
+Ten hues that can be distinguished on black and on white, then the same hues lighter. Text also
+names every robot, because not everyone can distinguish ten colours.
 """
 
 RGB = tuple[float, float, float]
@@ -15,7 +15,7 @@ ROBOTS = (
 
 
 def colour_of(slot: int) -> str:
-    """As HTML and matplotlib write it: #rrggbb."""
+    """The colour in the form of HTML and matplotlib: #rrggbb."""
     return ROBOTS[slot % len(ROBOTS)]
 
 

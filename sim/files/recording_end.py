@@ -1,7 +1,7 @@
-"""A recording that ends when the disk takes no more, and says so once.
+"""A recording that ends when the disk accepts no more data, and reports this once.
 
-What is recorded goes on: a recorder never raises into the wire, where it would lose the frame that is
-being delivered.
+The recorded run continues. A recorder never raises an exception into the wire, because the frame
+that is being delivered would be lost.
 """
 
 import logging
@@ -16,13 +16,13 @@ def say(message: str) -> None:
 
 
 class Ending:
-    """Calls what writes, until it fails."""
+    """Calls a write function until it fails."""
 
     def __init__(self, name: str, told: Callable[[str], None] = say) -> None:
-        """`name`: of the file. `told`: the one line for a person, once."""
+        """`name`: of the file. `told`: gets the one line for the user, once."""
         self.name, self.told = name, told
-        self.why = ""  # it ended; empty: it goes on
-        self.lost = 0  # calls that were not made any more, or failed
+        self.why = ""  # why it ended; empty while it continues
+        self.lost = 0  # calls that failed or were not made any more
 
     def __call__(self, write: Callable[..., object], *what: Any) -> None:
         if self.why:
@@ -36,7 +36,7 @@ class Ending:
             self.told(f"{self.name}: {self.why}: recording ends, the fleet goes on")
 
     def close(self, end: Callable[[], object]) -> None:
-        """Also of one that has ended: what it could not write before fails once more."""
+        """Close, also after a failure: data that could not be written before fails once more."""
         try:
             end()
         except OSError as problem:

@@ -1,6 +1,6 @@
-"""JSON as the standard has it: what is infinite or not a number is null.
+"""Standard JSON: infinite values and NaN become null.
 
-Python writes `Infinity` and `NaN`, which other readers of JSON refuse.
+Python writes `Infinity` and `NaN`, which other JSON readers reject.
 """
 
 import json
@@ -9,7 +9,7 @@ from typing import Any
 
 
 def dumps(value: Any, **how: Any) -> str:
-    """As `json.dumps`. TypeError where a value is not plain."""
+    """Like `json.dumps`. TypeError if a value is not plain."""
     return json.dumps(_finite(value), allow_nan=False, **how)
 
 

@@ -1,8 +1,8 @@
-"""Who has met whom: what must be known to say whom a silence stops.
+"""Which robots have met: needed to decide which robots a silence must stop.
 
-Under the policy that stops where a member is silent, a robot stands whose bus is cut from those that it
-has met. One that was switched on behind the cut has never heard of them: it works, as a fleet does of
-which a machine is still in the barn. Told by links alone, no robot is asked.
+Under the policy that stops where a member is silent, a robot stands if its bus is cut from members
+that it has met. A robot that booted behind the cut never met the others, so their silence does not
+stop it. Judged from the state of the links alone; no robot is asked.
 """
 
 from collections.abc import Mapping
@@ -10,21 +10,23 @@ from collections.abc import Mapping
 from agent.interface.config import S
 from sim.can.can_segment import Wire
 
-MET_US = 3 * S  # an address (0.25 s, ten times as much where it is contested), and who is who
+# An address (0.25 s, ten times as much if it is contested), and the frames that identify a member.
+MET_US = 3 * S
 
 
 class ContactHistory:
     def __init__(self, wire: Wire) -> None:
         self.wire = wire
         self._looked_us = 0
-        self._together_us: dict[tuple[int, int], int] = {}  # hearer, speaker: for how long by now
+        # (receiver, sender): how long they have been connected so far.
+        self._together_us: dict[tuple[int, int], int] = {}
         self._met: set[tuple[int, int]] = set()
         self._hangs_until_us: dict[int, int] = {}
         self._hangs_since_us: dict[int, int] = {}
         self._doubled_until_us: dict[int, int] = {}
 
     def hangs(self, slot: int, now_us: int, until_us: int) -> None:
-        """Until then it says nothing, and hears it all at once in the end."""
+        """Until then the robot sends nothing; it receives everything at once at the end."""
         if not self.is_hung(slot, now_us):
             self._hangs_since_us[slot] = now_us
         self._hangs_until_us[slot] = max(until_us, self._hangs_until_us.get(slot, 0))
@@ -36,13 +38,13 @@ class ContactHistory:
         return self._hangs_since_us[slot] if self.is_hung(slot, now_us) else None
 
     def doubled(self, slot: int, until_us: int) -> None:
-        """Until then a second machine says that it is that robot: whether the robot itself is silent
-        cannot be told, and afterwards the others have to meet it again."""
+        """Until then a second machine claims to be that robot. So whether the robot itself is
+        silent cannot be known, and afterwards the others have to meet it again."""
         self._doubled_until_us[slot] = max(until_us, self._doubled_until_us.get(slot, 0))
         self._met = {pair for pair in self._met if pair[1] != slot}
 
     def boots(self, slot: int) -> None:
-        """A new life has met nobody; an earlier one may have been met."""
+        """A restarted robot has met no other; other robots may have met it before."""
         self._met = {pair for pair in self._met if pair[0] != slot}
         self._hangs_until_us.pop(slot, None)
         for pair in self._together_us:
@@ -50,7 +52,7 @@ class ContactHistory:
                 self._together_us[pair] = 0
 
     def look(self, now_us: int, node_of: Mapping[int, int]) -> None:
-        """Called before anything changes: as the links are now, they were since the last look.
+        """Call before anything changes: the links have been as they are now since the last call.
 
         `node_of`: the nodes of the robots that are switched on.
         """
@@ -74,5 +76,5 @@ class ContactHistory:
                     self._met.add(pair)
 
     def met(self, hearer: int, speaker: int) -> bool:
-        """In this life of the hearer, since its power came."""
+        """Whether the receiver has met the sender since its own power-up."""
         return (hearer, speaker) in self._met

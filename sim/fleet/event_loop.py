@@ -1,9 +1,10 @@
-"""A plain event loop over a heap: the same shells, wire, scripts and order of events as asyncio's.
+"""A plain event loop over a heap: the same runners, wire, scripts and order of events as with
+asyncio.
 
-What asyncio does for a callback costs several microseconds; here it is a heap entry. The order is the
-one of `asyncio.BaseEventLoop` with `sim/fleet/virtual_clock.py`, step by step (due timers in the
-order in which they were set, behind what is ready; a woken shell takes its turn one round later),
-so that the same seed gives the same trace hash: a test compares them.
+A callback costs asyncio several microseconds; here it is a heap entry. The order is the same as in
+`asyncio.BaseEventLoop` with `sim/fleet/virtual_clock.py`, step by step. Due timers run in the order
+in which they were set, after what is ready; a runner that is woken takes its turn one round later.
+So the same seed gives the same trace hash, and a test compares them.
 """
 
 from collections.abc import Callable
@@ -15,8 +16,9 @@ from agent.runtime.peer_runner import PeerRunner
 from sim.fleet.scheduler import Script
 
 T = TypeVar("T")
-# Of callbacks in one instant. A wire brings a few frames at one time, a thawed robot a full inbox in one
-# round: who is woken so often asks again and again for what it does not do.
+# Callback rounds in one instant. A wire delivers a few frames at one time, and a robot that
+# unfreezes gets a full inbox in one round. More rounds mean that a robot keeps asking for a wake-up
+# without acting.
 ROUNDS_MAX = 10_000
 Call = Callable[[], object]
 
@@ -32,7 +34,7 @@ class Timer:
 
 
 class SimulatedRunner(PeerRunner):
-    """A shell that takes its turns from a swarm."""
+    """A runner that takes its turns from this event loop."""
 
     swarm: "EventLoop"
     _over = False
@@ -42,7 +44,7 @@ class SimulatedRunner(PeerRunner):
     _rate = 1.0
 
     def begin(self) -> None:
-        """What the first step of `PeerRunner.run` does."""
+        """Do what the first step of `PeerRunner.run` does."""
         self.bus.subscribe(self._arrive)
         self._arm()
 
@@ -50,20 +52,20 @@ class SimulatedRunner(PeerRunner):
         self._over = True
 
     def drift(self, ppm: float) -> None:
-        """From now on this robot's clock runs so much too fast."""
+        """From now on this robot's clock runs faster by this many parts per million."""
         self._catch_up()
         self._base_us, self._since_us = self.local_us(), self.swarm.now_us()
         self._rate = 1.0 + ppm * 1e-6
         self._nudge()
 
     def jump(self, by_s: float) -> None:
-        """From now on this robot's clock shows so much more."""
+        """From now on this robot's clock shows this much more."""
         self._catch_up()
         self._base_us, self._since_us = self.local_us() + round(by_s * 1e6), self.swarm.now_us()
         self._nudge()
 
     def local_us(self) -> int:
-        """This robot's clock."""
+        """The time on this robot's clock."""
         return self._shown_at(self.swarm.time_us)
 
     def _shown_at(self, t_us: int) -> int:
@@ -77,11 +79,12 @@ class SimulatedRunner(PeerRunner):
         return None if same else self._shown_at
 
     def _at(self, local_us: int) -> int:
-        """When its clock will show that."""
+        """The time at which its clock will show that value."""
         if self._rate == 1.0:
             return local_us - self._base_us + self._since_us
         t_us = self._since_us + ceil((local_us - self._base_us) / self._rate)
-        # A last bit may make that one microsecond too early: the robot would be woken again and again.
+        # Rounding may make this one microsecond too early; then the robot would be woken again and
+        # again.
         return t_us if self._shown_at(t_us) >= local_us else t_us + 1
 
     def _arm(self) -> None:
@@ -135,11 +138,11 @@ class ShellHandle:
     def done(self) -> bool:
         return self._done
 
-    def check(self) -> None: ...  # an exception of a swarm is not kept: it ends the run
+    def check(self) -> None: ...  # an exception here is not stored: it ends the run
 
 
 class ScriptHandle:
-    """A script under way; its value is in `value`."""
+    """A script that is running; its result is in `value`."""
 
     def __init__(self, swarm: "EventLoop", script: Script[Any]) -> None:
         self.swarm, self.script = swarm, script
@@ -204,7 +207,7 @@ class EventLoop:
         return ScriptHandle(self, script)
 
     def run(self, main: Script[T]) -> T:
-        """Until the script ends. Time begins at 0."""
+        """Run until the script ends. Time begins at 0."""
         handle = self.spawn(main)
         timers, rounds, instant_us = self._timers, 0, 0
         while not handle.done():

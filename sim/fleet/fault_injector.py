@@ -1,4 +1,4 @@
-"""A scenario's faults, carried out on a cluster at their times."""
+"""Applies a scenario's faults to a simulated fleet at their times."""
 
 from collections.abc import Callable
 from math import hypot
@@ -25,21 +25,22 @@ from sim.scenarios.protocol_setup import DrillSetting
 
 UNKNOWN_GROUP = 0x1FF0700  # its priority is drawn; even at 0 a stop has the lower identifier
 BABBLER, BABBLE_FRAMES, BABBLE_US = 240, 2, 1_000  # more than the bus can carry
-TRIES = (
-    5  # robots ask an operator they have not heard for a while to prove itself, one after another
-)
-ASK_S = 0.1  # between two tries
-ORDER_S = 0.15  # between two of an order: a robot is asked, answers, and asks in turn
-WAIT_US, LOOK_US = 10 * S, S // 100  # for a robot to work, for room for a box; how often is looked
-PUSHED_APART_M = 0.3  # left between two machines when one is pushed
-SETTLED_S = 3.0  # after trouble of links or members all hear all
+# Attempts: robots ask an operator that has been silent for a while to prove its counter, one after
+# another.
+TRIES = 5
+ASK_S = 0.1  # between two attempts
+ORDER_S = 0.15  # between two repeats of an order: a robot is asked, answers, and asks in turn
+# Limit for a robot to start work or for room for a box; interval of checks.
+WAIT_US, LOOK_US = 10 * S, S // 100
+PUSHED_APART_M = 0.3  # gap left between two machines when one is pushed
+SETTLED_S = 3.0  # this long after trouble of links or members, all members receive each other again
 HEARD_ALL_THE_SAME = (kinds.Buttons, kinds.UsedStop, kinds.Estop, kinds.Reset, kinds.Order,
                       kinds.Box, kinds.Pushed)  # fmt: skip
 SETTLE_S = 1.0  # between a reset and the start that follows it: rejoin and sync
 
 
 class FaultPlan:
-    """Runs beside the robots, and waits for each fault's time on the host's clock."""
+    """Runs beside the robots, and applies each fault when the host's clock reaches its time."""
 
     def __init__(self, cluster: Cluster) -> None:
         self.cluster = cluster
@@ -47,7 +48,7 @@ class FaultPlan:
         self._rng = Random(f"{cluster.scenario.run.seed}/faults")
 
     async def run(self) -> None:
-        """On the running asyncio loop."""
+        """Run on the present asyncio loop."""
         await follow(self.script())
 
     def script(self) -> Script[None]:
@@ -60,13 +61,14 @@ class FaultPlan:
                 self.cluster.host.spawn(after)
 
     def _trouble(self, fault: kinds.Fault) -> None:
-        """A foreign device is not judged to be heard by all from now on, and for a while."""
+        """From now on and for a while, foreign devices are not expected to be received by all
+        robots."""
         if not isinstance(fault, HEARD_ALL_THE_SAME):
             for_s = getattr(fault, "for_s", 0.0) + SETTLED_S
             self.cluster.stops.disturbed(self.cluster.host.now_us() + round(for_s * S))
 
     def _now_us(self) -> int:
-        """The world is brought to this instant before anything is done to it."""
+        """The present time; the world is advanced to it before anything is changed in it."""
         now_us = self.cluster.host.now_us()
         self.cluster.world.advance(now_us)
         return now_us
@@ -76,7 +78,7 @@ class FaultPlan:
         cluster, wire = self.cluster, self.cluster.segment.wire
         cluster.look()
         if not isinstance(fault, kinds.Join) and self._absent(fault):
-            return None  # what is not there yet cannot break
+            return None  # a robot that does not exist yet cannot break
         match fault:
             case kinds.Partition(islands=islands):
                 cluster.partition([set(island) for island in islands])
@@ -103,7 +105,7 @@ class FaultPlan:
             case kinds.Errors(rate=rate):
                 wire.faults.error = rate
             case kinds.BusOff(robot=robot, for_s=for_s):
-                if cluster.is_up(robot):  # a dead robot's controller is off already
+                if cluster.is_up(robot):  # the controller of a dead robot is off already
                     wire.bus_off(cluster.node_of(robot), now_us + round(for_s * S))
             case kinds.Estop(robot=robot, reason=reason):
                 cluster.press(robot, Reason[reason])
@@ -151,7 +153,7 @@ class FaultPlan:
         return None
 
     def _absent(self, fault: kinds.Fault) -> bool:
-        """A robot that the fault names has not been switched on yet."""
+        """Whether the fault names a robot that has not been switched on yet."""
         named = [getattr(fault, key, None) for key in ("robot", "sender", "receiver")]
         return any(slot is not None and slot not in self.cluster.robots for slot in named)
 
@@ -168,12 +170,12 @@ class FaultPlan:
         cluster.boot(robot)
 
     def _disk_full(self, robot: int, for_s: float) -> Script[None]:
-        """Only a disk of a simulation can be filled up."""
+        """Only a simulated disk can be filled up."""
         journal = self.cluster.journals[robot]
         if isinstance(journal, LogJournal):
             journal.disk.fill()
             yield self._now_us() + round(for_s * S)
-            if self.cluster.journals[robot] is journal:  # else somebody else was quicker
+            if self.cluster.journals[robot] is journal:  # else another fault replaced it first
                 self._restart(robot, "lost")
 
     def _crash_working(self, robot: int, for_s: float, disk: str) -> Script[None]:
@@ -184,11 +186,12 @@ class FaultPlan:
             yield self._now_us() + LOOK_US
         self.cluster.kill(robot)
         yield self._now_us() + round(for_s * S)
-        if not self.cluster.is_up(robot):  # somebody else was quicker
+        if not self.cluster.is_up(robot):  # another fault stopped it first
             self._restart(robot, disk)
 
     def _push(self, robot: int, dx_m: float, dy_m: float) -> None:
-        """As far as there is room: people do not push machines through fences or into each other."""
+        """Push as far as there is room: people do not push machines through fences or into each
+        other."""
         body, bodies = self.cluster.world.body(robot), self.cluster.world.robots.values()
         holds = self._space(body.radius_m)
         if holds is None:
@@ -206,7 +209,7 @@ class FaultPlan:
                 return
 
     def _space(self, radius_m: float) -> Callable[[float, float], bool] | None:
-        """Where the middle of a body can be; None: there is no world."""
+        """Whether a body's centre can be at a point; None if there is no world."""
         setting = self.cluster.setting
         if isinstance(setting, ErrandSetting):
             return setting.floor.holds
@@ -241,8 +244,8 @@ class FaultPlan:
             self.cluster.inject(AddressClaimed(name), peer.address)
 
     def _order(self, robot: int, command: Command, goal: tuple[float, float]) -> Script[None]:
-        """Said until a robot that has not heard this operator for a while can have asked and
-        believed."""
+        """Send the order repeatedly, so that a robot that has not received this operator for a
+        while has time to challenge it and accept the proof."""
         cluster, argument = self.cluster, 0
         for _ in range(1 if cluster.setting.keyring(OPERATOR, "operator") is None else TRIES):
             if command is Command.SET_GOAL:
@@ -254,7 +257,7 @@ class FaultPlan:
             yield self._now_us() + round(ORDER_S * S)
 
     def _reset(self) -> Script[None]:
-        """An operator clears what is shown, goes from machine to machine, and then gives the start."""
+        """An operator clears all known stops, resets every machine, and then gives the start."""
         cluster = self.cluster
         dots = {dot for robot in cluster.running for dot in robot.peer.safety.stops.active}
         for _ in range(1 if cluster.setting.keyring(OPERATOR, "operator") is None else TRIES):

@@ -1,9 +1,10 @@
-"""Faults by devices that are no robots: several shortcut buttons, and a panel with used names.
+"""Faults by devices that are not robots: several shortcut buttons, and a panel with used names.
 
-Each claims its address before it speaks, and answers requests for its NAME, as ISO 11783-5 wants it.
+Each device claims its address before it sends, and answers requests for its NAME (ISO 11783-5).
 
-What is pressed is a level here: from the first frame on nobody moves until the last. Where all hear the
-device, and no other trouble comes meanwhile, `sim/fleet/stop_monitor.py` judges that from true positions.
+A pressed button is a level: no robot moves from the first stop frame until the last. If all robots
+receive the device and no other trouble occurs, `sim/fleet/stop_monitor.py` checks this from true
+positions.
 """
 
 from collections.abc import Iterator, Mapping
@@ -33,25 +34,26 @@ from sim.scenarios import scenario as kinds
 
 FIRST_ADDRESS: Final = 38  # of the buttons
 BUTTONS_MAX: Final = 8
-LOTS: Final = 10  # that have addresses of their own
+LOTS: Final = 10  # numbers of devices that have separate addresses
 assert FIRST_ADDRESS + LOTS * BUTTONS_MAX < ADDRESS_FIRST - BUTTONS_MAX
 OTHER_MAKER: Final = Name(0, manufacturer=100, function=61, device_class=0)
 CYCLE_US: Final = 1 * S  # ISO 11783-7
-BEFORE_US, AFTER_US = 2_500 * MS, 3_500 * MS  # all permit so long, before and after a press
+# All buttons send "permit" for this long before and after a press.
+BEFORE_US, AFTER_US = 2_500 * MS, 3_500 * MS
 NEVER: Final = -1  # disturbances are counted from 0
-HEARD_US: Final = 150 * MS  # a stop where all are on one bus: 120 ms, and a frame in its way
-UNHEARD_HOLD_US: Final = 2_800 * MS  # robots stand 3 s for a press that they have missed
+HEARD_US: Final = 150 * MS  # limit for a stop on one bus: 120 ms, and a frame that blocks it
+UNHEARD_HOLD_US: Final = 2_800 * MS  # robots stand for 3 s after a press that they have missed
 PANEL: Final = 180  # slot of a stop panel
 PANEL_ADDRESS: Final = 120
-NAMED_US: Final = 300 * MS  # between the clearance ahead and the press
-LATCHED_US: Final = 250 * MS  # and two frames: a press that is said still is taken for a new one
+NAMED_US: Final = 300 * MS  # from the clearance in advance to the press
+LATCHED_US: Final = 250 * MS  # and two frames: a press that is still being sent counts as a new one
 
 
 @contextmanager
 def device(
     cluster: Cluster, names: Mapping[int, Name] = MappingProxyType({})
 ) -> Iterator[FieldBus]:
-    """A controller behind which these NAMEs speak, by address."""
+    """A controller that owns these NAMEs, by address."""
     bus = FieldBus(cluster.channel)
     said = {
         address: encode(AddressClaimed(name.pack()), address) for address, name in names.items()
@@ -74,7 +76,8 @@ def device(
 
 
 def buttons(cluster: Cluster, fault: kinds.Buttons, rng: Random, lot: int) -> Script[None]:
-    """All permit once a second; one is pressed, and released. `lot`: other devices with each."""
+    """All send "permit" once a second; one is pressed, and released. Each `lot` has other
+    devices."""
     first, begin_us = FIRST_ADDRESS + BUTTONS_MAX * (lot % LOTS), cluster.host.now_us()
     press_us = begin_us + BEFORE_US
     release_us = press_us + round(fault.for_s * S)
@@ -98,7 +101,8 @@ def buttons(cluster: Cluster, fault: kinds.Buttons, rng: Random, lot: int) -> Sc
                 yield stands_us
                 cluster.stops.end_level(level)
             yield due_us
-            # A robot that missed the earlier counts cannot know that the button was pressed.
+            # A robot that missed the earlier counts has no way to detect that the button was
+            # pressed.
             missed = fault.unheard and due_us == release_us
             stopping = switch is Switch.STOP or (missed and cluster.stops.disturbances == before)
             if stopping and address == first and level is None:
@@ -108,7 +112,8 @@ def buttons(cluster: Cluster, fault: kinds.Buttons, rng: Random, lot: int) -> Sc
 
 
 def used_stop(cluster: Cluster, fault: kinds.UsedStop, rng: Random) -> Script[None]:
-    """An operator's device clears the next names of a panel; then that panel is pressed."""
+    """An operator's device clears the next names of a panel in advance; then that panel is
+    pressed."""
     incarnation = rng.randrange(256)
     for counter in range(fault.names):
         cluster.inject(EmergencyReset(PANEL, incarnation, counter, OPERATOR))

@@ -1,14 +1,14 @@
-"""What stands when a process begins its work: the garbage collector leaves it alone from then on.
+"""Exclude the objects that exist at the start of work from garbage collection.
 
-A full collection looks at every object there is. With the libraries of a robot imported that takes tens
-of milliseconds, at any moment, and meanwhile a stop is not heard. What was imported and built by then
-stays until the process ends, so there is nothing in it to collect.
+A full collection visits every object. With the libraries of a robot imported it takes tens of
+milliseconds, at any moment, and no stop is processed meanwhile. Objects that were imported and
+built by then live until the process ends, so there is nothing to collect in them.
 """
 
 import gc
 
 
 def leave_standing() -> None:
-    """Once, in a process that answers in real time, when all is built and before it goes to work."""
+    """Call once in a process with real-time duties, when all is built and before it starts work."""
     gc.collect()
     gc.freeze()

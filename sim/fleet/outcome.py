@@ -1,11 +1,12 @@
-"""What came of a run, measured from the world's truth and the wire, never from a robot's belief."""
+"""The result of a run, measured from the world's truth and the wire, never from a robot's
+belief."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from sim.world.reachable_ground import Unreached
 
-COVERAGE_MIN = 0.99995  # 100.00 % as it is printed
+COVERAGE_MIN = 0.99995  # prints as 100.00 %
 
 
 class Outcome(NamedTuple):
@@ -15,14 +16,15 @@ class Outcome(NamedTuple):
     silence_policy: str
     authenticated: bool
     finished: bool  # every section DONE on every running replica, and their digests equal
-    coverage: float  # share of the area that can be asked for, swept by the implement
+    coverage: float  # share of the area asked for that the implement swept
     reachable: float  # share of that area that these bodies can work at all
-    reached: float  # share worked of what they can work; this is judged
-    makespan_s: float  # when the last of it was worked
-    worked_twice: float  # share swept by two robots: overlaps of neighbours, and real duplicates
-    units_twice: int  # units that two robots announced: duplicate work
-    contacts: int  # of bodies; those of implements are beside it
-    moved_after_stop: int  # steps in which a robot was told to move, or moved, that had to stand
+    reached: float  # share worked of what they can work; the run is judged by it
+    makespan_s: float  # when the last part was worked
+    worked_twice: float  # share swept by two robots: overlaps of neighbours and real duplicates
+    units_twice: int  # units announced by two robots: duplicate work
+    contacts: int  # of bodies; contacts of implements are counted separately
+    # Steps in which a robot that had to stand was commanded to move, or moved.
+    moved_after_stop: int
     closest_m: float  # smallest gap between two bodies seen
     replicas_equal: bool
     frames: Mapping[str, int]  # by kind
@@ -31,18 +33,22 @@ class Outcome(NamedTuple):
     claims_lost: int
     malformed: int
     refused: (
-        int  # stops, resets and commands without authority, counted by each robot that heard them
+        # stops, resets and commands without valid authority, counted by each robot that received
+        # them.
+        int
     )
     trace_hash: str
     sections: int
-    work_m: float  # length of all swaths
-    travel_m: float  # what all robots drove
+    work_m: float  # total length of all swaths
+    travel_m: float  # distance driven by all robots
     simulated_s: float
     wall_s: float
-    pymunk_steps: int = 0  # of 10 ms, that pymunk has made; none in a drill, which has no bodies
-    unreached: tuple[Unreached, ...] = ()  # ground of the field that they cannot work, and why
-    # Of implements that were down, with others or with bodies. No part of `success`: robots that steer,
-    # and robots that lose frames, do not avoid all of them.
+    # Steps of 10 ms made by pymunk; none in a protocol run, which has no bodies.
+    pymunk_steps: int = 0
+    # Ground of the field that the bodies cannot work, and why.
+    unreached: tuple[Unreached, ...] = ()
+    # Contacts of lowered implements with each other or with bodies. They do not count for
+    # `success`: robots that steer, and robots that lose frames, do not avoid all of them.
     implement_contacts: int = 0
 
     @property

@@ -1,9 +1,9 @@
-"""What drives a cluster: a clock, timers, and the turns of shells and scripts.
+"""What drives a simulated fleet: a clock, timers, and the turns of runners and scripts.
 
-Two hosts, one behaviour: asyncio on a virtual or real clock, which is what runs on a robot, and a plain
-event loop over a heap (`sim/fleet/event_loop.py`), which is faster. A script is a generator that
-yields the microsecond at which it wants to go on, so that both can run the same faults and the
-same checks.
+There are two hosts with one behaviour. One is asyncio on a virtual or real clock, which a robot
+uses too. The other is a plain event loop over a heap (`sim/fleet/event_loop.py`), which is faster.
+A script is a generator that yields the microsecond at which it continues, so both hosts can run the
+same faults and the same checks.
 """
 
 import asyncio
@@ -17,12 +17,12 @@ Script = Generator[int, None, T]
 
 
 class Handle(Protocol):
-    """Something that was begun."""
+    """Something that was started."""
 
     def cancel(self) -> object: ...
     def done(self) -> bool: ...
     def check(self) -> None:
-        """Raise what it has raised."""
+        """Raise the exception that it has raised, if any."""
         ...
 
 
@@ -81,7 +81,7 @@ class LoopHost:
 
 
 async def follow(script: Script[T], zero_us: int = 0) -> T:
-    """A script on the running loop's clock, or on one that was 0 at `zero_us` of it."""
+    """Run a script on the running loop's clock, or on a clock that was 0 at its `zero_us`."""
     loop = asyncio.get_running_loop()
     try:
         while True:

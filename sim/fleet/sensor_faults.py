@@ -1,7 +1,7 @@
-"""What comes between a body and its robot: the receiver of its place, its driver, and what they break.
+"""The position receiver between a body and its robot, with its driver, and their faults.
 
-A receiver lives in the world's time and tells in its robot's. A fault lasts until its time is over,
-also while the robot's process restarts: it is one of the machine.
+A receiver lives in the world's time and reports in its robot's time. A fault lasts until its time
+is over, even if the robot's process restarts meanwhile, because it is a fault of the machine.
 """
 
 from collections import deque
@@ -10,15 +10,15 @@ from agent.interface.effects import Drive
 from agent.interface.ports import Body, Observation
 from sim.fleet.scheduler import Host
 
-HISTORY_MAX = 4_000  # observations that are on their way: 200 s of control periods
+HISTORY_MAX = 4_000  # delayed observations: 200 s of control periods
 
 
 class Receiver:
     """The faults of one robot's senses, in microseconds of the world."""
 
     def __init__(self) -> None:
-        self._blind_us = self._frozen_us = self._late_us = -1  # until when
-        self._by_us = 0  # how late
+        self._blind_us = self._frozen_us = self._late_us = -1  # end of each fault
+        self._by_us = 0  # delay
         self._last: Observation | None = None  # sensed before the fault
         self._way: deque[Observation] = deque(maxlen=HISTORY_MAX)
 
@@ -27,16 +27,16 @@ class Receiver:
         self._blind_us = until_us
 
     def frozen(self, until_us: int) -> None:
-        """The old place with new times: a filter that hangs."""
+        """The old position with new timestamps: a filter that hangs."""
         self._frozen_us = until_us
 
     def late(self, until_us: int, by_us: int) -> None:
-        """The truth, later: a buffer that fills."""
+        """The true position, delayed: a buffer that fills."""
         self._late_us, self._by_us = until_us, by_us
         self._way.clear()
 
     def tells(self, seen: Observation, world_us: int) -> Observation | None:
-        """What arrives of what is sensed now."""
+        """The observation that arrives when this one is sensed."""
         last, self._last = self._last, seen
         if world_us < self._frozen_us:
             self._last = seen if last is None else last
@@ -55,7 +55,7 @@ class Receiver:
 
 
 class ReceivedBody:
-    """The `Body` of a robot: in the world's time, whatever its robot's clock says."""
+    """The `Body` of a robot. It works in the world's time, whatever its robot's clock shows."""
 
     def __init__(self, body: Body, host: Host, receiver: Receiver) -> None:
         self._sense, self._drive, self._now_us = body.sense, body.drive, host.now_us

@@ -1,14 +1,14 @@
-"""How long replicas may take to be equal after the last work is done."""
+"""Time limit for replicas to become equal after the last work is done."""
 
 from sim.scenarios.scenario import BusTable
 
 S = 1_000_000
-QUIET_US = 2 * S  # on a bus that loses nothing
-# On one that does: a question that was lost is asked again after 38 s at the latest
+QUIET_US = 2 * S  # on a bus without loss
+# On a bus with loss: a lost question is repeated after 38 s at the latest
 # (`protocol.sync.synchronizer`).
 LOSSY_QUIET_US = 40 * S
 
 
 def quiet_us(bus: BusTable) -> int:
-    """After the last section or goal, microseconds."""
+    """The limit after the last section or goal, microseconds."""
     return LOSSY_QUIET_US if bus.loss or bus.omission else QUIET_US

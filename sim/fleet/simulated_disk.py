@@ -1,8 +1,9 @@
-"""A robot's durable memory in a simulation: plain, and on a disk that can lose power between two writes.
+"""A robot's durable memory in a simulation: plain, or on a disk that can lose power between two
+writes.
 
-`Disk` keeps what was synced apart from what was only written. A power cut keeps any first part of the
-unsynced writes, tears the next, sector by sector, and drops the rest: what POSIX allows, and more
-than a good disk does. `LogJournal` is the `Journal` port on such a disk.
+`Disk` keeps synced data apart from data that was only written. A power cut keeps any first part of
+the unsynced writes, tears the next one sector by sector, and drops the rest. POSIX allows this, and
+it is worse than what a good disk does. `LogJournal` is the `Journal` port on such a disk.
 """
 
 from collections.abc import Iterable, Mapping
@@ -13,17 +14,17 @@ from zlib import crc32
 from agent.interface.effects import Persist
 from agent.peer.journal_recovery import LOST
 
-SECTOR = 512  # bytes a disk writes whole or not at all; a torn one may hold anything
+SECTOR = 512  # a disk writes these bytes whole or not at all; a torn sector may hold anything
 HEAD = Struct("<III")  # length, number and CRC-32 of a batch
 FIELD = Struct("<HI")  # lengths of key and value
 
 
 class PowerCut(Exception):
-    """The process that was writing is no more."""
+    """The process that was writing has lost its power."""
 
 
 class MemoryJournal:
-    """The `Journal` port, kept outside of the robot that dies."""
+    """The `Journal` port, kept outside of the robot, so that it survives the robot's death."""
 
     def __init__(self) -> None:
         self.records: dict[str, bytes] = {}
@@ -38,17 +39,17 @@ class MemoryJournal:
 
 
 class Disk:
-    """One file on a disk. Every write and every sync is a step; a fault can wait at any of them."""
+    """One file on a disk. Every write and every sync is a step; a fault can be set at any step."""
 
     def __init__(self, image: bytes = b"") -> None:
         self.steps = 0
-        self.cut_at: int | None = None  # this step is not taken: PowerCut
-        self.fail_at: int | None = None  # this step, and all after it, are an OSError
+        self.cut_at: int | None = None  # this step is not executed and raises PowerCut
+        self.fail_at: int | None = None  # this step and all later ones raise OSError
         self._synced = bytearray(image)
         self._unsynced: list[tuple[int, bytes]] = []
 
     def fill(self) -> None:
-        """From now on it takes nothing more."""
+        """From now on every write fails."""
         self.fail_at = self.steps + 1
 
     def write(self, at: int, data: bytes) -> None:
@@ -62,14 +63,14 @@ class Disk:
         self._unsynced.clear()
 
     def read(self) -> bytes:
-        """What a living process sees, synced or not."""
+        """The content as a living process reads it, synced or not."""
         seen = bytearray(self._synced)
         for at, data in self._unsynced:
             _put(seen, at, data)
         return bytes(seen)
 
     def after_cut(self, rng: Random) -> "Disk":
-        """The disk as one of the ways in which a power cut now may leave it."""
+        """One of the states that a power cut now may leave on the disk, drawn at random."""
         image, unsynced = bytearray(self._synced), self._unsynced
         kept = rng.randint(0, len(unsynced))
         for at, data in unsynced[:kept]:
@@ -93,9 +94,10 @@ def _put(image: bytearray, at: int, data: bytes) -> None:
 
 
 def tear(image: bytearray, at: int, data: bytes, rng: Random) -> None:
-    """A write that was under way: each sector is old, new, or (one of them at most) garbage."""
+    """Apply an interrupted write: each sector is old, new, or (at most one of them) garbage."""
     first, last = at // SECTOR, (at + len(data) - 1) // SECTOR
-    garbled = rng.randint(first, 2 * last - first + 1)  # beyond `last` in half of the cases: none
+    # Values beyond `last`, half of the cases, mean none.
+    garbled = rng.randint(first, 2 * last - first + 1)
     for sector in range(first, last + 1):
         begin, end = max(at, sector * SECTOR), min(at + len(data), (sector + 1) * SECTOR)
         if sector == garbled:
@@ -107,21 +109,22 @@ def tear(image: bytearray, at: int, data: bytes, rng: Random) -> None:
 class LogJournal:
     """The `Journal` port as a log of numbered, checked batches on a `Disk`.
 
-    The mark is the number of the newest batch in a second place. A log that ends before its mark was
-    rolled back, and recalls only that it is lost. (`agent/runtime/sqlite_journal.py` does the same
-    with files.)
+    The mark is a second place that holds the number of the newest batch. A log that ends before its
+    mark was rolled back; it recalls only that its memory is lost.
+    (`agent/runtime/sqlite_journal.py` does the same with files.)
 
-    `synced=False` is the planted bug: a journal that forgets to sync, which a campaign must find.
+    `synced=False` is the planted bug: a journal that forgets to sync, and that a campaign must
+    find.
     """
 
     def __init__(self, disk: Disk, synced: bool = True, mark: int = 0) -> None:
         self.disk, self.synced, self.mark = disk, synced, mark
-        self.restored = False  # a person put an earlier state back: that it is lost is no fault
+        # A person restored an earlier state; then a loss of memory is no fault.
+        self.restored = False
         self._records: dict[str, bytes] = {}
         self._end = self._batches = 0
-        self._last = (
-            0  # check of the batch before: what was once written behind another does not fit
-        )
+        # Check of the previous batch: a batch that was written after another one does not match.
+        self._last = 0
         self._recover(disk.read())
         if self._rolled_back:
             self._forget("the journal was rolled back")
@@ -136,7 +139,7 @@ class LogJournal:
         self._records = {LOST: why.encode()}
 
     def earlier(self, share: float) -> "LogJournal":
-        """A fault: this share of its batches put back in its place, beside the newest mark."""
+        """A fault: the journal with this share of its batches, but with the newest mark."""
         image, end = self.disk.read(), 0
         for _ in range(int(self._batches * share)):
             end += HEAD.size + HEAD.unpack_from(image, end)[0]
@@ -145,14 +148,14 @@ class LogJournal:
         return journal
 
     def after_cut(self, rng: Random) -> "LogJournal":
-        """The journal as one of the ways in which a power cut now may leave it."""
+        """One of the states that a power cut now may leave of the journal, drawn at random."""
         return LogJournal(self.disk.after_cut(rng), mark=self.mark)
 
     def load(self) -> Mapping[str, bytes]:
         return dict(self._records)
 
     def write(self, records: Iterable[Persist]) -> None:
-        """All of them or none."""
+        """Write all of them or none."""
         batch = list(records)
         body = b"".join(
             FIELD.pack(len(key.encode()), len(value)) + key.encode() + value for key, value in batch
@@ -168,7 +171,7 @@ class LogJournal:
         self.mark = self._batches
 
     def _recover(self, image: bytes) -> None:
-        """Batches up to the first that is not whole: it was never acknowledged."""
+        """Read batches up to the first incomplete one, which was never acknowledged."""
         while self._end + HEAD.size <= len(image):
             length, number, check = HEAD.unpack_from(image, self._end)
             body = image[self._end + HEAD.size : self._end + HEAD.size + length]

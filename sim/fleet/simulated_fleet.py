@@ -1,7 +1,7 @@
-"""A whole fleet in one process: N peers with a bus object each, the world, and the bus between.
+"""A whole fleet in one process: N peers with a bus object each, the world, and the shared bus.
 
-The same shell as on a robot, driven by a host: an asyncio loop in virtual or real time, or a swarm.
-The same seed gives the same run on each.
+It uses the same runner as a robot, driven by a host: an asyncio loop in virtual or real time, or
+our event loop. The same seed gives the same run on each host.
 """
 
 from collections import Counter
@@ -40,14 +40,14 @@ from sim.scenarios.field_setup import Setting
 from sim.scenarios.navigation_setup import ErrandSetting
 from sim.scenarios.scenario import Join, Scenario
 
-OPERATOR = 200  # slot of the operator device that a scenario's resets come from
-TOOL_ADDRESS = 249  # where scripted operator frames come from
+OPERATOR = 200  # slot of the operator device that sends a scenario's resets
+TOOL_ADDRESS = 249  # source address of scripted operator frames
 AnySetting = Setting | ErrandSetting | GridSetting
 Record = Callable[[int, int, Effect], None]  # slot, time in microseconds, effect
 
 
 def tool_claim(address: int) -> Frame:
-    """An operator's device claims its address."""
+    """The address claim of an operator's device."""
     return encode(AddressClaimed(tool_name(address).pack()), address)
 
 
@@ -76,10 +76,10 @@ def make_peer(
     lot: str = "",
     segment: int = 0,
 ) -> Peer:
-    """The peer of one slot of a scenario; the same on a virtual clock and in a process of its own.
+    """The peer of one slot of a scenario, the same on a virtual clock and in a separate process.
 
-    `segment`: of a fleet of several; 0: there are no others. `lot`: anything that no two boots of
-    this robot share; a first one in a simulation needs none.
+    `segment`: for a fleet of several segments; 0 if there are no others. `lot`: any value that no
+    two boots of this robot share; the first boot in a simulation needs none.
     """
     identity = Identity(
         slot=slot,
@@ -90,7 +90,7 @@ def make_peer(
         started=True,
         first_boot=first_boot,
     )
-    # Who has lost its memory must not throw the same dice again.
+    # A robot that has lost its memory must not draw the same random numbers again.
     rng = Random(f"{setting.scenario.run.seed}/peer/{slot}{lot}")
     motion, keyring = setting.motion(slot), setting.keyring(slot, lot)
     if isinstance(setting, ErrandSetting):
@@ -109,7 +109,7 @@ class Cluster:
         record: Record | None = None,
         host: Host | None = None,
     ) -> None:
-        """`host`: none for the running asyncio loop."""
+        """`host`: None for the running asyncio loop."""
         self.setting, self.channel, self.record = setting, channel, record
         self._loop_host = LoopHost()
         self.host: Host = self._loop_host if host is None else host
@@ -130,21 +130,23 @@ class Cluster:
         self.journals: dict[int, Journal] = {}
         self.receivers: dict[int, Receiver] = {}
         self.boots: Counter[int] = Counter()
-        self.on_power: Callable[[int, bool], None] | None = None  # robot, switched on; told before
-        self.on_order: Callable[[Message], None] | None = None  # told before anybody hears of it
+        # (robot, whether it is switched on); called before the change.
+        self.on_power: Callable[[int, bool], None] | None = None
+        # Called before any robot receives it.
+        self.on_order: Callable[[Message], None] | None = None
         self._tool: FieldBus | None = None
-        self._tools: set[int] = set()  # addresses that devices of ours have claimed
+        self._tools: set[int] = set()  # addresses that our devices have claimed
         self._keyring = setting.keyring(OPERATOR, "operator")
 
     def boot_all(self) -> None:
-        """Everybody but those that join later."""
+        """Boot all robots except those that join later."""
         late = {fault.robot for fault in self.scenario.fault if isinstance(fault, Join)}
         for slot in range(self.scenario.fleet.robots):
             if slot not in late:
                 self.boot(slot)
 
     def boot(self, slot: int) -> Robot:
-        """Power a robot up with what its journal remembers."""
+        """Power a robot up with the contents of its journal."""
         self.look()
         self.acquaintance.boots(slot)
         self.stops.boots(slot)
@@ -176,11 +178,11 @@ class Cluster:
     def make(
         self, slot: int, now_us: int, recalled: Mapping[str, bytes], first_boot: bool, lot: str
     ) -> Peer:
-        """The mission's peer; another mission has another."""
+        """The peer of this mission; other missions override this."""
         return make_peer(self.setting, slot, now_us, recalled, first_boot, lot)
 
     def kill(self, slot: int) -> None:
-        """Power off, without a word. The body stays where it is and its commands expire."""
+        """Power off without a message. The body stays where it is and its commands expire."""
         self.look()
         robot = self.robots[slot]
         hung_us = self.acquaintance.hung_since_us(slot, self.host.now_us())
@@ -199,7 +201,8 @@ class Cluster:
         return {robot.slot for robot in self.running if robot.peer.address is None}
 
     def _hearers(self) -> set[int]:
-        """All that are switched on, where all of them hear a device that comes on the bus."""
+        """All robots that are switched on, if all of them receive a device that joins the bus; else
+        none."""
         wire, nodes = self.segment.wire, [self.node_of(slot) for slot in self._up()]
         faults, here = wire.faults, [wire.nodes[node] for node in nodes]
         lossy = faults.loss or faults.omission or faults.error or faults.deaf
@@ -208,21 +211,22 @@ class Cluster:
         return set() if lossy or cut else self._up()
 
     def freeze(self, slot: int, for_s: float) -> None:
-        """Its process does nothing for a while."""
+        """The robot's process does nothing for this long."""
         self.look()
         self.robots[slot].shell.freeze(for_s)
         now_us = self.host.now_us()
         self.acquaintance.hangs(slot, now_us, now_us + round(for_s * 1e6))
 
     def is_up(self, slot: int) -> bool:
-        """Switched on; the buttons of a dead machine do nothing."""
+        """Whether the robot is switched on; the buttons of a dead machine do nothing."""
         return slot in self.robots and self.robots[slot].running
 
     def press(self, slot: int, reason: Reason = Reason.PERSON_IN_FIELD) -> None:
-        """A person presses the stop of that robot; from now on it is watched who obeys.
+        """A person presses the stop of that robot; from now on the monitor checks which robots
+        obey.
 
-        Those that can hear of it must; where silence stops, whoever has met that robot, too. One that
-        hangs says nothing to anybody, or once.
+        Robots that can receive the stop must obey. If the policy stops on silence, robots that have
+        met that robot must obey too. A robot that hangs sends nothing, or one frame.
         """
         if not self.is_up(slot):
             return
@@ -243,8 +247,8 @@ class Cluster:
         self.robots[slot].shell.operate(lambda p, now: p.press(reason, now))
 
     def look(self) -> None:
-        """Before anything changes about links or about who is there."""
-        there = self.segment.wire.nodes  # an asyncio task that was cancelled runs on for a moment
+        """Update the contact history; call before links change or robots come and go."""
+        there = self.segment.wire.nodes  # a cancelled asyncio task still runs for a moment
         nodes = {r.slot: r.bus.node for r in self.running if r.bus.node in there}
         self.acquaintance.look(self.host.now_us(), nodes)
 
@@ -258,20 +262,19 @@ class Cluster:
         self.segment.wire.partition(*nodes)
 
     def inject(self, message: Message, source: int = TOOL_ADDRESS) -> None:
-        """A frame of a device that is not a robot, as an operator's tool would send it."""
+        """Send a frame of a device that is not a robot, as an operator's tool would."""
         if self._tool is None:
             self._tool = FieldBus(self.channel)
             self._tool.subscribe(self._answer)
             self._tool.tell_sent(self._said)
         if source not in self._tools and not ADDRESS_FIRST <= source <= ADDRESS_LAST:
-            self._tools.add(
-                source
-            )  # a device of ours; what speaks from a robot's address is forged
+            # Claim only for a device of ours; a frame from a robot's address is forged.
+            self._tools.add(source)
             self._tool.submit(tool_claim(source))
         self._tool.submit(encode(message, source))
 
     def order(self, message: Signed) -> None:
-        """The same from the operator's device: where the fleet has keys with a tag, and twice."""
+        """Send an order from the operator's device. In a fleet with keys: with a tag, and twice."""
         if self.on_order is not None:
             self.on_order(message)
         self.stops.ordered(message)
@@ -282,13 +285,14 @@ class Cluster:
             self.inject(self._keyring.sign(message))
 
     def _said(self, t_us: int, frame: Frame) -> None:
-        """An order that has waited for a full bus counts from now."""
+        """An order that had to wait for a full bus counts from the time it left."""
         message = decode_once(frame)[1]
         if self.on_order is not None and isinstance(message, EmergencyReset | OperatorCommand):
             self.on_order(message)
 
     def _answer(self, frame: Frame) -> None:
-        """The operator's device says who it is, and proves where its counter is, when it is asked."""
+        """The operator's device answers requests for its address claim and challenges to its
+        counter."""
         source, message = decode_once(frame)
         asked = isinstance(message, Request) and message.pgn == GROUP_OF[AddressClaimed].pgn
         if asked and self._tool is not None:
@@ -301,7 +305,7 @@ class Cluster:
                 self._tool.submit(encode(proof, TOOL_ADDRESS, source))
 
     def check(self) -> None:
-        """Raise what a robot's task has raised: a broken assertion must not pass for silence."""
+        """Raise what a robot's task has raised: a failed assertion must not look like silence."""
         for robot in self.robots.values():
             if robot.task is not None:
                 robot.task.check()
@@ -312,7 +316,7 @@ class Cluster:
 
     @property
     def finished(self) -> bool:
-        """Every running replica knows every section done."""
+        """Whether every running replica has every section done."""
         sections = self.setting.section_count
         return bool(self.running) and all(
             robot.peer.allocation.done_count() == sections for robot in self.running
@@ -320,7 +324,7 @@ class Cluster:
 
     @property
     def replicas_equal(self) -> bool:
-        """Registers and progress, byte for byte."""
+        """Whether registers and progress are equal byte for byte."""
         states = {
             (robot.peer.allocation.serialize(), robot.peer.progress.serialize())
             for robot in self.running
@@ -328,7 +332,7 @@ class Cluster:
         return len(states) <= 1
 
     async def close(self) -> None:
-        """Of a cluster on an asyncio loop."""
+        """Close a fleet that runs on an asyncio loop."""
         await self._loop_host.close()
         self.end()
 

@@ -1,7 +1,7 @@
-"""What people did about stops in a cluster, told to the checker of S1: who must stand, and from when.
+"""Tells the checker of S1 what people did about stops: which robots must stand, and from when.
 
-A stop binds a robot until three things were done about it, in this order: an operator cleared a stop,
-reset that machine, and gave it a start. What a robot believes about any of this plays no part.
+A stop binds a robot until three things were done, in this order: an operator cleared a stop, reset
+that machine, and gave it a start. A robot's own belief about this does not matter.
 """
 
 from collections.abc import Callable, Collection
@@ -15,11 +15,11 @@ from sim.world.protocol_world import CommandChecker, ProtocolWorld
 from sim.world.world import World
 
 EVERYBODY, NOBODY = 255, -1
-REACTION_US = 20 * MS  # a tick and a frame's jitter on top of the silence that stops in the end
+REACTION_US = 20 * MS  # a tick and a frame's jitter, in addition to the silence limit
 
 
 def motions(world: World) -> MotionAfterStopChecker | CommandChecker:
-    """A checker of who moves, that sees all of it from now on."""
+    """A checker of motion that observes every robot from now on."""
     return world.checker() if isinstance(world, ProtocolWorld) else MotionAfterStopChecker(world)
 
 
@@ -39,22 +39,23 @@ class StopMonitor:
         hearers: Callable[[], Collection[int]] = tuple,
         now_us: Callable[[], int] = lambda: 0,
     ) -> None:
-        """`up`: the robots that are switched on; all of them, where nothing is given. `mute`: those of
-        them that have no address. `hearers`: those that hear a device that comes on the bus, if all
-        of them do."""
+        """`up`: the robots that are switched on; default: all. `mute`: those of them without an
+        address. `hearers`: those that receive a device that joins the bus, if all of them do."""
         self.checker = motions(world)
         self._up = up if up is not None else lambda: range(robots)
         self._mute, self._hearers, self._now_us = mute, hearers, now_us
         self.bound_us = beat_of(robots).silence_us + REACTION_US
         self._stages: dict[int, dict[int, Stage]] = {}  # press -> slot -> what was done since
         self._pressed_us: dict[int, int] = {}
-        self._by: dict[int, int] = {}  # press -> who was pressed
-        self._know: dict[int, set[int]] = {}  # press -> who heard it and has kept its memory since
-        self._unheard: dict[int, frozenset[int]] = {}  # press -> those that have not heard it
-        self._levels: dict[int, set[int]] = {}  # stops of devices that hold while they are said
-        self._disturbed_us = 0  # until then not all hear all
+        self._by: dict[int, int] = {}  # press -> the robot that was pressed
+        # Press -> robots that received it and have kept their memory since.
+        self._know: dict[int, set[int]] = {}
+        self._unheard: dict[int, frozenset[int]] = {}  # press -> robots that have not received it
+        # Stops of devices that bind while they are being sent.
+        self._levels: dict[int, set[int]] = {}
+        self._disturbed_us = 0  # until then not all robots receive each other
         self.disturbances = 0
-        self._unsaid: set[int] = set()  # presses of who had no address to say it from
+        self._unsaid: set[int] = set()  # presses of robots that had no address to send them from
 
     @property
     def violations(self) -> list[Violation]:
@@ -63,8 +64,8 @@ class StopMonitor:
     def pressed(
         self, now_us: int, slots: Collection[int], unheard: Collection[int] = (), by: int = NOBODY
     ) -> None:
-        """A stop that all of these have to obey; `unheard`: some of them only because who was pressed,
-        `by`, is silent to them."""
+        """A stop that all these robots have to obey. `unheard`: robots that must obey only because
+        the pressed robot, `by`, is silent to them."""
         number = self.checker.press(now_us, self.bound_us, slots)
         self._pressed_us[number], self._by[number] = now_us, by
         self._stages[number] = dict.fromkeys(slots, Stage.PRESSED)
@@ -77,12 +78,12 @@ class StopMonitor:
 
     @property
     def calm(self) -> bool:
-        """All hear all."""
+        """Whether all robots receive each other."""
         return self._now_us() >= self._disturbed_us and bool(self._hearers())
 
     def level(self, bound_us: int) -> int | None:
-        """A device that all hear begins to say a stop: nobody moves from `bound_us` on until it ends.
-        None: nobody can tell who hears it."""
+        """A device that all robots receive begins to send a stop: no robot may move from `bound_us`
+        until it ends. None if the receivers cannot be determined."""
         if not self.calm:
             return None
         slots = self._hearers()
@@ -91,7 +92,7 @@ class StopMonitor:
         return number
 
     def obey(self, number: int | None) -> set[int]:
-        """Those that such a stop binds still."""
+        """The robots that such a stop still binds."""
         return set() if number is None else set(self._levels.get(number, ()))
 
     def end_level(self, number: int | None) -> None:
@@ -100,7 +101,7 @@ class StopMonitor:
             self.checker.release(number)
 
     def disturbed(self, until_us: int) -> None:
-        """Trouble of links or members, until then."""
+        """There is trouble of links or members until then."""
         self._disturbed_us, self.disturbances = (
             max(self._disturbed_us, until_us),
             self.disturbances + 1,
@@ -119,7 +120,7 @@ class StopMonitor:
     # ---------------------------------------------------------------- what people do
 
     def ordered(self, order: object) -> None:
-        """A frame that an operator sends."""
+        """Handle a frame that an operator sends."""
         if isinstance(order, EmergencyReset):
             self._never_said()
             self._advance(EVERYBODY, Stage.PRESSED)
@@ -130,52 +131,54 @@ class StopMonitor:
             self._advance(order.target, Stage.RESET)
 
     def forgets(self, slot: int) -> None:
-        """Its memory is lost. Where that of all who heard is, nobody can show an operator what to clear:
-        who then resets and starts a machine that stands because it remembers nothing releases it; and
-        who stood because of a silence is free when that is over."""
+        """Its memory is lost. If all robots that received the stop have lost their memory, no robot
+        can show an operator what to clear. Then a reset and a start release a machine that stands
+        because it remembers nothing, and a robot that stood because of a silence is free when the
+        silence ends."""
         for number, know in self._know.items():
             know.discard(slot)
             for other in [] if know else self._unheard[number]:
                 self._free(number, other)
 
     def _unremembered(self) -> None:
-        """A stop that only machines remember that are switched off is shown to no operator either. Who
-        boots with it in its memory tells it, and all stand again."""
+        """A stop that only switched-off machines remember is shown to no operator either. A machine
+        that boots with it in its memory sends it, and all robots stand again."""
         up = set(self._up())
         for number, stages in self._stages.items():
             for slot, stage in [] if self._know[number] & up else list(stages.items()):
                 stages[slot] = max(stage, Stage.CLEARED)
 
     def _never_said(self) -> None:
-        """A stop that is cleared while who was pressed still waits for an address: nobody else has heard
-        of it, or ever will."""
+        """A stop is cleared while the pressed robot still waits for an address: no other robot has
+        received it, or ever will."""
         mute = self._mute()
         for number in [number for number in self._unsaid if self._by[number] in mute]:
             for slot in set(self._stages.get(number, ())) - {self._by[number]}:
                 self._free(number, slot)
 
     def interrupted(self, since_us: int) -> None:
-        """A stop that was pressed since then may not have been heard but by who was pressed."""
+        """A stop pressed since then may have been received only by the robot that was pressed."""
         for number, pressed_us in self._pressed_us.items():
             if pressed_us > since_us:
                 self._unheard[number] |= self._know[number] - {self._by[number]}
                 self._know[number] &= {self._by[number]}
 
     def dies_hung(self, slot: int, since_us: int) -> None:
-        """Its process hung since then: what was pressed meanwhile it has never read."""
+        """Its process has hung since then, so it has never read stops pressed meanwhile."""
         for number, pressed_us in self._pressed_us.items():
             if pressed_us >= since_us:
                 self._know[number].discard(slot)
                 self._unheard[number] |= {slot}
 
     def doubled(self, slot: int) -> None:
-        """Another machine says that it is this robot: its silence holds nobody any longer."""
+        """Another machine claims to be this robot, so its silence no longer stops other robots."""
         for number, by in list(self._by.items()):
             for other in self._unheard[number] if by == slot else ():
                 self._free(number, other)
 
     def boots(self, slot: int) -> None:
-        """A new life has met nobody whose silence could stop it, and no device that says a stop."""
+        """A restarted robot has met no member whose silence could stop it, and no device with a
+        stop."""
         self.disturbances += 1
         self._leave_levels(slot)
         for number, unheard in self._unheard.items():
@@ -183,7 +186,7 @@ class StopMonitor:
                 self._free(number, slot)
 
     def carried(self, slot: int) -> None:
-        """A person moves this robot by hand: it no longer stands because it was told to."""
+        """A person moves this robot by hand, so its motion no longer counts against a stop."""
         self._leave_levels(slot)
         for number in list(self._stages):
             self._free(number, slot)
@@ -207,7 +210,7 @@ class StopMonitor:
 
 
 def reached(wire: Wire, sender: int, nodes: Collection[int]) -> set[int]:
-    """Nodes that hear the sender, or somebody who does, on the bus as it is now."""
+    """Nodes that the sender reaches, directly or through other nodes, on the bus as it is now."""
     found, ask = {sender}, [sender]
     while ask and wire.faults.loss < 1.0:
         node = ask.pop()

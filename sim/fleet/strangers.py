@@ -1,7 +1,8 @@
-"""Faults by machines that should not be on this bus: of other makers, with a robot's identity, or mad.
+"""Faults by machines that should not be on this bus: of other makers, with a robot's identity, or
+faulty.
 
-What they say is malformed, false or meant for others. No robot may believe it, and when they are gone
-nothing of it may be left: the rules of `sim/chaos/verdict.py` judge that.
+Their frames are malformed, false or meant for others. No robot may believe them, and no effect may
+remain when they are gone; the rules of `sim/chaos/verdict.py` check that.
 """
 
 from collections.abc import Iterator
@@ -29,23 +30,24 @@ UNCLAIMED_ADDRESS: Final = 122
 TWIN_ADDRESS: Final = 124
 NONSENSE_ADDRESS: Final = 125
 FOREIGN_NAME: Final = Name(77, manufacturer=100, function=61, device_class=7)
-FOREIGN_PF, FOREIGN_GROUPS = 0xFF, 0x1A  # PGN 0xFF00 to 0xFF19: those in which robots speak
+FOREIGN_PF, FOREIGN_GROUPS = 0xFF, 0x1A  # PGN 0xFF00 to 0xFF19: those that robots use
 FOREIGN_US: Final = 20 * MS  # between two frames: 3 % of the bus
-FILLED, SMALL = 0.4, 0.8  # share of bytes that are 0xFF, and of those up to small numbers
+# Share of bytes that are 0xFF; share up to which the rest are small numbers.
+FILLED, SMALL = 0.4, 0.8
 BEATS_A_HEARTBEAT: Final = 4
-TWIN_PLACE_M: Final = 8.0  # the twin tells a place within this of the middle
+TWIN_PLACE_M: Final = 8.0  # the twin reports a position within this distance of the middle
 NONSENSE_US: Final = 100 * MS
-SAID_US: Final = 1 * S  # in which 108 claims have left
-# Beyond `EPOCH_EXPLAINED_MAX`; one that is told for 3 s is believed
-# (`agent/peer/work_admission.py`), so that all take turns.
+SAID_US: Final = 1 * S  # time in which 108 claims have left
+# Above `EPOCH_EXPLAINED_MAX`. An epoch that is repeated for 3 s is believed
+# (`agent/peer/work_admission.py`), so all kinds take turns.
 EPOCH_LEAST, EPOCH_MOST = 100, 255
-SECTION_BEYOND: Final = 60_000  # numbers of sections that no field has begin here
-OWNER_BEYOND: Final = 200  # slots that no fleet has begin here
-HASH_FLIPS: Final = 0x5A5A5A  # of the bits of a field hash: another field
+SECTION_BEYOND: Final = 60_000  # section numbers from here are in no field
+OWNER_BEYOND: Final = 200  # slots from here are in no fleet
+HASH_FLIPS: Final = 0x5A5A5A  # flipped bits of a field hash: another field
 
 
 def foreign(cluster: Cluster, fault: kinds.Foreign, rng: Random) -> Script[None]:
-    """A device of another maker uses the proprietary groups for its own, each in turn."""
+    """A device of another maker uses the proprietary groups for its own data, each in turn."""
     address = CLAIMED_ADDRESS if fault.claims else UNCLAIMED_ADDRESS
     with device(cluster, {address: FOREIGN_NAME} if fault.claims else {}) as bus:
         for turn, due_us in enumerate(_times(cluster, fault.for_s, FOREIGN_US)):
@@ -56,7 +58,8 @@ def foreign(cluster: Cluster, fault: kinds.Foreign, rng: Random) -> Script[None]
 
 
 def twin(cluster: Cluster, fault: kinds.Twin, rng: Random) -> Script[None]:
-    """A second machine of the same slot and NAME beats, from the robot's own address or another."""
+    """A second machine with a robot's slot and NAME sends beats, from its address or another
+    one."""
     robot = cluster.robots[fault.robot]
     address = robot.peer.address if fault.same_address else TWIN_ADDRESS
     if address is None:
@@ -68,7 +71,7 @@ def twin(cluster: Cluster, fault: kinds.Twin, rng: Random) -> Script[None]:
     name, digest = robot.peer.identity.name.pack(), rng.randrange(1 << 24)
     cluster.acquaintance.doubled(fault.robot, cluster.host.now_us() + round(fault.for_s * S))
     cluster.stops.doubled(fault.robot)
-    with device(cluster, {}) as bus:  # it claims by itself
+    with device(cluster, {}) as bus:  # the twin sends its own claim
         bus.submit(encode(AddressClaimed(name), address))
         bus.submit(encode(member, address))
         for turn, due_us in enumerate(_times(cluster, fault.for_s, BEATS[0].pose_us)):
@@ -80,11 +83,11 @@ def twin(cluster: Cluster, fault: kinds.Twin, rng: Random) -> Script[None]:
 
 
 def nonsense(cluster: Cluster, fault: kinds.Nonsense, rng: Random) -> Script[None]:
-    """What no fleet can have: fields, work and addresses."""
+    """Impossible data: fields, work and addresses that no fleet can have."""
     address, said = _NONSENSE[fault.what](cluster, fault, rng)
     if address is None:
         return
-    with device(cluster, {}) as bus:  # it claims by itself
+    with device(cluster, {}) as bus:  # the device sends its own claim
         if fault.what == "claims":
             for taken in range(ADDRESS_FIRST, ADDRESS_LAST + 1):
                 bus.submit(encode(AddressClaimed(0), taken))
@@ -98,7 +101,7 @@ def nonsense(cluster: Cluster, fault: kinds.Nonsense, rng: Random) -> Script[Non
 def _another_field(
     cluster: Cluster, fault: kinds.Nonsense, rng: Random
 ) -> tuple[int | None, Iterator[Message]]:
-    """A robot of this fleet's name tells another field description."""
+    """A device with a robot's NAME of this fleet reports another field description."""
     claim = AddressClaimed(fleet_name(cluster.scenario.name, fault.robot).pack())
     if not fault.same_slot:
         claim = AddressClaimed(fleet_name(cluster.scenario.name, PEERS_MAX - 1).pack())
@@ -116,7 +119,7 @@ def _another_field(
 def _impossible_work(
     cluster: Cluster, fault: kinds.Nonsense, rng: Random
 ) -> tuple[int | None, Iterator[Message]]:
-    """From the address of a robot, so that it is taken for its word."""
+    """Sends from the address of a robot, so that receivers attribute the frames to it."""
     sections = cluster.setting.section_count
     epochs = list(range(EPOCH_LEAST, EPOCH_MOST))
     rng.shuffle(epochs)
@@ -130,7 +133,8 @@ def _impossible_work(
             yield TaskClaim(beyond, 1, phase, 3, lamport, owner)
             yield TaskClaim(section, 1, phase, 3, lamport, OWNER_BEYOND + rng.randrange(50))
             yield TaskClaim(section, epochs[turn % len(epochs)], phase, 3, lamport, owner)
-            yield TaskClaim(section, 9, phase, 3, rng.randrange(9), owner)  # each was an operation
+            # Each frame is an operation.
+            yield TaskClaim(section, 9, phase, 3, rng.randrange(9), owner)
             yield WorkProgress(beyond, rng.randrange(8), rng.getrandbits(32))
             turn += 1
 
@@ -155,7 +159,7 @@ def _times(cluster: Cluster, for_s: float, every_us: int) -> range:
 
 
 def _byte(rng: Random) -> int:
-    """As machines fill their frames: with 0xFF, with small numbers, and with anything."""
+    """A byte as machines fill their frames: 0xFF, a small number, or any value."""
     kind = rng.random()
     if kind < FILLED:
         return 0xFF

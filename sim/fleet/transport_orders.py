@@ -1,7 +1,9 @@
-"""An operator's device that orders transports, each until robots have confirmed that they know it.
+"""An operator's device that orders transports and repeats each order until robots have confirmed
+it.
 
-One robot that knows a task may die before it has told another, so two must say so, or all there are. A
-number that somebody else has used at the same time is left to the greater order, as robots do.
+A robot that knows a task may die before it has sent it to another, so two robots must confirm it,
+or all robots if there are fewer. If another device used the same number at the same time, the
+greater order keeps it; robots apply the same rule.
 """
 
 from collections.abc import Sequence
@@ -15,13 +17,13 @@ ENOUGH = 2
 
 class TransportClient:
     def __init__(self, known: int = 0) -> None:
-        """`known`: tasks below this are known to all from the start."""
+        """`known`: all robots know tasks below this number from the start."""
         self.wanted: dict[
             int, tuple[int, TransportTask]
-        ] = {}  # number: which one of ours, and the order
-        self.robots: set[int] = set()  # source addresses that have told what they know
+        ] = {}  # task number -> index of our order, and the order
+        self.robots: set[int] = set()  # source addresses that have reported what they know
         self._first_free = known
-        self._sure: dict[int, set[int]] = {}  # task: who knows it
+        self._sure: dict[int, set[int]] = {}  # task -> robots that know it
         self._count = 0
 
     def order(self, orders: Sequence[TransportTask]) -> None:
@@ -39,7 +41,7 @@ class TransportClient:
             self._first_free = max(self._first_free, message.task + 1)
             mine = self.wanted.get(message.task)
             other = TransportTask(message.pickup, message.dropoff)
-            if mine is not None and other > mine[1]:  # the number is somebody else's
+            if mine is not None and other > mine[1]:  # the number belongs to another device's order
                 del self.wanted[message.task]
                 self.wanted[self._free()] = mine
 
@@ -56,7 +58,7 @@ class TransportClient:
         return bool(enough) and len(self._sure.get(number, ())) >= enough
 
     def due(self) -> list[TaskOrder]:
-        """What is to be said again."""
+        """The orders to send again."""
         return [
             TaskOrder(number, *order)
             for number, (_, order) in self.wanted.items()
@@ -65,5 +67,5 @@ class TransportClient:
 
     @property
     def numbers(self) -> list[int]:
-        """Of our orders, in their order."""
+        """The task numbers of our orders, in their order."""
         return sorted(self.wanted, key=lambda number: self.wanted[number][0])

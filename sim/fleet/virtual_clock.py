@@ -1,7 +1,7 @@
 """Virtual time for asyncio: when every task is blocked, jump to the next timer.
 
-The idea is trio's autojump clock. Time is counted in whole microseconds, and timers that are due at
-one instant fire in the order in which they were set, so that a run has one order of events.
+The idea is trio's autojump clock. Time is counted in whole microseconds. Timers that are due at one
+instant fire in the order in which they were set, so a run has one order of events.
 """
 
 import asyncio
@@ -14,7 +14,8 @@ from math import ceil
 from typing import Any, TypeVar
 
 T = TypeVar("T")
-FLOAT_US = 0.01  # after a day of virtual time, floats of seconds are off by a thousandth of this
+# After a day of virtual time, the error of floats of seconds is a thousandth of this.
+FLOAT_US = 0.01
 
 
 class _OrderedTimer(events.TimerHandle):
@@ -38,8 +39,8 @@ class _Jump(selectors.DefaultSelector):
             return ready
         if timeout is None:
             raise RuntimeError("every task waits and no timer is set: the run can never continue")
-        # Nobody can run before the next timer, so be there. Rounding up: never before it is due; what
-        # floats add to a whole microsecond does not count.
+        # Nothing can run before the next timer, so jump to it. Round up, so that the timer is due
+        # then, but ignore the excess over a whole microsecond that floats add.
         self.now_us += max(0, ceil(timeout * 1_000_000 - FLOAT_US))
         return []
 
@@ -71,7 +72,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
 
 
 class WallLoop(asyncio.SelectorEventLoop):
-    """Real time that begins at 0, as virtual time does."""
+    """Real time that begins at 0, like virtual time."""
 
     def __init__(self) -> None:
         self._zero_s = 0.0
@@ -83,12 +84,13 @@ class WallLoop(asyncio.SelectorEventLoop):
 
 
 async def elapse(seconds: float) -> None:
-    """Let virtual time pass. On any other loop this is an error: a test waits for no wall clock."""
+    """Let virtual time pass. On any other loop this is an error, because no test may wait for real
+    time."""
     assert isinstance(asyncio.get_running_loop(), VirtualLoop), "only on a virtual clock"
     await asyncio.sleep(seconds)
 
 
 def run_virtual(main: Coroutine[Any, Any, T]) -> T:
-    """Run a coroutine to its end in virtual time, which starts at 0."""
+    """Run a coroutine to its end in virtual time, which begins at 0."""
     with asyncio.Runner(loop_factory=VirtualLoop) as runner:
         return runner.run(main)

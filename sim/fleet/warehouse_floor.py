@@ -1,6 +1,7 @@
-"""The floor of a warehouse in truth: its parcels, who orders more of them, and what happens to it.
+"""The true state of a warehouse floor: its parcels, new orders for them, and events.
 
-A simulation has it in its cluster, a launch in the process that is the world; robots know nothing of it.
+A simulation keeps it in its fleet, a launch in the process of the world; robots have no access to
+it.
 """
 
 from collections.abc import Callable
@@ -18,7 +19,7 @@ from sim.scenarios.delivery_scenario import TaskRow
 from sim.scenarios.delivery_setup import DeliverySetting
 from sim.world.world import World
 
-DESK_US = 500_000  # between two calls of an order that is not confirmed
+DESK_US = 500_000  # between two repeats of an unconfirmed order
 BOX_CLEAR_M = 2.0  # a box never falls on a robot, nor right before one
 
 
@@ -27,16 +28,16 @@ class WarehouseFloor:
         self, setting: DeliverySetting, world: World, now_us: Callable[[], int],
         is_up: Callable[[int], bool], say: Callable[[Message], None],
     ) -> None:  # fmt: skip
-        """`say`: on the bus, as the device that orders transports."""
+        """`say`: sends on the bus, as the device that orders transports."""
         self.setting, self.world, self.now_us, self.say = setting, world, now_us, say
         self.truth = setting.parcels()
         self.truth.is_up = is_up
         self.truth.place_of = lambda slot: world.body(slot).position
         self.desk = TransportClient(len(setting.house.tasks))
-        self.from_us = 0  # what happened before this instant is past: an earlier launch had it
+        self.from_us = 0  # events before this instant are past: an earlier launch had them
 
     def hear(self, t_us: int, frame: Frame) -> None:
-        """Every frame. Whoever orders a transport puts a parcel there."""
+        """Handle every frame. A device that orders a transport also puts the parcel there."""
         source, message = decode_once(frame)
         if not isinstance(message, Malformed):
             self.desk.hear(source, message)
@@ -48,35 +49,35 @@ class WarehouseFloor:
                 self.truth.appear(message.task, trip.pickup, trip.dropoff, t_us)
 
     def recall(self, now_us: int) -> None:
-        """Go on at that instant: the parcels that appeared in an earlier launch are known."""
+        """Continue at that instant: the parcels that appeared in an earlier launch are known."""
         self.from_us = now_us
         self.desk = TransportClient(
             max([len(self.setting.house.tasks) - 1, *self.truth.dropoff]) + 1
         )
 
     def order(self, row: TaskRow) -> None:
-        """One more transport."""
+        """Order one more transport."""
         self.desk.order([self.setting.order(self.setting.house, row)])
 
     @property
     def delivered(self) -> bool:
-        """Every parcel lies at its dropoff, and those that were to come have come."""
+        """Whether every parcel lies at its dropoff and all expected parcels have appeared."""
         tasks = self.truth.dropoff
         return (
             len(tasks) >= len(self.setting.rows) and self.truth.delivered_us.keys() == tasks.keys()
         )
 
-    # ---------------------------------------------------------------- what happens, by the clock
+    # ---------------------------------------------------------------- timed events
 
     def calls(self) -> Script[None]:
-        """Orders are said until they are confirmed; without end."""
+        """Repeat orders until they are confirmed; never ends."""
         while True:
             for order in self.desk.due():
                 self.say(order)
             yield self.now_us() + DESK_US
 
     def events(self) -> list[Script[None]]:
-        """Of the scenario; each ends."""
+        """The scripts of the scenario's events; each ends."""
         return [self._boxes(), self._arrivals(), self._outages()]
 
     def _boxes(self) -> Script[None]:

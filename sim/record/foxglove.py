@@ -1,4 +1,4 @@
-"""What a run looks like in Foxglove's own schemas: entities of the 3D panel, lines of the log panel."""
+"""A run in Foxglove's own schemas: entities of the 3D panel, lines of the log panel."""
 
 from math import cos, hypot, sin
 from typing import Any
@@ -23,7 +23,7 @@ def outline(scene: Scene) -> Values:
 
 
 def robot_entity(t_us: int, intent: Values, radius_m: float) -> Values:
-    """A robot: its body, where it heads, its way, its number."""
+    """A robot: its body, its heading, its path, its number."""
     colour = rgb_of(int(intent["slot"]))
     pose = _pose(intent["x"], intent["y"], intent["heading"])
     body = {

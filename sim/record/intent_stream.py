@@ -1,7 +1,7 @@
-"""What robot processes mean to do, passed on to whoever watches: messages beside the bus.
+"""The intents of robot processes, forwarded to observers as messages beside the bus.
 
-A robot tells its world's process five times a second; a map that says hello gets copies for a while.
-Nothing of it reaches another robot, and nothing waits for it.
+A robot sends its intent to the world's process five times a second. A map that sends a hello gets
+copies for a while. Intents never reach another robot, and no process waits for them.
 """
 
 import asyncio
@@ -15,22 +15,23 @@ from sim.record.robot_intent import intent_of
 
 TELL_S = 0.2
 HELLO_S = 1.0
-WATCH_S = 3.0  # a watcher that does not say hello again is forgotten
+WATCH_S = 3.0  # a watcher that sends no new hello within this time is forgotten
 WATCHERS_MAX = 8
-BYTES_MAX = 4096  # of an intent: 48 points of a path are a quarter of it
+BYTES_MAX = 4096  # of an intent; 48 points of a path are a quarter of it
 MAGIC_INTENT, MAGIC_WATCH = b"HLIn", b"HLWa"
 
 
 class IntentRelay:
-    """In the world's process, beside the bodies."""
+    """Runs in the world's process, beside the bodies."""
 
     def __init__(self) -> None:
-        self.watchers: dict[Link, float] = {}  # until when
-        self.keep: Callable[[dict[str, Any]], None] | None = None  # also for a recording
+        self.watchers: dict[Link, float] = {}  # watcher -> until when
+        # Called for each intent, for a recording.
+        self.keep: Callable[[dict[str, Any]], None] | None = None
         self.malformed = 0
 
     def take(self, data: bytes, link: Link) -> bool:
-        """True where the message is ours."""
+        """Handle a message; False if it is not one of ours."""
         now_s = asyncio.get_running_loop().time()
         if data == MAGIC_WATCH:
             if link in self.watchers or len(self.watchers) < WATCHERS_MAX:
@@ -52,7 +53,7 @@ class IntentRelay:
 
 
 class IntentListener(Link):
-    """In the map's process."""
+    """Runs in the map's process."""
 
     def __init__(self, heard: Callable[[dict[str, Any]], None]) -> None:
         super().__init__()
@@ -72,7 +73,7 @@ class IntentListener(Link):
 
 
 async def tell(peer: Peer, send: Callable[[bytes], None]) -> None:
-    """In a robot's process, as long as it runs."""
+    """Send intents from a robot's process while it runs."""
     while True:
         await asyncio.sleep(TELL_S)
         intent = intent_of(peer)
@@ -83,7 +84,7 @@ async def tell(peer: Peer, send: Callable[[bytes], None]) -> None:
 
 
 def read_intent(data: bytes) -> dict[str, Any] | None:
-    """None for what is none."""
+    """Parse an intent; None if the data is none."""
     if data[:4] != MAGIC_INTENT or len(data) > BYTES_MAX:
         return None
     try:

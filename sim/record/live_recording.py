@@ -1,7 +1,9 @@
-"""All that was heard of a live bus lately, in memory that is taken at the start and never grows.
+"""The recent frames and intents of a live bus, in memory that is allocated at the start and never
+grows.
 
-Frames and intents lie in rings. Of what is older than the ring of frames only the snapshots of a map's
-index are there, at distances that grow with their age. A launch keeps its logs on disk beside it.
+Frames and intents are stored in rings. For times before the ring of frames, only the snapshots in
+the index of a map exist, at intervals that grow with their age. A launch also keeps its logs on
+disk.
 """
 
 import json
@@ -21,7 +23,7 @@ COARSE_BYTES, COARSE_ROWS = (
     40_000,
 )  # one of each robot in COARSE_US: about four hours of ten
 COARSE_US = 5_000_000
-FINE_US = 1_000_000  # robots tell five intents a second
+FINE_US = 1_000_000  # robots send five intents a second
 FAST = 1  # level of zlib: a tenth of a millisecond for an intent
 
 
@@ -30,7 +32,8 @@ class LiveRecording(Recording):
         super().__init__(scene)
         self.forgets = True
         self._t_us, self._identifiers = array("q", bytes(8 * FRAMES)), array("I", bytes(4 * FRAMES))
-        # From bytes, not from a number: memory that is only reserved would be taken bit by bit.
+        # Made from bytes, not from a size, because memory that is only reserved would be allocated
+        # gradually.
         self._lengths, self._data = bytearray(bytes(FRAMES)), bytearray(bytes(8 * FRAMES))
         self._fine = NoteRing(FINE_BYTES, FINE_ROWS)
         self._coarse = NoteRing(COARSE_BYTES, COARSE_ROWS)
@@ -62,30 +65,32 @@ class LiveRecording(Recording):
             self._coarse.append(t_us, intent)
 
     def intents_at(self, now_us: int) -> Notes:
-        """Of long ago the newest of each robot, as if it were told then."""
+        """For old times, the newest intent of each robot, as if it were sent then."""
         if now_us - FINE_US >= self._fine.from_us:
             return self._fine.between(now_us - FINE_US, now_us)
         return [(now_us, note) for _, note in self._coarse.between(now_us - COARSE_US, now_us)]
 
 
 class NoteRing:
-    """Plain values with their times, in a fixed number of bytes and of rows; the oldest go first."""
+    """Plain values with their times, in a fixed number of bytes and rows; the oldest are dropped
+    first."""
 
     def __init__(self, size: int, rows: int) -> None:
         """`size`: bytes, compressed."""
         self.first, self.count = 0, 0
-        self._size, self._rows, self._end = size, rows, 0  # `_end`: of all bytes ever written
+        # `_end`: number of all bytes ever written.
+        self._size, self._rows, self._end = size, rows, 0
         self._data = bytearray(bytes(size))
         self._t_us, self._at = array("q", bytes(8 * rows)), array("q", bytes(8 * rows))
         self._lengths = array("I", bytes(4 * rows))
 
     def append(self, t_us: int, value: dict[str, Any]) -> None:
-        """`t_us`: not before the one before. What is larger than the ring is passed over."""
+        """`t_us`: not before the previous one. A value larger than the ring is skipped."""
         data = zlib.compress(json.dumps(value, separators=(",", ":")).encode(), FAST)
         if len(data) > self._size:
             return
         left = self._size - self._end % self._size
-        begin = self._end if len(data) <= left else self._end + left  # in one piece
+        begin = self._end if len(data) <= left else self._end + left  # so that it is contiguous
         at = begin % self._size
         self._data[at : at + len(data)] = data
         self._end = begin + len(data)
@@ -101,7 +106,7 @@ class NoteRing:
         return self._t_us[self.first % self._rows] if self.count else 0
 
     def between(self, from_us: int, until_us: int) -> Notes:
-        """Later than the one, not later than the other; oldest first."""
+        """Values later than the first time and not later than the second; oldest first."""
         rows = range(self.first, self.count)
 
         def time_of(number: int) -> int:

@@ -1,9 +1,11 @@
-"""Messages between the processes of one owner: a unix socket in a folder that nobody else can enter.
+"""Messages between the processes of one owner: a unix socket in a folder that no other user can
+enter.
 
-What moves machines must not be open to every user of a computer, as a port on loopback is. The folder is
-made with mode 0700, and the kernel says who is at the other end: another user is counted and sent away. A
-message is a length and so many bytes. A reader that is too slow loses the newest messages, as it would
-lose datagrams: what is told here is soon old anyway.
+A socket that moves machines must not be open to every user of a computer, as a port on loopback is.
+The folder is created with mode 0700, and the kernel reports the user at the other end; another user
+is counted and disconnected. A message is a length and that many bytes. A reader that is too slow
+loses the newest messages, as it would lose datagrams; this is acceptable because the messages
+expire soon.
 """
 
 import asyncio
@@ -17,9 +19,9 @@ from pathlib import Path
 from typing import Self, cast
 
 LENGTH = struct.Struct("<H")
-MESSAGE_MAX = 8_192  # bytes: 720 rays and 32 parcels are half of it
+MESSAGE_MAX = 8_192  # bytes; 720 rays and 32 parcels take half of it
 BACKLOG_MAX = 64 * 1024  # bytes that wait for a slow reader: a quarter of a second of a world
-CREDENTIALS = struct.Struct("3i")  # process, user, group of the other end, as Linux says them
+CREDENTIALS = struct.Struct("3i")  # process, user, group of the other end, as reported by Linux
 ROOT = 0
 SOCKET = "bodies"  # name of the socket in its folder
 
@@ -57,10 +59,10 @@ class Link(asyncio.Protocol):
             self.take(message)
 
     def take(self, message: bytes) -> None:
-        """A message has come."""
+        """Handle a received message."""
 
     def send(self, message: bytes) -> None:
-        """Dropped and counted where the other end does not read."""
+        """Send; the message is dropped and counted if the other end does not read."""
         assert len(message) <= MESSAGE_MAX
         transport = self._transport
         if transport is None or transport.is_closing():
@@ -75,13 +77,13 @@ class Link(asyncio.Protocol):
             self._transport.abort()
 
     async def connect(self, path: Path) -> Self:
-        """To a server on this computer. Raises OSError."""
+        """Connect to a server on this computer. Raises OSError."""
         await asyncio.get_running_loop().create_unix_connection(lambda: self, str(path))
         return self
 
 
 class LinkServer:
-    """Where links of the same owner arrive; others are counted in `foreign`."""
+    """Accepts links of the same owner; others are counted in `foreign`."""
 
     def __init__(self, made: Callable[[], Link]) -> None:
         self.made = made
@@ -91,7 +93,7 @@ class LinkServer:
         self._server: asyncio.Server | None = None
 
     async def start(self, folder: Path | None = None) -> Path:
-        """In a new folder of the owner's, or this one. The path of the socket. Raises OSError."""
+        """Listen in a new folder of the owner, or in this one; returns the path. Raises OSError."""
         own = Path(tempfile.mkdtemp(prefix="headland-")) if folder is None else folder
         own.chmod(0o700)
         self.path = own / SOCKET
@@ -102,7 +104,7 @@ class LinkServer:
         return self.path
 
     def close(self) -> None:
-        """The folder goes with it."""
+        """Close the server and remove the folder."""
         if self._server is not None:
             self._server.close()
         for link in list(self.links):
@@ -112,7 +114,7 @@ class LinkServer:
 
 
 class _Arrival(asyncio.Protocol):
-    """A connection until it is known whose it is."""
+    """A connection whose owner is not known yet."""
 
     def __init__(self, server: LinkServer) -> None:
         self.server = server
@@ -138,7 +140,7 @@ class _Arrival(asyncio.Protocol):
 
 
 def _is_ours(transport: asyncio.BaseTransport) -> bool:
-    """Of our user, or of the one who may do everything. Without the kernel's word the folder decides."""
+    """Whether the other end is our user or root. If the kernel reports none, the folder decides."""
     if not hasattr(socket, "SO_PEERCRED"):
         return True
     end = transport.get_extra_info("socket")

@@ -7,8 +7,8 @@
     /log          foxglove.Log (JSON): what the robots decided, and why
     scene.json    attachment: what does not move, as our map draws it
 
-Time is that of the run, which begins at 0, or the time of day of a launch (Unix epoch): one clock for
-all topics.
+The time is that of the run, which begins at 0, or the time of day of a launch (Unix epoch). All
+topics use the same clock.
 """
 
 import json
@@ -34,10 +34,11 @@ from sim.record.mcap_schema import (
 from sim.record.recording import Recording
 from sim.record.scene import FILE, Scene
 
-CHUNK_BYTES = 256 * 1024  # compressed at once: about a millisecond; its index entry is a kilobyte
+# Compressed together: takes about a millisecond; its index entry is a kilobyte.
+CHUNK_BYTES = 256 * 1024
 SCENE_EVERY_US = 1_000_000  # robots in the 3D panel
-MAGIC = b"\x89MCAP0\r\n"  # a file begins with it, and one that was closed ends with it
-SAID_MAX = 120  # characters of what a reader says of a damaged file
+MAGIC = b"\x89MCAP0\r\n"  # a file begins with it; a file that was closed also ends with it
+SAID_MAX = 120  # characters quoted from a reader's message on a damaged file
 CAN_TOPIC = "/can"
 CAN_FRAME = """std_msgs/Header header
 uint32 id
@@ -60,7 +61,7 @@ LITTLE_ENDIAN, CHANNEL = b"\0\1\0\0", b"can0\0"
 
 
 class McapMissing(Exception):
-    """One line for the person."""
+    """One line for the user."""
 
 
 def _import() -> None:
@@ -73,10 +74,10 @@ def _import() -> None:
 
 
 class McapLog:
-    """A `LogWriter` that also takes intents, things and traces."""
+    """A `LogWriter` that also accepts intents, things and traces."""
 
     def __init__(self, path: Path, scene: Scene | None = None, begun_us: int = 0) -> None:
-        """`begun_us`: time of the outline. Raises McapMissing; OSError where it cannot be written."""
+        """`begun_us`: time of the outline. Raises McapMissing; OSError if it cannot be written."""
         _import()
         from mcap.writer import Writer
 
@@ -99,7 +100,7 @@ class McapLog:
 
     @property
     def size(self) -> int:
-        """Bytes; but for the chunk that is being filled."""
+        """Bytes written, without the chunk that is being filled."""
         return self._file.tell()
 
     def write(self, t_us: int, frame: Frame) -> None:
@@ -123,7 +124,7 @@ class McapLog:
         self._add("/things", THINGS, t_us, things_message([list(row) for row in rows]))
 
     def effect(self, slot: int, t_us: int, effect: Effect) -> None:
-        """Of all effects only what a person reads."""
+        """Write only the effects that are meant for people."""
         if isinstance(effect, Trace):
             self._add("/log", LOG, t_us, log_line(t_us, slot, effect))
 
@@ -148,7 +149,7 @@ class McapLog:
 
 
 def read_frames(path: Path) -> Iterator[tuple[int, Frame]]:
-    """(microseconds, frame), in order. ValueError where the file is no MCAP."""
+    """(microseconds, frame), in order. ValueError if the file is no MCAP."""
     for t_us, topic, data in _messages(path, [CAN_TOPIC]):
         if topic == CAN_TOPIC and len(data) == CDR.size:
             *_, identifier, _, _, _, length, payload = CDR.unpack(data)
@@ -156,7 +157,7 @@ def read_frames(path: Path) -> Iterator[tuple[int, Frame]]:
 
 
 def read_recording(path: Path) -> Recording:
-    """All of it, from its first part on. McapMissing; ValueError where the file is no MCAP."""
+    """The whole recording, all parts. McapMissing; ValueError if the file is no MCAP."""
     recording = Recording(_scene(path))
     for part in parts_of(path):
         for t_us, frame in read_frames(part):
@@ -167,7 +168,7 @@ def read_recording(path: Path) -> Recording:
 
 
 def add_notes(recording: Recording, path: Path) -> None:
-    """What no CAN log holds: intents and things, of all parts."""
+    """Add what CAN logs do not contain: intents and things, of all parts."""
     for part in parts_of(path):
         _add_notes(recording, part)
 
@@ -192,14 +193,14 @@ def _scene(path: Path) -> Scene | None:
                 if attachment.name == FILE:
                     scene: Scene = json.loads(attachment.data)
                     return scene if isinstance(scene, dict) else None
-        except Exception:  # a run that was killed has no index, a damaged one anything
-            return None  # its frames are there all the same
+        except Exception:  # a killed run has no index, and a damaged one may have any content
+            return None  # its frames can be read without the scene
     return None
 
 
 def _messages(path: Path, topics: list[str] | None) -> Iterator[tuple[int, str, bytes]]:
-    """In the order of writing; what was cut off at the end is passed over. ValueError where a part in
-    the middle is damaged, OSError."""
+    """Messages in the order of writing; a truncated end is skipped. ValueError if a part in the
+    middle is damaged, OSError."""
     _import()
     from mcap.reader import NonSeekingReader
 
@@ -216,7 +217,8 @@ def _messages(path: Path, topics: list[str] | None) -> Iterator[tuple[int, str, 
                 _, channel, message = next(messages)
             except StopIteration:
                 return
-            except Exception as problem:  # the reader and its decompressors raise what they like
+            # The reader and its decompressors raise undocumented exceptions.
+            except Exception as problem:
                 if not whole and size > len(MAGIC) and file.tell() == size:
                     return
                 said = " ".join(str(problem).split()) or type(problem).__name__

@@ -1,8 +1,8 @@
 """JSON schemas of the topics of an MCAP file, so that readers know the paths of every message.
 
-Foxglove reads a part of JSON Schema: objects with `properties`, arrays of plain values or of objects.
-It refuses an array of arrays, so points are objects here. Names, titles and types of the foxglove
-schemas are those that Foxglove has published.
+Foxglove supports a part of JSON Schema: objects with `properties`, arrays of plain values or of
+objects. It rejects an array of arrays, so points are objects here. Names, titles and types of the
+foxglove schemas are those that Foxglove has published.
 """
 
 from typing import Any
@@ -13,7 +13,7 @@ from sim.world.walls import OBSTACLE_COLUMNS
 
 INTENT, THINGS = "headland.Intent", "headland.Things"
 Schema = dict[str, Any]
-# The columns of a row of `sim.world.walls`, as a reader sees them.
+# The columns of a row of `sim.world.walls`, with names for readers.
 THING = ("shape", "x", "y", "half_x", "half_y", "cos", "sin")
 assert len(THING) == OBSTACLE_COLUMNS
 POINTS = ("path", "strange")  # of an intent: lists of points
@@ -150,14 +150,14 @@ SCHEMAS: dict[str, Schema] = {
 
 
 def intent_message(intent: dict[str, Any]) -> dict[str, Any]:
-    """As the schema has it, of what `sim.record.robot_intent` makes."""
+    """The message of the schema, from a value of `sim.record.robot_intent`."""
     lists = {name: [_xy(point) for point in intent[name]] for name in POINTS if name in intent}
     wanted = {WANTED: _xy(intent[WANTED])} if WANTED in intent else {}
     return {**intent, **wanted, **lists}
 
 
 def intent_of_message(message: dict[str, Any]) -> dict[str, Any]:
-    """The other way, also of files that have pairs. KeyError, TypeError, ValueError."""
+    """The inverse; also for files with pairs. KeyError, TypeError, ValueError."""
     lists = {name: [_pair(point) for point in message[name]] for name in POINTS if name in message}
     wanted = {WANTED: _pair(message[WANTED])} if WANTED in message else {}
     return {**message, **wanted, **lists}
@@ -168,7 +168,7 @@ def things_message(rows: list[list[float]]) -> dict[str, Any]:
 
 
 def things_of_message(message: dict[str, Any]) -> list[list[float]]:
-    """Also of files that have rows of numbers. KeyError, TypeError, ValueError."""
+    """Also for files with rows of numbers. KeyError, TypeError, ValueError."""
     return [
         [row[name] for name in THING] if isinstance(row, dict) else list(row)
         for row in message["rows"]

@@ -1,4 +1,4 @@
-"""Looking at a simulated run, five times a second: what each robot means to do, and what stands there."""
+"""Records a simulated run, five times a second: the intent of each robot, and the obstacles."""
 
 from collections.abc import Sequence
 from typing import Any, Protocol
@@ -20,7 +20,7 @@ class RecordingSink(Protocol):
 
 
 def watch(cluster: Cluster, keepers: Sequence[RecordingSink]) -> None:
-    """Give to an expedition as `attach`. Only looks: the run is the same with and without it."""
+    """Pass this to a run as `attach`. It only reads, so the run is the same with and without it."""
     cluster.host.spawn(_look(cluster, keepers))
     writers = [keeper.effect for keeper in keepers if hasattr(keeper, "effect")]
     record = cluster.record

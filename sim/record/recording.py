@@ -1,7 +1,7 @@
-"""All that was heard of a run, in memory, while it grows or after its end: frames, intents, things.
+"""The frames, intents and things of a run, in memory, while it grows or after its end.
 
-Columns instead of objects: 21 bytes a frame, so that hours of a full bus fit. One thread may append
-while others read: a row is there once `count` says so.
+Columns are used instead of objects: 21 bytes a frame, so that hours of a full bus fit. One thread
+may append while others read, because a row is valid once `count` includes it.
 """
 
 from array import array
@@ -14,8 +14,8 @@ from protocol.frames.frame import Frame
 from sim.record.scene import Scene
 
 FRAMES_MAX = 8_000_000  # 168 MB; two hours of a full bus, half a day of a quiet one
-DROP = FRAMES_MAX // 4  # of the oldest, when it is full
-NOW_US = 1_000_000  # an intent is news for so long; robots tell five a second
+DROP = FRAMES_MAX // 4  # number of the oldest frames that are dropped when it is full
+NOW_US = 1_000_000  # an intent is current for this long; robots send five a second
 Row = tuple[int, Frame]
 Notes = list[tuple[int, dict[str, Any]]]  # microseconds, plain values
 
@@ -24,20 +24,20 @@ class Recording:
     def __init__(self, scene: Scene | None = None) -> None:
         self.scene = scene
         self.first, self.count = 0, 0  # frames `first` .. `count` - 1 are kept
-        self.intents: Notes = []  # of a robot each, see `sim.record.robot_intent`
-        self.things: Notes = []  # what stands in the world from then on: {"rows": [...]}
-        self.ended = False  # nothing more will come
+        self.intents: Notes = []  # one robot each, see `sim.record.robot_intent`
+        self.things: Notes = []  # obstacles in the world from then on: {"rows": [...]}
+        self.ended = False  # whether nothing more will come
         self.clock: Callable[[], int] | None = (
             None  # microseconds, of a live bus: quiet is time, too
         )
-        self.forgets = False  # what is old, at any time: see `sim.record.live_recording`
+        self.forgets = False  # drops old data at any time: see `sim.record.live_recording`
         self.digest = FramesDigest()
         self._since_us = 0
         self._t_us, self._identifiers = array("q"), array("I")
         self._lengths, self._data = bytearray(), bytearray()
 
     def write(self, t_us: int, frame: Frame) -> None:
-        """The next frame; what is older than the one before it is as old as that."""
+        """Add the next frame; a time before that of the previous frame is raised to it."""
         self._t_us.append(max(t_us, self._t_us[-1]) if self._t_us else t_us)
         self._identifiers.append(frame.identifier)
         self._lengths.append(len(frame.data))
@@ -48,7 +48,8 @@ class Recording:
             self._drop()
 
     def follow(self, clock: Callable[[], int]) -> None:
-        """`clock`: microseconds, that of the frames to come. Time goes on where nothing is heard."""
+        """`clock`: microseconds, on the clock of the coming frames. Time continues on a silent
+        bus."""
         self.clock, self._since_us = clock, clock()
 
     def close(self) -> None:
@@ -73,7 +74,7 @@ class Recording:
         self.things.append((t_us, {"rows": [list(row) for row in rows]}))
 
     def intents_at(self, now_us: int) -> Notes:
-        """What was told in the second that ends now, oldest first."""
+        """The intents of the second that ends now, oldest first."""
         first = bisect_right(self.intents, now_us - NOW_US, key=lambda note: note[0])
         end = bisect_right(self.intents, now_us, key=lambda note: note[0])
         return self.intents[first:end]
@@ -92,7 +93,7 @@ class Recording:
 
     @property
     def until_us(self) -> int:
-        """Of the newest row of any kind; of a live bus: now."""
+        """The time of the newest row of any kind; of a live bus: now."""
         if self.clock is not None and not self.ended:
             return max(self.clock(), self._newest_us or 0)
         ends = [self.t_us(self.count - 1)] if self.count > self.first else [0]
@@ -101,7 +102,7 @@ class Recording:
 
     @property
     def quiet_us(self) -> int:
-        """How long ago the newest frame of a live bus came; 0 of a recording."""
+        """Time since the newest frame of a live bus; 0 for a recording."""
         if self.clock is None or self.ended:
             return 0
         newest_us = self._newest_us
@@ -113,9 +114,9 @@ class Recording:
 
 
 class FramesDigest:
-    """One hash of all frames in their order: the same run, whatever the format of its log.
+    """One hash of all frames in their order: equal for equal runs, whatever the format of the log.
 
-    Times are not in it: formats round them in their own ways.
+    Times are not part of it, because formats round them differently.
     """
 
     def __init__(self) -> None:
@@ -126,7 +127,7 @@ class FramesDigest:
         self._hash.update(frame.data)
 
     def close(self) -> None:
-        """Nothing to close; a digest may stand wherever a log does."""
+        """Nothing to close; exists so that a digest can replace a log."""
 
     @property
     def hex(self) -> str:

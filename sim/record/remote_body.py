@@ -1,9 +1,10 @@
-"""A robot process and its body in the world's process: messages on a socket of their owner's.
+"""A robot process and its body in the world's process: messages on a socket of their owner.
 
-The world tells each body's observation every `TELL_US`, with the time at which it was sensed. A robot
-sends its drive commands. A lost or late message is what a lost or late sensor reading or command is:
-commands expire by themselves, and observations grow old. A slot belongs to the process that has said
-hello for it, until that one ends. Another one is told nothing and moves nothing.
+The world sends each body's observation every `TELL_US`, with the time at which it was sensed. A
+robot sends its drive commands. A lost or late message has the same effect as a lost or late sensor
+reading or command: commands expire by themselves, and observations age. A slot belongs to the
+process that has sent a hello for it, until that process ends. Another process receives nothing and
+moves nothing.
 """
 
 import asyncio
@@ -18,16 +19,16 @@ from sim.record.local_link import Link, LinkServer
 from sim.world.world import World
 
 TELL_US = 20_000  # one world step
-HELLO_S = 0.2  # a robot that has heard nothing yet says that it is there
+HELLO_S = 0.2  # a robot that has received nothing yet repeats its hello
 DRIVE = struct.Struct("<4sBdddBi")  # magic, slot, vx, vy, turn, implement, parcel to handle
-# magic, slot, sensed at (us of the world), x, y, heading, vx, vy, battery, load, parcels in reach; then
-# these, and the rays
+# magic, slot, sensed at (us of the world), x, y, heading, vx, vy, battery, load, number of parcels
+# in reach; the parcels and the rays follow
 SENSE = struct.Struct("<4sBqddddddiB")
 LYING = struct.Struct("<idd?")  # task, x, y, on a robot
-PARCELS_MAX = 32  # told at once; within an arm's reach
+PARCELS_MAX = 32  # sent together; within an arm's reach
 RAY = struct.Struct("<f")
 MAGIC_DRIVE, MAGIC_HELLO, MAGIC_SENSE = b"HLDr", b"HLHi", b"HLSe"
-DRIFT_SHARE = 1e-4  # how much faster than ours the world's clock may run, at most
+DRIFT_SHARE = 1e-4  # limit for how much faster than ours the world's clock may run
 
 
 def sense_bytes(slot: int, seen: Observation) -> bytes:
@@ -40,7 +41,7 @@ def sense_bytes(slot: int, seen: Observation) -> bytes:
 
 
 def observation_of(data: bytes) -> Observation | None:
-    """None where it is not what `sense_bytes` makes. Its time is of the world."""
+    """Parse an observation; None if `sense_bytes` did not make it. Its time is the world's."""
     if len(data) < SENSE.size:
         return None
     _, _, sensed_at_us, *pose, battery, load, count = SENSE.unpack_from(data)
@@ -57,13 +58,14 @@ def observation_of(data: bytes) -> Observation | None:
 
 
 class BodyServer:
-    """In the world's process. `zero_us`: the loop's time at which the world's time is 0."""
+    """Runs in the world's process. `zero_us`: the loop's time at which the world's time is 0."""
 
     def __init__(self, world: World, zero_us: int) -> None:
         self.world, self.zero_us = world, zero_us
-        self.body: Callable[[int], Body] = world.body  # or one with an arm and a battery
+        # May be replaced by one with an arm and a battery.
+        self.body: Callable[[int], Body] = world.body
         self.malformed = 0
-        self.refused = 0  # hellos and commands for a slot that another process has
+        self.refused = 0  # hellos and commands for a slot that belongs to another process
         self.relay = IntentRelay()
         self.server = LinkServer(lambda: _RobotLink(self))
         self._links: dict[int, Link] = {}
@@ -100,7 +102,7 @@ class BodyServer:
             self.body(slot).drive(drive, self.now_us())
 
     async def run(self) -> None:
-        """Step the world in real time and tell every robot that has asked."""
+        """Step the world in real time and send an observation to every robot that has asked."""
         loop, next_s = asyncio.get_running_loop(), asyncio.get_running_loop().time()
         while True:
             now_us = self.now_us()
@@ -123,10 +125,10 @@ class _RobotLink(Link):
 
 
 class RemoteBody(Link):
-    """In a robot's process: the `Body` port over a link.
+    """The `Body` port over a link, in a robot's process.
 
-    The world's clock is another one. What came fastest of all says how far it is from ours. What comes
-    later than that is older.
+    The world uses another clock. The fastest message so far gives its offset from ours; a message
+    that took longer is older by the difference.
     """
 
     def __init__(self, slot: int) -> None:
@@ -154,7 +156,7 @@ class RemoteBody(Link):
         self.first.set()
 
     async def ready(self) -> None:
-        """Say hello until the first observation comes."""
+        """Send hellos until the first observation comes."""
         while not self.first.is_set():
             self._say(MAGIC_HELLO, Drive(0.0, 0.0))
             try:
@@ -164,14 +166,14 @@ class RemoteBody(Link):
                 continue
 
     def sense(self, now_us: int) -> Observation | None:
-        """The newest that came, for ever; its age tells what it is worth."""
+        """The newest observation, without time limit; its age shows how useful it is."""
         return self.seen
 
     def drive(self, command: Drive, now_us: int) -> None:
         self._say(MAGIC_DRIVE, command)
 
     def tell(self, data: bytes) -> None:
-        """To people who watch; see `sim.record.intent_stream`."""
+        """Send to observers; see `sim.record.intent_stream`."""
         self.send(data)
 
     def _say(self, magic: bytes, c: Drive) -> None:

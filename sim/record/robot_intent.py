@@ -1,8 +1,8 @@
-"""What one robot means to do, read from its peer: for people who watch, never for other robots.
+"""The intent of one robot, read from its peer: for observers, never for other robots.
 
-A listener on the bus knows where robots are and what they own. Where they want to drive, whom they
-avoid and whom they hear, only they know. Reading it changes nothing: a run that is watched has the
-same trace hash as one that is not.
+A listener on the bus knows where robots are and what they own. Only the robots know where they want
+to drive, which robots they avoid and which they receive. Reading this changes nothing, so an
+observed run has the same trace hash as an unobserved one.
 """
 
 from typing import Any, NamedTuple
@@ -13,7 +13,7 @@ from agent.motion.holonomic_motion import HolonomicMotion
 from agent.peer.peer import Peer
 
 XY = tuple[float, float]
-POINTS_MAX = 48  # of a path: what a person can follow, and what fits a datagram
+POINTS_MAX = 48  # of a path: enough for a person, and it fits a datagram
 STRANGE_MAX = 16
 
 
@@ -26,16 +26,16 @@ class Intent(NamedTuple):
     heading_rad: float
     vx_m_s: float
     vy_m_s: float
-    wanted: XY  # velocity that its mission wants, before others and safety have their say
-    path: tuple[XY, ...]  # what is left of its way, nearest point first
+    wanted: XY  # velocity that its mission wants, before avoidance and safety
+    path: tuple[XY, ...]  # the rest of its path, nearest point first
     avoids: tuple[int, ...]  # the robots that ORCA keeps clear of, nearest first
-    hears: tuple[int, ...]  # the members that it takes for live, itself included
-    strange: tuple[XY, ...]  # obstacles that it sees and nobody has announced
-    holds: tuple[str, ...]  # why it does not move, if it may not
+    hears: tuple[int, ...]  # the members that it considers live, itself included
+    strange: tuple[XY, ...]  # obstacles that it sees and that are not announced
+    holds: tuple[str, ...]  # the causes for which it may not move
     tool: bool  # it wants its implement down
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values, rounded to what can be seen."""
+        """Plain values, rounded to visible precision."""
         return {
             "slot": self.slot, "x": round(self.x_m, 3), "y": round(self.y_m, 3),
             "heading": round(self.heading_rad, 3), "vx": round(self.vx_m_s, 3),
@@ -48,11 +48,11 @@ class Intent(NamedTuple):
 
 
 def intent_of(peer: Peer) -> Intent | None:
-    """None before its sensors have said anything."""
+    """None before the first observation of its sensors."""
     here = peer.here
     motion = (
         peer.motion if isinstance(peer.motion, HolonomicMotion) else None
-    )  # nobody to avoid on a grid
+    )  # no robot is avoided on a grid
     if here is None:
         return None
     others = sorted(motion.others, key=lambda o: o.distance_m) if motion is not None else []

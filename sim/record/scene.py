@@ -1,4 +1,4 @@
-"""What does not move, as plain values: what a map draws first, and what recordings keep."""
+"""The static objects as plain values: a map draws them first, and recordings store them."""
 
 from base64 import b64encode
 from collections.abc import Iterable, Mapping, Sequence
@@ -28,7 +28,7 @@ def scene_of(setting: Setting | ErrandSetting) -> Scene:
         "rings": [], "sections": [], "width_m": 0.0, "gate": None, "grid": None, "cells": None,
         "goals": [], "front": getattr(fleet, "drive", "mecanum") != "mecanum",
     }  # fmt: skip
-    floor: Floor | None = getattr(setting, "floor", None)  # of any mission in a building
+    floor: Floor | None = getattr(setting, "floor", None)  # for any mission in a building
     if floor is not None:
         scene["grid"] = _grid(floor.walls, floor.origin, floor.cell_m)
         goals: Mapping[int, Sequence[Sequence[float]]] = getattr(setting, "goals", {})
@@ -59,7 +59,7 @@ def scene_of(setting: Setting | ErrandSetting) -> Scene:
 
 
 def scene_named(name: str, robots: int | None = None) -> Scene:
-    """Of a scenario or an arena by file or by name. Raises ScenarioError."""
+    """The scene of a scenario or an arena, by file or by name. Raises ScenarioError."""
     try:
         return scene_of(Setting(_with(load(name), robots)))
     except ScenarioError as problem:
@@ -74,7 +74,7 @@ def _with(scenario: Any, robots: int | None) -> Any:
 
 
 def in_folder(source: Path) -> Path:
-    """Where the scene of a run lies: in its folder, or beside its log."""
+    """The path of a run's scene: in its folder, or beside its log."""
     return (source if source.is_dir() else source.parent) / FILE
 
 

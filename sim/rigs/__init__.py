@@ -1,1 +1,1 @@
-"""Parts of the system alone on the real wire model, for benches and tests only."""
+"""Single parts of the system on the real wire model, for benches and tests only."""

@@ -1,6 +1,6 @@
-"""Segments as processes with gateways between them: built, ordered about, cut and healed from here.
+"""Segments as processes with gateways between them: started, commanded, cut and healed from here.
 
-Nothing is left behind: every process that was begun is ended by `close`, whatever happened.
+No process stays behind: `close` ends every process that was started, whatever happened.
 """
 
 import contextlib
@@ -14,16 +14,16 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
-BOOT_S = 30.0  # a process imports what it needs in two seconds, on a busy machine in ten
+BOOT_S = 30.0  # a process needs two seconds to import its modules, on a busy machine ten
 LOOK_S = 0.02
-SPACING_S = 0.11  # a second press at one machine within 100 ms is the same hand
+SPACING_S = 0.11  # a second press at one machine within 100 ms counts as the same press
 HOME, SHARED, ROBOTS = 20, 4, 2
 
-Prefix = Sequence[str]  # of a command line: how to enter a network namespace
+Prefix = Sequence[str]  # of a command line: enters a network namespace
 
 
 class Program:
-    """A process with lines of JSON on both sides."""
+    """A process that reads and writes lines of JSON."""
 
     def __init__(self, command: Sequence[str]) -> None:
         self.process = subprocess.Popen(
@@ -53,7 +53,7 @@ class Program:
 
 
 class BridgedSegments:
-    """`segments` hubs, each with robots and gateways."""
+    """`segments` servers, each with robots and gateways."""
 
     def __init__(
         self, segments: int, seed: int = 1, prefix: Callable[[int], Prefix] = lambda k: ()
@@ -81,7 +81,7 @@ class BridgedSegments:
         host.process.stdin.write(json.dumps(order) + "\n")
 
     def restart_host(self, number: int, robots: int = ROBOTS) -> None:
-        """A hub and its robots are killed and started again, without memory, on the same port."""
+        """Kill a server and its robots, and start them again without memory, on the same port."""
         self.hosts[number].kill()
         self._start_host(number, robots, self.ports[number])
         assert self.hosts[number].answer()["port"] == self.ports[number]
@@ -100,7 +100,7 @@ class BridgedSegments:
         return self.hosts[number].ask({"do": "state"})
 
     def wait(self, what: str, holds: Callable[[], bool], limit_s: float = BOOT_S) -> float:
-        """Seconds until it held; AssertionError where it never did."""
+        """Seconds until the condition held; AssertionError if it never did."""
         begun_s = time.monotonic()
         while not holds():
             waited_s = time.monotonic() - begun_s
@@ -110,7 +110,7 @@ class BridgedSegments:
         return time.monotonic() - begun_s
 
     def wait_reached(self, others: int, limit_s: float = BOOT_S) -> float:
-        """All robots of all segments know that so many other segments are reached."""
+        """Wait until all robots of all segments know that this many other segments are reached."""
 
         def reached() -> bool:
             states = [self.state(number) for number in self.hosts]
@@ -119,10 +119,11 @@ class BridgedSegments:
         return self.wait(f"{others} segments reached", reached, limit_s)
 
     def press_and_wait(self, number: int, slot: int = 0, limit_s: float = 10.0) -> float:
-        """Arm all, press; milliseconds until the last robot of all segments had its zero command."""
+        """Arm all, press; milliseconds until the last robot of all segments had its zero
+        command."""
         for host in self.hosts.values():
             host.ask({"do": "arm"})
-        time.sleep(self.rng.uniform(SPACING_S, 2 * SPACING_S))  # at any moment of the beats
+        time.sleep(self.rng.uniform(SPACING_S, 2 * SPACING_S))  # at a random moment of the beats
         pressed_us = self.hosts[number].ask({"do": "press", "slot": slot})["pressed_us"]
         last_us = 0.0
 
@@ -141,7 +142,7 @@ class BridgedSegments:
 
 
 def write_area(folder: Path, number: int, segments: int) -> Path:
-    """The borders of a ring as the file that `headland bridge --area` reads."""
+    """Write the borders of a ring as the file that `headland bridge --area` reads."""
     from sim.rigs.segments_rig import ring_area
 
     area = ring_area(number, segments, HOME, SHARED)

@@ -1,4 +1,4 @@
-"""N maps with their `MapSync` on the real wire model, and nothing else of a peer."""
+"""N maps with their `MapSync` on the real wire model, without the other parts of a peer."""
 
 from random import Random
 
@@ -31,7 +31,7 @@ class MapFleet:
             self.boot(slot)
 
     def boot(self, slot: int) -> MapSync:
-        """A member with an empty map; one of that slot that was there is gone."""
+        """Start a member with an empty map; an earlier one of that slot is removed."""
         for node in [n for n, s in self.nodes.items() if s == slot]:
             self.wire.detach(node)
             del self.nodes[node]
@@ -55,7 +55,7 @@ class MapFleet:
         self.cut(set(self.members))
 
     def look(self, slot: int) -> None:
-        """A robot sees some cells of some patch, true or not."""
+        """A robot observes some cells of some patch, correctly or not."""
         member, rng = self.members[slot], self.rng
         patches = np.flatnonzero(member.chart._inside.any(axis=1))
         values = np.array([rng.choice((0, 0, 1, 1, 2)) for _ in range(16)], dtype=np.int64)
@@ -84,7 +84,7 @@ class MapFleet:
 
     @property
     def equal(self) -> bool:
-        """In each island all maps are one, bit for bit."""
+        """Whether in each island all maps are equal, bit for bit."""
         return all(
             len({self.members[slot].chart.serialize() for slot in island}) <= 1
             for island in self.islands

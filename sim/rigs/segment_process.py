@@ -1,8 +1,10 @@
-"""One segment of a fleet as a process: a hub and its robots in real time, orders as lines of JSON.
+"""One segment of a fleet as a process: a server and its robots in real time, orders as lines of
+JSON.
 
-For tests and benches with real gateways between real processes: `headland bridge` attaches to the hub
-as to any bus. The robots are whole peers without bodies; their zero commands are what is timed. All
-times are microseconds of the machine's monotonic clock, which processes of one machine share.
+For tests and benches with real gateways between real processes: `headland bridge` attaches to the
+server as to any bus. The robots are whole peers without bodies, and their zero commands are timed.
+All times are microseconds of the machine's monotonic clock, which all processes of one machine
+share.
 
     -> {"do": "press", "slot": 0}        <- {"pressed_us": ...}
     -> {"do": "halts"}                   <- {"halts": {"0": ...}}, first zero command since "arm"
@@ -112,7 +114,8 @@ class SegmentHost:
 
 
 def _release(shell: PeerRunner) -> None:
-    """Between two presses of a bench: a reset at once, without the rejoining that a person causes."""
+    """Between two presses of a bench: reset immediately, without the rejoin that follows a person's
+    reset."""
     safety = shell.peer.safety
     for dot in safety.stops.active:
         safety.clear_near(dot, "a bench")

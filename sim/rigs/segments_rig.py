@@ -1,7 +1,8 @@
-"""Many segments in one swarm: whole peers on whole wires, gateways between them, no bodies.
+"""Many segments in one event loop: whole peers on whole wires, gateways between them, no bodies.
 
-The areas lie in a ring: each segment lends its first sections to the one before it and its last to the
-one after it. Peers claim, work and finish sections as scripted, through their operator calls.
+The areas form a ring: each segment shares its first sections with the one before it and its last
+with the one after it. Peers claim, work and finish sections as scripted, through their operator
+calls.
 """
 
 from collections import Counter
@@ -52,7 +53,7 @@ def ring_area(number: int, segments: int, home: int, shared: int) -> Area:
 
 
 class SegmentFleet:
-    """`segments` times `robots` peers in virtual time; time passes in `run`."""
+    """`segments` times `robots` peers in virtual time; time passes only in `run`."""
 
     def __init__(
         self,
@@ -66,7 +67,7 @@ class SegmentFleet:
         policy: SilencePolicy = SilencePolicy.CONTINUE,
         geometry: Geometry | None = None,
     ) -> None:
-        """`geometry`: of the map that all segments make, where they make one."""
+        """`geometry`: of the map that all segments make, if they make one."""
         self.segments, self.robots, self.seed = range(1, segments + 1), robots, seed
         self.swarm = EventLoop()
         self.backbone = SimulatedBackbone(self.swarm, seed)
@@ -78,7 +79,7 @@ class SegmentFleet:
         self.gateways: dict[int, list[GatewayShell]] = {}
         self.halted_us: dict[tuple[int, int], int] = {}  # last zero command of each robot
         self.bits: Counter[int] = Counter()  # on each wire
-        self.bridged: Counter[int] = Counter()  # of these by gateways
+        self.bridged: Counter[int] = Counter()  # bits of each wire sent by gateways
         for number in self.segments:
             self._segment(number, candidates)
 
@@ -168,7 +169,7 @@ class SegmentFleet:
         self.gateways[shell.gateway.segment].remove(shell)
 
     def run(self, duration_us: int, until: Callable[[], bool] | None = None) -> bool:
-        """Let time pass; with `until` stop as soon as it holds (looked at every 10 ms)."""
+        """Let time pass; with `until`, stop when the condition holds (checked every 10 ms)."""
         end_us = self.swarm.now_us() + duration_us
 
         def script() -> Script[bool]:
@@ -181,7 +182,7 @@ class SegmentFleet:
         return self.swarm.run(script())
 
     def finish(self, number: int, slot: int, section: int, units: int = 3) -> None:
-        """An operation as a robot that was quick: claim, start, cover, done."""
+        """An operation as by a fast robot: claim, start, cover, done."""
         shell = self.shells[number, slot]
         shell.operate(lambda peer, now: peer.claim(section, 3, now))
 
@@ -206,11 +207,11 @@ class SegmentFleet:
         for number in self.segments:
             forget(self.channel(number))
 
-    # ---------------------------------------------------------------- what came of it
+    # ---------------------------------------------------------------- results
 
     @property
     def share(self) -> dict[int, tuple[float, float]]:
-        """Of each wire's time since `count_from_here`: (all frames, those of gateways)."""
+        """The load of each wire since `count_from_here`: (all frames, those of gateways)."""
         span_us = self.swarm.now_us() - self._since_us
         bits = {k: (self.bits[k], self.bridged[k]) for k in self.segments}
         return {k: (a * BIT_US / span_us, b * BIT_US / span_us) for k, (a, b) in bits.items()}
@@ -224,7 +225,8 @@ class SegmentFleet:
 
     @property
     def joined(self) -> bool:
-        """All robots are on their bus, and every segment has a gateway that reaches all others."""
+        """Whether all robots are on their bus, and every segment has a gateway that reaches all
+        others."""
         others = len(self.segments) - 1
         return all(shell.peer.joining.joined for shell in self.shells.values()) and all(
             (lead := self.leader(k)) is not None
@@ -234,7 +236,7 @@ class SegmentFleet:
 
     @property
     def borders_equal(self) -> bool:
-        """At every border both sides hold the same, robot by robot."""
+        """Whether at every border both sides hold the same, robot by robot."""
         for number in self.segments:
             area = self.areas[number]
             for section, place in area.borrowed.items():

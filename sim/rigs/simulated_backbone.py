@@ -1,6 +1,6 @@
-"""A backbone for segments in one swarm: delay, cuts, links that carry one way, duplicates, loss.
+"""A backbone for segments in one event loop: delay, cuts, one-way links, duplicates, loss.
 
-Messages of one sender to one receiver keep their order, as Zenoh's do at one priority.
+Messages of one sender to one receiver keep their order, as with Zenoh at one priority.
 """
 
 from collections.abc import Callable
@@ -29,7 +29,7 @@ class SimulatedBackbone:
         return node
 
     def cut(self, *islands: set[int]) -> None:
-        """Segments of different islands do not hear each other."""
+        """Segments of different islands do not receive each other."""
         island_of = {segment: k for k, island in enumerate(islands) for segment in island}
         segments = {node.segment for node in self.nodes}
         self.deaf = {
@@ -61,7 +61,7 @@ class SimulatedBackbone:
 
 
 class Node:
-    """One gateway's end of it."""
+    """One gateway's end of the backbone."""
 
     def __init__(self, backbone: SimulatedBackbone, segment: int) -> None:
         self.backbone, self.segment, self.open = backbone, segment, True

@@ -1,7 +1,8 @@
-"""N safeties on the real wire model and nothing else of a peer: how long a stop takes to be heard.
+"""N stop controllers on the real wire model, without the other parts of a peer: how long a stop
+takes.
 
 The bus is saturated: poses at the fleet's beats, and a device that always has a frame of the lowest
-priority ready. Each press is a fleet of its own, so that presses are independent.
+priority ready. Each press has a new fleet, so presses are independent.
 """
 
 from heapq import heappop, heappush
@@ -27,20 +28,20 @@ LIMIT_US = 3_000_000
 
 
 class Heard(NamedTuple):
-    """One press: when the last robot was told to stand, and what the bus did meanwhile."""
+    """One press: when the last robot was commanded to stand, and what the bus did meanwhile."""
 
-    last_us: int  # from the press; LIMIT_US where somebody never heard
+    last_us: int  # from the press; LIMIT_US if some robot never received it
     errors: int  # frames destroyed on the wire
     missed: int  # copies that the worst receiver missed
-    dry: int  # times that every copy was used up and only the source's next repeat helped
+    dry: int  # times that every copy was lost and only the source's next repeat helped
 
     @property
     def bound_us(self) -> int:
-        """What the last one may take at most, given what the bus did.
+        """Upper limit of the time of the last robot, given what the bus did.
 
-        The frame on the wire, the stop itself; where copies were missed, the frame that slips in
-        before the first echo; errors, copies; and dry rounds, each a period of repetition and a
-        frame on the wire and a copy more.
+        It is the sum of the frame on the wire; the stop itself; if copies were missed, the frame
+        that enters before the first echo; errors; copies; and dry rounds, each with a period of
+        repetition, a frame on the wire and one more copy.
         """
         first = FRAME_US + FRAME_US + BIT_US
         echo = FRAME_US if self.missed else 0
@@ -49,7 +50,7 @@ class Heard(NamedTuple):
 
 
 class StopFrame(NamedTuple):
-    """A stop frame, whoever sent it."""
+    """A stop frame, from any sender."""
 
     end_us: int
     receivers: frozenset[int]
@@ -79,7 +80,7 @@ class StopFleet:
         self.now_us = 0
 
     def press(self) -> Heard:
-        """One press by anybody, at any moment of the bus."""
+        """One press by any robot, at a random moment of the bus."""
         at_us = 2_000 + self.rng.randrange(self._pose_us)
         self._run(at_us)
         errors = self.wire.errors
@@ -96,8 +97,8 @@ class StopFleet:
         return Heard(last_us, self.wire.errors - errors, *self._misses(worst))
 
     def _misses(self, slot: int) -> tuple[int, int]:
-        """(copies missed, dry rounds) until this robot had one. Copies that were ready follow each
-        other at once, but for frames that are destroyed, and for the one before the first echo."""
+        """(copies missed, dry rounds) until this robot received one. Ready copies follow each other
+        immediately, except for destroyed frames and for the frame before the first echo."""
         missed = dry = 0
         before: StopFrame | None = None
         for copy in self._copies:

@@ -1,7 +1,7 @@
-"""N replicas with their `Synchronizer`, on the real wire model, and nothing else of a peer.
+"""N replicas with their `Synchronizer`, on the real wire model, without the other parts of a peer.
 
 Everything goes over the wire: claims, progress, heartbeats with their digests, sync frames. Members
-are live to each other while they are in one island, after a short silence.
+in one island are live to each other, after a short silence.
 """
 
 from collections import Counter
@@ -23,7 +23,7 @@ from sim.can.can_segment import Delivery, Wire
 from sim.can.frame_timing import frame_bits
 
 ADDRESS = 128
-SILENCE_US = 300_000  # a cut or healed link is seen so much later
+SILENCE_US = 300_000  # a cut or healed link is detected this much later
 
 
 class Member:
@@ -46,7 +46,7 @@ class SyncFleet:
         self.members: dict[int, Member] = {}
         self.islands: list[set[int]] = [set()]
         self.now_us = 0
-        self.sent: Counter[str] = Counter()  # frames that members said as sync, by kind
+        self.sent: Counter[str] = Counter()  # sync frames sent by members, by kind
         self.sync_bits = 0
         self.first_us = self.last_us = -1  # sync frames on the bus
         self._due: list[tuple[int, int]] = []  # (time, slot) of heartbeats; a member's has slot
@@ -57,7 +57,7 @@ class SyncFleet:
     # ---------------------------------------------------------------- members and links
 
     def boot(self, slot: int) -> Member:
-        """A member with an empty memory; it is heard from its next heartbeat on."""
+        """Start a member with an empty memory; others receive it from its next heartbeat on."""
         member = Member(slot, self.wire.attach())
         self.members[slot] = member
         self.islands[0].add(slot)
@@ -70,7 +70,7 @@ class SyncFleet:
         self.see()
 
     def part(self, operations: int, left: int, every_us: int) -> None:
-        """After some common history the first `left` peers are cut off; each side writes half."""
+        """After a common history, the first `left` peers are cut off; each side writes half."""
         peers = len(self.members)
         for section in range(200):
             self.write(section % peers, section, None)
@@ -95,7 +95,7 @@ class SyncFleet:
     # ---------------------------------------------------------------- operations
 
     def write(self, slot: int, section: int, unit: int | None = 0) -> None:
-        """Claim a section and cover one unit of it, announced as a peer does."""
+        """Claim a section and cover one unit of it, announced as by a peer."""
         member = self.members[slot]
         key = member.allocation.claim(section, slot, self.rng.randrange(32))
         if key is not None:
@@ -112,7 +112,7 @@ class SyncFleet:
     # ---------------------------------------------------------------- time
 
     def run(self, duration_us: int, until_equal: bool = False) -> bool:
-        """Let time pass; with `until_equal` stop as soon as all replicas of each island are equal."""
+        """Let time pass; with `until_equal`, stop when all replicas of each island are equal."""
         end_us = self.now_us + duration_us
         while self.now_us < end_us:
             if until_equal and self.equal:
@@ -164,7 +164,7 @@ class SyncFleet:
             else:
                 sync.receive(slot, message, delivery.t_us)
 
-    # ---------------------------------------------------------------- what came of it
+    # ---------------------------------------------------------------- results
 
     @property
     def equal(self) -> bool:
@@ -174,7 +174,7 @@ class SyncFleet:
 
     @property
     def states(self) -> set[tuple[bytes, bytes]]:
-        """Whole replicas, not their digests."""
+        """The whole replicas, not their digests."""
         return {(m.allocation.serialize(), m.progress.serialize()) for m in self.members.values()}
 
     @property

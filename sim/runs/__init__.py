@@ -1,1 +1,1 @@
-"""One run of each mission, from a setup to an outcome, and what is written of the work done."""
+"""One run of each mission, from a setup to an outcome, and the records of the work done."""

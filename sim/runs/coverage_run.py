@@ -1,9 +1,10 @@
-"""Whole peers cover a grid map over the simulated wire, and what came of it in truth.
+"""Whole peers cover a grid map over the simulated wire; the outcome is measured from the truth.
 
     outcome = GridFleet(GridSetting.made(instance)).run()
 
-Every robot is the peer that runs on a robot, with address claim, membership, safety, claims, sync and
-all frames on a bus of 250 kbit/s; only bodies and sensors are plainer than in a field (`grid_world`).
+Every robot is the peer that runs on a real robot, with address claim, membership, safety, claims,
+sync and all frames on a bus of 250 kbit/s. Only bodies and sensors are simpler than in a field
+(`grid_world`).
 """
 
 import itertools
@@ -29,7 +30,7 @@ from sim.world.grid_world import GridWorld
 from sim.world.plan_judge import lower_bound, steps_from
 
 LOOK_US = 500 * MS
-QUIET_US = 10 * S  # after the last cell: registers and replicas must be in order within this
+QUIET_US = 10 * S  # after the last cell, registers and replicas must be in order within this time
 
 _numbers = itertools.count()
 Told = Callable[[float, float], None]
@@ -39,19 +40,19 @@ class GridOutcome(NamedTuple):
     map: str
     robots: int
     seed: int
-    finished: bool  # all robots that run say so, and all sections are done
+    finished: bool  # all running robots report it, and all sections are done
     uncovered: int  # cells that a running robot could reach
     makespan_s: float  # from power-up until the last cell was covered
-    bound_s: float  # that no fleet can beat: distance-aware, one cell a step
-    replanned: int  # cells planned although the planner's own replica said that they were covered
-    redone: int  # cells planned although covered by a robot that is there and in reach of all
-    untold: int  # cells planned that a robot covered just before it died, and told nobody of
+    bound_s: float  # lower bound for any fleet: distance-aware, one cell a step
+    replanned: int  # cells planned although the planner's own replica had them as covered
+    redone: int  # cells planned although covered by a robot that is present and reachable by all
+    untold: int  # cells planned that a robot covered just before it died, and could not report
     contacts: int
     through_walls: int
     closest_m: float
     replicas_equal: bool
     steps: int  # cells entered by all robots
-    rounds: int  # of agreement, the most that one robot took part in
+    rounds: int  # of agreement; the largest number that one robot took part in
     sections_done: int
     sections: int
     frames: Mapping[str, int]
@@ -60,7 +61,7 @@ class GridOutcome(NamedTuple):
     bus_load_worst_case: float
     trace_hash: str
     simulated_s: float
-    cpu_s: float  # of all robots, the bus and the world together, in one process
+    cpu_s: float  # all robots, the bus and the world together, in one process
 
     @property
     def ratio(self) -> float:
@@ -87,7 +88,7 @@ class GridCluster(Cluster):
         self.never_died = set(range(len(setting.starts)))
 
     def boot(self, slot: int) -> Robot:
-        """A robot that is new comes into the free cell next to its start."""
+        """Boot a robot; a new one is put into the free cell next to its start."""
         if self.boots[slot]:
             self.never_died.discard(slot)
         if slot not in self.grid_world.robots:
@@ -126,7 +127,7 @@ class GridCluster(Cluster):
 
     @property
     def finished(self) -> bool:
-        """Every running robot is at the end of its plan, and what is covered is done."""
+        """Whether every running robot is at the end of its plan, and covered cells are done."""
         return any(self.mission(robot).accords.going for robot in self.running) and all(
             self.mission(robot).over and self._in_order(robot) for robot in self.running
         )
@@ -137,7 +138,8 @@ class GridCluster(Cluster):
         return peer.allocation.done_count() >= complete
 
     def reachable(self) -> set[int]:
-        """Cells that some running robot can get to; others' bodies are in the way for good."""
+        """Cells that some running robot can reach; bodies of the others block their cells
+        permanently."""
         ground = self.place.ground
         walls = ground.walls.copy()
         for slot, body in self.grid_world.robots.items():
@@ -149,19 +151,19 @@ class GridCluster(Cluster):
         return {ground.number(cell) for cell in found}
 
     def _near(self, at: tuple[float, float]) -> Any:
-        """Cells in which there is no room beside a body, or perhaps none: others know its place by
-        its last beat, and how far it ran on then to 0.1 of a cell."""
+        """Cells without room beside a body, or possibly without. Others know its position by its
+        last beat; how far it moved after that is known to 0.1 of a cell."""
         off = np.abs(self.grid_world._centres - at)
         return (off < 0.8 * self.place.ground.cell_m).all(axis=1)
 
 
 class ReplanAuditor:
-    """Compares each new plan with what was covered when its round began."""
+    """Compares each new plan with the cells that were covered when its round began."""
 
     def __init__(self, cluster: GridCluster) -> None:
         self.cluster = cluster
         self.replanned = self.redone = self.untold = 0
-        self._seen: dict[int, int] = {}  # slot -> round looked at
+        self._seen: dict[int, int] = {}  # slot -> last round that was checked
 
     def look(self) -> None:
         islands = {n.island for n in self.cluster.segment.wire.nodes.values()}
@@ -172,7 +174,7 @@ class ReplanAuditor:
             self._seen[robot.slot] = rounds.round
             assert rounds.course is not None
             units = [rounds.ground.unit(n) for n in rounds.course.todo.tolist()]
-            # What was covered since the round began, by this plan, is no fault of it.
+            # Cells covered since the round began, by this plan, are not a fault of the plan.
             truth = self.cluster.grid_world.truth
             first_us, by = truth.first_us[rounds.course.todo], truth.by[rounds.course.todo]
             before = (first_us != NONE) & (first_us < rounds.begun_us)
@@ -193,11 +195,11 @@ class CoverageRun:
     def __init__(
         self, setting: GridSetting, out: Path | None = None, told: Told | None = None
     ) -> None:
-        """`told`: is told the simulated seconds and the share covered, now and then."""
+        """`told`: called now and then with the simulated seconds and the share covered."""
         self.setting, self.out, self.told = setting, out, told
         self.tally = BusTally()
         self.cluster: GridCluster | None = None
-        self.covered_us: Any = None  # by number: when each cell was covered; -1: never
+        self.covered_us: Any = None  # by cell number: when each cell was covered; -1: never
 
     def run(self) -> GridOutcome:
         swarm = EventLoop()

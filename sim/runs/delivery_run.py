@@ -1,4 +1,4 @@
-"""One run of a delivering fleet from power-up to the last parcel, and what came of it in truth."""
+"""One run of a delivery fleet from power-up to the last parcel; the outcome is from the truth."""
 
 import itertools
 import time
@@ -27,8 +27,9 @@ from sim.world.ground_truth import TrackPoint
 from sim.world.parcel_truth import CarrierBody
 
 LOOK_US = 500_000
-CUT_OFF_US = 60 * S  # what robots cannot get to for so long they will not: no box stands longer
-QUIET_US = 4 * S  # after the last parcel replicas must be equal within this
+# A place that robots cannot reach for this long stays unreachable: no box stands longer.
+CUT_OFF_US = 60 * S
+QUIET_US = 4 * S  # after the last parcel, replicas must be equal within this time
 
 _numbers = itertools.count()
 
@@ -46,26 +47,26 @@ class HaulOutcome(NamedTuple):
     seed: int
     tasks: int
     delivered: int
-    unreachable: tuple[int, ...]  # tasks that nobody could get to, as the robots say
-    finished: bool  # every parcel lies at its dropoff, and every running replica knows it
+    unreachable: tuple[int, ...]  # tasks that no robot could reach, as the robots report
+    finished: bool  # every parcel lies at its dropoff, and every running replica has it
     makespan_s: float  # until the last parcel was put down
-    latency_s: float  # the mean from a task's appearing to its delivery
+    latency_s: float  # the mean time from a task's appearance to its delivery
     flaws: Mapping[str, int]  # twice, lost, by_two, again
-    empty: tuple[int, ...]  # robots whose battery ever was
+    empty: tuple[int, ...]  # robots whose battery was empty at any time
     lowest_battery: float
     charges: int
     contacts: int  # deeper than 2 cm: bodies are measured to a centimetre
     closest_m: float
     travel_m: float
-    rounds: int  # of planning, streamed plans
-    agreements: int  # rounds in jams, the most that one robot saw
-    ahead: int  # paths that were planned before they were needed, and used
-    waited_s: float  # for new itineraries, all robots
+    rounds: int  # of planning, with streamed plans
+    agreements: int  # rounds in jams; the largest number that one robot took part in
+    ahead: int  # paths that were planned before they were needed, and then used
+    waited_s: float  # for new itineraries, total of all robots
     replicas_equal: bool
     bus_load: float
     frames: Mapping[str, int]
     malformed: int
-    pymunk_steps: int  # of 10 ms, that pymunk has made
+    pymunk_steps: int  # steps of 10 ms made by pymunk
     trace_hash: str
     simulated_s: float
     wall_s: float
@@ -118,8 +119,8 @@ class HaulCluster(Cluster):
 
     @property
     def unreachable(self) -> frozenset[int]:
-        """Tasks that are not done and cannot be, as the running robots say: who has the parcel aboard
-        does not get to its dropoff, or nobody gets to both places."""
+        """Tasks that are not done and cannot be, as the running robots report. Either the robot
+        with the parcel aboard cannot reach its dropoff, or no robot can reach both places."""
         cut = {robot.slot: self.missions[robot.slot].cut_off.sections for robot in self.running}
         found = set()
         for task in self.truth.dropoff.keys() - self.truth.delivered_us.keys():
@@ -138,14 +139,14 @@ class DeliveryRun:
         told: Callable[[RunProgress], None] | None = None,
         watch: Callable[[HaulCluster], None] | None = None, forever: bool = False,
     ) -> None:  # fmt: skip
-        """`watch` is given the cluster twice a second. `forever`: more tasks may come at any time."""
+        """`watch` gets the fleet twice a second. `forever`: more tasks may come at any time."""
         self.forever = forever
         self.setting, self.out, self.told, self.watch = setting, out, told, watch
         self.kinds: Counter[str] = Counter()
         self.malformed = 0
         self.tracks: dict[int, list[TrackPoint]] = {}
         self.cluster: HaulCluster | None = None
-        self.ended = False  # by a person
+        self.ended = False  # a person ended the run
         self.attach: Callable[[HaulCluster], None] | None = None
 
     def run(self) -> HaulOutcome:
@@ -153,7 +154,8 @@ class DeliveryRun:
         return swarm.run(self._play(swarm))
 
     async def live(self, attach: Callable[[HaulCluster], None]) -> HaulOutcome:
-        """In the running loop's time, which begins at 0. `attach`: who else is on the bus."""
+        """Run in the running loop's time, which begins at 0. `attach`: connects others to the
+        bus."""
         host = LoopHost()
         self.attach = attach
         try:
@@ -195,7 +197,7 @@ class DeliveryRun:
 
     def _until_finished(self, cluster: HaulCluster, scripts: list[Handle]) -> Script[None]:
         host, limit_us = cluster.host, round(self.setting.scenario.run.time_limit_s * S)
-        hope_us = 0  # when something could last be got to
+        hope_us = 0  # when a place could last be reached
         while host.now_us() < limit_us:
             yield host.now_us() + LOOK_US
             cluster.check()
@@ -266,7 +268,7 @@ class DeliveryRun:
 
 
 def _charges(cluster: HaulCluster) -> int:
-    """Visits of bays that were done, as a running replica knows."""
+    """Visits of bays that were completed, by a running replica."""
     for robot in cluster.running:
         allocation = robot.peer.allocation
         return sum(

@@ -1,4 +1,4 @@
-"""A fleet that explores an arena from power-up to the end, and what came of it in truth."""
+"""A fleet that explores an arena from power-up to the end; the outcome is from the truth."""
 
 import asyncio
 import itertools
@@ -42,8 +42,8 @@ from sim.scenarios.exploration_scenario import ArenaScenario, ArenaSetting
 from sim.world.ground_truth import TrackPoint
 
 LOOK_S = 0.25
-QUIET_S = 2.0  # after the last news of the map all replicas must be equal
-FENCE_M = 0.04  # kept from walls by the last resort; planned ways keep 0.1 m
+QUIET_S = 2.0  # after the last news of the map, all replicas must be equal within this time
+FENCE_M = 0.04  # distance from walls kept by collision avoidance; planned paths keep 0.1 m
 MOST = 0.95
 REPORT_S = 2.0
 TICK_US = 1_000_000  # of the fleet's clock
@@ -58,7 +58,7 @@ class Sharing(Enum):
 
 
 class InstantMapSync(MapSync):
-    """News reach all maps in no time and without a frame."""
+    """News reach all maps immediately and without a frame."""
 
     fleet: "list[InstantMapSync]"
     hold_us = 0
@@ -79,13 +79,13 @@ class SurveyOutcome(NamedTuple):
     robots: int
     seed: int
     finished: bool  # no live robot sees a frontier that it could reach
-    explored: float  # share of what can be seen, in the joined map of the first running robot
-    right: float  # share of its known cells of which it says what is true
-    time_95_s: float  # until all robots together have seen 95 % of what can be seen; inf: never
+    explored: float  # share of the visible area in the joined map of the first running robot
+    right: float  # share of its known cells that are correct
+    time_95_s: float  # until all robots together have seen 95 % of the visible area; inf: never
     time_s: float  # until the end
-    overlap: float  # area that a robot saw after another had, by the area that can be seen, at 95 %
+    overlap: float  # area that a robot saw after another had, divided by the visible area, at 95 %
     overlap_end: float  # the same at the end of the run
-    equal_s: float  # how long after the last news all maps were equal, bit for bit
+    equal_s: float  # time from the last news until all maps were equal, bit for bit
     maps_equal: bool  # within 2 s
     contacts: int
     closest_m: float
@@ -97,7 +97,7 @@ class SurveyOutcome(NamedTuple):
     frames: Mapping[str, int]
     malformed: int
     travel_m: float
-    pymunk_steps: int  # of 10 ms, that pymunk has made
+    pymunk_steps: int  # steps of 10 ms made by pymunk
     trace_hash: str
     wall_s: float
 
@@ -159,7 +159,7 @@ class SurveyCluster(Cluster):
 
     @property
     def finished(self) -> bool:
-        """No running robot has a task, or sees a frontier that it could reach."""
+        """Whether no running robot has a task, or sees a frontier that it could reach."""
         running = self.running
         return bool(running) and all(
             robot.peer.mission is not None
@@ -176,13 +176,13 @@ class SurveyCluster(Cluster):
 
     @property
     def told_us(self) -> int:
-        """News that is still to be told, of all: 0 where everything is said."""
+        """The number of patches that all robots still have to send; 0 if everything is sent."""
         syncs = [self.missions[robot.slot].chart.sync for robot in self.running]
         return sum(sync.pending for sync in syncs if sync is not None)
 
 
 class SeenCells:
-    """Who saw which cell first, and who saw it again: from the robots' own evidence."""
+    """Which robot saw each cell first, and which saw it again, from the robots' own evidence."""
 
     def __init__(self, setting: ArenaSetting) -> None:
         self.truth = setting.reachable
@@ -190,7 +190,7 @@ class SeenCells:
         self.first: NDArray[np.int64] = np.full(shape, -1, dtype=np.int64)
         self.by: dict[int, NDArray[np.bool_]] = {}
         self.again = 0
-        self.cells = int(np.count_nonzero(self.truth))  # that can be seen
+        self.cells = int(np.count_nonzero(self.truth))  # cells that can be seen
 
     def look(self, missions: Mapping[int, ExplorationMission]) -> None:
         for slot, mission in sorted(missions.items()):
@@ -216,9 +216,9 @@ class FilmFrame(NamedTuple):
     """One picture of the film."""
 
     now_s: float
-    slot: int  # whose map it is
+    slot: int  # the robot whose map it is
     values: Values
-    first: NDArray[np.int64]  # who saw each cell first; -1: nobody yet
+    first: NDArray[np.int64]  # the robot that saw each cell first; -1: none yet
     places: Mapping[int, tuple[float, float]]
 
 
@@ -230,8 +230,8 @@ class ExplorationRun:
         orders: Sequence[ExplorationOrder] = (), until: float = 2.0,
         attach: Callable[[Cluster], None] | None = None,
     ) -> None:  # fmt: skip
-        """`until`: end when this share has been seen; above 1: when the fleet says it is over;
-        `attach` is given the cluster before anybody is switched on."""
+        """`until`: end when this share has been seen; above 1: end when the fleet reports the end.
+        `attach` gets the fleet before any robot is switched on."""
         self.attach = attach
         self.setting, self.sharing, self.out = ArenaSetting(scenario), sharing, out
         self.orders = [*(table.order for table in scenario.order), *orders]
@@ -239,12 +239,13 @@ class ExplorationRun:
         self.seen = SeenCells(self.setting)
         self.kinds: Counter[str] = Counter()
         self.map_bits = self.map_bytes = self.malformed = 0
-        self.news_us = 0  # when the map last had news on the bus
+        self.news_us = 0  # when the last news of the map was on the bus
         self.charts: dict[int, Values] = {}
         self.joined: OccupancyMap | None = None
         self.films: list[FilmFrame] = []
         self.tracks: dict[int, list[TrackPoint]] = {}
-        self.reports: list[tuple[float, str]] = []  # seconds, what the first robot would tell
+        # seconds, the report that the first robot would give.
+        self.reports: list[tuple[float, str]] = []
 
     def run(self) -> SurveyOutcome:
         return run_virtual(self.go())
@@ -287,7 +288,8 @@ class ExplorationRun:
     async def _watch(
         self, cluster: SurveyCluster, script: "asyncio.Task[None]"
     ) -> tuple[float, float, float, float]:
-        """Until the end: seconds to 95 %, overlap then, seconds to the end, seconds to equal maps."""
+        """Run until the end; returns seconds to 95 %, overlap then, seconds to the end, seconds to
+        equal maps."""
         loop, limit_s = asyncio.get_running_loop(), self.setting.scenario.run.time_limit_s
         most_s = overlap = np.inf
         done_s = 0.0
@@ -311,12 +313,13 @@ class ExplorationRun:
         return most_s, overlap, end_s, loop.time() - last_s
 
     def _note(self, cluster: SurveyCluster, now_s: float) -> None:
-        """Each two seconds: the report of a robot, another one each time, and the maps."""
+        """Every two seconds, record the report of a robot, a different one each time, and the
+        maps."""
         if not cluster.running or (self.reports and now_s < self.reports[-1][0] + REPORT_S):
             return
         robot = cluster.running[len(self.reports) % len(cluster.running)]
         mission = cluster.missions[robot.slot]
-        if robot.peer.here is None:  # its sensors have said nothing yet
+        if robot.peer.here is None:  # its sensors have no observation yet
             return
         status = fleet_status(robot.peer.view(round(now_s * 1e6)), mission)
         self.reports.append((now_s, serialize_for_llm(status, ages=True)))

@@ -1,4 +1,4 @@
-"""One run of a scenario from power-up to the end, and what came of it."""
+"""One run of a scenario from power-up to the end, and its outcome."""
 
 import itertools
 import time
@@ -21,7 +21,7 @@ from sim.world.coverage_truth import Coverage, coverage, sample_points
 from sim.world.ground_truth import TrackPoint
 from sim.world.implement_contacts import implement_contacts
 
-LOOK_US = 1 * S  # how often the end is looked for and progress is told
+LOOK_US = 1 * S  # how often the end is checked and progress is reported
 RASTER_M = 0.25  # of the coverage check
 
 _numbers = itertools.count()
@@ -29,7 +29,7 @@ Told = Callable[["RunProgress"], None]
 
 
 class RunProgress(NamedTuple):
-    """How a run is doing, for whoever watches."""
+    """The progress of a run, for observers."""
 
     simulated_s: float
     done: int
@@ -48,8 +48,8 @@ class FieldRun:
         swarm: bool = True,
         attach: Callable[[Cluster], None] | None = None,
     ) -> None:
-        """`swarm`: on a plain event loop; else on asyncio's, as robots are, with the same result;
-        `attach` is given the cluster before anybody is switched on."""
+        """`swarm`: use our event loop; else asyncio's, as on robots, with the same result. `attach`
+        gets the fleet before any robot is switched on."""
         self.attach = attach
         self.swarm = swarm
         self.setting, self.out, self.told = setting, out, told
@@ -57,12 +57,12 @@ class FieldRun:
         self.tally = BusTally()
         self.tracks: dict[int, list[TrackPoint]] = {}
         self.truth: Coverage | None = None
-        self.recorder: Recorder | None = None  # none: a new one
+        self.recorder: Recorder | None = None  # None: a new one
         self.faults: list[tuple[float, str]] = []
 
     @property
     def told_faults(self) -> list[dict[str, Any]]:
-        """What was done to the fleet, and when, as plain values."""
+        """The faults applied to the fleet, and when, as plain values."""
         planned = sorted(self.setting.scenario.fault, key=lambda fault: fault.at_s)
         return [
             {"t_s": t_s, **fault.model_dump(mode="json", exclude={"at_s"})}
@@ -70,7 +70,7 @@ class FieldRun:
         ]
 
     def run(self) -> Outcome:
-        """Virtual time, as fast as it goes."""
+        """Run in virtual time, as fast as possible."""
         if not self.swarm:
             return run_virtual(self._on_asyncio())
         swarm = EventLoop()

@@ -1,5 +1,5 @@
-"""Binary time logs of ISO 11783-10 (TLG, type 1): a header in XML that says what a record holds, and
-the records.
+"""Binary time logs of ISO 11783-10 (TLG, type 1): a header in XML that defines a record, and the
+records.
 
     bytes 0..3   time of day, ms         4..5   days since 1 January 1980
     bytes 6..9   latitude, 1e-7 degrees  10..13 longitude, 1e-7 degrees
@@ -33,16 +33,16 @@ HEADER = (
 
 
 class BadTimeLog(Exception):
-    """Records that are not as the header says."""
+    """Records that do not match the header."""
 
 
 def header(element: str) -> str:
-    """The XML beside the records; `element` is the device element whose work state it is."""
+    """The XML file beside the records; `element` is the device element with the work state."""
     return HEADER.format(ddi=WORK_STATE, element=element)
 
 
 def pack(log: Sequence[LogPoint], started: datetime) -> bytes:
-    """Records of one robot's way."""
+    """Records of one robot's track."""
     start_ms = (started - EPOCH) // MILLISECOND
     records, before = [], None
     for point in log:
@@ -55,7 +55,7 @@ def pack(log: Sequence[LogPoint], started: datetime) -> bytes:
 
 
 def unpack(records: bytes, started: datetime) -> tuple[LogPoint, ...]:
-    """The inverse of `pack`. BadTimeLog where it is none of ours."""
+    """The inverse of `pack`. BadTimeLog if `pack` did not write it."""
     start_ms = (started - EPOCH) // MILLISECOND
     at, working, log = 0, False, []
     while at < len(records):

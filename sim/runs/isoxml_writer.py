@@ -7,7 +7,7 @@
          TLG with each robot's way and whether the implement was down
     DVC  each robot, with the width of its implement (DDI 67) and its work state (DDI 141)
 
-Written as a folder, or as a zip where the name ends so.
+Written as a folder, or as a zip if the name ends in .zip.
 """
 
 import zipfile
@@ -29,7 +29,8 @@ ZONE = 1  # code of the treatment zone that was worked
 
 
 def write_isoxml(record: WorkRecord, out: Path) -> None:
-    """Task data into a folder (made if need be) or a zip. FieldFileError without `isoxml`."""
+    """Write task data into a folder (created if needed) or a zip. FieldFileError without
+    `isoxml`."""
     try:
         from isoxml.util.isoxml_io import isoxml_to_text
     except ImportError:
@@ -43,7 +44,8 @@ def write_isoxml(record: WorkRecord, out: Path) -> None:
     if out.suffix.lower() == ".zip":
         with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
             for name, content in files.items():
-                archive.writestr(name, content)  # at the top: `isoxml` looks nowhere else
+                # At the top level, the only place where `isoxml` looks.
+                archive.writestr(name, content)
         return
     out.mkdir(parents=True, exist_ok=True)
     for name, content in files.items():
@@ -186,7 +188,7 @@ def _task(iso: Any, record: WorkRecord) -> Any:
 
 
 def read_work_isoxml(path: Path) -> WorkRecord:
-    """FieldFileError where it is not what `write_isoxml` writes."""
+    """Read a work record. FieldFileError if `write_isoxml` did not write it."""
     data = load_task_data(path)
     try:
         field, task = data.partfields[0], data.tasks[0]

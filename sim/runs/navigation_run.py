@@ -1,4 +1,4 @@
-"""One run of a fleet on its errands, and what came of it."""
+"""One run of a fleet with navigation goals, and its outcome."""
 
 import itertools
 import time
@@ -29,14 +29,14 @@ Points = tuple[tuple[float, float], ...]
 
 
 class GoalResult(NamedTuple):
-    """One errand as it was driven."""
+    """One goal as it was driven."""
 
     slot: int
     number: int
     arrived_s: float  # inf: never
-    rmse_m: float  # of the true positions to the polyline that was being followed
-    replans: int  # paths that were planned for it on the way, not counting those after a plan
-    plans: int  # joint plans that it took part in
+    rmse_m: float  # of the true positions, relative to the polyline that was being followed
+    replans: int  # paths planned for it on the way, without those that follow a joint plan
+    plans: int  # joint plans with this robot
 
 
 class OutingOutcome(NamedTuple):
@@ -46,20 +46,20 @@ class OutingOutcome(NamedTuple):
     authenticated: bool
     finished: bool
     contacts: int
-    moved_after_stop: int  # steps in which a robot moved that had to stand
+    moved_after_stop: int  # steps in which a robot that had to stand moved
     simulated_s: float
-    arrived_s: tuple[float, ...]  # each robot's last goal; inf: never
+    arrived_s: tuple[float, ...]  # when each robot reached its last goal; inf: never
     legs: tuple[GoalResult, ...]
-    rounds: int  # of agreement, the most that one robot saw
+    rounds: int  # of agreement; the largest number that one robot took part in
     unsolved: int
-    obstacles: int  # boxes that came and went
+    obstacles: int  # boxes that appeared and vanished
     closest_m: float
     travel_m: float
     replicas_equal: bool
     frames: Mapping[str, int]  # by kind
     malformed: int
     bus_load: float  # share of the bus in use, exact bits
-    pymunk_steps: int  # of 10 ms, that pymunk has made
+    pymunk_steps: int  # steps of 10 ms made by pymunk
     trace_hash: str
     wall_s: float
 
@@ -69,7 +69,7 @@ class OutingOutcome(NamedTuple):
         return self.finished and clean and self.replicas_equal
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON, which knows no infinity: null is never."""
+        """For JSON, which has no infinity; null means never."""
         arrived_s = [None if t_s == inf else t_s for t_s in self.arrived_s]
         legs = [
             {k: v if v == v and v != inf else None for k, v in leg._asdict().items()}
@@ -80,7 +80,7 @@ class OutingOutcome(NamedTuple):
 
 
 class RunProgress(NamedTuple):
-    """How far a run is."""
+    """The progress of a run."""
 
     simulated_s: float
     reached: int
@@ -97,18 +97,18 @@ class NavigationRun:
         logs: Sequence[Path] = (),
         attach: Callable[[Cluster], None] | None = None,
     ) -> None:
-        """`out`: where trace.jsonl and can.log go; `told` is called every half second; `attach` is
-        given the cluster before anybody is switched on."""
+        """`out`: folder for trace.jsonl and can.log; `told` is called every half second; `attach`
+        gets the fleet before any robot is switched on."""
         self.setting, self.told, self.attach = setting, told, attach
         self.logs = [*([out / "can.log"] if out else []), *logs]
         self.tracks: dict[int, NDArray[np.float64]] = {}  # (n, 4): microseconds, x, y, -
         self.followed: dict[int, list[FollowedPath]] = {}
-        self._done_us: dict[int, int] = {}  # section: when its robot said so
+        self._done_us: dict[int, int] = {}  # section -> when its robot reported it done
         self._recorder = Recorder(out / "trace.jsonl" if out else None)
         self._tally = BusTally()
 
     def run(self) -> OutingOutcome:
-        """Virtual time, as fast as it goes."""
+        """Run in virtual time, as fast as possible."""
         swarm = EventLoop()
         return swarm.run(self._play(swarm))
 
@@ -142,7 +142,7 @@ class NavigationRun:
             self.told(RunProgress(now_s, len(self._done_us), goals, states))
 
     def _settle(self, cluster: Cluster) -> Script[None]:
-        """The last news reaches everybody."""
+        """Wait until the last news has reached all robots."""
         until_us = cluster.host.now_us() + quiet_us(self.setting.scenario.bus)
         while not cluster.replicas_equal and cluster.host.now_us() < until_us:
             yield cluster.host.now_us() + LOOK_US // 10
@@ -212,7 +212,7 @@ class NavigationRun:
 def rmse_m(track: NDArray[np.float64], paths: list[FollowedPath], until_us: int) -> float:
     """Root mean square of the distance to the polyline (not to its vertices) followed at the time.
 
-    nan where nothing was driven.
+    nan if nothing was driven.
     """
     squares: list[float] = []
     for k, path in enumerate(paths):

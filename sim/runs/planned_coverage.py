@@ -1,6 +1,6 @@
-"""Working a grid with a coverage team, step by step, recorded as a plan.
+"""Cover a grid with a coverage team, step by step, recorded as a plan.
 
-Every robot would compute the same team from the same map and places; here it is computed once.
+Every robot would compute the same team from the same map and positions; here it is computed once.
 """
 
 from collections.abc import Sequence
@@ -10,8 +10,9 @@ from agent.coverage.team import Team
 from sim.files.coverage_plan_file import STEPS, Plan
 from sim.files.grid_map import Cell, Instance
 
-# No run is longer: each goal is at most all cells away, and each one reached is a cell covered. This
-# bound is far above what ever happens; a run that hits it is a broken invariant, not a slow one.
+# Upper limit of a run. Each goal is at most all cells away, and each goal reached is a covered
+# cell. The limit is far above real runs; a run that reaches it has a broken invariant and is not
+# merely slow.
 STEPS_PER_CELL_MAX = 50
 
 
@@ -31,7 +32,7 @@ def work(
     deaths: Sequence[Death] = (),
     arrivals: Sequence[Arrival] = (),
 ) -> Plan:
-    """The team's plan to its end. An arrival into a cell where a robot is waits until that has left."""
+    """The team's plan to its end. An arrival in an occupied cell waits until the cell is free."""
     team = Team(instance.walls, instance.starts, turn_cost)
     recorder = _Recorder(team, instance)
     ends, waiting = sorted(deaths), sorted(arrivals)
@@ -42,10 +43,10 @@ def work(
             number = team.number(arrival.cell)
             if team.grid.here[number] < 0:
                 waiting.remove(arrival)
-                if team.grid.free[number]:  # nobody comes out of a wreck
+                if team.grid.free[number]:  # no robot can start from a wreck
                     recorder.join(arrival.cell)
         if not team.remaining() and not any(a.step > team.now for a in waiting) and not ends:
-            break  # nothing left to do for whoever would come
+            break  # no work is left for a robot that would arrive
         recorder.advance()
         assert team.now < STEPS_PER_CELL_MAX * instance.walls.size + 1000, "locked"
     return recorder.plan

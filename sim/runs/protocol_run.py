@@ -1,4 +1,4 @@
-"""One drill from power-up to the end: an expedition without a world to measure."""
+"""One protocol run from power-up to the end: a field run without a world to measure."""
 
 from math import inf
 

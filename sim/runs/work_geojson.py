@@ -1,4 +1,4 @@
-"""A work record as GeoJSON (RFC 7946): what `headland run` leaves in its folder as work.geojson."""
+"""A work record as GeoJSON (RFC 7946): the file work.geojson in the folder of `headland run`."""
 
 import json
 from datetime import UTC, datetime
@@ -11,7 +11,7 @@ from sim.runs.work_record import LogPoint, Rings, Swath, WorkRecord
 
 
 def write_geojson(record: WorkRecord, path: Path, run: str | None = None) -> None:
-    """`run`: the hash of the run's frames, which its report.json has as `log_hash`."""
+    """`run`: the hash of the run's frames, `log_hash` in its report.json."""
     features = [
         _feature(
             "Polygon", record.boundary, kind="boundary", name=record.name,
@@ -43,7 +43,7 @@ def _feature(kind_of: str, coordinates: Any, **properties: Any) -> dict[str, Any
 
 
 def read_work_geojson(path: Path) -> WorkRecord:
-    """FieldFileError where it is not what `write_geojson` writes."""
+    """Read a work record. FieldFileError if `write_geojson` did not write it."""
     document = load_json(path)
     try:
         return _record(document)
@@ -52,7 +52,7 @@ def read_work_geojson(path: Path) -> WorkRecord:
 
 
 def run_of(path: Path) -> str | None:
-    """The run that a work record says it is of. FieldFileError where it is not JSON."""
+    """The run that a work record names as its origin. FieldFileError if it is not JSON."""
     said = load_json(path).get("run")
     return said if isinstance(said, str) else None
 

@@ -1,4 +1,4 @@
-"""Finished work as others can use it: what was to be done, what was covered, and who drove where.
+"""Finished work for other programs: the field, the covered area, and the track of each robot.
 
 Positions are longitude and latitude in degrees (WGS 84), rounded to what ISO 11783-10 can carry:
 1e-9 degrees (0.1 mm) in outlines, 1e-7 (1 cm) and milliseconds in time logs. `work_geojson.py` and
@@ -21,13 +21,14 @@ from sim.files.field_file import plane
 from sim.world.ground_truth import TrackPoint
 
 OUTLINE_DIGITS, LOG_DIGITS = 9, 7
-LOG_US = 1_000_000  # a time log has a record a second, as task controllers keep it, and
-# one wherever the implement goes up or down
-DETAIL_M = 0.02  # how far the outline of what was covered may be off
+# A time log has a record a second, as task controllers write it, and one at each switch of the
+# implement.
+LOG_US = 1_000_000
+DETAIL_M = 0.02  # tolerance of the outline of the covered area
 NAME_MAX = 32  # characters, the limit of ISO 11783-10
-GRID_M = 0.001  # its points are on millimetres, so that no rounding makes it cross itself
+GRID_M = 0.001  # its points are on millimetres, so that rounding cannot make it cross itself
 
-Rings = tuple[tuple[LonLat, ...], ...]  # the exterior first; each ends where it began
+Rings = tuple[tuple[LonLat, ...], ...]  # the exterior first; each ends at its start
 
 
 class Swath(NamedTuple):
@@ -36,7 +37,7 @@ class Swath(NamedTuple):
 
 
 class LogPoint(NamedTuple):
-    t_ms: int  # since the record's beginning
+    t_ms: int  # since the start of the record
     lon: float
     lat: float
     working: bool  # the implement is down from here on
@@ -50,7 +51,7 @@ class WorkRecord(NamedTuple):
     boundary: Rings
     swaths: tuple[Swath, ...]
     covered: tuple[Rings, ...]
-    logs: Mapping[int, tuple[LogPoint, ...]]  # robot -> its way, in order of time
+    logs: Mapping[int, tuple[LogPoint, ...]]  # robot -> its track, in order of time
 
     @property
     def duration_ms(self) -> int:
@@ -60,7 +61,7 @@ class WorkRecord(NamedTuple):
 def record_of(
     field: Field, tracks: Mapping[int, Sequence[TrackPoint]], finished: bool, started: datetime
 ) -> WorkRecord:
-    """From a field in metres and the ways of its robots."""
+    """Make a record from a field in metres and the tracks of its robots."""
     back = Transformer.from_crs(plane(field.origin), "EPSG:4326", always_xy=True).transform
 
     def degrees(points: Iterable[Sequence[float]], digits: int = OUTLINE_DIGITS) -> Any:
@@ -94,7 +95,7 @@ def record_of(
 
 
 def covered_area(field: Field, tracks: Mapping[int, Sequence[TrackPoint]]) -> list[Polygon]:
-    """What the implement swept inside the fences, metres."""
+    """The area that the implement swept inside the fences, metres."""
     half_m = field.implement_width_m / 2
     strokes = [
         LineString(stroke).simplify(DETAIL_M).buffer(half_m, cap_style="flat", join_style="round")
@@ -129,6 +130,6 @@ def _thinned(track: Sequence[TrackPoint]) -> Iterator[TrackPoint]:
 
 
 def area_m2(rings: Rings) -> int:
-    """Of a polygon in degrees, on the ellipsoid, in whole square metres."""
+    """The area of a polygon in degrees, on the ellipsoid, in whole square metres."""
     polygon = orient(Polygon(rings[0], rings[1:]))
     return round(Geod(ellps="WGS84").geometry_area_perimeter(polygon)[0])

@@ -1,4 +1,5 @@
-"""Drawn buildings to try robots in: corridors of one robot's width, and halls of many rooms."""
+"""Generated buildings to test robots in: corridors of one robot's width, and halls of many
+rooms."""
 
 from random import Random
 
@@ -7,19 +8,19 @@ CORRIDOR = """
 ...............
 ....#######....
 ....#######....
-"""  # two rooms of twelve places, seven cells of corridor between them
+"""  # two rooms of twelve places, connected by a corridor of seven cells
 JUNCTION = """
 ###########
 ...........
 #####.#####
 #####.#####
-"""  # whoever wants past has to use the stem
+"""  # a robot that wants to pass has to use the stem
 DEAD_END = """
 ....#######
 ...........
 ....#######
 ....#######
-"""  # one room; whoever is at the blind end has to get out before another gets in
+"""  # one room; a robot at the blind end has to leave before another can enter
 
 
 def rooms(seed: int, side: int = 64, pitch: int = 8, doors: float = 0.7) -> str:
@@ -54,7 +55,7 @@ def rooms(seed: int, side: int = 64, pitch: int = 8, doors: float = 0.7) -> str:
 
 def office() -> str:
     """A building of 14 m by 10 m in cells of 0.2 m: rooms, a corridor, blocks, doors of 1.4 m and
-    one of 1.0 m. The thesis shows its hall only as a picture; this is one of the same kind."""
+    one of 1.0 m. The thesis shows its hall only as a picture; this is a similar one."""
     width, depth, cell_m = 70, 50, 0.2
     cells = [["."] * width for _ in range(depth)]
     walls = (  # west, south, east, north in metres
@@ -74,7 +75,8 @@ def warehouse(
     blocks: int = 5, rows: int = 6, shelf: int = 8, deep: int = 2, aisle: int = 1, side: int = 4
 ) -> str:
     """Shelves of `shelf` by `deep` cells, `blocks` beside each other and `rows` behind each other,
-    aisles of `aisle` cells between them and a hall of `side` cells in the west and the east."""
+    with aisles of `aisle` cells between them and a hall of `side` cells in the west and the
+    east."""
     width = 2 * side + blocks * shelf + (blocks - 1) * aisle
     lines = ["." * width] * aisle
     for _ in range(rows):

@@ -1,4 +1,4 @@
-"""A grid map with a fleet on it: what a cluster needs to run whole peers that cover it."""
+"""A grid map with a fleet on it: the setup of a simulated fleet of whole peers that cover it."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -22,7 +22,7 @@ STEP_S = CELL_M / SPEED_M_S
 
 class GridSetting:
     def __init__(self, scenario: Scenario, instance: Instance, turn_cost: float = 0.0) -> None:
-        """ValueError: more free cells than have a number on the wire."""
+        """ValueError if there are more free cells than numbers on the wire."""
         self.scenario, self.instance, self.turn_cost = scenario, instance, turn_cost
         self.ground = CellMap(instance.walls, CELL_M)
         self.cells = [self.ground.number(cell) for cell in instance.starts]
@@ -41,7 +41,7 @@ class GridSetting:
         time_limit_s: float = 3600.0,
         turn_cost: float = 0.0,
     ) -> "GridSetting":
-        """Without a scenario file. Robots are numbered as the instance's starts."""
+        """Make it without a scenario file. Robots are numbered as the instance's starts."""
         scenario = Scenario.model_validate({
             "name": instance.name[:64] or "grid",
             "field": FieldTable(file="none"),
@@ -71,7 +71,8 @@ class GridSetting:
         return GridGuard(CELL_M, RADIUS_M, SPEED_M_S)
 
     def world(self) -> World:
-        """Empty: robots come when they are switched on. It answers all that a cluster asks."""
+        """An empty world: robots are added when they are switched on. It has the full interface of
+        `World`."""
         return cast(World, GridWorld(self.ground, RADIUS_M))
 
     def keyring(self, sender: int, lot: str) -> Keyring | None:

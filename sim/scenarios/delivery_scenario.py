@@ -41,15 +41,16 @@ class TaskRow(NamedTuple):
 
 
 class Outage(_Table):
-    """From then on a bay gives nothing."""
+    """From this time a bay gives no charge."""
 
     bay: int = Field(ge=0)
     at_s: float = Field(ge=0.0)
 
 
 class BatteryTable(_Table):
-    range_m: float = Field(default=0.0, ge=0.0)  # a full battery drives so far; 0: no limit
-    standby_s: float = Field(default=0.0, ge=0.0)  # and is on for so long; 0: no limit
+    range_m: float = Field(default=0.0, ge=0.0)  # driving range of a full battery; 0: no limit
+    # How long a full battery lasts when standing; 0: no limit.
+    standby_s: float = Field(default=0.0, ge=0.0)
     dock_s: float = Field(default=5.0, ge=0.0, le=600.0)
     charge_s: float = Field(default=60.0, gt=0.0, le=86_400.0)
     reserve: float = Field(default=0.15, ge=0.0, le=0.5)
@@ -61,8 +62,8 @@ class WarehouseTable(_Table):
     bays: list[XY] = Field(default=[])
     outage: list[Outage] = Field(default=[])
     tasks: str | None = None  # CSV or JSON lines
-    random_tasks: int = Field(default=0, ge=0, lt=TASKS_MAX)  # with the seed of the run; and
-    random_over_s: float = Field(default=0.0, ge=0.0)  # so many seconds in which they arrive
+    random_tasks: int = Field(default=0, ge=0, lt=TASKS_MAX)  # drawn with the seed of the run
+    random_over_s: float = Field(default=0.0, ge=0.0)  # the seconds in which they arrive
     boxes_a_minute: float = Field(default=0.0, ge=0.0, le=60.0)  # dropped at random, for box_s
     box_s: float = Field(default=20.0, gt=0.0)
     boxes_until_s: float = Field(default=120.0, ge=0.0)
@@ -80,7 +81,7 @@ class WarehouseFleet(FleetTable):
 
 class WarehouseScenario(Scenario):
     mission: Literal["delivery"] = "delivery"  # type: ignore[assignment]
-    field: FieldTable = FieldTable(file="")  # there is none
+    field: FieldTable = FieldTable(file="")  # there is no field
     fleet: FleetTable = WarehouseFleet()
     run: RunTable = RunTable()
     warehouse: WarehouseTable
@@ -92,7 +93,7 @@ class _Parsed(WarehouseScenario):
 
 
 def is_warehouse(name: str) -> bool:
-    """Whether a name is that of a warehouse; what is wrong with the file is told when it is loaded."""
+    """Whether a name is that of a warehouse; errors in the file are reported when it is loaded."""
     path = Path(name)
     if not path.suffix and not path.exists():
         path = WAREHOUSES / f"{name}.toml"
@@ -105,7 +106,7 @@ def is_warehouse(name: str) -> bool:
 
 
 def load_warehouse(name: str) -> WarehouseScenario:
-    """By file, or by the name of one that ships."""
+    """Load by file, or by the name of a shipped one."""
     return load_kind(name, _Parsed, WAREHOUSES)
 
 

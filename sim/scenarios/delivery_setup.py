@@ -1,4 +1,4 @@
-"""A delivering fleet of a scenario file: building, places of the robots, tasks, and true parcels."""
+"""The setup of a delivery scenario: building, starts of the robots, tasks, and true parcels."""
 
 from collections.abc import Mapping
 from functools import cached_property
@@ -21,8 +21,9 @@ from sim.scenarios.navigation_setup import NOTHING, ErrandSetting, scattered
 from sim.scenarios.scenario import Box, ScenarioError
 from sim.world.parcel_truth import Parcels
 
-APART_M = 1.5  # robots at the start
-PLANNING_SPEED = 0.8  # of the full speed over a way, turns, braking and others included
+APART_M = 1.5  # minimum distance of robots at the start
+# Share of the full speed, as an average that includes turns, braking and other robots.
+PLANNING_SPEED = 0.8
 BOX_M = 0.5
 
 
@@ -30,7 +31,7 @@ class DeliverySetting(ErrandSetting):
     scenario: WarehouseScenario
 
     def __init__(self, scenario: WarehouseScenario) -> None:
-        """Raises ScenarioError where the warehouse cannot be used."""
+        """Raises ScenarioError if the warehouse cannot be used."""
         name, table, fleet = scenario.name, scenario.warehouse, scenario.fleet
         floor = floor_of(scenario)
         rng = Random(f"{scenario.run.seed}/warehouse")
@@ -58,7 +59,7 @@ class DeliverySetting(ErrandSetting):
         self.house = Warehouse(floor, self.carrier, table.bays, self._known(plain), table.t_max)
 
     def _rows(self, house: Warehouse, rng: Random) -> list[TaskRow]:
-        """Those of the file, then random ones."""
+        """The tasks of the file, then random ones."""
         scenario, table = self.scenario, self.scenario.warehouse
         rows = []
         if table.tasks is not None:
@@ -73,7 +74,7 @@ class DeliverySetting(ErrandSetting):
         return rows
 
     def _known(self, house: Warehouse) -> dict[int, TransportTask]:
-        """What robots are given before the start; the rest is told on the bus when it comes."""
+        """Tasks that robots know at the start; the others are sent on the bus when they appear."""
         return {
             number: self.order(house, row) for number, row in enumerate(self.rows) if not row.at_s
         }
@@ -86,7 +87,7 @@ class DeliverySetting(ErrandSetting):
 
     @cached_property
     def cells(self) -> list[tuple[float, float]]:
-        """Middles of cells where a robot can stand, all on one floor."""
+        """Centres of cells where a robot can stand, all on one floor."""
         floor = self.floor
         lattice = floor.lattice
         home = int(np.argmax(np.bincount(lattice.component)))
@@ -129,7 +130,7 @@ class DeliverySetting(ErrandSetting):
         return None if self.keys is None else Keyring(self.keys, slot, lot.encode())
 
     def boxes(self) -> list[Box]:
-        """Random temporary obstacles of the scenario, by its seed; never where a robot starts."""
+        """Random temporary obstacles of the scenario, by its seed; never at a robot's start."""
         table, rng = self.scenario.warehouse, Random(f"{self.scenario.run.seed}/boxes")
         found: list[Box] = []
         t_s = 0.0
@@ -149,7 +150,7 @@ def floor_of(scenario: WarehouseScenario) -> Floor:
     drawn = "\n" in table.map  # the map itself
     path = (
         scenario.folder if drawn else scenario.folder / table.map
-    )  # an absolute one stays as it is
+    )  # an absolute path stays as it is
     try:
         text = table.map if drawn else read_text(path, DRAWING_BYTES_MAX)
         return Floor.drawn(text, table.cell_m, scenario.fleet.radius_m)

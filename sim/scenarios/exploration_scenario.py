@@ -1,4 +1,4 @@
-"""Indoor places to explore: scenario files with walls, and what of them can be seen in truth."""
+"""Indoor places to explore: scenario files with walls, and the cells that can truly be seen."""
 
 from functools import cached_property
 from pathlib import Path
@@ -41,7 +41,7 @@ class ArenaTable(_Table):
 
 
 class OrderTable(_Table):
-    """A task for the fleet, besides what is to be explored: whoever is nearest and free does it."""
+    """A task for the fleet besides exploration; the nearest free robot does it."""
 
     kind: Literal["navigate_to", "patrol"]
     points: list[XY] = Field(min_length=1, max_length=64)  # metres east and north of the middle
@@ -53,18 +53,18 @@ class OrderTable(_Table):
 
 class ArenaScenario(Scenario):
     mission: Literal["exploration"] = "exploration"  # type: ignore[assignment]
-    field: FieldTable = FieldTable(file="")  # there is none
+    field: FieldTable = FieldTable(file="")  # there is no field
     arena: ArenaTable
     order: list[OrderTable] = Field(default=[], max_length=ORDERS_MAX)
 
 
 def load_arena(name: str) -> ArenaScenario:
-    """By file, or by the name of one that ships."""
+    """Load by file, or by the name of a shipped one."""
     return load_kind(name, ArenaScenario, ARENAS)
 
 
 class ArenaSetting(Setting):
-    """What `Setting` is for a field; the walls are known to the world alone, not to robots."""
+    """The counterpart of `Setting` for an arena; only the world knows the walls, robots do not."""
 
     def __init__(self, scenario: ArenaScenario) -> None:
         self.scenario: ArenaScenario = scenario
@@ -111,7 +111,7 @@ class ArenaSetting(Setting):
 
     @cached_property
     def solid(self) -> NDArray[np.bool_]:
-        """(rows, columns): cells that a solid thing covers for the most part."""
+        """(rows, columns): cells that a solid object covers for the most part."""
         g = self.geometry
         x = g.origin_m[0] + (np.arange(g.columns) + 0.5) * g.cell_m
         y = g.origin_m[1] + (np.arange(g.rows) + 0.5) * g.cell_m
@@ -122,14 +122,14 @@ class ArenaSetting(Setting):
 
     @cached_property
     def open(self) -> NDArray[np.bool_]:
-        """(rows, columns): cells that can be seen: free, and joined with the first start."""
+        """(rows, columns): cells that can be seen: free, and connected with the first start."""
         regions, _ = scipy.ndimage.label(~self.solid)
         found: NDArray[np.bool_] = regions == regions[self.geometry.cell(self.starts[0])]
         return found
 
     @cached_property
     def reachable(self) -> NDArray[np.bool_]:
-        """(rows, columns): of `open`, what is in sight of where a body can stand."""
+        """(rows, columns): the cells of `open` in sight of a position where a body can stand."""
         cells = self.scenario.fleet.radius_m / self.geometry.cell_m
         reach = int(np.ceil(cells))
         fat = scipy.ndimage.binary_dilation(

@@ -1,7 +1,7 @@
-"""Everything a run is made of, from its scenario: field, grid, world, safety policy, keys.
+"""The setup of a run from its scenario: field, grid, world, safety policy, keys.
 
-Read once, shared by the peers of one process: the field and its grid are immutable, so sharing them
-gives nobody knowledge that it would not have computed alike.
+It is read once and shared by the peers of one process. The field and its grid are immutable, so
+sharing gives no peer knowledge that it would not have computed equally.
 """
 
 from functools import cached_property
@@ -38,22 +38,24 @@ from sim.world.raster import Raster
 from sim.world.reachable_ground import Body, Ground, reachable_ground
 from sim.world.world import World
 
-ROUTE_CELLS_MAX = 1_500_000  # of the path grid; larger fields get coarser cells
+ROUTE_CELLS_MAX = 1_500_000  # of the path grid; larger fields get larger cells
 ROUTE_CELL_M = 0.5
-CLEARANCE_M = 0.3  # paths keep this much more than the radius from fences and holes
+CLEARANCE_M = 0.3  # paths keep this distance from fences and holes, in addition to the radius
 assert CLEARANCE_M > FENCE_M + ALIGN_M / 2, (
     "avoidance permits what was planned, a little off it too"
 )
-TURN_CELL_M = 0.25  # the same for bodies that steer: turns are a matter of decimetres
-TURN_SPARE = 1.2  # planned circles are wider than the tightest: the rest is for corrections
-PIVOT_RADIUS_M = 0.6  # a body that can turn on the spot need not, and is quicker
-PIVOT_STEER_1_M_S = 6.0  # its curvature changes as fast as its wheels
+TURN_CELL_M = 0.25  # the same for bodies that steer, because turns need decimetres
+# Planned circles are wider than the tightest one by this factor; the rest is for corrections.
+TURN_SPARE = 1.2
+# A body that can turn on the spot need not do so, and driving a curve is faster.
+PIVOT_RADIUS_M = 0.6
+PIVOT_STEER_1_M_S = 6.0  # its curvature changes as fast as its wheels turn
 DEADLY = (Crash, CrashWorking)  # faults after which a robot may not work
-SPACING_RADII = 3.0  # between robots at the gate
+SPACING_RADII = 3.0  # spacing of robots at the gate
 
 
 def keys_of(scenario: Scenario) -> Keys | None:
-    """Of its fleet, where it has any."""
+    """The keys of its fleet, if it has any."""
     name = scenario.fleet.keys
     if name is None:
         return None
@@ -63,13 +65,13 @@ def keys_of(scenario: Scenario) -> Keys | None:
         raise ScenarioError(f"{scenario.name}: fleet.keys: {problem}") from None
 
 
-FIELDS_MAX = 8  # a campaign plays on one
-_fields: dict[tuple[object, ...], Field] = {}  # by all they depend on: dividing one takes 80 ms
+FIELDS_MAX = 8  # a campaign uses one field
+_fields: dict[tuple[object, ...], Field] = {}  # by all their inputs: dividing a field takes 80 ms
 
 
 class Setting:
     def __init__(self, scenario: Scenario) -> None:
-        """Raises ScenarioError where the field cannot be used."""
+        """Raises ScenarioError if the field cannot be used."""
         self.scenario = scenario
         self.field = self._field()
         self.keys = self._keys()
@@ -97,7 +99,7 @@ class Setting:
         try:
             content = read_bytes(path, FILE_BYTES_MAX)
         except GivenFileError:
-            return self._divided(path)  # which says what is wrong
+            return self._divided(path)  # this raises the error with its reason
         key = (
             path,
             content,
@@ -133,13 +135,13 @@ class Setting:
 
     @staticmethod
     def _corner(outline: object) -> XY:
-        """Without a gate in the scenario: the south-western corner of the outline."""
+        """The start if the scenario has no gate: the south-western corner of the outline."""
         points = [(float(p[0]), float(p[1])) for p in outline]  # type: ignore[attr-defined]
         return min(points, key=lambda p: (p[0] + p[1], p))
 
     @cached_property
     def _grid(self) -> tuple[NDArray[np.bool_], float, float, float]:
-        """Finer where cells of the usual size close a passage that robots fit through."""
+        """A path grid, finer if cells of the usual size close a passage that robots fit through."""
         clearance_m = self.scenario.fleet.radius_m + CLEARANCE_M
         cell_m = self._cells(ROUTE_CELL_M)
         grid = rasterise(self.field, cell_m, clearance_m, whole=True)
@@ -179,14 +181,14 @@ class Setting:
 
     @cached_property
     def turn_radius_m(self) -> float:
-        """Of the ways planned; 0 for a body that goes anywhere without turning."""
+        """The radius of planned paths; 0 for a body that moves in any direction without turning."""
         if self.chassis.kind is Kind.MECANUM:
             return 0.0
         return max(self.chassis.turn_radius_m * TURN_SPARE, PIVOT_RADIUS_M)
 
     @cached_property
     def steering(self) -> SteeringLimits:
-        """What a body that steers can do."""
+        """The limits of a body that steers."""
         fleet, chassis = self.scenario.fleet, self.chassis
         rate = chassis.steer_rad_s / fleet.wheelbase_m
         if chassis.kind is Kind.DIFFERENTIAL:
@@ -195,7 +197,7 @@ class Setting:
 
     @cached_property
     def turns(self) -> TurnRoute:
-        """Ways of a body that steers, on a finer grid than `route`."""
+        """Paths of a body that steers, on a finer grid than `route`."""
         cell_m, clearance_m = self._cells(TURN_CELL_M), self.scenario.fleet.radius_m + FENCE_M
         return TurnRoute(*rasterise(self.field, cell_m, clearance_m), self.turn_radius_m)
 
@@ -206,11 +208,11 @@ class Setting:
         return cell_m
 
     def floor_space(self, radius_m: float) -> Polygon:
-        """Where the middle of a body can be."""
+        """The area in which the middle of a body can be."""
         return self.field.polygon.buffer(-radius_m)
 
     def ground(self, raster: Raster) -> Ground:
-        """What of the area asked for these bodies can work. `raster`: see
+        """Which part of the area asked for these bodies can work. `raster`: see
         `sim/world/coverage_truth.py`."""
         field, radius_m = self.field, self.scenario.fleet.radius_m
         body = Body(field.implement_width_m, field.overlap_m, radius_m, self.turn_radius_m)
@@ -218,7 +220,7 @@ class Setting:
 
     @property
     def time_limit_s(self) -> float:
-        """The scenario's; where it says none, by the field and the robots that work to the end."""
+        """The scenario's limit; by default from the field and the robots that work to the end."""
         scenario = self.scenario
         if "time_limit_s" in scenario.run.model_fields_set:
             return scenario.run.time_limit_s
@@ -253,7 +255,7 @@ class Setting:
         return HolonomicMotion(slot, limits, self.fences, half_bar_m=half_bar_m)
 
     def world(self) -> World:
-        """A fresh world with every robot at its place near the gate."""
+        """A new world with every robot at its place near the gate."""
         fleet = self.scenario.fleet
         rings = [self.field.exterior, *self.field.holes]
         run = self.scenario.run
@@ -264,5 +266,5 @@ class Setting:
         return world
 
     def keyring(self, sender: int, lot: str) -> Keyring | None:
-        """`lot`: anything that no two starts of this sender share."""
+        """`lot`: any value that no two starts of this sender share."""
         return None if self.keys is None else Keyring(self.keys, sender, lot.encode())

@@ -1,11 +1,11 @@
-"""Scenario files of fleets that go to places in a building: `mission = "errands"`.
+"""Scenario files of fleets with navigation goals in a building: `mission = "errands"`.
 
     [floor]                       a Moving AI map, or a drawing of the same characters
     map = "rooms.map"
     [errands]                     goals that the seed draws, or starts and goals written down
     each = 2
 
-`headland run` takes these beside the scenarios of fields.
+`headland run` accepts these as well as the scenarios of fields.
 """
 
 from pathlib import Path
@@ -35,24 +35,25 @@ from sim.scenarios.scenario import (
 from sim.world.temporary_obstacles import TemporaryObstacle, random_temporary_obstacle_generator
 
 XY = tuple[float, float]
-CELLS_MAX = 1 << 20  # of a map at its finest: paths over more take too long to prepare
-APART_RADII = 2.5  # between starts that the seed draws
+CELLS_MAX = 1 << 20  # of a map at its finest; with more cells, paths take too long to prepare
+APART_RADII = 2.5  # minimum distance of drawn starts
 
 
 class FloorTable(_Table):
     map: str
     cell_m: float = Field(default=1.0, gt=0.05, le=10.0)
-    margin_m: float = Field(default=0.1, ge=0.02, le=1.0)  # kept from walls, beyond the radius
+    # Distance from walls, in addition to the radius.
+    margin_m: float = Field(default=0.1, ge=0.02, le=1.0)
 
 
 class ErrandTable(_Table):
-    each: int = Field(default=1, ge=1, le=64)  # goals a robot, drawn by the seed
+    each: int = Field(default=1, ge=1, le=64)  # goals per robot, drawn by the seed
     starts: list[XY] | None = None
     goals: list[list[XY]] | None = None
 
 
 class ObstacleTable(_Table):
-    """Boxes that somebody drops and takes away again, drawn by the seed."""
+    """Boxes that appear and vanish again, drawn by the seed."""
 
     every_s: float = Field(default=20.0, gt=0.1)
     lasting_s: tuple[float, float] = (5.0, 40.0)
@@ -62,14 +63,14 @@ class ObstacleTable(_Table):
 
 class ErrandScenario(Scenario):
     mission: Literal["errands"] = "errands"  # type: ignore[assignment]
-    field: FieldTable = FieldTable(file="")  # there is none
+    field: FieldTable = FieldTable(file="")  # there is no field
     floor: FloorTable
     errands: ErrandTable = ErrandTable()
     obstacles: ObstacleTable | None = None
 
 
 def load_mission(name: str) -> Scenario:
-    """Whatever `headland run` can run: its `mission` says what it is."""
+    """Load any scenario that `headland run` accepts; its `mission` selects the kind."""
     path = Path(name)
     if path.is_dir() or path.suffix.lower() in FIELD_FILES:
         return load(name)
@@ -79,7 +80,7 @@ def load_mission(name: str) -> Scenario:
 
 
 def setting_of(scenario: ErrandScenario) -> ErrandSetting:
-    """Raises ScenarioError where the map or the places cannot be used."""
+    """Raises ScenarioError if the map or the places cannot be used."""
     name, fleet, table = scenario.name, scenario.fleet, scenario.floor
     if fleet.drive != "mecanum":
         raise ScenarioError(
@@ -142,7 +143,8 @@ def _places(scenario: ErrandScenario, floor: Floor) -> tuple[list[XY], list[list
     apart_m = APART_RADII * floor.radius_m
     try:
         starts = scattered(floor, robots, rng, apart_m)
-        ends = scattered(floor, robots, rng, apart_m)  # all can be at their last goals at one time
+        # All robots can be at their last goals at the same time.
+        ends = scattered(floor, robots, rng, apart_m)
         before = table.each - 1
         ways = [[*(scattered(floor, before, rng, 0.0) if before else ()), end] for end in ends]
     except ValueError as problem:

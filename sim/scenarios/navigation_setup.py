@@ -1,4 +1,4 @@
-"""A fleet in a building: a map of walls, where robots start, and where each of them is to go.
+"""A fleet in a building: a map of walls, the starts of the robots, and the goals of each.
 
 setting = ErrandSetting.drawn("swap", DRAWING, starts=[(0.5, 0.5)], goals=[[(9.5, 0.5)]])
 outcome = Outing(setting).run()
@@ -31,9 +31,10 @@ from sim.world.walls import Grid
 from sim.world.world import World
 
 Point = tuple[float, float]
-HORIZON_S = 1.0  # indoor robots stop from full speed in half of it; a longer one closes corridors
+# Indoor robots stop from full speed in half of this; a longer horizon closes corridors.
+HORIZON_S = 1.0
 NOTHING: Mapping[str, bytes] = {}
-KEEP_RIGHT_RAD = 0.05  # breaks the symmetry of two that meet head on in the open
+KEEP_RIGHT_RAD = 0.05  # breaks the symmetry of two robots that meet head on in open space
 
 
 class ErrandSetting:
@@ -47,8 +48,8 @@ class ErrandSetting:
         dropped: Sequence[TemporaryObstacle] = (),
         keys: Keys | None = None,
     ) -> None:
-        """`goals`: of each robot, in their order. `agrees`: False for ORCA by itself. `dropped`:
-        boxes that come and go."""
+        """`goals`: of each robot, in their order. `agrees`: False for ORCA alone. `dropped`: boxes
+        that appear and vanish."""
         assert len(starts) == len(goals) == scenario.fleet.robots
         self.scenario, self.floor, self.agrees = scenario, floor, agrees
         self.starts, self.goals = list(starts), {k: tuple(own) for k, own in enumerate(goals)}
@@ -70,7 +71,7 @@ class ErrandSetting:
         time_limit_s: float = 600.0,
         agrees: bool = True,
     ) -> "ErrandSetting":
-        """Without a scenario file."""
+        """Make it without a scenario file."""
         scenario = Scenario(
             name=name,
             field=FieldTable(file="none"),
@@ -93,7 +94,7 @@ class ErrandSetting:
         return sum(len(own) for own in self.goals.values())
 
     def chart(self, slot: int, now_us: int) -> MapSync | None:
-        """What a fleet tells each other of things in the way; none where the map has no room for it."""
+        """The map in which a fleet shares obstacles; None if the map is too large for it."""
         geometry = geometry_of(self.floor)
         if self.scenario.fleet.robots > OBSERVER_MAX + 1 or max(geometry[:2]) > SIDE_MAX:
             return None
@@ -104,7 +105,7 @@ class ErrandSetting:
         self, slot: int, chart: MapSync | None = None, now_us: int = 0,
         recalled: Mapping[str, bytes] = NOTHING,
     ) -> NavigationMission:  # fmt: skip
-        """`recalled`: what its durable memory has kept."""
+        """`recalled`: the contents of its durable memory."""
         fleet = self.scenario.fleet
         braking_m_s2 = BRAKING_SHARE * fleet.acceleration_m_s2
         return NavigationMission(
@@ -129,7 +130,7 @@ class ErrandSetting:
         )  # fmt: skip
 
     def world(self) -> World:
-        """A fresh world with every robot at its start."""
+        """A new world with every robot at its start."""
         fleet, floor = self.scenario.fleet, self.floor
         grid = Grid(floor.walls, *floor.origin, floor.cell_m)
         world = World([], self.scenario.run.seed, Lidar(), grid, self.scenario.run.engine)
@@ -142,14 +143,14 @@ class ErrandSetting:
         return world
 
     def keyring(self, slot: int, lot: str = "") -> Keyring | None:
-        """`lot`: anything that no two starts of this sender share."""
+        """`lot`: any value that no two starts of this sender share."""
         return None if self.keys is None else Keyring(self.keys, slot, lot.encode())
 
 
 def scattered(
     floor: Floor, count: int, rng: Random, apart_m: float, among: NDArray[np.intp] | None = None
 ) -> list[Point]:
-    """Places for robots on nodes of the lattice that hang together, this far from each other."""
+    """Places for robots on connected nodes of the lattice, this far from each other."""
     lattice = floor.lattice
     home = int(np.argmax(np.bincount(lattice.component)))
     nodes = np.flatnonzero(lattice.component == home) if among is None else among

@@ -1,4 +1,4 @@
-"""What a run without a world is made of: a scenario with `mission = "drill"`, or "sprint"."""
+"""The setup of a run without a world: a scenario with `mission = "drill"`, or "sprint"."""
 
 from functools import cached_property
 from pathlib import Path
@@ -14,7 +14,7 @@ from sim.world.protocol_world import (
     TimedMission,
 )
 
-CONFIG_HASH = 1  # all peers have the same field: none
+CONFIG_HASH = 1  # equal for all peers, because there is no field
 
 
 class DrillSetting(Setting):
@@ -55,7 +55,7 @@ class DrillSetting(Setting):
 
 
 def drill(robots: int, seed: int, mission: str = "drill", silence: str = "stop") -> Scenario:
-    """A drill of so many robots, without faults."""
+    """A protocol scenario with this many robots, without faults."""
     fleet = FleetTable.model_validate({"robots": robots, "silence": silence})
     parts = {"mission": mission, "field": FieldTable(file="none"), "fleet": fleet,
              "run": RunTable(seed=seed)}  # fmt: skip

@@ -1,4 +1,4 @@
-"""Scenario files: TOML, validated; a wrong one gets one line that says which key and why."""
+"""Scenario files: validated TOML; an invalid file gives one line with the key and the reason."""
 
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
@@ -12,15 +12,15 @@ from sim.files.given_file import SCENARIO_BYTES_MAX, GivenFileError, read_toml
 from sim.world.step_engine import Engine
 
 SHIPPED = Path(__file__).parent
-SEED_MAX = 2**63 - 1  # what every format that keeps a seed can hold
+SEED_MAX = 2**63 - 1  # the largest value that every format with a seed can hold
 AT_MAX_S = 1e6  # of a fault: longer than any run
 LINE_MAX = 1000  # characters of a message
-SAID_MAX = 60  # characters of a wrong value in a message
-FIELD_FILES = (".geojson", ".json", ".xml", ".zip")  # a field alone is a scenario of defaults
+SAID_MAX = 60  # characters of a wrong value quoted in a message
+FIELD_FILES = (".geojson", ".json", ".xml", ".zip")  # a field file alone is a scenario of defaults
 
 
 class ScenarioError(Exception):
-    """One line for the person who wrote the file; what a file says cannot break it."""
+    """One line for the author of the file; no content of the file can break the line."""
 
     def __init__(self, text: str) -> None:
         line = "".join(c if c.isprintable() else " " for c in text)
@@ -38,7 +38,8 @@ class FieldTable(_Table):
     overlap_m: float = Field(default=0.2, gt=0.01, le=2.0)
     section_length_m: float = Field(default=250.0, ge=10.0, le=50_000.0)
     unit_m: float = Field(default=5.0, ge=0.5, le=100.0)
-    gate: tuple[float, float] | None = None  # metres east and north of the middle; none: a corner
+    # Metres east and north of the middle; default: a corner.
+    gate: tuple[float, float] | None = None
 
 
 class FleetTable(_Table):
@@ -55,7 +56,7 @@ class FleetTable(_Table):
         default=72, ge=8, le=720
     )  # of each robot's range sensors; a gap of 0.35 m at 4 m
     silence: Literal["stop", "slow", "continue"] = "stop"
-    # In a building: stand before what nobody has announced, and ask; else it is driven round. In a field
+    # In a building: stop before an unannounced obstacle and ask; else drive round it. In a field
     # robots always ask.
     asks: bool = False
     keys: str | None = None  # key file, made by `headland keys new`
@@ -101,8 +102,8 @@ class OneWay(_Fault):
     receiver: Slot
 
 
-# What a robot's disk holds when it is switched on again. torn: the power failed, what was unsynced is
-# mangled; rolled_back: an earlier state was put back; lost: nothing.
+# The contents of a robot's disk when it is switched on again. torn: the power failed, unsynced data
+# is damaged; rolled_back: an earlier state was restored; lost: empty.
 DiskState = Literal["kept", "lost", "torn", "rolled_back"]
 
 
@@ -161,11 +162,11 @@ class Reset(_Fault):
 
 
 class Order(_Fault):
-    kind: Literal["order"]  # an operator's word to one robot
+    kind: Literal["order"]  # an operator's command to one robot
     robot: Slot
     order: Literal["wait", "continue", "replan", "stop", "go_home", "set_goal", "start", "hold",
                    "manual_reset"]  # fmt: skip
-    x_m: float = 0.0  # of set_goal
+    x_m: float = 0.0  # for set_goal
     y_m: float = 0.0
 
 
@@ -185,14 +186,15 @@ class Pushed(_Fault):
 
 
 class Join(_Fault):
-    kind: Literal["join"]  # this robot is switched on only now
+    kind: Literal["join"]  # this robot is switched on at this time
     robot: Slot
 
 
 class Babble(_Fault):
-    kind: Literal["babble"]  # a device that sends without end
-    priority: int = Field(default=7, ge=0, le=7)  # of a group that nobody knows
-    # instead: all 29 bits of it; below 0x00FF0000 it outranks a stop, and 0 outranks everything
+    kind: Literal["babble"]  # a device that sends without pause
+    priority: int = Field(default=7, ge=0, le=7)  # of a group that no robot knows
+    # instead: all 29 bits of the identifier; below 0x00FF0000 it outranks a stop, and
+    # 0 outranks every frame
     identifier: int | None = Field(default=None, ge=0, lt=1 << 29)
     for_s: float = Field(gt=0.0)
 
@@ -201,36 +203,38 @@ class Buttons(_Fault):
     kind: Literal["buttons"]  # shortcut buttons of other makers; one of them is pressed
     buttons: int = Field(default=2, ge=2, le=8)
     for_s: float = Field(gt=0.0)
-    lost: int = Field(default=0, ge=0, le=1)  # of its stop frames, after each one that is heard
-    unheard: bool = False  # none of its stop frames is heard; its permit then tells of a stop
+    lost: int = Field(default=0, ge=0, le=1)  # of its stop frames, after each one that is received
+    unheard: bool = False  # none of its stop frames is received; its permit then reveals the stop
 
 
 class UsedStop(_Fault):
-    kind: Literal["used_stop"]  # a panel is pressed whose next names an operator has cleared
+    kind: Literal["used_stop"]  # a panel is pressed after an operator has cleared its next names
     names: int = Field(default=4, ge=1, le=64)
     for_s: float = Field(gt=0.0)
     every_s: float = Field(default=0.005, ge=0.001, le=1.0)
 
 
 class Foreign(_Fault):
-    kind: Literal["foreign"]  # a device of another maker says its own in our proprietary groups
-    claims: bool = True  # an address with its NAME; else nobody knows of which maker it is
+    # A device of another maker uses our proprietary groups for its own data.
+    kind: Literal["foreign"]
+    claims: bool = True  # an address with its NAME; else its maker is unknown
     for_s: float = Field(gt=0.0)
 
 
 class Twin(_Fault):
     kind: Literal["twin"]  # a second machine with the robot's slot and NAME
     robot: Slot
-    same_address: bool = False  # as the robot; else at one of its own
+    same_address: bool = False  # as the robot; else it has a separate one
     for_s: float = Field(gt=0.0)
 
 
 class Nonsense(_Fault):
-    # Of a device: a robot of another field; work that no fleet has; claims of every address by NAME 0.
+    # By a device: a robot of another field; impossible work; claims of every address by NAME 0.
     kind: Literal["nonsense"]
     what: Literal["field", "work", "claims"]
-    robot: Slot = 0  # from whose address the work is told; whose slot another field has
-    same_slot: bool = False  # of the robot of another field; else it is not of this fleet
+    # The address from which the work is sent; the slot of the robot of another field.
+    robot: Slot = 0
+    same_slot: bool = False  # the robot of another field has it; else its slot is not of this fleet
     for_s: float = Field(default=1.0, gt=0.0)
 
 
@@ -241,21 +245,19 @@ class Clone(_Fault):
 
 
 class Blind(_Fault):
-    kind: Literal[
-        "blind"
-    ]  # nothing of what the robot senses arrives: a muted antenna, a dead driver
+    kind: Literal["blind"]  # no observation reaches the robot: a muted antenna, a dead driver
     robot: Slot
     for_s: float = Field(gt=0.0)
 
 
 class Frozen(_Fault):
-    kind: Literal["frozen"]  # the old place arrives, with new times: a filter that hangs
+    kind: Literal["frozen"]  # the old position arrives with new timestamps: a filter that hangs
     robot: Slot
     for_s: float = Field(gt=0.0)
 
 
 class Late(_Fault):
-    kind: Literal["late"]  # what the robot senses arrives so much later
+    kind: Literal["late"]  # the robot's observations arrive this much later
     robot: Slot
     by_s: float = Field(gt=0.0, le=60.0)
     for_s: float = Field(gt=0.0)
@@ -264,7 +266,7 @@ class Late(_Fault):
 class DiskFull(_Fault):
     kind: Literal[
         "disk_full"
-    ]  # the robot's disk takes no write; then it is switched on with another
+    ]  # every write to the robot's disk fails; then it is switched on with another disk
     robot: Slot
     for_s: float = Field(gt=0.0)
 
@@ -282,7 +284,7 @@ class ClockJump(_Fault):
 
 
 class CrashWorking(_Fault):
-    kind: Literal["crash_working"]  # dies in the middle of a section, at the next chance
+    kind: Literal["crash_working"]  # dies in the middle of a section, at the next opportunity
     robot: Slot
     for_s: float = Field(gt=0.0)  # then it is switched on again
     disk: DiskState = "kept"
@@ -297,22 +299,23 @@ Fault = Annotated[
 ]  # fmt: skip
 
 
-DRILLS = ("drill", "sprint")  # no world, only work by the clock; a sprint is short and crowded
+DRILLS = ("drill", "sprint")  # no world, only work by the clock; a sprint is short and contended
 
 
 class Scenario(_Table):
     name: str = Field(min_length=1, max_length=64)
-    mission: Literal["field", "drill", "sprint"] = "field"  # or one without a world: see DRILLS
+    # Or a mission without a world: see DRILLS.
+    mission: Literal["field", "drill", "sprint"] = "field"
     field: FieldTable
     fleet: FleetTable = FleetTable()
     bus: BusTable = BusTable()
     run: RunTable = RunTable()
     fault: list[Fault] = []
     places: dict[str, tuple[float, float]] = {}  # names for operators; metres east and north
-    folder: Path = Field(Path(), exclude=True)  # what file names are relative to
+    folder: Path = Field(Path(), exclude=True)  # file names are relative to this folder
 
     def path_of(self, name: str) -> Path:
-        """A file that the scenario names: beside it, or else one that ships."""
+        """The path of a file named in the scenario: beside it, or else a shipped one."""
         beside = self.folder / name
         ships = SHIPPED / name
         return ships if not beside.exists() and ships.is_file() else beside
@@ -325,7 +328,7 @@ class Scenario(_Table):
         feature: str | None = None, drive: str | None = None,
         faults: Sequence[Mapping[str, Any]] | None = None, time_limit_s: float | None = None,
     ) -> Self:  # fmt: skip
-        """The same with some of it replaced. ScenarioError where out of range."""
+        """A copy with some values replaced. ScenarioError if a value is out of range."""
         document = self.model_dump(exclude_unset=True)
         if faults is not None:
             document["fault"] = list(faults)
@@ -352,7 +355,8 @@ def shipped(folder: Path = SHIPPED) -> list[str]:
 
 
 def load(name: str) -> Scenario:
-    """A scenario by file, by the name of one that ships, or a field file with all else as usual."""
+    """A scenario by file, by the name of a shipped one, or a field file with defaults for the
+    rest."""
     path = Path(name)
     if path.is_dir() or path.suffix.lower() in FIELD_FILES:
         title = path.resolve().stem[:64] or "field"
@@ -362,13 +366,13 @@ def load(name: str) -> Scenario:
 
 
 def load_kind(name: str, kind: type[Kind], folder: Path) -> Kind:
-    """The same for another kind of scenario, that ships in another folder."""
+    """The same for another kind of scenario, shipped in another folder."""
     document, beside = read_document(name, folder)
     return _validate(document, name, beside, kind)
 
 
 def read_document(name: str, folder: Path) -> tuple[dict[str, Any], Path]:
-    """A scenario file as it is, and the folder that its file names are relative to."""
+    """The parsed scenario file, and the folder that its file names are relative to."""
     path = Path(name)
     if not path.suffix and not path.exists() and (folder / f"{name}.toml").exists():
         path = folder / f"{name}.toml"
@@ -401,7 +405,7 @@ def _validate(document: dict[str, Any], name: str, folder: Path, kind: type[Kind
 
 
 def _check_islands(islands: list[list[int]], robots: int, where: str) -> None:
-    """ScenarioError where a robot that is not there, or is on two islands, is named."""
+    """ScenarioError if a named robot does not exist or is on two islands."""
     known: set[int] = set()
     for robot in (slot for island in islands for slot in set(island)):
         if robot >= robots:
@@ -414,7 +418,7 @@ def _check_islands(islands: list[list[int]], robots: int, where: str) -> None:
 
 
 def _one_line(problem: ValidationError) -> str:
-    """The first error: which key, what is wrong, and what was probably meant."""
+    """The first error: the key, what is wrong, and the probable intention."""
     error = problem.errors()[0]
     path = [str(part) for part in error["loc"]]
     key = ".".join(path)

@@ -8,7 +8,7 @@ from sim.scenarios.scenario import Scenario
 
 
 def to_toml(scenario: Scenario) -> str:
-    """Only what was given; what is left out has its default."""
+    """Write only given values; omitted ones have their defaults."""
     document = scenario.model_dump(mode="json", exclude_unset=True)
     document["field"]["file"] = str(scenario.path_of(document["field"]["file"]).resolve())
     faults = document.pop("fault", [])
@@ -27,5 +27,5 @@ def _pairs(table: Mapping[str, Any]) -> list[str]:
 
 
 def _value(value: Any) -> str:
-    """Strings, numbers, truth values and lists of them are written alike in JSON and in TOML."""
+    """Strings, numbers, booleans and lists of them have the same form in JSON and in TOML."""
     return json.dumps(value)

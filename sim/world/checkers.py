@@ -1,8 +1,8 @@
 """The rules of the physical world, each judged from true positions and commands alone.
 
-A checker knows nothing of agents: it is told what people did (pressed, released) and what the
-field is, and sees what bodies did. `violations` is empty where the rule held. S1, S7 and S17 are
-names of invariants; ARCHITECTURE.md lists them.
+A checker does not know the agents. It gets what people did (pressed, released) and the field, and
+it observes the bodies. `violations` is empty if the rule held. S1, S7 and S17 are names of
+invariants; ARCHITECTURE.md lists them.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -18,7 +18,8 @@ from sim.world.ground_truth import Track
 from sim.world.swath_truth import NEVER_US, SAMPLE_M, LineTruth, Polyline
 from sim.world.world import STEP_US, World
 
-VIOLATIONS_MAX: Final = 1_000  # a broken rule is broken at every step; the first thousand will do
+# A broken rule is broken at every step; the first thousand are enough.
+VIOLATIONS_MAX: Final = 1_000
 
 
 class Violation(NamedTuple):
@@ -29,7 +30,7 @@ class Violation(NamedTuple):
 
 
 class ContactChecker:
-    """S17: no body touches another, or a fence, or a box. Pushed robots may be excused."""
+    """S17: no body touches another body, a fence or a box. Pushed robots may be excused."""
 
     def __init__(self, world: World, excused: Collection[int] = ()) -> None:
         self.world, self.excused = world, frozenset(excused)
@@ -81,17 +82,17 @@ class _Watch(NamedTuple):
 
 
 def lapse_us(lapsed_us: int | None, silent_us: int) -> int:
-    """How much later than `silent_us` the last command of who has died or hung before ends."""
+    """How long after `silent_us` the last command ends of a robot that died or hung before it."""
     if lapsed_us is None or lapsed_us >= silent_us:
         return 0
     return max(0, lapsed_us + ACTUATOR_TTL_US - silent_us)
 
 
 class MotionAfterStopChecker:
-    """S1: between a stop's bound and its release, nobody is told to move and nobody moves.
+    """S1: between a stop's bound and its release, no robot is commanded to move and none moves.
 
-    Every step is watched. A robot that is carried, or shoved by another, is not excused: say so when
-    pressing, by leaving it out of `slots`.
+    Every step is checked. A robot that is carried, or shoved by another, is not excused
+    automatically; leave it out of `slots` when pressing.
     """
 
     def __init__(self, world: World) -> None:
@@ -107,8 +108,8 @@ class MotionAfterStopChecker:
     ) -> int:
         """A stop pressed at `t_us`; returns the number to release it by.
 
-        All commands to `slots` must be silent within `bound_us`, and all of them standing within
-        `standing_us` more (by default the longest braking time of theirs).
+        All commands to `slots` must end within `bound_us`, and all of these robots must stand after
+        `standing_us` more (default: their longest braking time).
         """
         braking_us = [round(self.world.robots[slot].chassis.stopping_s * 1e6) for slot in slots]
         longest_us = max(braking_us, default=0) if standing_us is None else standing_us
@@ -119,19 +120,20 @@ class MotionAfterStopChecker:
         return self._pressed
 
     def release(self, number: int, slots: Collection[int] | None = None) -> None:
-        """A person released some robots, or all, from that stop."""
+        """A person released some robots, or all of them, from that stop."""
         watch = self._watches.pop(number)
         if slots is not None and watch.slots - frozenset(slots):
             self._watches[number] = watch._replace(slots=watch.slots - frozenset(slots))
         self.world.guard()
 
     def lapses(self, slot: int, now_us: int) -> None:
-        """It has died or hangs: what it said last holds until it expires in the actuator."""
+        """The robot has died or hangs, so its last command holds until it expires in the
+        actuator."""
         self._lapsed_us[slot] = now_us
         self.world.guard()
 
     def limits(self) -> dict[int, tuple[float, float]]:
-        """Of those who must stand, see `sim.world.world.Guard`."""
+        """The limits of the robots that must stand, see `sim.world.world.Guard`."""
         limits: dict[int, tuple[float, float]] = {}
         for watch in self._watches.values():
             for slot in watch.slots:
@@ -142,7 +144,7 @@ class MotionAfterStopChecker:
         return limits
 
     def look(self, world: World) -> None:
-        """After a step in which somebody moved that must not."""
+        """Called after a step in which a robot moved although it had to stand."""
         if len(self.violations) >= VIOLATIONS_MAX:
             return
         now_us = world.now_us
@@ -161,14 +163,15 @@ class MotionAfterStopChecker:
 class ExclusiveWorkChecker:
     """S7: at no time do two robots work in one section.
 
-    To work in a section is to pass along its lines with the implement down; crossing them is not, nor
-    is it to lower the implement a little before one's own begins, in line with the neighbour's end.
+    Work in a section means passing along its lines with the implement down. Crossing the lines is
+    not work, and neither is lowering the implement a little early, in line with the neighbour's
+    end.
     """
 
     def __init__(
         self, sections: Mapping[int, Sequence[Polyline]], tolerance_m: float, least_m: float = 0.0
     ) -> None:
-        """`least_m`: what must be worked within a second to count."""
+        """`least_m`: shorter distances worked within a second do not count."""
         self.least = max(1, round(least_m / SAMPLE_M))
         lines = [(number, line) for number, group in sorted(sections.items()) for line in group]
         self.truth = LineTruth([line for _, line in lines], tolerance_m)

@@ -1,11 +1,12 @@
-"""Steps in which nothing touches anything, without the physics engine: to the last bit what it does.
+"""Steps without contact, without the physics engine: the result is equal to the last bit.
 
-Where no two shapes overlap at the end of a step, Chipmunk's step is this: each body moves on by its
-velocity, then forces change the velocity (`cpBodyUpdatePosition`, `cpBodyUpdateVelocity`). Calling it for
-that costs ten times as much as doing it, so it is called where something is near, and for as long as it
-remembers a touch. A test compares both, bit for bit. What differs from an engine that is always called:
-where three or more touch at once, it takes touches in an order that depends on all it saw before, so the
-last bits of where bodies are pushed by others may be other ones.
+If no two shapes overlap at the end of a step, Chipmunk's step is this: each body moves on by its
+velocity, then forces change the velocity (`cpBodyUpdatePosition`, `cpBodyUpdateVelocity`). A call
+of the engine costs ten times as much as this, so the engine is called only if something is near,
+and while it remembers a touch. A test compares both, bit for bit. There is one difference to an
+engine that is always called. If three or more bodies touch at the same time, the engine processes
+touches in an order that depends on all earlier ones, so the last bits of the positions of pushed
+bodies may differ.
 """
 
 from math import sqrt
@@ -35,20 +36,21 @@ from sim.world.drive_trains import (
 )
 from sim.world.walls import FREE, SHAPE
 
-NEAR_M = (
-    0.01  # a gap smaller than this is the engine's; more than it and we could differ by rounding
-)
+# The engine handles smaller gaps. The margin is larger than the differences by rounding.
+NEAR_M = 0.01
 TRACK_US = 100_000  # positions are kept this often
-# why `glide` came back, in the last bits of what it returns: there, or at a moment to keep; implements
-# were switched; something is near; somebody moves who is guarded
+# Why `glide` returned, in the last bits of its result: the end time or a moment to record;
+# implements switched; something is near; a guarded robot moves.
 CODES = 8
 DONE, SWITCHED, NEAR, GUARDED = range(4)
-SILENT_US, STILL_US = range(2)  # columns of limits: later no command to move; later no motion
+# Columns of limits: no command to move after the first, no motion after the second.
+SILENT_US, STILL_US = range(2)
 
 
 @njit(cache=True, error_model="numpy")
 def _is_near(motion, floats, ints, obstacles, nearest, near_m):  # type: ignore[no-untyped-def]
-    """Whether anything is within `near_m` at the end of the coming step; else gaps are noted."""
+    """Whether anything is within `near_m` at the end of the coming step; if not, record the
+    gaps."""
     count = motion.shape[0]
     for i in range(count):
         x, y = motion[i, X] + motion[i, VX] * STEP_S, motion[i, Y] + motion[i, VY] * STEP_S
@@ -77,7 +79,7 @@ def _is_near(motion, floats, ints, obstacles, nearest, near_m):  # type: ignore[
 
 @njit(cache=True, error_model="numpy")
 def _move(motion, push, inertia):  # type: ignore[no-untyped-def]
-    """Places by the old velocities, then velocities: the order of operations is Chipmunk's."""
+    """Move positions by the old velocities, then update velocities, in Chipmunk's order."""
     for i in range(motion.shape[0]):
         m = motion[i]
         m[X] += m[VX] * STEP_S
@@ -89,7 +91,7 @@ def _move(motion, push, inertia):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy")
 def guarded(rows, motion, limits, moved_us, now_us):  # type: ignore[no-untyped-def]
-    """After a step: who moves is noted, and whether one does, or was told to, that must not."""
+    """After a step: record which robots move, and return whether one broke its guard's limits."""
     found = False
     begun_us = now_us - STEP_US  # commands in force during the step were those at its beginning
     for i in range(motion.shape[0]):
@@ -105,7 +107,7 @@ def glide(  # type: ignore[no-untyped-def]
     rows, motion, keys, push, inertia, floats, ints, obstacles, moved_us, nearest, limits,
     now_us, until_us, rolled, near_m,
 ):  # fmt: skip
-    """Steps from `now_us` on, none beyond `until_us`, until somebody has to look.
+    """Make steps from `now_us`, none beyond `until_us`, until something must be handled.
 
     `rolled`: the wheels have turned for the first one. Returns the new time, times `CODES`, and why.
     """

@@ -1,6 +1,6 @@
-"""Who touches what, and how near everybody is, from true positions: the judge of contacts.
+"""Contacts and smallest gaps, from true positions: the judge of contacts.
 
-It shares no code with the physics engine, which must not mark its own work.
+It shares no code with the physics engine, which must not be judged by itself.
 """
 
 from math import inf, sqrt
@@ -14,10 +14,10 @@ TOUCH_M = 0.02  # deeper than this is a contact; bodies of robots are measured t
 
 
 TOUCHES_MAX = 1024  # overlaps at one instant; a hundred robots in one heap have about 300
-LOOK_M = 0.5  # the gap to fences and obstacles is known up to this; further is far enough
-FENCE, OBSTACLE = -1, -2  # what is touched: a robot's index; the fence; OBSTACLE - k: obstacle k
+LOOK_M = 0.5  # gaps to fences and obstacles are computed up to this; larger ones do not matter
+FENCE, OBSTACLE = -1, -2  # the second body: a robot's index; the fence; OBSTACLE - k: obstacle k
 NEAREST_ROBOT, NEAREST_WALL = 0, 1
-STANDING_M_S = 1e-3  # slower than this is standing
+STANDING_M_S = 1e-3  # a slower robot counts as standing
 
 
 @njit(cache=True, error_model="numpy")
@@ -31,7 +31,7 @@ def _to_segment(floats, k, x, y):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy")
 def to_walls(floats, ints, x, y, reach):  # type: ignore[no-untyped-def]
-    """Distance to the nearest segment; inf where there is none within reach."""
+    """Distance to the nearest segment; inf if there is none within reach."""
     if ints[0] == 0:
         return inf
     columns, rows = ints[1], ints[2]
@@ -63,7 +63,7 @@ def to_obstacle(row, x, y):  # type: ignore[no-untyped-def]
 def watch(motion, floats, ints, obstacles, nearest, touches, near_m):  # type: ignore[no-untyped-def]
     """Write overlaps to `touches` (first, second, depth in metres).
 
-    Returns twice how many there are, and 1 more where a gap is not larger than `near_m`.
+    Returns twice their number, plus 1 if a gap is not larger than `near_m`.
     `nearest`: smallest gap seen so far between robots, and from a robot to anything else.
     """
     count = motion.shape[0]
@@ -113,14 +113,14 @@ def _is_inside(x, y, floats):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy")
 def crossings(motion, floats, odd):  # type: ignore[no-untyped-def]
-    """Per robot 1 where it is inside the fences."""
+    """Per robot 1 if it is inside the fences."""
     for i in range(motion.shape[0]):
         odd[i] = 1 if _is_inside(motion[i, X], motion[i, Y], floats) else 0
 
 
 @njit(cache=True, error_model="numpy")
 def has_crossed(motion, floats, odd):  # type: ignore[no-untyped-def]
-    """Whether that has changed for anybody."""
+    """Whether this has changed for any robot."""
     for i in range(motion.shape[0]):
         if (odd[i] != 0) != _is_inside(motion[i, X], motion[i, Y], floats):
             return True

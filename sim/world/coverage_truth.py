@@ -1,13 +1,13 @@
-"""What has really been worked, from true tracks and nothing else.
+"""The ground that was really worked, from true tracks and nothing else.
 
 The implement is a bar of the full working width through the robot's centre, at right angles to its
 motion; where the motion turns, the bar swings with it. It works while the implement is down. A cell
 counts when its centre was swept.
 
-What can be asked for: everything the bar reaches with the robot's centre half a width inside the
+The area asked for is everything the bar reaches with the robot's centre half a width inside the
 fences, less half the overlap, which is the tolerance of driving:
-`polygon.buffer(-width / 2).buffer((width - overlap) / 2)`. What of it a body can reach is told by
-`sim/world/reachable_ground.py`, and a run is judged by that.
+`polygon.buffer(-width / 2).buffer((width - overlap) / 2)`. `sim/world/reachable_ground.py` computes
+which part of it a body can reach, and a run is judged by that part.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,9 +24,9 @@ from sim.world.raster import Raster, fitting_m, rasterise
 Floats = NDArray[np.float64]
 Tracks = Mapping[int, Track | Sequence[TrackPoint] | Floats]
 
-MERGE_M = 0.05  # shorter moves have no direction worth a name: slip, and coming to rest
-BACK_COS = -0.985  # a turn by more than 170 degrees is going back: the bar does not swing
-AGAIN_WIDTHS = 2.0  # a robot that drove this many widths since it worked a cell works it again
+MERGE_M = 0.05  # shorter moves have no reliable direction: slip, and coming to rest
+BACK_COS = -0.985  # a turn of more than 170 degrees is reversing: the bar does not swing
+AGAIN_WIDTHS = 2.0  # a robot that has driven this many widths since it worked a cell works it again
 NEVER_US = np.iinfo(np.int64).max
 
 
@@ -36,8 +36,8 @@ class Coverage(NamedTuple):
     again: float  # share worked again by a robot that had worked it before
     last_us: int  # when the last cell was first worked
     uncovered: Floats  # (n, 2): centres of the cells never worked
-    area_m2: float  # asked for
-    worked_m2: dict[int, float]  # of it, by each robot
+    area_m2: float  # the area asked for
+    worked_m2: dict[int, float]  # of that area, by each robot
     reached: float  # share worked of what can be reached
     missed: Floats  # (n, 2): centres of the cells that can be reached and were never worked
 
@@ -54,7 +54,7 @@ def sample_points(
 def coverage(
     raster: Raster, tracks: Tracks, width_m: float, reachable: NDArray[np.bool_] | None = None
 ) -> Coverage:
-    """Sweep the tracks over the cells. `reachable`: those of them that the bodies can work; None: all."""
+    """Sweep the tracks over the cells. `reachable`: those that the bodies can work; None: all."""
     shape = raster.cells.shape
     robots = np.zeros(shape, dtype=np.uint8)
     again = np.zeros(shape, dtype=np.bool_)
@@ -112,7 +112,7 @@ def _strokes(track):  # type: ignore[no-untyped-def]
         length = np.hypot(dx, dy)
         if length < MERGE_M and not last:
             continue
-        if length < MERGE_M and has_course:  # the end of a run: on in the last direction
+        if length < MERGE_M and has_course:  # the end of a run continues in the last direction
             along = max(dx * cx + dy * cy, 0.0)
             dx, dy = along * cx, along * cy
         if length < 1e-9:
@@ -139,7 +139,7 @@ def _swung(rx, ry, was_x, was_y, cx, cy):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy")
 def cells_near(a, b, margin, origin, side, count):  # type: ignore[no-untyped-def]
-    """First and one past the last column, or row, that a stroke comes near to."""
+    """First column or row that a stroke comes near, and one past the last."""
     first = int((min(a, b) - margin - origin) / side)
     last = int((max(a, b) + margin - origin) / side)
     return max(first, 0), min(last, count - 1) + 1

@@ -38,12 +38,14 @@ GRIP_S = 0.2  # half a metre of ground at field speed
 _KEEP = exp(-STEP_S / GRIP_S)
 _FRESH = sqrt(1.0 - _KEEP * _KEEP)
 MARGIN = 1.5  # wheels can do this much more than straight ahead asks: a diagonal needs 1.41
-TRACTION_M_S2 = 7.0  # 0.7 g, rubber on dry ground: a robot that shoves, shoves with this much
+# 0.7 g, rubber on dry ground: a robot that shoves another pushes with this at most.
+TRACTION_M_S2 = 7.0
 SPIN_RAD_S2 = 70.0  # the same, with wheels a decimetre from the middle
 BACK_RAD, FORTH_RAD = 2.6, 2.0  # further off its course a tractor backs up; nearer it goes forward
-BACK_FOREMOST_RAD, FRONT_FOREMOST_RAD = 1.8, 1.3  # a differential drive; between them as before
-PIVOT_PER_S = 4.0  # a differential drive turns this share of what it is off its course by
-CREEP = 0.4  # share of the wanted speed a tractor keeps while it turns towards its course
+# A differential drive; between the two it keeps its present direction.
+BACK_FOREMOST_RAD, FRONT_FOREMOST_RAD = 1.8, 1.3
+PIVOT_PER_S = 4.0  # a differential drive turns this share of its course error per second
+CREEP = 0.4  # share of the wanted speed that a tractor keeps while it turns towards its course
 
 
 class Kind(IntEnum):
@@ -59,21 +61,22 @@ class Chassis(NamedTuple):
     speed_m_s: float = 2.5
     acceleration_m_s2: float = 2.0
     slip: float = 0.02  # standard deviation of each wheel's grip
-    braking_m_s2: float = 3.0  # when told to stand still, or when commands cease
+    braking_m_s2: float = 3.0  # on a command to stand, or when commands cease
     kind: Kind = Kind.MECANUM
-    lead_m: float = 0.5  # Ackermann: how far ahead of the axle the point is that takes the course
+    # Ackermann: how far ahead of the axle the point that follows the course lies.
+    lead_m: float = 0.5
     steer_rad: float = 0.7  # Ackermann: full lock
     steer_rad_s: float = 0.8  # Ackermann: how fast the wheels are turned
     reverse_m_s: float = 1.0  # Ackermann: backing up
 
     @property
     def turn_radius_m(self) -> float:
-        """The tightest circle; 0 for those that turn on the spot."""
+        """Radius of the tightest circle; 0 for bodies that turn on the spot."""
         return 2 * self.half_base_m / tan(self.steer_rad) if self.kind is Kind.ACKERMANN else 0.0
 
     @property
     def stopping_s(self) -> float:
-        """From full speed to standing wheels, at the latest, after the command to stand."""
+        """Upper limit of the time from full speed to standing wheels after a command to stand."""
         margin = 1.0 if self.kind is Kind.ACKERMANN else MARGIN
         braking_m_s2 = min(margin * self.braking_m_s2, TRACTION_M_S2)
         return margin * self.speed_m_s / braking_m_s2 + 3 * STEP_S
@@ -160,7 +163,7 @@ def _noise(key, step, wheel):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy")
 def _tractor(row, speed, ahead, left, turn):  # type: ignore[no-untyped-def]
-    """Body velocity (forward, turn) a tractor should have for a commanded course."""
+    """Body velocity (forward, turn) that a tractor should have for a commanded course."""
     off = atan2(left, ahead)
     if row[BACKING] == 0.0 and abs(off) > BACK_RAD and row[WANT_TOOL] == 0.0:
         row[BACKING] = 1.0
@@ -218,7 +221,7 @@ def _wanted(row, ahead, left, turn):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy")
 def _turn_wheels(row, a, b, c, d, still):  # type: ignore[no-untyped-def]
-    """The wheels follow what is wanted of them as far as one step's torque goes."""
+    """The wheels follow their wanted speeds as far as the torque of one step allows."""
     change = (row[BRAKE] if still else row[GAIN]) * STEP_S
     w = WHEEL
     if row[KIND] == 2.0:
@@ -240,7 +243,7 @@ def _turn_wheels(row, a, b, c, d, still):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy")
 def _push(m, vx, vy, turn, push):  # type: ignore[no-untyped-def]
-    """The acceleration towards what the wheels do, as far as tyres grip."""
+    """The acceleration towards the motion of the wheels, as far as the tyres grip."""
     ax, ay, spin = (vx - m[VX]) / STEP_S, (vy - m[VY]) / STEP_S, (turn - m[TURN]) / STEP_S
     strength = hypot(ax, ay)
     part = TRACTION_M_S2 / strength if strength > TRACTION_M_S2 else 1.0

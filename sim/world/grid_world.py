@@ -1,9 +1,9 @@
-"""A world of cells: bodies that drive straight from cell to cell, and what they have really done.
+"""A world of cells: bodies that drive straight from cell to cell, and the truth about them.
 
-Plainer than `sim/world/world.py`, so that a hundred robots can cover a large map: a body follows
-its command at once, sees the others within two cells, and stands still when its commands stop.
-Contacts, coverage and who was where are judged from true places every `LOOK_US`, and know nothing
-of agents.
+It is simpler than `sim/world/world.py`, so that a hundred robots can cover a large map. A body
+follows its command at once, sees others within two cells, and stands still when its commands stop.
+Contacts, coverage and the positions of robots are judged from true positions every `LOOK_US`,
+without any knowledge of agents.
 """
 
 from dataclasses import dataclass, field
@@ -20,13 +20,13 @@ from sim.world.drive_trains import Chassis
 
 LOOK_US = 50 * MS
 SIGHT = 2.0  # cells
-COVERED = 0.1  # of a cell, as a robot judges it by itself
+COVERED = 0.1  # of a cell, the same as a robot's own criterion
 Cell = tuple[int, int]
 
 
 @dataclass(slots=True)
 class GridBody:
-    """One robot's place, its command, and since when it has it."""
+    """One robot's position, its command, and the time of the command."""
 
     world: "GridWorld"
     slot: int
@@ -59,20 +59,20 @@ class GridBody:
 
 @dataclass(slots=True)
 class GridTruth:
-    first_us: NDArray[np.int64]  # by number: when it was covered, -1: not yet
-    by: NDArray[np.int16]  # who covered it first
+    first_us: NDArray[np.int64]  # by cell number: when it was covered, -1: not yet
+    by: NDArray[np.int16]  # the robot that covered it first
     contacts: set[tuple[int, int]] = field(default_factory=set)
-    through_walls: int = 0  # looks at which a centre was in a wall
+    through_walls: int = 0  # checks at which a centre was in a wall
     closest_m: float = inf
     steps: int = 0  # cells entered
-    at: dict[int, int] = field(default_factory=dict)  # slot -> the cell it covered last
+    at: dict[int, int] = field(default_factory=dict)  # slot -> the cell that it covered last
 
 
 class GridWorld:
     def __init__(self, ground: CellMap, radius_m: float) -> None:
         self.ground, self.radius_m = ground, radius_m
         self.robots: dict[int, GridBody] = {}
-        self.guards: list[object] = []  # never called: steps are not as fine here
+        self.guards: list[object] = []  # never called, because steps are not as fine here
         self.places = np.empty((0, 2))  # at `since_us`
         self.speeds = np.empty((0, 2))
         self.since_us = np.empty(0, dtype=np.int64)
@@ -86,10 +86,10 @@ class GridWorld:
         return self.robots[slot]
 
     def guard(self) -> None:
-        """Who must stand is not watched here."""
+        """Does nothing: robots that must stand are not checked here."""
 
     def add_robot(self, slot: int, number: int, now_us: int) -> GridBody:
-        """A robot comes into the middle of a cell."""
+        """Put a robot into the middle of a cell."""
         assert slot not in self.robots
         self.robots[slot] = body = GridBody(self, slot, len(self.robots))
         self.places = np.vstack((self.places, self._centres[number]))
@@ -111,12 +111,12 @@ class GridWorld:
     def seen(
         self, row: int, x_m: float, y_m: float, now_us: int
     ) -> tuple[tuple[float, float], ...]:
-        """Others within sight, relative to a place."""
+        """Other robots within sight, relative to a position."""
         sight_m = SIGHT * self.ground.cell_m
         gaps = self.places - (
             x_m,
             y_m,
-        )  # not moved on: with a cell to spare, that picks who is near
+        )  # positions at the command; a cell of margin covers the motion since
         spare_m = sight_m + self.ground.cell_m
         near = np.flatnonzero((np.abs(gaps) < spare_m).all(axis=1)).tolist()
         found = []
@@ -128,18 +128,18 @@ class GridWorld:
         return tuple(found)
 
     def is_empty(self, number: int, now_us: int) -> bool:
-        """Whether somebody new can be put into a cell."""
+        """Whether a new robot can be put into a cell."""
         gaps = self._all(now_us) - self._centres[number]
         return not (np.hypot(gaps[:, 0], gaps[:, 1]) < self.ground.cell_m).any()
 
     def advance(self, now_us: int) -> None:
-        """Judge all that was until now."""
+        """Judge everything up to now."""
         while self._looked_us + LOOK_US <= now_us:
             self._looked_us += LOOK_US
             self._look(self._looked_us)
 
     def _look(self, now_us: int) -> None:
-        """A command is never older than a look and its successor, so that places are exact."""
+        """Judge contacts and covered cells from the exact positions at this instant."""
         if not self.robots:
             return
         truth, places = self.truth, self._all(now_us)

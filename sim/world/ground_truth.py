@@ -1,4 +1,4 @@
-"""What the world remembers for its checkers: where everybody was, and who touched what."""
+"""What the world records for its checkers: positions of all robots, and contacts."""
 
 from array import array
 from collections.abc import Iterator, Sequence
@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 STRAIGHT_US = 20_000_000  # a straight piece of a track has a point at least this often
-EVEN_M = 0.25  # along the way; drives are uneven, and nobody judges a launch's track by the instant
+# Along the track; drives are uneven, and the track of a launch is not judged to the instant.
+EVEN_M = 0.25
 TrackPoint = tuple[int, float, float, bool]  # microseconds, x, y, implement down from here on
 
 
@@ -19,21 +20,21 @@ class Contact:
 
     t_us: int
     first: int  # slot
-    second: int | None  # slot; None: something that is no robot
+    second: int | None  # slot; None: not a robot
     depth_m: float  # the deepest so far
     against: str  # "robot 3", "fence", "box 7", "outside"
-    x_m: float  # of the first robot, when it began
+    x_m: float  # position of the first robot at the start
     y_m: float
     until_us: int = 0
 
 
 class _Line:
-    """The even drives from one point that pass every point so far: a cone of directions and a span of
-    speeds. Microseconds, metres from the first point."""
+    """The even drives from one point that pass every point so far: a cone of directions and a range
+    of speeds. Microseconds, and metres from the first point."""
 
     def __init__(self) -> None:
-        self._base: float | None = None  # radians, of the first point that is far enough
-        self._left, self._right = pi, -pi  # of the cone, from there
+        self._base: float | None = None  # radians, direction of the first point that is far enough
+        self._left, self._right = pi, -pi  # of the cone, relative to that direction
         self._slowest, self._fastest = 0.0, inf  # metres a microsecond
         self._far_m = 0.0
 
@@ -59,18 +60,20 @@ class _Line:
         )
 
     def _turn(self, dx_m: float, dy_m: float) -> float:
-        """From the first direction, -pi to pi."""
+        """Angle from the first direction, -pi to pi."""
         assert self._base is not None
         turn = atan2(dy_m, dx_m) - self._base
         return turn - 2 * pi if turn > pi else turn + 2 * pi if turn < -pi else turn
 
 
 class Track:
-    """A robot's way: ten points a second, and one for each switch of the implement; 32 bytes each.
+    """A robot's track: ten points a second, and one for each switch of the implement; 32 bytes
+    each.
 
-    An implement that is down at a point stays down until the next point. A track with `straight_m` leaves
-    out points that lie that near to the line between their neighbours, and within `EVEN_M` of where an
-    even drive would be at their time: a launch of days keeps a point for each turn, not ten a second.
+    An implement that is down at a point stays down until the next point. A track with `straight_m`
+    leaves out points that lie within this distance of the line between their neighbours, and within
+    `EVEN_M` of the position of an even drive at their time. So a launch of days stores a point for
+    each turn, not ten a second.
     """
 
     def __init__(self, straight_m: float | None = None) -> None:
@@ -80,11 +83,11 @@ class Track:
         self.driven_m = 0.0
 
     def add(self, t_us: int, x_m: float, y_m: float, tool_on: bool, carried: bool = False) -> None:
-        """`carried`: somebody moved the robot here, it did not drive."""
+        """`carried`: a person moved the robot here; it did not drive."""
         flat = self._flat
         if flat:
             if carried:
-                flat[-1] = 0.0  # on the way here the implement worked nothing
+                flat[-1] = 0.0  # on the way here the implement did no work
             else:
                 self.driven_m += hypot(x_m - flat[-3], y_m - flat[-2])
         if self.straight_m is not None and len(flat) >= 8:
@@ -92,7 +95,7 @@ class Track:
         flat.extend((t_us, x_m, y_m, tool_on))
 
     def _leave_out(self, t_us: int, x_m: float, y_m: float, tool_on: bool, near_m: float) -> None:
-        """The last point, where the drive to the new one passes all that were left out before it."""
+        """Drop the last point if the drive to the new one passes all points left out before it."""
         flat = self._flat
         was_us, was_x, was_y, was_on, last_us, last_x, last_y, last_on = flat[-8:]
         line = self._line or _Line()
@@ -109,17 +112,18 @@ class Track:
         return len(self._flat) // 4
 
     def settled_from(self, point: int) -> list[float]:
-        """Four numbers for each point from there on, but for the last: see `to_array`. They stay as
-        they are told."""
+        """Four numbers for each point from there on, except the last: see `to_array`. These points
+        do not change any more."""
         return self._flat[4 * point : -4].tolist()
 
     @property
     def newest(self) -> list[float]:
-        """The last point, four numbers; the next one may take its place. Empty: there is none."""
+        """The last point, four numbers, which the next point may replace. Empty if there is
+        none."""
         return self._flat[-4:].tolist()
 
     def recall(self, flat: Sequence[float]) -> None:
-        """Begin with the points of an earlier life of the world, the implement up."""
+        """Begin with the points of an earlier run of the world, the implement up."""
         self._flat = array("d", flat)
         self.driven_m = sum(
             hypot(flat[k] - flat[k - 4], flat[k + 1] - flat[k - 3]) for k in range(5, len(flat), 4)
@@ -138,5 +142,5 @@ class Track:
         return list(self)
 
     def to_array(self) -> NDArray[np.float64]:
-        """(n, 4): microseconds, x, y, 1.0 where the implement is down from there on."""
+        """(n, 4): microseconds, x, y, 1.0 if the implement is down from there on."""
         return np.array(self._flat).reshape(-1, 4)

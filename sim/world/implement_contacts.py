@@ -1,11 +1,11 @@
-"""Where implements met implements or bodies, from true tracks.
+"""Contacts of implements with implements or bodies, from true tracks.
 
-An implement that is down is a bar of the working width and `DEPTH_M` along the course, through the
-middle of its robot and at right angles to its course. One that is up is folded: it is no wider than
-the body. A contact is a bar that is down and comes into another bar that is down, or into another
-body. Edges of neighbouring swaths overlap by plan, and each robot may be off its line by half of that,
-so a bar is judged without `overlap_m` at each end. Two that touch are one contact until they have been
-apart for a second.
+An implement that is down is a bar of the working width and `DEPTH_M` along the course. It lies
+through the middle of its robot, at right angles to its course. One that is up is folded and no
+wider than the body. A contact means that a bar that is down enters another bar that is down, or
+another body. Edges of neighbouring swaths overlap by plan, and each robot may be off its line by
+half of that, so a bar is judged without `overlap_m` at each end. Two that touch are one contact
+until they have been apart for a second.
 """
 
 from collections.abc import Iterable, Mapping
@@ -22,8 +22,9 @@ Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 APART_STEPS: Final = 1_000_000 // TRACK_US
-MOVED_M: Final = 0.02  # in a step; who moves less keeps its course
-DEPTH_M: Final = 0.5  # along the course; two that pass at 5 m/s are seen in one look at least
+MOVED_M: Final = 0.02  # in a step; a robot that moves less keeps its course
+# Along the course; two robots that pass at 5 m/s are detected in at least one check.
+DEPTH_M: Final = 0.5
 
 
 class Met(NamedTuple):
@@ -32,8 +33,8 @@ class Met(NamedTuple):
     t_us: int
     first: int
     second: int
-    body: bool  # of a bar and a body; else of two bars
-    x_m: float  # of the first
+    body: bool  # a bar and a body; else two bars
+    x_m: float  # of the first robot
     y_m: float
 
 
@@ -51,7 +52,8 @@ class _Way(NamedTuple):
 def implement_contacts(
     tracks: Mapping[int, Iterable[TrackPoint]], width_m: float, overlap_m: float, radius_m: float
 ) -> list[Met]:
-    """Of all pairs, by time. Tracks are points (microseconds, x, y, implement down), metres."""
+    """Contacts of all pairs, by time. Tracks are points (microseconds, x, y, implement down),
+    metres."""
     points = {slot: _points(track) for slot, track in sorted(tracks.items())}
     steps = 1 + max(
         (int(rows[-1, 0]) // TRACK_US for rows in points.values() if len(rows)), default=0
@@ -85,7 +87,8 @@ def _points(track: Iterable[TrackPoint]) -> Floats:
 
 
 def _way(rows: Floats, steps: int) -> _Way:
-    """Where it was at each step, on straight lines between points; without a move the course stays."""
+    """The position at each step, on straight lines between points; without motion the course is
+    kept."""
     times_us = np.arange(steps) * TRACK_US
     at = np.column_stack([np.interp(times_us, rows[:, 0], rows[:, k]) for k in (1, 2)])
     down = rows[np.maximum(np.searchsorted(rows[:, 0], times_us, side="right") - 1, 0), 3] != 0.0
@@ -99,7 +102,7 @@ def _way(rows: Floats, steps: int) -> _Way:
 
 
 def _reaches(way: _Way, at: Floats, half_m: float, radius_m: float) -> Bools:
-    """Whether the bar comes into a body there."""
+    """Whether the bar enters a body at that position."""
     apart = at - way.at
     ahead = np.abs((apart * way.course).sum(axis=1)) - DEPTH_M / 2
     aside = np.abs(apart[:, 0] * way.course[:, 1] - apart[:, 1] * way.course[:, 0]) - half_m

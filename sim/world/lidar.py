@@ -1,9 +1,10 @@
 """Range sensors: rays from a robot's centre to the nearest fence, blocked cell, obstacle or robot.
 
-Turned inside out for speed: instead of asking each ray what it meets, each thing in reach is laid
-over all rays at once, in loops without branches that the compiler turns into vector instructions.
-Only blocked cells are walked ray by ray (Amanatides and Woo 1987). The robot's own body is not
-seen. A ray that starts inside something measures 0. Ranges are good to a tenth of a millimetre.
+For speed, the loops are reversed. Instead of testing each ray against all things, each thing in
+reach is applied to all rays at once, in loops without branches that the compiler turns into vector
+instructions. Only blocked cells are traversed ray by ray (Amanatides and Woo 1987). The robot's own
+body is not seen. A ray that starts inside something measures 0. Ranges are accurate to a tenth of a
+millimetre.
 """
 
 from math import floor, pi
@@ -31,7 +32,8 @@ from sim.world.walls import (
 
 f32 = np.float32
 LANES = 8  # float32 numbers in a vector register
-UNIT_X, UNIT_Y, DX, DY, RANGE = range(5)  # rows of beams: in the body frame, in the field, result
+# Rows of beams: direction in the body frame, direction in the field, result.
+UNIT_X, UNIT_Y, DX, DY, RANGE = range(5)
 
 
 class Lidar(NamedTuple):
@@ -51,7 +53,8 @@ class Lidar(NamedTuple):
 
 @njit(cache=True, error_model="numpy")
 def _segment(beams, px, py, ex, ey):  # type: ignore[no-untyped-def]
-    """From (px, py), relative to the robot, on by (ex, ey): Cramer's rule for every ray."""
+    """A segment from (px, py), relative to the robot, along (ex, ey): Cramer's rule for every
+    ray."""
     dx, dy, best = beams[DX], beams[DY], beams[RANGE]
     cross = f32(px * ey - py * ex)
     px, py, ex, ey = f32(px), f32(py), f32(ex), f32(ey)
@@ -72,7 +75,8 @@ def _disc(beams, px, py, radius):  # type: ignore[no-untyped-def]
     px, py, square = f32(px), f32(py), f32(radius * radius)
     for n in range(dx.size):
         aside = px * dy[n] - py * dx[n]
-        t = px * dx[n] + py * dy[n] - np.sqrt(square - aside * aside)  # not a number: missed
+        # Not a number: the ray misses.
+        t = px * dx[n] + py * dy[n] - np.sqrt(square - aside * aside)
         met = (t >= f32(0)) & (t < best[n])
         best[n] = t if met else best[n]
 
@@ -95,7 +99,7 @@ def _box(beams, row, ox, oy, reach):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy")
 def _walls(beams, floats, ints, ox, oy, reach):  # type: ignore[no-untyped-def]
-    """Every segment in the buckets within reach, once: stamped with the number of this scan."""
+    """Test every segment in the buckets within reach once, marked with the number of this scan."""
     count, columns, rows = ints[0], ints[1], ints[2]
     if count == 0:
         return

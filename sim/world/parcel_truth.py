@@ -1,7 +1,7 @@
-"""What is true of parcels and batteries, whatever robots believe: where each is, who has handled it.
+"""The truth about parcels and batteries, whatever robots believe: positions and handling.
 
-A parcel lies somewhere or is aboard one robot; that it is never in two places is how the world is. What
-is judged is the rest: delivered once and never moved again, none lost, no battery ever empty.
+A parcel lies somewhere or is aboard one robot; it can never be in two places. The judged rules are:
+each parcel is delivered once and never moved again, none is lost, and no battery is ever empty.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,12 +15,12 @@ from agent.interface.effects import HALT, Drive
 from agent.interface.ports import Body, Observation, VisibleParcel
 
 Point = tuple[float, float]
-STILL_M_S = 0.1  # a robot handles and charges standing
-# What `to_plain` tells: tables by task or by slot.
+STILL_M_S = 0.1  # a robot handles parcels and charges only while slower than this
+# The tables in `to_plain`, by task or by slot.
 KEPT = (
     "lies", "aboard", "dropoff", "delivered_us", "appeared_us", "battery", "lowest",
 )  # fmt: skip
-BAY_M = 0.5  # from a bay's middle the contacts reach
+BAY_M = 0.5  # reach of the contacts from a bay's middle
 
 
 class Handled(NamedTuple):
@@ -51,7 +51,7 @@ class Parcels:
         self.place_of: Callable[[int], Point] = lambda slot: (0.0, 0.0)
 
     def to_plain(self) -> dict[str, Any]:
-        """All that is true now, as plain values; see `recall`."""
+        """The present truth as plain values; see `recall`."""
         kept = {name: sorted(getattr(self, name).items()) for name in KEPT}
         return {
             **kept, "events": self.events, "empty": sorted(self.empty),
@@ -59,7 +59,8 @@ class Parcels:
         }  # fmt: skip
 
     def recall(self, said: dict[str, Any]) -> None:
-        """Go on from what `to_plain` told. KeyError, TypeError, ValueError where it is not that."""
+        """Continue from the result of `to_plain`. KeyError, TypeError, ValueError if it is not
+        valid."""
         for name in KEPT:
             known = {
                 int(key): tuple(value) if isinstance(value, list) else value
@@ -77,7 +78,7 @@ class Parcels:
             self.appeared_us[task] = now_us
 
     def seen(self, slot: int, at: Point) -> dict[int, VisibleParcel]:
-        """Parcels within reach that lie, or stand on robots that are dead."""
+        """Parcels within reach that lie on the floor, or are aboard dead robots."""
         found = {
             task: VisibleParcel(*place, False)
             for task, place in self.lies.items()
@@ -91,7 +92,7 @@ class Parcels:
         return found
 
     def handle(self, slot: int, task: int, at: Point, now_us: int) -> None:
-        """The arm has done its work."""
+        """Complete the action of the arm."""
         own = self.aboard.get(slot)
         if own == task:
             del self.aboard[slot]
@@ -113,7 +114,7 @@ class Parcels:
             self.events.append(Handled(now_us, task, slot, what))
 
     def drain(self, slot: int, metres: float, seconds: float, at: Point, still: bool) -> float:
-        """What is left in a battery after this much."""
+        """The charge left in a battery after this distance and time."""
         left, carrier = self.battery.setdefault(slot, 1.0), self.carrier
         if not carrier.runs_dry:
             return 1.0
@@ -132,7 +133,7 @@ class Parcels:
 
     @property
     def flaws(self) -> dict[str, int]:
-        """Deliveries done twice; parcels that are nowhere; those carried on after delivery."""
+        """Deliveries done twice; parcels that are nowhere; parcels moved after delivery."""
         delivered = [e.task for e in self.events if e.what == "delivered"]
         aboard = list(self.aboard.values())
         return {

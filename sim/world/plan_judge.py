@@ -1,8 +1,9 @@
-"""Judging a coverage plan by its actions alone. Shares no code with any planner.
+"""Judge a coverage plan by its actions alone. Shares no code with any planner.
 
-One step: all robots move at once. Not allowed: leaving the map or entering a wall or a wreck, two
-robots in one cell, two robots changing places. A cell is covered by the robot that stands on it. A
-robot that died is a wreck from that step on; what only it could reach nobody has to cover.
+In one step all robots move at the same time. Not allowed: leaving the map or entering a wall or a
+wreck, two robots in one cell, two robots changing places. A cell is covered by the robot that
+stands on it. A robot that died is a wreck from that step on; cells that only it could reach need
+not be covered.
 """
 
 from collections import deque
@@ -17,21 +18,23 @@ class Verdict(NamedTuple):
     collisions: int  # robots in a cell with another, summed over the steps
     swaps: int  # pairs of robots that changed places
     wall_entries: int  # steps into walls, wrecks, or off the map; the robot stays
-    uncovered: int  # cells that a living robot can reach and nobody was in
+    uncovered: int  # cells that a living robot can reach and that no robot was in
     cells: int  # reachable free cells
     moves: int
-    turns_90: int  # between one move and the next of the same robot, waits not counting
+    turns_90: int  # between two consecutive moves of a robot, waits not counted
     turns_180: int
     repeats: int  # moves into cells that were covered before
-    last_steps: tuple[int, ...]  # of each robot: after which step it covered its last new cell
-    quarter_turns: tuple[int, ...]  # of each robot up to then; a U-turn is two
+    # Of each robot: the step after which it had covered its last new cell.
+    last_steps: tuple[int, ...]
+    quarter_turns: tuple[int, ...]  # of each robot until that step; a U-turn counts as two
 
     @property
     def ok(self) -> bool:
         return not (self.collisions or self.swaps or self.wall_entries or self.uncovered)
 
     def score(self, turn_cost: float) -> float:
-        """The slowest robot's steps to its last new cell, each quarter turn at `turn_cost` steps."""
+        """The slowest robot's steps to its last new cell, each quarter turn at `turn_cost`
+        steps."""
         ends = zip(self.last_steps, self.quarter_turns, strict=True)
         return max((step + turn_cost * turns for step, turns in ends), default=0.0)
 
@@ -61,7 +64,8 @@ def judge(plan: Plan) -> Verdict:
 
 
 def lower_bound(walls: Walls, starts: list[Cell]) -> int:
-    """Steps that no plan can beat: what is at least d away is not begun before d - 1 steps are over.
+    """A lower bound for all plans: cells at distance d or more are not entered in the first d - 1
+    steps.
 
     >>> import numpy as np
     >>> lower_bound(np.zeros((1, 9), dtype=bool), [(0, 0), (0, 1)])
@@ -80,14 +84,14 @@ def lower_bound(walls: Walls, starts: list[Cell]) -> int:
 
 
 class PlanJudge:
-    """Plays a plan step by step, noting faults; `advance` to its end, then `verdict`."""
+    """Plays a plan step by step and records faults; `advance` to its end, then call `verdict`."""
 
     def __init__(self, plan: Plan) -> None:
         self.plan = plan
         self.walls: list[list[bool]] = plan.walls.tolist()
         self.at: dict[int, Cell] = {}
         self.wrecks: set[int] = set()
-        self.covered: dict[Cell, int] = {}  # the step after which it was
+        self.covered: dict[Cell, int] = {}  # the step after which it was covered
         self.collisions = self.swaps = self.wall_entries = self.moves = self.repeats = 0
         self.turns = [0, 0]
         self.heading: dict[int, int] = {}
@@ -107,7 +111,7 @@ class PlanJudge:
         return self.step >= self.plan.makespan
 
     def wanted(self) -> set[Cell]:
-        """What the living robots can reach."""
+        """The cells that the living robots can reach."""
         live = [cell for robot, cell in self.at.items() if robot not in self.wrecks]
         return {cell for cell in steps_from(self.walls, live) if self.plan.dirt[cell]}
 

@@ -1,7 +1,7 @@
-"""Peers with everything but a world: they claim, work and finish sections by the clock.
+"""Peers without a world: they claim, work and finish sections by the clock.
 
-For figures and campaigns about the protocol: real peers on the real wire model, with work going on all
-the time at the pace of a field robot, whatever the size of the fleet, and no physics.
+For figures and campaigns about the protocol: real peers on the real wire model, with continuous
+work at the pace of a field robot, whatever the fleet size, and no physics.
 """
 
 from collections.abc import Mapping
@@ -16,17 +16,18 @@ UNIT_M = 5.0
 SPEED_M_S = 2.5
 UNIT_S = UNIT_M / SPEED_M_S
 SECTION_UNITS = 40  # 200 m of swath: a row of a field, worked in 80 s
-SPACING_M = 12.0  # far enough apart that nobody gives way
+SPACING_M = 12.0  # far enough apart that no robot gives way
 
 
 class Drill:
-    """The next free section from a place of one's own, worked at a steady pace."""
+    """Takes the next free section from its own start, and works it at a steady pace."""
 
     def __init__(self, slot: int, robots: int, sections: int) -> None:
         self.slot = slot
         self._order = [(slot * sections // robots + k) % sections for k in range(sections)]
         self._units = dict.fromkeys(range(sections), SECTION_UNITS)
-        self._done = SECTION_UNITS * slot // robots  # not everybody finishes at once
+        # Spread out, so that robots do not all finish at the same time.
+        self._done = SECTION_UNITS * slot // robots
         self._next_us = 0
 
     @property
@@ -69,7 +70,7 @@ class Drill:
 
 
 class Place:
-    """A body that is where it is, a little restless so that frames differ."""
+    """A body at a fixed position, with small random motion so that frames differ."""
 
     def __init__(self, slot: int) -> None:
         self.x_m, self.y_m = SPACING_M * (slot % 12), SPACING_M * (slot // 12)
@@ -90,6 +91,6 @@ class Place:
             self._stood_us = now_us
 
     def moved_until_us(self, expiry_us: int) -> int:
-        """Until when a command to move was in force."""
+        """The end of the latest command to move."""
         expires_us = self._moving_us + expiry_us
         return expires_us if self._stood_us < 0 else min(self._stood_us, expires_us)

@@ -1,8 +1,8 @@
-"""A world without physics, for campaigns about the protocol: bodies that stand in their places and do
-what they are told, sections that are worked by the clock, and the truth of both.
+"""A world without physics, for campaigns about the protocol. Bodies stand still and follow
+commands, sections are worked by the clock, and the truth of both is recorded.
 
-It gives a cluster what `sim/world/world.py` gives it. Who works where is known to the parade
-itself, so that no checker has to ask a robot.
+It offers a fleet the same interface as `sim/world/world.py`. The world itself records which robot
+works where, so no checker has to ask a robot.
 """
 
 from collections.abc import Callable, Collection, Mapping
@@ -24,11 +24,11 @@ from sim.world.robot_body import RobotBody
 from sim.world.world import World
 
 UNIT_US = 1 * S  # a unit takes this long
-UNITS = 20  # of a section: claims are made three times as often as in a field of short rows
+UNITS = 20  # of a section; so claims are made three times as often as in a field of short rows
 SECTIONS_A_ROBOT = 8
-SPRINT_SECTIONS = 3  # of a robot, in a sprint
-# Two robots within this time in one section work there together. A hand-over takes longer: what is
-# claimed is contested for 250 ms before it is work.
+SPRINT_SECTIONS = 3  # per robot, in a sprint
+# Two robots in one section within this time work there together. A hand-over takes longer, because
+# a claim is contested for 250 ms before work starts.
 BOTH_US = 200 * MS
 
 
@@ -38,7 +38,7 @@ _tuple = tuple.__new__
 
 class Watch(NamedTuple):
     slots: frozenset[int]
-    silent_us: int  # from here on no command to move may be in force
+    silent_us: int  # after this, no command to move may be in force
 
 
 class CommandChecker:
@@ -57,13 +57,14 @@ class CommandChecker:
         return self._pressed
 
     def release(self, number: int, slots: Collection[int] | None = None) -> None:
-        """A person released some robots, or all, from that stop."""
+        """A person released some robots, or all of them, from that stop."""
         watch = self._watches.pop(number)
         if slots is not None and watch.slots - frozenset(slots):
             self._watches[number] = watch._replace(slots=watch.slots - frozenset(slots))
 
     def lapses(self, slot: int, now_us: int) -> None:
-        """It has died or hangs: what it said last holds until it expires in the actuator."""
+        """The robot has died or hangs, so its last command holds until it expires in the
+        actuator."""
         self._lapsed_us[slot] = now_us
 
     def moved(self, slot: int, until_us: int) -> None:
@@ -116,12 +117,13 @@ class StationaryBody(RobotBody):
         return self.x_m, self.y_m
 
     def push(self, dx_m: float, dy_m: float) -> None:
-        """Fault: somebody moves the robot."""
+        """Fault: a person moves the robot."""
         self.x_m, self.y_m = self.x_m + dx_m, self.y_m + dy_m
 
 
 class ProtocolWorld(World):
-    """Every body, what was worked, and who worked where and when. Nothing of a world is computed."""
+    """Every body, the units worked, and which robot worked where and when. No physics is
+    computed."""
 
     def __init__(self, robots: int, sections: int) -> None:
         self.now_us, self.lidar = 0, None
@@ -133,7 +135,7 @@ class ProtocolWorld(World):
         self.together: list[Violation] = []  # S7
         self.counts: Callable[[], bool] = lambda: (
             True
-        )  # whether two in a section are wrong just now
+        )  # whether two robots in a section are a violation at present
         self.contacts: list[Contact] = []
         self._at_work: dict[int, tuple[int, int]] = {}  # section -> robot and when it last worked
 
@@ -148,13 +150,13 @@ class ProtocolWorld(World):
         self, x_m: float, y_m: float, side_m: float, depth_m: float | None = None,
         heading_rad: float = 0.0,
     ) -> int:  # fmt: skip
-        """Nobody meets anything here."""
+        """Has no effect, because robots meet nothing here."""
         return 0
 
     def remove_box(self, number: int) -> None: ...
 
     def checker(self) -> CommandChecker:
-        """A new one, that is told of every command."""
+        """A new checker, which receives every command."""
         self._checkers.append(CommandChecker())
         return self._checkers[-1]
 
@@ -173,14 +175,14 @@ class ProtocolWorld(World):
 
     @property
     def share(self) -> float:
-        """Of all units, those that were really worked."""
+        """The share of all units that were really worked."""
         return len(self.worked) / (UNITS * len(self.units))
 
 
 class TimedMission:
-    """The mission: the next free section from a place of one's own, unit after unit by the clock.
+    """The mission: the next free section from its own start, unit after unit by the clock.
 
-    `crowded`: everybody looks from the first section on, so that every claim is contested.
+    `crowded`: all robots search from the first section on, so every claim is contested.
     """
 
     def __init__(self, parade: ProtocolWorld, slot: int, crowded: bool = False) -> None:
@@ -189,8 +191,8 @@ class TimedMission:
         first = 0 if crowded else slot * sections // len(parade.stands)
         self._order = [(first + k) % sections for k in range(sections)]
         self._section: int | None = None
-        self._worked: set[int] = set()  # of this section, since it was begun
-        self._unit_us = 0  # when the unit under way will be done
+        self._worked: set[int] = set()  # units worked of this section, since it was started
+        self._unit_us = 0  # when the present unit will be done
         self._lifted = True
 
     @property
@@ -230,7 +232,7 @@ class TimedMission:
         return STILL
 
     def work(self, view: FleetView) -> MotionRequest:
-        if self._section is None:  # resumed after a stop or a sync
+        if self._section is None:  # continues after a stop or a sync
             self.begin(view.allocation.assigned_sections(view.slot)[0], view)
         section, now_us = self._section, view.now_us
         assert section is not None
@@ -261,7 +263,7 @@ WORKING = MotionRequest(SPEED_M_S, 0.0, 0.0, True)
 
 
 class PassThroughMotion(HolonomicMotion):
-    """Nobody is in anybody's way."""
+    """Motion without obstacles: no robot is in the way of another."""
 
     def __init__(self, slot: int) -> None:
         self.slot, self.limits = slot, BodyLimits(0.5, SPEED_M_S, 1.0)

@@ -1,7 +1,7 @@
 """pymunk, with all bodies read and written at once: wheels push, bodies move, collisions resolve.
 
-Wheels act as forces, never as velocities: pymunk moves bodies before it resolves what collides, so
-a velocity written before a step would carry a body into the wall.
+Wheels act as forces, never as velocities. pymunk moves bodies before it resolves collisions, so a
+velocity written before a step would carry a body into the wall.
 """
 
 import numpy as np
@@ -34,7 +34,7 @@ class Physics:
         self._forces = np.zeros((0, 3))
         self._order: slice | NDArray[np.intp] = slice(0)  # the rows of the robots
         self._pushed: Floats | None = None  # those rows of `_forces`, where they are in one piece
-        self._stale = True  # bodies came since the rows were laid out
+        self._stale = True  # bodies were added since the rows were laid out
 
     def add_robot(self, x_m: float, y_m: float, heading_rad: float, radius_m: float) -> None:
         moment = pymunk.moment_for_circle(MASS_KG, 0.0, radius_m)
@@ -63,7 +63,7 @@ class Physics:
         self.space.remove(shape)
 
     def put(self, motion: Floats) -> None:
-        """Everybody as in `motion`, see `step`: they moved without us."""
+        """Set all bodies to `motion`, see `step`: they were moved without the engine."""
         for body, (x_m, y_m, angle, vx, vy, turn) in zip(
             self._robots, motion[:, :6].tolist(), strict=True
         ):

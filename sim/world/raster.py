@@ -13,7 +13,8 @@ Floats = NDArray[np.float64]
 
 CELLS_MAX = 64_000_000  # 64 MB of flags; a larger field needs a coarser raster
 
-# Of a field that is judged: 20 bytes each. 0.25 m up to 1 km x 1 km, 1 m up to 4 km, 2 m for 6.5 km.
+# For a field that is judged: 20 bytes each. 0.25 m up to 1 km x 1 km, 1 m up to 4 km, 2 m for 6.5
+# km.
 CELLS_JUDGED_MAX = 16_000_000
 
 

@@ -1,15 +1,17 @@
-"""Which of the area asked for a body and its implement can work: from the field and the body alone.
+"""Which part of the area asked for a body and its implement can work, from the field and body
+alone.
 
-What was driven does not matter here. Two things keep ground from a body.
+The tracks driven do not matter here. There are two reasons why a body cannot reach ground.
 
-* **It cannot get there.** Ground behind a passage narrower than the body and its distance from fences.
-* **It cannot lead its implement there.** A body that turns on the spot swings the bar into any corner.
-  A body that steers works in strokes: the bar is let down, driven, and lifted. A stroke bends no
-  tighter than the turning circle and is at least as long as the implement is wide and the body is
-  long, because what is shorter is not driven but shunted. All along a stroke the bar lies within the
-  outline, and the middle of the body keeps its distance from fences. A cell is reachable where one
+* **It cannot get there.** The ground is behind a passage narrower than the body and its distance
+  from fences.
+* **It cannot bring its implement there.** A body that turns on the spot swings the bar into any
+  corner. A body that steers works in strokes: the bar is lowered, driven, and lifted. A stroke
+  bends no tighter than the turning circle. It is at least as long as the implement is wide and the
+  body is long, because a shorter one would need shunting. All along a stroke the bar lies within
+  the outline, and the middle of the body keeps its distance from fences. A cell is reachable if one
   such stroke passes it, in any direction, with half the overlap to spare, which is the tolerance of
-  driving. So a body that steers may have to leave a corner or a narrow end, and never a strip along
+  driving. So a body that steers may have to leave a corner or a narrow end, but never a strip along
   a fence.
 
 The check of strokes is sampled: directions every 7.5 degrees and those of the fences near by, nine
@@ -35,16 +37,16 @@ Flags = NDArray[np.bool_]
 
 HEADINGS: Final = 24  # of a half turn: the same stroke can be driven both ways
 BENDS: Final = (0.0, 1 / 32, 1 / 16, 1 / 4, 1.0)  # of the turning circle's curvature, to both sides
-ACROSS: Final = 7  # places of the cell on the bar
-ALONG: Final = 5  # and on the stroke
-STEP_M: Final = 0.5  # between places of a stroke that are looked at
-SMALL_SHARE: Final = 0.9  # of the longest way in a field that is shorter than a stroke
-EDGES_MAX: Final = 64  # of the outline, near a cell; with more of them the nearest count
-NEGLIGIBLE_M2: Final = 0.05  # less than a cell: not worth a line
+ACROSS: Final = 7  # sample positions of the cell on the bar
+ALONG: Final = 5  # and along the stroke
+STEP_M: Final = 0.5  # between checked positions of a stroke
+SMALL_SHARE: Final = 0.9  # of the longest line in a field that is shorter than a stroke
+EDGES_MAX: Final = 64  # of the outline, near a cell; if there are more, the nearest count
+NEGLIGIBLE_M2: Final = 0.05  # less than a cell: not worth reporting
 
 
 class Body(NamedTuple):
-    """What of a robot and its implement decides where they can work; metres."""
+    """The dimensions of a robot and its implement that decide where they can work; metres."""
 
     width_m: float  # of the implement
     overlap_m: float
@@ -53,7 +55,7 @@ class Body(NamedTuple):
 
     @property
     def keep_m(self) -> float:
-        """Between the middle of the body and a fence."""
+        """Distance between the middle of the body and a fence."""
         return self.radius_m + FENCE_M
 
     @property
@@ -69,7 +71,7 @@ class Unreached(NamedTuple):
 
 
 class Ground(NamedTuple):
-    """`cells`: of the raster of the area asked for, those that can be reached."""
+    """`cells`: the reachable cells, on the raster of the area asked for."""
 
     cells: Flags
     share: float  # of the area asked for
@@ -103,7 +105,7 @@ def reachable_ground(
 def _joined(
     polygon: Polygon, raster: Raster, body: Body, starts: Sequence[tuple[float, float]]
 ) -> Flags:
-    """Cells that a bar reaches whose middle can come from a start."""
+    """Cells that a bar reaches if its middle can come from a start."""
     free = shapely.get_parts(polygon.buffer(-body.keep_m))
     own = [part for part in free if any(part.distance(Point(at)) < FENCE_M for at in starts)]
     if len(own) == len(free):
@@ -118,7 +120,7 @@ def _joined(
 
 
 def _by_strokes(polygon: Polygon, raster: Raster, joined: Flags, body: Body) -> Flags:
-    """Of these cells, those that a stroke passes."""
+    """Those of the cells that a stroke passes."""
     free = polygon.buffer(-body.keep_m)
     if free.is_empty:
         return np.zeros_like(joined)
@@ -128,7 +130,8 @@ def _by_strokes(polygon: Polygon, raster: Raster, joined: Flags, body: Body) -> 
     rings = shapely.get_parts(shapely.boundary(polygon))
     points, ring = shapely.get_coordinates(rings, return_index=True)
     edges = np.hstack((points[:-1], points[1:]))[ring[:-1] == ring[1:]]
-    # A stroke of any direction fits where the fences are further away than it and the bar reach.
+    # A stroke of any direction fits if the fences are farther away than the stroke and the bar
+    # reach.
     inner = polygon.buffer(-hypot(stroke_m, body.width_m) - body.keep_m)
     rim = joined & ~_in(inner, raster)
     rows, columns = np.nonzero(rim)
@@ -152,7 +155,9 @@ def _in(area: Polygon | MultiPolygon, raster: Raster) -> Flags:
 
 
 @njit(cache=True, error_model="numpy")
-def _strokes_pass(edges, rows, columns, place, bar, keep, stroke, bends, cells):  # type: ignore[no-untyped-def]
+def _strokes_pass(  # type: ignore[no-untyped-def]
+    edges, rows, columns, place, bar, keep, stroke, bends, cells
+):
     """Clear each of these cells that no stroke passes."""
     near = np.empty((EDGES_MAX, 4))
     headings = np.empty(EDGES_MAX + HEADINGS)
@@ -175,7 +180,7 @@ def _strokes_pass(edges, rows, columns, place, bar, keep, stroke, bends, cells):
 def _edges_near(edges, x, y, reach, near):  # type: ignore[no-untyped-def]
     count = 0
     within = reach
-    while True:  # nearer ones only, where there are too many
+    while True:  # if there are too many, take only nearer ones
         count = 0
         for k in range(edges.shape[0]):
             if _distance(x, y, edges[k]) <= within:

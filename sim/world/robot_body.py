@@ -1,4 +1,4 @@
-"""One robot's body: the `Body` port of its peer, the hooks of faults, and what checkers look at."""
+"""One robot's body: the `Body` port of its peer, hooks for faults, and values for checkers."""
 
 from math import hypot, isfinite, pi, remainder
 from typing import Any, Protocol
@@ -31,7 +31,7 @@ OBSERVATION = tuple.__new__
 
 
 class BodyRows(Protocol):
-    """The world that a body is a row of: one row a robot in each array, metres, radians, seconds."""
+    """The world that holds a body as one row of each array; metres, radians, seconds."""
 
     motion: NDArray[Any]
     rows: NDArray[Any]
@@ -41,7 +41,7 @@ class BodyRows(Protocol):
     now_us: int
 
     def advance(self, now_us: int) -> None:
-        """Steps until `now_us`."""
+        """Make steps until `now_us`."""
 
     def ranges(self, index: int) -> tuple[float, ...]: ...
 
@@ -55,7 +55,7 @@ class RobotBody:
         self.world, self.slot, self.index = world, slot, index  # index: row in the world's arrays
         self.radius_m, self.chassis = radius_m, chassis
         self.track = Track()
-        self.frozen = False  # fault: the actuator hears nothing new
+        self.frozen = False  # fault: the actuator gets no new commands
 
     @property
     def position(self) -> XY:
@@ -73,7 +73,7 @@ class RobotBody:
 
     @property
     def speed_m_s(self) -> float:
-        """What the body really does, whatever the wheels were told."""
+        """The real speed of the body, whatever the wheels were commanded."""
         vx_m_s, vy_m_s = self.world.motion[self.index, VX : VY + 1].tolist()
         return hypot(vx_m_s, vy_m_s)
 
@@ -99,7 +99,7 @@ class RobotBody:
         ))  # fmt: skip
 
     def drive(self, command: Drive, now_us: int) -> None:
-        """In force from the step in which `now_us` lies, until it expires."""
+        """The command is in force from the step that contains `now_us`, until it expires."""
         assert isfinite(command.vx_m_s + command.vy_m_s + command.turn_rad_s), command
         self.world.advance(now_us)
         if self.frozen:
@@ -111,7 +111,7 @@ class RobotBody:
         )  # fmt: skip
 
     def commanded(self, now_us: int) -> Drive:
-        """The command in force: one that is not renewed expires in the actuator."""
+        """The command in force; a command that is not renewed expires in the actuator."""
         row = self.world.rows[self.index]
         if now_us >= row[EXPIRES_US]:
             return HALT
@@ -119,12 +119,12 @@ class RobotBody:
         return Drive(vx_m_s, vy_m_s, turn_rad_s, bool(row[WANT_TOOL]))
 
     def push(self, dx_m: float, dy_m: float) -> None:
-        """Fault: somebody moves the robot."""
+        """Fault: a person moves the robot."""
         x_m, y_m = self.position
         self.teleport(x_m + dx_m, y_m + dy_m)
 
     def teleport(self, x_m: float, y_m: float, heading_rad: float | None = None) -> None:
-        """Fault: somebody carries the robot there."""
+        """Fault: a person carries the robot there."""
         world, tool_on = self.world, self.tool_on
         self.track.add(world.now_us, *self.position, tool_on)
         world.place(self, x_m, y_m, self.heading_rad if heading_rad is None else heading_rad)

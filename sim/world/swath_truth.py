@@ -1,4 +1,4 @@
-"""Which lines an implement really passed along, when and by whom; from true tracks alone.
+"""Which lines an implement really passed along, when, and of which robot; from true tracks alone.
 
 Lines are sampled every quarter of a metre. A sample was worked when a robot's centre passed it
 within tolerance and within 30 degrees of the line's direction, either way, with the implement down.
@@ -48,7 +48,7 @@ class LineTruth:
         return at_us
 
     def shares(self, tracks: Tracks) -> Floats:
-        """Of each line, the share that was worked by anybody."""
+        """Of each line, the share that any robot worked."""
         worked = np.zeros(len(self._table), dtype=np.bool_)
         for _, track in sorted(tracks.items()):
             worked |= self.worked_us(track) != NEVER_US

@@ -1,8 +1,8 @@
-"""Things that appear where robots want to go, and vanish again: boxes that somebody dropped.
+"""Boxes that appear where robots want to go, and vanish again.
 
-Where and when comes from the seed alone; only that nothing is put on or right before a robot
-depends on the run. Each obstacle therefore brings several places, and the first one that is free
-when its time has come is taken.
+Their positions and times depend only on the seed, with one exception: nothing is put on a robot or
+right before it. Each obstacle therefore has several candidate positions, and the first one that is
+free at its time is used.
 """
 
 from collections.abc import Iterable, Iterator
@@ -17,8 +17,8 @@ from sim.world.world import World
 
 XY = tuple[float, float]
 
-PLACES = 8  # tries; an obstacle that finds all of them taken does not appear
-DRAWS_MAX = 1_000  # for a place in the area; an area so thin has no room for a box
+PLACES = 8  # candidates; an obstacle does not appear if all of them are taken
+DRAWS_MAX = 1_000  # for a position in the area; an area that fails this often has no room for a box
 
 
 class TemporaryObstacle(NamedTuple):
@@ -45,7 +45,7 @@ def random_temporary_obstacle_generator(
 ) -> Iterator[TemporaryObstacle]:
     """Boxes in the area, in order of birth: one every `every_s` on average, at random instants.
 
-    ValueError where the area has no room for the largest box.
+    ValueError if the area has no room for the largest box.
     """
     rng = Random(f"{seed}/obstacles")
     inside = area.buffer(-size_m[1] * 0.75)
@@ -80,9 +80,9 @@ def _place(rng: Random, area: Polygon | MultiPolygon) -> XY:
 def schedule(
     world: World, obstacles: Iterable[TemporaryObstacle], clearance_m: float = 1.0
 ) -> list[TemporaryObstacle]:
-    """Let them come and go in the world; returns those that did appear, as they do.
+    """Let them come and go in the world; returns a list of those that appeared, as they appear.
 
-    None comes nearer to a robot than its clearance, plus the way the robot cannot avoid: braking.
+    None appears closer to a robot than its clearance plus its braking distance.
     """
     appeared: list[TemporaryObstacle] = []
 

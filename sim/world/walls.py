@@ -1,7 +1,7 @@
 """What stands in the world: fences and blocked cells that stay, boxes and discs that come and go.
 
-Fixed segments are bucketed in square cells, so that a query looks at those nearby only. Everything
-is packed in two arrays, `floats` and `ints`, because each argument of a compiled function costs.
+Fixed segments are bucketed in square cells, so that a query tests only those nearby. Everything is
+packed in two arrays, `floats` and `ints`, because each argument of a compiled function costs time.
 
     floats[0]    west, south, side of the buckets, -
     floats[1]    west, south, side of the blocked cells, 1 if there are any
@@ -22,7 +22,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 BUCKETS_MAX = 250_000  # 1 MB of offsets; larger worlds get larger buckets
-OBSTACLES_MAX = 256  # each is looked at by each ray: more belong in the map
+OBSTACLES_MAX = 256  # each ray tests each of them; if there are more, put them into the map
 FIRST, STAMP, HEAD = 2, 3, 4  # first segment of `floats`; the stamp, the first bucket of `ints`
 FREE, BOX, DISC = 0.0, 1.0, 2.0
 SHAPE, AT_X, AT_Y, HALF_X, HALF_Y, COS, SIN = range(7)  # a row of obstacles
@@ -38,7 +38,7 @@ class Grid(NamedTuple):
     cell_m: float
 
     def edges(self) -> Iterator[tuple[XY, XY]]:
-        """The borders between blocked and free, each as long as it goes straight."""
+        """The borders between blocked and free cells, merged where they are straight."""
         padded = np.pad(self.blocked, 1)
         for flat, solid in ((True, padded), (False, padded.T)):
             rows, columns = np.nonzero(solid[1:, :] != solid[:-1, :])
@@ -116,7 +116,7 @@ def _fill(floats, columns, rows, cursor, items):  # type: ignore[no-untyped-def]
             for c in range(max(first_c, 0), min(last_c, columns - 1) + 1):
                 mx, my = west + (c + 0.5) * side, south + (r + 0.5) * side
                 if abs((mx - x) * dy - (my - y) * dx) > half * (abs(dx) + abs(dy)):
-                    continue  # the line passes the bucket by
+                    continue  # the line does not cross the bucket
                 bucket = r * columns + c
                 if items.size:
                     items[cursor[bucket]] = k

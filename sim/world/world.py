@@ -1,14 +1,14 @@
 """The ground truth: robots, fences and obstacles, moved in fixed steps.
 
-Nobody but a robot's own `sense` and `drive` reaches into it, and the checkers, who see everything.
-Time is lazy: whoever asks first brings the world to the instant it asks for. The same steps are
-made whoever asks and however often, so a run has one history.
+Only a robot's own `sense` and `drive` access it, and the checkers, which see everything. Time is
+lazy: the first call for an instant advances the world to it. The same steps are made whatever the
+order and number of calls, so a run has one history.
 
 Each step: obstacles come and go, the wheels answer the commands in force
 (`sim.world.drive_trains`), bodies move, and touches are judged from the new positions
 (`sim.world.contacts`). pymunk moves the bodies (`sim.world.pymunk_engine`). A world of the engine
-`contact_free` calls it only where something is near; elsewhere they glide, with the same result
-(`sim.world.contact_free_steps`).
+`contact_free` calls it only if something is near; otherwise `sim.world.contact_free_steps` moves
+them, with the same result.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -62,22 +62,24 @@ from sim.world.walls import (
 
 __all__ = ["STEP_US", "RobotBody", "World"]
 
-CONTACTS_MAX: Final = 10_000  # a run with more has failed long before; `contacts_lost` counts on
+# A run with more has failed long before; `contacts_lost` counts the rest.
+CONTACTS_MAX: Final = 10_000
 APART_US: Final = 200_000  # a contact is over after this long without overlap
-# The engine makes so many steps after something was near, or was put somewhere: longer than it remembers
-# what touched (3 steps, `cpSpaceSetCollisionPersistence`).
+# The engine makes this many steps after something was near or was placed. That is longer than it
+# remembers touches (3 steps, `cpSpaceSetCollisionPersistence`).
 ENGINE_STEPS: Final = 8
 
 
 class Guard(Protocol):
-    """A checker of who must not move."""
+    """A checker of robots that must not move."""
 
     def limits(self) -> Mapping[int, tuple[float, float]]:
-        """Of slots: from when on no command to move may be in force, and no body move, microseconds."""
+        """slot -> times after which no command to move may be in force, and no body may move, in
+        us."""
         ...
 
     def look(self, world: "World") -> None:
-        """After a step in which somebody broke what a guard said."""
+        """Called after a step in which a robot broke a limit of a guard."""
         ...
 
 
@@ -90,28 +92,29 @@ class World:
         grid: Grid | None = None,
         engine: Engine = "pymunk",
     ) -> None:
-        """`rings`: closed outlines that nobody passes, fences and holes alike, metres."""
+        """`rings`: closed outlines that no robot passes, fences and holes alike, metres."""
         self.now_us = 0
         self.lidar = lidar
         self.robots: dict[int, RobotBody] = {}
         self.contacts: list[Contact] = []
         self.contacts_lost = 0
-        self.guards: list[Guard] = []  # call `guard` when what they say changes
+        self.guards: list[Guard] = []  # call `guard` when their limits change
         self.engine: Engine = engine
-        self.pymunk_steps = 0  # of `STEP_US`, that pymunk has made
+        self.pymunk_steps = 0  # steps of `STEP_US` made by pymunk
         self.rows = np.empty(
             (0, COLUMNS)
         )  # see sim.world.drive_trains; one row a robot, in order of adding
         self.motion = np.empty((0, 7))
-        self.commands = self.places = memoryview(b"")  # both, for who reads or writes one row
+        # Byte views of both arrays, to read or write one row.
+        self.commands = self.places = memoryview(b"")
         self.moved_us = np.empty(0, dtype=np.int64)  # the last step at whose end each robot moved
         self._seed = seed
         self._keys = np.empty(0, dtype=np.uint64)
-        self._side = np.empty(0, dtype=np.int8)  # of the fences, where each robot was put
+        self._side = np.empty(0, dtype=np.int8)  # of the fences, where each robot was placed
         self._push = np.empty((0, 3))
         self._limits = np.empty((0, 2))  # see sim.world.contact_free_steps
-        self._engine_steps = 0  # that must be made
-        self._put = True  # bodies are not where the engine had them
+        self._engine_steps = 0  # steps that must be made by the engine
+        self._put = True  # bodies were placed elsewhere than where the engine has them
         self._fences = Walls(ring_edges(rings), grid)
         self._grid = grid
         edges = [*ring_edges(rings), *(grid.edges() if grid is not None else ())]
@@ -123,7 +126,7 @@ class World:
         self._touches = np.empty((TOUCHES_MAX, 3))
         self._touching: dict[tuple[int, int], Contact] = {}
         self._obstacles = np.zeros((OBSTACLES_MAX, OBSTACLE_COLUMNS))
-        self._standing = self._obstacles[:0]  # up to the last row in use
+        self._standing = self._obstacles[:0]  # rows up to the last one in use
         self._shapes: dict[int, tuple[int, pymunk.Shape]] = {}  # number: row, shape
         self._numbers = 0
         self._due: list[tuple[int, int, Callable[[], object]]] = []  # see `at`
@@ -166,14 +169,14 @@ class World:
         return robot
 
     def place(self, robot: RobotBody, x_m: float, y_m: float, heading_rad: float) -> None:
-        """Set a robot somewhere else: a fault, not a drive."""
+        """Place a robot elsewhere: a fault, not a drive."""
         self.motion[robot.index, :3] = x_m, y_m, heading_rad
         self._put = True
 
     def resume(self, now_us: int, poses: Mapping[int, tuple[float, float, float]]) -> None:
-        """Go on at that instant, with every robot standing where it is said to stand.
+        """Continue at that instant, with every robot standing at its given pose.
 
-        Of a world that was kept by `sim.world.world_memory`; before the first step.
+        For a world restored by `sim.world.world_memory`; call before the first step.
         """
         self.now_us = now_us - now_us % STEP_US
         for slot, pose in poses.items():
@@ -184,7 +187,7 @@ class World:
         self, x_m: float, y_m: float, side_m: float, depth_m: float | None = None,
         heading_rad: float = 0.0,
     ) -> int:  # fmt: skip
-        """A box that nobody passes, from now on; returns the number to remove it by."""
+        """Add a box that no robot passes, from now on; returns the number to remove it by."""
         half_x, half_y = side_m / 2, (side_m if depth_m is None else depth_m) / 2
         c, s = cos(heading_rad), sin(heading_rad)
         corners = [
@@ -207,24 +210,25 @@ class World:
         return self._numbers
 
     def remove_box(self, number: int) -> None:
-        """Take a box or a disc away; one that is gone already may be removed again."""
+        """Remove a box or a disc; removing one that is already gone is allowed."""
         if number in self._shapes:
             row, shape = self._shapes.pop(number)
             self._obstacles[row] = 0.0
             self._physics.remove(shape)
 
     def obstacles(self) -> list[list[float]]:
-        """What stands in the world besides fences and robots, as rows of `sim.world.walls`."""
+        """What is in the world besides fences and robots, as rows of `sim.world.walls`."""
         rows: list[list[float]] = self._standing.tolist()
         return rows
 
     def at(self, t_us: int, action: Callable[[], object]) -> None:
-        """Do something at the first step at or after `t_us`; in order of time, then of asking."""
+        """Call an action at the first step at or after `t_us`; in order of time, then of the
+        requests."""
         heappush(self._due, (t_us, self._asked, action))
         self._asked += 1
 
     def guard(self) -> None:
-        """What guards say has changed."""
+        """The limits of a guard have changed."""
         self._limits = np.full((len(self.motion), 2), inf)
         for guard in self.guards:
             for slot, limits in guard.limits().items():
@@ -243,7 +247,7 @@ class World:
                 self._glide(min(now_us, due_us), False)
 
     def _glide(self, until_us: int, rolled: bool) -> None:
-        """On until there, or until there is something to be done."""
+        """Advance to that time, or until something must be handled."""
         fences = self._solid
         came = glide(
             self.rows, self.motion, self._keys, self._push, self._physics.inertia, fences.floats,
@@ -262,11 +266,11 @@ class World:
             self._end_step(why == GUARDED)
 
     def _roll(self) -> bool:
-        """The wheels of a step that is the engine's."""
+        """Turn the wheels for a step that the engine makes."""
         return bool(roll(self.rows, self.motion, self._keys, self.now_us, self._push))
 
     def _collide(self, switched: bool) -> None:
-        """The rest of a step in which bodies may touch."""
+        """Make the rest of a step in which bodies may touch."""
         if switched:
             self._record()
         if self._put:
@@ -357,7 +361,7 @@ class World:
         self._outside = through
 
     def ranges(self, index: int) -> tuple[float, ...]:
-        """What the range sensors of the robot in that row say now; none without sensors."""
+        """The present ranges of the robot in that row; empty without sensors."""
         if self.lidar is None:
             return ()
         fences = self._fences
@@ -367,7 +371,7 @@ class World:
         return ranges_m
 
     def ranges_of_all(self) -> NDArray[np.float32]:
-        """(robots, rays): the same of every robot at once, in order of adding."""
+        """(robots, rays): the ranges of every robot at once, in order of adding."""
         assert self.lidar is not None
         fences, found = self._fences, np.empty((len(self.motion), self.lidar.rays), np.float32)
         scan_all(self.motion, fences.floats, fences.ints, fences.blocked, self._standing,

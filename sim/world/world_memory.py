@@ -1,8 +1,9 @@
-"""The truth of a launch's world on disk, so that the next launch of the same fleet goes on from it.
+"""The truth of a launch's world on disk, from which the next launch of the same fleet continues.
 
-Each line of JSON is a look: the instant, where every robot stands, the points of its track that are new,
-contacts, and what is true of parcels. A launch that is killed loses the truth since its last look. A look
-takes the place of the one before, but for one in `KEEP_US`: days of looks fit a disk.
+Each line of JSON is a snapshot: the instant, the pose of every robot, the new points of its track,
+contacts, and the truth about parcels. A launch that is killed loses the truth since its last
+snapshot. A snapshot replaces the one before, except one in every `KEEP_US`, so days of snapshots
+fit on a disk.
 """
 
 import json
@@ -17,23 +18,24 @@ from sim.world.ground_truth import Contact
 from sim.world.parcel_truth import Parcels
 from sim.world.world import World
 
-KEEP_US = 20_000_000  # 4,320 lines a day; what is new in it, of 100 robots, is some 10 kB
+KEEP_US = 20_000_000  # 4,320 lines a day; the new data in a line, of 100 robots, is some 10 kB
 LINE_BYTES_MAX = 16 * 1024 * 1024  # a line of 100 robots and 1,000 parcels has 200 kB
 
 
-WRONG = (KeyError, TypeError, ValueError, OverflowError, AttributeError)  # what a line may raise
+# Exceptions that a malformed line may raise.
+WRONG = (KeyError, TypeError, ValueError, OverflowError, AttributeError)
 
 
 class WorldMemory:
     def __init__(self, path: Path, world: World, parcels: Parcels | None = None) -> None:
-        """Puts the world where the file says it was, then appends to it. Raises OSError.
+        """Set the world to the state in the file, then append to the file. Raises OSError.
 
-        A line that is cut off, or no line of ours, ends what is believed, and is cut away.
+        A truncated or foreign line ends the data that is used; it and the rest are removed.
         """
         self.world, self.parcels = world, parcels
         path.touch()
         self._file = path.open("r+b", buffering=0)
-        self._kept_bytes = self._recall(path)  # of lines that stay
+        self._kept_bytes = self._recall(path)  # size of the lines that stay
         self._file.truncate(self._kept_bytes)
         self._kept_us = self._now_us
         begun = self.now_us > 0
@@ -42,7 +44,7 @@ class WorldMemory:
 
     @property
     def now_us(self) -> int:
-        """The instant from which the world goes on; 0: a new one."""
+        """The instant from which the world continues; 0 for a new one."""
         return self._now_us
 
     def look(self) -> None:
@@ -61,7 +63,8 @@ class WorldMemory:
         self._file.seek(self._kept_bytes)
         if self._file.write(data) != len(data):
             raise OSError(ENOSPC, strerror(ENOSPC))
-        self._file.truncate()  # what is left of a longer line is no line, should we end before this
+        # Remove the rest of a longer line, in case we stop before the next write.
+        self._file.truncate()
         if world.now_us - self._kept_us >= KEEP_US:
             self._kept_us, self._kept_bytes = world.now_us, self._kept_bytes + len(data)
             self._told = {slot: len(body.track) - 1 for slot, body in world.robots.items()}
@@ -71,7 +74,7 @@ class WorldMemory:
         self._file.close()
 
     def _recall(self, path: Path) -> int:
-        """Returns how many bytes of the file are believed."""
+        """Read the file; returns how many of its bytes are valid."""
         world, self._now_us, good = self.world, 0, 0
         tracks: dict[int, list[float]] = {slot: [] for slot in world.robots}
         poses: dict[int, tuple[float, float, float]] = {}
@@ -111,7 +114,7 @@ class WorldMemory:
 
 
 def _lines(path: Path) -> Iterator[tuple[dict[str, Any], int]]:
-    """Each whole line as a table, and where it ends."""
+    """Each complete line as a table, and the offset of its end."""
     end = 0
     try:
         with path.open("rb") as file:
