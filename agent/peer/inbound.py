@@ -383,7 +383,7 @@ class InboundHandlers:
     ) -> Sequence[Effect]:
         for offset, low in enumerate(m.counts):
             member = m.base + offset
-            if member != self.peer.slot:  # nobody knows our own counter better than we do
+            if member != self.peer.slot:  # our own counter is authoritative, so do not merge it
                 self.peer.clock.witness(member, low, bits=8)
         return ()
 
