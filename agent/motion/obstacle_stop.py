@@ -119,7 +119,7 @@ class ObstacleStop:
         return self._turn(ReportKind.ASKING, self.why, now_us)
 
     def _stand(self, seen: Detection | None, now_us: int) -> list[Effect]:
-        """Until an answer comes, or the thing has left."""
+        """Stand still until an answer arrives or the obstacle has gone."""
         if seen is not None:
             self._sighting, self._seen_us = seen, now_us
         elif now_us - self._seen_us >= FREE_US:
@@ -132,7 +132,7 @@ class ObstacleStop:
     def _creep(
         self, wanted: Drive, here: Observation, sighting: Detection, may_move: bool, now_us: int
     ) -> tuple[Drive, list[Effect]]:
-        """Past a thing that an operator knows of: never faster than can be stopped before it."""
+        """Drive past a confirmed obstacle, never too fast to stop before it."""
         room_m = max(0.0, sighting.free_m - KEEP_M)
         most_m_s = sqrt(2 * self.limits.acceleration_m_s2 * room_m) / 2
         drive = _at_most(wanted, min(most_m_s, CREEP_M_S))
@@ -154,7 +154,7 @@ class ObstacleStop:
         return any(hypot(at[0] - x, at[1] - y) <= CHAIN_M for x, y in map(middle, self.things))
 
     def _keep_in_mind(self) -> None:
-        """More of the thing is seen from its side; what has gone is forgotten."""
+        """Add points of the obstacle that are seen from its side, and drop those that have gone."""
         seen = self.lookout.points.keys()
         if seen != self.things:
             kept = self.things & seen
@@ -178,7 +178,7 @@ class ObstacleStop:
         return self.go_round(f"an operator's {command.name}", now_us)
 
     def go_round(self, why: str, now_us: int) -> list[Effect]:
-        """From now on what is in the way is a known thing."""
+        """Treat the obstacle in the way as confirmed from now on."""
         if not self.asking:
             return []
         self.things = frozenset(self.lookout.points)
