@@ -1,7 +1,7 @@
-"""What a robot knows of the other segments: whether they are reached, and a bounded few of them.
+"""What a robot knows about other segments: whether they are reached, and some of their summaries.
 
-The state here does not grow with the fleet: a summary is eight bytes, and at most `SUMMARIES_MAX` of
-them are kept, the newest. Nothing here is needed for safety.
+The state does not grow with the fleet: a summary is eight bytes, and only the newest `SUMMARIES_MAX`
+are kept. Safety does not depend on it.
 """
 
 from collections import OrderedDict
@@ -35,7 +35,7 @@ class RemoteSegments:
         return None if self.alone else self._reached_us + ALONE_US
 
     def hear(self, m: GatewayBeat | SegmentSummary, now_us: int) -> bool:
-        """True where it changed whether we are alone."""
+        """Returns whether this changed `alone`."""
         if isinstance(m, SegmentSummary):
             if m.segment != self.segment:
                 self.summaries.pop(m.segment, None)
