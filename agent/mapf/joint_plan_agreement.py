@@ -1,8 +1,7 @@
-"""Rounds of agreement: how robots that are in each other's way settle who goes where.
+"""Rounds of agreement: how robots that block each other agree on a joint plan.
 
-Whoever gets no further calls a round by naming the next number; everybody who hears of it stops,
-and the round goes through three steps, each of which is a word that a robot says once and repeats
-until the round is over:
+A robot that makes no progress calls a round by announcing the next number. Every robot that receives
+it stops. Each step of the round has a message, which a robot repeats until the round is over:
 
     PLACE  where I stand and where I want to be. What one robot says of itself is said by it alone,
            so all who have heard everybody know the same, whatever was lost on the way.
