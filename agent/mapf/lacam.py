@@ -36,7 +36,7 @@ TRIED_SALT = 1 << 16  # between the salts of two tries: rounds are counted in 16
 
 
 class _Configuration:
-    """A state of the search: where everybody is, how it was reached, and what is still to be tried."""
+    """A search state: all robots' nodes, how it was reached, and what is still to be tried."""
 
     def __init__(
         self, at: Ints, before: "_Configuration | None", priority: NDArray[np.float64]
@@ -65,7 +65,7 @@ def search(
     count = len(starts)
     if any(far[i, first[i]] == NOWHERE for i in range(count)):
         return None
-    # Ties are broken by who has further to go, then by order.
+    # Ties are broken by the longer remaining distance, then by order.
     priority = np.array(urgency, dtype=np.float64)
     priority += far[np.arange(count), first] / (2.0 * len(near) + 1.0)
     root = _Configuration(first, None, priority)
@@ -166,7 +166,7 @@ class Precedence(NamedTuple):
 
 
 class JointPlan(NamedTuple):
-    """Each robot's nodes, and for each of them whom it waits for before it moves there."""
+    """Each robot's nodes, and for each node the robots it waits for before it moves there."""
 
     routes: tuple[tuple[int, ...], ...]
     turns: tuple[tuple[Precedence | None, ...], ...]
@@ -177,7 +177,9 @@ class JointPlan(NamedTuple):
         count = len(steps[0])
         routes: list[list[int]] = [[] for _ in range(count)]
         turns: list[list[Precedence | None]] = [[] for _ in range(count)]
-        visitor: dict[int, Precedence] = {}  # node: who was there last, as its which node
+        visitor: dict[
+            int, Precedence
+        ] = {}  # node -> its last visitor, and the index in that robot's route
         for at in steps:
             moved = [i for i in range(count) if not routes[i] or routes[i][-1] != at[i]]
             waits = [visitor.get(int(at[i])) for i in moved]

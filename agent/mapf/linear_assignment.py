@@ -1,4 +1,4 @@
-"""Who takes what, so that it costs least in all: the linear assignment problem.
+"""The linear assignment problem: the assignment with the least total cost.
 
 Shortest augmenting paths, as D. F. Crouse gives them ("On implementing 2D rectangular assignment
 algorithms", IEEE TAES 2016). Ours, because every peer must break ties alike, whatever is installed

@@ -42,7 +42,7 @@ def _earliest(start, goal, near, far, taken, came, layer, coming, latest):  # ty
         if t >= free_from and came[t, goal] >= 0:
             return t
         found = 0
-        for k in range(count):  # who can stay stays: it waits before a gap, not on the way to it
+        for k in range(count):  # robots that can stay do so: they wait before a gap, not on the way
             at = layer[k]
             if not taken[t, at] and t + 1 + far[at] <= latest:
                 came[t + 1, at], coming[found] = at, at
@@ -100,7 +100,7 @@ class Timetable:
         return found
 
     def shorten(self, most: int) -> None:
-        """Put robots back, who waits longest first, until `most` were or nobody gains by it."""
+        """Put robots back, the longest-waiting first, until `most` were or no robot gains by it."""
         if self.track.size == 0 or self._taken.size > CELLS_MAX:
             return
         nodes = len(self.near)
