@@ -135,7 +135,7 @@ def _choose(work, lines, hard, spare, near, squares):  # type: ignore[no-untyped
                      per_horizon, per_step, lines, hard + k)  # fmt: skip
     if work[SIN] != 0.0:
         for k in range(hard, hard + count):
-            if violation(lines, k, wx, wy) > ZERO:  # somebody is in the way: keep right of it
+            if violation(lines, k, wx, wy) > ZERO:  # a robot is in the way: keep right of it
                 wx, wy = (f32(work[WANT_X] * work[COS] + work[WANT_Y] * work[SIN]),
                           f32(work[WANT_Y] * work[COS] - work[WANT_X] * work[SIN]))  # fmt: skip
                 break

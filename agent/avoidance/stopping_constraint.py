@@ -25,9 +25,9 @@ from agent.avoidance.linear_program import DX, DY, PX, PY, violation
 
 f32 = np.float32
 REACTION_S = 0.1  # two control periods: what was decided is in force, and the wheels follow
-HARDEST_M_S2 = 7.0  # nobody brakes harder than tyres hold: 0.7 g, rubber on dry ground
+HARDEST_M_S2 = 7.0  # tyre grip limits braking to this: 0.7 g, rubber on dry ground
 SLACK_M = 0.1  # of the margin between two bodies: they may stand nearer than ORCA leads them
-SAID_M_S = 0.025  # a beat rounds the speed by so much
+SAID_M_S = 0.025  # rounding error of the speed in a beat
 
 
 @njit(cache=True, error_model="numpy")

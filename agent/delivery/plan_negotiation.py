@@ -1,13 +1,13 @@
-"""Scenarios A and C: all robots search at once, each with its own seed; the cheapest plan is adopted.
+"""Scenarios A and C: all robots search in parallel, each with its own seed; the cheapest plan wins.
 
-A round has four steps. Somebody calls it and says how long it takes. Everybody freezes the problem and
-starts from the same auction; or from what is planned, where tasks are only to wait less. When time is up
-each offers what its plan costs, in silence if it has heard of a better one; the least is elected, lower
-slots first among equals, and the term of that election is the number of the round: nothing of an older
-one is believed. The elected streams its plan row by row;
-where it falls silent the others elect the second best. Adopted is a plan whose digest is the offered.
+A round has four steps. One robot calls it and announces its duration. All robots freeze the problem
+and start from the same auction, or from the current plan if only waiting time is to be reduced. When
+the time is up, each robot offers the cost of its plan, unless it has received a better offer. The
+cheapest is elected, lower slots first among equals. The term of that election is the number of the
+round, so frames of an older round are ignored. The elected robot streams its plan row by row; if it
+falls silent, the others elect the second best. A plan is adopted if its digest matches the offer.
 
-What each froze need not be the same to the metre: whose plan is adopted has planned for all.
+Robots' snapshots may differ slightly; the adopted plan defines the problem.
 """
 
 from collections.abc import Iterator, Mapping

@@ -1,8 +1,8 @@
-"""The exploring mission: many eyes, one map, nobody in charge.
+"""The exploration mission: robots build one shared map without a coordinator.
 
-A frontier is a section of the allocation, claimed like a swath of a field. Claims of frontiers end in
-two ways: given back where it was seen on the way, or something better was found; DONE where a robot has
-stood at its station and looked all round, so that nobody goes there again for what cannot be seen.
+A frontier is a section of the allocation, claimed like a swath of a field. A claim of a frontier ends
+in two ways. It is released if the frontier was seen on the way or a better one was found. It is DONE
+if a robot has looked all round at its station, so that no robot returns for cells that cannot be seen.
 The map is the progress, and exploration is over for a robot when it sees no frontier it could reach.
 """
 
@@ -42,8 +42,10 @@ CHOOSE_US = 250 * MS  # between two looks for a target by a robot without one
 CHECK_US = 500 * MS  # between two looks whether the frontier under way is still one
 REASSIGN_US = 5 * S  # the mission's: how often another target may be taken instead
 LOOK_ROUND_US = 500 * MS  # at the station: at `TURN_RAD_S` every gap between 36 rays is swept twice
-SHUNNED_US = 30 * S  # and is left to others for so long
-VIEW_SHARE = 0.5  # of the sensors' range: from a station a frontier is seen from so far
+SHUNNED_US = (
+    30 * S
+)  # after this a frontier that we gave up is tried again; others may take it before
+VIEW_SHARE = 0.5  # share of the sensor range from which a station sees its frontier
 VIEW_MAX_M = 1.0
 
 
@@ -129,7 +131,7 @@ class ExplorationMission:
         return ClaimRequest(best.patch, self._bid(view), takeover=held)
 
     def _order(self, view: FleetView) -> ClaimRequest | None:
-        """An order that nobody has taken, where we are the nearest free robot."""
+        """An order that no robot has taken, if we are the nearest free robot."""
         for section, order in self.orders.items():
             if view.allocation.phase_of(section) is not Phase.FREE:
                 continue
@@ -192,7 +194,7 @@ class ExplorationMission:
         return self._way.cell(self.place_of(patch))
 
     def place_of(self, section: int) -> XY:
-        """Where a section is, for whoever asks; the same for all peers."""
+        """The position of a section; the same for all peers."""
         if section in self.orders:
             return self.orders[section].points[0]
         row, column = corner_of(self.patch_of(section))
@@ -330,7 +332,7 @@ class ExplorationMission:
         row, column = corner_of(self.patch_of(self.task.section))
         area = values[max(row - 1, 0) : row + SIDE + 1, max(column - 1, 0) : column + SIDE + 1]
         if not (area == 0).any():
-            return Status.COMPLETED  # seen on the way, by whoever
+            return Status.COMPLETED  # any robot has seen it on the way
         if self._contested(view):
             return Status.FAILED
         if not due:

@@ -1,16 +1,16 @@
-"""The moves of all robots of a jam, from where they stand to where they want to be.
+"""A joint plan for all robots of a jam, from their positions to their goals.
 
 LaCAM (Okumura, "LaCaM: search-based algorithm for quick multi-agent pathfinding", AAAI 2023): a
-depth-first search over whole configurations, whose next one is made by PIBT. Where PIBT leads in a
-circle, constraints are added robot by robot until every successor has been tried, so the search is
+depth-first search over whole configurations. PIBT generates the next one. If PIBT leads in a circle,
+constraints are added robot by robot until every successor has been tried, so the search is
 complete: it finds a plan wherever one exists on the lattice, and says that there is none otherwise.
 Both within `STEPS_MAX`; a pure function of its arguments, so that all robots compute the same.
 The first plan found is seldom a good one. `planned` makes some, shortens each
 (`agent/mapf/plan_schedule.py`), and takes the one that is fairest; that of many robots is made
 fairer (`agent/mapf/lns.py`).
 
-A plan is driven without a common clock. What is kept of it is each robot's route, and in which
-order robots visit each node: whoever comes after somebody waits until that one has gone on.
+A plan is driven without a common clock. Only each robot's route is kept, and the order in which
+robots visit each node: a later robot waits until the one before it has gone on.
 """
 
 from collections import deque

@@ -1,4 +1,4 @@
-"""What stands in a building for a while that its plan does not show: boxes, carts, bodies of the unheard.
+"""Temporary obstacles not on the building plan: boxes, carts, silent robots.
 
     hazards.look(here, robots, now_us)      each control period: our own rays, and what others told
     hazards.path(at, goal)                  round all that is believed to stand now
@@ -30,12 +30,12 @@ from protocol.sync.map_sync import MapSync, Values
 
 XY = tuple[float, float]
 RANGE_M = 4.0  # that range sensors are believed: further away rays lie more than a robot apart
-BELIEVED_S = 30  # what nobody has looked at for so long may have gone: go and see
+BELIEVED_S = 30  # an obstacle not observed for this long may have gone: go and see
 # What was forgotten and found standing again is believed twice as long each time, at most 16 minutes: a
 # robot whose ways are blocked in several places would else drive to and fro between them for ever.
 DOUBLINGS_MAX = 5
 BLOCK_M = 1.0  # belief is kept for squares of this side: rays find another face of the same thing
-REFRESH_S = BELIEVED_S // 2  # what still stands is told again, before others forget it
+REFRESH_S = BELIEVED_S // 2  # remaining obstacles are sent again before others forget them
 WALL_CELLS = 1  # echoes this near to a wall are the wall: errors of range and of place
 FORGET_US = 1 * S  # how often old sights are looked for
 BODY = -1  # the number of a silent member among obstacles; others are numbered by their cell
@@ -176,7 +176,7 @@ class DynamicObstacles:
 
 
 class ObstacleMap(LocalAndFleetMap):
-    """The two maps of one robot, less the walls that everybody knows."""
+    """The two maps of one robot, without the walls of the building plan."""
 
     def __init__(self, floor: Floor, sync: MapSync | None) -> None:
         # The plan's ways keep the radius and the margin from walls with the middles of their cells.
@@ -213,7 +213,7 @@ class ObstacleMap(LocalAndFleetMap):
 
     @property
     def awake(self) -> bool:
-        """Whether there is anything to keep up to date: what stands, or what somebody says stands."""
+        """Whether there is anything to update: an obstacle that we or other robots know."""
         if self.standing or self.grid.obstacles:
             return True
         if self.sync is None:

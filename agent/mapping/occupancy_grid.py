@@ -49,7 +49,7 @@ def memory_of(shape: tuple[int, ...]) -> Memory:
 
 
 class Obstacle(NamedTuple):
-    """Something that stands for a while: a disc, who says so, from when, until when."""
+    """A temporary obstacle: a disc, its reporter, and the times from when until when it is valid."""
 
     x_m: float
     y_m: float
