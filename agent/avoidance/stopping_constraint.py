@@ -1,11 +1,11 @@
 """Never be where you cannot stop: a half-plane against each robot near, that is never traded.
 
-ORCA believes that others go on as they go, or give way as we do. A robot that halts for a stop or for
-a round of agreement does neither. So towards whoever is near we go at most so fast that we stop
-before its body, even if it brakes with all that its tyres hold from where it was *last heard* on, or
-comes on and needs its own stopping distance of what is between us. If all keep to it nobody touches
-anybody when one, some or all of them halt at any instant, whatever beats were lost: where a robot that
-drives away was heard is behind where it can stop.
+ORCA assumes that others keep their velocity, or give way as we do. A robot that halts for a stop or
+for a round of agreement does neither. So our speed towards any near robot is limited so that we stop
+before its body. This holds even if it brakes at the limit of its tyres from where it was *last heard*,
+or if it approaches and needs its own stopping distance from the gap between us. If all robots keep to
+it, none collide when one, some or all of them halt at any instant, whatever beats were lost, because a
+robot that drives away stops beyond its last received position.
 
 Both brake by at least `braking`, and know it of each other: they are of one fleet. Standing is always
 permitted, so these half-planes never contradict each other.

@@ -8,7 +8,7 @@ When these are equal too, all go. A robot that knows other obstacles announces t
 
 From then on each says the step of the plan that it has reached, and drives the next one when the robots
 that were in its cell before have gone on (`agent/coverage/joint_course.py`). Nothing here carries
-safety: a robot also sees who is before it (`agent/coverage/proximity_guard.py`).
+safety: a robot also sees robots ahead of it (`agent/coverage/proximity_guard.py`).
 
 One silent robot is a wreck, and its work is cut again at once. Where several fall silent together the
 bus is cut, and they work: their part is kept for them until ours is done and their lease is over.
@@ -147,7 +147,7 @@ class CoverageAgreement:
     def may(self, step: int) -> bool:
         """Whether we may begin that step: the cell is free, or the robot in it may leave it.
 
-        Those that move on together are a chain, whose first finds its cell free, or a ring.
+        Robots that move on together form a ring, or a chain with a free cell before the first robot.
         """
         assert self.course is not None
         robot, chain = self.me, set[int]()

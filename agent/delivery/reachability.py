@@ -42,7 +42,7 @@ class Reachability:
         )
 
     def stands_still(self, at: Point, busy: bool, now_us: int) -> bool:
-        """Each control period: whether a robot that has something to do has not got on for long."""
+        """Each control period: whether a busy robot has made no progress for long."""
         (x_m, y_m), since_us = self._stood
         if not busy or hypot(at[0] - x_m, at[1] - y_m) > GOT_ON_M:
             self._stood = (at, now_us)

@@ -42,9 +42,7 @@ CHOOSE_US = 250 * MS  # between two looks for a target by a robot without one
 CHECK_US = 500 * MS  # between two looks whether the frontier under way is still one
 REASSIGN_US = 5 * S  # the mission's: how often another target may be taken instead
 LOOK_ROUND_US = 500 * MS  # at the station: at `TURN_RAD_S` every gap between 36 rays is swept twice
-SHUNNED_US = (
-    30 * S
-)  # after this a frontier that we gave up is tried again; others may take it before
+SHUNNED_US = 30 * S  # a frontier that we gave up is left to others for this long
 VIEW_SHARE = 0.5  # share of the sensor range from which a station sees its frontier
 VIEW_MAX_M = 1.0
 

@@ -20,7 +20,7 @@ from shapely.ops import substring
 
 XY = tuple[float, float]
 Polyline = tuple[XY, ...]
-CORNER = 0.7072  # of a cell: its corner is so far from its middle, rounded up
+CORNER = 0.7072  # distance from a cell's middle to its corner, in cells, rounded up
 UNITS_MAX = 10_240  # a section: 256 blocks of 40, as WORK_PROGRESS carries them
 
 

@@ -3,9 +3,9 @@
     hazards.look(here, robots, now_us)      each control period: our own rays, and what others told
     hazards.path(at, goal)                  round all that is believed to stand now
 
-What is seen is told to the fleet through its map (`crdt/occupancy.py`, the latest look wins), cell by
+Observations are shared through the fleet's map (`crdt/occupancy.py`, the latest one wins), cell by
 cell: the record's observer is the owner, its time the birth, and after `BELIEVED_S` without another
-look it expires. Who sees that a thing has gone says so. A grid of our own
+observation it expires. A robot that sees that an obstacle has gone announces it. A grid of our own
 (`agent/mapping/occupancy_grid.py`) is made when something first turns up; as long as nothing does,
 ways are planned on the plan that all robots share.
 """
@@ -32,7 +32,7 @@ XY = tuple[float, float]
 RANGE_M = 4.0  # that range sensors are believed: further away rays lie more than a robot apart
 BELIEVED_S = 30  # an obstacle not observed for this long may have gone: go and see
 # What was forgotten and found standing again is believed twice as long each time, at most 16 minutes: a
-# robot whose ways are blocked in several places would else drive to and fro between them for ever.
+# robot with paths blocked in several places would otherwise drive between them for ever.
 DOUBLINGS_MAX = 5
 BLOCK_M = 1.0  # belief is kept for squares of this side: rays find another face of the same thing
 REFRESH_S = BELIEVED_S // 2  # remaining obstacles are sent again before others forget them
@@ -262,7 +262,7 @@ class ObstacleMap(LocalAndFleetMap):
                 self.grid.forget(cells)
 
     def _unseen_at(self, level: int) -> NDArray[np.int64]:
-        """Cells (n, 2) of blocks with so many doublings that were not looked at for their time."""
+        """Cells (n, 2) of blocks with this many doublings that were not observed for their time."""
         cells = self.grid.unseen(UNSEEN_SCANS << level)
         levels = self._doublings[cells[:, 0] // self._block, cells[:, 1] // self._block]
         kept: NDArray[np.int64] = cells[levels == level]

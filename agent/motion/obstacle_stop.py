@@ -1,11 +1,11 @@
-"""The pause before something that is no robot: stand, ask, and obey the answer.
+"""The stop before an unannounced obstacle: stand still, ask an operator, and obey the answer.
 
     sighting -> ASKING -> an operator's WAIT, CONTINUE, REPLAN, STOP, GO_HOME or SET_GOAL
                        -> GONE, by itself, when the way has been free for a second
 
-Who goes round creeps near the thing and never drives at it: its speed is what it can stop from. What
-is found behind the thing belongs to it; something else in the way, or no way at all, is asked about
-anew. An answer that names another question than the open one is not obeyed.
+A robot that goes round the obstacle creeps near it, at most as fast as it can stop before it. Points
+found behind the obstacle belong to it. A different obstacle in the way, or no free way at all, raises
+a new question. An answer with a number other than that of the open question is ignored.
 """
 
 from collections.abc import Mapping, Sequence
@@ -28,7 +28,7 @@ from agent.motion.obstacle_detector import (
 from protocol.frames.operator_frames import NUMBERS, OperatorReport, ReportKind
 from protocol.frames.safety_frames import Command
 
-FREE_US: Final = 1 * S  # the way is free for so long: it has left
+FREE_US: Final = 1 * S  # if the way is free for this long, the obstacle has left
 ASK_US: Final = 1 * S  # the question is said again, for operators that come later
 NEAR_M: Final = 3.0  # within this of the thing a robot that goes round it creeps
 CREEP_M_S: Final = 1.0  # walking pace

@@ -97,7 +97,7 @@ class NavigationMission:
         self._lane_of = (-1, -1, -1)  # round, first and last node of the lane
         self._gone_on: tuple[float, int] = (0.0, 0)  # along the path, since when
         self._alone_since: tuple[Point, int] | None = (
-            None  # where and since when it does not get on
+            None  # where and since when it makes no progress
         )
         self._stalls = 0  # in a row on the way to this goal
         self._planned = False  # a joint plan was driven since the last path

@@ -1,4 +1,4 @@
-"""Elections for conveniences: the leader alone answers an operator's device that asks everybody.
+"""Leader election for conveniences: only the leader answers an operator's global request.
 
 Never for stopping, claims or maps. A vote is fixed once cast: one vote per voter, election and
 term, kept durably. A candidate leads when it holds the votes of a majority of the live view; a later

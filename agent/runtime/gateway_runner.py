@@ -21,7 +21,7 @@ class Timer(Protocol):
 
 
 class Backbone(Protocol):
-    """The link between segments. A message may be lost, late or duplicated; its sender does not get it."""
+    """The link between segments: messages may be lost, late or duplicated, and have no loopback."""
 
     def publish(self, message: Publish) -> None: ...
     def subscribe(self, callback: Callable[[bytes], None]) -> None:

@@ -114,7 +114,7 @@ class SqliteJournal:
         except PROBLEMS as problem:
             raise self._error(problem) from None
         try:
-            # One writer and nobody else: a second process with this journal is refused.
+            # Exclusive access: a second process with this journal is refused.
             self._database.execute("PRAGMA locking_mode=EXCLUSIVE")
             (mode,) = self._database.execute("PRAGMA journal_mode=WAL").fetchone()
             self._database.execute("PRAGMA synchronous=FULL")

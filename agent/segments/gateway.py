@@ -49,7 +49,7 @@ BURST_US = 20 * FRAME_US_MAX
 SUMMARY_US = 500 * MS
 ROTATION_US = (
     100 * MS
-)  # one other segment's summary on the bus so often: 0.6 % of it, at any number
+)  # one other segment's summary is sent this often: 0.6 % of the bus, for any number of segments
 MAP_STEP_US = (
     2 * MS
 )  # between two turns of the map: on its bus there are three in ten frames at most

@@ -12,7 +12,7 @@ from protocol.frames.segment_frames import GatewayBeat, SegmentSummary
 
 ALONE_US = (
     3 * S
-)  # without a gateway that reaches somebody: a gateway dies, another leads after 2.3 s
+)  # time without a gateway that reaches a segment; after a gateway dies, another leads in 2.3 s
 SUMMARIES_MAX = 64
 
 
@@ -48,7 +48,7 @@ class RemoteSegments:
         self.reached = m.reached
         if not m.reached:
             if m.ever and not self.alone:
-                self.alone = True  # it had reached somebody and knows that it does no more
+                self.alone = True  # the gateway had reached a segment and reports that it lost it
                 return True
             return self.tick(now_us)
         self._reached_us = now_us

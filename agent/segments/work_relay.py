@@ -249,7 +249,7 @@ class WorkRelay:
         return (total & 0xFFFF_FFFF_FFFF_FFFF) >> 32
 
     def _holder(self, key: int, home: int, neighbour: int) -> int:
-        """The segment whose robot holds a section; a third one's counts as the home's on both sides."""
+        """The segment that holds a section; a third segment counts as the home on both sides."""
         claim = Claim.unpack(key)
         if claim.phase in (Phase.DONE, Phase.FREE):
             return 0
