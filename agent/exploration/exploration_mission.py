@@ -79,7 +79,7 @@ class ExplorationMission:
 
     @property
     def progress_percent(self) -> float:
-        """Share of the map's cells that anybody has seen."""
+        """Percentage of the map's cells that any robot has seen."""
         return 100.0 * self.chart.fleet.progress
 
     @property
@@ -89,7 +89,7 @@ class ExplorationMission:
     # ---------------------------------------------------------------- seeing
 
     def _see(self, view: FleetView) -> None:
-        """Each control period: a scan, news, and what others told."""
+        """Each control period: add a scan, and exchange news with the fleet."""
         here, now_us = view.here, view.now_us
         radius_m = self.limits.radius_m + 0.1  # poses are rounded and a beat old
         others = [
@@ -159,7 +159,7 @@ class ExplorationMission:
         return choosing.best(found, wave, rivals, current)
 
     def _open(self, patch: int, view: FleetView) -> bool:
-        """Whether a frontier may be had: free, ours, or of one that has been silent for a lease."""
+        """Whether a frontier is available: free, ours, or of a robot silent for longer than the lease."""
         if view.now_us < self._shunned_us.get(patch, 0):
             return False
         phase, owner = view.allocation.phase_of(patch), view.allocation.owner_of(patch)
@@ -316,7 +316,7 @@ class ExplorationMission:
         return 0 if self._legs else LOOK_ROUND_US
 
     def _check(self, view: FleetView) -> Status | None:
-        """Whether the task under way is to be given back, and as what."""
+        """Whether the current task must be released, and with which status."""
         assert self.task is not None
         if self._way.stuck(view.now_us):
             self._shunned_us[self.task.section] = view.now_us + SHUNNED_US

@@ -29,10 +29,10 @@ from protocol.frames.operator_frames import NUMBERS, OperatorReport, ReportKind
 from protocol.frames.safety_frames import Command
 
 FREE_US: Final = 1 * S  # if the way is free for this long, the obstacle has left
-ASK_US: Final = 1 * S  # the question is said again, for operators that come later
-NEAR_M: Final = 3.0  # within this of the thing a robot that goes round it creeps
+ASK_US: Final = 1 * S  # repeat interval of the question, for operators that connect later
+NEAR_M: Final = 3.0  # within this distance of the obstacle a robot that goes round it creeps
 CREEP_M_S: Final = 1.0  # walking pace
-KEEP_M: Final = 0.25  # a robot that goes round stops this far from what it drives at
+KEEP_M: Final = 0.25  # a robot that goes round stops this far from an obstacle ahead
 STUCK_US: Final = 4 * S  # no way round: ask again
 STUCK_M_S: Final = 0.05
 AHEAD_US: Final = 100 * MS  # how much faster a robot can be when it is next asked
@@ -41,14 +41,14 @@ ANSWERS: Final = (Command.WAIT, Command.CONTINUE, Command.REPLAN)
 
 
 class ObstacleStop:
-    """One robot's; `lookout` is its eyes. While it is `asking` the peer holds the robot."""
+    """The obstacle stop of one robot. While it is `asking`, the peer holds the robot."""
 
     def __init__(self, slot: int, limits: BodyLimits, lookout: ObstacleDetector) -> None:
         self.slot, self.limits, self.lookout = slot, limits, lookout
         self.number = 0  # of the newest question
         self.matter: ReportKind | None = None  # where that stands
         self.things: frozenset[GroundCell] = frozenset()  # to go round, by an operator's answer
-        self.leave_out = False  # what they stand on is not worked
+        self.leave_out = False  # the units under them are not worked
         self._known_as, self._places = self.things, frozenset[Point]()
         self.why = ""  # of the newest question
         self._course: Point = (0.0, 0.0)  # the motion that was stopped, as a direction
@@ -65,7 +65,7 @@ class ObstacleStop:
 
     @property
     def round(self) -> tuple[frozenset[Point], bool]:
-        """For the mission: what to go round, and whether to leave out what is under it."""
+        """For the mission: the places to go round, and whether to skip the units under them."""
         if self.things is not self._known_as:
             self._known_as, self._places = self.things, frozenset(map(middle, self.things))
         return self._places, self.leave_out
@@ -76,13 +76,13 @@ class ObstacleStop:
         self, wanted: Drive, here: Observation, neighbours: Mapping[int, Neighbour],
         may_move: bool, now_us: int,
     ) -> tuple[Drive, list[Effect]]:  # fmt: skip
-        """The drive that spares what is in the way, and what to say. The gate comes after."""
+        """The drive that avoids the obstacle, and the effects. The safety gate comes after it."""
         if self.asking:
             ux, uy = self._course
             way = (ux * self.limits.speed_m_s, uy * self.limits.speed_m_s)
             return HALT, self._stand(self.lookout.look(here, (way,), neighbours, now_us), now_us)
         if not may_move:
-            return wanted, []  # it stands for another reason
+            return wanted, []  # another cause holds it
         motions = self._motions(wanted, here)
         sighting = self.lookout.look(here, motions, neighbours, now_us)
         if self.things:
@@ -108,7 +108,7 @@ class ObstacleStop:
     def _ask(
         self, here: Observation, motions: list[Point], sighting: Detection, now_us: int
     ) -> list[Effect]:
-        """Stop, and a new question."""
+        """Stop and raise a new question."""
         motion = motions[-1] if self.lookout.ahead(here, motions[-1], 1e3) else motions[0]
         speed_m_s = hypot(*motion)
         self._course = motion[0] / speed_m_s, motion[1] / speed_m_s
