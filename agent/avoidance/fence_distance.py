@@ -25,7 +25,7 @@ def gap_m(x, y, fences):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy")
 def way_gap_m(x, y, dx, dy, step_m, count, fences):  # type: ignore[no-untyped-def]
-    """The smallest of so many points of a way, from one step on."""
+    """The smallest value over this many points of a path, starting at one step."""
     nearest = inf
     for k in range(1, count + 1):
         nearest = min(nearest, gap_m(x + dx * (k * step_m), y + dy * (k * step_m), fences))

@@ -19,8 +19,9 @@ def insert(near, squares, count, most, item, square):  # type: ignore[no-untyped
 
 @njit(cache=True, error_model="numpy")
 def take(near, squares, count, most, reach, item, square):  # type: ignore[no-untyped-def]
-    """Take in an item that is within `reach` (squared); how many there are now, and the reach for the
-    next: once there are enough, only who is nearer than the last of them."""
+    """Insert an item within `reach` (squared); returns the new count and the reach for the next item.
+
+    Once the list is full, the reach is the distance of its last item."""
     insert(near, squares, count, most, item, square)
     count = min(count + 1, most)
     return count, squares[count - 1] if count == most else reach

@@ -1,4 +1,4 @@
-"""ORCA for one robot: the velocity nearest to the wanted one that collides with nobody for a while.
+"""ORCA for one robot: the velocity nearest to the wanted one without a collision for a time horizon.
 
 Optimal Reciprocal Collision Avoidance (van den Berg, Guy, Lin, Manocha 2011). Each robot near gives
 one half-plane of permitted velocities, of which `share` is ours: 0.5 with a peer that does the

@@ -1,6 +1,6 @@
 """The kernel of ORCA for one robot, and the layout of the one array that it is given.
 
-What it computes is told in `agent/avoidance/orca.py`. The array is a float64 buffer of a head,
+`agent/avoidance/orca.py` describes what it computes. The array is a float64 buffer of a head,
 `PEERS_MAX` rows of known peers, `GIVEN_MAX` rows given with a call, `FENCES_MAX` near fences, and
 scratch: one argument, because each array argument costs a dispatcher 0.1 to 0.2 us. Positions stay
 double until they are relative to us; from there on all is single precision, bit for bit that of
@@ -135,7 +135,7 @@ def _choose(work, lines, hard, spare, near, squares):  # type: ignore[no-untyped
                      per_horizon, per_step, lines, hard + k)  # fmt: skip
     if work[SIN] != 0.0:
         for k in range(hard, hard + count):
-            if violation(lines, k, wx, wy) > ZERO:  # somebody is in the way: keep right of it
+            if violation(lines, k, wx, wy) > ZERO:  # a robot is in the way: keep right of it
                 wx, wy = (f32(work[WANT_X] * work[COS] + work[WANT_Y] * work[SIN]),
                           f32(work[WANT_Y] * work[COS] - work[WANT_X] * work[SIN]))  # fmt: skip
                 break

@@ -1,11 +1,11 @@
 """Never be where you cannot stop: a half-plane against each robot near, that is never traded.
 
-ORCA believes that others go on as they go, or give way as we do. A robot that halts for a stop or for
-a round of agreement does neither. So towards whoever is near we go at most so fast that we stop
-before its body, even if it brakes with all that its tyres hold from where it was *last heard* on, or
-comes on and needs its own stopping distance of what is between us. If all keep to it nobody touches
-anybody when one, some or all of them halt at any instant, whatever beats were lost: where a robot that
-drives away was heard is behind where it can stop.
+ORCA assumes that others keep their velocity, or give way as we do. A robot that halts for a stop or
+for a round of agreement does neither. So our speed towards any near robot is limited so that we stop
+before its body. This holds even if it brakes at the limit of its tyres from where it was *last heard*,
+or if it approaches and needs its own stopping distance from the gap between us. If all robots keep to
+it, none collide when one, some or all of them halt at any instant, whatever beats were lost, because a
+robot that drives away stops beyond its last received position.
 
 Both brake by at least `braking`, and know it of each other: they are of one fleet. Standing is always
 permitted, so these half-planes never contradict each other.
@@ -25,9 +25,9 @@ from agent.avoidance.linear_program import DX, DY, PX, PY, violation
 
 f32 = np.float32
 REACTION_S = 0.1  # two control periods: what was decided is in force, and the wheels follow
-HARDEST_M_S2 = 7.0  # nobody brakes harder than tyres hold: 0.7 g, rubber on dry ground
+HARDEST_M_S2 = 7.0  # tyre grip limits braking to this: 0.7 g, rubber on dry ground
 SLACK_M = 0.1  # of the margin between two bodies: they may stand nearer than ORCA leads them
-SAID_M_S = 0.025  # a beat rounds the speed by so much
+SAID_M_S = 0.025  # rounding error of the speed in a beat
 
 
 @njit(cache=True, error_model="numpy")

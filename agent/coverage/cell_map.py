@@ -2,7 +2,7 @@
 
 Numbers go along one walk over all free cells that depends on the map alone. So what a robot covers one
 after the other mostly lies in one block of progress, which is one frame, and a section is a stretch
-that somebody can begin and end.
+that one robot can begin and finish.
 """
 
 from collections.abc import Mapping
@@ -23,7 +23,7 @@ NONE = -1
 
 class CellMap:
     def __init__(self, walls: Walls, cell_m: float) -> None:
-        """`walls`: (rows, columns), True where nobody can go. ValueError: too many free cells."""
+        """`walls`: (rows, columns), True for blocked cells. ValueError: too many free cells."""
         if int(np.count_nonzero(~walls)) > NUMBERS_MAX:
             raise ValueError(f"more than {NUMBERS_MAX} free cells do not fit the wire")
         self.walls, self.cell_m = walls, cell_m

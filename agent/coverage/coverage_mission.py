@@ -1,8 +1,8 @@
 """A mission: cover a grid map together, by plans that the whole crew agrees on.
 
-The plan says where to go, the rounds when (`agent/coverage/plan_agreement.py`); this drives from
-cell to cell. Claims of sections are for those that look on and for robots that come later: they
-say who has begun what, and a section is done when all its cells are covered, whoever was there.
+The plan says where to go, the rounds when (`agent/coverage/plan_agreement.py`); this mission drives
+from cell to cell. Claims of sections inform observers and robots that join later which robot has begun
+what. A section is done when all its cells are covered, by any robot.
 """
 
 from collections.abc import Mapping
@@ -18,21 +18,26 @@ from agent.mapf.agreement_phase import Phase
 from crdt import Phase as Claimed
 from protocol.frames.accord_frames import AgreementReply
 
-COVERED = 0.1  # of a cell: a cell is covered by whose centre comes so near to its own
-BOUND = 0.5  # of the way into a cell: from there on a robot goes on, and says that it is there
-CLOSE = 0.1  # of a cell: who follows another round a corner may begin so much too early
-ASTRIDE = 0.3  # of a cell: a body so far off the middle blocks the next cell, too: 0.7 is for it,
-# of which the guard keeps 0.6, and a cell is covered from 0.1
-NEAR = 0.8  # of a cell: a body so near to a cell's middle is in it
-BACK_US = 1500 * MS  # held up on the way for so long: back, and wait
-GATHER_BACK_US = 200 * MS  # the same where all come to a stop: who is before us does not go on
-WAIT_US = 1 * S  # there, before the next try; both by lot up to twice as long
-STUCK_US = 4 * S  # then what stands there goes by no plan of ours
-TELL_US = 20 * MS  # by rank: one tells what a dead robot covered, and the others hear it
-AHEAD = 60  # steps looked ahead for cells of a section: longer than there and back again
-LEFT_US = 1 * S  # between looks for sections that nobody has finished
+# A cell counts as covered when a robot's centre is this close to its own (share of a cell).
+COVERED = 0.1
+BOUND = 0.5  # share of the way into a cell from which a robot goes on and announces the cell
+CLOSE = 0.1  # share of a cell by which a robot that follows round a corner may begin too early
+ASTRIDE = (
+    0.3  # share of a cell: a body this far off the middle blocks the next cell too. It has 0.7
+)
+# left, of which the guard keeps 0.6, and a cell is covered from 0.1
+NEAR = 0.8  # share of a cell: a body this near to a cell's middle is in it
+BACK_US = 1500 * MS  # after being held up for this long on the way, go back and wait
+GATHER_BACK_US = 200 * MS  # the same while all robots stop, because the robot ahead will not go on
+WAIT_US = 1 * S  # wait there before the next try; both times are random, up to twice as long
+STUCK_US = 4 * S  # after this a body in the way counts as an obstacle outside our plan
+TELL_US = 20 * MS  # by rank: one robot announces a dead robot's cells, and the others overhear it
+AHEAD = 60  # steps searched ahead for cells of a section: longer than there and back again
+LEFT_US = 1 * S  # between searches for covered sections that no robot has marked as done
 ABLE = (State.IDLE, State.WORKING, State.SYNCHRONIZING)  # others do not drive at all
-HELD_US = 5 * S  # not let drive for so long: more than a protective stop (2 s) or a sync (2 s)
+HELD_US = (
+    5 * S
+)  # not allowed to drive for this long: exceeds a protective stop or a sync (2 s each)
 PERIOD_S = CONTROL_PERIOD_US / S
 
 
@@ -42,7 +47,7 @@ class GridWork:
     ) -> None:
         self.slot, self.ground, self.speed_m_s, self.rng = slot, ground, speed_m_s, rng
         self.accords = CoverageAgreement(slot, ground, turn_cost)
-        self._from = self._to = NONE  # cells: whose middle we left last, and go to
+        self._from = self._to = NONE  # cells: the middle we left last, and the one we drive to
         self._step = 0  # of the plan, that we are at or were at last
         self._onward = False  # to the next step's cell, not back
         self._round = -1
@@ -52,9 +57,9 @@ class GridWork:
         self._section: int | None = None
         self._turn = 0  # of the plan's turns, that we have not had yet
         self._wish = STILL
-        self._asked = False  # whether our wish went to the drive the last time
+        self._asked = False  # whether our motion request went to the drive the last time
         self._asked_us = 0  # when it last did
-        self._held_us = 0  # since when we do not get on; 0: we do
+        self._held_us = 0  # since when we make no progress; 0: we do
         self._strange_us = 0  # since when we have not reached a cell that we may enter
         self._wait_us = 0  # we stand until then
         self._left_us = 0
@@ -100,7 +105,7 @@ class GridWork:
         self._asked = False
 
     def _standing(self, view: FleetView, free: bool) -> int:
-        """The cell we are in the middle of; who cannot move is where it is."""
+        """The cell that we are in the middle of; a robot that cannot move counts as in its cell."""
         here = view.here
         if not free:
             return self.ground.at(here.x_m, here.y_m)
@@ -116,7 +121,7 @@ class GridWork:
         return hypot(x_m - view.here.x_m, y_m - view.here.y_m)
 
     def _sweep(self, view: FleetView) -> None:
-        """What we stand on is covered."""
+        """Mark the cell that we stand on as covered."""
         number = self.ground.at(view.here.x_m, view.here.y_m)
         if number == NONE or number in self._told:
             return
@@ -132,7 +137,7 @@ class GridWork:
     # ---------------------------------------------------------------- of those that are silent
 
     def _tell_of_silent(self, view: FleetView) -> None:
-        """What they said that they had reached is covered, also if they cannot say so any more."""
+        """Announce the cells that silent robots had reported as reached: these are covered."""
         rank = sum(slot < self.slot for slot in view.live)
         if view.now_us < self.accords.begun_us + rank * TELL_US or self.accords.course is None:
             return
@@ -148,7 +153,7 @@ class GridWork:
                     self._tell(number, view)
 
     def _meet_wreck(self, view: FleetView) -> None:
-        """One that fell silent by itself stands where its last command was void."""
+        """A single robot that fell silent stands where its last command expired."""
         owing = self.accords.owing(view.progress, view.silent_since_us)
         if len(owing) != 1 or owing[0] not in view.neighbours:
             return
@@ -170,7 +175,7 @@ class GridWork:
     # ---------------------------------------------------------------- driving
 
     def _note_holding(self, view: FleetView) -> None:
-        """Whether the guard holds us up: we wanted to drive, were let, and have not moved."""
+        """Whether the guard holds us up: we wanted to drive, were allowed to, and have not moved."""
         at = (view.here.x_m, view.here.y_m)
         moved_m = hypot(at[0] - self._last[0], at[1] - self._last[1])
         self._last = at
@@ -235,9 +240,9 @@ class GridWork:
         return False
 
     def _is_behind(self, to: int, view: FleetView) -> bool:
-        """Whether who is to leave that cell as we come has got as far as its middle, as we see it.
+        """Whether the robot that must leave that cell as we come has reached its middle, by our sensors.
 
-        It says that it is there half a cell early; from the side we would come before it.
+        It announces the cell half a cell early, so coming from the side we would be there before it.
         """
         cell_m, (before, on) = self.ground.cell_m, self.accords.leaving(self._step + 1)
         if on == NONE:
@@ -322,7 +327,7 @@ class GridWork:
         return self.ground.unit(turns[self._turn][1])[0] if self._turn < len(turns) else None
 
     def _unfinished(self, view: FleetView) -> ClaimRequest | None:
-        """A section that is covered, and that nobody who is there has said to be done."""
+        """A covered section that no live robot has marked as done."""
         crew = len(view.live)
         rank = sum(slot < self.slot for slot in view.live)
         for section in range(rank, len(self.ground.section_units), crew):
@@ -341,7 +346,7 @@ class GridWork:
         self._section = None
 
     def admits(self, goal: tuple[float, float]) -> bool:
-        """Nobody is sent out of a joint plan: hold it, and the others go round it."""
+        """A robot is never sent out of a joint plan: hold it, and the others go round it."""
         return False
 
     def travel(self, goal: tuple[float, float], view: FleetView) -> MotionRequest:

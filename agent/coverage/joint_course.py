@@ -16,7 +16,7 @@ from agent.coverage.cell_map import NONE, CellMap
 from agent.coverage.team import Team
 
 Numbers = NDArray[np.int32]
-KEPT_MAX = 4  # plans kept for who asks for the same: two sides of a split, and those before them
+KEPT_MAX = 4  # cached plans: two sides of a network split, and those before them
 STEPS_MAX = 0xFFFE  # a step is a u16 on the wire, counted from 1
 
 
@@ -43,7 +43,7 @@ class JointCourse:
         blocked: Sequence[int],
         turn_cost: float,
     ) -> None:
-        """`covered`: by number, what need not be covered; `blocked`: cells nobody enters."""
+        """`covered`: by number, cells that need no coverage; `blocked`: cells no robot enters."""
         self.ground, self.slots = ground, tuple(slots)
         walls = ground.walls.copy()
         for number in blocked:
@@ -57,12 +57,12 @@ class JointCourse:
         self.todo: Numbers = todo
         self.owner: Numbers = np.full(
             len(ground), NONE, np.int32
-        )  # who covers it; grows with steps
+        )  # the robot that covers each cell; grows with steps
         self._wanted = np.zeros(len(ground), dtype=np.bool_)
         self._wanted[todo] = True
         self._steps: list[Numbers] = [np.array(places, np.int32)]
         self._waits: list[dict[int, Wait]] = [{}]
-        self._in = np.full(len(ground), NONE, np.int32)  # who was in a cell last, and left it when
+        self._in = np.full(len(ground), NONE, np.int32)  # last robot in each cell, and when it left
         self._left = np.zeros(len(ground), np.int32)
         self.turns: list[list[tuple[int, int]]] = [[] for _ in slots]  # (step, cell it covers)
 

@@ -1,14 +1,14 @@
 """How a crew on a grid agrees on its next plan, in rounds, and on how far each has come in it.
 
-Whoever sees that the crew is not the one of the plan any more calls a round with the next number:
-after a boot, a death, a join, a split, a heal, or where something unknown stands in the way. Everybody
-stops in a cell and says it, with the digest of all that is covered. When all live robots have said
-theirs and the digests are equal, each computes the same plan and says the digest of what it is computed
-from; when these are equal, too, all go. Who has other bodies in mind says them, so that all know them.
+A robot that detects a crew different from that of the plan calls a round with the next number: after a
+boot, a death, a join, a network split or its healing, or if an unknown obstacle is in the way. Every
+robot stops in a cell and announces it, with the digest of all covered cells. When all live robots have
+done so and the digests are equal, each computes the same plan and announces the digest of its inputs.
+When these are equal too, all go. A robot that knows other obstacles announces them to all.
 
 From then on each says the step of the plan that it has reached, and drives the next one when the robots
 that were in its cell before have gone on (`agent/coverage/joint_course.py`). Nothing here carries
-safety: a robot also sees who is before it (`agent/coverage/proximity_guard.py`).
+safety: a robot also sees robots ahead of it (`agent/coverage/proximity_guard.py`).
 
 One silent robot is a wreck, and its work is cut again at once. Where several fall silent together the
 bus is cut, and they work: their part is kept for them until ours is done and their lease is over.
@@ -27,16 +27,17 @@ from agent.mapf.agreement_phase import CALM_US, Phase, after, ahead
 from crdt.progress import BLOCK_UNITS, Progress
 from protocol.frames.accord_frames import Accord, AgreementKind, AgreementReply
 
-SETTLE_US = 300 * MS  # a view that has not changed for so long: boots come in bursts
-BOOT_US = 3 * S  # who hears nobody for so long after its start is alone: two heartbeats (1.4 s)
+SETTLE_US = 300 * MS  # the view must be unchanged for this long, because boots come in bursts
+# A robot that receives no other for this long after boot is alone: two heartbeats (1.4 s).
+BOOT_US = 3 * S
 STAGGER_US = 20 * MS  # by rank, so that one calls and the others hear it
 HURRY_US, HURRY_ROBOT_US = 200 * MS, 8 * MS  # between repeats: a tenth of the bus for all together
 PATIENCE_US = 5 * S  # longer than a sync (2 s) or a protective stop (2 s) and the way to the cell
-PLAIN_US = 1 * S  # after which who cannot agree on what is kept for others keeps nothing
-OBSTACLE_US = 20 * S  # what stood there may have gone on since
-SPARE_US = 5 * S  # what is told of in a round is told to all well within: they forget it together
-AGAIN_MAX = 2  # seen there so often it is taken to stay, until the crew changes
-ANYBODY = 0xFFFF  # a body that nobody has announced
+PLAIN_US = 1 * S  # without agreement for this long, plan without reserving silent robots' cells
+OBSTACLE_US = 20 * S  # lifetime of an obstacle, because it may have gone since
+SPARE_US = 5 * S  # margin so that all robots drop a reported obstacle in the same round
+AGAIN_MAX = 2  # an obstacle seen this often counts as permanent until the crew changes
+ANYBODY = 0xFFFF  # slot of an unannounced body
 FOREVER = 1 << 62
 
 
@@ -48,7 +49,7 @@ class CellPlace(NamedTuple):
 
 class CellObstacle(NamedTuple):
     slot: int  # or ANYBODY
-    until_us: int  # of no account after
+    until_us: int  # ignored after this time
 
 
 class FleetSnapshot(NamedTuple):
@@ -74,7 +75,7 @@ class CoverageAgreement:
         self._plans: dict[int, int] = {}
         self._reached: dict[int, int] = {}
         self.bodies: dict[int, CellObstacle] = {}  # cell -> what stands there, not one of the crew
-        self._seen: dict[int, int] = {}  # cell -> how often somebody stood there
+        self._seen: dict[int, int] = {}  # cell -> how often an obstacle was seen there
         self._plain = False
         self._left_out = False  # cells of our rooms are neither covered nor in the plan
         self.kept = False  # a part of the work is kept for silent robots
@@ -125,7 +126,7 @@ class CoverageAgreement:
                 self.phase = Phase.GATHER
 
     def meet(self, number: int, slot: int, now_us: int) -> None:
-        """Something stands in that cell that goes by no plan of ours."""
+        """An obstacle outside our plan stands in that cell."""
         self._seen[number] = self._seen.get(number, 0) + 1
         lasting = slot != ANYBODY or self._seen[number] > AGAIN_MAX
         self.bodies[number] = CellObstacle(slot, FOREVER if lasting else now_us + OBSTACLE_US)
@@ -144,9 +145,9 @@ class CoverageAgreement:
         self._reached[self.slot] = max(step, self._reached.get(self.slot, 0))
 
     def may(self, step: int) -> bool:
-        """Whether we may begin that step of ours: the cell is free, or who is in it may leave it.
+        """Whether we may begin that step: the cell is free, or the robot in it may leave it.
 
-        Those that move on together are a chain, whose first finds its cell free, or a ring.
+        Robots that move on together form a ring, or a chain with a free cell before the first robot.
         """
         assert self.course is not None
         robot, chain = self.me, set[int]()
@@ -161,7 +162,7 @@ class CoverageAgreement:
         return True
 
     def leaving(self, step: int) -> tuple[int, int]:
-        """Where who is in the cell of our step was the step before it leaves, and where it goes.
+        """For the robot in the cell of our step: its cell one step before it leaves, and its next cell.
 
         Twice -1: it has gone.
         """
@@ -290,7 +291,7 @@ class CoverageAgreement:
     def _agree(self, crew: FleetSnapshot, now_us: int) -> None:
         places = {slot: p for slot, p in self._places.items() if slot in crew.live}
         if places != self._used:
-            self.phase = Phase.GATHER  # somebody has gone, come, or been told something
+            self.phase = Phase.GATHER  # a robot has left or joined, or knows something new
             return
         own = self._plans[self.slot]
         if all(self._plans.get(slot) == own for slot in self._used):
@@ -302,7 +303,7 @@ class CoverageAgreement:
     # ---------------------------------------------------------------- who has what
 
     def _remember(self) -> None:
-        """Whose work each cell is by the last plan that all went by."""
+        """Remember the robot that each cell was assigned to by the last plan that all followed."""
         if self.course is None or self.phase is not Phase.GO:
             return
         self.course.finish()
@@ -360,7 +361,7 @@ class CoverageAgreement:
         return words
 
     def _due(self, say: AgreementKind, what: object, hurried: bool, now_us: int) -> bool:
-        """News at once, again soon, and then now and then."""
+        """Send news immediately, repeat it soon, and then rarely."""
         last, times, said_us = self._said.get(say, (None, 0, 0))
         if last == what:
             hurry_us = max(HURRY_US, HURRY_ROBOT_US * len(self._used))

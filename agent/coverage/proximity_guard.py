@@ -1,7 +1,7 @@
 """The last resort of a body on a grid: it does not drive nearer to a body that it sees near.
 
-Plans keep robots a cell apart, and 0.71 of a cell where one follows another round a corner. A robot that
-comes nearer than `GUARD` was not where the plan has it: it is late, or it is of no plan of ours.
+Plans keep robots a cell apart, and 0.71 of a cell if one follows another round a corner. A robot that
+comes nearer than `GUARD` is not where our plan expects it: it is late, or not part of our plan.
 """
 
 from collections.abc import Mapping

@@ -4,7 +4,7 @@
     while team.remaining(): places = team.advance()
 
 Each room (connected free region) is walked and cut by itself. A death or a join cuts what is not yet
-covered again among those who are there; what is covered stays covered.
+covered again among the live robots; covered cells stay covered.
 """
 
 from collections.abc import Sequence
@@ -33,7 +33,7 @@ class Team:
         turn_cost: float = 0.0,
         covered: Walls | None = None,
     ) -> None:
-        """`walls`: (rows, columns), True where nobody can go. `turn_cost`: steps a quarter turn.
+        """`walls`: (rows, columns), True for blocked cells. `turn_cost`: steps a quarter turn.
         `covered`: what need not be covered (any more)."""
         assert walls.ndim == 2 and 0.0 <= turn_cost <= TURN_COST_MAX
         free = np.ascontiguousarray(np.pad(~walls, 1).astype(np.uint8).ravel())
@@ -70,7 +70,7 @@ class Team:
         self._recut(self.robots.place)
 
     def join(self, cell: Cell) -> int:
-        """Another robot, in a free cell nobody is in; returns its number."""
+        """Add a robot in a free, unoccupied cell; returns its number."""
         self._recut(np.append(self.robots.place, self.number(cell)))
         return self.robots.place.size - 1
 

@@ -1,8 +1,8 @@
 """One synchronous step of all robots on a grid: towards their goals, never into each other.
 
 Priority inheritance with backtracking (PIBT; Okumura et al., Artificial Intelligence 2022): robots
-choose in order of priority; who wants an occupied cell first makes its occupant choose; where that
-fails everyone concerned stays. A cell is never promised twice and two robots never change places.
+choose in order of priority. A robot that wants an occupied cell makes its occupant choose first; if
+that fails, all robots concerned stay. A cell is never promised twice, and robots never swap places.
 
 Coverage never locks, on any connected grid with any number of robots. Priority is the age of a goal,
 and a goal is a cell not yet covered, kept until it is. Let h stand on cell c with the oldest goal g,
@@ -108,7 +108,7 @@ def _options(grid, place, goal, field, options):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _choose(grid, robots, first, memory):  # type: ignore[no-untyped-def]
-    """`first` and all whom it pushes settle where they go."""
+    """Choose the next cells of `first` and of all robots that it pushes."""
     stack, options, tried, many = memory
     place, then = robots.place, robots.then
     stack[0], depth, moved = first, 1, False

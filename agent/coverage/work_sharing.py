@@ -1,8 +1,8 @@
-"""Who does what is left of a coverage walk: runs, goals, and taking over from those who have more.
+"""Shares the rest of a coverage walk: runs, goals, and taking over work from robots with more left.
 
 A robot has one run [low, high) of the walk and works it from one end (`side` +1: from low). A robot
-whose run is empty takes the far end of another's run, as much as makes both end earliest; nothing is
-ever owned by two, and what is covered is skipped. All of it is arithmetic on replicated values, so
+with an empty run takes the far end of another's run, as much as lets both finish earliest. No cell is
+owned by two robots, and covered cells are skipped. All of it is arithmetic on replicated values, so
 all peers that know the same agree without asking.
 """
 

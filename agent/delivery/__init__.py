@@ -1,4 +1,4 @@
-"""Transport tasks in a warehouse: who carries what, in which order, with which charge.
+"""Transport tasks in a warehouse: which robot carries what, in which order, with which charge.
 
 `delivery_mission` is the mission, `task_registry` the replicated tasks, `routing_problem` and
 `cost_matrix` what is to be optimised. `auction` inserts tasks into tours, `plan_negotiation` lets

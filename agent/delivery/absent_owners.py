@@ -1,7 +1,7 @@
-"""Who is away for good, as far as it matters for its tasks: silent, or standing stopped, for a lease.
+"""Whether an owner counts as gone: silent or stopped for longer than the lease.
 
-A robot that stands stopped, after it has lost its memory or because a person wants it so, may stand for
-hours. What it has not picked up yet is left to others; what it has aboard stays with it.
+A robot that is stopped, because it lost its memory or because a person stopped it, may stay so for
+hours. Tasks that it has not picked up yet are left to others; a parcel aboard stays with it.
 """
 
 from agent.interface.config import LEASE_US
@@ -11,7 +11,7 @@ from agent.interface.mission import FleetView
 
 class AbsentOwners:
     def __init__(self) -> None:
-        self._stopped_us: dict[int, int] = {}  # slot: since when it says that it stands stopped
+        self._stopped_us: dict[int, int] = {}  # slot -> since when it reports "stopped"
 
     def look(self, view: FleetView) -> None:
         stopped = {

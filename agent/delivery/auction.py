@@ -1,7 +1,8 @@
-"""Who takes which tasks: an auction that all peers compute alike, insertion, and search for better.
+"""Assigns tasks to robots: an auction that all peers compute alike, insertion, and local search.
 
-The auction is whole numbers and fixed ties, so equal knowledge gives equal itineraries without a frame.
-The search that follows has the peer's own seed: peers find different plans, and the cheapest is adopted
+The auction uses whole numbers and fixed tie-breaking, so equal knowledge gives equal itineraries
+without a frame. The search that follows has the peer's own seed, so peers find different plans, and
+the cheapest is adopted
 (`agent/delivery/plan_negotiation.py`). Simulated annealing over moves of up to three tasks and of
 whole tails, towards the neighbours that cost least; `reference` figures are in docs/delivery.md.
 """
@@ -17,9 +18,10 @@ from agent.delivery.routing_kernels import auction, search, span, walk
 from agent.delivery.routing_problem import IMPOSSIBLE_MS, Itineraries, PlanCost, Whole, Workload
 from agent.delivery.waiting_kernels import least_waiting, shorten_waiting
 
-NEAR = 24  # tasks that one may follow: the cheapest links
-HEADS = 4  # and robots whose first task it may be
-HOT, COLD = 0.02, 0.0002  # of the mean route: a move this much dearer is taken two times in five
+NEAR = 24  # candidate predecessors of a task: the cheapest links
+HEADS = 4  # candidate robots for which it may be the first task
+# Temperatures as shares of the mean route: a move this much dearer is accepted two times in five.
+HOT, COLD = 0.02, 0.0002
 NO_BAY = np.zeros((1, 1), dtype=np.int64)
 
 
@@ -48,7 +50,7 @@ class RoutingPlanner:
     # ---------------------------------------------------------------- reading
 
     def span_ms(self, robot: int, tasks: Sequence[int]) -> int:
-        """When a robot is through its tasks, charging included; IMPOSSIBLE_MS: its battery is not."""
+        """When a robot finishes its tasks, charging included; IMPOSSIBLE_MS: its battery would fail."""
         seq = np.array(tasks, dtype=np.int64)
         return int(span(robot, seq, len(seq), *self._args, *self._rest))
 
@@ -61,7 +63,7 @@ class RoutingPlanner:
         return PlanCost(max(spans, default=0), sum(spans))
 
     def waiting_ms(self, plan: Itineraries) -> int:
-        """How long all tasks wait from now on, in sum."""
+        """The total waiting time of all tasks from now on."""
         return sum(
             int(walk(r, np.array(own, dtype=np.int64), len(own), *self._args, *self._rest)[1])
             for r, own in enumerate(plan)
@@ -72,9 +74,9 @@ class RoutingPlanner:
     def auctioned(
         self, held: Itineraries | None = None, free: Sequence[int] | None = None
     ) -> Itineraries:
-        """Every free task to the robot that would be through with it first, cheapest bid first.
+        """Assign every free task to the robot that would finish it first, cheapest bid first.
 
-        `held`: itineraries that stay and are added to. A task that nobody's battery can do is left out.
+        `held`: itineraries to extend. A task that no robot's battery can do is left out.
         """
         held = [[] for _ in range(self.work.robots)] if held is None else held
         free = range(self.work.tasks) if free is None else free
@@ -110,8 +112,9 @@ class RoutingPlanner:
         return _unpacked(route, size)
 
     def hastened(self, plan: Itineraries, seed: int, moves: int) -> Itineraries:
-        """A plan whose tasks wait less in sum, and whose last finish is no later: what of `moves` tries
-        was found, each from the one before. The same seed, the same plan."""
+        """A plan with less total waiting time and no later last finish.
+
+        It is found by `moves` tries, each from the one before. The same seed gives the same plan."""
         placed = sum(map(len, plan))
         if placed < 2 or self.worth(plan).makespan_ms >= IMPOSSIBLE_MS:
             return [list(tasks) for tasks in plan]

@@ -1,4 +1,4 @@
-"""When a carrier has to charge, where, and whether the bay gives anything."""
+"""When a carrier has to charge, at which bay, and whether the bay works."""
 
 from collections.abc import Container
 from enum import Enum
@@ -12,7 +12,7 @@ from agent.paths.nav_mesh import Point
 from crdt import FieldAllocationCRDT
 
 FULL_AT = 0.99  # of a battery
-GIVES_US = 5 * S  # a bay has so long to show that it charges
+GIVES_US = 5 * S  # a bay that does not charge within this time is dead
 SHORT_US = (
     1 * S
 )  # between two looks at whether a battery lasts: each is a search of the planning map
@@ -49,8 +49,9 @@ class Charging:
         return True
 
     def falls_short(self, standing: CarrierState, trip: Trip, loaded: bool) -> bool:
-        """Held up longer than any plan knew, or back from a restart: the reserve would not last for what
-        is left of a task and a bay behind it. Half of that is for what nobody plans exactly."""
+        """Whether the battery would not last for the rest of the task and the way to a bay.
+
+        This happens after an unplanned delay or a restart. Half of the reserve is for inaccuracy."""
         if not self._needed:
             return False
         then = self.house.after(standing, trip, loaded)

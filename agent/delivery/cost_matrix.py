@@ -25,7 +25,7 @@ class Carrier(NamedTuple):
     speed_m_s: float  # over a way, turns and braking included
     handle_s: float  # to load, and to unload
     battery_m: float = 0.0  # a full battery drives this far and does nothing else; 0: no limit
-    battery_s: float = 0.0  # a full battery stands switched on for so long; 0: no limit
+    battery_s: float = 0.0  # standby time of a full battery; 0: no limit
     dock_s: float = 10.0  # of a charge, whatever it takes
     charge_s: float = 60.0  # of a whole charge
     reserve: float = 0.1  # share of a battery that plans never touch

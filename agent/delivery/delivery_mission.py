@@ -1,9 +1,9 @@
 """The mission of carrying parcels: one robot's part, from its itinerary to the load in its hands.
 
-A task is a section with two units: picked up, delivered. A visit of a charger bay is a section too, and
-is claimed like one. Only who stands where a parcel lies can pick it up: claims avoid waste, the parcel
-itself sees to it that it is carried by one robot. A parcel of a robot that died lies where that robot
-stands; who takes the task over fetches it from there.
+A task is a section with two units: picked up, delivered. A visit of a charger bay is a section too,
+and is claimed like one. Only a robot at the place of a parcel can pick it up, so the parcel itself
+ensures that one robot carries it; claims only avoid duplicate work. A parcel of a robot that died lies
+where that robot stands; the robot that takes the task over fetches it from there.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -29,14 +29,14 @@ from protocol.sync.map_sync import MapSync
 Point = tuple[float, float]
 PICKED, DELIVERED = 0, 1  # units of a task
 NOTHING_RECALLED: Mapping[str, bytes] = {}
-UNDER_WAY = -1  # stands for the goal of now where sections are looked at
-REACH_M = 1.2  # of the arm, from the robot's middle to the parcel's
-BESIDE_M = 1.0  # nearer than this is near enough where another body is in the way
-UNTOUCHED_M = 0.2  # from where it was to be fetched: nobody has moved it
-IDLE_CHARGE = 0.5  # who has nothing to do charges below this
-HOME_US = 5 * S  # who has nothing to do for so long makes room
-STALLED_US, NEARER_M = 1 * S, 0.05  # within reach, and no nearer for so long
-MISSING_US = 3 * S  # at a place where no parcel lies: it is believed
+UNDER_WAY = -1  # stands for the current goal where sections are checked
+REACH_M = 1.2  # reach of the arm, from the robot's middle to the parcel's
+BESIDE_M = 1.0  # this distance is near enough if another body is in the way
+UNTOUCHED_M = 0.2  # a parcel this near to its pickup was not moved
+IDLE_CHARGE = 0.5  # an idle robot charges below this
+HOME_US = 5 * S  # a robot idle for this long makes room
+STALLED_US, NEARER_M = 1 * S, 0.05  # within reach, but for this long no nearer by this distance
+MISSING_US = 3 * S  # after this time at a place without a parcel, the parcel counts as missing
 SHUN_US = 30 * S  # a bay that gives nothing, a task whose parcel is not found
 
 
@@ -94,7 +94,7 @@ class DeliveryMission(NavigationMission):
         super().attend(view, state)
 
     def _stranded(self, view: FleetView) -> bool:
-        """We cannot do more than we have begun: what we cannot get to, and whether we get on at all."""
+        """Whether we cannot begin more tasks: updates unreachable tasks and checks our progress."""
         at, now_us = (view.here.x_m, view.here.y_m), view.now_us
         if self.cut_off.due(now_us):
             self.cut_off.look(at, self._goals(view), now_us)
@@ -153,7 +153,7 @@ class DeliveryMission(NavigationMission):
         return self._claim(task, view)
 
     def _next(self, view: FleetView) -> int | None:
-        """The first of our itinerary that may be had."""
+        """The first task of our itinerary that is available."""
         for task in self.dispatch.itinerary:
             if task == self.section or self._shunned_us.get(task, 0) > view.now_us:
                 continue
@@ -289,7 +289,7 @@ class DeliveryMission(NavigationMission):
         return section in self.cut_off.sections and section != self._load
 
     def _beside(self, view: FleetView) -> bool:
-        """Something is where we want to be, a body that we may know nothing of; the arm reaches over."""
+        """Whether a body, perhaps an unknown one, blocks our place but the arm reaches over it."""
         section = self.section
         if section is None or section >= TASKS_MAX or self.goal is None:
             return False
@@ -343,7 +343,7 @@ class DeliveryMission(NavigationMission):
         return hypot(dropoff[0] - seen.x_m, dropoff[1] - seen.y_m) < REACH_M
 
     def _handling(self, task: int, view: FleetView) -> MotionRequest:
-        """Load, or unload. The world says what has come of it: what is aboard, and what lies where."""
+        """Load or unload. The result is sensed: the parcel aboard, and the visible parcels."""
         assert self._since_us is not None
         if self._load != task and task not in view.here.parcels:
             if view.now_us - self._since_us > MISSING_US:
@@ -352,7 +352,7 @@ class DeliveryMission(NavigationMission):
         return MotionRequest(0.0, 0.0, handle=task)
 
     def _missing(self, task: int, view: FleetView) -> MotionRequest:
-        """No parcel here: the next place, and after the last one others may, or we again later."""
+        """No parcel here: try the next place; after the last one release the task for a while."""
         assert self.goal is not None
         self._since_us = None
         if self.whereabouts.looked(task, self.goal):
@@ -368,7 +368,7 @@ class DeliveryMission(NavigationMission):
         state = self.charging.look(view.here.battery, view.now_us)
         if state is ChargerState.CHARGES:
             return MotionRequest(0.0, 0.0)
-        if state is ChargerState.DEAD:  # leave it to who mends it
+        if state is ChargerState.DEAD:  # leave the bay, it needs a repair
             bay = self.house.bay_of(section)
             self._shunned_us[TASKS_MAX + bay] = view.now_us + 20 * SHUN_US
         self._through()
@@ -386,7 +386,7 @@ class DeliveryMission(NavigationMission):
         self._through()
 
     def rest(self, view: FleetView) -> MotionRequest:
-        """Nothing to do: go where we were switched on, so that we stand in nobody's way."""
+        """Nothing to do: go to where we were switched on, out of the way of other robots."""
         self.section = None
         if self._idle_us is None:
             self._idle_us = view.now_us

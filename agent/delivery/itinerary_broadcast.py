@@ -1,4 +1,4 @@
-"""What each robot means to do, as it tells the others: its stops, two to a frame, again and again.
+"""Broadcast of each robot's itinerary: its stops, two to a frame, repeated periodically.
 
 A stop is a task, or TASKS_MAX and the number of a charger bay. Others plan with the tasks; people see
 both: [P5, D5, C1].
@@ -11,7 +11,7 @@ from agent.delivery.cost_matrix import FULL
 from agent.interface.config import S
 from protocol.frames.delivery_frames import NO_TASK, Itinerary
 
-TOLD_US = 5 * S  # an itinerary is told again this often
+TOLD_US = 5 * S  # an itinerary is sent again this often
 FRAMES_A_BEAT = 4
 STOPS_MAX = 0xFF  # what a frame can count
 

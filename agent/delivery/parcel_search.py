@@ -1,8 +1,9 @@
 """Where a robot looks for a parcel that it is to fetch, one place after the other.
 
-Mostly it lies where it was to be fetched. A robot that died has it aboard, and stands where it was last
-heard, or, if that was before a split, nobody knows where: then at what rays have found standing about,
-where it was to go, and in the end all over the building. What the arm can feel is where it is.
+Mostly the parcel lies at its pickup. If the robot that carried it died, it stands where it was last
+received. If that was before a network split, its position is unknown: then the search visits unknown
+obstacles found by range sensors, the dropoff, and in the end the whole building. The arm's scanner
+tells whether the parcel is at a place.
 """
 
 from functools import cached_property
@@ -16,8 +17,8 @@ from agent.mapping.dynamic_obstacles import DynamicObstacles
 from agent.navigation.silent_robots import SilentRobots
 
 Point = tuple[float, float]
-LOOKED_M = 0.8  # a place nearer than this to one that was looked at need not be looked at
-SPOT_HOPS = 2  # of the lattice: rays see a body so far from a spot of the search
+LOOKED_M = 0.8  # a place this near to a searched one need not be searched
+SPOT_HOPS = 2  # in lattice hops: range sensors detect a body this far from a search position
 
 
 class ParcelSearch:
@@ -31,7 +32,7 @@ class ParcelSearch:
         return self._places(task, workers, view)[0]
 
     def next(self, task: int, workers: list[int], view: FleetView) -> Point:
-        """Where to look for it now. `workers`: who had begun with it, as far as we saw."""
+        """Where to look for it now. `workers`: slots of robots that had begun with it."""
         seen = view.here.parcels.get(task)
         if seen is not None:
             return seen.x_m, seen.y_m

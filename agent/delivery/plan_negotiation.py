@@ -1,13 +1,13 @@
-"""Scenarios A and C: all robots search at once, each with its own seed; the cheapest plan is adopted.
+"""Scenarios A and C: all robots search in parallel, each with its own seed; the cheapest plan wins.
 
-A round has four steps. Somebody calls it and says how long it takes. Everybody freezes the problem and
-starts from the same auction; or from what is planned, where tasks are only to wait less. When time is up
-each offers what its plan costs, in silence if it has heard of a better one; the least is elected, lower
-slots first among equals, and the term of that election is the number of the round: nothing of an older
-one is believed. The elected streams its plan row by row;
-where it falls silent the others elect the second best. Adopted is a plan whose digest is the offered.
+A round has four steps. One robot calls it and announces its duration. All robots freeze the problem
+and start from the same auction, or from the current plan if only waiting time is to be reduced. When
+the time is up, each robot offers the cost of its plan, unless it has received a better offer. The
+cheapest is elected, lower slots first among equals. The term of that election is the number of the
+round, so frames of an older round are ignored. The elected robot streams its plan row by row; if it
+falls silent, the others elect the second best. A plan is adopted if its digest matches the offer.
 
-What each froze need not be the same to the metre: whose plan is adopted has planned for all.
+Robots' snapshots may differ slightly; the adopted plan defines the problem.
 """
 
 from collections.abc import Iterator, Mapping
@@ -24,7 +24,7 @@ from protocol.frames.delivery_frames import HASTENS, NO_TASK, PlanOffer, PlanRow
 SLICE_US = 50 * MS  # a control period
 SLICE_MOVES = 15_000  # of the search in each: 10 ms of a small computer's 50; and
 SLICE_MOVES_CHARGING = (
-    3_000  # where routes are walked with bays: as long; for routes of so many tasks:
+    3_000  # with charging bays, for the same time; for routes of ROUTE_TASKS tasks
 )
 ROUTE_TASKS = 5  # longer ones are walked longer, so that there are fewer moves
 SLICE_MOVES_HASTE = 2_000  # more found nothing more
@@ -34,7 +34,7 @@ REPLAN_US_MAX = 255 * REPLAN_UNIT_US
 OFFERS_US = 500 * MS  # offers are collected this long; the bus is through with all in a tenth of it
 HUSH_US = 700 * MS  # without a row of the stream: the next best takes over
 ROWS_A_BEAT = 6
-PASSES = 2  # a stream is said so often
+PASSES = 2  # number of times a plan is streamed
 CALLS = 3
 HOT, COLD = 0.02, 0.0002  # temperatures of the whole search, shared out to its slices
 
@@ -47,7 +47,7 @@ class ProblemSnapshot(NamedTuple):
     slots: tuple[int, ...]
     tasks: tuple[int, ...]
     work: Workload
-    plan: Itineraries | None = None  # to begin from, so that its tasks wait less; None: anew
+    plan: Itineraries | None = None  # plan to improve for less waiting; None: start from scratch
 
 
 class NegotiationPhase(Enum):
@@ -62,7 +62,7 @@ class PlanNegotiation:
         self.slot, self.seed = slot, seed
         self.number, self.step = 0, NegotiationPhase.REST
         self.ends_us = 0  # of the step
-        self.adopted: Rows | None = None  # to be taken by who asks
+        self.adopted: Rows | None = None  # the adopted plan, until the caller takes it
         self.first: Rows = {}  # the auction's plan, the same for all
         self.streamed = 0  # rounds that we streamed
         self._frozen: ProblemSnapshot | None = None
@@ -104,7 +104,7 @@ class PlanNegotiation:
         return offer.replan > 0 and _newer(offer.round, self.number)
 
     def join(self, offer: PlanOffer, frozen: ProblemSnapshot, now_us: int) -> None:
-        self._calls = 1 if self.slot % 4 == 0 else 0  # who missed the call may hear the echo
+        self._calls = 1 if self.slot % 4 == 0 else 0  # an echo for robots that missed the call
         self._begin(offer.round, offer.replan, frozen, now_us)
 
     def _begin(self, number: int, units: int, frozen: ProblemSnapshot, now_us: int) -> None:
@@ -190,7 +190,7 @@ class PlanNegotiation:
             self._adopt(self._mine)
             self.streamed += 1
         elif now_us - self._heard_us > HUSH_US:
-            self._mute.add(rank[0])  # it has died, or we cannot hear it: the next best is elected
+            self._mute.add(rank[0])  # it is dead or not received, so the next best is elected
             del self._offers[rank[0]]
             self.step, self.ends_us = NegotiationPhase.OFFER, now_us + OFFERS_US
 

@@ -1,7 +1,7 @@
-"""What a robot cannot get to at present, whatever way it takes: walled in by bodies and other things.
+"""Places that a robot cannot reach at present by any path: enclosed by bodies and other obstacles.
 
-Boxes go and people step aside, so that only what has been cut off for a while counts. Tasks that are,
-are begun by nobody who knows it, and a fleet that has nothing else left says so and is done.
+Boxes are removed and people step aside, so only places cut off for a while count. A robot does not
+begin a task that it knows to be cut off. A fleet with only such tasks left reports that and is done.
 """
 
 from collections.abc import Mapping, Sequence
@@ -12,8 +12,8 @@ from agent.mapping.dynamic_obstacles import DynamicObstacles
 
 Point = tuple[float, float]
 LOOK_US = 1 * S
-CUT_OFF_US = 15 * S  # a parcel that somebody is about to fetch is waited for so long
-STANDSTILL_US = 30 * S  # not `GOT_ON_M` further in so long: others may take what is not begun
+CUT_OFF_US = 15 * S  # wait this long for a parcel that another robot is about to fetch
+STANDSTILL_US = 30 * S  # without `GOT_ON_M` of progress for this long, others may take our tasks
 GOT_ON_M = 1.0
 
 
@@ -42,7 +42,7 @@ class Reachability:
         )
 
     def stands_still(self, at: Point, busy: bool, now_us: int) -> bool:
-        """Each control period: whether a robot that has something to do has not got on for long."""
+        """Each control period: whether a busy robot has made no progress for long."""
         (x_m, y_m), since_us = self._stood
         if not busy or hypot(at[0] - x_m, at[1] - y_m) > GOT_ON_M:
             self._stood = (at, now_us)

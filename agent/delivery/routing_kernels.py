@@ -123,7 +123,8 @@ def best_place(r, seq, n, task, first, ready, lead, link, lead_bay_ms, power, ch
 def auction(route, size, free, ready, lead, link, lead_bay_ms, power, charging):  # type: ignore[no-untyped-def]
     """Sequential auction: each time the bid of earliest finish; ties to the lower task, then robot.
 
-    `free`: tasks to be given away, in ascending order. What nobody can do stays out; how many did.
+    `free`: tasks to be assigned, in ascending order. Tasks that no robot can do are left out. Returns
+    their count.
     """
     robots, room = route.shape
     out = np.empty(room + 1, np.int64)

@@ -1,4 +1,4 @@
-"""The frozen problem that a fleet of carriers solves: who takes which tasks, in which order.
+"""The frozen problem that a fleet of carriers solves: which robot takes which tasks in which order.
 
 A task is an atom: go to its pickup, load, go to its dropoff, unload; a robot carries one parcel. So a
 plan is one sequence of tasks a robot, and all that is to be known is what each costs after what. Costs

@@ -1,13 +1,14 @@
-"""Who is to carry what, settled among peers: itineraries told, tasks auctioned, plans made together.
+"""Task allocation among peers: announced itineraries, task auctions, and joint plans.
 
-Each robot alone says its own itinerary: what it means to begin, in its order. A task that is in nobody's
-is open. Up to `t_max` open ones are auctioned one after the other: each robot bids what the task would
-cost it, and is silent if it has heard of less (scenario B). More are planned anew by all (scenarios A
-and C, `agent/delivery/plan_negotiation.py`). All of this is soft: before a task is begun its
-register is claimed, and what is told too late, twice or never is only waste for a moment.
+Each robot announces only its own itinerary: the tasks that it will begin, in order. A task in no
+itinerary is open. Up to `t_max` open tasks are auctioned one after the other: each robot bids its
+cost for the task, unless it has received a lower bid (scenario B). More open tasks are replanned by
+all robots (scenarios A and C, `agent/delivery/plan_negotiation.py`). All of this is only a hint:
+before a task is begun its register is claimed, so late, repeated or lost frames only cost some
+duplicate work.
 
-What a silent robot had keeps its owner for a lease; then it is auctioned, the last of its order first,
-and comes behind what the winner has already: own work first, also in a split.
+Tasks of a silent robot keep their owner for a lease. Then they are auctioned, the last of its order
+first, and are placed behind the winner's own tasks, also in a network split.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -37,18 +38,21 @@ from protocol.frames.delivery_frames import (
     TaskOrder,
 )
 
-# Tasks of one round: the auction's work grows as tasks to the fourth by robots to the second. So many of
-# six robots, with batteries, take 25 ms of a small computer, half of a control period.
+# Tasks of one round. The effort of the auction grows with the fourth power of the tasks and the square
+# of the robots. This number for six robots with batteries takes 25 ms on a small computer, half of a
+# control period.
 ROUND_TASKS, ROUND_ROBOTS = 72, 6
 ABLE = (State.IDLE, State.WORKING, State.SYNCHRONIZING)
 LOOK_US = 250 * MS  # between two looks for open tasks
 BIDS_US = 300 * MS  # bids for a task are collected this long: six beats of a small fleet
-AWARDED_US = 2 * S  # the winner has told its itinerary by then
-STABLE_US = 500 * MS  # more than t_max open tasks for so long call a round
+AWARDED_US = 2 * S  # the winner has announced its itinerary by then
+STABLE_US = 500 * MS  # more than t_max open tasks for this long start a round
 STAGGER_US = 150 * MS  # lower slots call it first
-BOOT_US = 3 * S  # so long the whole fleet is waited for before the first plan
-RESIGN_US = 2 * S  # a protective stop that ends is no reason
-NOBODY_US = 5 * S  # a task for which nobody bids is called again after so long
+BOOT_US = 3 * S  # wait this long for the whole fleet before the first plan
+RESIGN_US = (
+    2 * S
+)  # a robot unable to work for longer gives up its tasks; protective stops are shorter
+NOBODY_US = 5 * S  # a task without a bid is auctioned again after this
 AGAIN_US = 5 * S  # between two rounds
 MOVES_A_TASK = 2_000  # of the search; and
 REPLAN_US = (2 * S, 10 * S)  # as long as this at least and at most
@@ -71,7 +75,7 @@ class TaskAllocation:
         seed: int,
         recalled: Mapping[int, TransportTask],
     ) -> None:
-        """`recalled`: tasks that were told in an earlier life."""
+        """`recalled`: tasks received before a restart, from durable memory."""
         self.slot, self.house = slot, house
         self.book = TaskRegistry(slot, {**house.tasks, **recalled}, now_us)
         self.round = PlanNegotiation(slot, seed)
@@ -89,7 +93,9 @@ class TaskAllocation:
         self._done: set[int] = set()
         self.cut: frozenset[int] = frozenset()  # tasks that we cannot get to
         self._able_us = now_us  # when we last could work
-        self.workers: dict[int, list[int]] = {}  # task: who began with it, as far as we saw
+        self.workers: dict[
+            int, list[int]
+        ] = {}  # task -> slots that began with it, as far as we know
         self._calls: list[PlanOffer] = []  # heard, to be answered at the next look
 
     @property
@@ -104,7 +110,8 @@ class TaskAllocation:
     # ---------------------------------------------------------------- what there is to do
 
     def tick(self, view: FleetView, able: bool) -> None:
-        """Each control period. `able`: we can work; who cannot for long leaves its tasks to others."""
+        """Each control period. `able`: False when this robot cannot work; after RESIGN_US its tasks
+        are given up."""
         now_us = view.now_us
         if able:
             self._able_us = now_us
@@ -139,7 +146,7 @@ class TaskAllocation:
             self._many_us = now_us
         whole = len(view.live) >= len(view.live | view.silent_since_us.keys()) > 1
         if now_us - self._born_us < BOOT_US and not (whole and now_us - self._born_us > S):
-            return  # not everybody is here yet
+            return  # not all robots are here yet
         due_us = max(self._many_us + STABLE_US, self._round_us) + STAGGER_US * self._order(view)
         planned = sum(len(self.means(slot)) for slot in view.live)
         room = round_tasks_max(len(view.live)) - planned
@@ -163,7 +170,7 @@ class TaskAllocation:
                 self._begin_round(view, able, replan_us=HASTE_US, haste=True)
 
     def _plan_stops(self, view: FleetView) -> None:
-        """What we tell and show: with the bay that we are at, or that we shall have to go to."""
+        """Our announced stops, including the bay that we are at or will have to visit."""
         held = view.allocation.assigned_sections(self.slot)
         at_bay = [TASKS_MAX + self.house.bay_of(s) for s in held if s >= TASKS_MAX]
         known = [t for t in self.itinerary if self.house.known(self.book.tasks[t])]
@@ -174,8 +181,7 @@ class TaskAllocation:
         return sum(slot < self.slot for slot in view.live)
 
     def open(self, view: FleetView) -> tuple[list[int], list[int]]:
-        """Tasks in nobody's itinerary; and those whose owner is silent and has lost its lease, the last
-        of its order first."""
+        """Tasks in no itinerary, and tasks of silent owners without a lease, the last first."""
         allocation, now_us = view.allocation, view.now_us
         holder: dict[int, int] = {}
         for slot, told in self.told.items():
@@ -206,7 +212,7 @@ class TaskAllocation:
     def _holder(
         self, task: int, phase: Phase, holder: dict[int, int], view: FleetView
     ) -> int | None:
-        """Who has a task or means to: by its register, by the parcel's last carrier, by what was told."""
+        """The slot that holds a task or plans it: by register, last carrier, or announced itinerary."""
         if phase is not Phase.FREE:
             owner = view.allocation.owner_of(task)
             if phase is Phase.STARTED and owner is not None:
@@ -222,7 +228,7 @@ class TaskAllocation:
             workers.append(owner)
 
     def _tidy(self, view: FleetView) -> None:
-        """Out of our itinerary: what is no longer free, and what a lower slot has told as its own."""
+        """Remove from our itinerary tasks that are not free, or that a lower slot announced."""
         lower = {
             task
             for slot, told in self.told.items()
@@ -240,12 +246,14 @@ class TaskAllocation:
             kept.append(task)
         self.itinerary = kept
         for slot in [s for s in self.told if s not in view.live and s not in view.silent_since_us]:
-            del self.told[slot]  # it left, and said so
+            del self.told[slot]  # it left with a farewell
 
     # ---------------------------------------------------------------- scenario B
 
     def _open_auction(self, tasks: list[int], fresh: int, view: FleetView, able: bool) -> None:
-        """For the first, or for what another has bid for. `fresh`: so many of them, then orphans."""
+        """Auction the first task, or one that another robot has bid for.
+
+        `fresh`: number of new tasks at the front; orphans follow."""
         rival = self._rival
         if rival is not None and rival[0] not in tasks:
             rival = None
@@ -384,7 +392,7 @@ class TaskAllocation:
             records = self.book.hear(message, now_us)
             if self.book.added > added and isinstance(message, TaskOrder):
                 self.haste.known(message.task, now_us)
-                self._look_us = now_us  # all who have heard it bid at once, not one after the other
+                self._look_us = now_us  # so that all robots that received it bid at the same time
             return records
         if slot is not None:
             self._heard(slot, message, now_us)
@@ -429,7 +437,7 @@ def standings(dispatch: TaskAllocation, view: FleetView, able: bool) -> list[Car
 
 
 def anew(dispatch: TaskAllocation, view: FleetView, able: bool) -> ProblemSnapshot:
-    """Every free task, whoever means to begin it."""
+    """Every free task, including those in itineraries of any robot."""
     robots = standings(dispatch, view, able)
     fresh, _ = dispatch.open(view)
     planned = {t for s, told in dispatch.told.items() if s in view.live for t in told.whole}
@@ -440,7 +448,7 @@ def anew(dispatch: TaskAllocation, view: FleetView, able: bool) -> ProblemSnapsh
 
 
 def round_tasks_max(robots: int) -> int:
-    """How many tasks one round plans for so many robots; what is beyond them waits for a later round.
+    """How many tasks one round plans for this many robots; further tasks wait for a later round.
 
     >>> round_tasks_max(1), round_tasks_max(6), round_tasks_max(60)
     (29, 72, 227)
@@ -449,7 +457,7 @@ def round_tasks_max(robots: int) -> int:
 
 
 def hastened(dispatch: TaskAllocation, view: FleetView, able: bool) -> ProblemSnapshot:
-    """What is in somebody's itinerary, and not held there by its age: to begin from as it is."""
+    """All tasks in itineraries that are not held by their age, with the current plan to start from."""
     robots, rows = [], []
     met = set[int]()
     for robot in standings(dispatch, view, able):

@@ -1,6 +1,6 @@
 """The tasks there are: a map from number to pickup and dropoff that only grows, joined by maximum.
 
-Who knows a task that another's digest lacks repeats its order, unless somebody else has just done so.
+A robot that knows a task missing in another's digest repeats its order, unless another robot just did.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -26,7 +26,7 @@ class TransportTask(NamedTuple):
 
 
 def recalled_orders(recalled: Mapping[str, bytes]) -> dict[int, TransportTask]:
-    """Tasks that were told while running, from durable memory. What does not parse is left out."""
+    """Tasks received while running, from durable memory. Records that do not parse are skipped."""
     found = {}
     for key, raw in sorted(recalled.items()):
         number = key.removeprefix(KEY)
@@ -55,7 +55,7 @@ class TaskRegistry:
     def __init__(self, slot: int, tasks: Mapping[int, TransportTask], now_us: int) -> None:
         """`tasks`: what every robot was given before the start."""
         self.tasks = dict(tasks)
-        self.added = 0  # grows with every change: who keeps something made of the book compares it
+        self.added = 0  # change counter, so that cached results can detect changes
         self._due: dict[int, int] = {}  # task to tell again, and from when
         self._heard_us: dict[int, int] = {}
         self._slot, self._bucket = slot, slot
@@ -70,7 +70,7 @@ class TaskRegistry:
     def hear(
         self, message: TaskOrder | TaskBookDigest, now_us: int
     ) -> tuple[tuple[str, bytes], ...]:
-        """What is returned must be durable before anybody hears that we know it."""
+        """The returned records must be durable before any frame reveals that we know the task."""
         if isinstance(message, TaskOrder):
             return self._order(message, now_us)
         if message.bucket < -(-TASKS_MAX // BUCKET_TASKS):
@@ -86,7 +86,7 @@ class TaskRegistry:
         if known is None or order > known:
             self.tasks[message.task] = order
             self.added += 1
-            self._due[message.task] = now_us + AGAIN_US  # once more, for who missed it
+            self._due[message.task] = now_us + AGAIN_US  # repeat it once for robots that missed it
             return (record(message.task, order),)
         if order < known:
             self._due[message.task] = now_us

@@ -1,4 +1,4 @@
-"""What every robot of a delivering fleet is told before it starts: the building and what it costs."""
+"""The configuration of every robot in a delivery fleet: the building and its travel costs."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
@@ -18,7 +18,7 @@ from crdt import FieldAllocationCRDT, Phase
 
 SECTIONS_END = 0x8000  # names begin there
 assert SECTIONS_END > TASKS_MAX
-T_MAX = 4  # new tasks up to here are inserted, more are planned anew
+T_MAX = 4  # up to this many new tasks are inserted; more are replanned
 ORDER_MAX = 0xFFFF
 
 

@@ -1,4 +1,4 @@
-"""Robots that map a building that nobody knows.
+"""Robots that map an unknown building.
 
 `exploration_mission` is the mission: it chooses a `frontier`, drives a `frontier_path` to it and
 shares the map. `exploration_task` and `exploration_report` say to people what the fleet does.

@@ -1,8 +1,8 @@
-"""The exploring mission: many eyes, one map, nobody in charge.
+"""The exploration mission: robots build one shared map without a coordinator.
 
-A frontier is a section of the allocation, claimed like a swath of a field. Claims of frontiers end in
-two ways: given back where it was seen on the way, or something better was found; DONE where a robot has
-stood at its station and looked all round, so that nobody goes there again for what cannot be seen.
+A frontier is a section of the allocation, claimed like a swath of a field. A claim of a frontier ends
+in two ways. It is released if the frontier was seen on the way or a better one was found. It is DONE
+if a robot has looked all round at its station, so that no robot returns for cells that cannot be seen.
 The map is the progress, and exploration is over for a robot when it sees no frontier it could reach.
 """
 
@@ -42,8 +42,8 @@ CHOOSE_US = 250 * MS  # between two looks for a target by a robot without one
 CHECK_US = 500 * MS  # between two looks whether the frontier under way is still one
 REASSIGN_US = 5 * S  # the mission's: how often another target may be taken instead
 LOOK_ROUND_US = 500 * MS  # at the station: at `TURN_RAD_S` every gap between 36 rays is swept twice
-SHUNNED_US = 30 * S  # and is left to others for so long
-VIEW_SHARE = 0.5  # of the sensors' range: from a station a frontier is seen from so far
+SHUNNED_US = 30 * S  # a frontier that we gave up is left to others for this long
+VIEW_SHARE = 0.5  # share of the sensor range from which a station sees its frontier
 VIEW_MAX_M = 1.0
 
 
@@ -79,7 +79,7 @@ class ExplorationMission:
 
     @property
     def progress_percent(self) -> float:
-        """Share of the map's cells that anybody has seen."""
+        """Percentage of the map's cells that any robot has seen."""
         return 100.0 * self.chart.fleet.progress
 
     @property
@@ -89,7 +89,7 @@ class ExplorationMission:
     # ---------------------------------------------------------------- seeing
 
     def _see(self, view: FleetView) -> None:
-        """Each control period: a scan, news, and what others told."""
+        """Each control period: add a scan, and exchange news with the fleet."""
         here, now_us = view.here, view.now_us
         radius_m = self.limits.radius_m + 0.1  # poses are rounded and a beat old
         others = [
@@ -129,7 +129,7 @@ class ExplorationMission:
         return ClaimRequest(best.patch, self._bid(view), takeover=held)
 
     def _order(self, view: FleetView) -> ClaimRequest | None:
-        """An order that nobody has taken, where we are the nearest free robot."""
+        """An order that no robot has taken, if we are the nearest free robot."""
         for section, order in self.orders.items():
             if view.allocation.phase_of(section) is not Phase.FREE:
                 continue
@@ -159,7 +159,7 @@ class ExplorationMission:
         return choosing.best(found, wave, rivals, current)
 
     def _open(self, patch: int, view: FleetView) -> bool:
-        """Whether a frontier may be had: free, ours, or of one that has been silent for a lease."""
+        """Whether a frontier is available: free, ours, or of a robot silent for longer than the lease."""
         if view.now_us < self._shunned_us.get(patch, 0):
             return False
         phase, owner = view.allocation.phase_of(patch), view.allocation.owner_of(patch)
@@ -192,7 +192,7 @@ class ExplorationMission:
         return self._way.cell(self.place_of(patch))
 
     def place_of(self, section: int) -> XY:
-        """Where a section is, for whoever asks; the same for all peers."""
+        """The position of a section; the same for all peers."""
         if section in self.orders:
             return self.orders[section].points[0]
         row, column = corner_of(self.patch_of(section))
@@ -316,7 +316,7 @@ class ExplorationMission:
         return 0 if self._legs else LOOK_ROUND_US
 
     def _check(self, view: FleetView) -> Status | None:
-        """Whether the task under way is to be given back, and as what."""
+        """Whether the current task must be released, and with which status."""
         assert self.task is not None
         if self._way.stuck(view.now_us):
             self._shunned_us[self.task.section] = view.now_us + SHUNNED_US
@@ -330,7 +330,7 @@ class ExplorationMission:
         row, column = corner_of(self.patch_of(self.task.section))
         area = values[max(row - 1, 0) : row + SIDE + 1, max(column - 1, 0) : column + SIDE + 1]
         if not (area == 0).any():
-            return Status.COMPLETED  # seen on the way, by whoever
+            return Status.COMPLETED  # any robot has seen it on the way
         if self._contested(view):
             return Status.FAILED
         if not due:

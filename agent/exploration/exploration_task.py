@@ -30,7 +30,7 @@ class Status(Enum):
 
 
 class ExplorationOrder(NamedTuple):
-    """A task that somebody gave the fleet, whoever does it: go there, or round these points once."""
+    """An operator's task for any robot of the fleet: go there, or visit these points once."""
 
     kind: Kind  # NAVIGATE_TO or PATROL
     points: tuple[XY, ...]

@@ -1,9 +1,9 @@
-"""Frontiers: where what is known to be free borders on what nobody has seen, and which one to go to.
+"""Frontiers: borders between known free cells and unseen cells, and the choice of one to go to.
 
 A frontier is a patch of the fleet's map that has frontier cells: its number is its name, and two
 robots with nearly the same map name the same thing. It is looked at from a station, the cell nearest
 by way from which its middle is seen within `view`. Everything is computed alike by every peer from
-the map, the poses and the claims; no message is needed to agree on who is nearest.
+the map, the poses and the claims, so no message is needed to agree on the nearest robot.
 """
 
 from collections.abc import Mapping, Sequence
@@ -26,8 +26,8 @@ STRAIGHT, DIAGONAL = 5, 7  # a step of a cell in the wave's units: sqrt(2) to 1 
 NEVER = np.int32(1 << 30)
 DEAR = 3  # times: a step among cells that another saw and we would see again
 SEPARATION_M = 0.5  # between the targets of two robots
-HYSTERESIS = 0.15  # so much better must another target be than the one under way
-GAIN_M = 0.01  # a cell that would be seen is worth so much way; a full view of a metre about 3 m
+HYSTERESIS = 0.15  # share by which another target must be better than the current one
+GAIN_M = 0.01  # distance that one newly seen cell is worth; a full view of a metre about 3 m
 UNKNOWN_MIN = 2  # unknown cells round a frontier: a single one is a gap between two rays
 
 
@@ -35,7 +35,7 @@ class Frontier(NamedTuple):
     patch: int
     middle: Cell  # the frontier cell nearest to the middle of all in the patch
     station: Cell
-    unknown: int  # cells that nobody has seen, within view of the middle
+    unknown: int  # unseen cells within view of the middle
 
 
 class OtherExplorer(NamedTuple):
@@ -179,7 +179,7 @@ class FrontierChooser:
         self.slot, self.cell_m, self.view = slot, cell_m, view
 
     def utility_m(self, frontier: Frontier, wave: Steps, rivals: Sequence[OtherExplorer]) -> float:
-        """Metres: what would be seen, less the way. What somebody else will see counts for nothing."""
+        """Value in metres: cells that would be seen, less the way. Cells others will see do not count."""
         way_m = int(wave[frontier.station]) / STRAIGHT * self.cell_m
         promised = max(
             (self._overlap(frontier.middle, rival.target) for rival in rivals), default=0.0
@@ -195,7 +195,7 @@ class FrontierChooser:
         return max(side - dr, 0) * max(side - dc, 0) / side**2
 
     def rank(self, frontier: Frontier, wave: Steps, rivals: Sequence[OtherExplorer]) -> int:
-        """How many others are nearer to it, who are not nearer to what they have claimed."""
+        """How many other robots are nearer to it and not nearer to their own claims."""
         mine = int(wave[frontier.station])
         nearer = 0
         for rival in rivals:

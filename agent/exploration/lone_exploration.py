@@ -1,4 +1,4 @@
-"""Exploring as if there were nobody else: to the nearest frontier, by one's own rays alone.
+"""Exploration without sharing: to the nearest frontier, by the robot's own rays alone.
 
 What sharing is measured against. Robots still see and avoid each other; a frontier has another name
 for each, so that no claim of one keeps another from it.

@@ -1,7 +1,7 @@
-"""Somebody has moved the robot: it is where nobody could have driven to since the last control period.
+"""Detects that the robot was displaced: it could not have driven here since the last control period.
 
-What lies between was passed without work, however straight the line: who is pushed along its row must not
-take that for driving.
+The units in between were passed without work, even on a straight line. A robot that is pushed along
+its row must not count that as driving.
 """
 
 from math import hypot
@@ -11,7 +11,7 @@ from agent.interface.config import CONTROL_PERIOD_US, S
 
 Point = tuple[float, float]
 
-LEAP_M: Final = 0.1  # further than at one and a half times the full speed, nobody drove here
+LEAP_M: Final = 0.1  # a jump longer than this plus 1.5 times full speed is no driving
 LEAP_SHARE: Final = 1.5
 
 
@@ -20,7 +20,7 @@ class DisplacementDetector:
         self._seen: tuple[float, float, int] | None = None
 
     def noticed(self, at: Point, now_us: int, speed_m_s: float) -> bool:
-        """Asked in every control period at work."""
+        """Called in every control period at work."""
         before, self._seen = self._seen, (*at, now_us)
         if before is None:
             return False

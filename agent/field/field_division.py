@@ -42,7 +42,7 @@ def divide(
     turn_radius_m: float = 0.0,
     keep_m: float = 0.0,
 ) -> Field:
-    """The field with its sections. ValueError where nothing of it can be worked.
+    """The field with its sections. Raises ValueError if no part of it can be worked.
 
     For a body that steers (`turn_radius_m` > 0; its middle keeps `keep_m` from fences) the rings
     are cut at the corners it cannot follow, and every piece goes on straight as far as it may.

@@ -20,7 +20,7 @@ from shapely.ops import substring
 
 XY = tuple[float, float]
 Polyline = tuple[XY, ...]
-CORNER = 0.7072  # of a cell: its corner is so far from its middle, rounded up
+CORNER = 0.7072  # distance from a cell's middle to its corner, in cells, rounded up
 UNITS_MAX = 10_240  # a section: 256 blocks of 40, as WORK_PROGRESS carries them
 
 
@@ -80,7 +80,7 @@ class Section:
 
     @cached_property
     def unit_lines(self) -> tuple[Polyline, ...]:
-        """The polyline of each unit, in the order of their numbers; cut once for all who ask."""
+        """The polyline of each unit, in the order of their numbers; computed once and cached."""
         return tuple(
             _piece(swath, unit, unit + 1, count)
             for swath, count in zip(self.swaths, self.units_of, strict=True)
@@ -162,7 +162,7 @@ def rasterise(
 def joins(
     field: Field, grid: tuple[NDArray[np.bool_], float, float, float], clearance_m: float
 ) -> bool:
-    """Whether a way leads over a path grid between all ends of sections that the ground joins."""
+    """Whether the path grid connects all section ends that the free ground connects."""
     blocked, origin_x_m, origin_y_m, cell_m = grid
     free = field.polygon.buffer(-clearance_m)
     parts = [part for part in getattr(free, "geoms", [free]) if not part.is_empty]

@@ -23,7 +23,7 @@ from agent.motion.path_tracker import PathTracker
 from agent.paths.route import Route
 
 ASTRAY_M: Final = (
-    4.0  # further from its line than a swath is wide, a robot does not just drive back to it
+    4.0  # further than this from its line (a swath width), a robot replans its way back
 )
 NEAR_END_S: Final = 5.0  # claim the next section when this much work is left
 
@@ -64,7 +64,7 @@ class FieldMission:
         self.heading_to: int | Point | None = None  # section or place an approach path leads to
         self.parking = Parking(field, radius_m, speed_m_s)
         bar_m = 0.0
-        if self.turns_on_the_spot:  # robots that steer do not look after their implements yet
+        if self.turns_on_the_spot:  # steered robots do not keep clear of their implements yet
             bar_m = Implement(field.implement_width_m / 2 - field.overlap_m, radius_m).reach_m
         self.blockage = FieldObstructions(route, radius_m, deceleration_m_s2, self.beside_m, bar_m)
 
@@ -123,16 +123,16 @@ class FieldMission:
         self.legs, self.tracker = [], None
 
     def stalled(self, view: FleetView) -> None:
-        """Another way from here, round who stands near by; what they stand on comes last."""
+        """Replan from here round standing robots near by; the units under them come last."""
         self.blockage.stand_before(view)
         self._go_round(view)
 
     def interrupted(self) -> None:
-        """The implement is up: the unit under way, if there is one, has to be worked again."""
+        """The implement is up, so the current unit, if any, has to be worked again."""
         self.worst_m, self.lifted = inf, True
 
     def rest(self, view: FleetView) -> MotionRequest:
-        """No work for us: stand, but not where somebody works or will."""
+        """No work for us: stand still, but not where a robot works or will work."""
         self.heading_to = None
         before = self.parking.spot
         self.parking.look(view)
@@ -179,7 +179,7 @@ class FieldMission:
         return now_m + sum(leg.length_m for leg in self.legs)
 
     def _missing(self, view: FleetView) -> int:
-        """Units of the section that nobody has covered and that can be."""
+        """Units of the section that no robot has covered and that can be covered."""
         assert self.section is not None
         section = self.section
         known = view.progress.covered(section.id)
@@ -195,7 +195,7 @@ class FieldMission:
         return section.units - known - blocked
 
     def _look_round(self, view: FleetView) -> None:
-        """What stands in the field now is gone round from now on, or no longer."""
+        """Update the obstructions in the field and replan if they changed."""
         new = self.blockage.look(view)
         if new is None or (new and self.blockage.touches(self._way_left(view), new)):
             self._go_round(view)
@@ -212,9 +212,10 @@ class FieldMission:
         return [(view.here.x_m, view.here.y_m), *ahead, *legs]
 
     def _blocked(self, view: FleetView, last: bool) -> frozenset[int]:
-        """Units that are not worked now: those under a silent member's body stay uncovered in the
-        progress for everybody to see, until it is towed away. Those under a thing come last, and
-        are left as well where an operator said so."""
+        """Units that are not worked now.
+
+        Units under a silent member's body stay visibly uncovered in the progress until it is towed
+        away. Units under an obstacle come last, and are skipped if an operator ordered it."""
         assert self.section is not None
         return self.blockage.units(self.section, things_too=view.leave_out or not last)
 
@@ -249,7 +250,7 @@ class FieldMission:
         ), covered
 
     def _go_astray(self, view: FleetView) -> None:
-        """What is left, planned anew from where we are."""
+        """Replan the rest of the work from our current position."""
         self.tracker, self.heading_to = None, None
         self.legs = self._legs(self.section, view) if self.section is not None else []
 
@@ -259,7 +260,7 @@ class FieldMission:
         if not self.leg.units:
             return []
         passed = []
-        if self.lifted:  # it comes down here; what lies between may reach into the next unit
+        if self.lifted:  # it is lowered here; the gap may reach into the next unit
             self.lifted, self.lifted_to_m = False, self.tracker.along_m
         if self.tracker.along_m > LEAD_M / 2:  # before that a robot may come from the side
             self.worst_m = max(self.worst_m, abs(self.tracker.off_m))
@@ -278,7 +279,7 @@ class FieldMission:
         return passed
 
     def _down_since(self, begun_m: float) -> bool:
-        """The implement is down since before this place; at a corner, since before it was turned."""
+        """Whether the implement was down before this place; at a corner, before the turn."""
         if self.unit == 0 and self._is_corner(begun_m):
             return self.lifted_to_m < begun_m - STRAIGHT_M
         return self.lifted_to_m <= begun_m
@@ -316,7 +317,7 @@ class FieldMission:
         return legs
 
     def _stretches(self, section: Section, view: FleetView, last: bool) -> list[WorkLeg]:
-        """What is left to work; `last`: what comes last too."""
+        """The stretches left to work; `last`: include those that come last."""
         mine = self.worked if self.section is section else frozenset[int]()
         blocked = self._blocked(view, last) if self.section is section else frozenset[int]()
         return [
@@ -334,7 +335,7 @@ class FieldMission:
 def _covering(
     wish: MotionRequest, covered: list[int], finished: bool, near_end: bool
 ) -> MotionRequest:
-    """The wish of who works: these units were completed."""
+    """The motion request of a working robot, with these units completed."""
     vx_m_s, vy_m_s, turn_rad_s, tool_on, *_ = wish
     held = (tuple(covered), finished, wish.given_up, near_end, wish.hold, wish.handle)
     return _wish(MotionRequest, (vx_m_s, vy_m_s, turn_rad_s, tool_on, *held))

@@ -1,6 +1,6 @@
-"""What stands in a field for now: bodies of silent members, and things that an operator lets us pass.
+"""Temporary obstructions in a field: bodies of silent members, and obstacles confirmed by an operator.
 
-The ways lead round them, and the units under them cannot be worked while they stand there.
+Paths lead round them, and the units under them cannot be worked while they are there.
 """
 
 from math import dist, hypot, inf
@@ -23,12 +23,12 @@ PASS_M: Final = 0.25  # and on a way past it: ORCA's margin, and what a tracker 
 THING_M: Final = (
     0.4  # beside the hull on a way past a thing: what the lookout keeps, and half a grain
 )
-NEAR_M: Final = 4.0  # beyond a body's reach: a robot so near may be why we get nowhere
-STANDS_M_S: Final = 0.05  # slower than this a robot stands
-MOVED_M: Final = 0.5  # further from where it stood: it goes its way
-BESIDE_M: Final = 0.1  # a way may be so much nearer to somebody than one planned round it
-FRESH_US: Final = 1 * S  # a beat older than this does not show that a robot stands
-FORGET_US: Final = 30 * S  # then it is tried again past who stood in the way
+NEAR_M: Final = 4.0  # beyond a body's reach: a robot this near may be the reason for a stall
+STANDS_M_S: Final = 0.05  # a slower robot counts as standing
+MOVED_M: Final = 0.5  # a robot that moved further than this no longer stands in the way
+BESIDE_M: Final = 0.1  # a path may be this much nearer to a robot than one planned round it
+FRESH_US: Final = 1 * S  # an older beat does not prove that a robot stands
+FORGET_US: Final = 30 * S  # after this the path past a robot that stood in the way is tried again
 
 
 class FieldObstructions:
@@ -36,15 +36,15 @@ class FieldObstructions:
         self, route: Route, radius_m: float, deceleration_m_s2: float, beside_m: float = BLOCKED_M,
         bar_m: float = 0.0,
     ) -> None:  # fmt: skip
-        """`beside_m`: kept from a silent body. `bar_m`: from a body to where an implement may be down."""
+        """`beside_m`: margin to a silent body. `bar_m`: from a body to the nearest lowered implement."""
         self.route, self.radius_m = route, radius_m
         self.body_m, self.pass_m = 2 * radius_m + beside_m, 2 * radius_m + PASS_M
         self.unit_m = max(self.body_m, bar_m)  # from a silent body to a unit that is worked
-        self.way = route  # the same with everything that stands in it
+        self.way = route  # the same route planner with all obstructions
         self.things: frozenset[Point] = frozenset()
         self.coasting = StoppingZone(radius_m, deceleration_m_s2)
         self.bodies: tuple[Point, ...] = ()  # where silent members may stand
-        self.standing: dict[int, tuple[Point, int]] = {}  # who stood in our way: where, seen when
+        self.standing: dict[int, tuple[Point, int]] = {}  # robots in our way -> position, time seen
         self._silent: tuple[int, ...] = ()
         self._units: dict[tuple[int, bool], frozenset[int]] = {}  # (section, things too)
 
@@ -74,7 +74,7 @@ class FieldObstructions:
         self._plan()
 
     def _leave(self, view: FleetView) -> bool:
-        """Those that stood in our way and do no longer, or not for sure."""
+        """Drop robots that no longer stand in our way, or that may have moved."""
         for slot, (at, seen_us) in list(self.standing.items()):
             neighbour = view.neighbours.get(slot)
             here = (inf, inf) if neighbour is None else neighbour.pose[:2]
@@ -95,7 +95,7 @@ class FieldObstructions:
             self.way = self.way.round([at for at, _ in self.standing.values()], self.pass_m)
 
     def path(self, start: Point, goal: Point, view: FleetView) -> tuple[Point, ...]:
-        """The way, and round those that stand on it now without work: they may have nowhere to go."""
+        """The path, led round idle robots that stand on it, because they may have nowhere to go."""
         way = self.way.path(start, goal)
         stand = [
             (pose.x_m, pose.y_m)
@@ -112,14 +112,14 @@ class FieldObstructions:
         return self.way.round(near, self.pass_m).path(start, goal) if near else way
 
     def touches(self, points: list[Point], new: frozenset[Point]) -> bool:
-        """Whether a way along these points meets one of the things that are new."""
+        """Whether a path along these points meets one of the new obstacles."""
         if not new or len(points) < 2:
             return bool(new)
         line, near_m = LineString(points), self.radius_m + THING_M
         return any(line.distance(Spot(thing)) < near_m for thing in new)
 
     def units(self, section: Section, things_too: bool) -> frozenset[int]:
-        """Units that cannot be worked for a silent body, or also for a thing."""
+        """Units that a silent body blocks; with `things_too` also those that an obstacle blocks."""
         if not self.bodies and not (things_too and (self.things or self.standing)):
             return frozenset()
         key = section.id, things_too

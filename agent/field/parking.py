@@ -1,12 +1,12 @@
-"""Where a robot without work stands: beside what is still to be worked, in nobody's way.
+"""Where a robot without work parks: beside the remaining work, out of every robot's way.
 
-Running away from whoever comes near ends in a corner, and a robot in a corner blocks the row that
-leads into it for good. So it leaves in time, for the nearest place with room on every side: the middle
-of a unit that is done and lies next to no open one. And it leaves where one that works is beside it and
-does not get on: that one may have nowhere to go but past it.
+A robot that only evades approaching robots ends in a corner, and there it blocks the row that leads
+into the corner for good. So it leaves early, for the nearest place with room on every side: the
+middle of a finished unit with no open unit beside it. It also leaves if a working robot beside it is
+stuck, because that robot may have no other way than past it.
 
-Where there is no such room, in a field hardly larger than the fleet or before anything is done, it stands
-where those that work come latest, by the lines that they hold and the order in which they drive them.
+Without such a place (a field hardly larger than the fleet, or before any unit is finished) it parks
+where working robots arrive latest, by the lines that they hold and their driving order.
 """
 
 import itertools
@@ -29,26 +29,27 @@ from agent.motion.implement_clearance import LEAD_M
 
 Point = tuple[float, float]
 
-# Between two hulls, beside a line that will be worked: a robot that nears its end, a lead beyond it, is
-# not to take one that rests there for one in its way.
+# Between two hulls, beside a line that will be worked: a robot that drives its lead beyond the end of
+# the line must not take a parked robot there for an obstruction.
 ROOM_M: Final = NEAR_M + LEAD_M
-APART_M: Final = 1.0  # between hulls of two that rest
-STUCK_US: Final = 10 * S  # who works has found no way round us by then: two detours
-STRAY_M: Final = 4.0  # who goes to and fro within this does not get on: a detour is as long
+APART_M: Final = 1.0  # between the hulls of two parked robots
+STUCK_US: Final = 10 * S  # a working robot without a way round us by then is stuck: two detours
+# A working robot that stays inside this radius counts as stuck (detours are this long).
+STRAY_M: Final = 4.0
 LOOK_US: Final = 1 * S  # open lines change with units, and a unit takes seconds
-NEAR_MAX: Final = 200  # places looked at, nearest first: a field has room near by or not at all
-SAMPLE_M: Final = 1.0  # of open lines
-# Where there is no room on every side:
+NEAR_MAX: Final = 200  # places examined, nearest first: a field has room near by or not at all
+SAMPLE_M: Final = 1.0  # sampling step of open lines
+# Used where no place has room on every side:
 PASS_M: Final = (
     0.35  # between hulls, beside a line on which one that works passes us: ORCA's margin twice
 )
-FENCE_M: Final = 0.3  # and to a fence
-AROUND_M: Final = 12.0  # places are looked for so far away
-GROUND_M: Final = 0.75  # between places that are looked at
-SOON_S: Final = 12.0  # somebody comes so soon: leave now
-LATE_S: Final = 60.0  # later than this is all the same
-GAIN_S: Final = 1.0  # what another place must be better by
-HASTY_US: Final = 250 * MS  # it is looked so often where somebody comes soon
+FENCE_M: Final = 0.3  # distance to a fence
+AROUND_M: Final = 12.0  # search radius for places
+GROUND_M: Final = 0.75  # spacing of the examined places
+SOON_S: Final = 12.0  # leave now if a robot arrives within this time
+LATE_S: Final = 60.0  # later arrivals count as equally good
+GAIN_S: Final = 1.0  # minimum improvement for moving to another place
+HASTY_US: Final = 250 * MS  # check period if a robot arrives soon
 
 
 class Parking:
@@ -59,15 +60,15 @@ class Parking:
         self._looked_us: int | None = None
         self._beside: dict[
             int, tuple[float, float, int]
-        ] = {}  # who works near us: where, since when
+        ] = {}  # slot of a robot working near us -> position, since when
 
     @property
     def room_m(self) -> float:
-        """From the middle of a robot that rests to a line that is open."""
+        """Distance from the middle of a parked robot to an open line."""
         return 2 * self.radius_m + ROOM_M
 
     def look(self, view: FleetView) -> None:
-        """Once a second: is there a reason to leave, and where to?"""
+        """Once a second: check for a reason to leave, and choose the new place."""
         if self._looked_us is not None and view.now_us - self._looked_us < self._look_us:
             return
         self._looked_us, self._look_us = view.now_us, LOOK_US
@@ -81,7 +82,7 @@ class Parking:
             self.spot = self._choose(here, open_lines, view)
 
     def forget(self) -> None:
-        """There is work: the next rest looks again."""
+        """There is work, so the next parking starts a new search."""
         self.spot, self._looked_us = None, None
         self._beside.clear()
 
@@ -103,7 +104,7 @@ class Parking:
                     yield line
 
     def _free(self, at: Point, open_lines: NDArray[np.float64], view: FleetView) -> bool:
-        """Room to every open line, nobody else that rests here, and nobody whom we keep from work."""
+        """Whether a place has room to every open line, and no other robot parks or works there."""
         if _gap_m(at, open_lines) < self.room_m:
             return False
         for x_m, y_m, since_us in self._beside.values():
@@ -124,7 +125,7 @@ class Parking:
     def _choose(
         self, here: Point, open_lines: NDArray[np.float64], view: FleetView
     ) -> Point | None:
-        """The nearest place that is free; where there is none, the roomiest of those near by."""
+        """The nearest free place; if there is none, the roomiest place near by."""
         middles = [_middle(line) for line in self._units(view, done=True)]
         middles.sort(key=lambda at: (hypot(at[0] - here[0], at[1] - here[1]), at))
         for at in middles[:NEAR_MAX]:
@@ -135,7 +136,7 @@ class Parking:
     # ---------------------------------------------------------------- where there is no room
 
     def _latest(self, here: Point, view: FleetView) -> Point | None:
-        """The place near by where those that work come latest, the way there taken off; none: stay."""
+        """The place near by where working robots arrive latest, less our travel time; None: stay."""
         arrivals = self._arrivals(view)
         places = np.vstack(([here], self._ground(here)))
         coming_s = np.full(len(places), LATE_S)
@@ -159,7 +160,7 @@ class Parking:
         return float(places[best, 0]), float(places[best, 1])
 
     def _arrivals(self, view: FleetView) -> list[tuple[float, float, float]]:
-        """Places that others will pass at work, and in how many seconds, by what they hold."""
+        """Places that others will pass at work, and in how many seconds, from their sections."""
         found: list[tuple[float, float, float]] = []
         for slot, (pose, _) in view.neighbours.items():
             at, so_far_m = (pose.x_m, pose.y_m), 0.0
@@ -204,7 +205,7 @@ class Parking:
 
 
 def _middle(line: Polyline) -> Point:
-    """Of the line's way, not of its ends: a unit may go round a corner."""
+    """The middle along the line, not between its ends, because a unit may go round a corner."""
     lengths_m = [hypot(b[0] - a[0], b[1] - a[1]) for a, b in itertools.pairwise(line)]
     left_m = sum(lengths_m) / 2
     for ((ax, ay), (bx, by)), length_m in zip(itertools.pairwise(line), lengths_m, strict=True):

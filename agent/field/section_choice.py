@@ -1,8 +1,8 @@
-"""Which section a robot without one wants next: of its own share, or one that nobody takes.
+"""Chooses the next section of a robot: one of its own share, or one that no robot takes.
 
-What is shared alike by everybody is in `agent/field/section_partition.py`; here is what this robot
-knows of the others: where each will be free, what silent ones left, and what was left to somebody
-and not taken.
+The partition that all robots compute alike is in `agent/field/section_partition.py`. Here is what
+this robot knows about the others: where each will be free, which sections silent robots left, and
+which sections were left to another robot and not taken.
 """
 
 from math import cos, hypot, sin
@@ -17,9 +17,11 @@ from crdt import Phase
 UNTAKEN_US: Final = 5 * S  # claims take a quarter of a second, a parted view two
 AGAIN_US: Final = 20 * S  # a section that we gave back is left to others first; doubled each time
 AGAIN_TIMES: Final = 5  # at most to ten minutes: 255 hand-overs of a section last for two days
-STANDS_US: Final = 60 * S  # a live owner that stands keeps its sections so long: three leases
-STAYS_M: Final = 4.0  # an owner that moves on further than this does not stand
-FORGET_US: Final = 2 * CONTROL_PERIOD_US  # we were not free to choose: no time to count
+STANDS_US: Final = 60 * S  # a live owner that stands still keeps its sections this long: 3 leases
+STAYS_M: Final = 4.0  # an owner that moves further than this does not stand still
+FORGET_US: Final = (
+    2 * CONTROL_PERIOD_US
+)  # a longer gap: we were not free to choose, do not count it
 
 
 class SectionChooser:
@@ -61,8 +63,9 @@ class SectionChooser:
         return self._orphan(view)
 
     def _untaken(self, view: FleetView) -> bool:
-        """For seconds nobody has taken what we left to others: it may be that each leaves it to another,
-        who stands just as near by what it knows of us; or that the one whose it is does not work."""
+        """Whether no robot has taken for seconds what we left to others.
+
+        Two equally near robots may each expect the other to take it, or its owner does not work."""
         if self._left[0] != view.allocation.changes or view.now_us < self._left[1]:
             self._left = view.allocation.changes, view.now_us
         return view.now_us - self._left[1] >= UNTAKEN_US
@@ -81,7 +84,7 @@ class SectionChooser:
         return jobs
 
     def _anchors(self, view: FleetView, end: Point) -> dict[int, Point]:
-        """Where each live member will be free: the end of what it works, or where it stands."""
+        """Where each live member will be free: the end of its work, or its current position."""
         anchors: dict[int, Point] = {view.slot: end}
         for slot in sorted(view.live - {view.slot}):
             neighbour = view.neighbours.get(slot)
@@ -108,7 +111,7 @@ class SectionChooser:
                 self.reserved[slot] = [job.section for job in self._plan.get(slot, [])]
 
     def _orphan(self, view: FleetView) -> ClaimRequest | None:
-        """Nothing is left but what silent members own or were going to do."""
+        """A section of a silent member, if only sections that silent members own or planned are left."""
         for slot in sorted(view.silent_since_us, key=lambda s: view.silent_since_us[s]):
             if view.now_us - view.silent_since_us[slot] < LEASE_US:
                 continue
@@ -125,8 +128,9 @@ class SectionChooser:
         return None
 
     def gave_back(self, section: int, units: int, now_us: int) -> None:
-        """We got nowhere with it: others first, for longer each time, until one of them gets on.
-        `units`: done of it."""
+        """We made no progress on it: leave it to others first, for longer each time.
+
+        `units`: number of its finished units."""
         times = self._gave.get(section, (0, 0, 0))[1] + 1
         until_us = now_us + (AGAIN_US << min(times - 1, AGAIN_TIMES))
         self._gave[section] = until_us, times, units
@@ -136,8 +140,9 @@ class SectionChooser:
         return view.now_us < until_us and view.progress.covered(section) <= units
 
     def _watch(self, view: FleetView) -> None:
-        """How long live owners have stood without a unit more. Only time in which we were free to
-        choose counts: in a stop of all nobody gets on."""
+        """Measure how long live owners have stood still without completing a unit.
+
+        Only time in which we were free to choose counts, because a fleet stop halts all robots."""
         passed_us, self._asked_us = view.now_us - self._asked_us, view.now_us
         seen: dict[int, tuple[Point, int, int]] = {}
         for slot in view.live - {view.slot}:

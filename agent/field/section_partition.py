@@ -1,12 +1,12 @@
-"""Which sections are whose to want: computed alike by every peer, without a message.
+"""Deterministic split of the free sections among live robots; needs no messages.
 
-The free sections, in their spatial order, are cut into as many runs of equal work as there are
-live members, and the runs are given out so that the way there is shortest in all. Every peer
-computes the same cut from the same state; where views differ for a moment, claims decide.
+The free sections, in their spatial order, are cut into as many runs of equal work as there are live
+members. The runs are assigned so that the total travel distance is shortest. Every peer computes the
+same cut from the same state; if views differ for a moment, claims decide.
 
 Sections that were in a member's run when it fell silent stay reserved for it. They are taken only
 when nothing else is left and its lease is over, from the end it would have reached last: if it is
-alive behind a cut, it works them from the other end (DESIGN, "Deciding who does what").
+alive behind a network cut, it works them from the other end.
 """
 
 from collections.abc import Mapping, Sequence

@@ -27,14 +27,16 @@ from agent.paths.route import Route
 from agent.paths.tractor_route import Piece, Pose, TurnRoute, sampled
 
 BEND_HALF_M = 0.6  # to both sides of a bend, over which it is rounded
-BESIDE_M = 0.5  # further from the leg the implement is up: it may be another robot's section
+BESIDE_M = (
+    0.5  # further from the leg the implement is up, because it may be another robot's section
+)
 JOIN_M_S = 1.5  # from a turn into a stretch
 JOIN_BENT_M_S = 0.4  # into one that begins in a bend: off its course, the bar would miss the corner
 BENT_M = 1.0  # a stretch is straight for as long as this, or begins in a bend
 LEAVE_M_S = 0.8  # from a stretch into a turn that is not known yet
 ROOM_M = 1.5  # with as much as this beyond its end
 STUCK_US = 5_000_000
-MOVED_M = 0.5  # less within `STUCK_US` is being stuck
+MOVED_M = 0.5  # a robot that moves less within `STUCK_US` is stuck
 BODY_M = 0.5  # between bodies on a way that goes round one: more than ORCA's disc takes
 MAKE_WAY_M = 6.0  # an idle robot keeps this far from one that works
 BLOCKED_M = 1.4  # of swath that is left beside one: the same, the lead-in, and room to come to rest
@@ -84,7 +86,7 @@ class TractorMission(FieldMission):
         self.tracker = self.follow  # type: ignore[assignment]
 
     def travel(self, goal: Point, view: FleetView) -> MotionRequest:
-        """In whichever direction it can be reached, tried one after another."""
+        """Drive to the goal, trying the final directions one after another."""
         self._look_round(view)
         if self.heading_to != goal:
             self.heading_to, self.follow, self.joined = goal, None, False
@@ -98,7 +100,7 @@ class TractorMission(FieldMission):
         self.follow, self.joined = None, False
 
     def rest(self, view: FleetView) -> MotionRequest:
-        """Stand, but not where somebody works."""
+        """Stand still, but not where another robot works."""
         self.heading_to, self.follow, self.joined = None, None, False
         here = Pose(view.here.x_m, view.here.y_m, view.here.heading_rad)
         near = [
@@ -164,7 +166,7 @@ class TractorMission(FieldMission):
             if pieces == []:  # we are there
                 self.joined = True
                 return self._next(view, here, only_approach)
-            if pieces is None:  # somebody stands in it, or we stand where there is no way out
+            if pieces is None:  # a robot blocks it, or there is no way out from here
                 self.bodies, self._again_us = [], view.now_us + AGAIN_US
                 self.legs.append(self.legs.pop(0))
                 return False
@@ -178,14 +180,14 @@ class TractorMission(FieldMission):
         return True
 
     def _lose(self, view: FleetView) -> None:
-        """Off the way: another one from here."""
+        """Too far off the path: plan another one from here."""
         self.follow = self.tracker = None
         self.joined = False
         if self.leg.units and self.section is not None:
             self.legs = self._legs(self.section, view)
 
     def _notice_stuck(self, view: FleetView, here: Pose) -> None:
-        """Not getting on: go round those that stand, or do something else first."""
+        """No progress: go round the standing robots, or work another leg first."""
         if self.follow is None or distance_m(here[:2], self._anchor) > MOVED_M:
             self._anchor, self._anchor_us = here[:2], view.now_us
             return

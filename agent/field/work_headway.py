@@ -1,4 +1,4 @@
-"""Whether work on a section gets on: else it is given back, and another robot may take it."""
+"""Whether work on a section makes progress; if not, it is released and another robot may take it."""
 
 from typing import Final
 
@@ -8,16 +8,16 @@ FORGET_US: Final = 2 * CONTROL_PERIOD_US  # not asked for longer: it was not all
 
 
 class Headway:
-    """Whether work gets on: something of it is done, or less way to it is left than ever.
+    """Whether work makes progress: a unit is done, or the remaining distance reaches a new minimum.
 
-    Who has neither for a while is the wrong robot in the wrong place, whatever the reason: it gives the
-    section back, and the raised epoch lets another one take it.
+    A robot without either for a while releases the section, whatever the reason, and the raised epoch
+    lets another robot take it.
     """
 
     NONE_US: Final = 20 * S  # as long as a silent owner keeps its sections
-    AGAIN_US: Final = 6 * S  # before that it plans again, so often: it may move and yet not get on
+    AGAIN_US: Final = 6 * S  # until then it replans this often: it may move without making progress
     ROUNDS: Final = 3  # over all that is left, without a unit more, may each begin far away
-    LESS_M: Final = 1.0  # of way left that counts as getting on
+    LESS_M: Final = 1.0  # decrease of the remaining distance that counts as progress
 
     def __init__(self) -> None:
         self._left_m = float("inf")
@@ -39,7 +39,7 @@ class Headway:
             self._left_m = float("inf")
 
     def look(self, done: bool, left_m: float, now_us: int) -> bool:
-        """Each control period at work: whether to plan again. Only time between two of them counts."""
+        """Called each control period at work; returns whether to replan. Other time does not count."""
         passed_us = now_us - self._asked_us
         self._asked_us = now_us
         if done or left_m < self._left_m - self.LESS_M:

@@ -1,6 +1,6 @@
 """Every number of a peer, with its unit, its reason, and the relations between them asserted.
 
-Times are integer microseconds. Sources: `DESIGN` decisions, ISO 11783-5/-7, J1939-21, and the
+Times are integer microseconds. Sources: design decisions, ISO 11783-5/-7, J1939-21, and the
 response-time analysis of Davis, Burns, Bril, Lukkien (2007) for 250 kbit/s.
 """
 
@@ -42,17 +42,17 @@ SYNC_TIMEOUT_US: Final = (
 
 
 class BeaconTiming(NamedTuple):
-    """How often a peer speaks, and how long silence is tolerated, for a fleet of some size."""
+    """How often a peer sends, and how long silence is tolerated, for a given fleet size."""
 
     peers_max: int
-    pose_us: int  # POSE, the beat
+    pose_us: int  # period of POSE, the beat
     heartbeat_us: int
-    silence_us: int  # silence of a member that did not leave is a protective stop
+    silence_us: int  # a member silent for longer, without leaving, causes a protective stop
 
 
-# Faster beats would not fit the bus. At these, worst-case stuffing, 20 peers take 28 %, 30 take 42 %,
-# 50 take 35 %, 108 take 40 %; claims, progress and who-is-who take one or two more. With a heartbeat a
-# second, 108 peers would take 43.
+# Faster beats would not fit the bus. At these periods and worst-case stuffing, 20 peers take 28 %,
+# 30 take 42 %, 50 take 35 % and 108 take 40 %. Claims, progress and identity frames take 1 or 2 %
+# more. With one heartbeat a second, 108 peers would take 43 %.
 BEATS: Final = (
     BeaconTiming(30, 50 * MS, 500 * MS, 300 * MS),
     BeaconTiming(50, 100 * MS, 1 * S, 500 * MS),
@@ -69,7 +69,7 @@ assert BEATS[0].silence_us <= 300 * MS, (
 
 
 def beat_of(peers: int) -> BeaconTiming:
-    """The beat for a fleet of this many configured members.
+    """The beacon timing for a fleet of this many configured members.
 
     >>> beat_of(6).pose_us
     50000
@@ -77,10 +77,10 @@ def beat_of(peers: int) -> BeaconTiming:
     return next(beat for beat in BEATS if peers <= beat.peers_max)
 
 
-SPEED_MAX_M_S: Final = 12.7  # what POSE can say: 8 bits of 0.05 m/s
-EXTENT_MAX_M: Final = 3_276.0  # what POSE can say: 17 bits of 0.05 m around the origin
+SPEED_MAX_M_S: Final = 12.7  # range of POSE: 8 bits of 0.05 m/s
+EXTENT_MAX_M: Final = 3_276.0  # range of POSE: 17 bits of 0.05 m around the origin
 NEIGHBOURS_MAX = (
     10  # ORCA half-planes of robots, nearest first (van den Berg et al. 2011, section 6)
 )
 NEIGHBOUR_RANGE_M: Final = 5.0  # the danger bubble of the warehouse document
-BRAKING_SHARE: Final = 0.7  # of the acceleration is planned with; the rest is for corrections
+BRAKING_SHARE: Final = 0.7  # share of the acceleration used in plans; the rest is for corrections

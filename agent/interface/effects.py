@@ -1,8 +1,8 @@
 """Everything a peer can ask of the world. Effects are returned, in order, and never performed here.
 
-The order is a promise: a shell performs a `Persist` (durably) before the `Send` that follows it.
-That is the whole of "durable before revealed". Only the stop breaks it, and on purpose: brake,
-send, then persist.
+The order is a guarantee: the runner performs a `Persist` (durably) before the `Send` that follows
+it. That is all of "durable before revealed". Only the stop deviates, and on purpose: brake, send,
+then persist.
 """
 
 from typing import NamedTuple
@@ -22,7 +22,7 @@ _tuple = tuple.__new__
 
 
 def to_all(message: Message) -> Send:
-    """`Send(message)`, without what reading defaults costs: a beat is one."""
+    """`Send(message)` without the cost of the defaults, because every beat is one."""
     return _tuple(Send, (message, 255, None))
 
 
@@ -36,7 +36,7 @@ class Drive(NamedTuple):
     vy_m_s: float
     turn_rad_s: float = 0.0
     tool_on: bool = False  # the implement is lowered and working
-    handle: int = -1  # a carrier's parcel to pick up here, or to put down; -1: none
+    handle: int = -1  # number of the parcel that a carrier picks up or puts down here; -1: none
 
 
 HALT = Drive(0.0, 0.0)
@@ -50,7 +50,7 @@ class Persist(NamedTuple):
 
 
 class Trace(NamedTuple):
-    """Something a person may want to know later: who changed from what to what, and why."""
+    """A record for people: which machine changed from which state to which, and why."""
 
     machine: str  # lifecycle, safety, claim, election, membership, ...
     source: str

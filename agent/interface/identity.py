@@ -1,4 +1,4 @@
-"""What a peer is told before it starts: who it is, and in which fleet."""
+"""What a peer is given before it starts: its own identity and its fleet."""
 
 from enum import Enum
 from typing import NamedTuple
@@ -15,15 +15,15 @@ class SilencePolicy(Enum):
 
 
 class Identity(NamedTuple):
-    """What a peer is told before it starts."""
+    """What a peer is given before it starts."""
 
     slot: int
     members: frozenset[int]  # every configured slot, our own included
     name: Name
-    field_hash: int  # u24; peers of another field description are not of this fleet
+    field_hash: int  # u24; peers with another field description do not belong to this fleet
     silence: SilencePolicy = SilencePolicy.STOP
     started: bool = False  # permission to move is given at boot, not by a separate start
-    first_boot: bool = False  # a new machine: that it remembers nothing is no loss of memory
+    first_boot: bool = False  # a new machine: an empty memory is expected, not a loss
 
     @property
     def component(self) -> str:

@@ -1,14 +1,14 @@
-"""What a peer is to the fleet: the five states of the mission's diagram, as one total table.
+"""The lifecycle of a peer in the fleet: five states, as one total table.
 
-Printed by `headland inspect --mermaid`. Edges beyond the mission's diagram, each with its reason:
+Printed by `headland inspect --mermaid`. Edges beyond the basic diagram, each with its reason:
 
 * DISCONNECTED -> EMERGENCY_STOP: a robot that is powered but has not joined can move (by hand, or
-  while joining), so it must hear a stop as well.
-* WORKING -> SYNCHRONIZING: after a healed cut the other side's work must be merged before this
-  robot decides what to do next; a section it has started stays its own and is resumed.
+  while joining), so it must obey a stop as well.
+* WORKING -> SYNCHRONIZING: after a network cut has healed, the other side's work must be merged
+  before this robot decides what to do next. A section it has started stays its own and is resumed.
 * WORKING -> WORKING on CLAIMED: the next section was claimed while this one was being worked.
-* any -> DISCONNECTED on BUS_LOST: bus-off or a lost address; nothing this robot says is heard.
-  EMERGENCY_STOP is the exception: a latch is left by a person only, whatever the bus does.
+* any -> DISCONNECTED on BUS_LOST: bus-off or a lost address, so no frame of this robot is heard.
+  EMERGENCY_STOP is the exception: only a person ends a latch, regardless of the bus.
 * any moving state -> DISCONNECTED on LEFT: a graceful leave.
 """
 
@@ -21,7 +21,7 @@ class State(IntEnum):
     """Values travel in three bits of POSE and HEARTBEAT."""
 
     DISCONNECTED = 0  # not part of the fleet
-    IDLE = 1  # a member, heard by others, without work
+    IDLE = 1  # a member that others receive, without work
     SYNCHRONIZING = 2  # merging the fleet's state into its own
     WORKING = 3  # holds a section and works it
     EMERGENCY_STOP = 4  # all motion and work ceased; latched until a person resets this machine
@@ -30,7 +30,7 @@ class State(IntEnum):
 class Event(IntEnum):
     FLEET_JOINED = 0  # address claimed and announced (mission: on_fleet_join)
     SYNC_RECEIVED = 1  # fleet state differs from ours and is arriving (on_state_sync_received)
-    SYNC_COMPLETE = 2  # digests agree, or nobody is left to ask (on_sync_complete)
+    SYNC_COMPLETE = 2  # digests agree, or no member is left to ask (on_sync_complete)
     CLAIMED = 3  # the contention window passed and our claim still wins (on_task_claim_successful)
     TASK_COMPLETE = 4  # finished, released, or lost to a better claim (on_task_complete)
     EMERGENCY = 5  # a stop dot that is not cleared (on_emergency_message)

@@ -1,7 +1,7 @@
-"""What a mission is to a peer: it names the next section to claim, and works the one it is given.
+"""The interface of a mission: it names the next section to claim and works the claimed one.
 
-The peer owns claims, time and safety; a mission owns geometry. A mission never sends: what it has
-done comes back as units covered, which the peer records and announces.
+The peer owns claims, time and safety; a mission owns geometry. A mission never sends. It returns
+the units it has covered, which the peer records and announces.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -13,11 +13,11 @@ from crdt import FieldAllocationCRDT, Progress
 from protocol.frames.accord_frames import Accord
 from protocol.frames.messages import Message
 
-Record = tuple[str, bytes]  # of durable memory
+Record = tuple[str, bytes]  # key and value of durable memory
 
 
 class FleetView(NamedTuple):
-    """What a peer knows of the fleet when it decides. Read only."""
+    """What a peer knows about the fleet when it decides. Read only."""
 
     slot: int
     now_us: int
@@ -29,9 +29,9 @@ class FleetView(NamedTuple):
     neighbours: Mapping[int, Neighbour]
     things: frozenset[tuple[float, float]] = (
         frozenset()
-    )  # places to go round, by an operator's word
-    leave_out: bool = False  # and not to work, where they are
-    may_move: bool = True  # no cause makes it stand
+    )  # places to go round, by an operator's order
+    leave_out: bool = False  # the units under these places are skipped
+    may_move: bool = True  # no stop cause holds the robot
 
 
 class ClaimRequest(NamedTuple):
@@ -41,7 +41,7 @@ class ClaimRequest(NamedTuple):
 
 
 class MotionRequest(NamedTuple):
-    """What the mission wants of the drive now, before anybody else's rights and safety."""
+    """The motion that the mission wants now, before right of way and safety are applied."""
 
     vx_m_s: float
     vy_m_s: float
@@ -49,10 +49,10 @@ class MotionRequest(NamedTuple):
     tool_on: bool = False
     covered: tuple[int, ...] = ()  # units of the current section completed since the last call
     finished: bool = False  # every unit of the section is covered
-    given_up: bool = False  # the section goes back unfinished, for whoever wants it
+    given_up: bool = False  # the section is released unfinished and is free to claim
     near_end: bool = False  # claim the next section now, so that no time is lost
-    hold: bool = False  # stand, and let the others go round
-    handle: int = -1  # a parcel to pick up here, or to put down; -1: none
+    hold: bool = False  # stand still and let the others go round
+    handle: int = -1  # number of a parcel to pick up or put down here; -1: none
 
 
 STILL = MotionRequest(0.0, 0.0)
@@ -61,12 +61,12 @@ STILL = MotionRequest(0.0, 0.0)
 class Mission(Protocol):
     @property
     def section_units(self) -> Mapping[int, int]:
-        """How many units each section has; the work there is."""
+        """Number of units of each section; this is the total work."""
         ...
 
     def choose(self, view: FleetView) -> ClaimRequest | None: ...
     def approach(self, section: int, view: FleetView) -> MotionRequest:
-        """Go towards a section whose claim is still contested."""
+        """Drive towards a section whose claim is still contested."""
         ...
 
     def begin(self, section: int, view: FleetView) -> None: ...
@@ -77,15 +77,15 @@ class Mission(Protocol):
         ...
 
     def travel(self, goal: tuple[float, float], view: FleetView) -> MotionRequest:
-        """Go to a place, without work."""
+        """Drive to a place without working."""
         ...
 
     def interrupted(self) -> None:
-        """The implement was lifted although the mission wanted it down: what is under way failed."""
+        """The implement was lifted although the mission wanted it down, so the current leg failed."""
         ...
 
     def rest(self, view: FleetView) -> MotionRequest:
-        """No section: stand, or get out of the way."""
+        """Motion without a section: stand still, or get out of the way."""
         ...
 
 
@@ -94,7 +94,7 @@ class AgreementChannel(Protocol):
 
     def hear(self, slot: int, m: Accord, now_us: int) -> None: ...
     def say(self, now_us: int) -> list[Accord]:
-        """What is due with this beat."""
+        """The frames that are due with this beat."""
         ...
 
 
@@ -103,28 +103,28 @@ class Replanning(Protocol):
     """A mission that can look for another way when its robot gets nowhere."""
 
     def stalled(self, view: FleetView) -> None:
-        """It wanted to drive for seconds and did not: plan again, from where it is."""
+        """The robot wanted to drive for seconds and did not: plan again from its current position."""
         ...
 
 
 @runtime_checkable
 class Underway(Protocol):
-    """A mission that can tell where its robot means to drive; for people who watch, not for peers."""
+    """A mission that reports its planned route, for displays to people, not for peers."""
 
     @property
     def rest_of_way(self) -> Sequence[tuple[float, float]]:
-        """What is left of the way, nearest point first, metres."""
+        """The rest of the route, nearest point first, metres."""
         ...
 
 
 @runtime_checkable
 class Agreeing(Protocol):
-    """A mission that settles with the others who goes where; also those that stand take part."""
+    """A mission that agrees a joint plan with other robots; stopped robots take part as well."""
 
     @property
     def accords(self) -> AgreementChannel: ...
     def attend(self, view: FleetView, state: State) -> None:
-        """Each control period, in every state, before anything is asked of the mission."""
+        """Called each control period, in every state, before any other method of the mission."""
         ...
 
 
@@ -133,20 +133,20 @@ class Conversing(Protocol):
     """A mission with frames of its own."""
 
     def hear(self, slot: int | None, message: Message, now_us: int) -> Sequence[Record]:
-        """`slot`: None for a device that is not a member. What is returned must be durable before
-        anything more is said."""
+        """`slot`: None for a device that is not a member. The returned records must be durable before
+        the next frame is sent."""
         ...
 
     def say(self, now_us: int) -> Iterable[Message]:
-        """With each beat."""
+        """The messages to send with this beat."""
         ...
 
 
 class CoveredUnits(NamedTuple):
-    """Units covered since the last call, as (section, unit), of whatever section."""
+    """Units covered since the last call, as (section, unit), of any section."""
 
     units: tuple[tuple[int, int], ...]
-    at_once: bool  # announce them now: a round waits for equal replicas
+    at_once: bool  # announce them immediately because an agreement round waits for equal replicas
 
 
 @runtime_checkable
@@ -154,5 +154,5 @@ class Sweeping(Protocol):
     """A mission that covers units wherever it goes, not only those of the section it holds."""
 
     def swept(self) -> CoveredUnits:
-        """Each control period, in every state, after `attend`."""
+        """Called each control period, in every state, after `attend`."""
         ...

@@ -1,4 +1,4 @@
-"""What turns a mission's motion request into a drive, and what may stand before an obstacle and ask."""
+"""Interfaces that turn a motion request into a drive, and that stop at an obstacle and ask people."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple, Protocol
@@ -13,7 +13,7 @@ Point = tuple[float, float]  # metres east and north in the field
 
 
 class BodyLimits(NamedTuple):
-    """What the body is and can do."""
+    """Size and dynamic limits of the body."""
 
     radius_m: float
     speed_m_s: float
@@ -21,26 +21,26 @@ class BodyLimits(NamedTuple):
 
 
 class ObstacleQuestion(Protocol):
-    """One robot's stop before what nobody has announced: a question to people, and their answer."""
+    """One robot's stop before an unannounced obstacle: the question to people, and their answer."""
 
     @property
     def asking(self) -> bool:
-        """The robot has to stand: a question is open."""
+        """Whether a question is open, so that the robot has to stand still."""
         ...
 
     @property
     def why(self) -> str:
-        """What the open question is about."""
+        """The reason of the open question."""
         ...
 
     @property
     def passing(self) -> bool:
-        """It goes round something that an operator knows of."""
+        """Whether it goes round an obstacle that an operator has confirmed."""
         ...
 
     @property
     def round(self) -> tuple[frozenset[Point], bool]:
-        """For the mission: what to go round, and whether to leave out what is under it."""
+        """For the mission: the places to go round, and whether to skip the units under them."""
         ...
 
     def watch(
@@ -54,7 +54,7 @@ class ObstacleQuestion(Protocol):
 
 
 class MotionController:
-    """From a motion request to a drive that harms nobody; the safety gate comes after it."""
+    """Turns a motion request into a collision-free drive; the safety gate comes after it."""
 
     def drive(
         self,
@@ -63,17 +63,17 @@ class MotionController:
         neighbours: Mapping[int, Neighbour],
         now_us: int,
     ) -> Drive:
-        """Asked once a control period."""
+        """Called once a control period."""
         raise NotImplementedError
 
     @property
     def body_limits(self) -> BodyLimits | None:
-        """None where the body's own are not known."""
+        """None if the limits of the body are not known."""
         return None
 
     def set_state(self, state: State) -> None:
-        """Our own state, as the beat says it to others: who gives way depends on it."""
+        """Set our own state, as our beats report it, because right of way depends on it."""
 
     def obstacle_question(self) -> ObstacleQuestion | None:
-        """A new one, for one robot; None where it cannot tell a person from a wall."""
+        """A new question for one robot; None if its sensors cannot tell a person from a wall."""
         return None

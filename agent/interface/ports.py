@@ -1,4 +1,4 @@
-"""What a peer's shell needs from outside, and the facts that come in. SI units, field frame."""
+"""What the runner of a peer needs from outside, and the facts that come in. SI units, field frame."""
 
 from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple, Protocol, runtime_checkable
@@ -11,7 +11,7 @@ from protocol.frames.messages import Message
 
 
 class Neighbour(NamedTuple):
-    """The newest pose of another member and when it was heard."""
+    """The newest pose of another member and when it was received."""
 
     pose: Pose
     heard_us: int
@@ -25,12 +25,12 @@ class VisibleParcel(NamedTuple):
     on_robot: bool  # on a robot that is dead
 
 
-NEVER_US = -(1 << 62)  # without a time, what is sensed is as old as can be
+NEVER_US = -(1 << 62)  # an observation without a time counts as infinitely old
 NOTHING_SEEN: Mapping[int, VisibleParcel] = {}
 
 
 class Observation(NamedTuple):
-    """What the robot's own sensors say now. Field frame: x east, y north, metres."""
+    """The current reading of the robot's own sensors. Field frame: x east, y north, metres."""
 
     x_m: float
     y_m: float
@@ -42,19 +42,19 @@ class Observation(NamedTuple):
     ] = ()  # one per ray, counter-clockwise from the heading; inf: nothing
     battery: float = 1.0  # share of a full charge
     bodies: tuple[tuple[float, float], ...] = ()  # others in sight, metres east and north of us
-    load: int = -1  # of a carrier: the parcel that is aboard; -1: none
-    parcels: Mapping[int, VisibleParcel] = NOTHING_SEEN  # and those within its reach
-    sensed_at_us: int = NEVER_US  # on the clock of the peer that is told
-    health: float = 1.0  # what the machine's own controller says of it: 0.0 failed to 1.0 healthy
+    load: int = -1  # on a carrier, the number of the parcel aboard; -1: none
+    parcels: Mapping[int, VisibleParcel] = NOTHING_SEEN  # parcels within a carrier's reach
+    sensed_at_us: int = NEVER_US  # on the clock of the peer that receives it
+    health: float = 1.0  # reported by the machine's own controller: 0.0 failed to 1.0 healthy
 
 
 class BufferedBeacon(NamedTuple):
-    """A calm beat or heartbeat on a shelf: of somebody who neither stands stopped nor leaves."""
+    """A buffered beat or heartbeat of a member that is neither stopped nor leaving."""
 
     source: int
     message: Message
-    t_us: int  # of the bus
-    seen: Neighbour | None  # of a pose: what becomes known of its sender
+    t_us: int  # bus time
+    seen: Neighbour | None  # for a pose: the new entry about its sender
 
 
 class Bus(Protocol):
@@ -76,21 +76,22 @@ class Bus(Protocol):
 
 @runtime_checkable
 class BatchedDelivery(Protocol):
-    """A bus that can keep calm beats for later: a simulated one, which hands over thousands a second."""
+    """A bus that can buffer routine beats: only the simulated one, with thousands of them a second."""
 
     def shelve(self, shelf: list[BufferedBeacon] | None) -> None:
-        """From now on they are put on the shelf, and not called back for; None: they are again."""
+        """Append routine beats to `shelf` instead of calling back; None: call back again."""
         ...
 
 
 @runtime_checkable
 class Confirming(Protocol):
-    """A bus that may tell which of our frames have left it."""
+    """A bus that may report how many of our frames were sent."""
 
     @property
     def sent(self) -> int | None:
-        """Own frames that were sent to their end and acknowledged by another node, since some time; they
-        only become more. None: the interface does not tell."""
+        """Count of own frames that were sent completely and acknowledged by another node.
+
+        It starts at any time and never decreases. None: the interface does not report it."""
         ...
 
 
@@ -98,8 +99,9 @@ class Body(Protocol):
     """Sensors and actuators of one robot."""
 
     def sense(self, now_us: int) -> Observation | None:
-        """The newest that is known, with the time at which it was sensed; None: nothing yet, or nothing
-        any more."""
+        """The newest observation, with the time at which it was sensed.
+
+        None: there is none yet, or none any more."""
         ...
 
     def drive(self, command: Drive, now_us: int) -> None: ...

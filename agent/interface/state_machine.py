@@ -1,7 +1,7 @@
 """State machines as data: one total table per machine, and one way to move.
 
-A table is drawn as rows, one per state, with one column per event; `None` means: seen, and
-deliberately ignored. Guards stay outside: the caller decides which event happened, the table
+A table is written as rows, one per state, with one column per event. `None` means that the event
+is deliberately ignored. Guards stay outside: the caller decides which event happened, the table
 decides what it means (after python-hyper/h11, `_state.py`).
 """
 
@@ -40,7 +40,7 @@ class StateMachine(Generic[S, E]):
 
 
 def to_mermaid(table: Mapping[tuple[S, E], S], start: S) -> str:
-    """The diagram for documents and for `headland inspect --mermaid`; ignored events are left out."""
+    """The diagram for documents and `headland inspect --mermaid`, without ignored events."""
     edges = [
         f"    {a.name} --> {b.name}: {e.name.lower()}" for (a, e), b in table.items() if a is not b
     ]

@@ -11,7 +11,7 @@ from enum import Enum
 from agent.interface.config import S
 
 NUMBERS = 1 << 16
-CALM_US = 2 * S  # a word that all have probably heard is repeated this often, for who has not
+CALM_US = 2 * S  # repeat interval once all robots have probably received a message
 
 
 class Phase(Enum):

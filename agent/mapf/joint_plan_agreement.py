@@ -1,22 +1,21 @@
-"""Rounds of agreement: how robots that are in each other's way settle who goes where.
+"""Rounds of agreement: how robots that block each other agree on a joint plan.
 
-Whoever gets no further calls a round by naming the next number; everybody who hears of it stops,
-and the round goes through three steps, each of which is a word that a robot says once and repeats
-until the round is over:
+A robot that makes no progress calls a round by announcing the next number. Every robot that receives
+it stops. Each step of the round has a message, which a robot repeats until the round is over:
 
-    PLACE  where I stand and where I want to be. What one robot says of itself is said by it alone,
-           so all who have heard everybody know the same, whatever was lost on the way.
-    BODY   a node on which I see something that is no member of the fleet.
-    PLAN   the digest of the joint plan that I computed from it (`agent/mapf/lacam.py`) and from where
-           silent members stand (`agent/navigation/silent_robots.py`). Nobody moves before all who
-           move have the same.
-    AT     how far I am on my route. A robot drives to a node when those that come before it there
-           have gone on; the order is the plan's, the time is everybody's own.
+    PLACE  the sender's position and goal. Only a robot itself sends its place, so all robots that
+           have received every place know the same, regardless of lost frames.
+    BODY   a node that is blocked by something that is not a member of the fleet.
+    PLAN   the digest of the joint plan that the sender computed from the above (`agent/mapf/lacam.py`)
+           and from the positions of silent members (`agent/navigation/silent_robots.py`). No robot
+           moves before all moving robots have the same digest.
+    AT     the sender's progress on its route. A robot drives to a node when the robots before it
+           there have gone on. The plan fixes the order; each robot drives at its own time.
 
-A round is also the contract by which an idle or parked robot clears a way. The call is the request;
-PLACE grants it, or refuses it with a reason, and then its place is an obstacle for all; the plan
-brings it back to where it stood; and a round that gets no further for `PATIENCE_US` is void and
-called again, without those that have meanwhile fallen silent. So nobody is parked for ever.
+A round is also the contract by which an idle or parked robot clears a way. The call is the request.
+PLACE grants it, or refuses it with a reason; then its place is an obstacle for all. The plan brings
+the robot back to where it stood. A round without progress for `PATIENCE_US` is void and is called
+again without members that fell silent meanwhile, so no robot is parked for ever.
 """
 
 from collections.abc import Iterable, Mapping
@@ -41,14 +40,14 @@ HURRY_US = 100 * MS  # a word that others wait for is repeated this often,
 HURRIED_US = (
     350 * MS
 )  # a step on the route: four words, so that 1 % miss all of them where 30 % are lost
-KEPT_M = 0.15  # between bodies by avoidance: nobody gets onto a node that is nearer to one
+KEPT_M = 0.15  # kept between bodies by avoidance; a node nearer to a body cannot be reached
 SEEN_MAX = 6  # nodes that one robot may name: what a box and a body cover
 SEATS = 3  # pitches round a place in which a node is looked for
 AFAR = 1 << 24  # cost of a node that is none of ours; more than all squares of a map
 
 
 class Participant(NamedTuple):
-    """What one robot said of itself in this round."""
+    """What one robot sent about itself in this round."""
 
     node: int
     goal: int
@@ -57,7 +56,7 @@ class Participant(NamedTuple):
 
 
 class JointPlanAgreement:
-    """One robot's part in all rounds. It takes the time and what it hears, and returns words."""
+    """One robot's part in all rounds: received messages and the time go in, messages come out."""
 
     def __init__(self, slot: int, lattice: Lattice, radius_m: float) -> None:
         self.slot, self.lattice, self.radius_m = slot, lattice, radius_m
@@ -67,11 +66,11 @@ class JointPlanAgreement:
         self.order: tuple[int, ...] = ()  # slots of the plan's robots
         self.called = 0  # rounds that we called
         self.rounds = 0  # rounds that we took part in
-        self.unsolved = 0  # rounds without a plan: nobody could be brought to where it wants
+        self.unsolved = 0  # rounds without a plan, because no robot could be brought to its goal
         self._places: dict[int, Participant] = {}
-        self._things: set[int] = set()  # nodes on which something stands that is no member
-        self._seen: list[int] = []  # those of them that we have said
-        self._used: object = None  # bodies and things that the plan was made round
+        self._things: set[int] = set()  # nodes blocked by something that is not a member
+        self._seen: list[int] = []  # blocked nodes that we have sent
+        self._used: object = None  # bodies and blocked nodes that the plan avoids
         self._digests: dict[int, int] = {}
         self._reached: dict[int, int] = {}  # index of the node reached; -1: not on the route yet
         self._since_us = 0  # of this phase, or of our own last progress in it
@@ -81,7 +80,7 @@ class JointPlanAgreement:
     # ---------------------------------------------------------------- facts in
 
     def call(self, now_us: int) -> None:
-        """We get no further: a new round."""
+        """Call a new round because we make no progress."""
         self.called += 1
         self._begin(after(self.round), now_us)
 
@@ -119,12 +118,12 @@ class JointPlanAgreement:
 
     @property
     def bound(self) -> bool:
-        """Whether a round says what we do: stand, or drive our route."""
+        """Whether a round controls us: we stand still or drive our route."""
         return self.phase is not Phase.FREE and not self._arrived
 
     @property
     def waiting(self) -> bool:
-        """Whether all must come to know the same before anybody moves."""
+        """Whether all robots must agree before any robot moves."""
         return self.phase in (Phase.GATHER, Phase.AGREE)
 
     @property
@@ -140,7 +139,7 @@ class JointPlanAgreement:
 
     @property
     def permitted(self) -> int:
-        """The node of our route that we may drive to. First of all everybody gets onto its node."""
+        """The node of our route that we may drive to. First every robot drives onto its own node."""
         assert self.plan is not None
         reached = [self._reached.get(slot, -1) for slot in self.order]
         if min(reached) < 0:
@@ -177,7 +176,7 @@ class JointPlanAgreement:
         things: Iterable[Point],
         now_us: int,
     ) -> None:
-        """One control period. `peers`: who is expected to take part; `dead`: bodies that do not;
+        """One control period. `peers`: the expected participants; `dead`: bodies that do not take part;
         `things`: what else we see standing."""
         if self.phase is Phase.GATHER:
             if self.slot not in self._places and speed_m_s < STANDS_M_S:
@@ -256,8 +255,10 @@ class JointPlanAgreement:
         self._things.update(self._seen)
 
     def _compute(self, dead: Mapping[int, Point]) -> None:
-        """The joint plan of all that have said their place. A pure function of what was said, made
-        anew when more is heard of what stands in the way: in the end all have heard the same."""
+        """The joint plan of all robots that have sent their place.
+
+        It is a pure function of the received messages and is recomputed when more obstacles are
+        received, so all robots end with the same plan."""
         bodies_used = {s: at for s, at in dead.items() if s not in self._places}
         used = bodies_used, frozenset(self._things)
         if used == self._used:
@@ -302,7 +303,7 @@ _KEPT: dict[object, tuple[Lattice, JointPlan | None]] = {}  # a lattice kept kee
 def plan_of(
     lattice: Lattice, places: tuple[Participant, ...], blocked: tuple[int, ...], salt: int
 ) -> JointPlan | None:
-    """The joint plan of these robots among these blocked nodes; None where there is none.
+    """The joint plan of these robots among these blocked nodes; None if there is none.
 
     The last one is kept: robots that share a process compute the same one after the other.
     """
@@ -331,7 +332,7 @@ def _plan_of(
         lattice.told(p.node, p.detail) if p.goal == p.node else lattice.point(p.goal)
         for p in places
     ]
-    # Who has somewhere to go gets its own node before who only stands there.
+    # A robot with a goal elsewhere gets its own node before a robot that only stands there.
     weights = [1 if p.goal == p.node else 4 for p in places]
     goals = seats(lattice, wishes, weights, blocked)
     if goals is None:
@@ -346,7 +347,7 @@ def _plan_of(
 def seats(
     lattice: Lattice, at: list[Point], weights: list[int], blocked: Iterable[int]
 ) -> list[int] | None:
-    """A node of its own for each place, all together as near as possible; None: too few nodes.
+    """A separate node for each place, with the least total distance; None: too few nodes.
 
     By squared distance, which keeps the order of robots in a row. Whole numbers throughout, so that
     no two machines round differently.

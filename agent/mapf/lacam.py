@@ -1,16 +1,16 @@
-"""The moves of all robots of a jam, from where they stand to where they want to be.
+"""A joint plan for all robots of a jam, from their positions to their goals.
 
 LaCAM (Okumura, "LaCaM: search-based algorithm for quick multi-agent pathfinding", AAAI 2023): a
-depth-first search over whole configurations, whose next one is made by PIBT. Where PIBT leads in a
-circle, constraints are added robot by robot until every successor has been tried, so the search is
+depth-first search over whole configurations. PIBT generates the next one. If PIBT leads in a circle,
+constraints are added robot by robot until every successor has been tried, so the search is
 complete: it finds a plan wherever one exists on the lattice, and says that there is none otherwise.
 Both within `STEPS_MAX`; a pure function of its arguments, so that all robots compute the same.
 The first plan found is seldom a good one. `planned` makes some, shortens each
 (`agent/mapf/plan_schedule.py`), and takes the one that is fairest; that of many robots is made
 fairer (`agent/mapf/lns.py`).
 
-A plan is driven without a common clock. What is kept of it is each robot's route, and in which
-order robots visit each node: whoever comes after somebody waits until that one has gone on.
+A plan is driven without a common clock. Only each robot's route is kept, and the order in which
+robots visit each node: a later robot waits until the one before it has gone on.
 """
 
 from collections import deque
@@ -36,7 +36,7 @@ TRIED_SALT = 1 << 16  # between the salts of two tries: rounds are counted in 16
 
 
 class _Configuration:
-    """A state of the search: where everybody is, how it was reached, and what is still to be tried."""
+    """A search state: all robots' nodes, how it was reached, and what is still to be tried."""
 
     def __init__(
         self, at: Ints, before: "_Configuration | None", priority: NDArray[np.float64]
@@ -65,7 +65,7 @@ def search(
     count = len(starts)
     if any(far[i, first[i]] == NOWHERE for i in range(count)):
         return None
-    # Ties are broken by who has further to go, then by order.
+    # Ties are broken by the longer remaining distance, then by order.
     priority = np.array(urgency, dtype=np.float64)
     priority += far[np.arange(count), first] / (2.0 * len(near) + 1.0)
     root = _Configuration(first, None, priority)
@@ -166,7 +166,7 @@ class Precedence(NamedTuple):
 
 
 class JointPlan(NamedTuple):
-    """Each robot's nodes, and for each of them whom it waits for before it moves there."""
+    """Each robot's nodes, and for each node the robots it waits for before it moves there."""
 
     routes: tuple[tuple[int, ...], ...]
     turns: tuple[tuple[Precedence | None, ...], ...]
@@ -177,7 +177,9 @@ class JointPlan(NamedTuple):
         count = len(steps[0])
         routes: list[list[int]] = [[] for _ in range(count)]
         turns: list[list[Precedence | None]] = [[] for _ in range(count)]
-        visitor: dict[int, Precedence] = {}  # node: who was there last, as its which node
+        visitor: dict[
+            int, Precedence
+        ] = {}  # node -> its last visitor, and the index in that robot's route
         for at in steps:
             moved = [i for i in range(count) if not routes[i] or routes[i][-1] != at[i]]
             waits = [visitor.get(int(at[i])) for i in moved]

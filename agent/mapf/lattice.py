@@ -21,7 +21,7 @@ Near = NDArray[np.int32]  # (nodes, 4): east, north, west, south; -1 where there
 NODES_MAX = 1 << 16  # an ACCORD frame names a node in 16 bits
 TRIES = 12  # ways to lay the lines; a few do where they can go through all passages at all
 DEARER = 4.0  # a missed passage is worth this much more the next time
-FINE = 16  # a place is told in this many parts of the pitch
+FINE = 16  # positions are sent in this many parts of the pitch
 
 
 class Lattice:
@@ -83,7 +83,7 @@ class Lattice:
 def _laid(
     blocked: NDArray[np.bool_], pitch: int
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], Near]:
-    """Rows and columns of nodes, and who is next to whom: the best of a few ways to lay them.
+    """Rows and columns of nodes, and their neighbours: the best of a few layouts.
 
     Where a passage has been missed, what lies on the way through it is worth more the next time.
     """
@@ -141,7 +141,7 @@ def _missed(
 def _lay(
     blocked: NDArray[np.bool_], tall: NDArray[np.intp], wide: NDArray[np.intp]
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], Near]:
-    """Rows and columns of the nodes, and who is next to whom."""
+    """Rows and columns of the nodes, and their neighbours."""
     free = ~blocked[np.ix_(tall, wide)]
     number = np.full(free.shape, -1, dtype=np.int32)
     number[free] = np.arange(np.count_nonzero(free), dtype=np.int32)

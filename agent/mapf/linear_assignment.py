@@ -1,4 +1,4 @@
-"""Who takes what, so that it costs least in all: the linear assignment problem.
+"""The linear assignment problem: the assignment with the least total cost.
 
 Shortest augmenting paths, as D. F. Crouse gives them ("On implementing 2D rectangular assignment
 algorithms", IEEE TAES 2016). Ours, because every peer must break ties alike, whatever is installed
@@ -47,7 +47,7 @@ def _assigned(cost):  # type: ignore[no-untyped-def]
                 way = length + cost[row, column] - row_price[row] - column_price[column]
                 if way < far[column]:
                     came_from[column], far[column] = row, way
-                # Of equal ones rather one that nobody has: the path ends there.
+                # Among equals prefer a free one, because the path ends there.
                 if far[column] < lowest or (far[column] == lowest and row_of[column] == NOBODY):
                     lowest, chosen = far[column], k
             length, column = lowest, open_ones[chosen]

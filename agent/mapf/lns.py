@@ -1,16 +1,16 @@
-"""Groups of robots taken out of a timetable together and put back so that nobody waits long.
+"""Shortens the longest waits in a timetable: groups of robots are removed together and put back.
 
-Large-neighbourhood search (MAPF-LNS, Li et al., IJCAI 2021): whoever waits longest is taken out with a
-few of those that are in its way, and they are put back one after the other, it first. What comes out is
-kept where the waits of the group, each to the sixth power, add up to no more: a long wait of one is
-worth many short ones of others (fourth powers leave 1 of 20 crowds with somebody who waits more than
+Large-neighbourhood search (MAPF-LNS, Li et al., IJCAI 2021): the robot that waits longest is removed
+with a few robots that are in its way. They are put back one after the other, the waiting robot first.
+The result is kept if the sum of the sixth powers of the group's waits does not grow, so one long wait
+counts as much as many short ones (fourth powers leave 1 of 20 crowds with a robot that waits more than
 three times the median).
 
-A goal in a doorway need not be left until the last has passed. Whoever is at its goal has been there; it
-may step aside for others, at most `ASIDE_MAX` nodes, and comes back. Nearly all of the longest waits are
-of robots whose goals others cross late.
+A robot at a goal in a doorway may let others pass: a goal once reached stays reached, so the robot may
+step aside by at most `ASIDE_MAX` nodes and come back. Nearly all of the longest waits are of robots
+with a goal that others cross late.
 
-Whole numbers, products and sums in one order, so that all robots come to the same timetable.
+Whole numbers, with products and sums in a fixed order, give all robots the same timetable.
 """
 
 import numpy as np
@@ -20,15 +20,13 @@ from numpy.typing import NDArray
 from agent.mapf.plan_schedule import hold
 
 Ints = NDArray[np.int32]
-GROUP_MAX = 8  # robots taken out together; 4 and 6 get stuck more often, 10 are seldom put back
+GROUP_MAX = 8  # robots removed together; 4 and 6 get stuck more often, 10 are rarely put back
 GROUPS_EACH = 3  # groups for each robot; three times as many save 2 moves of the longest wait of 24
-LOOKS_MAX = (
-    40_000_000  # nodes at a time that are looked at in all, 1 s; a hundred robots take a third
-)
+LOOKS_MAX = 40_000_000  # node-time states examined in total, 1 s; a hundred robots take a third
 CELLS_MAX = 1 << 22  # nodes times units of time: 60 MB; longer plans are left as they are
-ASIDE_MAX = 5  # nodes: as far as a robot goes out of the way from its goal
-WALKS = 10  # ways that are tried for who is in the way
-PATIENCE = 16  # a robot whose group was put back in vain this often comes half as early again
+ASIDE_MAX = 5  # nodes that a robot may step aside from its goal
+WALKS = 10  # paths tried to find the robots in the way
+PATIENCE = 16  # after this many failed attempts a robot's priority is halved
 NOBODY = np.int16(-1)
 
 
@@ -152,7 +150,7 @@ def _put_back(robot, goal, near, far, track, owner, back, round_goal, most, room
 
 @njit(cache=True)
 def _in_the_way(robot, goal, near, far, track, owner, wait, group, size, state):  # type: ignore[no-untyped-def]
-    """Fill `group` with the robot and whom it meets on ways by which it would wait less; how many."""
+    """Fill `group` with the robot and those it meets on paths with less waiting; returns the count."""
     end, count = owner.shape[0], 1
     group[0] = robot
     visit = far[track[robot, 0]] + wait
@@ -221,7 +219,7 @@ def _regroup(group, near, far, goals, track, owner, waits, back, balls, room):  
 
 @njit(cache=True)
 def _regrouped(near, far, goals, track, owner, waits, back, balls, room, groups, state):  # type: ignore[no-untyped-def]
-    """Take out groups, round who waits longest and was not tried in vain, until there were enough."""
+    """Remove groups round the longest-waiting robots not tried in vain, until enough were tried."""
     count, looks = track.shape[0], 0
     vain = np.zeros(count, np.int64)
     group = np.empty(count, np.int32)

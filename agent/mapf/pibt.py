@@ -4,10 +4,10 @@ Okumura, Machida, Defago, Tamura, "Priority inheritance with backtracking for it
 path finding", Artificial Intelligence 310 (2022), with the swap of two robots at a junction from
 Okumura, "Improving LaCaM for scalable eventually optimal multi-agent pathfinding" (IJCAI 2023).
 
-In order of priority each robot takes the free neighbour nearest to its goal. Where somebody stands
-there, that one inherits the priority and has to find a place first; if it finds none, the next
-neighbour is tried. Nobody moves into the node of one whose way depends on it: rings do not turn, so
-that the moves of a step can be driven one after the other, each after the one it waits for.
+In order of priority each robot takes the free neighbour node nearest to its goal. If a robot stands
+there, that robot inherits the priority and has to find a place first; if it finds none, the next
+neighbour is tried. Rings of robots do not rotate: no robot moves into the node of a robot whose move
+depends on it. So the moves of a step can be driven one after the other, each after the one before it.
 
 A robot's priority grows until it reaches its goal, and only then falls back. Falling back with each
 step is a livelock (see the tests).
@@ -46,7 +46,7 @@ def ways(near, goals):  # type: ignore[no-untyped-def]
 
 
 def grown(priority: Floats, there: Ints, goals: Ints) -> Floats:
-    """Priorities after a step: one more for who is on its way; the whole part falls at a goal.
+    """Priorities after a step: plus one for robots not at their goal; the whole part is 0 at a goal.
 
     The part behind the point stays: it breaks ties, and never two have the same.
     """
@@ -123,7 +123,7 @@ def _can_swap(now, near, goals, pusher_at, puller_at):  # type: ignore[no-untype
 
 @njit(cache=True)
 def _swaps_with(i, best, here, there, now, near, far, goals):  # type: ignore[no-untyped-def]
-    """Whom to change places with at the next junction; -1: nobody."""
+    """The robot to change places with at the next junction; -1: none."""
     at = here[i]
     if best == at:
         return -1
@@ -148,7 +148,7 @@ def _swaps_with(i, best, here, there, now, near, far, goals):  # type: ignore[no
 
 @njit(cache=True)
 def _place(i, here, there, now, then, waiting, near, far, goals, salt, swaps):  # type: ignore[no-untyped-def]
-    """Find the next node of robot i; False: it stays, and who asked has to look elsewhere."""
+    """Find the next node of robot i; False: it stays, and the asking robot must try another node."""
     at = here[i]
     options, costs = np.empty(5, np.int32), np.empty(5, np.float64)
     options[0], costs[0] = at, far[i, at] + 0.5 * _chance(salt, i, at)
@@ -221,7 +221,7 @@ def step(here, order, there, near, far, goals, salt, swaps):  # type: ignore[no-
         if taken[there[i]] >= 0:
             return False
         taken[there[i]] = i
-    for i in range(count):  # a ring that turns: nobody in it could go first
+    for i in range(count):  # reject a rotating ring, because no robot in it could go first
         at, steps = i, 0
         while there[at] != here[at] and now[there[at]] >= 0:
             at = now[there[at]]

@@ -1,10 +1,10 @@
-"""When each robot of a joint plan is on which node, and each of them put back into gaps of the others.
+"""The timetable of a joint plan: which robot is on which node when, and its improvement by reinsertion.
 
-A move takes one unit of time and both of its nodes for as long: nobody follows anybody closely, so a
-timetable is a run of the plan's order, and any change that keeps the nodes of robots apart keeps that.
-One robot at a time is taken out and put back where it is at its goal first, among the others as they
-are (a search in space and time, as in cooperative A*: Silver, AIIDE 2005; taking some out of a whole
-plan again and again: MAPF-LNS, Li et al., IJCAI 2021). Nobody ever comes later by it.
+A move takes one unit of time and occupies both of its nodes for that time, so no robot follows another
+closely. So a timetable is a run of the plan's order, and any change that keeps the robots' nodes apart
+preserves that. One robot at a time is removed and put back on its earliest path to its goal among the
+others (a search in space and time, as in cooperative A*: Silver, AIIDE 2005; repeated removal from a
+whole plan: MAPF-LNS, Li et al., IJCAI 2021). No robot ever arrives later because of it.
 """
 
 from collections.abc import Sequence
@@ -42,7 +42,7 @@ def _earliest(start, goal, near, far, taken, came, layer, coming, latest):  # ty
         if t >= free_from and came[t, goal] >= 0:
             return t
         found = 0
-        for k in range(count):  # who can stay stays: it waits before a gap, not on the way to it
+        for k in range(count):  # robots that can stay do so: they wait before a gap, not on the way
             at = layer[k]
             if not taken[t, at] and t + 1 + far[at] <= latest:
                 came[t + 1, at], coming[found] = at, at
@@ -100,7 +100,7 @@ class Timetable:
         return found
 
     def shorten(self, most: int) -> None:
-        """Put robots back, who waits longest first, until `most` were or nobody gains by it."""
+        """Put robots back, the longest-waiting first, until `most` were or no robot gains by it."""
         if self.track.size == 0 or self._taken.size > CELLS_MAX:
             return
         nodes = len(self.near)

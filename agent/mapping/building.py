@@ -17,13 +17,13 @@ from agent.mapf.lattice import Lattice
 from agent.paths.route import Route
 
 Point = tuple[float, float]
-OPEN = frozenset(".GS")  # Moving AI: ground; the rest (@, O, T, W, #) nobody drives on
+OPEN = frozenset(".GS")  # Moving AI: free ground; the rest (@, O, T, W, #) is blocked
 STRAY_M = 0.1  # bodies on the lattice come this near to their node before they count as there
 FINE_M = 0.2  # cells of the path grid are at most this wide
 
 
 class FloorError(ValueError):
-    """One line for the person who drew the map."""
+    """Error message, one line, for the author of the map."""
 
 
 class Floor:

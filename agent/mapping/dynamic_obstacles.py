@@ -1,11 +1,11 @@
-"""What stands in a building for a while that its plan does not show: boxes, carts, bodies of the unheard.
+"""Temporary obstacles not on the building plan: boxes, carts, silent robots.
 
     hazards.look(here, robots, now_us)      each control period: our own rays, and what others told
     hazards.path(at, goal)                  round all that is believed to stand now
 
-What is seen is told to the fleet through its map (`crdt/occupancy.py`, the latest look wins), cell by
+Observations are shared through the fleet's map (`crdt/occupancy.py`, the latest one wins), cell by
 cell: the record's observer is the owner, its time the birth, and after `BELIEVED_S` without another
-look it expires. Who sees that a thing has gone says so. A grid of our own
+observation it expires. A robot that sees that an obstacle has gone announces it. A grid of our own
 (`agent/mapping/occupancy_grid.py`) is made when something first turns up; as long as nothing does,
 ways are planned on the plan that all robots share.
 """
@@ -29,15 +29,15 @@ from crdt.sighting import FREE, OBSTACLE, TIME_MAX, UNKNOWN, VALUE, base, unpack
 from protocol.sync.map_sync import MapSync, Values
 
 XY = tuple[float, float]
-RANGE_M = 4.0  # that range sensors are believed: further away rays lie more than a robot apart
-BELIEVED_S = 30  # what nobody has looked at for so long may have gone: go and see
-# What was forgotten and found standing again is believed twice as long each time, at most 16 minutes: a
-# robot whose ways are blocked in several places would else drive to and fro between them for ever.
+RANGE_M = 4.0  # range up to which echoes are used; beyond it rays are more than a robot apart
+BELIEVED_S = 30  # an obstacle not observed for this long may have gone: go and see
+# An obstacle that expired and was found again is kept twice as long each time, at most 16 minutes. A
+# robot with paths blocked in several places would otherwise drive between them for ever.
 DOUBLINGS_MAX = 5
 BLOCK_M = 1.0  # belief is kept for squares of this side: rays find another face of the same thing
-REFRESH_S = BELIEVED_S // 2  # what still stands is told again, before others forget it
+REFRESH_S = BELIEVED_S // 2  # remaining obstacles are sent again before others forget them
 WALL_CELLS = 1  # echoes this near to a wall are the wall: errors of range and of place
-FORGET_US = 1 * S  # how often old sights are looked for
+FORGET_US = 1 * S  # period of the search for expired observations
 BODY = -1  # the number of a silent member among obstacles; others are numbered by their cell
 IMPASSABLE = -2  # the number of a place that we could not pass; its owner is NOBODY_SLOT
 NOBODY_SLOT = -1
@@ -54,8 +54,8 @@ def geometry_of(floor: Floor) -> Geometry:
 
 class DynamicObstacles:
     def __init__(self, floor: Floor, sync: MapSync | None = None, reach_m: float = 0.0) -> None:
-        """`sync`: None where nothing is shared. `reach_m`: so near to a goal is near enough where
-        something stands on it."""
+        """`sync`: None if nothing is shared. `reach_m`: this near to a goal is near enough if an
+        obstacle stands on it."""
         self.floor, self.sync, self.reach_m = floor, sync, reach_m
         self.sensed = UnexplainedEchoes(floor.fences, floor.radius_m)
         self.hits: list[XY] = []  # what our rays hit just now and neither wall nor robot explains
@@ -67,8 +67,8 @@ class DynamicObstacles:
         self, here: Observation, reach_m: float, robots: Iterable[Sequence[float]], now_us: int,
         bodies: Mapping[int, XY] = NOBODY,
     ) -> None:  # fmt: skip
-        """One control period; `robots`: x, y of those that were heard; `bodies`: of those that stand
-        silent, by slot."""
+        """One control period; `robots`: x, y of received robots; `bodies`: x, y of silent robots, by
+        slot."""
         known = list(robots)
         self.hits = self.sensed.strange(here, reach_m, known)
         told = self.sync is not None and self.sync.chart.version != self._version
@@ -77,36 +77,36 @@ class DynamicObstacles:
                 return
             self.map = ObstacleMap(self.floor, self.sync)
         elif not (self.hits or told or self.map.awake):
-            return  # nothing is there, and nothing has come: looks would change nothing
+            return  # there is no obstacle and no news, so an update would change nothing
         if self.sync is not None:
             self._version = self.sync.chart.version
         self.map.stand(bodies, now_us)
         self.map.take_in(here, known, now_us, told)
 
     def avoid(self, at: XY, now_us: int) -> None:
-        """Ways go round a place for `BELIEVED_S`, because we were held up there and nothing is seen."""
+        """Avoid a place for `BELIEVED_S`, because we were held up there and no obstacle is seen."""
         if self.map is None:
             self.map = ObstacleMap(self.floor, self.sync)
         self.map.avoid(at, now_us)
 
     @property
     def standing(self) -> bool:
-        """Whether anything is believed to stand anywhere."""
+        """Whether any temporary obstacle is known."""
         return self.map is not None and self.map.standing
 
     @property
     def changes(self) -> int:
-        """Other than before where something came or went."""
+        """Change counter: differs from before if an obstacle appeared or went."""
         return 0 if self.map is None else self.map.grid.changes
 
     def told(self) -> list[XY]:
-        """Middles of what others say stands."""
+        """Middles of the obstacles that others report."""
         if self.map is None:
             return []
         return [(o.x_m, o.y_m) for o in self.map.grid.obstacles.values()]
 
     def things(self) -> list[XY]:
-        """Middles of all that stands and is no wall."""
+        """Middles of all obstacles that are not walls."""
         return [] if self.map is None else self.map.things()
 
     def stands_near(self, points: Sequence[XY], reach_m: float) -> bool:
@@ -114,7 +114,7 @@ class DynamicObstacles:
         return self.map is not None and self.map.stands_near(points, reach_m)
 
     def path(self, at: XY, goal: XY) -> tuple[XY, ...] | None:
-        """Round everything; None: there is no way at present."""
+        """A path round all obstacles; None: there is none at present."""
         if self.map is None or not self.map.standing:
             return self.floor.route.path(at, goal)
         found = self.map.grid.plan(at, goal)
@@ -124,7 +124,7 @@ class DynamicObstacles:
         return None if found is None else tuple(found)
 
     def reaches(self, at: XY, goals: Sequence[XY]) -> list[bool]:
-        """Which goals can be got to, or near enough to, round everything that stands now."""
+        """Which goals can be reached, or approached near enough, round all current obstacles."""
         standing = self.map is not None and self.map.standing
         parts = self.map.parts() if standing and self.map is not None else self.floor.parts
         mine, there = self._beside(at, parts), np.zeros(len(goals), dtype=np.bool_)
@@ -176,7 +176,7 @@ class DynamicObstacles:
 
 
 class ObstacleMap(LocalAndFleetMap):
-    """The two maps of one robot, less the walls that everybody knows."""
+    """The two maps of one robot, without the walls of the building plan."""
 
     def __init__(self, floor: Floor, sync: MapSync | None) -> None:
         # The plan's ways keep the radius and the margin from walls with the middles of their cells.
@@ -213,7 +213,7 @@ class ObstacleMap(LocalAndFleetMap):
 
     @property
     def awake(self) -> bool:
-        """Whether there is anything to keep up to date: what stands, or what somebody says stands."""
+        """Whether there is anything to update: an obstacle that we or other robots know."""
         if self.standing or self.grid.obstacles:
             return True
         if self.sync is None:
@@ -262,7 +262,7 @@ class ObstacleMap(LocalAndFleetMap):
                 self.grid.forget(cells)
 
     def _unseen_at(self, level: int) -> NDArray[np.int64]:
-        """Cells (n, 2) of blocks with so many doublings that were not looked at for their time."""
+        """Cells (n, 2) of blocks with this many doublings that were not observed for their time."""
         cells = self.grid.unseen(UNSEEN_SCANS << level)
         levels = self._doublings[cells[:, 0] // self._block, cells[:, 1] // self._block]
         kept: NDArray[np.int64] = cells[levels == level]

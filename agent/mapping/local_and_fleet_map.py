@@ -1,8 +1,8 @@
 """One explorer's two maps: what its own rays say, and what the fleet knows; news from one to the other.
 
-The own map is private evidence and the way to plan over. News are cells of which the fleet's map has
-no record, or one that a look of ours outranks. A patch is told when nothing more of it is to be
-expected: complete, or some time after its first new cell.
+The own map is private evidence, and paths are planned on it. News are cells without a record in the
+fleet's map, or with a record that our own observation outranks. A patch is sent when no more news of
+it is expected: when it is complete, or some time after its first new cell.
 """
 
 from collections.abc import Iterable
@@ -59,7 +59,7 @@ class LocalAndFleetMap:
         return np.where(own != UNKNOWN, own, self.fleet.values())
 
     def seen_by(self) -> Values:
-        """(rows, columns): the slot whose record stands in the fleet's map, -1 where there is none."""
+        """(rows, columns): the slot of each record in the fleet's map, -1 if there is none."""
         return np.where(self.fleet.values() != UNKNOWN, self.fleet.observers(), -1)
 
     def admits(self, at: tuple[float, float]) -> bool:

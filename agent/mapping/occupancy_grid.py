@@ -1,4 +1,4 @@
-"""A robot's map: what its range sensors have seen, what it was told, and the ways that are left.
+"""A robot's map: cells seen by its range sensors, obstacles reported by peers, and path planning.
 
     grid = OccupancyGrid(rows, columns, (x_m, y_m), body_radius_m)
     grid.observe((x_m, y_m), heading_rad, ranges_m, range_max_m)       every scan
@@ -6,8 +6,8 @@
     grid.plan(start, goal)                                             waypoints in metres, or None
 
 Cells of `CELL_M`; (row 0, column 0) has its south-western corner at the origin, x is east and
-counts columns. What nobody has seen counts as free: a robot that plans through it looks at it on
-the way. Solid is what sensors have seen, a fixed map, or an obstacle that has not expired yet.
+counts columns. Unseen cells count as free, because a robot that plans through them observes them on
+the way. Solid cells come from sensors, a fixed map, or an obstacle that has not expired yet.
 """
 
 import zlib
@@ -49,7 +49,7 @@ def memory_of(shape: tuple[int, ...]) -> Memory:
 
 
 class Obstacle(NamedTuple):
-    """Something that stands for a while: a disc, who says so, from when, until when."""
+    """A temporary obstacle: a disc, its reporter, and the times from when until when it is valid."""
 
     x_m: float
     y_m: float

@@ -1,4 +1,4 @@
-"""From what a mission wants to what the drive is told, before safety has its say.
+"""From a mission's motion request to a drive command; the safety gate comes after it.
 
 `holonomic_motion` and `tractor_motion` are the two motion controllers; `path_tracker` and
 `tractor_tracker` follow paths. `obstacle_detector` finds what no robot explains, `obstacle_stop`

@@ -1,12 +1,12 @@
-"""Who gives way when robots stand nose to nose, and where to.
+"""Deadlock resolution: which robot gives way when robots stand nose to nose, and where it goes.
 
-ORCA keeps bodies apart; it does not decide who goes first, and two that want the same spot stand
-for ever. A robot that wants to move, does not get on, and has somebody close is stalled. Of two that
-work, the one with the higher slot gives way first: both know both slots, so they agree without a
-message. Who gives way looks for a refuge near by, goes there, and waits until the other is gone or a
-time is up. If the other cannot give way (it stands in a corner), the one with the lower slot does so
-after a longer patience, so a jam of two is resolved from at least one side.
-Somebody that wants nothing (idle, stopped, gone) is gone round the same way: by a point beside it.
+ORCA keeps bodies apart; it does not decide which robot goes first, and two robots that want the same
+spot stand still for ever. A robot that wants to move, makes no progress, and has another robot close
+is stalled. Of two working robots the one with the higher slot gives way first: both know both slots,
+so they agree without a message. The yielding robot finds a refuge near by, drives there, and waits
+until the other is gone or a timeout ends. If it cannot give way (it stands in a corner), the robot
+with the lower slot does so after a longer timeout, so at least one side resolves a jam of two.
+A robot that does not want to move (idle, stopped, gone) is passed by the same means: a point beside it.
 """
 
 from math import ceil, cos, hypot, pi, sin
@@ -23,18 +23,17 @@ Point = tuple[float, float]
 PERIOD_S: Final = CONTROL_PERIOD_US / S
 
 WANTS_M_S: Final = 0.1  # a robot that wants less than this is not stalled
-GOT_ON_M: Final = 0.4  # moved this far: no stall
-GETS_ON: Final = (
-    0.4  # or so much of the way that was wanted: who creeps up to an end is in nobody's way
-)
+GOT_ON_M: Final = 0.4  # a robot that has moved this far is not stalled
+# Not stalled either if it covered this share of the requested distance, as when it creeps to an end.
+GETS_ON: Final = 0.4
 PATIENCE_US: Final = 1_500 * MS
-LONG_PATIENCE_US: Final = 7 * S  # of the one that is not the first to give way
-NEAR_M: Final = 1.2  # a gap wider than this stalls nobody
-APART_M: Final = 5.0  # a refuge is left when the gap is this wide
-REFUGE_US: Final = 10 * S  # or after this
-ROUND_US: Final = 4 * S  # a detour round somebody that stands
+LONG_PATIENCE_US: Final = 7 * S  # for the robot that gives way second
+NEAR_M: Final = 1.2  # a gap wider than this stalls no robot
+APART_M: Final = 5.0  # a robot leaves its refuge when the gap is this wide
+REFUGE_US: Final = 10 * S  # a robot leaves its refuge after this time at the latest
+ROUND_US: Final = 4 * S  # duration of a detour round a standing robot
 DIRECTIONS: Final = 16
-STEP_M: Final = 0.5  # of the way to a refuge
+STEP_M: Final = 0.5  # sampling step on the way to a refuge
 RADII_M = (2.5, 4.5, 7.0)
 
 
@@ -61,23 +60,23 @@ class DeadlockYield:
         scale: float = 1.0,
         near_m: float = NEAR_M,
     ) -> None:
-        """`scale`: of all distances; 1 for bodies of a field, less for small ones between walls.
-        `near_m`: a gap wider than this stalls nobody, before it is scaled."""
+        """`scale`: factor for all distances; 1 for field machines, less for small robots indoors.
+        `near_m`: a gap wider than this, before scaling, stalls no robot."""
         self.scale = scale
         self.slot, self.radius_m, self.speed_m_s, self.fences = slot, radius_m, speed_m_s, fences
         self.near_m = near_m * scale
         self.given = 0  # how often we gave way
         self._anchor: Point = (0.0, 0.0)
         self._anchor_us = 0
-        self._wanted_m = 0.0  # the way that was wanted since then
+        self._wanted_m = 0.0  # distance requested since then
         self._until_us = 0
-        self._for: int | None = None  # whom we give way to
+        self._for: int | None = None  # slot of the robot we give way to
         self._refuge: Point = (0.0, 0.0)
 
     def wish(
         self, at: Point, wanted: Point, others: list[NearbyRobot], now_us: int
     ) -> Point | None:
-        """Another velocity to want than the mission's, or None where nobody is in the way."""
+        """A velocity to use instead of the mission's, or None if no robot is in the way."""
         if now_us < self._until_us:
             return self._go(at, others)
         moved_m = hypot(at[0] - self._anchor[0], at[1] - self._anchor[1])
@@ -130,8 +129,10 @@ class DeadlockYield:
     def _find(
         self, at: Point, wanted: Point, blocker: NearbyRobot, others: list[NearbyRobot]
     ) -> Point | None:
-        """A place that can be reached straight, away from fences and everybody, first of all from
-        the one we give way to; round somebody that stands, one that lies towards where we want."""
+        """A place that can be reached straight, away from fences and from all robots.
+
+        Distance to the robot we give way to counts most. For a detour round a standing robot, the
+        place must lie towards our goal."""
         best: tuple[float, Point] | None = None
         norm = max(hypot(*wanted), 1e-9)
         for radius_m in (self.scale * radius_m for radius_m in RADII_M):

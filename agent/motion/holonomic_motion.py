@@ -1,9 +1,9 @@
-"""From a wish to a drive: neighbours, limits, and the velocity that harms nobody.
+"""From a motion request to a drive: neighbours, limits, and the velocity that avoids collisions.
 
-The pipeline of one control period ends here, except for the safety gate, which comes after and is
-the last word. Neighbours are believed where their last beat puts them, moved on by its age, with a
-margin for what the wire rounds off. A neighbour that stands takes no share: we avoid it alone. Where
-one may have come to rest that says nothing any more is `agent/motion/stopping_zone.py`.
+The pipeline of one control period ends here, except for the safety gate, which comes after and
+decides. The position of a neighbour is its last beat extrapolated by its age, with a margin for
+rounding. A standing neighbour does not avoid us, so we take the whole avoidance.
+`agent/motion/stopping_zone.py` says where a silent robot may have come to rest.
 """
 
 from collections.abc import Mapping
@@ -32,13 +32,12 @@ from agent.motion.unexplained_echoes import UnexplainedEchoes
 MARGIN_M: Final = 0.15  # POSE rounds to 0.05 m, a drive takes a period to act, wheels slip
 HORIZON_S: Final = 4.0  # how far ahead two moving robots agree to be clear of each other
 STANDING_M_S: Final = 0.05  # slower than this a neighbour cannot be relied on to give way
-AGE_MAX_US: Final = 1 * S  # an older pose is not moved on: the robot may have stopped
-UNHEARD_US: Final = 5 * S  # a neighbour that was heard so long ago may be anywhere
-PLACES_MAX: Final = (
-    4  # of a silent member, the nearest: 1.5 m of its way, what is met before standing
-)
-FENCE_M: Final = 0.2  # kept from fences and holes
-FIELD_RADIUS_M: Final = 0.8  # of the bodies that the distances of giving way are meant for
+AGE_MAX_US: Final = 1 * S  # an older pose is not extrapolated, because the robot may have stopped
+UNHEARD_US: Final = 5 * S  # a neighbour not received for this long may be anywhere
+# Nearest possible places of a silent member: 1.5 m of its way, which we can meet before stopping.
+PLACES_MAX: Final = 4
+FENCE_M: Final = 0.2  # distance kept from fences and holes
+FIELD_RADIUS_M: Final = 0.8  # body radius for which the distances of deadlock yielding are set
 _tuple = tuple.__new__  # all fields at once: made every period, for every neighbour
 
 
@@ -62,12 +61,12 @@ class HolonomicMotion(MotionController):
         asks: bool = False,
         half_bar_m: float = 0.0,
     ) -> None:
-        """`fences`: segments nobody passes, (n, 4): ax, ay, bx, by in metres; None: those that the
-        range sensors see, kept by a robot among walls that it does not know. `gives_way`: False
-        where the mission itself settles who goes first. `looks`: what the range sensors see and
-        nobody has announced is an obstacle; the fences must be all there is. `stops`: never be
-        where a robot ahead that halts could be touched. `asks`: stand before what nobody has announced
-        and ask an operator, also where `looks` would go round it. `half_bar_m`: see `Implement`."""
+        """`fences`: impassable segments, (n, 4): ax, ay, bx, by in metres. None: use the walls that
+        the range sensors see, for a robot among unknown walls. `gives_way`: False if the mission
+        itself decides which robot goes first. `looks`: whatever the range sensors see without an
+        announcement is an obstacle; the fences must be complete. `stops`: keep enough distance to
+        stop behind a robot ahead that halts. `asks`: stop before an unannounced obstacle and ask an
+        operator, even if `looks` would go round it. `half_bar_m`: see `Implement`."""
         self.slot, self.limits = slot, limits
         self.sensing = fences is None
         fences = np.empty((0, 4)) if fences is None else fences
@@ -76,7 +75,7 @@ class HolonomicMotion(MotionController):
             horizon_s, CONTROL_PERIOD_US / S, fences, keep_right_rad=keep_right_rad,
             stopping_m_s2=limits.acceleration_m_s2 if stops else 0.0,
         )  # fmt: skip
-        # Nobody further away can be met within the horizon, both at full speed.
+        # No robot further away can be met within the horizon, both at full speed.
         self.reach_m = 2 * limits.speed_m_s * horizon_s + 2 * limits.radius_m
         self.sensed = UnexplainedEchoes(fences, limits.radius_m) if looks else None
         self.right = RightOfWay()
@@ -85,7 +84,7 @@ class HolonomicMotion(MotionController):
         self.state = State.IDLE  # ours, as the beat says
         self.strange: list[tuple[float, float]] = []  # seen at the last control period
         self.others: list[NearbyRobot] = []  # within reach at the last control period
-        # Who asks before going on needs to know every wall beforehand.
+        # A robot that stops and asks must know every wall beforehand.
         self.lookout: ObstacleDetector | None = None
         assert not (asks and self.sensing)
         if asks or not (looks or self.sensing):
@@ -107,7 +106,7 @@ class HolonomicMotion(MotionController):
         self.state = state
 
     def obstacle_question(self) -> ObstacleStop | None:
-        """None for a robot that does not know every wall, so cannot tell a person from one."""
+        """None for a robot that does not know every wall and so cannot tell a person from a wall."""
         return ObstacleStop(self.slot, self.limits, self.lookout) if self.lookout else None
 
     def drive(
@@ -117,7 +116,7 @@ class HolonomicMotion(MotionController):
         neighbours: Mapping[int, Neighbour],
         now_us: int,
     ) -> Drive:
-        if wish.hold:  # who stands is gone round; nobody is hurt by it
+        if wish.hold:  # others go round a standing robot, so standing still is safe
             return HALT._replace(handle=wish.handle)
         rows, others = self._rows(here, neighbours, now_us, not wish.tool_on)
         if self.sensed is not None:
@@ -160,7 +159,7 @@ class HolonomicMotion(MotionController):
             share, vx_m_s, vy_m_s, moved_on_s = 1.0, 0.0, 0.0, 0.0
             age_us = now_us - heard_us
             if self.sensed is not None and age_us > UNHEARD_US:
-                continue  # wherever it is by now, it is seen
+                continue  # it may be anywhere by now, but the range sensors see it
             places = self.coasting.places(slot)
             if places is not None:
                 offsets = [(x_m - own_x_m, y_m - own_y_m) for x_m, y_m in places]
@@ -184,7 +183,7 @@ class HolonomicMotion(MotionController):
         return near[:NEIGHBOURS_MAX], others
 
     def _look(self, here: Observation, rows: list[tuple[float, ...]]) -> list[tuple[float, ...]]:
-        """What is seen and was not heard of stands, and we alone avoid it."""
+        """Obstacles seen without an announcement count as standing, so we alone avoid them."""
         assert self.sensed is not None
         bodies = [(here.x_m + row[0], here.y_m + row[1]) for row in rows]
         self.strange = self.sensed.strange(here, self.reach_m / 2, bodies)

@@ -1,9 +1,10 @@
-"""When the implement has to be up, and how wide a robot that works is for the others.
+"""When the implement has to be up, and how much clearance a working robot needs.
 
-Down, it is a bar at right angles to the course; up, it is folded and no wider than the body. A robot that
-works knows where bodies are, from their beats, and lifts its implement before it comes into one: what it
-passes meanwhile is worked again. To spare it that, others keep as far from a robot that works as the bar
-reaches. They come no nearer than they are, where they are nearer already, as at the start.
+A lowered implement is a bar at right angles to the course; raised, it is folded and no wider than
+the body. A working robot knows the positions of other bodies from their beats and raises its
+implement before it hits one; the units it passes meanwhile are worked again. To avoid this, others
+keep as far from a working robot as the bar reaches. Robots that are nearer already, as at the start,
+come no nearer.
 """
 
 from collections.abc import Sequence
@@ -22,27 +23,27 @@ DEPTH_M: Final = 0.25  # along the course, before and behind the middle
 AHEAD_M: Final = (
     0.3  # what two robots close in on each other in a period, and the rounding of poses
 )
-ASIDE_M: Final = 0.1  # the rounding of poses, and what a robot is off its line
-MOVES_M_S: Final = 0.2  # slower than this a robot has its last course, and soon the one it wants
+ASIDE_M: Final = 0.1  # the rounding of poses, and a robot's cross-track error
+MOVES_M_S: Final = 0.2  # slower robots keep their last course, and soon take the requested one
 NOT_NEARER_M: Final = 0.02  # within the distance that is there
 
 
 class Implement:
     def __init__(self, half_m: float, radius_m: float) -> None:
-        """`half_m`: from the middle of the robot to an end of the bar; 0 where there is no bar.
-        `radius_m`: of every body."""
+        """`half_m`: from the middle of the robot to an end of the bar; 0 if there is no bar.
+        `radius_m`: radius of every body."""
         self.has = half_m > radius_m
         self._half_m, self._depth_m = half_m + ASIDE_M, DEPTH_M + AHEAD_M
         self._radius_m = radius_m
         self._course = 0.0, 0.0  # the last one
         self._aside_m = self._half_m + radius_m
-        # A gap this wide stalls one that keeps off.
+        # A robot that keeps this clearance may be stalled at a gap this wide.
         self.near_m = max(NEAR_M, self._aside_m - 2 * radius_m + ASIDE_M) if self.has else NEAR_M
-        # No unit whose line is this far from a body is lost to it.
+        # A unit whose line is this far from a body can be worked.
         self.reach_m = hypot(self._half_m, self._depth_m) + radius_m + LEAD_M if self.has else 0.0
 
     def combined_m(self, apart_m: float, bodies_m: float) -> float:
-        """How far to keep from a robot that works, for one that travels `apart_m` away from it."""
+        """Distance to keep from a working robot, for a robot that travels `apart_m` away from it."""
         return max(bodies_m, min(self._aside_m, apart_m - NOT_NEARER_M)) if self.has else bodies_m
 
     def must_be_up(

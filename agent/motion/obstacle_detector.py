@@ -1,11 +1,11 @@
-"""What the range sensors see in the way that nobody told us of: no fence, no robot, so perhaps a person.
+"""Detects unannounced obstacles in the way: no known fence and no known robot, so perhaps a person.
 
-An echo is explained where a known fence or hole is, and where a known robot may be between its last
-pose and where that leads, or may have come to rest (`agent/motion/stopping_zone.py`). What is not
-explained and lies within stopping distance along the motion is in the way. From then on all
-unexplained echoes near by are remembered, as points, until the two rays on either side of one both
-pass it: a body wider than the gap between two rays is not lost out of sight while it stands.
-Narrower ones than that gap at stopping distance can be missed.
+An echo is explained if it lies at a known fence or hole, or where a known robot may be: between its
+last pose and its extrapolation, or where it may have come to rest
+(`agent/motion/stopping_zone.py`). An unexplained echo within stopping distance along the motion is
+an obstacle. From then on all unexplained echoes near by are kept as points, until the two rays on
+either side of a point both pass it. So a standing body wider than the gap between two rays is not
+lost. Bodies narrower than that gap at stopping distance can be missed.
 """
 
 from collections.abc import Mapping, Sequence
@@ -26,21 +26,21 @@ GroundCell = tuple[int, int]  # a square of the ground: one point is remembered 
 REACTION_S: Final = (
     ACTUATOR_TTL_US + CONTROL_PERIOD_US
 ) / S  # until a command to stand is in force
-MARGIN_M: Final = 0.6  # left between the hull and what it stops for
-BESIDE_M: Final = 0.15  # kept on either side; ORCA's margin
+MARGIN_M: Final = 0.6  # distance left between the hull and the obstacle
+BESIDE_M: Final = 0.15  # margin kept on either side; ORCA's margin
 FENCE_TOLERANCE_M: Final = (
     0.25  # an echo this near to a fence is the fence: maps and poses are not perfect
 )
 ROBOT_TOLERANCE_M: Final = 0.35  # round a known robot: POSE rounds, courses bend between two beats
-WATCH_M: Final = 8.0  # points are remembered up to here; a robot looks no further
+WATCH_M: Final = 8.0  # points are kept up to this distance
 CHAIN_M: Final = 1.5  # echoes this close together are one thing
 GRAIN_M: Final = 0.25  # side of a grain
-BEYOND_M: Final = 0.4  # a ray that goes so much further than a point has passed it
-FORGET_US: Final = 300 * S  # a point that nobody has looked at again for so long
+BEYOND_M: Final = 0.4  # a ray that reaches this much further than a point has passed it
+FORGET_US: Final = 300 * S  # a point that was not observed again for this long is dropped
 
 
 class Detection(NamedTuple):
-    """Something in the way."""
+    """An obstacle in the way."""
 
     x_m: float  # the nearest point of it
     y_m: float
@@ -69,7 +69,7 @@ class ObstacleDetector:
         neighbours: Mapping[int, Neighbour],
         now_us: int,
     ) -> Detection | None:
-        """Once a control period: the nearest thing in the way of motions, metres per second."""
+        """Called once a control period: the nearest obstacle to the motions (metres per second)."""
         if not here.ranges_m:
             return None
         if self.points:
@@ -102,7 +102,7 @@ class ObstacleDetector:
         return False
 
     def reach_m(self, speed_m_s: float) -> float:
-        """From the middle of the hull: further ahead nothing has to be looked for yet."""
+        """Distance from the hull's middle beyond which obstacles do not matter yet."""
         return self.radius_m + MARGIN_M + self.stopping_m(speed_m_s)
 
     def ahead(self, here: Observation, velocity: Point, reach_m: float) -> Detection | None:

@@ -1,11 +1,11 @@
-"""The pause before something that is no robot: stand, ask, and obey the answer.
+"""The stop before an unannounced obstacle: stand still, ask an operator, and obey the answer.
 
     sighting -> ASKING -> an operator's WAIT, CONTINUE, REPLAN, STOP, GO_HOME or SET_GOAL
                        -> GONE, by itself, when the way has been free for a second
 
-Who goes round creeps near the thing and never drives at it: its speed is what it can stop from. What
-is found behind the thing belongs to it; something else in the way, or no way at all, is asked about
-anew. An answer that names another question than the open one is not obeyed.
+A robot that goes round the obstacle creeps near it, at most as fast as it can stop before it. Points
+found behind the obstacle belong to it. A different obstacle in the way, or no free way at all, raises
+a new question. An answer with a number other than that of the open question is ignored.
 """
 
 from collections.abc import Mapping, Sequence
@@ -28,11 +28,11 @@ from agent.motion.obstacle_detector import (
 from protocol.frames.operator_frames import NUMBERS, OperatorReport, ReportKind
 from protocol.frames.safety_frames import Command
 
-FREE_US: Final = 1 * S  # the way is free for so long: it has left
-ASK_US: Final = 1 * S  # the question is said again, for operators that come later
-NEAR_M: Final = 3.0  # within this of the thing a robot that goes round it creeps
+FREE_US: Final = 1 * S  # if the way is free for this long, the obstacle has left
+ASK_US: Final = 1 * S  # repeat interval of the question, for operators that connect later
+NEAR_M: Final = 3.0  # within this distance of the obstacle a robot that goes round it creeps
 CREEP_M_S: Final = 1.0  # walking pace
-KEEP_M: Final = 0.25  # a robot that goes round stops this far from what it drives at
+KEEP_M: Final = 0.25  # a robot that goes round stops this far from an obstacle ahead
 STUCK_US: Final = 4 * S  # no way round: ask again
 STUCK_M_S: Final = 0.05
 AHEAD_US: Final = 100 * MS  # how much faster a robot can be when it is next asked
@@ -41,14 +41,14 @@ ANSWERS: Final = (Command.WAIT, Command.CONTINUE, Command.REPLAN)
 
 
 class ObstacleStop:
-    """One robot's; `lookout` is its eyes. While it is `asking` the peer holds the robot."""
+    """The obstacle stop of one robot. While it is `asking`, the peer holds the robot."""
 
     def __init__(self, slot: int, limits: BodyLimits, lookout: ObstacleDetector) -> None:
         self.slot, self.limits, self.lookout = slot, limits, lookout
         self.number = 0  # of the newest question
         self.matter: ReportKind | None = None  # where that stands
         self.things: frozenset[GroundCell] = frozenset()  # to go round, by an operator's answer
-        self.leave_out = False  # what they stand on is not worked
+        self.leave_out = False  # the units under them are not worked
         self._known_as, self._places = self.things, frozenset[Point]()
         self.why = ""  # of the newest question
         self._course: Point = (0.0, 0.0)  # the motion that was stopped, as a direction
@@ -65,7 +65,7 @@ class ObstacleStop:
 
     @property
     def round(self) -> tuple[frozenset[Point], bool]:
-        """For the mission: what to go round, and whether to leave out what is under it."""
+        """For the mission: the places to go round, and whether to skip the units under them."""
         if self.things is not self._known_as:
             self._known_as, self._places = self.things, frozenset(map(middle, self.things))
         return self._places, self.leave_out
@@ -76,13 +76,13 @@ class ObstacleStop:
         self, wanted: Drive, here: Observation, neighbours: Mapping[int, Neighbour],
         may_move: bool, now_us: int,
     ) -> tuple[Drive, list[Effect]]:  # fmt: skip
-        """The drive that spares what is in the way, and what to say. The gate comes after."""
+        """The drive that avoids the obstacle, and the effects. The safety gate comes after it."""
         if self.asking:
             ux, uy = self._course
             way = (ux * self.limits.speed_m_s, uy * self.limits.speed_m_s)
             return HALT, self._stand(self.lookout.look(here, (way,), neighbours, now_us), now_us)
         if not may_move:
-            return wanted, []  # it stands for another reason
+            return wanted, []  # another cause holds it
         motions = self._motions(wanted, here)
         sighting = self.lookout.look(here, motions, neighbours, now_us)
         if self.things:
@@ -108,7 +108,7 @@ class ObstacleStop:
     def _ask(
         self, here: Observation, motions: list[Point], sighting: Detection, now_us: int
     ) -> list[Effect]:
-        """Stop, and a new question."""
+        """Stop and raise a new question."""
         motion = motions[-1] if self.lookout.ahead(here, motions[-1], 1e3) else motions[0]
         speed_m_s = hypot(*motion)
         self._course = motion[0] / speed_m_s, motion[1] / speed_m_s
@@ -119,7 +119,7 @@ class ObstacleStop:
         return self._turn(ReportKind.ASKING, self.why, now_us)
 
     def _stand(self, seen: Detection | None, now_us: int) -> list[Effect]:
-        """Until an answer comes, or the thing has left."""
+        """Stand still until an answer arrives or the obstacle has gone."""
         if seen is not None:
             self._sighting, self._seen_us = seen, now_us
         elif now_us - self._seen_us >= FREE_US:
@@ -132,7 +132,7 @@ class ObstacleStop:
     def _creep(
         self, wanted: Drive, here: Observation, sighting: Detection, may_move: bool, now_us: int
     ) -> tuple[Drive, list[Effect]]:
-        """Past a thing that an operator knows of: never faster than can be stopped before it."""
+        """Drive past a confirmed obstacle, never too fast to stop before it."""
         room_m = max(0.0, sighting.free_m - KEEP_M)
         most_m_s = sqrt(2 * self.limits.acceleration_m_s2 * room_m) / 2
         drive = _at_most(wanted, min(most_m_s, CREEP_M_S))
@@ -154,7 +154,7 @@ class ObstacleStop:
         return any(hypot(at[0] - x, at[1] - y) <= CHAIN_M for x, y in map(middle, self.things))
 
     def _keep_in_mind(self) -> None:
-        """More of the thing is seen from its side; what has gone is forgotten."""
+        """Add points of the obstacle that are seen from its side, and drop those that have gone."""
         seen = self.lookout.points.keys()
         if seen != self.things:
             kept = self.things & seen
@@ -178,7 +178,7 @@ class ObstacleStop:
         return self.go_round(f"an operator's {command.name}", now_us)
 
     def go_round(self, why: str, now_us: int) -> list[Effect]:
-        """From now on what is in the way is a known thing."""
+        """Treat the obstacle in the way as confirmed from now on."""
         if not self.asking:
             return []
         self.things = frozenset(self.lookout.points)

@@ -1,4 +1,4 @@
-"""Following a polyline: where am I along it, and which velocity keeps me on it.
+"""Follows a polyline: computes the progress along it and the velocity that stays on it.
 
 For a body that can move in any direction: the wanted velocity is along the line, plus what closes
 the distance to it, within the speed that still allows to stop at the end. The cross-track error
@@ -16,15 +16,15 @@ CLOSE_GAIN_1_S: Final = (
     2.0  # cross-track error is closed with this rate; 20 Hz control is stable below ~10
 )
 ARRIVED_M: Final = 0.06  # a few centimetres: what a body at creep speed covers in a control period
-ALIGN_M: Final = 0.12  # this far off the line, it does not advance at all before it is back
+ALIGN_M: Final = 0.12  # this far off the line, the robot does not advance before it is back
 BESIDE_M: Final = 0.3  # passing the end further away than this is not arriving
 SWING_M: Final = 0.03  # how far a body may swing out at a corner; a third of the usual tolerance
 BEND_M: Final = 2.0  # corners further apart than this do not make a bend
 BEND_SHARE: Final = (
     0.5  # of the acceleration goes into following a bend, the rest into staying on it
 )
-SAMPLE_M: Final = 0.25  # of the line ahead: less than any body is wide
-CREEP_M_S: Final = 0.1  # approach speed at the very end, so that arrival does not take for ever
+SAMPLE_M: Final = 0.25  # sampling step of the line ahead: less than the width of any body
+CREEP_M_S: Final = 0.1  # minimum approach speed at the end, so that arrival takes finite time
 
 
 class PathTracker:
@@ -80,7 +80,7 @@ class PathTracker:
 
     @property
     def rest_of_way(self) -> list[Point]:
-        """The points we have not passed."""
+        """The points that we have not passed yet."""
         return self.points[self.piece + 1 :]
 
     def velocity(self, x_m: float, y_m: float) -> Point:
@@ -117,7 +117,7 @@ class PathTracker:
         return found
 
     def _speed(self, left_m: float) -> float:
-        """Fast enough to waste nothing, slow enough for the corners and the end ahead."""
+        """The highest speed that still allows to brake for the corners and the end ahead."""
         pass_m_s = self.passing_m_s[self.piece + 1]
         brake_m_s = sqrt(pass_m_s**2 + 2.0 * self.deceleration_m_s2 * max(left_m - 0.02, 0.0))
         return max(min(self.speed_m_s, brake_m_s), CREEP_M_S)

@@ -1,9 +1,9 @@
-"""How much of the avoiding is ours: half, or less for who works where the other only travels.
+"""Our share of the mutual avoidance: half, or less for a working robot that meets a travelling one.
 
-Both take it from what both have said in their beats. Nobody may count on a share that the other has
-not taken yet, so who yields begins early and ends late, and who is yielded to begins late and ends at
-once: at every instant the two shares make one at least, as long as no state is news for longer than
-the times below. Where beats are not fresh, it is half each.
+Both robots derive the shares from the states in their beats. The two shares must sum to at least 1 at
+all times, so the yielding robot changes first and reverts last, and the other changes last and
+reverts first. This holds as long as beats transport a state within the times below. Without fresh
+beats each robot takes half.
 """
 
 from typing import Final
@@ -12,12 +12,12 @@ from agent.interface.config import MS, S
 from agent.interface.lifecycle import State
 
 HALF, LESS, MORE = 0.5, 0.25, 0.75
-YIELD_AFTER_US: Final = 500 * MS  # of the same two states
+YIELD_AFTER_US: Final = 500 * MS  # after the two states were unchanged for this long
 TRUST_AFTER_US: Final = (
     2 * S
 )  # ten beats of the largest fleet: 30 % lost all of them once in 170,000
-YIELD_ON_US: Final = 1_500 * MS  # after they have changed
-FRESH_US: Final = 300 * MS  # a beat older than this is not counted on
+YIELD_ON_US: Final = 1_500 * MS  # keep yielding this long after the states have changed
+FRESH_US: Final = 300 * MS  # older beats are ignored
 assert YIELD_AFTER_US + YIELD_ON_US <= TRUST_AFTER_US
 
 
@@ -25,11 +25,11 @@ class RightOfWay:
     """One robot's view of all others."""
 
     def __init__(self) -> None:
-        self._since: dict[int, tuple[int, int]] = {}  # slot: who goes first, since when
+        self._since: dict[int, tuple[int, int]] = {}  # slot -> which robot goes first, since when
         self._yield_until_us: dict[int, int] = {}
 
     def share(self, slot: int, ours: int, theirs: int, age_us: int, now_us: int) -> float:
-        """Ours of the avoiding between us and a moving robot. States as said; `age_us`: of its beat."""
+        """Our share of the avoidance of a moving robot; states from beats. `age_us`: of its beat."""
         first = (ours == State.WORKING) - (theirs == State.WORKING)
         before, since_us = self._since.get(slot, (0, now_us))
         if first != before or slot not in self._since:

@@ -1,4 +1,4 @@
-"""Fences from range sensors: what ORCA keeps from where nobody knows the walls beforehand.
+"""Fences from range sensors, for ORCA where the walls are not known beforehand.
 
 Echoes of neighbouring rays that are near each other are sides of one thing and joined; a lone echo is
 a point. Echoes of robots are left out, ORCA has those from their poses.

@@ -1,9 +1,10 @@
-"""Where a member may stand that fell silent under way: between its last beat and where it came to rest.
+"""Where a member that fell silent while moving may stand: from its last beat to where it came to rest.
 
-A process that dies says nothing any more, but its body drives on: as long as its last command lives, and
-then as far as it brakes; one that was cut off drives until it has noticed. At 2.5 m/s that is three
-metres, more than a body is wide: whoever keeps away from the last beat alone drives into the body behind
-it. So all of that way is kept clear, until rays pass through a place of it: nobody stands there.
+A process that dies sends nothing, but its body drives on while its last command is valid, and then
+over its braking distance. A robot that was cut off from the bus drives until it has noticed. At
+2.5 m/s that is three metres, more than the width of a body, so keeping away from the last beat alone
+would lead into the body behind it. All of that way is kept clear. A place on it becomes free when
+range sensor rays pass through it.
 """
 
 from collections.abc import Mapping
@@ -17,19 +18,19 @@ Point = tuple[float, float]
 
 GONE_QUIET_US: Final = (
     1 * S
-)  # everybody has braked for a younger silence, and moves the last beat on
-# Until it brakes: it notices that it hears nobody, and its last command is still in force. In fleets
-# of more than 30, where silence is noticed later, a body that was cut off may stand further on: what
-# no place here explains is a thing in the way (`agent/motion/obstacle_detector.py`).
+)  # for a shorter silence every robot has braked, and the last beat is extrapolated
+# Time until it brakes: it detects the silence, and its last command is still in force. In fleets of
+# more than 30, which detect silence later, a robot that was cut off may stand further on. Any echo
+# that no place here explains is an obstacle (`agent/motion/obstacle_detector.py`).
 DRIVES_ON_US = BEATS[0].silence_us + CONTROL_PERIOD_US + ACTUATOR_TTL_US
 SPACING_M: Final = 0.5  # of places: a row of discs of 1.6 m is 2 cm narrower between two of them
-SURE_M: Final = 4.0  # nothing is told from rays about places further off
-BEYOND_M: Final = 0.4  # a ray that goes so much further than a place has passed it
+SURE_M: Final = 4.0  # rays prove nothing about places further away
+BEYOND_M: Final = 0.4  # a ray that reaches this much further than a place has passed it
 assert DRIVES_ON_US == 450 * MS
 
 
 class StoppingZone:
-    """One robot's; what it has seen through stays so until the member is heard again."""
+    """The zones of one robot; a place seen as free stays free until the member is received again."""
 
     def __init__(self, radius_m: float, deceleration_m_s2: float) -> None:
         self.radius_m, self.deceleration_m_s2 = radius_m, deceleration_m_s2
@@ -53,7 +54,7 @@ class StoppingZone:
                 self._places[slot] = left
 
     def places(self, slot: int) -> tuple[Point, ...] | None:
-        """In the order of its way, none where it is seen to be gone; None: it is not long silent."""
+        """Possible places in driving order, without those seen as free; None: not silent for long."""
         return self._places.get(slot)
 
     def _way(self, neighbour: Neighbour) -> tuple[Point, ...]:
@@ -75,7 +76,7 @@ class StoppingZone:
 
 
 def seen_through(here: Observation, place: Point, sure_m: float) -> bool:
-    """Whether the rays on both sides of a place, two each, pass it: nothing as wide as a body is near."""
+    """Whether the two rays on each side of a place all pass it, so that no body is there."""
     dx_m, dy_m = place[0] - here.x_m, place[1] - here.y_m
     distance_m, count = hypot(dx_m, dy_m), len(here.ranges_m)
     if not count or distance_m > sure_m:

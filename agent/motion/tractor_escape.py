@@ -1,4 +1,4 @@
-"""Getting out of somebody's way with a body that steers: one arc or straight, ahead or back."""
+"""Moves a steered body out of another robot's way: one arc or straight, forward or backward."""
 
 from collections.abc import Iterable
 from math import hypot
@@ -8,7 +8,7 @@ from agent.paths.dubins import step
 from agent.paths.tractor_route import Piece, Point, Pose, TurnRoute, sampled
 
 LENGTHS_M = (3.0, 5.0, 8.0)
-ENOUGH_M = 9.0  # further away from somebody is no better
+ENOUGH_M = 9.0  # a larger distance from the other robot is no better
 STEP_M = 0.5  # between places where the way is looked at
 SPARE_M = 0.35  # between bodies, besides their radii
 
@@ -21,7 +21,7 @@ class EscapeManoeuvre:
     def go(
         self, here: Pose, away_from: Iterable[Point], everybody: Iterable[Point]
     ) -> tuple[float, float] | None:
-        """Speed and turn rate of the way out; none where none is needed any more, or there is none."""
+        """Speed and turn rate of the escape; None if none is needed any more, or none exists."""
         if self.follow is None:
             others = list(away_from)
             pieces = self.find(here, others, list(everybody)) if others else None
@@ -35,7 +35,7 @@ class EscapeManoeuvre:
         return self.follow.command()
 
     def find(self, here: Pose, away_from: list[Point], everybody: list[Point]) -> Piece | None:
-        """The piece that ends furthest from those who need the room, and touches nobody."""
+        """The piece that ends furthest from the robots that need the room, without a collision."""
         bend = 1.0 / self.turns.radius_m
         now_m = _gap(here[:2], away_from)
         best: tuple[float, Piece] | None = None

@@ -1,10 +1,9 @@
-"""From a wish to a drive for bodies that steer: they keep to their way, and slow or stop for others.
+"""From a motion request to a drive for steered bodies: keep to the path, slow or stop for others.
 
-A tractor cannot do what ORCA would have it do, so ORCA is asked only how fast it may go along its
-own course; its disc is larger by what tracking and steering take (the argument of NH-ORCA,
-Alonso-Mora et al. 2010). Fences are the business of the way, which never leaves free
-ground. Of two that stand nose to nose, the one with the higher slot backs out of the way by one
-arc, waits, and its mission plans anew from there.
+A tractor cannot follow ORCA's velocities, so ORCA only limits the speed along its own course. Its
+disc is larger by the tracking and steering error (the argument of NH-ORCA, Alonso-Mora et al. 2010).
+The path planner handles fences: a path never leaves free ground. Of two tractors nose to nose, the
+one with the higher slot backs away by one arc and waits, and its mission replans from there.
 """
 
 from collections.abc import Mapping
@@ -25,14 +24,14 @@ from agent.motion.tractor_escape import EscapeManoeuvre
 from agent.motion.tractor_tracker import SteeringLimits
 from agent.paths.tractor_route import Pose, TurnRoute
 
-DISC_M = 0.2  # the disc is larger by this: what tracking may be off, and the swing into an arc
+DISC_M = 0.2  # extra disc radius for the tracking error and the swing into an arc
 SHARES = (1.0, 0.8, 0.6, 0.4, 0.25, 0.12)  # of the wanted speed, tried in this order
 SAME_M_S = 0.03  # a velocity that ORCA changes by less is permitted
 PATIENCE_US = 1_500 * MS
-LONG_PATIENCE_US = 6 * S  # of the one with the lower slot
-WAIT_US = 8 * S  # out of the way, at most
-APART_M = 5.0  # between bodies: the way is free again
-NEAR_M = 1.8  # nobody further away is why we stand
+LONG_PATIENCE_US = 6 * S  # for the robot with the lower slot
+WAIT_US = 8 * S  # maximum wait after backing away
+APART_M = 5.0  # at this distance between bodies the way is free again
+NEAR_M = 1.8  # a robot further away is not the reason why we stand
 GOT_ON_M = 0.4
 HALF_PERIOD_S = CONTROL_PERIOD_US / S / 2  # the course is that of the middle of the control period
 
@@ -77,7 +76,7 @@ class TractorMotion(HolonomicMotion):
     def _permitted(
         self, here: Observation, wish: MotionRequest, rows: list[tuple[float, ...]]
     ) -> float:
-        """How much of the wanted velocity harms nobody."""
+        """The share of the wanted velocity that collides with no robot."""
         if wish.vx_m_s == 0.0 and wish.vy_m_s == 0.0:
             return 0.0
         facing: list[tuple[float, ...]] = []

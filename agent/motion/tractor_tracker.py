@@ -1,7 +1,8 @@
-"""Following a sampled way with a body that steers: forward speed and turn rate.
+"""Follows a sampled path with a steered body: forward speed and turn rate.
 
-The steering looks ahead by the time it takes to turn the wheels, so that an arc is begun before it
-begins. What is off the way is closed within a fixed length, not time: the same at any speed.
+The steering looks ahead by the time it takes to turn the wheels, so that they are turned when an arc
+begins. A cross-track error is closed within a fixed length, not time, so the path is the same at any
+speed.
 """
 
 from math import atan2, cos, hypot, pi, remainder, sin, sqrt

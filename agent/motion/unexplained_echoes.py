@@ -1,7 +1,7 @@
-"""What the range sensors see that neither the map nor the others' beats explain.
+"""Echoes of the range sensors that neither the map nor the beats of other robots explain.
 
-Safety does not depend on messages: a robot whose beats are lost, and a box that somebody put down,
-are seen. A hit is strange where it lies off every wall and off every robot that was heard.
+Safety does not depend on messages: the sensors also see a robot whose beats are lost, or a box that
+a person put down. A hit is unexplained if it lies off every known wall and every received robot.
 """
 
 from collections.abc import Iterable, Sequence
@@ -15,13 +15,13 @@ from agent.interface.ports import Observation
 
 Point = tuple[float, float]
 NO_WALLS = np.empty((0, 4))
-WALL_M = 0.12  # a hit this near to a wall is the wall: errors of range and of place
-BODY_M = 0.25  # and this near to a body, that body: its beat is rounded, and it has moved since
+WALL_M = 0.12  # a hit this near to a wall is the wall: errors of range and position
+BODY_M = 0.25  # a hit this near to a body is that body: its beat is rounded, and it has moved since
 
 
 @njit(cache=True, error_model="numpy")
 def _echoes(x, y, heading, ranges, reach, walls, bodies, found):  # type: ignore[no-untyped-def]
-    """Write where each ray ends, or not a number where it ends at nothing strange."""
+    """Write where each ray ends, or NaN if the echo is explained."""
     for n in range(ranges.shape[0]):
         found[n, 0] = found[n, 1] = nan
         r = ranges[n]
@@ -55,8 +55,9 @@ def echoes(
     bodies: Sequence[Sequence[float]],
     walls: NDArray[np.float64] = NO_WALLS,
 ) -> NDArray[np.float64]:
-    """Where each ray ends (rays, 2), metres; not a number where that is further than `reach_m`, or
-    on a body (x, y, radius) or wall (n, 4) that is known."""
+    """Where each ray ends, (rays, 2), metres.
+
+    NaN for a ray that ends beyond `reach_m`, or on a known body (x, y, radius) or wall (n, 4)."""
     ranges = np.array(here.ranges_m)
     found = np.full((ranges.size, 2), nan)
     if ranges.min(initial=inf) < reach_m:
@@ -66,7 +67,7 @@ def echoes(
 
 
 class UnexplainedEchoes:
-    """Strange hits of one robot. `walls`: segments (n, 4), metres."""
+    """Unexplained hits of one robot. `walls`: segments (n, 4), metres."""
 
     def __init__(self, walls: NDArray[np.float64], radius_m: float) -> None:
         self.walls, self.radius_m = walls, radius_m
@@ -74,7 +75,7 @@ class UnexplainedEchoes:
     def strange(
         self, here: Observation, reach_m: float, bodies: Iterable[Sequence[float]]
     ) -> list[Point]:
-        """`bodies`: x, y of those that were heard, where they should be now."""
+        """`bodies`: x, y of the known robots, extrapolated to now."""
         known = [(x, y, self.radius_m + BODY_M) for x, y in bodies]
         found = echoes(here, reach_m, known, self.walls)
         return [(x, y) for x, y in found[~np.isnan(found[:, 0])].tolist()]

@@ -1,9 +1,9 @@
-"""The mission of going to places: each robot has goals of its own, and a building to cross.
+"""The navigation mission: each robot drives to its own goals through a building.
 
-Alone, a robot drives its Theta* path and lets ORCA keep it from the others. Where that gets it no
-further, or would lead it into a narrow passage against somebody who comes out, it calls a round of
-agreement (`agent/mapf/joint_plan_agreement.py`), and drives the route of the joint plan until it
-is through.
+Normally a robot follows its Theta* path, and ORCA keeps it away from the others. If it makes no
+progress, or would enter a narrow passage against a robot that comes out, it calls a round of
+agreement (`agent/mapf/joint_plan_agreement.py`) and drives the route of the joint plan until it is
+through.
 
 A goal is a section of the shared state with one unit, so that what was reached stays reached.
 """
@@ -32,21 +32,21 @@ from protocol.sync.map_sync import MapSync
 
 Point = tuple[float, float]
 GOALS_MAX = 512  # of a robot: a section's number is its slot times this, and the goal's number
-WANTS_M_S = 0.1  # who wants less than this is not stalled
+WANTS_M_S = 0.1  # a robot that wants less than this is not stalled
 GOT_ON_M = 0.3  # along the path in `STALL_US`: slower than this is stalled
 STALL_US = 2 * S
-CALLS_US = (2 * S, 4 * S, 8 * S, 16 * S)  # between two calls of ours that brought us nowhere
+CALLS_US = (2 * S, 4 * S, 8 * S, 16 * S)  # between our calls while they bring no progress
 LOOK_M = 2.5  # how far ahead a passage is looked into
 BESIDE_PATH_M = 0.5  # a robot nearer to the path than this is on it
 SETTLED_M = 0.1  # this near to a node of the route, it is reached
-ACQUAINTED_US = 1 * S  # after joining, until everybody near has been heard, by many beats
+ACQUAINTED_US = 1 * S  # after joining, until all robots near by have been received, by many beats
 VOUCHED_US = 3 * S  # in a fleet of ten each member is named by some other ten times in that
-AGE_MAX_US = 500 * MS  # a robot moves on as it last said for so long: 10 beats, 30 % of them lost
+AGE_MAX_US = 500 * MS  # a pose is extrapolated this long: 10 beats, 30 % of them lost
 CLAIM_S = 0.5  # a claim is contested for half of it: the next goal is ours when we are at this one
-CLOSE_M = RANGE_M + 2.0  # whom our rays can meet, wherever it has driven since its last beat
+CLOSE_M = RANGE_M + 2.0  # our rays can hit a robot this near, wherever it drove since its last beat
 STALLED_ALONE_US = (
     5 * S
-)  # standing with a wish and nobody near: longer than braking for what passes
+)  # standing although it wants to move, no robot near: longer than braking for a passer-by
 AHEAD_M = 0.3  # beyond the body: where what cannot be passed is taken to stand
 FOLLOWED_MAX = 512  # lines remembered, at most 2 MB: a goal takes a few of them
 LOST_M = 0.8  # this far off the path, another is planned
@@ -61,9 +61,7 @@ class FollowedPath(NamedTuple):
 
 
 class NavigationMission:
-    passes = (
-        True  # a goal on the way of a joint plan is reached; who has to stay there comes back to it
-    )
+    passes = True  # passing a goal counts as reaching it; missions that must stop there set False
 
     def __init__(
         self,
@@ -78,8 +76,8 @@ class NavigationMission:
         asks: bool = False,
     ) -> None:
         """`goals`: of every robot, in their order. `agrees`: False for ORCA by itself. `chart`: the
-        fleet's map, where it has one. `asks`: what stands in the way is driven round by an operator's
-        word only (`agent/motion/obstacle_stop.py`)."""
+        fleet's map, if it has one. `asks`: an obstacle is driven round only by an operator's order
+        (`agent/motion/obstacle_stop.py`)."""
         assert all(len(own) <= GOALS_MAX for own in goals.values())
         self.slot, self.goals, self.floor, self.agrees = slot, goals, floor, agrees
         self.speed_m_s, self.deceleration_m_s2 = speed_m_s, deceleration_m_s2
@@ -99,14 +97,14 @@ class NavigationMission:
         self._lane_of = (-1, -1, -1)  # round, first and last node of the lane
         self._gone_on: tuple[float, int] = (0.0, 0)  # along the path, since when
         self._alone_since: tuple[Point, int] | None = (
-            None  # where and since when it does not get on
+            None  # where and since when it makes no progress
         )
         self._stalls = 0  # in a row on the way to this goal
         self._planned = False  # a joint plan was driven since the last path
         self._around: dict[
             int, Point
-        ] = {}  # who was last heard within `CLOSE_M`: where it should be now
-        self._alone_us = 0  # when we last heard nobody
+        ] = {}  # slot last received within `CLOSE_M` -> its extrapolated position
+        self._alone_us = 0  # when we last received no robot
         self._vouched_us: dict[int, int] = {}  # slot: when another last said that it hears it
         self._calls: tuple[int, int] = (0, 0)  # in a row without arriving, not before
 
@@ -189,7 +187,7 @@ class NavigationMission:
         }
         around = list(self._around.values())
         reach_m = self.replanning.horizon_m + self.floor.radius_m
-        if state is State.DISCONNECTED:  # who knows nobody takes everybody for a box
+        if state is State.DISCONNECTED:  # without known members every robot looks like a box
             self._alone_us = view.now_us
         if view.now_us - self._alone_us > ACQUAINTED_US:
             self.hazards.look(here, reach_m, around, view.now_us, dead)
@@ -202,7 +200,7 @@ class NavigationMission:
         )  # fmt: skip
 
     def _deaf(self, gone: set[int], view: FleetView) -> bool:
-        """Whether others hear a member that we have not heard for long: a round needs all to hear all."""
+        """Whether others receive a member that we do not: a round needs full mutual reception."""
         if not gone:
             return False
         for pose, heard_us in view.neighbours.values():
@@ -343,7 +341,7 @@ class NavigationMission:
         return MotionRequest(*lane.velocity(here.x_m, here.y_m))
 
     def _at_goal(self, at: Point) -> bool:
-        """Who has been at its goal has been there, wherever the plan takes it then."""
+        """A goal once reached stays reached, wherever the plan takes the robot afterwards."""
         goal = self.goal if self.passes else None
         return goal is not None and hypot(goal[0] - at[0], goal[1] - at[1]) < SETTLED_M
 
@@ -357,7 +355,7 @@ class NavigationMission:
         self.accords.call(now_us)
 
     def _stuck(self, tracker: PathTracker, wanted_m_s: float, view: FleetView) -> bool:
-        """We want to move, do not, and somebody is near; or a narrow passage ahead is taken."""
+        """Whether we want to move, do not, and a robot is near; or a narrow passage ahead is taken."""
         along_m, since_us = self._gone_on
         if tracker.along_m > along_m + GOT_ON_M or wanted_m_s < WANTS_M_S:
             self._gone_on = (tracker.along_m, view.now_us)
@@ -372,7 +370,7 @@ class NavigationMission:
         return any(hypot(x_m - here.x_m, y_m - here.y_m) < reach_m for x_m, y_m in near)
 
     def _head_on(self, tracker: PathTracker, view: FleetView) -> bool:
-        """Somebody stands in, or comes out of, a passage that we are about to enter."""
+        """Whether a robot stands in, or comes out of, a passage that we are about to enter."""
         here, lattice = view.here, self.floor.lattice
         around = [
             n.pose

@@ -1,11 +1,11 @@
-"""The way on from the goal ahead, searched before it is reached: nobody stands at a goal and thinks."""
+"""Plans the path from the next goal onwards before it is reached, so no robot waits for planning."""
 
 from math import hypot
 
 from agent.mapping.dynamic_obstacles import DynamicObstacles
 
 Point = tuple[float, float]
-NEAR_M = 0.1  # who is this near to where the way begins has arrived there
+NEAR_M = 0.1  # a robot this near to the start of the path has arrived there
 
 
 class PathLookahead:

@@ -1,9 +1,10 @@
-"""Where members stand that have fallen silent: what is in the way, and where a dead robot's load is.
+"""Positions of silent members: obstacles for path planning, and where a dead robot's load is.
 
-Who hears a last beat knows the place; who was away then, or has restarted since, is told (`Fallen`).
-For each member the latest word counts, by stamps of a clock that the fleet shares, so that all come to
-know the same place, to the last bit: joint plans are made round it. A member that is heard is no body,
-and a place that is seen to be free is told to be: a robot may have driven on where nobody heard it.
+A robot that received the last beat knows the position. Robots that were away or have restarted since
+get it by a `Fallen` frame. For each member the latest frame counts, by time stamps of a clock that the
+fleet shares. So all robots know the same position, bit for bit, and joint plans avoid it. A member
+that is received is not an obstacle. A position seen to be free is announced as free, because a robot
+may have driven on while it was not received.
 """
 
 from collections.abc import Iterable
@@ -16,11 +17,11 @@ from protocol.frames.accord_frames import PLACES, STAMP_MAX, Fallen
 from protocol.frames.fleet_frames import LENGTH_M
 
 Point = tuple[float, float]
-DEAD_US = 5 * S  # a member silent for this long is a body: nobody waits for its word in a round
-TICK_US = 250 * MS  # of the common clock
-TOLD_US = 5 * S  # a body is told again this often by somebody, for who was away
-HURRY_US = 300 * MS  # and where a round waits for all to know the same
-SPACED_US = 40 * MS  # slots in their order, so that one tells and the others hear it
+DEAD_US = 5 * S  # a member silent for this long is an obstacle, and rounds do not wait for it
+TICK_US = 250 * MS  # period of the common clock
+TOLD_US = 5 * S  # one robot repeats each position this often, for robots that were away
+HURRY_US = 300 * MS  # repeat interval while a round waits until all know the same
+SPACED_US = 40 * MS  # between slots, so that one robot sends and the others overhear it
 WORDS_A_BEAT = 2
 NOWHERE_M = -PLACES * LENGTH_M  # of a body that is not where it was: x and y
 SURE_M = 2.0  # nearer than this two neighbouring rays are less than a body's radius apart
@@ -36,7 +37,7 @@ class SilentRobots:
         self._heard_us: dict[int, int] = {}  # last beat that our own record is of
 
     def look(self, view: FleetView) -> None:
-        """Each control period: who has fallen silent, and who is back."""
+        """Each control period: update which members are silent and which are back."""
         now_us = view.now_us
         for slot, since_us in view.silent_since_us.items():
             neighbour = view.neighbours.get(slot)
@@ -46,7 +47,7 @@ class SilentRobots:
                 self._heard_us[slot] = neighbour.heard_us
                 stamp = self.clock.read(neighbour.heard_us)
                 word = Fallen(neighbour.pose.x_m, neighbour.pose.y_m, slot, stamp)
-                # As it travels: what we know and what is told are the same numbers.
+                # Pack and unpack, so that we store the same rounded numbers that we send.
                 self._join(Fallen.unpack(word.pack()), now_us)
         self.dead = {
             slot: (word.x_m, word.y_m)
@@ -77,7 +78,7 @@ class SilentRobots:
         if known is None or _rank(word) > _rank(known):
             self.known[word.slot] = word
         elif word != known:
-            wait_us = 0  # who says so knows less
+            wait_us = 0  # the sender's knowledge is older, so answer without delay
         self._due_us[word.slot] = now_us + wait_us + self.slot * SPACED_US
 
     def say(self, hurried: bool, now_us: int) -> Iterable[Fallen]:

@@ -35,7 +35,7 @@ class Planner:
         self.blocked: Grid = np.array(blocked, dtype=np.bool_, order="C")
         assert self.blocked.ndim == 2
         self._corners = CornerMemory(self.blocked)
-        self._plain: GridSearch | None = None  # 150 bytes a cell: only where somebody asks for it
+        self._plain: GridSearch | None = None  # 150 bytes a cell: created only on request
         self._regions: NDArray[np.int32] | None = None  # made at the first query without a path
 
     def update(self, change: Grid | Cells | Iterable[Change]) -> int:

@@ -1,7 +1,7 @@
-"""What a peer says by itself, and when: the beat, the heartbeat, and what rides on them.
+"""The periodic announcements of a peer: the beat, the heartbeat, and what is sent with them.
 
-Beats are spread over the period by slot, so that a fleet booted together does not speak at once.
-Deadlines advance from the deadline, not from now: no drift.
+Beats are spread over the period by slot, so that a fleet booted together does not send all at the
+same time. Deadlines advance from the previous deadline, not from now, so they do not drift.
 """
 
 from collections.abc import Iterable
@@ -31,13 +31,12 @@ from protocol.frames.work_frames import WorkProgress
 if TYPE_CHECKING:
     from agent.peer.peer import Peer
 
-MEMBER_EVERY: Final = (
-    20  # heartbeats between two announcements of who we are, for those that missed it
-)
+MEMBER_EVERY: Final = 20  # heartbeats between two MEMBER announcements, for robots that missed one
 FIRST_COUNTER, LAST_COUNTER, LEAVING_COUNTER = 251, 250, 255  # ISO 11783-7 heartbeat
-STANDS_M_S: Final = 0.02  # below the resolution of POSE the course is noise: say the heading
-STANDSTILL_US: Final = 1 * S  # between two causes told: 7 % of the bus where 108 stand
-CAUSES_MAX: Final = 15  # told of one robot: four bits
+# Below the resolution of POSE the course is noise, so the heading is sent instead.
+STANDS_M_S: Final = 0.02
+STANDSTILL_US: Final = 1 * S  # between two reported causes: 7 % of the bus if 108 robots stand
+CAUSES_MAX: Final = 15  # causes reported by one robot: four bits
 PROGRESS_PERIOD_US = 2 * S  # covered units are announced together, at most this often
 
 
@@ -51,16 +50,16 @@ class Announcements:
         self.next_pose_us = now_us + phase_us
         self.next_control_us = now_us + phase_us % CONTROL_PERIOD_US
         self.beats_a_heartbeat = beat.heartbeat_us // beat.pose_us
-        # A large fleet says its progress less often: the bus is shared by all of them.
+        # A large fleet announces progress less often, because all robots share the bus.
         self.progress_us = PROGRESS_PERIOD_US * beat.pose_us // BEATS[0].pose_us
         self.next_progress_us = now_us + self.progress_us
         self.beats = slot % self.beats_a_heartbeat  # heartbeats are spread over the beats
         self.heartbeats = 0
         self.heartbeats_a_standstill = max(1, STANDSTILL_US // beat.heartbeat_us)
-        self._cause = 0  # which of several is told next
+        self._cause = 0  # index of the cause reported next
         self.counter = FIRST_COUNTER
-        self.redone = 0  # units that somebody else had announced before us
-        self._poor: frozenset[Source] = frozenset()  # what our last heartbeat was low by
+        self.redone = 0  # units that another robot had announced before us
+        self._poor: frozenset[Source] = frozenset()  # poor sources at our last heartbeat
         self._live: frozenset[int] = frozenset()
         self._others: list[int] = []
         self.pending: dict[tuple[int, int], int] = {}  # (section, block) -> bits to announce
@@ -86,7 +85,7 @@ class Announcements:
 
     def speak(self, peer: "Peer", now_us: int) -> Iterable[Effect]:
         if not self.pose_due(now_us) or not peer.joining.joined:
-            return ()  # the beat goes on in silence while we have no address
+            return ()  # without an address the beat keeps its rhythm but sends nothing
         pose = self._pose(peer)
         peer.conflicts.say(pose)
         effects: list[Effect] = [to_all(pose)]
@@ -107,8 +106,9 @@ class Announcements:
         return effects
 
     def cover(self, peer: "Peer", section: int, units: Iterable[int], now_us: int) -> list[Effect]:
-        """Units were covered. They join our replica when they are announced, not before: a digest
-        with entries that nobody was told of would look like a difference to repair."""
+        """Units were covered. They join our replica when they are announced, not before.
+
+        A digest with unannounced entries would look like a difference to repair."""
         for unit in units:
             block, bit = divmod(unit, BLOCK_UNITS)
             self.pending[section, block] = self.pending.get((section, block), 0) | 1 << bit
@@ -123,7 +123,7 @@ class Announcements:
         return effects
 
     def flush(self, peer: "Peer", now_us: int) -> list[Effect]:
-        """Durable, then announced, then part of the replica that the digest speaks of."""
+        """Persist and announce the pending units, and put them into the replica under the digest."""
         effects: list[Effect] = []
         for (section, block), new in sorted(self.pending.items()):
             known = peer.progress.bits(section, block)
@@ -138,7 +138,7 @@ class Announcements:
         return effects
 
     def tell_map(self, peer: "Peer", now_us: int) -> list[Effect]:
-        """What we tell of the map is durable, so that what we saw outlives us."""
+        """Announce map patches, persisted first so that our observations survive a restart."""
         effects: list[Effect] = []
         if peer.chart is not None:
             for message in peer.chart.tick(now_us):
@@ -160,7 +160,7 @@ class Announcements:
         if here is None:
             return Pose(NOWHERE_M, NOWHERE_M, 0.0, PLACE_UNKNOWN_M_S, state, stopped, heard)
         x_m, y_m, heading_rad, vx_m_s, vy_m_s = here[:5]
-        if not peer.senses.current:  # the last that was known, and that it is not of now
+        if not peer.senses.current:  # send the last known place, marked as unknown by its speed
             pose = x_m, y_m, heading_rad, PLACE_UNKNOWN_M_S, state, stopped, heard
             return _tuple(Pose, pose)
         speed_m_s = hypot(vx_m_s, vy_m_s)
@@ -168,7 +168,7 @@ class Announcements:
         return _tuple(Pose, (x_m, y_m, course_rad, speed_m_s, state, stopped, heard))
 
     def _reflected(self, peer: "Peer") -> int:
-        """A member that we hear, another with each beat: so it learns that it is heard."""
+        """The member named in this beat, in rotation, so that each learns that we receive it."""
         live = peer.membership.live
         if live is not self._live:
             self._live, self._others = live, sorted(live - {self.slot})
@@ -185,7 +185,7 @@ class Announcements:
         self.counter = 0 if self.counter >= LAST_COUNTER else self.counter + 1
         if not peer.safety.free and self.heartbeats % self.heartbeats_a_standstill == 0:
             effects.append(Send(self._standstill(peer)))
-        turn = self.heartbeats + self.slot  # not everybody in the same second
+        turn = self.heartbeats + self.slot  # so that not all robots send in the same second
         if turn % MEMBER_EVERY == 0:
             effects.append(Send(self.member(peer)))
         if turn % MEMBER_EVERY == MEMBER_EVERY // 2:
@@ -197,7 +197,7 @@ class Announcements:
         return effects
 
     def _tell_poor(self, found: list[Reading]) -> list[Effect]:
-        """A trace when another source is poor, or none is any more: the reason of the number."""
+        """A trace for each source that became poor or recovered: it explains the health number."""
         poor = {reading.source: reading for reading in reversed(found) if reading.share <= POOR}
         was, self._poor = self._poor, frozenset(poor)
         new = [reading for source, reading in poor.items() if source not in was]
@@ -208,7 +208,7 @@ class Announcements:
         return [*effects, *(Trace("health", name, "WELL", "", "no longer poor") for name in over)]
 
     def _standstill(self, peer: "Peer") -> Standstill:
-        """The next of the causes for which we stand."""
+        """The next of the causes that hold us, in rotation."""
         causes = peer.safety.causes[:CAUSES_MAX]
         place = self._cause % len(causes)
         self._cause = place + 1

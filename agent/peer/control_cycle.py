@@ -1,4 +1,4 @@
-"""What a control period does: decide, claim, work, drive. Sense came before; the gate comes last."""
+"""What a control period does: decide, claim, work, drive. Sensing came before; the gate is last."""
 
 from collections.abc import Sequence
 from math import hypot
@@ -14,8 +14,8 @@ from protocol.frames.operator_frames import OperatorReport, ReportKind
 if TYPE_CHECKING:
     from agent.peer.peer import Peer
 
-NEAR_M: Final = 1.8  # between two hulls: one that is further away is not what we wait for
-# A number: mypyc makes C of a member of an IntEnum, given as an int, that no compiler takes.
+NEAR_M: Final = 1.8  # between two hulls; we do not wait for a robot that is further away
+# A plain int, because mypyc generates invalid C for an IntEnum member passed as an int.
 STALLED: Final = int(ReportKind.STALLED)
 
 
@@ -25,7 +25,7 @@ class ControlCycle:
         self._sweeping = peer.mission if isinstance(peer.mission, Sweeping) else None
         self._replanning = peer.mission if isinstance(peer.mission, Replanning) else None
         self.stall = Stall()
-        self._drove_us = 0  # the newest command to the actuator
+        self._drove_us = 0  # time of the newest command to the actuator
 
     def start_due(self, now_us: int) -> Sequence[Effect]:
         """A claim whose contention window has passed becomes work."""
@@ -34,7 +34,7 @@ class ControlCycle:
             return ()
         if peer.directive.goal is not None:
             return ()
-        if peer.claims.current is not None:  # kept through a stop and its reset
+        if peer.claims.current is not None:  # the section is kept through a stop and its reset
             return peer.fire(Event.CLAIMED, f"resumes S{peer.claims.current}")
         section = peer.claims.start_due(now_us)
         if section is None:
@@ -50,12 +50,13 @@ class ControlCycle:
         ]
 
     def control(self, now_us: int) -> Sequence[Effect]:
-        """Sense to drive, once a control period. The gate is the last function before `Drive`."""
+        """From observation to drive, once a control period. The gate is the last step."""
         peer = self.peer
         if peer.mission is None or peer.motion is None or peer.here is None:
             return ()
         if now_us > self._drove_us + ACTUATOR_TTL_US:
-            peer.mission.interrupted()  # we were late: the command expired and the implement is up
+            # We were late, so the command has expired and the implement is raised.
+            peer.mission.interrupted()
         self._drove_us = now_us
         effects: list[Effect] = []
         view = peer.view(now_us)
@@ -80,12 +81,12 @@ class ControlCycle:
         return [drive, *effects]
 
     def _watch(self, view: FleetView) -> Sequence[Effect]:
-        """Nobody stands for long with a wish: the mission plans again, and people are told."""
+        """If the robot wants to move and is stuck, the mission replans and people are notified."""
         peer, here, wish = self.peer, view.here, self.peer.wish
         if self._replanning is None or not peer.safety.may_move:
             return ()
         if peer.pause is not None and peer.pause.passing:
-            return ()  # it creeps round what an operator knows of, and asks again by itself
+            return ()  # it creeps round a confirmed obstacle and asks again by itself
         near_m = NEAR_M + 2 * getattr(getattr(peer.motion, "limits", None), "radius_m", 0.0)
         crowded = any(
             hypot(n.pose.x_m - here.x_m, n.pose.y_m - here.y_m) < near_m
@@ -128,8 +129,9 @@ class ControlCycle:
         return peer.mission.rest(view)
 
     def _give_back(self, now_us: int) -> list[Effect]:
-        """Sections that an earlier life of ours held, before a restart: this one has no plan for them.
-        Given back they are as free for us as for anybody, and what was covered of them is known."""
+        """Release sections that we held before a restart, because we have no plan for them now.
+
+        After that they are free for every robot, ours included, and their covered units are known."""
         peer, effects = self.peer, list[Effect]()
         if peer.claims.current is None and peer.claims.next is None:
             for section in peer.allocation.assigned_sections(peer.slot):

@@ -1,11 +1,11 @@
-"""What one peer remembers over a restart: which keys there are and what they hold.
+"""What one peer keeps over a restart: the record keys and what they hold.
 
-Own operations are numbered before they are revealed; registers and progress are kept so that a
-fleet that loses power as a whole loses no work. The stop records belong to
+Own operations are numbered before they are sent. Registers and progress are kept so that a fleet
+that loses power as a whole loses no work. The stop records belong to
 `agent/safety/stop_controller.py`.
 
-A peer without its incarnation has lost its memory. Its dots and numbers would be used twice, so it
-retires that identity: it takes an incarnation by lot and stays latched until a person has looked.
+A peer without its incarnation has lost its memory. Its dots and operation numbers would be used
+twice, so it takes a random new incarnation and stays latched until a person has checked it.
 """
 
 from collections.abc import Mapping
@@ -34,7 +34,7 @@ class DurableRecords:
     def __init__(self, recalled: Mapping[str, bytes], first_boot: bool, rng: Random) -> None:
         self.recalled = recalled
         self.incarnation = self._number(INCARNATION, U16, 0)
-        self.fresh = not self.incarnation  # this incarnation is not written down yet
+        self.fresh = not self.incarnation  # this incarnation is not on disk yet
         self.lost = self.fresh and not (first_boot and not recalled)
         if self.fresh:
             lot = rng.randint(FIRST_INCARNATION + 1, 0xFFFF) if self.lost else FIRST_INCARNATION
@@ -48,7 +48,7 @@ class DurableRecords:
         return int(layout.unpack(raw)[0]) if len(raw) == layout.size else default
 
     def restore(self, allocation: FieldAllocationCRDT, progress: Progress) -> None:
-        """Put back what was known. A record that does not parse is left out: peers have it too."""
+        """Restore the records. One that does not parse is skipped, because peers have it too."""
         for key, raw in sorted(self.recalled.items()):
             if key.startswith(REGISTER) and len(raw) == U64.size:
                 allocation.apply(int(key.removeprefix(REGISTER)), U64.unpack(raw)[0])
@@ -59,7 +59,7 @@ class DurableRecords:
     def restore_map(self, chart: OccupancyMap) -> None:
         for key, raw in sorted(self.recalled.items()):
             if key.startswith(MAP) and len(raw) == PATCH_BYTES:
-                with suppress(ValueError):  # cells that cannot be: peers have them too
+                with suppress(ValueError):  # skip impossible cells; peers have them too
                     chart.join_bytes(int(key.removeprefix(MAP)), raw)
 
     @staticmethod
@@ -71,7 +71,7 @@ class DurableRecords:
 
     @staticmethod
     def operation(count: int, section: int, key: int) -> tuple[tuple[str, bytes], ...]:
-        """The register as this operation left it, and how many operations there have been."""
+        """The register after this operation, and the number of operations so far."""
         return (f"{REGISTER}{section}", U64.pack(key)), (OPERATIONS, U32.pack(count))
 
     @staticmethod

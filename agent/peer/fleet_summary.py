@@ -1,16 +1,16 @@
-"""What one peer knows of the fleet, as a text that any peer tells when it is asked.
+"""What one peer knows about the fleet, as a text that any peer sends on request.
 
-A question to everybody is answered by the elected leader (`agent/peer/leader_election.py`), so
-that one text comes and not thirty. Nothing depends on it: without an answer the same question goes
-to any other peer.
+A global request is answered by the elected leader only (`agent/peer/leader_election.py`), so that
+one text is sent and not thirty. Nothing depends on it: without an answer the requester asks any
+other peer.
 
     by 2 sections 14 done 9
     0 WORKING LIVE 12.3 -4.5 0.8 S3,S4 0.1
     1 EMERGENCY_STOP LIVE 3.0 2.2 0.0 - 0.0
 
-A line for each member: slot, state, standing, metres east and north, m/s, sections it holds, seconds
-since it was heard. A transport session carries 1,785 bytes: about 30 members; further ones are only
-counted (`more 12`), and another peer knows no more.
+A line for each member: slot, state, membership status, metres east and north, m/s, sections it
+holds, seconds since its last pose. A transport session carries 1,785 bytes, about 30 members.
+Further members are only counted (`more 12`), and no other peer can list more.
 """
 
 from math import isfinite
@@ -24,12 +24,12 @@ from protocol.transport import SIZE_MAX
 if TYPE_CHECKING:
     from agent.peer.peer import Peer
 
-BULLETIN_PGN = 0xFF1E  # our own: the fleet, as one peer sees it
-MORE = "more 999"  # room kept for the count of those left out
+BULLETIN_PGN = 0xFF1E  # our own group: the fleet as one peer sees it
+MORE = "more 999"  # room kept for the count of omitted members
 
 
 class MemberRow(NamedTuple):
-    """One member. Of members never heard there is none."""
+    """One member. Members that were never received have no row."""
 
     slot: int
     state: State
@@ -43,21 +43,21 @@ class MemberRow(NamedTuple):
 
 class FleetSummary(NamedTuple):
     by: int
-    sections: int  # heard of
+    sections: int  # number of known sections
     done: int
     lines: tuple[MemberRow, ...]
-    more: int = 0  # members for whom there was no room
+    more: int = 0  # members that did not fit
 
 
 def offer(peer: "Peer") -> None:
-    """From now on this peer tells a device that asks it, and as the leader one that asks everybody."""
+    """Make this peer answer requests sent to it and, while it leads, global requests too."""
     peer.letters.answer(
         BULLETIN_PGN, lambda now_us: write(compose(peer, now_us)), lambda: peer.leads
     )
 
 
 def compose(peer: "Peer", now_us: int) -> FleetSummary:
-    """As this peer knows it."""
+    """The summary of what this peer knows."""
     held: dict[int, list[int]] = {}
     for section in peer.allocation.sections():
         claim = peer.allocation.entry(section)
@@ -86,7 +86,7 @@ def compose(peer: "Peer", now_us: int) -> FleetSummary:
 
 
 def write(bulletin: FleetSummary) -> str:
-    """At most what a transport session carries."""
+    """The text, at most as long as a transport session carries."""
     text = f"by {bulletin.by} sections {bulletin.sections} done {bulletin.done}"
     for number, m in enumerate(bulletin.lines):
         sections = ",".join(f"S{section}" for section in m.sections) or "-"
@@ -101,7 +101,7 @@ def write(bulletin: FleetSummary) -> str:
 
 
 def read(text: str) -> FleetSummary | None:
-    """None for what is no bulletin: it came over a wire.
+    """Parse a text from the wire; None if it is not a summary.
 
     >>> read("by 2 sections 3 done 1\\n0 IDLE LIVE 1.5 -2.0 0.0 S2 0.1").lines[0].sections
     (2,)

@@ -1,11 +1,13 @@
-"""Whose frames these are: what the NAME that has claimed an address says of its device.
+"""The origin of frames: what the NAME that has claimed an address says about its device.
 
 The proprietary groups (PGN 0xFF00 to 0xFFFF, and 0xEF00) belong to the manufacturer in the sender's
-NAME: the same number means something else to each maker (ISO 11783-3). Their frames are believed only
-from an address whose claimed NAME is one of ours. All others are counted, by PGN, and not looked at.
+NAME: the same number has a different meaning for each maker (ISO 11783-3). Their frames are
+accepted only from an address whose claimed NAME is one of ours. All others are counted by PGN and
+ignored.
 
-A device whose claim we have missed is asked for it. An order and which member it is are kept for a
-second, and heard when its NAME turns out to be ours; of stops `agent/peer/unknown_stop_sources.py` tells.
+A device whose claim we have missed is asked for it. Its orders and MEMBER frames are kept for a
+second and processed if its NAME turns out to be ours. `agent/peer/unknown_stop_sources.py` handles
+stops.
 """
 
 from collections import Counter
@@ -22,10 +24,10 @@ from protocol.frames.work_frames import StateSyncRequest
 from protocol.name import Name, fleet_of, is_ours, is_robot
 
 KEPT_US = 1 * S  # a device that is asked answers within 0.2 s (J1939-81); an older order is void
-WORDS_MAX = 16  # of one address: an order with its place is four, a reset of a few stops a dozen
-KEPT_MAX = (
-    64  # addresses whose words are kept; more unknown devices than that speak at once to mislead
-)
+# Frames kept of one address: an order with its place is four, a reset of a few stops a dozen.
+WORDS_MAX = 16
+# Addresses whose frames are kept; more unknown devices at the same time are an attack.
+KEPT_MAX = 64
 PROPRIETARY_A, PROPRIETARY_B = 0xEF00, 0xFF00
 PROPRIETARY = frozenset(
     kind for kind, g in GROUP_OF.items() if g.pgn == PROPRIETARY_A or g.pgn >= PROPRIETARY_B
@@ -39,32 +41,32 @@ MUST_NOT_BE_MISSED = (
 class Origin(Enum):
     OURS = auto()  # a robot of our fleet, a gateway, an operator's tool
     ANOTHER_FLEET = auto()  # a robot of a fleet with another name
-    FOREIGN = auto()  # of another maker, or of no kind that speaks to robots
-    UNCLAIMED = auto()  # no claim was heard from there
+    FOREIGN = auto()  # of another maker, or a device kind that does not send to robots
+    UNCLAIMED = auto()  # no claim of this address was received
 
 
 class Origins:
-    """By address, for the peer with this NAME."""
+    """The origin of each address, as seen by the peer with this NAME."""
 
     def __init__(self, name: Name) -> None:
         self._fleet = fleet_of(name)
         self._of: dict[int, Origin] = {}
         self._names: dict[int, int] = {}
         self._robots: set[int] = set()
-        self._kept: dict[int, dict[Message, int]] = {}  # address -> what it said -> when
-        self.foreign: Counter[int] = Counter()  # PGN -> frames not believed, of other makers
-        self.unclaimed: Counter[int] = Counter()  # the same, from addresses nobody has claimed
-        self.elsewhere: Counter[int] = Counter()  # the same, of another fleet
+        self._kept: dict[int, dict[Message, int]] = {}  # address -> message -> time received
+        self.foreign: Counter[int] = Counter()  # PGN -> refused frames of other makers
+        self.unclaimed: Counter[int] = Counter()  # PGN -> refused frames of unclaimed addresses
+        self.elsewhere: Counter[int] = Counter()  # PGN -> refused frames of another fleet
 
     def of(self, address: int) -> Origin:
         return self._of.get(address, Origin.UNCLAIMED)
 
     def is_robot(self, address: int) -> bool:
-        """A robot of our fleet has claimed it."""
+        """Whether a robot of our fleet has claimed this address."""
         return address in self._robots
 
     def changes(self, address: int, number: int) -> bool:
-        """Another NAME than before claims it."""
+        """Whether a different NAME than before claims this address."""
         return self._names.get(address, number) != number
 
     def claimed(self, address: int, number: int) -> Origin:
@@ -84,7 +86,7 @@ class Origins:
         return origin
 
     def count(self, origin: Origin, message: Message) -> None:
-        """A frame that is not believed."""
+        """Count a refused frame."""
         counters = {
             Origin.FOREIGN: self.foreign,
             Origin.ANOTHER_FLEET: self.elsewhere,
@@ -93,11 +95,11 @@ class Origins:
         counters[origin][GROUP_OF[type(message)].pgn] += 1
 
     def keep(self, address: int, message: Message, now_us: int) -> None:
-        """Until its NAME is known: only what must not be missed."""
+        """Keep a frame that must not be missed until the NAME of its sender is known."""
         if not isinstance(message, MUST_NOT_BE_MISSED):
             return
         words = self._kept.setdefault(address, {})
-        words.pop(message, None)  # the same again is newer
+        words.pop(message, None)  # a repetition moves to the end, as the newest
         words[message] = now_us
         if len(words) > WORDS_MAX:
             del words[next(iter(words))]
@@ -105,6 +107,6 @@ class Origins:
             del self._kept[next(iter(self._kept))]
 
     def kept(self, address: int, now_us: int) -> list[Message]:
-        """What was kept of that address and is not too old, in its order. It is forgotten here."""
+        """Take the kept frames of this address that are not too old, in order of reception."""
         words = self._kept.pop(address, {})
         return [message for message, heard_us in words.items() if now_us - heard_us <= KEPT_US]

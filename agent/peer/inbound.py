@@ -1,8 +1,8 @@
-"""What each frame kind does to a peer: one short handler a kind, none of which can raise.
+"""What each received frame kind does to a peer: one short handler a kind, none of which can raise.
 
 Handlers take (source address, slot of that address or None, message, now) and return effects.
-Nothing but a stop is believed from an address that has not said which member it is, and no frame of a
-proprietary group from one whose NAME is not ours (`agent/peer/frame_origin.py`).
+From an address that has not announced its member slot, only a stop is accepted. From an address
+whose NAME is not ours, no frame of a proprietary group is accepted (`agent/peer/frame_origin.py`).
 """
 
 from collections.abc import Callable, Sequence
@@ -69,10 +69,11 @@ if TYPE_CHECKING:
 
 OF_MISSIONS = (Fallen, TaskOrder, TaskBookDigest, TaskBid, Itinerary, PlanOffer, PlanRow)
 TOLD_OF: Final = (StateSyncRequest, Digests, StateSyncResponse)
-OUTSIDER = -1  # a device that is not a member: it has agreed with nobody about anything
+OUTSIDER = -1  # a device that is not a member, so it has no agreed replica state
 TELL_SPACING_US = 2 * S  # a snapshot of 1,000 entries takes 2.1 s at the share that sync may use
-NAME_PATIENCE_US = 20 * MS  # a claim that is on its way may be behind a beat of its sender
-# Another device of ours may have taken the address of another maker's since, and we missed its claim.
+NAME_PATIENCE_US = 20 * MS  # a claim in transit may arrive after a beat of its sender
+# After this a device of ours may have taken the address of another maker's device, and we may have
+# missed its claim.
 CLAIM_OLD_US = 10 * S
 SIGNED = (EmergencyReset, HeldReset, OperatorCommand, OperatorGoal, Challenge, Freshness)
 EVERYBODY = 0xFF  # target of an operator's command
@@ -84,7 +85,7 @@ class InboundHandlers:
         self.peer = peer
         bulletin.offer(peer)
         self._told_us = -TELL_SPACING_US
-        self._claimed_us: dict[int, int] = {}  # address -> when its newest claim was heard
+        self._claimed_us: dict[int, int] = {}  # address -> when its newest claim was received
         self._handlers: dict[type[Any], Handler] = {
             EmergencyReset: self._reset,
             HeldReset: self._held_reset,
@@ -121,7 +122,7 @@ class InboundHandlers:
             return ()
         if slot is None:
             self.peer.conflicts.heard(source, now_us)
-        if slot is None and type(message) in PROPRIETARY:  # a member's NAME is one of ours
+        if slot is None and type(message) in PROPRIETARY:  # the NAME of a member is always ours
             refused = self.refused(source, message, now_us)
             if refused is not None:
                 return refused
@@ -130,7 +131,7 @@ class InboundHandlers:
     def refused(
         self, source: int, message: Message | Malformed, now_us: int
     ) -> Sequence[Effect] | None:
-        """None: a frame of a proprietary group may be believed. Else what to do about it."""
+        """None if a frame of a proprietary group is accepted, else the effects of refusing it."""
         peer = self.peer
         if source == peer.joining.address:
             doubled = peer.conflicts.speaks_from_our_address(message, now_us)
@@ -146,15 +147,15 @@ class InboundHandlers:
         peer.origins.keep(source, message, now_us)
         peer.name_call.stranger(source, now_us, NAME_PATIENCE_US)
         if isinstance(message, Pose) and peer.safety.latched and not message.stopped:
-            return peer.safety.tell_stops(now_us)  # the sender has not heard what stops us
+            return peer.safety.tell_stops(now_us)  # the sender does not know the stops that hold us
         return ()
 
     def doubted(self, source: int, message: AnyStop, now_us: int) -> Sequence[Effect] | None:
-        """None: a stop from there is to be judged as a stop of ours. Else what to do about it.
+        """None if a stop from this address counts as a stop of our fleet, else the effects.
 
-        Another maker's frame is none. Of an address that nobody is known to have claimed we do not
-        know: stand until it has said who it is, and ask it (`agent/peer/unknown_stop_sources.py`).
-        With keys its tag says it at once.
+        A frame of another maker is not a stop of ours. If no claim of the address is known, stand
+        still until the sender has claimed it, and ask for the claim
+        (`agent/peer/unknown_stop_sources.py`). With keys the tag decides immediately.
         """
         peer = self.peer
         origin = peer.origins.of(source)
@@ -165,7 +166,8 @@ class InboundHandlers:
                 peer.name_call.stranger(source, now_us, 0)
             return ()
         if origin is not Origin.UNCLAIMED or source in (peer.joining.address, NULL_ADDRESS):
-            return None  # a robot without an address presses from the null address; no other device may
+            # A robot without an address presses from the null address; no other device may do that.
+            return None
         if peer.safety.keyed or peer.doubts.believes(source):
             peer.name_call.stranger(source, now_us, 0)
             return None
@@ -178,7 +180,7 @@ class InboundHandlers:
         return [HALT]
 
     def overdue(self, now_us: int) -> list[Effect]:
-        """Stops of addresses that have not said in time who they are: believed, as if heard then."""
+        """Accept the stops of addresses that did not claim in time, with their reception times."""
         effects = list[Effect]()
         for address, t_us, stop in self.peer.doubts.overdue(now_us):
             self.peer.name_call.calm(address)
@@ -188,10 +190,10 @@ class InboundHandlers:
     def beats(
         self, beats: Sequence[BufferedBeacon], local: Callable[[int], int] | None = None
     ) -> list[Effect]:
-        """Calm beats that have waited for our turn, each as if heard when it came.
+        """Process buffered routine beats, each as if received at its time of arrival.
 
-        `local`: from the bus's clock to ours, where they differ. What `Peer.hear` does for a beat,
-        without what only a stop can need: who stands stopped has its beats at once.
+        `local`: converts bus time to our clock, if they differ. This does what `Peer.hear` does for a
+        beat, without the parts that only a stop needs: beats of a stopped robot are not buffered.
         """
         peer, effects = self.peer, list[Effect]()
         membership, own = peer.membership, peer.slot
@@ -202,7 +204,7 @@ class InboundHandlers:
             if local is not None and seen is not None:
                 seen = Neighbour(seen.pose, local(seen.heard_us))
             if seen is not None and slot in signs:
-                neighbours[slot] = seen  # a sign of life too
+                neighbours[slot] = seen  # this counts as a sign of life too
                 if seen[0][6] == own:  # seen.pose.heard
                     peer.check.reflected_us = seen.heard_us
             else:
@@ -264,7 +266,7 @@ class InboundHandlers:
     def _goal(
         self, source: int, slot: int | None, m: OperatorGoal, now_us: int
     ) -> Sequence[Effect]:
-        """A coordinate for SET_GOAL, believed as an order is."""
+        """A coordinate for SET_GOAL, authenticated like an order."""
         refusal = self.peer.safety.accept_order(m, now_us)
         if refusal is None and m.target == self.peer.slot:
             self.peer.directive.name(m, now_us)
@@ -289,9 +291,9 @@ class InboundHandlers:
         return ()
 
     def _pose(self, source: int, slot: int | None, m: Pose, now_us: int) -> Sequence[Effect]:
-        """A pose that the fast path in `Peer.hear` did not take: a stranger's, or a returning one's."""
+        """A pose that the fast path in `Peer.hear` did not take: of a stranger or returning member."""
         safety = self.peer.safety
-        if slot is None:  # it has not heard what stops us
+        if slot is None:  # a moving stranger does not know the stops that hold us
             told = safety.tell_stops(now_us) if safety.latched and not m.stopped else ()
             return [*self._stranger(source, now_us), *told]
         if not m.placed:
@@ -300,8 +302,10 @@ class InboundHandlers:
         return safety.beat(slot, m.stopped, now_us)
 
     def unplaced(self, slot: int, m: Pose, now_us: int) -> Sequence[Effect]:
-        """A beat of a member that does not know where it is: alive, and from now on as good as silent
-        to all that keeps away from places (`agent/motion/stopping_zone.py`)."""
+        """A beat of a member that does not know its position.
+
+        The member is alive, but code that keeps a distance from positions treats it like a silent
+        one from now on (`agent/motion/stopping_zone.py`)."""
         peer = self.peer
         seen = peer.membership.neighbours.get(slot)
         if seen is None or seen.pose.x_m == NOWHERE_M:
@@ -379,7 +383,7 @@ class InboundHandlers:
     ) -> Sequence[Effect]:
         for offset, low in enumerate(m.counts):
             member = m.base + offset
-            if member != self.peer.slot:  # nobody knows our own counter better than we do
+            if member != self.peer.slot:  # our own counter is authoritative, so do not merge it
                 self.peer.clock.witness(member, low, bits=8)
         return ()
 
@@ -402,11 +406,11 @@ class InboundHandlers:
         peer.origins.claimed(source, m.name)
         self._claimed_us[source] = now_us
         if wondered and peer.joining.joined and peer.origins.is_robot(source):
-            peer.roll_call.stranger(source, now_us)  # it has spoken: a member that we do not know
+            peer.roll_call.stranger(source, now_us)  # it has sent frames: a member not known yet
         for t_us, stop in peer.doubts.end(source):
             effects = [*effects, *peer.hear(source, stop, t_us)]
         kept = peer.origins.kept(source, now_us)
-        for message in kept:  # and judged by its NAME, as if it came now
+        for message in kept:  # now that its NAME is known, as if the message arrived now
             effects = [*effects, *peer.hear(source, message, now_us)]
         return effects
 
@@ -420,7 +424,7 @@ class InboundHandlers:
         return ()
 
     def _mission(self, source: int, slot: int | None, m: Any, now_us: int) -> Sequence[Effect]:
-        if slot is None and not isinstance(m, TaskOrder):  # an order may come from any device
+        if slot is None and not isinstance(m, TaskOrder):  # any device may send an order
             return self._stranger(source, now_us)
         if self.peer.conversing is not None:
             return [Persist(*record) for record in self.peer.conversing.hear(slot, m, now_us)]
@@ -428,11 +432,11 @@ class InboundHandlers:
 
     def _work(self, source: int, slot: int | None, m: Any, now_us: int) -> Sequence[Effect]:
         peer = self.peer
-        if isinstance(m, StateSyncRequest) and m.scope == STOPS:  # anybody may ask what holds us
+        if isinstance(m, StateSyncRequest) and m.scope == STOPS:  # any device may ask what holds us
             return peer.safety.answer_stops(m.cut | m.digest << 24, now_us)
         if slot is None and isinstance(
             m, StateSyncRequest
-        ):  # an inspector's; told at most so often
+        ):  # from an inspector; answered at most once per TELL_SPACING_US
             if now_us - self._told_us >= TELL_SPACING_US:
                 self._told_us = now_us
                 peer.sync.receive(OUTSIDER, m, now_us)

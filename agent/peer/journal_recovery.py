@@ -1,8 +1,8 @@
-"""What durable memory recalls at boot: whether it makes sense, and how a journal says that it was lost.
+"""Checks the records of durable memory at boot, and how a journal reports that they are lost.
 
-A record with a right check sum and no meaning was written by other software, or by a fault of ours.
-Then nobody knows what else is wrong, so none of the memory counts: the robot stands latched
-(BOOT_UNCONFIRMED) until a person has looked.
+A record with a valid checksum and no meaning was written by other software, or by a fault of ours.
+Then other records may be wrong too, so the whole memory is discarded: the robot stays latched
+(BOOT_UNCONFIRMED) until a person has checked it.
 """
 
 from collections.abc import Callable, Mapping
@@ -32,11 +32,11 @@ from crdt.allocation import SECTION_MAX
 from crdt.occupancy import PATCH_BYTES
 from crdt.stops import RemoteStopSet, StopSet
 
-LOST = "lost"  # a record in place of a memory that is gone; its value says why
-BLOCK_MAX = 0xFF  # of a section's progress
-PATCH_MAX = 0xFFFF  # of the fleet's map
-DIGITS_MAX = 5  # of a number in a key
-COUNTER_BYTES = (1, 4)  # the first life's beginning, and what is written down later
+LOST = "lost"  # key of the record that replaces a lost memory; its value says why
+BLOCK_MAX = 0xFF  # blocks of a section's progress
+PATCH_MAX = 0xFFFF  # patches of the fleet's map
+DIGITS_MAX = 5  # digits of a number in a key
+COUNTER_BYTES = (1, 4)  # 1 byte at the first boot, 4 bytes as written later
 
 
 def _size(*sizes: int) -> Callable[[bytes], bool]:
@@ -71,7 +71,7 @@ _FAMILIES: Mapping[str, tuple[tuple[int, ...], int]] = {  # greatest numbers in 
 
 
 def senseless(recalled: Mapping[str, bytes]) -> str:
-    """The first record that makes no sense, as a line for a person; empty where all do."""
+    """The first record that makes no sense, as a line for a person; empty if all are valid."""
     for key, raw in sorted(recalled.items()):
         check = _VALUES.get(key)
         if not (_known(key, raw) if check is None else check(raw)):
@@ -80,7 +80,7 @@ def senseless(recalled: Mapping[str, bytes]) -> str:
 
 
 def _known(key: str, raw: bytes) -> bool:
-    """A record of a family; one of a key that is not ours is no business of ours."""
+    """Whether a record of a known family is valid; records with an unknown key are ignored."""
     for family, (greatest, size) in _FAMILIES.items():
         if key.startswith(family):
             numbers = key.removeprefix(family).split("/")
@@ -95,11 +95,11 @@ def _number(text: str, most: int) -> bool:
 
 
 def sensible(recalled: Mapping[str, bytes]) -> Mapping[str, bytes]:
-    """The same memory, or the record that it is lost."""
+    """The same memory if it is valid, else only the record that it is lost."""
     why = senseless(recalled)
     return {LOST: why.encode()} if why else recalled
 
 
 def remembers(recalled: Mapping[str, bytes]) -> bool:
-    """Whether it is the memory of an earlier life."""
+    """Whether this memory was written before a restart."""
     return INCARNATION in recalled

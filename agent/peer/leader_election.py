@@ -1,13 +1,13 @@
-"""Elections for conveniences: the leader alone answers an operator's device that asks everybody.
+"""Leader election for conveniences: only the leader answers an operator's global request.
 
 Never for stopping, claims or maps. A vote is fixed once cast: one vote per voter, election and
-term, remembered durably. A candidate leads when it holds the votes of a majority of the live view;
-a later term fences an earlier one. Two sides of a split have a leader each, and the higher term
-(then the lower slot) remains when they meet. Votes are said again now and then: one that was lost would
-leave its voter, or those that missed it, without a leader for good.
+term, kept durably. A candidate leads when it holds the votes of a majority of the live view; a later
+term fences an earlier one. After a network split each side has a leader, and the higher term (then
+the lower slot) remains when they meet. Votes are repeated every 10 s, because a lost vote would
+otherwise leave its voter, or those that missed it, without a leader for good.
 
-All prefer the lowest slot of the live view. Health has no vote: a leader does nothing that another could
-not do at once, and a preference that changes would be an election each time.
+All prefer the lowest slot of the live view. Health is not considered: any robot can do the leader's
+task, and a preference that changes would cause an election each time.
 """
 
 from typing import NamedTuple
@@ -15,19 +15,16 @@ from typing import NamedTuple
 from agent.interface.config import MS, S
 from protocol.frames.fleet_frames import LeaderElectionVote
 
-OPERATOR_GATEWAY = 1  # who speaks for the fleet to an operator: `agent/peer/fleet_summary.py`
+OPERATOR_GATEWAY = 1  # election of the robot that answers operators: `agent/peer/fleet_summary.py`
 TERM_MAX = 0xFFFF  # u16 on the wire; at one term a second it lasts 18 hours without a restart
-SETTLE_US = 1 * S  # the live view stands still for so long before it is voted upon
+SETTLE_US = 1 * S  # the live view must be unchanged for this long before a vote
 SPACING_US, SPACING_US_MAX = (
     500 * MS,
     8 * S,
-)  # between two votes of one peer, terms without a leader
-AGAIN_US = (
-    10 * S
-)  # between two times that the same is said: 100 robots take 0.6 % of the bus for it
-PATIENCE = (
-    3  # settlings that a robot without memory waits to hear a term: who is there speaks in one
-)
+)  # between two votes of one peer while terms have no leader
+AGAIN_US = 10 * S  # between repetitions of the same vote: 100 robots take 0.6 % of the bus
+# Settle times that a robot without memory waits for a term; a running election is heard within one.
+PATIENCE = 3
 
 
 class Leader(NamedTuple):
@@ -41,17 +38,18 @@ class Election:
     def __init__(
         self, election: int, slot: int, name_hash: int, term: int = 0, forgot: bool = False
     ) -> None:
-        """`forgot`: an earlier life may have voted, nobody knows in which terms: not in later ones
-        than those that the others are in."""
+        """`forgot`: we may have voted before a restart that lost the memory.
+
+        The terms of these votes are unknown, but not later than the terms of the other members."""
         self.election, self.slot, self.name_hash = election, slot, name_hash
         self.term = term  # the highest term seen
-        self._patience = PATIENCE if forgot else 0  # more than 0: it has no vote yet
-        self.votes: dict[int, int] = {}  # voter -> candidate, of this term
+        self._patience = PATIENCE if forgot else 0  # above 0: it must not vote yet
+        self.votes: dict[int, int] = {}  # voter -> candidate, in this term
         self.leader: Leader | None = None
         self._live: frozenset[int] = frozenset({slot})
         self._call_us: int | None = None
         self._vote_to_say: LeaderElectionVote | None = None
-        self._say_us = 0  # not before
+        self._say_us = 0  # earliest time of our next vote
         self._again_us = 0
         self._spacing_us = SPACING_US
 
@@ -62,8 +60,10 @@ class Election:
         return self._call_us
 
     def see(self, now_us: int) -> None:
-        """The live view changed. Nobody votes before it has stood still: a fleet that is switched on
-        changes its view with every robot, and each would be a vote of everybody."""
+        """The live view changed. No robot votes before it has settled.
+
+        The view of a fleet that is switched on changes with every robot, and each change would cost
+        a vote of every member."""
         self._call_us = now_us + SETTLE_US
 
     def tick(self, live: frozenset[int], now_us: int) -> None:
@@ -72,7 +72,7 @@ class Election:
         self._call_us = None
         if self._patience:
             self._patience -= 1
-            if self.term == 0 and self._patience:  # nobody has been heard
+            if self.term == 0 and self._patience:  # no vote was received
                 self.see(now_us)
                 return
             self._patience = 0
@@ -86,7 +86,7 @@ class Election:
             self._vote_to_say = vote
 
     def speak(self, now_us: int) -> LeaderElectionVote | None:
-        """The vote that goes with this beat. Terms without a leader are opened ever more slowly."""
+        """The vote to send with this beat. The spacing doubles while terms have no leader."""
         vote = self._vote_to_say
         if vote is None:
             if now_us < self._again_us or self.slot not in self.votes:
@@ -103,7 +103,7 @@ class Election:
         return vote
 
     def fence(self, term: int, now_us: int) -> None:
-        """That term was there already, before we came: ours has to be later."""
+        """That term existed before we joined, so ours must be later."""
         if (term >= self.term and self.leader is None) or term > self.term:
             self._open(term + 1)
             self.see(now_us)
@@ -111,8 +111,9 @@ class Election:
     # ---------------------------------------------------------------- what
 
     def call(self, live: frozenset[int]) -> LeaderElectionVote | None:
-        """The live view changed: vote, vote again for those that have just come, or open a new
-        term where the leader is gone or the votes are split. None: nothing to say."""
+        """The live view changed: vote, repeat the vote for new members, or open a new term.
+
+        A new term is opened if the leader is gone or the votes are split. None: nothing to send."""
         gained, self._live = live - self._live, live
         if self.leader is not None and self.leader.slot not in live:
             self._open(self.term + 1)
@@ -124,8 +125,10 @@ class Election:
     def receive(
         self, voter: int, vote: LeaderElectionVote, live: frozenset[int]
     ) -> LeaderElectionVote | None:
-        """Count a vote; answer with ours where its term is new to us, or ours new to the voter: who was
-        back before anybody missed it changes no view, and would keep to its first term for good."""
+        """Count a vote. Answer with ours if its term is new to us, or our term is new to the voter.
+
+        The answer is needed for a member that restarted before its silence was noticed: no view
+        changes, so it would keep its first term for good."""
         if self._patience:
             self.term = min(max(self.term, vote.term + 1), TERM_MAX)
             return None
@@ -141,14 +144,14 @@ class Election:
         return self._next_term(live) or answer
 
     def _next_term(self, live: frozenset[int]) -> LeaderElectionVote | None:
-        """Everybody has voted and nobody has a majority: vote again, with the views of now."""
+        """If all have voted and no candidate has a majority, vote again with the current view."""
         if self.leader is not None or not live <= self.votes.keys():
             return None
         self._open(self.term + 1)
         return self._vote(live)
 
     def _vote(self, live: frozenset[int]) -> LeaderElectionVote:
-        # Everybody prefers the lowest live slot, so one round settles it where views are equal.
+        # Every member prefers the lowest live slot, so equal views need one round only.
         self.votes.setdefault(self.slot, min(live))
         self._count(live)
         return self._own

@@ -1,12 +1,12 @@
-"""Machines with which we cannot work: another field description, or our own identity.
+"""Conflicts with other machines: a different field description, or our own identity.
 
-Such a conflict lasts as long as that machine speaks. It ends when it agrees, when its address changes
-hands, or when it has not been heard for `GONE_US`.
+Such a conflict lasts as long as that machine sends frames. It ends when the machine agrees, when
+another device claims its address, or when it was not received for `GONE_US`.
 
-Two machines with one identity may share one address, too, because equal NAMEs do not contend. Then each
-hears beats from its own address that it has not said. A driver may give back our own frames: those are
-known. Two machines with different NAMEs may come together on one address when a cut bus heals: a claim
-tells them apart, so the address gets a second for that.
+Two machines with one identity may also share one address, because equal NAMEs do not contend. Then
+each receives beats from its own address that it did not send. A driver may loop back our own frames,
+so these are recognised. Two machines with different NAMEs may meet on one address when a cut bus
+heals. An address claim separates them, so they get a second for that.
 """
 
 from collections import deque
@@ -21,10 +21,10 @@ from protocol.frames.fleet_frames import Heartbeat, Pose
 if TYPE_CHECKING:
     from agent.peer.peer import Peer
 
-GONE_US = 5 * S  # a robot beats at least five times a second
+GONE_US = 5 * S  # a robot sends at least five beats a second
 TOLD_APART_US = 1 * S  # a claim, its answer, and the move to another address take 0.25 s
-OURS_US = 2 * S  # frames that we sent from an earlier address may still be given back
-SAID_MAX = 64  # own beats that may still be given back: 2 s of them
+OURS_US = 2 * S  # frames that we sent from an earlier address may still be looped back
+SAID_MAX = 64  # own beats that may still be looped back: 2 s of them
 
 
 class Conflicts:
@@ -32,13 +32,13 @@ class Conflicts:
         self.peer = peer
         self._at: dict[int, StopCause] = {}  # address of the other machine
         self._said: deque[Pose | Heartbeat] = deque(maxlen=SAID_MAX)
-        self._doubled_us: int | None = None  # since when our address has two voices
+        self._doubled_us: int | None = None  # since when another machine sends from our address
         self._doubled_last_us = -GONE_US
 
     # ---------------------------------------------------------------- others
 
     def found(self, cause: StopCause, address: int, why: str, now_us: int) -> Sequence[Effect]:
-        """That machine cannot work with us: stand while it speaks."""
+        """That machine cannot work with us: stand still while it sends frames."""
         new = self._at.get(address) is not cause
         self._at[address] = cause
         self.peer.safety.raise_cause(cause, now_us, f"address {address}: {why}", GONE_US)
@@ -46,14 +46,14 @@ class Conflicts:
         return [HALT, *told]
 
     def heard(self, address: int, now_us: int) -> None:
-        """It is still there."""
+        """A frame of that address: a known conflict still exists, so extend its stop."""
         cause = self._at.get(address)
         if cause is not None:
             detail = dict(self.peer.safety.causes).get(cause, f"address {address}")
             self.peer.safety.raise_cause(cause, now_us, detail, GONE_US)
 
     def settled(self, address: int, now_us: int) -> None:
-        """It agrees, or another device has its address."""
+        """End the conflict: the machine agrees, or another device has its address."""
         cause = self._at.pop(address, None)
         if cause is not None and cause not in self._at.values():
             self.peer.safety.clear_cause(cause, now_us)
@@ -61,17 +61,17 @@ class Conflicts:
     # ---------------------------------------------------------------- ourselves
 
     def say(self, beat: Pose | Heartbeat) -> None:
-        """Our own beat, as it leaves."""
+        """Remember our own beat as it is sent."""
         self._said.append(beat)
 
     def claims_our_name(self, address: int, now_us: int) -> Sequence[Effect]:
-        """A claim of our NAME, or a MEMBER frame with our slot, from another address than ours."""
+        """A claim of our NAME, or a MEMBER frame with our slot, from an address that is not ours."""
         if self.peer.joining.spoke_at(address, now_us - OURS_US):
             return ()
         return self.found(StopCause.DUPLICATE_ID, address, "it has our identity", now_us)
 
     def speaks_from_our_address(self, message: object, now_us: int) -> Sequence[Effect]:
-        """A frame with our source address that the bus gave us."""
+        """A received frame with our own source address."""
         if not isinstance(message, Pose | Heartbeat):
             return ()
         data = message.pack()

@@ -1,8 +1,8 @@
-"""Who speaks from which address: asking those that have not said it, and answering in turn.
+"""Discovers which member sends from which address: requests to unknown addresses, and our answers.
 
-However many robots are switched on together, or come back together, who-is-who costs about one frame a
-robot. An answer rides on the next beat, so that answers are as spread as beats are, and one answer
-serves everybody who asked in between. One robot asks, the first in slot order; the others overhear it.
+However many robots are switched on or come back together, discovery costs about one frame a robot.
+An answer is sent with the next beat, so answers are spread like beats, and one answer serves all
+robots that asked in between. Only the first robot in slot order asks; the others overhear it.
 """
 
 from collections.abc import Sequence
@@ -18,25 +18,23 @@ from protocol.frames.network_frames import AddressClaimed, Request
 MEMBER_PGN = GROUP_OF[Member].pgn
 CLAIM_PGN = GROUP_OF[AddressClaimed].pgn
 MEMBER_REQUEST, CLAIM_REQUEST = Request(MEMBER_PGN).pack(), Request(CLAIM_PGN).pack()
-PATIENCE_US = 250 * MS  # a stranger has a beat's time, of the largest fleet, to say who it is
-SLOT_US = (
-    2 * MS
-)  # between the turns of two robots to ask: a frame's time, and that of one in its way
+PATIENCE_US = 250 * MS  # a stranger has one beat period of the largest fleet to announce itself
+SLOT_US = 2 * MS  # between the turns of two robots to ask: two frame times with margin
 AGAIN_US = 2 * S  # before the same address is asked again; doubles
-DOUBLINGS_MAX = 5  # up to a minute: a device that is no robot is left alone
-STRANGERS_MAX = 256  # addresses there are
-ASKED_ENOUGH = 3  # questions, in 6 s: who does not answer them is not waited for
+DOUBLINGS_MAX = 5  # up to a minute, because the device may not be a robot
+STRANGERS_MAX = 256  # number of addresses
+ASKED_ENOUGH = 3  # requests, in 6 s; without an answer to these we stop waiting for the address
 
 
 class MemberDiscovery:
     def __init__(self, slot: int, pgn: int = MEMBER_PGN) -> None:
-        """`pgn`: what is asked for: which slot speaks from there, or which NAME."""
+        """`pgn`: the requested group: MEMBER for the slot, or the address claim for the NAME."""
         self.slot, self.pgn = slot, pgn
-        self.answer_due = False  # say who we are with the next beat
-        self._everybody_asked = False  # since we came on the bus
+        self.answer_due = False  # announce our slot with the next beat
+        self._everybody_asked = False  # a global request was received since we joined the bus
         self._ask_us: dict[int, int] = {}  # stranger's address -> when it is our turn to ask it
-        self._asked: dict[int, int] = {}  # stranger's address -> times it was asked, by anybody
-        self._urgent: set[int] = set()  # asked every `ASK_US`: a stop came from there
+        self._asked: dict[int, int] = {}  # stranger's address -> times any robot asked it
+        self._urgent: set[int] = set()  # asked every `ASK_US`, because a stop came from there
 
     @property
     def deadline_us(self) -> int | None:
@@ -44,7 +42,7 @@ class MemberDiscovery:
 
     @property
     def wonders(self) -> bool:
-        """Somebody here may be a member at work, in a section of which we do not know."""
+        """Whether an unknown address may be a member at work, in a section that we do not know of."""
         asked = self._asked
         return any(asked.get(address, 0) < ASKED_ENOUGH for address in self._ask_us)
 
@@ -55,16 +53,16 @@ class MemberDiscovery:
         self._urgent.clear()
 
     def joined(self) -> Sequence[Effect]:
-        """We have an address: nobody who was asked since we listen has to be asked again."""
+        """We have an address: ask all, unless we overheard a global request and its answers."""
         return () if self._everybody_asked else [Send(Request(self.pgn))]
 
     @property
     def everybody_asked(self) -> bool:
-        """Somebody has asked all, since we listen."""
+        """Whether a global request was received since we listen."""
         return self._everybody_asked
 
     def tick(self, now_us: int) -> Sequence[Effect]:
-        """At most one question."""
+        """Send at most one request."""
         for address, due_us in self._ask_us.items():
             if now_us >= due_us:
                 self.overheard(address, now_us)
@@ -72,35 +70,35 @@ class MemberDiscovery:
         return ()
 
     def stranger(self, address: int, now_us: int, patience_us: int = PATIENCE_US) -> None:
-        """A robot's frame from an address that has not said which member it is."""
+        """A robot's frame from an address that has not announced its member slot."""
         if address < NULL_ADDRESS and address not in self._ask_us:
             self._ask_us[address] = now_us + patience_us + self.slot * SLOT_US
             assert len(self._ask_us) <= STRANGERS_MAX
 
     def urge(self, address: int, now_us: int) -> None:
-        """It has said a stop: it is asked at once, and soon again."""
+        """A stop came from this address: ask it immediately, and again soon."""
         if address < NULL_ADDRESS and address not in self._urgent:
             self._urgent.add(address)
             self._ask_us.pop(address, None)
             self.stranger(address, now_us, 0)
 
     def calm(self, address: int) -> None:
-        """It does not answer: it is asked as seldom as other strangers."""
+        """The address does not answer: ask it as rarely as other strangers."""
         self._urgent.discard(address)
 
     def known(self, address: int) -> bool:
-        """Whether it was one that we did not know."""
+        """The address has announced itself; returns whether it was unknown before."""
         self._urgent.discard(address)
         self._asked.pop(address, None)
         return self._ask_us.pop(address, None) is not None
 
     def asked(self, everybody: bool) -> None:
-        """Somebody wants to know who we are."""
+        """A device requests our slot or NAME."""
         self.answer_due = True
         self._everybody_asked |= everybody
 
     def overheard(self, address: int, now_us: int) -> None:
-        """Somebody asked that address; it is not asked again soon, by nobody."""
+        """A robot asked that address, so no robot asks it again soon."""
         if address == GLOBAL_ADDRESS or address not in self._ask_us:
             return
         times = self._asked[address] = self._asked.get(address, 0) + 1

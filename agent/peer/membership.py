@@ -1,14 +1,14 @@
-"""Who is in the fleet, as far as this peer hears: a fault detector over signs of life.
+"""The live members of the fleet as this peer receives them: a failure detector over signs of life.
 
-Any frame of a member is a sign of life, but for a claim of its address by one that may move: it has
-been off the bus, and can say nothing else for a quarter of a second, not even that it was stopped. A
-member that stops giving signs without having said that it leaves is *silent* after `beat.silence_us`;
-what silence means is decided elsewhere (safety: brake; allocation: wait for the lease). There is no
-suspicion level and no vote: on one bus segment everybody hears everybody, so a second opinion would
-carry no information.
+Any frame of a member is a sign of life, except an address claim of a member that may move. Such a
+member has been off the bus and can send nothing else for a quarter of a second, not even that it was
+stopped. A member that stops sending without a farewell is *silent* after `beat.silence_us`. The
+reaction to silence is decided elsewhere (safety brakes, allocation waits for the lease). There is no
+suspicion level and no vote: on one bus segment every node receives every other, so a second opinion
+would carry no information.
 
-The oldest sign of life is looked for only when it may have become silence, a few times a second: what
-is heard a thousand times a second, a beat, costs one write, that of its sender's newest pose.
+The oldest sign of life is searched only when it may have become silence, a few times a second. So a
+beat, which arrives a thousand times a second, costs only the write of its sender's newest pose.
 """
 
 from enum import Enum, auto
@@ -16,19 +16,19 @@ from enum import Enum, auto
 from agent.interface.ports import Neighbour
 from protocol.frames.fleet_frames import Pose
 
-# After a farewell: frames that were sent before it, and wait behind those of others, have come by then.
+# After a farewell: frames queued before it have arrived by then.
 FAREWELL_US = 250_000
-DISBELIEVED_US = (
-    10_000_000  # who went on speaking after a farewell had not said it: no other for so long
-)
+# A member that keeps sending after a farewell did not send that farewell itself. Further farewells
+# in its name are ignored for this long.
+DISBELIEVED_US = 10_000_000
 
 
 class MemberStatus(Enum):
-    ABSENT = auto()  # configured, never heard since we booted
+    ABSENT = auto()  # configured, but not received since we booted
     LIVE = auto()
-    SILENT = auto()  # was live, stopped without leaving
-    LEFT = auto()  # said that it leaves
-    WAIVED = auto()  # silent, and an operator said by name to go on without it
+    SILENT = auto()  # was live and stopped sending without leaving
+    LEFT = auto()  # announced that it leaves
+    WAIVED = auto()  # silent, and an operator ordered by name to go on without it
 
 
 class Membership:
@@ -45,15 +45,15 @@ class Membership:
         self.live: frozenset[int] = frozenset({slot})
         self.silent: frozenset[int] = frozenset()
         self.slot_of: dict[int, int] = {}  # source address -> slot, from MEMBER frames
-        self.strangers = 0  # frames of addresses that have not said which member they are
-        self.signs_us: dict[int, int] = {}  # live others: last sign of life, but for newer poses
-        self.void_farewells = 0  # of members that went on speaking
+        self.strangers = 0  # frames of addresses that have not announced a member slot
+        self.signs_us: dict[int, int] = {}  # live others -> last sign of life, except newer poses
+        self.void_farewells = 0  # farewells of members that kept sending
         self._left_us: dict[int, int] = {}
         self._void_us: dict[int, int] = {}
-        self._oldest_us = now_us  # no sign of theirs is older
+        self._oldest_us = now_us  # no sign of life in `signs_us` is older
 
     def bind(self, source: int, slot: int, incarnation: int, now_us: int) -> bool:
-        """A MEMBER frame: this address now speaks for that slot. False: not of this fleet."""
+        """A MEMBER frame: this address now belongs to that slot. False: not of this fleet."""
         if slot not in self.standing:
             return False
         for address in [a for a, s in self.slot_of.items() if s == slot and a != source]:
@@ -64,17 +64,17 @@ class Membership:
         return True
 
     def unbind(self, source: int | None) -> None:
-        """The address has changed hands: believe nothing from it until it says who it is."""
+        """Another device has the address now: ignore it until it announces its slot."""
         if source is not None:
             self.slot_of.pop(source, None)
 
     @property
     def free(self) -> list[int]:
-        """Members whose newest pose says that they do not stand stopped."""
+        """Members whose newest pose reports that they are not stopped."""
         return [slot for slot, seen in self.neighbours.items() if not seen.pose.stopped]
 
     def stands(self, slot: int) -> bool:
-        """Its newest pose says that it stands stopped."""
+        """Whether its newest pose reports that it is stopped."""
         seen = self.neighbours.get(slot)
         return seen is not None and seen.pose.stopped
 
@@ -86,7 +86,7 @@ class Membership:
             return False
         if self.standing[slot] is MemberStatus.LEFT:
             if now_us - self._left_us[slot] <= FAREWELL_US:
-                return False  # the tail of a farewell; a new MEMBER frame brings it back
+                return False  # sent before the farewell; only a new MEMBER frame brings it back
             self.void_farewells += 1
             self._void_us[slot] = now_us
         if not heard:
@@ -105,18 +105,18 @@ class Membership:
         self.neighbours[slot] = Neighbour(pose, now_us)
 
     def leave(self, slot: int, now_us: int) -> None:
-        """It says that it leaves. Void where it goes on speaking: then somebody else has said it."""
+        """A farewell. It is void if the member keeps sending: then another device has sent it."""
         if now_us - self._void_us.get(slot, now_us - DISBELIEVED_US) < DISBELIEVED_US:
             return
         if self.standing[slot] is MemberStatus.LEFT:
-            return  # said again: its time counts from the first
+            return  # a repetition; the time counts from the first farewell
         self._left_us[slot] = now_us
         self.signs_us.pop(slot, None)
         self.neighbours.pop(slot, None)
         self._stand(slot, MemberStatus.LEFT, now_us)
 
     def waive(self, slot: int, now_us: int) -> bool:
-        """An operator accounts for a silent member by name."""
+        """An operator waives a silent member by name."""
         if self.standing.get(slot) is not MemberStatus.SILENT:
             return False
         self._stand(slot, MemberStatus.WAIVED, now_us)
@@ -124,7 +124,7 @@ class Membership:
 
     @property
     def deadline_us(self) -> int | None:
-        """When the oldest sign of life may become silence; `tick` puts that off in good time."""
+        """When the oldest sign of life may become silence; `tick` moves this on in good time."""
         return self._oldest_us + self.silence_us if self.signs_us else None
 
     def tick(self, now_us: int) -> list[int]:
@@ -149,7 +149,7 @@ class Membership:
         return [slot for _, slot in sorted(fallen)]
 
     def forget_all(self, now_us: int) -> None:
-        """We left the fleet ourselves: nobody's silence means anything to us now."""
+        """We left the fleet ourselves, so the silence of members no longer matters."""
         self.signs_us.clear()
         for slot in self.standing:
             self._stand(slot, MemberStatus.ABSENT, now_us)

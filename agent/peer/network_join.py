@@ -1,4 +1,4 @@
-"""Becoming a member: claim an address, then say which member speaks from it."""
+"""Becoming a member: claim an address, then announce our slot from it."""
 
 from collections.abc import Sequence
 from random import Random
@@ -24,9 +24,9 @@ class NetworkJoin:
         self.machine = AddressClaim(identity.name, ADDRESS_FIRST + identity.slot, rng, now_us)
         self.joined = False
         self.lost_address = False
-        self.away = False  # left on purpose: claim nothing until told to
+        self.away = False  # we left on purpose: claim nothing before `rejoin`
         self._spoke_us: dict[int, int] = {}  # address -> when we last claimed it, or lost it
-        self._ask_all = True  # who holds which address, before we claim one
+        self._ask_all = True  # request all address claims before we claim one
 
     @property
     def address(self) -> int | None:
@@ -37,7 +37,7 @@ class NetworkJoin:
         return None if self.away else self.machine.deadline_us
 
     def due(self, now_us: int) -> bool:
-        """`tick` has something to do."""
+        """Whether `tick` has something to do."""
         if not self.joined or self.lost_address:
             return True
         due_us = self.deadline_us
@@ -56,7 +56,7 @@ class NetworkJoin:
         return effects
 
     def asked(self, everybody: bool, now_us: int) -> Sequence[Effect]:
-        """Which NAME has our address? Where everybody was asked, we hear the answers as well."""
+        """A request for our address claim. After a global request we receive all answers as well."""
         self._ask_all = self._ask_all and not everybody
         return self._sends(self.machine.asked(everybody, now_us), now_us)
 
@@ -68,15 +68,15 @@ class NetworkJoin:
         return effects
 
     def violated(self, now_us: int) -> Sequence[Effect]:
-        """Somebody else speaks from our address."""
+        """Another device sends from our address."""
         return self._sends(self.machine.violated(now_us), now_us)
 
     def changed_hands(self, source: int, message: AddressClaimed) -> bool:
-        """Another NAME than before claims this address."""
+        """Whether a different NAME than before claims this address."""
         return self.machine.names.get(source, message.name) != message.name
 
     def hurry(self, now_us: int) -> None:
-        """There is a stop to say."""
+        """Claim an address quickly, because there is a stop to send."""
         if not self.away:
             self.machine.hurry(now_us)
 

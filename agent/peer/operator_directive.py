@@ -1,8 +1,8 @@
-"""What an operator directs this robot to do instead of its work, or about what is in its way.
+"""An operator's orders to this robot: what to do instead of its work, or about an obstacle.
 
-GO_HOME and SET_GOAL: the work is given back, it drives to where it was switched on or to a place,
-and stays there until START, CONTINUE or REPLAN. STOP: the work is given back, it stands until START.
-WAIT, CONTINUE and REPLAN answer its question (`agent/motion/obstacle_stop.py`).
+GO_HOME and SET_GOAL: the robot releases its work, drives to where it was switched on or to the given
+place, and stays there until START, CONTINUE or REPLAN. STOP: it releases its work and stands still
+until START. WAIT, CONTINUE and REPLAN answer its question (`agent/motion/obstacle_stop.py`).
 """
 
 from collections.abc import Sequence
@@ -28,24 +28,24 @@ DIRECTED = (
     Command.GO_HOME,
     Command.SET_GOAL,
 )
-THERE_M = 0.5  # from the goal: arrived
-GOAL_LIFE_US = 2 * S  # coordinates wait so long for the order that means them
+THERE_M = 0.5  # within this distance of the goal it has arrived
+GOAL_LIFE_US = 2 * S  # coordinates wait this long for the order that uses them
 
 
 class OperatorDirective:
     def __init__(self, peer: "Peer") -> None:
         self.peer = peer
-        self.home: Point | None = None  # where it stood when it was switched on
-        self.goal: Point | None = None  # None: it works
+        self.home: Point | None = None  # position at power-up
+        self.goal: Point | None = None  # None: it does its own work
         self.arrived = False
         self._named: dict[tuple[int, bool], tuple[OperatorGoal, int]] = {}  # (operator, north)
 
     def name(self, m: OperatorGoal, now_us: int) -> None:
-        """A coordinate that SET_GOAL will mean."""
+        """Store a coordinate for a following SET_GOAL."""
         self._named[m.operator, m.north] = (m, now_us)
 
     def order(self, m: OperatorCommand, now_us: int) -> Sequence[Effect]:
-        """One of `DIRECTED`, from who may give it."""
+        """One of `DIRECTED`, from an authorised operator."""
         command = Command(m.command)
         if self.peer.safety.latched:
             return [self._report(ReportKind.REFUSED, (0.0, 0.0))]
@@ -90,7 +90,7 @@ class OperatorDirective:
         ]
 
     def _pass(self, why: str, now_us: int) -> list[Effect]:
-        """What is in the way is known to who gave the order: it is gone round."""
+        """Go round the obstacle in the way, because the operator who gave the order knows of it."""
         pause = self.peer.pause
         if pause is None:
             return []
@@ -109,7 +109,7 @@ class OperatorDirective:
         return (east[0].metres, north[0].metres) if fresh and ours and agreed else None
 
     def over(self, why: str) -> list[Effect]:
-        """Back to work."""
+        """End the directive, so that the robot returns to its work."""
         if self.goal is None:
             return []
         was, self.goal = self.goal, None

@@ -1,8 +1,9 @@
-"""One robot's brain: facts in, with their time; effects out. It reads no clock, socket, file or die.
+"""The core of one robot: facts with their time go in, effects come out.
 
-`Peer` conducts and contains no rules of its own: each rule lives with its noun (safety, membership,
-claims, sync, election, mission, motion). What a frame means is in `agent/peer/inbound.py`, what a control
-period does in `agent/peer/control_cycle.py`. The order inside a turn is fixed: safety first.
+It reads no clock, socket, file or random source. `Peer` coordinates its parts and contains no rules:
+each rule is in the part that it concerns (safety, membership, claims, sync, election, mission,
+motion). `agent/peer/inbound.py` says what a frame means, `agent/peer/control_cycle.py` what a control
+period does. The order inside a turn is fixed: safety first.
 """
 
 from collections.abc import Mapping, Sequence
@@ -63,7 +64,7 @@ from protocol.sync.synchronizer import Synchronizer
 
 REQUEST_PF = 0xEA
 NOTHING_ROUND, _tuple = (frozenset[tuple[float, float]](), False), tuple.__new__
-NOTHING: Sequence[Effect] = ()  # an empty answer promises that `deadline_us` did not move earlier
+NOTHING: Sequence[Effect] = ()  # an empty result guarantees that `deadline_us` is not earlier now
 
 
 def sooner(due_us: int, other_us: int | None) -> int:
@@ -71,7 +72,7 @@ def sooner(due_us: int, other_us: int | None) -> int:
 
 
 def _unclaimed(questions: Sequence[Effect]) -> list[Effect]:
-    """Asked by a device that has no address yet (J1939-81)."""
+    """Send these requests from the null address, because we have no address yet (J1939-81)."""
     return [e._replace(source=NULL_ADDRESS) if isinstance(e, Send) else e for e in questions]
 
 
@@ -87,12 +88,13 @@ class Peer:
         keyring: Keyring | None = None,
         chart: MapSync | None = None,
     ) -> None:
-        """`chart`: the fleet's map, where the mission makes one."""
+        """`chart`: the fleet's map, if the mission makes one."""
         self.identity, self.slot = identity, identity.slot
         recalled = sensible(recalled)
         self.beat = config.beat_of(len(identity.members))
         self.mission, self.motion = mission, motion
-        asked: Any = mission  # a native core takes a protocol that is asked for for a base class
+        # mypyc treats an isinstance() check against a Protocol as a base class; hence Any.
+        asked: Any = mission
         self.agreeing: Agreeing | None = asked if isinstance(asked, Agreeing) else None
         self.conversing: Conversing | None = asked if isinstance(asked, Conversing) else None
         self.records = DurableRecords(recalled, identity.first_boot, rng)
@@ -127,9 +129,9 @@ class Peer:
         self.here: Observation | None = None
         self.wish: MotionRequest = STILL
         self.malformed: dict[str, int] = {}
-        self.healths: dict[int, float] = {}  # of others, as their heartbeats say: slot -> 0 to 1
-        self.releasing: Release | None = None  # that a person at this machine is giving
-        # Why others stand, as they tell it, by slot.
+        self.healths: dict[int, float] = {}  # slot -> health from 0 to 1, from its heartbeats
+        self.releasing: Release | None = None  # release in progress by a person at this machine
+        # Causes for which other members are stopped, as they report them, by slot.
         self.standstills: dict[int, ToldCauses] = {}
         self.directive, self.check = OperatorDirective(self), SelfCheck(self, now_us)
         self.senses = Senses(self)
@@ -154,19 +156,21 @@ class Peer:
 
     @property
     def leader(self) -> int | None:
-        """The slot of the elected leader, as this peer knows; None while there is none."""
+        """The slot of the elected leader as this peer knows it; None if there is none."""
         leader = self.election.leader
         return None if leader is None else leader.slot
 
     @property
     def leads(self) -> bool:
-        """This peer answers for the fleet. Two may for a while, or none: nothing depends on it."""
+        """Whether this peer answers for the fleet.
+
+        For a while there may be two leaders or none; no safety or work depends on it."""
         return self.leader == self.slot
 
     # ---------------------------------------------------------------- facts in
 
     def receive(self, frame: Frame, now_us: int) -> Sequence[Effect]:
-        """A frame from the bus. An addressed one that is not for us is not heard."""
+        """A frame from the bus. A frame addressed to another node is ignored."""
         identifier = frame.identifier
         if identifier >> 16 & 0xFF >= 240:
             source, message = decode_once(frame)
@@ -189,18 +193,18 @@ class Peer:
         return effects
 
     def _asked(self, pgn: int, everybody: bool, now_us: int) -> Sequence[Effect]:
-        """Who are you, by NAME or by slot? Texts are asked of `letters`."""
+        """A request for our NAME or our slot. Requests for texts go to `letters`."""
         if pgn == MEMBER_PGN:
             self.roll_call.asked(everybody)
         elif pgn == CLAIM_PGN:
-            self.roll_call.answer_due |= not everybody  # which member it is, is asked next
+            self.roll_call.answer_due |= not everybody  # the slot is requested next anyway
             return self.joining.asked(everybody, now_us)
         return NOTHING
 
     def hear(self, source: int, message: Message | Malformed, now_us: int) -> Sequence[Effect]:
         """A decoded frame; simulators decode once for all receivers."""
         kind = type(message)
-        if kind is EmergencyStop:  # before anything that could fail or take long, in every state
+        if kind is EmergencyStop:  # first, in every state, before anything that may fail or be slow
             return self._hearing.stop(source, message, now_us)  # type: ignore[arg-type]
         membership = self.membership
         slot = membership.slot_of.get(source)
@@ -222,7 +226,7 @@ class Peer:
         return self._hearing.dispatch(source, slot, message, now_us)
 
     def observe(self, observation: Observation | None, now_us: int) -> None:
-        """What our own sensors say, or that they say nothing; used at the next control period."""
+        """The reading of our own sensors, or None; used at the next control period."""
         self.senses.take(observation)
         if observation is None:
             return
@@ -231,20 +235,20 @@ class Peer:
             self.directive.home = observation.x_m, observation.y_m
 
     def wants_observation(self, now_us: int) -> bool:
-        """A control period is due: sense before the tick."""
+        """Whether a control period is due, so that the runner must sense before the tick."""
         return now_us >= self.voice.next_control_us
 
     # ---------------------------------------------------------------- time
 
     @property
     def deadline_us(self) -> int:
-        """When `tick` next has something to do, if nothing arrives before."""
+        """When `tick` next has something to do if no frame arrives before."""
         due_us = sooner(self.voice.deadline_us, self.safety.deadline_us)
         due_us = sooner(due_us, self.doubts.deadline_us)
         due_us = sooner(sooner(due_us, self.membership.deadline_us), self.joining.deadline_us)
         if not self.joining.away:
             due_us = sooner(due_us, self.name_call.deadline_us)
-        if self.joining.joined:  # no address, no turn
+        if self.joining.joined:  # without an address these parts do nothing
             due_us = sooner(due_us, self.check.deadline_us)
             due_us = sooner(due_us, self.sync.deadline_us)
             due_us = sooner(due_us, self.letters.deadline_us)
@@ -252,7 +256,7 @@ class Peer:
             if self.chart is not None:
                 due_us = sooner(due_us, self.chart.deadline_us)
             if self.lifecycle.state is IDLE and self.safety.may_move:
-                due_us = sooner(due_us, self.claims.deadline_us)  # else it waits for the others
+                due_us = sooner(due_us, self.claims.deadline_us)  # else the claim waits
         return due_us
 
     def tick(self, now_us: int) -> Sequence[Effect]:
@@ -285,7 +289,7 @@ class Peer:
         return effects
 
     def _remember_boot(self) -> Sequence[Effect]:
-        """The incarnation is durable before the first frame that could reveal it."""
+        """Make the incarnation durable before the first frame that could reveal it."""
         if not self.records.fresh:
             return NOTHING
         self.records.fresh = False
@@ -293,18 +297,19 @@ class Peer:
 
     def _join(self, now_us: int) -> Sequence[Effect]:
         effects, was_joined = list[Effect](), self.joining.joined
-        if self.joining.lost_address:  # before another one is ours, which may be in this very turn
+        if self.joining.lost_address:  # handle this first: we may get a new address in this turn
             self.safety.raise_cause(StopCause.ADDRESS_LOST, now_us)
             effects += [HALT, *self.fire(Event.BUS_LOST, "lost the address")]
             self.joining.lost_address = False
         effects += self.joining.tick(now_us)
         if self.joining.joined and not was_joined:
             self.safety.clear_cause(StopCause.ADDRESS_LOST, now_us)
-            self.membership.unbind(self.joining.address)  # whoever it was, now it is we
+            # Drop any earlier binding of this address: it is ours now.
+            self.membership.unbind(self.joining.address)
             self.sync.joined(now_us, self.beat.heartbeat_us)
             effects += self.roll_call.joined()
             effects += self.fire(Event.FLEET_JOINED, f"address {self.joining.address}")
-            if self.safety.unconfirmed:  # what holds the others holds us too
+            if self.safety.unconfirmed:  # our memory is lost: ask which stops hold the others
                 effects.append(Send(StateSyncRequest(0, 0, STOPS, 0)))
             effects += self.membership_changed(now_us)
         return effects
@@ -314,7 +319,7 @@ class Peer:
         if self.sync.synchronizing and state in (IDLE, WORKING):
             return self.fire(Event.SYNC_RECEIVED, "digests differ")
         if not self.sync.synchronizing and state is SYNCHRONIZING:
-            return self.fire(Event.SYNC_COMPLETE, "in step")  # who may, goes on with its work
+            return self.fire(Event.SYNC_COMPLETE, "in step")  # a robot that may move resumes work
         return NOTHING
 
     # ---------------------------------------------------------------- operator calls
@@ -326,21 +331,21 @@ class Peer:
         return [*pressed, *self.latch("pressed here")]
 
     def manual_reset(self, now_us: int) -> Sequence[Effect]:
-        """A person at this machine. Refused while any stop is not cleared or a cause persists."""
+        """Reset by a person at this machine. Refused while a stop is not cleared or a cause persists."""
         if self.lifecycle.state is not State.EMERGENCY_STOP or not self.safety.manual_reset(now_us):
             return [Trace("safety", "LATCHED", "MANUAL_RESET", "LATCHED", "refused")]
         held = [*self.safety.hold(now_us)]  # reset is not start
         permit = self.safety.button.release(now_us)
-        if permit is not None:  # from the address that said the stop, before it is claimed again
+        if permit is not None:  # from the address that sent the stop, before it is claimed again
             held.append(Send(permit, source=self.joining.address))
-        if not self.safety.holds(StopCause.BUS_OFF):  # else when the bus is back
+        if not self.safety.holds(StopCause.BUS_OFF):  # else `bus_back` rejoins
             self.joining.rejoin(now_us)
             self.roll_call.power_up()
             self.name_call.power_up()
         return [*held, *self.fire(Event.MANUAL_RESET, "a person at this machine")]
 
     def start(self, now_us: int) -> Sequence[Effect]:
-        """Permission to move. A latched robot does not take it: it would start after the reset."""
+        """Permission to move. A latched robot refuses it, because it would start after the reset."""
         if self.safety.latched:
             return [Trace("safety", "LATCHED", "START", "LATCHED", "refused")]
         self.senses.started()
@@ -367,7 +372,7 @@ class Peer:
         return [*effects, *self.idle_if_free("finished")]
 
     def give_back_all(self, now_us: int) -> list[Effect]:
-        """Everything that is claimed and not finished, with what is covered of it."""
+        """Release every claimed, unfinished section, after announcing its covered units."""
         held = [*self.claims.contested_until_us]
         if self.claims.current is not None:
             held.append(self.claims.current)
@@ -379,7 +384,7 @@ class Peer:
         return effects
 
     def leave(self, now_us: int) -> Sequence[Effect]:
-        """Say goodbye, so that our silence stops nobody; give back what is not finished."""
+        """Announce that we leave, so that our silence stops no robot; release unfinished sections."""
         effects: list[Effect] = [HALT, *self.give_back_all(now_us)]
         if self.joining.joined:
             effects.append(Send(self.voice.farewell(self, now_us), source=self.joining.address))
@@ -388,7 +393,7 @@ class Peer:
         return [*effects, *self.fire(Event.LEFT, "leaving")]
 
     def bus_lost(self, now_us: int) -> Sequence[Effect]:
-        """The interface reports bus-off: nothing we say is heard."""
+        """The interface reports bus-off, so none of our frames is received."""
         self.safety.raise_cause(StopCause.BUS_OFF, now_us)
         self.joining.away, self.joining.joined = True, False
         return [HALT, *self.fire(Event.BUS_LOST, "bus-off")]
@@ -401,19 +406,19 @@ class Peer:
         return NOTHING
 
     def disk_failed(self, now_us: int) -> Sequence[Effect]:
-        """Durable memory may have lost something: stop for good. No retry (see reliability notes)."""
+        """Durable memory may have lost a record: stop for good, without a retry."""
         self.safety.raise_cause(StopCause.DISK_ERROR, now_us)
         return [HALT, *self.latch("the disk failed")]
 
     # ---------------------------------------------------------------- what the parts share
 
     def told_standing(self, slot: int, now_us: int) -> list[str]:
-        """Why another member stands and what a person can do, for each cause that it still tells."""
+        """Why another member stands still and what a person can do, for each cause it reports."""
         told = self.standstills.get(slot)
         return [] if told is None else told.sentences(now_us)
 
     def self_known(self, now_us: int) -> Known:
-        """What this robot knows of itself, as the health in its heartbeats is judged by."""
+        """What this robot knows about itself; the health in its heartbeats is computed from it."""
         here, senses = self.here, self.senses
         return Known(
             None if here is None else here.battery,
@@ -435,7 +440,7 @@ class Peer:
         ))  # fmt: skip
 
     def stand_while_asking(self, asked: bool, now_us: int) -> None:
-        """An open question before an obstacle holds the robot; `asked`: one was open before."""
+        """An open obstacle question holds the robot. `asked`: whether one was open before."""
         pause = self.pause
         if pause is None or pause.asking == asked:
             return
@@ -445,7 +450,7 @@ class Peer:
             self.safety.clear_cause(StopCause.OBSTACLE_AHEAD, now_us)
 
     def membership_changed(self, now_us: int) -> list[Effect]:
-        """The live view changed: tell the parts that depend on it."""
+        """The live view changed: inform the parts that depend on it."""
         live, silent = self.membership.live, self.membership.silent
         self.sync.live(live, now_us)
         if self.chart is not None:
@@ -458,7 +463,7 @@ class Peer:
         return effects
 
     def elect(self, now_us: int) -> Sequence[Effect]:
-        """With our beat: durable, then said; and who leads now."""
+        """With our beat: persist our vote, then send it, and trace a new leader."""
         effects: list[Effect] = []
         election = self.election
         election.tick(self.membership.live, now_us)
@@ -472,7 +477,7 @@ class Peer:
         return effects
 
     def announce(self, section: int, key: int, what: str, now_us: int) -> list[Effect]:
-        """An own operation: counted, durable, then revealed."""
+        """Announce an operation of our own: count it, persist it, then send it."""
         self.clock.increment(self.slot)
         self.sync.changed_here(section, None, now_us)
         claim = self.allocation.entry(section)

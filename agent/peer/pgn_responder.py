@@ -1,7 +1,7 @@
-"""What a peer answers when another device asks it for a parameter group: its name, its newest traces.
+"""Answers requests of other devices for parameter groups: component name, newest traces, texts.
 
-Texts are longer than a frame and go by the transport protocol: to all when all were asked, else to the
-one that asked. Nothing here touches state or safety.
+Texts are longer than a frame and use the transport protocol: to all if the request was global, else
+to the requester. This part changes neither state nor safety.
 """
 
 from collections import deque
@@ -20,25 +20,25 @@ from protocol.frames.network_frames import (
 from protocol.transport import SIZE_MAX, SIZE_MIN, OutgoingFrame, ReceivedMessage, Transport
 
 COMPONENT_PGN = 65259  # component identification (SAE J1939-71): make*model*serial number*unit*
-LOG_PGN = 0xFF1F  # our own: the newest traces as lines
-LINES_MAX = 64  # traces kept; what is told of them is cut at 1,785 bytes
-NAMES_MAX = 256  # addresses there are
-INBOX_MAX = 16  # newest letters kept for whoever asks; nothing is decided by them
+LOG_PGN = 0xFF1F  # our own group: the newest traces as lines
+LINES_MAX = 64  # traces kept; an answer is cut at 1,785 bytes
+NAMES_MAX = 256  # number of addresses
+INBOX_MAX = 16  # newest received texts, for display only; no decision uses them
 
 Letter = Request | RepetitionRateRequest | TransportManagement | TransportData
 
 
 class PgnResponder:
-    """`known` are the groups that other parts of the peer answer."""
+    """`known`: the groups that other parts of the peer answer."""
 
     def __init__(self, component: str, known: frozenset[int]) -> None:
         self.transport = Transport()
-        self.names: dict[int, str] = {}  # address -> component identification, as told
+        self.names: dict[int, str] = {}  # address -> component identification, as received
         self.inbox: deque[ReceivedMessage] = deque(maxlen=INBOX_MAX)
         self._component, self._known = component, known
-        self._speaks: dict[int, Callable[[], bool]] = {}  # groups that one peer tells for all
+        self._speaks: dict[int, Callable[[], bool]] = {}  # groups that one peer answers for all
         self._lines: deque[str] = deque(maxlen=LINES_MAX)
-        self._texts: dict[int, Callable[[int], str]] = {  # of now_us
+        self._texts: dict[int, Callable[[int], str]] = {  # PGN -> function of now_us
             COMPONENT_PGN: lambda _: self._component,
             LOG_PGN: self._log,
         }
@@ -46,10 +46,10 @@ class PgnResponder:
     def answer(
         self, pgn: int, text: Callable[[int], str], speaks: Callable[[], bool] | None = None
     ) -> None:
-        """From now on a device that asks for this group gets the text; `text` is given the time.
+        """Register a text for a group; `text` is called with the time of the request.
 
-        `speaks`: whether this peer answers a question to everybody. It answers the device that asks,
-        alone: by a message to all, thirty peers would fill the bus for seconds.
+        `speaks`: whether this peer answers global requests. It answers only to the requester, because
+        global answers of thirty peers would fill the bus for seconds.
         """
         assert pgn not in self._texts and pgn not in self._known
         self._texts[pgn] = text
@@ -61,7 +61,7 @@ class PgnResponder:
         return self.transport.deadline_us
 
     def note(self, now_us: int, trace: Trace) -> None:
-        """A trace that may be asked for."""
+        """Keep a trace for later requests."""
         self._lines.append(f"{now_us / 1e6:.3f} {' '.join(part for part in trace if part)}")
 
     def tick(self, now_us: int) -> Sequence[Effect]:
@@ -103,7 +103,7 @@ class PgnResponder:
 
 
 def _refused(source: int, destination: int, pgn: int) -> Sequence[Effect]:
-    """What is not served, or not at the rate that is asked for: no group of ours changes its rate."""
+    """Refuse a group that is not served, or a rate request: no group of ours changes its rate."""
     if destination == GLOBAL_ADDRESS:  # J1939-21: no NACK to a global request
         return ()
     return [Send(Acknowledgment(Control.NACK, 0xFF, source, pgn & 0x3FFFF))]

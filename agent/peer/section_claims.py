@@ -1,8 +1,8 @@
 """The claims of one peer: contested for a window, then held, then worked, one section at a time.
 
-A claim is a hint that avoids waste; it never carries safety. It is announced, contested for
-`CONTENTION_US` (every better claim would have arrived by then: the response-time bound of TASK_CLAIM
-with 108 peers is 213 ms), and only then started. Started work outranks a mere claim.
+A claim is a hint that avoids duplicate work; safety never depends on it. It is announced, contested
+for `CONTENTION_US`, and only then started. Every better claim arrives within this window, because
+the response-time bound of TASK_CLAIM with 108 peers is 213 ms. Started work outranks a claim.
 """
 
 from agent.interface.config import CLAIM_AHEAD, CONTENTION_US
@@ -26,7 +26,7 @@ class SectionClaims:
         return next(iter(self.contested_until_us), None)
 
     def claim(self, choice: ClaimRequest, now_us: int) -> int | None:
-        """The register key to announce, or None where the section is not to be had."""
+        """The register key to announce, or None if the section is not available."""
         section = choice.section
         if choice.takeover:
             key = self.allocation.takeover(section, self.slot, choice.bid)
@@ -37,7 +37,7 @@ class SectionClaims:
         return key
 
     def start_due(self, now_us: int) -> int | None:
-        """The section whose contention window passed with our claim still the best."""
+        """The section whose contention window has passed while our claim is still the best."""
         if self.current is not None or not self.contested_until_us:
             return None
         section = self.next
@@ -64,7 +64,7 @@ class SectionClaims:
         return self.allocation.release(section, self.slot)
 
     def recheck(self, sections: frozenset[int] | set[int]) -> list[int]:
-        """After a merge: which of these had been ours and are no longer."""
+        """After a merge: which of these sections we have lost."""
         lost = []
         for section in sorted(sections):
             ours = section in self.contested_until_us or section == self.current

@@ -1,17 +1,18 @@
-"""What a robot watches about itself: the state of its bus, whether it is heard, whether it is in time.
+"""A robot's checks of itself: the state of its bus, whether it is received, whether it is in time.
 
-* The driver says whether the controller is error passive or off the bus, and whether it takes frames.
-* The driver may tell which own frames have left (`agent.interface.ports.Confirming`). When none
-has for a silence,
-  the robot cannot be heard, and on a bus that is full of more urgent frames nobody's stop can be heard
-  either: UNHEARD. A stop outranks what a robot says: where its frame has left, a stop could have.
-* Each member names in each beat one other that it hears, all of them in turn. Who is named by nobody
-  for as long as a round takes, and a silence more, speaks into a dead wire: UNHEARD. A link that is
-  dead one way only is found so, which no driver can tell.
-* A robot that hears nobody may go on alone, by its policy, only while its driver tells that its frames
-  leave. On an interface that cannot tell it stands until it is named again.
-* A control period that begins later than a drive command lives was missed: the actuator has stopped,
-  and the world may have changed. Look round before moving: LATE_TICK.
+* The driver reports whether the controller is error passive or off the bus, and whether it accepts
+  frames.
+* The driver may report how many own frames were sent (`agent.interface.ports.Confirming`). If none
+  was sent for a silence timeout, the robot cannot be received. On a bus full of more urgent frames no
+  stop can be received either. Both raise UNHEARD. A stop has a higher priority than a robot's other
+  frames, so if those were sent, a stop could be sent too.
+* Each member names in each beat one other member that it receives, in rotation. If no member names
+  this robot for one rotation plus a silence timeout, its frames do not arrive: UNHEARD. This also
+  detects a link that is dead in one direction, which no driver can detect.
+* A robot that receives no member may go on alone, by its policy, only while its driver confirms that
+  its frames are sent. On an interface without confirmation it stands still until it is named again.
+* A control period that begins after the last drive command has expired was missed: the actuator has
+  stopped, and the surroundings may have changed. So the robot waits before it moves: LATE_TICK.
 """
 
 from collections.abc import Sequence
@@ -27,40 +28,37 @@ if TYPE_CHECKING:
     from agent.peer.peer import Peer
 
 ACTIVE, PASSIVE, OFF = Health.ACTIVE, Health.PASSIVE, Health.OFF  # looked up twenty times a second
-PASSIVE_US = 1 * S  # a burst of errors passes; a broken wire does not
-ROUND_MAX = (
-    20  # beats: of n others each names us once in n; that all miss us so long has odds e^-20
-)
-LATE_HOLD_US = 1 * S  # a robot that was frozen looks around before it moves
+PASSIVE_US = 1 * S  # a burst of errors is shorter; a broken wire is not
+# Beats. Each of n others names us once in n beats, so the odds that all miss us this long are e^-20.
+ROUND_MAX = 20
+LATE_HOLD_US = 1 * S  # a robot whose control froze waits this long before it moves
 NEVER_US: Final = -(1 << 62)
 FOREVER_US: Final = 1 << 62
-URGENT: Final = (
-    3  # frames up to this priority are sent although nothing leaves: stops, resets, proofs
-)
-PROBE_US: Final = (
-    2 * S
-)  # one other frame is, so often: a bus that has lost what it took shows it is back
+# Frames up to this priority are queued even if no frame is sent: stops, resets, proofs.
+URGENT: Final = 3
+# One other frame is queued this often, to detect that a bus that lost its queue works again.
+PROBE_US: Final = 2 * S
 
 
 class SelfCheck:
     def __init__(self, peer: "Peer", now_us: int) -> None:
         self.peer = peer
-        self.reflected_us = NEVER_US  # when somebody last said that it hears us
-        self.clogged = False  # our frames do not leave: do not add to those that wait
+        self.reflected_us = NEVER_US  # when a member last named us as received
+        self.clogged = False  # our frames are not sent: do not add to the queue
         self._health = ACTIVE
-        self._passive_us: int | None = None  # since when, where it is so
+        self._passive_us: int | None = None  # since when it is error passive; None: it is not
         self._refused_us: int | None = None
-        self._sent: int | None = None  # frames that have left; None: the interface does not tell
-        self._left_us = NEVER_US  # one had not left before this
+        self._sent: int | None = None  # frames sent; None: the interface does not report it
+        self._left_us = NEVER_US  # the newest confirmed frame was sent at this time or later
         self._looked_us = now_us  # when the driver was asked last
-        self._well_us: int | None = None  # since when we are heard again, while UNHEARD holds on
+        self._well_us: int | None = None  # since when we are received again, while UNHEARD holds
         self._probed_us = now_us
-        self._fresh_us = now_us  # before this nothing that we said as a member can be missed
+        self._fresh_us = now_us  # before this, missing confirmations mean nothing: we just joined
 
     def bus(
         self, health: Health, taken: bool, now_us: int, sent: int | None = None
     ) -> Sequence[Effect]:
-        """What the driver says: its state, whether it took the last frame, and how many have left."""
+        """The driver's report: its state, whether it took the last frame, how many were sent."""
         was, self._health = self._health, health
         self._refused_us = None if taken else _first(self._refused_us, now_us)
         self._passive_us = _first(self._passive_us, now_us) if health is PASSIVE else None
@@ -80,11 +78,11 @@ class SelfCheck:
 
     @property
     def controller(self) -> Health:
-        """The state of the controller, as its driver said it last."""
+        """The state of the controller, as last reported by its driver."""
         return self._health
 
     def lets_out(self, frame: Frame, now_us: int) -> bool:
-        """Whether this frame is sent although none of ours leaves."""
+        """Whether this frame is queued although none of our frames is being sent."""
         if frame.identifier >> 26 <= URGENT:
             return True
         if now_us - self._probed_us < PROBE_US:
@@ -94,12 +92,12 @@ class SelfCheck:
 
     @property
     def _stall_us(self) -> int:
-        """From then on none of our frames has left for a silence."""
+        """The time at which no frame of ours was sent for a silence timeout."""
         return self._left_us + self.peer.beat.silence_us
 
     @property
     def deadline_us(self) -> int:
-        """When our frames may have been stuck for a silence. A control period sees what was so before."""
+        """When our frames may be stuck for a silence timeout; later checks run each control period."""
         stall_us = self._stall_us
         return FOREVER_US if self._sent is None or stall_us <= self._looked_us else stall_us
 
@@ -108,7 +106,7 @@ class SelfCheck:
         return stuck and not self.peer.safety.holds(StopCause.UNHEARD)
 
     def look(self, late_us: int, now_us: int) -> list[Effect]:
-        """Once a control period, which comes `late_us` after its time, and when our frames are stuck."""
+        """Called once a control period, `late_us` after its due time, and when frames are stuck."""
         effects: list[Effect] = []
         passive = self._passive_us is not None and now_us - self._passive_us >= PASSIVE_US
         why = self._unheard(now_us)
@@ -122,7 +120,7 @@ class SelfCheck:
         return effects
 
     def _holds_on(self, why: str, now_us: int) -> bool:
-        """A silence longer than its reason: stops that have waited with our frames come first."""
+        """Hold UNHEARD a silence timeout longer, so that stops queued with our frames arrive first."""
         if why or not self.peer.safety.holds(StopCause.UNHEARD):
             self._well_us = None
             return bool(why)
@@ -130,10 +128,10 @@ class SelfCheck:
         return now_us - self._well_us < self.peer.beat.silence_us
 
     def _unheard(self, now_us: int) -> str:
-        """Why nothing we say arrives, as far as we know; empty where it does."""
+        """Why our frames do not arrive, as far as we know; empty if they do."""
         peer = self.peer
         if not peer.joining.joined:
-            self.reflected_us = self._left_us = NEVER_US  # nothing is said yet
+            self.reflected_us = self._left_us = NEVER_US  # we have sent nothing yet
             return ""
         silence_us, others = peer.beat.silence_us, len(peer.membership.live) - 1
         if self._refused_us is not None and now_us - self._refused_us >= silence_us:
@@ -144,7 +142,7 @@ class SelfCheck:
             return "" if self._sent is not None else "nobody is heard, and no frame is confirmed"
         limit_us = silence_us + min(others, ROUND_MAX) * peer.beat.pose_us
         since_us = self.reflected_us
-        if self._sent is not None:  # it is heard by the bus; a new member needs its time to name us
+        if self._sent is not None:  # frames are sent; a new member needs time to name us
             since_us = max(since_us, peer.membership.changed_us)
         return "" if now_us - since_us <= limit_us else f"none of {others} members hears us"
 

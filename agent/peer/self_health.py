@@ -1,8 +1,8 @@
-"""How well a robot is, as its heartbeats say: 0.0 failed to 1.0 healthy.
+"""The health of a robot as its heartbeats report it: 0.0 failed to 1.0 healthy.
 
-The number is the lowest of what the robot knows of itself: battery, machine, bus, disk, senses and
-computer. Every rule is in the tables below. The number tells people where to look. No robot decides by
-it: causes say who stands, claims say who works, and votes say who leads.
+The number is the lowest of the readings that the robot has of itself: battery, machine, bus, disk,
+senses and computer. Every rule is in the tables below. The number shows people where to look. No
+robot decides by it: causes stop robots, claims assign work, and votes elect the leader.
 """
 
 from collections.abc import Collection, Mapping
@@ -14,12 +14,12 @@ from agent.peer.sense_freshness import AGE_MAX_US
 from agent.safety.stop_cause import StopCause
 from protocol.controller_health import Health
 
-FINE: Final = 1.0  # nothing is known against it
-WARNED: Final = 0.75  # it does all of its work; somebody should look at it before it gets worse
+FINE: Final = 1.0  # no fault is known
+WARNED: Final = 0.75  # it works fully; a person should check it before it gets worse
 DEGRADED: Final = 0.5  # it still works, without any reserve
-HOLDS: Final = 0.25  # the robot stands because of it, and may go on by itself
+HOLDS: Final = 0.25  # the robot stands still because of it, and may go on by itself
 FAILED: Final = 0.0  # it does not work
-POOR: Final = DEGRADED  # a source at this or below is told in the traces
+POOR: Final = DEGRADED  # a source at this value or below is reported in the traces
 
 
 class Source(Enum):
@@ -32,25 +32,25 @@ class Source(Enum):
 
 
 class Reading(NamedTuple):
-    """What one source says. `share`: 0.0 failed to 1.0 healthy."""
+    """The reading of one source. `share`: 0.0 failed to 1.0 healthy."""
 
     share: float
     source: Source
-    why: str  # empty where it is fine
+    why: str  # empty if it is fine
 
 
 class Known(NamedTuple):
-    """What a robot knows of itself. A None says that there is nothing to know."""
+    """What a robot knows about itself. None means that there is no such source."""
 
     battery: float | None  # share of a full charge
-    machine: float | None  # what the controller of the machine says of itself, 0 to 1
+    machine: float | None  # self-reported health of the machine's controller, 0 to 1
     bus: Health
     causes: Collection[StopCause]
     sense_age_us: int | None  # of the newest observation
-    senses_expected: bool  # it drives by its senses, or has sensed before
+    senses_expected: bool  # it needs its senses to drive, or has sensed before
 
 
-# The controller's own word, ISO 11898-1: warning from 96 errors, passive from 128, off from 256.
+# The controller's own state, ISO 11898-1: warning from 96 errors, passive from 128, off from 256.
 OF_BUS: Final[Mapping[Health, tuple[float, str]]] = {
     Health.ACTIVE: (FINE, ""),
     Health.WARNING: (WARNED, "the controller counts many errors"),
@@ -67,7 +67,7 @@ OF_CAUSE: Final[Mapping[StopCause, tuple[float, Source]]] = {
     StopCause.DISK_ERROR: (FAILED, Source.DISK),  # an error while writing, a full disk among them
     StopCause.BOOT_UNCONFIRMED: (HOLDS, Source.DISK),  # it has lost what it had written
     StopCause.SENSES_OLD: (HOLDS, Source.SENSES),  # lower while they are old; see `_senses`
-    StopCause.PLACE_FROZEN: (FAILED, Source.SENSES),  # it says a place that it does not have
+    StopCause.PLACE_FROZEN: (FAILED, Source.SENSES),  # the sensed place is wrong
     StopCause.LATE_TICK: (DEGRADED, Source.COMPUTER),
 }
 NOT_OF_ITSELF: Final = frozenset({
@@ -79,7 +79,7 @@ NOT_OF_ITSELF: Final = frozenset({
 
 
 def readings(known: Known) -> list[Reading]:
-    """What each source says that there is, worst first."""
+    """The reading of each available source, worst first."""
     found = [Reading(*_bus(known.bus)), _senses(known)]
     if known.battery is not None:
         found.append(_told(known.battery, Source.BATTERY, "charged to"))
@@ -93,7 +93,7 @@ def readings(known: Known) -> list[Reading]:
 
 
 def health(known: Known) -> float:
-    """The lowest of what the sources say: 0.0 failed to 1.0 healthy."""
+    """The lowest reading of all sources: 0.0 failed to 1.0 healthy."""
     return readings(known)[0].share
 
 
@@ -103,13 +103,13 @@ def _bus(controller: Health) -> tuple[float, Source, str]:
 
 
 def _told(share: float, source: Source, word: str) -> Reading:
-    """A share that is told from outside the core. One that is no number is a failed source."""
+    """A share that comes from outside the core. NaN counts as a failed source."""
     share = min(max(share, FAILED), FINE) if share == share else FAILED
     return Reading(share, source, "" if share == FINE else f"{word} {share:.0%}")
 
 
 def _senses(known: Known) -> Reading:
-    """Fine for a control period, then less, down to half at the age that stops the robot; then failed."""
+    """Fine for one control period, then falling to 0.5 at the age that stops the robot, then failed."""
     if not known.senses_expected:
         return Reading(FINE, Source.SENSES, "")
     age_us = known.sense_age_us
@@ -125,7 +125,7 @@ def _senses(known: Known) -> Reading:
 
 
 def health_table() -> str:
-    """The table in the documents."""
+    """The Markdown table of all health rules for the documents."""
     limit_ms, fine_ms = AGE_MAX_US // 1000, CONTROL_PERIOD_US // 1000
     rows = [
         (

@@ -1,10 +1,10 @@
-"""Whether what a robot senses is of now: senses that are absent, old or frozen stop it.
+"""Whether the senses of a robot are current: absent, old or frozen senses stop it.
 
-An observation says when it was sensed. Without a younger one than `AGE_MAX_US` the robot does not know
-where it is. A receiver whose filter hangs sends the same place with new times: that shows when the wheels
-are told to drive and the place stays. Two control periods of a drive at full speed are enough to tell,
-and from standing a tenth of a metre. A robot whose wheels spin cannot be told from one whose place is
-frozen, and stands as well.
+An observation carries the time at which it was sensed. Without one younger than `AGE_MAX_US` the
+robot does not know where it is. A receiver with a hung filter sends the same place with new times.
+This shows when the wheels are commanded to drive and the place does not change: two control periods
+at full speed are enough to detect it, and a tenth of a metre from standstill. Spinning wheels look
+the same as a frozen place, so the robot stops in this case as well.
 """
 
 from math import cos, hypot, pi, radians, remainder, sin
@@ -18,64 +18,65 @@ from agent.safety.stop_cause import StopCause
 if TYPE_CHECKING:
     from agent.peer.peer import Peer
 
-# Two missed control periods, as long as a drive command lives. Noticed one period later at most, a robot
-# drives 0.15 s: 0.38 m at 2.5 m/s. It plans to brake with 0.7 of what it has (`BRAKING_SHARE`), so that
-# 0.89 m of its way before a fence are spare at that speed; below 1 m/s `MARGIN_M`, 0.15 m, is enough.
+# Two missed control periods, the lifetime of a drive command. It is detected at most one period later,
+# so the robot drives 0.15 s: 0.38 m at 2.5 m/s. It plans to brake with 0.7 of its deceleration
+# (`BRAKING_SHARE`), which leaves 0.89 m of reserve before a fence at that speed. Below 1 m/s
+# `MARGIN_M`, 0.15 m, is enough.
 AGE_MAX_US: Final = 2 * CONTROL_PERIOD_US
-STEADY_US: Final = 1 * S  # so long they must be in time again before it drives on
-STAYS_M: Final = 0.005  # a place that moves less has not moved; a filter that hangs repeats itself
-FROZEN_M: Final = 0.1  # so much way without a change of place, in two periods at least
-TURNED_RAD: Final = radians(1.0)  # a heading that changes more is not frozen with the place
-# Of what wheels can accelerate: slip, and a drive that follows late. Brakes are expected to act at once.
+STEADY_US: Final = 1 * S  # the senses must be in time for this long before it drives on
+STAYS_M: Final = 0.005  # a smaller change is no movement; a hung filter repeats the same place
+FROZEN_M: Final = 0.1  # expected travel without a change of place, over two periods at least
+TURNED_RAD: Final = radians(1.0)  # if the heading changes more, it is not frozen with the place
+# Share of the wheels' acceleration: allows for slip and drive lag. Brakes are assumed to act instantly.
 ACCELERATION_SHARE: Final = 0.5
-ACCELERATION_M_S2: Final = 0.5  # where the body's own is not known
+ACCELERATION_M_S2: Final = 0.5  # used if the acceleration of the body is not known
 assert AGE_MAX_US <= ACTUATOR_TTL_US
 
 
 class Senses:
-    """One robot's: watched in each control period, before anything is decided."""
+    """Watches one robot's senses in each control period, before any decision."""
 
     def __init__(self, peer: "Peer") -> None:
         self.peer = peer
-        self.current = False  # the place that we tell is the one that we are at
-        self._sensed_us: int | None = None  # of the newest observation
+        self.current = False  # whether the sensed place is our current place
+        self._sensed_us: int | None = None  # time of the newest observation
         self._compared_us: int | None = (
-            None  # of the observation that was last compared with the wheels
+            None  # time of the observation last compared with the wheels
         )
-        self._late_us = 0  # when they were last old
-        self._drive: Drive = HALT  # in force since the last period
-        self._anchor: Observation | None = None  # the place since which nothing has changed
+        self._late_us = 0  # when the senses were last old
+        self._drive: Drive = HALT  # the command in force since the last period
+        self._anchor: Observation | None = None  # the last observation at which the place changed
         self._anchor_us = 0
-        self._periods = 0  # observations since then
-        self._changed = False  # the place, in this period
-        self._expected_m_s = self._expected_m = 0.0  # what the wheels must have done since then
+        self._periods = 0  # observations since the anchor
+        self._changed = False  # whether the place changed in this period
+        self._expected_m_s = self._expected_m = 0.0  # speed and travel expected since the anchor
 
     def take(self, seen: Observation | None) -> None:
-        """What the body senses now, or that it senses nothing."""
+        """The current observation, or None."""
         if seen is not None:
             self._sensed_us = seen.sensed_at_us
 
     def age_us(self, now_us: int) -> int | None:
-        """Of the newest observation; None: nothing was ever sensed."""
+        """Age of the newest observation; None if there never was one."""
         return None if self._sensed_us is None else now_us - self._sensed_us
 
     @property
     def expected(self) -> bool:
-        """The robot drives by its senses, or has sensed before."""
+        """Whether the robot needs its senses to drive, or has sensed before."""
         peer = self.peer
         drives = peer.mission is not None and peer.motion is not None
         return drives or self._sensed_us is not None
 
     def drove(self, drive: Drive) -> None:
-        """What the wheels were told."""
+        """The command that the wheels were given."""
         self._drive = drive
 
     def started(self) -> None:
-        """An operator's start: look again whether the place follows the wheels."""
+        """An operator's start: restart the check whether the place follows the wheels."""
         self._anchor = None
 
     def look(self, now_us: int) -> list[Effect]:
-        """Once a control period. What has neither a drive nor senses is not held by them."""
+        """Called once a control period. A robot with neither drive nor senses is not held."""
         peer = self.peer
         if not self.expected:
             self.current = False
@@ -97,7 +98,7 @@ class Senses:
         return effects
 
     def _old(self, now_us: int) -> str:
-        """Why what is sensed is not of now; empty where it is."""
+        """Why the senses are not current; empty if they are."""
         if self._sensed_us is None:
             return "nothing is sensed"
         age_us = now_us - self._sensed_us
@@ -106,7 +107,7 @@ class Senses:
         return f"sensed {age_us / 1000:.0f} ms ago" if age_us > 0 else "sensed in the future"
 
     def _frozen(self, sensed_us: int) -> str:
-        """Why the place does not follow the wheels; empty where it does, or need not."""
+        """Why the place does not follow the wheels; empty if it does or need not."""
         here, anchor = self.peer.here, self._anchor
         assert here is not None
         away_m = 0.0
@@ -122,7 +123,7 @@ class Senses:
         since_us = sensed_us if self._compared_us is None else self._compared_us
         passed_s = (
             min(max(sensed_us - since_us, 0), ACTUATOR_TTL_US) / S
-        )  # then the command is void
+        )  # after the lifetime of the command it is void
         told_m_s = self._told_m_s(here, anchor)
         faster_m_s = self._expected_m_s + self._acceleration_m_s2 * passed_s
         self._expected_m_s = min(told_m_s, faster_m_s)
@@ -133,8 +134,9 @@ class Senses:
         return f"told to drive {self._expected_m:.2f} m, moved {away_m * 1000:.0f} mm"
 
     def _told_m_s(self, here: Observation, anchor: Observation) -> float:
-        """The speed that the wheels were told. A body that steers drives along its heading only: while it
-        turns, that part counts."""
+        """The commanded speed of the wheels.
+
+        A steered body drives along its heading only, so while it turns only that component counts."""
         vx_m_s, vy_m_s = self._drive.vx_m_s, self._drive.vy_m_s
         if abs(remainder(here.heading_rad - anchor.heading_rad, 2 * pi)) <= TURNED_RAD:
             return hypot(vx_m_s, vy_m_s)

@@ -1,9 +1,9 @@
-"""A robot that wants to drive and gets nowhere: when to plan again, and when to say so on the bus.
+"""Detects a robot that wants to drive and makes no progress: when to replan, when to report it.
 
-Whatever holds it (a leg too near a wall, two robots with one wish, a wheel that does not turn), it
-must not stand silently for ever. The same watch serves every mission:
-`agent/peer/control_cycle.py` asks it once a control period, tells the mission to plan again, and
-says the word.
+Whatever holds the robot (a leg too near a wall, two robots that want the same place, a wheel that
+does not turn), it must not stand still unnoticed for ever. The same watchdog serves every mission:
+`agent/peer/control_cycle.py` calls it once a control period, makes the mission replan, and sends the
+report.
 """
 
 from enum import IntEnum
@@ -15,29 +15,29 @@ from agent.interface.config import CONTROL_PERIOD_US, S
 Point = tuple[float, float]
 
 WANTS_M_S: Final = 0.05  # a robot that wants less than this is not held up
-GOT_ON_M: Final = 0.4  # moved this far: no stall; at creep speed that takes 4 s
-ALONE_US: Final = 5 * S  # nobody near: nothing that time alone would change
-CROWDED_US: Final = 14 * S  # somebody near: a refuge lasts 10 s, and waiting for the other 4 s more
-TOLD_AFTER: Final = 2  # so many plans in one place did not help: people are told
-FORGET_US: Final = 2 * CONTROL_PERIOD_US  # not asked for longer: it was not allowed to drive
+GOT_ON_M: Final = 0.4  # a robot that has moved this far is not stalled; at creep speed it takes 4 s
+ALONE_US: Final = 5 * S  # with no robot near, waiting longer would change nothing
+CROWDED_US: Final = 14 * S  # with a robot near: a refuge lasts 10 s, waiting for the other 4 s more
+TOLD_AFTER: Final = 2  # after this many replans in one place, people are notified
+FORGET_US: Final = 2 * CONTROL_PERIOD_US  # a longer gap between calls: it was not allowed to drive
 
 
 class Advice(IntEnum):
     REPLAN = 1
-    TELL = 2  # plan again, and say so
+    TELL = 2  # plan again, and report the stall on the bus
 
 
 class Stall:
-    """One robot's."""
+    """The stall watchdog of one robot."""
 
     def __init__(self) -> None:
-        self.plans = 0  # made since it last got on
-        self.seen = 0  # stalls in all
+        self.plans = 0  # replans since it last made progress
+        self.seen = 0  # total number of stalls
         self._anchor: Point = (0.0, 0.0)
         self._since_us = self._asked_us = 0
 
     def look(self, at: Point, wants_m_s: float, crowded: bool, now_us: int) -> Advice | None:
-        """Each control period in which it may drive. `crowded`: somebody near may be waited for."""
+        """Called each control period in which it may drive. `crowded`: another robot is near."""
         lapsed = now_us - self._asked_us > FORGET_US
         self._asked_us = now_us
         moved_m = hypot(at[0] - self._anchor[0], at[1] - self._anchor[1])

@@ -1,9 +1,9 @@
 """A person releases the fleet's stops from the computer of one machine.
 
 The authority is the same as everywhere: in a fleet with keys the operator's keyring, which the machine
-does not hold, signs every order, and each robot asks it where its counter is. Orders name the stops that
-this machine held when the release began, so a stop that is pressed meanwhile stays. Robots are asked what
-they hold still: `outstanding` says who does.
+does not hold, signs every order, and each robot may challenge its counter. Orders name the stops that
+this machine held when the release began, so a stop that is pressed meanwhile stays. Robots are asked
+which stops they still hold: `outstanding` lists the robots that hold one.
 """
 
 from collections.abc import Sequence
@@ -18,28 +18,28 @@ from protocol.frames.work_frames import STOPS, StateSyncRequest
 if TYPE_CHECKING:
     from agent.peer.peer import Peer
 
-KEYLESS_OPERATOR: Final = 249  # in orders of a fleet without keys
-NAMED_MAX: Final = 64  # resets by name; more are cleared in sum
+KEYLESS_OPERATOR: Final = 249  # operator number in orders of a fleet without keys
+NAMED_MAX: Final = 64  # resets by dot; further stops are cleared by the digest
 SAID_WITH_TAGS: Final = 2  # robots act on two frames that agree
 
 
 class Release:
     def __init__(self, peer: "Peer", operator: Keyring | None, question: int) -> None:
-        """`operator`: of a person's key; None in a fleet without keys. `question`: 48 bits, used once."""
+        """`operator`: keyring of the person; None without keys. `question`: 48 bits, used once."""
         self.peer, self.operator, self._question = peer, operator, question
         held = peer.safety.held_stops
         self.digest = held.digest if held.stops else None
         self.dots: tuple[StopDot, ...] = tuple(sorted(peer.safety.stops.active))[:NAMED_MAX]
-        self._told: dict[int, StopsHeld] = {}  # by others, since we asked
+        self._told: dict[int, StopsHeld] = {}  # slot -> its answer since we asked
 
     def hear(self, slot: int, m: StopsHeld) -> None:
-        """What another robot says that it holds."""
+        """Another robot's answer about the stops that it holds."""
         authority = self.peer.safety.authority
         if m.slot == slot and authority.vouch(m._replace(tag=0), self._question) == m:
             self._told[slot] = m
 
     def say(self, now_us: int) -> list[Effect]:
-        """All orders and the question, to the others and to this machine."""
+        """All orders and the question, sent to the others and applied to this machine."""
         number = KEYLESS_OPERATOR if self.operator is None else self.operator.sender
         orders: list[HeldReset | EmergencyReset] = []
         if self.digest is not None:
@@ -55,7 +55,7 @@ class Release:
 
     @property
     def outstanding(self) -> list[int]:
-        """Members that hold a stop, or stand stopped and have not said that they hold none."""
+        """Members that hold a stop, or are stopped and have not answered that they hold none."""
         peer, found = self.peer, list[int]()
         if peer.safety.stops.latched or peer.safety.far.latched:
             found.append(peer.slot)
@@ -74,7 +74,7 @@ class Release:
         return self.operator.sign(order)
 
     def _obey(self, order: HeldReset | EmergencyReset, now_us: int) -> Sequence[Effect]:
-        """This machine judges the order like one from the bus. What it asks the operator stays inside."""
+        """Apply the order like one from the bus. A challenge to the operator is answered here."""
         safety = self.peer.safety
         if isinstance(order, HeldReset):
             effects = safety.receive_held_reset(order, now_us)

@@ -1,4 +1,4 @@
-"""Why another robot stands or creeps, as it tells it on the bus: one cause a frame, each in turn."""
+"""The causes for which another robot stands or creeps, as it reports them: one a frame, in turn."""
 
 from typing import Final
 
@@ -6,16 +6,16 @@ from agent.interface.config import S
 from agent.safety.stop_cause import Severity, cause_of, sentence
 from protocol.frames.fleet_frames import Standstill
 
-# A cause is told each 1 to 1.4 s, one of several in turn; two frames may be lost.
+# A robot reports one cause each 1 to 1.4 s, several in rotation; two frames may be lost.
 FORGET_US: Final = 4 * S
 
 
 class ToldCauses:
-    """Of one robot."""
+    """The causes reported by one robot."""
 
     def __init__(self) -> None:
         self._told: dict[int, tuple[Standstill, int]] = {}  # cause -> its newest frame, and when
-        self._number = 0  # of causes that hold it now, as the newest frame says
+        self._number = 0  # number of its causes now, from the newest frame
 
     def hear(self, m: Standstill, now_us: int) -> None:
         self._number = m.causes
@@ -25,7 +25,7 @@ class ToldCauses:
         self._told[m.cause] = m, now_us
 
     def moves(self) -> None:
-        """Its heartbeat says that it may move: what it tells can only slow it down."""
+        """Its heartbeat reports that it may move, so only causes that slow it down remain."""
         self._told = {
             cause: seen for cause, seen in self._told.items()
             if (known := cause_of(cause)) is not None and known.severity is Severity.SLOW
@@ -33,18 +33,18 @@ class ToldCauses:
         self._number = len(self._told)
 
     def forget(self) -> None:
-        """All: what is told from now on is of now."""
+        """Forget all causes; only later frames count."""
         self._told.clear()
         self._number = 0
 
     def fresh(self, now_us: int) -> list[Standstill]:
-        """The newest frame of each cause that it still tells, worst first."""
+        """The newest frame of each cause that it still reports, worst first."""
         limit_us = FORGET_US * max(1, len(self._told), self._number)
         known = [m for m, heard_us in self._told.values() if now_us - heard_us <= limit_us]
         return sorted(known, key=lambda m: m.place)
 
     def missing(self, now_us: int) -> int:
-        """How many causes it has that it has not told in the time that we have listened."""
+        """How many of its causes we have not received yet."""
         known = len(self.fresh(now_us))
         return max(0, self._number - known) if known else 0
 

@@ -1,9 +1,10 @@
-"""Stops from addresses whose NAME is not known: how long they are doubted, and what ends it.
+"""Stops from addresses whose NAME is not known: how long they are in doubt, and what ends the doubt.
 
-Another maker's frame of the same group is no stop, so such a frame does not latch at once. But a robot of
-ours or an operator's device may have said it, whose claim was missed. The robot stands while it doubts,
-and asks for the NAME (`RollCall.urge`). The claim decides; without one within `DOUBT_US` the stop is
-believed: a robot that stands for nothing costs a reset, one that drives on may cost more.
+Another maker's frame of the same group is not a stop, so such a frame does not latch immediately. But
+the sender may be a robot of ours or an operator's device whose claim was missed. The robot stands
+still during the doubt and asks for the NAME (`MemberDiscovery.urge`). The claim decides. Without one
+within `DOUBT_US` the stop is accepted, because a needless stop costs a reset and driving on may cost
+more.
 """
 
 from typing import NamedTuple
@@ -14,7 +15,7 @@ from protocol.frames.segment_frames import FleetStop
 
 DOUBT_US = 1 * S  # five questions and their answers, each within 0.2 s (J1939-81)
 ASK_US = 200 * MS  # between these questions, by all robots together
-STOPS_MAX = 16  # of one address: one is enough to hold us
+STOPS_MAX = 16  # stops kept of one address; one is enough to hold us
 FOREVER = 1 << 62
 
 AnyStop = EmergencyStop | FleetStop
@@ -33,11 +34,11 @@ class Doubts:
         self.deadline_us = FOREVER
 
     def believes(self, address: int) -> bool:
-        """It was asked in vain: from there a stop is a stop."""
+        """Whether it was asked without an answer, so that its stops are accepted."""
         return address in self._believed
 
     def hold(self, address: int, stop: AnyStop, now_us: int) -> int:
-        """Keep a stop until it is known who says it; returns until when, at the latest."""
+        """Keep a stop until its sender is known; returns the latest time for that."""
         since_us = self._since_us.setdefault(address, now_us)
         if since_us > now_us:  # our clock was set back
             since_us = self._since_us[address] = now_us
@@ -50,12 +51,12 @@ class Doubts:
         return since_us + DOUBT_US
 
     def end(self, address: int) -> list[tuple[int, AnyStop]]:
-        """Its NAME is known: what it has said, each stop when it was heard first and last."""
+        """Its NAME is known: its stops, each with the times of first and last reception."""
         self._believed.discard(address)
         return self._end(address)
 
     def overdue(self, now_us: int) -> list[tuple[int, int, AnyStop]]:
-        """Of addresses that have not answered in time: address, when it was heard, and the stop."""
+        """Stops of addresses that did not answer in time: address, time of reception, stop."""
         if now_us < self.deadline_us:
             return []
         late = [a for a, since_us in self._since_us.items() if now_us >= since_us + DOUBT_US]

@@ -1,9 +1,9 @@
-"""Which work that is told may be true at all: asked at the door, before anything is joined.
+"""Plausibility check of received work frames, before they are merged into the replica.
 
-Replicas must become equal, so what is refused for good depends on nothing but the configuration that all
-robots of a fleet share: the sections of its field and its members. A register whose epoch is higher than
-the hand-overs of the time since boot explain is only put off: a robot that was away is told it again
-until it believes it, and a few forged frames are not believed.
+Replicas must become equal, so permanent refusal depends only on the configuration that all robots of
+a fleet share: the sections of its field and its members. A register whose epoch is higher than the
+hand-overs since boot explain is only deferred: a robot that was away receives it again until it
+accepts it, while a few forged frames are not accepted.
 """
 
 from collections import Counter
@@ -15,27 +15,26 @@ from protocol.frames.work_frames import StateSyncResponse, TaskClaim, WorkProgre
 # Hand-overs of one section: a fault of the fleet costs one or two, and its lease lasts 20 s.
 EPOCH_BURST = 16
 EPOCH_EVERY_US = 10 * S
-# However long it runs, or its clock says so: an hour would explain all 255. Higher ones are put off.
+# Upper limit regardless of the uptime, because an hour would explain all 255. Higher epochs are
+# deferred.
 EPOCH_EXPLAINED_MAX = 64
-PERSISTS_US = 3 * S  # told again after this: sync repeats what differs
+PERSISTS_US = 3 * S  # accepted if received again after this, because sync repeats differences
 FORGOTTEN_US = 60 * S  # sync asks at least every 38 s
-PUT_OFF_MAX = (
-    256  # sections of which an improbable epoch was told; of more the oldest are forgotten
-)
+PUT_OFF_MAX = 256  # sections with a deferred epoch; beyond that the oldest are dropped
 
 Work = TaskClaim | StateSyncResponse | WorkProgress
 
 
 class Admission:
     def __init__(self, sections: AbstractSet[int], owners: AbstractSet[int], now_us: int) -> None:
-        """`sections`: of the field; empty: any. `owners`: slots that may hold a section."""
+        """`sections`: those of the field; empty: any. `owners`: slots that may hold a section."""
         self.sections, self.owners = sections, owners
         self.refused: Counter[str] = Counter()  # why -> frames
         self._boot_us = now_us
         self._put_off: dict[int, tuple[int, int, int]] = {}  # section: epoch, first and last told
 
     def admits(self, message: Work, now_us: int) -> bool:
-        """False: counted, and not to be joined."""
+        """Whether the frame may be merged; a refused one is counted."""
         if self.sections and message.section not in self.sections:
             self.refused["section"] += 1
             return False

@@ -1,4 +1,4 @@
-"""`FleetCoordinationEngine`: the asyncio face of one peer, with the API of the protocol document.
+"""`FleetCoordinationEngine`: the asyncio interface of one peer, with the API of the protocol document.
 
     engine = FleetCoordinationEngine("tractor_001", open_bus("socketcan", "can0", 250_000))
     await engine.start()
@@ -6,8 +6,8 @@
         ...
         await engine.release_section("S7")
 
-Everything it says and decides is said and decided by `agent/peer/peer.py`; nothing here but names,
-waiting and callbacks.
+All frames and decisions come from `agent/peer/peer.py`; this module only adds names, waiting and
+callbacks.
 """
 
 import asyncio
@@ -44,7 +44,7 @@ from protocol.name import fleet_name
 log = logging.getLogger(__name__)
 
 CLEAR_TIMEOUT_S = 5.0  # two robots of a quiet bus need 0.5 s
-CLEAR_STEP_S = 0.15  # robots answer a question for stops at most each 0.1 s
+CLEAR_STEP_S = 0.15  # robots answer a question about held stops at most every 0.1 s
 QUESTION_BITS = 48
 JOIN_TIMEOUT_S = 5.0  # address claim 0.4 s, a first sync 2 s; beyond it something is wrong
 
@@ -55,8 +55,8 @@ class Cleared(NamedTuple):
     stops: tuple[str, ...]  # that held this machine, by name
     holding: tuple[
         str, ...
-    ]  # machines that hold a stop still, or have not said that they hold none
-    silent: tuple[str, ...]  # members that nobody hears: nobody knows what they hold
+    ]  # machines that still hold a stop, or have not answered that they hold none
+    silent: tuple[str, ...]  # silent members: whether they hold a stop is unknown
 
     @property
     def complete(self) -> bool:
@@ -83,9 +83,9 @@ class FleetCoordinationEngine:
         first_boot: bool = False,
         keys: Keys | None = None,
     ) -> None:
-        """`first_boot`: this machine is new. Without it an empty journal is a lost one, and the
-        robot stays latched until a person resets it. Without a journal nothing can be lost.
-        `keys`: of the fleet; without them anybody on the bus can stop and release it."""
+        """`first_boot`: this machine is new. Otherwise an empty journal counts as lost, and the robot
+        stays latched until a person resets it. Without a journal nothing can be lost.
+        `keys`: keys of the fleet; without them any device on the bus can stop and release it."""
         self.keys = keys
         self.first_boot = first_boot or journal is None
         if isinstance(isobus_interface, BusABC):
@@ -115,7 +115,7 @@ class FleetCoordinationEngine:
         self._on_state: list[Callable[[str], Any]] = []
         self._on_emergency: list[Callable[[dict[str, Any]], Any]] = []
         self._on_leader: list[Callable[[str | None], Any]] = []
-        self._led: str | None = None  # as the callbacks were told
+        self._led: str | None = None  # the leader last passed to the callbacks
         self._background: set[asyncio.Task[None]] = set()
 
     # ---------------------------------------------------------------- lifecycle
@@ -168,7 +168,7 @@ class FleetCoordinationEngine:
     def update(
         self, x_m: float, y_m: float, heading_rad: float, speed_m_s: float, health: float = 1.0
     ) -> None:
-        """What this machine's own sensors say now; its beats carry it from now on.
+        """The current reading of this machine's own sensors, sent in its beats from now on.
 
         Field frame: metres east and north, heading counter-clockwise from east in radians. `health`: 0.0
         failed to 1.0. After the first call, call it at least each 50 ms: old senses stop the machine.
@@ -191,7 +191,7 @@ class FleetCoordinationEngine:
         """
         try:
             won = await self._claim_section(section_id)
-        except TimeoutError:  # it may not start what it has claimed
+        except TimeoutError:  # it is not allowed to start its claimed section
             section = self.sections.number(section_id)
             self._operate(lambda p, now: p.release(section, now))
             self.refusal = "; ".join(self.stands) or f"in state {self.get_current_state()}"
@@ -212,7 +212,7 @@ class FleetCoordinationEngine:
         settled_s = 2.0 * CONTENTION_US / S
         if peer.claims.current is None:
             await self._wait(lambda: section not in peer.claims.contested_until_us, settled_s + 1.0)
-        else:  # claimed ahead: it is held, not yet started
+        else:  # claimed ahead, so it is held but not yet started
             await asyncio.sleep(CONTENTION_US / S)
         return peer.allocation.owner_of(section) == self.slot
 
@@ -289,7 +289,7 @@ class FleetCoordinationEngine:
     # ---------------------------------------------------------------- queries
 
     def get_fleet_status(self) -> dict[str, dict[str, Any]]:
-        """The last known status of every member heard, ourselves included, by tractor id."""
+        """The last known status of every received member, ourselves included, by tractor id."""
         peer, now_us = self._peer, PeerRunner.now_us()
         status: dict[str, dict[str, Any]] = {}
         for slot, standing in sorted(peer.membership.standing.items()):
@@ -329,10 +329,10 @@ class FleetCoordinationEngine:
 
     @property
     def speed_limit_m_s(self) -> float:
-        """How fast this machine may drive now: 0.0 it must stand, infinity it is free.
+        """The speed limit of this machine now: 0.0 means that it must stand, infinity that it is free.
 
-        Read it in each control period, before the wheels are told anything: it has the stops and
-        everything else that holds a machine. 0.0 while the engine is not started.
+        Read it in each control period, before commanding the wheels: it includes the stops and all
+        other stop causes. It is 0.0 while the engine is not started.
         """
         if self._shell is None or self._peer.safety.severity >= Severity.PAUSE:
             return 0.0
@@ -340,15 +340,15 @@ class FleetCoordinationEngine:
 
     @property
     def stands(self) -> list[str]:
-        """Why this machine stands or creeps and what a person can do, a line for each cause."""
+        """Why this machine stands still or creeps and what a person can do, a line for each cause."""
         return [sentence(c.number, about(c, why)) for c, why in self._peer.safety.causes]
 
     def leader(self) -> str | None:
-        """The elected leader, as this machine knows; None while there is none, or not started.
+        """The elected leader as this machine knows it; None if there is none, or before the start.
 
-        The leader alone answers a device that asks everybody for the state of the fleet. Use it for what
-        is done once by one machine, and does no harm where two do it for a while, or none: a cut has a
-        leader on each side. Never for stopping, claims or maps.
+        Only the leader answers a global request for the state of the fleet. Use it for tasks that one
+        machine should do once, and that do no harm if two machines or none do them for a while, because
+        a network cut has a leader on each side. Never use it for stopping, claims or maps.
         """
         slot = None if self._shell is None else self._peer.leader
         return None if slot is None else self._name(slot)
@@ -405,7 +405,7 @@ class FleetCoordinationEngine:
                 self._call(stop, self._emergency(effect))
         if effect.machine == "lifecycle":
             if effect.target == State.EMERGENCY_STOP.name and not self._told_of_stop:
-                for stop in self._on_emergency:  # latched by something else: a disk, a lost memory
+                for stop in self._on_emergency:  # latched by another cause: a disk, a lost memory
                     self._call(stop, self._emergency(effect, False))
             self._told_of_stop, self._state = False, effect.target
             for changed in self._on_state:
@@ -413,7 +413,7 @@ class FleetCoordinationEngine:
         self._changed.set()
 
     def _emergency(self, pressed: Trace, is_stop: bool = True) -> dict[str, Any]:
-        """Each stop, also one that comes while another holds: who pressed, why, and where it was last."""
+        """Data of each stop, also during another stop: presser, reason, and the presser's last place."""
         last = self._peer.safety.last_stop
         told: dict[str, Any] = {
             "why": f"stop: {pressed.why}" if is_stop else pressed.why, "from_state": self._state,
@@ -429,7 +429,7 @@ class FleetCoordinationEngine:
         return told | {"reason": reason.name, "slot": slot}
 
     def _call(self, callback: Callable[[Any], Any], argument: Any) -> None:
-        """Plain or async; what it raises is its own affair, and is logged."""
+        """Run a plain or async callback; its exceptions are logged and do not propagate."""
         try:
             result = callback(argument)
         except Exception:
@@ -454,5 +454,5 @@ class FleetCoordinationEngine:
 
 
 def _position(pose: Pose) -> dict[str, float] | None:
-    """None: it has never known where it is."""
+    """The position; None if the robot never knew its place."""
     return {"x_m": pose.x_m, "y_m": pose.y_m} if pose.x_m > NOWHERE_M else None

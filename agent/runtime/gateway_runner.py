@@ -1,6 +1,6 @@
-"""What carries frames, messages and time into a gateway, and its effects out.
+"""Passes frames, messages and time into a gateway, and performs its effects.
 
-It waits by whatever timers it is given: those of an asyncio loop (`headland bridge`) or of a swarm.
+It uses the timers that it is given: those of an asyncio loop (`headland bridge`) or of a simulation.
 """
 
 import logging
@@ -21,7 +21,7 @@ class Timer(Protocol):
 
 
 class Backbone(Protocol):
-    """What joins segments. A message may be lost, late or come twice; its sender does not hear it."""
+    """The link between segments: messages may be lost, late or duplicated, and have no loopback."""
 
     def publish(self, message: Publish) -> None: ...
     def subscribe(self, callback: Callable[[bytes], None]) -> None:
@@ -44,7 +44,7 @@ class GatewayShell:
         """`clock` and `at` in microseconds."""
         self.gateway, self.bus, self.backbone = gateway, bus, backbone
         self.on_effect = on_effect
-        self.frames = 0  # said on our bus
+        self.frames = 0  # count of frames sent on our bus
         self._clock, self._at = clock, at
         self._timer: Timer | None = None
         self._timer_us = 0
@@ -56,7 +56,7 @@ class GatewayShell:
         self._arm()
 
     def end(self) -> None:
-        """Without a word: another candidate notices."""
+        """End without a farewell; another candidate notices the silence."""
         self._open = False
         if self._timer is not None:
             self._timer.cancel()
@@ -94,7 +94,7 @@ class GatewayShell:
         due_us = self.gateway.deadline_us
         if self._timer is not None:
             if self._timer_us <= due_us:
-                return  # it wakes, finds nothing due, and is set again
+                return  # the timer fires earlier, finds nothing due, and is set again
             self._timer.cancel()
         self._timer_us = due_us
         self._timer = self._at(due_us, self._due)

@@ -1,7 +1,7 @@
-"""The only code that waits: it carries frames, observations and time into a peer, and effects out.
+"""The only code that waits: passes frames, observations and time into a peer, and performs its effects.
 
-The same shell runs on a robot (real time) and in `headland run` (virtual time); it knows neither.
-Frames are heard as they arrive; a tick comes when the peer's deadline does.
+The same runner works on a robot (real time) and in `headland run` (virtual time). Frames are processed
+as they arrive; a tick is called at the peer's deadline.
 """
 
 import asyncio
@@ -22,14 +22,14 @@ from protocol.frames.safety_frames import EmergencyStop
 log = logging.getLogger(__name__)
 
 BEAT_PGN = GROUP_OF[Pose].pgn
-INBOX_MAX = (
-    4096  # frames; two seconds of a full bus. A peer that far behind had better drop the rest
-)
+INBOX_MAX = 4096  # frames; two seconds of a full bus. A peer that is further behind drops the rest
 
 
 def _is_press(message: Message) -> bool:
-    """A pressed robot says so without an address, too: its dot names it, and its tag proves it. Echoes
-    need one: robots that echo at once under one identifier would destroy each other's frames."""
+    """Whether this is a press, which a robot also sends without an address.
+
+    Its dot names the robot, and its tag proves it. Echoes need an address, because simultaneous echoes
+    of several robots under one identifier would destroy each other's frames."""
     return isinstance(message, EmergencyStop) and not message.echo
 
 
@@ -53,17 +53,17 @@ class PeerRunner:
         self._armed_us = 0  # when the timer that is set will fire
         self._failure: Exception | None = None
         self._disk_failed = False
-        self._taken = True  # the bus took the last frame
+        self._taken = True  # whether the bus accepted the last frame
         self._confirming = bus if isinstance(bus, Confirming) else None
-        self.withheld = 0  # frames that were not sent because those before them do not leave
+        self.withheld = 0  # frames not queued because earlier frames are not being sent
         self._frozen_until_us = 0  # 0: not frozen
         self._shelving = bus if isinstance(bus, BatchedDelivery) else None
-        self._shelf: list[BufferedBeacon] = []  # calm beats, for the next turn
-        self._shelved = False  # they come there
+        self._shelf: list[BufferedBeacon] = []  # buffered routine beats, for the next turn
+        self._shelved = False  # whether the bus puts beats there
 
     @property
     def _local(self) -> Callable[[int], int] | None:
-        """From the time of the bus to ours; None: they are the same."""
+        """Converts bus time to our clock; None: they are the same."""
         return None
 
     @staticmethod
@@ -71,9 +71,10 @@ class PeerRunner:
         return round(asyncio.get_running_loop().time() * 1e6)
 
     def perform(self, effects: Sequence[Effect]) -> None:
-        """In order, without waiting: all of one input's effects, then the next input.
+        """Perform the effects in order, without waiting: all of one input before the next input.
 
-        What was to be durable first and is not, is not revealed: only what stops goes on after it.
+        If a record could not be made durable, the effects that depend on it are not sent. After that
+        only effects that stop the robot are performed.
         """
         now_us, records, durable = self.clock(), [], True
         for effect in effects:
@@ -109,8 +110,10 @@ class PeerRunner:
             self._persist(records)
 
     def _persist(self, records: list[Effect]) -> bool:
-        """Whether they are durable. A disk that has failed once is not asked again: after an error
-        nobody knows which of the earlier writes are still only in its cache."""
+        """Whether the records are durable.
+
+        A disk that has failed once is not used again, because after an error it is unknown which
+        earlier writes are still only in its cache."""
         if self.journal is None:
             return True
         if self._disk_failed:
@@ -131,7 +134,7 @@ class PeerRunner:
         self._nudge()
 
     def _arrive(self, frame: Frame) -> None:
-        """A frame, in the loop's thread: heard at once, unless this process is frozen."""
+        """A frame, in the loop's thread: processed immediately, unless this process is frozen."""
         if self._frozen_until_us or not self._listening:
             if len(self._inbox) >= INBOX_MAX:
                 self.dropped += 1
@@ -153,13 +156,13 @@ class PeerRunner:
         if effects:
             self.perform(effects)
         elif frame.identifier >> 8 & 0x3FFFF == BEAT_PGN:
-            return  # nine frames in ten; nothing came of it, so the deadline is where it was
+            return  # nine frames in ten; it had no effects, so the deadline is unchanged
         self._attend()
         if self.peer.deadline_us < self._armed_us:
             self._nudge()
 
     def _attend(self) -> None:
-        """Beats may wait, unless we stand stopped, where each is an echo or asks for one."""
+        """Buffer beats, unless we are stopped: then each beat is an echo or needs an answer."""
         wait = self._listening and not self._frozen_until_us and not self.peer.safety.latched
         if wait is not self._shelved:
             self._shelved = wait
@@ -167,7 +170,7 @@ class PeerRunner:
                 self._shelving.shelve(self._shelf if wait else None)
 
     def _catch_up(self) -> None:
-        """Take in the beats that have waited."""
+        """Process the buffered beats."""
         if self._shelf:
             effects = self.peer.beats(self._shelf, self._local)
             self._shelf.clear()
@@ -175,7 +178,7 @@ class PeerRunner:
                 self.perform(effects)
 
     def freeze(self, for_s: float) -> None:
-        """Fault: this process hears and does nothing for a while, then goes on as if nothing was."""
+        """Fault injection: this process is frozen for a while and then continues."""
         self._catch_up()
         self._frozen_until_us = self.clock() + round(for_s * 1e6)
         self._attend()
@@ -204,7 +207,7 @@ class PeerRunner:
             self.turn()
 
     def thaw(self) -> None:
-        """Hear what has waited."""
+        """End the freeze and process the waiting frames."""
         self._frozen_until_us = 0
         while self._inbox:
             self._hear(self._inbox.popleft())

@@ -1,13 +1,13 @@
 """Section names of the engine's API (strings) and section numbers of the wire (u16).
 
 `S7`, `section_7` and `7` are section 7, so names with a number agree between peers that share only
-the convention. Any other name is hashed into the upper half, and two names that meet there are
-refused: silently sharing one register would be worse.
+the convention. Any other name is hashed into the upper half. Two names with the same hash are refused,
+because silently sharing one register would be worse.
 """
 
 from zlib import crc32
 
-NAMED_FIRST = 0x8000  # numbers below are what digits say
+NAMED_FIRST = 0x8000  # numbers below come from the digits of a name
 
 
 class SectionNames:
@@ -15,7 +15,7 @@ class SectionNames:
         self.by_number: dict[int, str] = {}
 
     def number(self, name: str) -> int:
-        """Raises ValueError where the name cannot be a section."""
+        """Raises ValueError if the name cannot be a section."""
         digits = name[len(name.rstrip("0123456789")) :]
         if digits and int(digits) < NAMED_FIRST:
             number = int(digits)

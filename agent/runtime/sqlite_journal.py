@@ -1,8 +1,8 @@
 """A robot's durable memory on disk: sqlite, write-ahead log, synchronous FULL.
 
-One row a key, with a check sum, because sqlite checks its log but not its pages. `write` returns when
-the rows would survive a power cut; sqlite reports what it could not do as an error, which is an
-OSError here and the end of moving for this robot.
+One row a key, with a checksum, because sqlite checks its log but not its pages. `write` returns when
+the rows would survive a power cut. A failure of sqlite becomes an OSError here, after which this robot
+does not move any more.
 
 A log that was cut short is rolled back by sqlite in silence: what is left is whole, checked and old. So
 each write has a number, which is kept in two places. The journal's own is part of the transaction. The
@@ -114,7 +114,7 @@ class SqliteJournal:
         except PROBLEMS as problem:
             raise self._error(problem) from None
         try:
-            # One writer and nobody else: a second process with this journal is refused.
+            # Exclusive access: a second process with this journal is refused.
             self._database.execute("PRAGMA locking_mode=EXCLUSIVE")
             (mode,) = self._database.execute("PRAGMA journal_mode=WAL").fetchone()
             self._database.execute("PRAGMA synchronous=FULL")
@@ -221,7 +221,7 @@ class SqliteJournal:
 
 
 def _header_forbids_writing(path: Path) -> bool:
-    """sqlite opens a file of a later write version for reading only; nobody writes such journals."""
+    """Whether sqlite would open this file read-only, because of a later write version."""
     with suppress(OSError), path.open("rb") as file:
         header = file.read(WRITE_VERSION_AT + 1)
         return len(header) > WRITE_VERSION_AT and header[WRITE_VERSION_AT] > WRITE_VERSION_MAX
@@ -233,7 +233,7 @@ def _checked(key: str, value: bytes) -> bytes:
 
 
 def put_aside(path: Path) -> None:
-    """Out of the way of a new journal, with its log and mark. Never deleted: people may look into it."""
+    """Rename a journal with its log and mark. It is never deleted, because people may inspect it."""
     number = 1
     while (aside := _aside(path, number)).exists():
         number += 1

@@ -1,4 +1,4 @@
-"""Why a robot stands, and who may free it.
+"""Why a robot stands still, and what may release it.
 
 `stop_cause` is the table of causes, each with the condition that clears it. `stop_controller`
 holds the causes of one robot and has the last word on each drive command. `command_authority`

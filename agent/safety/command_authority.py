@@ -1,8 +1,8 @@
-"""Whom this robot believes: tags, orders said twice, and questions to who cannot be followed.
+"""Authenticates commands: MAC check, two-frame confirmation, freshness challenge.
 
-A fleet without keys believes everybody. With keys a stop needs one valid tag, because it must not
-wait; an operator's order needs two frames that agree, because a tag that is right by chance may stop
-a fleet but must not release it. `protocol/authentication.py` says what a tag covers.
+A fleet without keys accepts every sender. With keys, a stop needs one valid tag, because it must
+not wait. An operator's order needs two frames that agree, because a tag that is valid by chance may
+stop a fleet but must not release it. `protocol/authentication.py` says what a tag covers.
 """
 
 from collections.abc import Sequence
@@ -22,18 +22,19 @@ from protocol.frames.safety_frames import (
     StopsHeld,
 )  # fmt: skip
 
-AGREE_US = 2 * S  # two frames that say the same, each with its tag: 48 bits to guess, not 24
+# Two equal frames, each with its own tag, must arrive within this: 48 bits to guess instead of 24.
+AGREE_US = 2 * S
 ORDERS_MAX = 64  # orders that wait for their second frame
 
 
 class CommandAuthority:
     def __init__(self, slot: int, keyring: Keyring | None) -> None:
         self.slot, self.keyring = slot, keyring
-        self.refused = 0  # frames without authority
-        self.operator: Keyring | None = None  # of a person who gives orders from this machine now
+        self.refused = 0  # count of frames without authority
+        self.operator: Keyring | None = None  # keys of the person giving orders at this machine now
         secret = None if keyring is None else keyring.keys.operator
         self._held = HeldTags(keyring.keys) if keyring is not None and secret else None
-        self._orders: dict[tuple[object, ...], int] = {}  # said once -> when
+        self._orders: dict[tuple[object, ...], int] = {}  # order received once -> its time
 
     def sign(self, message: Signed) -> Signed:
         return message if self.keyring is None else self.keyring.sign(message)
@@ -53,7 +54,7 @@ class CommandAuthority:
     def agreed(
         self, m: EmergencyReset | HeldReset | OperatorCommand | OperatorGoal, now_us: int
     ) -> bool:
-        """Whether an operator whom we believe has said this twice."""
+        """Whether an authenticated operator has sent this order twice within AGREE_US."""
         if self.keyring is None:
             return True
         order = (type(m), *m[:-2])  # without freshness and tag
@@ -64,7 +65,7 @@ class CommandAuthority:
         return now_us - said_us <= AGREE_US
 
     def ask(self, sender: int | None, now_us: int) -> Sequence[Effect]:
-        """Perhaps it is its owner, and we only cannot follow the counter: let it prove that."""
+        """Challenge the sender: it may be genuine while we have lost track of its counter."""
         question = None
         if self.keyring is not None and sender is not None and sender != self.slot:
             question = self.keyring.ask(sender, now_us)

@@ -1,8 +1,8 @@
-"""The standard "all implements stop" (ISO 11783-7, PGN 64770): what others say, and what we say.
+"""The standard "all implements stop" (ISO 11783-7, PGN 64770): receiving it and sending it.
 
-A shortcut button says its state once a second and on every change. Each button is a level of its own:
-its stop ends by its own permit or by its silence, never by another button's permit. A button counts its
-stops, so that a press and release whose frames were all lost is noticed.
+A shortcut button sends its state once a second and on every change. Each button is a separate
+level: its stop ends by its own permit or by its silence, never by the permit of another button. A
+button counts its stops, so that a press and release is noticed even if all its frames were lost.
 """
 
 from dataclasses import dataclass
@@ -11,15 +11,14 @@ from typing import Final
 from agent.interface.config import MS, S
 from protocol.frames.safety_frames import AllImplementsStop, Switch
 
-SAY_US: Final = 1 * S  # ISO 11783-7: the state is said once a second
-HOLD_US: Final = 3 * S  # three are missing; other implementations forget a silent button then, too
+SAY_US: Final = 1 * S  # ISO 11783-7: the state is sent once a second
+HOLD_US: Final = 3 * S  # three frames missed; other implementations use the same timeout
 BUTTONS_MAX: Final = 254  # addresses that a frame can come from (J1939-81)
-TAKE_OVER_US: Final = (
-    1_500 * MS
-)  # nobody has said the fleet's stop for so long: the next robot does
-RANK_US: Final = 10 * MS  # between two robots that would take over: a frame, and one in its way
-PERMITS: Final = 3  # said after a release: until a listener has forgotten the stop by itself
-COUNT_MAX: Final = 0xFF  # the count goes on with 0
+# If no robot has sent the fleet's stop for this long, the next robot in slot order sends it.
+TAKE_OVER_US: Final = 1_500 * MS
+RANK_US: Final = 10 * MS  # between two robots that would take over: two frame times with margin
+PERMITS: Final = 3  # sent after a release; by then every listener's own timeout has ended the stop
+COUNT_MAX: Final = 0xFF  # the count wraps to 0
 assert TAKE_OVER_US + 108 * RANK_US + 200 * MS < HOLD_US, "the next one speaks within the time-out"
 
 STOPS: Final = (Switch.STOP, Switch.ERROR)
@@ -30,7 +29,7 @@ class _Button:
     switch: int
     count: int
     until_us: int  # it holds until then
-    missed_us: int = 0  # until then a press that was missed holds, whatever it permits
+    missed_us: int = 0  # until then a missed press holds, even if the button now sends a permit
 
     @property
     def said(self) -> tuple[int, int]:
@@ -38,12 +37,12 @@ class _Button:
 
 
 class ShortcutButtons:
-    """All buttons of the bus, by NAME, or by address where no NAME is claimed."""
+    """All buttons on the bus, by NAME, or by address where no NAME is claimed."""
 
     def __init__(self) -> None:
         self._buttons: dict[int, _Button] = {}
-        self._beyond_us = 0  # until then a button holds for which there was no room
-        self.missed = 0  # presses whose frames were lost
+        self._beyond_us = 0  # until then a button holds that was dropped because the table was full
+        self.missed = 0  # count of presses whose frames were lost
 
     def __len__(self) -> int:
         return len(self._buttons)
@@ -51,8 +50,10 @@ class ShortcutButtons:
     def hear(
         self, source: int, name: int | None, robot: bool, m: AllImplementsStop, now_us: int
     ) -> None:
-        """`robot`: a member of the fleet. Its stop holds for one time-out after a transition: until
-        then its own stop frames have said what holds the fleet."""
+        """`robot`: the sender is a fleet member.
+
+        A robot's stop holds for one timeout after a transition. By then its own stop frames have
+        announced what holds the fleet."""
         key = -1 - source if name is None else name
         known = self._buttons.pop(key, None)
         if m.switch == Switch.NOT_AVAILABLE:
@@ -72,7 +73,7 @@ class ShortcutButtons:
         self._keep(key, button, now_us)
 
     def _keep(self, key: int, button: _Button, now_us: int) -> None:
-        """The one heard last stands last."""
+        """Store the button; the dict is ordered by last reception."""
         self._buttons[key] = button
         if len(self._buttons) <= BUTTONS_MAX:
             return
@@ -81,43 +82,44 @@ class ShortcutButtons:
         self._beyond_us = max(self._beyond_us, gone.until_us, gone.missed_us)
 
     def until_us(self) -> int:
-        """When the last stop that is known ends, if nothing more is heard."""
+        """When the last known stop ends if no further frame arrives."""
         ends = (max(b.until_us, b.missed_us) for b in self._buttons.values())
         return max(self._beyond_us, max(ends, default=0))
 
 
 def _missed(known: int, count: int) -> bool:
-    """A permit with another count than before: a stop was said that was not heard. With 0 the button
-    was switched off and on, but behind the largest count."""
+    """Whether a permit with a changed count means that a stop was sent but not received.
+
+    A count of 0 means that the button was switched off and on, unless it follows the largest count."""
     return count != known and (count != 0 or known == COUNT_MAX)
 
 
 class OwnButton:
-    """What this robot says for the implements on its bus while an emergency stop holds it.
+    """What this robot sends to the implements on its bus while an emergency stop holds it.
 
-    The robot that was pressed says it; where nobody does, because the stop came from a panel or the
-    pressed robot has died, the first robot in slot order does.
+    The robot that was pressed sends it. If no robot does, because the stop came from a panel or the
+    pressed robot has died, the first robot in slot order sends it.
     """
 
     def __init__(self) -> None:
-        self.transitions = 0  # permit to stop, since power up
+        self.transitions = 0  # changes from permit to stop since power up
         self._stopped = self._pressed = False
-        self._permits = 0  # still to be said
+        self._permits = 0  # permits still to be sent
         self._said_us = -SAY_US
         self._latched_us: int | None = None
-        self._heard_us = -TAKE_OVER_US  # when another robot said the fleet's stop
+        self._heard_us = -TAKE_OVER_US  # when another robot last sent the fleet's stop
 
     def press(self, now_us: int) -> AllImplementsStop:
-        """Pressed at this machine: said at once."""
+        """Pressed at this machine: return the frame to send immediately."""
         self._pressed = True
         return self._stop(now_us)
 
     def heard(self, m: AllImplementsStop, now_us: int) -> None:
-        """Another robot's: one that stops speaks for all, one that permits does no longer."""
+        """Another robot's frame: a stop is sent for the whole fleet, a permit ends that."""
         self._heard_us = now_us if m.switch == Switch.STOP else now_us - TAKE_OVER_US
 
     def release(self, now_us: int) -> AllImplementsStop | None:
-        """A person has reset this machine. None: it has said no stop."""
+        """A person has reset this machine. None if it has sent no stop."""
         self._pressed, self._latched_us = False, None
         if not self._stopped:
             return None
@@ -126,11 +128,11 @@ class OwnButton:
 
     @property
     def speaks(self) -> bool:
-        """It has a state to repeat."""
+        """Whether there is a stop or a permit to repeat."""
         return self._stopped or self._permits > 0
 
     def say(self, latched: bool, rank: int, now_us: int) -> AllImplementsStop | None:
-        """With a beat. `rank`: our place in the slot order of the live robots."""
+        """The frame to send with this beat, if any. `rank`: our place in the slot order."""
         if not latched:
             return self._permit(now_us)
         if self._latched_us is None:

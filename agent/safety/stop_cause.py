@@ -1,7 +1,7 @@
-"""Why a robot may not move as it wishes: each cause with its severity and what clears it.
+"""Why a robot may not move freely: each stop cause with its severity and its clear condition.
 
-After PX4's failsafe framework: severities are ordered, the worst active one wins, and the clear
-condition is declared beside the cause, not in the code that happens to run.
+This follows PX4's failsafe framework. Severities are ordered, the worst active one wins, and the
+clear condition is declared beside the cause, not in the code that happens to run.
 """
 
 import re
@@ -14,9 +14,9 @@ from protocol.frames.fleet_frames import NOBODY, StandsBy
 class Severity(IntEnum):
     CLEAR = 0
     SLOW = 1  # creep
-    PAUSE = 2  # stand, by decision of a person or for one
-    PROTECTIVE = 3  # stand; ends by itself when the cause is gone
-    LATCHED = 4  # stand until a person at this machine resets it
+    PAUSE = 2  # stand still because a person decided so, or because a person has to decide
+    PROTECTIVE = 3  # stand still; ends by itself when the cause is gone
+    LATCHED = 4  # stand still until a person at this machine resets it
 
 
 class ClearCondition(Enum):
@@ -177,19 +177,19 @@ class StopCause(Enum):
 
     @property
     def number(self) -> StandsBy:
-        """Under which it is told on the bus."""
+        """The number of this cause on the bus."""
         return StandsBy.__members__.get(self.name, StandsBy.OTHER)
 
     __hash__ = object.__hash__  # members are their own identity; Enum's hash is a call in Python
 
 
-# Names of their own for what is asked for with every beat of a standing fleet.
+# Module-level names for members that are read with every beat of a stopped fleet: lookup is faster.
 WORST, LEAST = Severity.LATCHED, Severity.SLOW
 NOT_STARTED, SILENT, CREEP = StopCause.NOT_STARTED, StopCause.MEMBER_SILENT, StopCause.CREEP
 
 
 def cause_table() -> str:
-    """The table in the documents."""
+    """The Markdown table of all causes for the documents."""
     rows = [
         f"| {c.name} | {c.severity.name} | {c.value.why} | {c.clears.value} | {c.value.do} |"
         for c in StopCause
@@ -198,7 +198,7 @@ def cause_table() -> str:
     return "\n".join([head, "|---|---|---|---|---|", *rows])
 
 
-# Which number of a cause's detail says what it is about: an address, or the slot of a robot.
+# The number in a cause's detail that says what it is about: an address, or the slot of a robot.
 _ABOUT = {
     StopCause.CONFIG_MISMATCH: ("address", re.compile(r"address (\d+)")),
     StopCause.DUPLICATE_ID: ("address", re.compile(r"address (\d+)")),
@@ -210,7 +210,7 @@ _ABOUT = {
 
 
 def about(cause: StopCause, detail: str) -> int:
-    """The address or slot that a cause is about; `NOBODY` where it is about none."""
+    """The address or slot that a cause is about; `NOBODY` if there is none."""
     _, pattern = _ABOUT.get(cause, ("", None))
     found = None if pattern is None else pattern.search(detail)
     number = NOBODY if found is None else int(found[1])
@@ -218,21 +218,22 @@ def about(cause: StopCause, detail: str) -> int:
 
 
 def further(cause: StopCause, detail: str) -> int:
-    """How many robots beside the first a cause is about."""
+    """How many robots a cause is about, beyond the first."""
     if cause not in (StopCause.MEMBER_SILENT, StopCause.CREEP):
         return 0
     return max(0, len(re.findall(r"\d+", detail)) - 1)
 
 
 def cause_of(number: int) -> StopCause | None:
-    """The cause that is told under this number; None for one that this release does not know."""
+    """The cause with this number on the bus; None for one that this release does not know."""
     name = StandsBy(number).name if number in set(StandsBy) else StandsBy.OTHER.name
     return StopCause.__members__.get(name)
 
 
 def sentence(number: int, subject: int, count: int = 0) -> str:
-    """For people: why a robot stands, and what they can do, from what it has told on the bus. `count`:
-    stops that hold it, or further robots that are silent.
+    """For people: why a robot stands still and what they can do, from its frames on the bus.
+
+    `count`: number of stops that hold it, or of further robots that are silent.
 
     >>> sentence(StandsBy.CONFIG_MISMATCH, 200)
     'CONFIG_MISMATCH with address 200: start that robot with the field of this fleet, or switch it off'

@@ -33,19 +33,21 @@ FAR_KEY = "far_stops"  # of other segments
 FREE, HELD, LATCHED = b"\0", b"\1", b"\2"  # in HOLD_KEY: a restart resets and starts nothing
 CREEP_M_S = 0.5
 UNAUTHENTICATED_HOLD_US = 1 * S  # a stop without a valid tag holds this long after its last frame
-# 2 s; then the heartbeats' stopped bit carries the latch. 1 s by who knows nobody: it may have just come.
+# Repeat for 2 s; then the heartbeats' stopped bit carries the latch.
+# Stop after 1 s if no member is known: we may have just booted.
 REPEATS_MAX, REPEATS_ALONE = 400, 200
-REPEAT_UNHEARD_US = 50 * MS  # nothing leaves: not faster, and without counting
-AGAIN_US = 100 * MS  # 20 repeats: who still beats as if nothing was may know our dot as cleared
-AGAIN_MAX = 3  # further dots for one press; beyond it that member cannot hear us at all
-TOLD_MAX = 4  # stops told at a time to who does not know them: 2 ms of bus; in turns
-ANSWER_SPACING_US = 100 * MS  # a member that beats unlatched is told again at most this often
-SPENT_HOLD_US = 1_500 * MS  # after its last frame; a simple panel says its stop once a second
-SPENT_FORGET_US = 3 * S  # a panel that says its stop once a second says it still
-RENEWALS_MAX = 8  # further dots for one press because robots say that it was used before
-COUNT_TOLD_MAX = 255  # of STOPS_HELD
+REPEAT_UNHEARD_US = 50 * MS  # while no frame leaves: repeat slower, and do not count the repeats
+# 20 repeats. A member still reporting "not stopped" may hold our dot as cleared; press a new one.
+AGAIN_US = 100 * MS
+AGAIN_MAX = 3  # further dots for one press; after these, that member cannot hear us at all
+TOLD_MAX = 4  # stops sent per reply (2 ms of bus), rotating through the set
+ANSWER_SPACING_US = 100 * MS  # minimum spacing of replies to members that report "not stopped"
+SPENT_HOLD_US = 1_500 * MS  # hold after its last frame; a simple panel sends its stop once a second
+SPENT_FORGET_US = 3 * S  # a panel that sends its stop once a second is still pressed within this
+RENEWALS_MAX = 8  # further dots for one press because robots report its dot as already used
+COUNT_TOLD_MAX = 255  # largest count in STOPS_HELD
 FOREVER = 1 << 62
-STANDS = (Command.HOLD, Command.STOP, Command.WAIT)  # one tag is enough for what moves nobody
+STANDS = (Command.HOLD, Command.STOP, Command.WAIT)  # these start no motion, so one tag is enough
 
 
 class StopController:
@@ -61,7 +63,8 @@ class StopController:
         self.slot, self.incarnation = slot, incarnation & 0xFF
         self.policy, self.authority = policy, CommandAuthority(slot, keyring)
         self.stops, self.far = StopSet(), RemoteStopSet()
-        # A stop says an incarnation's low byte alone: a life without memory counts from the other one.
+        # A stop frame carries only the low byte of the incarnation. A robot without memory therefore
+        # starts its counter with the high byte.
         began = bytes((incarnation >> 8 & 0xFF,))
         self.counter = int.from_bytes(recalled.get(COUNTER_KEY, began), "little")
         self._causes: dict[StopCause, str] = {StopCause.NOT_STARTED: "boot"}
@@ -69,19 +72,21 @@ class StopController:
         self._live: frozenset[int] = frozenset({slot})
         self._silent: frozenset[int] = frozenset()
         self._stable_us = now_us
-        self.last_stop: tuple[int, Reason] | None = None  # who pressed it, and why
-        self._reasons: dict[StopDot, Reason] = {}  # of our own presses that are being repeated
+        self.last_stop: tuple[int, Reason] | None = None  # slot of the presser, and the reason
+        self._reasons: dict[StopDot, Reason] = {}  # reasons of our own presses still being repeated
         self._echoes: dict[StopDot, set[int]] = {}
         self._own: dict[StopDot, int] = {}  # dots we repeat as their source -> repeats left
-        self._free: set[int] = set()  # at our press, or since: members that did not stand stopped
+        self._free: set[int] = set()  # members that were not stopped at our press or later
         self._repeat_us, self._again, self._pressed_us = FOREVER, 0, -STOP_SPACING_US
         self._answered_us = -ANSWER_SPACING_US
         self.buttons, self.button = ShortcutButtons(), OwnButton()
         self._asked_us = self._more_us = -ANSWER_SPACING_US
-        # Stops that are said with a name that was cleared before: since when, and the newest frame.
+        # Stops sent with a dot that was cleared before: time of the first and of the newest frame.
         self._spent_since_us = self._spent_us = -SPENT_FORGET_US
         self._spent_told_us, self._renew_us, self._renewals = -ANSWER_SPACING_US, FOREVER, 0
-        self._told: StopDot | None = None  # the last of those told to who did not know them
+        self._told: StopDot | None = (
+            None  # last dot sent by `tell_stops`; the rotation goes on there
+        )
         self._recall(recalled)
 
     def _recall(self, recalled: Mapping[str, bytes]) -> None:
@@ -100,7 +105,7 @@ class StopController:
 
     @property
     def free(self) -> bool:
-        """Nothing keeps it from moving as it wishes."""
+        """No cause limits the motion of this robot."""
         return not self._causes
 
     @property
@@ -121,12 +126,12 @@ class StopController:
 
     @property
     def keyed(self) -> bool:
-        """Whether a tag says who may stop and release."""
+        """Whether this fleet has keys, so that stops and releases need a valid tag."""
         return self.authority.keyring is not None
 
     @property
     def unconfirmed(self) -> bool:
-        """Memory was lost: nobody has yet said that this machine may forget it."""
+        """Memory was lost, and no person has confirmed yet that this machine may go on without it."""
         return StopCause.BOOT_UNCONFIRMED in self._causes
 
     @property
@@ -155,10 +160,13 @@ class StopController:
     # ---------------------------------------------------------------- stops
 
     def press(self, reason: Reason, now_us: int, free: Collection[int] = ()) -> Sequence[Effect]:
-        """Emergency stop here: brake, send, then remember. Braking waits for nobody. `free`: members that
-        do not stand stopped. Of these a beat that says so is an echo; others have to say the dot."""
+        """Emergency stop here: brake, send, then persist. Braking waits for nothing.
+
+        `free`: members that are not stopped now. For these, a beat with the stopped bit counts as an
+        echo. All other members have to echo the dot itself."""
+        # A second press within the spacing is the same press. A clock set back does not count as one.
         if 0 <= now_us - self._pressed_us < STOP_SPACING_US:
-            return [HALT]  # the same hand on the same button; a clock set back is no such hand
+            return [HALT]
         self._again, self._renewals, self._free = AGAIN_MAX, RENEWALS_MAX, set(free)
         return self._press(reason, now_us)
 
@@ -181,7 +189,7 @@ class StopController:
     def receive_stop(
         self, m: EmergencyStop, source_slot: int | None, now_us: int
     ) -> Sequence[Effect]:
-        """First reception: brake, echo once, remember. Later ones count echoes."""
+        """First reception: brake, echo once, persist. Later receptions only count echoes."""
         dot = StopDot(m.slot, m.incarnation, m.counter)
         if m.spent:
             return self._hear_spent(dot, now_us)
@@ -195,7 +203,9 @@ class StopController:
                 StopCause.UNAUTHENTICATED_STOP, now_us, f"dot {dot}", UNAUTHENTICATED_HOLD_US
             )
             return [HALT, *self.authority.ask(signer, now_us)]
-        if self.stops.is_cleared(dot):  # an operator has cleared exactly this one: an echo is late
+        if self.stops.is_cleared(
+            dot
+        ):  # an operator has cleared exactly this dot, so an echo is late
             return () if m.echo else self._press_spent(dot, now_us)
         if self.stops.full:
             return self._hold_more(m.echo, now_us)
@@ -213,10 +223,12 @@ class StopController:
         ]
 
     def _press_spent(self, dot: StopDot, now_us: int) -> Sequence[Effect]:
-        """A press with a name that was cleared before: late frames of an old press, or a new one of a
-        panel that has only this name, or whose next names somebody has had cleared. It brakes, and the
-        answer tells the presser to take another name. A press that is said still after `AGAIN_US` is
-        new: the first robot in slot order that is not latched by then presses in its own name."""
+        """A press with a dot that was cleared before.
+
+        These are late frames of an old press, or a new press of a panel that has only this dot or
+        whose next dots were cleared in advance. It brakes, and the answer tells the presser to take
+        another dot. A press that is still sent after `AGAIN_US` is a new one: the first robot in slot
+        order that is not latched by then presses with a dot of its own."""
         self.press_used(dot, now_us)
         rank = sum(slot < self.slot for slot in self._live)
         turn_us = max(self._spent_told_us + ANSWER_SPACING_US, self._spent_since_us)
@@ -228,8 +240,10 @@ class StopController:
         return [HALT, Send(self.authority.sign(answer))]
 
     def press_used(self, dot: StopDot | RemoteStopDot, now_us: int) -> Sequence[Effect]:
-        """A press, believed, with a name that was cleared before. It brakes; where it is said still after
-        `AGAIN_US`, the first robot in slot order presses in its own name, unless a stop latches it."""
+        """An authenticated press with a dot that was cleared before.
+
+        It brakes. If it is still sent after `AGAIN_US`, the first robot in slot order presses with a
+        dot of its own, unless a stop latches it already."""
         if now_us - self._spent_us > SPENT_FORGET_US or now_us < self._spent_us:
             self._spent_since_us = now_us
         self._spent_us = now_us
@@ -240,7 +254,7 @@ class StopController:
         return [HALT]
 
     def _hear_spent(self, dot: StopDot, now_us: int) -> Sequence[Effect]:
-        """Somebody is pressed with a name that was used before. If it is we, we take another."""
+        """A press was reported as using a cleared dot. If the press is ours, press with a new dot."""
         self._spent_told_us = now_us
         if dot not in self._own:
             self.raise_cause(StopCause.SPENT_STOP, now_us, f"dot {dot}", SPENT_HOLD_US)
@@ -251,8 +265,10 @@ class StopController:
         return self._press(Reason.OPERATOR_INTERVENTION, now_us)
 
     def _hold_more(self, echo: bool, now_us: int) -> Sequence[Effect]:
-        """More stops than are held by name. The digest of what is held changes with each press, but not
-        with its repetition: a reset of what was told before does not clear it."""
+        """More stops than can be held by name.
+
+        The digest of the held stops changes with each press but not with its repetition, so a reset
+        that names an earlier digest does not clear this press."""
         first = not self.stops.more
         if not first and (echo or now_us - self._more_us < STOP_SPACING_US):
             return ()
@@ -261,7 +277,7 @@ class StopController:
         return [HALT, *self._remember()] if first else ()
 
     def latch_far(self, dot: RemoteStopDot, now_us: int) -> Sequence[Effect]:
-        """A stop of another segment, believed: brake, remember."""
+        """An authenticated stop of another segment: brake, then persist."""
         more = self.far.more
         if not self.far.press(dot):
             first = self.far.more and not more
@@ -277,14 +293,14 @@ class StopController:
         ]
 
     def clear_far(self, dot: RemoteStopDot) -> Sequence[Effect]:
-        """A reset that holds in all segments, believed."""
+        """An authenticated reset that is valid in all segments."""
         if not self.far.clear(dot):
             return ()
         remembered = [Persist(FAR_KEY, self.far.serialize()), self.remember_hold()]
         return [*remembered, Trace("safety", "", "CLEARED", "", f"{dot}")]
 
     def press_near(self, dot: StopDot, now_us: int) -> Sequence[Effect]:
-        """A stop of this segment that we have missed, told from elsewhere and believed."""
+        """An authenticated stop of this segment that we missed and that another segment sent back."""
         if self.stops.full and not self.stops.is_cleared(dot):
             return self._hold_more(True, now_us)
         if not self.stops.press(dot):
@@ -306,7 +322,9 @@ class StopController:
         return [*self._remember(), Trace("safety", "", "CLEARED", "", f"dot {dot} by {who}")]
 
     def beat(self, slot: int, stopped: bool, now_us: int) -> Sequence[Effect]:
-        """A member's beat: who stands and did not before has heard of our press; who moves has not."""
+        """A member's beat: a stopped bit that was not set before counts as an echo of our press.
+
+        A member without the stopped bit has not received our press."""
         active = self.stops.latched
         if stopped:
             for dot in self._own if slot in self._free else ():
@@ -320,7 +338,7 @@ class StopController:
         return self.tell_stops(now_us) if active else ()
 
     def tell_stops(self, now_us: int) -> Sequence[Effect]:
-        """The stops we hold, to whoever does not know them; seldom, whoever asks."""
+        """The stops we hold, for members that miss them; at most one reply per ANSWER_SPACING_US."""
         if now_us - self._answered_us < ANSWER_SPACING_US:
             return ()
         self._answered_us = now_us
@@ -329,7 +347,9 @@ class StopController:
         return [Send(self._stop(d, Reason.OPERATOR_INTERVENTION, echo=True)) for d in dots]
 
     def answer_stops(self, question: int, now_us: int) -> Sequence[Effect]:
-        """Somebody asks what holds us: some dots by name, all in sum. `question`: 48 bits, used once."""
+        """Answers the question which stops hold us: some dots by name, and a digest of all.
+
+        `question`: 48 bits, used once."""
         told = self.tell_stops(now_us)
         if now_us - self._asked_us < ANSWER_SPACING_US or not self.latched:
             return told
@@ -343,7 +363,7 @@ class StopController:
         return StopsHeld(self.slot, count, held_digest(self.stops, self.far))
 
     def receive_held_reset(self, m: HeldReset, now_us: int) -> Sequence[Effect]:
-        """Clears all that holds us, where that is what it names: nothing was pressed since we told it."""
+        """Clears all held stops if its digest matches: nothing was pressed since our answer."""
         if not self.authority.believes(m, m.operator, now_us):
             return self.authority.ask(m.operator, now_us)
         held = self.held_stops
@@ -357,7 +377,7 @@ class StopController:
         return [Persist(FAR_KEY, self.far.serialize()), *self._remember(), cleared]
 
     def receive_reset(self, m: EmergencyReset, now_us: int) -> Sequence[Effect]:
-        """Clears exactly the dot it names, pressed here or not yet heard of."""
+        """Clears exactly the dot it names, whether it was pressed here or not received yet."""
         if not self.authority.believes(m, m.operator, now_us):
             return self.authority.ask(m.operator, now_us)
         if not self.authority.agreed(m, now_us):
@@ -368,9 +388,9 @@ class StopController:
     def receive_implements_stop(
         self, source: int, name: int | None, robot: bool, m: AllImplementsStop, now_us: int
     ) -> Sequence[Effect]:
-        """The standard frame, from any device: each button is a level that holds while it is repeated.
+        """The standard frame, from any device. Each button is a level that holds while it is repeated.
 
-        `name`: that the source address has claimed. `robot`: it is a member of the fleet."""
+        `name`: the NAME that the source address has claimed. `robot`: the sender is a fleet member."""
         self.buttons.hear(source, name, robot, m, now_us)
         if robot:
             self.button.heard(m, now_us)
@@ -382,7 +402,7 @@ class StopController:
         return [HALT] if m.switch in STOPS or not held else ()
 
     def say_button(self, live: Collection[int], now_us: int) -> Sequence[Effect]:
-        """With a beat: the standard frame, where an emergency stop holds us or has just ended."""
+        """With a beat: the standard frame, if an emergency stop holds us or has just ended."""
         latched = StopCause.STOP_DOT in self._causes
         if not latched and not self.button.speaks:
             return ()
@@ -393,7 +413,7 @@ class StopController:
     def accept_order(
         self, m: OperatorCommand | OperatorGoal, now_us: int
     ) -> Sequence[Effect] | None:
-        """None: it has authority. Otherwise what to do about it."""
+        """None if the order has authority. Otherwise the effects to perform instead of the order."""
         if not self.authority.believes(m, m.operator, now_us):
             return self.authority.ask(m.operator, now_us)
         stands = isinstance(m, OperatorCommand) and m.command in STANDS
@@ -402,7 +422,7 @@ class StopController:
     # ---------------------------------------------------------------- people at this machine
 
     def manual_reset(self, now_us: int) -> bool:
-        """Unlatch. Refused while a dot is not cleared or a cause that never clears is there."""
+        """Unlatch. Refused while a dot is not cleared or a cause that never clears is active."""
         if self.stops.latched or self.far.latched or StopCause.DISK_ERROR in self._causes:
             return False
         for cause in (StopCause.STOP_DOT, StopCause.BOOT_UNCONFIRMED):
@@ -419,7 +439,7 @@ class StopController:
         return [HALT, self.remember_hold()]
 
     def remember_hold(self) -> Persist:
-        """What a person has still to do at this machine, for the time after a restart."""
+        """Persist what a person still has to do at this machine, so that it survives a restart."""
         self.held = not self.started
         return Persist(HOLD_KEY, LATCHED if self.latched else HELD if self.held else FREE)
 
@@ -428,7 +448,7 @@ class StopController:
     def members(
         self, live: frozenset[int], silent: frozenset[int], now_us: int
     ) -> Sequence[Effect]:
-        """The membership changed. Silence brakes at once; the policy ends it later."""
+        """The membership changed. Silence brakes immediately; the policy ends the stop later."""
         brake = bool(silent - self._silent)
         self._live, self._silent, self._stable_us = live, silent, now_us
         if brake:
@@ -440,7 +460,7 @@ class StopController:
     @property
     def deadline_us(self) -> int:
         deadline = min(self._repeat_us, self._renew_us)
-        if not self._causes:  # what expires is a cause
+        if not self._causes:  # only causes expire
             return deadline
         if self._settles:
             deadline = min(deadline, self._stable_us + MEMBERSHIP_STABLE_US)
@@ -462,7 +482,7 @@ class StopController:
 
     @property
     def _settles(self) -> bool:
-        """A stable membership will change something."""
+        """Whether a stable membership would clear or change a cause."""
         if SILENT in self._causes:
             return not self._silent or self.policy is not SilencePolicy.STOP
         return CREEP in self._causes and not self._silent
@@ -477,8 +497,9 @@ class StopController:
             self.clear_cause(StopCause.CREEP, now_us)
 
     def _repeat(self, now_us: int) -> Sequence[Effect]:
-        """As the source: every 5 ms until every live member has echoed. What nobody can hear has not been
-        said: it does not count."""
+        """As the source, repeat every 5 ms until every live member has echoed.
+
+        A repeat that no node can hear does not count."""
         sends, others = list[Effect](), self._live - {self.slot}
         unheard = StopCause.UNHEARD in self._causes
         for dot, left in sorted(self._own.items()):
@@ -507,7 +528,7 @@ class StopController:
             speed_m_s = hypot(wanted.vx_m_s, wanted.vy_m_s)
             if speed_m_s > CREEP_M_S:
                 share = CREEP_M_S / speed_m_s
-                return wanted._replace(  # all of it: what steers keeps its curve
+                return wanted._replace(  # scale the turn rate too, so the curve keeps its radius
                     vx_m_s=wanted.vx_m_s * share,
                     vy_m_s=wanted.vy_m_s * share,
                     turn_rad_s=wanted.turn_rad_s * share,

@@ -1,6 +1,6 @@
 """Fleets on several bus segments, joined by gateways over a backbone.
 
-`segment_peer` is a peer that knows of other segments, `remote_segments` what it knows of them.
+`segment_peer` is a peer that knows other segments, `remote_segments` what it knows about them.
 `gateway` forwards; its relays are `stop_relay`, `work_relay` and `map_relay`. `gateway_election`
-decides which gateway speaks.
+elects the gateway that leads.
 """

@@ -1,12 +1,12 @@
 """Stops and resets of a fleet of several segments, at one robot.
 
-A press in this segment is said a second time as FLEET_STOP, with a tag that every segment can verify,
-and so is its reset. The presser says it at once. Where it was a panel, a tool or an older robot, the
-robots that heard it say it: one does, in the order of their slots, and the others overhear it. Gateways
-carry these frames as they are and hold no secret. A frame with the bit `told` is no press: its sender
-holds the stop and tells it to one that may not know it. A press under a name that was cleared here
-brakes, and latches when it is said still (`StopController.press_used`), as such a press on the own
-bus does.
+A press in this segment is sent a second time as FLEET_STOP, with a tag that every segment can verify,
+and so is its reset. The pressed robot sends it immediately. After a press at a panel, a tool or an
+older robot, the first robot in slot order that received it sends it, and the others overhear it.
+Gateways forward these frames unchanged and hold no secret. A frame with the bit `told` is not a press:
+its sender holds the stop and repeats it for robots that may not know it. A press with a dot that was
+cleared here brakes, and latches if it is still sent (`StopController.press_used`), as such a press on
+the own bus does.
 """
 
 from collections.abc import Iterable, Sequence
@@ -24,9 +24,9 @@ from crdt.stops import RemoteStopDot, StopDot, next_in_rotation
 from protocol.fleet_tags import FleetTags, plain_reset, plain_stop
 from protocol.frames.segment_frames import FleetReset, FleetStop
 
-TURN_US = 3 * MS  # a frame behind the blocking of another, and some
-TOLD_MAX = 8  # stops of all segments told at a time to who does not know them; in turns
-HALVES_MAX = 64  # resets of which one half was heard
+TURN_US = 3 * MS  # a frame time, the blocking by another frame, and some margin
+TOLD_MAX = 8  # stops of all segments sent per reply, rotating through the set
+HALVES_MAX = 64  # resets of which one half was received
 
 
 class FleetStops:
@@ -39,16 +39,16 @@ class FleetStops:
         self._pressed = safety.stops.active
         self._far = safety.far.active
         self._cleared = safety.stops.cleared
-        self._stop_due_us: dict[StopDot, int] = {}  # of our segment, to be said to the others
+        self._stop_due_us: dict[StopDot, int] = {}  # stops of our segment, to send to the others
         self._reset_due_us: dict[RemoteStopDot, int] = {}
         self._halves: dict[tuple[RemoteStopDot, int], int] = {}
         self._told_us = -ANSWER_SPACING_US
-        self._told: RemoteStopDot | None = None  # the last of those told
+        self._told: RemoteStopDot | None = None  # last dot sent; the rotation goes on there
 
     # ---------------------------------------------------------------- what happened here
 
     def see(self, live: Iterable[int], now_us: int) -> None:
-        """After anything that may have pressed or cleared: what the other segments have to know."""
+        """Called after any press or clear: schedule what the other segments have to know."""
         stops = self.safety.stops
         active, cleared, far = stops.active, stops.cleared, self.safety.far.active
         if active == self._pressed and cleared == self._cleared and far == self._far:
@@ -60,14 +60,14 @@ class FleetStops:
         for dot in cleared - self._cleared:
             self._stop_due_us.pop(dot, None)
             self._reset_due_us.setdefault(self._everywhere(dot), now_us + place * TURN_US)
-        for far_dot in self._far - far:  # a reset of all that is held names no dot elsewhere
+        for far_dot in self._far - far:  # a reset of all held stops names no dot in other segments
             self._reset_due_us.setdefault(far_dot, now_us + place * TURN_US)
         self._pressed, self._cleared, self._far = active, cleared, far
         self.holds_far = self.safety.far.latched
 
     @property
     def behind(self) -> bool:
-        """A stop was pressed or cleared since `see`."""
+        """Whether a stop was pressed or cleared since `see`."""
         return self.safety.stops.active is not self._pressed
 
     @property
@@ -89,7 +89,7 @@ class FleetStops:
         return effects
 
     def tell(self, now_us: int) -> Sequence[Effect]:
-        """The stops we hold, as all segments say them, to who does not know them; seldom."""
+        """The stops we hold, in the form for all segments; at most once per ANSWER_SPACING_US."""
         if now_us - self._told_us < ANSWER_SPACING_US:
             return ()
         self._told_us = now_us
@@ -113,7 +113,7 @@ class FleetStops:
         far = RemoteStopDot(m.slot, m.incarnation, m.counter, m.segment)
         near = StopDot(*far[:3]) if far.segment == self.segment else None
         if near is not None:
-            self._stop_due_us.pop(near, None)  # somebody says it: we need not
+            self._stop_due_us.pop(near, None)  # another robot has sent it, so we need not
         if self._held(far, near) or (m.told and self._cleared_here(far, near)):
             return ()
         if m != self.say_stop(far)._replace(told=m.told):
@@ -128,7 +128,7 @@ class FleetStops:
             self.holds_far = True
             latched = self.safety.latch_far(far, now_us)
             self._far = self.safety.far.active
-            # Said once more: who missed the first has a second.
+            # Repeat it once for robots that missed the first frame.
             again = Send(m._replace(told=True))
             return [HALT, again, *latched[1:]] if far in self._far else latched
         effects = self.safety.press_near(near, now_us)
@@ -151,7 +151,7 @@ class FleetStops:
             self._reset_due_us.pop(far, None)
             return ()
         self._halves.pop((far, m.part), None)
-        self._halves[far, m.part] = m.half  # only the newest of each: a guess is a frame
+        self._halves[far, m.part] = m.half  # keep the newest only, so each guess costs a frame
         if len(self._halves) > HALVES_MAX:
             del self._halves[next(iter(self._halves))]
         said = [self._halves.get((far, part)) for part in (0, 1)]

@@ -1,11 +1,11 @@
 """A gateway between a segment and the rest of the fleet: facts in, effects out, like a peer.
 
-It is no member: its silence stops nobody, it claims nothing, and it holds no secret. Stops come first
-and always, whether it leads or not (`agent/segments/stop_relay.py`); work at the border is carried
-by the one that leads (`agent/segments/work_relay.py`); all heartbeats of the segment become one
-summary. Frames that gateways say are never carried on, messages of the own segment are dropped,
-and everything is idempotent, so loops end where they begin. What goes to the bus is limited to
-`SHARE` of it.
+It is not a member: its silence stops no robot, it claims nothing, and it holds no secret. It forwards
+stops first and always, whether it leads or not (`agent/segments/stop_relay.py`). Only the leading
+gateway forwards work at the border (`agent/segments/work_relay.py`). All heartbeats of the segment
+become one summary. Frames of gateways are never forwarded, messages of the own segment are dropped,
+and everything is idempotent, so loops end where they begin. Its traffic is limited to `SHARE` of the
+bus.
 """
 
 from collections import Counter
@@ -44,17 +44,17 @@ from protocol.frames.work_frames import (
 from protocol.name import Name
 from protocol.sync.synchronizer import Synchronizer
 
-SHARE = 0.10  # of the bus, for all that is not a stop
+SHARE = 0.10  # share of the bus for all frames that are not stops
 BURST_US = 20 * FRAME_US_MAX
 SUMMARY_US = 500 * MS
 ROTATION_US = (
     100 * MS
-)  # one other segment's summary on the bus so often: 0.6 % of it, at any number
+)  # one other segment's summary is sent this often: 0.6 % of the bus, for any number of segments
 MAP_STEP_US = (
     2 * MS
 )  # between two turns of the map: on its bus there are three in ten frames at most
-LOOK_US = 200 * MS  # who of our segment is live
-LEFT_US = 60 * S  # a robot that is silent for longer is not counted as silent any more
+LOOK_US = 200 * MS  # period of the liveness check of our segment
+LEFT_US = 60 * S  # a robot silent for longer is no longer counted as silent
 TELL_STEP_US = 20 * MS  # gateways tell a stranger the stops one after the other
 TELL_SPACING_US = 1 * S
 STOPS_PER_MESSAGE = 64
@@ -65,7 +65,7 @@ class Publish(NamedTuple):
 
     kind: Kind
     data: bytes
-    target: int = 0  # the one segment that it concerns; 0: all
+    target: int = 0  # the segment that it concerns; 0: all
 
 
 Out = Effect | Publish
@@ -75,7 +75,7 @@ class Gateway:
     def __init__(
         self, area: Area, name: Name, boot: int, now_us: int, chart: MapRelay | None = None
     ) -> None:
-        """`boot`: anything that no two starts share, 32 bits. `chart`: where segments share a map."""
+        """`boot`: 32 bits, different at each start. `chart`: the map, if segments share one."""
         self.area, self.name, self.boot = area, name, boot & 0xFFFF_FFFF
         self.candidacy = GatewayElection(boot, name.hash16, now_us)
         self.reach = SegmentReachability(area.segment)
@@ -91,12 +91,12 @@ class Gateway:
         self._heard_us: dict[int, int] = {}  # slot -> last sign of life
         self._live: frozenset[int] = frozenset()
         self._look_us = self._flush_us = self._summary_us = self._rotate_us = now_us
-        self._tell_us: int | None = None  # when we tell everybody all stops
+        self._tell_us: int | None = None  # when we send all stops to all segments
         self._told_us = -TELL_SPACING_US
         self._stops_differ: Counter[int] = Counter()
         self._sequence = self._turn = 0
-        self._introduced: int | None = None  # the address at which we have said who we are
-        self.origins = Origins(name)  # frames of other makers are carried nowhere
+        self._introduced: int | None = None  # the address that we have announced
+        self.origins = Origins(name)  # frames of other makers are not forwarded
 
     @property
     def segment(self) -> int:
@@ -120,7 +120,7 @@ class Gateway:
             return ()
         number = gateway_slot(source)
         if isinstance(message, EmergencyStop) and message.spent:
-            return ()  # an answer to a press, which speaks for itself
+            return ()  # an answer to a press; the press itself is forwarded
         if isinstance(message, EmergencyStop) and message.tag == 0:  # a fleet without keys
             dot = message.slot, message.incarnation, message.counter
             message = FleetStop(self.segment, *dot, told=message.echo)
@@ -137,7 +137,7 @@ class Gateway:
     def _network(
         self, source: int, message: AddressClaimed | Request, destination: int
     ) -> Sequence[Out]:
-        """Who is who: by NAME."""
+        """Track devices by NAME."""
         if isinstance(message, AddressClaimed):
             self.origins.claimed(source, message.name)
             return ()
@@ -187,7 +187,7 @@ class Gateway:
             stops = [stop for stop in body if isinstance(stop, FleetStop)]
             self.stops.receive_stops(stops, now_us)
             if len(stops) >= len(self.stops.stops):
-                self._tell_us = None  # somebody has told them all
+                self._tell_us = None  # another gateway has sent them all
             return self.tick(now_us)
         if header.kind == Kind.RESETS:
             self.stops.receive_resets([h for h in body if isinstance(h, FleetReset)], now_us)
@@ -273,7 +273,7 @@ class Gateway:
         return effects
 
     def _introduce(self) -> list[Out]:
-        """We have an address: say so, and ask what holds the robots here."""
+        """We have an address: announce it, and ask which stops hold the robots here."""
         claim = AddressClaimed(self.name.pack())
         return [self._send(claim), self._send(StateSyncRequest(0, 0, STOPS, 0))]
 
@@ -364,7 +364,7 @@ class Gateway:
         return Send(message, source=self.candidacy.address)
 
     def status(self, now_us: int) -> dict[str, object]:
-        """For people: what it is and whom it reaches."""
+        """For people: the state of the gateway and the segments that it reaches."""
         live, halted = self.stops.halted(now_us)
         return {
             "segment": self.segment, "number": self.candidacy.number, "leads": self.leads,

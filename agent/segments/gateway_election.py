@@ -1,9 +1,9 @@
-"""The gateways of one segment among themselves: numbers, signs of life, and who leads.
+"""Coordination of the gateways of one segment: numbers, signs of life, and the election of a leader.
 
-A candidate listens first and takes the lowest free number, and with it an address. Of two with one
-number the one with the lower lot looks for another. Leading is decided by votes, as for every
-convenience (`agent/peer/leader_election.py`); a candidate that is silent is no longer counted, and
-a new term fences it off. Nothing here is needed to stop: every candidate carries stops.
+A candidate listens first and takes the lowest free number, and with it an address. Of two with the
+same number, the one with the lower random lot takes another. The leader is elected by votes
+(`agent/peer/leader_election.py`). A silent candidate is no longer counted, and a new term fences it
+off. Stopping does not depend on this: every candidate forwards stops.
 """
 
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ from protocol.frames.segment_frames import (
 
 BEAT_US = 250 * MS
 SILENT_US = 800 * MS  # three beats are missing
-LISTEN_US = 600 * MS  # two beats of who is there already
+LISTEN_US = 600 * MS  # two beats of the candidates already present
 NUMBERS = range(GATEWAY_SLOT, GATEWAY_SLOT + CANDIDATES_MAX)
 
 
@@ -115,7 +115,7 @@ class GatewayElection:
         return True
 
     def _look(self, now_us: int) -> None:
-        """Who is there: a change calls for votes."""
+        """Check which candidates are live; a change causes a vote."""
         assert self.number is not None
         heard = {n for n, (heard_us, _) in self._heard.items() if now_us - heard_us < SILENT_US}
         live = frozenset(heard | {self.number})

@@ -1,12 +1,12 @@
 """A gateway's part in the map: one chart between two conversations.
 
-On its bus the gateway takes part in the robots' anti-entropy as one more of them; on the backbone the
-gateways that lead hold the same conversation (`protocol/sync/map_sync.py`) among themselves. Whatever is
-learned on one side differs from what the other side says, and is told there. So tiles and digests cross
-by anti-entropy alone, and a cut costs what changed during it.
+On its bus the gateway takes part in the robots' anti-entropy like a robot. On the backbone the leading
+gateways run the same protocol (`protocol/sync/map_sync.py`) with each other. Data learned on one side
+makes the digests of the other side differ and is then sent there. So tiles and digests cross by
+anti-entropy alone, and after a network cut only the changes are sent.
 
-Segments that share a map share its geometry. An observer has five bits: robots of two segments with one
-slot count as one observer, who trusts what it reads of the other as its own.
+Segments that share a map share its geometry. An observer has five bits, so robots of two segments
+with the same slot count as one observer, which trusts the data of the other as its own.
 """
 
 from agent.interface.config import FRAME_US_MAX, S
@@ -61,7 +61,7 @@ class MapRelay:
         return min(self.near.deadline_us, self.far.deadline_us)
 
     def tick(self, limit: TokenBucket, now_us: int) -> tuple[list[Said], list[Entry]]:
-        """(frames for our bus, entries for the backbone); the former as far as the limit lets."""
+        """(frames for our bus, entries for the backbone); the frames as far as the limit allows."""
         near: list[Said] = []
         if self.near.deadline_us <= now_us and limit.take(FRAME_US_MAX, now_us):
             near = self.near.tick(now_us)

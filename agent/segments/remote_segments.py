@@ -1,7 +1,7 @@
-"""What a robot knows of the other segments: whether they are reached, and a bounded few of them.
+"""What a robot knows about other segments: whether they are reached, and some of their summaries.
 
-The state here does not grow with the fleet: a summary is eight bytes, and at most `SUMMARIES_MAX` of
-them are kept, the newest. Nothing here is needed for safety.
+The state does not grow with the fleet: a summary is eight bytes, and only the newest `SUMMARIES_MAX`
+are kept. Safety does not depend on it.
 """
 
 from collections import OrderedDict
@@ -12,7 +12,7 @@ from protocol.frames.segment_frames import GatewayBeat, SegmentSummary
 
 ALONE_US = (
     3 * S
-)  # without a gateway that reaches somebody: a gateway dies, another leads after 2.3 s
+)  # time without a gateway that reaches a segment; after a gateway dies, another leads in 2.3 s
 SUMMARIES_MAX = 64
 
 
@@ -35,7 +35,7 @@ class RemoteSegments:
         return None if self.alone else self._reached_us + ALONE_US
 
     def hear(self, m: GatewayBeat | SegmentSummary, now_us: int) -> bool:
-        """True where it changed whether we are alone."""
+        """Returns whether this changed `alone`."""
         if isinstance(m, SegmentSummary):
             if m.segment != self.segment:
                 self.summaries.pop(m.segment, None)
@@ -48,7 +48,7 @@ class RemoteSegments:
         self.reached = m.reached
         if not m.reached:
             if m.ever and not self.alone:
-                self.alone = True  # it had reached somebody and knows that it does no more
+                self.alone = True  # the gateway had reached a segment and reports that it lost it
                 return True
             return self.tick(now_us)
         self._reached_us = now_us

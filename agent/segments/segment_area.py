@@ -1,10 +1,10 @@
 """Which sections concern a segment: its own, and those at the border that neighbours share with it.
 
-Every section belongs to one segment, its home, which alone decides about it. A home lends sections at
-its border to neighbours: these keep a copy under a number of their own and may ask for them; the copy
-follows what the home has decided. So what a robot holds is bounded by its area and its borders, and
-does not grow with the fleet. In a register an owner is one byte: robots of a neighbour appear there
-together under one number, that of the neighbour.
+Every section belongs to one segment, its home, and only the home decides about it. A home lends
+sections at its border to neighbours. These keep a copy under their own number and may request the
+section; the copy follows the decisions of the home. So the state of a robot is bounded by its area
+and its borders and does not grow with the fleet. An owner in a register is one byte, so all robots of
+a neighbour appear under one number, that of the neighbour.
 """
 
 from collections.abc import Mapping
@@ -31,7 +31,7 @@ class Area:
         borrowed: Mapping[int, SegmentPlace] | None = None,
     ) -> None:
         """`home`: sections 0 .. home-1 are this segment's. `lent`: home section -> neighbours that
-        share it. `borrowed`: section number here -> where its home is."""
+        share it. `borrowed`: section number here -> place in its home segment."""
         self.segment, self.home = segment, home
         self.lent, self.borrowed = dict(lent or {}), dict(borrowed or {})
         assert all(0 <= section < home for section in self.lent)
@@ -61,16 +61,16 @@ class Area:
         return sorted(lent + borrowed)
 
     def concerned(self, section: int) -> tuple[int, ...]:
-        """The neighbours that have to know of a change of this section."""
+        """The neighbours that must receive changes of this section."""
         place = self.borrowed.get(section)
         return tuple(sorted(self.lent.get(section, ()))) if place is None else (place.segment,)
 
     def guest(self, segment: int) -> int:
-        """How registers here name the robots of a neighbour."""
+        """The owner number for all robots of a neighbour in registers here."""
         return GUEST_FIRST + self.neighbours.index(segment)
 
     def segment_of(self, owner: int) -> int:
-        """Whose robot an owner in a register here is; 0: nobody's that we know."""
+        """The segment of an owner in a register here; 0: unknown."""
         if owner < GUEST_FIRST:
             return self.segment
         index = owner - GUEST_FIRST

@@ -1,9 +1,9 @@
-"""A peer of a fleet of several segments: a peer like any other, that also knows that there are others.
+"""A peer in a fleet of several segments: an ordinary peer that also knows other segments.
 
-On its own segment nothing is different: the same frames, the same rules. What is added are stops and
-resets that hold everywhere (`agent/segments/fleet_stops.py`), knowing whether other segments are reached
-(`agent/segments/remote_segments.py`), and the rule that a section which another segment has lent
-is claimed only while that segment is reached: it alone decides about it.
+On its own segment frames and rules are the same. Added are stops and resets for all segments
+(`agent/segments/fleet_stops.py`), and whether other segments are reached
+(`agent/segments/remote_segments.py`). A section lent by another segment is claimed only while that
+segment is reached, because only that segment decides about it.
 """
 
 from collections.abc import Mapping, Sequence
@@ -56,7 +56,7 @@ class SegmentPeer(Peer):
         *parts: Any,
         policy: SilencePolicy = SilencePolicy.CONTINUE,
     ) -> None:
-        """`policy`: what to do where no other segment is reached any more."""
+        """`policy`: what to do if no other segment is reached any more."""
         super().__init__(identity, rng, now_us, recalled, *parts)
         self.area, self.policy = area, policy
         guests = frozenset(area.guest(segment) for segment in area.neighbours)
@@ -73,7 +73,7 @@ class SegmentPeer(Peer):
         if kind is Pose:  # nine frames in ten
             effects = super().hear(source, message, now_us)
             if self.fleet_stops.holds_far and not message.stopped:  # type: ignore[union-attr]
-                return [*effects, *self.fleet_stops.tell(now_us)]  # it has not heard what holds us
+                return [*effects, *self.fleet_stops.tell(now_us)]  # it does not know our stops
             return effects
         if kind is FleetStop:
             doubted = self._hearing.doubted(source, message, now_us)  # type: ignore[arg-type]
@@ -105,7 +105,7 @@ class SegmentPeer(Peer):
     def _gateway(
         self, number: int, source: int, message: Message | Malformed, now_us: int
     ) -> Sequence[Effect]:
-        """A gateway is no member: its silence stops nobody, and it claims nothing for itself."""
+        """A gateway is not a member: its silence stops no robot, and it claims no section."""
         if isinstance(message, FleetReset):
             return self.fleet_stops.receive_reset(message, now_us)
         if isinstance(message, GatewayBeat | SegmentSummary):
@@ -158,5 +158,5 @@ class SegmentPeer(Peer):
         self, section: int, bid: int, now_us: int, takeover: bool = False
     ) -> Sequence[Effect]:
         if self.beyond.alone and section in self.area.borrowed:
-            return NOTHING  # who owns it cannot be asked
+            return NOTHING  # its home segment cannot be asked
         return super().claim(section, bid, now_us, takeover)

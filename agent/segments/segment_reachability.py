@@ -1,7 +1,7 @@
-"""Which other segments a gateway hears, and which of them hear it.
+"""Which other segments a gateway receives, and which of them receive it.
 
-A segment counts as reached when both are so: over a link that carries one way, its summaries arrive
-and do not name us. Gateways of one segment are told apart by term: an earlier one is fenced off.
+A segment counts as reached if both directions work: over a one-way link its summaries arrive but do
+not name us. Gateways of one segment are distinguished by term: an earlier one is fenced off.
 """
 
 from collections import Counter
@@ -11,12 +11,12 @@ from agent.interface.config import S
 from protocol.backbone_messages import Header, Kind, Summary
 
 GONE_US = 2 * S  # four summaries are missing
-SEGMENTS_MAX = 4096  # remembered; a few hundred bytes each. More is a fleet beyond this version
+SEGMENTS_MAX = 4096  # segments kept, a few hundred bytes each; larger fleets are not supported
 
 
 @dataclass
 class RemoteSegment:
-    """Another segment, as its leading gateway tells."""
+    """Another segment, as its leading gateway reports it."""
 
     term: int = 0
     heard_us: int = -GONE_US
@@ -38,7 +38,7 @@ class SegmentReachability:
             self.counts["echo"] += 1
             return False
         if header.kind in (Kind.STOPS, Kind.RESETS):
-            return True  # from whomever: they are idempotent, and first
+            return True  # accept them from any gateway: they are idempotent and urgent
         remote = self.remotes.get(header.segment)
         if remote is None:
             if len(self.remotes) >= SEGMENTS_MAX:
@@ -64,9 +64,9 @@ class SegmentReachability:
         self.ever |= remote.hears_us
 
     def heard(self, now_us: int) -> dict[int, int]:
-        """Segments that are heard now, and the terms of their gateways."""
+        """Segments that are received now, and the terms of their gateways."""
         return {s: r.term for s, r in self.remotes.items() if now_us - r.heard_us < GONE_US}
 
     def reached(self, now_us: int) -> list[int]:
-        """Segments that are heard and hear us."""
+        """Segments that we receive and that receive us."""
         return [s for s in self.heard(now_us) if self.remotes[s].hears_us]

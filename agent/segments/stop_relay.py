@@ -1,11 +1,12 @@
-"""A gateway's part in stopping: what was pressed anywhere is said in its segment until all stand.
+"""A gateway's part in stopping: repeats every press of the fleet in its segment until all robots stand.
 
-Every candidate carries stops, whether it leads or not: a gateway that dies takes no stop with it. The
-others wait a moment and speak only where the leader has not. The relay judges nothing: it holds no
-secret, so robots believe or refuse, and a reset never keeps the relay from carrying a stop.
+Every candidate forwards stops, whether it leads or not, so no stop is lost if a gateway dies. The
+others wait a moment and send only what the leader has not sent. The relay authenticates nothing: it
+holds no secret, so the robots verify, and a reset never prevents the relay from forwarding a stop.
 
-A stop is a press, or it is told to a segment that may not know it. A press that is said under a name with
-a reset is carried as well, while it is said: robots that know the reset brake, and take another name.
+A stop frame is a press, or a repetition for a segment that may not know it. A press with a dot that
+has a reset is forwarded too, as long as it is sent: robots that know the reset brake and take another
+dot.
 """
 
 from collections.abc import Iterable
@@ -17,23 +18,23 @@ from crdt.digest import mix
 from crdt.stops import RemoteStopDot
 from protocol.frames.segment_frames import GATEWAY_ADDRESS, FleetReset, FleetStop
 
-DOTS_MAX = 1024  # of the fleet; beyond it those with a reset are forgotten, oldest first
+DOTS_MAX = 1024  # dots of the fleet; beyond it those with a reset are dropped, oldest first
 REPEATS_MAX = 400  # 2 s of repetition, as a robot does; then beats without the stopped bit renew it
-TIMES_MIN = 2  # also where everybody stands already: who stands for another reason has to know
+TIMES_MIN = 2  # even if all robots stand: some may stand for another cause and must know the stop
 STANDBY_US = 8 * MS  # the leader's frame, and two in its way, are on the bus by then
 LIVE_US = 1 * S  # a robot heard within this has to stop; the longest silence that is tolerated
-NEWS_BURST, NEWS_A_SECOND = 16, 20  # new dots from the backbone; one is enough to stop everybody
-USED_US = 50 * MS  # a press with a name that has a reset is published again so often
-AGAIN_US = 500 * MS  # a robot that beats unstopped under an active dot is told again so often
+NEWS_BURST, NEWS_A_SECOND = 16, 20  # new dots from the backbone; one is enough to stop all robots
+USED_US = 50 * MS  # a press with a dot that has a reset is published again this often
+AGAIN_US = 500 * MS  # a stop is repeated this often for a robot that beats "not stopped"
 FOREVER = 1 << 62
 
 
 class Said(NamedTuple):
-    """A dot that is being said: how often still, and when next."""
+    """A dot that is being sent: remaining repeats, and time of the next."""
 
     left: int
     next_us: int
-    told: bool  # no press of now
+    told: bool  # a repetition, not a new press
 
 
 class StopRelay:
@@ -45,11 +46,11 @@ class StopRelay:
         self.refused = 0  # dots beyond the limit of news
         self.disbelieved: set[RemoteStopDot] = (
             set()
-        )  # said to the end, and nobody here stands for it
+        )  # all repeats were sent, and no robot here stands for it
         self._saying: dict[RemoteStopDot, Said] = {}
         self._robots: dict[int, tuple[int, bool]] = {}  # address -> last beat, stands stopped
         self._echoes: dict[RemoteStopDot, set[int]] = {}
-        self._next_us = 0  # one stop of ours at a time, whatever their number
+        self._next_us = 0  # we send one stop at a time, regardless of their number
         self._again_us = 0
         self._pressed_us: dict[
             RemoteStopDot, int
@@ -59,7 +60,7 @@ class StopRelay:
 
     @property
     def digest(self) -> int:
-        """Of everything we hold; equal where nothing has to be told."""
+        """Digest of all stops we hold; equal digests need no exchange."""
         total = sum(mix(int.from_bytes(stop.pack(), "little")) for stop in self.stops.values())
         for halves in self.resets.values():
             total += sum(mix(int.from_bytes(half.pack(), "little")) for half in halves.values())
@@ -68,7 +69,7 @@ class StopRelay:
     # ---------------------------------------------------------------- from our segment
 
     def beat(self, address: int, stopped: bool, now_us: int) -> None:
-        """A robot's pose: one that goes on under an active stop has not heard it."""
+        """A robot's pose; a robot that drives on under an active stop has not received it."""
         self._robots[address] = now_us, stopped
         if stopped or now_us < self._again_us or self._saying:
             return
@@ -78,12 +79,12 @@ class StopRelay:
             self._say(active[-1], True, now_us)
 
     def halted(self, now_us: int) -> tuple[int, int]:
-        """(robots heard lately, how many of them stand stopped)."""
+        """(robots received lately, how many of them are stopped)."""
         lately = [s for heard_us, s in self._robots.values() if now_us - heard_us < LIVE_US]
         return len(lately), sum(lately)
 
     def hear_stop(self, source: int, stop: FleetStop, now_us: int) -> list[FleetStop]:
-        """On our bus, from anybody; what has to be published."""
+        """A stop on our bus, from any device; returns the frames to publish."""
         dot = _dot(stop)
         self._echoes.setdefault(dot, set()).add(source)
         known = dot in self.stops
@@ -96,8 +97,9 @@ class StopRelay:
         return [stop]
 
     def _is_press(self, stop: FleetStop, now_us: int) -> bool:
-        """Of a dot that is known: news is its press alone, once; under a name with a reset while it is
-        said."""
+        """Whether a frame with a known dot is a new press.
+
+        A press counts once; with a dot that has a reset it counts as long as it is sent."""
         dot = _dot(stop)
         if stop.told or dot not in self._pressed_us:
             return not stop.told
@@ -121,13 +123,11 @@ class StopRelay:
             if known and not self._is_press(stop, now_us):
                 continue
             if not self._news.take(1, now_us):
-                self.refused += 1  # its teller tells again: our digest still differs
+                self.refused += 1  # its sender repeats it, because our digest still differs
                 continue
             if not self._keep(dot, stop):
                 continue
-            if known and not self._active(
-                dot
-            ):  # who has echoed it before has not echoed this press
+            if known and not self._active(dot):  # earlier echoes do not count for this press
                 self._echoes.pop(dot, None)
             if not stop.told:
                 self._pressed_us[dot] = now_us
@@ -178,7 +178,7 @@ class StopRelay:
         return max(due_us, self._next_us) if due_us < FOREVER else FOREVER
 
     def tick(self, now_us: int) -> list[FleetStop | FleetReset]:
-        """At most one stop, or one reset's halves, twice: who missed one has the other."""
+        """At most one stop, or the halves of one reset, sent twice in case one is missed."""
         if now_us < self.deadline_us:
             return []
         self._next_us = now_us + STOP_REPEAT_US
@@ -189,7 +189,7 @@ class StopRelay:
             if said.left <= 0 or enough or self._leader_said(dot):
                 del self._saying[dot]
                 if said.left <= 0 and self.halted(now_us)[1] == 0:
-                    self.disbelieved.add(dot)  # without a valid tag: it held while it was said
+                    self.disbelieved.add(dot)  # without a valid tag it held only while it was sent
                 continue
             self._saying[dot] = Said(said.left - 1, now_us + STOP_REPEAT_US, said.told)
             return [self.stops[dot]._replace(told=said.told)]
@@ -200,9 +200,9 @@ class StopRelay:
         return not self.leads and any(a >= GATEWAY_ADDRESS for a in self._echoes.get(dot, ()))
 
     def _all_stand(self, dot: RemoteStopDot, now_us: int) -> bool:
-        """Every robot heard lately has echoed this dot, or beats with the stopped bit.
+        """Whether every robot received lately has echoed this dot or beats with the stopped bit.
 
-        Nobody heard at all is not everybody: it is said until the repeats are used up.
+        If no robot was received, this is False, so the stop is sent until the repeats are used up.
         """
         echoes = self._echoes.get(dot, set())
         lately = {a: s for a, (t_us, s) in self._robots.items() if now_us - t_us < LIVE_US}

@@ -1,10 +1,10 @@
-"""A token bucket: how much a gateway may say on its segment, whatever the backbone brings."""
+"""A token bucket: limits what a gateway sends on its segment, regardless of the backbone traffic."""
 
 from agent.interface.config import S
 
 
 class TokenBucket:
-    """`share` of the time, at most `burst_us` of it at once."""
+    """Allows `share` of the bus time, with bursts of at most `burst_us`."""
 
     def __init__(self, share: float, burst_us: int, now_us: int) -> None:
         assert 0 < share <= 1
@@ -13,7 +13,7 @@ class TokenBucket:
         self._filled_us = now_us
 
     def take(self, cost_us: int, now_us: int) -> bool:
-        """Whether something that takes so long may begin now."""
+        """Whether a transmission of this duration may begin now."""
         self._fill(now_us)
         if self._left_us < cost_us:
             return False
@@ -21,7 +21,7 @@ class TokenBucket:
         return True
 
     def ready_us(self, cost_us: int, now_us: int) -> int:
-        """When it may, if nothing else does before."""
+        """When it may begin, if nothing else is sent before."""
         self._fill(now_us)
         lacking_us = cost_us - self._left_us
         return now_us if lacking_us <= 0 else now_us + min(int(lacking_us / self.share) + 1, S)

@@ -1,10 +1,11 @@
-"""A gateway's part in the work: what its segment and its neighbours both hold is kept alike.
+"""A gateway's part in the work: keeps the sections shared with neighbour segments equal.
 
-The home of a section decides. Its value goes to the neighbours that share it and there becomes the
-copy; what a neighbour's robot claims or does goes home as a wish, joins there by the same order, and
-comes back as the home's value. Two claims that differ in nothing but their owners are told apart by
-the home, which raises the epoch. Losses and cuts are repaired by comparing one digest a neighbour; on
-a difference the entries that changed since it last agreed are sent, and if that did not help, all.
+The home of a section decides. Its value is sent to the neighbours that share it and becomes their
+copy. Claims and progress of a neighbour's robot are sent to the home as a request, merge there by the
+same order, and come back as the home's value. If two claims differ only in their owners, the home
+decides by raising the epoch. Losses and network cuts are repaired by comparing one digest a
+neighbour: on a difference the entries changed since the last agreement are sent, and if that did not
+help, all entries.
 """
 
 from collections import Counter
@@ -19,17 +20,17 @@ from crdt.register import DONE_BIT, Claim
 from protocol.backbone_messages import ENTRIES_MAX, Entry
 from protocol.frames.work_frames import StateSyncResponse, TaskClaim, WorkProgress
 
-REGISTER, BLOCK = 1, 2  # of entries; those of the map: `map_relay.py`
-LAST_SLOT = GUEST_FIRST - 1  # who has done a section of which only the segment is remembered
-UNKNOWN_OWNER = 0xFF  # a robot of that segment, but we cannot say which
-FLUSH_US = 20 * MS  # news waits so long for company; a claim is contested for 250 ms
+REGISTER, BLOCK = 1, 2  # kinds of entries; for the map see `map_relay.py`
+LAST_SLOT = GUEST_FIRST - 1  # owner of a finished section if only its segment is known
+UNKNOWN_OWNER = 0xFF  # an unknown robot of that segment
+FLUSH_US = 20 * MS  # changes wait this long to be sent together; a claim is contested for 250 ms
 OWNER_BITS = 8
 
 Work = TaskClaim | StateSyncResponse | WorkProgress
 
 
 class Change(NamedTuple):
-    """An entry that is to be told, by its number here."""
+    """An entry to be sent, by its number here."""
 
     kind: int
     section: int
@@ -43,7 +44,7 @@ class WorkRelay:
         self.counts: Counter[str] = Counter()
         self._outbox: dict[int, dict[Change, None]] = {n: {} for n in area.neighbours}
         self._fresh: list[Change] = []  # joined by the message that is being read
-        self._inject: dict[Change, None] = {}  # to be said on our bus, newest value when it is
+        self._inject: dict[Change, None] = {}  # to be sent on our bus with the newest value
         self._changed: dict[Change, int] = {}  # -> version of its last change
         self._version = 0
         self._blocks: dict[int, int] = {}  # section -> blocks that were ever written
@@ -53,12 +54,13 @@ class WorkRelay:
     # ---------------------------------------------------------------- our segment
 
     def heard(self, message: Work, from_gateway: bool) -> None:
-        """A work frame on our bus, joined to the replica by its reader. What another gateway said is
-        known where it came from: carrying it back would be an echo."""
+        """A work frame on our bus, which the reader has merged into the replica.
+
+        A frame of another gateway is not sent back to where it came from."""
         section = message.section
         progress = isinstance(message, WorkProgress)
         change = Change(BLOCK, section, message.block) if progress else Change(REGISTER, section)  # type: ignore[union-attr]
-        self._inject.pop(change, None)  # said already
+        self._inject.pop(change, None)  # it was sent already
         if from_gateway:
             self._touch(change)
         else:
@@ -95,7 +97,7 @@ class WorkRelay:
                 yield neighbour, tuple(self._entry(change) for change in chosen)
 
     def _entry(self, change: Change) -> Entry:
-        """The value of now, in the numbers of the section's home."""
+        """The current value, in the numbers of the section's home."""
         home, section = self.area.place_of(change.section)
         if change.kind == BLOCK:
             bits = self.progress.bits(change.section, change.block)
@@ -115,13 +117,13 @@ class WorkRelay:
         return self._version
 
     def receive(self, source: int, entries: Iterable[Entry]) -> Iterable[tuple[int, int | None]]:
-        """Join them; returns (section, block or None for its register) of what was news."""
+        """Merge the entries; returns (section, block or None for its register) of each change."""
         self._fresh = []
         for entry in entries:
             number = self.area.number_of.get(SegmentPlace(entry.segment, entry.section))
             concerned = () if number is None else self.area.concerned(number)
             if number is None or source not in concerned:
-                self.counts["refused"] += 1  # not shared with who says it
+                self.counts["refused"] += 1  # not shared with the sender
             elif entry.kind == BLOCK:
                 self._join_block(number, WorkProgress.unpack(entry.data))
             elif entry.kind == REGISTER:
@@ -157,12 +159,12 @@ class WorkRelay:
         return self.area.segment_of(Claim.unpack(key).owner)
 
     def _owner_here(self, number: int, entry: Entry, told: TaskClaim) -> int | None:
-        """How a register here names the owner; None where it says nothing that we need."""
+        """The owner number in a register here; None if the entry is not needed."""
         area = self.area
         if entry.owner_segment == area.segment:
             if entry.owner != UNKNOWN_OWNER:
                 return entry.owner if entry.owner < GUEST_FIRST else None
-            # A claim of ours comes back from its home, which does not know whose: ours does.
+            # A claim of ours comes back from its home without the slot, which our register knows.
             ours = self.allocation.entry(number)
             same = (ours.epoch, ours.phase, ours.lamport) == (told.epoch, told.phase, told.lamport)
             if same and ours.owner < GUEST_FIRST:
@@ -174,7 +176,7 @@ class WorkRelay:
         return area.guest(home) if home in area.neighbours else None  # a neighbour's neighbour
 
     def _settle(self, change: Change, known: int) -> None:
-        """Two claims alike but for their owners: the home decides, with an epoch of its own."""
+        """Two claims differ only in their owners: the home decides by raising the epoch."""
         self.counts["ties"] += 1
         if change.section in self.area.borrowed:
             self._news(change)  # the home has to see it
@@ -190,7 +192,7 @@ class WorkRelay:
             self._news(change)
 
     def _joined(self, change: Change) -> None:
-        """News from beyond: for our bus, and where we are the home for the other neighbours."""
+        """A change from another segment: for our bus and, if we are the home, the other neighbours."""
         self.counts["joined"] += 1
         self._fresh.append(change)
         self._inject.pop(change, None)
@@ -216,7 +218,7 @@ class WorkRelay:
         return TaskClaim(change.section, *self.allocation.entry(change.section))
 
     def forget_injections(self) -> None:
-        """Another gateway leads: it says them."""
+        """Another gateway leads, so it sends them."""
         self._inject.clear()
 
     # ---------------------------------------------------------------- anti-entropy
@@ -231,7 +233,7 @@ class WorkRelay:
         return done, (total & 0xFFFF_FFFF_FFFF_FFFF) >> 32
 
     def digest(self, neighbour: int) -> int:
-        """Of all that both hold, the same on both sides where it is alike."""
+        """Digest of all sections that both hold; equal contents give equal digests on both sides."""
         total = 0
         for section in self.area.shared_with(neighbour):
             home, number = self.area.place_of(section)
@@ -247,7 +249,7 @@ class WorkRelay:
         return (total & 0xFFFF_FFFF_FFFF_FFFF) >> 32
 
     def _holder(self, key: int, home: int, neighbour: int) -> int:
-        """The segment whose robot holds a section; a third one's counts as the home's on both sides."""
+        """The segment that holds a section; a third segment counts as the home on both sides."""
         claim = Claim.unpack(key)
         if claim.phase in (Phase.DONE, Phase.FREE):
             return 0
@@ -255,7 +257,7 @@ class WorkRelay:
         return segment if segment in (self.area.segment, neighbour) else home
 
     def compare(self, neighbour: int, theirs: int) -> None:
-        """A neighbour's digest; twice different in a row, nothing being under way: tell it."""
+        """Compare a neighbour's digest; after two differences in a row with nothing pending, send."""
         if neighbour not in self._outbox:
             return
         if theirs == self.digest(neighbour):
@@ -264,7 +266,7 @@ class WorkRelay:
             return
         tries = self._differs[neighbour] = self._differs.get(neighbour, 0) + 1
         if tries < 2 or tries & tries - 1 or self._outbox[neighbour]:
-            return  # 2, 4, 8 ...: what can not be repaired costs ever less
+            return  # try at 2, 4, 8 ... so that an unrepairable difference costs less and less
         since = self._agreed.get(neighbour, 0) if tries == 2 else 0
         for change in self._shared_since(neighbour, since):
             self._outbox[neighbour][change] = None
