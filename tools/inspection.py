@@ -291,7 +291,6 @@ def table_of(seen: dict[str, Any]) -> Table:
         "robot",
         "address",
         "state",
-        "health",
         "peers",
         "sections",
         "vector clock",
@@ -304,6 +303,7 @@ def table_of(seen: dict[str, Any]) -> Table:
             robot["state"]
             + (" (silent)" if robot["silent"] else "")
             + (" (left)" if robot["left"] else "")
+            + ("" if robot["health"] == 1.0 else f" {robot['health']:.0%}")
         )
         clock = " ".join(f"{slot}:{count}" for slot, count in robot["clock"].items())
         replica = robot["replica"]
@@ -311,7 +311,7 @@ def table_of(seen: dict[str, Any]) -> Table:
             replica += f": {robot['digest']}"
         path = " > ".join(f"{t['to']}@{t['t_s']:.1f}" for t in robot["transitions"][-6:])
         table.add_row(
-            str(robot["slot"]), str(robot["address"]), state, f"{robot['health']:.0%}",
+            str(robot["slot"]), str(robot["address"]), state,
             " ".join(map(str, robot["peers"])),
             " ".join(robot["sections"]), clock, replica, path,
         )  # fmt: skip

@@ -106,8 +106,8 @@ def matters(reports: Reports, slot: int = ROBOT) -> list[Matter]:
     return told
 
 
-def order(cluster: Cluster, command: Command, argument: int = 0) -> None:
-    cluster.order(OperatorCommand(command, ROBOT, OPERATOR, argument))
+def order(cluster: Cluster, command: Command, argument: int = 0, slot: int = ROBOT) -> None:
+    cluster.order(OperatorCommand(command, slot, OPERATOR, argument))
 
 
 def test_a_robot_stops_asks_and_goes_on_when_the_way_is_free() -> None:
@@ -155,8 +155,13 @@ def test_going_round(command: Command) -> None:
         order(cluster, command, reports[-1][1].number)
         loop = asyncio.get_running_loop()
         if command is Command.REPLAN:  # it comes back to what the box stands on, and asks again
-            while loop.time() < LIMIT_S and len({r.number for _, r in reports}) < 2:
+            asked_by = set[tuple[int, int]]()
+            while loop.time() < LIMIT_S and (ROBOT, 2) not in asked_by:
                 await elapse(0.5)
+                for slot, number in {(r.slot, r.number) for _, r in reports} - asked_by:
+                    asked_by.add((slot, number))
+                    if slot != ROBOT:  # another that stands there keeps this one's implement up
+                        order(cluster, command, number, slot)
             assert peer.claims.current == section
             cluster.world.remove_box(box)
         await finished(cluster)

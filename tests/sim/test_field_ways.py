@@ -68,7 +68,8 @@ def test_m3_a_field_of_a_few_metres_is_finished(
 
 @pytest.mark.parametrize("robots", (2, 4, 6))
 def test_m26_six_robots_in_a_small_field_get_on(robots: int, tmp_path: Path) -> None:
-    made = scenario(tmp_path, rectangle(20.0, 20.0), robots, 1, time_limit_s=200.0)
+    # Implements that keep off each other make six slower than two: 90 to 210 s where two need 54.
+    made = scenario(tmp_path, rectangle(20.0, 20.0), robots, 1, time_limit_s=300.0)
     outcome = Expedition(Setting(made)).run()
     assert outcome.success, outcome
 

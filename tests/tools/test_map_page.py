@@ -158,7 +158,7 @@ def test_b5_a_fleet_released_without_a_start_is_started_from_the_page(
 @needs_browser
 def test_b4_an_old_picture_says_so(tmp_path: Path) -> None:
     with launched(tmp_path) as live, browser() as page:
-        map_pid = live.children("tools.headland map")[0]
+        map_pid = live.children(" map ")[0]
         page.get(live.url)
         until(page, robots_in("WORKING", "IDLE"), WAIT_S)
         assert not shows(page, "old")
