@@ -11,10 +11,11 @@ from tools.build import compile as compiling
 from tools.build import compiled_core
 from tools.build.compile import ToolMissingError, build
 from tools.build.compiled_core import Finder, place
+from tools.common.fingerprint import ROOT
 
 RUNS = [("protocol", 3), ("all", 1), ("stop", 2), ("crash", 5)]
 FEW = RUNS[:2]  # of a small core: these go through all of its modules
-SMALL = {"crdt": "digest progress clock", "protocol": "fleet_frames"}  # half a minute to compile
+SMALL = {"crdt": "digest progress clock", "protocol": "frames.fleet_frames"}  # half a minute to compile
 PLAY = """
 import json, sys
 from pathlib import Path
@@ -63,6 +64,10 @@ def test_compiled_and_interpreted_runs_have_the_same_trace_hashes(core: Path) ->
     used, file, interpreted = play(runs)
     assert not used and file.endswith(".py")
     assert compiled == interpreted, runs
+
+
+def test_every_module_of_the_core_is_there() -> None:
+    assert all((ROOT / file).is_file() for file in compiling.files(compiling.GROUP))
 
 
 def test_changed_sources_have_no_core(monkeypatch: pytest.MonkeyPatch) -> None:
