@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from math import hypot
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from agent.interface.config import ACTUATOR_TTL_US
 from agent.interface.effects import Effect, Send, Trace
@@ -22,8 +22,9 @@ STALLED: Final = int(ReportKind.STALLED)
 class ControlCycle:
     def __init__(self, peer: "Peer") -> None:
         self.peer = peer
-        self._sweeping = peer.mission if isinstance(peer.mission, Sweeping) else None
-        self._replanning = peer.mission if isinstance(peer.mission, Replanning) else None
+        asked: Any = peer.mission  # mypyc treats a Protocol in isinstance() as a base class
+        self._sweeping: Sweeping | None = asked if isinstance(asked, Sweeping) else None
+        self._replanning: Replanning | None = asked if isinstance(asked, Replanning) else None
         self.stall = Stall()
         self._drove_us = 0  # time of the newest command to the actuator
 
