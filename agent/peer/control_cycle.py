@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from agent.peer.peer import Peer
 
 NEAR_M: Final = 1.8  # between two hulls; we do not wait for a robot that is further away
-# A plain int, because mypyc generates invalid C for an IntEnum member passed as an int.
-STALLED: Final = int(ReportKind.STALLED)
 
 
 class ControlCycle:
@@ -102,7 +100,7 @@ class ControlCycle:
         told = Trace("stall", "", advice.name, "", what)
         if advice is Advice.REPLAN:
             return [told]
-        return [Send(OperatorReport(peer.slot, 0, STALLED, here.x_m, here.y_m)), told]
+        return [Send(OperatorReport(peer.slot, 0, ReportKind.STALLED, here.x_m, here.y_m)), told]
 
     def _wish(self, view: FleetView, effects: list[Effect]) -> MotionRequest:
         peer, now_us = self.peer, view.now_us
