@@ -92,7 +92,7 @@ class SoilSamples:
         self.section, self.tracker = -1, None
 
     def interrupted(self) -> None:
-        """The auger is up, or a stop came between: dig anew."""
+        """The auger is up, or a stop came between: dig again."""
         self.there_us = None
 
     def rest(self, view: FleetView) -> MotionRequest:

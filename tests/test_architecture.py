@@ -59,7 +59,7 @@ ALLOWED: dict[str, str] = {
 }  # fmt: skip
 # The only modules of the core that may use clocks, sockets, threads and files.
 EDGES = ("agent/runtime/", "protocol/links/")
-RIGS = ("sim/rigs/", "tools/bench/", "tests/")  # who may import the rigs
+RIGS = ("sim/rigs/", "tools/bench/", "tests/")  # only these may import the rigs
 OUTSIDE = {
     "asyncio", "can", "multiprocessing", "os", "random", "secrets", "selectors", "socket",
     "sqlite3", "subprocess", "threading", "time", "uuid",

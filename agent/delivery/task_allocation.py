@@ -322,7 +322,7 @@ class TaskAllocation:
     ) -> None:  # fmt: skip
         """Join the one that is offered, or call one."""
         haste = haste or (offer is not None and offer.hastens)
-        frozen = (hastened if haste else anew)(self, view, able)
+        frozen = (hastened if haste else new_problem)(self, view, able)
         self.haste.planned(view.now_us, self.book.added)
         if offer is None:
             self.round.call(frozen, replan_us, view.now_us)
@@ -436,7 +436,7 @@ def standings(dispatch: TaskAllocation, view: FleetView, able: bool) -> list[Car
     return sorted(robots)
 
 
-def anew(dispatch: TaskAllocation, view: FleetView, able: bool) -> ProblemSnapshot:
+def new_problem(dispatch: TaskAllocation, view: FleetView, able: bool) -> ProblemSnapshot:
     """Every free task, including those in itineraries of any robot."""
     robots = standings(dispatch, view, able)
     fresh, _ = dispatch.open(view)

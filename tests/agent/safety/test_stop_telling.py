@@ -36,7 +36,7 @@ def test_who_knows_nobody_repeats_its_stop_for_a_second() -> None:
 def test_a_claim_by_one_that_may_move_is_no_sign_of_life(stood: bool) -> None:
     """Found by `headland chaos`, profile protocol, seed 1600653: who was pressed off the bus came back,
     claimed its address, and could say the stop only 250 ms later; its claim put the silence off. A fleet
-    that is reset claims anew, and is not silent."""
+    that is reset claims again, and is not silent."""
     peer = peer_in(State.WORKING, None)
     name = fleet_name("total", 1).pack()
     introduce(peer, 140, 1)

@@ -57,7 +57,7 @@ def test_f11_a_log_keeps_its_newest_parts_and_says_once_that_older_ones_go(tmp_p
 
 
 def test_f11_an_mcap_is_closed_and_begun_again_by_size(tmp_path: Path) -> None:
-    pytest.importorskip("mcap")
+    pytest.importorskip("mcap", reason="the extra `operator` is not installed")
     limit, said = Limit(part_bytes=200_000, parts=4), list[str]()
     intent = Intent(1, 0.0, 0.0, 0.0, 0.0, 0.0, (0.0, 0.0), (), (), (1,), (), (), False).to_dict()
     log = PartedLog(tmp_path / "run.mcap", _mcap, 0, limit, said.append)

@@ -167,7 +167,7 @@ def _foxglove_fields(schema: dict[str, Any], path: str) -> set[str]:
 
 
 def test_a20_the_schemas_of_the_mcap_say_every_message_path(kept: tuple[Path, str, str]) -> None:
-    reading = pytest.importorskip("mcap.reader")
+    reading = pytest.importorskip("mcap.reader", reason="the extra `operator` is not installed")
     paths, schemas = {}, {}
     with (kept[0] / "run.mcap").open("rb") as file:
         summary = reading.make_reader(file).get_summary()
@@ -189,8 +189,8 @@ def test_a20_the_schemas_of_the_mcap_say_every_message_path(kept: tuple[Path, st
 
 
 def test_a20_every_message_obeys_its_schema(kept: tuple[Path, str, str], tmp_path: Path) -> None:
-    reading = pytest.importorskip("mcap.reader")
-    jsonschema = pytest.importorskip("jsonschema")
+    reading = pytest.importorskip("mcap.reader", reason="the extra `operator` is not installed")
+    jsonschema = pytest.importorskip("jsonschema", reason="jsonschema is not installed")
     log = McapLog(tmp_path / "things.mcap")
     log.place(1_000, [[1.0, 2.0, 3.0, 0.5, 0.5, 1.0, 0.0]])
     log.close()
@@ -230,7 +230,7 @@ def test_a20_a_recording_gives_back_what_the_robots_told(kept: tuple[Path, str, 
 
 
 def test_a20_files_of_before_are_read_as_well(tmp_path: Path) -> None:
-    writing = pytest.importorskip("mcap.writer")
+    writing = pytest.importorskip("mcap.writer", reason="the extra `operator` is not installed")
     old = {"slot": 3, "wanted": [0.0, 1.0], "path": [[1.0, 2.0]], "strange": []}
     with (tmp_path / "old.mcap").open("wb") as file:
         writer = writing.Writer(file)

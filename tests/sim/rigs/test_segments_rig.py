@@ -311,7 +311,7 @@ def panel_of(fleet: SegmentFleet, number: int) -> CanBus:
 
 
 def clear_here(fleet: SegmentFleet, dot: tuple[int, int, int, int], number: int) -> None:
-    """The robots of a segment have cleared a stop, whoever made them; no gateway has heard of it."""
+    """The robots of a segment cleared a stop of any maker; no gateway has heard of it."""
 
     def hear(half: FleetReset) -> Callable[[Peer, int], Sequence[Effect]]:
         return lambda peer, now: peer.hear(GATEWAY_ADDRESS, half, now)

@@ -46,7 +46,7 @@ def test_a_robot_that_dies_is_not_missed_for_long() -> None:
 
 @pytest.mark.parametrize("disk", ["kept", "lost"])
 def test_a_robot_that_comes_back_knows_the_map(disk: str) -> None:
-    """Who has lost its memory stands until a person has looked (agent/peer/durable_records.py)."""
+    """A robot without its memory stands until a person has looked (agent/peer/durable_records.py)."""
     faults = (
         Restart(at_s=6.0, kind="restart", robot=2, disk=disk),  # type: ignore[arg-type]
         Join(at_s=8.0, kind="join", robot=1),

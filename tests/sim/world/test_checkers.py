@@ -16,7 +16,7 @@ BOUND_US = 50_000
 
 
 def moving(seconds: float, stop_s: float, again_s: float = 1e9) -> MotionAfterStopChecker:
-    """Two robots; slot 1 obeys a stop pressed at `stop_s`, and starts anew at `again_s`."""
+    """Two robots; slot 1 obeys a stop pressed at `stop_s`, and starts again at `again_s`."""
     world = World([], 1)
     for slot in range(2):
         world.add_robot(slot, (0.0, 5.0 * slot), 0.5, Chassis())

@@ -201,7 +201,7 @@ def test_f4_damaged_candump_lines_are_counted_and_said(
 def test_f4_a_damaged_mcap_is_no_traceback(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    pytest.importorskip("mcap")
+    pytest.importorskip("mcap", reason="the extra `operator` is not installed")
     from sim.record.mcap_log import McapLog, read_recording
     from sim.record.scene import scene_of
 
@@ -313,7 +313,7 @@ def _square(side: float, at: float = 0.0) -> list[tuple[float, float]]:
 
 
 def _task_data(folder: Path, *fields: tuple[str, str]) -> Path:
-    pytest.importorskip("isoxml")
+    pytest.importorskip("isoxml", reason="the extra `isoxml` is not installed")
     parts = "".join(
         PFD.format(n=k + 1, name=name, plns=plns) for k, (name, plns) in enumerate(fields)
     )
@@ -398,7 +398,7 @@ def test_f1_a_field_may_be_named_by_no_folder(tmp_path: Path) -> None:
 
 
 def test_a12_exported_files_are_named_and_labelled_as_others_do(tmp_path: Path) -> None:
-    pytest.importorskip("isoxml")
+    pytest.importorskip("isoxml", reason="the extra `isoxml` is not installed")
     from sim.runs.isoxml_writer import write_isoxml
     from sim.runs.work_geojson import read_work_geojson
 

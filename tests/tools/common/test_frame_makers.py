@@ -60,7 +60,7 @@ def test_a2_a_robot_that_another_makers_frame_had_made_goes_with_its_claim() -> 
         assert not listener.robots
 
 
-def test_a2_a_robot_that_is_known_stays_in_the_count_whoever_claims_its_address() -> None:
+def test_a2_a_robot_that_is_known_stays_in_the_count_when_another_claims_its_address() -> None:
     tool = operator()
     tool.hear(0.0, encode(Member(1, 1, 7), ROBOT_AT))
     tool.hear(0.1, encode(ROBOT, ROBOT_AT))

@@ -67,7 +67,7 @@ async def ended(process: Process) -> int:
 @pytest.mark.skipif(sys.platform == "win32", reason="the viewer needs a terminal")
 @pytest.mark.parametrize("source", ["launch", "document"])
 def test_a7_the_viewer_shows_frames(source: str) -> None:
-    pty = pytest.importorskip("pty")
+    pty = pytest.importorskip("pty", reason="this system has no pseudo-terminals")
 
     async def story(hub: Hub, other: FieldBus) -> None:
         printed = words(viewer_command("127.0.0.1", hub.port))

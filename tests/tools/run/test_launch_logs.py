@@ -34,7 +34,7 @@ def _call(folder: Path, *words: str) -> tuple[str, str]:
 
 @pytest.mark.slow
 def test_f11_a_launch_keeps_its_newest_parts_and_tools_read_them_all(tmp_path: Path) -> None:
-    pytest.importorskip("mcap")
+    pytest.importorskip("mcap", reason="the extra `operator` is not installed")
     words = ["launch", "small", "--robots", "2", "--seconds", "25", "--port", "0"]
     said, errors = _call(tmp_path, "-c", TINY, *words)
     assert "Traceback" not in errors, errors
