@@ -25,7 +25,13 @@ from protocol.frames.frame import Frame
 from protocol.frames.identifier import GLOBAL_ADDRESS
 from protocol.frames.messages import GROUP_OF, Message
 from protocol.frames.network_frames import AddressClaimed, Request
-from protocol.frames.safety_frames import Challenge, EmergencyReset, OperatorCommand, Reason
+from protocol.frames.safety_frames import (
+    Challenge,
+    EmergencyReset,
+    EmergencyStop,
+    OperatorCommand,
+    Reason,
+)
 from protocol.links.bus import CanBus
 from protocol.name import fleet_name, tool_name
 from sim.can.simulated_bus import FieldBus, forget, segment
@@ -42,6 +48,8 @@ from sim.scenarios.scenario import Join, Scenario
 
 OPERATOR = 200  # slot of the operator device that sends a scenario's resets
 TOOL_ADDRESS = 249  # source address of scripted operator frames
+STOP_PGN = GROUP_OF[EmergencyStop].pgn
+PGN_MASK = 0x3FFFF  # of an identifier without its source address
 AnySetting = Setting | ErrandSetting | GridSetting
 Record = Callable[[int, int, Effect], None]  # slot, time in microseconds, effect
 
@@ -244,7 +252,16 @@ class Cluster:
         self.world.advance(now_us)
         unheard = {robot.slot for robot in members if robot.bus.node not in hearers} - {slot}
         self.stops.pressed(now_us, {slot, *(robot.slot for robot in members)}, unheard, by=slot)
+        if self._stop_passes not in self.segment.taps:
+            self.segment.taps.append(self._stop_passes)
         self.robots[slot].shell.operate(lambda p, now: p.press(reason, now))
+
+    def _stop_passes(self, t_us: int, frame: Frame) -> None:
+        """A tap on the bus, as long as a pressed robot waits for its stop frame to be sent."""
+        if frame.identifier >> 8 & PGN_MASK == STOP_PGN and frame.data:
+            self.stops.sent(frame.data[0], t_us)
+            if not self.stops.waits:
+                self.segment.taps = [tap for tap in self.segment.taps if tap != self._stop_passes]
 
     def look(self) -> None:
         """Update the contact history; call before links change or robots come and go."""

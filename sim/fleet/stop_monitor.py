@@ -56,6 +56,7 @@ class StopMonitor:
         self._disturbed_us = 0  # until then not all robots receive each other
         self.disturbances = 0
         self._unsaid: set[int] = set()  # presses of robots that had no address to send them from
+        self._unsent: set[int] = set()  # presses whose stop frame has not been on the wire
 
     @property
     def violations(self) -> list[Violation]:
@@ -73,6 +74,20 @@ class StopMonitor:
         self._unheard[number] = frozenset(unheard)
         if by in self._mute():
             self._unsaid.add(number)
+        if by != NOBODY:
+            self._unsent.add(number)
+
+    @property
+    def waits(self) -> bool:
+        """Whether a pressed robot has not yet put its stop on the wire."""
+        return bool(self._unsent)
+
+    def sent(self, slot: int, t_us: int) -> None:
+        """A stop frame that names this slot as its origin was on the wire, completely."""
+        self._unsent -= {
+            number for number in self._unsent
+            if self._by[number] == slot and self._pressed_us[number] <= t_us
+        }  # fmt: skip
 
     # ---------------------------------------------------------------- levels
 
@@ -157,9 +172,10 @@ class StopMonitor:
                 self._free(number, slot)
 
     def interrupted(self, since_us: int) -> None:
-        """A stop pressed since then may have been received only by the robot that was pressed."""
+        """A stop pressed since then, or one that still waits for a full bus, may be known only to
+        the robot that was pressed."""
         for number, pressed_us in self._pressed_us.items():
-            if pressed_us > since_us:
+            if pressed_us > since_us or number in self._unsent:
                 self._unheard[number] |= self._know[number] - {self._by[number]}
                 self._know[number] &= {self._by[number]}
 

@@ -148,10 +148,28 @@ def test_a_stop_that_was_hardly_said_is_known_to_who_was_pressed_alone(since_us:
     parade = ProtocolWorld(2, 2)
     watch = StopMonitor(parade, 2)
     watch.pressed(2 * S, (0, 1), by=0)
+    watch.sent(0, 2 * S)
     watch.interrupted(since_us)
     watch.forgets(0)
     parade.moved(1, 10 * S)
     assert bool(watch.violations) is (since_us == 2 * S)
+
+
+@pytest.mark.parametrize("sender", [None, 0, 1])
+def test_a_stop_that_waits_for_a_full_bus_binds_no_robot_that_restarts(sender: int | None) -> None:
+    """Found by `headland chaos`, profile press, seed 930019: the pressed robot loses its power before
+    its stop frame has won an arbitration, and the other robot restarts."""
+    parade = ProtocolWorld(2, 2)
+    watch = StopMonitor(parade, 2)
+    watch.pressed(2 * S, (0, 1), by=0)
+    watch.sent(0, 1 * S)  # a stop frame of an earlier press
+    if sender is not None:
+        watch.sent(sender, 3 * S)
+    assert watch.waits is (sender != 0)
+    watch.interrupted(5 * S)
+    watch.boots(1)
+    parade.moved(1, 10 * S)
+    assert bool(watch.violations) is (sender == 0)
 
 
 @pytest.mark.parametrize("since_us", [1 * S, 2 * S + 1])
