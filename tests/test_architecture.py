@@ -170,6 +170,19 @@ def test_the_check_of_cycles_finds_one() -> None:
     assert circles({"a": {"b"}, "b": {"c"}, "c": {"a"}, "d": {"a"}}) == [{"a", "b", "c"}]
 
 
+def test_one_place_makes_peers() -> None:
+    """A second builder would be a peer that differs from those of robots."""
+    makers = {"Peer", "SegmentPeer"}
+    for path in [*FILES, *sorted((ROOT / "tests").rglob("*.py"))]:
+        calls = (
+            node.func
+            for node in ast.walk(ast.parse(path.read_text()))
+            if isinstance(node, ast.Call)
+        )
+        made = {func.id for func in calls if isinstance(func, ast.Name)} & makers
+        assert not made or name_of(path) == "agent/runtime/peer_factory.py", path
+
+
 @pytest.mark.parametrize("path", FILES, ids=name_of)
 def test_a_file_is_named_by_its_noun(path: Path) -> None:
     assert path.stem not in BANNED_NAMES

@@ -23,13 +23,14 @@ from can import BusABC
 
 from agent.interface.config import CONTENTION_US, S
 from agent.interface.effects import Effect, Trace
-from agent.interface.identity import Identity, SilencePolicy
+from agent.interface.identity import SilencePolicy
 from agent.interface.lifecycle import State
 from agent.interface.ports import Bus, Journal, Observation
 from agent.peer.journal_recovery import remembers
 from agent.peer.peer import Peer
 from agent.peer.self_health import readings
 from agent.peer.stop_release import Release
+from agent.runtime.peer_factory import identity_of, keyring_of, make_peer
 from agent.runtime.peer_runner import PeerRunner
 from agent.runtime.section_names import SectionNames
 from agent.safety.stop_cause import Severity, about, sentence
@@ -39,7 +40,6 @@ from protocol.authentication import KEY_SIZE, OPERATOR_FIRST, Keyring, Keys
 from protocol.frames.fleet_frames import NOWHERE_M, Pose
 from protocol.frames.safety_frames import Reason
 from protocol.links.bus import CanBus
-from protocol.name import fleet_name
 
 log = logging.getLogger(__name__)
 
@@ -125,22 +125,19 @@ class FleetCoordinationEngine:
         if self._task is not None:
             return
         recalled: Mapping[str, bytes] = self.journal.load() if self.journal else {}
-        identity = Identity(
-            slot=self.slot,
-            members=frozenset(range(self.members)),
-            name=fleet_name(self.fleet, self.slot),
-            field_hash=FieldAllocationCRDT.hash_of(self.fleet),
-            silence=self.silence,
-            started=True,
+        identity = identity_of(
+            self.fleet,
+            self.slot,
+            self.members,
+            FieldAllocationCRDT.hash_of(self.fleet),
+            self.silence,
             first_boot=self.first_boot,
         )
         if not remembers(recalled) and not self.first_boot:
             self._rng = Random(randbits(64))  # the next incarnation must not be an earlier one
         self.first_boot = self.journal is None
-        keyring = None
-        if self.keys is not None:
-            keyring = Keyring(self.keys, self.slot, token_bytes(KEY_SIZE))
-        peer = Peer(identity, self._rng, PeerRunner.now_us(), recalled, keyring=keyring)
+        keyring = keyring_of(self.keys, self.slot, token_bytes(KEY_SIZE))
+        peer = make_peer(identity, self._rng, PeerRunner.now_us(), recalled, keyring=keyring)
         self._shell = PeerRunner(peer, self.bus, None, self.journal, self._effect)
         self._task = asyncio.create_task(self._shell.run(), name=f"peer {self.tractor_id}")
         try:

@@ -26,6 +26,7 @@ from agent.interface.lifecycle import State
 from agent.peer import durable_records as records
 from agent.peer.journal_recovery import LOST
 from agent.peer.peer import Peer
+from agent.runtime.peer_factory import make_peer
 from agent.runtime.sqlite_journal import MARK_SUFFIX, Mark, SqliteJournal
 from agent.safety.stop_controller import HOLD_KEY, STOPS_KEY
 from crdt import FieldAllocationCRDT, Phase, Progress
@@ -327,7 +328,7 @@ KEYS = (records.INCARNATION, records.OPERATIONS, records.ELECTION, STOPS_KEY, HO
 
 def _peer(recalled: dict[str, bytes], keyring: Keyring | None = None) -> Peer:
     identity = Identity(0, frozenset(range(4)), fleet_name("fuzz", 0), 1, started=True)
-    return Peer(identity, Random(1), 0, recalled, keyring=keyring)
+    return make_peer(identity, Random(1), 0, recalled, keyring=keyring)
 
 
 def _whole(data: bytes) -> bytes:

@@ -12,13 +12,13 @@ import can
 
 from agent.interface.config import ADDRESS_FIRST, ADDRESS_LAST
 from agent.interface.effects import Effect
-from agent.interface.identity import Identity, SilencePolicy
+from agent.interface.identity import SilencePolicy
 from agent.interface.lifecycle import State
 from agent.interface.ports import Body, Journal
 from agent.peer.peer import Peer
+from agent.runtime.peer_factory import MissionParts, identity_of, make_peer
 from agent.runtime.peer_runner import PeerRunner
 from agent.segments.segment_area import Area
-from agent.segments.segment_peer import SegmentPeer
 from protocol.authentication import Signed
 from protocol.frames.codec import decode_once, destination_of, encode
 from protocol.frames.frame import Frame
@@ -33,7 +33,7 @@ from protocol.frames.safety_frames import (
     Reason,
 )
 from protocol.links.bus import CanBus
-from protocol.name import fleet_name, tool_name
+from protocol.name import tool_name
 from sim.can.simulated_bus import FieldBus, forget, segment
 from sim.fleet.contact_history import ContactHistory
 from sim.fleet.event_loop import EventLoop
@@ -75,7 +75,7 @@ class Robot:
         return self.task is not None and not self.task.done()
 
 
-def make_peer(
+def peer_of(
     setting: AnySetting,
     slot: int,
     now_us: int,
@@ -89,24 +89,21 @@ def make_peer(
     `segment`: for a fleet of several segments; 0 if there are no others. `lot`: any value that no
     two boots of this robot share; the first boot in a simulation needs none.
     """
-    identity = Identity(
-        slot=slot,
-        members=frozenset(range(setting.scenario.fleet.robots)),
-        name=fleet_name(setting.scenario.name, slot),
-        field_hash=setting.config_hash,
-        silence=setting.silence,
-        started=True,
+    scenario = setting.scenario
+    identity = identity_of(
+        scenario.name, slot, scenario.fleet.robots, setting.config_hash, setting.silence,
         first_boot=first_boot,
-    )
+    )  # fmt: skip
     # A robot that has lost its memory must not draw the same random numbers again.
-    rng = Random(f"{setting.scenario.run.seed}/peer/{slot}{lot}")
+    rng = Random(f"{scenario.run.seed}/peer/{slot}{lot}")
     motion, keyring = setting.motion(slot), setting.keyring(slot, lot)
     if isinstance(setting, ErrandSetting):
         chart = setting.chart(slot, now_us)
-        errands = setting.mission(slot, chart, now_us, recalled)
-        return Peer(identity, rng, now_us, recalled, errands, motion, keyring, chart)
-    parts = identity, rng, now_us, recalled, setting.mission(slot), motion, keyring
-    return SegmentPeer(Area(segment, setting.section_count), *parts) if segment else Peer(*parts)
+        parts = MissionParts(setting.mission(slot, chart, now_us, recalled), motion, chart)
+    else:
+        parts = MissionParts(setting.mission(slot), motion)
+    area = Area(segment, setting.section_count) if segment else None
+    return make_peer(identity, rng, now_us, recalled, parts, keyring=keyring, area=area)
 
 
 class Cluster:
@@ -187,7 +184,7 @@ class Cluster:
         self, slot: int, now_us: int, recalled: Mapping[str, bytes], first_boot: bool, lot: str
     ) -> Peer:
         """The peer of this mission; other missions override this."""
-        return make_peer(self.setting, slot, now_us, recalled, first_boot, lot)
+        return peer_of(self.setting, slot, now_us, recalled, first_boot, lot)
 
     def kill(self, slot: int) -> None:
         """Power off without a message. The body stays where it is and its commands expire."""

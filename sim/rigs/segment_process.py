@@ -18,13 +18,12 @@ from random import Random
 from typing import Any
 
 from agent.interface.effects import Drive, Effect
-from agent.interface.identity import Identity, SilencePolicy
+from agent.runtime.peer_factory import identity_of, make_peer
 from agent.runtime.peer_runner import PeerRunner
 from agent.segments.segment_area import Area
 from agent.segments.segment_peer import SegmentPeer
 from protocol.frames.safety_frames import Reason
 from protocol.links.bus import CanBus
-from protocol.name import fleet_name
 from sim.can.simulated_bus import FieldBus, segment
 from sim.can.socketcand_server import Hub
 from sim.fleet.gc_tuning import leave_standing
@@ -43,12 +42,9 @@ class SegmentHost:
         self.tasks: list[asyncio.Task[None]] = []
 
     def _robot(self, name: str, slot: int, robots: int) -> PeerRunner:
-        identity = Identity(
-            slot, frozenset(range(robots)), fleet_name(name, slot), FIELD_HASH,
-            SilencePolicy.STOP, started=True, first_boot=True,
-        )  # fmt: skip
+        identity = identity_of(name, slot, robots, FIELD_HASH, first_boot=True)
         rng = Random(f"{self.seed}/{name}/{slot}")
-        peer = SegmentPeer(self.area, identity, rng, PeerRunner.now_us(), {})
+        peer = make_peer(identity, rng, PeerRunner.now_us(), area=self.area)
 
         def watch(now_us: int, effect: Effect) -> None:
             if type(effect) is Drive:

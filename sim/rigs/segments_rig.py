@@ -12,8 +12,9 @@ from random import Random
 import can
 
 from agent.interface.effects import Drive, Effect
-from agent.interface.identity import Identity, SilencePolicy
+from agent.interface.identity import SilencePolicy
 from agent.runtime.gateway_runner import GatewayShell
+from agent.runtime.peer_factory import MissionParts, identity_of, keyring_of, make_peer
 from agent.runtime.peer_runner import PeerRunner
 from agent.segments.gateway import Gateway
 from agent.segments.map_relay import MapRelay
@@ -22,11 +23,11 @@ from agent.segments.segment_peer import SegmentPeer
 from crdt.hybrid_clock import HybridClock
 from crdt.occupancy import Geometry, OccupancyMap
 from crdt.sighting import TIME_MAX, MergeOrder
-from protocol.authentication import Keyring, Keys
+from protocol.authentication import Keys
 from protocol.frames.frame import Frame
 from protocol.frames.segment_frames import gateway_slot
 from protocol.links.bus import CanBus
-from protocol.name import GATEWAY_FUNCTION, Name, fleet_name
+from protocol.name import GATEWAY_FUNCTION, Name
 from protocol.sync.map_sync import MapSync
 from sim.can.frame_timing import BIT_US, frame_bits
 from sim.can.simulated_bus import Segment, forget, segment
@@ -109,19 +110,18 @@ class SegmentFleet:
         return tap
 
     def _boot(self, number: int, slot: int) -> None:
-        identity = Identity(
-            slot, frozenset(range(self.robots)), fleet_name(f"segment {number}", slot), FIELD_HASH,
-            SilencePolicy.STOP, started=True, first_boot=True,
-        )  # fmt: skip
+        identity = identity_of(f"segment {number}", slot, self.robots, FIELD_HASH, first_boot=True)
         rng = Random(f"{self.seed}/{number}/{slot}")
         lot = f"{self.seed}/{number}/{slot}".encode()
-        keyring = None if self.keys is None else Keyring(self.keys, slot, lot)
+        keyring = keyring_of(self.keys, slot, lot)
         chart = None
         if self.geometry is not None:
             clock = HybridClock(0, MAP_TICK_US, TIME_MAX)
             chart = MapSync(slot, OccupancyMap(self.geometry, MergeOrder.DECAYED), clock, 0)
-        parts = None, None, keyring, chart
-        peer = SegmentPeer(self.areas[number], identity, rng, 0, {}, *parts, policy=self.policy)
+        peer = make_peer(
+            identity, rng, 0, parts=MissionParts(chart=chart), keyring=keyring,
+            area=self.areas[number], backbone=self.policy,
+        )  # fmt: skip
         bus = can.Bus(interface="fieldbus", channel=self.channel(number))
         place = number, slot
 

@@ -18,19 +18,18 @@ from agent.exploration.exploration_report import fleet_status, serialize_for_llm
 from agent.exploration.exploration_task import ExplorationOrder
 from agent.exploration.lone_exploration import LoneExploration
 from agent.interface.config import BRAKING_SHARE
-from agent.interface.identity import Identity
 from agent.interface.lifecycle import State
 from agent.interface.motion_controller import BodyLimits
 from agent.mapping.local_and_fleet_map import LocalAndFleetMap
 from agent.motion.holonomic_motion import HolonomicMotion
 from agent.peer.peer import Peer
+from agent.runtime.peer_factory import MissionParts, identity_of, make_peer
 from crdt.hybrid_clock import HybridClock
 from crdt.occupancy import OccupancyMap
 from crdt.sighting import TIME_MAX
 from protocol.frames.codec import Malformed, decode_once
 from protocol.frames.frame import Frame
 from protocol.frames.map_frames import MapDigests, MapPatch
-from protocol.name import fleet_name
 from protocol.sync.map_sync import MapSync, Values
 from sim.can.frame_timing import worst_bits
 from sim.files.can_log import open_log
@@ -132,10 +131,9 @@ class SurveyCluster(Cluster):
         kind = LoneExploration if self.sharing is Sharing.NONE else ExplorationMission
         mission = kind(chart, limits, fleet.robots, scenario.arena.robots_max, self.orders)
         self.missions[slot] = mission
-        identity = Identity(
-            slot=slot, members=frozenset(range(fleet.robots)),
-            name=fleet_name(scenario.name, slot), field_hash=place.config_hash,
-            silence=place.silence, started=True, first_boot=first_boot,
+        identity = identity_of(
+            scenario.name, slot, fleet.robots, place.config_hash, place.silence,
+            first_boot=first_boot,
         )  # fmt: skip
         rng = Random(f"{scenario.run.seed}/peer/{slot}{lot}")
         motion = HolonomicMotion(
@@ -143,7 +141,8 @@ class SurveyCluster(Cluster):
         )
         on_wire = sync if self.sharing is Sharing.FLEET else None
         keyring = place.keyring(slot, lot)
-        return Peer(identity, rng, now_us, recalled, mission, motion, keyring, on_wire)
+        parts = MissionParts(mission, motion, on_wire)
+        return make_peer(identity, rng, now_us, recalled, parts, keyring=keyring)
 
     def _sync(self, slot: int, now_us: int) -> MapSync:
         chart = OccupancyMap(self.place.geometry, self.place.order)

@@ -14,6 +14,7 @@ from agent.interface.motion_controller import BodyLimits
 from agent.interface.ports import Observation
 from agent.motion.holonomic_motion import HolonomicMotion
 from agent.peer.peer import Peer
+from agent.runtime.peer_factory import MissionParts, make_peer
 from agent.safety.stop_cause import ClearCondition, StopCause
 from protocol.controller_health import Health
 from protocol.frames.fleet_frames import Member
@@ -58,7 +59,7 @@ def peer_in(
         0, frozenset(range(3)), fleet_name("total", 0), 1, policy, started=True, first_boot=True
     )
     motion = HolonomicMotion(0, BodyLimits(0.8, 2.5, 1.5), np.empty((0, 4)))
-    peer = Peer(identity, Random(1), 0, {}, Eager(), motion)
+    peer = make_peer(identity, Random(1), 0, {}, MissionParts(Eager(), motion))
     peer.observe(Observation(0.0, 0.0, 0.0, 0.0, 0.0, sensed_at_us=0), 0)
     peer.claims.current = 0 if state is State.WORKING else None
     peer.lifecycle.state = state

@@ -7,13 +7,11 @@ from random import Random
 
 import numpy as np
 
-from agent.interface.identity import Identity
 from agent.interface.motion_controller import BodyLimits
 from agent.motion.holonomic_motion import HolonomicMotion
-from agent.peer.peer import Peer
+from agent.runtime.peer_factory import MissionParts, identity_of, make_peer
 from agent.runtime.peer_runner import PeerRunner
 from protocol.links.bus import CanBus
-from protocol.name import fleet_name
 from sim.can.simulated_bus import FieldBus, Segment, forget, segment
 from sim.fleet.simulated_disk import MemoryJournal
 from sim.world.protocol_drill import SPEED_M_S, Drill, Place
@@ -33,18 +31,12 @@ class ProtocolFleet:
         self.shells: list[PeerRunner] = []
         sections = sections or 8 * robots
         for slot, body in enumerate(self.bodies):
-            identity = Identity(
-                slot,
-                frozenset(range(robots)),
-                fleet_name("drill", slot),
-                1,
-                started=True,
-                first_boot=True,
-            )
+            identity = identity_of("drill", slot, robots, 1, first_boot=True)
             motion = HolonomicMotion(slot, BodyLimits(0.5, SPEED_M_S, 1.0), NO_FENCES)
             mission = Drill(slot, robots, sections)
             rng = Random(f"{seed}/drill/{slot}")
-            peer = Peer(identity, rng, PeerRunner.now_us(), {}, mission, motion)
+            parts = MissionParts(mission, motion)
+            peer = make_peer(identity, rng, PeerRunner.now_us(), parts=parts)
             self.shells.append(
                 PeerRunner(peer, CanBus(FieldBus(self.channel)), body, MemoryJournal())
             )

@@ -17,7 +17,7 @@ from agent.runtime.peer_runner import PeerRunner
 from agent.runtime.sqlite_journal import SqliteJournal
 from protocol.links.socketcand_link import SocketcandLink
 from sim.fleet.gc_tuning import leave_standing
-from sim.fleet.simulated_fleet import make_peer
+from sim.fleet.simulated_fleet import peer_of
 from sim.record.intent_stream import tell
 from sim.record.remote_body import RemoteBody
 from sim.scenarios.delivery_scenario import is_warehouse, load_warehouse
@@ -68,7 +68,7 @@ async def run(order: dict[str, Any]) -> None:
     rng = Random(f"line of robot {slot}")
     bus = SocketcandLink(order["host"], int(order["bus_port"]), order["channel"], rng)
     await bus.up()
-    peer = make_peer(
+    peer = peer_of(
         setting,
         slot,
         PeerRunner.now_us(),

@@ -5,6 +5,7 @@ from random import Random
 from agent.interface.effects import Send
 from agent.interface.identity import Identity
 from agent.peer.peer import Peer
+from agent.runtime.peer_factory import make_peer
 from protocol.frames.fleet_frames import Heartbeat
 from protocol.frames.frame import Frame
 from protocol.frames.messages import GROUP_OF
@@ -18,7 +19,7 @@ STRANGER = 200  # an address
 
 def _joined() -> tuple[Peer, int, int]:
     """A robot on the bus, its address and the time."""
-    peer = Peer(Identity(0, frozenset({0}), fleet_name("a19", 0), 1), Random(19), 0, {})
+    peer = make_peer(Identity(0, frozenset({0}), fleet_name("a19", 0), 1), Random(19), 0, {})
     now_us = 0
     while not peer.joining.joined:
         now_us = max(now_us, peer.deadline_us)

@@ -15,6 +15,7 @@ from agent.interface.effects import Persist
 from agent.interface.identity import Identity, SilencePolicy
 from agent.peer.journal_recovery import LOST
 from agent.peer.peer import Peer
+from agent.runtime.peer_factory import make_peer
 from agent.runtime.sqlite_journal import CHECK_SIZE, MARK_SUFFIX, SqliteJournal, _checked
 from agent.safety.stop_controller import HOLD_KEY, LATCHED
 from protocol.frames.safety_frames import Reason
@@ -29,7 +30,7 @@ def boot(recalled: dict[str, bytes], first_boot: bool = False) -> Peer:
         slot=2, members=frozenset(range(3)), name=fleet_name("rolled back", 2), field_hash=1,
         silence=SilencePolicy.STOP, started=True, first_boot=first_boot,
     )  # fmt: skip
-    return Peer(identity, Random(f"{SEED}/{first_boot}"), 0, recalled)
+    return make_peer(identity, Random(f"{SEED}/{first_boot}"), 0, recalled)
 
 
 def latched_robot(folder: Path) -> Path:

@@ -14,8 +14,8 @@ from agent.interface.motion_controller import BodyLimits
 from agent.interface.ports import Observation
 from agent.motion.holonomic_motion import HolonomicMotion
 from agent.motion.stopping_zone import GONE_QUIET_US
-from agent.peer.peer import Peer
 from agent.peer.sense_freshness import AGE_MAX_US, FROZEN_M, STEADY_US
+from agent.runtime.peer_factory import make_peer
 from agent.safety.stop_cause import StopCause
 from protocol.controller_health import Health
 from protocol.frames.fleet_frames import NOWHERE_M, PLACE_UNKNOWN_M_S, Pose
@@ -191,7 +191,7 @@ def test_item_3_a_beat_without_a_place_leaves_the_last_one_and_makes_it_uncertai
 
 def test_item_3_a_peer_without_a_drive_is_not_held_by_its_senses() -> None:
     peer = peer_in(State.WORKING, None)
-    bare = Peer(peer.identity, Random(1), 0, {})
+    bare = make_peer(peer.identity, Random(1), 0)
     for now_us in range(0, 2 * S, 50 * MS):
         bare.tick(now_us)
     assert not held_by(bare) & SENSES

@@ -14,6 +14,7 @@ import pytest
 from agent.interface.identity import Identity
 from agent.peer.peer import Peer
 from agent.peer.pgn_responder import COMPONENT_PGN
+from agent.runtime.peer_factory import make_peer
 from agent.runtime.peer_runner import PeerRunner
 from protocol.frames.codec import encode
 from protocol.frames.frame import Frame
@@ -47,7 +48,7 @@ class Bus:
 
     def add_peer(self, slot: int) -> Peer:
         identity = Identity(slot, frozenset({slot}), fleet_name("interop", slot), 1)
-        peer = Peer(identity, Random(slot), PeerRunner.now_us(), {})
+        peer = make_peer(identity, Random(slot), PeerRunner.now_us(), {})
         shell = PeerRunner(peer, CanBus(FieldBus(self.segment.channel)), None, None)
         self._tasks.append(asyncio.create_task(shell.run()))
         self.peers.append(peer)

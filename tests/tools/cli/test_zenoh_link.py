@@ -12,9 +12,9 @@ import pytest
 pytest.importorskip("zenoh", reason="the extra `backbone` is not installed")
 
 from agent.interface.identity import Identity
+from agent.runtime.peer_factory import make_peer
 from agent.runtime.peer_runner import PeerRunner
 from agent.segments.segment_area import Area
-from agent.segments.segment_peer import SegmentPeer
 from protocol.frames.codec import encode
 from protocol.frames.fleet_frames import Member
 from protocol.frames.frame import Frame
@@ -62,7 +62,7 @@ def test_peers_live_on_the_backbone_itself() -> None:
                 started=True,
                 first_boot=True,
             )
-            peer = SegmentPeer(Area(1, 4), identity, Random(slot), PeerRunner.now_us(), {})
+            peer = make_peer(identity, Random(slot), PeerRunner.now_us(), area=Area(1, 4))
             bus = ZenohBus(link, "headland/test/1/bus")
             shells.append(PeerRunner(peer, bus, None, None))
         tasks = [asyncio.create_task(shell.run()) for shell in shells]

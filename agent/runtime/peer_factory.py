@@ -1,0 +1,90 @@
+"""The one place that makes peers: of robots, of simulated fleets, of the engine, and of tests.
+
+A peer is its identity, its chance, its durable memory, and what its mission brings: `MissionParts`.
+A fleet of several segments names its `Area`, and the peer then also knows the other segments.
+"""
+
+from collections.abc import Mapping
+from random import Random
+from typing import NamedTuple
+
+from agent.interface.identity import Identity, SilencePolicy
+from agent.interface.mission import Mission
+from agent.interface.motion_controller import MotionController
+from agent.peer.peer import Peer
+from agent.segments.segment_area import Area
+from agent.segments.segment_peer import SegmentPeer
+from protocol.authentication import Keyring, Keys
+from protocol.name import fleet_name
+from protocol.sync.map_sync import MapSync
+
+NO_MEMORY: Mapping[str, bytes] = {}
+
+
+class MissionParts(NamedTuple):
+    """What a mission brings to its peer. Without any, the peer is a member that does no work."""
+
+    mission: Mission | None = None
+    motion: MotionController | None = None
+    chart: MapSync | None = None  # the fleet's map, if the mission makes one
+
+
+NO_MISSION = MissionParts()
+
+
+def identity_of(
+    fleet: str,
+    slot: int,
+    robots: int,
+    field_hash: int,
+    silence: SilencePolicy = SilencePolicy.STOP,
+    *,
+    first_boot: bool = False,
+) -> Identity:
+    """The identity of one slot of a fleet of `robots` robots, with permission to move at boot.
+
+    `fleet`: the name that all its robots share; their NAMEs on the bus are made from it.
+    `field_hash`: u24; robots with another one work somewhere else and are refused.
+    `first_boot`: a new machine, for which an empty memory is no loss.
+    """
+    return Identity(
+        slot=slot,
+        members=frozenset(range(robots)),
+        name=fleet_name(fleet, slot),
+        field_hash=field_hash,
+        silence=silence,
+        started=True,
+        first_boot=first_boot,
+    )
+
+
+def keyring_of(keys: Keys | None, sender: int, lot: bytes) -> Keyring | None:
+    """The keyring of one robot; None for a fleet without keys.
+
+    `lot`: any value that no two boots of this robot share, because it names the boot in questions
+    about freshness."""
+    return None if keys is None else Keyring(keys, sender, lot)
+
+
+def make_peer(
+    identity: Identity,
+    rng: Random,
+    now_us: int,
+    recalled: Mapping[str, bytes] = NO_MEMORY,
+    parts: MissionParts = NO_MISSION,
+    *,
+    keyring: Keyring | None = None,
+    area: Area | None = None,
+    backbone: SilencePolicy = SilencePolicy.CONTINUE,
+) -> Peer:
+    """One peer, before its first frame.
+
+    `now_us`: the time of its boot on the clock of all its later inputs. `recalled`: the contents of
+    its durable memory. `area`: its segment, in a fleet of several. `backbone`: what it does while no
+    other segment is reached.
+    """
+    if area is None:
+        return Peer(identity, rng, now_us, recalled, *parts[:2], keyring, parts.chart)
+    return SegmentPeer(
+        area, identity, rng, now_us, recalled, *parts[:2], keyring, parts.chart, policy=backbone
+    )
