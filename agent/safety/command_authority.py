@@ -1,8 +1,8 @@
 """Authenticates commands: MAC check, two-frame confirmation, freshness challenge.
 
 A fleet without keys accepts every sender. With keys, a stop needs one valid tag, because it must
-not wait. An operator's order needs two frames that agree, because a tag that is valid by chance may
-stop a fleet but must not release it. `protocol/authentication.py` says what a tag covers.
+not wait. An operator's order needs two frames that agree. A tag that is valid by chance may stop a
+fleet, but it must not release it. `protocol/authentication.py` says what a tag covers.
 """
 
 from collections.abc import Sequence
@@ -28,6 +28,13 @@ ORDERS_MAX = 64  # orders that wait for their second frame
 
 
 class CommandAuthority:
+    """Decides for one robot which stops and orders are genuine.
+
+    A sender is the identifier under which a frame is signed: 0 to 127 robots, from 128 stop panels,
+    from 192 operator devices (`protocol/authentication.py`). None stands for an address that no
+    device has claimed.
+    """
+
     def __init__(self, slot: int, keyring: Keyring | None) -> None:
         self.slot, self.keyring = slot, keyring
         self.refused = 0  # count of frames without authority
@@ -37,12 +44,24 @@ class CommandAuthority:
         self._orders: dict[tuple[object, ...], int] = {}  # order received once -> its time
 
     def sign(self, message: Signed) -> Signed:
+        """The message with our freshness counter and tag, or unchanged in a fleet without keys."""
         return message if self.keyring is None else self.keyring.sign(message)
 
     def vouch(self, held: StopsHeld, question: int) -> StopsHeld:
+        """The report of our stops with a tag that only a robot of this fleet can make.
+
+        `question`: the 48-bit nonce of the challenge that it answers. The report is unchanged if
+        this robot does not hold the operators' secret.
+        """
         return held if self._held is None else self._held.sign(held, question)
 
     def believes(self, m: AnySigned, sender: int | None, now_us: int) -> bool:
+        """Whether the tag of a stop or an order is valid and its sender may send it.
+
+        `sender`: under whose key the tag is checked; None is never believed. Any sender may stop;
+        only operator devices may release or order. A frame that is not believed is counted in
+        `refused`. Without keys every frame is believed.
+        """
         if self.keyring is None:
             return True
         may = sender is not None and (isinstance(m, EmergencyStop) or sender >= OPERATOR_FIRST)
@@ -54,7 +73,11 @@ class CommandAuthority:
     def agreed(
         self, m: EmergencyReset | HeldReset | OperatorCommand | OperatorGoal, now_us: int
     ) -> bool:
-        """Whether an authenticated operator has sent this order twice within AGREE_US."""
+        """Whether an operator has now sent this order for the second time within `AGREE_US`.
+
+        Call it only with an order that `believes` accepted. Two orders are the same if all fields
+        agree but freshness and tag. Without keys the first frame is enough.
+        """
         if self.keyring is None:
             return True
         order = (type(m), *m[:-2])  # without freshness and tag
@@ -65,19 +88,31 @@ class CommandAuthority:
         return now_us - said_us <= AGREE_US
 
     def ask(self, sender: int | None, now_us: int) -> Sequence[Effect]:
-        """Challenge the sender: it may be genuine while we have lost track of its counter."""
+        """A challenge to the sender of a frame that was not believed, or no effect.
+
+        The sender may be genuine while we have lost track of its counter. The keyring limits the
+        rate of challenges.
+        """
         question = None
         if self.keyring is not None and sender is not None and sender != self.slot:
             question = self.keyring.ask(sender, now_us)
         return () if question is None else [Send(question)]
 
     def answer(self, source: int, m: Challenge, now_us: int) -> Sequence[Effect]:
+        """The proofs of our counters to a robot that has challenged us.
+
+        There are up to two: for the keys of this robot, and for those of an operator who works at
+        this machine. `source`: bus address of the asker, to which the proof is sent.
+        """
         proofs = [
             ring.answer(m, now_us) for ring in (self.keyring, self.operator) if ring is not None
         ]
         return [Send(proof, source) for proof in proofs if proof is not None]
 
     def prove(self, m: Freshness, now_us: int) -> Sequence[Effect]:
+        """Take in another sender's answer to our challenge. A wrong or late proof is counted in
+        `refused`.
+        """
         if self.keyring is not None and not self.keyring.prove(m, now_us):
             self.refused += 1
         return ()

@@ -1,8 +1,8 @@
-"""The standard "all implements stop" (ISO 11783-7, PGN 64770): receiving it and sending it.
+"""The standard "all implements stop" (ISO 11783-7, PGN 64770): how it is received and sent.
 
-A shortcut button sends its state once a second and on every change. Each button is a separate
-level: its stop ends by its own permit or by its silence, never by the permit of another button. A
-button counts its stops, so that a press and release is noticed even if all its frames were lost.
+A stop button sends its state once a second and on every change. Each button is a separate level.
+Its stop ends by its own permit or by its silence, never by the permit of another button. A button
+counts its stops. So a press with a release is noticed even if all frames between them were lost.
 """
 
 from dataclasses import dataclass
@@ -37,7 +37,12 @@ class _Button:
 
 
 class ShortcutButtons:
-    """All buttons on the bus, by NAME, or by address where no NAME is claimed."""
+    """All buttons on the bus, each by the NAME of its device, or by its address if it has claimed
+    no NAME.
+
+    At most `BUTTONS_MAX` are kept. If one more sends, the button that was received longest ago is
+    dropped, and a stop that it held goes on until its time is over.
+    """
 
     def __init__(self) -> None:
         self._buttons: dict[int, _Button] = {}
@@ -50,10 +55,13 @@ class ShortcutButtons:
     def hear(
         self, source: int, name: int | None, robot: bool, m: AllImplementsStop, now_us: int
     ) -> None:
-        """`robot`: the sender is a fleet member.
+        """Take in one frame of a button.
 
-        A robot's stop holds for one timeout after a transition. By then its own stop frames have
-        announced what holds the fleet."""
+        `source`: bus address. `name`: the 64-bit NAME that this address has claimed, or None.
+        `robot`: the sender is a fleet member. A stop holds for `HOLD_US` after its last frame. The
+        stop of a robot holds for `HOLD_US` after its first frame only: by then its own stop frames
+        have announced what holds the fleet.
+        """
         key = -1 - source if name is None else name
         known = self._buttons.pop(key, None)
         if m.switch == Switch.NOT_AVAILABLE:
@@ -82,7 +90,9 @@ class ShortcutButtons:
         self._beyond_us = max(self._beyond_us, gone.until_us, gone.missed_us)
 
     def until_us(self) -> int:
-        """When the last known stop ends if no further frame arrives."""
+        """The time at which the last known stop ends if no further frame arrives; 0 if none was
+        known.
+        """
         ends = (max(b.until_us, b.missed_us) for b in self._buttons.values())
         return max(self._beyond_us, max(ends, default=0))
 
@@ -110,16 +120,16 @@ class OwnButton:
         self._heard_us = -TAKE_OVER_US  # when another robot last sent the fleet's stop
 
     def press(self, now_us: int) -> AllImplementsStop:
-        """Pressed at this machine: return the frame to send immediately."""
+        """The frame to send immediately because the stop was pressed at this machine."""
         self._pressed = True
         return self._stop(now_us)
 
     def heard(self, m: AllImplementsStop, now_us: int) -> None:
-        """Another robot's frame: a stop is sent for the whole fleet, a permit ends that."""
+        """Another robot's frame: its stop is sent for the whole fleet, and its permit ends that."""
         self._heard_us = now_us if m.switch == Switch.STOP else now_us - TAKE_OVER_US
 
     def release(self, now_us: int) -> AllImplementsStop | None:
-        """A person has reset this machine. None if it has sent no stop."""
+        """The first permit, after a person has reset this machine; None if it has sent no stop."""
         self._pressed, self._latched_us = False, None
         if not self._stopped:
             return None
@@ -132,7 +142,11 @@ class OwnButton:
         return self._stopped or self._permits > 0
 
     def say(self, latched: bool, rank: int, now_us: int) -> AllImplementsStop | None:
-        """The frame to send with this beat, if any. `rank`: our place in the slot order."""
+        """The frame that is due with this beat, or None.
+
+        `latched`: an emergency stop holds this robot. `rank`: how many live members have a lower
+        slot. The robot with rank 0 sends first; each following one waits `RANK_US` longer.
+        """
         if not latched:
             return self._permit(now_us)
         if self._latched_us is None:

@@ -1,7 +1,7 @@
 """Why a robot may not move freely: each stop cause with its severity and its clear condition.
 
-This follows PX4's failsafe framework. Severities are ordered, the worst active one wins, and the
-clear condition is declared beside the cause, not in the code that happens to run.
+This follows the failsafe framework of PX4. Severities are ordered, and the worst active one wins.
+The clear condition is declared beside the cause, not in the code that happens to run.
 """
 
 import re
@@ -12,6 +12,8 @@ from protocol.frames.fleet_frames import NOBODY, StandsBy
 
 
 class Severity(IntEnum):
+    """What a cause forbids, from nothing to all motion until a person resets the machine."""
+
     CLEAR = 0
     SLOW = 1  # creep
     PAUSE = 2  # stand still because a person decided so, or because a person has to decide
@@ -20,6 +22,8 @@ class Severity(IntEnum):
 
 
 class ClearCondition(Enum):
+    """What ends a cause, in words for people; `cause_table` prints them."""
+
     BY_START = "an operator's start"
     BY_ANSWER = "it has left for 1 s, or an operator's answer"
     BY_POLICY = "the silent member is heard again and the membership is stable for 2 s; or as the policy says"
@@ -42,6 +46,10 @@ class _Rule(NamedTuple):
 
 
 class StopCause(Enum):
+    """Every cause that can stop or slow a robot: severity, clear condition, reason, and what a
+    person can do. docs/stopping.md prints the table.
+    """
+
     NOT_STARTED = _Rule(
         Severity.PAUSE,
         ClearCondition.BY_START,
@@ -210,7 +218,10 @@ _ABOUT = {
 
 
 def about(cause: StopCause, detail: str) -> int:
-    """The address or slot that a cause is about; `NOBODY` if there is none."""
+    """The address or slot that a cause is about, 0 to 254; `NOBODY` (255) if there is none.
+
+    `detail`: the text with which the cause was raised.
+    """
     _, pattern = _ABOUT.get(cause, ("", None))
     found = None if pattern is None else pattern.search(detail)
     number = NOBODY if found is None else int(found[1])
@@ -218,7 +229,9 @@ def about(cause: StopCause, detail: str) -> int:
 
 
 def further(cause: StopCause, detail: str) -> int:
-    """How many robots a cause is about, beyond the first."""
+    """How many robots a cause is about beyond the first one; 0 for causes that are not about
+    silence.
+    """
     if cause not in (StopCause.MEMBER_SILENT, StopCause.CREEP):
         return 0
     return max(0, len(re.findall(r"\d+", detail)) - 1)
@@ -231,9 +244,11 @@ def cause_of(number: int) -> StopCause | None:
 
 
 def sentence(number: int, subject: int, count: int = 0) -> str:
-    """For people: why a robot stands still and what they can do, from its frames on the bus.
+    """One line for people: why a robot stands still and what they can do, from its frames on the
+    bus.
 
-    `count`: number of stops that hold it, or of further robots that are silent.
+    `number`: the cause on the bus. `subject`: an address or a slot, or `NOBODY`. `count`: how many
+    stops hold it, or how many further robots are silent.
 
     >>> sentence(StandsBy.CONFIG_MISMATCH, 200)
     'CONFIG_MISMATCH with address 200: start that robot with the field of this fleet, or switch it off'

@@ -28,10 +28,11 @@ from protocol.frames.safety_frames import (
     StopsHeld,
 )  # fmt: skip
 
+# Keys of durable memory. FAR_KEY holds the stops of other segments.
 STOPS_KEY, COUNTER_KEY, HOLD_KEY = "stops", "stop_counter", "hold"
-FAR_KEY = "far_stops"  # of other segments
+FAR_KEY = "far_stops"
 FREE, HELD, LATCHED = b"\0", b"\1", b"\2"  # in HOLD_KEY: a restart resets and starts nothing
-CREEP_M_S = 0.5
+CREEP_M_S = 0.5  # highest speed under a SLOW cause
 UNAUTHENTICATED_HOLD_US = 1 * S  # a stop without a valid tag holds this long after its last frame
 # Repeat for 2 s; then the heartbeats' stopped bit carries the latch.
 # Stop after 1 s if no member is known: we may have just booted.
@@ -51,6 +52,13 @@ STANDS = (Command.HOLD, Command.STOP, Command.WAIT)  # these start no motion, so
 
 
 class StopController:
+    """The stop set, all other causes, and the last word on every drive command of one robot.
+
+    Methods return effects in the order in which they must be performed: brake, send, persist. All
+    times are microseconds on the peer's clock. A dot names one press: slot, incarnation, counter
+    (`crdt/stops.py`).
+    """
+
     def __init__(
         self,
         slot: int,
@@ -60,6 +68,11 @@ class StopController:
         recalled: Mapping[str, bytes],
         now_us: int,
     ) -> None:
+        """`slot`: ours. `incarnation`: counts the starts of this robot. `policy`: what ends a stop
+        by silence. `keyring`: None in a fleet without keys. `recalled`: durable memory as it was
+        before the start; the keys are `STOPS_KEY`, `FAR_KEY`, `COUNTER_KEY` and `HOLD_KEY`. A stop
+        set that cannot be read raises BOOT_UNCONFIRMED instead of an exception.
+        """
         self.slot, self.incarnation = slot, incarnation & 0xFF
         self.policy, self.authority = policy, CommandAuthority(slot, keyring)
         self.stops, self.far = StopSet(), RemoteStopSet()
@@ -84,9 +97,8 @@ class StopController:
         # Stops sent with a dot that was cleared before: time of the first and of the newest frame.
         self._spent_since_us = self._spent_us = -SPENT_FORGET_US
         self._spent_told_us, self._renew_us, self._renewals = -ANSWER_SPACING_US, FOREVER, 0
-        self._told: StopDot | None = (
-            None  # last dot sent by `tell_stops`; the rotation goes on there
-        )
+        # Last dot sent by `tell_stops`; the rotation goes on there.
+        self._told: StopDot | None = None
         self._recall(recalled)
 
     def _recall(self, recalled: Mapping[str, bytes]) -> None:
@@ -105,21 +117,24 @@ class StopController:
 
     @property
     def free(self) -> bool:
-        """No cause limits the motion of this robot."""
+        """Whether no cause limits the motion of this robot."""
         return not self._causes
 
     @property
     def latched(self) -> bool:
+        """Whether a cause is active that only a person at this machine ends."""
         return any(cause.severity is WORST for cause in self._causes)
 
     @property
     def severity(self) -> Severity:
+        """The worst severity of all active causes."""
         if not self._causes:
             return Severity.CLEAR
         return max(cause.severity for cause in self._causes)
 
     @property
     def causes(self) -> tuple[tuple[StopCause, str], ...]:
+        """The active causes with their details, worst first, then by name."""
         return tuple(
             sorted(self._causes.items(), key=lambda item: (-item[0].severity, item[0].name))
         )
@@ -131,39 +146,53 @@ class StopController:
 
     @property
     def unconfirmed(self) -> bool:
-        """Memory was lost, and no person has confirmed yet that this machine may go on without it."""
+        """Whether memory was lost and no person has confirmed yet that this machine may go on
+        without it.
+        """
         return StopCause.BOOT_UNCONFIRMED in self._causes
 
     @property
     def started(self) -> bool:
+        """Whether a start was given since boot and since an operator's hold."""
         return NOT_STARTED not in self._causes
 
     @property
     def may_move(self) -> bool:
+        """Whether no active cause is worse than SLOW."""
         return all(cause.severity is LEAST for cause in self._causes)
 
     def echoed(self, dot: StopDot) -> frozenset[int]:
+        """The slots that have sent or echoed this dot."""
         return frozenset(self._echoes.get(dot, ()))
 
     def holds(self, cause: StopCause) -> bool:
+        """Whether this cause is active."""
         return cause in self._causes
 
     def raise_cause(self, cause: StopCause, now_us: int, detail: str = "", for_us: int = 0) -> None:
+        """Make a cause active, or renew it.
+
+        `detail`: what it is about, for people. `for_us`: the cause ends by itself after this many
+        microseconds; with 0 it has no end, or keeps the one that it had.
+        """
         self._causes[cause] = detail
         if for_us:
             self._expires_us[cause] = now_us + for_us
 
     def clear_cause(self, cause: StopCause, now_us: int) -> None:
+        """End a cause; nothing happens if it is not active."""
         self._causes.pop(cause, None)
         self._expires_us.pop(cause, None)
 
     # ---------------------------------------------------------------- stops
 
     def press(self, reason: Reason, now_us: int, free: Collection[int] = ()) -> Sequence[Effect]:
-        """Emergency stop here: brake, send, then persist. Braking waits for nothing.
+        """Emergency stop at this machine: brake, send, then persist. Braking waits for nothing.
 
-        `free`: members that are not stopped now. For these, a beat with the stopped bit counts as an
-        echo. All other members have to echo the dot itself."""
+        `free`: slots of members that are not stopped now. For these, a beat with the stopped bit
+        counts as an echo. All other members have to echo the dot itself. A second press within
+        `STOP_SPACING_US` is the same press and only brakes.
+        """
         # A second press within the spacing is the same press. A clock set back does not count as one.
         if 0 <= now_us - self._pressed_us < STOP_SPACING_US:
             return [HALT]
@@ -189,7 +218,13 @@ class StopController:
     def receive_stop(
         self, m: EmergencyStop, source_slot: int | None, now_us: int
     ) -> Sequence[Effect]:
-        """First reception: brake, echo once, persist. Later receptions only count echoes."""
+        """A stop frame: its first reception brakes, echoes once and persists; later ones only count
+        echoes.
+
+        `source_slot`: the slot of the sender, or None if its address is not bound to one. A stop
+        without a valid tag brakes for `UNAUTHENTICATED_HOLD_US` after its last frame and challenges
+        its signer.
+        """
         dot = StopDot(m.slot, m.incarnation, m.counter)
         if m.spent:
             return self._hear_spent(dot, now_us)
@@ -203,9 +238,7 @@ class StopController:
                 StopCause.UNAUTHENTICATED_STOP, now_us, f"dot {dot}", UNAUTHENTICATED_HOLD_US
             )
             return [HALT, *self.authority.ask(signer, now_us)]
-        if self.stops.is_cleared(
-            dot
-        ):  # an operator has cleared exactly this dot, so an echo is late
+        if self.stops.is_cleared(dot):  # by an operator, exactly this dot: an echo is late
             return () if m.echo else self._press_spent(dot, now_us)
         if self.stops.full:
             return self._hold_more(m.echo, now_us)
@@ -226,9 +259,10 @@ class StopController:
         """A press with a dot that was cleared before.
 
         These are late frames of an old press, or a new press of a panel that has only this dot or
-        whose next dots were cleared in advance. It brakes, and the answer tells the presser to take
-        another dot. A press that is still sent after `AGAIN_US` is a new one: the first robot in slot
-        order that is not latched by then presses with a dot of its own."""
+        whose next dots were cleared in advance. The robot brakes, and its answer tells the presser
+        to take another dot. A press that is still sent after `AGAIN_US` is a new one. The first
+        robot in slot order that is not latched by then presses with a dot of its own.
+        """
         self.press_used(dot, now_us)
         rank = sum(slot < self.slot for slot in self._live)
         turn_us = max(self._spent_told_us + ANSWER_SPACING_US, self._spent_since_us)
@@ -240,10 +274,11 @@ class StopController:
         return [HALT, Send(self.authority.sign(answer))]
 
     def press_used(self, dot: StopDot | RemoteStopDot, now_us: int) -> Sequence[Effect]:
-        """An authenticated press with a dot that was cleared before.
+        """An authenticated press with a dot that was cleared before: brake.
 
-        It brakes. If it is still sent after `AGAIN_US`, the first robot in slot order presses with a
-        dot of its own, unless a stop latches it already."""
+        If it is still sent after `AGAIN_US`, the first robot in slot order presses with a dot of
+        its own, unless a stop latches it already.
+        """
         if now_us - self._spent_us > SPENT_FORGET_US or now_us < self._spent_us:
             self._spent_since_us = now_us
         self._spent_us = now_us
@@ -254,7 +289,9 @@ class StopController:
         return [HALT]
 
     def _hear_spent(self, dot: StopDot, now_us: int) -> Sequence[Effect]:
-        """A press was reported as using a cleared dot. If the press is ours, press with a new dot."""
+        """A member reports that a press used a cleared dot. If the press is ours, press with a new
+        dot.
+        """
         self._spent_told_us = now_us
         if dot not in self._own:
             self.raise_cause(StopCause.SPENT_STOP, now_us, f"dot {dot}", SPENT_HOLD_US)
@@ -300,7 +337,9 @@ class StopController:
         return [*remembered, Trace("safety", "", "CLEARED", "", f"{dot}")]
 
     def press_near(self, dot: StopDot, now_us: int) -> Sequence[Effect]:
-        """An authenticated stop of this segment that we missed and that another segment sent back."""
+        """A stop of this segment that we missed, authenticated by a gateway that got it back from
+        another segment.
+        """
         if self.stops.full and not self.stops.is_cleared(dot):
             return self._hold_more(True, now_us)
         if not self.stops.press(dot):
@@ -315,6 +354,10 @@ class StopController:
         ]
 
     def clear_near(self, dot: StopDot, who: str) -> Sequence[Effect]:
+        """Clear one dot of this segment and persist that; no effects if it was cleared before.
+
+        `who`: for the trace, the operator or gateway that cleared it.
+        """
         if not self.stops.clear(dot):
             return ()
         self._own.pop(dot, None)
@@ -324,7 +367,10 @@ class StopController:
     def beat(self, slot: int, stopped: bool, now_us: int) -> Sequence[Effect]:
         """A member's beat: a stopped bit that was not set before counts as an echo of our press.
 
-        A member without the stopped bit has not received our press."""
+        A member whose stopped bit is not set has not received our press. The source of the press
+        then presses again with a new dot, up to `AGAIN_MAX` times; other robots send the stops that
+        they hold.
+        """
         active = self.stops.latched
         if stopped:
             for dot in self._own if slot in self._free else ():
@@ -338,7 +384,10 @@ class StopController:
         return self.tell_stops(now_us) if active else ()
 
     def tell_stops(self, now_us: int) -> Sequence[Effect]:
-        """The stops we hold, for members that miss them; at most one reply per ANSWER_SPACING_US."""
+        """Echoes of up to `TOLD_MAX` stops that we hold, for members that miss them.
+
+        At most one reply in `ANSWER_SPACING_US`; the next reply goes on where this one ended.
+        """
         if now_us - self._answered_us < ANSWER_SPACING_US:
             return ()
         self._answered_us = now_us
@@ -347,9 +396,11 @@ class StopController:
         return [Send(self._stop(d, Reason.OPERATOR_INTERVENTION, echo=True)) for d in dots]
 
     def answer_stops(self, question: int, now_us: int) -> Sequence[Effect]:
-        """Answers the question which stops hold us: some dots by name, and a digest of all.
+        """The answer to an operator's question which stops hold us: some dots by name, and a digest
+        of all.
 
-        `question`: 48 bits, used once."""
+        `question`: the 48-bit nonce of the challenge; it is used once.
+        """
         told = self.tell_stops(now_us)
         if now_us - self._asked_us < ANSWER_SPACING_US or not self.latched:
             return told
@@ -358,12 +409,17 @@ class StopController:
 
     @property
     def held_stops(self) -> StopsHeld:
+        """How many stops hold this robot, at most `COUNT_TOLD_MAX`, and the digest of all of them;
+        no tag yet.
+        """
         named, more = len(self.stops.active) + len(self.far.active), self.stops.more + self.far.more
         count = COUNT_TOLD_MAX if more else min(named, COUNT_TOLD_MAX)
         return StopsHeld(self.slot, count, held_digest(self.stops, self.far))
 
     def receive_held_reset(self, m: HeldReset, now_us: int) -> Sequence[Effect]:
-        """Clears all held stops if its digest matches: nothing was pressed since our answer."""
+        """An operator's reset of all held stops: valid if its digest matches, so that nothing was
+        pressed since our answer.
+        """
         if not self.authority.believes(m, m.operator, now_us):
             return self.authority.ask(m.operator, now_us)
         held = self.held_stops
@@ -377,7 +433,9 @@ class StopController:
         return [Persist(FAR_KEY, self.far.serialize()), *self._remember(), cleared]
 
     def receive_reset(self, m: EmergencyReset, now_us: int) -> Sequence[Effect]:
-        """Clears exactly the dot it names, whether it was pressed here or not received yet."""
+        """An operator's reset of exactly the dot that it names, even if that dot was not received
+        yet.
+        """
         if not self.authority.believes(m, m.operator, now_us):
             return self.authority.ask(m.operator, now_us)
         if not self.authority.agreed(m, now_us):
@@ -388,9 +446,12 @@ class StopController:
     def receive_implements_stop(
         self, source: int, name: int | None, robot: bool, m: AllImplementsStop, now_us: int
     ) -> Sequence[Effect]:
-        """The standard frame, from any device. Each button is a level that holds while it is repeated.
+        """The standard frame, from any device. Each button is a level that holds while it is
+        repeated.
 
-        `name`: the NAME that the source address has claimed. `robot`: the sender is a fleet member."""
+        `source`: bus address. `name`: the NAME that this address has claimed, or None. `robot`: the
+        sender is a fleet member.
+        """
         self.buttons.hear(source, name, robot, m, now_us)
         if robot:
             self.button.heard(m, now_us)
@@ -402,7 +463,10 @@ class StopController:
         return [HALT] if m.switch in STOPS or not held else ()
 
     def say_button(self, live: Collection[int], now_us: int) -> Sequence[Effect]:
-        """With a beat: the standard frame, if an emergency stop holds us or has just ended."""
+        """With a beat: the standard frame, if an emergency stop holds us or has just ended.
+
+        `live`: slots of the live members; the lowest one sends first.
+        """
         latched = StopCause.STOP_DOT in self._causes
         if not latched and not self.button.speaks:
             return ()
@@ -413,7 +477,10 @@ class StopController:
     def accept_order(
         self, m: OperatorCommand | OperatorGoal, now_us: int
     ) -> Sequence[Effect] | None:
-        """None if the order has authority. Otherwise the effects to perform instead of the order."""
+        """None if the order has authority. Otherwise the effects to perform instead of the order.
+
+        Orders in `STANDS` start no motion and need one valid frame; all others need two equal ones.
+        """
         if not self.authority.believes(m, m.operator, now_us):
             return self.authority.ask(m.operator, now_us)
         stands = isinstance(m, OperatorCommand) and m.command in STANDS
@@ -422,7 +489,10 @@ class StopController:
     # ---------------------------------------------------------------- people at this machine
 
     def manual_reset(self, now_us: int) -> bool:
-        """Unlatch. Refused while a dot is not cleared or a cause that never clears is active."""
+        """Unlatch this machine; returns False if it is refused.
+
+        It is refused while a dot is not cleared, or while a cause is active that never clears.
+        """
         if self.stops.latched or self.far.latched or StopCause.DISK_ERROR in self._causes:
             return False
         for cause in (StopCause.STOP_DOT, StopCause.BOOT_UNCONFIRMED):
@@ -430,11 +500,13 @@ class StopController:
         return True
 
     def start(self, now_us: int) -> Sequence[Effect]:
+        """A person starts this machine: NOT_STARTED and PLACE_FROZEN end."""
         self.clear_cause(StopCause.NOT_STARTED, now_us)
         self.clear_cause(StopCause.PLACE_FROZEN, now_us)
         return [self.remember_hold()]
 
     def hold(self, now_us: int) -> Sequence[Effect]:
+        """An operator holds this robot until the next start, also over a restart."""
         self.raise_cause(StopCause.NOT_STARTED, now_us, "held by an operator")
         return [HALT, self.remember_hold()]
 
@@ -448,7 +520,12 @@ class StopController:
     def members(
         self, live: frozenset[int], silent: frozenset[int], now_us: int
     ) -> Sequence[Effect]:
-        """The membership changed. Silence brakes immediately; the policy ends the stop later."""
+        """The membership has changed. New silence brakes immediately; the policy ends that stop
+        later.
+
+        `live`: slots that are received, our own included. `silent`: slots that fell silent without
+        leaving.
+        """
         brake = bool(silent - self._silent)
         self._live, self._silent, self._stable_us = live, silent, now_us
         if brake:
@@ -459,6 +536,7 @@ class StopController:
 
     @property
     def deadline_us(self) -> int:
+        """The earliest time at which `tick` has something to do."""
         deadline = min(self._repeat_us, self._renew_us)
         if not self._causes:  # only causes expire
             return deadline
@@ -469,6 +547,7 @@ class StopController:
         return deadline
 
     def tick(self, now_us: int) -> Sequence[Effect]:
+        """Whatever is due now: causes end, stops are repeated, a press that was due to us is made."""
         if now_us < self.deadline_us:
             return ()
         for cause in [c for c, expires_us in self._expires_us.items() if expires_us <= now_us]:
@@ -497,9 +576,10 @@ class StopController:
             self.clear_cause(StopCause.CREEP, now_us)
 
     def _repeat(self, now_us: int) -> Sequence[Effect]:
-        """As the source, repeat every 5 ms until every live member has echoed.
+        """As the source of a stop, repeat it every 5 ms until every live member has echoed it.
 
-        A repeat that no node can hear does not count."""
+        A repeat that no node can hear does not count.
+        """
         sends, others = list[Effect](), self._live - {self.slot}
         unheard = StopCause.UNHEARD in self._causes
         for dot, left in sorted(self._own.items()):
@@ -518,7 +598,11 @@ class StopController:
     # ---------------------------------------------------------------- the gate
 
     def gate(self, wanted: Drive, now_us: int) -> Drive:
-        """The last function before the actuator."""
+        """The last function before the actuator: what of the wanted drive the active causes permit.
+
+        The result is the drive itself, the same curve at no more than `CREEP_M_S` under a SLOW
+        cause, or HALT.
+        """
         if not self._causes:
             return wanted
         severity = self.severity
