@@ -1,7 +1,7 @@
-"""Every number of a peer, with its unit, its reason, and the relations between them asserted.
+"""Every number of a peer with its unit and its reason; relations between them are asserted.
 
-Times are integer microseconds. Sources: design decisions, ISO 11783-5/-7, J1939-21, and the
-response-time analysis of Davis, Burns, Bril, Lukkien (2007) for 250 kbit/s.
+Times are integer microseconds. Sources: design decisions, ISO 11783-5/-7, SAE J1939-21, and the
+response-time analysis of Davis, Burns, Bril and Lukkien (2007) for 250 kbit/s.
 """
 
 from typing import Final, NamedTuple
@@ -22,27 +22,22 @@ ACTUATOR_TTL_US: Final = 100 * MS  # a drive command is void after two missed co
 CONTROL_PERIOD_US: Final = 50 * MS  # sense, decide, drive
 assert ACTUATOR_TTL_US >= 2 * CONTROL_PERIOD_US
 
-STOP_REPEAT_US: Final = (
-    5 * MS
-)  # the source repeats a stop until all live members echoed: 13 % of the bus
+# The source repeats a stop until all live members have echoed it: 13 % of the bus.
+STOP_REPEAT_US: Final = 5 * MS
 STOP_SPACING_US: Final = 100 * MS  # new stop dots of one source are at least this far apart
-CONTENTION_US: Final = (
-    250 * MS
-)  # a claim is contested this long; also ISO 11783-5 address contention
-CLAIM_AHEAD: Final = (
-    1  # sections claimed beyond the one being worked; the rest of a plan stays soft
-)
+# A claim is contested this long. ISO 11783-5 has the same time for addresses.
+CONTENTION_US: Final = 250 * MS
+# Sections claimed beyond the one being worked. The rest of a plan is not claimed.
+CLAIM_AHEAD: Final = 1
 MEMBERSHIP_STABLE_US: Final = 2 * S  # a protective stop ends only after this long without a change
-LEASE_US: Final = (
-    20 * S
-)  # a silent owner keeps its sections this long; others do their own work first
-SYNC_TIMEOUT_US: Final = (
-    2 * S
-)  # SYNCHRONIZING ends when digests agree, or after this without an answer
+# A silent owner keeps its sections this long. Others do their own work first.
+LEASE_US: Final = 20 * S
+# SYNCHRONIZING ends when digests agree, or after this time without an answer.
+SYNC_TIMEOUT_US: Final = 2 * S
 
 
 class BeaconTiming(NamedTuple):
-    """How often a peer sends, and how long silence is tolerated, for a given fleet size."""
+    """How often a peer sends, and how long silence is tolerated, for one size of fleet."""
 
     peers_max: int
     pose_us: int  # period of POSE, the beat
@@ -69,7 +64,9 @@ assert BEATS[0].silence_us <= 300 * MS, (
 
 
 def beat_of(peers: int) -> BeaconTiming:
-    """The beacon timing for a fleet of this many configured members.
+    """The beacon timing for a fleet of this many configured members, 1 to `PEERS_MAX`.
+
+    Raises StopIteration for more than `PEERS_MAX`.
 
     >>> beat_of(6).pose_us
     50000
@@ -79,8 +76,7 @@ def beat_of(peers: int) -> BeaconTiming:
 
 SPEED_MAX_M_S: Final = 12.7  # range of POSE: 8 bits of 0.05 m/s
 EXTENT_MAX_M: Final = 3_276.0  # range of POSE: 17 bits of 0.05 m around the origin
-NEIGHBOURS_MAX = (
-    10  # ORCA half-planes of robots, nearest first (van den Berg et al. 2011, section 6)
-)
-NEIGHBOUR_RANGE_M: Final = 5.0  # the danger bubble of the warehouse document
+# ORCA half-planes of robots, nearest first (van den Berg et al. 2011, section 6).
+NEIGHBOURS_MAX = 10
+NEIGHBOUR_RANGE_M: Final = 5.0  # ORCA ignores robots that are further away
 BRAKING_SHARE: Final = 0.7  # share of the acceleration used in plans; the rest is for corrections

@@ -1,8 +1,8 @@
-"""Everything a peer can ask of the world. Effects are returned, in order, and never performed here.
+"""Everything a peer can ask of the world. A peer returns effects in order and never performs them.
 
-The order is a guarantee: the runner performs a `Persist` (durably) before the `Send` that follows
-it. That is all of "durable before revealed". Only the stop deviates, and on purpose: brake, send,
-then persist.
+The order is a guarantee. The runner makes a `Persist` durable before it performs the `Send` that
+follows. So nothing is revealed before it is durable. Only the stop deviates, on purpose: brake,
+send, then persist.
 """
 
 from typing import NamedTuple
@@ -11,7 +11,7 @@ from protocol.frames.messages import Message
 
 
 class Send(NamedTuple):
-    """Put one message on the bus."""
+    """Put one message on the bus. `destination` is a bus address; 255 means all."""
 
     message: Message
     destination: int = 255
@@ -22,14 +22,16 @@ _tuple = tuple.__new__
 
 
 def to_all(message: Message) -> Send:
-    """`Send(message)` without the cost of the defaults, because every beat is one."""
+    """`Send(message)` to all, without the cost of default arguments: every beat is one."""
     return _tuple(Send, (message, 255, None))
 
 
 class Drive(NamedTuple):
-    """Body velocity wanted from now on; it expires in the actuator after `config.ACTUATOR_TTL_US`.
+    """The body velocity wanted from now on; the actuator stops after `config.ACTUATOR_TTL_US`
+    without another one.
 
-    Field frame: x east, y north, metres per second; turn rate counter-clockwise, radians per second.
+    Field frame: x east, y north, metres a second. The turn rate is counter-clockwise, radians a
+    second.
     """
 
     vx_m_s: float
@@ -43,7 +45,7 @@ HALT = Drive(0.0, 0.0)
 
 
 class Persist(NamedTuple):
-    """Write one record durably; the newest value of a key wins."""
+    """Write one record to durable memory; the newest value of a key wins."""
 
     key: str
     value: bytes

@@ -7,7 +7,7 @@ from protocol.name import Name
 
 
 class SilencePolicy(Enum):
-    """Silence always brakes; the policy says how the protective stop ends."""
+    """How a protective stop ends that the silence of a member has caused. Silence always brakes."""
 
     STOP = "until the member is back, or an operator waives it by name"
     SLOW = "after 2 s of stable membership go on at creep speed"
@@ -15,7 +15,7 @@ class SilencePolicy(Enum):
 
 
 class Identity(NamedTuple):
-    """What a peer is given before it starts."""
+    """What makes a peer a member of its fleet; fixed before the peer starts."""
 
     slot: int
     members: frozenset[int]  # every configured slot, our own included
@@ -27,5 +27,5 @@ class Identity(NamedTuple):
 
     @property
     def component(self) -> str:
-        """Component identification as SAE J1939-71 writes it."""
+        """The component identification of SAE J1939-71 (PGN 65259): make, model, serial, unit."""
         return f"Headland*peer*{self.name.identity:07d}*robot {self.slot}*"

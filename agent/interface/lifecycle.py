@@ -18,7 +18,7 @@ from agent.interface.state_machine import matrix
 
 
 class State(IntEnum):
-    """Values travel in three bits of POSE and HEARTBEAT."""
+    """The states of a peer. The values travel in three bits of POSE and HEARTBEAT."""
 
     DISCONNECTED = 0  # not part of the fleet
     IDLE = 1  # a member that others receive, without work
@@ -28,6 +28,8 @@ class State(IntEnum):
 
 
 class Event(IntEnum):
+    """What moves a peer from one state to another; in brackets the names of the requirements."""
+
     FLEET_JOINED = 0  # address claimed and announced (mission: on_fleet_join)
     SYNC_RECEIVED = 1  # fleet state differs from ours and is arriving (on_state_sync_received)
     SYNC_COMPLETE = 2  # digests agree, or no member is left to ask (on_sync_complete)

@@ -21,7 +21,7 @@ class BodyLimits(NamedTuple):
 
 
 class ObstacleQuestion(Protocol):
-    """One robot's stop before an unannounced obstacle: the question to people, and their answer."""
+    """One robot's stop before an unannounced obstacle: its question to people, and the answer."""
 
     @property
     def asking(self) -> bool:
@@ -35,22 +35,41 @@ class ObstacleQuestion(Protocol):
 
     @property
     def passing(self) -> bool:
-        """Whether it goes round an obstacle that an operator has confirmed."""
+        """Whether the robot goes round an obstacle that an operator has confirmed."""
         ...
 
     @property
     def round(self) -> tuple[frozenset[Point], bool]:
-        """For the mission: the places to go round, and whether to skip the units under them."""
+        """For the mission: the places to go round, (x, y) metres, and whether to skip the units
+        under them.
+        """
         ...
 
     def watch(
-        self, wanted: Drive, here: Observation, neighbours: Mapping[int, Neighbour],
-        may_move: bool, now_us: int,
-    ) -> tuple[Drive, list[Effect]]: ...  # fmt: skip
+        self,
+        wanted: Drive,
+        here: Observation,
+        neighbours: Mapping[int, Neighbour],
+        may_move: bool,
+        now_us: int,
+    ) -> tuple[Drive, list[Effect]]:
+        """Each control period: the drive that avoids the obstacle, and the effects.
 
-    def answer(self, command: Command, number: int, now_us: int) -> Sequence[Effect]: ...
+        `wanted`: the drive of the motion controller. `neighbours`: newest poses by slot.
+        `may_move`: no stop cause holds the robot. The safety gate comes after the result.
+        """
+        ...
 
-    def go_round(self, why: str, now_us: int) -> list[Effect]: ...
+    def answer(self, command: Command, number: int, now_us: int) -> Sequence[Effect]:
+        """An operator's WAIT, CONTINUE or REPLAN to question `number`; 0 means the open one.
+
+        An answer to a question that is not open is refused with a report.
+        """
+        ...
+
+    def go_round(self, why: str, now_us: int) -> list[Effect]:
+        """Treat the obstacle as confirmed, as if an operator had answered; `why` is for the trace."""
+        ...
 
 
 class MotionController:
@@ -63,16 +82,20 @@ class MotionController:
         neighbours: Mapping[int, Neighbour],
         now_us: int,
     ) -> Drive:
-        """Called once a control period."""
+        """Once each control period: the drive for the mission's request.
+
+        `here`: the newest observation. `wish`: what the mission wants. `neighbours`: newest poses
+        by slot. `now_us`: the peer's clock.
+        """
         raise NotImplementedError
 
     @property
     def body_limits(self) -> BodyLimits | None:
-        """None if the limits of the body are not known."""
+        """The limits of the body; None if they are not known."""
         return None
 
     def set_state(self, state: State) -> None:
-        """Set our own state, as our beats report it, because right of way depends on it."""
+        """Set our own state, as our beats report it; right of way depends on it."""
 
     def obstacle_question(self) -> ObstacleQuestion | None:
         """A new question for one robot; None if its sensors cannot tell a person from a wall."""

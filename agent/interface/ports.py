@@ -1,4 +1,7 @@
-"""What the runner of a peer needs from outside, and the facts that come in. SI units, field frame."""
+"""What the runner of a peer needs from outside, and the facts that come in.
+
+SI units. Field frame: x east, y north, metres.
+"""
 
 from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple, Protocol, runtime_checkable
@@ -11,14 +14,14 @@ from protocol.frames.messages import Message
 
 
 class Neighbour(NamedTuple):
-    """The newest pose of another member and when it was received."""
+    """The newest pose of another member, and when it was received, microseconds."""
 
     pose: Pose
     heard_us: int
 
 
 class VisibleParcel(NamedTuple):
-    """A parcel within reach, as a carrier's scanner sees it."""
+    """A parcel within a carrier's reach, as its scanner sees it."""
 
     x_m: float
     y_m: float
@@ -61,17 +64,21 @@ class Bus(Protocol):
     """A CAN interface. Frames a node sends are not delivered to itself."""
 
     def send(self, frame: Frame) -> bool:
-        """Queue a frame; False when the queue is full or the node is off the bus."""
+        """Queue a frame; False if the queue is full or the node is off the bus."""
         ...
 
     def subscribe(self, callback: Callable[[Frame], None]) -> None:
-        """Call back for every frame received, in order, in the event loop's thread."""
+        """Call back for every received frame, in order, on the thread of the event loop."""
         ...
 
     @property
-    def health(self) -> Health: ...
+    def health(self) -> Health:
+        """The state of the CAN controller: active, warning, passive or off the bus."""
+        ...
 
-    def close(self) -> None: ...
+    def close(self) -> None:
+        """Stop receiving and release the interface."""
+        ...
 
 
 @runtime_checkable
@@ -99,18 +106,21 @@ class Body(Protocol):
     """Sensors and actuators of one robot."""
 
     def sense(self, now_us: int) -> Observation | None:
-        """The newest observation, with the time at which it was sensed.
-
-        None: there is none yet, or none any more."""
+        """The newest observation and when it was sensed; None if there is none (any more)."""
         ...
 
-    def drive(self, command: Drive, now_us: int) -> None: ...
+    def drive(self, command: Drive, now_us: int) -> None:
+        """Pass a command to the actuators. It expires after `config.ACTUATOR_TTL_US`."""
+        ...
 
 
 class Journal(Protocol):
     """Durable memory of one robot: the newest value of each key."""
 
-    def load(self) -> Mapping[str, bytes]: ...
+    def load(self) -> Mapping[str, bytes]:
+        """The newest value of each key. Raises OSError if the memory is lost or damaged."""
+        ...
+
     def write(self, records: Iterable[Persist]) -> None:
-        """Return only when the records survive a power cut; raise OSError when they may not."""
+        """Return only when the records survive a power cut. Raises OSError if they may not."""
         ...

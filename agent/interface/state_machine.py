@@ -14,7 +14,11 @@ E = TypeVar("E", bound=Enum)
 
 
 def matrix(events: type[E], *rows: tuple[S | None, ...]) -> dict[tuple[S, E], S]:
-    """Read rows of (source, target on 1st event, target on 2nd event, ...) into a total table."""
+    """Read rows of (source, target on 1st event, target on 2nd event, ...) into a total table.
+
+    None as a target means that the state stays. Raises AssertionError if a row has another number
+    of targets than there are events, or if a state has no row.
+    """
     table: dict[tuple[S, E], S] = {}
     for source, *targets in rows:
         assert source is not None
@@ -33,14 +37,14 @@ class StateMachine(Generic[S, E]):
         self.name, self.table, self.state = name, table, start
 
     def fire(self, event: E) -> tuple[S, S]:
-        """Move, and return (source, target); they are equal where the event is ignored."""
+        """Move by the table; returns (source, target), which are equal for an ignored event."""
         source = self.state
         self.state = self.table[source, event]
         return source, self.state
 
 
 def to_mermaid(table: Mapping[tuple[S, E], S], start: S) -> str:
-    """The diagram for documents and `headland inspect --mermaid`, without ignored events."""
+    """The Mermaid state diagram of a table, without ignored events."""
     edges = [
         f"    {a.name} --> {b.name}: {e.name.lower()}" for (a, e), b in table.items() if a is not b
     ]
