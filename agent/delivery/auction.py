@@ -4,7 +4,7 @@ The auction uses whole numbers and fixed tie-breaking, so equal knowledge gives 
 without a frame. The search that follows has the peer's own seed, so peers find different plans, and
 the cheapest is adopted
 (`agent/delivery/plan_negotiation.py`). Simulated annealing over moves of up to three tasks and of
-whole tails, towards the neighbours that cost least; `reference` figures are in docs/delivery.md.
+whole tails, towards the neighbours that cost least; `reference` figures are in docs/measured/delivery.md.
 """
 
 from collections.abc import Sequence

@@ -47,7 +47,7 @@ class _Rule(NamedTuple):
 
 class StopCause(Enum):
     """Every cause that can stop or slow a robot: severity, clear condition, reason, and what a
-    person can do. docs/stopping.md prints the table.
+    person can do. docs/use/stopping.md prints the table.
     """
 
     NOT_STARTED = _Rule(

@@ -2,7 +2,7 @@
 
 Small and separate on purpose. Causes are raised and cleared here and nowhere else; the worst active
 one decides. The gate is the last function before `Drive`. What each cause means and what clears it
-is declared in `agent/safety/stop_cause.py`; the bounds are in `docs/stopping.md`.
+is declared in `agent/safety/stop_cause.py`; the bounds are in `docs/how/safety_case.md`.
 """
 
 from collections.abc import Collection, Mapping, Sequence

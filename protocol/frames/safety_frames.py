@@ -1,4 +1,4 @@
-"""Frames that stop a fleet and release it. Highest priorities; see `docs/stopping.md`."""
+"""Frames that stop a fleet and release it. Highest priorities; see `docs/how/safety_case.md`."""
 
 from enum import IntEnum
 from typing import NamedTuple

@@ -1,4 +1,4 @@
-"""Whether a run kept the rules. docs/chaos.md explains their names; `headland chaos` prints them.
+"""Whether a run kept the rules. docs/how/chaos.md explains their names; `headland chaos` prints them.
 
 Some rules are checked elsewhere: S5 by `tests/chaos/test_amnesia.py` and the Spin models, S10 by
 `tests/crdt`, S12 by `headland bench forgery`.

@@ -15,7 +15,7 @@
  * REACH                           somebody is stopped and released                   is found
  *
  * BOOT_LATCHED is what a robot without memory does, because nothing better is possible: that person answers
- * for it. docs/stopping.md says so.
+ * for it. docs/how/safety_case.md says so.
  */
 #define N 3
 #ifndef PRESSES

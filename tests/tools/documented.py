@@ -35,7 +35,10 @@ class Shown(NamedTuple):
 
 def shown() -> list[Shown]:
     found: list[Shown] = []
-    for path in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))):
+    today = (
+        path for path in sorted((ROOT / "docs").rglob("*.md")) if path.parent.name != "history"
+    )
+    for path in (ROOT / "README.md", *today):
         text = path.read_text()
         for language, block in FENCE.findall(text):
             if not language:

@@ -32,7 +32,7 @@ SIZES = ((5, 1000.0), (20, 100.0), (50, 20.0), (100, 5.0))  # robots, simulated 
 SHARE_S = 1.5  # CPU time given to each size, --quick
 QUICK_MUTANTS = ("hold-forgotten", "latch-forgotten", "claims-uncontested")
 BUDGET_S = 600.0
-RESULTS = ROOT / "docs" / "chaos_runs"
+RESULTS = ROOT / "docs" / "measured" / "chaos_runs"
 RUNS_CI = 100_000  # of decoders
 NOTHING = "nothing: our own figure"
 RUNS = (("protocol", 1, 200), ("all", 1, 100), (FIELD, 2, 10))  # --quick, and in full
@@ -76,7 +76,7 @@ def _committed() -> Iterator[Figure]:
     """What the committed results say of the robots as they are now; of others they say nothing."""
     robots = fingerprint(ROBOTS)
     scope = (
-        f"read from docs/{RESULTS.name}, not played in this run; robots {robots}, as they are now"
+        f"read from {RESULTS.relative_to(ROOT)}, not played in this run; today's robots {robots}"
     )
     try:
         hours, broken = judged_hours(RESULTS, robots)

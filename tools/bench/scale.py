@@ -1,4 +1,4 @@
-"""Figures of docs/scale.md: many segments, many hosts, one fleet."""
+"""Figures of docs/measured/scale.md: many segments, many hosts, one fleet."""
 
 import gc
 import multiprocessing

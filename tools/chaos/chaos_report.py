@@ -28,7 +28,7 @@ def report(folder: Path) -> str:
     parts = [
         "# Chaos: what was found, and what was not",
         f"Written by `headland chaos --report {folder.name}` from {len(results)} result files; nothing "
-        "here is typed in. What the words mean: [chaos.md](chaos.md).",
+        "here is typed in. What the words mean: [chaos.md](../how/chaos.md).",
         *_campaigns(campaigns, kept), *_hunts(hunts), *_fuzzed(fuzzed),
     ]  # fmt: skip
     return "\n\n".join(parts) + "\n"

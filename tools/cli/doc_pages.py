@@ -1,6 +1,6 @@
 """What the documents print from the code: the frames with their layouts, the states with their edges.
 
-    python -m tools.cli.doc_pages docs       # writes frames.md, states.md and states.svg
+    python -m tools.cli.doc_pages docs       # writes how/frames.md, how/states.md and the picture of them
 
 A test compares the files with what is printed here, so that they cannot be older than the code.
 """
@@ -26,8 +26,8 @@ NOTE = "<!-- printed by python -m tools.cli.doc_pages docs; do not edit -->"
 
 
 def pages() -> dict[str, str]:
-    """File names, and what is in them."""
-    return {"frames.md": frames(), "states.md": states(), "states.svg": diagram()}
+    """Paths below the folder of the documents, and what is in each file."""
+    return {"how/frames.md": frames(), "how/states.md": states(), "how/states.svg": diagram()}
 
 
 def frames() -> str:

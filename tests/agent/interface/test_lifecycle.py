@@ -1,6 +1,6 @@
 """The state machine of the mission's document, edge by edge, and the additions we made.
 
-Then every state with every event and every cause, on a peer: it reacts as docs/stopping.md says.
+Then every state with every event and every cause, on a peer: it reacts as docs/use/stopping.md says.
 """
 
 from collections.abc import Callable

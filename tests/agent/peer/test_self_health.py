@@ -161,7 +161,7 @@ def test_m25_health_of_others_is_kept() -> None:
 
 
 def test_m25_the_table_in_the_documents_is_the_one_in_force() -> None:
-    assert health_table() in (Path(__file__).parents[3] / "docs" / "inspect.md").read_text()
+    assert health_table() in (Path(__file__).parents[3] / "docs" / "use" / "inspect.md").read_text()
 
 
 def test_m25_inspect_shows_the_health_that_is_told() -> None:

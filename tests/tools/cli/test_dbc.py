@@ -162,7 +162,7 @@ def test_a16_cycle_times_and_nodes_are_told(by_group: dict[int, Any]) -> None:
 
 
 def test_a17_cantools_reads_a_log_as_the_documents_say(short_run: Path, tmp_path: Path) -> None:
-    text = Path("docs/bus.md").read_text()
+    text = Path("docs/use/bus.md").read_text()
     command = next(line for line in text.splitlines() if "cantools decode" in line).split(" <")[0]
     (tmp_path / "headland.dbc").write_text(to_dbc(), encoding="ascii")
     with (short_run / "can.log").open() as log:

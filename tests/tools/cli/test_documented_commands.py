@@ -119,12 +119,12 @@ def _headland(words: list[str], folder: Path) -> "subprocess.CompletedProcess[st
 
 @pytest.mark.slow
 def test_b2_the_tutorial_works_as_written_in_an_empty_folder(tmp_path: Path) -> None:
-    text = (ROOT / "docs" / "tutorial.md").read_text()
+    text = (ROOT / "docs" / "use" / "tutorial.md").read_text()
     makefile = (ROOT / "Makefile").read_text()
     (recipe,) = re.findall(r"^demo: setup\n\t\$\(BIN\)/(headland .*)$", makefile, re.M)
     (scenario,) = re.findall(r"Write `(\w+\.toml)`", text)
     ran = 0
-    for language, block in blocks("tutorial.md"):
+    for language, block in blocks("use/tutorial.md"):
         if language == "toml":
             (tmp_path / scenario).write_text(block)
             continue

@@ -41,8 +41,18 @@ def test_the_pages_say_it_all() -> None:
 
 
 def test_every_document_is_in_the_site() -> None:
-    told = set(re.findall(r"(\w+\.md)", (ROOT / "mkdocs.yml").read_text()))
-    assert told == {path.name for path in DOCS.glob("*.md")}
+    told = re.findall(r"([\w/]+\.md)", (ROOT / "mkdocs.yml").read_text())
+    assert sorted(told) == sorted(_documents())
+
+
+def test_every_document_has_one_purpose() -> None:
+    """It says how to use the fleet, how it works, what was measured, or what was so earlier."""
+    parts = {path.split("/")[0] for path in _documents()}
+    assert parts == {"use", "how", "measured", "history", "index.md", "glossary.md"}
+
+
+def _documents() -> set[str]:
+    return {path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md")}
 
 
 @pytest.mark.skipif(find_spec("material") is None, reason="mkdocs-material is not installed")
@@ -53,7 +63,8 @@ def test_it_builds_and_loads_nothing_from_elsewhere(tmp_path: Path) -> None:
     )  # fmt: skip
     assert done.returncode == 0, done.stderr[-2000:]
     pages = sorted(tmp_path.rglob("*.html"))
-    assert {path.stem for path in pages} >= {path.stem for path in DOCS.glob("*.md")}
+    built = {path.relative_to(tmp_path).with_suffix(".md").as_posix() for path in pages}
+    assert built >= _documents()
     for path in pages:
         loaded = re.findall(
             r'<(?:script|img|iframe)[^>]*\ssrc="(?:https?:)?//[^"]*"|<link[^>]*rel="(?:stylesheet|preconnect)"'
@@ -63,7 +74,7 @@ def test_it_builds_and_loads_nothing_from_elsewhere(tmp_path: Path) -> None:
 
 
 def test_the_tutorial_s_trouble_is_a_scenario(tmp_path: Path) -> None:
-    (text,) = re.findall(r"```toml\n(.*?)```", (DOCS / "tutorial.md").read_text(), re.S)
+    (text,) = re.findall(r"```toml\n(.*?)```", (DOCS / "use" / "tutorial.md").read_text(), re.S)
     tomllib.loads(text)
     (tmp_path / "trouble.toml").write_text(text)
     scenario = load_mission(str(tmp_path / "trouble.toml"))

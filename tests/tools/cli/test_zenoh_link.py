@@ -103,7 +103,7 @@ def test_what_is_no_frame_is_counted() -> None:
 
 
 def tls(folder: Path, authority: Authority, name: str, accepts: bool = False) -> dict[str, object]:
-    """What Zenoh has to be told for TLS on both sides; see docs/scale.md."""
+    """What Zenoh has to be told for TLS on both sides; see docs/use/scale.md."""
     certificate, secret = authority.issue(name)
     side = "listen" if accepts else "connect"
     return {

@@ -21,7 +21,7 @@ from tools.operate.foreign_groups import NAMES
 from tools.run.launch_bus import viewer_command
 
 LIMIT_S = 60.0
-DOCUMENT = Path(__file__).parents[3] / "docs" / "bus.md"
+DOCUMENT = Path(__file__).parents[3] / "docs" / "use" / "bus.md"
 
 
 def documented(tool: str, port: int) -> list[str]:
