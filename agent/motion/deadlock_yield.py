@@ -1,12 +1,13 @@
 """Deadlock resolution: which robot gives way when robots stand nose to nose, and where it goes.
 
-ORCA keeps bodies apart; it does not decide which robot goes first, and two robots that want the same
-spot stand still for ever. A robot that wants to move, makes no progress, and has another robot close
-is stalled. Of two working robots the one with the higher slot gives way first: both know both slots,
-so they agree without a message. The yielding robot finds a refuge near by, drives there, and waits
-until the other is gone or a timeout ends. If it cannot give way (it stands in a corner), the robot
-with the lower slot does so after a longer timeout, so at least one side resolves a jam of two.
-A robot that does not want to move (idle, stopped, gone) is passed by the same means: a point beside it.
+ORCA keeps bodies apart; it does not decide which robot goes first. Two robots that want the same
+spot stand still for ever. A robot is stalled if it wants to move, makes no progress, and has
+another robot close by. Of two working robots the one with the higher slot gives way first. Both
+know both slots, so they agree without a message. The yielding robot drives to a refuge near by. It
+waits there until the other robot is gone or a timeout ends. If it cannot give way, because it
+stands in a corner, the robot with the lower slot does so after a longer timeout. So at least one
+side resolves a jam of two. A robot that does not want to move (idle, stopped, gone) is passed by
+the same means: the refuge is then a point beside it.
 """
 
 from math import ceil, cos, hypot, pi, sin
@@ -22,23 +23,25 @@ from agent.interface.lifecycle import State
 Point = tuple[float, float]
 PERIOD_S: Final = CONTROL_PERIOD_US / S
 
-WANTS_M_S: Final = 0.1  # a robot that wants less than this is not stalled
-GOT_ON_M: Final = 0.4  # a robot that has moved this far is not stalled
+# A stalled robot wants at least this speed, and has moved less than this distance.
+WANTS_M_S: Final = 0.1
+GOT_ON_M: Final = 0.4
 # Not stalled either if it covered this share of the requested distance, as when it creeps to an end.
 GETS_ON: Final = 0.4
-PATIENCE_US: Final = 1_500 * MS
+PATIENCE_US: Final = 1_500 * MS  # stalled for this long, the robot that yields first gives way
 LONG_PATIENCE_US: Final = 7 * S  # for the robot that gives way second
 NEAR_M: Final = 1.2  # a gap wider than this stalls no robot
 APART_M: Final = 5.0  # a robot leaves its refuge when the gap is this wide
 REFUGE_US: Final = 10 * S  # a robot leaves its refuge after this time at the latest
 ROUND_US: Final = 4 * S  # duration of a detour round a standing robot
+# Refuges are looked for in so many directions, at the distances `RADII_M`.
 DIRECTIONS: Final = 16
 STEP_M: Final = 0.5  # sampling step on the way to a refuge
 RADII_M = (2.5, 4.5, 7.0)
 
 
 class NearbyRobot(NamedTuple):
-    """A neighbour close by, relative to us."""
+    """A neighbour close by: slot, offset from us in metres (x east, y north), and state."""
 
     slot: int
     dx_m: float
@@ -47,10 +50,13 @@ class NearbyRobot(NamedTuple):
 
     @property
     def distance_m(self) -> float:
+        """From middle to middle."""
         return hypot(self.dx_m, self.dy_m)
 
 
 class DeadlockYield:
+    """One robot's part in resolving a jam: notices that it is stalled, and drives to a refuge."""
+
     def __init__(
         self,
         slot: int,
@@ -60,8 +66,11 @@ class DeadlockYield:
         scale: float = 1.0,
         near_m: float = NEAR_M,
     ) -> None:
-        """`scale`: factor for all distances; 1 for field machines, less for small robots indoors.
-        `near_m`: a gap wider than this, before scaling, stalls no robot."""
+        """`slot`: ours. `radius_m`: of every body. `speed_m_s`: the highest of ours. `fences`:
+        segments (n, 4) of ax, ay, bx, by in metres. `scale`: factor for all distances, 1 for field
+        machines and less for small robots indoors. `near_m`: a gap wider than this, before scaling,
+        stalls no robot.
+        """
         self.scale = scale
         self.slot, self.radius_m, self.speed_m_s, self.fences = slot, radius_m, speed_m_s, fences
         self.near_m = near_m * scale
@@ -76,7 +85,12 @@ class DeadlockYield:
     def wish(
         self, at: Point, wanted: Point, others: list[NearbyRobot], now_us: int
     ) -> Point | None:
-        """A velocity to use instead of the mission's, or None if no robot is in the way."""
+        """The velocity to use instead of the mission's, (x, y) metres a second; None if no robot is
+        in the way.
+
+        Call it once each control period. `at`: our position, metres. `wanted`: the mission's
+        velocity. `others`: the robots near by.
+        """
         if now_us < self._until_us:
             return self._go(at, others)
         moved_m = hypot(at[0] - self._anchor[0], at[1] - self._anchor[1])
@@ -129,10 +143,12 @@ class DeadlockYield:
     def _find(
         self, at: Point, wanted: Point, blocker: NearbyRobot, others: list[NearbyRobot]
     ) -> Point | None:
-        """A place that can be reached straight, away from fences and from all robots.
+        """A place that can be reached straight, away from fences and from all robots; None if there
+        is none.
 
-        Distance to the robot we give way to counts most. For a detour round a standing robot, the
-        place must lie towards our goal."""
+        The distance to the robot we give way to counts most. For a detour round a standing robot,
+        the place must lie towards our goal.
+        """
         best: tuple[float, Point] | None = None
         norm = max(hypot(*wanted), 1e-9)
         for radius_m in (self.scale * radius_m for radius_m in RADII_M):

@@ -1,9 +1,9 @@
 """From a motion request to a drive: neighbours, limits, and the velocity that avoids collisions.
 
-The pipeline of one control period ends here, except for the safety gate, which comes after and
-decides. The position of a neighbour is its last beat extrapolated by its age, with a margin for
-rounding. A standing neighbour does not avoid us, so we take the whole avoidance.
-`agent/motion/stopping_zone.py` says where a silent robot may have come to rest.
+The pipeline of one control period ends here, except for the safety gate, which comes after it. The
+position of a neighbour is its last beat extrapolated by its age, with a margin for rounding. A
+standing neighbour does not avoid us, so we do all of the avoidance. `agent/motion/stopping_zone.py`
+says where a silent robot may have come to rest.
 """
 
 from collections.abc import Mapping
@@ -46,6 +46,8 @@ def _square(row: tuple[float, ...]) -> float:
 
 
 class HolonomicMotion(MotionController):
+    """The motion controller of a body that can drive in any direction at any heading."""
+
     def __init__(
         self,
         slot: int,
@@ -61,12 +63,18 @@ class HolonomicMotion(MotionController):
         asks: bool = False,
         half_bar_m: float = 0.0,
     ) -> None:
-        """`fences`: impassable segments, (n, 4): ax, ay, bx, by in metres. None: use the walls that
-        the range sensors see, for a robot among unknown walls. `gives_way`: False if the mission
-        itself decides which robot goes first. `looks`: whatever the range sensors see without an
-        announcement is an obstacle; the fences must be complete. `stops`: keep enough distance to
+        """`slot`: ours. `limits`: our body; all bodies are taken to be alike. `fences`: impassable
+        segments (n, 4) of ax, ay, bx, by in metres. None: use the walls that the range sensors see,
+        for a robot among unknown walls.
+
+        `fence_m`: distance kept from fences. `horizon_s`: how far ahead collisions are avoided.
+        `gives_way`: False if the mission itself decides which robot goes first. `keep_right_rad`:
+        see `OrcaSolver`. `looks`: go round everything that the range sensors see and that neither a
+        fence nor a robot explains; the fences must be complete. `stops`: keep enough distance to
         stop behind a robot ahead that halts. `asks`: stop before an unannounced obstacle and ask an
-        operator, even if `looks` would go round it. `half_bar_m`: see `Implement`."""
+        operator, even if `looks` would go round it; not without known fences. `half_bar_m`: see
+        `Implement`.
+        """
         self.slot, self.limits = slot, limits
         self.sensing = fences is None
         fences = np.empty((0, 4)) if fences is None else fences
@@ -100,13 +108,17 @@ class HolonomicMotion(MotionController):
 
     @property
     def body_limits(self) -> BodyLimits:
+        """Size and dynamic limits of the body."""
         return self.limits
 
     def set_state(self, state: State) -> None:
+        """Our own lifecycle state, as our beats report it."""
         self.state = state
 
     def obstacle_question(self) -> ObstacleStop | None:
-        """None for a robot that does not know every wall and so cannot tell a person from a wall."""
+        """A new obstacle stop; None for a robot that does not know every wall: it cannot tell a
+        person from one.
+        """
         return ObstacleStop(self.slot, self.limits, self.lookout) if self.lookout else None
 
     def drive(
@@ -116,6 +128,11 @@ class HolonomicMotion(MotionController):
         neighbours: Mapping[int, Neighbour],
         now_us: int,
     ) -> Drive:
+        """The drive nearest to the mission's request that collides with nothing known.
+
+        Called once each control period. A request to hold gives a halt. The implement is up while
+        the robot gives way, and where a lowered one would hit a body.
+        """
         if wish.hold:  # others go round a standing robot, so standing still is safe
             return HALT._replace(handle=wish.handle)
         rows, others = self._rows(here, neighbours, now_us, not wish.tool_on)
@@ -144,7 +161,14 @@ class HolonomicMotion(MotionController):
         self, here: Observation, neighbours: Mapping[int, Neighbour], now_us: int,
         keeps_off: bool = False,
     ) -> tuple[list[tuple[float, ...]], list[NearbyRobot]]:  # fmt: skip
-        """`keeps_off`: from implements that are down."""
+        """Neighbours within reach, as rows for ORCA (nearest first, at most `NEIGHBOURS_MAX`) and
+        as robots.
+
+        A row: dx, dy, vx, vy in metres and metres a second, the distance to keep from middle to
+        middle, our share of the avoidance, and the
+        seconds by which the pose was extrapolated. `keeps_off`: keep
+        the distance that a lowered implement needs.
+        """
         near: list[tuple[float, ...]] = []
         others: list[NearbyRobot] = []
         bodies_m = 2 * self.limits.radius_m + MARGIN_M
@@ -183,7 +207,9 @@ class HolonomicMotion(MotionController):
         return near[:NEIGHBOURS_MAX], others
 
     def _look(self, here: Observation, rows: list[tuple[float, ...]]) -> list[tuple[float, ...]]:
-        """Obstacles seen without an announcement count as standing, so we alone avoid them."""
+        """The rows with unexplained echoes added. These count as standing, so we do all of the
+        avoidance.
+        """
         assert self.sensed is not None
         bodies = [(here.x_m + row[0], here.y_m + row[1]) for row in rows]
         self.strange = self.sensed.strange(here, self.reach_m / 2, bodies)

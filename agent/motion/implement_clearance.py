@@ -1,10 +1,10 @@
 """When the implement has to be up, and how much clearance a working robot needs.
 
-A lowered implement is a bar at right angles to the course; raised, it is folded and no wider than
-the body. A working robot knows the positions of other bodies from their beats and raises its
-implement before it hits one; the units it passes meanwhile are worked again. To avoid this, others
-keep as far from a working robot as the bar reaches. Robots that are nearer already, as at the start,
-come no nearer.
+A lowered implement is a bar at right angles to the course. A raised one is folded and no wider than
+the body. A working robot knows the positions of other bodies from their beats. It raises its
+implement before it hits one, and the units that it passes meanwhile are worked again. To avoid
+this, others keep as far from a working robot as the bar reaches. Robots that are nearer already, as
+at the start, come no nearer.
 """
 
 from collections.abc import Sequence
@@ -14,24 +14,24 @@ from typing import Final
 from agent.interface.ports import Observation
 from agent.motion.deadlock_yield import NEAR_M, NearbyRobot
 
-LEAD_M: Final = (
-    0.3  # a stretch is entered before its first unit and left after its last: arriving at a
-)
-
-
-DEPTH_M: Final = 0.25  # along the course, before and behind the middle
-AHEAD_M: Final = (
-    0.3  # what two robots close in on each other in a period, and the rounding of poses
-)
+# A stretch is entered this far before its first unit and left this far after its last one. A robot
+# arrives at a point only within centimetres; without a lead that much of the work would be left out.
+LEAD_M: Final = 0.3
+DEPTH_M: Final = 0.25  # of the bar along the course, before and behind the middle
+# How far two robots close in on each other in a control period, plus the rounding of poses.
+AHEAD_M: Final = 0.3
 ASIDE_M: Final = 0.1  # the rounding of poses, and a robot's cross-track error
 MOVES_M_S: Final = 0.2  # slower robots keep their last course, and soon take the requested one
-NOT_NEARER_M: Final = 0.02  # within the distance that is there
+NOT_NEARER_M: Final = 0.02  # a robot that is too near already keeps its distance less this
 
 
 class Implement:
+    """The bar that a robot carries: how far others keep from it, and when it has to be raised."""
+
     def __init__(self, half_m: float, radius_m: float) -> None:
         """`half_m`: from the middle of the robot to an end of the bar; 0 if there is no bar.
-        `radius_m`: radius of every body."""
+        `radius_m`: radius of every body.
+        """
         self.has = half_m > radius_m
         self._half_m, self._depth_m = half_m + ASIDE_M, DEPTH_M + AHEAD_M
         self._radius_m = radius_m
@@ -43,13 +43,20 @@ class Implement:
         self.reach_m = hypot(self._half_m, self._depth_m) + radius_m + LEAD_M if self.has else 0.0
 
     def combined_m(self, apart_m: float, bodies_m: float) -> float:
-        """Distance to keep from a working robot, for a robot that travels `apart_m` away from it."""
+        """Distance to keep from a working robot, middle to middle, for a robot that travels.
+
+        `apart_m`: the distance now. `bodies_m`: the distance to keep without a bar.
+        """
         return max(bodies_m, min(self._aside_m, apart_m - NOT_NEARER_M)) if self.has else bodies_m
 
     def must_be_up(
         self, here: Observation, wanted: tuple[float, float], others: Sequence[NearbyRobot]
     ) -> bool:
-        """Whether a body is, or may come within a period, where the bar is."""
+        """Whether a body is, or may come within a control period, where the bar is.
+
+        `wanted`: the velocity that the mission wants, (x, y) metres a second. `others`: the robots
+        near by.
+        """
         if not self.has:
             return False
         speed_m_s, wanted_m_s = hypot(here.vx_m_s, here.vy_m_s), hypot(*wanted)

@@ -1,7 +1,8 @@
-"""Detects unannounced obstacles in the way: no known fence and no known robot, so perhaps a person.
+"""Detects unannounced obstacles in the way: neither a known fence nor a known robot, so perhaps a
+person.
 
-An echo is explained if it lies at a known fence or hole, or where a known robot may be: between its
-last pose and its extrapolation, or where it may have come to rest
+An echo is explained if it lies at a known fence or hole, or where a known robot may be. A robot may
+be between its last pose and its extrapolation, or where it may have come to rest
 (`agent/motion/stopping_zone.py`). An unexplained echo within stopping distance along the motion is
 an obstacle. From then on all unexplained echoes near by are kept as points, until the two rays on
 either side of a point both pass it. So a standing body wider than the gap between two rays is not
@@ -23,24 +24,21 @@ from agent.motion.stopping_zone import StoppingZone
 Point = tuple[float, float]
 GroundCell = tuple[int, int]  # a square of the ground: one point is remembered in each
 
-REACTION_S: Final = (
-    ACTUATOR_TTL_US + CONTROL_PERIOD_US
-) / S  # until a command to stand is in force
+REACTION_S: Final = (ACTUATOR_TTL_US + CONTROL_PERIOD_US) / S  # until a halt is in force
 MARGIN_M: Final = 0.6  # distance left between the hull and the obstacle
 BESIDE_M: Final = 0.15  # margin kept on either side; ORCA's margin
-FENCE_TOLERANCE_M: Final = (
-    0.25  # an echo this near to a fence is the fence: maps and poses are not perfect
-)
+# An echo this near to a fence is the fence: maps and poses are not perfect.
+FENCE_TOLERANCE_M: Final = 0.25
 ROBOT_TOLERANCE_M: Final = 0.35  # round a known robot: POSE rounds, courses bend between two beats
 WATCH_M: Final = 8.0  # points are kept up to this distance
 CHAIN_M: Final = 1.5  # echoes this close together are one thing
-GRAIN_M: Final = 0.25  # side of a grain
+GRAIN_M: Final = 0.25  # side of a ground cell
 BEYOND_M: Final = 0.4  # a ray that reaches this much further than a point has passed it
 FORGET_US: Final = 300 * S  # a point that was not observed again for this long is dropped
 
 
 class Detection(NamedTuple):
-    """An obstacle in the way."""
+    """An obstacle in the way: its nearest point (x, y), and the free distance before the hull."""
 
     x_m: float  # the nearest point of it
     y_m: float
@@ -48,18 +46,23 @@ class Detection(NamedTuple):
 
 
 class ObstacleDetector:
+    """The unexplained echoes that one robot remembers, and the nearest of them in its way."""
+
     def __init__(
         self, radius_m: float, deceleration_m_s2: float, fences: NDArray[np.float64],
         coasting: StoppingZone,
     ) -> None:  # fmt: skip
-        """`fences`: known segments, (n, 4): ax, ay, bx, by in metres. `coasting`: kept by our motion."""
+        """`radius_m`, `deceleration_m_s2`: of our body. `fences`: known segments (n, 4) of ax, ay,
+        bx, by in metres. `coasting`: where silent robots may stand; our motion controller updates
+        it.
+        """
         self.radius_m, self.deceleration_m_s2 = radius_m, deceleration_m_s2
         self.fences, self.coasting = fences, coasting
-        self.points: dict[
-            GroundCell, tuple[Point, int]
-        ] = {}  # the newest in each, and when it was seen
+        # The newest point in each ground cell, and when it was seen.
+        self.points: dict[GroundCell, tuple[Point, int]] = {}
 
     def stopping_m(self, speed_m_s: float) -> float:
+        """Way to a standstill from this speed: reaction and braking, metres."""
         return speed_m_s * REACTION_S + speed_m_s * speed_m_s / (2 * self.deceleration_m_s2)
 
     def look(
@@ -69,7 +72,12 @@ class ObstacleDetector:
         neighbours: Mapping[int, Neighbour],
         now_us: int,
     ) -> Detection | None:
-        """Called once a control period: the nearest obstacle to the motions (metres per second)."""
+        """Once each control period: the nearest obstacle in the way of the motions; None if there
+        is none.
+
+        `here`: our observation with its rays. `motions`: velocities that the body has or may have
+        next, (x, y) metres a second. `neighbours`: newest poses by slot.
+        """
         if not here.ranges_m:
             return None
         if self.points:
@@ -102,11 +110,15 @@ class ObstacleDetector:
         return False
 
     def reach_m(self, speed_m_s: float) -> float:
-        """Distance from the hull's middle beyond which obstacles do not matter yet."""
+        """Distance from our middle beyond which obstacles do not matter yet."""
         return self.radius_m + MARGIN_M + self.stopping_m(speed_m_s)
 
     def ahead(self, here: Observation, velocity: Point, reach_m: float) -> Detection | None:
-        """The nearest remembered point in the strip that the hull will pass."""
+        """The nearest remembered point in the strip that the hull will pass; None for a velocity of
+        zero.
+
+        `velocity`: direction of the strip. `reach_m`: its length from our middle.
+        """
         speed_m_s = hypot(*velocity)
         if speed_m_s == 0.0:
             return None
@@ -150,7 +162,7 @@ class ObstacleDetector:
         neighbours: Mapping[int, Neighbour],
         now_us: int,
     ) -> list[Point]:
-        """Those that neither a robot nor a fence explains."""
+        """The echoes that neither a robot nor a fence explains."""
         left = echoes
         near_m = self.radius_m + ROBOT_TOLERANCE_M
         for slot, (pose, heard_us) in neighbours.items():
@@ -177,7 +189,7 @@ class ObstacleDetector:
             self.points[floor(x_m / GRAIN_M), floor(y_m / GRAIN_M)] = ((x_m, y_m), now_us)
 
     def _forget(self, here: Observation, now_us: int) -> None:
-        """Points that both rays beside them have passed, and old ones."""
+        """Drop points that both rays beside them have passed, and points that are too old."""
         count = len(here.ranges_m)
         step_rad = 2 * pi / count
         for grain, ((x_m, y_m), seen_us) in list(self.points.items()):
@@ -191,6 +203,7 @@ class ObstacleDetector:
 
 
 def middle(grain: GroundCell) -> Point:
+    """The middle of a ground cell, (x, y) metres."""
     return (grain[0] + 0.5) * GRAIN_M, (grain[1] + 0.5) * GRAIN_M
 
 

@@ -1,8 +1,8 @@
 """Follows a polyline: computes the progress along it and the velocity that stays on it.
 
-For a body that can move in any direction: the wanted velocity is along the line, plus what closes
-the distance to it, within the speed that still allows to stop at the end. The cross-track error
-decides whether a unit counts as worked, so the correction is stiff.
+It is for a body that can move in any direction. The wanted velocity is along the line, plus what
+closes the distance to it. The speed allows to stop at the end. The cross-track error decides
+whether a unit counts as worked, so the correction is stiff.
 """
 
 import itertools
@@ -12,25 +12,26 @@ from typing import Final
 Point = tuple[float, float]
 
 POINT_M: Final = 1e-9  # a segment shorter than this is a point
-CLOSE_GAIN_1_S: Final = (
-    2.0  # cross-track error is closed with this rate; 20 Hz control is stable below ~10
-)
+# The cross-track error is closed with this rate. Control at 20 Hz is stable below about 10.
+CLOSE_GAIN_1_S: Final = 2.0
 ARRIVED_M: Final = 0.06  # a few centimetres: what a body at creep speed covers in a control period
 ALIGN_M: Final = 0.12  # this far off the line, the robot does not advance before it is back
 BESIDE_M: Final = 0.3  # passing the end further away than this is not arriving
 SWING_M: Final = 0.03  # how far a body may swing out at a corner; a third of the usual tolerance
 BEND_M: Final = 2.0  # corners further apart than this do not make a bend
-BEND_SHARE: Final = (
-    0.5  # of the acceleration goes into following a bend, the rest into staying on it
-)
+# Share of the acceleration that goes into following a bend; the rest is for staying on it.
+BEND_SHARE: Final = 0.5
 SAMPLE_M: Final = 0.25  # sampling step of the line ahead: less than the width of any body
 CREEP_M_S: Final = 0.1  # minimum approach speed at the end, so that arrival takes finite time
 
 
 class PathTracker:
-    """Progress along one polyline, at most `speed_m_s`."""
+    """Progress along one polyline of (x, y) points in metres."""
 
     def __init__(self, points: list[Point], speed_m_s: float, deceleration_m_s2: float) -> None:
+        """`points`: at least one. `speed_m_s`: the highest speed. `deceleration_m_s2`: with which
+        the body brakes for corners and the end.
+        """
         assert len(points) >= 1
         self.points = points
         self.speed_m_s, self.deceleration_m_s2 = speed_m_s, deceleration_m_s2
@@ -53,7 +54,10 @@ class PathTracker:
         self.arrived = False
 
     def locate(self, x_m: float, y_m: float) -> None:
-        """Project a position; may move on to later segments, never back to earlier ones."""
+        """Project a position on the line; sets `along_m`, `off_m`, `gap_m` and `arrived`.
+
+        It may move on to later segments, never back to earlier ones.
+        """
         while self.piece < len(self.lengths_m):
             ax, ay, ux, uy, length_m = self._pieces[self.piece]
             if length_m < POINT_M:
@@ -80,11 +84,11 @@ class PathTracker:
 
     @property
     def rest_of_way(self) -> list[Point]:
-        """The points that we have not passed yet."""
+        """The points that we have not passed yet, (x, y) metres."""
         return self.points[self.piece + 1 :]
 
     def velocity(self, x_m: float, y_m: float) -> Point:
-        """The wanted velocity at this position; call `locate` first."""
+        """The wanted velocity here, (x, y) metres a second; call `locate` first."""
         if self.piece >= len(self._pieces):
             return self._towards(x_m, y_m, self.points[-1])
         ax, ay, ux, uy, length_m = self._pieces[self.piece]
@@ -100,7 +104,10 @@ class PathTracker:
         return ux * forward_m_s - uy * close_m_s, uy * forward_m_s + ux * close_m_s
 
     def ahead(self, reach_m: float) -> list[tuple[float, float, float, float]]:
-        """Points of the line ahead, every `SAMPLE_M`, and its direction there: x, y, ux, uy."""
+        """Samples of the line from our projection on, every `SAMPLE_M` up to `reach_m`.
+
+        Each is x, y in metres and the unit vector ux, uy of the line's direction there.
+        """
         found: list[tuple[float, float, float, float]] = []
         along_m = self.along_m
         for piece in range(self.piece, len(self.lengths_m)):
@@ -123,8 +130,9 @@ class PathTracker:
         return max(min(self.speed_m_s, brake_m_s), CREEP_M_S)
 
     def _passing_speeds(self) -> list[float]:
-        """Allowed speed at each point: what swings out at a corner stays below `SWING_M`, and the
-        next slower point can be braked for."""
+        """Allowed speed at each point: the body swings out at a corner by less than `SWING_M`, and
+        it can brake for the next slower point.
+        """
         count = len(self.points)
         speeds = [self.speed_m_s] * count
         speeds[-1] = 0.0

@@ -1,10 +1,11 @@
-"""Where a member that fell silent while moving may stand: from its last beat to where it came to rest.
+"""Where a member that fell silent while moving may stand: from its last beat to where it came to
+rest.
 
 A process that dies sends nothing, but its body drives on while its last command is valid, and then
-over its braking distance. A robot that was cut off from the bus drives until it has noticed. At
-2.5 m/s that is three metres, more than the width of a body, so keeping away from the last beat alone
-would lead into the body behind it. All of that way is kept clear. A place on it becomes free when
-range sensor rays pass through it.
+over its braking distance. A robot that was cut off from the bus drives until it has noticed. At 2.5
+m/s that is three metres, more than the width of a body. To keep away from the last beat alone would
+lead into the body behind it. All of that way is kept clear. A place on it becomes free when range
+sensor rays pass through it.
 """
 
 from collections.abc import Mapping
@@ -16,9 +17,8 @@ from agent.interface.ports import Neighbour, Observation
 
 Point = tuple[float, float]
 
-GONE_QUIET_US: Final = (
-    1 * S
-)  # for a shorter silence every robot has braked, and the last beat is extrapolated
+# After a shorter silence every robot has braked, and its last beat is extrapolated.
+GONE_QUIET_US: Final = 1 * S
 # Time until it brakes: it detects the silence, and its last command is still in force. In fleets of
 # more than 30, which detect silence later, a robot that was cut off may stand further on. Any echo
 # that no place here explains is an obstacle (`agent/motion/obstacle_detector.py`).
@@ -30,7 +30,10 @@ assert DRIVES_ON_US == 450 * MS
 
 
 class StoppingZone:
-    """The zones of one robot; a place seen as free stays free until the member is received again."""
+    """The zones of all silent members, as one robot knows them.
+
+    A place seen as free stays free until the member is received again.
+    """
 
     def __init__(self, radius_m: float, deceleration_m_s2: float) -> None:
         self.radius_m, self.deceleration_m_s2 = radius_m, deceleration_m_s2
@@ -38,7 +41,10 @@ class StoppingZone:
         self._places: dict[int, tuple[Point, ...]] = {}
 
     def look(self, neighbours: Mapping[int, Neighbour], here: Observation, now_us: int) -> None:
-        """Once a control period."""
+        """Once each control period: begin, end and shorten zones.
+
+        `neighbours`: newest poses by slot. `here`: our observation with its rays.
+        """
         for slot, neighbour in neighbours.items():
             _, heard_us = neighbour
             if now_us - heard_us < GONE_QUIET_US:
@@ -54,7 +60,10 @@ class StoppingZone:
                 self._places[slot] = left
 
     def places(self, slot: int) -> tuple[Point, ...] | None:
-        """Possible places in driving order, without those seen as free; None: not silent for long."""
+        """Possible places of a member, (x, y) metres in driving order, without those seen as free.
+
+        None: the member has not been silent for long enough to have a zone.
+        """
         return self._places.get(slot)
 
     def _way(self, neighbour: Neighbour) -> tuple[Point, ...]:
@@ -76,7 +85,10 @@ class StoppingZone:
 
 
 def seen_through(here: Observation, place: Point, sure_m: float) -> bool:
-    """Whether the two rays on each side of a place all pass it, so that no body is there."""
+    """Whether two rays on each side of a place all pass it, so that no body is there.
+
+    `place`: (x, y) metres. `sure_m`: rays prove nothing about places further away than this.
+    """
     dx_m, dy_m = place[0] - here.x_m, place[1] - here.y_m
     distance_m, count = hypot(dx_m, dy_m), len(here.ranges_m)
     if not count or distance_m > sure_m:

@@ -7,21 +7,30 @@ from agent.motion.tractor_tracker import SteeringLimits, TractorTracker
 from agent.paths.dubins import step
 from agent.paths.tractor_route import Piece, Point, Pose, TurnRoute, sampled
 
-LENGTHS_M = (3.0, 5.0, 8.0)
+LENGTHS_M = (3.0, 5.0, 8.0)  # of the arcs and straights that are tried
 ENOUGH_M = 9.0  # a larger distance from the other robot is no better
-STEP_M = 0.5  # between places where the way is looked at
-SPARE_M = 0.35  # between bodies, besides their radii
+STEP_M = 0.5  # between places where the piece is checked for collisions
+SPARE_M = 0.35  # between hulls
 
 
 class EscapeManoeuvre:
+    """One robot's way out of another robot's way: found once, then driven to its end."""
+
     def __init__(self, turns: TurnRoute, radius_m: float, limits: SteeringLimits) -> None:
+        """`turns`: knows which arcs stay on free ground. `radius_m`: of every body. `limits`: our
+        chassis.
+        """
         self.turns, self.radius_m, self.limits = turns, radius_m, limits
         self.follow: TractorTracker | None = None
 
     def go(
         self, here: Pose, away_from: Iterable[Point], everybody: Iterable[Point]
     ) -> tuple[float, float] | None:
-        """Speed and turn rate of the escape; None if none is needed any more, or none exists."""
+        """Speed (negative: backward) and turn rate of the escape, metres and radians a second.
+
+        None if none is needed any more, or if none exists. `here`: our pose. `away_from`: robots
+        that need the room, (x, y) metres. `everybody`: all robots near by.
+        """
         if self.follow is None:
             others = list(away_from)
             pieces = self.find(here, others, list(everybody)) if others else None
@@ -35,7 +44,11 @@ class EscapeManoeuvre:
         return self.follow.command()
 
     def find(self, here: Pose, away_from: list[Point], everybody: list[Point]) -> Piece | None:
-        """The piece that ends furthest from the robots that need the room, without a collision."""
+        """The piece that ends furthest from the robots that need the room, without a collision.
+
+        None if no piece brings us further away, within a metre. Forward is preferred to backward by
+        half a metre.
+        """
         bend = 1.0 / self.turns.radius_m
         now_m = _gap(here[:2], away_from)
         best: tuple[float, Piece] | None = None

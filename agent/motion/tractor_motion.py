@@ -1,9 +1,9 @@
 """From a motion request to a drive for steered bodies: keep to the path, slow or stop for others.
 
 A tractor cannot follow ORCA's velocities, so ORCA only limits the speed along its own course. Its
-disc is larger by the tracking and steering error (the argument of NH-ORCA, Alonso-Mora et al. 2010).
-The path planner handles fences: a path never leaves free ground. Of two tractors nose to nose, the
-one with the higher slot backs away by one arc and waits, and its mission replans from there.
+disc is larger by the tracking and steering error (the argument of NH-ORCA, Alonso-Mora et al.
+2010). The path planner handles fences: a path never leaves free ground. Of two tractors nose to
+nose, the one with the higher slot backs away by one arc and waits. Its mission replans from there.
 """
 
 from collections.abc import Mapping
@@ -27,21 +27,26 @@ from agent.paths.tractor_route import Pose, TurnRoute
 DISC_M = 0.2  # extra disc radius for the tracking error and the swing into an arc
 SHARES = (1.0, 0.8, 0.6, 0.4, 0.25, 0.12)  # of the wanted speed, tried in this order
 SAME_M_S = 0.03  # a velocity that ORCA changes by less is permitted
-PATIENCE_US = 1_500 * MS
-LONG_PATIENCE_US = 6 * S  # for the robot with the lower slot
+PATIENCE_US = 1_500 * MS  # after this time without progress the robot with the higher slot escapes
+LONG_PATIENCE_US = 6 * S  # the same for the robot with the lower slot
 WAIT_US = 8 * S  # maximum wait after backing away
 APART_M = 5.0  # at this distance between bodies the way is free again
 NEAR_M = 1.8  # a robot further away is not the reason why we stand
-GOT_ON_M = 0.4
+GOT_ON_M = 0.4  # a move of this length is progress
 HALF_PERIOD_S = CONTROL_PERIOD_US / S / 2  # the course is that of the middle of the control period
 
 
 class TractorMotion(HolonomicMotion):
+    """The motion controller of a body that steers (bicycle model)."""
+
     def __init__(
         self, slot: int, limits: Body, turns: TurnRoute, steering: SteeringLimits,
         fences: NDArray[np.float64],
     ) -> None:  # fmt: skip
-        """`fences`: known segments (n, 4), metres; only the lookout asks for them."""
+        """`slot`: ours. `limits`: our body; all bodies are taken to be alike. `turns`: knows which
+        arcs stay on free ground. `steering`: our chassis. `fences`: known segments (n, 4) of ax,
+        ay, bx, by in metres; only the obstacle detector uses them.
+        """
         super().__init__(slot, limits, np.empty((0, 4)))
         self.lookout = ObstacleDetector(
             limits.radius_m, limits.acceleration_m_s2, fences, self.coasting
@@ -59,6 +64,11 @@ class TractorMotion(HolonomicMotion):
         neighbours: Mapping[int, Neighbour],
         now_us: int,
     ) -> Drive:
+        """The share of the mission's request that is safe now, or an escape from a robot that we
+        block.
+
+        Called once each control period. The curvature of the request is kept at any share.
+        """
         rows, others = self._rows(here, neighbours, now_us)
         pose = Pose(here.x_m, here.y_m, here.heading_rad)
         places = {o.slot: (here.x_m + o.dx_m, here.y_m + o.dy_m) for o in others}
@@ -70,7 +80,7 @@ class TractorMotion(HolonomicMotion):
         share = self._permitted(here, wish, rows)
         return Drive(
             wish.vx_m_s * share, wish.vy_m_s * share, wish.turn_rad_s * share,
-            wish.tool_on,  # also while it waits: what it stands on is not worked twice for that
+            wish.tool_on,  # down while it waits, too: the ground under it is then not worked twice
         )  # fmt: skip
 
     def _permitted(
@@ -83,7 +93,7 @@ class TractorMotion(HolonomicMotion):
         for dx_m, dy_m, vx_m_s, vy_m_s, combined_m, *_ in rows:
             combined_m += DISC_M
             gap_m = hypot(dx_m, dy_m)
-            if gap_m < combined_m + 0.02:  # too near already: away from it, and nothing else
+            if gap_m < combined_m + 0.02:  # too near already: only motion away from it is allowed
                 closing = dx_m * wish.vx_m_s + dy_m * wish.vy_m_s
                 if closing > 0.0:
                     return 0.0

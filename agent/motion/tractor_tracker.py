@@ -1,8 +1,8 @@
 """Follows a sampled path with a steered body: forward speed and turn rate.
 
-The steering looks ahead by the time it takes to turn the wheels, so that they are turned when an arc
-begins. A cross-track error is closed within a fixed length, not time, so the path is the same at any
-speed.
+The steering looks ahead by the time that it takes to turn the wheels. So the wheels are turned when
+an arc begins. A cross-track error is closed within a fixed length, not within a fixed time. So the
+path is the same at any speed.
 """
 
 from math import atan2, cos, hypot, pi, remainder, sin, sqrt
@@ -10,38 +10,47 @@ from math import atan2, cos, hypot, pi, remainder, sin, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-CLOSE_M = 0.6  # length in which a distance to the way is closed, critically damped
-CLOSE_1_M = 0.33  # and longer by speed times this over the speed of steering: wheels take time
-CLOSE_RAD_MAX = 0.5  # at what angle to the way at most
-LATERAL_M_S2 = 1.0  # comfortable, and far from what tips or slips
+# Length in which a cross-track error is closed, critically damped. It is longer by `CLOSE_1_M` times
+# speed divided by steering rate, because wheels take time to turn.
+CLOSE_M = 0.6
+CLOSE_1_M = 0.33
+CLOSE_RAD_MAX = 0.5  # largest angle to the path while an error is closed
+LATERAL_M_S2 = 1.0  # lateral acceleration that is comfortable, and far from tipping or slipping
 WINDOW_M = 1.2  # a bend may begin over this length: an arc is then 5 cm off at its ends
-STEER_SHARE = 0.5  # of the speed of steering is planned with
-SLOWEST_M_S = 0.4
-PREVIEW_S = 0.25  # half the time from lock to straight, and the command's own delay
-BACK_M_S = 0.9  # as fast as it backs up
-SHIFT_M, SHIFT_M_S = 0.25, 0.35  # slow round a change of direction
-CREEP_M_S = 0.15
-ARRIVED_M = 0.08
-LOST_M, LOST_RAD = 0.8, 1.2  # further off, another way is made
-SEARCH = 40  # samples looked at ahead of the last place
-GEAR = 4  # column of the gear: 1 or -1
+STEER_SHARE = 0.5  # share of the steering rate that plans use
+SLOWEST_M_S = 0.4  # bends are not planned slower than this
+PREVIEW_S = 0.25  # half the time from lock to straight, and the delay of the command
+BACK_M_S = 0.9  # highest speed backward
+SHIFT_M, SHIFT_M_S = 0.25, 0.35  # within this distance of a change of gear, at most this speed
+CREEP_M_S = 0.15  # lowest speed that is commanded
+ARRIVED_M = 0.08  # this near to the end, the path is driven
+LOST_M, LOST_RAD = 0.8, 1.2  # further off than this, the mission plans another path
+SEARCH = 40  # samples searched ahead of the last position
+GEAR = 4  # column of the gear: 1 forward, -1 backward
 
 
 class SteeringLimits:
-    """What the chassis allows."""
+    """What the chassis allows: speed, deceleration, and rate of steering."""
 
     def __init__(self, speed_m_s: float, deceleration_m_s2: float, steer_1_m_s: float) -> None:
-        """`steer_1_m_s`: change of curvature a second."""
+        """`steer_1_m_s`: change of curvature (1/m) in a second."""
         self.speed_m_s, self.deceleration_m_s2 = speed_m_s, deceleration_m_s2
         self.steer_1_m_s = steer_1_m_s
 
 
 class TractorTracker:
-    """Progress along rows of x, y, heading, curvature, gear (see `turn_route.sampled`)."""
+    """Progress along a sampled path, from its first row to its last.
+
+    Call `locate` once each control period, then read `arrived`, `lost` and `command`.
+    """
 
     def __init__(
         self, way: NDArray[np.float64], limits: SteeringLimits, end_m_s: float = 0.0
     ) -> None:
+        """`way`: (n, 5) rows of x, y in metres, heading in radians, curvature in 1/m, and gear (1
+        or -1), as `tractor_route.sampled` makes them; at least two. `limits`: of the chassis.
+        `end_m_s`: speed at the end, for a path that another one continues.
+        """
         assert way.shape[0] >= 2
         self.way, self.limits = way, limits
         gaps = np.hypot(np.diff(way[:, 0]), np.diff(way[:, 1]))
@@ -55,13 +64,17 @@ class TractorTracker:
 
     @property
     def rest_of_way(self) -> list[tuple[float, float]]:
-        """The points we have not passed, about one a metre."""
+        """The points that we have not passed, (x, y) metres, about one a metre."""
         rest = self.way[self.row + 1 :, :2]
         metre = max(1, round(rest.shape[0] / max(self.total_m - self.along_m, 1.0)))
         return [(float(x), float(y)) for x, y in (*rest[:-1:metre], *rest[-1:])]
 
     def locate(self, x_m: float, y_m: float, heading_rad: float) -> None:
-        """The nearest place on the way, not beyond the next change of gear, never back."""
+        """Find the nearest place on the path, not beyond the next change of gear and never back.
+
+        It sets `row`, `along_m` (metres from the start), `off_m` (positive to the left), `off_rad`,
+        `gap_m` and `arrived`.
+        """
         way = self.way
         last = min(self.row + SEARCH, way.shape[0] - 1)
         shift = np.flatnonzero(way[self.row : last + 1, GEAR] != way[self.row, GEAR])
@@ -72,7 +85,7 @@ class TractorTracker:
             px, py, heading, _, gear = way[row]
             t_m = gear * ((x_m - px) * cos(heading) + (y_m - py) * sin(heading))
             at_shift = row + 1 < way.shape[0] and way[row + 1, GEAR] != gear
-            if at_shift and t_m >= -ARRIVED_M:  # here it changes direction
+            if at_shift and t_m >= -ARRIVED_M:  # here the gear changes
                 row += 1
                 self.row = row
                 continue
@@ -86,11 +99,13 @@ class TractorTracker:
 
     @property
     def lost(self) -> bool:
-        """So far off that another way is to be made."""
+        """Whether the body is so far off that another path has to be planned."""
         return self.gap_m > LOST_M or abs(self.off_rad) > LOST_RAD
 
     def command(self) -> tuple[float, float]:
-        """Speed (negative: back) and turn rate; call `locate` first."""
+        """Speed (negative: backward) and turn rate, metres and radians a second; call `locate`
+        first.
+        """
         gear = self.way[self.row, GEAR]
         speed_m_s = float(self.speeds[self.row])
         if self.row + 1 < self.speeds.size:
@@ -113,7 +128,9 @@ class TractorTracker:
 def _speeds(
     way: NDArray[np.float64], along: NDArray[np.float64], limits: SteeringLimits, end_m_s: float
 ) -> NDArray[np.float64]:
-    """Allowed speed at each sample: bends, changes of curvature and of gear, and braking for them."""
+    """Allowed speed at each sample (n,), metres a second: bends, changes of curvature and of gear,
+    and braking for them.
+    """
     count = way.shape[0]
     bend = np.sqrt(LATERAL_M_S2 / np.maximum(np.abs(way[:, 3]), 1e-6))
     speeds = np.minimum(bend, limits.speed_m_s)
@@ -139,7 +156,12 @@ def _speeds(
 
 
 def smooth_way(points: list[tuple[float, float]], half_m: float) -> NDArray[np.float64]:
-    """A polyline as a way ahead: its corners are rounded by averaging over `half_m` to both sides."""
+    """A polyline of (x, y) points as a path ahead, with corners rounded over `half_m` to both
+    sides.
+
+    The result has rows as in `TractorTracker`, about every 0.1 m; the end points stay where they
+    are.
+    """
     line = np.array(points, dtype=np.float64)
     gaps = np.hypot(np.diff(line[:, 0]), np.diff(line[:, 1]))
     keep = np.concatenate([[True], gaps > 1e-6])
@@ -159,8 +181,10 @@ def smooth_way(points: list[tuple[float, float]], half_m: float) -> NDArray[np.f
 
 
 def heading_of(a: tuple[float, float], b: tuple[float, float]) -> float:
+    """Direction from a to b, radians counter-clockwise from east."""
     return atan2(b[1] - a[1], b[0] - a[0])
 
 
 def distance_m(a: tuple[float, float], b: tuple[float, float]) -> float:
+    """Straight distance between two points."""
     return hypot(b[0] - a[0], b[1] - a[1])

@@ -1,7 +1,7 @@
 """Echoes of the range sensors that neither the map nor the beats of other robots explain.
 
-Safety does not depend on messages: the sensors also see a robot whose beats are lost, or a box that
-a person put down. A hit is unexplained if it lies off every known wall and every received robot.
+Safety does not depend on messages. The sensors also see a robot whose beats are lost, or a box that
+a person put down. An echo is unexplained if it lies off every known wall and every received robot.
 """
 
 from collections.abc import Iterable, Sequence
@@ -15,8 +15,10 @@ from agent.interface.ports import Observation
 
 Point = tuple[float, float]
 NO_WALLS = np.empty((0, 4))
-WALL_M = 0.12  # a hit this near to a wall is the wall: errors of range and position
-BODY_M = 0.25  # a hit this near to a body is that body: its beat is rounded, and it has moved since
+WALL_M = 0.12  # an echo this near to a wall is the wall: errors of range and position
+BODY_M = (
+    0.25  # an echo this near to a body is the body: its beat is rounded, and it has moved since
+)
 
 
 @njit(cache=True, error_model="numpy")
@@ -55,9 +57,11 @@ def echoes(
     bodies: Sequence[Sequence[float]],
     walls: NDArray[np.float64] = NO_WALLS,
 ) -> NDArray[np.float64]:
-    """Where each ray ends, (rays, 2), metres.
+    """Where each ray of an observation ends, (rays, 2) of x, y in metres.
 
-    NaN for a ray that ends beyond `reach_m`, or on a known body (x, y, radius) or wall (n, 4)."""
+    NaN for a ray that ends beyond `reach_m`, or on a known body or wall. `bodies`: rows of x, y and
+    radius, metres. `walls`: segments (n, 4) of ax, ay, bx, by in metres.
+    """
     ranges = np.array(here.ranges_m)
     found = np.full((ranges.size, 2), nan)
     if ranges.min(initial=inf) < reach_m:
@@ -67,15 +71,20 @@ def echoes(
 
 
 class UnexplainedEchoes:
-    """Unexplained hits of one robot. `walls`: segments (n, 4), metres."""
+    """The unexplained echoes of one robot."""
 
     def __init__(self, walls: NDArray[np.float64], radius_m: float) -> None:
+        """`walls`: known segments (n, 4) of ax, ay, bx, by in metres. `radius_m`: of every body."""
         self.walls, self.radius_m = walls, radius_m
 
     def strange(
         self, here: Observation, reach_m: float, bodies: Iterable[Sequence[float]]
     ) -> list[Point]:
-        """`bodies`: x, y of the known robots, extrapolated to now."""
+        """Unexplained echoes within `reach_m` of us, (x, y) metres.
+
+        `here`: the observation with its rays. `bodies`: x, y of the known robots, extrapolated to
+        now.
+        """
         known = [(x, y, self.radius_m + BODY_M) for x, y in bodies]
         found = echoes(here, reach_m, known, self.walls)
         return [(x, y) for x, y in found[~np.isnan(found[:, 0])].tolist()]
