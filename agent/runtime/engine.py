@@ -241,10 +241,10 @@ class FleetCoordinationEngine:
     ) -> "Cleared":
         """Clear the stops that hold this machine, here and at every other; reset and start none.
 
-        `operator`: the keyring of a person's operator key (`sim.files.key_file`), with a sender of 192 or
-        more. A fleet without keys has to be named as such, by `keyless`. ValueError where the authority
-        does not fit the fleet. Afterwards each machine needs its `manual_reset`, then its `permit`. A
-        stop that is pressed meanwhile is not cleared.
+        `operator`: the keyring of a person's operator key (`agent.runtime.files.key_file`), with a
+        sender of 192 or more. A fleet without keys has to be named as such, by `keyless`. ValueError
+        where the authority does not fit the fleet. Afterwards each machine needs its `manual_reset`,
+        then its `permit`. A stop that is pressed meanwhile is not cleared.
         """
         peer = self._peer
         if peer.safety.keyed and (keyless or operator is None):

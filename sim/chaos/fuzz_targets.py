@@ -26,6 +26,9 @@ from agent.interface.lifecycle import State
 from agent.peer import durable_records as records
 from agent.peer.journal_recovery import LOST
 from agent.peer.peer import Peer
+from agent.runtime.files.field_error import FieldFileError
+from agent.runtime.files.field_file import read_boundary
+from agent.runtime.files.key_file import FLEET, KeyFileError, key_id, read
 from agent.runtime.peer_factory import make_peer
 from agent.runtime.sqlite_journal import MARK_SUFFIX, Mark, SqliteJournal
 from agent.safety.stop_controller import HOLD_KEY, STOPS_KEY
@@ -47,10 +50,7 @@ from protocol.transport import Transport
 from sim.chaos.power_cuts import RAM
 from sim.files.candump import read_candump
 from sim.files.coverage_plan_file import Plan, read_plan, write_plan
-from sim.files.field_error import FieldFileError
-from sim.files.field_file import read_boundary
 from sim.files.grid_map import GridFileError, read_instance, read_map
-from sim.files.key_file import FLEET, KeyFileError, key_id, read
 from sim.fleet.simulated_disk import Disk, LogJournal
 from sim.record.mcap_log import McapLog, read_recording
 from sim.record.scene import scene_of

@@ -1,3 +1,4 @@
-"""Files of others and of ours, each read through one door that limits size and depth
-(`given_file`).
+"""Files of runs: logs, recordings' ends, grid maps and coverage plans.
+
+What people give to a robot is read by `agent/runtime/files`.
 """

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from sim.files.given_file import PLAN_BYTES_MAX, GivenFileError, parse_json, read_text
+from agent.runtime.files.given_file import PLAN_BYTES_MAX, GivenFileError, parse_json, read_text
 from sim.files.grid_map import CELLS_MAX, Cell, GridFileError, Walls, check_starts
 
 STEPS = ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1))  # row and column of each action

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.files.given_file import GivenFileError, parse_json, read_text
+from agent.runtime.files.given_file import GivenFileError, parse_json, read_text
 
 Cell = tuple[int, int]  # row, column
 Walls = NDArray[np.bool_]  # (rows, columns), True for cells that no robot can enter

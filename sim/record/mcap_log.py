@@ -18,8 +18,8 @@ from struct import Struct
 from typing import Any
 
 from agent.interface.effects import Effect, Trace
+from agent.runtime.files.given_file import check_regular
 from protocol.frames.frame import Frame
-from sim.files.given_file import check_regular
 from sim.files.log_parts import parts_of
 from sim.record.foxglove import LOG, SCENE_UPDATE, log_line, outline, robot_entity
 from sim.record.mcap_schema import (

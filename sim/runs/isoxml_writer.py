@@ -16,9 +16,9 @@ from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
+from agent.runtime.files.field_error import FieldFileError, LonLat
+from agent.runtime.files.isoxml_reader import NAME, code, load_task_data, position, read_part
 from protocol.name import fleet_name
-from sim.files.field_error import FieldFileError, LonLat
-from sim.files.isoxml_reader import NAME, code, load_task_data, position, read_part
 from sim.runs.isoxml_time_log import WORK_STATE, BadTimeLog, header, pack, unpack
 from sim.runs.work_record import OUTLINE_DIGITS, LogPoint, Rings, Swath, WorkRecord, area_m2
 

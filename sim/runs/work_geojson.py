@@ -5,8 +5,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from sim.files.field_error import FieldFileError
-from sim.files.field_file import load_json
+from agent.runtime.files.field_error import FieldFileError
+from agent.runtime.files.field_file import load_json
 from sim.runs.work_record import LogPoint, Rings, Swath, WorkRecord
 
 

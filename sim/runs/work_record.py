@@ -16,8 +16,8 @@ from shapely.geometry.base import BaseGeometry
 from shapely.geometry.polygon import orient
 
 from agent.field.field_map import Field
-from sim.files.field_error import LonLat
-from sim.files.field_file import plane
+from agent.runtime.files.field_error import LonLat
+from agent.runtime.files.field_file import plane
 from sim.world.ground_truth import TrackPoint
 
 OUTLINE_DIGITS, LOG_DIGITS = 9, 7

@@ -9,7 +9,7 @@ from typing import Any, Literal, NamedTuple
 from pydantic import Field
 
 from agent.delivery.task_registry import TASKS_MAX
-from sim.files.given_file import (
+from agent.runtime.files.given_file import (
     SCENARIO_BYTES_MAX,
     TASKS_BYTES_MAX,
     GivenFileError,

@@ -12,10 +12,10 @@ from agent.delivery.task_registry import TransportTask
 from agent.delivery.warehouse import Warehouse
 from agent.interface.config import BRAKING_SHARE
 from agent.mapping.building import Floor, FloorError
+from agent.runtime.files.given_file import DRAWING_BYTES_MAX, GivenFileError, read_text
+from agent.runtime.files.key_file import FLEET, KeyFileError, read
 from protocol.authentication import Keyring
 from protocol.sync.map_sync import MapSync
-from sim.files.given_file import DRAWING_BYTES_MAX, GivenFileError, read_text
-from sim.files.key_file import FLEET, KeyFileError, read
 from sim.scenarios.delivery_scenario import TaskRow, WarehouseScenario, random_tasks, read_tasks
 from sim.scenarios.navigation_setup import NOTHING, ErrandSetting, scattered
 from sim.scenarios.scenario import Box, ScenarioError

@@ -25,11 +25,11 @@ from agent.motion.tractor_motion import TractorMotion
 from agent.motion.tractor_tracker import SteeringLimits
 from agent.paths.route import Route
 from agent.paths.tractor_route import TurnRoute
+from agent.runtime.files.field_error import FILE_BYTES_MAX, FieldFileError
+from agent.runtime.files.field_file import read_boundary
+from agent.runtime.files.given_file import GivenFileError, read_bytes
+from agent.runtime.files.key_file import FLEET, KeyFileError, read
 from protocol.authentication import Keyring, Keys
-from sim.files.field_error import FILE_BYTES_MAX, FieldFileError
-from sim.files.field_file import read_boundary
-from sim.files.given_file import GivenFileError, read_bytes
-from sim.files.key_file import FLEET, KeyFileError, read
 from sim.scenarios.scenario import Crash, CrashWorking, Scenario, ScenarioError
 from sim.scenarios.time_limit import time_limit_s
 from sim.world.drive_trains import Chassis, Kind

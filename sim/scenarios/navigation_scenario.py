@@ -18,7 +18,7 @@ from shapely.geometry import box
 from shapely.ops import unary_union
 
 from agent.mapping.building import Floor, FloorError
-from sim.files.given_file import DRAWING_BYTES_MAX, GivenFileError, read_text
+from agent.runtime.files.given_file import DRAWING_BYTES_MAX, GivenFileError, read_text
 from sim.scenarios.field_setup import keys_of
 from sim.scenarios.navigation_setup import ErrandSetting, scattered
 from sim.scenarios.scenario import (

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, Self, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from agent.interface.config import PEERS_MAX, SPEED_MAX_M_S
-from sim.files.given_file import SCENARIO_BYTES_MAX, GivenFileError, read_toml
+from agent.runtime.files.given_file import SCENARIO_BYTES_MAX, GivenFileError, read_toml
 from sim.world.step_engine import Engine
 
 SHIPPED = Path(__file__).parent

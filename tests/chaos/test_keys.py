@@ -7,6 +7,7 @@ import pytest
 
 from agent.interface.effects import Send
 from agent.interface.lifecycle import State
+from agent.runtime.files.key_file import fresh, write
 from protocol.authentication import Signed
 from protocol.frames.fleet_frames import Pose
 from protocol.frames.network_frames import AddressClaimed
@@ -17,7 +18,6 @@ from protocol.frames.safety_frames import (
     Freshness,
     OperatorCommand,
 )  # fmt: skip
-from sim.files.key_file import fresh, write
 from sim.fleet.simulated_fleet import OPERATOR, Cluster
 from sim.fleet.virtual_clock import elapse
 from sim.runs.field_run import FieldRun

@@ -11,12 +11,12 @@ import pytest
 from agent.field.field_mission import FieldMission
 from agent.interface.lifecycle import State
 from agent.motion.obstacle_stop import ObstacleStop
+from agent.runtime.files.key_file import fresh, write
 from agent.safety.stop_cause import StopCause
 from protocol.frames.codec import decode_once
 from protocol.frames.frame import Frame
 from protocol.frames.operator_frames import OperatorReport, ReportKind, goal_check, goal_frames
 from protocol.frames.safety_frames import Command, OperatorCommand
-from sim.files.key_file import fresh, write
 from sim.fleet.simulated_fleet import OPERATOR, Cluster
 from sim.fleet.virtual_clock import elapse, run_virtual
 from sim.runs.field_run import FieldRun

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from agent.interface.ports import Bus
+from agent.runtime.files.given_file import SETTINGS_BYTES_MAX, read_toml
 from agent.runtime.gateway_runner import GatewayShell
 from agent.segments.gateway import Gateway, Publish
 from agent.segments.map_relay import MapRelay
@@ -22,7 +23,6 @@ from protocol.controller_health import Health
 from protocol.frames.segment_frames import SEGMENT_MAX
 from protocol.links.zenoh_link import LinkError, ZenohBus, ZenohLink, configure
 from protocol.name import GATEWAY_FUNCTION, Name
-from sim.files.given_file import SETTINGS_BYTES_MAX, read_toml
 from sim.files.strict_json import dumps
 from sim.fleet.gc_tuning import leave_standing
 from tools.common.bus_attach import AttachError, attach, keep_attached

@@ -3,8 +3,8 @@
 import sys
 from pathlib import Path
 
-from sim.files.field_error import FieldFileError
-from sim.files.field_file import fields_of, project
+from agent.runtime.files.field_error import FieldFileError
+from agent.runtime.files.field_file import fields_of, project
 from sim.files.strict_json import dumps
 
 WRONG = 2

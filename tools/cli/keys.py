@@ -24,8 +24,8 @@ def new(
 
     Example: headland keys new keys, then: headland launch --keys keys/fleet.json
     """
+    from agent.runtime.files.key_file import DEVICE_MAX, fresh, write
     from protocol.authentication import OPERATOR_FIRST
-    from sim.files.key_file import DEVICE_MAX, fresh, write
 
     fleet, operator = folder / FLEET_FILE, folder / OPERATOR_FILE
     if not OPERATOR_FIRST <= device <= DEVICE_MAX:
@@ -48,7 +48,15 @@ def rotate(folder: Folder = Path("keys")) -> None:
 
     Example: headland keys rotate keys
     """
-    from sim.files.key_file import FLEET, OPERATOR, KeyFileError, counter_path, fresh, read, write
+    from agent.runtime.files.key_file import (
+        FLEET,
+        OPERATOR,
+        KeyFileError,
+        counter_path,
+        fresh,
+        read,
+        write,
+    )
 
     fleet, operator = folder / FLEET_FILE, folder / OPERATOR_FILE
     try:
@@ -80,7 +88,7 @@ def show(
 
 
 def _tell(path: Path) -> None:
-    from sim.files.key_file import KeyFileError, counter, read
+    from agent.runtime.files.key_file import KeyFileError, counter, read
 
     try:
         found = read(path)

@@ -6,9 +6,9 @@ import socket
 from pathlib import Path
 from random import Random
 
+from agent.runtime.files.given_file import SETTINGS_BYTES_MAX, GivenFileError, read_json
 from protocol.links.bus import CanBus, open_bus
 from protocol.links.socketcand_link import ANSWER_S, SocketcandLink
-from sim.files.given_file import SETTINGS_BYTES_MAX, GivenFileError, read_json
 from tools.common.process_identity import lives
 
 LAUNCH = Path("runs/launch/bus.json")  # where a launch leaves the address of its bus

@@ -14,7 +14,7 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
-from sim.files.given_file import SETTINGS_BYTES_MAX, GivenFileError, read_bytes
+from agent.runtime.files.given_file import SETTINGS_BYTES_MAX, GivenFileError, read_bytes
 from tools.language.intent import Metres, Slot
 
 QUEUE_MAX = 100  # a person who has queued more has lost sight of them

@@ -13,7 +13,7 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from sim.files.given_file import SETTINGS_BYTES_MAX, GivenFileError, read_toml
+from agent.runtime.files.given_file import SETTINGS_BYTES_MAX, GivenFileError, read_toml
 from tools.language.intent import Metres
 from tools.language.vocabulary import is_word, words_of
 

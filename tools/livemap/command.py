@@ -12,10 +12,15 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rich.console import Console
 
+from agent.runtime.files.given_file import (
+    REPORT_BYTES_MAX,
+    SETTINGS_BYTES_MAX,
+    GivenFileError,
+    read_json,
+)
+from agent.runtime.files.key_file import OPERATOR, KeyFileError, read
 from protocol.frames.frame import Frame
 from protocol.links.bus import CanBus
-from sim.files.given_file import REPORT_BYTES_MAX, SETTINGS_BYTES_MAX, GivenFileError, read_json
-from sim.files.key_file import OPERATOR, KeyFileError, read
 from sim.files.strict_json import dumps
 from sim.fleet.gc_tuning import leave_standing
 from sim.record.intent_stream import IntentListener

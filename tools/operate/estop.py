@@ -4,10 +4,10 @@ import asyncio
 import sys
 from pathlib import Path
 
+from agent.runtime.files.key_file import KeyFileError, read
 from protocol.authentication import Keyring
 from protocol.frames.safety_frames import AllImplementsStop, Reason, Switch
 from protocol.links.bus import CanBus
-from sim.files.key_file import KeyFileError, read
 from sim.files.strict_json import dumps
 from tools.common.bus_attach import AttachError, attach, robots_of_launch
 from tools.operate.operator_device import Operator, Robot

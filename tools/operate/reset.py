@@ -5,10 +5,10 @@ import sys
 from pathlib import Path
 
 from agent.interface.lifecycle import State
+from agent.runtime.files.key_file import OPERATOR, RESERVE, KeyFileError, read
 from agent.safety.stop_controller import COUNT_TOLD_MAX
 from protocol.authentication import Keyring
 from protocol.frames.safety_frames import AllImplementsStop, Command, Switch
-from sim.files.key_file import OPERATOR, RESERVE, KeyFileError, read
 from sim.files.strict_json import dumps
 from tools.common.bus_attach import AttachError, attach, robots_of_launch
 from tools.operate.estop import NOT_ALL, WRONG, listen_to

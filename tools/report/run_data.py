@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from sim.files.given_file import REPORT_BYTES_MAX, GivenFileError, read_json
+from agent.runtime.files.given_file import REPORT_BYTES_MAX, GivenFileError, read_json
 from sim.record.recording import Recording
 from tools.inspect.inspection import SourceError
 from tools.livemap.command import recorded

@@ -3,8 +3,8 @@
 import sys
 from pathlib import Path
 
-from sim.files.field_error import FieldFileError
-from sim.files.field_file import load_json
+from agent.runtime.files.field_error import FieldFileError
+from agent.runtime.files.field_file import load_json
 from sim.runs.isoxml_writer import write_isoxml
 from sim.runs.work_geojson import read_work_geojson, run_of, write_geojson
 from sim.runs.work_record import WorkRecord

@@ -13,8 +13,8 @@ from shapely.geometry import Polygon
 
 from agent.field.field_division import divide
 from agent.field.field_map import Field
-from sim.files.field_error import FieldFileError
-from sim.files.field_file import read_boundary
+from agent.runtime.files.field_error import FieldFileError
+from agent.runtime.files.field_file import read_boundary
 from sim.runs.isoxml_time_log import BadTimeLog, pack, unpack
 from sim.runs.isoxml_writer import read_work_isoxml, write_isoxml
 from sim.runs.work_geojson import read_work_geojson, write_geojson

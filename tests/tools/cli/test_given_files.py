@@ -10,12 +10,12 @@ from random import Random
 
 import pytest
 
+from agent.runtime.files.field_error import POINTS_MAX, FieldFileError
+from agent.runtime.files.field_file import read_boundary
+from agent.runtime.files.given_file import GivenFileError, parse_json, parse_toml
 from protocol.frames.frame import Frame
 from protocol.frames.safety_frames import Reason
 from sim.files.candump import CandumpWriter, read_candump
-from sim.files.field_error import POINTS_MAX, FieldFileError
-from sim.files.field_file import read_boundary
-from sim.files.given_file import GivenFileError, parse_json, parse_toml
 from sim.files.grid_map import FREE_CELLS_MAX
 from sim.scenarios.field_setup import Setting
 from sim.scenarios.scenario import Estop, ScenarioError, load

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from sim.files.key_file import (
+from agent.runtime.files.key_file import (
     FLEET,
     OPERATOR,
     KeyFileError,

@@ -19,7 +19,7 @@ pytest.importorskip("httpx", reason="the extra `operator` is not installed")
 
 import httpx
 
-from sim.files import key_file
+from agent.runtime.files import key_file
 from sim.record.recording import Recording
 from sim.runs.field_run import FieldRun
 from sim.scenarios.field_setup import Setting

@@ -22,10 +22,10 @@ import httpx
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
+from agent.runtime.files import key_file
 from protocol.frames.codec import encode
 from protocol.frames.fleet_frames import Heartbeat, Member, Pose, StandsBy, Standstill
 from protocol.frames.frame import Frame
-from sim.files import key_file
 from sim.record.recording import Recording
 from tests.tools.livemap.test_map import (
     ROOT,

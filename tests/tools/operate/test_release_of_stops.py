@@ -5,12 +5,12 @@ from pathlib import Path
 
 import pytest
 
+from agent.runtime.files.key_file import OPERATOR, fresh, read, write
 from crdt.stops import StopDot
 from protocol.authentication import Keyring
 from protocol.frames.safety_frames import EmergencyStop, Reason, StopsHeld
 from protocol.links.bus import CanBus
 from sim.can.simulated_bus import FieldBus
-from sim.files.key_file import OPERATOR, fresh, read, write
 from sim.fleet.simulated_fleet import Cluster
 from sim.fleet.virtual_clock import elapse
 from sim.scenarios.scenario import load

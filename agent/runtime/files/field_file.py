@@ -13,9 +13,9 @@ from shapely.geometry import Polygon
 from shapely.validation import explain_validity
 
 from agent.interface.config import EXTENT_MAX_M
-from sim.files.field_error import FILE_BYTES_MAX, POINTS_MAX, FieldFileError, LonLat
-from sim.files.given_file import GivenFileError, read_json
-from sim.files.isoxml_reader import read_isoxml
+from agent.runtime.files.field_error import FILE_BYTES_MAX, POINTS_MAX, FieldFileError, LonLat
+from agent.runtime.files.given_file import GivenFileError, read_json
+from agent.runtime.files.isoxml_reader import read_isoxml
 
 TASK_DATA = (".xml", ".zip")
 SURFACES = ("Polygon", "MultiPolygon")

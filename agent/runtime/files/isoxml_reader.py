@@ -19,8 +19,8 @@ from shapely.geometry import Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.validation import explain_validity
 
-from sim.files.field_error import FILE_BYTES_MAX, POINTS_MAX, FieldFileError, LonLat
-from sim.files.given_file import GivenFileError, check_regular, read_bytes
+from agent.runtime.files.field_error import FILE_BYTES_MAX, POINTS_MAX, FieldFileError, LonLat
+from agent.runtime.files.given_file import GivenFileError, check_regular, read_bytes
 
 # Errors are reported in one line instead.
 logging.getLogger("xsdata").addHandler(logging.NullHandler())

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from sim.files.given_file import GivenFileError, read_bytes
+from agent.runtime.files.given_file import GivenFileError, read_bytes
 
 
 def test_f_a_folder_is_no_regular_file(tmp_path: Path) -> None:

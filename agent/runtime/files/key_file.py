@@ -13,8 +13,8 @@ from pathlib import Path
 from secrets import token_bytes
 from typing import Any, NamedTuple
 
+from agent.runtime.files.given_file import KEY_BYTES_MAX, GivenFileError, read_json, read_text
 from protocol.authentication import COUNTER_MAX, KEY_SIZE, OPERATOR_FIRST, Keyring, Keys
-from sim.files.given_file import KEY_BYTES_MAX, GivenFileError, read_json, read_text
 
 FLEET, OPERATOR = "headland fleet keys", "headland operator key"
 PANEL = 140  # sender of a stop panel that holds the fleet's keys

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from sim.files.field_error import FieldFileError
-from sim.files.field_file import read_boundary
-from sim.files.isoxml_reader import read_isoxml
+from agent.runtime.files.field_error import FieldFileError
+from agent.runtime.files.field_file import read_boundary
+from agent.runtime.files.isoxml_reader import read_isoxml
 
 DATA = Path(__file__).parents[4] / "shared/data/fields"
 real = pytest.mark.skipif(not DATA.exists(), reason="../shared/data/fields is absent")
