@@ -1,7 +1,8 @@
 """A building as robots know it before they start: a grid of walls, and what follows from it.
 
-Moving AI maps (Sturtevant 2012, "Benchmarks for grid-based pathfinding") are read as they are; a
-drawing of the same characters does for tests. Row 0 of the grid is the south, the last line of text.
+Moving AI maps (Sturtevant 2012, "Benchmarks for Grid-Based Pathfinding") are read as they are. For
+tests a drawing of the same characters is enough. Row 0 of the grid is the south, the last line of
+text.
 """
 
 from functools import cached_property
@@ -18,20 +19,28 @@ from agent.paths.route import Route
 
 Point = tuple[float, float]
 OPEN = frozenset(".GS")  # Moving AI: free ground; the rest (@, O, T, W, #) is blocked
-STRAY_M = 0.1  # bodies on the lattice come this near to their node before they count as there
+STRAY_M = 0.1  # a body this near to a node of the lattice counts as being there
 FINE_M = 0.2  # cells of the path grid are at most this wide
 
 
 class FloorError(ValueError):
-    """Error message, one line, for the author of the map."""
+    """A map that cannot be read; the message is one line for its author."""
 
 
 class Floor:
+    """The walls of one floor, and the grids, routes and fences that are derived from them.
+
+    Arrays are indexed [row, column]: rows go north, columns go east. `origin` is the south-western
+    corner of the wall that is added round the map, (x, y) metres.
+    """
+
     def __init__(
         self, blocked: NDArray[np.bool_], cell_m: float, radius_m: float, margin_m: float = 0.1
     ) -> None:
-        """`blocked`: walls; a wall is added all round. Paths keep `margin_m` more than the radius
-        from walls: what POSE rounds, and what a body strays from its path."""
+        """`blocked`: (rows, columns), True for a wall; a wall is added all round. `cell_m`: side of
+        its cells. `radius_m`: of every body. `margin_m`: what paths keep from walls beyond the
+        radius, for the rounding of POSE and the cross-track error.
+        """
         self.walls = np.pad(np.asarray(blocked, dtype=np.bool_), 1, constant_values=True)
         self.cell_m, self.radius_m, self.margin_m = cell_m, radius_m, margin_m
         self.origin: Point = (-cell_m, -cell_m)
@@ -40,7 +49,10 @@ class Floor:
 
     @classmethod
     def drawn(cls, text: str, cell_m: float, radius_m: float, margin_m: float = 0.1) -> "Floor":
-        """From a Moving AI map, with or without its header."""
+        """The floor of a Moving AI map, with or without its header.
+
+        Raises FloorError if there are no lines or if their lengths differ.
+        """
         lines = [line.rstrip() for line in text.strip().splitlines()]
         if "map" in lines[:5]:
             lines = lines[lines.index("map") + 1 :]
@@ -51,30 +63,32 @@ class Floor:
 
     @cached_property
     def fine(self) -> NDArray[np.bool_]:
-        """The walls in cells of `fine_m`."""
+        """The walls in cells of `fine_m`, (rows, columns)."""
         return np.repeat(np.repeat(self.walls, self._parts, axis=0), self._parts, axis=1)
 
     @cached_property
     def inflated(self) -> NDArray[np.bool_]:
-        """The path grid: where no centre of a body may be."""
+        """The path grid, cells as in `fine`: True where the middle of a body may not be."""
         gap_m = (scipy.ndimage.distance_transform_edt(~self.fine) - 0.5) * self.fine_m
         blocked: NDArray[np.bool_] = gap_m < self.radius_m + self.margin_m - 1e-9
         return blocked
 
     @cached_property
     def parts(self) -> NDArray[np.int32]:
-        """Floors that no way joins, numbered from 1; 0 where no centre of a body may be."""
+        """Regions that no path joins, numbered from 1, cells as in `fine`; 0 where no middle of a
+        body may be.
+        """
         parts: NDArray[np.int32] = scipy.ndimage.label(~self.inflated)[0]
         return parts
 
     @property
     def cells(self) -> int:
-        """Of the map as it was drawn."""
+        """Number of cells of the map as it was drawn."""
         rows, columns = self.walls.shape
         return int((rows - 2) * (columns - 2))
 
     def holds(self, x_m: float, y_m: float) -> bool:
-        """Whether the middle of a body may be there."""
+        """Whether the middle of a body may be at x, y."""
         row = int((y_m - self.origin[1]) // self.fine_m)
         column = int((x_m - self.origin[0]) // self.fine_m)
         rows, columns = self.inflated.shape
@@ -82,12 +96,16 @@ class Floor:
 
     @cached_property
     def route(self) -> Route:
+        """The path planner of the floor without temporary obstacles."""
         return Route(self.inflated, *self.origin, self.fine_m)
 
     @cached_property
     def lattice(self) -> Lattice:
-        """A pitch of two bodies with the margins of avoidance between them, or a cell of the map
-        where that is wider."""
+        """The lattice for joint plans.
+
+        Its pitch has room for two bodies with the margins of avoidance, and is at least a cell of
+        the map.
+        """
         from agent.motion.holonomic_motion import MARGIN_M
 
         pitch_m = max(2 * self.radius_m + MARGIN_M + STRAY_M, self.cell_m)
@@ -95,7 +113,7 @@ class Floor:
 
     @cached_property
     def fences(self) -> NDArray[np.float64]:
-        """The faces of walls as segments (n, 4), metres."""
+        """The faces of walls as segments (n, 4) of ax, ay, bx, by in metres."""
         found = []
         for flat, solid in ((True, self.walls), (False, self.walls.T)):
             rows, columns = np.nonzero(solid[1:, :] != solid[:-1, :])
@@ -112,6 +130,6 @@ class Floor:
 
     @property
     def check(self) -> int:
-        """u24: peers of another map are not of this fleet."""
+        """A 24-bit hash of walls and sizes: peers with another one are not of this fleet."""
         head = f"{self.walls.shape} {self.cell_m} {self.radius_m} {self.margin_m}"
         return crc32(np.packbits(self.walls).tobytes(), crc32(head.encode())) & 0xFFFFFF

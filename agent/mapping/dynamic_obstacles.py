@@ -1,13 +1,13 @@
 """Temporary obstacles not on the building plan: boxes, carts, silent robots.
 
-    hazards.look(here, robots, now_us)      each control period: our own rays, and what others told
-    hazards.path(at, goal)                  round all that is believed to stand now
+    hazards.look(here, robots, now_us)      each control period: our own rays, and others' reports
+    hazards.path(at, goal)                  round all obstacles that are believed to stand now
 
-Observations are shared through the fleet's map (`crdt/occupancy.py`, the latest one wins), cell by
-cell: the record's observer is the owner, its time the birth, and after `BELIEVED_S` without another
-observation it expires. A robot that sees that an obstacle has gone announces it. A grid of our own
-(`agent/mapping/occupancy_grid.py`) is made when something first turns up; as long as nothing does,
-ways are planned on the plan that all robots share.
+Observations are shared through the fleet's map (`crdt/occupancy.py`), cell by cell; the latest one
+wins. A record's observer is the owner of the obstacle, and its time is the birth. After
+`BELIEVED_S` without another observation it expires. A robot that sees that an obstacle has gone
+announces it. A grid of our own (`agent/mapping/occupancy_grid.py`) is made when the first obstacle
+turns up. Until then, paths are planned on the building plan that all robots share.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -30,15 +30,15 @@ from protocol.sync.map_sync import MapSync, Values
 
 XY = tuple[float, float]
 RANGE_M = 4.0  # range up to which echoes are used; beyond it rays are more than a robot apart
-BELIEVED_S = 30  # an obstacle not observed for this long may have gone: go and see
+BELIEVED_S = 30  # an obstacle not observed for this long may have gone: paths lead there again
 # An obstacle that expired and was found again is kept twice as long each time, at most 16 minutes. A
 # robot with paths blocked in several places would otherwise drive between them for ever.
 DOUBLINGS_MAX = 5
 BLOCK_M = 1.0  # belief is kept for squares of this side: rays find another face of the same thing
 REFRESH_S = BELIEVED_S // 2  # remaining obstacles are sent again before others forget them
-WALL_CELLS = 1  # echoes this near to a wall are the wall: errors of range and of place
+WALL_CELLS = 1  # echoes this near to a wall are the wall: errors of range and position
 FORGET_US = 1 * S  # period of the search for expired observations
-BODY = -1  # the number of a silent member among obstacles; others are numbered by their cell
+BODY = -1  # the obstacle number of a silent member; others are numbered by their cell
 IMPASSABLE = -2  # the number of a place that we could not pass; its owner is NOBODY_SLOT
 NOBODY_SLOT = -1
 FOREVER_US = 1 << 62
@@ -47,18 +47,21 @@ UNSEEN_SCANS = BELIEVED_S * S // CONTROL_PERIOD_US
 
 
 def geometry_of(floor: Floor) -> Geometry:
-    """Cells of the fleet's map: those that ways are planned on."""
+    """The geometry of the fleet's map: the cells on which paths are planned."""
     rows, columns = floor.fine.shape
     return Geometry(rows, columns, floor.origin, floor.fine_m)
 
 
 class DynamicObstacles:
+    """The temporary obstacles that one robot knows, and paths round them; (x, y) metres."""
+
     def __init__(self, floor: Floor, sync: MapSync | None = None, reach_m: float = 0.0) -> None:
-        """`sync`: None if nothing is shared. `reach_m`: this near to a goal is near enough if an
-        obstacle stands on it."""
+        """`sync`: shares the fleet's map; None if nothing is shared. `reach_m`: if an obstacle
+        stands on a goal, a place this near to the goal is good enough.
+        """
         self.floor, self.sync, self.reach_m = floor, sync, reach_m
         self.sensed = UnexplainedEchoes(floor.fences, floor.radius_m)
-        self.hits: list[XY] = []  # what our rays hit just now and neither wall nor robot explains
+        self.hits: list[XY] = []  # echoes of this period that neither a wall nor a robot explains
         self.map: ObstacleMap | None = None
         self._geometry = geometry_of(floor)
         self._version = 0
@@ -67,8 +70,11 @@ class DynamicObstacles:
         self, here: Observation, reach_m: float, robots: Iterable[Sequence[float]], now_us: int,
         bodies: Mapping[int, XY] = NOBODY,
     ) -> None:  # fmt: skip
-        """One control period; `robots`: x, y of received robots; `bodies`: x, y of silent robots, by
-        slot."""
+        """Once each control period: take in a scan and what others have reported.
+
+        `reach_m`: up to which echoes count. `robots`: x, y of received robots. `bodies`: positions
+        of silent robots by slot.
+        """
         known = list(robots)
         self.hits = self.sensed.strange(here, reach_m, known)
         told = self.sync is not None and self.sync.chart.version != self._version
@@ -84,7 +90,7 @@ class DynamicObstacles:
         self.map.take_in(here, known, now_us, told)
 
     def avoid(self, at: XY, now_us: int) -> None:
-        """Avoid a place for `BELIEVED_S`, because we were held up there and no obstacle is seen."""
+        """Avoid a place for `BELIEVED_S`, because we were held up there and see no obstacle."""
         if self.map is None:
             self.map = ObstacleMap(self.floor, self.sync)
         self.map.avoid(at, now_us)
@@ -96,11 +102,11 @@ class DynamicObstacles:
 
     @property
     def changes(self) -> int:
-        """Change counter: differs from before if an obstacle appeared or went."""
+        """A counter that differs from before if an obstacle appeared or went."""
         return 0 if self.map is None else self.map.grid.changes
 
     def told(self) -> list[XY]:
-        """Middles of the obstacles that others report."""
+        """Middles of the obstacles that others report, and of silent robots."""
         if self.map is None:
             return []
         return [(o.x_m, o.y_m) for o in self.map.grid.obstacles.values()]
@@ -110,11 +116,16 @@ class DynamicObstacles:
         return [] if self.map is None else self.map.things()
 
     def stands_near(self, points: Sequence[XY], reach_m: float) -> bool:
-        """Whether anything that the map shows and the plan does not is this near to one of the points."""
+        """Whether an obstacle that is not on the plan is nearer than `reach_m` to one of the
+        points.
+        """
         return self.map is not None and self.map.stands_near(points, reach_m)
 
     def path(self, at: XY, goal: XY) -> tuple[XY, ...] | None:
-        """A path round all obstacles; None: there is none at present."""
+        """A path round all obstacles, start and goal included; None if there is none at present.
+
+        If the goal is taken and `reach_m` allows it, the path ends at the nearest free place.
+        """
         if self.map is None or not self.map.standing:
             return self.floor.route.path(at, goal)
         found = self.map.grid.plan(at, goal)
@@ -124,11 +135,13 @@ class DynamicObstacles:
         return None if found is None else tuple(found)
 
     def reaches(self, at: XY, goals: Sequence[XY]) -> list[bool]:
-        """Which goals can be reached, or approached near enough, round all current obstacles."""
+        """For each goal, whether it can be reached, or approached near enough, round all current
+        obstacles.
+        """
         standing = self.map is not None and self.map.standing
         parts = self.map.parts() if standing and self.map is not None else self.floor.parts
         mine, there = self._beside(at, parts), np.zeros(len(goals), dtype=np.bool_)
-        if len(goals) and len(mine):  # most are on our floor itself: one look for all of them
+        if len(goals) and len(mine):  # most are in our own region: one lookup for all of them
             _, _, origin, cell_m = self._geometry
             c, r = ((np.array(goals) - origin) // cell_m).astype(np.int64).T
             rows, columns = parts.shape
@@ -141,14 +154,20 @@ class DynamicObstacles:
         return found
 
     def _beside(self, at: XY, parts: NDArray[np.int32]) -> NDArray[np.int32]:
-        """The numbers of the floors that a robot there is on; none where something is beside it."""
+        """The numbers of the regions that a robot at `at` is in; empty where an obstacle is right
+        beside it.
+        """
         floor = self.floor
         _, own = self._disc(at, floor.radius_m + floor.margin_m + floor.fine_m)
         mine: NDArray[np.int32] = np.unique(parts[own[:, 0], own[:, 1]])
         return mine[mine > 0]
 
     def places(self, at: XY, goals: Sequence[XY], parts: NDArray[np.int32]) -> list[XY | None]:
-        """For each goal the place nearest to it, within reach of it, that can be driven to."""
+        """For each goal, the reachable place nearest to it within `reach_m`; None if there is none.
+
+        `parts`: (rows, columns) regions as in `Floor.parts`. A goal itself is returned if an
+        obstacle is so near to us that our region is not known.
+        """
         floor, mine = self.floor, self._beside(at, parts)
         found: list[XY | None] = []
         for goal in goals:
@@ -164,7 +183,9 @@ class DynamicObstacles:
         return found
 
     def _disc(self, at: XY, reach_m: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Cells (n, 2) whose middles are within reach of a place, and how far off each is, metres."""
+        """Distances (n,) in metres and cells (n, 2) of the cells whose middles are within `reach_m`
+        of a place.
+        """
         rows, columns, (west, south), cell_m = self._geometry
         low, high = (self._geometry.cell((at[0] + d, at[1] + d)) for d in (-reach_m, reach_m))
         r, c = np.mgrid[
@@ -176,10 +197,10 @@ class DynamicObstacles:
 
 
 class ObstacleMap(LocalAndFleetMap):
-    """The two maps of one robot, without the walls of the building plan."""
+    """A robot's two maps of obstacles that are not on the building plan."""
 
     def __init__(self, floor: Floor, sync: MapSync | None) -> None:
-        # The plan's ways keep the radius and the margin from walls with the middles of their cells.
+        # Paths of the plan keep radius and margin from walls by the middles of cells.
         inflation_m = max(floor.margin_m - floor.fine_m / 2, 0.0)
         rows, columns = floor.fine.shape
         grid = OccupancyGrid(
@@ -194,18 +215,20 @@ class ObstacleMap(LocalAndFleetMap):
         self._bodies: dict[int, XY] = {}
         self._block = max(round(BLOCK_M / floor.fine_m), 1)  # cells
         blocks = tuple(-(-cells // self._block) for cells in (rows, columns))
-        self._doublings = np.zeros(blocks, dtype=np.int8)  # of the time that a block is believed
-        self._forgotten = np.zeros(blocks, dtype=np.bool_)  # and not seen since, free or solid
+        # For each block: how often its time of belief was doubled, and whether it has expired and
+        # was not observed since.
+        self._doublings = np.zeros(blocks, dtype=np.int8)
+        self._forgotten = np.zeros(blocks, dtype=np.bool_)
         self._records = np.zeros(floor.fine.shape, dtype=np.int64)  # as they were when last read
-        self._cells_of, self._centres = (
-            -1,
-            np.empty((0, 2)),
-        )  # solid off the walls, at those changes
-        self._standing = (0, False)  # at that count of changes, whether anything stands
-        self._told = (-1, False)  # at that version of the chart, whether it says that anything does
+        # Caches, each with the counter for which it is valid: middles of solid cells off the walls,
+        # whether any obstacle stands, and whether the fleet's map says so.
+        self._cells_of, self._centres = -1, np.empty((0, 2))
+        self._standing = (0, False)
+        self._told = (-1, False)
 
     @property
     def standing(self) -> bool:
+        """Whether any cell off the plan's walls is solid."""
         changes = self.grid.changes
         if changes != self._standing[0]:
             self._standing = changes, int(np.count_nonzero(self.grid.solid)) > self._walls
@@ -226,6 +249,10 @@ class ObstacleMap(LocalAndFleetMap):
     def take_in(
         self, here: Observation, robots: list[Sequence[float]], now_us: int, told: bool
     ) -> None:
+        """Update both maps with one scan, and send what is news to the fleet.
+
+        `robots`: x, y of received robots. `told`: the fleet's map has changed since the last call.
+        """
         bodies = [(x, y, self.radius_m + BODY_M) for x, y in robots]
         self.look(here, bodies)
         if now_us - self._forgot_us >= FORGET_US:
@@ -239,7 +266,10 @@ class ObstacleMap(LocalAndFleetMap):
         self.tell(here, now_us)
 
     def _forget_old(self) -> None:
-        """What has not been looked at for as long as it is believed may have gone."""
+        """Forget obstacles that were not observed for their time of belief: they may have gone.
+
+        A block in which an obstacle is found again keeps it for twice as long the next time.
+        """
         seen = np.argwhere(self.grid.seen)
         blocks = seen // self._block
         again = self._forgotten[blocks[:, 0], blocks[:, 1]]
@@ -262,13 +292,16 @@ class ObstacleMap(LocalAndFleetMap):
                 self.grid.forget(cells)
 
     def _unseen_at(self, level: int) -> NDArray[np.int64]:
-        """Cells (n, 2) of blocks with this many doublings that were not observed for their time."""
+        """Cells (n, 2) of blocks with this many doublings that were not observed for their time of
+        belief.
+        """
         cells = self.grid.unseen(UNSEEN_SCANS << level)
         levels = self._doublings[cells[:, 0] // self._block, cells[:, 1] // self._block]
         kept: NDArray[np.int64] = cells[levels == level]
         return kept
 
     def things(self) -> list[XY]:
+        """Middles of the connected obstacles off the walls, (x, y) metres."""
         parts, count = scipy.ndimage.label(
             self.grid.solid & self._open, np.ones((3, 3), dtype=np.int8)
         )
@@ -280,7 +313,7 @@ class ObstacleMap(LocalAndFleetMap):
         return [(west + (c + 0.5) * cell_m, south + (r + 0.5) * cell_m) for r, c in middles]
 
     def stands_near(self, points: Sequence[XY], reach_m: float) -> bool:
-        """Whether a solid cell off the walls is nearer than this, metres, to one of the points."""
+        """Whether a solid cell off the walls is nearer than `reach_m` to one of the points."""
         if not points or not self.standing:
             return False
         if self._cells_of != self.grid.changes:
@@ -292,12 +325,17 @@ class ObstacleMap(LocalAndFleetMap):
         return bool((np.hypot(gaps[..., 0], gaps[..., 1]) < reach_m).any())
 
     def parts(self) -> NDArray[np.int32]:
-        """Floors that are apart at present, numbered from 1; 0 where no centre may be."""
+        """Regions that no path joins at present, (rows, columns), numbered from 1; 0 where no
+        middle may be.
+        """
         parts: NDArray[np.int32] = scipy.ndimage.label(~self.grid.tight.blocked)[0]
         return parts
 
     def stand(self, bodies: Mapping[int, XY], now_us: int) -> None:
-        """Silent members stand until they are heard, or until we look at their place and it is free."""
+        """Place silent members as obstacles, by slot.
+
+        Each stands until the member is received, or until we see that its place is free.
+        """
         if bodies == self._bodies:
             return
         for slot in self._bodies.keys() - bodies.keys():
@@ -309,14 +347,14 @@ class ObstacleMap(LocalAndFleetMap):
         self._bodies = dict(bodies)
 
     def avoid(self, at: XY, now_us: int) -> None:
-        """One such place at a time: another one replaces it."""
+        """Avoid one place for `BELIEVED_S`; it replaces the place of the last call."""
         self.grid.remove(NOBODY_SLOT, IMPASSABLE)
         cell_m = self.geometry.cell_m
         until_us = now_us + BELIEVED_S * S
         self.grid.place(Obstacle(*at, cell_m, now_us, until_us, NOBODY_SLOT, IMPASSABLE), now_us)
 
     def hear_all(self, now_us: int) -> None:
-        """Take what others say stands, or has gone, into our own grid as temporary obstacles."""
+        """Take others' reports of obstacles into our own grid as temporary obstacles."""
         assert self.sync is not None
         keys = self.fleet.keys()
         for row, column in np.argwhere((keys != self._records) & self._open).tolist():
@@ -335,11 +373,11 @@ class ObstacleMap(LocalAndFleetMap):
                 record.observer, cell,
             )  # fmt: skip
             self.grid.place(obstacle, now_us)
-            self.grid.doubt(row, column)  # it was free when we looked; has it been since?
+            self.grid.doubt(row, column)  # that we once saw it free does not count any more
         self._records = keys.copy()
 
     def _no_robots(self, robots: list[Sequence[float]]) -> None:
-        """Where a robot that is heard stands, nothing else does: it was seen before it was heard."""
+        """Remove obstacles where a received robot stands: it was seen before it was received."""
         if not self.standing:
             return
         cell_m = self.geometry.cell_m
@@ -360,7 +398,7 @@ class ObstacleMap(LocalAndFleetMap):
                     self.grid.remove(owner, number)
 
     def _no_longer(self) -> None:
-        """What we look at ourselves we need not be told of."""
+        """Remove others' obstacles from cells that our own rays see to be free."""
         for (owner, cell), standing in list(self.grid.obstacles.items()):
             if cell == IMPASSABLE:
                 continue
@@ -369,8 +407,9 @@ class ObstacleMap(LocalAndFleetMap):
                 self.grid.remove(owner, cell)
 
     def _news(self, window: tuple[slice, slice], time: int, slot: int) -> Values:
-        """Things off the walls that the fleet does not know of, or has not heard of lately, and
-        things that have gone."""
+        """Obstacles off the walls that are new to the fleet or due to be sent again, and those that
+        have gone.
+        """
         evidence, seen = self.grid.evidence[window], self.grid.seen[window]
         known = self.fleet.keys()[window]
         stands = seen & self._open[window] & (evidence == MOST)

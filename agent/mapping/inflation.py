@@ -1,8 +1,8 @@
 """Where a robot's centre may be: solid cells grown by a reach, kept up to date, with a planner.
 
-A cell is blocked where any point of it is nearer than the reach to any point of a solid cell, so a
-path anywhere in free cells, along their borders too, keeps the reach. A count for each cell says
-how many solid ones block it: one that goes takes only its own part away.
+A cell is blocked if any point of it is nearer than the reach to any point of a solid cell. So a
+path anywhere in free cells, also along their borders, keeps the reach. Each cell has a count of the
+solid cells that block it, so a solid cell that goes takes only its own part away.
 """
 
 from math import ceil, hypot
@@ -14,13 +14,19 @@ from numpy.typing import NDArray
 from agent.paths.any_angle_planner import Planner, Point, Waypoints
 
 Cell = tuple[int, int]
-Changes = NDArray[np.int64]  # (n, 3): row, column, 1 or 0
+Changes = NDArray[np.int64]  # (n, 3): row, column, 1 if solid or blocked now, else 0
 Grid = NDArray[np.bool_]
 
 
 @njit(cache=True, error_model="numpy")
 def _grow(counts, stencil, toggled, changes):  # type: ignore[no-untyped-def]
-    """Count the solid cells that came or went; how many rows of `changes` are filled."""
+    """Add the solid cells that came and take off those that went.
+
+    `counts` (rows, columns): how many solid cells block each cell. `stencil` (k, 2): offsets that a
+    solid cell blocks. `toggled` (n, 3): row, column, 1 if it came. `changes`: room for n * k rows
+    of the same form; the cells that became blocked or free. Returns how many of its rows are
+    filled.
+    """
     rows, columns = counts.shape
     filled = 0
     for n in range(toggled.shape[0]):
@@ -38,7 +44,9 @@ def _grow(counts, stencil, toggled, changes):  # type: ignore[no-untyped-def]
 
 
 def disc(reach_cells: float) -> NDArray[np.int64]:
-    """Offsets (n, 2) of cells that have a point nearer than this to a point of the cell (0, 0)."""
+    """Offsets (n, 2) of the cells that have a point nearer than `reach_cells` to a point of cell
+    (0, 0).
+    """
     side = ceil(reach_cells) + 1
     offsets = [
         (i, j)
@@ -50,10 +58,12 @@ def disc(reach_cells: float) -> NDArray[np.int64]:
 
 
 class Inflation:
-    """The blocked cells of one reach."""
+    """The cells that are blocked at one reach, and the planner that works on them."""
 
     def __init__(self, solid: Grid, reach_cells: float) -> None:
-        """A reach of 0 blocks the solid cells alone."""
+        """`solid`: (rows, columns). `reach_cells`: in cells, not negative; 0 blocks the solid cells
+        alone.
+        """
         assert reach_cells >= 0
         self.reach_cells = reach_cells
         self._stencil = disc(reach_cells)
@@ -68,16 +78,24 @@ class Inflation:
 
     @property
     def blocked(self) -> Grid:
+        """(rows, columns), True where blocked; read only."""
         return self.planner.blocked
 
     def toggle(self, toggled: Changes) -> int:
-        """Solid cells that came (1) or went (0), each told once; how many cells changed."""
+        """Update for solid cells that came or went. Returns how many cells became blocked or free.
+
+        `toggled` (n, 3): row, column, 1 if it came and 0 if it went; each change once.
+        """
         changes = np.empty((len(toggled) * len(self._stencil), 3), dtype=np.int64)
         filled = _grow(self._counts, self._stencil, toggled, changes)
         return self.planner.update(changes[:filled])
 
     def plan(self, start: Point, goal: Point, carved: list[Cell]) -> Waypoints | None:
-        """As `Planner.plan`, with some blocked cells free for this query alone."""
+        """Waypoints from start to goal, (row, column) with whole numbers at cell centres; None if
+        no path exists.
+
+        `carved`: blocked cells that count as free in this query alone.
+        """
         if not carved:
             return self.planner.plan(start, goal)
         cells = np.unique(np.array(carved, dtype=np.int64), axis=0)
@@ -88,10 +106,11 @@ class Inflation:
         return path
 
     def way_out(self, at: Cell, solid: Grid, body_cells: float) -> Cell | None:
-        """The nearest free cell that a straight line joins with `at`, over no solid cell.
+        """The nearest free cell that a straight line joins with `at` without crossing a solid cell.
 
-        `solid` (rows, columns). What lies under the body, `body_cells` round `at`, counts as free.
-        `at` itself where it is free; None where there is none within the reach and a body.
+        It is `at` itself if that is free, and None if there is no such cell within the reach and a
+        body. `solid`: (rows, columns). `body_cells`: radius round `at`, in cells, within which
+        cells count as free because our body is there.
         """
         if not self.blocked[at]:
             return at
@@ -112,9 +131,10 @@ class Inflation:
         return None
 
     def carve(self, at: Cell, keep: Grid, body_cells: float = -1.0) -> list[Cell]:
-        """What to free round a place that lies in the inflation, as far as that reaches.
+        """Cells to free round a place that lies in the inflation, as far as the inflation reaches.
 
-        Nothing where the place is free. Cells of `keep` stay blocked, except under a body.
+        The list is empty if the place is free. Cells of `keep` (rows, columns) stay blocked, except
+        within `body_cells` of the place.
         """
         if not self.blocked[at]:
             return []
@@ -129,5 +149,5 @@ class Inflation:
 
 
 def cell_of(point: Point) -> Cell:
-    """The cell of a point given as row and column, whole numbers being centres."""
+    """The (row, column) cell of a point given as row and column, with whole numbers at centres."""
     return int(np.floor(point[0] + 0.5)), int(np.floor(point[1] + 0.5))

@@ -1,8 +1,8 @@
-"""One explorer's two maps: what its own rays say, and what the fleet knows; news from one to the other.
+"""A robot's two maps: what its own rays say, and what the fleet knows; and the news that it sends.
 
 The own map is private evidence, and paths are planned on it. News are cells without a record in the
-fleet's map, or with a record that our own observation outranks. A patch is sent when no more news of
-it is expected: when it is complete, or some time after its first new cell.
+fleet's map, or with a record that our own observation outranks. A patch of 4 x 4 cells is sent when
+no more news of it is expected: when it is complete, or some time after its first new cell.
 """
 
 from collections.abc import Iterable
@@ -18,65 +18,71 @@ from crdt.occupancy import CELLS, SIDE, Geometry, OccupancyMap, patch_of
 from crdt.sighting import FREE, OBSTACLE, UNKNOWN, base, level_of
 from protocol.sync.map_sync import MapSync, Values
 
-LOOK_US = 200 * MS  # how often news are looked for
-SEEN, SURE = (
-    level_of(0.6),
-    level_of(0.9),
-)  # confidence after one look, and after the most that count
+LOOK_US = 200 * MS  # period of the search for news
+# Confidence after one observation, and after as many as evidence can count.
+SEEN, SURE = level_of(0.6), level_of(0.9)
 
 
 class LocalAndFleetMap:
+    """The two maps of one robot. Arrays are (rows, columns) of `geometry`, row 0 in the south."""
+
     def __init__(
         self, sync: MapSync | None, geometry: Geometry, body_radius_m: float, range_m: float,
         grid: OccupancyGrid | None = None,
     ) -> None:  # fmt: skip
-        """`sync`: None where nothing is shared; `grid`: None for one without known walls."""
+        """`sync`: shares the fleet's map; None if nothing is shared. `geometry`: of both maps.
+        `body_radius_m`: of our body. `range_m`: up to which rays are used. `grid`: our own map;
+        None for one without known walls.
+        """
         self.sync, self.geometry, self.range_m = sync, geometry, range_m
         rows, columns, origin, cell_m = geometry
         if grid is None:
             grid = OccupancyGrid(rows, columns, origin, body_radius_m, cell_m=cell_m)
         self.grid = grid
         self.fleet = OccupancyMap(geometry) if sync is None else sync.chart
-        self.told = np.zeros((rows, columns), dtype=np.bool_)  # walls that others have told us of
+        self.told = np.zeros((rows, columns), dtype=np.bool_)  # walls that others have reported
         self._looked_us = -LOOK_US
         self._since_us: dict[int, int] = {}  # patch -> when its first new cell was seen
         self._version = -1
 
     def look(self, here: Observation, others: Iterable[tuple[float, float, float]]) -> None:
-        """One scan; `others`: x, y and radius of robots, whose echoes are no obstacles."""
+        """Take one scan into our own map.
+
+        `others`: x, y and radius of robots, metres; their echoes are no obstacles.
+        """
         if here.ranges_m:
             at = (here.x_m, here.y_m)
             self.grid.observe(at, here.heading_rad, here.ranges_m, self.range_m, list(others))
 
     def own(self) -> Values:
-        """(rows, columns): what our own rays say."""
+        """What our own rays say: FREE, OBSTACLE or UNKNOWN of `crdt/sighting.py` a cell."""
         free = np.where(self.grid.evidence < 0, FREE, UNKNOWN)
         return np.where(self.grid.seen, OBSTACLE, free)
 
     def values(self) -> Values:
-        """(rows, columns): what we saw, and where we did not look, what the fleet knows."""
+        """What our own rays say, and where they say nothing, what the fleet knows."""
         own = self.own()
         return np.where(own != UNKNOWN, own, self.fleet.values())
 
     def seen_by(self) -> Values:
-        """(rows, columns): the slot of each record in the fleet's map, -1 if there is none."""
+        """The slot of each record in the fleet's map, -1 if there is none."""
         return np.where(self.fleet.values() != UNKNOWN, self.fleet.observers(), -1)
 
     def admits(self, at: tuple[float, float]) -> bool:
-        """Whether a robot may be sent there, as far as is known."""
+        """Whether a robot may be sent to (x, y), as far as is known."""
         row, column = self.geometry.cell(at)
         rows, columns, _, _ = self.geometry
         inside = 0 <= row < rows and 0 <= column < columns
         return inside and not self.grid.tight.blocked[row, column]
 
     def hear(self) -> None:
-        """Take walls of the fleet's map into the one that ways are planned over."""
+        """Take walls of the fleet's map into our own, so that paths avoid them."""
         if self.fleet.version != self._version:
             self._version = self.fleet.version
             self.grid.wall((self.fleet.values() == OBSTACLE) & (self.grid.evidence >= 0))
 
     def tell(self, here: Observation, now_us: int) -> None:
-        """Look for news near by, and give what is ripe to the sync."""
+        """Look for news near by, and give patches that are ready to the sync."""
         if self.sync is None or now_us < self._looked_us + min(LOOK_US, self.sync.hold_us):
             return
         if not isfinite(here.x_m + here.y_m):
@@ -97,12 +103,16 @@ class LocalAndFleetMap:
                         now_us)  # fmt: skip
 
     def _news(self, window: tuple[slice, slice], time: int, slot: int) -> Values:
-        """Values of the cells that the fleet should hear of, UNKNOWN elsewhere."""
+        """Values of the cells in a window that are news to the fleet, UNKNOWN elsewhere.
+
+        `time`: of the fleet's clock. `slot`: ours.
+        """
         evidence, seen = self.grid.evidence[window], self.grid.seen[window]
         own = np.where(seen, OBSTACLE, np.where(evidence < 0, FREE, UNKNOWN))
         known = self.fleet.keys()[window]
         sure = np.where(seen, evidence == MOST, evidence == LEAST)
-        # What contradicts a record must be sure, and outrank it: else two robots would argue.
+        # What contradicts a record must be certain and outrank it. Otherwise two robots would
+        # overwrite each other's records for ever.
         mine = base(self.fleet.order, SURE, time, slot) | own
         worth = (known == 0) | (((known & 3) != own) & sure & (mine > known))
         return np.where((own != UNKNOWN) & worth, own, UNKNOWN)

@@ -2,12 +2,13 @@
 
     grid = OccupancyGrid(rows, columns, (x_m, y_m), body_radius_m)
     grid.observe((x_m, y_m), heading_rad, ranges_m, range_max_m)       every scan
-    grid.place(Obstacle(...)), grid.expire(now_us)                     what peers tell, for a time
+    grid.place(Obstacle(...)), grid.expire(now_us)                     what peers report, for a time
     grid.plan(start, goal)                                             waypoints in metres, or None
 
-Cells of `CELL_M`; (row 0, column 0) has its south-western corner at the origin, x is east and
-counts columns. Unseen cells count as free, because a robot that plans through them observes them on
-the way. Solid cells come from sensors, a fixed map, or an obstacle that has not expired yet.
+Cells have a side of `CELL_M` by default. Cell (row 0, column 0) has its south-western corner at the
+origin; x is east and counts columns. Unseen cells count as free, because a robot that plans through
+them observes them on the way. Solid cells come from sensors, a fixed map, or an obstacle that has
+not expired yet.
 """
 
 import zlib
@@ -28,28 +29,29 @@ XY = tuple[float, float]
 Floats = NDArray[np.float64]
 CELL_M = 0.20
 INFLATION_M = 0.10  # kept from everything solid, beyond the body's radius
-SOFT_M = 0.30  # beyond that a robot is near something: tracking and wheels are not perfect
-SOFT_COST = 0.5  # a metre there counts as this much more; a detour is taken only if it pays
+SOFT_M = 0.30  # a further margin that paths avoid if they can: tracking and wheels are not perfect
+SOFT_COST = 0.5  # a metre in that margin costs this share more; a detour is taken only if it pays
 REACH_CELLS_MAX = 64  # of a saved map: beyond this a solid cell blocks more than 12,000 others
 CELLS_MAX = 1 << 24  # of a saved map: 16 MB of evidence, 800 m x 800 m
-EDGE = 1e-9  # of a cell, so that a place on the far edge of the grid is in it
+EDGE = 1e-9  # share of a cell: a place on the far edge of the grid is moved in by this
 _HEAD = Struct("<4sIIdddddI")  # magic, rows, columns, origin, cell, body, inflation, obstacles
 _OBSTACLE = Struct("<dddqqII")
 MAGIC = b"HLM1"
-SCANS_MAX = (1 << 16) - 1  # that stamps tell apart: 55 minutes at 20 Hz
+SCANS_MAX = (1 << 16) - 1  # scans that stamps can distinguish: 55 minutes at 20 Hz
 NO_DISCS = np.empty((0, 3))
 
 
-# evidence, whether solid by it, and the last scan that weighed the cell
+# Evidence, whether the cell is solid by it, and the last scan that weighed the cell.
 Memory = tuple[NDArray[np.int8], Grid, NDArray[np.uint16]]
 
 
 def memory_of(shape: tuple[int, ...]) -> Memory:
+    """An empty memory for a grid of this (rows, columns) shape."""
     return np.zeros(shape, np.int8), np.zeros(shape, np.bool_), np.zeros(shape, np.uint16)
 
 
 class Obstacle(NamedTuple):
-    """A temporary obstacle: a disc, its reporter, and the times from when until when it is valid."""
+    """A temporary obstacle: a disc, its reporter, and from when until when it is valid."""
 
     x_m: float
     y_m: float
@@ -57,13 +59,16 @@ class Obstacle(NamedTuple):
     born_us: int
     expires_us: int
     owner: int  # slot of the robot that saw or placed it
-    number: int  # the owner's own count: (owner, number) is its name
+    number: int  # (owner, number) identifies the obstacle
 
     def stands(self, now_us: int) -> bool:
+        """Whether it is valid at this time."""
         return self.born_us <= now_us < self.expires_us
 
 
 class OccupancyGrid:
+    """One robot's map. Places are (x, y) metres, arrays are (rows, columns)."""
+
     def __init__(
         self,
         rows: int,
@@ -76,24 +81,27 @@ class OccupancyGrid:
         inflation_m: float = INFLATION_M,
         memory: Memory | None = None,
     ) -> None:
-        """`fixed`: (rows, columns), True for walls that are known and never seen away. `memory`:
-        where evidence, what is seen solid, and stamps are kept, all zero; None: by itself."""
+        """`origin_m`: south-western corner, (x, y). `body_radius_m`: of our body. `fixed`: (rows,
+        columns), True for known walls, which no ray erases. `inflation_m`: margin beyond the
+        radius. `memory`: arrays to keep evidence, seen cells and stamps in, all zero; None: new
+        ones.
+        """
         assert rows > 0 and columns > 0 and cell_m > 0 and body_radius_m >= 0 and inflation_m >= 0
         self.origin_m, self.cell_m = origin_m, cell_m
         self.body_radius_m, self.inflation_m = body_radius_m, inflation_m
         shape = rows, columns
         self.fixed: Grid = np.zeros(shape, np.bool_) if fixed is None else fixed.astype(np.bool_)
         assert self.fixed.shape == shape
-        # By itself: of most cells a scan asks no more than whether they are known to be free.
+        # Evidence has an array of its own, because of most cells a scan reads nothing else.
         self.evidence, self._seen, self._stamps = memory or memory_of(shape)
         self.obstacles: dict[tuple[int, int], Obstacle] = {}
-        self._told = np.zeros(shape, dtype=np.int32)  # how many obstacles stand on a cell
+        self._told = np.zeros(shape, dtype=np.int32)  # number of obstacles on each cell
         self._placed: set[tuple[int, int]] = set()
         self.scan = 0  # 1 to SCANS_MAX, over and over
-        self._room = (0, 0.0)  # rays of a scan and their range that there is room for
-        self._toggled: Changes = np.empty((0, 3), dtype=np.int64)  # what it changes
+        self._room = (0, 0.0)  # number of rays and range for which `_toggled` has room
+        self._toggled: Changes = np.empty((0, 3), dtype=np.int64)  # cells that a scan changes
         self.solid: Grid = self.fixed.copy()
-        self.changes = 0  # of cells, solid or free, since the beginning
+        self.changes = 0  # how many cells became solid or free since the beginning
         self._layer()
 
     def _layer(self) -> None:
@@ -101,14 +109,17 @@ class OccupancyGrid:
         self.tight = Inflation(self.solid, reach_m / self.cell_m)
         self.wide = Inflation(self.solid, (reach_m + SOFT_M) / self.cell_m)
 
-    # What is there
+    # ---------------------------------------------------------------- what is there
 
     def observe(self, at: XY, heading_rad: float, ranges_m: Sequence[float] | Floats, range_max_m: float,
                 others: Sequence[tuple[float, float, float]] | Floats = ()) -> int:  # fmt: skip
-        """A scan of equal angles counter-clockwise from the heading; how many cells changed state.
+        """Take in one scan. Returns how many cells became solid or free.
 
-        `others`: x, y and radius in metres of robots that are known to be there. Their echoes are
-        not obstacles of the map: they drive away, and ORCA keeps from them.
+        `at`: position of the sensor. `ranges_m`: at equal angles counter-clockwise from the
+        heading. `range_max_m`: from here on a range is no hit. `others`: x, y and radius in metres
+        of robots that are known to be there. Their echoes are not obstacles of the map: they drive
+        away, and ORCA keeps from them. A scan without a finite pose or without rays changes
+        nothing.
         """
         assert range_max_m > 0
         x_m, y_m = at
@@ -134,44 +145,54 @@ class OccupancyGrid:
 
     @property
     def seen(self) -> Grid:
-        """Solid by our own sensors; read only."""
+        """(rows, columns): solid by our own sensors; read only."""
         return self._seen
 
     def forget(self, cells: Changes) -> int:
-        """Nobody knows any more what is on these cells (n, 2); how many changed."""
+        """Make these cells (n, 2) unknown to our own sensors. Returns how many became free."""
         self.evidence[cells[:, 0], cells[:, 1]] = 0
         self._seen[cells[:, 0], cells[:, 1]] = False
         return self.settle(cells)
 
     def doubt(self, row: int, column: int) -> None:
-        """Being free there is no longer known: three more looks will tell."""
+        """Make a free cell unknown: three more scans through it make it free again."""
         self.evidence[row, column] = max(self.evidence[row, column], 0)
 
     def unseen(self, scans: int) -> Changes:
-        """Solid cells (n, 2), by our own sensors, that none of the last `scans` scans has touched."""
+        """Cells (n, 2) that are solid by our own sensors and that none of the last `scans` scans
+        has touched.
+        """
         age = (self.scan - self._stamps.astype(np.int64)) % SCANS_MAX
         return np.argwhere(self._seen & (age >= scans))
 
     def wall(self, cells: Grid) -> int:
-        """Walls that are known from others, instead of those told before; how many cells changed."""
+        """Replace the fixed walls by these (rows, columns). Returns how many cells became solid or
+        free.
+        """
         other = np.argwhere(cells != self.fixed)
         self.fixed[:] = cells
         return self.settle(other)
 
     def place(self, obstacle: Obstacle, now_us: int) -> int:
-        """Take an obstacle in, or another state of one that is known; how many cells changed."""
+        """Add an obstacle, or another state of a known one. Returns how many cells became solid or
+        free.
+        """
         changed = self._lift(obstacle.owner, obstacle.number)
         self.obstacles[obstacle.owner, obstacle.number] = obstacle
         return changed + self.expire(now_us)
 
     def remove(self, owner: int, number: int) -> int:
-        """Forget an obstacle; how many cells changed."""
+        """Remove an obstacle, if it is known. Returns how many cells became free."""
         changed = self._lift(owner, number)
         self.obstacles.pop((owner, number), None)
         return changed
 
     def expire(self, now_us: int) -> int:
-        """Those born by now stand, those that are over are forgotten; how many cells changed."""
+        """Add obstacles that are valid by now and remove those that have expired; call it
+        regularly.
+
+        Returns how many cells became solid or free.
+        """
         changed = 0
         for name, obstacle in list(self.obstacles.items()):
             if obstacle.expires_us <= now_us:
@@ -188,7 +209,7 @@ class OccupancyGrid:
         return self._stand(self.obstacles[owner, number], -1)
 
     def _stand(self, obstacle: Obstacle, way: int) -> int:
-        """Cells that the disc touches get one obstacle more, or less."""
+        """Count one obstacle more (`way` 1) or less (-1) on the cells that it touches."""
         x, y = self._cells((obstacle.x_m, obstacle.y_m))
         radius = obstacle.radius_m / self.cell_m
         rows, columns = self.solid.shape
@@ -203,7 +224,11 @@ class OccupancyGrid:
         return self.settle(cells)
 
     def settle(self, cells: Changes) -> int:
-        """Bring `solid` and the layers in line at these cells (n, 2 or more); how many changed."""
+        """Bring `solid` and both inflations in line at these cells (n, 2 or more columns: row,
+        column, ...).
+
+        Returns how many cells became solid or free.
+        """
         r, c = cells[:, 0], cells[:, 1]
         now = self.fixed[r, c] | self._seen[r, c] | (self._told[r, c] > 0)
         other = now != self.solid[r, c]
@@ -216,14 +241,15 @@ class OccupancyGrid:
         self.wide.toggle(toggled)
         return len(toggled)
 
-    # Ways
+    # ---------------------------------------------------------------- paths
 
     def plan(self, start: XY, goal: XY) -> list[XY] | None:
-        """The cheaper one of the shortest way, and the shortest that stays off everything by more.
+        """Waypoints in metres from start to goal, both included; None if there is no path.
 
-        A start or goal in the inflation is joined by the shortest line out of it: a way through it could
-        pass a corner nearer than the body is wide. Where there is no such line, it is carved free.
-        None: no way.
+        It is the cheaper (`cost_m`) of two paths: the shortest, and the shortest that keeps
+        `SOFT_M` more from everything solid. A start or goal in the inflation is joined by the
+        shortest line out of it, because a path through it could pass a corner nearer than the body
+        is wide. If there is no such line, the inflation round it counts as free.
         """
         a, b = self._point(start), self._point(goal)
         here, there = cell_of(a), cell_of(b)
@@ -232,7 +258,7 @@ class OccupancyGrid:
             return None
         if self.solid[there] and here != there:
             return None
-        # Under the robot's body nothing can be, whatever the map says.
+        # Nothing can be under the robot's body, even if the map says so.
         body_cells = self.body_radius_m / self.cell_m
         out, into = (
             self.tight.way_out(here, self.solid, body_cells),
@@ -264,7 +290,7 @@ class OccupancyGrid:
         return best
 
     def cost_m(self, path: Sequence[XY]) -> float:
-        """Length, with a metre near something solid counted as `1 + SOFT_COST`."""
+        """Length of a path; a metre near something solid counts `1 + SOFT_COST`."""
         total = 0.0
         rows, columns = self.solid.shape
         for p, q in pairwise(path):
@@ -278,11 +304,11 @@ class OccupancyGrid:
         return total
 
     def _cells(self, at: XY) -> XY:
-        """Columns and rows from the corner of the grid."""
+        """A place as (columns, rows) from the corner of the grid, in cells."""
         return (at[0] - self.origin_m[0]) / self.cell_m, (at[1] - self.origin_m[1]) / self.cell_m
 
     def _point(self, at: XY) -> XY:
-        """Row and column of the planner, whose whole numbers are centres of cells."""
+        """A place as (row, column) of the planner, whole numbers at cell centres."""
         x, y = self._cells(at)
         rows, columns = self.solid.shape
         if y == rows or x == columns:
@@ -290,7 +316,7 @@ class OccupancyGrid:
         return y - 0.5, x - 0.5
 
     def _centre(self, cell: Cell) -> XY:
-        """The middle of a cell, metres."""
+        """The middle of a cell, (x, y) metres."""
         x_m, y_m = self.origin_m
         return x_m + (cell[1] + 0.5) * self.cell_m, y_m + (cell[0] + 0.5) * self.cell_m
 
@@ -304,10 +330,10 @@ class OccupancyGrid:
         ]
         return [start, *inner, goal]
 
-    # Kept
+    # ---------------------------------------------------------------- saved
 
     def to_bytes(self) -> bytes:
-        """Everything that was seen and told; the fixed map too."""
+        """The whole map for `from_bytes`: evidence, obstacles and fixed walls."""
         rows, columns = self.solid.shape
         head = _HEAD.pack(MAGIC, rows, columns, *self.origin_m, self.cell_m, self.body_radius_m,
                           self.inflation_m, len(self.obstacles))  # fmt: skip
@@ -318,7 +344,10 @@ class OccupancyGrid:
 
     @classmethod
     def from_bytes(cls, data: bytes, now_us: int) -> "OccupancyGrid":
-        """The map that was saved, without what has expired. Raises ValueError where it is damaged."""
+        """The map that `to_bytes` has saved, without obstacles that have expired by `now_us`.
+
+        Raises ValueError if the data are damaged or are not such a map.
+        """
         if len(data) < _HEAD.size or data[:4] != MAGIC:
             raise ValueError("not a map of ours")
         _, rows, columns, x, y, cell_m, body_m, inflation_m, told = _HEAD.unpack_from(data)

@@ -165,9 +165,8 @@ class HolonomicMotion(MotionController):
         as robots.
 
         A row: dx, dy, vx, vy in metres and metres a second, the distance to keep from middle to
-        middle, our share of the avoidance, and the
-        seconds by which the pose was extrapolated. `keeps_off`: keep
-        the distance that a lowered implement needs.
+        middle, our share of the avoidance, and the seconds by which the pose was extrapolated.
+        `keeps_off`: keep the distance that a lowered implement needs.
         """
         near: list[tuple[float, ...]] = []
         others: list[NearbyRobot] = []
