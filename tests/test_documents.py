@@ -2,6 +2,7 @@
 
 import re
 import subprocess
+import tomllib
 from pathlib import Path
 
 from agent.interface.lifecycle import TABLE, State
@@ -70,3 +71,20 @@ def test_every_link_of_a_document_leads_to_a_file() -> None:
                 f"{name}: {to}" for to in targets if not (ROOT / name).parent.joinpath(to).exists()
             ]
     assert not missing
+
+
+def test_the_version_is_that_of_the_newest_release_in_the_changelog() -> None:
+    with (ROOT / "pyproject.toml").open("rb") as file:
+        version = tomllib.load(file)["project"]["version"]
+    releases = re.findall(
+        r"^## (\S+) \(\d{4}-\d\d-\d\d\)$", (ROOT / "CHANGELOG.md").read_text(), re.M
+    )
+    assert releases[0] == version
+    assert releases == sorted(releases, key=lambda r: [int(n) for n in r.split(".")], reverse=True)
+
+
+def test_a_fragment_is_a_list_of_short_items() -> None:
+    for path in (ROOT / "changes").glob("*.md"):
+        if path.name != "README.md":
+            assert re.fullmatch(r"\d+-[a-z0-9-]+\.md", path.name), path.name
+            assert path.read_text().startswith(("* ", "- ")), path.name

@@ -13,6 +13,7 @@ Written as a folder, or as a zip if the name ends in .zip.
 import zipfile
 from datetime import UTC, timedelta
 from decimal import Decimal
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -55,11 +56,12 @@ def write_isoxml(record: WorkRecord, out: Path) -> None:
 def _task_data(record: WorkRecord) -> Any:
     import isoxml.models.base.v4 as iso
 
+    headland = version("headland")
     return iso.Iso11783TaskData(
         management_software_manufacturer="Headland",
-        management_software_version="0.1.0",
+        management_software_version=headland,
         task_controller_manufacturer="Headland",
-        task_controller_version="0.1.0",
+        task_controller_version=headland,
         data_transfer_origin=iso.Iso11783TaskDataDataTransferOrigin.MICS,
         devices=[_device(iso, record, robot) for robot in sorted(record.logs)],
         partfields=[_partfield(iso, record)],

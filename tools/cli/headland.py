@@ -27,8 +27,13 @@ from tools.run import coverage
 WRONG, INTERRUPTED = 2, 130
 WRONG_WORDS: Any = typer.BadParameter.__base__  # click's UsageError, wherever typer keeps its click
 HELP = "A leaderless robot fleet on a CAN bus: every robot is a peer, none is in charge."
+WORDS = "Words such as beat, dot, lease and unit: docs/glossary.md in the repository."
 app = typer.Typer(
-    help=HELP, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None
+    help=HELP,
+    epilog=WORDS,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
 )
 
 

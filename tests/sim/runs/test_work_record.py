@@ -2,6 +2,7 @@
 
 import itertools
 from datetime import UTC, datetime
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -79,7 +80,7 @@ def test_the_package_reads_it_too(tmp_path: Path, record: WorkRecord) -> None:
     write_isoxml(record, tmp_path / "work.zip")
     data, binaries = isoxml_from_path(tmp_path / "TASKDATA")
     zipped, _ = isoxml_from_zip(tmp_path / "work.zip")
-    assert len(zipped.tasks) == 1
+    assert len(zipped.tasks) == 1 and data.task_controller_version == version("headland")
     convert = ShapelyConverterV4()
     (boundary,) = data.partfields[0].polygons
     assert convert.to_shapely_polygon(boundary).equals(
