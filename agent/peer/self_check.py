@@ -154,6 +154,8 @@ class SelfCheck:
             safety.raise_cause(cause, now_us, why)
             return [HALT, Trace("safety", "", cause.name, "PROTECTIVE", why)]
         safety.clear_cause(cause, now_us)
+        if cause is StopCause.UNHEARD:
+            self.peer.sync.received_again(now_us)
         return [Trace("safety", "PROTECTIVE", cause.name, "", "gone")]
 
 

@@ -145,6 +145,13 @@ class Synchronizer:
             self._tries, self._ask_us = 0, None
         self._judge(now_us)
 
+    def received_again(self, now_us: int) -> None:
+        """Our frames were received by nobody for a while. The questions that we asked in that time
+        say nothing about our state, so a reunion delays work again until they are answered."""
+        if self.divergence.odd:
+            self._tries, self._learned_us = 0, now_us
+            self._judge(now_us)
+
     def changed_here(self, section: int, block: int | None, now_us: int) -> None:
         """An own operation or own progress was written and is being sent."""
         if block is None:
