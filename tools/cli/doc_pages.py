@@ -1,6 +1,7 @@
-"""What the documents print from the code: the frames with their layouts, the states with their edges.
+"""What the documents print from the code: frames with their layouts, states with their edges, and the
+programming interface.
 
-    python -m tools.cli.doc_pages docs       # writes how/frames.md, how/states.md and the picture of them
+    python -m tools.cli.doc_pages docs       # writes how/frames.md, how/states.*, use/api.md
 
 A test compares the files with what is printed here, so that they cannot be older than the code.
 """
@@ -13,6 +14,7 @@ from pathlib import Path
 
 from agent.interface.lifecycle import TABLE, Event, State
 from protocol.frames.messages import GROUPS
+from tools.cli.api_page import api
 from tools.inspect.lifecycle_picture import edges_from
 
 WIDTH, HEIGHT = 860, 620
@@ -27,7 +29,10 @@ NOTE = "<!-- printed by python -m tools.cli.doc_pages docs; do not edit -->"
 
 def pages() -> dict[str, str]:
     """Paths below the folder of the documents, and what is in each file."""
-    return {"how/frames.md": frames(), "how/states.md": states(), "how/states.svg": diagram()}
+    return {
+        "how/frames.md": frames(), "how/states.md": states(), "how/states.svg": diagram(),
+        "use/api.md": f"{NOTE}\n{api()}",
+    }  # fmt: skip
 
 
 def frames() -> str:
