@@ -24,8 +24,9 @@ from sim.fleet.outcome import Outcome
 from sim.fleet.simulated_disk import Disk, LogJournal
 from sim.fleet.simulated_fleet import Cluster
 from sim.fleet.stop_monitor import motions
-from sim.runs.field_run import FieldRun, RunProgress
+from sim.runs.field_run import FieldRun
 from sim.runs.protocol_run import ProtocolRun
+from sim.runs.run import RunProgress
 from sim.scenarios import scenario as kinds
 from sim.scenarios.scenario import DRILLS, Fault, Scenario
 from sim.world.checkers import ExclusiveWorkChecker, Violation

@@ -7,33 +7,23 @@ sync and all frames on a bus of 250 kbit/s. Only bodies and sensors are simpler 
 (`grid_world`).
 """
 
-import itertools
-import time
 from collections import deque
-from collections.abc import Callable, Mapping
-from pathlib import Path
+from collections.abc import Mapping
 from typing import Any, NamedTuple, cast
 
 import numpy as np
 
 from agent.coverage.cell_map import NONE
 from agent.coverage.coverage_mission import GridWork
-from agent.interface.config import MS, S
-from sim.can.frame_counter import BusTally
-from sim.fleet.event_loop import EventLoop
-from sim.fleet.fault_injector import FaultPlan
-from sim.fleet.scheduler import Handle, Script
+from agent.interface.config import S
+from sim.fleet.scheduler import Host
 from sim.fleet.simulated_fleet import Cluster, Record, Robot
-from sim.fleet.trace_recorder import Recorder
+from sim.runs.run import Run, RunProgress, states_of
 from sim.scenarios.coverage_setup import STEP_S, GridSetting
 from sim.world.grid_world import GridWorld
 from sim.world.plan_judge import lower_bound, steps_from
 
-LOOK_US = 500 * MS
 QUIET_US = 10 * S  # after the last cell, registers and replicas must be in order within this time
-
-_numbers = itertools.count()
-Told = Callable[[float, float], None]
 
 
 class GridOutcome(NamedTuple):
@@ -79,9 +69,7 @@ class GridOutcome(NamedTuple):
 
 
 class GridCluster(Cluster):
-    def __init__(
-        self, setting: GridSetting, channel: str, record: Record | None, host: EventLoop
-    ) -> None:
+    def __init__(self, setting: GridSetting, channel: str, record: Record, host: Host) -> None:
         super().__init__(setting, channel, record, host)
         self.place = setting
         self.grid_world = cast(GridWorld, self.world)
@@ -189,96 +177,43 @@ class ReplanAuditor:
                 self.untold += int(np.count_nonzero(before & ~told))
 
 
-class CoverageRun:
-    """One run."""
+class CoverageRun(Run[GridSetting, GridCluster, GridOutcome]):
+    kind = GridOutcome
+    quiet_us = QUIET_US
 
-    def __init__(
-        self, setting: GridSetting, out: Path | None = None, told: Told | None = None
-    ) -> None:
-        """`told`: called now and then with the simulated seconds and the share covered."""
-        self.setting, self.out, self.told = setting, out, told
-        self.tally = BusTally()
-        self.cluster: GridCluster | None = None
-        self.covered_us: Any = None  # by cell number: when each cell was covered; -1: never
+    def make_fleet(self, channel: str, record: Record, host: Host) -> GridCluster:
+        cluster = GridCluster(self.setting, channel, record, host)
+        self.witness = ReplanAuditor(cluster)
+        return cluster
 
-    def run(self) -> GridOutcome:
-        swarm = EventLoop()
-        return swarm.run(self._play(swarm))
+    def look(self, cluster: GridCluster) -> None:
+        self.witness.look()
 
-    def _play(self, host: EventLoop) -> Script[GridOutcome]:
-        began_s = time.process_time()
-        if self.out is not None:
-            self.out.mkdir(parents=True, exist_ok=True)
-        recorder = Recorder(self.out / "trace.jsonl" if self.out else None)
-        cluster = GridCluster(self.setting, f"grid {next(_numbers)}", recorder, host)
-        self.cluster = cluster
-        self.tally.open([self.out / "can.log"] if self.out else [])
-        cluster.segment.taps.append(self.tally.tap)
-        cluster.boot_all()
-        script = host.spawn(FaultPlan(cluster).script())
-        witness = ReplanAuditor(cluster)
-        try:
-            yield from self._watch(cluster, script, witness)
-            cpu_s = time.process_time() - began_s
-            outcome = self._measure(cluster, recorder, witness, cpu_s)
-        finally:
-            cluster.end()
-            recorder.close()
-            self.tally.close()
-        return outcome
+    def progress(self, cluster: GridCluster) -> RunProgress:
+        covered = cluster.grid_world.truth.first_us != NONE
+        done, now_s = int(np.count_nonzero(covered)), cluster.host.now_us() / S
+        return RunProgress(now_s, done, covered.size, done / covered.size, states_of(cluster))
 
-    def _watch(self, cluster: GridCluster, script: Handle, witness: ReplanAuditor) -> Script[None]:
-        host, limit_us = cluster.host, round(self.setting.scenario.run.time_limit_s * S)
-        while host.now_us() < limit_us:
-            yield host.now_us() + LOOK_US
-            cluster.check()
-            witness.look()
-            if self.told is not None:
-                covered = cluster.grid_world.truth.first_us != NONE
-                self.told(host.now_us() / S, float(covered.mean()))
-            if script.done() and cluster.finished:
-                break
-        quiet_us = host.now_us() + QUIET_US
-        while not cluster.replicas_equal and host.now_us() < quiet_us:
-            yield host.now_us() + LOOK_US // 5
-
-    def _measure(
-        self, cluster: GridCluster, recorder: Recorder, witness: ReplanAuditor, cpu_s: float
-    ) -> GridOutcome:
-        now_us, world = cluster.host.now_us(), cluster.grid_world
-        world.advance(now_us)
-        truth, setting, wire = world.truth, self.setting, cluster.segment.wire
-        self.covered_us = truth.first_us
-        wanted = sorted(cluster.reachable())
-        late = truth.first_us[wanted]
+    def measure(self, cluster: GridCluster) -> dict[str, Any]:
+        truth, setting, witness = cluster.grid_world.truth, self.setting, self.witness
+        late = truth.first_us[sorted(cluster.reachable())]
         starts = [
             cell for slot, cell in enumerate(setting.instance.starts)
             if not any(f.kind == "join" and f.robot == slot for f in setting.scenario.fault)
         ]  # fmt: skip
-        return GridOutcome(
-            map=setting.instance.name,
-            robots=len(setting.starts),
-            seed=setting.scenario.run.seed,
-            finished=cluster.finished,
-            uncovered=int(np.count_nonzero(late == NONE)),
-            makespan_s=float(late.max(initial=0)) / S,
-            bound_s=lower_bound(setting.instance.walls, starts) * STEP_S,
-            replanned=witness.replanned,
-            redone=witness.redone,
-            untold=witness.untold,
-            contacts=len(truth.contacts),
-            through_walls=truth.through_walls,
-            closest_m=truth.closest_m,
-            replicas_equal=cluster.replicas_equal,
-            steps=truth.steps,
-            rounds=max(cluster.mission(r).accords.rounds for r in cluster.robots.values()),
-            sections_done=max(r.peer.allocation.done_count() for r in cluster.running),
-            sections=setting.section_count,
-            frames=dict(self.tally.kinds.most_common()),
-            malformed=self.tally.malformed,
-            bus_load=wire.busy_us / now_us,
-            bus_load_worst_case=wire.worst_us / now_us,
-            trace_hash=recorder.digest,
-            simulated_s=now_us / S,
-            cpu_s=cpu_s,
-        )
+        return {
+            "map": setting.instance.name,
+            "uncovered": int(np.count_nonzero(late == NONE)),
+            "makespan_s": float(late.max(initial=0)) / S,
+            "bound_s": lower_bound(setting.instance.walls, starts) * STEP_S,
+            "replanned": witness.replanned,
+            "redone": witness.redone,
+            "untold": witness.untold,
+            "contacts": len(truth.contacts),
+            "through_walls": truth.through_walls,
+            "closest_m": truth.closest_m,
+            "steps": truth.steps,
+            "rounds": max(cluster.mission(r).accords.rounds for r in cluster.robots.values()),
+            "sections_done": max(r.peer.allocation.done_count() for r in cluster.running),
+            "sections": setting.section_count,
+        }

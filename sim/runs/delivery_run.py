@@ -1,10 +1,6 @@
 """One run of a delivery fleet from power-up to the last parcel; the outcome is from the truth."""
 
-import itertools
-import time
-from collections import Counter
-from collections.abc import Callable, Mapping
-from pathlib import Path
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from agent.delivery.delivery_mission import DeliveryMission
@@ -12,33 +8,18 @@ from agent.delivery.task_registry import TASKS_MAX
 from agent.interface.config import S
 from agent.peer.peer import Peer
 from crdt import Phase
-from protocol.frames.codec import Malformed, decode_once
-from protocol.frames.frame import Frame
-from sim.files.can_log import open_log
-from sim.fleet.event_loop import EventLoop
-from sim.fleet.fault_injector import FaultPlan
-from sim.fleet.scheduler import Handle, Host, LoopHost, Script, follow
+from sim.fleet.scheduler import Handle, Host, Script
 from sim.fleet.simulated_fleet import Cluster, Record, Robot
-from sim.fleet.trace_recorder import Recorder
 from sim.fleet.warehouse_floor import WarehouseFloor
+from sim.runs.run import Run, RunProgress, of_bodies, points_of
 from sim.scenarios.delivery_setup import DeliverySetting
 from sim.world.contacts import TOUCH_M
 from sim.world.ground_truth import TrackPoint
 from sim.world.parcel_truth import CarrierBody
 
-LOOK_US = 500_000
 # A place that robots cannot reach for this long stays unreachable: no box stands longer.
 CUT_OFF_US = 60 * S
 QUIET_US = 4 * S  # after the last parcel, replicas must be equal within this time
-
-_numbers = itertools.count()
-
-
-class RunProgress(NamedTuple):
-    simulated_s: float
-    delivered: int
-    tasks: int
-    itineraries: Mapping[int, list[str]]
 
 
 class HaulOutcome(NamedTuple):
@@ -133,138 +114,68 @@ class HaulCluster(Cluster):
         return frozenset(found)
 
 
-class DeliveryRun:
-    def __init__(
-        self, setting: DeliverySetting, out: Path | None = None,
-        told: Callable[[RunProgress], None] | None = None,
-        watch: Callable[[HaulCluster], None] | None = None, forever: bool = False,
-    ) -> None:  # fmt: skip
-        """`watch` gets the fleet twice a second. `forever`: more tasks may come at any time."""
-        self.forever = forever
-        self.setting, self.out, self.told, self.watch = setting, out, told, watch
-        self.kinds: Counter[str] = Counter()
-        self.malformed = 0
-        self.tracks: dict[int, list[TrackPoint]] = {}
-        self.cluster: HaulCluster | None = None
-        self.ended = False  # a person ended the run
-        self.attach: Callable[[HaulCluster], None] | None = None
+class DeliveryRun(Run[DeliverySetting, HaulCluster, HaulOutcome]):
+    kind = HaulOutcome
+    quiet_us = QUIET_US
+    tracks: dict[int, list[TrackPoint]]  # after the run
+    watch: Callable[[HaulCluster], None] | None = None  # gets the fleet twice a second
+    forever = False  # more tasks may come at any time
+    ended = False  # a person ended the run
+    _hope_us = 0  # when a place could last be reached
 
-    def run(self) -> HaulOutcome:
-        swarm = EventLoop()
-        return swarm.run(self._play(swarm))
+    def make_fleet(self, channel: str, record: Record, host: Host) -> HaulCluster:
+        return HaulCluster(self.setting, channel, record, host)
 
-    async def live(self, attach: Callable[[HaulCluster], None]) -> HaulOutcome:
-        """Run in the running loop's time, which begins at 0. `attach`: connects others to the
-        bus."""
-        host = LoopHost()
-        self.attach = attach
-        try:
-            return await follow(self._play(host))
-        finally:
-            await host.close()
+    def scripts(self, cluster: HaulCluster, faults: Script[None]) -> list[Handle]:
+        cluster.host.spawn(cluster.depot.calls())  # these never end
+        events = cluster.depot.events()
+        return super().scripts(cluster, faults) + [cluster.host.spawn(event) for event in events]
 
-    def _play(self, host: Host) -> Script[HaulOutcome]:
-        started_s = time.perf_counter()
-        recorder = Recorder(self.out / "trace.jsonl" if self.out else None)
-        cluster = HaulCluster(self.setting, f"haul {next(_numbers)}", recorder, host)
-        self.cluster = cluster
-        log = open_log(self.out / "can.log") if self.out else None
+    def look(self, cluster: HaulCluster) -> None:
+        if self.watch is not None:
+            self.watch(cluster)
+        left = cluster.truth.dropoff.keys() - cluster.truth.delivered_us.keys()
+        if not left or left != cluster.unreachable:
+            self._hope_us = cluster.host.now_us()
 
-        def tap(t_us: int, frame: Frame) -> None:
-            _, message = decode_once(frame)
-            self.kinds[type(message).__name__] += 1
-            self.malformed += isinstance(message, Malformed)
-            if log is not None:
-                log.write(t_us, frame)
+    def is_over(self, cluster: HaulCluster, scripts: Sequence[Handle]) -> bool:
+        done = cluster.finished or cluster.host.now_us() - self._hope_us > CUT_OFF_US
+        over = all(script.done() for script in scripts) and done
+        return (over and not self.forever) or self.ended
 
-        cluster.segment.taps.append(tap)
-        if self.attach is not None:
-            self.attach(cluster)
-        cluster.boot_all()
-        desk = host.spawn(cluster.depot.calls())
-        scripts = [host.spawn(FaultPlan(cluster).script())]
-        scripts += [host.spawn(script) for script in cluster.depot.events()]
-        try:
-            yield from self._until_finished(cluster, scripts)
-            outcome = self._measure(cluster, recorder, time.perf_counter() - started_s)
-        finally:
-            desk.cancel()
-            cluster.end()
-            recorder.close()
-            if log is not None:
-                log.close()
-        return outcome
+    def progress(self, cluster: HaulCluster) -> RunProgress:
+        plans = "  ".join(
+            f"{robot.slot} [{', '.join(stops[:3])}{', ...' if len(stops) > 3 else ''}]"
+            for robot in cluster.running
+            for stops in (cluster.missions[robot.slot].stops,)
+        )
+        done, total = len(cluster.truth.delivered_us), len(cluster.truth.dropoff)
+        return RunProgress(cluster.host.now_us() / S, done, total, done / max(total, 1), plans)
 
-    def _until_finished(self, cluster: HaulCluster, scripts: list[Handle]) -> Script[None]:
-        host, limit_us = cluster.host, round(self.setting.scenario.run.time_limit_s * S)
-        hope_us = 0  # when a place could last be reached
-        while host.now_us() < limit_us:
-            yield host.now_us() + LOOK_US
-            cluster.check()
-            for script in scripts:
-                script.check()
-            if self.watch is not None:
-                self.watch(cluster)
-            if self.told is not None:
-                self.told(self._moment(cluster))
-            left = cluster.truth.dropoff.keys() - cluster.truth.delivered_us.keys()
-            if not left or left != cluster.unreachable:
-                hope_us = host.now_us()
-            done = cluster.finished or host.now_us() - hope_us > CUT_OFF_US
-            over = all(script.done() for script in scripts) and done
-            if (over and not self.forever) or self.ended:
-                break
-        quiet_us = host.now_us() + QUIET_US
-        while not cluster.replicas_equal and host.now_us() < quiet_us:
-            yield host.now_us() + LOOK_US // 5
-
-    def _moment(self, cluster: HaulCluster) -> RunProgress:
-        running = {robot.slot for robot in cluster.running}
-        return RunProgress(
-            cluster.host.now_us() / S, len(cluster.truth.delivered_us), len(cluster.truth.dropoff),
-            {slot: m.stops for slot, m in cluster.missions.items() if slot in running},
-        )  # fmt: skip
-
-    def _measure(self, cluster: HaulCluster, recorder: Recorder, wall_s: float) -> HaulOutcome:
-        truth, world, scenario = cluster.truth, cluster.world, self.setting.scenario
-        now_us = cluster.host.now_us()
-        world.advance(now_us)
-        self.tracks = {slot: body.track.points for slot, body in world.robots.items()}
+    def measure(self, cluster: HaulCluster) -> dict[str, Any]:
+        truth, missions = cluster.truth, cluster.missions.values()
+        self.tracks = points_of(cluster)
         waits_s = [
             (t_us - truth.appeared_us[task]) / S for task, t_us in truth.delivered_us.items()
         ]
-        missions = cluster.missions.values()
-        wire = cluster.segment.wire
-        return HaulOutcome(
-            scenario=scenario.name,
-            robots=scenario.fleet.robots,
-            seed=scenario.run.seed,
-            tasks=len(truth.dropoff),
-            delivered=len(truth.delivered_us),
-            unreachable=tuple(sorted(cluster.unreachable)),
-            finished=cluster.finished,
-            makespan_s=max(truth.delivered_us.values(), default=0) / S,
-            latency_s=sum(waits_s) / max(len(waits_s), 1),
-            flaws=truth.flaws,
-            empty=tuple(sorted(truth.empty)),
-            lowest_battery=min(truth.lowest.values(), default=1.0),
-            charges=_charges(cluster),
-            contacts=sum(contact.depth_m > TOUCH_M for contact in world.contacts),
-            closest_m=world.closest_m,
-            travel_m=sum(body.track.driven_m for body in world.robots.values()),
-            rounds=sum(m.dispatch.round.streamed for m in missions),
-            agreements=max((m.accords.rounds for m in missions), default=0),
-            ahead=sum(m.paths.used for m in missions),
-            waited_s=sum(m.waited_us for m in missions) / S,
-            replicas_equal=cluster.replicas_equal,
-            bus_load=wire.busy_us / max(now_us, 1),
-            frames=dict(self.kinds.most_common()),
-            malformed=self.malformed,
-            pymunk_steps=world.pymunk_steps,
-            trace_hash=recorder.digest,
-            simulated_s=now_us / S,
-            wall_s=wall_s,
-        )
+        touches = [contact for contact in cluster.world.contacts if contact.depth_m > TOUCH_M]
+        return {
+            **of_bodies(cluster),
+            "contacts": len(touches),
+            "tasks": len(truth.dropoff),
+            "delivered": len(truth.delivered_us),
+            "unreachable": tuple(sorted(cluster.unreachable)),
+            "makespan_s": max(truth.delivered_us.values(), default=0) / S,
+            "latency_s": sum(waits_s) / max(len(waits_s), 1),
+            "flaws": truth.flaws,
+            "empty": tuple(sorted(truth.empty)),
+            "lowest_battery": min(truth.lowest.values(), default=1.0),
+            "charges": _charges(cluster),
+            "rounds": sum(m.dispatch.round.streamed for m in missions),
+            "agreements": max((m.accords.rounds for m in missions), default=0),
+            "ahead": sum(m.paths.used for m in missions),
+            "waited_s": sum(m.waited_us for m in missions) / S,
+        }
 
 
 def _charges(cluster: HaulCluster) -> int:

@@ -1,8 +1,5 @@
 """A fleet that explores an arena from power-up to the end; the outcome is from the truth."""
 
-import asyncio
-import itertools
-import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from enum import Enum
@@ -17,7 +14,7 @@ from agent.exploration.exploration_mission import ExplorationMission
 from agent.exploration.exploration_report import fleet_status, serialize_for_llm
 from agent.exploration.exploration_task import ExplorationOrder
 from agent.exploration.lone_exploration import LoneExploration
-from agent.interface.config import BRAKING_SHARE
+from agent.interface.config import BRAKING_SHARE, MS, S
 from agent.interface.lifecycle import State
 from agent.interface.motion_controller import BodyLimits
 from agent.mapping.local_and_fleet_map import LocalAndFleetMap
@@ -27,27 +24,22 @@ from agent.runtime.peer_factory import MissionParts, identity_of, make_peer
 from crdt.hybrid_clock import HybridClock
 from crdt.occupancy import OccupancyMap
 from crdt.sighting import TIME_MAX
-from protocol.frames.codec import Malformed, decode_once
+from protocol.frames.codec import decode_once
 from protocol.frames.frame import Frame
 from protocol.frames.map_frames import MapDigests, MapPatch
 from protocol.sync.map_sync import MapSync, Values
 from sim.can.frame_timing import worst_bits
-from sim.files.can_log import open_log
-from sim.fleet.fault_injector import FaultPlan
+from sim.fleet.scheduler import Handle, Host
 from sim.fleet.simulated_fleet import Cluster, Record
-from sim.fleet.trace_recorder import Recorder
-from sim.fleet.virtual_clock import run_virtual
+from sim.runs.run import Run, RunProgress, of_bodies, points_of, states_of
 from sim.scenarios.exploration_scenario import ArenaScenario, ArenaSetting
 from sim.world.ground_truth import TrackPoint
 
-LOOK_S = 0.25
-QUIET_S = 2.0  # after the last news of the map, all replicas must be equal within this time
+QUIET_US = 2 * S  # after the last news of the map, all replicas must be equal within this time
 FENCE_M = 0.04  # distance from walls kept by collision avoidance; planned paths keep 0.1 m
 MOST = 0.95
 REPORT_S = 2.0
 TICK_US = 1_000_000  # of the fleet's clock
-
-_numbers = itertools.count()
 
 
 class Sharing(Enum):
@@ -111,10 +103,10 @@ class SurveyOutcome(NamedTuple):
 
 class SurveyCluster(Cluster):
     def __init__(
-        self, setting: ArenaSetting, channel: str, record: Record | None = None,
-        sharing: Sharing = Sharing.FLEET, orders: Sequence[ExplorationOrder] = (),
+        self, setting: ArenaSetting, channel: str, record: Record, host: Host,
+        sharing: Sharing, orders: Sequence[ExplorationOrder],
     ) -> None:  # fmt: skip
-        super().__init__(setting, channel, record)
+        super().__init__(setting, channel, record, host)
         self.place, self.sharing, self.orders = setting, sharing, orders
         self.missions: dict[int, ExplorationMission] = {}
         self.at_once: list[InstantMapSync] = []
@@ -173,12 +165,6 @@ class SurveyCluster(Cluster):
         charts = {self.missions[robot.slot].chart.fleet.serialize() for robot in self.running}
         return len(charts) <= 1
 
-    @property
-    def told_us(self) -> int:
-        """The number of patches that all robots still have to send; 0 if everything is sent."""
-        syncs = [self.missions[robot.slot].chart.sync for robot in self.running]
-        return sum(sync.pending for sync in syncs if sync is not None)
-
 
 class SeenCells:
     """Which robot saw each cell first, and which saw it again, from the robots' own evidence."""
@@ -221,95 +207,63 @@ class FilmFrame(NamedTuple):
     places: Mapping[int, tuple[float, float]]
 
 
-class ExplorationRun:
-    """One run."""
+class ExplorationRun(Run[ArenaSetting, SurveyCluster, SurveyOutcome]):
+    kind = SurveyOutcome
+    look_us, compare_us = 250 * MS, 50 * MS
+    quiet_us = 2 * QUIET_US
+    tracks: dict[int, list[TrackPoint]]  # after the run
 
     def __init__(
         self, scenario: ArenaScenario, sharing: Sharing = Sharing.FLEET, out: Path | None = None,
         orders: Sequence[ExplorationOrder] = (), until: float = 2.0,
-        attach: Callable[[Cluster], None] | None = None,
+        told: Callable[[RunProgress], None] | None = None,
     ) -> None:  # fmt: skip
-        """`until`: end when this share has been seen; above 1: end when the fleet reports the end.
-        `attach` gets the fleet before any robot is switched on."""
-        self.attach = attach
-        self.setting, self.sharing, self.out = ArenaSetting(scenario), sharing, out
+        """`until`: end when this share has been seen; above 1: end when the fleet reports the end."""
+        super().__init__(ArenaSetting(scenario), out, told)
+        self.sharing, self.until = sharing, until
         self.orders = [*(table.order for table in scenario.order), *orders]
-        self.until = until
         self.seen = SeenCells(self.setting)
-        self.kinds: Counter[str] = Counter()
-        self.map_bits = self.map_bytes = self.malformed = 0
-        self.news_us = 0  # when the last news of the map was on the bus
+        self.map_bits = self.map_bytes = 0
         self.charts: dict[int, Values] = {}
         self.joined: OccupancyMap | None = None
         self.films: list[FilmFrame] = []
-        self.tracks: dict[int, list[TrackPoint]] = {}
         # seconds, the report that the first robot would give.
         self.reports: list[tuple[float, str]] = []
+        self._most_s = self._overlap = np.inf  # when 95 % were seen, and the overlap then
+        self._done_us = self._last_us = 0  # when the fleet was done; when the run was over
 
-    def run(self) -> SurveyOutcome:
-        return run_virtual(self.go())
+    def make_fleet(self, channel: str, record: Record, host: Host) -> SurveyCluster:
+        cluster = SurveyCluster(self.setting, channel, record, host, self.sharing, self.orders)
+        cluster.segment.taps.append(self._tap)
+        return cluster
 
     def _tap(self, t_us: int, frame: Frame) -> None:
-        _, message = decode_once(frame)
-        self.kinds[type(message).__name__] += 1
-        self.malformed += isinstance(message, Malformed)
-        if isinstance(message, MapPatch | MapDigests):
+        if isinstance(decode_once(frame)[1], MapPatch | MapDigests):
             self.map_bits += worst_bits(len(frame.data))
             self.map_bytes += 8
-            if isinstance(message, MapPatch):
-                self.news_us = t_us
 
-    async def go(self) -> SurveyOutcome:
-        started_s = time.perf_counter()
-        recorder = Recorder(self.out / "trace.jsonl" if self.out else None)
-        cluster = SurveyCluster(
-            self.setting, f"survey {next(_numbers)}", recorder, self.sharing, self.orders
-        )
-        log = open_log(self.out / "can.log") if self.out else None
-        cluster.segment.taps.append(self._tap)
-        if log is not None:
-            cluster.segment.taps.append(log.write)
-        if self.attach is not None:
-            self.attach(cluster)
-        cluster.boot_all()
-        script = asyncio.create_task(FaultPlan(cluster).run())
-        try:
-            found = await self._watch(cluster, script)
-            outcome = self._measure(cluster, recorder, found, time.perf_counter() - started_s)
-        finally:
-            script.cancel()
-            await cluster.close()
-            recorder.close()
-            if log is not None:
-                log.close()
-        return outcome
+    def look(self, cluster: SurveyCluster) -> None:
+        now_us = self._last_us = cluster.host.now_us()
+        for sync in cluster.at_once:
+            sync.now_us = now_us
+        self.seen.look(cluster.missions)
+        self._note(cluster, now_us / S)
+        if self.seen.share >= MOST and self._most_s == np.inf:
+            self._most_s, self._overlap = now_us / S, self.seen.overlap
+        if not (cluster.finished and self._done_us):
+            self._done_us = now_us
 
-    async def _watch(
-        self, cluster: SurveyCluster, script: "asyncio.Task[None]"
-    ) -> tuple[float, float, float, float]:
-        """Run until the end; returns seconds to 95 %, overlap then, seconds to the end, seconds to
-        equal maps."""
-        loop, limit_s = asyncio.get_running_loop(), self.setting.scenario.run.time_limit_s
-        most_s = overlap = np.inf
-        done_s = 0.0
-        while loop.time() < limit_s:
-            await asyncio.sleep(LOOK_S)
-            cluster.check()
-            for sync in cluster.at_once:
-                sync.now_us = round(loop.time() * 1e6)
-            self.seen.look(cluster.missions)
-            self._note(cluster, loop.time())
-            if self.seen.share >= MOST and most_s == np.inf:
-                most_s, overlap = loop.time(), self.seen.overlap
-            done_s = done_s if cluster.finished and done_s else loop.time()
-            over = script.done() and cluster.finished and loop.time() >= done_s + QUIET_S
-            if over or self.seen.share >= self.until:
-                break
-        end_s = done_s
-        last_s = loop.time()
-        while not cluster.maps_equal and loop.time() < last_s + 2 * QUIET_S:
-            await asyncio.sleep(0.05)
-        return most_s, overlap, end_s, loop.time() - last_s
+    def is_over(self, cluster: SurveyCluster, scripts: Sequence[Handle]) -> bool:
+        quiet = cluster.host.now_us() >= self._done_us + QUIET_US
+        return (super().is_over(cluster, scripts) and quiet) or self.seen.share >= self.until
+
+    def is_settled(self, cluster: SurveyCluster) -> bool:
+        return cluster.maps_equal
+
+    def progress(self, cluster: SurveyCluster) -> RunProgress:
+        share, cells = self.seen.share, self.seen.cells
+        now_s = cluster.host.now_us() / S
+        return RunProgress(now_s, round(share * cells), cells, share, states_of(cluster))
 
     def _note(self, cluster: SurveyCluster, now_s: float) -> None:
         """Every two seconds, record the report of a robot, a different one each time, and the
@@ -326,50 +280,33 @@ class ExplorationRun:
         first = self.seen.first.copy()
         self.films.append(FilmFrame(now_s, robot.slot, mission.chart.values(), first, places))
 
-    def _measure(
-        self, cluster: SurveyCluster, recorder: Recorder,
-        found: tuple[float, float, float, float], wall_s: float,
-    ) -> SurveyOutcome:  # fmt: skip
-        most_s, overlap, end_s, equal_s = found
-        now_s = asyncio.get_running_loop().time()
-        world, setting = cluster.world, self.setting
-        world.advance(round(now_s * 1e6))
-        self.tracks = {slot: body.track.points for slot, body in world.robots.items()}
+    def measure(self, cluster: SurveyCluster) -> dict[str, Any]:
+        setting, now_s = self.setting, cluster.host.now_us() / S
+        end_s, equal_s = self._done_us / S, now_s - self._last_us / S
+        self.tracks = points_of(cluster)
         first = cluster.missions[cluster.running[0].slot]
         self.joined = first.chart.fleet
         self.charts = {slot: mission.chart.own() for slot, mission in cluster.missions.items()}
         values, truth = first.chart.values(), setting.reachable
         known = values != 0
         right = np.where(setting.solid, values == 2, values == 1)
-        seen_cells, area_m2 = self.seen.cells, self.seen.cells * setting.geometry.cell_m**2
         tasks: Counter[str] = Counter()
         for mission in cluster.missions.values():
             tasks.update({status.value: count for status, count in mission.ended.items()})
         wire = cluster.segment.wire
-        return SurveyOutcome(
-            scenario=setting.scenario.name,
-            robots=setting.scenario.fleet.robots,
-            seed=setting.scenario.run.seed,
-            finished=cluster.finished,
-            explored=int(np.count_nonzero(known & truth)) / seen_cells,
-            right=int(np.count_nonzero(right & known)) / max(int(np.count_nonzero(known)), 1),
-            time_95_s=most_s,
-            time_s=end_s,
-            overlap=overlap,
-            overlap_end=self.seen.overlap,
-            equal_s=equal_s,
-            maps_equal=cluster.maps_equal and equal_s <= QUIET_S,
-            contacts=len(world.contacts),
-            closest_m=world.closest_m,
-            map_load=self.map_bits * wire.bit_us / (end_s * 1e6),
-            map_bytes_per_m2=self.map_bytes / area_m2,
-            bus_load=wire.worst_us / (now_s * 1e6),
-            tasks=dict(tasks),
-            switched=sum(mission.switched for mission in cluster.missions.values()),
-            frames=dict(self.kinds.most_common()),
-            malformed=self.malformed,
-            travel_m=sum(body.track.driven_m for body in world.robots.values()),
-            pymunk_steps=world.pymunk_steps,
-            trace_hash=recorder.digest,
-            wall_s=wall_s,
-        )
+        return {
+            **of_bodies(cluster),
+            "explored": int(np.count_nonzero(known & truth)) / self.seen.cells,
+            "right": int(np.count_nonzero(right & known)) / max(int(np.count_nonzero(known)), 1),
+            "time_95_s": self._most_s,
+            "time_s": end_s,
+            "overlap": self._overlap,
+            "overlap_end": self.seen.overlap,
+            "equal_s": equal_s,
+            "maps_equal": cluster.maps_equal and equal_s <= QUIET_US / S,
+            "map_load": self.map_bits * wire.bit_us / (end_s * 1e6),
+            "map_bytes_per_m2": self.map_bytes / (self.seen.cells * setting.geometry.cell_m**2),
+            "bus_load": wire.worst_us / (now_s * 1e6),
+            "tasks": dict(tasks),
+            "switched": sum(mission.switched for mission in cluster.missions.values()),
+        }

@@ -1,30 +1,22 @@
 """One run of a fleet with navigation goals, and its outcome."""
 
 import itertools
-import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from math import hypot, inf, sqrt
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from agent.interface.config import MS, S
-from agent.interface.effects import Trace
+from agent.interface.effects import Effect, Trace
 from agent.navigation.navigation_mission import GOALS_MAX, FollowedPath, NavigationMission
-from sim.can.frame_counter import BusTally
-from sim.fleet.event_loop import EventLoop
-from sim.fleet.fault_injector import FaultPlan
-from sim.fleet.scheduler import Host, Script
-from sim.fleet.settling import quiet_us
-from sim.fleet.simulated_fleet import Cluster
+from sim.fleet.scheduler import Handle, Host
+from sim.fleet.simulated_fleet import Cluster, Record
 from sim.fleet.trace_recorder import Recorder
+from sim.runs.run import Run, RunProgress, of_bodies, states_of
 from sim.scenarios.navigation_setup import ErrandSetting
 
-LOOK_US = 500 * MS
-
-_numbers = itertools.count()
 Points = tuple[tuple[float, float], ...]
 
 
@@ -34,7 +26,7 @@ class GoalResult(NamedTuple):
     slot: int
     number: int
     arrived_s: float  # inf: never
-    rmse_m: float  # of the true positions, relative to the polyline that was being followed
+    rmse_m: float  # of the true tracks, relative to the polyline that was being followed
     replans: int  # paths planned for it on the way, without those that follow a joint plan
     plans: int  # joint plans with this robot
 
@@ -79,115 +71,52 @@ class OutingOutcome(NamedTuple):
         return {**plain, "arrived_s": arrived_s, "legs": legs, "success": self.success}
 
 
-class RunProgress(NamedTuple):
-    """The progress of a run."""
+class NavigationRun(Run[ErrandSetting, Cluster, OutingOutcome]):
+    kind = OutingOutcome
+    compare_us = 50 * MS
+    tracks: dict[int, NDArray[np.float64]]  # after the run; (n, 4): microseconds, x, y, -
+    followed: dict[int, list[FollowedPath]]
 
-    simulated_s: float
-    reached: int
-    goals: int
-    states: tuple[str, ...]
-
-
-class NavigationRun:
-    def __init__(
-        self,
-        setting: ErrandSetting,
-        out: Path | None = None,
-        told: Callable[[RunProgress], None] | None = None,
-        logs: Sequence[Path] = (),
-        attach: Callable[[Cluster], None] | None = None,
-    ) -> None:
-        """`out`: folder for trace.jsonl and can.log; `told` is called every half second; `attach`
-        gets the fleet before any robot is switched on."""
-        self.setting, self.told, self.attach = setting, told, attach
-        self.logs = [*([out / "can.log"] if out else []), *logs]
-        self.tracks: dict[int, NDArray[np.float64]] = {}  # (n, 4): microseconds, x, y, -
-        self.followed: dict[int, list[FollowedPath]] = {}
+    def make_fleet(self, channel: str, record: Record, host: Host) -> Cluster:
         self._done_us: dict[int, int] = {}  # section -> when its robot reported it done
-        self._recorder = Recorder(out / "trace.jsonl" if out else None)
-        self._tally = BusTally()
+        return Cluster(self.setting, channel, record, host)
 
-    def run(self) -> OutingOutcome:
-        """Run in virtual time, as fast as possible."""
-        swarm = EventLoop()
-        return swarm.run(self._play(swarm))
+    def recorded(self, recorder: Recorder) -> Record:
+        def record(slot: int, now_us: int, effect: Effect) -> None:
+            recorder(slot, now_us, effect)
+            if isinstance(effect, Trace) and effect.machine == "claim" and effect.event == "DONE":
+                self._done_us.setdefault(int(effect.source[1:]), now_us)
 
-    def _play(self, host: Host) -> Script[OutingOutcome]:
-        started_s = time.perf_counter()
-        cluster = Cluster(self.setting, f"outing {next(_numbers)}", self._note, host)
-        self._tally.open(self.logs)
-        cluster.segment.taps.append(self._tally.tap)
-        if self.attach is not None:
-            self.attach(cluster)
-        cluster.boot_all()
-        script = host.spawn(FaultPlan(cluster).script())
-        limit_us = round(self.setting.scenario.run.time_limit_s * S)
-        try:
-            while host.now_us() < limit_us and len(self._done_us) < self.setting.section_count:
-                yield host.now_us() + LOOK_US
-                cluster.check()
-                script.check()
-                self._tell(cluster)
-            yield from self._settle(cluster)
-            return self._measure(cluster, time.perf_counter() - started_s)
-        finally:
-            cluster.end()
-            self._recorder.close()
-            self._tally.close()
+        return record
 
-    def _tell(self, cluster: Cluster) -> None:
-        if self.told is not None:
-            states = tuple(robot.peer.state.name for robot in cluster.running)
-            goals, now_s = self.setting.section_count, cluster.host.now_us() / S
-            self.told(RunProgress(now_s, len(self._done_us), goals, states))
+    def is_over(self, cluster: Cluster, scripts: Sequence[Handle]) -> bool:
+        return len(self._done_us) == self.setting.section_count
 
-    def _settle(self, cluster: Cluster) -> Script[None]:
-        """Wait until the last news has reached all robots."""
-        until_us = cluster.host.now_us() + quiet_us(self.setting.scenario.bus)
-        while not cluster.replicas_equal and cluster.host.now_us() < until_us:
-            yield cluster.host.now_us() + LOOK_US // 10
+    def progress(self, cluster: Cluster) -> RunProgress:
+        done, total = len(self._done_us), self.setting.section_count
+        now_s = cluster.host.now_us() / S
+        return RunProgress(now_s, done, total, done / max(total, 1), states_of(cluster))
 
-    def _note(self, slot: int, now_us: int, effect: object) -> None:
-        self._recorder(slot, now_us, effect)  # type: ignore[arg-type]
-        if isinstance(effect, Trace) and effect.machine == "claim" and effect.event == "DONE":
-            self._done_us.setdefault(int(effect.source[1:]), now_us)
-
-    def _measure(self, cluster: Cluster, wall_s: float) -> OutingOutcome:
-        world, setting, now_us = cluster.world, self.setting, cluster.host.now_us()
-        world.advance(now_us)
+    def measure(self, cluster: Cluster) -> dict[str, Any]:
         missions = {slot: robot.peer.mission for slot, robot in cluster.robots.items()}
         errands = {s: m for s, m in missions.items() if isinstance(m, NavigationMission)}
-        self.tracks = {slot: body.track.to_array() for slot, body in world.robots.items()}
+        bodies = cluster.world.robots
+        self.tracks = {slot: body.track.to_array() for slot, body in bodies.items()}
         self.followed = {slot: list(errand.followed) for slot, errand in errands.items()}
         legs = [leg for slot in errands for leg in self._legs(slot)]
         last_s = tuple(
             max((leg.arrived_s for leg in legs if leg.slot == slot), default=0.0)
             for slot in sorted(errands)
         )
-        return OutingOutcome(
-            scenario=setting.scenario.name,
-            robots=setting.scenario.fleet.robots,
-            seed=setting.scenario.run.seed,
-            authenticated=setting.keys is not None,
-            finished=len(self._done_us) == setting.section_count,
-            contacts=len(world.contacts),
-            moved_after_stop=len(cluster.stops.violations),
-            simulated_s=now_us / S,
-            arrived_s=last_s,
-            legs=tuple(legs),
-            rounds=max(e.accords.rounds for e in errands.values()),
-            unsolved=max(e.accords.unsolved for e in errands.values()),
-            obstacles=len(setting.appeared),
-            closest_m=world.closest_m,
-            travel_m=sum(body.track.driven_m for body in world.robots.values()),
-            replicas_equal=cluster.replicas_equal,
-            frames=dict(self._tally.kinds.most_common()),
-            malformed=self._tally.malformed,
-            bus_load=cluster.segment.wire.busy_us / now_us,
-            pymunk_steps=world.pymunk_steps,
-            trace_hash=self._recorder.digest,
-            wall_s=wall_s,
-        )
+        return {
+            **of_bodies(cluster),
+            "finished": len(self._done_us) == self.setting.section_count,
+            "arrived_s": last_s,
+            "legs": tuple(legs),
+            "rounds": max(e.accords.rounds for e in errands.values()),
+            "unsolved": max(e.accords.unsolved for e in errands.values()),
+            "obstacles": len(self.setting.appeared),
+        }
 
     def _legs(self, slot: int) -> list[GoalResult]:
         found, since_us = [], 0

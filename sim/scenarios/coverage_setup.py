@@ -9,7 +9,7 @@ from agent.coverage.cell_map import CellMap
 from agent.coverage.coverage_mission import GridWork
 from agent.coverage.proximity_guard import GridGuard
 from agent.interface.identity import SilencePolicy
-from protocol.authentication import Keyring
+from protocol.authentication import Keyring, Keys
 from sim.files.grid_map import Instance
 from sim.scenarios.scenario import BusTable, Fault, FieldTable, FleetTable, RunTable, Scenario
 from sim.world.grid_world import GridWorld
@@ -27,6 +27,7 @@ class GridSetting:
         self.ground = CellMap(instance.walls, CELL_M)
         self.cells = [self.ground.number(cell) for cell in instance.starts]
         self.starts = [self.ground.centre(number) for number in self.cells]  # metres
+        self.keys: Keys | None = None
         self.silence = SilencePolicy[scenario.fleet.silence.upper()]
 
     @classmethod

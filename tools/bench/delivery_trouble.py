@@ -166,7 +166,9 @@ def troubled(kind: str, seed: int) -> DeliveryRun:
         kind, seed, TROUBLES[kind](rng), 12.0 if kind == "boxes" else 0.0, loss, outage
     )
     watch = CarrierDies(rng.uniform(2.0, 60.0)) if kind == "carrier" else None
-    return DeliveryRun(DeliverySetting(given), watch=watch)
+    run = DeliveryRun(DeliverySetting(given))
+    run.watch = watch
+    return run
 
 
 def told(kind: str, seed: int, outcome: HaulOutcome) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from sim.scenarios.coverage_setup import STEP_S, GridSetting
 from sim.scenarios.scenario import Crash, Fault, Heal, Join, Partition
 from tools.common.result_table import fact_table
 from tools.run.coverage_report import closed_off
+from tools.run.run_mission import ProgressBar
 
 LIMIT_FACTOR = 4.0  # times what one robot alone would need at best, and a minute
 SILENCE = ("stop", "slow", "continue")
@@ -95,13 +96,9 @@ def driven(
     reachable_only: bool = False,
 ) -> int:  # fmt: skip
     """`cells_left`: free cells that are not connected with any start."""
-    console = Console(stderr=True)
-    with console.status("") as status:
-
-        def told(now_s: float, share: float) -> None:
-            status.update(f"{now_s:.0f} s simulated, {share:.0%} covered")
-
-        outcome = CoverageRun(setting, out, told).run()
+    run = CoverageRun(setting, out)
+    with ProgressBar(Console(stderr=True), setting.instance.name, run, "cells"):
+        outcome = run.run()
     report = {**outcome.to_dict(), "step_s": STEP_S, "unreached_cells": cells_left}
     if out is not None:
         (out / "report.json").write_text(dumps(report, indent=1) + "\n", encoding="utf-8")

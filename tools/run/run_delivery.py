@@ -2,28 +2,25 @@
 
 import asyncio
 import signal
-import sys
 from pathlib import Path
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-from rich.table import Table
 
 from sim.can.socketcand_server import Hub
 from sim.files.palette import colour_of
 from sim.files.strict_json import dumps
 from sim.fleet.virtual_clock import WallLoop
-from sim.runs.delivery_run import DeliveryRun, HaulCluster, HaulOutcome, RunProgress
+from sim.runs.delivery_run import DeliveryRun, HaulCluster, HaulOutcome
 from sim.scenarios.delivery_scenario import load_warehouse
 from sim.scenarios.delivery_setup import DeliverySetting
-from sim.scenarios.scenario import ScenarioError
 from tools.common.bus_attach import CHANNEL
 from tools.common.process_identity import identity
-from tools.common.result_table import run_table
-from tools.common.run_folder import LAUNCH, RUNS, FolderError, folder_for, link
+from tools.common.result_table import Fact
+from tools.common.run_folder import LAUNCH, RUNS, link
 from tools.common.run_recorder import RunRecorder
+from tools.run.run_mission import UNFINISHED, MissionCommand, RunError, run_mission
 
-UNFINISHED, WRONG, UNREACHABLE, INTERRUPTED = 1, 2, 3, 130
+UNREACHABLE, INTERRUPTED = 3, 130
 HOST = "127.0.0.1"
 BUS = "bus.json"  # where tools find the bus of a launch
 
@@ -33,37 +30,12 @@ def haul(
     keys: Path | None, live: bool, port: int, seconds: float | None,
     limit_s: float | None = None,
 ) -> int:  # fmt: skip
-    console = Console(stderr=as_json)
-    try:
-        setting = DeliverySetting(
-            load_warehouse(scenario).changed(robots, seed, keys, time_limit_s=limit_s)
-        )
-        out = folder_for(to, setting.scenario.name)
-        keeping = RunRecorder(setting, out)
-    except (ScenarioError, FolderError) as problem:
-        print(f"headland: {problem}", file=sys.stderr)
-        return WRONG
-    except OSError as problem:
-        print(f"headland: --out: {problem}", file=sys.stderr)
-        return WRONG
-    try:
-        outcome, run, interrupted = _watch(console, setting, out, live, port, seconds, keeping)
-    except OSError as problem:
-        print(f"headland: --port {port}: {problem}; choose another or 0", file=sys.stderr)
-        return WRONG
-    finally:
-        keeping.close()
-    report = {**outcome.to_dict(), "log_hash": keeping.log_hash}
-    (out / "report.json").write_text(dumps(report, indent=1) + "\n")
-    draw_warehouse(setting, run, outcome, out / "warehouse.png")
-    if as_json:
-        print(dumps(report))
-    else:
-        console.print(outcome_table(outcome))
-        console.print(f"report.json, warehouse.png, trace.jsonl, {keeping.logs} are in {out}")
-    if interrupted:
-        return INTERRUPTED
-    return exit_code(outcome)
+    def make() -> DeliveryCommand:
+        warehouse = load_warehouse(scenario).changed(robots, seed, keys, time_limit_s=limit_s)
+        run = DeliveryRun(DeliverySetting(warehouse))
+        return LiveDeliveryCommand(run, port, seconds) if live else DeliveryCommand(run)
+
+    return run_mission(make, to, as_json)
 
 
 def exit_code(outcome: HaulOutcome) -> int:
@@ -75,73 +47,88 @@ def exit_code(outcome: HaulOutcome) -> int:
     return UNREACHABLE if walled_in else UNFINISHED
 
 
-def _watch(
-    console: Console, setting: DeliverySetting, out: Path, live: bool, port: int,
-    seconds: float | None, keeping: RunRecorder,
-) -> tuple[HaulOutcome, DeliveryRun, bool]:  # fmt: skip
-    with Progress(
-        TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}/{task.total}"),
-        TextColumn("{task.fields[note]}"), TimeElapsedColumn(), console=console, transient=True,
-    ) as progress:  # fmt: skip
-        bar = progress.add_task(setting.scenario.name, total=len(setting.rows), note="")
+class DeliveryCommand(MissionCommand[DeliveryRun]):
+    unit = "parcels"
 
-        def told(moment: RunProgress) -> None:
-            plans = "  ".join(
-                f"{slot} [{', '.join(stops[:3])}{', ...' if len(stops) > 3 else ''}]"
-                for slot, stops in moment.itineraries.items()
-            )
-            note = f"{moment.simulated_s:.0f} s  {plans}"
-            progress.update(bar, completed=moment.delivered, total=moment.tasks, note=note)
+    def exit_code(self, outcome: HaulOutcome) -> int:
+        return exit_code(outcome)
 
-        run = DeliveryRun(setting, out, told, forever=live)
-        run.attach = keeping
-        if not live:
-            return run.run(), run, False
-        with asyncio.Runner(loop_factory=WallLoop) as runner:
-            outcome, interrupted = runner.run(_live(console, run, port, seconds, keeping, out))
-        return outcome, run, interrupted
+    def draw(self, outcome: HaulOutcome, folder: Path, log_hash: str) -> list[str]:
+        draw_warehouse(self.run.setting, self.run, outcome, folder / "warehouse.png")
+        return ["warehouse.png"]
+
+    def facts(self, outcome: HaulOutcome) -> list[Fact]:
+        flaws = ", ".join(f"{n} {what}" for what, n in outcome.flaws.items())
+        empty = "never" if not outcome.empty else f"[red]robots {outcome.empty}[/red]"
+        return [
+            (
+                "delivered",
+                f"{outcome.delivered} of {outcome.tasks} parcels in {outcome.makespan_s:.1f} s",
+            ),
+            ("unreachable", ", ".join(f"task {n}" for n in outcome.unreachable) or "none"),
+            ("mean latency", f"{outcome.latency_s:.1f} s from a task's appearing to its delivery"),
+            ("deliveries done twice, lost, by two, moved again", flaws),
+            (
+                "battery empty",
+                f"{empty} (lowest {outcome.lowest_battery:.0%}, {outcome.charges} charges)",
+            ),
+            ("contacts", f"{outcome.contacts} (closest {outcome.closest_m:.2f} m)"),
+            ("plans of all together", str(outcome.rounds)),
+            ("agreements in jams", str(outcome.agreements)),
+            ("paths planned ahead", str(outcome.ahead)),
+            ("driven", f"{outcome.travel_m:.0f} m"),
+            ("replicas", "equal" if outcome.replicas_equal else "[red]differ[/red]"),
+            ("bus load", f"{outcome.bus_load:.1%}"),
+        ]
 
 
-async def _live(
-    console: Console,
-    run: DeliveryRun,
-    port: int,
-    seconds: float | None,
-    keeping: RunRecorder,
-    out: Path,
-) -> tuple[HaulOutcome, bool]:
-    """In real time, on a bus that tools can attach to."""
-    loop = asyncio.get_running_loop()
-    interrupted = False
-    hubs: list[Hub] = []
-    opening: list[asyncio.Task[None]] = []
+class LiveDeliveryCommand(DeliveryCommand):
+    """In real time, on a bus that tools can attach to, until a person ends it."""
 
-    def end(by_person: bool = True) -> None:
-        nonlocal interrupted
-        interrupted, run.ended = by_person, True
+    def __init__(self, run: DeliveryRun, port: int, seconds: float | None) -> None:
+        super().__init__(run)
+        self.run.forever = True
+        self.port, self.seconds, self.interrupted = port, seconds, False
 
-    for number in (signal.SIGINT, signal.SIGTERM):
-        loop.add_signal_handler(number, end)
-    if seconds is not None:
-        loop.call_later(seconds, end, False)
+    def exit_code(self, outcome: HaulOutcome) -> int:
+        return INTERRUPTED if self.interrupted else super().exit_code(outcome)
 
-    def attach(cluster: HaulCluster) -> None:
-        keeping(cluster)
-        hubs.append(Hub(cluster.segment, CHANNEL))
-        starting = loop.create_task(_open(hubs[0], port, console, out))
-        opening.append(starting)
-        starting.add_done_callback(lambda task: None if task.exception() is None else end(False))
+    def play(self, console: Console, folder: Path, recorder: RunRecorder) -> HaulOutcome:
+        try:
+            with asyncio.Runner(loop_factory=WallLoop) as runner:
+                return runner.run(self._live(console, folder, recorder))
+        except OSError as problem:
+            raise RunError(f"--port {self.port}: {problem}; choose another or 0") from None
 
-    try:
-        outcome = await run.live(attach)
-        problem = opening[0].exception() if opening and opening[0].done() else None
-        if problem is not None:
-            raise problem
-        return outcome, interrupted
-    finally:
-        for hub in hubs:
-            await hub.stop()
-        (out / BUS).unlink(missing_ok=True)
+    def _end(self, by_person: bool = True) -> None:
+        self.interrupted, self.run.ended = by_person, True
+
+    async def _live(self, console: Console, folder: Path, recorder: RunRecorder) -> HaulOutcome:
+        loop = asyncio.get_running_loop()
+        hubs: list[Hub] = []
+        opening: list[asyncio.Task[None]] = []
+        for number in (signal.SIGINT, signal.SIGTERM):
+            loop.add_signal_handler(number, self._end)
+        if self.seconds is not None:
+            loop.call_later(self.seconds, self._end, False)
+
+        def attach(cluster: HaulCluster) -> None:
+            recorder(cluster)
+            hubs.append(Hub(cluster.segment, CHANNEL))
+            opening.append(loop.create_task(_open(hubs[0], self.port, console, folder)))
+            opening[0].add_done_callback(lambda t: self._end(False) if t.exception() else None)
+
+        self.run.attach = attach
+        try:
+            outcome = await self.run.live()
+            problem = opening[0].exception() if opening and opening[0].done() else None
+            if problem is not None:
+                raise problem
+            return outcome
+        finally:
+            for hub in hubs:
+                await hub.stop()
+            (folder / BUS).unlink(missing_ok=True)
 
 
 async def _open(hub: Hub, port: int, console: Console, out: Path) -> None:
@@ -151,32 +138,6 @@ async def _open(hub: Hub, port: int, console: Console, out: Path) -> None:
     RUNS.mkdir(parents=True, exist_ok=True)
     link(RUNS / LAUNCH, out)
     console.print(f"bus: socketcand {HOST}:{hub.port} channel {CHANNEL}")
-
-
-def outcome_table(outcome: HaulOutcome) -> Table:
-    flaws = ", ".join(f"{n} {what}" for what, n in outcome.flaws.items())
-    empty = "never" if not outcome.empty else f"[red]robots {outcome.empty}[/red]"
-    facts = [
-        (
-            "delivered",
-            f"{outcome.delivered} of {outcome.tasks} parcels in {outcome.makespan_s:.1f} s",
-        ),
-        ("unreachable", ", ".join(f"task {n}" for n in outcome.unreachable) or "none"),
-        ("mean latency", f"{outcome.latency_s:.1f} s from a task's appearing to its delivery"),
-        ("deliveries done twice, lost, by two, moved again", flaws),
-        (
-            "battery empty",
-            f"{empty} (lowest {outcome.lowest_battery:.0%}, {outcome.charges} charges)",
-        ),
-        ("contacts", f"{outcome.contacts} (closest {outcome.closest_m:.2f} m)"),
-        ("plans of all together", str(outcome.rounds)),
-        ("agreements in jams", str(outcome.agreements)),
-        ("paths planned ahead", str(outcome.ahead)),
-        ("driven", f"{outcome.travel_m:.0f} m"),
-        ("replicas", "equal" if outcome.replicas_equal else "[red]differ[/red]"),
-        ("bus load", f"{outcome.bus_load:.1%}"),
-    ]
-    return run_table(outcome, facts)
 
 
 def draw_warehouse(

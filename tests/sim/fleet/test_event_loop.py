@@ -43,7 +43,8 @@ def play(robots: int, seed: int, faults: list[Fault], swarm: bool) -> Outcome:
     plain = load("small").changed(robots, seed)
     run = plain.run.model_copy(update={"time_limit_s": LIMIT_S})
     scenario = plain.model_copy(update={"fault": faults, "run": run})
-    return FieldRun(Setting(scenario), swarm=swarm).run()
+    expedition = FieldRun(Setting(scenario))
+    return expedition.run() if swarm else expedition.run_on_asyncio()
 
 
 @pytest.mark.slow

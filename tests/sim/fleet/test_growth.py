@@ -14,7 +14,8 @@ from agent.peer.peer import Peer
 from crdt import digest
 from protocol.sync import replica
 from sim.fleet.simulated_fleet import Cluster
-from sim.runs.field_run import FieldRun, RunProgress
+from sim.runs.field_run import FieldRun
+from sim.runs.run import RunProgress
 from sim.scenarios.field_setup import Setting
 from sim.scenarios.scenario import load
 

@@ -49,7 +49,8 @@ def scenario(
 
 
 def play(given: WarehouseScenario, watch: Any = None) -> tuple[HaulOutcome, DeliveryRun]:
-    run = DeliveryRun(DeliverySetting(given), watch=watch)
+    run = DeliveryRun(DeliverySetting(given))
+    run.watch = watch
     outcome = run.run()
     print(outcome)
     assert outcome.flaws == NOTHING
@@ -281,7 +282,8 @@ def test_a_parcel_behind_a_dead_body_is_reported_and_the_rest_is_delivered() -> 
     orders = {k: setting.order(setting.house, row) for k, row in enumerate(setting.rows)}
     setting.house = Warehouse(setting.floor, setting.carrier, (), orders)
     killer = Blocks()
-    run = DeliveryRun(setting, watch=killer)
+    run = DeliveryRun(setting)
+    run.watch = killer
     outcome = run.run()
     print(outcome)
     assert killer.done

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from tools.run.run_exploration import WRONG, explore
+from tools.run.run_exploration import explore
+from tools.run.run_mission import WRONG
 
 
 def test_a_run_leaves_a_report_and_pictures(

@@ -1,0 +1,129 @@
+"""The body that `headland run` and `headland explore` share: a run, its folder, report, and table.
+
+Each mission is a small subclass of `MissionCommand`. It says how its outcome is shown and drawn.
+"""
+
+import sys
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+from agent.exploration.exploration_task import FleetFullError
+from sim.files.can_log import open_log
+from sim.files.strict_json import dumps
+from sim.record.recording import Recording
+from sim.runs.run import Run, RunProgress
+from sim.scenarios.scenario import ScenarioError
+from tools.common.result_table import Fact, run_table
+from tools.common.run_folder import FolderError, folder_for
+from tools.common.run_recorder import RunRecorder
+from tools.livemap.command import MapThread, ServerError
+
+UNFINISHED, WRONG = 1, 2  # exit codes; 0 only for a run without a flaw
+RunT = TypeVar("RunT", bound=Run[Any, Any, Any])
+
+
+class RunError(Exception):
+    """A run that could not take place: one line for the person."""
+
+
+class MissionCommand(ABC, Generic[RunT]):
+    unit = ""  # of which progress is counted
+
+    def __init__(self, run: RunT) -> None:
+        self.run = run
+
+    @abstractmethod
+    def facts(self, outcome: Any) -> list[Fact]:
+        """The rows of the table between its first and the last ones, which all tables have."""
+
+    @abstractmethod
+    def draw(self, outcome: Any, folder: Path, log_hash: str) -> list[str]:
+        """Write what this mission leaves besides the report and the logs; returns the names."""
+
+    def report(self, outcome: Any) -> dict[str, Any]:
+        """What this mission adds to the report."""
+        return {}
+
+    def play(self, console: Console, folder: Path, recorder: RunRecorder) -> Any:
+        """Run to the end; returns the outcome."""
+        return self.run.run()
+
+    def exit_code(self, outcome: Any) -> int:
+        return 0 if outcome.success else UNFINISHED
+
+
+def run_mission(
+    make: Callable[[], MissionCommand[Any]], out: Path | None, as_json: bool,
+    logs: Sequence[Path] = (), page_port: int | None = None,
+) -> int:  # fmt: skip
+    """Run a mission to its end; returns the exit code.
+
+    `make` may raise ScenarioError. `page_port`: of a map that shows the run, and at a terminal stays
+    after its end.
+    """
+    console = Console(stderr=as_json)
+    shown = None
+    try:
+        command = make()
+        setting = command.run.setting
+        name = setting.scenario.name
+        for log in logs:
+            open_log(log).close()  # so that what is wrong is known before the run, not after
+        folder = folder_for(out, name)
+        if page_port is not None:
+            shown = MapThread(Recording(), setting.field.name, page_port)
+        recorder = RunRecorder(setting, folder, None if shown is None else shown.server.recording)
+    except (ScenarioError, ServerError, FolderError) as problem:
+        return _wrong(problem)
+    except (OSError, ValueError) as problem:
+        return _wrong(f"{'--out or --log' if logs else '--out'}: {problem}")
+    if shown is not None:
+        console.print(f"map: {shown.url}")
+    command.run.out, command.run.logs, command.run.attach = folder, logs, recorder
+    try:
+        with ProgressBar(console, name, command.run, command.unit):
+            outcome = command.play(console, folder, recorder)
+    except (RunError, FleetFullError) as problem:
+        return _wrong(problem)
+    finally:
+        recorder.close()
+    report = {**outcome.to_dict(), "log_hash": recorder.log_hash, **command.report(outcome)}
+    (folder / "report.json").write_text(dumps(report, indent=1) + "\n", encoding="utf-8")
+    drawn = command.draw(outcome, folder, recorder.log_hash)
+    if as_json:
+        print(dumps(report), flush=True)
+    else:
+        console.print(run_table(outcome, command.facts(outcome)))
+        written = ", ".join(["report.json", *drawn, "trace.jsonl", recorder.logs])
+        console.print(f"{written} are in {folder}")
+    if shown is not None and sys.stdout.isatty():  # without a person it would never end
+        console.print(f"the map stays at {shown.url} until Ctrl-C")
+        shown.join()
+    return command.exit_code(outcome)
+
+
+def _wrong(problem: object) -> int:
+    print(f"headland: {problem}", file=sys.stderr)
+    return WRONG
+
+
+class ProgressBar(Progress):
+    """How far a run is: a bar, the simulated seconds, what is done, and what the robots do."""
+
+    def __init__(self, console: Console, title: str, run: Run[Any, Any, Any], unit: str) -> None:
+        super().__init__(
+            TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>5.1f} %"),
+            TextColumn("{task.fields[note]}"), TimeElapsedColumn(), console=console,
+            transient=True,
+        )  # fmt: skip
+        self._bar, self._unit = self.add_task(title, total=1.0, note=""), unit
+        run.told = self._tell
+
+    def _tell(self, now: RunProgress) -> None:
+        note = f"{now.simulated_s:.0f} s, {now.done}/{now.total} {self._unit}, {now.note}"
+        self.update(self._bar, completed=now.share, note=note)
