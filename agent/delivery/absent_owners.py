@@ -10,10 +10,13 @@ from agent.interface.mission import FleetView
 
 
 class AbsentOwners:
+    """Since when each robot reports that it is stopped, and what follows for its tasks."""
+
     def __init__(self) -> None:
         self._stopped_us: dict[int, int] = {}  # slot -> since when it reports "stopped"
 
     def look(self, view: FleetView) -> None:
+        """Update from the newest beats; call it a few times a second."""
         stopped = {
             slot
             for slot, neighbour in view.neighbours.items()
@@ -22,7 +25,11 @@ class AbsentOwners:
         self._stopped_us = {slot: self._stopped_us.get(slot, view.now_us) for slot in stopped}
 
     def leaves(self, owner: int, task: int, view: FleetView) -> bool:
-        """Whether others may take one of its tasks."""
+        """Whether others may take this task from its owner (a slot).
+
+        They may if the owner has been silent for `LEASE_US`, or if it has been stopped for
+        `LEASE_US` and has not picked the parcel up.
+        """
         if owner not in view.live:
             return view.now_us - view.silent_since_us.get(owner, -LEASE_US) >= LEASE_US
         picked_up = bool(view.progress.bits(task, 0) & 1)

@@ -1,10 +1,10 @@
 """Assigns tasks to robots: an auction that all peers compute alike, insertion, and local search.
 
 The auction uses whole numbers and fixed tie-breaking, so equal knowledge gives equal itineraries
-without a frame. The search that follows has the peer's own seed, so peers find different plans, and
-the cheapest is adopted
-(`agent/delivery/plan_negotiation.py`). Simulated annealing over moves of up to three tasks and of
-whole tails, towards the neighbours that cost least; `reference` figures are in docs/measured/delivery.md.
+without a frame. The search that follows has the peer's own seed. So peers find different plans, and
+the cheapest is adopted (`agent/delivery/plan_negotiation.py`). The search is simulated annealing
+(Kirkpatrick, Gelatt and Vecchi 1983). Its moves are segments of up to three tasks and whole tails,
+towards the neighbours that cost least. docs/measured/delivery.md compares it with a reference solver.
 """
 
 from collections.abc import Sequence
@@ -20,13 +20,16 @@ from agent.delivery.waiting_kernels import least_waiting, shorten_waiting
 
 NEAR = 24  # candidate predecessors of a task: the cheapest links
 HEADS = 4  # candidate robots for which it may be the first task
-# Temperatures as shares of the mean route: a move this much dearer is accepted two times in five.
+# Temperatures as shares of the mean route. A move that costs this much more is accepted two times
+# in five.
 HOT, COLD = 0.02, 0.0002
 NO_BAY = np.zeros((1, 1), dtype=np.int64)
 
 
 class RoutingPlanner:
-    """A workload made ready for the kernels."""
+    """A workload in the form that the kernels take. Plans are lists of task indices, one for each
+    robot.
+    """
 
     def __init__(self, work: Workload) -> None:
         self.work = work
@@ -50,7 +53,11 @@ class RoutingPlanner:
     # ---------------------------------------------------------------- reading
 
     def span_ms(self, robot: int, tasks: Sequence[int]) -> int:
-        """When a robot finishes its tasks, charging included; IMPOSSIBLE_MS: its battery would fail."""
+        """When a robot finishes its tasks, charging included, milliseconds from now.
+
+        `robot`, `tasks`: indices in the workload. The result is `IMPOSSIBLE_MS` or more if its
+        battery would be empty.
+        """
         seq = np.array(tasks, dtype=np.int64)
         return int(span(robot, seq, len(seq), *self._args, *self._rest))
 
@@ -59,11 +66,12 @@ class RoutingPlanner:
         return self._lead_bay_ms, self._power, self._charging
 
     def worth(self, plan: Itineraries) -> PlanCost:
+        """The cost of a plan: the last finish, then the sum of all finishes."""
         spans = [self.span_ms(robot, tasks) for robot, tasks in enumerate(plan)]
         return PlanCost(max(spans, default=0), sum(spans))
 
     def waiting_ms(self, plan: Itineraries) -> int:
-        """The total waiting time of all tasks from now on."""
+        """The total time from now until each task is delivered, milliseconds."""
         return sum(
             int(walk(r, np.array(own, dtype=np.int64), len(own), *self._args, *self._rest)[1])
             for r, own in enumerate(plan)
@@ -74,9 +82,11 @@ class RoutingPlanner:
     def auctioned(
         self, held: Itineraries | None = None, free: Sequence[int] | None = None
     ) -> Itineraries:
-        """Assign every free task to the robot that would finish it first, cheapest bid first.
+        """Assign every free task to the robot that would finish it first, the cheapest bid first.
 
-        `held`: itineraries to extend. A task that no robot's battery can do is left out.
+        It is a sequential single-item auction (Koenig et al. 2006). `held`: itineraries to extend;
+        None: empty ones. `free`: tasks to assign; None: all. A task that no robot's battery can do
+        is left out.
         """
         held = [[] for _ in range(self.work.robots)] if held is None else held
         free = range(self.work.tasks) if free is None else free
@@ -87,8 +97,11 @@ class RoutingPlanner:
     def inserted(
         self, robot: int, tasks: Sequence[int], task: int, first: int = 0
     ) -> tuple[int, int]:
-        """Where a task goes in a robot's itinerary, at `first` or later, and what it costs: how much
-        longer all its tasks wait in sum, the new one from now on. The bid of scenario B."""
+        """The best position of a task in a robot's itinerary and its cost: the bid of scenario B.
+
+        The cost is how much longer all tasks of the itinerary wait in sum, the new one from now on,
+        in milliseconds. `first`: the lowest position that is allowed.
+        """
         seq = np.array(tasks, dtype=np.int64)
         out = np.empty(len(seq) + 1, dtype=np.int64)
         cost, place = least_waiting(
@@ -99,7 +112,12 @@ class RoutingPlanner:
     def improved(
         self, plan: Itineraries, seed: int, moves: int, heat: tuple[float, float] = (HOT, COLD)
     ) -> Itineraries:
-        """The best of `moves` tries from a plan, never worse than it. The same seed, the same plan."""
+        """The best plan that `moves` steps of simulated annealing find from `plan`; never worse
+        than it.
+
+        `heat`: first and last temperature, as shares of the mean route. The same seed gives the
+        same plan. A plan that is not feasible is returned as it is.
+        """
         placed = sum(map(len, plan))
         if (
             placed < 1
@@ -114,7 +132,8 @@ class RoutingPlanner:
     def hastened(self, plan: Itineraries, seed: int, moves: int) -> Itineraries:
         """A plan with less total waiting time and no later last finish.
 
-        It is found by `moves` tries, each from the one before. The same seed gives the same plan."""
+        It is found by `moves` steps, each from the plan before. The same seed gives the same plan.
+        """
         placed = sum(map(len, plan))
         if placed < 2 or self.worth(plan).makespan_ms >= IMPOSSIBLE_MS:
             return [list(tasks) for tasks in plan]
@@ -124,7 +143,9 @@ class RoutingPlanner:
 
     @cached_property
     def _near(self) -> Whole:
-        """(tasks, n): the tasks, and tasks + robot, that a task follows most cheaply."""
+        """(tasks, n): the tasks (or tasks + robot for the head of its route) that a task follows
+        most cheaply.
+        """
         link = self.work.link.astype(np.float64)
         np.fill_diagonal(link, np.inf)
         tasks, count = len(link), min(NEAR, len(link) - 1)

@@ -11,21 +11,24 @@ from agent.interface.mission import ClaimRequest
 from agent.paths.nav_mesh import Point
 from crdt import FieldAllocationCRDT
 
-FULL_AT = 0.99  # of a battery
-GIVES_US = 5 * S  # a bay that does not charge within this time is dead
-SHORT_US = (
-    1 * S
-)  # between two looks at whether a battery lasts: each is a search of the planning map
-GAIN = 0.002  # of a battery, in that time
+FULL_AT = 0.99  # share of a battery from which on it counts as full
+GIVES_US = 5 * S  # a bay that charges less than `GAIN` of a battery within this time is dead
+# Period of the check whether a battery lasts: each check searches the planning map.
+SHORT_US = 1 * S
+GAIN = 0.002
 
 
 class ChargerState(Enum):
+    """What a robot at a charger bay finds."""
+
     CHARGES = 0
     FULL = 1
-    DEAD = 2  # it gives nothing
+    DEAD = 2  # the bay does not charge
 
 
 class Charging:
+    """One robot's decisions about its battery, and its watch on the bay that it is at."""
+
     def __init__(self, house: Warehouse) -> None:
         self.house = house
         self._level = 0.0  # of the battery when we last looked
@@ -37,12 +40,15 @@ class Charging:
         return self.house.carrier.runs_dry and bool(self.house.bays)
 
     def before(self, standing: CarrierState, trip: Trip) -> bool:
-        """Before it is needed: behind the task a bay must still be within reach."""
+        """Whether to charge before a task: after it the battery would not reach a bay any more.
+
+        `standing`: when, where and with what charge the robot begins.
+        """
         then = self.house.after(standing, trip, False)
         return self._needed and then.left < self.house.home(trip.dropoff)
 
     def due(self, now_us: int) -> bool:
-        """Whether it is time to ask `falls_short`."""
+        """Whether it is time to call `falls_short`; True at most once in `SHORT_US`."""
         if not self._needed or now_us < self._short_us:
             return False
         self._short_us = now_us + SHORT_US
@@ -51,7 +57,9 @@ class Charging:
     def falls_short(self, standing: CarrierState, trip: Trip, loaded: bool) -> bool:
         """Whether the battery would not last for the rest of the task and the way to a bay.
 
-        This happens after an unplanned delay or a restart. Half of the reserve is for inaccuracy."""
+        This happens after an unplanned delay or a restart. `loaded`: the parcel is aboard. Half of
+        the reserve is left for inaccuracy.
+        """
         if not self._needed:
             return False
         then = self.house.after(standing, trip, loaded)
@@ -64,7 +72,11 @@ class Charging:
         allocation: FieldAllocationCRDT,
         shunned: Container[int],
     ) -> ClaimRequest | None:
-        """Of the bay that is least out of the way; None: all are taken. `shunned`: TASKS_MAX and bays."""
+        """The claim of the free bay that is least out of the way; None if all are taken.
+
+        `at`: where we are. `onward`: where we go after charging, or None. `shunned`: sections not
+        to choose, `TASKS_MAX` + bay. The bid is a tenth of the way in metres, at most 31.
+        """
         best = None
         for bay, place in enumerate(self.house.bays):
             section = self.house.visit(bay, allocation)
@@ -79,10 +91,14 @@ class Charging:
         return None if best is None else ClaimRequest(best[1], min(int(best[0] / 10), 31))
 
     def begin(self, battery: float) -> None:
+        """We have arrived at a bay. `battery`: share of a full charge."""
         self._level, self._look_us = battery, None
 
     def look(self, battery: float, now_us: int) -> ChargerState:
-        """Each control period at a bay."""
+        """Once each control period at a bay: whether it charges, is done, or is dead.
+
+        `battery`: share of a full charge.
+        """
         if battery >= FULL_AT:
             return ChargerState.FULL
         if self._look_us is None:

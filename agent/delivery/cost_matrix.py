@@ -1,7 +1,8 @@
 """What it costs to go between points of interest: a matrix made once, and rows added while running.
 
-The points are pickups, dropoffs and charger bays. One search of the planning map gives a row; the way to
-a point that is not in the matrix, a robot's place above all, is a row more and stays for a while.
+The points are pickups, dropoffs and charger bays. One search of the planning map gives a row. A
+start that is not in the matrix, such as the position of a robot, gets a row of its own, which is
+kept for a while.
 """
 
 from collections.abc import Sequence
@@ -15,31 +16,36 @@ from agent.delivery.routing_problem import Power, Whole, Workload
 from agent.paths.nav_mesh import Mesh, Point
 
 FULL = 1_000_000  # energy is counted in millionths of a full battery
-ROOM = 16  # points that may come before the table grows again, and an eighth of it
-FIELDS_KEPT = 64  # searches of the mesh from places of late: robots stand, or wait, for a while
+ROOM = 16  # when the table grows, it grows by this many points and an eighth
+FIELDS_KEPT = 64  # recent searches of the mesh: robots stand or wait at one place for a while
 
 
 class Carrier(NamedTuple):
     """What every robot of the fleet can do, for planning."""
 
-    speed_m_s: float  # over a way, turns and braking included
-    handle_s: float  # to load, and to unload
+    speed_m_s: float  # mean speed on a path, turns and braking included
+    handle_s: float  # to load, and the same to unload
     battery_m: float = 0.0  # a full battery drives this far and does nothing else; 0: no limit
     battery_s: float = 0.0  # standby time of a full battery; 0: no limit
-    dock_s: float = 10.0  # of a charge, whatever it takes
-    charge_s: float = 60.0  # of a whole charge
+    dock_s: float = 10.0  # fixed time of each charge
+    charge_s: float = 60.0  # additional time to charge an empty battery
     reserve: float = 0.1  # share of a battery that plans never touch
 
     @property
     def runs_dry(self) -> bool:
+        """Whether batteries are limited, by distance or by time."""
         return self.battery_m > 0 or self.battery_s > 0
 
     def time_ms(self, way_m: NDArray[np.float64]) -> Whole:
-        """Driving. Whole milliseconds, so that every peer adds up the same."""
+        """Driving times for lengths in metres, of the same shape: whole milliseconds, so that all
+        peers compute the same. Lengths are cut off at 1,000 km.
+        """
         return np.rint(np.minimum(way_m, 1e6) / self.speed_m_s * 1000).astype(np.int64)
 
     def energy(self, way_m: NDArray[np.float64], time_ms: Whole) -> Whole:
-        """Millionths of a battery, by distance and by time, rounded up."""
+        """Millionths of a battery for lengths in metres and times in milliseconds of one shape,
+        rounded up.
+        """
         found = np.zeros(way_m.shape)
         if self.battery_m > 0:
             found += np.minimum(way_m, 1e6) / self.battery_m
@@ -49,10 +55,13 @@ class Carrier(NamedTuple):
 
     @property
     def handle_ms(self) -> int:
+        """Time to load, and the same to unload, milliseconds."""
         return round(self.handle_s * 1000)
 
 
 class CostMatrix:
+    """Shortest ways between points of interest, (x, y) metres, on a navigation mesh."""
+
     def __init__(self, mesh: Mesh, points: Sequence[Point] = ()) -> None:
         self.mesh = mesh
         self._fields: dict[Point, NDArray[np.float64]] = {}  # metres to every waypoint
@@ -71,19 +80,19 @@ class CostMatrix:
 
     @property
     def between_m(self) -> NDArray[np.float64]:
-        """(points, points) metres."""
+        """(points, points) metres in the order in which points were added; read only."""
         count = len(self._number)
         return self._table[:count, :count]
 
     def twin(self) -> "CostMatrix":
-        """The same of another peer: as much is known, and what comes is not shared."""
+        """A copy for another peer: it knows as much, and what is added later is not shared."""
         other = copy(self)
         other._table = self._table.copy()
         other._fields, other._number = dict(self._fields), dict(self._number)
         return other
 
     def extend(self, points: Sequence[Point]) -> None:
-        """More points of interest; those that are known cost nothing."""
+        """Add points of interest; known ones cost nothing."""
         new = [point for point in dict.fromkeys(points) if point not in self._number]
         if not new:
             return
@@ -97,9 +106,7 @@ class CostMatrix:
         self._places = np.concatenate((self._places, np.array(new)))
         self._boxes = np.append(self._boxes, [self.mesh.box(point) for point in new])
         total = count + len(new)
-        if total > len(
-            self._table
-        ):  # seldom: copying the whole for two places takes longer than they
+        if total > len(self._table):  # seldom: to copy all takes longer than to add two points
             larger = np.zeros((total + total // 8 + ROOM,) * 2)
             larger[:count, :count] = self._table[:count, :count]
             self._table = larger
@@ -107,7 +114,10 @@ class CostMatrix:
             self._table[k, :total] = self._table[:total, k] = self._row(point)
 
     def metres(self, starts: Sequence[Point], goals: Sequence[Point]) -> NDArray[np.float64]:
-        """(starts, goals); goals are points of interest, other starts get a row of their own."""
+        """Shortest ways (starts, goals) in metres, inf where there is none.
+
+        Goals must be points of interest, otherwise KeyError is raised. Starts may be any places.
+        """
         if not starts or not goals:
             return np.zeros((len(starts), len(goals)))
         columns = np.array([self._number[goal] for goal in goals], dtype=np.int64)
@@ -123,7 +133,7 @@ class CostMatrix:
         return row
 
     def _row(self, start: Point) -> NDArray[np.float64]:
-        """Metres to every point of interest."""
+        """Shortest ways from a place to every point of interest (points,), metres."""
         if not len(self._onto):  # one polygon, and no portal anywhere
             straight: NDArray[np.float64] = np.hypot(*(self._places - start).T)
             return straight
@@ -144,7 +154,7 @@ class CostMatrix:
 
 
 class Trip(NamedTuple):
-    """A task as geometry: from where to where."""
+    """A task as geometry: from where to where, (x, y) metres."""
 
     pickup: Point
     dropoff: Point
@@ -159,7 +169,11 @@ def workload(
     bays: Sequence[Point] = (),
     left: Sequence[int] = (),
 ) -> Workload:
-    """The frozen problem. `starts`: where each robot is when it is free, `left`: energy then."""
+    """The frozen problem of a round: times and energies between starts, tasks and bays.
+
+    `starts`: where each robot is when it is free. `ready_ms`: when that is. `bays`: charger bays.
+    `left`: energy of each robot then, millionths of a battery. Trips and bays are added to `costs`.
+    """
     costs.extend([point for trip in trips for point in trip] + list(bays))
     pickups, dropoffs = [t.pickup for t in trips], [t.dropoff for t in trips]
     loaded_m = np.array([costs.metres([t.pickup], [t.dropoff])[0, 0] for t in trips])
@@ -194,7 +208,11 @@ def workload(
 
 
 def spare_energy(costs: CostMatrix, carrier: Carrier, bays: Sequence[Point]) -> Whole:
-    """(bays,) from each to the next one; 0 where there is only one."""
+    """Energy from each bay to the next one, (bays,) millionths of a battery; 0 if there is only
+    one.
+
+    A robot needs it if a bay turns out to give nothing.
+    """
     costs.extend(bays)
     way_m = costs.metres(bays, bays)
     if len(bays) < 2:

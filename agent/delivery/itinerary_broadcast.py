@@ -1,7 +1,7 @@
 """Broadcast of each robot's itinerary: its stops, two to a frame, repeated periodically.
 
-A stop is a task, or TASKS_MAX and the number of a charger bay. Others plan with the tasks; people see
-both: [P5, D5, C1].
+A stop is a task, or `TASKS_MAX` plus the number of a charger bay. Other robots plan with the tasks;
+people see both, as in [P5, D5, C1].
 """
 
 from collections.abc import Iterator, Sequence
@@ -17,16 +17,18 @@ STOPS_MAX = 0xFF  # what a frame can count
 
 
 class RemoteItinerary(NamedTuple):
-    """The itinerary of another, as far as it was heard."""
+    """The itinerary of another robot, as far as it was received."""
 
     version: int
     tasks: dict[int, int]  # position: task
     length: int
     left: int  # millionths of a battery
-    whole: tuple[int, ...]  # the last one that was heard whole
+    whole: tuple[int, ...]  # the last one that was received completely
 
 
 class ItineraryBroadcast:
+    """Our announced stops, and what all other robots announce."""
+
     def __init__(self, now_us: int) -> None:
         self.told: dict[int, RemoteItinerary] = {}  # of others
         self.stops: list[int] = []  # ours
@@ -36,15 +38,19 @@ class ItineraryBroadcast:
     # ---------------------------------------------------------------- ours
 
     def changed(self, now_us: int) -> None:
+        """Our itinerary is another one: announce it from its beginning."""
         self._version = (self._version + 1) & 0xFF
         self._at, self._tell_us = 0, now_us
 
     def due(self, now_us: int) -> bool:
-        """Whether `stops` should be what they are now."""
+        """Whether a new announcement begins, so that `stops` must be up to date."""
         return self._at == 0 and now_us >= self._tell_us
 
     def say(self, now_us: int, left: int) -> Iterator[Itinerary]:
-        """With our beat. `left`: millionths of a battery."""
+        """The frames of our itinerary that go with this beat, at most `FRAMES_A_BEAT`.
+
+        `left`: millionths of our battery.
+        """
         if now_us < self._tell_us:
             return
         if self._at == 0:
@@ -63,6 +69,7 @@ class ItineraryBroadcast:
     # ---------------------------------------------------------------- of others
 
     def hear(self, slot: int, m: Itinerary) -> None:
+        """Take in one frame of another robot's itinerary."""
         old = self.told.get(slot)
         whole = () if old is None else old.whole
         tasks = {}

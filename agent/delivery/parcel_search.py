@@ -1,9 +1,9 @@
 """Where a robot looks for a parcel that it is to fetch, one place after the other.
 
-Mostly the parcel lies at its pickup. If the robot that carried it died, it stands where it was last
-received. If that was before a network split, its position is unknown: then the search visits unknown
-obstacles found by range sensors, the dropoff, and in the end the whole building. The arm's scanner
-tells whether the parcel is at a place.
+Mostly the parcel lies at its pickup. If the robot that carried it died, the parcel is where that
+robot was last received. If that was before a network split, the place is unknown. Then the search
+visits unknown obstacles found by range sensors, the dropoff, and in the end the whole building. The
+arm's scanner tells whether the parcel is at a place.
 """
 
 from functools import cached_property
@@ -22,6 +22,8 @@ SPOT_HOPS = 2  # in lattice hops: range sensors detect a body this far from a se
 
 
 class ParcelSearch:
+    """Where one robot expects each parcel, and where it has looked without success."""
+
     def __init__(
         self, house: Warehouse, book: TaskRegistry, hazards: DynamicObstacles, bodies: SilentRobots
     ) -> None:
@@ -29,10 +31,15 @@ class ParcelSearch:
         self._looked: dict[int, list[Point]] = {}  # task: places where its parcel was not
 
     def likeliest(self, task: int, workers: list[int], view: FleetView) -> Point:
+        """The most probable place of a task's parcel, (x, y) metres; see `next`."""
         return self._places(task, workers, view)[0]
 
     def next(self, task: int, workers: list[int], view: FleetView) -> Point:
-        """Where to look for it now. `workers`: slots of robots that had begun with it."""
+        """Where to look for a task's parcel now, (x, y) metres.
+
+        `workers`: slots of robots that had begun with it, oldest first. A parcel that the scanner
+        sees is where the scanner says.
+        """
         seen = view.here.parcels.get(task)
         if seen is not None:
             return seen.x_m, seen.y_m
@@ -50,11 +57,14 @@ class ParcelSearch:
         return found or places[0]
 
     def searching(self, task: int) -> bool:
-        """Whether it was not where it should be."""
+        """Whether the parcel was not where it was first expected."""
         return task in self._looked
 
     def looked(self, task: int, place: Point) -> bool:
-        """It was not there. False: there is no place left; from now on all are looked at again."""
+        """The parcel is not at this place.
+
+        False: there is no place left. The search for this task begins from the start next time.
+        """
         looked = self._looked.setdefault(task, [])
         looked.append(place)
         if any(_new(p, looked) for p in self._spots):
@@ -74,7 +84,7 @@ class ParcelSearch:
 
     @cached_property
     def _spots(self) -> list[Point]:
-        """Nodes from which together all of the floor is seen."""
+        """Nodes of the lattice from which together the whole floor is seen, (x, y) metres."""
         lattice = self.house.floor.lattice
         left, found = set(range(len(lattice))), list[Point]()
         for node in range(len(lattice)):

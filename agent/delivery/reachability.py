@@ -11,13 +11,16 @@ from agent.interface.config import S
 from agent.mapping.dynamic_obstacles import DynamicObstacles
 
 Point = tuple[float, float]
-LOOK_US = 1 * S
-CUT_OFF_US = 15 * S  # wait this long for a parcel that another robot is about to fetch
+LOOK_US = 1 * S  # period of `look`
+# A section counts as cut off after this long: another robot may be about to fetch the parcel.
+CUT_OFF_US = 15 * S
 STANDSTILL_US = 30 * S  # without `GOT_ON_M` of progress for this long, others may take our tasks
 GOT_ON_M = 1.0
 
 
 class Reachability:
+    """Which sections one robot cannot reach now, and whether it makes no progress."""
+
     def __init__(self, hazards: DynamicObstacles) -> None:
         self.hazards = hazards
         self.sections: frozenset[int] = frozenset()
@@ -26,10 +29,15 @@ class Reachability:
         self._stood: tuple[Point, int] = ((0.0, 0.0), 0)  # where, and since when
 
     def due(self, now_us: int) -> bool:
+        """Whether it is time to call `look`."""
         return now_us >= self._look_us
 
     def look(self, at: Point, goals: Mapping[int, Sequence[Point]], now_us: int) -> None:
-        """When due. `goals`: of each section, the places that all must be got to."""
+        """Update `sections`, the ones that have been out of reach for `CUT_OFF_US`.
+
+        `at`: our position. `goals`: for each section the places that must all be reachable; (x, y)
+        metres.
+        """
         self._look_us = now_us + LOOK_US
         places = [(section, place) for section, own in goals.items() for place in own]
         reached = self.hazards.reaches(at, [place for _, place in places])
@@ -42,7 +50,7 @@ class Reachability:
         )
 
     def stands_still(self, at: Point, busy: bool, now_us: int) -> bool:
-        """Each control period: whether a busy robot has made no progress for long."""
+        """Once each control period: whether a busy robot has stood for `STANDSTILL_US`."""
         (x_m, y_m), since_us = self._stood
         if not busy or hypot(at[0] - x_m, at[1] - y_m) > GOT_ON_M:
             self._stood = (at, now_us)

@@ -1,8 +1,9 @@
 """The frozen problem that a fleet of carriers solves: which robot takes which tasks in which order.
 
-A task is an atom: go to its pickup, load, go to its dropoff, unload; a robot carries one parcel. So a
-plan is one sequence of tasks a robot, and all that is to be known is what each costs after what. Costs
-are whole milliseconds and energy whole units, so that every peer computes the same.
+A task is indivisible: go to its pickup, load, go to its dropoff, unload. A robot carries one
+parcel. So a plan is one sequence of tasks for each robot, and the problem consists of what each
+task costs after each other one. Costs are whole milliseconds and whole units of energy, so that
+every peer computes the same.
 """
 
 from typing import NamedTuple
@@ -15,19 +16,20 @@ Itineraries = list[list[int]]  # of each robot, indices of tasks
 
 
 class Power(NamedTuple):
-    """What batteries and bays add. Energy in units of the capacity's choice, never negative.
+    """What batteries and bays add to a workload. Energy is in one unit of free choice, never
+    negative.
 
-    `capacity`: of a full battery; `dock_ms`: of a charge whatever it takes, and `ms_per_unit` for each
-    unit of it; charges are always to the full. The last axis of `*_bay` is the bay.
+    `capacity`: of a full battery. `dock_ms`: fixed time of a charge; `ms_per_unit`: time for each
+    unit of energy. Every charge is to the full. The last axis of `*_bay` is the bay.
     """
 
     capacity: int
     dock_ms: int
     ms_per_unit: float
-    left: Whole  # (robots,) in the battery now
-    lead: Whole  # (robots, tasks) energy as `Workload.lead` is time
-    link: Whole  # (tasks, tasks)
-    home: Whole  # (tasks,) from a dropoff to the nearest bay: never to be without it
+    left: Whole  # (robots,) energy in the battery when the robot is free
+    lead: Whole  # (robots, tasks) energy for what `Workload.lead` is the time of
+    link: Whole  # (tasks, tasks) energy for what `Workload.link` is the time of
+    home: Whole  # (tasks,) energy from a dropoff to the nearest bay; always kept in the battery
     lead_bay_ms: Whole  # (robots, bays) from where the robot is
     lead_bay: Whole
     to_bay_ms: Whole  # (tasks, bays) from a task's dropoff
@@ -37,8 +39,11 @@ class Power(NamedTuple):
 
 
 class Workload(NamedTuple):
-    """ready (robots,): when each is free; lead (robots, tasks): its first task; link (tasks, tasks):
-    the next task after a dropoff. Milliseconds, the task itself included."""
+    """Times of a routing problem in milliseconds, the task itself included.
+
+    `ready` (robots,): when each robot is free. `lead` (robots, tasks): from where it is free
+    through its first task. `link` [i, j] (tasks, tasks): from the dropoff of i through j.
+    """
 
     ready: Whole
     lead: Whole
@@ -47,21 +52,24 @@ class Workload(NamedTuple):
 
     @property
     def robots(self) -> int:
+        """Number of robots."""
         return len(self.ready)
 
     @property
     def tasks(self) -> int:
+        """Number of tasks."""
         return len(self.link)
 
 
 class PlanCost(NamedTuple):
-    """What a plan costs; the less of two is the better, makespan first."""
+    """What a plan costs, milliseconds. Compare two with <: makespan first, then the total."""
 
     makespan_ms: int
     total_ms: int
 
     @property
     def feasible(self) -> bool:
+        """Whether no battery would be empty."""
         return self.makespan_ms < IMPOSSIBLE_MS
 
 

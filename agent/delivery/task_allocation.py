@@ -38,35 +38,38 @@ from protocol.frames.delivery_frames import (
     TaskOrder,
 )
 
-# Tasks of one round. The effort of the auction grows with the fourth power of the tasks and the square
-# of the robots. This number for six robots with batteries takes 25 ms on a small computer, half of a
+# Tasks and robots of one round. The time of the auction grows with the fourth power of the tasks and
+# the square of the robots. These numbers, with batteries, take 25 ms on a small computer: half of a
 # control period.
 ROUND_TASKS, ROUND_ROBOTS = 72, 6
 ABLE = (State.IDLE, State.WORKING, State.SYNCHRONIZING)
-LOOK_US = 250 * MS  # between two looks for open tasks
+LOOK_US = 250 * MS  # period of the search for open tasks
 BIDS_US = 300 * MS  # bids for a task are collected this long: six beats of a small fleet
 AWARDED_US = 2 * S  # the winner has announced its itinerary by then
 STABLE_US = 500 * MS  # more than t_max open tasks for this long start a round
-STAGGER_US = 150 * MS  # lower slots call it first
+STAGGER_US = 150 * MS  # the robot of each higher slot calls a round this much later
 BOOT_US = 3 * S  # wait this long for the whole fleet before the first plan
-RESIGN_US = (
-    2 * S
-)  # a robot unable to work for longer gives up its tasks; protective stops are shorter
+# A robot that cannot work for longer gives up its tasks. Protective stops are shorter.
+RESIGN_US = 2 * S
 NOBODY_US = 5 * S  # a task without a bid is auctioned again after this
 AGAIN_US = 5 * S  # between two rounds
-MOVES_A_TASK = 2_000  # of the search; and
-REPLAN_US = (2 * S, 10 * S)  # as long as this at least and at most
+MOVES_A_TASK = 2_000  # moves of the search for each task of a round
+REPLAN_US = (2 * S, 10 * S)  # shortest and longest duration of the search
 Dispatched = TaskOrder | TaskBookDigest | TaskBid | Itinerary | PlanOffer | PlanRow
 
 
 class Auction(NamedTuple):
+    """The auction of one task as we know it: when it closes, the best bid, and our own bid."""
+
     task: int
     closes_us: int
     best: tuple[int, int] | None  # cost, slot
-    mine: TaskBid | None  # still to be said
+    mine: TaskBid | None  # ours, until it is sent
 
 
 class TaskAllocation:
+    """One robot's part in distributing tasks: itinerary, bids, and joint plans."""
+
     def __init__(
         self,
         slot: int,
@@ -75,43 +78,45 @@ class TaskAllocation:
         seed: int,
         recalled: Mapping[int, TransportTask],
     ) -> None:
-        """`recalled`: tasks received before a restart, from durable memory."""
+        """`seed`: of our own search for plans. `recalled`: tasks received before a restart, by
+        number.
+        """
         self.slot, self.house = slot, house
         self.book = TaskRegistry(slot, {**house.tasks, **recalled}, now_us)
         self.round = PlanNegotiation(slot, seed)
-        self.itinerary: list[int] = []  # tasks that we mean to begin, not those begun
+        self.itinerary: list[int] = []  # tasks that we intend to begin, not those begun
         self.telling = ItineraryBroadcast(now_us)
         self.absence = AbsentOwners()
         self.haste = WaitingPolicy(now_us)
         self.left = FULL
         self._auction: Auction | None = None
-        self._rival: tuple[int, tuple[int, int]] | None = (
-            None  # the first bid for a task, of another
-        )
+        # The best bid (task, (cost, slot)) of another robot for a task that we do not auction yet.
+        self._rival: tuple[int, tuple[int, int]] | None = None
         self._awarded: dict[int, int] = {}  # task: until when its winner is waited for
         self._born_us, self._look_us, self._many_us, self._round_us = now_us, now_us, 0, 0
         self._done: set[int] = set()
         self.cut: frozenset[int] = frozenset()  # tasks that we cannot get to
         self._able_us = now_us  # when we last could work
-        self.workers: dict[
-            int, list[int]
-        ] = {}  # task -> slots that began with it, as far as we know
-        self._calls: list[PlanOffer] = []  # heard, to be answered at the next look
+        # For each task the slots that have begun it, as far as we know, oldest first.
+        self.workers: dict[int, list[int]] = {}
+        self._calls: list[PlanOffer] = []  # received calls, answered in the next control period
 
     @property
     def told(self) -> dict[int, RemoteItinerary]:
+        """The itineraries of other robots, by slot."""
         return self.telling.told
 
     @property
     def deciding(self) -> int | None:
-        """The task that is auctioned, as far as we know; our bid for it is made."""
+        """The task that is auctioned now, as far as we know; None if there is none."""
         return None if self._auction is None else self._auction.task
 
     # ---------------------------------------------------------------- what there is to do
 
     def tick(self, view: FleetView, able: bool) -> None:
-        """Each control period. `able`: False when this robot cannot work; after RESIGN_US its tasks
-        are given up."""
+        """Once each control period. `able`: this robot can work; after `RESIGN_US` without, its
+        tasks are given up.
+        """
         now_us = view.now_us
         if able:
             self._able_us = now_us
@@ -181,7 +186,9 @@ class TaskAllocation:
         return sum(slot < self.slot for slot in view.live)
 
     def open(self, view: FleetView) -> tuple[list[int], list[int]]:
-        """Tasks in no itinerary, and tasks of silent owners without a lease, the last first."""
+        """Tasks in no itinerary, ascending, and tasks whose owners are gone, the last of an
+        itinerary first.
+        """
         allocation, now_us = view.allocation, view.now_us
         holder: dict[int, int] = {}
         for slot, told in self.told.items():
@@ -212,7 +219,9 @@ class TaskAllocation:
     def _holder(
         self, task: int, phase: Phase, holder: dict[int, int], view: FleetView
     ) -> int | None:
-        """The slot that holds a task or plans it: by register, last carrier, or announced itinerary."""
+        """The slot that holds or plans a task: by its register, its last carrier, or an announced
+        itinerary.
+        """
         if phase is not Phase.FREE:
             owner = view.allocation.owner_of(task)
             if phase is Phase.STARTED and owner is not None:
@@ -253,7 +262,8 @@ class TaskAllocation:
     def _open_auction(self, tasks: list[int], fresh: int, view: FleetView, able: bool) -> None:
         """Auction the first task, or one that another robot has bid for.
 
-        `fresh`: number of new tasks at the front; orphans follow."""
+        `fresh`: number of new tasks at the front of `tasks`; tasks of absent owners follow.
+        """
         rival = self._rival
         if rival is not None and rival[0] not in tasks:
             rival = None
@@ -265,12 +275,12 @@ class TaskAllocation:
         self._auction = Auction(task, view.now_us + BIDS_US, best, bid)
 
     def standing(self, view: FleetView) -> CarrierState:
-        """When and where we are free for the next task."""
+        """When, where and with what charge we are free for the next task."""
         here = CarrierState(self.slot, (view.here.x_m, view.here.y_m), 0, self.left)
         return self.through(here, view)
 
     def _bid(self, task: int, behind: bool, view: FleetView) -> TaskBid | None:
-        """None where we cannot do it."""
+        """Our bid for a task; None if we cannot do it. `behind`: only as the last task."""
         if not self.house.known(self.book.tasks[task]) or task in self.cut:
             return None
         order = [*self.itinerary, task]
@@ -320,7 +330,11 @@ class TaskAllocation:
         self, view: FleetView, able: bool, offer: PlanOffer | None = None, replan_us: int = 0,
         haste: bool = False,
     ) -> None:  # fmt: skip
-        """Join the one that is offered, or call one."""
+        """Join the round that `offer` calls; None: call one.
+
+        `replan_us`: duration of the search. `haste`: the round only re-orders tasks to cut waiting
+        time.
+        """
         haste = haste or (offer is not None and offer.hastens)
         frozen = (hastened if haste else new_problem)(self, view, able)
         self.haste.planned(view.now_us, self.book.added)
@@ -329,18 +343,20 @@ class TaskAllocation:
         else:
             self.round.join(offer, frozen, view.now_us)
         if not self.itinerary and able:
-            # At the boot the auction's plan, which all compute alike, holds until there is a better one.
+            # After the boot the auction's plan, equal at all robots, holds until there is a better one.
             self.itinerary = list(self.round.first.get(self.slot, []))
 
     def means(self, slot: int) -> Sequence[int]:
-        """The tasks that a robot means to begin, in its order, as far as we know."""
+        """The tasks that a robot intends to begin, in its order, as far as we know."""
         if slot == self.slot:
             return self.itinerary
         whole = self.told[slot].whole if slot in self.told else ()
         return [stop for stop in whole if stop in self.book]
 
     def through(self, standing: CarrierState, view: FleetView) -> CarrierState:
-        """After what a robot has claimed or begun: a task to its dropoff, a charge to the full."""
+        """The state of a robot after what it has claimed or begun: tasks to their dropoff, charges
+        to the full.
+        """
         for section in view.allocation.assigned_sections(standing.slot):
             order = self.book.tasks.get(section)
             if order is not None and self.house.known(order):
@@ -351,7 +367,7 @@ class TaskAllocation:
         return standing
 
     def after_all(self, standing: CarrierState, tasks: Sequence[int]) -> CarrierState:
-        """After tasks of an itinerary, with the charges that they need."""
+        """The state of a robot after these tasks, with the charges that they need."""
         orders = self.book.tasks
         known = [task for task in tasks if self.house.known(orders[task])]
         for stop in self.house.charged_between(standing, known, orders):
@@ -387,6 +403,10 @@ class TaskAllocation:
     # ---------------------------------------------------------------- frames
 
     def hear(self, slot: int | None, message: Dispatched, now_us: int) -> Sequence[Record]:
+        """Take in a frame. `slot`: of its sender; None for a device that is not a member.
+
+        The returned records must be durable before the next frame is sent.
+        """
         if isinstance(message, TaskOrder | TaskBookDigest):
             added = self.book.added
             records = self.book.hear(message, now_us)
@@ -411,7 +431,7 @@ class TaskAllocation:
             self.round.hear(slot, message, now_us)
 
     def say(self, now_us: int) -> Iterator[Dispatched]:
-        """With our beat."""
+        """The frames that are due with our beat: orders, plans, our bid, our itinerary."""
         yield from self.book.say(now_us)
         yield from self.round.say(now_us)
         auction = self._auction
@@ -425,7 +445,7 @@ class TaskAllocation:
 
 
 def standings(dispatch: TaskAllocation, view: FleetView, able: bool) -> list[CarrierState]:
-    """When and where each of the living will be free, by slots. `able`: we can work."""
+    """When and where each live robot that can work will be free, by slots. `able`: we can work."""
     robots = [dispatch.standing(view)] if able else []
     for slot in sorted(view.live - {dispatch.slot}):
         neighbour = view.neighbours.get(slot)
@@ -437,13 +457,17 @@ def standings(dispatch: TaskAllocation, view: FleetView, able: bool) -> list[Car
 
 
 def new_problem(dispatch: TaskAllocation, view: FleetView, able: bool) -> ProblemSnapshot:
-    """Every free task, including those in itineraries of any robot."""
+    """The problem of a full round: every free task, including those in itineraries of any robot.
+
+    It has at most `round_tasks_max` tasks, those with the lowest numbers, so that all robots choose
+    alike.
+    """
     robots = standings(dispatch, view, able)
     fresh, _ = dispatch.open(view)
     planned = {t for s, told in dispatch.told.items() if s in view.live for t in told.whole}
     wanted = sorted({*fresh, *dispatch.itinerary, *planned})
     tasks = [task for task in wanted if _plannable(dispatch, view, task)]
-    del tasks[round_tasks_max(len(robots)) :]  # the lowest numbers, alike at all; others wait
+    del tasks[round_tasks_max(len(robots)) :]  # the others wait for a later round
     return _frozen(dispatch, robots, tasks)
 
 
@@ -457,7 +481,10 @@ def round_tasks_max(robots: int) -> int:
 
 
 def hastened(dispatch: TaskAllocation, view: FleetView, able: bool) -> ProblemSnapshot:
-    """All tasks in itineraries that are not held by their age, with the current plan to start from."""
+    """The problem of a round that only cuts waiting time, with the current plan to start from.
+
+    It has all tasks in itineraries except those that are too old to be overtaken.
+    """
     robots, rows = [], []
     met = set[int]()
     for robot in standings(dispatch, view, able):

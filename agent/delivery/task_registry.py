@@ -1,6 +1,7 @@
-"""The tasks there are: a map from number to pickup and dropoff that only grows, joined by maximum.
+"""The tasks that exist: a map from number to pickup and dropoff that only grows, joined by maximum.
 
-A robot that knows a task missing in another's digest repeats its order, unless another robot just did.
+A robot that knows a task missing in another robot's digest repeats its order, unless another robot
+has just done so.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -12,21 +13,23 @@ from agent.interface.config import MS, S
 from protocol.frames.delivery_frames import BUCKET_TASKS, TaskBookDigest, TaskOrder
 
 TASKS_MAX = 0x6000  # sections from here on are visits of charger bays
-DIGEST_US = 1 * S  # between two digests of one peer; a bucket each
+DIGEST_US = 1 * S  # between two digests of one peer, each of one bucket of tasks
 AGAIN_US = 400 * MS  # an order that was just heard is not repeated
-KEY, LAYOUT = "order/", Struct("<HH")  # of a durable record
+KEY, LAYOUT = "order/", Struct("<HH")  # of a durable record: pickup, dropoff
 ORDERS_A_BEAT = 2  # so that a late joiner of 500 tasks does not fill the bus
 
 
 class TransportTask(NamedTuple):
-    """A task: cells of the floor."""
+    """A task: cells of the floor, counted as `Warehouse.place` says."""
 
     pickup: int
     dropoff: int
 
 
 def recalled_orders(recalled: Mapping[str, bytes]) -> dict[int, TransportTask]:
-    """Tasks received while running, from durable memory. Records that do not parse are skipped."""
+    """Tasks received while running, from durable memory, by number. Records that do not parse are
+    skipped.
+    """
     found = {}
     for key, raw in sorted(recalled.items()):
         number = key.removeprefix(KEY)
@@ -36,12 +39,16 @@ def recalled_orders(recalled: Mapping[str, bytes]) -> dict[int, TransportTask]:
 
 
 def record(task: int, order: TransportTask) -> tuple[str, bytes]:
+    """Key and value of the durable record of a task."""
     return f"{KEY}{task}", LAYOUT.pack(*order)
 
 
 def stop_names(begun: Iterable[int], ahead: Iterable[int], load: int) -> list[str]:
-    """An itinerary as the mission writes it: [P5, D5, C1]. `ahead`: tasks, or TASKS_MAX and a bay;
-    `load`: the task whose parcel is aboard, which need not be picked up."""
+    """An itinerary as people read it: P5 picks task 5 up, D5 delivers it, C1 is charger bay 1.
+
+    `begun`: stops under way, `ahead`: the later ones; each is a task, or `TASKS_MAX` plus a bay.
+    `load`: the task whose parcel is aboard, which need not be picked up; -1: none.
+    """
     found = []
     for stop in (*begun, *ahead):
         if stop >= TASKS_MAX:
@@ -52,8 +59,10 @@ def stop_names(begun: Iterable[int], ahead: Iterable[int], load: int) -> list[st
 
 
 class TaskRegistry:
+    """The replica of one peer, and what it still has to send to make others equal."""
+
     def __init__(self, slot: int, tasks: Mapping[int, TransportTask], now_us: int) -> None:
-        """`tasks`: what every robot was given before the start."""
+        """`slot`: ours. `tasks`: those that every robot was given before the start, by number."""
         self.tasks = dict(tasks)
         self.added = 0  # change counter, so that cached results can detect changes
         self._due: dict[int, int] = {}  # task to tell again, and from when
@@ -65,12 +74,17 @@ class TaskRegistry:
         return task in self.tasks
 
     def free_number(self) -> int:
+        """The lowest number above all known tasks."""
         return max(self.tasks, default=-1) + 1
 
     def hear(
         self, message: TaskOrder | TaskBookDigest, now_us: int
     ) -> tuple[tuple[str, bytes], ...]:
-        """The returned records must be durable before any frame reveals that we know the task."""
+        """Take in an order or a digest of another peer.
+
+        The returned records must be durable before any frame reveals that we know the task. An
+        order with a known number and other cells: the greater pair of cells wins at all peers.
+        """
         if isinstance(message, TaskOrder):
             return self._order(message, now_us)
         if message.bucket < -(-TASKS_MAX // BUCKET_TASKS):
@@ -96,7 +110,7 @@ class TaskRegistry:
         bits, check = self._digest(message.bucket)
         lacking = bits & ~message.bits
         if not lacking and bits == message.bits and check != message.check:
-            lacking = bits  # one number, two tasks: the greater is for all
+            lacking = bits  # one number, two tasks: send ours, so that all take the greater one
         for k in range(BUCKET_TASKS):
             task = message.bucket * BUCKET_TASKS + k
             if lacking >> k & 1 and now_us - self._heard_us.get(task, -AGAIN_US) >= AGAIN_US:
@@ -112,7 +126,7 @@ class TaskRegistry:
         return bits, crc32(repr(found).encode()) & 0xFF
 
     def say(self, now_us: int) -> Iterator[TaskOrder | TaskBookDigest]:
-        """With our beat."""
+        """The frames that are due with our beat: repeated orders, and a digest."""
         told = [task for task, due_us in self._due.items() if due_us <= now_us][:ORDERS_A_BEAT]
         for task in told:
             del self._due[task]

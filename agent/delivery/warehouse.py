@@ -16,14 +16,14 @@ from agent.mapping.building import Floor
 from agent.paths.nav_mesh import Mesh, Point
 from crdt import FieldAllocationCRDT, Phase
 
-SECTIONS_END = 0x8000  # names begin there
+SECTIONS_END = 0x8000  # sections are below; names begin there
 assert SECTIONS_END > TASKS_MAX
 T_MAX = 4  # up to this many new tasks are inserted; more are replanned
 ORDER_MAX = 0xFFFF
 
 
 class CarrierState(NamedTuple):
-    """When and where a robot is free for the next task, and with what left."""
+    """When and where a robot is free for its next task, and with what charge."""
 
     slot: int
     at: Point
@@ -32,6 +32,10 @@ class CarrierState(NamedTuple):
 
 
 class Warehouse:
+    """The building, the robots' abilities, the bays and the first tasks: equal at all peers of a
+    fleet.
+    """
+
     def __init__(
         self,
         floor: Floor,
@@ -40,39 +44,46 @@ class Warehouse:
         tasks: Mapping[int, TransportTask] | None = None,
         t_max: int = T_MAX,
     ) -> None:
+        """`bays`: charger bays, (x, y) metres. `tasks`: those known before the start, by number.
+        `t_max`: this many new tasks are inserted one by one; more are planned together.
+        """
         self.floor, self.carrier, self.bays = floor, carrier, tuple(bays)
         self.tasks, self.t_max = dict(tasks or {}), t_max
 
     @cached_property
     def costs(self) -> CostMatrix:
-        """Between all places that are known before the start; others are added when they come."""
+        """Ways between all places known before the start; others are added when they come."""
         floor = self.floor
         mesh = Mesh(floor.inflated, floor.origin, floor.fine_m)
         known = [self.place(cell) for order in self.tasks.values() for cell in order]
         return CostMatrix(mesh, [*self.bays, *known])
 
     def twin(self) -> "Warehouse":
-        """The same of another peer, as in a process of its own."""
+        """A copy for another peer, as in a process of its own."""
         other = copy(self)
         other.costs = self.costs.twin()
         return other
 
     @property
     def check(self) -> int:
-        """u24: peers of another building, or of other tasks, are not of this fleet."""
+        """A 24-bit hash: peers with another building, other tasks or other carriers are not of this
+        fleet.
+        """
         text = f"{self.floor.check} {self.carrier} {self.bays} {sorted(self.tasks.items())}"
         return crc32(text.encode()) & 0xFFFFFF
 
     # ---------------------------------------------------------------- places
 
     def place(self, cell: int) -> Point:
-        """The middle of a cell of the map; cells are counted row by row from the south-west."""
+        """The middle of a cell of the map, (x, y) metres; cells are counted row by row from the
+        south-west.
+        """
         floor = self.floor
         row, column = divmod(cell, floor.walls.shape[1] - 2)
         return (column + 0.5) * floor.cell_m, (row + 0.5) * floor.cell_m
 
     def cell(self, at: Point) -> int | None:
-        """None: no robot can stand there."""
+        """The cell at a place; None if no robot can stand there."""
         floor = self.floor
         row, column = int(at[1] // floor.cell_m), int(at[0] // floor.cell_m)
         rows, columns = (n - 2 for n in floor.walls.shape)
@@ -82,7 +93,7 @@ class Warehouse:
         return cell if cell <= ORDER_MAX and not floor.walls[row + 1, column + 1] else None
 
     def known(self, order: TransportTask) -> bool:
-        """Whether an order from the wire is for places of this building."""
+        """Whether both cells of an order are places of this building."""
         return all(
             self.place(cell)[1] < self.floor.cell_m * (self.floor.walls.shape[0] - 2)
             and self.cell(self.place(cell)) == cell
@@ -90,22 +101,25 @@ class Warehouse:
         )
 
     def trip(self, order: TransportTask) -> Trip:
+        """The places of an order."""
         return Trip(self.place(order.pickup), self.place(order.dropoff))
 
     # ---------------------------------------------------------------- costs
 
     def way_m(self, a: Point, b: Point) -> float:
+        """Shortest way from a to b, metres; inf if there is none."""
         self.costs.extend([b])
         return float(self.costs.metres([a], [b])[0, 0])
 
     def work(self, trips: Sequence[Trip], robots: Sequence[CarrierState]) -> Workload:
+        """The frozen problem of these tasks and robots; see `workload`."""
         return workload(
             self.costs, self.carrier, trips, [r.at for r in robots], [r.ready_ms for r in robots],
             self.bays, [r.left for r in robots],
         )  # fmt: skip
 
     def after(self, standing: CarrierState, trip: Trip, loaded: bool) -> CarrierState:
-        """Where a robot stands after one more task; `loaded`: it has the parcel already."""
+        """The state of a robot after one more task. `loaded`: the parcel is aboard already."""
         way_m = self.way_m(standing.at, trip.dropoff if loaded else trip.pickup)
         handle_ms = self.carrier.handle_ms
         if not loaded:
@@ -118,7 +132,10 @@ class Warehouse:
         )
 
     def home(self, at: Point) -> int:
-        """Energy to a bay and, should that give nothing, to the next one, with the reserve."""
+        """Energy from a place to a bay, and to the next bay if that one is dead, plus the reserve.
+
+        Millionths of a battery.
+        """
         if not self.bays:
             return self.reserve
         self.costs.extend(self.bays)
@@ -132,6 +149,7 @@ class Warehouse:
 
     @property
     def reserve(self) -> int:
+        """Millionths of a battery that plans never use."""
         return round(self.carrier.reserve * FULL)
 
     # ---------------------------------------------------------------- bays
@@ -139,8 +157,11 @@ class Warehouse:
     def charged_between(
         self, standing: CarrierState, tasks: Iterable[int], orders: Mapping[int, TransportTask]
     ) -> list[int]:
-        """Sections in their order: tasks, and TASKS_MAX and a bay wherever a robot would have to charge
-        first, by the rule by which it does when it is there."""
+        """The stops of an itinerary: its tasks, and `TASKS_MAX` + bay wherever the robot has to
+        charge first.
+
+        A robot that gets there decides by the same rule.
+        """
         found: list[int] = []
         for task in tasks:
             trip = self.trip(orders[task])
@@ -160,15 +181,20 @@ class Warehouse:
         return found
 
     def visit(self, bay: int, allocation: FieldAllocationCRDT) -> int | None:
-        """The section of the next visit of a bay: claimed like a task, and done when it is left."""
+        """The section of the next visit of a bay; None after about 8,192 charges at all bays
+        together.
+
+        A visit is claimed like a task, and it is DONE when the robot leaves the bay.
+        """
         section = TASKS_MAX + bay
         while section < SECTIONS_END:
             if allocation.phase_of(section) is not Phase.DONE:
                 return section
             section += len(self.bays)
-        return None  # 8,192 charges: the stated limit
+        return None
 
     def bay_of(self, section: int) -> int:
+        """The bay of a section from `visit`."""
         return (section - TASKS_MAX) % len(self.bays)
 
 
