@@ -1,7 +1,8 @@
-"""What any peer can say of the whole exploring fleet, also as markdown for a language model.
+"""What any peer can report about the whole exploring fleet, also as Markdown for a language model.
 
-There is no coordinator to ask: poses are those last heard, tasks are the claims in the allocation. How
-old each line is can be told with it; without ages the text has exactly the mission's shape.
+There is no coordinator to ask. Poses are those received last; tasks are the claims in the
+allocation. The text can give the age of each line. Without ages it has exactly the shape that the
+mission's specification requires.
 """
 
 from collections.abc import Sequence
@@ -18,29 +19,34 @@ XY = tuple[float, float]
 
 
 class FleetMember(NamedTuple):
+    """One robot as a peer knows it: pose in metres and radians, task, and whether it is live."""
+
     slot: int
     x_m: float
     y_m: float
-    rotation_rad: float  # for others the course they drive
+    rotation_rad: float  # our heading; of others the course that they drive
     assigned_task: FleetTask | None
-    last_sync_us: int  # when it was last heard; for ourselves now
+    last_sync_us: int  # when it was last received; for ourselves now
     active: bool
 
     @property
     def device_id(self) -> str:
+        """The robot's name in reports."""
         return f"robot-{self.slot}"
 
 
 class FleetStatus(NamedTuple):
+    """The fleet as one peer knows it at one time."""
+
     members: tuple[FleetMember, ...]
-    tasks: tuple[FleetTask, ...]  # pending and active ones of all
+    tasks: tuple[FleetTask, ...]  # pending and active ones of all robots
     last_merge: MergeResult
     exploration_progress: float  # percent
     now_us: int
 
 
 def fleet_status(view: FleetView, mission: ExplorationMission) -> FleetStatus:
-    """As one peer knows it at the time of its view."""
+    """The fleet as one peer knows it at the time of its view."""
     tasks = {task.assigned_to: task for task in _tasks(view, mission)}
     members = []
     for slot in sorted({view.slot, *view.neighbours}):
@@ -64,7 +70,7 @@ def fleet_status(view: FleetView, mission: ExplorationMission) -> FleetStatus:
 
 
 def _tasks(view: FleetView, mission: ExplorationMission) -> Sequence[FleetTask]:
-    """Claims that are not done, the one in work last, so that it stands for its robot."""
+    """Claims that are not done. The one in work comes last, so that it stands for its robot."""
     found = []
     for section in view.allocation.sections():
         claim = view.allocation.entry(section)
@@ -79,7 +85,7 @@ def _tasks(view: FleetView, mission: ExplorationMission) -> Sequence[FleetTask]:
 
 
 def serialize_for_llm(status: FleetStatus, ages: bool = False) -> str:
-    """`ages`: how long ago each robot was heard, at the end of its lines."""
+    """The status as Markdown. `ages`: add to each line how long ago its robot was received."""
     heard_us = {member.slot: member.last_sync_us for member in status.members}
 
     def age(slot: int) -> str:

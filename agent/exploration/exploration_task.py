@@ -1,21 +1,25 @@
-"""What a robot of an exploring fleet is to do, as the mission words it."""
+"""What a robot of an exploring fleet is to do, in the words of the mission's specification."""
 
 from decimal import ROUND_HALF_UP, Decimal
 from enum import Enum
 from typing import NamedTuple
 
 XY = tuple[float, float]
-ROBOTS_MAX = 10  # the mission's default; a record of the map has room for 32 observers
-ORDERS_FIRST = 0xFF00  # sections of orders; patches of the map are below
-ORDERS_MAX = 64  # of the 256 sections that are left for them
+ROBOTS_MAX = 10  # default size of a fleet; a record of the map has room for 32 observers
+ORDERS_FIRST = 0xFF00  # first section of an order; patches of the map are below
+ORDERS_MAX = 64  # of the 256 sections from there on
 
 
 class FleetFullError(ValueError):
+    """More robots than a fleet may have."""
+
     def __init__(self, limit: int) -> None:
         super().__init__(f"Fleet is full (max {limit} robots)")
 
 
 class Kind(Enum):
+    """What a task is about; the values appear in reports."""
+
     EXPLORE_FRONTIER = "explore_frontier"
     NAVIGATE_TO = "navigate_to"
     PATROL = "patrol"
@@ -23,6 +27,8 @@ class Kind(Enum):
 
 
 class Status(Enum):
+    """How far a task is; the values appear in reports."""
+
     PENDING = "pending"  # claimed, still contested
     ACTIVE = "active"
     COMPLETED = "completed"
@@ -37,24 +43,28 @@ class ExplorationOrder(NamedTuple):
 
 
 class FleetTask(NamedTuple):
+    """A task of one robot, with its target in (x, y) metres."""
+
     section: int  # the same for all peers: a patch of the map, or an order
     kind: Kind
     target: XY
     assigned_to: int  # slot
     status: Status
-    created_us: int  # by the clock of the peer that tells
+    created_us: int  # on the clock of the peer that reports
 
     @property
     def id(self) -> str:
+        """The task's name in reports."""
         return f"task-{self.section}"
 
     @property
     def description(self) -> str:
+        """The task in words, for reports."""
         return describe(self.kind, self.target)
 
 
 def fixed(value: float) -> str:
-    """One decimal, ties away from zero, as the mission's `toFixed(1)`.
+    """A number with one decimal, ties away from zero, as `toFixed(1)` of JavaScript.
 
     >>> fixed(0.25), fixed(-0.04)
     ('0.3', '-0.0')
@@ -63,7 +73,7 @@ def fixed(value: float) -> str:
 
 
 def describe(kind: Kind, target: XY) -> str:
-    """What is passed to a language model."""
+    """A task in words, for people and language models."""
     place = f"({fixed(target[0])}, {fixed(target[1])})"
     match kind:
         case Kind.EXPLORE_FRONTIER:

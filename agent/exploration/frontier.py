@@ -1,9 +1,11 @@
 """Frontiers: borders between known free cells and unseen cells, and the choice of one to go to.
 
-A frontier is a patch of the fleet's map that has frontier cells: its number is its name, and two
-robots with nearly the same map name the same thing. It is looked at from a station, the cell nearest
-by way from which its middle is seen within `view`. Everything is computed alike by every peer from
-the map, the poses and the claims, so no message is needed to agree on the nearest robot.
+Frontiers are those of Yamauchi (1997, 1998); the rank of a robot at a frontier is that of MinPos
+(Bautin, Simonin and Charpillet 2012). A frontier is a patch of the fleet's map that has frontier
+cells. Its number is its name, so two robots with nearly the same map name the same thing. A robot
+looks at it from a station: of the cells from which its middle is seen within `view`, the one with
+the shortest way. Every peer computes everything alike from the map, the poses and the claims. So no
+message is needed to agree on the nearest robot.
 """
 
 from collections.abc import Mapping, Sequence
@@ -22,9 +24,9 @@ from crdt.sighting import FREE, OBSTACLE, UNKNOWN
 Values = NDArray[np.int64]
 Steps = NDArray[np.int32]
 XY = tuple[float, float]
-STRAIGHT, DIAGONAL = 5, 7  # a step of a cell in the wave's units: sqrt(2) to 1 %
-NEVER = np.int32(1 << 30)
-DEAR = 3  # times: a step among cells that another saw and we would see again
+STRAIGHT, DIAGONAL = 5, 7  # length of a step in fifths of a cell: 7/5 is sqrt(2) to 1 %
+NEVER = np.int32(1 << 30)  # length of a way that does not exist
+DEAR = 3  # factor for a step among cells that another robot saw and we would see again
 SEPARATION_M = 0.5  # between the targets of two robots
 HYSTERESIS = 0.15  # share by which another target must be better than the current one
 GAIN_M = 0.01  # distance that one newly seen cell is worth; a full view of a metre about 3 m
@@ -32,6 +34,8 @@ UNKNOWN_MIN = 2  # unknown cells round a frontier: a single one is a gap between
 
 
 class Frontier(NamedTuple):
+    """A patch with frontier cells; cells are (row, column)."""
+
     patch: int
     middle: Cell  # the frontier cell nearest to the middle of all in the patch
     station: Cell
@@ -39,7 +43,9 @@ class Frontier(NamedTuple):
 
 
 class OtherExplorer(NamedTuple):
-    """Another robot that could go somewhere: its slot, its wave, and the target that it has claimed."""
+    """Another robot that could go to a frontier: its slot, its wave as `wave_from` gives it, and
+    the cell that it has claimed.
+    """
 
     slot: int
     wave: Steps
@@ -48,7 +54,12 @@ class OtherExplorer(NamedTuple):
 
 @njit(cache=True)
 def _spread(passable, dear, times, wave, r0, c0, reach):  # type: ignore[no-untyped-def]
-    """Least ways from a cell in steps of 5 and 7, into dear cells `times` that: Dial's buckets (1969)."""
+    """Shortest ways from cell (r0, c0) into `wave` (rows, columns), which is `NEVER` at the
+    beginning.
+
+    Steps cost `STRAIGHT` or `DIAGONAL`, and `times` that into cells that are `dear`. Ways longer
+    than `reach` are not continued. It is Dijkstra's algorithm with the buckets of Dial (1969).
+    """
     rows, columns = passable.shape
     cells = rows * columns
     # A cell enters a bucket at most once for each of its neighbours.
@@ -93,8 +104,12 @@ def _spread(passable, dear, times, wave, r0, c0, reach):  # type: ignore[no-unty
 def wave_from(
     passable: Grid, at: Cell, reach_cells: float = 1e8, dear: Grid | None = None
 ) -> Steps:
-    """(rows, columns): way from a cell in fifths of a cell, `NEVER` where there is none; cells that
-    are `dear` count as `DEAR`."""
+    """Shortest ways from a cell to all cells, (rows, columns) in fifths of a cell; `NEVER` where
+    none exists.
+
+    `passable`: (rows, columns). `reach_cells`: ways longer than this are not searched. `dear`:
+    steps into these cells count `DEAR` times.
+    """
     rows, columns = passable.shape
     assert 0 <= at[0] < rows and 0 <= at[1] < columns
     wave = np.full(passable.shape, NEVER, dtype=np.int32)
@@ -105,7 +120,7 @@ def wave_from(
 
 
 def border_cells(values: Values) -> Grid:
-    """Free cells with an unknown one beside them."""
+    """Free cells with an unknown cell beside them (4-connected), (rows, columns)."""
     unknown = values == UNKNOWN
     beside = np.zeros(values.shape, dtype=np.bool_)
     beside[1:] |= unknown[:-1]
@@ -117,7 +132,9 @@ def border_cells(values: Values) -> Grid:
 
 
 def window_counts(cells: Grid, reach: int) -> NDArray[np.int64]:
-    """(rows, columns): how many cells are set in the square of this reach round each."""
+    """For each cell, how many cells are set within `reach` rows and columns of it, (rows,
+    columns).
+    """
     rows, columns = cells.shape
     sums = np.zeros((rows + 1, columns + 1), dtype=np.int64)
     sums[1:, 1:] = cells.cumsum(axis=0).cumsum(axis=1)
@@ -134,7 +151,11 @@ def window_counts(cells: Grid, reach: int) -> NDArray[np.int64]:
 
 @njit(cache=True)
 def _stations(middles, wave, walls, view, found):  # type: ignore[no-untyped-def]
-    """The nearest cell by way that sees each middle from within `view`; -1: none."""
+    """For each middle the cell with the shortest way that sees it within `view` cells.
+
+    `middles` (n, 2), `wave` and `walls` (rows, columns). `found` (n, 2): row and column; row -1:
+    none.
+    """
     rows, columns = wave.shape
     for n in range(middles.shape[0]):
         r, c = middles[n, 0], middles[n, 1]
@@ -149,7 +170,11 @@ def _stations(middles, wave, walls, view, found):  # type: ignore[no-untyped-def
 
 
 def frontiers(values: Values, wave: Steps, view: int) -> list[Frontier]:
-    """Every frontier that can be looked at, in the order of patches. `view` in cells."""
+    """Every frontier that can be looked at, in the order of patches.
+
+    `values`: (rows, columns) of the map. `wave`: our ways. `view`: in cells, from how far a middle
+    is seen.
+    """
     rows, columns = np.nonzero(border_cells(values))
     if not len(rows):
         return []
@@ -173,13 +198,17 @@ def frontiers(values: Values, wave: Steps, view: int) -> list[Frontier]:
 
 
 class FrontierChooser:
-    """How one robot chooses among frontiers; the same for all."""
+    """How one robot chooses among frontiers; all robots choose by the same rule."""
 
     def __init__(self, slot: int, cell_m: float, view: int) -> None:
+        """`slot`: ours. `cell_m`: side of a cell. `view`: in cells."""
         self.slot, self.cell_m, self.view = slot, cell_m, view
 
     def utility_m(self, frontier: Frontier, wave: Steps, rivals: Sequence[OtherExplorer]) -> float:
-        """Value in metres: cells that would be seen, less the way. Cells others will see do not count."""
+        """The value of a frontier in metres: what would be seen there, less the way to it.
+
+        The share that another robot will see at its own target does not count.
+        """
         way_m = int(wave[frontier.station]) / STRAIGHT * self.cell_m
         promised = max(
             (self._overlap(frontier.middle, rival.target) for rival in rivals), default=0.0
@@ -187,7 +216,7 @@ class FrontierChooser:
         return GAIN_M * frontier.unknown * (1.0 - promised) - way_m
 
     def _overlap(self, a: Cell, b: Cell | None) -> float:
-        """Share of one view that lies in another."""
+        """Share of the view at one cell that lies in the view at another; 0 for None."""
         if b is None:
             return 0.0
         side = 2 * self.view + 1
@@ -195,7 +224,11 @@ class FrontierChooser:
         return max(side - dr, 0) * max(side - dc, 0) / side**2
 
     def rank(self, frontier: Frontier, wave: Steps, rivals: Sequence[OtherExplorer]) -> int:
-        """How many other robots are nearer to it and not nearer to their own claims."""
+        """How many other robots have a shorter way to the frontier than we have; of equal ways, the
+        one of the lower slot counts as shorter.
+
+        The way of a robot with a target begins at its target.
+        """
         mine = int(wave[frontier.station])
         nearer = 0
         for rival in rivals:
@@ -205,6 +238,7 @@ class FrontierChooser:
         return nearer
 
     def apart(self, a: Cell, b: Cell) -> bool:
+        """Whether two cells are at least `SEPARATION_M` apart."""
         return hypot(a[0] - b[0], a[1] - b[1]) * self.cell_m >= SEPARATION_M
 
     def best(
@@ -214,7 +248,12 @@ class FrontierChooser:
         rivals: Sequence[OtherExplorer],
         current: int | None = None,
     ) -> Frontier | None:
-        """The one to go to: best rank, then best utility; another than `current` only if by far."""
+        """The frontier to go to: lowest rank, then highest utility; None if all are too near to
+        others' targets.
+
+        `current`: the patch that we are on the way to. It is kept unless another one has a lower
+        rank or is better by `HYSTERESIS`.
+        """
         targets = [rival.target for rival in rivals if rival.target is not None]
         open_ = [f for f in found if all(self.apart(f.middle, target) for target in targets)]
         scores: Mapping[int, tuple[int, float]] = {

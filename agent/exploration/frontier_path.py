@@ -1,4 +1,6 @@
-"""An explorer's way to its station: planned on its own map, again where something solid has turned up."""
+"""An explorer's path to its station: planned on its own map, and again when something solid turns
+up.
+"""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -16,15 +18,17 @@ from agent.mapping.local_and_fleet_map import LocalAndFleetMap
 
 XY = tuple[float, float]
 Cells = tuple[NDArray[np.intp], NDArray[np.intp]]  # rows, columns
-SAMPLES = 2  # of a way for each cell: none that it crosses by more than its corner is left out
+SAMPLES = 2  # of a path for each cell, so that only corners of cells are left out
 TURN_RAD_S = 0.8  # a robot turns as it drives, so that its rays leave no cell between them
-STUCK_US = 8 * S  # without getting nearer: the target has failed
+STUCK_US = 8 * S  # a target fails if the robot gets no nearer by `NEARER_M` for this long
 NEARER_M = 0.1
-AT_M = 0.12  # of a waypoint
+AT_M = 0.12  # this near to a waypoint, it is reached
 TURN_ROUND = STILL._replace(turn_rad_s=TURN_RAD_S)
 
 
 class FrontierPath:
+    """The path of one robot to its current station. Places are (x, y) metres."""
+
     def __init__(self, chart: LocalAndFleetMap, limits: BodyLimits) -> None:
         self.chart, self.limits = chart, limits
         self.station: XY | None = None
@@ -34,18 +38,20 @@ class FrontierPath:
         self._nearest_m, self._nearest_us = np.inf, 0
 
     def cell(self, at: XY) -> Cell:
-        """The nearest one on the map."""
+        """The (row, column) cell at a place, or the nearest one on the map."""
         rows, columns, _, _ = self.chart.geometry
         row, column = self.chart.geometry.cell(at)
         return min(max(row, 0), rows - 1), min(max(column, 0), columns - 1)
 
     def head_for(self, station: XY, view: FleetView) -> None:
+        """Go to another station: plan a path from here."""
         self.station, self.arrived_us = station, 0
         self._nearest_m = np.inf
         self.has_time(view.now_us)
         self.plan(view.here)
 
     def plan(self, here: Observation) -> None:
+        """Plan again to the same station; without a path `rest` is empty."""
         assert self.station is not None
         self.chart.hear()
         path = self.chart.grid.plan((here.x_m, here.y_m), self.station) or []
@@ -55,7 +61,7 @@ class FrontierPath:
         self._open = rows[free], columns[free]
 
     def _along(self, path: Sequence[XY]) -> Cells:
-        """Rows and columns of the cells under a way, some of them twice."""
+        """Rows and columns of the cells under a path, some of them twice."""
         if len(path) < 2:
             return np.empty(0, np.intp), np.empty(0, np.intp)
         rows, columns, (west_m, south_m), cell_m = self.chart.geometry
@@ -66,6 +72,7 @@ class FrontierPath:
         return row.clip(0, rows - 1), column.clip(0, columns - 1)
 
     def end(self) -> None:
+        """There is no station any more."""
         self.station, self.rest = None, []
 
     def has_time(self, now_us: int) -> None:
@@ -73,14 +80,18 @@ class FrontierPath:
         self._nearest_us = now_us
 
     def stuck(self, now_us: int) -> bool:
+        """Whether the robot got no nearer for `STUCK_US`."""
         return now_us > self._nearest_us + STUCK_US
 
     @property
     def blocked(self) -> bool:
-        """Whether something solid has turned up on the way since it was planned."""
+        """Whether something solid has turned up on the path since it was planned."""
         return bool(self.rest) and bool(self.chart.grid.tight.blocked[self._open].any())
 
     def drive(self, view: FleetView) -> MotionRequest:
+        """The motion along the path, always turning. It sets `arrived_us` at the station and turns
+        there.
+        """
         here = view.here
         if self.station is None:
             return TURN_ROUND

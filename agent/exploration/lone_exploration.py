@@ -1,7 +1,7 @@
-"""Exploration without sharing: to the nearest frontier, by the robot's own rays alone.
+"""Exploration without sharing: each robot goes to the nearest frontier by its own rays alone.
 
-What sharing is measured against. Robots still see and avoid each other; a frontier has another name
-for each, so that no claim of one keeps another from it.
+It is the baseline against which sharing is measured. Robots still see and avoid each other. A
+frontier has another name for each robot, so no claim keeps another robot from it.
 """
 
 from agent.exploration.exploration_mission import ExplorationMission
@@ -12,7 +12,10 @@ PATCH_BITS = 12  # a map of up to 256 x 256 cells; slots above
 
 
 class LoneExploration(ExplorationMission):
+    """The exploration mission of a robot that shares no map."""
+
     def patch_of(self, section: int) -> int:
+        """The patch of a section: its lower `PATCH_BITS` bits."""
         return section & (1 << PATCH_BITS) - 1
 
     def _best(self, view: FleetView, current: int | None) -> Frontier | None:

@@ -1,10 +1,10 @@
-"""When a robot looks for another path, and when it does not.
+"""When a robot plans another path, and when it does not.
 
 A path is kept until the goal changes or something stands on it within the decision horizon for more
-than `TICKS` control periods: a box that appears and leaves again costs nothing, and neither does
-one that is still far away, since it may be gone before we are there. The path that was left is kept
-for `KEPT_US`. It is taken up again without a search once the map has nothing on it: a robot that has
-turned round hits nothing, and that says nothing about what stands behind it.
+than `TICKS` control periods. So a box that appears and leaves again costs nothing. Neither does a
+box that is still far away, because it may be gone before we are there. The path that was left is
+kept for `KEPT_US`. It is taken up again without a search once the map has nothing on it. The rays
+alone do not decide that: a robot that has turned round sees nothing of what stands behind it.
 """
 
 from collections.abc import Callable
@@ -16,16 +16,19 @@ from agent.mapping.dynamic_obstacles import DynamicObstacles
 from agent.motion.path_tracker import SAMPLE_M, PathTracker
 
 Point = tuple[float, float]
-TICKS = 2  # a path blocked for longer than this many control periods is blocked
-KEPT_US = 5 * S
-HORIZON_S = 2.0  # of driving at full speed, or the braking distance and `BEYOND_M` where longer
+TICKS = 2  # a path counts as blocked after more than this many control periods
+KEPT_US = 5 * S  # how long the path that was left is kept
+# The horizon is this time at full speed, or the braking distance plus `BEYOND_M` if that is longer.
+HORIZON_S = 2.0
 BEYOND_M = 1.0
-GRAZE_M = 0.05  # what comes nearer to the path than the radius and this is on it
+GRAZE_M = 0.05  # an echo nearer to the path than the radius plus this is on the path
 AGAIN_US = 2 * S  # between two searches for the same goal: there may be no way round at present
 NEAR_M = 0.7  # a robot this near to its kept path may go back to it; further off it is lost
 
 
 class Replanning:
+    """One robot's decision to leave its path, and to return to it. Places are (x, y) metres."""
+
     def __init__(
         self, hazards: DynamicObstacles, speed_m_s: float, deceleration_m_s2: float
     ) -> None:
@@ -37,12 +40,15 @@ class Replanning:
         self._near: list[Point] = []  # what stands near by and is neither wall nor robot
         self._ticks = 0
         self._clear = 0  # control periods in which nothing stood on the kept path
-        # the path that was left, until when, and how far along it what stood on it was at most
+        # The path that was left, until when it is kept, and the arc length by which the obstacle on
+        # it was at the latest.
         self._kept: tuple[PathTracker, int, float] | None = None
         self._not_before_us = 0
 
     def look(self, here: Observation, tracker: PathTracker) -> None:
-        """One control period, after that of `hazards`: what is hit now, and what others told of."""
+        """Once each control period, after `hazards.look`: what stands on the path, by our rays and
+        by reports.
+        """
         reach_m = self.horizon_m + self.radius_m
         self._near = self.hazards.hits + [
             (x_m, y_m)
@@ -54,7 +60,7 @@ class Replanning:
             self._clear = 0 if self._kept_is_blocked() else self._clear + 1
 
     def _kept_is_blocked(self) -> bool:
-        """Whether anything is hit on the kept path, or stands on it by the map."""
+        """Whether an echo is on the kept path, or an obstacle of the map."""
         assert self._kept is not None
         tracker, _, beyond_m = self._kept
         if self._stands_on(tracker):
@@ -76,16 +82,20 @@ class Replanning:
 
     @property
     def blocked(self) -> bool:
-        """Whether something that is seen or told of stands on the path ahead."""
+        """Whether something that is seen or reported stands on the path ahead."""
         return self._ticks > 0
 
     def due(self, now_us: int) -> bool:
+        """Whether it is time to search for a detour."""
         return self._ticks > TICKS and now_us >= self._not_before_us
 
     def detour(
         self, at: Point, goal: Point, left: PathTracker, now_us: int
     ) -> tuple[Point, ...] | None:
-        """Another path, round what stands there now; None: there is none, so wait on the old one."""
+        """Another path round all current obstacles; None if there is none, so wait on the old one.
+
+        `left`: the path that we are on; it is kept for `KEPT_US`.
+        """
         self._ticks, self._not_before_us = 0, now_us + AGAIN_US
         path = self.path(at, goal)
         if path is None:
@@ -94,7 +104,7 @@ class Replanning:
         return path
 
     def restored(self, here: Observation, now_us: int) -> PathTracker | None:
-        """The path that was left, where nothing stands on it any more."""
+        """The path that was left, if nothing stands on it any more; otherwise None."""
         if self._kept is None:
             return None
         tracker, until_us, beyond_m = self._kept
@@ -109,5 +119,5 @@ class Replanning:
         return tracker
 
     def forget(self) -> None:
-        """Another goal, another path."""
+        """There is another goal or another path: forget the old ones."""
         self._ticks, self._kept, self._not_before_us = 0, None, 0

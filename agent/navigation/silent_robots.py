@@ -1,10 +1,10 @@
 """Positions of silent members: obstacles for path planning, and where a dead robot's load is.
 
-A robot that received the last beat knows the position. Robots that were away or have restarted since
-get it by a `Fallen` frame. For each member the latest frame counts, by time stamps of a clock that the
-fleet shares. So all robots know the same position, bit for bit, and joint plans avoid it. A member
-that is received is not an obstacle. A position seen to be free is announced as free, because a robot
-may have driven on while it was not received.
+A robot that received the last beat knows the position. Robots that were away or have restarted
+since get it by a `Fallen` frame. For each member the latest frame counts, by time stamps of a clock
+that the fleet shares (hybrid clock, `crdt/hybrid_clock.py`). So all robots know the same position,
+bit for bit, and joint plans avoid it. A member that is received is not an obstacle. A position seen
+to be free is announced as free, because a robot may have driven on while it was not received.
 """
 
 from collections.abc import Iterable
@@ -23,21 +23,25 @@ TOLD_US = 5 * S  # one robot repeats each position this often, for robots that w
 HURRY_US = 300 * MS  # repeat interval while a round waits until all know the same
 SPACED_US = 40 * MS  # between slots, so that one robot sends and the others overhear it
 WORDS_A_BEAT = 2
-NOWHERE_M = -PLACES * LENGTH_M  # of a body that is not where it was: x and y
-SURE_M = 2.0  # nearer than this two neighbouring rays are less than a body's radius apart
+NOWHERE_M = -PLACES * LENGTH_M  # x and y of a body that is no longer where it was
+SURE_M = 2.0  # up to here two neighbouring rays are less than a body's radius apart
 
 
 class SilentRobots:
+    """The positions that one robot knows. `known`: newest frame by slot; `dead`: (x, y) metres by
+    slot of the bodies that stand now.
+    """
+
     def __init__(self, slot: int, now_us: int) -> None:
         self.slot = slot
         self.clock = HybridClock(now_us, TICK_US, STAMP_MAX)
         self.known: dict[int, Fallen] = {}
         self.dead: dict[int, Point] = {}  # bodies that stand now
-        self._due_us: dict[int, int] = {}  # slot: when we tell of it
-        self._heard_us: dict[int, int] = {}  # last beat that our own record is of
+        self._due_us: dict[int, int] = {}  # slot -> when we send its position next
+        self._heard_us: dict[int, int] = {}  # slot -> time of the last beat that our record is of
 
     def look(self, view: FleetView) -> None:
-        """Each control period: update which members are silent and which are back."""
+        """Once each control period: update which members are silent and which are back."""
         now_us = view.now_us
         for slot, since_us in view.silent_since_us.items():
             neighbour = view.neighbours.get(slot)
@@ -62,11 +66,15 @@ class SilentRobots:
                 del self.dead[slot]
 
     def _silent(self, slot: int, view: FleetView) -> bool:
-        """Not only between two beats; a member that we never heard is known by others' word."""
+        """Whether a member is silent for longer than between two beats.
+
+        A member that we never received is known only from others' frames, and counts as silent.
+        """
         since_us = view.silent_since_us.get(slot)
         return since_us is None or view.now_us - since_us > DEAD_US
 
     def hear(self, word: Fallen, now_us: int) -> None:
+        """Take in another robot's frame about a silent member; one about us is ignored."""
         if word.slot == self.slot:
             return
         self.clock.witness(word.stamp, now_us)
@@ -82,7 +90,10 @@ class SilentRobots:
         self._due_us[word.slot] = now_us + wait_us + self.slot * SPACED_US
 
     def say(self, hurried: bool, now_us: int) -> Iterable[Fallen]:
-        """With our beat. `hurried`: a round waits for all to know the same."""
+        """The frames that are due with our beat, at most `WORDS_A_BEAT`.
+
+        `hurried`: a round of agreement waits until all robots know the same, so repeat more often.
+        """
         soon_us = TOLD_US - HURRY_US if hurried else 0
         due = [s for s, due_us in self._due_us.items() if due_us - soon_us <= now_us]
         for slot in due[:WORDS_A_BEAT]:
