@@ -1,8 +1,8 @@
 """Dividing a field: headland rings along the fences, parallel swaths inside, bundled to sections.
 
 With implement width w and overlap v, the ring runs w/2 inside the fence and serves everything up to
-w - v from it. What is deeper is cut into strips not wider than w - v at the best angle; each strip's
-swath is as long as the strip is deep inside. A robot on a swath is therefore never nearer to a
+w - v from it. What is deeper is cut into strips not wider than w - v at the best angle. Each
+strip's swath is as long as the strip is deep inside. So a robot on a swath is never nearer to a
 fence than (w - v) / 2, and ring and strips together leave nothing out
 (`tests/agent/field/test_field_division.py`).
 """
@@ -21,11 +21,11 @@ from agent.field.ring_corners import cut_at_corners
 
 SWEEP_DEG = 10.0  # angles tried besides the directions of the edges
 EDGE_SHARE_MIN = 0.05  # edges shorter than this share of the outline propose no angle
-CORNER_RAD = 0.05  # a smaller turn leaves no gap that the overlap would not close
-UNITS_LEAST = 8  # of a whole field: in a tiny one, work done beside a standing robot counts
+CORNER_RAD = 0.05  # a smaller turn leaves no gap: the overlap closes it
+UNITS_LEAST = 8  # of a whole field, so that in a tiny one, work beside a standing robot counts
 SHARP_CORNERS_MAX = 8  # a ring with more of them is rounded
 UNIT_LEAST_M = 1.0  # three times the lead of a stretch
-CUT_STEP_M = 1.0  # how finely a straight place for a cut is looked for
+CUT_STEP_M = 1.0  # step of the search for a straight place for a cut
 KEEP_MORE_M = 0.35  # the lead-out of a stretch, beyond its end
 PIECE_MIN_M = 0.05  # strips that touch the deep part by less are served by the ring
 
@@ -44,8 +44,11 @@ def divide(
 ) -> Field:
     """The field with its sections. Raises ValueError if no part of it can be worked.
 
-    For a body that steers (`turn_radius_m` > 0; its middle keeps `keep_m` from fences) the rings
-    are cut at the corners it cannot follow, and every piece goes on straight as far as it may.
+    `polygon`: metres in the local frame. `origin`: latitude and longitude of (0, 0), degrees.
+    `gate`: (x, y) metres. `section_length_m`, `unit_m`: wanted lengths of swath in a section and in
+    a unit. For a body that steers (`turn_radius_m` > 0) the rings are cut at the corners that it
+    cannot follow; every piece goes on straight while the middle of the body keeps `keep_m` from
+    fences.
     """
     width_m, strip_m = implement_width_m, implement_width_m - overlap_m
     assert 0.0 < overlap_m < implement_width_m / 2
@@ -120,7 +123,7 @@ def _ring_bundles(
 
 
 def _along(ring: LineString, start: float, end: float) -> list[tuple[float, ...]]:
-    """The ring from one arc length to another, over its closing point where need be."""
+    """The ring from one arc length to another, across its closing point if necessary."""
     if end <= ring.length:
         return list(substring(ring, start, end).coords)
     first = list(substring(ring, start, ring.length).coords)
@@ -128,8 +131,11 @@ def _along(ring: LineString, start: float, end: float) -> list[tuple[float, ...]
 
 
 def _straight(ring: LineString, cut: float, width_m: float) -> float:
-    """The arc length nearest to `cut` that is half a width from every corner; where there is none, the
-    one that is furthest from corners, so that a short ring closes on a straight piece too."""
+    """The arc length nearest to `cut` that is half a width from every corner.
+
+    If there is none, it is the one furthest from corners, so that a short ring closes on a straight
+    piece as well.
+    """
     points = list(ring.coords)
     corners, along = [], 0.0
     for k, (a, b) in enumerate(itertools.pairwise(points)):
@@ -151,7 +157,7 @@ def _straight(ring: LineString, cut: float, width_m: float) -> float:
     free = (cut + step for step in steps if room((cut + step) % length) >= width_m / 2 + CUT_STEP_M)
     found = next(free, None)
     if found is None and not 0 < len(corners) <= SHARP_CORNERS_MAX:
-        found = cut  # it turns in small steps, round a hole: the bar leaves nothing out at one
+        found = cut  # a ring round a hole turns in small steps; the bar leaves nothing out there
     elif found is None:
         marks = [*corners, corners[0] + length]
         widest = max(
@@ -162,7 +168,7 @@ def _straight(ring: LineString, cut: float, width_m: float) -> float:
 
 
 def _best_angle(polygon: Polygon, deep: BaseGeometry, strip_m: float) -> float:
-    """The direction with the fewest swaths; among equals the shortest way in all."""
+    """The direction with the fewest swaths, degrees; among equals the shortest total length."""
     edges = list(zip(polygon.exterior.coords, polygon.exterior.coords[1:], strict=False))
     long_enough = EDGE_SHARE_MIN * polygon.exterior.length
     angles = {
@@ -206,7 +212,11 @@ def _strips(deep: BaseGeometry, angle_deg: float, strip_m: float) -> Iterator[li
 def _strip_bundles(
     deep: BaseGeometry, angle_deg: float, strip_m: float, section_length_m: float
 ) -> list[list[Polyline]]:
-    """Swaths that lie side by side, bundled until a section is long enough (boustrophedon cells)."""
+    """Swaths that lie side by side, bundled until a section is long enough.
+
+    A bundle is a boustrophedon cell (Choset and Pignon 1998): each swath is driven against the one
+    before.
+    """
     rows = list(_strips(deep, angle_deg, strip_m))
     bundles: list[list[Polyline]] = []
     open_bundles: list[list[Polyline]] = []

@@ -1,7 +1,7 @@
 """A field and its division into sections: pure data, metres in a local east-north frame.
 
-A section is the unit of claiming, a unit (about 5 m of swath) the unit of progress. Everything here is
-computed from the field description alone, so that every peer has the same sections and units.
+A section is what robots claim; a unit (about 5 m of swath) is what progress counts. Everything here
+is computed from the field description alone, so that every peer has the same sections and units.
 """
 
 import itertools
@@ -21,7 +21,7 @@ from shapely.ops import substring
 XY = tuple[float, float]
 Polyline = tuple[XY, ...]
 CORNER = 0.7072  # distance from a cell's middle to its corner, in cells, rounded up
-UNITS_MAX = 10_240  # a section: 256 blocks of 40, as WORK_PROGRESS carries them
+UNITS_MAX = 10_240  # units of a section: 256 blocks of 40, as WORK_PROGRESS carries them
 
 
 @dataclass(frozen=True)
@@ -34,24 +34,32 @@ class Section:
 
     @property
     def name(self) -> str:
+        """The section's name for people."""
         return f"S{self.id}"
 
     @cached_property
     def units(self) -> int:
+        """Number of units of all swaths."""
         return sum(self.units_of)
 
     @cached_property
     def length_m(self) -> float:
+        """Length of all swaths, without the turns between them."""
         return sum(_length(swath) for swath in self.swaths)
 
     @property
     def ends(self) -> tuple[XY, XY]:
+        """Where the first swath begins and where the last one ends, (x, y) metres."""
         return self.swaths[0][0], self.swaths[-1][-1]
 
     def stretches(
         self, wanted: Callable[[int], bool]
     ) -> Iterator[tuple[Polyline, tuple[int, ...]]]:
-        """(polyline, units passed in its order) of each longest run of wanted units of one swath."""
+        """Each longest run of wanted units of one swath: its polyline, and its units in driving
+        order.
+
+        `wanted`: whether a unit, by its number in the section, is to be included.
+        """
         first = 0
         for swath, count in zip(self.swaths, self.units_of, strict=True):
             run: list[int] = []
@@ -64,8 +72,11 @@ class Section:
             first += count
 
     def leads(self, first: int, last: int, lead_m: float) -> tuple[Polyline, Polyline]:
-        """The swath from `lead_m` before the first of these units, and to `lead_m` after the last; empty
-        where it does not reach so far."""
+        """What of the swath lies `lead_m` before unit `first`, and `lead_m` behind unit `last`.
+
+        Both units are of one swath. A lead is empty where the swath is too short for it. Raises
+        AssertionError if the section has no unit `first`.
+        """
         before = 0
         for swath, count in zip(self.swaths, self.units_of, strict=True):
             if first < before + count:
@@ -80,7 +91,7 @@ class Section:
 
     @cached_property
     def unit_lines(self) -> tuple[Polyline, ...]:
-        """The polyline of each unit, in the order of their numbers; computed once and cached."""
+        """The polyline of each unit, in the order of their numbers; computed once."""
         return tuple(
             _piece(swath, unit, unit + 1, count)
             for swath, count in zip(self.swaths, self.units_of, strict=True)
@@ -90,10 +101,12 @@ class Section:
 
 @dataclass(frozen=True)
 class Field:
+    """A field with its sections. Metres in a local frame, x east and y north of `origin`."""
+
     name: str
     exterior: Polyline
     holes: tuple[Polyline, ...]
-    origin: tuple[float, float]  # latitude, longitude of (0, 0)
+    origin: tuple[float, float]  # latitude, longitude of (0, 0) in degrees
     gate: XY
     implement_width_m: float
     overlap_m: float
@@ -102,23 +115,26 @@ class Field:
 
     @property
     def tracking_tolerance_m(self) -> float:
-        """How far from its line a robot may be for the unit to count: half the overlap."""
+        """How far from its line a robot may be for a unit to count: half the overlap."""
         return self.overlap_m / 2
 
     def section(self, number: int) -> Section:
+        """The section with this number. Raises IndexError if there is none."""
         return self.sections[number]
 
     @cached_property
     def polygon(self) -> Polygon:
+        """The outline with its holes."""
         return Polygon(self.exterior, self.holes)
 
     @cached_property
     def work_m(self) -> float:
+        """Length of all swaths of the field."""
         return sum(section.length_m for section in self.sections)
 
     @cached_property
     def config_hash(self) -> int:
-        """24 bits of everything peers must agree on; coordinates in millimetres."""
+        """24 bits of everything that peers must agree on; coordinates in millimetres."""
         mm = [
             round(v * 1000)
             for section in self.sections
@@ -134,10 +150,11 @@ class Field:
 def rasterise(
     field: Field, cell_m: float, clearance_m: float, whole: bool = False
 ) -> tuple[NDArray[np.bool_], float, float, float]:
-    """(blocked, origin x, origin y, cell) of a path grid: blocked where a robot's centre may not be.
+    """A path grid: (blocked, x and y of its south-western corner, side of a cell), metres.
 
-    `blocked[row, column]`, row 0 in the south. A border of two cells is blocked all round. `whole`:
-    every point of a free cell keeps the clearance; otherwise only its middle does.
+    `blocked` [row, column], row 0 in the south, is True where a robot's middle may not be. A border
+    of two cells is blocked all round. `clearance_m`: kept from fences and holes. `whole`: every
+    point of a free cell keeps the clearance; otherwise only its middle does.
     """
     free = field.polygon.buffer(-clearance_m)
     west, south, east, north = field.polygon.bounds
@@ -162,7 +179,10 @@ def rasterise(
 def joins(
     field: Field, grid: tuple[NDArray[np.bool_], float, float, float], clearance_m: float
 ) -> bool:
-    """Whether the path grid connects all section ends that the free ground connects."""
+    """Whether the path grid connects all section ends that the free ground connects.
+
+    `grid`: as from `rasterise`. `clearance_m`: kept from fences and holes.
+    """
     blocked, origin_x_m, origin_y_m, cell_m = grid
     free = field.polygon.buffer(-clearance_m)
     parts = [part for part in getattr(free, "geoms", [free]) if not part.is_empty]
@@ -180,7 +200,11 @@ def joins(
 
 
 def start_poses(field: Field, count: int, spacing_m: float, clearance_m: float) -> list[XY]:
-    """Places for robots side by side, as near to the gate as spacing and fences allow."""
+    """Places for robots side by side, (x, y) metres, as near to the gate as spacing and fences
+    allow.
+
+    Raises ValueError if there is no room for `count` of them.
+    """
     free = field.polygon.buffer(-clearance_m)
     shapely.prepare(free)
     reach = 2

@@ -18,12 +18,11 @@ from agent.paths.route import Route
 
 Point = tuple[float, float]
 
-BLOCKED_M: Final = 0.4  # margin of ORCA and of tracking, round a body that stands on a swath
-PASS_M: Final = 0.25  # and on a way past it: ORCA's margin, and what a tracker may be off
-THING_M: Final = (
-    0.4  # beside the hull on a way past a thing: what the lookout keeps, and half a grain
-)
-NEAR_M: Final = 4.0  # beyond a body's reach: a robot this near may be the reason for a stall
+BLOCKED_M: Final = 0.4  # margin of ORCA and of tracking round a body that stands on a swath
+PASS_M: Final = 0.25  # margin on a path past a body: ORCA's margin and the cross-track error
+# Margin beside the hull on a path past an obstacle: what the detector keeps, and half a ground cell.
+THING_M: Final = 0.4
+NEAR_M: Final = 4.0  # a robot with no larger gap than this may be the reason for a stall
 STANDS_M_S: Final = 0.05  # a slower robot counts as standing
 MOVED_M: Final = 0.5  # a robot that moved further than this no longer stands in the way
 BESIDE_M: Final = 0.1  # a path may be this much nearer to a robot than one planned round it
@@ -32,11 +31,17 @@ FORGET_US: Final = 30 * S  # after this the path past a robot that stood in the 
 
 
 class FieldObstructions:
+    """What stands in the field for a while, as one robot knows it, and paths round it; (x, y)
+    metres.
+    """
+
     def __init__(
         self, route: Route, radius_m: float, deceleration_m_s2: float, beside_m: float = BLOCKED_M,
         bar_m: float = 0.0,
     ) -> None:  # fmt: skip
-        """`beside_m`: margin to a silent body. `bar_m`: from a body to the nearest lowered implement."""
+        """`route`: plans paths in the field without obstructions. `radius_m`: of every body.
+        `beside_m`: margin to a silent body. `bar_m`: from a body to the nearest lowered implement.
+        """
         self.route, self.radius_m = route, radius_m
         self.body_m, self.pass_m = 2 * radius_m + beside_m, 2 * radius_m + PASS_M
         self.unit_m = max(self.body_m, bar_m)  # from a silent body to a unit that is worked
@@ -49,7 +54,11 @@ class FieldObstructions:
         self._units: dict[tuple[int, bool], frozenset[int]] = {}  # (section, things too)
 
     def look(self, view: FleetView) -> frozenset[Point] | None:
-        """What is new since the last look; None where a silent body came or went."""
+        """Once each control period: the obstacles that are new since the last call.
+
+        None means that a silent body or a robot in our way came or went, so that all paths may be
+        others.
+        """
         self.coasting.look(view.neighbours, view.here, view.now_us)
         places = {slot: self.coasting.places(slot) for slot in sorted(view.silent_since_us)}
         silent = tuple(slot for slot in places if places[slot] is not None)
@@ -58,14 +67,14 @@ class FieldObstructions:
         same = silent == self._silent and bodies == self.bodies and view.things == self.things
         if same and not left:
             return frozenset()
-        # Fewer places than before, seen to be free, are no reason to leave the way we are on.
+        # If places were seen to be free, the current path still does.
         new = view.things - self.things if silent == self._silent and not left else None
         self._silent, self.bodies, self.things = silent, bodies, view.things
         self._plan()
         return new
 
     def stand_before(self, view: FleetView) -> None:
-        """We get nowhere: ways go round robots that stand near by, until they move."""
+        """We make no progress: paths go round robots that stand near by, until those move."""
         for slot, (pose, heard_us) in view.neighbours.items():
             gap_m = hypot(pose.x_m - view.here.x_m, pose.y_m - view.here.y_m)
             fresh = view.now_us - heard_us < FRESH_US
@@ -95,7 +104,10 @@ class FieldObstructions:
             self.way = self.way.round([at for at, _ in self.standing.values()], self.pass_m)
 
     def path(self, start: Point, goal: Point, view: FleetView) -> tuple[Point, ...]:
-        """The path, led round idle robots that stand on it, because they may have nowhere to go."""
+        """A path from start to goal round all obstructions, and round idle robots that stand on it.
+
+        Idle robots may have nowhere to go.
+        """
         way = self.way.path(start, goal)
         stand = [
             (pose.x_m, pose.y_m)
@@ -119,7 +131,10 @@ class FieldObstructions:
         return any(line.distance(Spot(thing)) < near_m for thing in new)
 
     def units(self, section: Section, things_too: bool) -> frozenset[int]:
-        """Units that a silent body blocks; with `things_too` also those that an obstacle blocks."""
+        """Units of a section that a silent body blocks.
+
+        `things_too`: also those that an obstacle or a robot in our way blocks.
+        """
         if not self.bodies and not (things_too and (self.things or self.standing)):
             return frozenset()
         key = section.id, things_too

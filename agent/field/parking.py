@@ -2,11 +2,12 @@
 
 A robot that only evades approaching robots ends in a corner, and there it blocks the row that leads
 into the corner for good. So it leaves early, for the nearest place with room on every side: the
-middle of a finished unit with no open unit beside it. It also leaves if a working robot beside it is
-stuck, because that robot may have no other way than past it.
+middle of a finished unit with no open unit beside it. It also leaves if a working robot beside it
+is stuck. That robot may have no other way than past it.
 
-Without such a place (a field hardly larger than the fleet, or before any unit is finished) it parks
-where working robots arrive latest, by the lines that they hold and their driving order.
+If there is no such place (a field hardly larger than the fleet, or before any unit is finished), it
+parks where working robots arrive latest. That follows from the lines that they hold and their
+driving order.
 """
 
 import itertools
@@ -40,9 +41,7 @@ LOOK_US: Final = 1 * S  # open lines change with units, and a unit takes seconds
 NEAR_MAX: Final = 200  # places examined, nearest first: a field has room near by or not at all
 SAMPLE_M: Final = 1.0  # sampling step of open lines
 # Used where no place has room on every side:
-PASS_M: Final = (
-    0.35  # between hulls, beside a line on which one that works passes us: ORCA's margin twice
-)
+PASS_M: Final = 0.35  # between hulls beside a line that is worked: ORCA's margin twice
 FENCE_M: Final = 0.3  # distance to a fence
 AROUND_M: Final = 12.0  # search radius for places
 GROUND_M: Final = 0.75  # spacing of the examined places
@@ -53,14 +52,16 @@ HASTY_US: Final = 250 * MS  # check period if a robot arrives soon
 
 
 class Parking:
+    """The parking place of one idle robot. Places are (x, y) metres."""
+
     def __init__(self, field: Field, radius_m: float, speed_m_s: float = 2.5) -> None:
         self.field, self.radius_m, self.speed_m_s = field, radius_m, speed_m_s
         self._look_us = LOOK_US
-        self.spot: Point | None = None  # where to go; none: stay
+        self.spot: Point | None = None  # where to go; None: stay
+
         self._looked_us: int | None = None
-        self._beside: dict[
-            int, tuple[float, float, int]
-        ] = {}  # slot of a robot working near us -> position, since when
+        # For each robot that works near us, by slot: its position, and since when it is there.
+        self._beside: dict[int, tuple[float, float, int]] = {}
 
     @property
     def room_m(self) -> float:
@@ -68,7 +69,11 @@ class Parking:
         return 2 * self.radius_m + ROOM_M
 
     def look(self, view: FleetView) -> None:
-        """Once a second: check for a reason to leave, and choose the new place."""
+        """Look for a reason to leave, and choose the new place; sets `spot`.
+
+        Call it each control period. It does something once a second, and more often if a robot
+        arrives soon.
+        """
         if self._looked_us is not None and view.now_us - self._looked_us < self._look_us:
             return
         self._looked_us, self._look_us = view.now_us, LOOK_US
@@ -82,7 +87,7 @@ class Parking:
             self.spot = self._choose(here, open_lines, view)
 
     def forget(self) -> None:
-        """There is work, so the next parking starts a new search."""
+        """There is work: the next parking begins with a new search."""
         self.spot, self._looked_us = None, None
         self._beside.clear()
 
@@ -136,7 +141,9 @@ class Parking:
     # ---------------------------------------------------------------- where there is no room
 
     def _latest(self, here: Point, view: FleetView) -> Point | None:
-        """The place near by where working robots arrive latest, less our travel time; None: stay."""
+        """The place near by where working robots arrive latest, less our travel time; None: stay
+        here.
+        """
         arrivals = self._arrivals(view)
         places = np.vstack(([here], self._ground(here)))
         coming_s = np.full(len(places), LATE_S)
@@ -160,7 +167,9 @@ class Parking:
         return float(places[best, 0]), float(places[best, 1])
 
     def _arrivals(self, view: FleetView) -> list[tuple[float, float, float]]:
-        """Places that others will pass at work, and in how many seconds, from their sections."""
+        """Places x, y that others will pass at work, and in how many seconds, from their
+        sections.
+        """
         found: list[tuple[float, float, float]] = []
         for slot, (pose, _) in view.neighbours.items():
             at, so_far_m = (pose.x_m, pose.y_m), 0.0
@@ -194,7 +203,7 @@ class Parking:
         return free
 
     def _ground(self, here: Point) -> NDArray[np.float64]:
-        """Places (n, 2) of free ground round us."""
+        """Places (n, 2) of free ground round us, metres."""
         steps = np.arange(-AROUND_M, AROUND_M + GROUND_M, GROUND_M)
         x_m, y_m = np.meshgrid(
             np.round(here[0] / GROUND_M) * GROUND_M + steps,
@@ -205,7 +214,7 @@ class Parking:
 
 
 def _middle(line: Polyline) -> Point:
-    """The middle along the line, not between its ends, because a unit may go round a corner."""
+    """The middle along the line, which may differ from the middle between its ends."""
     lengths_m = [hypot(b[0] - a[0], b[1] - a[1]) for a, b in itertools.pairwise(line)]
     left_m = sum(lengths_m) / 2
     for ((ax, ay), (bx, by)), length_m in zip(itertools.pairwise(line), lengths_m, strict=True):
@@ -217,7 +226,7 @@ def _middle(line: Polyline) -> Point:
 
 
 def _samples(lines: Iterable[Sequence[Point]]) -> NDArray[np.float64]:
-    """Points on the lines, (n, 2), every metre at least."""
+    """Points on the lines, (n, 2) metres, at most `SAMPLE_M` apart."""
     found: list[Point] = []
     for line in lines:
         for (ax, ay), (bx, by) in itertools.pairwise(line):

@@ -1,10 +1,10 @@
-"""Where a ring along the fences bends more than a body that steers can follow, it is cut.
+"""Cuts a ring along the fences where it bends more than a body that steers can follow.
 
-Each piece is straight or bends gently. At a cut it goes on straight by up to half a width, as far as the
-middle of the body may go: what an implement sweeps at a corner by swinging, this one has to sweep
-by going past it in both directions. With a fence ahead, at a corner about as sharp as a right angle,
-it ends in a bend away from that fence: the outer end of the bar then runs ahead of the body, into
-the corner.
+Each piece is straight or bends gently. At a cut it goes on straight by up to half a width, as far
+as the middle of the body may go. An implement that swings sweeps a corner by turning; this one has
+to go past the corner in both directions. At a corner about as sharp as a right angle with a fence
+ahead, the piece ends in a bend away from that fence. The outer end of the bar then runs ahead of
+the body, into the corner.
 """
 
 from math import atan2, copysign, cos, hypot, pi, sin
@@ -16,19 +16,23 @@ from agent.field.field_map import XY, Polyline
 
 BEND_RAD = 0.3  # a smaller corner is rounded, within half the usual tolerance
 WINDOW_M = 1.2  # the length over which it is rounded
-SPARE, SPARE_RAD = 1.1, 0.05  # an arc may be drawn as chords
-STEP_M = 0.05  # how finely the end of a piece is looked for
+SPARE, SPARE_RAD = 1.1, 0.05  # tolerances for an arc that is drawn as chords
+STEP_M = 0.05  # step of the search for the end of a piece
 SHARP_RAD = 1.2  # a corner that turns by less is swept to its end by going past it
-ACUTE_RAD = 1.9  # and in one that turns by more there is no room to come out of a bend again
+ACUTE_RAD = 1.9  # in a corner that turns by more there is no room to leave a bend again
 TURN_IN_RAD = 0.42  # at the end of a piece: the bar's outer end is then 40 % of its half ahead
 RUN_M = 0.8  # the bend, and straight on after it where it is tight: the body's course settles there
-CHORDS = 5  # the bend at the end is drawn with
+CHORDS = 5  # number of chords of the bend at the end
 
 
 def cut_at_corners(
     ring: Polyline, turn_radius_m: float, reach_m: float, free: BaseGeometry
 ) -> list[Polyline]:
-    """Pieces of a ring, in its order."""
+    """The pieces of a ring in its order, as polylines of (x, y) metres.
+
+    `turn_radius_m`: the smallest of the body. `reach_m`: half the implement width. `free`: where
+    the middle of the body may be.
+    """
     pieces: list[list[XY]] = [[ring[0]]]
     most_rad = SPARE * WINDOW_M / turn_radius_m + SPARE_RAD
     turned_rad = run_m = 0.0  # what the piece has turned by within the window
@@ -61,11 +65,13 @@ def cut_at_corners(
 def _on(
     piece: list[XY], turn_rad: float, reach_m: float, bend_m: float, free: BaseGeometry
 ) -> list[XY]:
-    """The piece, which ends where the ring turns by `turn_rad`, and what it goes on by."""
+    """The piece, whose end is where the ring turns by `turn_rad`, with its continuation past the
+    corner.
+    """
     a, b = piece[-2:]
     end, is_fence_ahead = _beyond(a, b, reach_m, free)
     course = atan2(b[1] - a[1], b[0] - a[0])
-    # What the bend and its straight end take of the way to `end`.
+    # Length of the bend and its straight end along the way to `end`.
     ahead_m = bend_m * sin(TURN_IN_RAD) + _tail_m(bend_m) * cos(TURN_IN_RAD)
     straight_m = hypot(end[0] - a[0], end[1] - a[1]) - ahead_m
     turns_in = is_fence_ahead and SHARP_RAD <= abs(turn_rad) <= ACUTE_RAD
@@ -78,7 +84,9 @@ def _on(
 
 
 def _bend(a: XY, course: float, straight_m: float, bend_m: float, side: float) -> list[XY]:
-    """Points of a bend that begins `straight_m` from a; `side`: 1 to the left, -1 to the right."""
+    """Points of a bend that begins `straight_m` from `a`; `side`: 1 to the left, -1 to the
+    right.
+    """
     ways = [
         (bend_m * sin(turned), bend_m * (1.0 - cos(turned)))
         for turned in (TURN_IN_RAD * k / CHORDS for k in range(CHORDS + 1))
@@ -106,7 +114,7 @@ def _turn(a: XY, b: XY, c: XY) -> float:
 
 
 def _beyond(a: XY, b: XY, reach_m: float, free: BaseGeometry) -> tuple[XY, bool]:
-    """The furthest free point straight on from b, coming from a; whether a fence ended it."""
+    """The furthest free point straight on from b, coming from a; and whether a fence ended it."""
     course = atan2(b[1] - a[1], b[0] - a[0])
     end = b
     for k in range(1, int(reach_m / STEP_M) + 1):

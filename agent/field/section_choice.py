@@ -1,8 +1,8 @@
 """Chooses the next section of a robot: one of its own share, or one that no robot takes.
 
-The partition that all robots compute alike is in `agent/field/section_partition.py`. Here is what
-this robot knows about the others: where each will be free, which sections silent robots left, and
-which sections were left to another robot and not taken.
+All robots compute the same partition (`agent/field/section_partition.py`). Here is what this robot
+knows about the others: where each will be free, which sections silent robots left, and which
+sections were left to another robot and not taken.
 """
 
 from math import cos, hypot, sin
@@ -14,31 +14,38 @@ from agent.interface.config import CONTROL_PERIOD_US, LEASE_US, S
 from agent.interface.mission import ClaimRequest, FleetView
 from crdt import Phase
 
-UNTAKEN_US: Final = 5 * S  # claims take a quarter of a second, a parted view two
+# What others do not take for this long we take. A claim takes a quarter of a second, and different
+# views of the fleet last for two.
+UNTAKEN_US: Final = 5 * S
 AGAIN_US: Final = 20 * S  # a section that we gave back is left to others first; doubled each time
-AGAIN_TIMES: Final = 5  # at most to ten minutes: 255 hand-overs of a section last for two days
+AGAIN_TIMES: Final = 5  # doublings at most, to ten minutes: 255 hand-overs last for two days
 STANDS_US: Final = 60 * S  # a live owner that stands still keeps its sections this long: 3 leases
 STAYS_M: Final = 4.0  # an owner that moves further than this does not stand still
-FORGET_US: Final = (
-    2 * CONTROL_PERIOD_US
-)  # a longer gap: we were not free to choose, do not count it
+FORGET_US: Final = 2 * CONTROL_PERIOD_US  # a longer gap does not count: we were not free to choose
 
 
 class SectionChooser:
+    """One robot's choice of sections, and what it remembers about the other robots."""
+
     def __init__(self, field: Field, speed_m_s: float) -> None:
         self.field, self.speed_m_s = field, speed_m_s
         self.reserved: dict[int, list[int]] = {}  # silent member -> its sections, in its order
         self._plan: dict[int, list[SectionJob]] = {}
-        self._none_free = -1  # changes of the allocation when nothing was free
-        self._left = -1, 0  # changes of the allocation when others were to choose, and since when
-        self._gave: dict[
-            int, tuple[int, int, int]
-        ] = {}  # section: until when it is left to others, times, units it had
-        self._stands: dict[int, tuple[Point, int, int]] = {}  # owner: where, units it had, how long
+        # The change counter of the allocation when nothing was free; and when all free sections were
+        # left to others, with the time since then.
+        self._none_free = -1
+        self._left = -1, 0
+        # Sections that we gave back: until when others have them, how often, and units done.
+        self._gave: dict[int, tuple[int, int, int]] = {}
+        # Live owners: position, units done, and for how long they have stood there.
+        self._stands: dict[int, tuple[Point, int, int]] = {}
         self._asked_us = 0
 
     def choose(self, view: FleetView, end: Point) -> ClaimRequest | None:
-        """`end`: where we will be free."""
+        """The section to claim next, with our bid; None if there is none for us now.
+
+        `end`: where we will be free, (x, y) metres.
+        """
         self._reserve(view)
         taken = {s for sections in self.reserved.values() for s in sections}
         self._watch(view)
@@ -63,9 +70,11 @@ class SectionChooser:
         return self._orphan(view)
 
     def _untaken(self, view: FleetView) -> bool:
-        """Whether no robot has taken for seconds what we left to others.
+        """Whether others have left for `UNTAKEN_US` what we left to them.
 
-        Two equally near robots may each expect the other to take it, or its owner does not work."""
+        Two equally near robots may each expect the other one to take a section, or its owner does
+        not work.
+        """
         if self._left[0] != view.allocation.changes or view.now_us < self._left[1]:
             self._left = view.allocation.changes, view.now_us
         return view.now_us - self._left[1] >= UNTAKEN_US
@@ -111,7 +120,9 @@ class SectionChooser:
                 self.reserved[slot] = [job.section for job in self._plan.get(slot, [])]
 
     def _orphan(self, view: FleetView) -> ClaimRequest | None:
-        """A section of a silent member, if only sections that silent members own or planned are left."""
+        """A section of a silent or standing member, if only sections that such members own or
+        planned are left.
+        """
         for slot in sorted(view.silent_since_us, key=lambda s: view.silent_since_us[s]):
             if view.now_us - view.silent_since_us[slot] < LEASE_US:
                 continue
@@ -128,9 +139,10 @@ class SectionChooser:
         return None
 
     def gave_back(self, section: int, units: int, now_us: int) -> None:
-        """We made no progress on it: leave it to others first, for longer each time.
+        """We made no progress on a section: leave it to others first, for longer each time.
 
-        `units`: number of its finished units."""
+        `units`: number of its finished units.
+        """
         times = self._gave.get(section, (0, 0, 0))[1] + 1
         until_us = now_us + (AGAIN_US << min(times - 1, AGAIN_TIMES))
         self._gave[section] = until_us, times, units
@@ -142,7 +154,8 @@ class SectionChooser:
     def _watch(self, view: FleetView) -> None:
         """Measure how long live owners have stood still without completing a unit.
 
-        Only time in which we were free to choose counts, because a fleet stop halts all robots."""
+        Only time in which we were free to choose counts, because a fleet stop halts all robots.
+        """
         passed_us, self._asked_us = view.now_us - self._asked_us, view.now_us
         seen: dict[int, tuple[Point, int, int]] = {}
         for slot in view.live - {view.slot}:

@@ -1,12 +1,12 @@
 """Deterministic split of the free sections among live robots; needs no messages.
 
 The free sections, in their spatial order, are cut into as many runs of equal work as there are live
-members. The runs are assigned so that the total travel distance is shortest. Every peer computes the
-same cut from the same state; if views differ for a moment, claims decide.
+members. The runs are assigned so that the total travel distance is shortest. Every peer computes
+the same cut from the same state. If views differ for a moment, claims decide.
 
-Sections that were in a member's run when it fell silent stay reserved for it. They are taken only
-when nothing else is left and its lease is over, from the end it would have reached last: if it is
-alive behind a network cut, it works them from the other end.
+Sections that were in a member's run when it fell silent stay reserved for it. Others take them only
+when nothing else is left and its lease is over, beginning at the end that it would have reached
+last. If it is alive behind a network cut, it works them from the other end.
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,7 +21,7 @@ Point = tuple[float, float]
 
 
 class SectionJob(NamedTuple):
-    """A section as the allocator sees it."""
+    """A section as the partition sees it; ends are (x, y) metres."""
 
     section: int
     work_s: float  # time to do what is left of it
@@ -29,7 +29,7 @@ class SectionJob(NamedTuple):
 
 
 def cut(jobs: Sequence[SectionJob], parts: int) -> list[list[SectionJob]]:
-    """Cut jobs, in their order, into runs of nearly equal work; fewer runs where jobs are few."""
+    """Cut jobs, in their order, into at most `parts` runs of nearly equal work."""
     runs: list[list[SectionJob]] = []
     rest_s, left = sum(job.work_s for job in jobs), parts
     run: list[SectionJob] = []
@@ -49,14 +49,18 @@ def cut(jobs: Sequence[SectionJob], parts: int) -> list[list[SectionJob]]:
 def shares(
     jobs: Sequence[SectionJob], robots: Mapping[int, Point], speed_m_s: float
 ) -> dict[int, list[SectionJob]]:
-    """Slot -> its run, nearest end first. Robots beyond the number of runs get an empty one."""
+    """The run of each robot, by slot, with the end nearest to it first.
+
+    `robots`: where each live robot will be free, (x, y) metres by slot. Robots beyond the number of
+    runs get an empty one.
+    """
     order = sorted(robots)
     runs = cut(jobs, len(order))
     result: dict[int, list[SectionJob]] = {slot: [] for slot in order}
     if not runs:
         return result
     way_m = np.array([[_way(robots[slot], run) for run in runs] for slot in order])
-    # Whole millimetres: equal on every machine, whatever the last bit of a square root says.
+    # Whole millimetres are equal on every machine; the last bit of a square root may not be.
     for slot, column in zip(order, assigned(np.rint(way_m * 1000.0)), strict=True):
         if column == NOBODY:
             continue

@@ -4,19 +4,20 @@ from typing import Final
 
 from agent.interface.config import CONTROL_PERIOD_US, S
 
-FORGET_US: Final = 2 * CONTROL_PERIOD_US  # not asked for longer: it was not allowed to drive
+FORGET_US: Final = 2 * CONTROL_PERIOD_US  # a longer gap does not count: it was not allowed to drive
 
 
 class Headway:
     """Whether work makes progress: a unit is done, or the remaining distance reaches a new minimum.
 
-    A robot without either for a while releases the section, whatever the reason, and the raised epoch
-    lets another robot take it.
+    A robot without either for `NONE_US` releases the section, for whatever reason it is stuck. The
+    raised epoch of the register lets another robot take it.
     """
 
     NONE_US: Final = 20 * S  # as long as a silent owner keeps its sections
     AGAIN_US: Final = 6 * S  # until then it replans this often: it may move without making progress
-    ROUNDS: Final = 3  # over all that is left, without a unit more, may each begin far away
+    # So often it may begin again with all that is left, perhaps far away, without a further unit.
+    ROUNDS: Final = 3
     LESS_M: Final = 1.0  # decrease of the remaining distance that counts as progress
 
     def __init__(self) -> None:
@@ -25,21 +26,25 @@ class Headway:
 
     @property
     def lost(self) -> bool:
+        """Whether the section has to be released."""
         return self._idle_us >= self.NONE_US
 
     def begin(self) -> None:
-        """Another section."""
+        """Work on another section begins."""
         self._left_m, self._idle_us, self._planned_us = float("inf"), 0, 0
         self._rounds = 0
 
     def again(self) -> None:
-        """The legs are driven, not all is done, and another round begins."""
+        """All legs are driven and units are left: another round over them begins."""
         self._rounds += 1
         if self._rounds <= self.ROUNDS:
             self._left_m = float("inf")
 
     def look(self, done: bool, left_m: float, now_us: int) -> bool:
-        """Called each control period at work; returns whether to replan. Other time does not count."""
+        """Once each control period at work; returns whether to replan. Other time does not count.
+
+        `done`: a unit was completed. `left_m`: remaining distance of all legs.
+        """
         passed_us = now_us - self._asked_us
         self._asked_us = now_us
         if done or left_m < self._left_m - self.LESS_M:

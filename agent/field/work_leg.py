@@ -1,4 +1,6 @@
-"""A polyline that a robot with an implement drives in one go: at work on a section, or on its way."""
+"""A polyline that a robot with an implement drives in one go: at work on a section, or on
+its way.
+"""
 
 from itertools import pairwise
 from math import dist, hypot
@@ -7,21 +9,17 @@ from typing import Final, NamedTuple
 from agent.field.section_partition import Point
 from agent.motion.implement_clearance import LEAD_M
 
-# point within centimetres would leave that much of the work out
 STRAIGHT_M: Final = 0.01  # a lead-in that begins closer to the line of its first unit does not turn
-SWUNG_M: Final = (
-    0.15  # so far behind a corner the bar is round it; the tracker turns 6 cm before it
-)
+# This far behind a corner the bar is round it. The tracker turns 6 cm before the corner.
+SWUNG_M: Final = 0.15
 assert SWUNG_M < LEAD_M
 
-
-LeadInOut = tuple[
-    tuple[Point, ...], tuple[Point, ...]
-]  # what of the swath is before a stretch, and after
+# The parts of the swath before and behind a stretch.
+LeadInOut = tuple[tuple[Point, ...], tuple[Point, ...]]
 
 
 class WorkLeg(NamedTuple):
-    """A polyline to drive; `units` are passed in this order, and none means transit.
+    """A polyline to drive, (x, y) metres; `units` are passed in this order, and none means transit.
 
     A leg with units is longer than they are by `LEAD_M` at both ends.
     """
@@ -31,6 +29,7 @@ class WorkLeg(NamedTuple):
 
     @property
     def length_m(self) -> float:
+        """Length of the polyline."""
         return sum(dist(a, b) for a, b in pairwise(self.points))
 
 
@@ -39,8 +38,12 @@ def working_leg(
     units: tuple[int, ...],
     leads: LeadInOut = ((), ()),
 ) -> WorkLeg:
-    """A stretch of units with its lead-in and lead-out. `leads`: the swath before and after it, `LEAD_M`
-    each; where that turns the leg follows it: the bar has to swing round a corner at a unit's end."""
+    """A stretch of units with its lead-in and lead-out.
+
+    `leads`: the parts of the swath before and behind it, `LEAD_M` each. The leg follows a lead that
+    turns, because the bar has to swing round a corner at a unit's end. Otherwise it goes straight
+    on.
+    """
     before, after = leads
     first: tuple[Point, ...] = (_beyond(points[1], points[0]),)
     last: tuple[Point, ...] = (_beyond(points[-2], points[-1]),)
