@@ -1,1 +1,1 @@
-"""Commands that prepare: kernels compiled ahead, the compiled core for campaigns."""
+"""Preparing and checking: kernels compiled ahead, the compiled core for campaigns, docstrings."""

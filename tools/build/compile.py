@@ -3,7 +3,6 @@
 import io
 import os
 import shutil
-import subprocess
 import sys
 import sysconfig
 import time
@@ -12,11 +11,11 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import chdir, redirect_stderr, redirect_stdout
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from rich.console import Console
 
-from tools.build.compiled_core import FOLDER, OFF, SUFFIX, place
+from tools.build.compiled_core import FOLDER, SUFFIX, place
 from tools.common.fingerprint import ROOT
 
 WRONG = 1
@@ -24,7 +23,8 @@ LEVEL = "2"  # of optimization
 CACHE = FOLDER.with_name("core_types")  # of mypy: that of `make check` has other options
 # What turns and frames go through. Not: modules of kernels (numba has those), of constants and
 # protocols alone, what is seldom called, what mypyc refuses (constrained type variables), and
-# `sim/chaos/scenario_judge.py`, on which mypyc 2 itself crashes. mypyc calls a `cached_property` each time.
+# `sim/chaos/scenario_judge.py`, on which mypyc 2 itself crashes. mypyc calls a `cached_property`
+# each time.
 GROUP = {
     "crdt": "allocation clock digest progress register",
     "protocol": "address frames.accord_frames frames.codec frames.delivery_frames frames.fleet_frames "
@@ -59,7 +59,11 @@ class ToolMissingError(CompileError):
 
 
 def files(group: dict[str, str]) -> list[str]:
-    return [f"{package}/{name.replace('.', '/')}.py" for package, names in group.items() for name in names.split()]
+    return [
+        f"{package}/{name.replace('.', '/')}.py"
+        for package, names in group.items()
+        for name in names.split()
+    ]
 
 
 def build(folder: Path, group: dict[str, str] = GROUP) -> Iterator[tuple[str, int, int]]:

@@ -56,10 +56,10 @@ def _coverage() -> None:
 
 
 def _agreement() -> None:
+    from agent.interface.ports import Observation
+    from agent.mapf.lacam import planned
     from agent.mapf.linear_assignment import assigned
     from agent.mapping.building import Floor
-    from agent.mapf.lacam import planned
-    from agent.interface.ports import Observation
     from agent.motion.unexplained_echoes import UnexplainedEchoes
 
     assigned(np.ones((2, 3)))
@@ -106,8 +106,8 @@ def _world() -> None:
 
     from agent.interface.effects import Drive
     from sim.world.coverage_truth import coverage, sample_points
-    from sim.world.reachable_ground import Body, reachable_ground
     from sim.world.drive_trains import Chassis
+    from sim.world.reachable_ground import Body, reachable_ground
     from sim.world.world import World
 
     ring = [(0.0, 0.0), (20.0, 0.0), (20.0, 20.0), (0.0, 20.0)]
@@ -124,14 +124,14 @@ def _world() -> None:
 
 def _fleets() -> None:
     """What simulations of many robots compute for all of them at once."""
-    from tools.bench.kernels.agent_table import AGENT_COLUMNS
     from agent.avoidance.obstacle_tree import obstacle_tree
-    from tools.bench.kernels.occupancy_fleet import OccupancyFleet
     from agent.avoidance.orca import OrcaSolver
-    from tools.bench.kernels.orca_fleet import Fleet
-    from sim.world.lidar import Lidar
     from sim.world.drive_trains import Chassis
+    from sim.world.lidar import Lidar
     from sim.world.world import World
+    from tools.bench.kernels.agent_table import AGENT_COLUMNS
+    from tools.bench.kernels.occupancy_fleet import OccupancyFleet
+    from tools.bench.kernels.orca_fleet import Fleet
 
     ring = [(0.0, 0.0), (20.0, 0.0), (20.0, 20.0), (0.0, 20.0)]
     walls = obstacle_tree([ring[::-1]])

@@ -15,7 +15,10 @@ from tools.common.fingerprint import ROOT
 
 RUNS = [("protocol", 3), ("all", 1), ("stop", 2), ("crash", 5)]
 FEW = RUNS[:2]  # of a small core: these go through all of its modules
-SMALL = {"crdt": "digest progress clock", "protocol": "frames.fleet_frames"}  # half a minute to compile
+SMALL = {
+    "crdt": "digest progress clock",
+    "protocol": "frames.fleet_frames",
+}  # half a minute to compile
 PLAY = """
 import json, sys
 from pathlib import Path
