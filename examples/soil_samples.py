@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from math import hypot
 
 from agent.interface.config import S
-from agent.interface.mission import STILL, ClaimRequest, FleetView, MotionRequest
+from agent.interface.mission import STILL, ClaimRequest, FleetView, Mission, MotionRequest
 from agent.motion.path_tracker import PathTracker
 from agent.paths.route import Route
 from crdt import Phase
@@ -22,9 +22,7 @@ Point = tuple[float, float]
 DIG_US = 3 * S
 
 
-class SoilSamples:
-    """The `Mission` port of `agent/interface/mission.py`."""
-
+class SoilSamples(Mission):
     def __init__(
         self, posts: Sequence[Point], route: Route, speed_m_s: float, braking_m_s2: float
     ) -> None:
@@ -39,9 +37,9 @@ class SoilSamples:
         return dict.fromkeys(range(len(self.posts)), 1)
 
     @property
-    def rest_of_way(self) -> list[Point]:
+    def remaining_path(self) -> list[Point]:
         """For the map and the report."""
-        return [] if self.tracker is None else self.tracker.rest_of_way
+        return [] if self.tracker is None else self.tracker.remaining_path
 
     def choose(self, view: FleetView) -> ClaimRequest | None:
         """The nearest post that is free, or whose owner is silent for good."""
@@ -85,18 +83,15 @@ class SoilSamples:
         self.tracker.locate(*here)
         return MotionRequest(*self.tracker.velocity(*here))
 
-    def admits(self, goal: Point) -> bool:
+    def accepts_goal(self, goal: Point) -> bool:
         return self.route.admits(goal)
 
     def abandon(self) -> None:
         self.section, self.tracker = -1, None
 
-    def interrupted(self) -> None:
+    def on_implement_raised(self) -> None:
         """The auger is up, or a stop came between: dig again."""
         self.there_us = None
-
-    def rest(self, view: FleetView) -> MotionRequest:
-        return STILL
 
 
 class SoilSetting(Setting):
@@ -115,7 +110,7 @@ class SoilSetting(Setting):
     def section_count(self) -> int:
         return len(self.posts)
 
-    def mission(self, slot: int) -> SoilSamples:  # type: ignore[override]
+    def mission(self, slot: int) -> SoilSamples:
         fleet = self.scenario.fleet
         return SoilSamples(self.posts, self.route, fleet.speed_m_s, 0.5 * fleet.acceleration_m_s2)
 

@@ -3,9 +3,12 @@
 The plan says where to go, the rounds when (`agent/coverage/plan_agreement.py`); this mission drives
 from cell to cell. Claims of sections inform observers and robots that join later which robot has begun
 what. A section is done when all its cells are covered, by any robot.
+
+A robot is never sent out of a joint plan, so the mission accepts no goal: an operator holds the robot,
+and the others go round it.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from math import cos, hypot, sin
 from random import Random
 
@@ -13,10 +16,19 @@ from agent.coverage.cell_map import NONE, CellMap
 from agent.coverage.plan_agreement import ANYBODY, CoverageAgreement, FleetSnapshot
 from agent.interface.config import ACTUATOR_TTL_US, CONTROL_PERIOD_US, MS, S
 from agent.interface.lifecycle import State
-from agent.interface.mission import STILL, ClaimRequest, CoveredUnits, FleetView, MotionRequest
+from agent.interface.mission import (
+    STILL,
+    ClaimRequest,
+    CoveredUnits,
+    FleetView,
+    Mission,
+    MotionRequest,
+    Record,
+)
 from agent.mapf.agreement_phase import Phase
 from crdt import Phase as Claimed
-from protocol.frames.accord_frames import AgreementReply
+from protocol.frames.accord_frames import Accord, AgreementReply
+from protocol.frames.messages import Message
 
 # A cell counts as covered when a robot's centre is this close to its own (share of a cell).
 COVERED = 0.1
@@ -41,12 +53,12 @@ HELD_US = (
 PERIOD_S = CONTROL_PERIOD_US / S
 
 
-class GridWork:
+class GridWork(Mission):
     def __init__(
         self, slot: int, ground: CellMap, speed_m_s: float, rng: Random, turn_cost: float = 0.0
     ) -> None:
         self.slot, self.ground, self.speed_m_s, self.rng = slot, ground, speed_m_s, rng
-        self.accords = CoverageAgreement(slot, ground, turn_cost)
+        self.agreement = CoverageAgreement(slot, ground, turn_cost)
         self._from = self._to = NONE  # cells: the middle we left last, and the one we drive to
         self._step = 0  # of the plan, that we are at or were at last
         self._onward = False  # to the next step's cell, not back
@@ -72,14 +84,14 @@ class GridWork:
     @property
     def over(self) -> bool:
         """Our plan is at its end, or we have no part in it, and nothing is left for later."""
-        rounds = self.accords
+        rounds = self.agreement
         if rounds.phase is not Phase.GO or rounds.course is None or rounds.later:
             return False
         return rounds.me == NONE or not rounds.course.reaches(self._step + 1)
 
     # ---------------------------------------------------------------- each control period
 
-    def attend(self, view: FleetView, state: State) -> None:
+    def on_control_period(self, view: FleetView, state: State) -> None:
         here, now_us = view.here, view.now_us
         if self._to == NONE:
             self._asked_us = now_us
@@ -87,7 +99,7 @@ class GridWork:
             assert self._to != NONE, "a robot stands in a free cell"
         self._sweep(view)
         self._told = {n for n in self._told if not view.progress.has(*self.ground.unit(n))}
-        rounds = self.accords
+        rounds = self.agreement
         if rounds.round != self._round:
             self._round, self._step, self._turn = rounds.round, 0, 0
             self._onward = False
@@ -112,7 +124,7 @@ class GridWork:
         near = self._off_m(view, self._from) < COVERED * self.ground.cell_m
         return self._from if self._from == self._to and near else NONE
 
-    def swept(self) -> CoveredUnits:
+    def covered_units(self) -> CoveredUnits:
         news, self._news = tuple(self._news), []
         return CoveredUnits(news, self._at_once)
 
@@ -134,19 +146,29 @@ class GridWork:
             self._told.add(number)
             self._news.append(unit)
 
+    # ---------------------------------------------------------------- frames
+
+    def on_message(self, slot: int | None, message: Message, now_us: int) -> Sequence[Record]:
+        if slot is not None and isinstance(message, Accord):
+            self.agreement.on_message(slot, message, now_us)
+        return ()
+
+    def outgoing(self, now_us: int) -> Iterable[Message]:
+        return self.agreement.outgoing(now_us)
+
     # ---------------------------------------------------------------- of those that are silent
 
     def _tell_of_silent(self, view: FleetView) -> None:
         """Announce the cells that silent robots had reported as reached: these are covered."""
         rank = sum(slot < self.slot for slot in view.live)
-        if view.now_us < self.accords.begun_us + rank * TELL_US or self.accords.course is None:
+        if view.now_us < self.agreement.begun_us + rank * TELL_US or self.agreement.course is None:
             return
         for slot in view.silent_since_us:
-            for number in self.accords.passed(slot):
+            for number in self.agreement.passed(slot):
                 self._tell(number, view)
-            if slot in self.accords.course.slots and slot in view.neighbours:
+            if slot in self.agreement.course.slots and slot in view.neighbours:
                 pose = view.neighbours[slot].pose
-                number, before = self.accords.bound_for(slot)
+                number, before = self.agreement.bound_for(slot)
                 x_m, y_m = self.ground.centre(before)
                 gone_m = hypot(pose.x_m - x_m, pose.y_m - y_m)
                 if number == before or gone_m >= (1.0 - COVERED) * self.ground.cell_m:
@@ -154,7 +176,7 @@ class GridWork:
 
     def _meet_wreck(self, view: FleetView) -> None:
         """A single robot that fell silent stands where its last command expired."""
-        owing = self.accords.owing(view.progress, view.silent_since_us)
+        owing = self.agreement.owing(view.progress, view.silent_since_us)
         if len(owing) != 1 or owing[0] not in view.neighbours:
             return
         pose = view.neighbours[owing[0]].pose
@@ -170,7 +192,7 @@ class GridWork:
                 cells.append((row + sign * step[0], column + sign * step[1]))
         for cell in cells:
             if self.ground.number(cell) != NONE:
-                self.accords.meet(self.ground.number(cell), owing[0], view.now_us)
+                self.agreement.meet(self.ground.number(cell), owing[0], view.now_us)
 
     # ---------------------------------------------------------------- driving
 
@@ -212,7 +234,7 @@ class GridWork:
 
     def _bind(self, left_m: float) -> None:
         if self._onward and left_m <= (1.0 - BOUND) * self.ground.cell_m:
-            self.accords.reach(self._step + 1)
+            self.agreement.reach(self._step + 1)
 
     def _arrive(self) -> None:
         self._from = self._to
@@ -224,7 +246,7 @@ class GridWork:
     def _next(self, view: FleetView) -> bool:
         """Set out for the next cell of the plan, if we may. Waiting is what others make us do: steps
         of the plan in which we stand are over at once."""
-        rounds = self.accords
+        rounds = self.agreement
         if not rounds.going or rounds.course is None:
             return False
         while rounds.course.reaches(self._step + 1):
@@ -244,7 +266,7 @@ class GridWork:
 
         It announces the cell half a cell early, so coming from the side we would be there before it.
         """
-        cell_m, (before, on) = self.ground.cell_m, self.accords.leaving(self._step + 1)
+        cell_m, (before, on) = self.ground.cell_m, self.agreement.leaving(self._step + 1)
         if on == NONE:
             return True
         (x_m, y_m), (on_x_m, on_y_m) = self.ground.centre(to), self.ground.centre(on)
@@ -259,7 +281,7 @@ class GridWork:
     def _turns_back(self, left_m: float, now_us: int) -> bool:
         """Held up: to the other end, so that others can pass. Not where we have said that we come."""
         bound = self._onward and left_m <= (1.0 - BOUND) * self.ground.cell_m
-        back_us = BACK_US if self.accords.going else GATHER_BACK_US
+        back_us = BACK_US if self.agreement.going else GATHER_BACK_US
         if bound or now_us - self._held_us < back_us:
             return False
         self._from, self._to = self._to, self._from
@@ -268,19 +290,19 @@ class GridWork:
         return True
 
     def _is_next(self, number: int) -> bool:
-        rounds = self.accords
+        rounds = self.agreement
         if not rounds.going or rounds.course is None or not rounds.course.reaches(self._step + 1):
             return False
         return rounds.course.place(rounds.me, self._step + 1) == number
 
     def _is_stuck(self, now_us: int) -> bool:
         since_us = self._strange_us
-        return self.accords.going and since_us > 0 and now_us - since_us > STUCK_US
+        return self.agreement.going and since_us > 0 and now_us - since_us > STUCK_US
 
     def _report(self, view: FleetView) -> None:
         """What is in the cell that we may enter, and does not go away, is an obstacle."""
         self._strange_us = 0
-        rounds = self.accords
+        rounds = self.agreement
         assert rounds.course is not None
         if not rounds.course.reaches(self._step + 1):
             return
@@ -296,7 +318,7 @@ class GridWork:
     # ---------------------------------------------------------------- sections
 
     def choose(self, view: FleetView) -> ClaimRequest | None:
-        if not self.accords.going:
+        if not self.agreement.going:
             return None
         section = self._coming(view)
         if section is not None:
@@ -319,7 +341,7 @@ class GridWork:
 
     def _coming(self, view: FleetView) -> int | None:
         """The section of the next cell that we are to cover."""
-        rounds = self.accords
+        rounds = self.agreement
         assert rounds.course is not None
         turns = rounds.course.turns[rounds.me]
         while self._turn < len(turns) and turns[self._turn][0] <= self._step:
@@ -345,20 +367,10 @@ class GridWork:
     def abandon(self) -> None:
         self._section = None
 
-    def admits(self, goal: tuple[float, float]) -> bool:
-        """A robot is never sent out of a joint plan: hold it, and the others go round it."""
-        return False
-
-    def travel(self, goal: tuple[float, float], view: FleetView) -> MotionRequest:
-        return STILL
-
-    def interrupted(self) -> None:
-        """What we stood on is covered; what we did not reach is not."""
-
     def approach(self, section: int, view: FleetView) -> MotionRequest:
-        return self.rest(view)
+        return self.idle(view)
 
-    def rest(self, view: FleetView) -> MotionRequest:
+    def idle(self, view: FleetView) -> MotionRequest:
         self._asked, self._asked_us = True, view.now_us
         return self._wish
 
@@ -369,14 +381,14 @@ class GridWork:
         if view.progress.complete(self._section):
             self._section = None
             return self._wish._replace(finished=True)
-        if self.accords.going and not self._comes_to(self._section, view):
+        if self.agreement.going and not self._comes_to(self._section, view):
             self._section = None
             return self._wish._replace(given_up=True)
         return self._wish
 
     def _comes_to(self, section: int, view: FleetView) -> bool:
         """Whether we are to cover anything in that section soon, or have just done so."""
-        rounds = self.accords
+        rounds = self.agreement
         assert rounds.course is not None
         rounds.course.reaches(self._step + AHEAD)
         self._coming(view)

@@ -98,7 +98,7 @@ class CoverageAgreement:
         self._differs_us = None
         self._said.clear()
 
-    def hear(self, slot: int, m: Accord, now_us: int) -> None:
+    def on_message(self, slot: int, m: Accord, now_us: int) -> None:
         if m.say == AgreementKind.BODY:
             self._hear_body(m, now_us)
             return
@@ -326,7 +326,7 @@ class CoverageAgreement:
 
     # ---------------------------------------------------------------- saying
 
-    def say(self, now_us: int) -> list[Accord]:
+    def outgoing(self, now_us: int) -> list[Accord]:
         """What is due with this beat."""
         words: list[Accord] = []
         place = self._places.get(self.slot)

@@ -75,23 +75,23 @@ class DeliveryMission(NavigationMission):
 
     # ---------------------------------------------------------------- frames
 
-    def hear(self, slot: int | None, message: Message, now_us: int) -> Sequence[Record]:
+    def on_message(self, slot: int | None, message: Message, now_us: int) -> Sequence[Record]:
         if isinstance(message, Dispatched):
             return self.dispatch.hear(slot, message, now_us)
-        return super().hear(slot, message, now_us)
+        return super().on_message(slot, message, now_us)
 
-    def say(self, now_us: int) -> Iterable[Message]:
-        return [*super().say(now_us), *self.dispatch.say(now_us)]
+    def outgoing(self, now_us: int) -> Iterable[Message]:
+        return [*super().outgoing(now_us), *self.dispatch.say(now_us)]
 
     # ---------------------------------------------------------------- each control period
 
-    def attend(self, view: FleetView, state: State) -> None:
+    def on_control_period(self, view: FleetView, state: State) -> None:
         self._load = view.here.load
         self.dispatch.left = round(view.here.battery * FULL)
         able = state in (State.IDLE, State.WORKING, State.SYNCHRONIZING)
         self.dispatch.tick(view, able and not self._stranded(view))
         self.paths.work()
-        super().attend(view, state)
+        super().on_control_period(view, state)
 
     def _stranded(self, view: FleetView) -> bool:
         """Whether we cannot begin more tasks: updates unreachable tasks and checks our progress."""
@@ -349,7 +349,7 @@ class DeliveryMission(NavigationMission):
             if view.now_us - self._since_us > MISSING_US:
                 return self._missing(task, view)
             return MotionRequest(0.0, 0.0)
-        return MotionRequest(0.0, 0.0, handle=task)
+        return MotionRequest(0.0, 0.0, parcel_action=task)
 
     def _missing(self, task: int, view: FleetView) -> MotionRequest:
         """No parcel here: try the next place; after the last one release the task for a while."""
@@ -385,15 +385,15 @@ class DeliveryMission(NavigationMission):
     def abandon(self) -> None:
         self._through()
 
-    def rest(self, view: FleetView) -> MotionRequest:
+    def idle(self, view: FleetView) -> MotionRequest:
         """Nothing to do: go to where we were switched on, out of the way of other robots."""
         self.section = None
         if self._idle_us is None:
             self._idle_us = view.now_us
         away_m = hypot(self.home[0] - view.here.x_m, self.home[1] - view.here.y_m)
         if view.now_us - self._idle_us < HOME_US or away_m < 1.0:
-            return super().rest(view)
+            return super().idle(view)
         if self.house.carrier.runs_dry and self.dispatch.left < self.house.home(self.home):
-            return super().rest(view)
+            return super().idle(view)
         self._go(self.home)
         return self._drive(view)[0]

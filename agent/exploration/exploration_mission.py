@@ -7,7 +7,7 @@ The map is the progress, and exploration is over for a robot when it sees no fro
 """
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from math import hypot
 
 from agent.exploration.exploration_task import (
@@ -30,7 +30,7 @@ from agent.exploration.frontier import (
 from agent.exploration.frontier_path import TURN_ROUND, XY, FrontierPath
 from agent.interface.config import LEASE_US, MS, S
 from agent.interface.lifecycle import State
-from agent.interface.mission import ClaimRequest, FleetView, MotionRequest
+from agent.interface.mission import ClaimRequest, FleetView, Mission, MotionRequest
 from agent.interface.motion_controller import BodyLimits
 from agent.mapping.inflation import Cell, Grid
 from agent.mapping.local_and_fleet_map import LocalAndFleetMap
@@ -47,7 +47,7 @@ VIEW_SHARE = 0.5  # share of the sensor range from which a station sees its fron
 VIEW_MAX_M = 1.0
 
 
-class ExplorationMission:
+class ExplorationMission(Mission):
     def __init__(
         self,
         chart: LocalAndFleetMap,
@@ -74,16 +74,12 @@ class ExplorationMission:
         self._merge_us = 0
 
     @property
-    def section_units(self) -> Mapping[int, int]:
-        return {}
-
-    @property
     def progress_percent(self) -> float:
         """Percentage of the map's cells that any robot has seen."""
         return 100.0 * self.chart.fleet.progress
 
     @property
-    def rest_of_way(self) -> Sequence[XY]:
+    def remaining_path(self) -> Sequence[XY]:
         return self._way.rest
 
     # ---------------------------------------------------------------- seeing
@@ -264,16 +260,13 @@ class ExplorationMission:
     def abandon(self) -> None:
         self._end_task(Status.FAILED)
 
-    def interrupted(self) -> None:
-        """We have no implement."""
-
     # ---------------------------------------------------------------- moving
 
     def approach(self, section: int, view: FleetView) -> MotionRequest:
         self._see(view)
         return self._way.drive(view)
 
-    def admits(self, goal: XY) -> bool:
+    def accepts_goal(self, goal: XY) -> bool:
         return self.chart.admits(goal)
 
     def travel(self, goal: XY, view: FleetView) -> MotionRequest:
@@ -284,7 +277,7 @@ class ExplorationMission:
             self._way.plan(view.here)
         return self._way.drive(view)
 
-    def rest(self, view: FleetView) -> MotionRequest:
+    def idle(self, view: FleetView) -> MotionRequest:
         self._see(view)
         if self.task is not None:
             self._end_task(Status.FAILED)  # its claim was lost before it began

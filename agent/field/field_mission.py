@@ -17,7 +17,7 @@ from agent.field.section_choice import SectionChooser
 from agent.field.section_partition import Point
 from agent.field.work_headway import Headway
 from agent.field.work_leg import STRAIGHT_M, SWUNG_M, LeadInOut, WorkLeg, working_leg
-from agent.interface.mission import STILL, ClaimRequest, FleetView, MotionRequest
+from agent.interface.mission import STILL, ClaimRequest, FleetView, Mission, MotionRequest
 from agent.motion.implement_clearance import LEAD_M, Implement
 from agent.motion.path_tracker import PathTracker
 from agent.paths.route import Route
@@ -30,7 +30,8 @@ NEAR_END_S: Final = 5.0  # claim the next section when this much work is left
 _wish = tuple.__new__  # all fields at once: a third of the time, and one is made every period
 
 
-class FieldMission:
+class FieldMission(Mission):
+    replans = True
     beside_m = BLOCKED_M  # left to a silent body
     turns_on_the_spot = True  # where a swath has a corner, and swings its bar round it
     past_end_m = 0.0  # driven beyond the last unit of a leg before it counts
@@ -73,9 +74,9 @@ class FieldMission:
         return {section.id: section.units for section in self.field.sections}
 
     @property
-    def rest_of_way(self) -> list[Point]:
+    def remaining_path(self) -> list[Point]:
         """What is left of the leg we drive, and the legs after it."""
-        now = [] if self.tracker is None else self.tracker.rest_of_way
+        now = [] if self.tracker is None else self.tracker.remaining_path
         return [*now, *(point for leg in self.legs for point in leg.points)]
 
     # ---------------------------------------------------------------- choosing
@@ -101,7 +102,7 @@ class FieldMission:
             self.legs, self.tracker = [legs[0]] if legs and not legs[0].units else [], None
         return self._drive(view)[0]
 
-    def admits(self, goal: Point) -> bool:
+    def accepts_goal(self, goal: Point) -> bool:
         return self.route.admits(goal)
 
     def travel(self, goal: Point, view: FleetView) -> MotionRequest:
@@ -122,16 +123,16 @@ class FieldMission:
         self.section, self.heading_to = None, None
         self.legs, self.tracker = [], None
 
-    def stalled(self, view: FleetView) -> None:
+    def on_stalled(self, view: FleetView) -> None:
         """Replan from here round standing robots near by; the units under them come last."""
         self.blockage.stand_before(view)
         self._go_round(view)
 
-    def interrupted(self) -> None:
+    def on_implement_raised(self) -> None:
         """The implement is up, so the current unit, if any, has to be worked again."""
         self.worst_m, self.lifted = inf, True
 
-    def rest(self, view: FleetView) -> MotionRequest:
+    def idle(self, view: FleetView) -> MotionRequest:
         """No work for us: stand still, but not where a robot works or will work."""
         self.heading_to = None
         before = self.parking.spot
@@ -164,7 +165,7 @@ class FieldMission:
             self.headway.again()
         late = self.headway.look(bool(covered), self._left_m, view.now_us)
         if late and self.plans_without_headway:
-            self.stalled(view)
+            self.on_stalled(view)
         if self.headway.lost:
             self.choosing.gave_back(self.section.id, self.section.units - missing, view.now_us)
             self.abandon()
@@ -223,7 +224,7 @@ class FieldMission:
         here = view.here
         covered: list[int] = []
         if self.shove.noticed((here.x_m, here.y_m), view.now_us, self.speed_m_s):
-            self.interrupted()
+            self.on_implement_raised()
         while True:
             if self.tracker is None:
                 if not self.legs:
@@ -337,7 +338,7 @@ def _covering(
 ) -> MotionRequest:
     """The motion request of a working robot, with these units completed."""
     vx_m_s, vy_m_s, turn_rad_s, tool_on, *_ = wish
-    held = (tuple(covered), finished, wish.given_up, near_end, wish.hold, wish.handle)
+    held = (tuple(covered), finished, wish.given_up, near_end, wish.hold, wish.parcel_action)
     return _wish(MotionRequest, (vx_m_s, vy_m_s, turn_rad_s, tool_on, *held))
 
 

@@ -99,7 +99,7 @@ class TractorMission(FieldMission):
         super().abandon()
         self.follow, self.joined = None, False
 
-    def rest(self, view: FleetView) -> MotionRequest:
+    def idle(self, view: FleetView) -> MotionRequest:
         """Stand still, but not where another robot works."""
         self.heading_to, self.follow, self.joined = None, None, False
         here = Pose(view.here.x_m, view.here.y_m, view.here.heading_rad)

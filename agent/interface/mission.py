@@ -1,19 +1,21 @@
 """The interface of a mission: it names the next section to claim and works the claimed one.
 
 The peer owns claims, time and safety; a mission owns geometry. A mission never sends. It returns
-the units it has covered, which the peer records and announces.
+the units it has covered, which the peer records and announces, and the messages of its own that
+the peer sends with its next beat.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple
 
 from agent.interface.lifecycle import State
 from agent.interface.ports import Neighbour, Observation
 from crdt import FieldAllocationCRDT, Progress
-from protocol.frames.accord_frames import Accord
 from protocol.frames.messages import Message
 
 Record = tuple[str, bytes]  # key and value of durable memory
+NO_SECTIONS: Mapping[int, int] = {}
 
 
 class FleetView(NamedTuple):
@@ -52,94 +54,10 @@ class MotionRequest(NamedTuple):
     given_up: bool = False  # the section is released unfinished and is free to claim
     near_end: bool = False  # claim the next section now, so that no time is lost
     hold: bool = False  # stand still and let the others go round
-    handle: int = -1  # number of a parcel to pick up or put down here; -1: none
+    parcel_action: int = -1  # number of a parcel to pick up or put down here; -1: none
 
 
 STILL = MotionRequest(0.0, 0.0)
-
-
-class Mission(Protocol):
-    @property
-    def section_units(self) -> Mapping[int, int]:
-        """Number of units of each section; this is the total work."""
-        ...
-
-    def choose(self, view: FleetView) -> ClaimRequest | None: ...
-    def approach(self, section: int, view: FleetView) -> MotionRequest:
-        """Drive towards a section whose claim is still contested."""
-        ...
-
-    def begin(self, section: int, view: FleetView) -> None: ...
-    def work(self, view: FleetView) -> MotionRequest: ...
-    def abandon(self) -> None: ...
-    def admits(self, goal: tuple[float, float]) -> bool:
-        """Whether a robot may be sent there."""
-        ...
-
-    def travel(self, goal: tuple[float, float], view: FleetView) -> MotionRequest:
-        """Drive to a place without working."""
-        ...
-
-    def interrupted(self) -> None:
-        """The implement was lifted although the mission wanted it down, so the current leg failed."""
-        ...
-
-    def rest(self, view: FleetView) -> MotionRequest:
-        """Motion without a section: stand still, or get out of the way."""
-        ...
-
-
-class AgreementChannel(Protocol):
-    """Rounds of agreement over ACCORD frames."""
-
-    def hear(self, slot: int, m: Accord, now_us: int) -> None: ...
-    def say(self, now_us: int) -> list[Accord]:
-        """The frames that are due with this beat."""
-        ...
-
-
-@runtime_checkable
-class Replanning(Protocol):
-    """A mission that can look for another way when its robot gets nowhere."""
-
-    def stalled(self, view: FleetView) -> None:
-        """The robot wanted to drive for seconds and did not: plan again from its current position."""
-        ...
-
-
-@runtime_checkable
-class Underway(Protocol):
-    """A mission that reports its planned route, for displays to people, not for peers."""
-
-    @property
-    def rest_of_way(self) -> Sequence[tuple[float, float]]:
-        """The rest of the route, nearest point first, metres."""
-        ...
-
-
-@runtime_checkable
-class Agreeing(Protocol):
-    """A mission that agrees a joint plan with other robots; stopped robots take part as well."""
-
-    @property
-    def accords(self) -> AgreementChannel: ...
-    def attend(self, view: FleetView, state: State) -> None:
-        """Called each control period, in every state, before any other method of the mission."""
-        ...
-
-
-@runtime_checkable
-class Conversing(Protocol):
-    """A mission with frames of its own."""
-
-    def hear(self, slot: int | None, message: Message, now_us: int) -> Sequence[Record]:
-        """`slot`: None for a device that is not a member. The returned records must be durable before
-        the next frame is sent."""
-        ...
-
-    def say(self, now_us: int) -> Iterable[Message]:
-        """The messages to send with this beat."""
-        ...
 
 
 class CoveredUnits(NamedTuple):
@@ -149,10 +67,93 @@ class CoveredUnits(NamedTuple):
     at_once: bool  # announce them immediately because an agreement round waits for equal replicas
 
 
-@runtime_checkable
-class Sweeping(Protocol):
-    """A mission that covers units wherever it goes, not only those of the section it holds."""
+NOTHING_COVERED = CoveredUnits((), False)
 
-    def swept(self) -> CoveredUnits:
-        """Called each control period, in every state, after `attend`."""
-        ...
+
+class Mission(ABC):
+    """What every mission offers its peer. The defaults suit a mission without the hook.
+
+    The peer calls every method from one thread, with the time of the call in `FleetView.now_us` or
+    in an argument. A mission reads no clock and no random source of its own.
+    """
+
+    replans = False  # `on_stalled` finds another path; False: no watchdog looks for stalls
+
+    @property
+    def section_units(self) -> Mapping[int, int]:
+        """Number of units of each section; this is the total work. Read once, at power-up.
+
+        Empty if sections appear during the run."""
+        return NO_SECTIONS
+
+    # ---------------------------------------------------------------- sections
+
+    @abstractmethod
+    def choose(self, view: FleetView) -> ClaimRequest | None:
+        """The section to claim next; None if there is none at present."""
+
+    def approach(self, section: int, view: FleetView) -> MotionRequest:
+        """Drive towards a section whose claim is still contested."""
+        return STILL
+
+    def begin(self, section: int, view: FleetView) -> None:
+        """The claim has won, so `work` is called next."""
+
+    @abstractmethod
+    def work(self, view: FleetView) -> MotionRequest:
+        """Called each control period in which the robot holds a section and may move.
+
+        A section is kept through a stop and a restart, so `begin` may not have been called."""
+
+    def abandon(self) -> None:
+        """The section was lost or given back: forget the plan for it."""
+
+    def idle(self, view: FleetView) -> MotionRequest:
+        """Motion without a section: stand still, or get out of the way."""
+        return STILL
+
+    # ---------------------------------------------------------------- an operator's goal
+
+    def accepts_goal(self, goal: tuple[float, float]) -> bool:
+        """Whether an operator may send the robot to this place (metres east and north)."""
+        return False
+
+    def travel(self, goal: tuple[float, float], view: FleetView) -> MotionRequest:
+        """Drive to an accepted goal without working."""
+        return STILL
+
+    # ---------------------------------------------------------------- every control period
+
+    def on_control_period(self, view: FleetView, state: State) -> None:
+        """Called each control period, in every state, before any other method of the mission."""
+
+    def covered_units(self) -> CoveredUnits:
+        """What the robot covered anywhere, not only in the section that it holds.
+
+        Called each control period, in every state, after `on_control_period`."""
+        return NOTHING_COVERED
+
+    def on_implement_raised(self) -> None:
+        """The implement was not down in this period, so what is worked now does not count."""
+
+    def on_stalled(self, view: FleetView) -> None:
+        """The robot wanted to drive for seconds and did not: plan again from its current position."""
+
+    # ---------------------------------------------------------------- frames of its own
+
+    def on_message(self, slot: int | None, message: Message, now_us: int) -> Sequence[Record]:
+        """A frame of this mission from member `slot`; None: from a device that is not a member.
+
+        The returned records become durable before the next frame is sent."""
+        return ()
+
+    def outgoing(self, now_us: int) -> Iterable[Message]:
+        """The messages to send with this beat, in their order. Called in every state."""
+        return ()
+
+    # ---------------------------------------------------------------- for displays to people
+
+    @property
+    def remaining_path(self) -> Sequence[tuple[float, float]]:
+        """The rest of the planned route, nearest point first, metres. Peers never read it."""
+        return ()

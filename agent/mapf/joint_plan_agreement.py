@@ -84,7 +84,7 @@ class JointPlanAgreement:
         self.called += 1
         self._begin(after(self.round), now_us)
 
-    def hear(self, slot: int, m: Accord, now_us: int) -> None:
+    def on_message(self, slot: int, m: Accord, now_us: int) -> None:
         later = ahead(m.round, self.round)
         if later is None:
             return  # a round that is over
@@ -206,7 +206,7 @@ class JointPlanAgreement:
             else:
                 self.call(now_us)
 
-    def say(self, now_us: int) -> list[Accord]:
+    def outgoing(self, now_us: int) -> list[Accord]:
         """What is due with this beat."""
         words: list[Accord] = []
         place = self._places.get(self.slot)

@@ -134,7 +134,7 @@ class HolonomicMotion(MotionController):
         the robot gives way, and where a lowered one would hit a body.
         """
         if wish.hold:  # others go round a standing robot, so standing still is safe
-            return HALT._replace(handle=wish.handle)
+            return HALT._replace(parcel_action=wish.parcel_action)
         rows, others = self._rows(here, neighbours, now_us, not wish.tool_on)
         if self.sensed is not None:
             rows = self._look(here, rows)
@@ -155,7 +155,7 @@ class HolonomicMotion(MotionController):
         vx_m_s, vy_m_s = self.avoidance.velocity(
             (here.x_m, here.y_m), (here.vx_m_s, here.vy_m_s), wanted, rows
         )
-        return _tuple(Drive, (vx_m_s, vy_m_s, wish.turn_rad_s, tool_on, wish.handle))
+        return _tuple(Drive, (vx_m_s, vy_m_s, wish.turn_rad_s, tool_on, wish.parcel_action))
 
     def _rows(
         self, here: Observation, neighbours: Mapping[int, Neighbour], now_us: int,

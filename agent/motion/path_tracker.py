@@ -83,7 +83,7 @@ class PathTracker:
         self.along_m = self.total_m if self.arrived else max(0.0, self.total_m - 2 * ARRIVED_M)
 
     @property
-    def rest_of_way(self) -> list[Point]:
+    def remaining_path(self) -> list[Point]:
         """The points that we have not passed yet, (x, y) metres."""
         return self.points[self.piece + 1 :]
 

@@ -63,7 +63,7 @@ class TractorTracker:
         self.arrived = False
 
     @property
-    def rest_of_way(self) -> list[tuple[float, float]]:
+    def remaining_path(self) -> list[tuple[float, float]]:
         """The points that we have not passed, (x, y) metres, about one a metre."""
         rest = self.way[self.row + 1 :, :2]
         metre = max(1, round(rest.shape[0] / max(self.total_m - self.along_m, 1.0)))

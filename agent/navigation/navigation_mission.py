@@ -15,7 +15,14 @@ from typing import NamedTuple
 
 from agent.interface.config import MS, S
 from agent.interface.lifecycle import State
-from agent.interface.mission import STILL, ClaimRequest, FleetView, MotionRequest, Record
+from agent.interface.mission import (
+    STILL,
+    ClaimRequest,
+    FleetView,
+    Mission,
+    MotionRequest,
+    Record,
+)
 from agent.interface.ports import Neighbour, Observation
 from agent.mapf.agreement_phase import Phase
 from agent.mapf.joint_plan_agreement import JointPlanAgreement
@@ -26,7 +33,7 @@ from agent.navigation.path_lookahead import PathLookahead
 from agent.navigation.replan_policy import Replanning
 from agent.navigation.silent_robots import DEAD_US, SilentRobots
 from crdt import Phase as Claimed
-from protocol.frames.accord_frames import AgreementReply, Fallen
+from protocol.frames.accord_frames import Accord, AgreementReply, Fallen
 from protocol.frames.messages import Message
 from protocol.sync.map_sync import MapSync
 
@@ -60,7 +67,7 @@ class FollowedPath(NamedTuple):
     why: str  # goal, lost, blocked, stalled, restored, plan (of all together), after plan
 
 
-class NavigationMission:
+class NavigationMission(Mission):
     passes = True  # passing a goal counts as reaching it; missions that must stop there set False
 
     def __init__(
@@ -83,7 +90,7 @@ class NavigationMission:
         self.speed_m_s, self.deceleration_m_s2 = speed_m_s, deceleration_m_s2
         self.asks = asks
         self._keeps_on = asks  # on the plan's way: no operator has said to go round
-        self.accords = JointPlanAgreement(slot, floor.lattice, floor.radius_m)
+        self.agreement = JointPlanAgreement(slot, floor.lattice, floor.radius_m)
         self.goal: Point | None = None
         self.answer = AgreementReply.GRANT
         self.bodies = SilentRobots(slot, now_us)
@@ -115,10 +122,10 @@ class NavigationMission:
         }
 
     @property
-    def rest_of_way(self) -> list[Point]:
+    def remaining_path(self) -> list[Point]:
         """What is left of the path, or of the lane of a joint plan."""
-        tracker = self._lane if self.accords.bound else self._tracker
-        return [] if tracker is None else tracker.rest_of_way
+        tracker = self._lane if self.agreement.bound else self._tracker
+        return [] if tracker is None else tracker.remaining_path
 
     # ---------------------------------------------------------------- what a mission is asked
 
@@ -156,7 +163,7 @@ class NavigationMission:
             self.next_way.prepare(own[following - 1], own[following])
         return True
 
-    def admits(self, goal: Point) -> bool:
+    def accepts_goal(self, goal: Point) -> bool:
         return self.floor.route.admits(goal)
 
     def travel(self, goal: Point, view: FleetView) -> MotionRequest:
@@ -164,17 +171,14 @@ class NavigationMission:
             self.goal, self._tracker = goal, None
         return self._drive(view)[0]
 
-    def rest(self, view: FleetView) -> MotionRequest:
+    def idle(self, view: FleetView) -> MotionRequest:
         self.goal, self._tracker = None, None
         return self._drive(view)[0]
 
     def abandon(self) -> None:
         self.goal, self._tracker = None, None
 
-    def interrupted(self) -> None:
-        """There is no implement."""
-
-    def attend(self, view: FleetView, state: State) -> None:
+    def on_control_period(self, view: FleetView, state: State) -> None:
         """Each control period, in every state: our part in a round."""
         here = view.here
         self.bodies.look(view)
@@ -193,7 +197,7 @@ class NavigationMission:
             self.hazards.look(here, reach_m, around, view.now_us, dead)
         stopped = state is State.EMERGENCY_STOP
         answer = AgreementReply.DEAF if self._deaf(gone, view) else self.answer
-        self.accords.tick(
+        self.agreement.tick(
             (here.x_m, here.y_m), hypot(here.vx_m_s, here.vy_m_s), self.goal,
             AgreementReply.STOPPED if stopped else answer,
             (view.live | silent.keys()) - gone, dead, self.hazards.hits, view.now_us,
@@ -213,14 +217,16 @@ class NavigationMission:
 
     # ---------------------------------------------------------------- frames
 
-    def hear(self, slot: int | None, message: Message, now_us: int) -> Sequence[Record]:
-        if isinstance(message, Fallen):
+    def on_message(self, slot: int | None, message: Message, now_us: int) -> Sequence[Record]:
+        if isinstance(message, Accord):
+            if slot is not None:
+                self.agreement.on_message(slot, message, now_us)
+        elif isinstance(message, Fallen):
             self.bodies.hear(message, now_us)
         return ()
 
-    def say(self, now_us: int) -> Iterable[Message]:
-        """With each beat."""
-        return self.bodies.say(self.accords.waiting, now_us)
+    def outgoing(self, now_us: int) -> Iterable[Message]:
+        return [*self.agreement.outgoing(now_us), *self.bodies.say(self.agreement.waiting, now_us)]
 
     # ---------------------------------------------------------------- driving
 
@@ -231,9 +237,9 @@ class NavigationMission:
 
     def _drive(self, view: FleetView) -> tuple[MotionRequest, bool]:
         """What is wanted now, and whether the goal has been reached."""
-        if self.accords.bound:
+        if self.agreement.bound:
             self._tracker, self._planned = None, True  # afterwards we begin from somewhere else
-            wish = self._along_plan(view) if self.accords.phase is Phase.GO else HOLD
+            wish = self._along_plan(view) if self.agreement.phase is Phase.GO else HOLD
             return wish, self._at_goal((view.here.x_m, view.here.y_m))
         if self.goal is None:
             return HOLD, False
@@ -311,29 +317,29 @@ class NavigationMission:
 
     def _along_plan(self, view: FleetView) -> MotionRequest:
         """Our route, as far as those before us have gone on."""
-        accords, here = self.accords, view.here
-        first, last = max(accords.index, 0), accords.permitted
-        route = accords.route
-        for index in range(accords.index + 1, last):  # it brakes for its goal, though it goes on
+        agreement, here = self.agreement, view.here
+        first, last = max(agreement.index, 0), agreement.permitted
+        route = agreement.route
+        for index in range(agreement.index + 1, last):  # it brakes for its goal, though it goes on
             if self._at_goal(self.floor.lattice.point(route[index])):
                 last = index
                 break
-        if self._lane is None or self._lane_of != (accords.round, first, last):
+        if self._lane is None or self._lane_of != (agreement.round, first, last):
             points = [self.floor.lattice.point(node) for node in route[first : last + 1]]
             self._lane = PathTracker(points, self.speed_m_s, self.deceleration_m_s2)
-            if self._lane_of[0] != accords.round:
+            if self._lane_of[0] != agreement.round:
                 nodes = (self.floor.lattice.point(node) for node in route)
                 way = ((here.x_m, here.y_m), *nodes)
                 self.followed.append(FollowedPath(view.now_us, way, "plan"))
-            self._lane_of = (accords.round, first, last)
+            self._lane_of = (agreement.round, first, last)
         lane = self._lane
         lane.locate(here.x_m, here.y_m)
-        for index in range(last, accords.index, -1):
+        for index in range(last, agreement.index, -1):
             x_m, y_m = self.floor.lattice.point(route[index])
             along_m = lane.starts_m[index - first] - SETTLED_M
             passed = index > first and lane.along_m >= along_m and abs(lane.off_m) < SETTLED_M
             if passed or hypot(x_m - here.x_m, y_m - here.y_m) < SETTLED_M:
-                accords.reach(index, view.now_us)
+                agreement.reach(index, view.now_us)
                 break
         x_m, y_m = self.floor.lattice.point(route[last])
         if hypot(x_m - here.x_m, y_m - here.y_m) < SETTLED_M / 2:
@@ -352,7 +358,7 @@ class NavigationMission:
         if now_us < not_before_us:
             return
         self._calls = (count + 1, now_us + CALLS_US[min(count, len(CALLS_US) - 1)])
-        self.accords.call(now_us)
+        self.agreement.call(now_us)
 
     def _stuck(self, tracker: PathTracker, wanted_m_s: float, view: FleetView) -> bool:
         """Whether we want to move, do not, and a robot is near; or a narrow passage ahead is taken."""

@@ -94,10 +94,8 @@ class Announcements:
             effects += self._heartbeat(peer, now_us)
         effects += peer.safety.say_button(peer.membership.live, now_us)
         effects += peer.elect(now_us)
-        if peer.agreeing is not None:
-            effects += [Send(word) for word in peer.agreeing.accords.say(now_us)]
-        if peer.conversing is not None:
-            effects += [Send(word) for word in peer.conversing.say(now_us)]
+        if peer.mission is not None:
+            effects += [Send(message) for message in peer.mission.outgoing(now_us)]
         if peer.roll_call.answer_due:
             peer.roll_call.answer_due = False
             effects.append(Send(self.member(peer)))

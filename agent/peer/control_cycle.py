@@ -2,12 +2,12 @@
 
 from collections.abc import Sequence
 from math import hypot
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from agent.interface.config import ACTUATOR_TTL_US
 from agent.interface.effects import Effect, Send, Trace
 from agent.interface.lifecycle import IDLE, WORKING, Event
-from agent.interface.mission import STILL, FleetView, MotionRequest, Replanning, Sweeping
+from agent.interface.mission import NOTHING_COVERED, STILL, FleetView, MotionRequest
 from agent.peer.stall_watchdog import Advice, Stall
 from protocol.frames.operator_frames import OperatorReport, ReportKind
 
@@ -20,9 +20,6 @@ NEAR_M: Final = 1.8  # between two hulls; we do not wait for a robot that is fur
 class ControlCycle:
     def __init__(self, peer: "Peer") -> None:
         self.peer = peer
-        asked: Any = peer.mission  # mypyc treats a Protocol in isinstance() as a base class
-        self._sweeping: Sweeping | None = asked if isinstance(asked, Sweeping) else None
-        self._replanning: Replanning | None = asked if isinstance(asked, Replanning) else None
         self.stall = Stall()
         self._drove_us = 0  # time of the newest command to the actuator
 
@@ -55,14 +52,14 @@ class ControlCycle:
             return ()
         if now_us > self._drove_us + ACTUATOR_TTL_US:
             # We were late, so the command has expired and the implement is raised.
-            peer.mission.interrupted()
+            peer.mission.on_implement_raised()
         self._drove_us = now_us
         effects: list[Effect] = []
         view = peer.view(now_us)
-        if peer.agreeing is not None:
-            peer.agreeing.attend(view, peer.lifecycle.state)
-        if self._sweeping is not None:
-            effects += peer.voice.sweep(peer, self._sweeping.swept(), now_us)
+        peer.mission.on_control_period(view, peer.lifecycle.state)
+        covered = peer.mission.covered_units()
+        if covered is not NOTHING_COVERED:
+            effects += peer.voice.sweep(peer, covered, now_us)
         peer.wish = self._wish(view, effects)
         peer.motion.set_state(peer.lifecycle.state)
         wanted = peer.motion.drive(peer.here, peer.wish, peer.membership.neighbours, now_us)
@@ -75,14 +72,14 @@ class ControlCycle:
         drive = peer.safety.gate(wanted, now_us)
         peer.senses.drove(drive)
         if not drive.tool_on:
-            peer.mission.interrupted()
+            peer.mission.on_implement_raised()
         effects += self._watch(view)
         return [drive, *effects]
 
     def _watch(self, view: FleetView) -> Sequence[Effect]:
         """If the robot wants to move and is stuck, the mission replans and people are notified."""
         peer, here, wish = self.peer, view.here, self.peer.wish
-        if self._replanning is None or not peer.safety.may_move:
+        if peer.mission is None or not peer.mission.replans or not peer.safety.may_move:
             return ()
         if peer.pause is not None and peer.pause.passing:
             return ()  # it creeps round a confirmed obstacle and asks again by itself
@@ -95,7 +92,7 @@ class ControlCycle:
         advice = self.stall.look((here.x_m, here.y_m), wants_m_s, crowded, view.now_us)
         if advice is None:
             return ()
-        self._replanning.stalled(view)
+        peer.mission.on_stalled(view)
         what = f"at {here.x_m:.1f}, {here.y_m:.1f}, plan {self.stall.plans}"
         told = Trace("stall", "", advice.name, "", what)
         if advice is Advice.REPLAN:
@@ -125,7 +122,7 @@ class ControlCycle:
             return self._work(view, claims.current, effects)
         if claims.next is not None:
             return peer.mission.approach(claims.next, view)
-        return peer.mission.rest(view)
+        return peer.mission.idle(view)
 
     def _give_back(self, now_us: int) -> list[Effect]:
         """Release sections that we held before a restart, because we have no plan for them now.

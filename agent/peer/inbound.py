@@ -67,7 +67,7 @@ from protocol.sync.synchronizer import ENTRIES
 if TYPE_CHECKING:
     from agent.peer.peer import Peer
 
-OF_MISSIONS = (Fallen, TaskOrder, TaskBookDigest, TaskBid, Itinerary, PlanOffer, PlanRow)
+OF_MISSIONS = (Accord, Fallen, TaskOrder, TaskBookDigest, TaskBid, Itinerary, PlanOffer, PlanRow)
 TOLD_OF: Final = (StateSyncRequest, Digests, StateSyncResponse)
 OUTSIDER = -1  # a device that is not a member, so it has no agreed replica state
 TELL_SPACING_US = 2 * S  # a snapshot of 1,000 entries takes 2.1 s at the share that sync may use
@@ -108,7 +108,6 @@ class InboundHandlers:
             MapDigests: self._map,
             LeaderElectionVote: self._vote,
             VectorSlice: self._slice,
-            Accord: self._accord,
             **dict.fromkeys(OF_MISSIONS, self._mission),
             AddressClaimed: self._address,
             Malformed: self._malformed,
@@ -416,19 +415,13 @@ class InboundHandlers:
 
     # ---------------------------------------------------------------- work
 
-    def _accord(self, source: int, slot: int | None, m: Accord, now_us: int) -> Sequence[Effect]:
-        if slot is None:
-            return self._stranger(source, now_us)
-        if self.peer.agreeing is not None:
-            self.peer.agreeing.accords.hear(slot, m, now_us)
-        return ()
-
     def _mission(self, source: int, slot: int | None, m: Any, now_us: int) -> Sequence[Effect]:
         if slot is None and not isinstance(m, TaskOrder):  # any device may send an order
             return self._stranger(source, now_us)
-        if self.peer.conversing is not None:
-            return [Persist(*record) for record in self.peer.conversing.hear(slot, m, now_us)]
-        return ()
+        mission = self.peer.mission
+        if mission is None:
+            return ()
+        return [Persist(*record) for record in mission.on_message(slot, m, now_us)]
 
     def _work(self, source: int, slot: int | None, m: Any, now_us: int) -> Sequence[Effect]:
         peer = self.peer

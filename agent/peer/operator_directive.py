@@ -78,7 +78,7 @@ class OperatorDirective:
 
     def _send(self, command: Command, goal: Point | None, now_us: int) -> Sequence[Effect]:
         mission = self.peer.mission
-        if goal is None or mission is None or not mission.admits(goal):
+        if goal is None or mission is None or not mission.accepts_goal(goal):
             return [self._report(ReportKind.REFUSED, goal or (0.0, 0.0))]
         given_back = self.peer.give_back_all(now_us)
         self.goal, self.arrived = goal, False

@@ -8,21 +8,12 @@ period does. The order inside a turn is fixed: safety first.
 
 from collections.abc import Mapping, Sequence
 from random import Random
-from typing import Any
 
 from agent.interface import config
 from agent.interface.effects import HALT, Effect, Persist, Send, Trace
 from agent.interface.identity import Identity
 from agent.interface.lifecycle import IDLE, SYNCHRONIZING, TABLE, WORKING, Event, State
-from agent.interface.mission import (
-    STILL,
-    Agreeing,
-    ClaimRequest,
-    Conversing,
-    FleetView,
-    Mission,
-    MotionRequest,
-)
+from agent.interface.mission import STILL, ClaimRequest, FleetView, Mission, MotionRequest
 from agent.interface.motion_controller import MotionController
 from agent.interface.ports import Neighbour, Observation
 from agent.interface.state_machine import StateMachine
@@ -93,10 +84,6 @@ class Peer:
         recalled = sensible(recalled)
         self.beat = config.beat_of(len(identity.members))
         self.mission, self.motion = mission, motion
-        # mypyc treats an isinstance() check against a Protocol as a base class; hence Any.
-        asked: Any = mission
-        self.agreeing: Agreeing | None = asked if isinstance(asked, Agreeing) else None
-        self.conversing: Conversing | None = asked if isinstance(asked, Conversing) else None
         self.records = DurableRecords(recalled, identity.first_boot, rng)
         self.allocation = FieldAllocationCRDT(identity.field_hash)
         units = mission.section_units if mission else {}

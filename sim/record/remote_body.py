@@ -86,7 +86,7 @@ class BodyServer:
         if len(data) != DRIVE.size or data[:4] not in (MAGIC_DRIVE, MAGIC_HELLO):
             self.malformed += 1
             return
-        magic, slot, vx_m_s, vy_m_s, turn_rad_s, tool_on, handle = DRIVE.unpack(data)
+        magic, slot, vx_m_s, vy_m_s, turn_rad_s, tool_on, parcel_action = DRIVE.unpack(data)
         if slot not in self.world.robots or not all(
             abs(v) < 1e3 for v in (vx_m_s, vy_m_s, turn_rad_s)
         ):
@@ -98,7 +98,7 @@ class BodyServer:
         if owner is not link:
             self.refused += 1
         elif magic == MAGIC_DRIVE:
-            drive = Drive(vx_m_s, vy_m_s, turn_rad_s, tool_on == 1, handle)
+            drive = Drive(vx_m_s, vy_m_s, turn_rad_s, tool_on == 1, parcel_action)
             self.body(slot).drive(drive, self.now_us())
 
     async def run(self) -> None:
@@ -178,5 +178,7 @@ class RemoteBody(Link):
 
     def _say(self, magic: bytes, c: Drive) -> None:
         self.send(
-            DRIVE.pack(magic, self.slot, c.vx_m_s, c.vy_m_s, c.turn_rad_s, c.tool_on, c.handle)
+            DRIVE.pack(
+                magic, self.slot, c.vx_m_s, c.vy_m_s, c.turn_rad_s, c.tool_on, c.parcel_action
+            )
         )

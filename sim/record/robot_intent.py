@@ -8,7 +8,6 @@ observed run has the same trace hash as an unobserved one.
 from typing import Any, NamedTuple
 
 from agent.interface.config import NEIGHBOURS_MAX
-from agent.interface.mission import Underway
 from agent.motion.holonomic_motion import HolonomicMotion
 from agent.peer.peer import Peer
 
@@ -59,7 +58,7 @@ def intent_of(peer: Peer) -> Intent | None:
     strange: list[XY] = [] if motion is None else list(motion.strange)
     if motion is not None and motion.lookout is not None:
         strange += [point for point, _ in motion.lookout.points.values()]
-    way = peer.mission.rest_of_way if isinstance(peer.mission, Underway) else ()
+    way = () if peer.mission is None else peer.mission.remaining_path
     return Intent(
         slot=peer.slot,
         x_m=here.x_m,

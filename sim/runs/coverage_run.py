@@ -116,7 +116,7 @@ class GridCluster(Cluster):
     @property
     def finished(self) -> bool:
         """Whether every running robot is at the end of its plan, and covered cells are done."""
-        return any(self.mission(robot).accords.going for robot in self.running) and all(
+        return any(self.mission(robot).agreement.going for robot in self.running) and all(
             self.mission(robot).over and self._in_order(robot) for robot in self.running
         )
 
@@ -156,7 +156,7 @@ class ReplanAuditor:
     def look(self) -> None:
         islands = {n.island for n in self.cluster.segment.wire.nodes.values()}
         for robot in self.cluster.running:
-            rounds = self.cluster.mission(robot).accords
+            rounds = self.cluster.mission(robot).agreement
             if not rounds.going or self._seen.get(robot.slot) == rounds.round:
                 continue
             self._seen[robot.slot] = rounds.round
@@ -213,7 +213,7 @@ class CoverageRun(Run[GridSetting, GridCluster, GridOutcome]):
             "through_walls": truth.through_walls,
             "closest_m": truth.closest_m,
             "steps": truth.steps,
-            "rounds": max(cluster.mission(r).accords.rounds for r in cluster.robots.values()),
+            "rounds": max(cluster.mission(r).agreement.rounds for r in cluster.robots.values()),
             "sections_done": max(r.peer.allocation.done_count() for r in cluster.running),
             "sections": setting.section_count,
         }

@@ -172,7 +172,7 @@ class DeliveryRun(Run[DeliverySetting, HaulCluster, HaulOutcome]):
             "lowest_battery": min(truth.lowest.values(), default=1.0),
             "charges": _charges(cluster),
             "rounds": sum(m.dispatch.round.streamed for m in missions),
-            "agreements": max((m.accords.rounds for m in missions), default=0),
+            "agreements": max((m.agreement.rounds for m in missions), default=0),
             "ahead": sum(m.paths.used for m in missions),
             "waited_s": sum(m.waited_us for m in missions) / S,
         }

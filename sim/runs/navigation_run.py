@@ -113,8 +113,8 @@ class NavigationRun(Run[ErrandSetting, Cluster, OutingOutcome]):
             "finished": len(self._done_us) == self.setting.section_count,
             "arrived_s": last_s,
             "legs": tuple(legs),
-            "rounds": max(e.accords.rounds for e in errands.values()),
-            "unsolved": max(e.accords.unsolved for e in errands.values()),
+            "rounds": max(e.agreement.rounds for e in errands.values()),
+            "unsolved": max(e.agreement.unsolved for e in errands.values()),
             "obstacles": len(self.setting.appeared),
         }
 

@@ -18,6 +18,7 @@ from agent.field.field_mission import FieldMission
 from agent.field.tractor_mission import TractorMission
 from agent.interface.config import BRAKING_SHARE
 from agent.interface.identity import SilencePolicy
+from agent.interface.mission import Mission
 from agent.interface.motion_controller import BodyLimits as BodyLimits
 from agent.motion.holonomic_motion import FENCE_M, HolonomicMotion
 from agent.motion.path_tracker import ALIGN_M
@@ -239,7 +240,7 @@ class Setting:
     def section_count(self) -> int:
         return len(self.field.sections)
 
-    def mission(self, slot: int) -> FieldMission:
+    def mission(self, slot: int) -> Mission:
         fleet = self.scenario.fleet
         if self.turn_radius_m:
             return TractorMission(self.field, self.route, self.turns, fleet.radius_m, self.steering)

@@ -47,7 +47,7 @@ class DrillSetting(Setting):
     def _crowded(self) -> bool:
         return self.scenario.mission == "sprint"
 
-    def mission(self, slot: int) -> TimedMission:  # type: ignore[override]
+    def mission(self, slot: int) -> TimedMission:
         return TimedMission(self.parade, slot, self._crowded)
 
     def motion(self, slot: int) -> PassThroughMotion:

@@ -176,11 +176,11 @@ class CarrierBody:
             command = HALT
         self._body.drive(command, now_us)
         t_us = self._now_us()
-        if command.handle < 0 or self._last is None:
+        if command.parcel_action < 0 or self._last is None:
             self._arm = None
-        elif self._arm is None or self._arm[0] != command.handle:
-            self._arm = (command.handle, t_us)
+        elif self._arm is None or self._arm[0] != command.parcel_action:
+            self._arm = (command.parcel_action, t_us)
         elif t_us - self._arm[1] >= self._parcels.carrier.handle_s * S:
             self._arm = None
             at = (self._last.x_m, self._last.y_m)
-            self._parcels.handle(self._slot, command.handle, at, t_us)
+            self._parcels.handle(self._slot, command.parcel_action, at, t_us)

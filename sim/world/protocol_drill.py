@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from math import cos, sin
 
 from agent.interface.effects import Drive
-from agent.interface.mission import STILL, ClaimRequest, FleetView, MotionRequest
+from agent.interface.mission import ClaimRequest, FleetView, Mission, MotionRequest
 from agent.interface.ports import Observation
 from crdt import Phase
 
@@ -19,7 +19,7 @@ SECTION_UNITS = 40  # 200 m of swath: a row of a field, worked in 80 s
 SPACING_M = 12.0  # far enough apart that no robot gives way
 
 
-class Drill:
+class Drill(Mission):
     """Takes the next free section from its own start, and works it at a steady pace."""
 
     def __init__(self, slot: int, robots: int, sections: int) -> None:
@@ -40,9 +40,6 @@ class Drill:
                 return ClaimRequest(section, 3)
         return None
 
-    def approach(self, section: int, view: FleetView) -> MotionRequest:
-        return STILL
-
     def begin(self, section: int, view: FleetView) -> None:
         self._next_us = view.now_us + round(UNIT_S * 1e6)
 
@@ -55,18 +52,6 @@ class Drill:
         near = self._done >= SECTION_UNITS - 2
         self._done = 0 if finished else self._done
         return MotionRequest(SPEED_M_S, 0.0, 0.0, True, covered, finished=finished, near_end=near)
-
-    def abandon(self) -> None: ...
-    def admits(self, goal: tuple[float, float]) -> bool:
-        return False
-
-    def travel(self, goal: tuple[float, float], view: FleetView) -> MotionRequest:
-        return STILL
-
-    def interrupted(self) -> None: ...
-
-    def rest(self, view: FleetView) -> MotionRequest:
-        return STILL
 
 
 class Place:

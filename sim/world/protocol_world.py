@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from agent.interface.config import ACTUATOR_TTL_US, CONTENTION_US, LEASE_US, MS, S
 from agent.interface.effects import HALT, Drive
-from agent.interface.mission import STILL, ClaimRequest, FleetView, MotionRequest
+from agent.interface.mission import STILL, ClaimRequest, FleetView, Mission, MotionRequest
 from agent.interface.motion_controller import BodyLimits
 from agent.interface.ports import NOTHING_SEEN, Observation
 from agent.motion.holonomic_motion import HolonomicMotion
@@ -179,7 +179,7 @@ class ProtocolWorld(World):
         return len(self.worked) / (UNITS * len(self.units))
 
 
-class TimedMission:
+class TimedMission(Mission):
     """The mission: the next free section from its own start, unit after unit by the clock.
 
     `crowded`: all robots search from the first section on, so every claim is contested.
@@ -209,9 +209,6 @@ class TimedMission:
                     return ClaimRequest(section, 3, takeover=True)
         return None
 
-    def approach(self, section: int, view: FleetView) -> MotionRequest:
-        return STILL
-
     def begin(self, section: int, view: FleetView) -> None:
         self._section, self._lifted = section, True
         self._worked.clear()
@@ -219,17 +216,8 @@ class TimedMission:
     def abandon(self) -> None:
         self._section = None
 
-    def interrupted(self) -> None:
+    def on_implement_raised(self) -> None:
         self._lifted = True
-
-    def admits(self, goal: tuple[float, float]) -> bool:
-        return False
-
-    def travel(self, goal: tuple[float, float], view: FleetView) -> MotionRequest:
-        return STILL
-
-    def rest(self, view: FleetView) -> MotionRequest:
-        return STILL
 
     def work(self, view: FleetView) -> MotionRequest:
         if self._section is None:  # continues after a stop or a sync

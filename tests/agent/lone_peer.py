@@ -9,7 +9,7 @@ from agent.interface.config import S
 from agent.interface.effects import HALT, Drive, Effect, Send
 from agent.interface.identity import Identity, SilencePolicy
 from agent.interface.lifecycle import State
-from agent.interface.mission import ClaimRequest, FleetView, MotionRequest
+from agent.interface.mission import ClaimRequest, FleetView, Mission, MotionRequest
 from agent.interface.motion_controller import BodyLimits
 from agent.interface.ports import Observation
 from agent.motion.holonomic_motion import HolonomicMotion
@@ -25,7 +25,7 @@ FULL = MotionRequest(2.0, 0.0, 0.0, True)
 BY_TIME_US = 1 * S  # what is raised with a time holds so long here
 
 
-class Eager:
+class Eager(Mission):
     """A mission that always wants full speed."""
 
     section_units: Mapping[int, int] = {0: 4}
@@ -36,19 +36,16 @@ class Eager:
     def approach(self, section: int, view: FleetView) -> MotionRequest:
         return FULL
 
-    def begin(self, section: int, view: FleetView) -> None: ...
     def work(self, view: FleetView) -> MotionRequest:
         return FULL
 
-    def abandon(self) -> None: ...
-    def admits(self, goal: tuple[float, float]) -> bool:
+    def accepts_goal(self, goal: tuple[float, float]) -> bool:
         return True
 
     def travel(self, goal: tuple[float, float], view: FleetView) -> MotionRequest:
         return FULL
 
-    def interrupted(self) -> None: ...
-    def rest(self, view: FleetView) -> MotionRequest:
+    def idle(self, view: FleetView) -> MotionRequest:
         return FULL
 
 

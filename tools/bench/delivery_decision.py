@@ -78,7 +78,7 @@ class OnePeer:
                 telling.changed(0)
                 for _ in range(len(own)):
                     for frame in telling.say(0, FULL):
-                        self.mission.hear(other, frame, 0)
+                        self.mission.on_message(other, frame, 0)
         self.now_us = KNOWN_US
         for _ in range(3):
             self.period()
@@ -99,8 +99,8 @@ class OnePeer:
     def period(self) -> list[TaskBid]:
         self.now_us += TICK_US
         view = self.view()
-        self.mission.attend(view, State.WORKING)
-        return [m for m in self.mission.say(self.now_us) if isinstance(m, TaskBid)]
+        self.mission.on_control_period(view, State.WORKING)
+        return [m for m in self.mission.outgoing(self.now_us) if isinstance(m, TaskBid)]
 
     def decides(self, task: int, trip: Trip) -> tuple[float, bool]:
         """CPU milliseconds, and whether its bid is out."""
@@ -111,7 +111,7 @@ class OnePeer:
         began_s = time.process_time()
         _, message = decode(frame)
         assert isinstance(message, TaskOrder)
-        self.mission.hear(None, message, self.now_us)
+        self.mission.on_message(None, message, self.now_us)
         bids = self.period()
         took_ms = (time.process_time() - began_s) * 1000
         while self.mission.dispatch.deciding is not None:  # the auction closes: nobody else bids

@@ -32,10 +32,12 @@ class Table:
             for slot, rounds in self.rounds.items():
                 crew = FleetSnapshot(self.live[slot], self.silent[slot], self.progress[slot])
                 rounds.tick(slot, self.answers[slot], True, crew, self.now_us)
-                for word in rounds.say(self.now_us):
+                for word in rounds.outgoing(self.now_us):
                     for other in self.live[slot] - {slot}:
                         if other in self.rounds and self.rng.random() >= self.loss:
-                            self.rounds[other].hear(slot, Accord.unpack(word.pack()), self.now_us)
+                            self.rounds[other].on_message(
+                                slot, Accord.unpack(word.pack()), self.now_us
+                            )
 
     def cut(self, *islands: set[int]) -> None:
         for island in islands:
@@ -135,5 +137,5 @@ def test_words_out_of_range_do_nothing(say: AgreementKind) -> None:
     rounds, rng = Table(2).rounds[0], Random(7)
     for _ in range(300):
         word = Accord(rng.randrange(3), say, 0, rng.randrange(1 << 16), rng.randrange(1 << 16), 0)
-        rounds.hear(rng.randrange(4), word, 0)
+        rounds.on_message(rng.randrange(4), word, 0)
     assert all(number < 36 for number in rounds.bodies)

@@ -56,10 +56,10 @@ def test_an_itinerary_names_the_charger_that_it_will_need() -> None:
     mission.dispatch.itinerary = [NEAR, FAR]
     mission.dispatch.telling.changed(0)
     for k in range(10):
-        mission.attend(view(k * S // 10), State.IDLE)
+        mission.on_control_period(view(k * S // 10), State.IDLE)
     assert mission.stops == ["P0", "D0", "C0", "P1", "D1"]
     told, heard = [], ItineraryBroadcast(0)
-    for frame in mission.say(S):
+    for frame in mission.outgoing(S):
         told.append(frame)
         if type(frame).__name__ == "Itinerary":
             heard.hear(0, frame)  # type: ignore[arg-type]

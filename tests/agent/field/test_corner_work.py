@@ -54,7 +54,7 @@ def _worked(lifted_at: tuple[float, float] | None) -> tuple[list[int], float]:
         covered += [unit for unit in wish.covered if unit not in covered]
         tool_on = wish.tool_on and not stands
         if not tool_on:
-            work.interrupted()
+            work.on_implement_raised()
         track.add(now_us, x_m, y_m, tool_on)
         if stands:
             stands -= 1

@@ -20,7 +20,7 @@ class Fleet:
     def __init__(self, at: list[Point], goals: list[Point | None], loss: float, seed: int) -> None:
         self.at, self.goals, self.loss, self.rng = list(at), goals, loss, Random(seed)
         self.answers = [AgreementReply.GRANT] * len(at)
-        self.accords = [JointPlanAgreement(slot, FLOOR.lattice, 0.35) for slot in range(len(at))]
+        self.agreements = [JointPlanAgreement(slot, FLOOR.lattice, 0.35) for slot in range(len(at))]
         self.dead: set[int] = set()
         self.unaware: set[int] = set()  # of where the dead stand
         self.things: dict[int, list[Point]] = {}  # what a robot sees standing
@@ -36,7 +36,7 @@ class Fleet:
             self.now_us += BEAT_US
             for slot in self.live:
                 bodies = {s: self.at[s] for s in self.dead if slot not in self.unaware}
-                own = self.accords[slot]
+                own = self.agreements[slot]
                 own.tick(
                     self.at[slot],
                     0.0,
@@ -48,11 +48,11 @@ class Fleet:
                     self.now_us,
                 )
                 self._move(slot)
-                for word in own.say(self.now_us):
+                for word in own.outgoing(self.now_us):
                     self._tell(slot, word)
 
     def _move(self, slot: int) -> None:
-        own = self.accords[slot]
+        own = self.agreements[slot]
         if (
             own.phase is Phase.GO
             and self.now_us % S == slot * BEAT_US
@@ -64,7 +64,7 @@ class Fleet:
     def _tell(self, sender: int, word: Accord) -> None:
         for slot in self.live:
             if slot != sender and self.rng.random() >= self.loss:
-                self.accords[slot].hear(sender, word, self.now_us)
+                self.agreements[slot].on_message(sender, word, self.now_us)
 
 
 def two(loss: float, seed: int) -> Fleet:
@@ -74,7 +74,7 @@ def two(loss: float, seed: int) -> Fleet:
 def test_two_pass_in_a_corridor_whatever_is_lost() -> None:
     for seed in range(20):
         fleet = two(0.5, seed)
-        fleet.accords[0].call(0)
+        fleet.agreements[0].call(0)
         fleet.run(90.0)
         print("seed", seed, fleet.at)
         assert fleet.at == [(12.5, 1.5), (1.5, 1.5)]
@@ -82,17 +82,17 @@ def test_two_pass_in_a_corridor_whatever_is_lost() -> None:
 
 def test_two_that_call_at_once_have_called_one_round() -> None:
     fleet = two(0.0, 1)
-    for own in fleet.accords:
+    for own in fleet.agreements:
         own.call(0)
     fleet.run(1.0)
-    assert [own.round for own in fleet.accords] == [1, 1]
-    assert [own.phase for own in fleet.accords] == [Phase.GO] * 2
-    assert fleet.accords[0].plan == fleet.accords[1].plan
+    assert [own.round for own in fleet.agreements] == [1, 1]
+    assert [own.phase for own in fleet.agreements] == [Phase.GO] * 2
+    assert fleet.agreements[0].plan == fleet.agreements[1].plan
 
 
 def test_a_parked_robot_clears_the_way_and_returns() -> None:
     fleet = Fleet([(5.5, 2.5), (8.5, 2.5)], [(12.5, 1.5), None], 0.3, 1)
-    fleet.accords[0].call(0)
+    fleet.agreements[0].call(0)
     seen = set()
     for _ in range(60):
         fleet.run(1.0)
@@ -104,26 +104,26 @@ def test_a_parked_robot_clears_the_way_and_returns() -> None:
 def test_who_refuses_is_an_obstacle() -> None:
     fleet = Fleet([(0.5, 0.5), (2.5, 0.5)], [(3.5, 0.5), None], 0.0, 1)
     fleet.answers[1] = AgreementReply.BUSY
-    fleet.accords[0].call(0)
+    fleet.agreements[0].call(0)
     fleet.run(30.0)
     assert fleet.at == [(3.5, 0.5), (2.5, 0.5)]
-    route = fleet.accords[0].route
+    route = fleet.agreements[0].route
     assert FLOOR.lattice.nearest((2.5, 0.5)) not in route, "round it, not over it"
-    assert fleet.accords[0].phase is Phase.FREE
+    assert fleet.agreements[0].phase is Phase.FREE
 
 
 def test_where_a_refusal_leaves_no_way_nobody_moves_and_the_round_ends() -> None:
     fleet = Fleet([(5.5, 2.5), (8.5, 2.5)], [(12.5, 1.5), None], 0.0, 1)
     fleet.answers[1] = AgreementReply.STOPPED
-    fleet.accords[0].call(0)
+    fleet.agreements[0].call(0)
     fleet.run(5.0)
     assert fleet.at[1] == (8.5, 2.5)
-    assert all(own.phase is Phase.FREE for own in fleet.accords)
+    assert all(own.phase is Phase.FREE for own in fleet.agreements)
 
 
 def test_a_round_does_not_wait_for_the_dead() -> None:
     fleet = Fleet([(0.5, 0.5), (3.5, 0.5), (2.5, 3.5)], [(3.5, 0.5), (0.5, 0.5), None], 0.0, 1)
-    fleet.accords[0].call(0)
+    fleet.agreements[0].call(0)
     fleet.run(0.05)
     fleet.dead.add(2)  # in the middle of a round
     fleet.run(60.0)
@@ -131,14 +131,14 @@ def test_a_round_does_not_wait_for_the_dead() -> None:
 
 
 def test_words_of_an_old_round_are_not_heard_and_bad_nodes_do_no_harm() -> None:
-    own = two(0.0, 1).accords[0]
+    own = two(0.0, 1).agreements[0]
     own.call(0)
     own.call(0)
-    own.hear(1, Accord(1, AgreementKind.PLACE, 0, 0, 0, 0), 0)
+    own.on_message(1, Accord(1, AgreementKind.PLACE, 0, 0, 0, 0), 0)
     assert 1 not in own._places and own.round == 2
-    own.hear(1, Accord(2, AgreementKind.PLACE, 0, 60_000, 60_000, 0), 0)
+    own.on_message(1, Accord(2, AgreementKind.PLACE, 0, 60_000, 60_000, 0), 0)
     assert 1 not in own._places
-    own.hear(1, Accord(3, AgreementKind.AT, 0, 9, 0, 0), 0)
+    own.on_message(1, Accord(3, AgreementKind.AT, 0, 9, 0, 0), 0)
     assert own.round == 3 and own.phase is Phase.GATHER
 
 
@@ -146,25 +146,25 @@ def test_who_learns_late_where_a_body_stands_plans_anew_in_the_same_round() -> N
     """Found: digests never agreed where one robot had restarted and did not know of a dead one."""
     fleet = Fleet([(0.5, 0.5), (5.5, 0.5), (2.5, 0.5)], [(3.5, 0.5), None, None], 0.0, 1)
     fleet.dead, fleet.unaware = {2}, {1}
-    fleet.accords[0].call(0)
+    fleet.agreements[0].call(0)
     fleet.run(2.0)
-    assert {own.phase for own in fleet.accords[:2]} == {Phase.AGREE}
+    assert {own.phase for own in fleet.agreements[:2]} == {Phase.AGREE}
     fleet.unaware = set()
     fleet.run(20.0)
-    assert [own.round for own in fleet.accords[:2]] == [1, 1]
+    assert [own.round for own in fleet.agreements[:2]] == [1, 1]
     assert fleet.at[0] == (3.5, 0.5)
-    assert FLOOR.lattice.nearest((2.5, 0.5)) not in fleet.accords[0].route
+    assert FLOOR.lattice.nearest((2.5, 0.5)) not in fleet.agreements[0].route
 
 
 def test_what_one_robot_sees_standing_is_gone_round_by_all() -> None:
     for seed in range(5):
         fleet = Fleet([(0.5, 0.5), (5.5, 0.5)], [(3.5, 0.5), None], 0.4, seed)
         fleet.things = {1: [(2.5, 0.5)]}
-        fleet.accords[0].call(0)
+        fleet.agreements[0].call(0)
         fleet.run(60.0)
         print("seed", seed, fleet.at)
         assert fleet.at[0] == (3.5, 0.5)
-        assert FLOOR.lattice.nearest((2.5, 0.5)) not in fleet.accords[0].route
+        assert FLOOR.lattice.nearest((2.5, 0.5)) not in fleet.agreements[0].route
 
 
 def test_nobody_is_sent_to_a_node_that_is_nearer_to_a_body_than_avoidance_lets_it() -> None:
@@ -174,8 +174,8 @@ def test_nobody_is_sent_to_a_node_that_is_nearer_to_a_body_than_avoidance_lets_i
         [beside, (8.5, 2.5), (beside[0] - 0.8, beside[1])], [(5.5, 0.5), None, None], 0, 1
     )
     fleet.dead = {2}
-    fleet.accords[0].call(0)
+    fleet.agreements[0].call(0)
     fleet.run(1.0)
     body = fleet.at[2]
-    for own in fleet.accords[:2]:
+    for own in fleet.agreements[:2]:
         assert all(FLOOR.lattice.distance_m(node, body) >= 2 * 0.35 + 0.15 for node in own.route)

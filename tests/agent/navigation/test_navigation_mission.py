@@ -29,7 +29,7 @@ def driven(errands: NavigationMission, at: tuple[float, float]) -> tuple[list[fl
         here = Observation(x_m, y_m, 0.0, vx_m_s, vy_m_s)
         now_us = tick * PERIOD_US
         view = FleetView(0, now_us, here, allocation, Progress({}), frozenset({0}), {}, {})
-        wish = errands.work(view) if not done_m else errands.rest(view)
+        wish = errands.work(view) if not done_m else errands.idle(view)
         if wish.finished:
             done_m.append(x_m)
         vx_m_s, vy_m_s = wish.vx_m_s, wish.vy_m_s
@@ -45,10 +45,10 @@ def test_who_is_driven_over_its_goal_has_been_there(over: bool) -> None:
     route = tuple(lattice.nearest((column + 0.5, 2.5)) for column in range(2, 12))
     goal = lattice.point(route[4]) if over else (13.5, 0.5)
     errands = NavigationMission(0, {0: [goal]}, FLOOR, 1.0, 1.0)
-    accords = errands.accords
-    accords.phase, accords.order = Phase.GO, (0,)
-    accords.plan = JointPlan((route,), ((None,) * len(route),))
-    accords.reach(0, 0)
+    agreement = errands.agreement
+    agreement.phase, agreement.order = Phase.GO, (0,)
+    agreement.plan = JointPlan((route,), ((None,) * len(route),))
+    agreement.reach(0, 0)
     places_m, speeds_m_s = driven(errands, lattice.point(route[0]))
     assert abs(places_m[0] - goal[0]) < 0.1
     if over:

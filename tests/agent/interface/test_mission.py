@@ -1,0 +1,59 @@
+"""A mission needs two methods; everything else that its peer calls has a default."""
+
+from random import Random
+
+import numpy as np
+import pytest
+
+from agent.interface.config import CONTROL_PERIOD_US, S
+from agent.interface.effects import Drive
+from agent.interface.identity import Identity, SilencePolicy
+from agent.interface.mission import ClaimRequest, FleetView, Mission, MotionRequest
+from agent.interface.motion_controller import BodyLimits
+from agent.interface.ports import Observation
+from agent.motion.holonomic_motion import HolonomicMotion
+from agent.peer.peer import Peer
+from protocol.name import fleet_name
+from sim.record.robot_intent import intent_of
+
+
+class Smallest(Mission):
+    def choose(self, view: FleetView) -> ClaimRequest | None:
+        return None
+
+    def work(self, view: FleetView) -> MotionRequest:
+        return MotionRequest(1.0, 0.0)
+
+
+def test_a_mission_without_hooks_runs_and_stands_still_without_a_section() -> None:
+    identity = Identity(
+        0, frozenset(range(2)), fleet_name("total", 0), 1, SilencePolicy.STOP, True, True
+    )
+    motion = HolonomicMotion(0, BodyLimits(0.8, 2.5, 1.5), np.empty((0, 4)))
+    peer = Peer(identity, Random(1), 0, {}, Smallest(), motion)
+    drives = list[Drive]()
+    for now_us in range(0, 3 * S, CONTROL_PERIOD_US):
+        peer.observe(Observation(0.0, 0.0, 0.0, 0.0, 0.0, sensed_at_us=now_us), now_us)
+        drives += [effect for effect in peer.tick(now_us) if isinstance(effect, Drive)]
+    assert len(drives) == 3 * S // CONTROL_PERIOD_US
+    assert all(drive.vx_m_s == 0.0 == drive.vy_m_s for drive in drives)
+    assert len(peer.progress) == 0
+    intent = intent_of(peer)
+    assert intent is not None and intent.path == ()
+
+
+def test_a_mission_without_hooks_accepts_no_goal_and_sends_nothing() -> None:
+    mission = Smallest()
+    assert not mission.accepts_goal((0.0, 0.0))
+    assert not mission.replans
+    assert list(mission.outgoing(0)) == []
+    assert mission.covered_units().units == ()
+
+
+def test_a_mission_that_cannot_choose_or_work_cannot_be_made() -> None:
+    class Idle(Mission):
+        def choose(self, view: FleetView) -> ClaimRequest | None:
+            return None
+
+    with pytest.raises(TypeError, match="work"):
+        type.__call__(Idle)
