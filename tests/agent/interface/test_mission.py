@@ -8,13 +8,11 @@ import pytest
 
 from agent.interface.config import CONTROL_PERIOD_US, S
 from agent.interface.effects import Drive
-from agent.interface.identity import Identity, SilencePolicy
 from agent.interface.mission import ClaimRequest, FleetView, Mission, MotionRequest
 from agent.interface.motion_controller import BodyLimits
 from agent.interface.ports import Observation
 from agent.motion.holonomic_motion import HolonomicMotion
-from agent.peer.peer import Peer
-from protocol.name import fleet_name
+from agent.runtime.peer_factory import MissionParts, identity_of, make_peer
 from sim.record.robot_intent import intent_of
 
 
@@ -27,11 +25,9 @@ class Smallest(Mission):
 
 
 def test_a_mission_without_hooks_runs_and_stands_still_without_a_section() -> None:
-    identity = Identity(
-        0, frozenset(range(2)), fleet_name("total", 0), 1, SilencePolicy.STOP, True, True
-    )
+    identity = identity_of("total", 0, 2, 1, first_boot=True)
     motion = HolonomicMotion(0, BodyLimits(0.8, 2.5, 1.5), np.empty((0, 4)))
-    peer = Peer(identity, Random(1), 0, {}, Smallest(), motion)
+    peer = make_peer(identity, Random(1), 0, {}, MissionParts(Smallest(), motion))
     drives = list[Drive]()
     for now_us in range(0, 3 * S, CONTROL_PERIOD_US):
         peer.observe(Observation(0.0, 0.0, 0.0, 0.0, 0.0, sensed_at_us=now_us), now_us)
