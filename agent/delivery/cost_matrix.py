@@ -37,14 +37,16 @@ class Carrier(NamedTuple):
         return self.battery_m > 0 or self.battery_s > 0
 
     def time_ms(self, way_m: NDArray[np.float64]) -> Whole:
-        """Driving times for lengths in metres, of the same shape: whole milliseconds, so that all
-        peers compute the same. Lengths are cut off at 1,000 km.
+        """Driving times for lengths, in whole milliseconds, so that all peers compute the same.
+
+        `way_m` has any shape, and the result has the same. Lengths are cut off at 1,000 km.
         """
         return np.rint(np.minimum(way_m, 1e6) / self.speed_m_s * 1000).astype(np.int64)
 
     def energy(self, way_m: NDArray[np.float64], time_ms: Whole) -> Whole:
-        """Millionths of a battery for lengths in metres and times in milliseconds of one shape,
-        rounded up.
+        """Millionths of a battery for ways, rounded up.
+
+        `way_m` and `time_ms` have one shape, and the result has the same.
         """
         found = np.zeros(way_m.shape)
         if self.battery_m > 0:
@@ -171,8 +173,9 @@ def workload(
 ) -> Workload:
     """The frozen problem of a round: times and energies between starts, tasks and bays.
 
-    `starts`: where each robot is when it is free. `ready_ms`: when that is. `bays`: charger bays.
-    `left`: energy of each robot then, millionths of a battery. Trips and bays are added to `costs`.
+    `starts`: where each robot is when it is free, (x, y) metres. `ready_ms`: when that is. `bays`:
+    charger bays, (x, y) metres. `left`: energy of each robot then, millionths of a battery. Trips
+    and bays are added to `costs`.
     """
     costs.extend([point for trip in trips for point in trip] + list(bays))
     pickups, dropoffs = [t.pickup for t in trips], [t.dropoff for t in trips]
@@ -211,7 +214,7 @@ def spare_energy(costs: CostMatrix, carrier: Carrier, bays: Sequence[Point]) -> 
     """Energy from each bay to the next one, (bays,) millionths of a battery; 0 if there is only
     one.
 
-    A robot needs it if a bay turns out to give nothing.
+    A robot needs it if a bay turns out to be dead. `bays`: (x, y) metres.
     """
     costs.extend(bays)
     way_m = costs.metres(bays, bays)

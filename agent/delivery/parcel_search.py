@@ -61,7 +61,7 @@ class ParcelSearch:
         return task in self._looked
 
     def looked(self, task: int, place: Point) -> bool:
-        """The parcel is not at this place.
+        """The parcel is not at this place, (x, y) metres.
 
         False: there is no place left. The search for this task begins from the start next time.
         """

@@ -50,7 +50,10 @@ class Reachability:
         )
 
     def stands_still(self, at: Point, busy: bool, now_us: int) -> bool:
-        """Once each control period: whether a busy robot has stood for `STANDSTILL_US`."""
+        """Once each control period: whether a busy robot has stood for `STANDSTILL_US`.
+
+        `at`: our position, (x, y) metres.
+        """
         (x_m, y_m), since_us = self._stood
         if not busy or hypot(at[0] - x_m, at[1] - y_m) > GOT_ON_M:
             self._stood = (at, now_us)

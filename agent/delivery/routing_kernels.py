@@ -1,8 +1,20 @@
 """Compiled: what a sequence of tasks takes, the auction, and the search for a better plan.
 
-A plan is `route` (robots, room) with `size` (robots,). What a route takes is found by walking along it,
-ten tasks or so; with batteries the walk keeps for every bay where it could have charged last the best
-label (time, energy used), and drops those that are worse in both.
+A plan is `route` (robots, room) of task indices with `size` (robots,), the number of tasks in each
+row. The duration of a route is found by a walk along it, which has about ten tasks. With batteries
+the walk keeps labels (time, energy used), one for each bay where it could have charged last, and
+drops those that are worse in both: dominance as in shortest paths with resource constraints (Irnich
+and Desaulniers 2005).
+
+Arguments of all kernels:
+
+* `r`: number of a robot. `seq` (n or more,): task indices, of which the first `n` count.
+* `ready` (robots,), `lead` (robots, tasks) and `link` (tasks, tasks): milliseconds, as in `Workload`.
+* `charging`: whether batteries count; `power`: the tuple of arrays that `_walk_charging` takes apart,
+  energies as in `Power`; `lead_bay_ms` (robots, bays): milliseconds to each bay.
+* `of` (tasks,) and `at` (tasks,): the robot that has each task (-1: none) and its index in the route.
+* `near` (tasks, n): after what each task may follow: a task, or tasks + robot for the head of a route.
+* `state` (1,): the state of the random generator.
 """
 
 from math import exp
@@ -10,14 +22,19 @@ from math import exp
 import numpy as np
 from numba import njit
 
-IMPOSSIBLE = 1 << 40
-LABELS = 8  # kept at each task; more than four were never open at once
-SEGMENT = 3  # tasks moved together at most
+IMPOSSIBLE = 1 << 40  # milliseconds of a route on which a battery would be empty
+LABELS = 8  # kept at each task; more than four were never needed at a time
+SEGMENT = 3  # most tasks that a move takes together
 
 
 @njit(cache=True)
 def _keep(times, used, count, time, energy):  # type: ignore[no-untyped-def]
-    """Add a label unless one is as good; those it beats go. The count."""
+    """Add the label (`time`, `energy`) to `times` and `used` (LABELS,), of which the first `count`
+    count.
+
+    It is left out if a label is as good in both; labels that it beats in both go. Returns the new
+    count.
+    """
     for k in range(count):
         if times[k] <= time and used[k] <= energy:
             return count
@@ -41,7 +58,7 @@ def _keep(times, used, count, time, energy):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _walk_charging(r, seq, n, ready, lead_bay_ms, lead, power):  # type: ignore[no-untyped-def]
-    """`walk` with bays visited where it pays; IMPOSSIBLE where it runs dry."""
+    """`walk` with bays visited where that is faster; IMPOSSIBLE twice if it runs dry."""
     (capacity, dock, rate, left, lead_e, link_e, home, lead_bay_e, to_bay_ms, to_bay_e,
      from_bay_ms, from_bay_e, link) = power  # fmt: skip
     bays = from_bay_ms.shape[0]
@@ -78,8 +95,11 @@ def _walk_charging(r, seq, n, ready, lead_bay_ms, lead, power):  # type: ignore[
 
 @njit(cache=True)
 def walk(r, seq, n, ready, lead, link, lead_bay_ms, power, charging):  # type: ignore[no-untyped-def]
-    """When robot `r` is through the first `n` tasks of a sequence, and the sum over them of when it is
-    through with each."""
+    """When robot `r` has done the first `n` tasks of a sequence, and the sum of when it has done
+    each.
+
+    Both in milliseconds from now; IMPOSSIBLE if its battery would be empty.
+    """
     if n == 0:
         return ready[r], 0
     if charging:
@@ -94,12 +114,15 @@ def walk(r, seq, n, ready, lead, link, lead_bay_ms, power, charging):  # type: i
 
 @njit(cache=True)
 def span(r, seq, n, ready, lead, link, lead_bay_ms, power, charging):  # type: ignore[no-untyped-def]
-    """When robot `r` is through the first `n` tasks of a sequence."""
+    """When robot `r` has done the first `n` tasks of a sequence, milliseconds from now."""
     return walk(r, seq, n, ready, lead, link, lead_bay_ms, power, charging)[0]
 
 
 @njit(cache=True)
 def put(seq, n, task, at, out):  # type: ignore[no-untyped-def]
+    """Copy the first `n` tasks of `seq` to `out` (n + 1 or more,) with `task` inserted at index
+    `at`.
+    """
     for k in range(at):
         out[k] = seq[k]
     out[at] = task
@@ -109,7 +132,10 @@ def put(seq, n, task, at, out):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def best_place(r, seq, n, task, first, ready, lead, link, lead_bay_ms, power, charging, out):  # type: ignore[no-untyped-def]
-    """Where in a route a task is through the earliest for the robot, and when; not before `first`."""
+    """When the robot would have done all tasks at the best index for one more task, and that index.
+
+    `first`: the lowest index that is allowed. `out` (n + 1 or more,): scratch.
+    """
     best, place = IMPOSSIBLE, n
     for at in range(first, n + 1):
         put(seq, n, task, at, out)
@@ -121,10 +147,12 @@ def best_place(r, seq, n, task, first, ready, lead, link, lead_bay_ms, power, ch
 
 @njit(cache=True)
 def auction(route, size, free, ready, lead, link, lead_bay_ms, power, charging):  # type: ignore[no-untyped-def]
-    """Sequential auction: each time the bid of earliest finish; ties to the lower task, then robot.
+    """Sequential single-item auction (Koenig et al. 2006), in place: the lowest bid of all wins a
+    task.
 
-    `free`: tasks to be assigned, in ascending order. Tasks that no robot can do are left out. Returns
-    their count.
+    A bid is the time at which the robot would have done all its tasks. Ties go to the lower task,
+    then to the lower robot. `free` (n,): tasks to assign, ascending. Returns how many of them no
+    robot can do.
     """
     robots, room = route.shape
     out = np.empty(room + 1, np.int64)
@@ -149,7 +177,7 @@ def auction(route, size, free, ready, lead, link, lead_bay_ms, power, charging):
             )
     for left in range(len(free), 0, -1):
         best, winner = IMPOSSIBLE, -1
-        taker = int(np.int64(-1))  # a literal is a type of its own: compiled twice
+        taker = int(np.int64(-1))  # numba compiles twice for a literal
         for t in range(len(free)):
             if given[t]:
                 continue
@@ -160,7 +188,7 @@ def auction(route, size, free, ready, lead, link, lead_bay_ms, power, charging):
             return left
         put(route[taker], size[taker], free[winner], place[winner, taker], out)
         size[taker] += 1
-        for k in range(size[taker]):  # numba takes seconds to compile slices
+        for k in range(size[taker]):  # a loop, because numba takes seconds to compile slices
             route[taker, k] = out[k]
         given[winner] = True
         for t in range(len(free)):
@@ -174,7 +202,9 @@ def auction(route, size, free, ready, lead, link, lead_bay_ms, power, charging):
 
 @njit(cache=True)
 def _weight(time, scale):  # type: ignore[no-untyped-def]
-    """The eighth power: nearly the maximum, and yet every second of every robot counts."""
+    """The eighth power of a route's time: nearly the maximum, and yet every second of every robot
+    counts.
+    """
     x = time / scale
     x *= x
     x *= x
@@ -183,10 +213,12 @@ def _weight(time, scale):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _moved(route, size, a, ia, b, ib, kind, la, lb, new_a, new_b):  # type: ignore[no-untyped-def]
-    """Two routes after a move, into `new_a` and `new_b`; their sizes, or -1 where it is none.
+    """Write two routes after a move to `new_a` and `new_b`; their sizes, or -1 twice if it is no
+    move.
 
-    Task `ia` of route `a` is to come right behind place `ib` of route `b` (-1: at its head).
-    kind 0: a segment of `la` goes over. 1: segments change places. 2: all that follows does.
+    Task `ia` of route `a` is to come right behind index `ib` of route `b` (-1: at its head). `kind`
+    0: a segment of `la` tasks goes over. 1: segments of `la` and `lb` tasks change places. 2: both
+    tails do.
     """
     na, nb = size[a], size[b]
     start = ib + 1  # of the other segment
@@ -225,7 +257,9 @@ def _moved(route, size, a, ia, b, ib, kind, la, lb, new_a, new_b):  # type: igno
 
 @njit(cache=True)
 def _moved_within(seq, count, ia, start, la, lb, out):  # type: ignore[no-untyped-def]
-    """The same inside one route: [ia, ia + la) and [start, start + lb) change places."""
+    """The same move inside one route: [ia, ia + la) and [start, start + lb) change places. Returns
+    (size, 0), or -1 twice if they overlap.
+    """
     if start < ia:
         lo, llo, hi, lhi = start, lb, ia, la
     else:
@@ -253,7 +287,7 @@ def _moved_within(seq, count, ia, start, la, lb, out):  # type: ignore[no-untype
 
 @njit(cache=True)
 def _next(state):  # type: ignore[no-untyped-def]
-    """xorshift64*: the same dice on every machine."""
+    """A random number of 31 bits by xorshift64* (Vigna 2016), equal on every machine."""
     x = state[0]
     x ^= x >> np.uint64(12)
     x ^= x << np.uint64(25)
@@ -264,13 +298,16 @@ def _next(state):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _below(state, n):  # type: ignore[no-untyped-def]
+    """A random number from 0 to n - 1."""
     return int(_next(state) % np.uint64(n))
 
 
 @njit(cache=True)
 def propose(route, size, of, at, near, state, new_a, new_b):  # type: ignore[no-untyped-def]
-    """A move by the dice, carried out in `new_a` and `new_b`: both routes and their sizes; a size
-    below 0: it was none."""
+    """A random move, written to `new_a` and `new_b`: both robots and the sizes of both new routes.
+
+    A size below 0 means that it was no move. `new_a`, `new_b`: (2 * room or more,).
+    """
     tasks = len(of)
     j = _below(state, tasks)
     a, ia = of[j], at[j]
@@ -286,7 +323,9 @@ def propose(route, size, of, at, near, state, new_a, new_b):  # type: ignore[no-
 
 @njit(cache=True)
 def _accepted(before_a, before_b, ta, tb, same, scale, temperature, state):  # type: ignore[no-untyped-def]
-    """Whether two routes may take `ta` and `tb` instead: always for the better, else by the dice."""
+    """Whether two routes may take `ta` and `tb` instead: always if that is better, otherwise by
+    chance (the rule of Metropolis).
+    """
     gain = _weight(ta, scale) - _weight(before_a, scale)
     if not same:
         gain += _weight(tb, scale) - _weight(before_b, scale)
@@ -299,6 +338,11 @@ def _accepted(before_a, before_b, ta, tb, same, scale, temperature, state):  # t
 
 @njit(cache=True)
 def write(route, size, times, of, at, r, tasks, n, time):  # type: ignore[no-untyped-def]
+    """Replace the route of robot `r` by the first `n` of `tasks` (n or more,), and update `of` and
+    `at`.
+
+    `times` (robots,): duration of each route, milliseconds; `time`: of the new one.
+    """
     times[r], size[r] = time, n
     for k in range(n):
         route[r, k] = tasks[k]
@@ -307,6 +351,7 @@ def write(route, size, times, of, at, r, tasks, n, time):  # type: ignore[no-unt
 
 @njit(cache=True)
 def _copy(route, size, to_route, to_size):  # type: ignore[no-untyped-def]
+    """Copy a plan to `to_route` (robots, room) and `to_size` (robots,)."""
     for r in range(len(size)):
         to_size[r] = size[r]
         for k in range(route.shape[1]):
@@ -317,10 +362,10 @@ def _copy(route, size, to_route, to_size):  # type: ignore[no-untyped-def]
 def search(  # type: ignore[no-untyped-def]
     route, size, near, moves, hot, cold, state, ready, lead, link, lead_bay_ms, power, charging
 ):
-    """Simulated annealing from a plan, in place: `moves` tries, from temperature `hot` to `cold`.
+    """Simulated annealing from a plan, in place: `moves` steps, from temperature `hot` to `cold`.
 
-    `near` (tasks, n): whom a task may follow, a task or robots' heads as tasks + robot. The best plan
-    that was met, by makespan and then by total, is what `route` holds at the end.
+    Temperatures are shares of the mean duration of a route. At the end `route` holds the best plan
+    that was met, by makespan and then by total.
     """
     robots, room = route.shape
     times = np.empty(robots, np.int64)

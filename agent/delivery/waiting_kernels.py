@@ -1,7 +1,9 @@
 """Compiled: how long all tasks wait in sum, and the search for a plan in which they wait less.
 
-What a task waits counts from now on to its delivery, so a short one goes before a long one where that
-makes the others wait less. The routes are those of `agent/delivery/routing_kernels.py`.
+The waiting time of a task counts from now to its delivery. So a short task goes before a long one
+if that makes the others wait less. Routes are those of `agent/delivery/routing_kernels.py`, which
+also describes `r`, `seq`, `n`, `ready`, `lead`, `link`, `lead_bay_ms`, `power`, `charging`, `near`
+and `state`. A plan is `route` (robots, room) with `size` (robots,).
 """
 
 import numpy as np
@@ -12,7 +14,12 @@ from agent.delivery.routing_kernels import IMPOSSIBLE, propose, put, walk, write
 
 @njit(cache=True)
 def least_waiting(r, seq, n, task, first, ready, lead, link, lead_bay_ms, power, charging, out):  # type: ignore[no-untyped-def]
-    """Where in a route a task makes all tasks of the route wait the least in sum, and how much more."""
+    """By how much the tasks of a route wait longer in sum with one more task, milliseconds, and the
+    index.
+
+    The index is the one with the least increase. `first`: the lowest index that is allowed. `out`
+    (n + 1 or more,): scratch.
+    """
     before = walk(r, seq, n, ready, lead, link, lead_bay_ms, power, charging)[1]
     best, place = IMPOSSIBLE, n
     for at in range(first, n + 1):
@@ -27,8 +34,11 @@ def least_waiting(r, seq, n, task, first, ready, lead, link, lead_bay_ms, power,
 def shorten_waiting(  # type: ignore[no-untyped-def]
     route, size, near, moves, state, ready, lead, link, lead_bay_ms, power, charging
 ):
-    """Of `moves` tries from a plan, in place, each that makes the tasks of its two routes wait less in
-    sum and neither of the two last longer than the plan did. How many there were."""
+    """Local search from a plan, in place; returns how many of `moves` random moves were accepted.
+
+    A move is accepted if the tasks of its two routes wait less in sum, and if neither of the two
+    lasts longer than the longest route of the plan did.
+    """
     robots, room = route.shape
     through, sums = np.empty(robots, np.int64), np.empty(robots, np.int64)
     of, at = np.full(len(link), -1, np.int64), np.zeros(len(link), np.int64)

@@ -132,9 +132,10 @@ class Warehouse:
         )
 
     def home(self, at: Point) -> int:
-        """Energy from a place to a bay, and to the next bay if that one is dead, plus the reserve.
+        """Energy from (x, y) metres to a bay, and to the next bay if that one is dead, plus the
+        reserve.
 
-        Millionths of a battery.
+        The unit is millionths of a battery.
         """
         if not self.bays:
             return self.reserve

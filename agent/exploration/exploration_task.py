@@ -4,7 +4,7 @@ from decimal import ROUND_HALF_UP, Decimal
 from enum import Enum
 from typing import NamedTuple
 
-XY = tuple[float, float]
+XY = tuple[float, float]  # metres east and north
 ROBOTS_MAX = 10  # default size of a fleet; a record of the map has room for 32 observers
 ORDERS_FIRST = 0xFF00  # first section of an order; patches of the map are below
 ORDERS_MAX = 64  # of the 256 sections from there on
@@ -64,7 +64,8 @@ class FleetTask(NamedTuple):
 
 
 def fixed(value: float) -> str:
-    """A number with one decimal, ties away from zero, as `toFixed(1)` of JavaScript.
+    """A plain number with one decimal, ties away from zero, as `toFixed(1)` of JavaScript; in any
+    unit.
 
     >>> fixed(0.25), fixed(-0.04)
     ('0.3', '-0.0')

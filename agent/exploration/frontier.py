@@ -120,7 +120,10 @@ def wave_from(
 
 
 def border_cells(values: Values) -> Grid:
-    """Free cells with an unknown cell beside them (4-connected), (rows, columns)."""
+    """Free cells with an unknown cell beside them (4-connected), (rows, columns).
+
+    `values`: (rows, columns) of the map, as `LocalAndFleetMap.values` gives them.
+    """
     unknown = values == UNKNOWN
     beside = np.zeros(values.shape, dtype=np.bool_)
     beside[1:] |= unknown[:-1]

@@ -181,7 +181,7 @@ def joins(
 ) -> bool:
     """Whether the path grid connects all section ends that the free ground connects.
 
-    `grid`: as from `rasterise`. `clearance_m`: kept from fences and holes.
+    `grid`: as from `rasterise`, metres. `clearance_m`: kept from fences and holes.
     """
     blocked, origin_x_m, origin_y_m, cell_m = grid
     free = field.polygon.buffer(-clearance_m)

@@ -69,7 +69,7 @@ class LocalAndFleetMap:
         return np.where(self.fleet.values() != UNKNOWN, self.fleet.observers(), -1)
 
     def admits(self, at: tuple[float, float]) -> bool:
-        """Whether a robot may be sent to (x, y), as far as is known."""
+        """Whether a robot may be sent to (x, y) metres, as far as is known."""
         row, column = self.geometry.cell(at)
         rows, columns, _, _ = self.geometry
         inside = 0 <= row < rows and 0 <= column < columns

@@ -71,7 +71,7 @@ def echoes(
 
 
 class UnexplainedEchoes:
-    """The unexplained echoes of one robot."""
+    """Compares one robot's scans with the known walls and with the robots that it receives."""
 
     def __init__(self, walls: NDArray[np.float64], radius_m: float) -> None:
         """`walls`: known segments (n, 4) of ax, ay, bx, by in metres. `radius_m`: of every body."""
