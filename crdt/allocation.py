@@ -45,6 +45,11 @@ BY_NUMBER = {int(phase): phase for phase in Phase}  # calling an Enum is slow; m
 
 
 class FieldAllocationCRDT:
+    """The registers of all sections of one field, with the Lamport clock that orders their claims.
+
+    Mutable and owned by one peer. A section without a register is FREE at epoch 0.
+    """
+
     def __init__(self, field_hash: int = 0) -> None:
         self.field_hash = field_hash
         self.lamport = 0  # the greatest Lamport time seen or written
@@ -63,7 +68,8 @@ class FieldAllocationCRDT:
     # ---------------------------------------------------------------- local operations
 
     def claim(self, section: int, owner: int, bid: int = 0) -> int | None:
-        """Claim a free section. None if it has an owner or is done."""
+        """Claim a free section; returns the register's key. None if the section has an owner or is
+        done."""
         key = self._keys.get(section)
         if key is None:
             return self._write(section, 0, Phase.CLAIMED, bid, owner)
@@ -72,29 +78,35 @@ class FieldAllocationCRDT:
         return self._write(section, epoch_of(key), Phase.CLAIMED, bid, owner)
 
     def start(self, section: int, owner: int) -> int | None:
-        """Start claimed work: from now on no cheaper claim of this epoch takes it away."""
+        """Start claimed work; returns the register's key. From now on no cheaper claim of this
+        epoch takes the section away. None if `owner` has not claimed it."""
         key = self._keys.get(section)
         if key is None or phase_of(key) != Phase.CLAIMED or owner_of(key) != owner:
             return None
         return self._write(section, epoch_of(key), Phase.STARTED, bid_of(key), owner)
 
     def done(self, section: int, owner: int) -> int | None:
-        """Mark as finished, whatever the owner; this wins every join. None if it was done
-        already."""
+        """Mark a section as finished, whatever its owner; returns the register's key, which wins
+        every join. None if it was done already."""
         key = self._keys.get(section, 0)
         if phase_of(key) == Phase.DONE:
             return None
         return self._write(section, epoch_of(key), Phase.DONE, 0, owner)
 
     def release(self, section: int, owner: int) -> int | None:
-        """Give an own section back. None for a section of another owner."""
+        """Give an own section back; returns the register's key, of the next epoch. None for a
+        section that `owner` does not hold, and after 255 hand-overs."""
         key = self._keys.get(section)
         if key is None or owner_of(key) != owner or phase_of(key) not in HELD:
             return None
         return self._raise(section, key, Phase.FREE, 0, owner)
 
     def takeover(self, section: int, owner: int, bid: int = 0) -> int | None:
-        """Take a section from an owner that is gone; the raised epoch rejects its later writes."""
+        """Take a section from an owner that is gone; returns the register's key.
+
+        The raised epoch rejects later writes of the former owner. None where no other robot holds
+        the section, and after 255 hand-overs.
+        """
         key = self._keys.get(section)
         if key is None or owner_of(key) == owner or phase_of(key) not in HELD:
             return None
@@ -169,6 +181,8 @@ class FieldAllocationCRDT:
     # ---------------------------------------------------------------- reading
 
     def key(self, section: int) -> int | None:
+        """The register of a section as one integer (`crdt/register.py`); None if it was never
+        written."""
         return self._keys.get(section)
 
     def entry(self, section: int) -> Claim:
@@ -176,6 +190,7 @@ class FieldAllocationCRDT:
         return Claim.unpack(self._keys.get(section, pack(0, Phase.FREE, 0, 0, 0)))
 
     def phase_of(self, section: int) -> Phase:
+        """How far the work on a section is; FREE if no robot ever claimed it."""
         return BY_NUMBER[phase_of(self._keys.get(section, 0))]
 
     def owner_of(self, section: int) -> int | None:
@@ -193,12 +208,15 @@ class FieldAllocationCRDT:
         return held.copy()
 
     def done_count(self) -> int:
+        """Number of finished sections, counted as they are joined."""
         return self._done
 
     def sections(self) -> list[int]:
+        """The numbers of all sections that have a register, in ascending order."""
         return sorted(self._keys)
 
     def entries(self) -> Mapping[int, int]:
+        """All registers, section to key. A view of the live dictionary: it must not be changed."""
         return self._keys
 
     def __len__(self) -> int:
@@ -218,6 +236,7 @@ class FieldAllocationCRDT:
 
     @property
     def digest(self) -> int:
+        """24 bits that two allocations with equal registers have in common."""
         return short(self._sums.total)
 
     # ---------------------------------------------------------------- bytes

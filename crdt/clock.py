@@ -59,6 +59,8 @@ class VectorClock:
         self._retired.add(replica)
 
     def is_retired(self, replica: int) -> bool:
+        """Whether this clock knows that a replica gives no more events. Not part of the clock's
+        value."""
         return replica in self._retired
 
     def witness(self, replica: int, low: int, bits: int = 16) -> None:
@@ -81,11 +83,13 @@ class VectorClock:
                 counts[replica] = count
 
     def merged(self, other: "VectorClock") -> "VectorClock":
+        """The join of both clocks as a new one; neither is changed."""
         result = self.copy()
         result.merge(other)
         return result
 
     def covers(self, dot: Dot) -> bool:
+        """Whether the event of a dot has been seen."""
         return dot.counter <= self[dot.replica]
 
     def __le__(self, other: "VectorClock") -> bool:
@@ -100,6 +104,7 @@ class VectorClock:
     __hash__ = None  # type: ignore[assignment]  # mutable
 
     def happens_before(self, other: "VectorClock") -> bool:
+        """Whether the other clock has seen all that this one has, and more."""
         return self <= other and self != other
 
     def concurrent_with(self, other: "VectorClock") -> bool:
@@ -107,15 +112,18 @@ class VectorClock:
         return not self <= other and not other <= self
 
     def copy(self) -> "VectorClock":
+        """An independent clock with the same counts and the same retired replicas."""
         clock = VectorClock(self._counts)
         clock._retired = set(self._retired)
         return clock
 
     def to_dict(self) -> dict[int, int]:
+        """A new dictionary, replica to number of its events, in order of replicas."""
         return {replica: self._counts[replica] for replica in self}
 
     @classmethod
     def from_dict(cls, counts: Mapping[int, int]) -> "VectorClock":
+        """A clock with these numbers of events; the mapping is copied."""
         return cls(counts)
 
     def __repr__(self) -> str:

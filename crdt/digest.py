@@ -42,7 +42,10 @@ def entry_hash(kind: int, name: int, value: int) -> int:
 
 @lru_cache(maxsize=HASHES_MAX)
 def change_of(kind: int, name: int, before: int | None, value: int) -> tuple[int, int]:
-    """(bucket, value to add to its sum) for a change of an entry."""
+    """(bucket, value to add to its sum) for a change of an entry from `before` to `value`.
+
+    `before` is None for an entry that is new. The addend is modulo 2^64.
+    """
     change = entry_hash(kind, name, value)
     if before is not None:
         change -= entry_hash(kind, name, before)
@@ -50,6 +53,7 @@ def change_of(kind: int, name: int, before: int | None, value: int) -> tuple[int
 
 
 def bucket_of(kind: int, name: int) -> int:
+    """The bucket of an entry, 0 to `BUCKETS` - 1. It depends on the name alone, not on the value."""
     return place(kind, name) % BUCKETS
 
 
@@ -70,14 +74,18 @@ class Sums:
         self._before: dict[int, int | None] = {}  # name -> the value that is still in the sums
 
     def changing(self, name: int, before: int | None) -> None:
-        """An entry is about to change. It is hashed only when a sum is needed."""
+        """An entry is about to change from the value `before` (None: it is new). It is hashed only
+        when a sum is needed."""
         self._before.setdefault(name, before)
 
     def changing_all(self, before: Mapping[int, int | None]) -> None:
-        """Many entries are about to change; `before` are their values."""
+        """Many entries are about to change; `before` maps their names to their values, None for new
+        ones."""
         self._before = {**before, **self._before}
 
     def buckets(self) -> list[int]:
+        """The sum of each bucket, modulo 2^64, after hashing what has changed. The live list: it
+        must not be changed."""
         if self._before:
             kind, sums = self.kind, self._sums
             for name, before in self._before.items():
@@ -89,5 +97,6 @@ class Sums:
 
     @property
     def total(self) -> int:
+        """The sum of all buckets, modulo 2^64, with every change so far."""
         self.buckets()
         return self._total

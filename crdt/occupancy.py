@@ -40,6 +40,8 @@ ORDERS = tuple(MergeOrder)
 
 
 class MergeResult(NamedTuple):
+    """What a merge of several robots' maps brought."""
+
     cells_updated: int  # without updates, all robots explore what is known, spread out
     robots_merged: int
     time_us: int
@@ -54,13 +56,15 @@ class Geometry(NamedTuple):
     cell_m: float
 
     def centre(self, row: int, column: int) -> XY:
+        """The centre of a cell in the world: metres (x, y)."""
         return (
             self.origin_m[0] + (column + 0.5) * self.cell_m,
             self.origin_m[1] + (row + 0.5) * self.cell_m,
         )
 
     def cell(self, at: XY) -> tuple[int, int]:
-        """Row and column; may be outside of the map."""
+        """Row and column of the cell that contains a place (x, y), in metres; may be outside of the
+        map."""
         row = (at[1] - self.origin_m[1]) / self.cell_m
         return int(row // 1), int((at[0] - self.origin_m[0]) / self.cell_m // 1)
 
@@ -84,6 +88,11 @@ def _gather(number: int) -> int:
 
 
 class OccupancyMap:
+    """The replicated map of one robot: (rows, columns) cells, stored patch by patch.
+
+    Maps of one `order` join, whatever their geometries are. Mutable and owned by one peer.
+    """
+
     def __init__(self, geometry: Geometry, order: MergeOrder = MergeOrder.MAX_CONFIDENCE) -> None:
         rows, columns, _, cell_m = geometry
         assert 0 < rows <= SIDE_MAX and 0 < columns <= SIDE_MAX and cell_m > 0
@@ -116,13 +125,20 @@ class OccupancyMap:
     def apply(
         self, patch: int, values: NDArray[np.int64], level: int, time: int, observer: int
     ) -> int:
-        """Join one robot's view of one patch at one time; UNKNOWN means none. Returns the changed
-        cells."""
+        """Join one robot's view of one patch at one time; returns the number of changed cells.
+
+        `values` are the 16 cells of the patch row by row, shape (16,); UNKNOWN says nothing of a
+        cell. `level` is the confidence, `time` seconds of the fleet's clock.
+        """
         keys = np.where(values != UNKNOWN, base(self.order, level, time, observer) | values, 0)
         return self.join(patch, keys)
 
     def join(self, patch: int, keys: Keys) -> int:
-        """Join the keys of one patch."""
+        """Join the 16 `keys` of one patch, shape (16,), row by row; returns the number of changed
+        cells.
+
+        Cells that are not on the map are not joined, only counted in `refused`.
+        """
         if patch >= len(self._keys):
             self.refused += int(np.count_nonzero(keys))
             return 0
@@ -186,6 +202,7 @@ class OccupancyMap:
         return self.keys() >> 2 & OBSERVER_MAX
 
     def explored(self) -> NDArray[np.bool_]:
+        """(rows, columns): whether any robot has ever seen a cell; a copy."""
         found: NDArray[np.bool_] = self._explored.ravel()[self._place]
         return found
 
@@ -200,6 +217,7 @@ class OccupancyMap:
         return keys
 
     def known_patches(self) -> Iterator[int]:
+        """The numbers of the patches with at least one record, in ascending order."""
         yield from np.flatnonzero(self._keys.any(axis=1)).tolist()
 
     # ---------------------------------------------------------------- digests
@@ -223,12 +241,13 @@ class OccupancyMap:
     # ---------------------------------------------------------------- bytes
 
     def patch_bytes(self, patch: int) -> bytes:
-        """The records of a patch, 3 bytes a cell."""
+        """The records of a patch, 3 bytes a cell, row by row, little-endian."""
         records = (self._keys[patch] & RECORD_MASK).astype("<u4")
         return bytes(records.view(np.uint8).reshape(CELLS, 4)[:, :3].tobytes())
 
     def join_bytes(self, patch: int, data: bytes) -> int:
-        """ValueError if these are not the records of a patch."""
+        """Join what `patch_bytes` made elsewhere; returns the number of changed cells. Raises
+        ValueError if these are not the records of a patch."""
         if len(data) != PATCH_BYTES:
             raise ValueError(f"a patch does not have {len(data)} bytes")
         records = [int.from_bytes(data[k : k + 3], "little") for k in range(0, PATCH_BYTES, 3)]
@@ -250,7 +269,7 @@ class OccupancyMap:
 
     @classmethod
     def deserialize(cls, data: bytes) -> "OccupancyMap":
-        """ValueError if the bytes are not a serialized map."""
+        """The map that `serialize` wrote. Raises ValueError if the bytes are not one."""
         size = PATCH.size + PATCH_BYTES
         if len(data) < HEAD.size or (len(data) - HEAD.size) % size:
             raise ValueError(f"a map does not have {len(data)} bytes")
@@ -274,7 +293,7 @@ class OccupancyMap:
 
 
 def mix(numbers: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    """`crdt.digest.mix` of whole arrays."""
+    """`crdt.digest.mix` of each of `numbers`, an array of any shape; the result has the same shape."""
     n = numbers + np.uint64(0x9E3779B97F4A7C15)
     n = (n ^ n >> np.uint64(30)) * np.uint64(0xBF58476D1CE4E5B9)
     n = (n ^ n >> np.uint64(27)) * np.uint64(0x94D049BB133111EB)

@@ -24,6 +24,8 @@ def name_of(section: int, block: int) -> int:
 
 
 class Progress:
+    """The covered units of all sections. A set that only grows, mutable and owned by one peer."""
+
     def __init__(self, units: Mapping[int, int] | None = None) -> None:
         """`units`: the number of units of each section; higher bits are refused. Others:
         unlimited."""
@@ -42,7 +44,8 @@ class Progress:
         return block, self._blocks[name_of(section, block)]
 
     def apply(self, section: int, block: int, bits: int) -> bool:
-        """Join one block; True if it grew."""
+        """Join one block, given as 40 `bits`; True if it grew. Bits of units that do not exist are
+        left out and counted in `refused`."""
         name = name_of(section, block)
         known = self._blocks.get(name, 0)
         if not bits & ~known:
@@ -70,10 +73,12 @@ class Progress:
         return {s for s, b, bits in other.entries() if self.apply(s, b, bits)}
 
     def has(self, section: int, unit: int) -> bool:
+        """Whether a unit of a section is covered."""
         block, bit = divmod(unit, BLOCK_UNITS)
         return bool(self._blocks.get(name_of(section, block), 0) >> bit & 1)
 
     def bits(self, section: int, block: int) -> int:
+        """The covered units of one block as 40 bits, the lowest for its first unit."""
         return self._blocks.get(name_of(section, block), 0)
 
     def covered(self, section: int) -> int:
@@ -81,6 +86,8 @@ class Progress:
         return self._count.get(section, 0)
 
     def complete(self, section: int) -> bool:
+        """Whether all units of a section are covered; KeyError for a section whose size is not
+        known."""
         return self.covered(section) >= self.units[section]
 
     def fraction(self) -> float:
@@ -109,6 +116,7 @@ class Progress:
 
     @property
     def digest(self) -> int:
+        """24 bits that two replicas with equal progress have in common."""
         return short(self._sums.total)
 
     def serialize(self) -> bytes:
@@ -120,7 +128,8 @@ class Progress:
 
     @classmethod
     def deserialize(cls, data: bytes, units: Mapping[int, int] | None = None) -> "Progress":
-        """ValueError if the bytes are not serialized progress."""
+        """What `serialize` wrote, for sections of so many `units`. Raises ValueError if the bytes
+        are no progress."""
         if len(data) % ENTRY.size:
             raise ValueError(f"progress does not have {len(data)} bytes")
         progress = cls(units)

@@ -26,7 +26,7 @@ OWNER_MAX = 0xFF
 DONE_BIT = 1 << 48
 
 
-Column = NDArray[Any]  # one field of many registers
+Column = NDArray[Any]  # (n,): one field of n registers
 
 
 class Phase(IntEnum):
@@ -55,7 +55,8 @@ class Claim(NamedTuple):
 
     @classmethod
     def unpack(cls, key: int) -> "Claim":
-        """ValueError for an invalid phase, which no frame can carry, but a disk can."""
+        """The fields of a key. Raises ValueError for an invalid phase, which no frame can carry,
+        but a disk can."""
         return cls(epoch_of(key), Phase(phase_of(key)), bid_of(key), lamport_of(key), owner_of(key))
 
 
@@ -70,7 +71,7 @@ def pack(epoch: int, phase: int, bid: int, lamport: int, owner: int) -> int:
 def pack_all(
     epoch: Column, phase: Column, bid: Column, lamport: Column, owner: Column
 ) -> NDArray[np.int64]:
-    """`pack` of whole columns."""
+    """`pack` of n registers: five columns of integers, each (n,), give the keys, (n,)."""
     phase = phase.astype(np.int64)
     keys: NDArray[np.int64] = (
         (phase == Phase.DONE).astype(np.int64) << 48 | epoch.astype(np.int64) << 40 | phase << 37
@@ -81,20 +82,25 @@ def pack_all(
 
 
 def epoch_of(key: int) -> int:
+    """The fencing token in a key, 0 to 255."""
     return key >> 40 & EPOCH_MAX
 
 
 def bid_of(key: int) -> int:
+    """The bid in a key, 0 to 31: what the claimant says that the section costs it."""
     return BID_MAX - (key >> 32 & BID_MAX)
 
 
 def lamport_of(key: int) -> int:
+    """The Lamport time at which a key was written, 24 bits."""
     return LAMPORT_MAX - (key >> 8 & LAMPORT_MAX)
 
 
 def owner_of(key: int) -> int:
+    """The slot that wrote a key; of a FREE register, the slot that gave the section back."""
     return OWNER_MAX - (key & 0xFF)
 
 
 def phase_of(key: int) -> int:
+    """The number of a `Phase`, as it stands in a key; in damaged bytes also 3 to 6, which are none."""
     return key >> 37 & 7

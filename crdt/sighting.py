@@ -36,6 +36,8 @@ _LOGS = [round(1000 * log(k + 1)) for k in range(LEVELS)]
 
 
 class MergeOrder(Enum):
+    """Which of two records of one cell is kept; see the top of this module."""
+
     MAX_CONFIDENCE = "max_confidence"
     LATEST_UPDATE = "latest_update"
     DECAYED = "decayed"
@@ -50,12 +52,16 @@ class CellObservation(NamedTuple):
     observer: int  # slot
 
     def confidence(self, reader: int) -> float:
-        """The confidence for `reader`: another robot's observation counts for less."""
+        """The confidence, 0 to 1, for the slot `reader`: another robot's observation counts for
+        less."""
         own = (self.level + 1) / LEVELS
         return own if reader == self.observer else own * SECOND_HAND
 
     def faded(self, reader: int, now: int) -> float:
-        """The confidence at a time, faded by the rate of DECAYED."""
+        """The confidence, 0 to 1, for the slot `reader` at the second `now` of the fleet's clock.
+
+        It fades with the rate of DECAYED from the time of the observation on.
+        """
         return self.confidence(reader) * exp(-RATE / 1000 * max(now - self.time, 0))
 
 
@@ -72,6 +78,7 @@ def base(order: MergeOrder, level: int, time: int, observer: int) -> int:
 
 
 def pack(order: MergeOrder, sighting: CellObservation) -> int:
+    """The key of a record: greater keys replace smaller ones, whole."""
     assert sighting.value in (FREE, OBSTACLE)
     return base(order, sighting.level, sighting.time, sighting.observer) | sighting.value
 

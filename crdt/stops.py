@@ -63,6 +63,7 @@ class DotSet(Generic[D]):
 
     @property
     def cleared(self) -> frozenset[D]:
+        """All dots that are known as cleared, also those whose press was never received."""
         return frozenset(self._cleared)
 
     @property
@@ -84,6 +85,7 @@ class DotSet(Generic[D]):
         return new
 
     def press_more(self) -> None:
+        """Count one press that is not held by name; the set is latched until `clear_all`."""
         self.more += 1
         self._activate(self.active)
 
@@ -114,9 +116,11 @@ class DotSet(Generic[D]):
         self.active, self.latched = dots, bool(dots) or self.more > 0
 
     def is_cleared(self, dot: D) -> bool:
+        """Whether an operator has cleared this dot, as far as it is remembered."""
         return dot in self._cleared
 
     def merge(self, other: "DotSet[D]") -> None:
+        """Join a whole replica: the union of the pressed and of the cleared dots."""
         for dot in other._pressed:
             self.press(dot)
         for dot in other._cleared:
@@ -152,7 +156,8 @@ class DotSet(Generic[D]):
 
     @classmethod
     def deserialize(cls: type[Self], data: bytes) -> Self:
-        """ValueError if the bytes are not a stop set; the caller must then stay stopped."""
+        """The set that `serialize` wrote. Raises ValueError if the bytes are none; the caller must
+        then stay stopped."""
         if len(data) < 2 or (len(data) - 2) % cls.entry.size:
             raise ValueError("not a stop set")
         dots = [cls.kind(*fields) for fields in cls.entry.iter_unpack(data[2:])]

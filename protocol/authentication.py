@@ -127,7 +127,8 @@ class Keyring:
         return True
 
     def wrote(self, message: EmergencyStop, sender: int) -> bool:
-        """Whether `sender` signed this at any time, whatever its counter was.
+        """Whether `sender` signed this at any time, whatever its counter was: 0 to 65,535 of them
+        are tried.
 
         Only for a frame whose content could not be known earlier, such as an echo of a dot that was
         drawn just now. A guessed tag passes with odds of 2^-16.
@@ -157,6 +158,8 @@ class Keyring:
         return Challenge(sender, self.sender, int.from_bytes(self._asked[sender], "little"))
 
     def answer(self, question: Challenge, now_us: int) -> Freshness | None:
+        """The proof of our counter for a device that asked for it; None for another's question or
+        too soon."""
         answered_us = self._answered_us.get(question.asker, -ANSWER_SPACING_US)
         if question.asked != self.sender or now_us - answered_us < ANSWER_SPACING_US:
             return None

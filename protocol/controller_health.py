@@ -9,6 +9,8 @@ WARNING_BITS, PASSIVE_BITS, ACTIVE_BIT = 0x0C, 0x30, 0x40
 
 
 class Health(Enum):
+    """The state of a controller's fault confinement. The numbers are not in the order of severity."""
+
     ACTIVE = 0
     PASSIVE = 1  # too many errors: it may no longer send active error flags
     OFF = 2  # it has left the bus
@@ -17,6 +19,9 @@ class Health(Enum):
 
 def told_by(error_class: int, data: bytes, was: Health) -> Health:
     """The health after an error frame of SocketCAN; most error frames do not change it.
+
+    `error_class` is the frame's identifier, a set of bits; `data` its 8 bytes; `was` the health
+    before.
 
     >>> told_by(CONTROLLER, bytes((0, 0x20)), Health.ACTIVE)
     <Health.PASSIVE: 1>

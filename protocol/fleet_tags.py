@@ -23,17 +23,20 @@ from protocol.frames.segment_frames import FleetReset, FleetStop
 
 
 class FleetTags:
+    """Makes the tagged stops and resets that all segments accept, as far as its keys allow."""
+
     def __init__(self, keys: Keys) -> None:
         self._stop = _mac(keys.master, b"headland fleet stop")
         self._reset = _mac(keys.operator, b"headland fleet reset")
 
     def stop(self, dot: RemoteStopDot) -> FleetStop:
-        """The tagged stop. ValueError if the fleet's secret is not held here."""
+        """The tagged stop. Raises ValueError if the fleet's secret is not held here."""
         tag = int.from_bytes(_sum(self._stop, dot)[:3], "little")
         return FleetStop(dot.segment, *dot[:3], tag)
 
     def reset(self, dot: RemoteStopDot) -> tuple[FleetReset, FleetReset]:
-        """Both halves. ValueError if the operator's secret is not held here."""
+        """Both halves of the tagged reset. Raises ValueError if the operator's secret is not held
+        here."""
         tag = _sum(self._reset, dot)
         halves = [int.from_bytes(tag[3 * part : 3 * part + 3], "little") for part in (0, 1)]
         first, second = (
@@ -50,7 +53,8 @@ class HeldTags:
         self._held = _mac(keys.operator, b"headland stops held")
 
     def sign(self, held: StopsHeld, question: int) -> StopsHeld:
-        """`question`: the 48-bit nonce of the challenge."""
+        """The frame with its tag, which answers `question`: the 48-bit nonce of the challenge.
+        Raises ValueError if the operator's secret is not held here."""
         if self._held is None:
             raise ValueError("the secret for this tag is not held here")
         running = self._held.copy()
@@ -64,6 +68,7 @@ def plain_stop(dot: RemoteStopDot) -> FleetStop:
 
 
 def plain_reset(dot: RemoteStopDot) -> tuple[FleetReset, FleetReset]:
+    """Both halves of the reset of a fleet without keys."""
     return FleetReset(dot.segment, 0, *dot[:3]), FleetReset(dot.segment, 1, *dot[:3])
 
 

@@ -32,6 +32,8 @@ FIELDS = (  # name, shift, bits
 
 
 class Name(NamedTuple):
+    """The fields of a NAME; the defaults are those of a robot of this project."""
+
     identity: int
     manufacturer: int = MANUFACTURER
     ecu_instance: int = 0
@@ -52,6 +54,7 @@ class Name(NamedTuple):
 
     @classmethod
     def unpack(cls, number: int) -> "Name":
+        """The fields of a 64-bit number, which has none that is invalid."""
         return cls(*((number >> shift) & ((1 << bits) - 1) for _, shift, bits in FIELDS))
 
     @property
@@ -62,6 +65,7 @@ class Name(NamedTuple):
 
     @property
     def hash16(self) -> int:
+        """16 bits of the NAME's CRC-32, to tell devices apart in frames without room for 64 bits."""
         return crc32(self.pack().to_bytes(8, "little")) & 0xFFFF
 
 
@@ -84,6 +88,7 @@ def is_ours(name: Name) -> bool:
 
 
 def is_robot(name: Name) -> bool:
+    """Whether the NAME is that of a robot of any fleet of ours, not of a tool or a gateway."""
     return is_ours(name) and name.function == FUNCTION
 
 

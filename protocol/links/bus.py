@@ -39,6 +39,7 @@ class CanBus:
         self._submit: Callable[[Frame], bool] | None = getattr(bus, "submit", None)
 
     def send(self, frame: Frame) -> bool:
+        """Hand a frame to the driver without waiting; False if the driver did not accept it."""
         if self._submit is not None:
             taken = self._submit(frame)
         else:
@@ -115,6 +116,7 @@ class CanBus:
         self._notifier = can.Notifier(self.bus, [heard], loop=asyncio.get_running_loop())
 
     def close(self) -> None:
+        """Stop receiving and close the interface; the bus cannot be used afterwards."""
         if self._notifier is not None:
             self._notifier.stop()
             self._notifier = None
@@ -122,7 +124,8 @@ class CanBus:
 
 
 def open_bus(interface: str, channel: str, bitrate: int = 250_000, **options: Any) -> CanBus:
-    """Open by python-can's own options; raises the interface's exceptions."""
+    """Open a bus by python-can's own options, at `bitrate` bit/s where the interface has one;
+    raises the interface's exceptions."""
     # The interface has no bit rate of its own. Without tcp_tune, TCP delays small frames.
     if interface == "socketcand":
         bus = can.Bus(interface=interface, channel=channel, tcp_tune=True, **options)

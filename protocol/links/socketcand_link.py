@@ -40,6 +40,8 @@ NO_LINGER = struct.pack("ii", 1, 0)  # close discards what the other side has no
 
 
 class SocketcandLink(asyncio.Protocol):
+    """A `Bus` over one TCP connection, which is made again whenever it ends or hangs."""
+
     def __init__(self, host: str, port: int, channel: str, rng: Random) -> None:
         """`rng`: makes the pauses differ, so that not all robots reconnect at the same time."""
         self.host, self.port, self.channel, self._rng = host, port, channel, rng
@@ -62,6 +64,7 @@ class SocketcandLink(asyncio.Protocol):
     # ---------------------------------------------------------------- the port of a runner
 
     def send(self, frame: Frame) -> bool:
+        """Write a frame to the server; False if there is no connection or either side is full."""
         transport = self._transport
         if transport is None or not self._raw.is_set() or transport.is_closing():
             taken = False
@@ -76,14 +79,17 @@ class SocketcandLink(asyncio.Protocol):
         return taken
 
     def subscribe(self, callback: Callable[[Frame], None]) -> None:
+        """Pass every received frame to the callback, in the loop's thread, and begin to connect."""
         self._callback = callback
         self._begin()
 
     @property
     def health(self) -> Health:
+        """ACTIVE while frames go both ways, else OFF."""
         return Health.ACTIVE if self._raw.is_set() else Health.OFF
 
     def close(self) -> None:
+        """End the connection and connect no more."""
         if self._task is not None:
             self._task.cancel()
         if self._transport is not None:
@@ -156,13 +162,17 @@ class SocketcandLink(asyncio.Protocol):
     # ---------------------------------------------------------------- callbacks of asyncio
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """asyncio calls this with the transport of a new connection; the server greets first."""
         self._transport = cast(asyncio.Transport, transport)
 
     def connection_lost(self, problem: Exception | None) -> None:
+        """asyncio calls this when a connection has ended, whichever side ended it."""
         self._raw.clear()
         self._over.set()
 
     def data_received(self, data: bytes) -> None:
+        """asyncio calls this with bytes from the server: whole answers are handled, the rest is
+        kept."""
         self._heard_s = asyncio.get_running_loop().time()
         *answers, self._pending = (self._pending + data).split(b">")
         for answer in answers:

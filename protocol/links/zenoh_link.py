@@ -173,6 +173,7 @@ class ZenohLink:
         return len(list(self.session.info.transports()))
 
     def close(self) -> None:
+        """Close the session; later messages are neither sent nor delivered."""
         if self._open:
             self._open = False
             if self.session is not None:
@@ -190,6 +191,8 @@ class ZenohBus:
         self.refused = 0  # messages that are no frame
 
     def send(self, frame: Frame) -> bool:
+        """Publish a frame to all that share the key. True always: nothing tells whether it was
+        received."""
         data = frame.identifier.to_bytes(FRAME_BYTES, "little") + frame.data
         urgent = frame.identifier >> 26 < 2
         self._link.put(f"{self._key}/{'urgent' if urgent else 'frames'}", data, urgent)
@@ -201,6 +204,9 @@ class ZenohBus:
         return Health.OFF if self._link.session is None else Health.ACTIVE
 
     def subscribe(self, callback: Callable[[Frame], None]) -> None:
+        """Pass every frame of others to the callback, in the loop's thread. What is no frame is
+        counted in `refused`."""
+
         def heard(data: bytes) -> None:
             identifier = int.from_bytes(data[:FRAME_BYTES], "little")
             if not FRAME_BYTES <= len(data) <= FRAME_BYTES + 8 or identifier >= IDENTIFIER_MAX:
@@ -212,4 +218,5 @@ class ZenohBus:
         self._link.subscribe(f"{self._key}/frames", heard)
 
     def close(self) -> None:
+        """Close the link, and with it every other bus over the same link."""
         self._link.close()

@@ -25,6 +25,8 @@ class DigestMismatch(NamedTuple):
 
 
 class Divergence:
+    """What this peer knows about how far each live member's replica agrees with its own."""
+
     def __init__(self, slot: int, replica: Replica) -> None:
         self.slot, self.replica = slot, replica
         self.live: frozenset[int] = frozenset({slot})
@@ -167,4 +169,5 @@ class Divergence:
         return [slot for _, slot in sorted(places)]
 
     def place(self, without: int | None = None) -> int:
+        """The index of our slot in `order`: 0 sends first. `without` is a digest, as there."""
         return self.order(without).index(self.slot)

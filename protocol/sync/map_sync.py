@@ -46,16 +46,22 @@ Mask = NDArray[np.bool_]
 
 
 def encode_cells(values: Values) -> int:
-    """16 values as digits to the base 3."""
+    """16 values, shape (16,), as digits to the base 3, the lowest first."""
     return int(values @ POWERS)
 
 
 def decode_cells(cells: int) -> Values:
+    """The 16 values, shape (16,), of such a number."""
     digits: Values = cells // POWERS % 3
     return digits
 
 
 class MapSync:
+    """Keeps one robot's map equal to those of the fleet: decides what to send, and when.
+
+    It has no clock and no bus: the caller passes received frames in and sends what `tick` returns.
+    """
+
     hold_us = 400 * MS  # a patch waits this long for the rest of its cells before it is sent
 
     def __init__(self, slot: int, chart: OccupancyMap, clock: HybridClock, now_us: int) -> None:
@@ -87,12 +93,17 @@ class MapSync:
         self.clock.witness(int(times.max(initial=0)), now_us)
 
     def live(self, slots: frozenset[int]) -> None:
+        """The members that are received now; a new one is compared with immediately."""
         if not slots <= set(self._order):  # a new member: compare immediately
             self._beat_us = self._last_us
         self._order = sorted(slots | {self.slot})
 
     def see(self, patch: int, values: Values, level: int) -> None:
-        """Store an observation that the fleet's map lacks, to be sent when it is our turn."""
+        """Store an observation that the fleet's map lacks, to be sent when it is our turn.
+
+        `values` are the 16 cells of the patch row by row, shape (16,), UNKNOWN for what was not
+        seen; `level` is the confidence of all of them.
+        """
         known = self._news.get((patch, level))
         self._news[patch, level] = values if known is None else np.where(values, values, known)
 
@@ -102,7 +113,8 @@ class MapSync:
         return len(self._news)
 
     def awaits(self, patch: int) -> Values:
-        """The cells of a patch that are observed and not sent yet."""
+        """The cells of a patch that are observed and not sent yet: 16 values, shape (16,), row by
+        row, UNKNOWN for the others."""
         found = np.zeros(CELLS, dtype=np.int64)
         for (number, _), values in self._news.items():
             if number == patch:
@@ -118,7 +130,7 @@ class MapSync:
     # ---------------------------------------------------------------- receiving
 
     def receive(self, slot: int, message: Said, now_us: int) -> int:
-        """Handle any map frame; return how many cells changed."""
+        """Handle any map frame of the member `slot`; returns the number of changed cells."""
         self._floor_taken(slot, now_us)
         if isinstance(message, MapPatch):
             return self._patch(slot, message, now_us)
@@ -224,6 +236,7 @@ class MapSync:
 
     @property
     def deadline_us(self) -> int:
+        """When `tick` next has something to send, if nothing is received before."""
         deadline_us = self._beat_us
         if self._news:
             deadline_us = min(deadline_us, self._news_us)
@@ -232,7 +245,7 @@ class MapSync:
         return deadline_us
 
     def tick(self, now_us: int) -> list[Said]:
-        """What to send now: one frame at most."""
+        """The frames to send now: one at most."""
         if now_us >= self._beat_us:
             alone = len(self._order) == 1
             self._beat_us = now_us + (ALONE_US if alone else BEAT_US * len(self._order))

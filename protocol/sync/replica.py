@@ -49,10 +49,13 @@ _tuple = tuple.__new__
 
 
 def entry_of(kind: int, name: int) -> int:
+    """The code of an entry: its kind in the bits above its 24-bit name."""
     return kind << NAME_BITS | name
 
 
 class Replica:
+    """The allocation and the progress of one peer, with the versions of their recent states."""
+
     def __init__(self, allocation: FieldAllocationCRDT, progress: Progress) -> None:
         self.allocation, self.progress = allocation, progress
         self.version = 1
@@ -69,9 +72,11 @@ class Replica:
 
     @property
     def digest(self) -> int:
+        """The 24 bits that heartbeats carry; equal replicas have equal ones."""
         return short(self.total)
 
     def entries(self) -> Iterator[int]:
+        """The codes of all entries: registers by section, then progress blocks."""
         for section in self.allocation.sections():
             yield entry_of(REGISTERS, section)
         for section, block, _ in self.progress.entries():
@@ -88,7 +93,7 @@ class Replica:
     # ---------------------------------------------------------------- changes
 
     def note(self, entry: int) -> None:
-        """An entry has changed."""
+        """Count a change of an entry: the replica has a new version and digest."""
         self.version += 1
         self._changed.pop(entry, None)
         self._changed[entry] = self.version
@@ -111,11 +116,14 @@ class Replica:
         return self._history.get(digest)
 
     def fork(self, digest: int, met_total: int, after: int) -> ReplicaVersion | None:
-        """The version, later than `after`, at which another replica diverged from ours.
+        """The version, later than `after`, at which another replica diverged from ours; None if no
+        version fits.
 
-        It has sent us all that it changed since, and we have sent it nothing. So it holds our
-        entries of now without those that were new on our side when we met. This is checked by the
-        sums; None if no version fits."""
+        The other replica has sent us all that it changed since, and we have sent it nothing. So its
+        `digest` is that of our present entries without those that were new on our side since we
+        met, when our sum was `met_total`. The sums of the remembered versions show which one that
+        is.
+        """
         learned = self.total - met_total
         for moment in islice(reversed(self._history.values()), FORKS_MAX):
             if moment.version < after:
@@ -140,7 +148,7 @@ class Replica:
     # ---------------------------------------------------------------- frames
 
     def hear(self, message: TaskClaim | StateSyncResponse | WorkProgress) -> AppliedEntry:
-        """Join the entry of a frame."""
+        """Join the entry that a frame carries, and say what that changed."""
         if isinstance(message, WorkProgress):
             section, block, bits = message
             changed = self.progress.apply(section, block, bits)
@@ -187,4 +195,5 @@ class Replica:
 
     @staticmethod
     def bucket(entry: int) -> int:
+        """The bucket of an entry, 0 to `BUCKETS` - 1."""
         return bucket_of(entry >> NAME_BITS, entry & (1 << NAME_BITS) - 1)

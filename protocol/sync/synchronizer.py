@@ -78,6 +78,12 @@ class Question(NamedTuple):
 
 
 class Synchronizer:
+    """One peer's part in making replicas equal: when it asks, answers and corrects.
+
+    It has no clock and no bus: the caller passes frames and digests in and sends what `tick`
+    returns.
+    """
+
     def __init__(self, slot: int, allocation: FieldAllocationCRDT, progress: Progress) -> None:
         self.slot = slot
         self.replica = Replica(allocation, progress)
@@ -106,6 +112,7 @@ class Synchronizer:
 
     @property
     def digest(self) -> int:
+        """The 24 bits of everything that we hold now."""
         return self.replica.digest
 
     def tell(self) -> int:
@@ -114,6 +121,7 @@ class Synchronizer:
 
     @property
     def in_step(self) -> bool:
+        """Whether every live member's latest digest equals ours."""
         return self.divergence.in_step
 
     @property
@@ -136,6 +144,7 @@ class Synchronizer:
         return self._ready_us is not None and now_us >= self._ready_us and not self.synchronizing
 
     def live(self, slots: frozenset[int], now_us: int) -> None:
+        """The members that are received now. One that returns gets questions again without a pause."""
         returned = slots - self.divergence.live
         for slot in returned:
             self._live_since_us[slot] = now_us
@@ -325,6 +334,8 @@ class Synchronizer:
 
     @property
     def deadline_us(self) -> int | None:
+        """When `tick` next has something to do, if nothing is received before; None if nothing
+        waits."""
         due_us = self._ask_us
         if (self._queue or self._digests) and (due_us is None or self._speak_us < due_us):
             due_us = self._speak_us
@@ -334,7 +345,7 @@ class Synchronizer:
         return due_us
 
     def tick(self, now_us: int) -> Iterable[Said]:
-        """What to send now: one frame at most."""
+        """The frames to send now: one at most."""
         if self.synchronizing:
             self._judge(now_us)
         if (self._queue or self._digests) and now_us >= self._speak_us:
