@@ -1,9 +1,9 @@
-"""The mission of carrying parcels: one robot's part, from its itinerary to the load in its hands.
+"""The delivery mission: one robot's part, from its itinerary to the parcel that it carries.
 
-A task is a section with two units: picked up, delivered. A visit of a charger bay is a section too,
-and is claimed like one. Only a robot at the place of a parcel can pick it up, so the parcel itself
-ensures that one robot carries it; claims only avoid duplicate work. A parcel of a robot that died lies
-where that robot stands; the robot that takes the task over fetches it from there.
+A task is a section with two units: picked up, delivered. A visit of a charger bay is a section as
+well, and is claimed like one. Only a robot at the place of a parcel can pick it up, so the parcel
+itself ensures that one robot carries it. Claims only avoid duplicate work. A parcel of a robot that
+died is where that robot stands. The robot that takes the task over fetches it from there.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -35,12 +35,15 @@ BESIDE_M = 1.0  # this distance is near enough if another body is in the way
 UNTOUCHED_M = 0.2  # a parcel this near to its pickup was not moved
 IDLE_CHARGE = 0.5  # an idle robot charges below this
 HOME_US = 5 * S  # a robot idle for this long makes room
-STALLED_US, NEARER_M = 1 * S, 0.05  # within reach, but for this long no nearer by this distance
+# A robot within reach that got no nearer by this distance for this long handles the parcel from there.
+STALLED_US, NEARER_M = 1 * S, 0.05
 MISSING_US = 3 * S  # after this time at a place without a parcel, the parcel counts as missing
-SHUN_US = 30 * S  # a bay that gives nothing, a task whose parcel is not found
+SHUN_US = 30 * S  # how long a dead bay, or a task whose parcel is not found, is left alone
 
 
 class DeliveryMission(NavigationMission):
+    """One robot's part in carrying parcels. Places are (x, y) metres."""
+
     passes = False  # it handles parcels where it stands
 
     def __init__(
@@ -48,6 +51,10 @@ class DeliveryMission(NavigationMission):
         now_us: int, seed: int, chart: MapSync | None = None,
         recalled: Mapping[str, bytes] = NOTHING_RECALLED, asks: bool = False,
     ) -> None:  # fmt: skip
+        """`house`: the building and all that is planned with. `home`: where the robot was switched
+        on. `seed`: of its own search for plans. `chart`: the fleet's map; None if it has none.
+        `recalled`: durable memory as it was before the start. `asks`: as in `NavigationMission`.
+        """
         super().__init__(
             slot, {}, house.floor, speed_m_s, deceleration_m_s2, chart=chart, now_us=now_us,
             asks=asks,
@@ -61,13 +68,16 @@ class DeliveryMission(NavigationMission):
         self.charging = Charging(house)
         self.whereabouts = ParcelSearch(house, self.dispatch.book, self.hazards, self.bodies)
         self.section: int | None = None  # a task or a bay under way
-        self.waited_us = 0  # for new itineraries, by the rule of scenario C
+        self.waited_us = 0  # total wait for new itineraries, by the rule of scenario C
         self._load = -1
-        self._since_us: int | None = None  # we stand where we are to handle or charge
+        self._since_us: int | None = None  # since when we stand where we handle or charge
         self._idle_us: int | None = None
         self._shunned_us: dict[int, int] = {}  # bays, and tasks, by section
-        self._told_aboard = -1
-        self._nearest: tuple[float, int] = (0.0, 0)  # to the goal, within reach of it, and when
+        self._told_aboard = -1  # the parcel whose pickup we have announced
+        self._nearest: tuple[float, int] = (
+            0.0,
+            0,
+        )  # least distance within reach of the goal, and when
 
     @property
     def section_units(self) -> Mapping[int, int]:
@@ -105,7 +115,9 @@ class DeliveryMission(NavigationMission):
         return still or self._load in self.cut_off.sections
 
     def _goals(self, view: FleetView) -> dict[int, list[Point]]:
-        """Of each task that is not done, where its parcel is and where it goes; and of each bay."""
+        """For each task that is not done, where its parcel is and where it goes; and the place of
+        each bay.
+        """
         found = {TASKS_MAX + bay: [place] for bay, place in enumerate(self.house.bays)}
         if self.goal is not None:
             found[UNDER_WAY] = [self.goal]
@@ -122,7 +134,7 @@ class DeliveryMission(NavigationMission):
 
     @property
     def stops(self) -> list[str]:
-        """The itinerary as the mission writes it: [P5, D5, C1]."""
+        """The itinerary as people read it: [P5, D5, C1]; see `stop_names`."""
         begun, itinerary = [], self.dispatch.itinerary
         if self.section is not None and self.section >= TASKS_MAX:
             begun.append(TASKS_MAX + self.house.bay_of(self.section))
@@ -137,7 +149,7 @@ class DeliveryMission(NavigationMission):
     # ---------------------------------------------------------------- choosing
 
     def choose(self, view: FleetView) -> ClaimRequest | None:
-        load = self._load  # from an earlier life, or after an operator's order
+        load = self._load  # aboard since before a restart, or after an operator's order
         if load in self.dispatch.book and view.allocation.phase_of(load) is not Phase.DONE:
             bay = self._charge(view, load) if self._falls_short(load, view) else None
             return bay or self._claim(load, view)
@@ -172,10 +184,12 @@ class DeliveryMission(NavigationMission):
         return ClaimRequest(task, 0)
 
     def _waits(self, task: int, view: FleetView) -> bool:
-        """Scenario C: a task shorter than what is left of the re-plan waits for it."""
+        """Whether to wait for the plan (scenario C): the task takes less time than the rest of the
+        running round.
+        """
         left_us = self.dispatch.round.left_us(view.now_us)
         if not left_us or self.dispatch.round.first.get(self.slot, [])[:1] == [task]:
-            return False  # no round; or the first of the auction's plan, which is as good a begin
+            return False  # no round, or this is the first task of the auction's plan
         here = self.dispatch.standing(view)
         order = self.dispatch.book.tasks[task]
         through = self.house.after(here._replace(ready_ms=0), self.house.trip(order), False)
@@ -198,14 +212,18 @@ class DeliveryMission(NavigationMission):
         return self.charging.falls_short(self._here(view), trip, loaded)
 
     def _short(self, section: int, view: FleetView) -> bool:
-        """Under way, once a second: held up longer than any plan knew. A bay comes first."""
-        untold = self._load == section != self._told_aboard  # that it is aboard must be known
+        """Once a second on the way: whether a delay has used so much charge that a bay
+        comes first.
+        """
+        untold = self._load == section != self._told_aboard  # first announce that it is aboard
         if section >= TASKS_MAX or untold or not self.charging.due(view.now_us):
             return False
         return self._falls_short(section, view) and self._charge(view, section) is not None
 
     def _search_ends(self, section: int, view: FleetView) -> bool:
-        """Looking for a parcel takes longer than any plan knew: before the next place, a bay."""
+        """Whether to charge before the search for a parcel goes on; no plan knew how long the
+        search takes.
+        """
         if section == self._load or not self.whereabouts.searching(section):
             return False
         assert self.goal is not None
@@ -213,7 +231,7 @@ class DeliveryMission(NavigationMission):
         return self.charging.before(self._here(view), Trip(self.goal, dropoff))
 
     def _charge(self, view: FleetView, task: int | None) -> ClaimRequest | None:
-        """A visit of a bay, on the way to what is next; None: all are taken."""
+        """A claim of a bay on the way to what is next; None: all are taken."""
         onward = None
         if task is not None and task == self._load:
             onward = self.house.trip(self.dispatch.book.tasks[task]).dropoff
@@ -271,7 +289,7 @@ class DeliveryMission(NavigationMission):
         if self._load == section and self._told_aboard != section:
             self._told_aboard = section
             wish = wish._replace(covered=(PICKED,))
-        # Within reach it handles also in a round: that ends.
+        # Within reach it handles the parcel in a round as well, because the round ends some time.
         if not (arrived or self._beside(view)):
             self._since_us = None
             return wish._replace(near_end=self._near_end(section, view))
@@ -283,13 +301,13 @@ class DeliveryMission(NavigationMission):
         return self._handling(section, view)._replace(covered=wish.covered)
 
     def _hopeless(self, section: int) -> bool:
-        """It cannot be got to, and nothing of it is aboard."""
+        """Whether a section cannot be reached, and its parcel is not aboard."""
         if section >= TASKS_MAX:
             section = TASKS_MAX + self.house.bay_of(section)
         return section in self.cut_off.sections and section != self._load
 
     def _beside(self, view: FleetView) -> bool:
-        """Whether a body, perhaps an unknown one, blocks our place but the arm reaches over it."""
+        """Whether a body, perhaps an unknown one, blocks our place, but the arm reaches over it."""
         section = self.section
         if section is None or section >= TASKS_MAX or self.goal is None:
             return False
@@ -307,14 +325,16 @@ class DeliveryMission(NavigationMission):
         return taken or view.now_us - self._nearest[1] > STALLED_US
 
     def _near_end(self, section: int, view: FleetView) -> bool:
-        """The next section is claimed on the last leg, not before: until then it may be re-planned."""
+        """Whether to claim the next section: on the last leg and not before, because it may be
+        re-planned.
+        """
         if section >= TASKS_MAX or self._load != section or self.goal is None:
             return False
         left_m = hypot(self.goal[0] - view.here.x_m, self.goal[1] - view.here.y_m)
         return left_m < self.speed_m_s
 
     def _plan_ahead(self, section: int, view: FleetView) -> None:
-        """The path behind the one under way, when that is nearly driven."""
+        """Request the path after the current one when that one is nearly driven."""
         tracker = self._tracker
         if tracker is None or self.goal is None:
             return
@@ -332,7 +352,7 @@ class DeliveryMission(NavigationMission):
         return self.paths.take(at, goal)
 
     def _delivered(self, task: int, view: FleetView) -> bool:
-        """It has been carried, and lies, for us to see, within reach of its dropoff."""
+        """Whether the parcel was carried and we see it within reach of its dropoff."""
         seen = view.here.parcels.get(task)
         if seen is None or seen.on_robot:
             return False
@@ -352,7 +372,9 @@ class DeliveryMission(NavigationMission):
         return MotionRequest(0.0, 0.0, parcel_action=task)
 
     def _missing(self, task: int, view: FleetView) -> MotionRequest:
-        """No parcel here: try the next place; after the last one release the task for a while."""
+        """The parcel is not here: try the next place; after the last one release the task for a
+        while.
+        """
         assert self.goal is not None
         self._since_us = None
         if self.whereabouts.looked(task, self.goal):

@@ -1,9 +1,10 @@
 """The exploration mission: robots build one shared map without a coordinator.
 
-A frontier is a section of the allocation, claimed like a swath of a field. A claim of a frontier ends
-in two ways. It is released if the frontier was seen on the way or a better one was found. It is DONE
-if a robot has looked all round at its station, so that no robot returns for cells that cannot be seen.
-The map is the progress, and exploration is over for a robot when it sees no frontier it could reach.
+A frontier is a section of the allocation, claimed like a swath of a field. A claim of a frontier
+ends in two ways. It is released if the frontier was seen on the way or a better one was found. It
+is DONE if a robot has looked all round at its station, so that no robot returns for cells that
+cannot be seen. The map is the progress. Exploration is over for a robot when it sees no frontier
+that it could reach.
 """
 
 from collections import Counter
@@ -38,9 +39,9 @@ from crdt import Phase
 from crdt.occupancy import SIDE, MergeResult, corner_of
 from crdt.sighting import FREE, UNKNOWN
 
-CHOOSE_US = 250 * MS  # between two looks for a target by a robot without one
-CHECK_US = 500 * MS  # between two looks whether the frontier under way is still one
-REASSIGN_US = 5 * S  # the mission's: how often another target may be taken instead
+CHOOSE_US = 250 * MS  # a robot without a target searches for one this often
+CHECK_US = 500 * MS  # how often a robot checks that its target is still a frontier
+REASSIGN_US = 5 * S  # how often another target may be taken instead
 LOOK_ROUND_US = 500 * MS  # at the station: at `TURN_RAD_S` every gap between 36 rays is swept twice
 SHUNNED_US = 30 * S  # a frontier that we gave up is left to others for this long
 VIEW_SHARE = 0.5  # share of the sensor range from which a station sees its frontier
@@ -48,6 +49,10 @@ VIEW_MAX_M = 1.0
 
 
 class ExplorationMission(Mission):
+    """One robot's part in exploring: it maps, chooses frontiers, and carries out operators'
+    orders.
+    """
+
     def __init__(
         self,
         chart: LocalAndFleetMap,
@@ -56,6 +61,10 @@ class ExplorationMission(Mission):
         robots_max: int = ROBOTS_MAX,
         orders: Sequence[ExplorationOrder] = (),
     ) -> None:
+        """`chart`: our map and the fleet's. `limits`: of our body. `robots`: size of the fleet.
+        `orders`: tasks of operators that all robots know. Raises FleetFullError if there are more
+        than `robots_max` robots.
+        """
         if robots > robots_max:
             raise FleetFullError(robots_max)
         self.chart, self.limits = chart, limits
@@ -98,7 +107,9 @@ class ExplorationMission(Mission):
             self.last_merge = self.chart.sync.merged(now_us)
 
     def _passable(self, values: Values, here: Cell) -> Grid:
-        """Known to be free, and wide enough; always the cells round ourselves."""
+        """Cells known to be free with room for the body, (rows, columns); always the cells round
+        ourselves.
+        """
         self.chart.hear()
         passable: Grid = (values == FREE) & ~self.chart.grid.tight.blocked
         if not passable[here]:
@@ -125,7 +136,7 @@ class ExplorationMission(Mission):
         return ClaimRequest(best.patch, self._bid(view), takeover=held)
 
     def _order(self, view: FleetView) -> ClaimRequest | None:
-        """An order that no robot has taken, if we are the nearest free robot."""
+        """A claim of an order that no robot has, if we are the nearest free robot."""
         for section, order in self.orders.items():
             if view.allocation.phase_of(section) is not Phase.FREE:
                 continue
@@ -142,6 +153,9 @@ class ExplorationMission(Mission):
         return None
 
     def _best(self, view: FleetView, current: int | None) -> Frontier | None:
+        """The best frontier for us; None if there is none. `current`: the patch that we are on the
+        way to.
+        """
         here = self._way.cell((view.here.x_m, view.here.y_m))
         values = self.chart.values()
         passable = self._passable(values, here)
@@ -155,7 +169,9 @@ class ExplorationMission(Mission):
         return choosing.best(found, wave, rivals, current)
 
     def _open(self, patch: int, view: FleetView) -> bool:
-        """Whether a frontier is available: free, ours, or of a robot silent for longer than the lease."""
+        """Whether a frontier is available: free, ours, or of a robot that is silent for longer than
+        the lease.
+        """
         if view.now_us < self._shunned_us.get(patch, 0):
             return False
         phase, owner = view.allocation.phase_of(patch), view.allocation.owner_of(patch)
@@ -167,7 +183,7 @@ class ExplorationMission(Mission):
         return since_us is not None and view.now_us - since_us >= LEASE_US
 
     def _rivals(self, view: FleetView, passable: Grid, seen_by: Values) -> list[OtherExplorer]:
-        """Live robots, each with the ways from where it is, and what it has claimed."""
+        """Live robots, each with its ways and the cell that it has claimed."""
         rivals = []
         for slot in sorted(view.live - {view.slot}):
             neighbour = view.neighbours.get(slot)
@@ -188,7 +204,7 @@ class ExplorationMission(Mission):
         return self._way.cell(self.place_of(patch))
 
     def place_of(self, section: int) -> XY:
-        """The position of a section; the same for all peers."""
+        """The place of a section, (x, y) metres; the same for all peers."""
         if section in self.orders:
             return self.orders[section].points[0]
         row, column = corner_of(self.patch_of(section))
@@ -200,14 +216,16 @@ class ExplorationMission(Mission):
         )
 
     def patch_of(self, section: int) -> int:
+        """The number of the patch of the map that a section stands for."""
         return section
 
     def kind_of(self, section: int) -> Kind:
+        """What a section asks a robot to do."""
         order = self.orders.get(section)
         return Kind.EXPLORE_FRONTIER if order is None else order.kind
 
     def _bid(self, view: FleetView) -> int:
-        """The private cost: metres to the station, in 31 steps of a geometric scale."""
+        """Our bid: metres to the station, in 31 steps of a geometric scale."""
         assert self._way.station is not None
         x, y = self._way.station
         way_m = hypot(x - view.here.x_m, y - view.here.y_m)
@@ -309,7 +327,7 @@ class ExplorationMission(Mission):
         return 0 if self._legs else LOOK_ROUND_US
 
     def _check(self, view: FleetView) -> Status | None:
-        """Whether the current task must be released, and with which status."""
+        """The status with which the current task must be released; None: keep it."""
         assert self.task is not None
         if self._way.stuck(view.now_us):
             self._shunned_us[self.task.section] = view.now_us + SHUNNED_US
@@ -336,7 +354,9 @@ class ExplorationMission(Mission):
         return Status.FAILED
 
     def _contested(self, view: FleetView) -> bool:
-        """Two that claimed side by side at one time: the one with the higher slot gives way."""
+        """Whether a robot with a lower slot has claimed a frontier beside ours: then we give ours
+        back.
+        """
         assert self.task is not None
         x, y = self.task.target
         for slot in view.live:

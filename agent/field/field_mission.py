@@ -2,7 +2,7 @@
 
 A section is worked as legs: swath legs with the implement down, transit legs with it up. A unit
 counts as covered when the robot has passed from its one end to its other with the implement down
-and never further from the line than the overlap allows; what was missed is worked again.
+and never further from the line than the overlap allows. What was missed is worked again.
 """
 
 from collections.abc import Mapping
@@ -22,22 +22,23 @@ from agent.motion.implement_clearance import LEAD_M, Implement
 from agent.motion.path_tracker import PathTracker
 from agent.paths.route import Route
 
-ASTRAY_M: Final = (
-    4.0  # further than this from its line (a swath width), a robot replans its way back
-)
+ASTRAY_M: Final = 4.0  # further from its line than this swath width, a robot replans its way back
 NEAR_END_S: Final = 5.0  # claim the next section when this much work is left
 
 _wish = tuple.__new__  # all fields at once: a third of the time, and one is made every period
 
 
 class FieldMission(Mission):
+    """One robot's part in the field, for a body that turns on the spot. Places are (x, y)
+    metres.
+    """
+
     replans = True
-    beside_m = BLOCKED_M  # left to a silent body
-    turns_on_the_spot = True  # where a swath has a corner, and swings its bar round it
-    past_end_m = 0.0  # driven beyond the last unit of a leg before it counts
-    plans_without_headway = (
-        True  # before a section is given back; else a body has a watch of its own
-    )
+    beside_m = BLOCKED_M  # margin to a silent body
+    turns_on_the_spot = True  # at a corner of a swath, where it swings its bar round the corner
+    past_end_m = 0.0  # the robot has to be this far beyond the last unit of a leg for it to count
+    # Replan before a section is given back. False: the subclass watches for stalls itself.
+    plans_without_headway = True
 
     def __init__(
         self,
@@ -47,6 +48,9 @@ class FieldMission(Mission):
         speed_m_s: float,
         deceleration_m_s2: float,
     ) -> None:
+        """`route`: plans paths in the field. `radius_m`: of every body. `speed_m_s`,
+        `deceleration_m_s2`: of our body.
+        """
         self.field, self.route, self.radius_m = field, route, radius_m
         self.speed_m_s, self.deceleration_m_s2 = speed_m_s, deceleration_m_s2
         self.tolerance_m = field.tracking_tolerance_m
@@ -57,8 +61,8 @@ class FieldMission(Mission):
         self.leg = WorkLeg(())
         self.unit = 0  # index into the leg's units
         self.worst_m = 0.0  # largest cross-track error inside the current unit
-        self.lifted = False  # the implement was up since we last looked
-        self.lifted_to_m = 0.0  # along the leg, until where it was
+        self.lifted = False  # the implement was up since the last check
+        self.lifted_to_m = 0.0  # arc length of the leg up to which it was up
         self.shove = DisplacementDetector()
         self.headway = Headway()
         self.worked: set[int] = set()  # units of the current section done since it was begun
@@ -75,7 +79,7 @@ class FieldMission(Mission):
 
     @property
     def remaining_path(self) -> list[Point]:
-        """What is left of the leg we drive, and the legs after it."""
+        """What is left of the leg that we drive, and the legs after it."""
         now = [] if self.tracker is None else self.tracker.remaining_path
         return [*now, *(point for leg in self.legs for point in leg.points)]
 
@@ -180,7 +184,7 @@ class FieldMission(Mission):
         return now_m + sum(leg.length_m for leg in self.legs)
 
     def _missing(self, view: FleetView) -> int:
-        """Units of the section that no robot has covered and that can be covered."""
+        """Number of units that no robot has covered and that can be covered."""
         assert self.section is not None
         section = self.section
         known = view.progress.covered(section.id)
@@ -216,11 +220,13 @@ class FieldMission(Mission):
         """Units that are not worked now.
 
         Units under a silent member's body stay visibly uncovered in the progress until it is towed
-        away. Units under an obstacle come last, and are skipped if an operator ordered it."""
+        away. Units under an obstacle come last, and are skipped if an operator ordered it.
+        """
         assert self.section is not None
         return self.blockage.units(self.section, things_too=view.leave_out or not last)
 
     def _drive(self, view: FleetView) -> tuple[MotionRequest, list[int]]:
+        """The motion along the legs, and the units that were completed."""
         here = view.here
         covered: list[int] = []
         if self.shove.noticed((here.x_m, here.y_m), view.now_us, self.speed_m_s):
@@ -243,7 +249,7 @@ class FieldMission(Mission):
             self._go_astray(view)
             return STILL, covered
         vx_m_s, vy_m_s = self.tracker.velocity(here.x_m, here.y_m)
-        # Not sooner: before the leg's beginning it may be another robot's section.
+        # Not sooner: the ground before the leg may be another robot's section.
         on_line = self.tracker.gap_m <= LEAD_M
         tool_on = bool(self.leg.units) and on_line
         return _wish(
@@ -261,7 +267,7 @@ class FieldMission(Mission):
         if not self.leg.units:
             return []
         passed = []
-        if self.lifted:  # it is lowered here; the gap may reach into the next unit
+        if self.lifted:  # it is lowered here; the part without work may reach into the next unit
             self.lifted, self.lifted_to_m = False, self.tracker.along_m
         if self.tracker.along_m > LEAD_M / 2:  # before that a robot may come from the side
             self.worst_m = max(self.worst_m, abs(self.tracker.off_m))
@@ -297,7 +303,9 @@ class FieldMission(Mission):
         return section.leads(units[0], units[-1], LEAD_M)
 
     def _legs(self, section: Section, view: FleetView) -> list[WorkLeg]:
-        """From here: the uncovered stretches of the section, nearest end first, joined by transits."""
+        """Legs from here: the uncovered stretches of the section, nearest end first, joined by
+        transits.
+        """
         stretches = self._stretches(section, view, last=False)
         if not stretches:
             stretches = self._stretches(section, view, last=True)

@@ -1,8 +1,8 @@
-"""The field mission for bodies that steer: stretches joined by ways they can turn.
+"""The field mission for bodies that steer: stretches joined by paths that such a body can turn on.
 
 What is claimed, counted and announced is as in `FieldMission`. The order of stretches respects the
-turning circle: next comes the one that the shortest Dubins word leads to, so rows nearer than two
-radii are taken with others between them where there are any.
+turning circle: next comes the stretch with the shortest Dubins path to it (Dubins 1957). So a row
+nearer than two turning radii is taken only after others, if there are others.
 """
 
 from math import cos, hypot, pi, sin
@@ -26,43 +26,47 @@ from agent.paths.dubins import shortest_m
 from agent.paths.route import Route
 from agent.paths.tractor_route import Piece, Pose, TurnRoute, sampled
 
-BEND_HALF_M = 0.6  # to both sides of a bend, over which it is rounded
-BESIDE_M = (
-    0.5  # further from the leg the implement is up, because it may be another robot's section
-)
-JOIN_M_S = 1.5  # from a turn into a stretch
-JOIN_BENT_M_S = 0.4  # into one that begins in a bend: off its course, the bar would miss the corner
-BENT_M = 1.0  # a stretch is straight for as long as this, or begins in a bend
-LEAVE_M_S = 0.8  # from a stretch into a turn that is not known yet
-ROOM_M = 1.5  # with as much as this beyond its end
+BEND_HALF_M = 0.6  # a bend is rounded over this length on both sides
+BESIDE_M = 0.5  # further from the leg the implement is up: that may be another robot's section
+JOIN_M_S = 1.5  # speed from a turn into a stretch
+# Speed into a stretch that begins in a bend. A body off its course would miss the corner with its bar.
+JOIN_BENT_M_S = 0.4
+BENT_M = 1.0  # a stretch whose first straight is shorter begins in a bend
+LEAVE_M_S = 0.8  # speed from a stretch into a turn that is not planned yet
+ROOM_M = 1.5  # free length beyond the end of a stretch that this speed needs
 STUCK_US = 5_000_000
 MOVED_M = 0.5  # a robot that moves less within `STUCK_US` is stuck
-BODY_M = 0.5  # between bodies on a way that goes round one: more than ORCA's disc takes
-MAKE_WAY_M = 6.0  # an idle robot keeps this far from one that works
-BLOCKED_M = 1.4  # of swath that is left beside one: the same, the lead-in, and room to come to rest
-STANDING_M_S = 0.1
+BODY_M = 0.5  # between hulls on a path round a body: more than ORCA's disc takes
+MAKE_WAY_M = 6.0  # an idle robot keeps this far from a working one
+# Length of swath that is not worked beside a silent body: `BODY_M`, the lead-in, and room to stop.
+BLOCKED_M = 1.4
+STANDING_M_S = 0.1  # a slower robot counts as standing
 NEAR_M = 12.0  # bodies further away do not count for the next turn
-AGAIN_US = 1_000_000  # between attempts to find a way
+AGAIN_US = 1_000_000  # between attempts to find a path
 HALF_PERIOD_S = CONTROL_PERIOD_US / S / 2  # the course is that of the middle of the control period
 
 
 class TractorMission(FieldMission):
+    """One robot's part in the field, for a body that steers."""
+
     beside_m = BLOCKED_M
     turns_on_the_spot = False
-    past_end_m = 0.2  # of `LEAD_M`: in a corner the bar is then where it has to be
-    plans_without_headway = (
-        False  # `_notice_stuck` does: a turn is longer than the way that is left
-    )
+    past_end_m = 0.2  # less than `LEAD_M`; in a corner the bar is then where it has to be
+    # `_notice_stuck` watches instead, because a turn is longer than the remaining distance.
+    plans_without_headway = False
 
     def __init__(
         self, field: Field, route: Route, turns: TurnRoute, radius_m: float, limits: SteeringLimits
     ) -> None:
+        """`route`: plans paths of a point in the field. `turns`: plans paths of our body.
+        `radius_m`: of every body. `limits`: of our chassis.
+        """
         super().__init__(field, route, radius_m, limits.speed_m_s, limits.deceleration_m_s2)
         self.turns, self.limits = turns, limits
         self.reach_m = 2 * radius_m + BODY_M
         self.follow: TractorTracker | None = None
-        self.bodies: list[tuple[float, float]] = []  # gone round since we were stuck
-        self.joined = False  # at the beginning of the first leg, pointing along it
+        self.bodies: list[tuple[float, float]] = []  # paths go round these since we were stuck
+        self.joined = False  # we are at the beginning of the first leg and point along it
         self._anchor, self._anchor_us, self._again_us = (0.0, 0.0), 0, 0
         self._escape = EscapeManoeuvre(turns, radius_m, limits)
 
@@ -86,7 +90,7 @@ class TractorMission(FieldMission):
         self.tracker = self.follow  # type: ignore[assignment]
 
     def travel(self, goal: Point, view: FleetView) -> MotionRequest:
-        """Drive to the goal, trying the final directions one after another."""
+        """Drive to the goal, (x, y) metres; final directions are tried one after another."""
         self._look_round(view)
         if self.heading_to != goal:
             self.heading_to, self.follow, self.joined = goal, None, False
@@ -146,7 +150,10 @@ class TractorMission(FieldMission):
         return _wish(here, self.follow.command(), tool), covered
 
     def _next(self, view: FleetView, here: Pose, only_approach: bool) -> bool:
-        """Begin the next leg, or the way to it. False where there is nothing to do now."""
+        """Begin the next leg, or the path to it. False: there is nothing to drive now.
+
+        `only_approach`: do not begin a leg with units.
+        """
         if not self.legs:
             return False
         first, second = self.legs[0].points[:2]
@@ -171,7 +178,7 @@ class TractorMission(FieldMission):
                 self.legs.append(self.legs.pop(0))
                 return False
             self.leg = WorkLeg((here[:2], first))
-            self.headway.again()  # the turn is way that was not counted before
+            self.headway.again()  # the remaining distance did not include the turn
             joins_m_s = JOIN_M_S if distance_m(first, second) > BENT_M else JOIN_BENT_M_S
             way, end_m_s = sampled(here, pieces), 0.0 if only_approach else joins_m_s
         self.follow = TractorTracker(way, self.limits, end_m_s)

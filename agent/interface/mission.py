@@ -19,7 +19,7 @@ NO_SECTIONS: Mapping[int, int] = {}
 
 
 class FleetView(NamedTuple):
-    """What a peer knows about the fleet when it decides. Read only."""
+    """What a peer knows about the fleet when it decides. Read only; robots are named by slots."""
 
     slot: int
     now_us: int
@@ -29,21 +29,25 @@ class FleetView(NamedTuple):
     live: frozenset[int]  # includes ourselves
     silent_since_us: Mapping[int, int]  # members that fell silent and are not back
     neighbours: Mapping[int, Neighbour]
-    things: frozenset[tuple[float, float]] = (
-        frozenset()
-    )  # places to go round, by an operator's order
+    # Places to go round by an operator's order, (x, y) metres.
+    things: frozenset[tuple[float, float]] = frozenset()
     leave_out: bool = False  # the units under these places are skipped
     may_move: bool = True  # no stop cause holds the robot
 
 
 class ClaimRequest(NamedTuple):
+    """The section that a mission wants to claim, with its bid."""
+
     section: int
     bid: int  # 0 to 31, the private cost of reaching it; less is better
     takeover: bool = False  # the owner is silent and its lease is over
 
 
 class MotionRequest(NamedTuple):
-    """The motion that the mission wants now, before right of way and safety are applied."""
+    """The motion that the mission wants now, before right of way and safety are applied.
+
+    Field frame: x east, y north, metres a second; the turn rate is counter-clockwise.
+    """
 
     vx_m_s: float
     vy_m_s: float
@@ -81,9 +85,10 @@ class Mission(ABC):
 
     @property
     def section_units(self) -> Mapping[int, int]:
-        """Number of units of each section; this is the total work. Read once, at power-up.
+        """Number of units of each section; this is the total work. It is read once, at power-up.
 
-        Empty if sections appear during the run."""
+        It is empty if sections appear during the run.
+        """
         return NO_SECTIONS
 
     # ---------------------------------------------------------------- sections
@@ -115,11 +120,11 @@ class Mission(ABC):
     # ---------------------------------------------------------------- an operator's goal
 
     def accepts_goal(self, goal: tuple[float, float]) -> bool:
-        """Whether an operator may send the robot to this place (metres east and north)."""
+        """Whether an operator may send the robot to this place, (x, y) metres."""
         return False
 
     def travel(self, goal: tuple[float, float], view: FleetView) -> MotionRequest:
-        """Drive to an accepted goal without working."""
+        """Drive to an accepted goal, (x, y) metres, without working."""
         return STILL
 
     # ---------------------------------------------------------------- every control period
@@ -155,5 +160,7 @@ class Mission(ABC):
 
     @property
     def remaining_path(self) -> Sequence[tuple[float, float]]:
-        """The rest of the planned route, nearest point first, metres. Peers never read it."""
+        """The rest of the planned route, nearest point first, (x, y) metres. Peers never
+        read it.
+        """
         return ()

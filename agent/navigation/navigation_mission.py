@@ -1,9 +1,9 @@
 """The navigation mission: each robot drives to its own goals through a building.
 
-Normally a robot follows its Theta* path, and ORCA keeps it away from the others. If it makes no
-progress, or would enter a narrow passage against a robot that comes out, it calls a round of
-agreement (`agent/mapf/joint_plan_agreement.py`) and drives the route of the joint plan until it is
-through.
+Normally a robot follows its any-angle path, and ORCA keeps it away from the others. It calls a
+round of agreement (`agent/mapf/joint_plan_agreement.py`) if it makes no progress, or if it would
+enter a narrow passage against a robot that comes out. Then it drives the route of the joint plan
+until it is through.
 
 A goal is a section of the shared state with one unit, so that what was reached stays reached.
 """
@@ -38,29 +38,29 @@ from protocol.frames.messages import Message
 from protocol.sync.map_sync import MapSync
 
 Point = tuple[float, float]
-GOALS_MAX = 512  # of a robot: a section's number is its slot times this, and the goal's number
+GOALS_MAX = 512  # goals of a robot: a section is the slot times this plus the goal's number
 WANTS_M_S = 0.1  # a robot that wants less than this is not stalled
-GOT_ON_M = 0.3  # along the path in `STALL_US`: slower than this is stalled
+GOT_ON_M = 0.3  # a robot that drives less along its path within `STALL_US` is stalled
 STALL_US = 2 * S
 CALLS_US = (2 * S, 4 * S, 8 * S, 16 * S)  # between our calls while they bring no progress
-LOOK_M = 2.5  # how far ahead a passage is looked into
+LOOK_M = 2.5  # passages are checked this far ahead
 BESIDE_PATH_M = 0.5  # a robot nearer to the path than this is on it
 SETTLED_M = 0.1  # this near to a node of the route, it is reached
 ACQUAINTED_US = 1 * S  # after joining, until all robots near by have been received, by many beats
-VOUCHED_US = 3 * S  # in a fleet of ten each member is named by some other ten times in that
+VOUCHED_US = 3 * S  # in a fleet of ten, other members name each member ten times within this
 AGE_MAX_US = 500 * MS  # a pose is extrapolated this long: 10 beats, 30 % of them lost
-CLAIM_S = 0.5  # a claim is contested for half of it: the next goal is ours when we are at this one
-CLOSE_M = RANGE_M + 2.0  # our rays can hit a robot this near, wherever it drove since its last beat
-STALLED_ALONE_US = (
-    5 * S
-)  # standing although it wants to move, no robot near: longer than braking for a passer-by
-AHEAD_M = 0.3  # beyond the body: where what cannot be passed is taken to stand
-FOLLOWED_MAX = 512  # lines remembered, at most 2 MB: a goal takes a few of them
+CLAIM_S = 0.5  # twice the time of a contest, so the next goal is ours when we are at this one
+CLOSE_M = RANGE_M + 2.0  # our rays can hit a robot whose last beat was this near
+# A robot that stands for this long although it wants to move is stalled if no robot is near. It takes
+# longer than to brake for a robot that passes.
+STALLED_ALONE_US = 5 * S
+AHEAD_M = 0.3  # this far beyond the hull the obstacle is taken to stand that cannot be passed
+FOLLOWED_MAX = 512  # lines remembered, at most 2 MB: each goal takes a few of them
 LOST_M = 0.8  # this far off the path, another is planned
 
 
 class FollowedPath(NamedTuple):
-    """A polyline that a robot was to follow, from a time on."""
+    """A polyline (x, y) metres that a robot was to follow from a time on, and why."""
 
     t_us: int
     points: tuple[Point, ...]
@@ -68,6 +68,8 @@ class FollowedPath(NamedTuple):
 
 
 class NavigationMission(Mission):
+    """One robot's part in driving through a building. Places are (x, y) metres."""
+
     passes = True  # passing a goal counts as reaching it; missions that must stop there set False
 
     def __init__(
@@ -82,14 +84,16 @@ class NavigationMission(Mission):
         now_us: int = 0,
         asks: bool = False,
     ) -> None:
-        """`goals`: of every robot, in their order. `agrees`: False for ORCA by itself. `chart`: the
-        fleet's map, if it has one. `asks`: an obstacle is driven round only by an operator's order
-        (`agent/motion/obstacle_stop.py`)."""
+        """`goals`: of every robot by slot, in their order. `floor`: the building. `speed_m_s`,
+        `deceleration_m_s2`: of our body. `agrees`: False for ORCA without agreements. `chart`: the
+        fleet's map; None if it has none. `asks`: an obstacle is driven round only by an operator's
+        order (`agent/motion/obstacle_stop.py`).
+        """
         assert all(len(own) <= GOALS_MAX for own in goals.values())
         self.slot, self.goals, self.floor, self.agrees = slot, goals, floor, agrees
         self.speed_m_s, self.deceleration_m_s2 = speed_m_s, deceleration_m_s2
         self.asks = asks
-        self._keeps_on = asks  # on the plan's way: no operator has said to go round
+        self._keeps_on = asks  # stay on the plan's path: no operator has ordered a detour
         self.agreement = JointPlanAgreement(slot, floor.lattice, floor.radius_m)
         self.goal: Point | None = None
         self.answer = AgreementReply.GRANT
@@ -98,22 +102,23 @@ class NavigationMission(Mission):
         self.replanning = Replanning(self.hazards, speed_m_s, deceleration_m_s2)
         self.next_way = PathLookahead(self.hazards)
         self._near_m = speed_m_s**2 / (2 * deceleration_m_s2) + CLAIM_S * speed_m_s
-        self.followed: deque[FollowedPath] = deque(maxlen=FOLLOWED_MAX)  # what was driven along
-        self._tracker: PathTracker | None = None  # on the way to the goal
-        self._lane: PathTracker | None = None  # on the way of a plan
+        self.followed: deque[FollowedPath] = deque(maxlen=FOLLOWED_MAX)  # newest last
+        self._tracker: PathTracker | None = None  # on the path to the goal
+        self._lane: PathTracker | None = None  # on the route of a joint plan
         self._lane_of = (-1, -1, -1)  # round, first and last node of the lane
-        self._gone_on: tuple[float, int] = (0.0, 0)  # along the path, since when
-        self._alone_since: tuple[Point, int] | None = (
-            None  # where and since when it makes no progress
-        )
-        self._stalls = 0  # in a row on the way to this goal
+        self._gone_on: tuple[float, int] = (0.0, 0)  # arc length of the path, and since when
+        # Where and since when the robot makes no progress without another robot near.
+        self._alone_since: tuple[Point, int] | None = None
+        self._stalls = 0  # number of stalls in a row on the way to this goal
         self._planned = False  # a joint plan was driven since the last path
-        self._around: dict[
-            int, Point
-        ] = {}  # slot last received within `CLOSE_M` -> its extrapolated position
-        self._alone_us = 0  # when we last received no robot
-        self._vouched_us: dict[int, int] = {}  # slot: when another last said that it hears it
-        self._calls: tuple[int, int] = (0, 0)  # in a row without arriving, not before
+        # The extrapolated positions of robots last received within `CLOSE_M`, by slot.
+        self._around: dict[int, Point] = {}
+        self._alone_us = 0  # when we last were not a member of the fleet
+        self._vouched_us: dict[
+            int, int
+        ] = {}  # slot -> when another robot last reported to receive it
+        # Number of calls since we last arrived, and the earliest time of the next call.
+        self._calls: tuple[int, int] = (0, 0)
 
     @property
     def section_units(self) -> Mapping[int, int]:
@@ -154,7 +159,7 @@ class NavigationMission(Mission):
         return wish._replace(covered=(0,), finished=True, near_end=True)
 
     def _look_ahead(self, section: int) -> bool:
-        """Whether the goal is near. Then the way on from it is searched, too."""
+        """Whether the goal is near. Then the path from it to the next goal is planned as well."""
         tracker, own = self._tracker, self.goals[self.slot]
         if tracker is None or tracker.total_m - tracker.along_m > self._near_m:
             return False
@@ -204,7 +209,9 @@ class NavigationMission(Mission):
         )  # fmt: skip
 
     def _deaf(self, gone: set[int], view: FleetView) -> bool:
-        """Whether others receive a member that we do not: a round needs full mutual reception."""
+        """Whether others receive a member that we do not. A round needs reception between all its
+        members.
+        """
         if not gone:
             return False
         for pose, heard_us in view.neighbours.values():
@@ -236,7 +243,7 @@ class NavigationMission(Mission):
             self.goal, self._tracker = goal, None
 
     def _drive(self, view: FleetView) -> tuple[MotionRequest, bool]:
-        """What is wanted now, and whether the goal has been reached."""
+        """The motion that is wanted now, and whether the goal has been reached."""
         if self.agreement.bound:
             self._tracker, self._planned = None, True  # afterwards we begin from somewhere else
             wish = self._along_plan(view) if self.agreement.phase is Phase.GO else HOLD
@@ -254,7 +261,7 @@ class NavigationMission(Mission):
         return MotionRequest(vx_m_s, vy_m_s), False
 
     def _path(self, goal: Point, view: FleetView) -> PathTracker:
-        """What we follow to the goal: the path we have, wherever it will do."""
+        """The path that we follow to the goal: the one we have, if it still serves."""
         here, now_us = view.here, view.now_us
         at, tracker = (here.x_m, here.y_m), self._tracker
         self._keeps_on = self.asks and not view.things
@@ -279,7 +286,9 @@ class NavigationMission(Mission):
         return tracker
 
     def _stalled_alone(self, view: FleetView, tracker: PathTracker) -> bool:
-        """We want to move and may, do not for `STALLED_ALONE_US`, and no robot and no box explains it."""
+        """Whether we want to move and may, and have not moved for `STALLED_ALONE_US` without a
+        robot or an obstacle near that explains it.
+        """
         at = (view.here.x_m, view.here.y_m)
         wanted_m_s = hypot(*tracker.velocity(*at))
         known = self.replanning.blocked or self._near(view) or not view.may_move
@@ -292,7 +301,7 @@ class NavigationMission(Mission):
         return view.now_us - since[1] > STALLED_ALONE_US
 
     def _round_what_stalls(self, goal: Point, view: FleetView, tracker: PathTracker) -> PathTracker:
-        """Another way from here; the second time, round a place right ahead that cannot be passed."""
+        """Another path from here; from the second time on, one that avoids a place right ahead."""
         at, now_us = (view.here.x_m, view.here.y_m), view.now_us
         self._alone_since, self._stalls = (at, now_us), self._stalls + 1
         if self._stalls > 1:
@@ -316,11 +325,15 @@ class NavigationMission(Mission):
         return self._tracker
 
     def _along_plan(self, view: FleetView) -> MotionRequest:
-        """Our route, as far as those before us have gone on."""
+        """The motion along our route of the joint plan, as far as the robots before us have moved
+        on.
+        """
         agreement, here = self.agreement, view.here
         first, last = max(agreement.index, 0), agreement.permitted
         route = agreement.route
-        for index in range(agreement.index + 1, last):  # it brakes for its goal, though it goes on
+        for index in range(
+            agreement.index + 1, last
+        ):  # it brakes for its goal, even if the route goes on
             if self._at_goal(self.floor.lattice.point(route[index])):
                 last = index
                 break
@@ -347,7 +360,9 @@ class NavigationMission(Mission):
         return MotionRequest(*lane.velocity(here.x_m, here.y_m))
 
     def _at_goal(self, at: Point) -> bool:
-        """A goal once reached stays reached, wherever the plan takes the robot afterwards."""
+        """Whether a place is the goal. A goal once reached stays reached, even if the plan leads
+        away from it.
+        """
         goal = self.goal if self.passes else None
         return goal is not None and hypot(goal[0] - at[0], goal[1] - at[1]) < SETTLED_M
 
@@ -361,7 +376,9 @@ class NavigationMission(Mission):
         self.agreement.call(now_us)
 
     def _stuck(self, tracker: PathTracker, wanted_m_s: float, view: FleetView) -> bool:
-        """Whether we want to move, do not, and a robot is near; or a narrow passage ahead is taken."""
+        """Whether to call a round: we make no progress and a robot is near, or a passage ahead is
+        taken.
+        """
         along_m, since_us = self._gone_on
         if tracker.along_m > along_m + GOT_ON_M or wanted_m_s < WANTS_M_S:
             self._gone_on = (tracker.along_m, view.now_us)
@@ -403,7 +420,7 @@ HOLD = STILL._replace(hold=True)
 
 
 def _now_at(neighbour: Neighbour, now_us: int) -> Point:
-    """Where a robot should be, from its last beat."""
+    """The position of a robot extrapolated from its last beat."""
     pose, heard_us = neighbour
     way_m = pose.speed_m_s * min(now_us - heard_us, AGE_MAX_US) / S
     return pose.x_m + way_m * cos(pose.course_rad), pose.y_m + way_m * sin(pose.course_rad)
@@ -415,4 +432,5 @@ def _within(neighbour: Neighbour, here: Observation, reach_m: float) -> bool:
 
 
 def _onward(course_rad: float, speed_m_s: float, ux: float, uy: float) -> float:
+    """Speed of a robot along the direction (ux, uy), metres a second."""
     return speed_m_s * (cos(course_rad) * ux + sin(course_rad) * uy)
