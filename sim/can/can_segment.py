@@ -45,6 +45,9 @@ class Delivery(NamedTuple):
 
 @dataclass
 class Node:
+    """One controller on the wire: its queue of frames, its error counters, and in which part of a
+    cut bus it is."""
+
     name: str
     island: int = 0
     queue: list[tuple[int, int, Frame]] = field(default_factory=list)
@@ -92,6 +95,9 @@ class Island:
 
 
 class Wire:
+    """A segment without a clock of its own: frames are arbitrated, timed and delivered as the
+    caller advances the time. The same seed and the same calls give the same frames."""
+
     def __init__(self, seed: int | str = 0, bit_us: int = BIT_US) -> None:
         self.bit_us = bit_us
         self.nodes: dict[int, Node] = {}
@@ -116,6 +122,7 @@ class Wire:
     # ---------------------------------------------------------------- nodes
 
     def attach(self, name: str = "") -> int:
+        """Connect another controller and return its number."""
         number = self._next_node
         self._next_node += 1
         self.nodes[number] = Node(name or f"node {number}")
@@ -197,6 +204,7 @@ class Wire:
             self._wish(self._islands[self.nodes[number].island], self._now_us)
 
     def heal(self) -> None:
+        """Undo every cut and every one-way link."""
         self.partition()
         self.faults.deaf.clear()
 

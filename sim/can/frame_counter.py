@@ -10,6 +10,8 @@ from sim.files.can_log import LogWriter, open_log
 
 
 class BusTally:
+    """Counts the frames of each kind on a bus, and writes every frame to the open logs."""
+
     def __init__(self) -> None:
         self._kinds: dict[type, int] = {}
         self._logs: list[LogWriter] = []
@@ -33,8 +35,10 @@ class BusTally:
 
     @property
     def malformed(self) -> int:
+        """Number of frames of known groups that could not be decoded."""
         return self._kinds.get(Malformed, 0)
 
     def close(self) -> None:
+        """Close the logs. Counts stay."""
         for log in self._logs:
             log.close()

@@ -45,7 +45,7 @@ def run_on(state: int, bits: int, count: int) -> tuple[int, int]:
 
 
 def divided(crc: int, bits: int, count: int) -> int:
-    """The CRC register after `count` more bits, the highest first."""
+    """The CRC register `crc`, 15 bits, after `count` more bits, the highest first."""
     for k in range(count - 1, -1, -1):
         feedback = (bits >> k ^ crc >> 14) & 1
         crc = crc << 1 & 0x7FFF ^ (CRC_POLYNOMIAL if feedback else 0)

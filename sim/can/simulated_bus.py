@@ -41,12 +41,18 @@ log = logging.getLogger(__name__)
 class Clock(Protocol):
     """What drives a segment's time if it is not an asyncio loop."""
 
-    def now_us(self) -> int: ...
-    def at(self, t_us: int, call: Callable[[], object]) -> "Alarm": ...
+    def now_us(self) -> int:
+        """The present time in microseconds; it never goes back."""
+
+    def at(self, t_us: int, call: Callable[[], object]) -> "Alarm":
+        """Call `call` when the time is `t_us`. The alarm that is returned can cancel it."""
 
 
 class Alarm(Protocol):
-    def cancel(self) -> None: ...
+    """A call that is due later and can still be cancelled."""
+
+    def cancel(self) -> None:
+        """Do not make the call. Without effect after it was made."""
 
 
 def calm(frame: Frame, t_us: int) -> BufferedBeacon | None:
@@ -90,6 +96,8 @@ class Segment:
         self._timer_us = 0
 
     def now_us(self) -> int:
+        """Microseconds of the clock that drives this segment: of the simulation, the running
+        asyncio loop, or else this machine."""
         if self._now is not None:
             return self._now()
         try:
@@ -98,6 +106,8 @@ class Segment:
             return time.monotonic_ns() // 1000
 
     def submit(self, node: int, frame: Frame) -> bool:
+        """Put a frame into the queue of a controller. False where the queue is full or the
+        controller is off the bus."""
         if self._now is not None:  # one thread drives everything
             accepted = self.wire.submit(node, frame, self._now())
             self.arm()
@@ -284,6 +294,9 @@ class FieldBus(BusABC):
     # ---------------------------------------------------------------- python-can
 
     def send(self, msg: Message, timeout: float | None = None) -> None:
+        """Queue one frame; `timeout` in seconds is ignored, because the queue never blocks. Raises
+        CanOperationError for a frame that is no classic data frame with 29-bit identifier, and
+        where the frame is refused."""
         if not msg.is_extended_id or msg.is_remote_frame or msg.is_fd or msg.is_error_frame:
             raise CanOperationError("fieldbus carries classic data frames with 29-bit identifiers")
         if not self.submit(Frame(msg.arbitration_id, bytes(msg.data))):
@@ -322,6 +335,7 @@ class FieldBus(BusABC):
 
     @property  # type: ignore[misc]
     def state(self) -> can.BusState:
+        """Of the controller: ACTIVE, PASSIVE with an error counter above its limit, or off the bus."""
         node = self.segment.wire.nodes.get(self.node)
         if node is None or node.off_until_us is not None:
             return OFF
@@ -329,6 +343,8 @@ class FieldBus(BusABC):
         return ACTIVE if quiet else SHAKEN
 
     def shutdown(self) -> None:
+        """Leave the segment and close the descriptor. What was sent stays known. A second call does
+        nothing."""
         if self._open:
             self._open = False
             self._sent = self.sent

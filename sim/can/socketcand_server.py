@@ -89,6 +89,8 @@ class Client(asyncio.BufferedProtocol):
     # ---------------------------------------------------------------- callbacks of asyncio
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Take a seat at the hub and greet as socketcand does, or close the connection if no seat
+        is free."""
         self._transport = cast(asyncio.Transport, transport)
         loop = asyncio.get_running_loop()
         self.since_s = self.spoke_s = self._window_s = loop.time()
@@ -100,16 +102,23 @@ class Client(asyncio.BufferedProtocol):
         self._write(b"< hi >")
 
     def get_buffer(self, sizehint: int) -> bytearray:
+        """The one buffer of this connection, whatever the number of bytes `sizehint` asks for
+        (asyncio calls it)."""
         return self._buffer
 
     def buffer_updated(self, count: int) -> None:
+        """Read the first `count` bytes of the buffer as commands, and slow the client down if it
+        sends too much."""
         self._take(bytes(self._buffer[:count]))
         self._pace()
 
     def eof_received(self) -> bool:
+        """False: close the connection, because a client that sends no more is gone."""
         return False
 
     def connection_lost(self, problem: Exception | None) -> None:
+        """Deliver what arrived before the connection broke, give up the seat, and let the bus of
+        this client go."""
         if problem is not None:
             self._take_what_is_left()
         if self._twin is not None:
@@ -270,6 +279,7 @@ class Client(asyncio.BufferedProtocol):
         return held + (0 if self._transport is None else self._transport.get_write_buffer_size())
 
     def close(self) -> None:
+        """Break the connection now, without sending what is queued."""
         if self._transport is not None:
             self._transport.abort()
 
@@ -280,10 +290,15 @@ class Client(asyncio.BufferedProtocol):
         return self.bus is not None and not self.spoke and now_s - self.since_s >= LISTENER_S
 
     def give_up_seat(self) -> None:
+        """Close the connection of a client that has said nothing, so that a waiting one gets its
+        place."""
         self._drop("it says nothing, and somebody else wants its seat")
 
 
 class Hub:
+    """The server: its clients, at most a fixed number, each with a controller of its own on the
+    simulated segment."""
+
     def __init__(self, segment: Segment, channel: str = "can0") -> None:
         self.segment, self.channel = segment, channel
         self.spare = FieldBus(segment.channel)
@@ -302,6 +317,8 @@ class Hub:
         self.port = self._server.sockets[0].getsockname()[1]
 
     async def stop(self) -> None:
+        """Close the server and all connections, wait a bounded time for their ends, and shut down
+        their buses."""
         if self._server is not None:
             self._server.close()
         for client in list(self.clients):

@@ -12,21 +12,30 @@ SUFFIXES = (".log", ".asc", ".blf", ".csv", ".trc")  # not .db: it loses frames 
 
 
 class LogWriter(Protocol):
-    def write(self, t_us: int, frame: Frame) -> None: ...
-    def close(self) -> None: ...
+    """What every log of frames offers, whatever its format."""
+
+    def write(self, t_us: int, frame: Frame) -> None:
+        """Append one frame; `t_us` counts from the beginning of the log, in microseconds."""
+
+    def close(self) -> None:
+        """Write what is buffered and close the file. Nothing may be written after it."""
 
 
 class PythonCanWriter:
+    """A log in a format that python-can writes, chosen by the suffix of the path."""
+
     def __init__(self, path: Path) -> None:
         self._writer = can.Logger(path)
 
     def write(self, t_us: int, frame: Frame) -> None:
+        """Append one frame as received on channel 0, with its time in microseconds."""
         self._writer(
             can.Message(t_us / 1e6, frame.identifier, is_extended_id=True, data=frame.data,
                         channel=0, is_rx=True, check=False)
         )  # fmt: skip
 
     def close(self) -> None:
+        """Write what is buffered and close the file."""
         self._writer.stop()
 
 

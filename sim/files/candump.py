@@ -25,6 +25,7 @@ class CandumpWriter:
         self._file: TextIO = path.open("w", encoding="ascii")
 
     def write(self, t_us: int, frame: Frame) -> None:
+        """Append one line. `t_us` is written as seconds with six decimals."""
         self.frames += 1
         self.size += self._file.write(
             f"({t_us // 1_000_000}.{t_us % 1_000_000:06d}) {self.channel} "
@@ -32,6 +33,7 @@ class CandumpWriter:
         )
 
     def close(self) -> None:
+        """Write what is buffered and close the file."""
         self._file.close()
 
 

@@ -23,6 +23,10 @@ FILE_FACTOR = 16  # a plan has about three bytes per robot and step in addition 
 
 @dataclass
 class Plan:
+    """A plan with its map: boolean `walls` and `dirt` of shape (rows, columns), and for each robot
+    a start cell (row, column), a list of actions, and the steps at which it joins and dies (-1:
+    never)."""
+
     walls: Walls
     starts: list[Cell]
     actions: list[list[int]]  # a list for each robot; robots with shorter lists wait at their end
@@ -36,9 +40,12 @@ class Plan:
 
     @property
     def makespan(self) -> int:
+        """Steps until the robot with the longest list of actions is at its end; 0 without robots."""
         return max((len(actions) for actions in self.actions), default=0)
 
     def to_json(self) -> str:
+        """The plan as one line of JSON, with the keys of the mission's `vacuum_plan.json`. `joined`
+        and `died` are written only if some robot joins late or dies."""
         rows, columns = self.walls.shape
         document: dict[str, Any] = {
             "H": rows, "W": columns, "n_agents": len(self.starts), "makespan": self.makespan,
@@ -52,6 +59,7 @@ class Plan:
 
 
 def write_plan(path: Path, plan: Plan) -> None:
+    """Write the plan as JSON with a line end, and create missing folders. Raises OSError."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(plan.to_json() + "\n", encoding="utf-8")
 
@@ -120,6 +128,8 @@ def parse_plan(text: str, name: str = "plan") -> Plan:
 
 
 def read_plan(path: Path) -> Plan:
+    """Read and check a plan. Raises GridFileError, whose message names the path, if the file is
+    unreadable, too large or no plan."""
     try:
         return parse_plan(read_text(path, PLAN_BYTES_MAX), str(path))
     except GivenFileError as problem:

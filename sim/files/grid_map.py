@@ -47,7 +47,7 @@ def _text(path: Path) -> str:
 
 
 def parse_map(text: str, name: str = "map") -> Walls:
-    """The walls of a Moving-AI map.
+    """The walls of a Moving-AI map, booleans of shape (rows, columns). Raises GridFileError.
 
     >>> parse_map("type octile\\nheight 2\\nwidth 3\\nmap\\n..@\\nT..\\n").astype(int).tolist()
     [[0, 0, 1], [1, 0, 0]]
@@ -72,13 +72,15 @@ def parse_map(text: str, name: str = "map") -> Walls:
 
 
 def map_text(walls: Walls) -> str:
+    """A Moving-AI map of walls with shape (rows, columns): `@` for each wall, `.` for each free
+    cell."""
     rows, columns = walls.shape
     body = ["".join("@" if wall else "." for wall in row) for row in walls.tolist()]
     return "\n".join(["type octile", f"height {rows}", f"width {columns}", "map", *body, ""])
 
 
 def parse_roots(text: str, rows: int, name: str = "instance") -> tuple[str, list[Cell]]:
-    """The map's name and the start cells of an `.mcpp`.
+    """The map's name and the start cells (row, column) of an `.mcpp`. Raises GridFileError.
 
     >>> parse_roots("map: floor\\nroot: [[2, 5],\\n  [0, 1]]\\nweighted: False\\n", rows=9)
     ('floor', [(5, 2), (1, 0)])
@@ -107,6 +109,8 @@ def parse_roots(text: str, rows: int, name: str = "instance") -> tuple[str, list
 
 
 def mcpp_text(map_name: str, starts: list[Cell]) -> str:
+    """An LS-MCPP instance: the map's name, and the starts, which the format writes as [column,
+    row]."""
     roots = json.dumps([[column, row] for row, column in starts])
     return f"map: {map_name}\nroot: {roots}\nweighted: False\nincomplete: False\n"
 
@@ -127,11 +131,14 @@ def check_starts(name: str, walls: Walls, starts: list[Cell]) -> None:
 
 
 def read_map(path: Path) -> Walls:
+    """Read a Moving-AI map: booleans of shape (rows, columns), True for walls. Raises
+    GridFileError."""
     return parse_map(_text(path), str(path))
 
 
 def read_instance(path: Path) -> Instance:
-    """An `.mcpp` with its map: beside it, or in `../gridmaps` as in LS-MCPP."""
+    """Read an `.mcpp` with its map: beside it, or in `../gridmaps` as in LS-MCPP. Raises
+    GridFileError if the map is at neither place, or a start is no free cell."""
     text = _text(path)
     map_name, _ = parse_roots(text, 1, str(path))
     places = [path.parent / f"{map_name}.map", path.parent.parent / "gridmaps" / f"{map_name}.map"]
@@ -215,7 +222,8 @@ def random_starts(walls: Walls, robots: int, seed: int) -> list[Cell]:
 
 
 def gate_starts(walls: Walls, robots: int) -> list[Cell]:
-    """The cells nearest to one corner of the largest room, as if machines entered a field there."""
+    """The cells nearest to one corner of the largest room, as if machines entered a field there.
+    Raises ValueError if there are fewer connected free cells than robots."""
     room = largest_room(walls)
     if robots > len(room):
         raise ValueError(f"{robots} robots do not fit into {len(room)} connected free cells")

@@ -16,6 +16,8 @@ MIB = 1 << 20
 
 
 class Limit(NamedTuple):
+    """How much of a log in parts is kept on disk."""
+
     part_bytes: int
     parts: int  # two or more; includes the one being written
 
@@ -32,12 +34,15 @@ LAUNCH_LIMIT = Limit(part_bytes=8 * MIB, parts=128)
 
 
 class Writer(Protocol):
+    """A log file that `PartedLog` can measure and close."""
+
     @property
     def size(self) -> int:
         """Bytes written so far."""
         ...
 
-    def close(self) -> None: ...
+    def close(self) -> None:
+        """Write what is buffered and close the file."""
 
 
 W = TypeVar("W", bound=Writer)
@@ -79,6 +84,7 @@ class PartedLog(Generic[W]):
         writer.tell(t_us, intent)
 
     def close(self) -> None:
+        """Close the part that is being written. Full parts stay."""
         self._writer.close()
 
     def _put_back(self) -> None:
@@ -95,7 +101,7 @@ class PartedLog(Generic[W]):
 
 
 def part_path(path: Path, number: int) -> Path:
-    """The path of a full part."""
+    """Where a full part lies: the number stands before the suffix, as in `can.3.log`."""
     return path.with_name(f"{path.stem}.{number}{path.suffix}")
 
 

@@ -12,6 +12,7 @@ log = logging.getLogger(__name__)
 
 
 def say(message: str) -> None:
+    """Report the end of a recording to the log of the program, as an error."""
     log.error("%s", message)
 
 

@@ -23,6 +23,8 @@ VIOLATIONS_MAX: Final = 1_000
 
 
 class Violation(NamedTuple):
+    """A rule that was broken: when, by which robots, and what happened, as text for a person."""
+
     rule: str
     t_us: int
     slots: tuple[int, ...]
@@ -37,6 +39,8 @@ class ContactChecker:
 
     @property
     def violations(self) -> list[Violation]:
+        """One for each contact of robots that are not excused, the earliest first, at most
+        `VIOLATIONS_MAX`."""
         found = []
         for contact in self.world.contacts:
             slots = (contact.first,) if contact.second is None else (contact.first, contact.second)
@@ -61,9 +65,12 @@ class CoverageChecker:
         self.raster = sample_points(polygon, width_m, overlap_m, raster_m)
 
     def measure(self, tracks: Mapping[int, Track]) -> Coverage:
+        """What the implements of these tracks have worked of the raster."""
         return coverage(self.raster, tracks, self.width_m)
 
     def violations(self, tracks: Mapping[int, Track]) -> list[Violation]:
+        """Empty if the share worked is at least `share_min`; else one, which names the first cell
+        left."""
         result = self.measure(tracks)
         if result.share >= self.share_min:
             return []
@@ -178,6 +185,7 @@ class ExclusiveWorkChecker:
         self.section_of = np.array([number for number, _ in lines], dtype=np.int64)
 
     def violations(self, tracks: Mapping[int, Track]) -> list[Violation]:
+        """One for each section and second in which two robots worked at least `least` samples."""
         at: dict[tuple[int, int], int] = {}  # section, second: the first robot seen at work there
         found: list[Violation] = []
         for slot, track in sorted(tracks.items()):

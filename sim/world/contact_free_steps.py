@@ -91,7 +91,12 @@ def _move(motion, push, inertia):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy")
 def guarded(rows, motion, limits, moved_us, now_us):  # type: ignore[no-untyped-def]
-    """After a step: record which robots move, and return whether one broke its guard's limits."""
+    """After a step: record which robots move, and return whether one broke its guard's limits.
+
+    `rows` (robots, columns of `drive_trains`), `motion` (robots, 7), `limits` (robots, 2), the
+    microseconds from which it may get no command, and from which it must stand, `moved_us`
+    (robots,), when each moved last.
+    """
     found = False
     begun_us = now_us - STEP_US  # commands in force during the step were those at its beginning
     for i in range(motion.shape[0]):
@@ -109,7 +114,11 @@ def glide(  # type: ignore[no-untyped-def]
 ):  # fmt: skip
     """Make steps from `now_us`, none beyond `until_us`, until something must be handled.
 
-    `rolled`: the wheels have turned for the first one. Returns the new time, times `CODES`, and why.
+    `rolled`: the wheels have turned for the first one. `near_m` is the gap below which the physics
+    engine takes over. Each robot has one row of `rows`, `motion` (robots, 7), `keys`, `push` and
+    `inertia` (robots, 3), `limits` and `moved_us`; `nearest` (2,) is updated as in
+    `contacts.watch`. `floats`, `ints` and `obstacles` are those of `walls`. Returns the new time,
+    times `CODES`, and why.
     """
     while True:
         if not rolled:

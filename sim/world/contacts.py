@@ -31,7 +31,11 @@ def _to_segment(floats, k, x, y):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy")
 def to_walls(floats, ints, x, y, reach):  # type: ignore[no-untyped-def]
-    """Distance to the nearest segment; inf if there is none within reach."""
+    """Metres from the point `x`, `y` to the nearest segment; inf if there is none within `reach`
+    metres.
+
+    `floats` and `ints` (n,) are the segments and their grid, as `walls` lays them out.
+    """
     if ints[0] == 0:
         return inf
     columns, rows = ints[1], ints[2]
@@ -50,7 +54,8 @@ def to_walls(floats, ints, x, y, reach):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy")
 def to_obstacle(row, x, y):  # type: ignore[no-untyped-def]
-    """Distance to a box or a disc, negative inside a disc, 0 inside a box."""
+    """Metres from the point `x`, `y` to a box or a disc: negative inside a disc, 0 inside a box.
+    `row`: one row of `walls`."""
     px, py = x - row[AT_X], y - row[AT_Y]
     if row[SHAPE] != BOX:
         return sqrt(px * px + py * py) - row[HALF_X]
@@ -61,10 +66,11 @@ def to_obstacle(row, x, y):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy")
 def watch(motion, floats, ints, obstacles, nearest, touches, near_m):  # type: ignore[no-untyped-def]
-    """Write overlaps to `touches` (first, second, depth in metres).
+    """Write overlaps to `touches`, one row for each: first, second, depth in metres.
 
-    Returns twice their number, plus 1 if a gap is not larger than `near_m`.
-    `nearest`: smallest gap seen so far between robots, and from a robot to anything else.
+    Returns twice their number, plus 1 if a gap is not larger than `near_m`. `nearest` (2,):
+    smallest gap seen so far between robots, and from a robot to anything else. `motion` (robots,
+    7), `obstacles` (n, 7): one row each.
     """
     count = motion.shape[0]
     found, near = 0, 0
@@ -113,14 +119,16 @@ def _is_inside(x, y, floats):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy")
 def crossings(motion, floats, odd):  # type: ignore[no-untyped-def]
-    """Per robot 1 if it is inside the fences."""
+    """Write into `odd` (robots,) 1 for each robot of `motion` (robots, 7) that is inside the
+    fences, else 0."""
     for i in range(motion.shape[0]):
         odd[i] = 1 if _is_inside(motion[i, X], motion[i, Y], floats) else 0
 
 
 @njit(cache=True, error_model="numpy")
 def has_crossed(motion, floats, odd):  # type: ignore[no-untyped-def]
-    """Whether this has changed for any robot."""
+    """Whether any robot of `motion` (robots, 7) is on another side of the fences than `odd`
+    (robots,) has it."""
     for i in range(motion.shape[0]):
         if (odd[i] != 0) != _is_inside(motion[i, X], motion[i, Y], floats):
             return True

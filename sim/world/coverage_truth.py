@@ -31,6 +31,8 @@ NEVER_US = np.iinfo(np.int64).max
 
 
 class Coverage(NamedTuple):
+    """What was worked of an area that was asked for, by all robots together and by each."""
+
     share: float  # of the area asked for
     twice: float  # share worked by two robots or more
     again: float  # share worked again by a robot that had worked it before
@@ -84,10 +86,11 @@ def coverage(
 
 
 def strokes_of(track: Track | Sequence[TrackPoint] | Floats) -> Floats:
-    """(n, 8): the straight pieces worked, short ones merged.
+    """The straight pieces worked, short ones merged, as an array (n, 8).
 
-    Each row: from x, y, to x, y, microseconds, metres driven so far, and the course before (0, 0 at
-    the beginning of a run).
+    Each row: from x, y, to x, y, metres; microseconds; metres driven so far; and the course before,
+    a unit vector (0, 0 at the beginning of a run). `track` as an array is (points, 4): x, y,
+    microseconds, 1 if the implement is down.
     """
     points = track.to_array() if isinstance(track, Track) else np.asarray(track, dtype=np.float64)
     strokes: Floats = _strokes(points.reshape(-1, 4))
@@ -139,7 +142,8 @@ def _swung(rx, ry, was_x, was_y, cx, cy):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy")
 def cells_near(a, b, margin, origin, side, count):  # type: ignore[no-untyped-def]
-    """First column or row that a stroke comes near, and one past the last."""
+    """First column or row that a stroke from `a` to `b` comes within `margin` of, and one past the
+    last. Metres; `origin` is where the raster begins, `side` the width of a cell."""
     first = int((min(a, b) - margin - origin) / side)
     last = int((max(a, b) + margin - origin) / side)
     return max(first, 0), min(last, count - 1) + 1

@@ -49,12 +49,16 @@ CREEP = 0.4  # share of the wanted speed that a tractor keeps while it turns tow
 
 
 class Kind(IntEnum):
+    """Which way the wheels are arranged."""
+
     MECANUM = 0
     DIFFERENTIAL = 1
     ACKERMANN = 2
 
 
 class Chassis(NamedTuple):
+    """Dimensions and limits of a body on wheels."""
+
     wheel_radius_m: float = 0.10
     half_base_m: float = 0.30  # L
     half_track_m: float = 0.25  # W
@@ -122,30 +126,39 @@ def mecanum_wheels(r: float, arm_m: float, vx: float, vy: float, turn: float) ->
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def mecanum_body(r: float, arm_m: float, fl: float, fr: float, rl: float, rr: float) -> Any:
-    """Body velocity from wheel speeds: the least-squares inverse."""
+    """Body velocity (forward m/s, left m/s, turn rad/s) from wheel speeds in rad/s: the
+    least-squares inverse. `r` is the wheel radius, metres; `fl`, `fr`, `rl`, `rr` are front and
+    rear, left and right."""
     q = r / 4
     return q * (fl + fr + rl + rr), q * (-fl + fr + rl - rr), q * (-fl + fr - rl + rr) / arm_m
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def differential_wheels(r: float, half_track_m: float, vx: float, turn: float) -> Any:
+    """Speeds of the left and the right wheel, rad/s, for `vx` in m/s and `turn` in rad/s. `r` is
+    the wheel radius, metres."""
     return (vx - half_track_m * turn) / r, (vx + half_track_m * turn) / r
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def differential_body(r: float, half_track_m: float, left: float, right: float) -> Any:
+    """Speed ahead, m/s, and turn rate, rad/s, of two wheels with radius `r` metres that turn with
+    `left` and `right` rad/s."""
     return r * (left + right) / 2, r * (right - left) / (2 * half_track_m)
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def ackermann_wheels(r: float, half_base_m: float, vx: float, turn: float) -> Any:
-    """(axle speed, steering angle); straight ahead where it stands."""
+    """Axle speed in rad/s and steering angle in radians for `vx` in m/s and `turn` in rad/s;
+    straight ahead where it stands. `r` is the wheel radius, metres."""
     steer = atan(2 * half_base_m * turn / vx) if abs(vx) > 1e-9 else 0.0
     return vx / r, steer
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def ackermann_body(r: float, half_base_m: float, axle: float, steer: float) -> Any:
+    """Speed ahead, m/s, and turn rate, rad/s, for an axle with radius `r` metres that turns with
+    `axle` rad/s, and a steering angle `steer` in radians."""
     return r * axle, r * axle * tan(steer) / (2 * half_base_m)
 
 
@@ -255,8 +268,9 @@ def _push(m, vx, vy, turn, push):  # type: ignore[no-untyped-def]
 def roll(rows, motion, keys, now_us, push):  # type: ignore[no-untyped-def]
     """One step of every robot's wheels, from the commands in force at `now_us`.
 
-    Writes the accelerations that follow (field frame: x, y, turn), one row of `push` a robot;
-    returns how many implements went up or down.
+    `rows` holds a row of commands and limits for each robot, `motion` (robots, 7) its motion,
+    `keys` (robots,) the seed of its slip. Writes the accelerations that follow (field frame: x, y,
+    turn; m/s2 and rad/s2), one row of `push` a robot; returns how many implements went up or down.
     """
     step = now_us // STEP_US
     switched = 0

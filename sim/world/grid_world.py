@@ -34,14 +34,18 @@ class GridBody:
 
     @property
     def chassis(self) -> Chassis:
+        """A default one: cells know no wheels."""
         return Chassis()
 
     @property
     def position(self) -> tuple[float, float]:
+        """Metres east and north, at the time of the last command."""
         x_m, y_m = self.world.places[self.row].tolist()
         return x_m, y_m
 
     def sense(self, now_us: int) -> Observation:
+        """What the robot senses now: its place, its speed while a command is valid, and other
+        bodies in sight."""
         world, row = self.world, self.row
         world.advance(now_us)
         x_m, y_m = world.now(row, now_us)
@@ -50,6 +54,7 @@ class GridBody:
                            sensed_at_us=now_us)  # fmt: skip
 
     def drive(self, command: Drive, now_us: int) -> None:
+        """Follow a velocity from now on, without delay, until the command expires."""
         world, row = self.world, self.row
         world.places[row] = world.now(row, now_us)
         world.since_us[row] = now_us
@@ -59,6 +64,8 @@ class GridBody:
 
 @dataclass(slots=True)
 class GridTruth:
+    """What was really covered, and by which robot; how near bodies came, and what they drove into."""
+
     first_us: NDArray[np.int64]  # by cell number: when it was covered, -1: not yet
     by: NDArray[np.int16]  # the robot that covered it first
     contacts: set[tuple[int, int]] = field(default_factory=set)
@@ -69,6 +76,9 @@ class GridTruth:
 
 
 class GridWorld:
+    """Positions and speeds of all bodies as arrays with a row for each robot, moved exactly between
+    commands, and the truth about what they covered."""
+
     def __init__(self, ground: CellMap, radius_m: float) -> None:
         self.ground, self.radius_m = ground, radius_m
         self.robots: dict[int, GridBody] = {}
@@ -83,6 +93,7 @@ class GridWorld:
         self._centres = np.array([ground.centre(n) for n in range(count)]).reshape(-1, 2)
 
     def body(self, slot: int) -> GridBody:
+        """The body of a robot that was added."""
         return self.robots[slot]
 
     def guard(self) -> None:
@@ -99,6 +110,8 @@ class GridWorld:
         return body
 
     def now(self, row: int, now_us: int) -> tuple[float, float]:
+        """Where the body in that row is at `now_us`, metres east and north. It stands from the end
+        of its command on."""
         seconds = (min(now_us, int(self.until_us[row])) - int(self.since_us[row])) / 1e6
         (x_m, y_m), (vx, vy) = self.places[row].tolist(), self.speeds[row].tolist()
         return x_m + vx * seconds, y_m + vy * seconds
@@ -111,7 +124,7 @@ class GridWorld:
     def seen(
         self, row: int, x_m: float, y_m: float, now_us: int
     ) -> tuple[tuple[float, float], ...]:
-        """Other robots within sight, relative to a position."""
+        """Other robots within sight, as metres east and north of the position."""
         sight_m = SIGHT * self.ground.cell_m
         gaps = self.places - (
             x_m,

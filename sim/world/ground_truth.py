@@ -139,6 +139,7 @@ class Track:
 
     @property
     def points(self) -> list[TrackPoint]:
+        """All points recorded so far, the oldest first."""
         return list(self)
 
     def to_array(self) -> NDArray[np.float64]:

@@ -150,7 +150,11 @@ def _cells(floats, blocked, ox, oy, dx, dy, best):  # type: ignore[no-untyped-de
 
 @njit(cache=True, error_model="numpy")
 def scan(motion, me, floats, ints, blocked, obstacles, reach, beams):  # type: ignore[no-untyped-def]
-    """Ranges of robot `me` into the last row of `beams`, metres; inf beyond `reach`."""
+    """Ranges of robot `me` into the last row of `beams` (5, rays), metres; inf beyond `reach`.
+
+    `motion` (robots, 7); `floats`, `ints`, `blocked` (rows, columns) and `obstacles` (n, 7) as in
+    `walls`.
+    """
     ox, oy = motion[me, X], motion[me, Y]
     c, s = np.cos(motion[me, HEADING]), np.sin(motion[me, HEADING])
     for n in range(beams.shape[1]):
@@ -177,7 +181,8 @@ def scan(motion, me, floats, ints, blocked, obstacles, reach, beams):  # type: i
 
 @njit(cache=True, error_model="numpy")
 def scan_all(motion, floats, ints, blocked, obstacles, reach, beams, out):  # type: ignore[no-untyped-def]
-    """Every robot's ranges, one row of `out` each."""
+    """Every robot's ranges, metres, one row of `out` (robots, rays) each. `motion` (robots, 7) and
+    `beams` (5, rays) as for `scan`."""
     for me in range(motion.shape[0]):
         scan(motion, me, floats, ints, blocked, obstacles, reach, beams)
         out[me] = beams[RANGE, : out.shape[1]]

@@ -24,6 +24,8 @@ BAY_M = 0.5  # reach of the contacts from a bay's middle
 
 
 class Handled(NamedTuple):
+    """What happened to a parcel, and by which robot."""
+
     t_us: int
     task: int
     slot: int
@@ -31,11 +33,16 @@ class Handled(NamedTuple):
 
 
 class Bay:
+    """A charger bay at a place, which gives power or has failed."""
+
     def __init__(self, at: Point) -> None:
         self.at, self.works = at, True
 
 
 class Parcels:
+    """Where each parcel really is, how full each battery really is, and a list of everything that
+    happened."""
+
     def __init__(self, carrier: Carrier, bays: Sequence[Point]) -> None:
         self.carrier, self.bays = carrier, [Bay(at) for at in bays]
         self.lies: dict[int, Point] = {}
@@ -73,12 +80,15 @@ class Parcels:
             bay.works = bool(works)
 
     def appear(self, task: int, pickup: Point, dropoff: Point, now_us: int) -> None:
+        """A parcel lies at `pickup` from now on and has to come to `dropoff`; metres. A task that
+        is known stays as it is."""
         if task not in self.dropoff:
             self.lies[task], self.dropoff[task] = pickup, dropoff
             self.appeared_us[task] = now_us
 
     def seen(self, slot: int, at: Point) -> dict[int, VisibleParcel]:
-        """Parcels within reach that lie on the floor, or are aboard dead robots."""
+        """Parcels within reach of a robot at `at`, metres, by task: those on the floor, and those
+        aboard dead robots."""
         found = {
             task: VisibleParcel(*place, False)
             for task, place in self.lies.items()
@@ -92,7 +102,8 @@ class Parcels:
         return found
 
     def handle(self, slot: int, task: int, at: Point, now_us: int) -> None:
-        """Complete the action of the arm."""
+        """Complete the action of the arm of a robot at `at`, metres: put down its parcel, or pick
+        up one within reach."""
         own = self.aboard.get(slot)
         if own == task:
             del self.aboard[slot]
@@ -114,7 +125,11 @@ class Parcels:
             self.events.append(Handled(now_us, task, slot, what))
 
     def drain(self, slot: int, metres: float, seconds: float, at: Point, still: bool) -> float:
-        """The charge left in a battery after this distance and time."""
+        """The charge left in a battery after driving `metres` in `seconds`, as a share of 0 to 1.
+
+        A robot that stands still within a working bay, by its place `at` in metres, is charged
+        instead.
+        """
         left, carrier = self.battery.setdefault(slot, 1.0), self.carrier
         if not carrier.runs_dry:
             return 1.0
@@ -158,6 +173,8 @@ class CarrierBody:
         self._arm: tuple[int, int] | None = None  # parcel, and since when
 
     def sense(self, now_us: int) -> Observation | None:
+        """What the body senses, with the charge of its battery, its load, and the parcels within
+        reach."""
         seen = self._body.sense(now_us)
         if seen is None:
             return None
@@ -172,6 +189,8 @@ class CarrierBody:
         return seen._replace(battery=left, load=load, parcels=self._parcels.seen(self._slot, at))
 
     def drive(self, command: Drive, now_us: int) -> None:
+        """Pass the command on, unless the battery is empty; move the arm for as long as the command
+        asks for it."""
         if self._parcels.battery.get(self._slot, 1.0) == 0.0 and self._parcels.carrier.runs_dry:
             command = HALT
         self._body.drive(command, now_us)

@@ -14,6 +14,8 @@ from sim.files.grid_map import Cell, Walls
 
 
 class Verdict(NamedTuple):
+    """How a plan scores, by its actions alone."""
+
     makespan: int  # the first step after which everything reachable is covered, else the plan's end
     collisions: int  # robots in a cell with another, summed over the steps
     swaps: int  # pairs of robots that changed places
@@ -30,6 +32,8 @@ class Verdict(NamedTuple):
 
     @property
     def ok(self) -> bool:
+        """Whether nothing collided, swapped or hit a wall, and nothing that can be reached was
+        left."""
         return not (self.collisions or self.swaps or self.wall_entries or self.uncovered)
 
     def score(self, turn_cost: float) -> float:
@@ -57,6 +61,7 @@ def steps_from(walls: list[list[bool]], sources: list[Cell]) -> dict[Cell, int]:
 
 
 def judge(plan: Plan) -> Verdict:
+    """Play a plan to its end and score it."""
     court = PlanJudge(plan)
     while not court.over:
         court.advance()
@@ -101,6 +106,7 @@ class PlanJudge:
         self._arrive(0)
 
     def advance(self) -> None:
+        """Play one step: deaths first, then moves, then arrivals."""
         self._die(self.step)
         self._move(self.step)
         self.step += 1
@@ -108,6 +114,7 @@ class PlanJudge:
 
     @property
     def over(self) -> bool:
+        """Whether all actions have been played."""
         return self.step >= self.plan.makespan
 
     def wanted(self) -> set[Cell]:
@@ -116,6 +123,7 @@ class PlanJudge:
         return {cell for cell in steps_from(self.walls, live) if self.plan.dirt[cell]}
 
     def verdict(self) -> Verdict:
+        """The score of the steps that were played so far."""
         plan, wanted = self.plan, self.wanted()
         missing = wanted - self.covered.keys()
         last = max((self.covered[cell] for cell in wanted - missing), default=0)

@@ -32,18 +32,22 @@ class Drill(Mission):
 
     @property
     def section_units(self) -> Mapping[int, int]:
+        """Units of each section: all have the same number."""
         return self._units
 
     def choose(self, view: FleetView) -> ClaimRequest | None:
+        """The next free section from its own start on, at a fixed bid; None if none is free."""
         for section in self._order:
             if view.allocation.phase_of(section) is Phase.FREE:
                 return ClaimRequest(section, 3)
         return None
 
     def begin(self, section: int, view: FleetView) -> None:
+        """Start the clock of the first unit."""
         self._next_us = view.now_us + round(UNIT_S * 1e6)
 
     def work(self, view: FleetView) -> MotionRequest:
+        """A unit is covered whenever its time is over; the section is finished after the last."""
         covered: tuple[int, ...] = ()
         if view.now_us >= self._next_us:
             covered, self._done = (self._done,), self._done + 1
@@ -63,6 +67,7 @@ class Place:
         self._moving_us, self._stood_us = -1, -1  # newest command to move; first to stand after it
 
     def sense(self, now_us: int) -> Observation:
+        """A position that circles within a metre, so that no two frames are equal."""
         angle = now_us * 1e-6 + self.slot
         return Observation(
             self.x_m + cos(angle), self.y_m + sin(angle), angle % 6.28, -sin(angle), cos(angle),
@@ -70,6 +75,7 @@ class Place:
         )  # fmt: skip
 
     def drive(self, command: Drive, now_us: int) -> None:
+        """Record since when the command is to stand, or when it was last to move."""
         if command.vx_m_s or command.vy_m_s or command.turn_rad_s:
             self._moving_us, self._stood_us = now_us, -1
         elif self._stood_us < 0:

@@ -37,6 +37,8 @@ _tuple = tuple.__new__
 
 
 class Watch(NamedTuple):
+    """A stop in force: which robots it binds, and from when."""
+
     slots: frozenset[int]
     silent_us: int  # after this, no command to move may be in force
 
@@ -82,7 +84,7 @@ class CommandChecker:
 
 
 class StationaryBody(RobotBody):
-    """The body of one robot."""
+    """A body that never leaves its place and records whether it was commanded to move or to work."""
 
     def __init__(self, parade: "ProtocolWorld", slot: int) -> None:
         super().__init__(parade, slot, slot, 0.5, Chassis())
@@ -93,6 +95,7 @@ class StationaryBody(RobotBody):
         self._moving = False
 
     def sense(self, now_us: int) -> Observation:
+        """A position that circles within a metre, so that no two frames are equal."""
         angle = now_us * 1e-6 + self.slot
         x, y = cos(angle), sin(angle)
         x_m, y_m, course_rad = self.x_m + x, self.y_m + y, angle % 6.28
@@ -114,6 +117,7 @@ class StationaryBody(RobotBody):
 
     @property
     def position(self) -> tuple[float, float]:
+        """Metres east and north of the place that it circles."""
         return self.x_m, self.y_m
 
     def push(self, dx_m: float, dy_m: float) -> None:
@@ -161,6 +165,7 @@ class ProtocolWorld(World):
         return self._checkers[-1]
 
     def moved(self, slot: int, until_us: int) -> None:
+        """Tell the checkers that a robot has a command to move that is in force until `until_us`."""
         for checker in self._checkers:
             checker.moved(slot, until_us)
 
@@ -197,9 +202,12 @@ class TimedMission(Mission):
 
     @property
     def section_units(self) -> Mapping[int, int]:
+        """Units of each section, as the world has them."""
         return self.parade.units
 
     def choose(self, view: FleetView) -> ClaimRequest | None:
+        """The next free section from its own start on; else one that a robot holds that has been
+        silent for a lease."""
         for section in self._order:
             if view.allocation.phase_of(section) is Phase.FREE:
                 return ClaimRequest(section, 3)
@@ -210,16 +218,19 @@ class TimedMission(Mission):
         return None
 
     def begin(self, section: int, view: FleetView) -> None:
+        """Start a section with the implement up."""
         self._section, self._lifted = section, True
         self._worked.clear()
 
     def abandon(self) -> None:
+        """Forget the section."""
         self._section = None
 
     def on_implement_raised(self) -> None:
         self._lifted = True
 
     def work(self, view: FleetView) -> MotionRequest:
+        """Work unit after unit by the clock, each for as long as the implement is down."""
         if self._section is None:  # continues after a stop or a sync
             self.begin(view.allocation.assigned_sections(view.slot)[0], view)
         section, now_us = self._section, view.now_us

@@ -37,6 +37,7 @@ class Physics:
         self._stale = True  # bodies were added since the rows were laid out
 
     def add_robot(self, x_m: float, y_m: float, heading_rad: float, radius_m: float) -> None:
+        """Add a disc with the mass of a robot. It gets the next number from 0."""
         moment = pymunk.moment_for_circle(MASS_KG, 0.0, radius_m)
         body = pymunk.Body(MASS_KG, moment)
         body.position, body.angle = (x_m, y_m), heading_rad
@@ -45,12 +46,16 @@ class Physics:
         self._add(pymunk.Circle(body, radius_m), body)
 
     def add_wall(self, a: XY, b: XY) -> pymunk.Shape:
+        """A wall without thickness from `a` to `b`, metres; the shape that is returned can be
+        removed."""
         return self._add(pymunk.Segment(self.space.static_body, a, b, 0.0))
 
     def add_box(self, corners: list[XY]) -> pymunk.Shape:
+        """A box that stands still, by its corners in metres."""
         return self._add(pymunk.Poly(self.space.static_body, corners))
 
     def add_disc(self, x_m: float, y_m: float, radius_m: float) -> pymunk.Shape:
+        """A disc that stands still."""
         return self._add(pymunk.Circle(self.space.static_body, radius_m, (x_m, y_m)))
 
     def _add(self, shape: pymunk.Shape, *bodies: pymunk.Body) -> pymunk.Shape:
@@ -60,6 +65,7 @@ class Physics:
         return shape
 
     def remove(self, shape: pymunk.Shape) -> None:
+        """Take away a wall, a box or a disc."""
         self.space.remove(shape)
 
     def put(self, motion: Floats) -> None:
@@ -85,7 +91,7 @@ class Physics:
         self._stale = False
 
     def step(self, motion: Floats, push: Floats, dt_s: float) -> None:
-        """One step under accelerations (robots, 3): x, y in m/s2, turn in rad/s2.
+        """One step under accelerations `push` (robots, 3): x, y in m/s2, turn in rad/s2.
 
         `motion` (robots, at least 6) is written: x, y, heading, velocity x and y, turn rate.
         """

@@ -28,10 +28,12 @@ class Raster(NamedTuple):
 
     @property
     def area_m2(self) -> float:
+        """Area of all cells that are True."""
         return float(np.count_nonzero(self.cells)) * self.cell_m**2
 
     def centres(self, flags: NDArray[np.bool_]) -> Floats:
-        """(n, 2): x, y of the flagged cells."""
+        """Centres of the cells that are True in `flags` (rows, columns), as an array (n, 2): x, y
+        in metres."""
         row, column = np.nonzero(flags)
         x_m = self.west_m + (column + 0.5) * self.cell_m
         return np.column_stack((x_m, self.south_m + (row + 0.5) * self.cell_m))
@@ -48,6 +50,8 @@ def fitting_m(area: Polygon | MultiPolygon, cell_m: float) -> float:
 
 
 def rasterise(area: Polygon | MultiPolygon, cell_m: float) -> Raster:
+    """The cells whose centres are in an area. An empty area gives a single False cell. The number
+    of cells is asserted to be at most `CELLS_MAX`."""
     if area.is_empty:
         return Raster(np.zeros((1, 1), dtype=np.bool_), 0.0, 0.0, cell_m)
     west, south, east, north = area.bounds

@@ -60,6 +60,7 @@ class Body(NamedTuple):
 
     @property
     def stroke_m(self) -> float:
+        """Width of a strip in which the implement and the whole body fit on both sides."""
         return self.width_m + 2 * self.radius_m
 
 
@@ -81,7 +82,10 @@ class Ground(NamedTuple):
 def reachable_ground(
     polygon: Polygon, raster: Raster, body: Body, starts: Sequence[tuple[float, float]]
 ) -> Ground:
-    """`raster`: see `coverage_truth.sample_points`; `starts`: where robots are switched on."""
+    """Which cells of `raster` such bodies can work, and how much is left for which reason.
+
+    `raster`: see `coverage_truth.sample_points`; `starts`: where robots are switched on, metres.
+    """
     near_fence_m2 = max(polygon.area - raster.area_m2, 0.0)
     joined = _joined(polygon, raster, body, starts)
     cells = joined

@@ -43,12 +43,16 @@ class BodyRows(Protocol):
     def advance(self, now_us: int) -> None:
         """Make steps until `now_us`."""
 
-    def ranges(self, index: int) -> tuple[float, ...]: ...
+    def ranges(self, index: int) -> tuple[float, ...]:
+        """Metres that each ray of the robot in that row sees."""
 
-    def place(self, body: "RobotBody", x_m: float, y_m: float, heading_rad: float) -> None: ...
+    def place(self, body: "RobotBody", x_m: float, y_m: float, heading_rad: float) -> None:
+        """Put a body somewhere else, at rest."""
 
 
 class RobotBody:
+    """The body of one robot: it senses from, and commands, its row of the world's arrays."""
+
     def __init__(
         self, world: BodyRows, slot: int, index: int, radius_m: float, chassis: Chassis
     ) -> None:
@@ -59,11 +63,13 @@ class RobotBody:
 
     @property
     def position(self) -> XY:
+        """Metres east and north, at the world's present step."""
         x_m, y_m = self.world.motion[self.index, :2].tolist()
         return x_m, y_m
 
     @property
     def heading_rad(self) -> float:
+        """Counter-clockwise from east, between -pi and pi."""
         return remainder(float(self.world.motion[self.index, HEADING]), 2 * pi)
 
     @property
@@ -88,6 +94,7 @@ class RobotBody:
         return int(self.world.moved_us[self.index])
 
     def sense(self, now_us: int) -> Observation:
+        """Advance the world to `now_us`, and return what the sensors of this body see there."""
         world = self.world
         world.advance(now_us)
         moved = MOTION.unpack_from(world.places, self.index * MOTION.size)

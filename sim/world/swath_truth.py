@@ -23,6 +23,9 @@ NEVER_US = np.iinfo(np.int64).max
 
 
 class LineTruth:
+    """Judges which of the given lines an implement passed along, within a tolerance, by samples of
+    each line."""
+
     def __init__(self, lines: Sequence[Polyline], tolerance_m: float) -> None:
         self.lines, self.tolerance_m = len(lines), tolerance_m
         pieces = [_samples(number, line) for number, line in enumerate(lines)]
@@ -48,7 +51,8 @@ class LineTruth:
         return at_us
 
     def shares(self, tracks: Tracks) -> Floats:
-        """Of each line, the share that any robot worked."""
+        """The share of each line that any robot worked, (lines,), from 0 to 1. Each track has a row
+        a point: see `coverage_truth.strokes_of`."""
         worked = np.zeros(len(self._table), dtype=np.bool_)
         for _, track in sorted(tracks.items()):
             worked |= self.worked_us(track) != NEVER_US
@@ -57,7 +61,8 @@ class LineTruth:
 
 
 def units_worked(lines: Sequence[Polyline], tracks: Tracks, tolerance_m: float) -> Floats:
-    """Share of each line that was worked."""
+    """Share of each line that was worked, (lines,), from 0 to 1. `lines` are points in metres; each
+    track is that of one robot."""
     return LineTruth(lines, tolerance_m).shares(tracks)
 
 

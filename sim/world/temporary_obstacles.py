@@ -22,6 +22,8 @@ DRAWS_MAX = 1_000  # for a position in the area; an area that fails this often h
 
 
 class TemporaryObstacle(NamedTuple):
+    """A box with the instants at which it appears and vanishes, and where it may stand."""
+
     birth_us: int
     expiry_us: int
     places: tuple[XY, ...]  # in order of preference
@@ -31,6 +33,7 @@ class TemporaryObstacle(NamedTuple):
 
     @property
     def radius_m(self) -> float:
+        """Of the disc round all corners of the box."""
         return hypot(self.width_m, self.depth_m) / 2
 
 

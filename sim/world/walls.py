@@ -53,6 +53,7 @@ class Grid(NamedTuple):
         return self.west_m + column * self.cell_m, self.south_m + row * self.cell_m
 
     def is_blocked(self, x_m: float, y_m: float) -> bool:
+        """Whether the cell with this point is blocked. Outside of the map nothing is."""
         column = int(np.floor((x_m - self.west_m) / self.cell_m))
         row = int(np.floor((y_m - self.south_m) / self.cell_m))
         rows, columns = self.blocked.shape

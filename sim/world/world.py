@@ -84,6 +84,9 @@ class Guard(Protocol):
 
 
 class World:
+    """Robots, fences and obstacles, moved in steps of fixed length; what is sensed and judged comes
+    from here."""
+
     def __init__(
         self,
         rings: Sequence[Sequence[XY]],
@@ -137,6 +140,7 @@ class World:
             self._physics.add_wall(a, b)
 
     def body(self, slot: int) -> RobotBody:
+        """The body of a robot that was added."""
         return self.robots[slot]
 
     @property
@@ -152,6 +156,8 @@ class World:
     def add_robot(
         self, slot: int, at: XY, radius_m: float, chassis: Chassis, heading_rad: float = 0.0
     ) -> RobotBody:
+        """Put a robot at `at`, metres east and north, at rest. Its slot may not be in the world
+        yet."""
         assert slot not in self.robots
         robot = self.robots[slot] = RobotBody(self, slot, len(self.robots), radius_m, chassis)
         key = blake2b(f"{self._seed}/wheels/{slot}".encode(), digest_size=8).digest()
@@ -174,7 +180,8 @@ class World:
         self._put = True
 
     def resume(self, now_us: int, poses: Mapping[int, tuple[float, float, float]]) -> None:
-        """Continue at that instant, with every robot standing at its given pose.
+        """Continue at that instant, with every robot standing at its given pose: metres east and
+        north, heading in radians.
 
         For a world restored by `sim.world.world_memory`; call before the first step.
         """
@@ -197,6 +204,7 @@ class World:
         return self._add((BOX, x_m, y_m, half_x, half_y, c, s), self._physics.add_box(corners))
 
     def add_disc(self, x_m: float, y_m: float, radius_m: float) -> int:
+        """Put a disc into the world; the number that is returned can be removed."""
         row = (DISC, x_m, y_m, radius_m, radius_m, 1.0, 0.0)
         return self._add(row, self._physics.add_disc(x_m, y_m, radius_m))
 
@@ -217,7 +225,7 @@ class World:
             self._physics.remove(shape)
 
     def obstacles(self) -> list[list[float]]:
-        """What is in the world besides fences and robots, as rows of `sim.world.walls`."""
+        """What is in the world besides fences and robots, as rows of `sim.world.walls`, metres."""
         rows: list[list[float]] = self._standing.tolist()
         return rows
 
@@ -361,7 +369,7 @@ class World:
         self._outside = through
 
     def ranges(self, index: int) -> tuple[float, ...]:
-        """The present ranges of the robot in that row; empty without sensors."""
+        """The present ranges in metres of the robot in that row; empty without sensors."""
         if self.lidar is None:
             return ()
         fences = self._fences

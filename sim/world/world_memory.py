@@ -27,6 +27,8 @@ WRONG = (KeyError, TypeError, ValueError, OverflowError, AttributeError)
 
 
 class WorldMemory:
+    """A file with a line for each change of the world that a later launch must know."""
+
     def __init__(self, path: Path, world: World, parcels: Parcels | None = None) -> None:
         """Set the world to the state in the file, then append to the file. Raises OSError.
 
@@ -71,6 +73,7 @@ class WorldMemory:
             self._contacts = len(world.contacts)
 
     def close(self) -> None:
+        """Close the file. What was written is kept."""
         self._file.close()
 
     def _recall(self, path: Path) -> int:
