@@ -48,6 +48,7 @@ class RecordingJournal(MemoryJournal):
         self.tape = tape
 
     def write(self, records: Iterable[Persist]) -> None:
+        """Keep the records, and note the whole batch on the tape."""
         batch = tuple(records)
         super().write(batch)
         self.tape.append(batch)

@@ -13,6 +13,8 @@ from sim.fleet.trace_recorder import Recorder
 
 
 class EffectObserver(Recorder):
+    """A trace recorder that also judges what robots send and how their lifecycle changes."""
+
     def __init__(self, robots: int) -> None:
         super().__init__()
         self.words = ProtocolRules(robots)
@@ -28,6 +30,7 @@ class EffectObserver(Recorder):
 
     @property
     def broken(self) -> list[RuleViolation]:
+        """Every rule that was broken so far, those of the lifecycle first."""
         return self._edges_broken + self.words.broken
 
     def __call__(self, slot: int, now_us: int, effect: Effect) -> None:

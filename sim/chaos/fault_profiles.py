@@ -24,6 +24,8 @@ class Span(NamedTuple):
 
     @property
     def reset_s(self) -> float:
+        """When the operator resets for the first time: the fleet needs some seconds of calm to see
+        all its stops."""
         return self.calm_s + 4.0
 
     @property
@@ -138,10 +140,12 @@ def draw(seed: int, profile: str = "all") -> Scenario:
 
 
 def span_of(scenario: Scenario) -> Span:
+    """When calm begins and the run ends, by the mission of the scenario."""
     return SPANS[scenario.mission]
 
 
 def setting_of(scenario: Scenario) -> Setting:
+    """A drill without physics, or a field with bodies, whichever the mission needs."""
     return DrillSetting(scenario) if scenario.mission in DRILLS else Setting(scenario)
 
 
@@ -154,6 +158,7 @@ def with_faults(scenario: Scenario, faults: list[Fault]) -> Scenario:
 
 
 def calm(span: Span) -> list[Fault]:
+    """The end of all trouble: links and rates are repaired, and an operator resets twice."""
     at_s = span.calm_s + 0.5
     return [
         kinds.Heal(at_s=at_s, kind="heal"),

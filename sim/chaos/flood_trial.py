@@ -52,6 +52,8 @@ class Flood(NamedTuple):
 
 
 class Result(NamedTuple):
+    """What one flood did to a fleet."""
+
     flood: Flood
     late: int  # robots that were commanded to move, or moved, after the bound of a press
     wire_s: float  # from the end of the flood until every robot's frame has left; inf: never
@@ -61,6 +63,8 @@ class Result(NamedTuple):
 
     @property
     def broken(self) -> bool:
+        """Whether a robot moved after the bound of a press, or the wire or the fleet took too long
+        to recover."""
         slow = max(self.wire_s, self.fleet_s) > RECOVER_US / S
         return bool(self.late) or slow
 
@@ -87,6 +91,8 @@ def draw(
 
 
 class Trial:
+    """A fleet at work, a device that floods its bus, and people who press meanwhile."""
+
     def __init__(self, flood: Flood) -> None:
         self.flood, self.swarm = flood, EventLoop()
         scenario = load(FLEETS[flood.robots]).changed(flood.robots, flood.seed, faults=())
@@ -97,6 +103,7 @@ class Trial:
         self.cluster.stops.bound_us = beat_of(flood.robots).silence_us + REACTION_US
 
     def run(self) -> Result:
+        """Play the trial to its end."""
         self.cluster.boot_all()
         try:
             return self.swarm.run(self._story())

@@ -157,6 +157,7 @@ def memory(data: bytes) -> None:
 
 
 def stop_set(data: bytes) -> None:
+    """A stop set that can be read is written back equal; anything else is a ValueError."""
     try:
         stops = StopSet.deserialize(data)
     except ValueError:
@@ -165,6 +166,7 @@ def stop_set(data: bytes) -> None:
 
 
 def allocation(data: bytes) -> None:
+    """Registers that can be read are written back equal; anything else is a ValueError."""
     try:
         replica = FieldAllocationCRDT.deserialize(data)
     except ValueError:
@@ -173,6 +175,8 @@ def allocation(data: bytes) -> None:
 
 
 def progress(data: bytes) -> None:
+    """Progress that can be read stays within the units of its sections, and is written back with an
+    equal digest."""
     try:
         replica = Progress.deserialize(data, UNITS)
     except ValueError:
@@ -182,6 +186,7 @@ def progress(data: bytes) -> None:
 
 
 def occupancy(data: bytes) -> None:
+    """A map that can be read is written back equal; anything else is a ValueError."""
     try:
         replica = OccupancyMap.deserialize(data)
     except ValueError:
@@ -225,6 +230,7 @@ def sqlite_journal(data: bytes) -> None:
 
 
 def scenario(data: bytes) -> None:
+    """A scenario file is loaded, or refused with a ScenarioError of one line."""
     path = _scratch("scenario.toml", data)
     try:
         load(str(path))
@@ -233,6 +239,7 @@ def scenario(data: bytes) -> None:
 
 
 def key_file(data: bytes) -> None:
+    """A file of keys is read, or refused with a KeyFileError of one line."""
     path = _scratch("keys.json", data)
     path.chmod(0o600)
     try:
@@ -242,6 +249,7 @@ def key_file(data: bytes) -> None:
 
 
 def field_file(data: bytes) -> None:
+    """A GeoJSON boundary is read, or refused with a FieldFileError of one line."""
     path = _scratch("field.geojson", data)
     try:
         read_boundary(path)
@@ -250,10 +258,12 @@ def field_file(data: bytes) -> None:
 
 
 def task_data(data: bytes) -> None:
+    """The XML of ISO 11783-10 is read, or refused with a FieldFileError of one line."""
     _boundary(_scratch("TASKDATA.XML", data))
 
 
 def task_zip(data: bytes) -> None:
+    """A zip with ISO 11783-10 data is read, or refused with a FieldFileError of one line."""
     _boundary(_scratch("taskdata.zip", data))
 
 
@@ -265,6 +275,7 @@ def _boundary(path: Path) -> None:
 
 
 def grid_map(data: bytes) -> None:
+    """A Moving-AI floor is read, or refused with a GridFileError of one line."""
     try:
         read_map(_scratch("floor.map", data))
     except GridFileError as problem:
@@ -272,6 +283,7 @@ def grid_map(data: bytes) -> None:
 
 
 def grid_instance(data: bytes) -> None:
+    """Starts for a map are read, or refused with a GridFileError of one line."""
     _scratch("floor.map", GRID)
     try:
         read_instance(_scratch("robots.mcpp", data))
@@ -280,6 +292,7 @@ def grid_instance(data: bytes) -> None:
 
 
 def grid_plan(data: bytes) -> None:
+    """A plan of actions is read, or refused with a GridFileError of one line."""
     try:
         read_plan(_scratch("plan.json", data))
     except GridFileError as problem:
@@ -287,6 +300,7 @@ def grid_plan(data: bytes) -> None:
 
 
 def mcap(data: bytes) -> None:
+    """A recording is read, or refused with a ValueError of one line."""
     try:
         read_recording(_scratch("run.mcap", data))
     except ValueError as problem:
@@ -294,6 +308,8 @@ def mcap(data: bytes) -> None:
 
 
 def candump(data: bytes) -> None:
+    """Lines that can be read are frames of at most 8 bytes with 29-bit identifiers; others are
+    skipped."""
     for t_us, sent in read_candump(_scratch("can.log", data)):
         assert t_us >= 0 and len(sent.data) <= 8 and sent.identifier >> 29 == 0
 

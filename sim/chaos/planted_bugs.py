@@ -42,6 +42,8 @@ from sim.world.robot_body import RobotBody
 
 @dataclass(frozen=True)
 class Mutant:
+    """One planted bug: what it replaces where, and the profile that should find it."""
+
     about: str
     where: Any
     name: str

@@ -90,6 +90,8 @@ class Files:
         self.unsynced: list[Step] = []
 
     def take(self, step: Step) -> None:
+        """Apply one recorded step. A sync makes the writes to its file durable, and deletions that
+        came before them."""
         if step.kind != "sync":
             self.unsynced.append(step)
         if step.kind == "sync" or (step.kind == "delete" and step.at):

@@ -36,7 +36,7 @@ CONTESTED_US = CONTENTION_US * 98 // 100  # by the robot's clock, which may drif
 
 
 class RuleViolation(NamedTuple):
-    """A violation of a rule."""
+    """Which rule was broken when, with a sentence that says how."""
 
     rule: str
     t_s: float
@@ -69,6 +69,8 @@ class RobotStatements:
 
 
 class ProtocolRules:
+    """Judges every frame that robots send against what they sent before and what people cleared."""
+
     def __init__(self, robots: int) -> None:
         self.robots = robots
         self.speakers: defaultdict[int, RobotStatements] = defaultdict(RobotStatements)
@@ -130,6 +132,7 @@ class ProtocolRules:
     # ---------------------------------------------------------------- frames of robots
 
     def said(self, slot: int, now_us: int, message: Message) -> None:
+        """Judge one message that robot `slot` has sent, at the time of the observer's clock."""
         speaker = self.speakers[slot]
         if speaker.old_name is not None and now_us > speaker.pressed_us:
             self._add(

@@ -68,6 +68,9 @@ class StopEarly(Exception):
 
 
 class ScenarioJudge:
+    """A run under all checkers; `run` plays it, then `broken`, `faults` and `outcome` say what
+    happened."""
+
     def __init__(self, scenario: Scenario, first_only: bool = False) -> None:
         """`first_only`: end the run within a second of the first violation."""
         self.first_only = first_only
@@ -92,6 +95,8 @@ class ScenarioJudge:
         self._excused: list[tuple[int, int]] = []  # (robot, time) of a push or a box before it
 
     def run(self) -> "ScenarioJudge":
+        """Play the scenario to its end, or to the first violation with `first_only`, and judge what
+        is left to judge."""
         kind = ProtocolRun if self.scenario.mission in DRILLS else FieldRun
         run = kind(self.setting, attach=self._attach)
         run.recorder = self.witness

@@ -37,6 +37,9 @@ RULES = {
 
 
 class Verdict(NamedTuple):
+    """What came of one run: broken rules, faults that were injected by kind, and the hash of the
+    trace."""
+
     seed: int
     broken: tuple[RuleViolation, ...]
     faults: Counter[str]
@@ -46,10 +49,13 @@ class Verdict(NamedTuple):
 
     @property
     def ok(self) -> bool:
+        """Whether every rule was kept."""
         return not self.broken
 
 
 def judge(scenario: Scenario, first_only: bool = False) -> Verdict:
+    """Play one scenario under all checkers. With `first_only` the run ends soon after the first
+    violation."""
     play = ScenarioJudge(scenario, first_only).run()
     assert all(broken.rule in RULES for broken in play.broken)
     return Verdict(

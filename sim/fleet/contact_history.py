@@ -15,6 +15,9 @@ MET_US = 3 * S
 
 
 class ContactHistory:
+    """Follows which robots were connected long enough to know each other, and which hang or are
+    doubled."""
+
     def __init__(self, wire: Wire) -> None:
         self.wire = wire
         self._looked_us = 0
@@ -32,9 +35,11 @@ class ContactHistory:
         self._hangs_until_us[slot] = max(until_us, self._hangs_until_us.get(slot, 0))
 
     def is_hung(self, slot: int, now_us: int) -> bool:
+        """Whether the process of this robot does nothing at `now_us`."""
         return now_us < self._hangs_until_us.get(slot, 0)
 
     def hung_since_us(self, slot: int, now_us: int) -> int | None:
+        """When the process of this robot stopped running; None if it runs."""
         return self._hangs_since_us[slot] if self.is_hung(slot, now_us) else None
 
     def doubled(self, slot: int, until_us: int) -> None:
@@ -76,5 +81,5 @@ class ContactHistory:
                     self._met.add(pair)
 
     def met(self, hearer: int, speaker: int) -> bool:
-        """Whether the receiver has met the sender since its own power-up."""
+        """Whether the robot `hearer` has met the robot `speaker` since its own power-up."""
         return (hearer, speaker) in self._met

@@ -24,12 +24,15 @@ Call = Callable[[], object]
 
 
 class Timer:
+    """A call that is due later."""
+
     __slots__ = ("call", "cancelled")
 
     def __init__(self, call: Call) -> None:
         self.call, self.cancelled = call, False
 
     def cancel(self) -> None:
+        """Do not make the call. The entry stays in the heap until its time."""
         self.cancelled = True
 
 
@@ -49,6 +52,7 @@ class SimulatedRunner(PeerRunner):
         self._arm()
 
     def end(self) -> None:
+        """Take no more turns."""
         self._over = True
 
     def drift(self, ppm: float) -> None:
@@ -124,21 +128,27 @@ class SimulatedRunner(PeerRunner):
 
 
 class ShellHandle:
+    """A runner that was started on the plain loop."""
+
     def __init__(self, shell: SimulatedRunner) -> None:
         self.shell, self._done = shell, False
 
     def begin(self) -> None:
+        """Let the runner take its first turn, unless it was cancelled before."""
         if not self._done:
             self.shell.begin()
 
     def cancel(self) -> None:
+        """End the runner."""
         self._done = True
         self.shell.end()
 
     def done(self) -> bool:
+        """Whether it has ended."""
         return self._done
 
-    def check(self) -> None: ...  # an exception here is not stored: it ends the run
+    def check(self) -> None:  # an exception here is not stored: it ends the run
+        """Nothing: exceptions are raised where they happen."""
 
 
 class ScriptHandle:
@@ -163,17 +173,23 @@ class ScriptHandle:
         self.swarm.at(until_us, lambda: self.swarm.soon(self._step))
 
     def cancel(self) -> None:
+        """Close the script where it waits."""
         if not self._done:
             self._done = True
             self.script.close()
 
     def done(self) -> bool:
+        """Whether it has ended."""
         return self._done
 
-    def check(self) -> None: ...
+    def check(self) -> None:
+        """Nothing: exceptions are raised where they happen."""
 
 
 class EventLoop:
+    """A clock in microseconds that jumps from timer to timer, and the calls that are ready now, in
+    their order."""
+
     def __init__(self) -> None:
         self.time_us = 0
         self._order = 0
@@ -181,29 +197,37 @@ class EventLoop:
         self._ready: list[Call] = []
 
     def now_us(self) -> int:
+        """The present virtual time."""
         return self.time_us
 
     def soon(self, call: Call) -> None:
+        """Make a call in this instant, after those that wait already."""
         self._ready.append(call)
 
     def at(self, t_us: int, call: Call) -> Timer:
+        """Make a call at `t_us`. Of calls at one instant the one that was asked for first comes
+        first."""
         self._order += 1
         timer = Timer(call)
         heappush(self._timers, (t_us, self._order, timer))
         return timer
 
     def shell(self, *parts: Any) -> PeerRunner:
+        """A runner of a peer, from the arguments of `PeerRunner`, which takes its time from this
+        loop."""
         shell = SimulatedRunner(*parts)
         shell.swarm, shell.clock = self, shell.local_us
         return shell
 
     def start(self, shell: PeerRunner) -> ShellHandle:
+        """Let a runner take its turns from now on."""
         assert isinstance(shell, SimulatedRunner)
         handle = ShellHandle(shell)
         self.soon(handle.begin)
         return handle
 
     def spawn(self, script: Script[Any]) -> ScriptHandle:
+        """Follow a script, which yields the instants at which it goes on."""
         return ScriptHandle(self, script)
 
     def run(self, main: Script[T]) -> T:

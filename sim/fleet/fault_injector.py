@@ -52,6 +52,8 @@ class FaultPlan:
         await follow(self.script())
 
     def script(self) -> Script[None]:
+        """Wait for the time of each fault, the earliest first, and apply it. What a fault does
+        later is a script of its own."""
         for fault in sorted(self.cluster.scenario.fault, key=lambda f: f.at_s):
             yield round(fault.at_s * S)
             self.done.append((self.cluster.host.now_us() / S, fault.kind))

@@ -10,6 +10,8 @@ COVERAGE_MIN = 0.99995  # prints as 100.00 %
 
 
 class Outcome(NamedTuple):
+    """The figures of one run, as its report has them."""
+
     scenario: str
     robots: int
     seed: int
@@ -53,6 +55,8 @@ class Outcome(NamedTuple):
 
     @property
     def success(self) -> bool:
+        """Whether all reachable ground is worked, nobody touched anything or moved after a stop,
+        and all replicas are equal."""
         return (
             self.finished
             and self.reached >= COVERAGE_MIN
@@ -62,6 +66,7 @@ class Outcome(NamedTuple):
         )
 
     def to_dict(self) -> dict[str, Any]:
+        """The figures as plain values for JSON."""
         return {
             **self._asdict(), "frames": dict(self.frames), "success": self.success,
             "unreached": [part._asdict() for part in self.unreached],

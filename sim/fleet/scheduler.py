@@ -19,33 +19,49 @@ Script = Generator[int, None, T]
 class Handle(Protocol):
     """Something that was started."""
 
-    def cancel(self) -> object: ...
-    def done(self) -> bool: ...
+    def cancel(self) -> object:
+        """End what was started."""
+
+    def done(self) -> bool:
+        """Whether it has ended."""
+
     def check(self) -> None:
         """Raise the exception that it has raised, if any."""
         ...
 
 
 class Host(Protocol):
-    def now_us(self) -> int: ...
-    def shell(self, *parts: Any) -> PeerRunner: ...
-    def start(self, shell: PeerRunner) -> Handle: ...
-    def spawn(self, script: Script[Any]) -> Handle: ...
+    """A clock, and runners and scripts on it: the asyncio loop or the plain one."""
+
+    def now_us(self) -> int:
+        """The present time of this host."""
+
+    def shell(self, *parts: Any) -> PeerRunner:
+        """A runner of a peer, from the arguments of `PeerRunner`."""
+
+    def start(self, shell: PeerRunner) -> Handle:
+        """Let a runner take its turns."""
+
+    def spawn(self, script: Script[Any]) -> Handle:
+        """Follow a script, which yields the instants at which it goes on."""
 
 
 class TaskHandle:
-    """An asyncio task."""
+    """The handle of something that runs as a task of asyncio."""
 
     def __init__(self, task: "asyncio.Task[Any]") -> None:
         self.task = task
 
     def cancel(self) -> None:
+        """Ask the task to end."""
         self.task.cancel()
 
     def done(self) -> bool:
+        """Whether it has ended."""
         return self.task.done()
 
     def check(self) -> None:
+        """Raise the exception with which the task ended, if it did."""
         if self.task.done() and not self.task.cancelled():
             self.task.result()
 
@@ -57,15 +73,19 @@ class LoopHost:
         self._tasks: set[asyncio.Task[Any]] = set()
 
     def now_us(self) -> int:
+        """The time of the asyncio loop."""
         return PeerRunner.now_us()
 
     def shell(self, *parts: Any) -> PeerRunner:
+        """A plain runner of a peer."""
         return PeerRunner(*parts)
 
     def start(self, shell: PeerRunner) -> Handle:
+        """Run a runner as a task."""
         return self._keep(asyncio.create_task(shell.run(), name=f"robot {shell.peer.slot}"))
 
     def spawn(self, script: Script[Any]) -> Handle:
+        """Follow a script as a task."""
         return self._keep(asyncio.create_task(follow(script)))
 
     def _keep(self, task: "asyncio.Task[Any]") -> TaskHandle:
@@ -74,6 +94,7 @@ class LoopHost:
         return TaskHandle(task)
 
     async def close(self) -> None:
+        """Cancel every task that is left and wait for their ends."""
         tasks = list(self._tasks)
         for task in tasks:
             task.cancel()

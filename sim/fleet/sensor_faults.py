@@ -62,6 +62,8 @@ class ReceivedBody:
         self.receiver = receiver
 
     def sense(self, now_us: int) -> Observation | None:
+        """What the receiver passes on now, with its time by the robot's clock; None if nothing
+        arrives."""
         world_us = self._now_us()
         sensed = self._sense(world_us)
         seen = None if sensed is None else self.receiver.tells(sensed, world_us)
@@ -70,4 +72,5 @@ class ReceivedBody:
         return seen._replace(sensed_at_us=now_us - (world_us - seen.sensed_at_us))
 
     def drive(self, command: Drive, now_us: int) -> None:
+        """Pass the command on at the world's time."""
         self._drive(command, self._now_us())

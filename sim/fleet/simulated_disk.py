@@ -31,9 +31,11 @@ class MemoryJournal:
         self.writes = 0
 
     def load(self) -> Mapping[str, bytes]:
+        """A copy of all records."""
         return dict(self.records)
 
     def write(self, records: Iterable[Persist]) -> None:
+        """Keep the newest value of each key."""
         self.writes += 1
         self.records.update(records)
 
@@ -53,10 +55,12 @@ class Disk:
         self.fail_at = self.steps + 1
 
     def write(self, at: int, data: bytes) -> None:
+        """Write bytes from position `at` on. They are durable only after the next sync."""
         self._step()
         self._unsynced.append((at, bytes(data)))
 
     def sync(self) -> None:
+        """Make everything durable that was written before."""
         self._step()
         for at, data in self._unsynced:
             _put(self._synced, at, data)
@@ -152,6 +156,7 @@ class LogJournal:
         return LogJournal(self.disk.after_cut(rng), mark=self.mark)
 
     def load(self) -> Mapping[str, bytes]:
+        """The newest value of each key, from the batches that were whole."""
         return dict(self._records)
 
     def write(self, records: Iterable[Persist]) -> None:

@@ -68,10 +68,12 @@ class Robot:
 
     @property
     def peer(self) -> Peer:
+        """The core that its runner drives."""
         return self.shell.peer
 
     @property
     def running(self) -> bool:
+        """Whether its power is on."""
         return self.task is not None and not self.task.done()
 
 
@@ -107,6 +109,9 @@ def peer_of(
 
 
 class Cluster:
+    """All robots of a setting on one simulated bus and in one world, with switches for power, cuts
+    and faults."""
+
     def __init__(
         self,
         setting: AnySetting,
@@ -267,9 +272,11 @@ class Cluster:
         self.acquaintance.look(self.host.now_us(), nodes)
 
     def node_of(self, slot: int) -> int:
+        """Number of a robot's controller on the wire."""
         return self.robots[slot].bus.node
 
     def partition(self, islands: list[set[int]]) -> None:
+        """Cut the bus into islands of robots. Slots that are not in the fleet are ignored."""
         nodes = [
             {self.node_of(slot) for slot in island if slot in self.robots} for island in islands
         ]
@@ -326,6 +333,7 @@ class Cluster:
 
     @property
     def running(self) -> list[Robot]:
+        """The robots whose power is on, in slot order."""
         return [robot for _, robot in sorted(self.robots.items()) if robot.running]
 
     @property
@@ -351,6 +359,7 @@ class Cluster:
         self.end()
 
     def end(self) -> None:
+        """Close all buses and forget the channel. The cluster cannot be used afterwards."""
         for robot in self.robots.values():
             robot.shell.bus.close()
         if self._tool is not None:

@@ -24,12 +24,17 @@ def motions(world: World) -> MotionAfterStopChecker | CommandChecker:
 
 
 class Stage(IntEnum):
+    """How far people have come with the release of a stopped robot."""
+
     PRESSED = 0
     CLEARED = 1
     RESET = 2
 
 
 class StopMonitor:
+    """Follows presses, resets and starts of people, and tells the checker which robots must stand
+    from when to when."""
+
     def __init__(
         self,
         world: World,
@@ -60,6 +65,7 @@ class StopMonitor:
 
     @property
     def violations(self) -> list[Violation]:
+        """Movements that a stop forbade."""
         return self.checker.violations
 
     def pressed(
@@ -111,6 +117,8 @@ class StopMonitor:
         return set() if number is None else set(self._levels.get(number, ()))
 
     def end_level(self, number: int | None) -> None:
+        """End the stop of a shortcut button, by its number; None and numbers that are not in force
+        do nothing."""
         if number is not None and number in self._levels:
             del self._levels[number]
             self.checker.release(number)

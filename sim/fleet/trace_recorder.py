@@ -16,6 +16,9 @@ HANDFUL = 64
 
 
 class Recorder:
+    """Takes every effect of every robot; hashes it, counts lost claims, and writes it to a file if
+    there is one."""
+
     def __init__(self, path: Path | None = None) -> None:
         self._hashes: dict[int, blake2b] = {}
         self._waiting: dict[int, list[bytes]] = {}  # for the hash, which is fed by the handful
@@ -61,6 +64,8 @@ class Recorder:
 
     @property
     def digest(self) -> str:
+        """One hash over all robots in slot order, so that the order of events of one instant does
+        not count."""
         for slot in self._waiting:
             self._feed(slot)
         total = blake2b(digest_size=8)
@@ -69,5 +74,6 @@ class Recorder:
         return total.hexdigest()
 
     def close(self) -> None:
+        """Close the file, if there is one."""
         if self._file is not None:
             self._file.close()

@@ -16,6 +16,9 @@ ENOUGH = 2
 
 
 class TransportClient:
+    """Gives each order a task number, says it until enough robots know it, and takes another number
+    where two devices used one."""
+
     def __init__(self, known: int = 0) -> None:
         """`known`: all robots know tasks below this number from the start."""
         self.wanted: dict[
@@ -27,11 +30,14 @@ class TransportClient:
         self._count = 0
 
     def order(self, orders: Sequence[TransportTask]) -> None:
+        """Order transports, each under the next number that is free."""
         for order in orders:
             self.wanted[self._free()] = (self._count, order)
             self._count += 1
 
     def hear(self, source: int, message: Message) -> None:
+        """Learn from the bus which robots know which tasks, and which numbers other devices have
+        used."""
         if isinstance(message, TaskBookDigest):
             self.robots.add(source)
             for k in range(BUCKET_TASKS):
@@ -54,6 +60,7 @@ class TransportClient:
         return max(self._first_free, *(number + 1 for number in self.wanted), 0)
 
     def confirmed(self, number: int) -> bool:
+        """Whether two robots, or all there are, know the task with this number."""
         enough = min(ENOUGH, len(self.robots))
         return bool(enough) and len(self._sure.get(number, ())) >= enough
 

@@ -46,6 +46,9 @@ class _Jump(selectors.DefaultSelector):
 
 
 class VirtualLoop(asyncio.SelectorEventLoop):
+    """An asyncio loop whose time stands while any task can run. Timers of one instant fire in the
+    order of their making."""
+
     def __init__(self) -> None:
         self._jump = _Jump()
         self._orders = 0
@@ -53,6 +56,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         self._clock_resolution = 5e-7  # half of the clock's step: a timer due now is due
 
     def time(self) -> float:
+        """Virtual time in seconds since the loop began."""
         return self._jump.now_us / 1_000_000
 
     def call_at(  # type: ignore[override]
@@ -62,6 +66,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         *args: Any,
         context: Context | None = None,
     ) -> events.TimerHandle:
+        """Make a call when the virtual time is `when`, in seconds."""
         self._check_closed()  # type: ignore[attr-defined]
         timer = _OrderedTimer(when, callback, args, self, context)
         self._orders += 1
@@ -80,6 +85,7 @@ class WallLoop(asyncio.SelectorEventLoop):
         self._zero_s = super().time()
 
     def time(self) -> float:
+        """Seconds since this loop began."""
         return super().time() - self._zero_s
 
 

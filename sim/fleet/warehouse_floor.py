@@ -24,6 +24,8 @@ BOX_CLEAR_M = 2.0  # a box never falls on a robot, nor right before one
 
 
 class WarehouseFloor:
+    """Where parcels, boxes and bays are, what the operator orders, and what fails when."""
+
     def __init__(
         self, setting: DeliverySetting, world: World, now_us: Callable[[], int],
         is_up: Callable[[int], bool], say: Callable[[Message], None],

@@ -47,6 +47,8 @@ def robot_entity(t_us: int, intent: Values, radius_m: float) -> Values:
 
 
 def log_line(t_us: int, slot: int, trace: Trace) -> Values:
+    """One `foxglove.Log` message: what a robot did and why. A change to EMERGENCY_STOP is a
+    warning."""
     parts = (trace.machine, trace.source, trace.event, trace.target, trace.why)
     return {
         "timestamp": _time(t_us), "level": WARNING if trace.target == "EMERGENCY_STOP" else INFO,

@@ -67,6 +67,7 @@ class IntentListener(Link):
             self.heard(intent)
 
     async def run(self) -> None:
+        """Ask robots for their intents again and again, until the task is cancelled."""
         while True:
             self.send(MAGIC_WATCH)
             await asyncio.sleep(HELLO_S)

@@ -28,6 +28,9 @@ FAST = 1  # level of zlib: a tenth of a millisecond for an intent
 
 
 class LiveRecording(Recording):
+    """A recording that forgets: the newest frames are kept, intents finely for a short time and
+    coarsely for a long one."""
+
     def __init__(self, scene: Scene | None = None) -> None:
         super().__init__(scene)
         self.forgets = True
@@ -55,9 +58,11 @@ class LiveRecording(Recording):
         return self._t_us[at], Frame(self._identifiers[at], data)
 
     def t_us(self, number: int) -> int:
+        """When the frame with this number was heard. The frame must still be kept."""
         return self._t_us[number % FRAMES]
 
     def tell(self, t_us: int, intent: dict[str, Any]) -> None:
+        """Keep an intent in the fine ring, and now and then in the coarse one."""
         self._fine.append(t_us, intent)
         slot = int(intent["slot"])
         if t_us - self._coarse_us.get(slot, t_us - COARSE_US) >= COARSE_US:
@@ -103,6 +108,7 @@ class NoteRing:
 
     @property
     def from_us(self) -> int:
+        """Time of the oldest note that is kept; 0 if there is none."""
         return self._t_us[self.first % self._rows] if self.count else 0
 
     def between(self, from_us: int, until_us: int) -> Notes:

@@ -35,16 +35,21 @@ class Link(asyncio.Protocol):
         self._received = bytearray()
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Keep the transport (asyncio calls it)."""
         self._transport = cast(asyncio.Transport, transport)
 
     def connection_lost(self, problem: Exception | None) -> None:
+        """Forget the transport; what is sent from now on is dropped."""
         self._transport = None
 
     @property
     def open(self) -> bool:
+        """Whether messages can still be sent."""
         return self._transport is not None and not self._transport.is_closing()
 
     def data_received(self, data: bytes) -> None:
+        """Cut what arrived into messages by their length, and pass each on. A length above
+        `MESSAGE_MAX` ends the link."""
         self._received += data
         while len(self._received) >= LENGTH.size:
             (length,) = LENGTH.unpack_from(self._received)
@@ -73,6 +78,7 @@ class Link(asyncio.Protocol):
         transport.write(LENGTH.pack(len(message)) + message)
 
     def end(self) -> None:
+        """Break the connection now, without sending what waits."""
         if self._transport is not None:
             self._transport.abort()
 

@@ -104,6 +104,7 @@ class McapLog:
         return self._file.tell()
 
     def write(self, t_us: int, frame: Frame) -> None:
+        """Append a frame to the topic `/can`."""
         seconds, micros = divmod(t_us, 1_000_000)
         data = CDR.pack(
             LITTLE_ENDIAN, seconds, micros * 1000, len(CHANNEL), CHANNEL, frame.identifier, False,
@@ -112,6 +113,7 @@ class McapLog:
         self._writer.add_message(self._can, t_us * 1000, data, t_us * 1000)
 
     def tell(self, t_us: int, intent: dict[str, Any]) -> None:
+        """Append an intent to the topic of its robot, and now and then its picture to `/scene`."""
         slot = int(intent["slot"])
         self._add(f"/robots/{slot}", INTENT, t_us, intent_message(intent))
         if t_us - self._drawn_us.get(slot, -SCENE_EVERY_US) >= SCENE_EVERY_US:
@@ -121,6 +123,7 @@ class McapLog:
             self._add("/scene", SCENE_UPDATE, t_us, {"entities": [entity], "deletions": []})
 
     def place(self, t_us: int, rows: Iterable[Iterable[float]]) -> None:
+        """Append the obstacles that stand from `t_us` on: rows of `sim.world.walls`, metres."""
         self._add("/things", THINGS, t_us, things_message([list(row) for row in rows]))
 
     def effect(self, slot: int, t_us: int, effect: Effect) -> None:
@@ -144,6 +147,7 @@ class McapLog:
         return self._schemas[name]
 
     def close(self) -> None:
+        """Write the index and close the file. Without it a reader has to search the whole file."""
         self._writer.finish()  # type: ignore[no-untyped-call]
         self._file.close()
 

@@ -164,11 +164,14 @@ def intent_of_message(message: dict[str, Any]) -> dict[str, Any]:
 
 
 def things_message(rows: list[list[float]]) -> dict[str, Any]:
+    """A message with an object for each row of `sim.world.walls` (metres), so that Foxglove accepts
+    it."""
     return {"rows": [dict(zip(THING, row, strict=True)) for row in rows]}
 
 
 def things_of_message(message: dict[str, Any]) -> list[list[float]]:
-    """Also for files with rows of numbers. KeyError, TypeError, ValueError."""
+    """Rows of `sim.world.walls`, metres, from a message, also from older files with rows of
+    numbers. Raises KeyError, TypeError or ValueError for anything else."""
     return [
         [row[name] for name in THING] if isinstance(row, dict) else list(row)
         for row in message["rows"]

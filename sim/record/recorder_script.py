@@ -13,10 +13,13 @@ EVERY_US = 200_000
 
 
 class RecordingSink(Protocol):
-    """A recording, or a file of one."""
+    """What takes intents and obstacles while a run goes on: memory, or an MCAP file."""
 
-    def tell(self, t_us: int, intent: dict[str, Any]) -> None: ...
-    def place(self, t_us: int, rows: list[list[float]]) -> None: ...
+    def tell(self, t_us: int, intent: dict[str, Any]) -> None:
+        """Keep the intent of one robot, see `sim.record.robot_intent`."""
+
+    def place(self, t_us: int, rows: list[list[float]]) -> None:
+        """Keep the obstacles that stand from `t_us` on: rows of `sim.world.walls`, metres."""
 
 
 def watch(cluster: Cluster, keepers: Sequence[RecordingSink]) -> None:

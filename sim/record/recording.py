@@ -21,6 +21,8 @@ Notes = list[tuple[int, dict[str, Any]]]  # microseconds, plain values
 
 
 class Recording:
+    """Frames as columns, intents and obstacles with their times, and the scene they belong to."""
+
     def __init__(self, scene: Scene | None = None) -> None:
         self.scene = scene
         self.first, self.count = 0, 0  # frames `first` .. `count` - 1 are kept
@@ -53,6 +55,7 @@ class Recording:
         self.clock, self._since_us = clock, clock()
 
     def close(self) -> None:
+        """Nothing more will come: a player may stop at the end."""
         self.ended = True
 
     def _drop(self) -> None:
@@ -67,10 +70,12 @@ class Recording:
             del notes[: bisect_left(notes, self.from_us, key=lambda note: note[0])]
 
     def tell(self, t_us: int, intent: dict[str, Any]) -> None:
+        """Keep an intent of one robot, see `sim.record.robot_intent`."""
         self.intents.append((t_us, intent))
 
     def place(self, t_us: int, rows: Iterable[Iterable[float]]) -> None:
-        """Obstacles as rows of `sim.world.walls`: shape, x, y, half sides, cosine and sine."""
+        """Keep obstacles as rows of `sim.world.walls`, metres: shape, x, y, half sides, cosine and
+        sine."""
         self.things.append((t_us, {"rows": [list(row) for row in rows]}))
 
     def intents_at(self, now_us: int) -> Notes:
@@ -85,10 +90,12 @@ class Recording:
         return self._t_us[at], Frame(self._identifiers[at], data)
 
     def t_us(self, number: int) -> int:
+        """When the frame with this number was heard. The frame must still be kept."""
         return self._t_us[number - self.first]
 
     @property
     def from_us(self) -> int:
+        """Time of the oldest frame that is kept, or since when nothing was heard."""
         return self.t_us(self.first) if self.count > self.first else self._since_us
 
     @property
@@ -123,6 +130,7 @@ class FramesDigest:
         self._hash = blake2b(digest_size=8)
 
     def write(self, t_us: int, frame: Frame) -> None:
+        """Add one frame. Its time does not count, because formats round it."""
         self._hash.update(frame.identifier.to_bytes(4, "little") + bytes((len(frame.data),)))
         self._hash.update(frame.data)
 
@@ -131,4 +139,5 @@ class FramesDigest:
 
     @property
     def hex(self) -> str:
+        """The hash so far, in hexadecimal."""
         return self._hash.hexdigest()

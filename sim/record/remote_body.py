@@ -32,6 +32,7 @@ DRIFT_SHARE = 1e-4  # limit for how much faster than ours the world's clock may 
 
 
 def sense_bytes(slot: int, seen: Observation) -> bytes:
+    """An observation as one message: a fixed head, up to `PARCELS_MAX` parcels, then the ranges."""
     parcels = sorted(seen.parcels.items())[:PARCELS_MAX]
     head = SENSE.pack(
         MAGIC_SENSE, slot, seen.sensed_at_us, *seen[:5], seen.battery, seen.load, len(parcels)
@@ -75,12 +76,16 @@ class BodyServer:
         return await self.server.start(folder)
 
     def close(self) -> None:
+        """Accept no more robots."""
         self.server.close()
 
     def now_us(self) -> int:
+        """Microseconds of the world, which began at `zero_us` of the loop."""
         return round(asyncio.get_running_loop().time() * 1e6) - self.zero_us
 
     def take(self, data: bytes, link: Link) -> None:
+        """Obey a drive command or a greeting, and answer with what the body senses. Anything
+        malformed is counted and dropped."""
         if self.relay.take(data, link):
             return
         if len(data) != DRIVE.size or data[:4] not in (MAGIC_DRIVE, MAGIC_HELLO):
@@ -170,6 +175,7 @@ class RemoteBody(Link):
         return self.seen
 
     def drive(self, command: Drive, now_us: int) -> None:
+        """Send a command to the world's process."""
         self._say(MAGIC_DRIVE, command)
 
     def tell(self, data: bytes) -> None:

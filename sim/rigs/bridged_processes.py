@@ -32,11 +32,13 @@ class Program:
         )  # fmt: skip
 
     def ask(self, order: dict[str, Any]) -> dict[str, Any]:
+        """Send one line and return the answer to it."""
         assert self.process.stdin is not None
         self.process.stdin.write(json.dumps(order) + "\n")
         return self.answer()
 
     def answer(self) -> dict[str, Any]:
+        """Wait for the next line. AssertionError if the process has ended."""
         assert self.process.stdout is not None
         line = self.process.stdout.readline()
         assert line, f"it has ended with {self.process.poll()}"
@@ -44,6 +46,7 @@ class Program:
         return answer
 
     def kill(self) -> None:
+        """Kill the process, wait for its end, and close its pipes."""
         self.process.kill()
         self.process.wait()
         for pipe in (self.process.stdin, self.process.stdout):
@@ -66,6 +69,7 @@ class BridgedSegments:
         self.count = segments
 
     def start_hosts(self, robots: int = ROBOTS) -> None:
+        """Start a server with so many robots for each segment, and note the port of each."""
         for number in range(1, self.count + 1):
             self._start_host(number, robots, 0)
         for number, host in self.hosts.items():
@@ -87,6 +91,7 @@ class BridgedSegments:
         assert self.hosts[number].answer()["port"] == self.ports[number]
 
     def start_gateway(self, number: int, *options: str, area: Path | None = None) -> Program:
+        """Start `headland bridge` on the segment with this number, with these further options."""
         borders = () if area is None else ("--area", str(area))
         command = [
             *self.prefix(number), sys.executable, "-m", "tools.cli.headland", "bridge",
@@ -97,10 +102,12 @@ class BridgedSegments:
         return gateway
 
     def state(self, number: int) -> dict[str, Any]:
+        """What the robots of a segment report now, see `SegmentHost.state`."""
         return self.hosts[number].ask({"do": "state"})
 
     def wait(self, what: str, holds: Callable[[], bool], limit_s: float = BOOT_S) -> float:
-        """Seconds until the condition held; AssertionError if it never did."""
+        """Wait until `holds` is true, and return how long that took, in seconds. AssertionError
+        with the state of all segments if it was not within `limit_s`."""
         begun_s = time.monotonic()
         while not holds():
             waited_s = time.monotonic() - begun_s
@@ -110,7 +117,8 @@ class BridgedSegments:
         return time.monotonic() - begun_s
 
     def wait_reached(self, others: int, limit_s: float = BOOT_S) -> float:
-        """Wait until all robots of all segments know that this many other segments are reached."""
+        """Wait until all robots of all segments know that this many other segments are reached;
+        returns seconds."""
 
         def reached() -> bool:
             states = [self.state(number) for number in self.hosts]
@@ -137,6 +145,7 @@ class BridgedSegments:
         return (last_us - float(pressed_us)) / 1e3
 
     def close(self) -> None:
+        """Kill all processes, gateways first."""
         for program in (*(g for gs in self.gateways.values() for g in gs), *self.hosts.values()):
             program.kill()
 

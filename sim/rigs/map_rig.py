@@ -45,6 +45,7 @@ class MapFleet:
         return self.members[slot]
 
     def cut(self, *islands: set[int]) -> None:
+        """Cut the wire into islands; each member knows the others of its island as live."""
         self.islands = [set(island) for island in islands]
         self.wire.partition(*({n for n, s in self.nodes.items() if s in i} for i in islands))
         for island in self.islands:
@@ -52,6 +53,7 @@ class MapFleet:
                 self.members[slot].live(frozenset(island))
 
     def heal(self) -> None:
+        """Undo every cut."""
         self.cut(set(self.members))
 
     def look(self, slot: int) -> None:
@@ -63,6 +65,7 @@ class MapFleet:
         member.see(patch, np.where(member.chart._inside[patch], values, 0), rng.randrange(LEVELS))
 
     def run(self, duration_us: int) -> None:
+        """Let this much virtual time pass: members send when they are due, and the wire delivers."""
         end_us = self.now_us + duration_us
         while self.now_us < end_us:
             times = [end_us, *(m.deadline_us for m in self.members.values())]

@@ -33,6 +33,8 @@ CHANNEL = "can0"
 
 
 class SegmentHost:
+    """A segment with its hub and robots, which obeys orders as lines of JSON on its standard input."""
+
     def __init__(self, area: Area, robots: int, seed: int) -> None:
         self.area, self.seed = area, seed
         name = f"segment {area.segment}"
@@ -53,6 +55,8 @@ class SegmentHost:
         return PeerRunner(peer, CanBus(FieldBus(name)), None, None, watch)
 
     async def run(self, port: int) -> None:
+        """Serve on `port` (0: any free one, which is printed), and answer each line of input until
+        it ends."""
         await self.hub.start("0.0.0.0", port)
         leave_standing()
         self.tasks = [asyncio.create_task(shell.run()) for shell in self.shells]
@@ -68,6 +72,8 @@ class SegmentHost:
         await self.hub.stop()
 
     def obey(self, order: dict[str, Any]) -> dict[str, Any]:
+        """Carry out one order, named by `do`, and return what is printed as its answer. Raises
+        KeyError for an order without its arguments."""
         match order["do"]:
             case "press":
                 pressed_us = PeerRunner.now_us()
@@ -94,6 +100,8 @@ class SegmentHost:
         return self.state()
 
     def state(self) -> dict[str, Any]:
+        """How many robots joined, stopped, are alone and reach other segments, and the phases of
+        sections."""
         peers = [shell.peer for shell in self.shells]
         assert all(isinstance(peer, SegmentPeer) for peer in peers)
         return {
@@ -122,6 +130,8 @@ def _release(shell: PeerRunner) -> None:
 
 
 def main() -> None:
+    """Read the description of a segment from the first line of input, and run it until the input
+    ends."""
     order = json.loads(sys.stdin.readline())
     area = ring_area(order["segment"], order["segments"], order["home"], order["shared"])
 

@@ -40,7 +40,8 @@ MAP_TICK_US = 1_000_000  # of the map's clock
 
 
 def ring_area(number: int, segments: int, home: int, shared: int) -> Area:
-    """The area of segment `number` (from 1) in a ring; `shared` sections at each border."""
+    """The area of segment `number` (from 1) in a ring: `home` sections of its own, `shared` of them
+    at each border."""
     if segments == 1:
         return Area(number, home)
     before, after = (number - 2) % segments + 1, number % segments + 1
@@ -98,6 +99,7 @@ class SegmentFleet:
             self.add_gateway(number)
 
     def channel(self, number: int) -> str:
+        """Name of the bus of a segment, unique to this fleet."""
         return f"segment {id(self)}/{number}"
 
     def _tap(self, number: int) -> Callable[[int, Frame], None]:
@@ -134,6 +136,7 @@ class SegmentFleet:
         self.shells[place] = shell
 
     def add_gateway(self, number: int) -> GatewayShell:
+        """Switch another gateway on in the segment with this number."""
         boot = self.rng.getrandbits(32)
         name = Name(boot & 0x1FFFFF, function=GATEWAY_FUNCTION, arbitrary_address=0)
         swarm, chart = self.swarm, None
@@ -153,11 +156,13 @@ class SegmentFleet:
     # ---------------------------------------------------------------- acting
 
     def peer(self, number: int, slot: int) -> SegmentPeer:
+        """The core of one robot."""
         peer = self.shells[number, slot].peer
         assert isinstance(peer, SegmentPeer)
         return peer
 
     def peers(self, number: int) -> list[SegmentPeer]:
+        """The cores of a segment's robots, in slot order."""
         return [self.peer(number, slot) for slot in range(self.robots)]
 
     def leader(self, number: int) -> GatewayShell | None:
@@ -165,6 +170,7 @@ class SegmentFleet:
         return next((g for g in self.gateways[number] if g.gateway.leads), None)
 
     def kill_gateway(self, shell: GatewayShell) -> None:
+        """Switch a gateway off for good."""
         shell.end()
         self.gateways[shell.gateway.segment].remove(shell)
 
@@ -199,6 +205,7 @@ class SegmentFleet:
         self.swarm.spawn(work())
 
     def end(self) -> None:
+        """Close all buses and forget their channels. The fleet cannot be used afterwards."""
         for shell in self.shells.values():
             shell.bus.close()
         for gateways in self.gateways.values():
@@ -219,6 +226,7 @@ class SegmentFleet:
     _since_us = 0
 
     def count_from_here(self) -> None:
+        """Begin the counts of bits on the buses again, from now on."""
         self._since_us = self.swarm.now_us()
         self.bits.clear()
         self.bridged.clear()

@@ -15,6 +15,8 @@ URGENT = (Kind.STOPS, Kind.RESETS)
 
 
 class SimulatedBackbone:
+    """Carries messages between gateways in virtual time, with the faults that are set."""
+
     def __init__(self, swarm: EventLoop, seed: int | str) -> None:
         self.swarm = swarm
         self.nodes: list[Node] = []
@@ -24,6 +26,7 @@ class SimulatedBackbone:
         self._rng = Random(f"{seed}/backbone")
 
     def attach(self, segment: int) -> "Node":
+        """Connect another gateway of a segment."""
         node = Node(self, segment)
         self.nodes.append(node)
         return node
@@ -37,9 +40,11 @@ class SimulatedBackbone:
         }
 
     def heal(self) -> None:
+        """Undo every cut and every one-way link."""
         self.deaf = set()
 
     def carry(self, sender: "Node", message: Publish) -> None:
+        """Deliver a message to every other open node that it is meant for, unless a fault takes it."""
         for node in self.nodes:
             if node is sender or not node.open or message.target not in (0, node.segment):
                 continue
@@ -69,14 +74,18 @@ class Node:
         self._callback: Callable[[bytes], None] | None = None
 
     def publish(self, message: Publish) -> None:
+        """Send a message to the other gateways."""
         self.backbone.carry(self, message)
 
     def subscribe(self, callback: Callable[[bytes], None]) -> None:
+        """Call `callback` with the bytes of each message from now on."""
         self._callback = callback
 
     def hear(self, data: bytes) -> None:
+        """Take a message, if the node is open and somebody has subscribed."""
         if self.open and self._callback is not None:
             self._callback(data)
 
     def close(self) -> None:
+        """Send and receive nothing more."""
         self.open = False

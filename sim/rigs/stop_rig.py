@@ -58,6 +58,9 @@ class StopFrame(NamedTuple):
 
 
 class StopFleet:
+    """Controllers of stops on one wire, with a device that fills it, and the instants at which each
+    one braked."""
+
     def __init__(self, robots: int, omission: float, error: float, seed: int | str) -> None:
         self.rng = Random(f"{seed}/stop fleet")
         self.wire = Wire(seed)

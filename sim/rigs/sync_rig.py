@@ -65,6 +65,7 @@ class SyncFleet:
         return member
 
     def cut(self, *islands: set[int]) -> None:
+        """Cut the wire into islands; each member knows the others of its island as live."""
         self.islands = [set(island) for island in islands]
         self.wire.partition(*({self.members[s].node for s in island} for island in islands))
         self.see()
@@ -83,11 +84,13 @@ class SyncFleet:
         self.run(3 * S)
 
     def heal(self) -> None:
+        """Undo every cut."""
         self.islands = [set(self.members)]
         self.wire.heal()
         self.see()
 
     def see(self) -> None:
+        """Tell every member which others of its island are live."""
         for island in self.islands:
             for slot in island:
                 self.members[slot].sync.live(frozenset(island), self.now_us)
@@ -107,6 +110,7 @@ class SyncFleet:
             self.send(member, WorkProgress(section, block, bits))
 
     def send(self, member: Member, message: Message) -> None:
+        """Queue a message of a member on the wire."""
         self.wire.submit(member.node, encode(message, ADDRESS + member.slot), self.now_us)
 
     # ---------------------------------------------------------------- time
@@ -168,6 +172,7 @@ class SyncFleet:
 
     @property
     def equal(self) -> bool:
+        """Whether all replicas within each island have one digest."""
         return all(
             len({self.members[slot].sync.digest for slot in island}) <= 1 for island in self.islands
         )
@@ -179,9 +184,11 @@ class SyncFleet:
 
     @property
     def frames(self) -> int:
+        """Number of frames sent since the count began."""
         return sum(self.sent.values())
 
     def count_from_here(self) -> None:
+        """Begin the counts of frames and bits again."""
         self.sent.clear()
         self.sync_bits = 0
         self.first_us = self.last_us = -1

@@ -59,6 +59,7 @@ class ToolMissingError(CompileError):
 
 
 def files(group: dict[str, str]) -> list[str]:
+    """Paths of the modules of a group, below the root of the repository."""
     return [
         f"{package}/{name.replace('.', '/')}.py"
         for package, names in group.items()
@@ -148,6 +149,8 @@ def _translated(mypycify: Callable[..., list[Any]], sources: list[str], folder: 
 
 
 def compile_core(remove: bool) -> int:
+    """The exit code of `headland compile`: compile all groups, or with `remove` delete what was
+    compiled. 1 where mypy or the compiler fails, or is missing."""
     console = Console()
     if remove:
         there = FOLDER.is_dir()

@@ -39,6 +39,8 @@ class Finder:
     def find_spec(
         self, name: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
+        """Where the compiled module of that name lies; None for modules that are not compiled (the
+        import system calls it)."""
         file = self.files.get(name)
         return None if file is None else spec_from_file_location(name, file)
 

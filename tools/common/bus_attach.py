@@ -23,7 +23,8 @@ class AttachError(Exception):
 
 
 def address_of_launch() -> tuple[str, int, str]:
-    """Host, port and channel of the newest launch in this folder."""
+    """Host, port and channel of the newest launch in this folder. Raises AttachError if there is
+    none, or if it has ended."""
     try:
         where = read_json(LAUNCH, SETTINGS_BYTES_MAX)
         host, port, channel = str(where["host"]), int(where["port"]), str(where["channel"])

@@ -15,6 +15,9 @@ PROPRIETARY = (0xEF, 0xFF)  # upper byte of the parameter group
 
 
 class Makers:
+    """Learns from address claims which addresses belong to our maker, and counts the frames of
+    others."""
+
     def __init__(self) -> None:
         self.refused: Counter[int] = Counter()  # PGN -> frames of other makers that were not read
         self._ours: dict[int, bool] = {}  # by claimed address

@@ -13,22 +13,36 @@ class RunOutcome(Protocol):
     """What outcomes of all kinds of runs tell."""
 
     @property
-    def scenario(self) -> str: ...
+    def scenario(self) -> str:
+        """Name of the scenario."""
+
     @property
-    def robots(self) -> int: ...
+    def robots(self) -> int:
+        """Number of robots that took part."""
+
     @property
-    def seed(self) -> int: ...
+    def seed(self) -> int:
+        """Of the random numbers of the run."""
+
     @property
-    def success(self) -> bool: ...
+    def success(self) -> bool:
+        """Whether the exit code is 0."""
+
     @property
-    def frames(self) -> Mapping[str, int]: ...
+    def frames(self) -> Mapping[str, int]:
+        """Number of frames of each kind on the bus."""
+
     @property
-    def trace_hash(self) -> str: ...
+    def trace_hash(self) -> str:
+        """Hash over everything that the robots did."""
+
     @property
-    def wall_s(self) -> float: ...
+    def wall_s(self) -> float:
+        """Real time that the run took."""
 
 
 def fact_table(title: str, facts: Iterable[Fact]) -> Table:
+    """A table with two columns, names in bold, ready to be printed."""
     table = Table(title=title, show_header=False)
     table.add_column(style="bold")
     table.add_column()

@@ -57,6 +57,8 @@ class RunRecorder:
         return McapLog(path, self.scene, t_us)
 
     def write(self, t_us: int, frame: Frame) -> None:
+        """Take a frame of the bus: hash it, keep it, and write it to the MCAP file while the disk
+        accepts it."""
         self.digest.write(t_us, frame)
         if self.recording is not None:
             self.recording.write(t_us, frame)
@@ -75,9 +77,11 @@ class RunRecorder:
 
     @property
     def log_hash(self) -> str:
+        """Hash of all frames so far, in hexadecimal."""
         return self.digest.hex
 
     def close(self) -> None:
+        """End the recording and the file."""
         if self.recording is not None:
             self.recording.close()
         if self.mcap is not None:

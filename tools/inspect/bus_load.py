@@ -20,6 +20,7 @@ class BusLoad:
         self._second: int | None = None
 
     def hear(self, t_s: float, data_bytes: int) -> None:
+        """Count one frame with this number of data bytes."""
         second = int(t_s)
         if self._second is None or second < self._second:  # the first; or another log
             self._second = second
@@ -35,6 +36,7 @@ class BusLoad:
 
     @property
     def shares(self) -> list[float]:
+        """One share of 0 to 1 for each second, the oldest first."""
         return [bits / self.bitrate for bits in self._bins]
 
     @property

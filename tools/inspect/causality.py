@@ -38,6 +38,7 @@ class Evidence(NamedTuple):
     text: str
 
     def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
         return {
             "t_s": round(self.t_s, 6), "said_by": self.said_by, "frame": self.kind,
             "id": f"{self.frame.identifier:08X}", "data": self.frame.data.hex().upper(),
@@ -56,6 +57,7 @@ class Step:
     again: int = 0  # times it was said again
 
     def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON, with the frames that led to it."""
         return {
             **self.heard.to_dict(), "phase": self.claim.phase.name, "epoch": self.claim.epoch,
             "bid": self.claim.bid, "lamport": self.claim.lamport, "owner": self.claim.owner,
@@ -75,6 +77,7 @@ class Causality:
         self._worked: dict[int, tuple[Evidence, int]] = {}  # section -> newest progress, how many
 
     def hear(self, t_s: float, frame: Frame, slot: int | None, message: Message) -> None:
+        """Take one decoded frame of robot `slot`; None if the sender has said no slot."""
         match message:
             case TaskClaim() | StateSyncResponse():
                 self._register(t_s, frame, slot, message)
@@ -97,10 +100,12 @@ class Causality:
             self._last[slot] = _heard(t_s, frame, slot, message, "was last heard")
 
     def chain(self, section: int) -> list[Step]:
+        """The kept steps by which a section came to its owner, the oldest first."""
         return list(self._steps.get(section, ()))
 
     @property
     def sections(self) -> list[int]:
+        """Numbers of all sections that a frame has named."""
         return sorted(self._steps)
 
     # ---------------------------------------------------------------- inside

@@ -40,6 +40,12 @@ def inspect(
     seconds: float, mermaid: bool, why: str | None, as_json: bool, traces_of: int | None = None,
     plain: bool = False, speed: float = 0.0, picture: Path | None = None,
 ) -> int:  # fmt: skip
+    """The exit code of `headland inspect`: 0; 1 if the section of `why`, or the traces, were not
+    heard; 2 for a wrong argument, source or bus.
+
+    `seconds`: how long a live bus is heard. `traces_of`: slot of a robot that is asked for its
+    traces. `speed`: of a log, times real time; 0 shows its end.
+    """
     if mermaid:
         diagram = to_mermaid(TABLE, State.DISCONNECTED)
         print(dumps({"mermaid": diagram}) if as_json else diagram)

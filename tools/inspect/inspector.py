@@ -52,6 +52,8 @@ SILENT_S = 1.0  # a robot not heard for longer is shown as silent
 
 @dataclass
 class Transition:
+    """A change of a robot's state, as it was heard."""
+
     t_s: float
     source: str
     target: str
@@ -92,6 +94,9 @@ class Seen:
 
 
 class Inspector:
+    """All that a listener knows of a fleet: robots, registers, progress, stops, counts of frames
+    and the load."""
+
     def __init__(self, sections: AbstractSet[int] = frozenset()) -> None:
         """`sections`: of the field; empty: it is not known, and any may be worked."""
         self.sections = sections
@@ -116,6 +121,8 @@ class Inspector:
         self.load = BusLoad()
 
     def hear(self, t_s: float, frame: Frame) -> None:
+        """Take one frame, at `t_s` of a clock that never goes back. Frames of other makers and
+        malformed ones are only counted."""
         self.first_s = t_s if self.first_s is None else self.first_s
         self.now_s = t_s
         self.bits += bits_of(len(frame.data))
@@ -237,6 +244,7 @@ class Inspector:
 
     @property
     def latched(self) -> list[tuple[int, int, int]]:
+        """Dots of the stops that were heard and not cleared: slot, incarnation, counter."""
         return sorted(set(self.stops) - set(self.cleared))
 
     @property
@@ -262,6 +270,7 @@ class Inspector:
             yield step.to_dict()
 
     def to_dict(self) -> dict[str, Any]:
+        """Everything as plain values for JSON."""
         span_s = max(self.now_s - (self.first_s or 0.0), 1e-9)
         return {
             "robots": [self._robot_dict(self.robots[slot]) for slot in sorted(self.robots)],

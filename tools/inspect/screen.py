@@ -65,6 +65,7 @@ class InspectScreen(App[None]):
         self.run_when_ready: Callable[[], Awaitable[None]] | None = None
 
     def compose(self) -> ComposeResult:
+        """The parts of the screen (textual calls it)."""
         yield Static(id="stops")
         with Horizontal(id="top"):
             with Vertical(id="left"):
@@ -82,6 +83,8 @@ class InspectScreen(App[None]):
         yield Footer()
 
     def on_mount(self) -> None:
+        """Begin to read frames, and look at the inspector several times a second (textual calls
+        it)."""
         self.query_one("#loadbox").border_title = "bus load, worst-case stuffing"
         self.query_one("#fleet").focus()
         self.run_worker(self._fed())
@@ -193,11 +196,13 @@ class InspectScreen(App[None]):
     # ---------------------------------------------------------------- keys
 
     def on_rows_moved(self) -> None:
+        """The cursor is on another robot or section, so the screen shows that one."""
         if self.focused is not None and self.focused.id == "fleet":
             self.why_of = None
         self.look()
 
     def action_pause(self) -> None:
+        """Stop or continue to read a log."""
         if self.running.is_set():
             self.running.clear()
         else:
@@ -205,9 +210,11 @@ class InspectScreen(App[None]):
         self.look()
 
     def action_faster(self) -> None:
+        """Read a log twice as fast."""
         self.speed *= 2
 
     def action_slower(self) -> None:
+        """Read a log half as fast."""
         self.speed /= 2
 
     def action_why(self) -> None:

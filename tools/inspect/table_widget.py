@@ -26,6 +26,7 @@ class Cell(str):
 
     @classmethod
     def styled(cls, text: str, style: str) -> "Cell":
+        """Make one with this text, drawn in `style` of rich."""
         cell = cls(text)
         cell.style = style
         return cell
@@ -71,6 +72,7 @@ class Rows(ScrollView, can_focus=True):
         self.refresh()
 
     def action_move(self, rows: int) -> None:
+        """Move the cursor by so many rows, and scroll to it."""
         moved = min(max(self.cursor + rows, 0), max(len(self.rows) - 1, 0))
         if moved != self.cursor:
             self.cursor = moved
@@ -87,7 +89,7 @@ class Rows(ScrollView, can_focus=True):
             self.scroll_to(y=line - height + 1, animate=False)
 
     def render_line(self, y: int) -> Strip:
-        """The head stays on the first line of the view."""
+        """The line `y` of the view, counted from its top. The head stays on the first line."""
         width, row = self.size.width, y + self.scroll_offset.y - 1
         if y == 0:
             return self._strip(self.columns, HEAD, width)

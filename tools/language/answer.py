@@ -9,6 +9,8 @@ from tools.language.places import Places, Point
 
 
 class Answer(NamedTuple):
+    """The same answer for a person and for a program."""
+
     text: str
     value: Any
 

@@ -44,6 +44,8 @@ class Waiting(NamedTuple):
 
 
 class Verdict(NamedTuple):
+    """What is done about the intents of one phrase, if none of them is refused."""
+
     orders: tuple[AuthorizedOrder, ...] = ()
     waiting: tuple[Waiting, ...] = ()
     queries: tuple[Query, ...] = ()
@@ -54,11 +56,15 @@ class Verdict(NamedTuple):
 
 
 class Refused(Exception):
+    """Raised inside of `weigh` where one intent cannot be obeyed; carries what is asked back."""
+
     def __init__(self, reason: Reason, text: str, *instead: str) -> None:
         self.question = Question(reason, text, instead)
 
 
 def weigh(intents: Sequence[AnyIntent], fleet: FleetNow, places: Places) -> Verdict | Question:
+    """Turn intents into orders, goals that wait and questions to answer; or ask back, if one of
+    them cannot be obeyed."""
     scales = _Scales(fleet, places)
     try:
         for intent in intents:

@@ -75,6 +75,8 @@ class CommandSession:
     # ---------------------------------------------------------------- one phrase
 
     async def say(self, phrase: str) -> Outcome:
+        """Read one phrase, weigh it against the fleet, send the orders and wait for what robots
+        confirm. A phrase that may be an alarm holds all robots first."""
         alarm = may_be_alarm(phrase, self.places)
         # A language model takes seconds. What may be an alarm is read by the grammar alone.
         reading, by_model = (read(phrase, self.places), False) if alarm else await self.read(phrase)

@@ -32,6 +32,8 @@ class EndpointError(Exception):
 
 
 class Endpoint:
+    """A client for one language model. Its answer must be intents of the schema, or it is ignored."""
+
     def __init__(self, url: str, model: str, key: str | None = None) -> None:
         """`url`: up to and with the version, as http://127.0.0.1:8080/v1. Raises EndpointError."""
         parts = urlsplit(url)

@@ -9,6 +9,8 @@ STANDING_M_S = 0.05  # slower than this it stands; POSE tells speed in steps of 
 
 
 class RobotNow(NamedTuple):
+    """What orders are weighed against: state, place, what holds it, and what it does."""
+
     slot: int
     state: str  # of agent.interface.lifecycle.State
     x_m: float
@@ -25,34 +27,43 @@ class RobotNow(NamedTuple):
 
     @property
     def idle(self) -> bool:
+        """Whether it stands without work, may move, and waits for nobody."""
         return (
             self.state == "IDLE" and self.started and not (self.stopped or self.silent or self.asking)
             and self.goal is None and self.speed_m_s <= STANDING_M_S
         )  # fmt: skip
 
     def away_m(self, place: Point) -> float:
+        """Distance to a place in metres, in a straight line."""
         return hypot(self.x_m - place[0], self.y_m - place[1])
 
 
 class SectionNow(NamedTuple):
+    """Phase and owner of one section."""
+
     phase: str
     owner: int | None
 
 
 class FleetNow(NamedTuple):
+    """All robots and sections as they are known now, and from whom."""
+
     robots: Mapping[int, RobotNow]
     sections: Mapping[int, SectionNow]
     told_by: str = "the bus"  # whose view this is
 
     @property
     def live(self) -> list[RobotNow]:
+        """Robots that are not silent, in slot order."""
         return [r for _, r in sorted(self.robots.items()) if not r.silent]
 
     def nearest(self, place: Point, without: frozenset[int] = frozenset()) -> RobotNow | None:
-        """The idle robot nearest to a place, as the crow flies; of equals the lower slot."""
+        """The idle robot nearest to a place (metres), in a straight line; of equals the lower slot.
+        None if there is none."""
         idle = [r for r in self.live if r.idle and r.slot not in without]
         return min(idle, key=lambda r: (r.away_m(place), r.slot), default=None)
 
     @property
     def heard(self) -> str:
+        """Numbers of the live robots, as text for a message."""
         return ", ".join(str(r.slot) for r in self.live) or "none"

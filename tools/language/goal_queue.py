@@ -25,6 +25,8 @@ class QueueError(Exception):
 
 
 class Queued(BaseModel):
+    """One goal of the file, and which robot it was given to."""
+
     model_config = ConfigDict(extra="forbid")
     number: int
     name: str
@@ -34,6 +36,7 @@ class Queued(BaseModel):
 
     @property
     def place(self) -> tuple[float, float]:
+        """Metres east and north."""
         return self.x_m, self.y_m
 
 
@@ -61,10 +64,12 @@ class GoalQueue:
 
     @property
     def names(self) -> list[str]:
+        """Names of the places that wait, first come first."""
         return [goal.name for goal in self.goals]
 
     def add(self, name: str, place: tuple[float, float]) -> int:
-        """Its number. Raises QueueError."""
+        """Put a goal at the end; `place` is metres east and north. Returns its number. Raises
+        QueueError if the file is full or unreadable."""
         with self._locked("edit"):
             goals = self.goals
             if len(goals) >= QUEUE_MAX:
@@ -74,6 +79,7 @@ class GoalQueue:
         return number
 
     def clear(self) -> int:
+        """Remove all goals and return their number. Raises QueueError."""
         with self._locked("edit"):
             count = len(self.goals)
             self._write([])
@@ -88,6 +94,7 @@ class GoalQueue:
             ])  # fmt: skip
 
     def done(self, number: int) -> None:
+        """Remove the goal with this number, because its robot has confirmed it. Raises QueueError."""
         with self._locked("edit"):
             self._write([goal for goal in self.goals if goal.number != number])
 

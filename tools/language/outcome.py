@@ -13,6 +13,8 @@ DONE, NOT_OBEYED, ASKED_BACK = 0, 1, 3
 
 @dataclass
 class Outcome:
+    """Intents, orders with what robots confirmed, answers, and what was asked back."""
+
     phrase: str
     intents: tuple[AnyIntent, ...] = ()
     question: Question | None = None
@@ -33,6 +35,7 @@ class Outcome:
 
     @property
     def code(self) -> int:
+        """Exit code of `headland say`: done, not obeyed, or asked back."""
         if self.question is not None:
             return ASKED_BACK
         refused = any(word is None for _, word in self.orders)
@@ -40,6 +43,7 @@ class Outcome:
         return NOT_OBEYED if refused or self.not_stopped or nobody else DONE
 
     def to_dict(self) -> dict[str, Any]:
+        """Plain values for `--json`."""
         asked = self.question
         return {
             "phrase": self.phrase, "intents": [plain(intent) for intent in self.intents],
@@ -57,7 +61,7 @@ class Outcome:
         }  # fmt: skip
 
     def lines(self) -> list[str]:
-        """For people."""
+        """Sentences for a person, one a line: stops first, then orders, waiting goals and answers."""
         if self.question is not None:
             kind = self.question.reason
             plain_text = kind is Reason.NOT_UNDERSTOOD

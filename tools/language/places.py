@@ -33,6 +33,8 @@ class _File(BaseModel):
 
 
 class Places:
+    """Names that a person may say, with their positions in metres east and north."""
+
     def __init__(self, named: Mapping[str, Point], sections: Mapping[str, Point] = {}) -> None:
         """`sections` are said as sections are: S7, section 7.
 
@@ -56,6 +58,7 @@ class Places:
         return len(self.named)
 
     def like(self, name: str) -> tuple[str, ...]:
+        """Up to three known names that are spelt nearly like this one."""
         return tuple(get_close_matches(name, self.named, n=3, cutoff=NEAR))
 
     @classmethod
@@ -75,7 +78,7 @@ class Places:
 
     @staticmethod
     def write(named: Mapping[str, Point], sections: Mapping[str, Point]) -> str:
-        """The text of such a file."""
+        """The text of a file that `Places` can read, from names and metres east and north."""
         lines = []
         for title, points in (("places", named), ("sections", sections)):
             lines += [f"[{title}]"]

@@ -5,6 +5,8 @@ from typing import NamedTuple
 
 
 class Reason(StrEnum):
+    """Why a phrase is not obeyed."""
+
     NOT_UNDERSTOOD = "not understood"
     AMBIGUOUS = "ambiguous"
     UNSAFE = "unsafe"

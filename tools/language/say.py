@@ -51,6 +51,8 @@ class Options(NamedTuple):
 
 
 def say(words: list[str], options: Options) -> int:
+    """The exit code of `headland say`: that of the phrase, or of the last one of a conversation; 2
+    for a wrong argument, file or bus."""
     if find_spec("lark") is None:
         return _wrong("the language needs lark: pip install 'headland[operator]'")
     if options.by is not None and options.by != "any" and not options.by.isdigit():

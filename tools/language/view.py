@@ -6,6 +6,8 @@ from tools.language.fleet_state import FleetNow, RobotNow, SectionNow
 
 
 def as_heard(inspector: Inspector) -> FleetNow:
+    """What a listener knows, without robots that have left the fleet. A robot is silent if it was
+    not heard for `SILENT_S`."""
     robots = {}
     for slot, seen in inspector.robots.items():
         if seen.left:

@@ -132,6 +132,8 @@ SILENT = frozenset("!?.():\"'")  # punctuation that says nothing, where it stand
 
 
 class Token(NamedTuple):
+    """One word, or group of words, of a phrase: its kind in the grammar and its value."""
+
     kind: str
     value: str
 

@@ -50,7 +50,12 @@ def show_map(
     keys: Path | None, scenario: str | None, page_port: int, as_json: bool,
     speed: float = RECORDED_SPEED, operator_key: Path | None = None,
 ) -> int:  # fmt: skip
-    """`speed`: of a recording, times real time; 0: as usual. `operator_key`: the page may release."""
+    """Serve the map until Ctrl-C, and return the exit code of the command: 2 where the source, the
+    bus or the port is wrong.
+
+    `speed`: of a recording, as a factor of real time; 0: the usual one. `operator_key`: the file by which
+    the page may release a fleet with keys.
+    """
     console = Console(stderr=as_json, highlight=False, soft_wrap=True)
     try:
         scene = None if scenario is None else scene_named(scenario)
@@ -87,6 +92,8 @@ class ServerError(Exception):
 def make_server(
     recording: Recording, title: str, follow: bool, speed: float, panel: Panel | None = None
 ) -> "MapServer":
+    """A server of the map with a new token. `speed`: of a recording, a factor of real time. Raises
+    ServerError if starlette or uvicorn is not installed."""
     try:
         from tools.livemap.server import MapServer
     except ImportError:

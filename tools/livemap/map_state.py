@@ -31,6 +31,9 @@ STALE_S = 1.0  # an intent older than this says nothing of now
 
 
 class Watcher(Inspector):
+    """An inspector that also keeps the newest intents, obstacles, questions, and the load of the
+    last second."""
+
     def __init__(self, scene: Scene | None = None) -> None:
         super().__init__()
         self.course: dict[int, float] = {}
@@ -48,6 +51,7 @@ class Watcher(Inspector):
         self._recent: Counter[int] = Counter()
 
     def hear(self, t_s: float, frame: Frame) -> None:
+        """Take one frame, and count it for the load of the last second."""
         super().hear(t_s, frame)
         pgn = Identifier.unpack(frame.identifier).pgn
         bits = worst_bits(len(frame.data))
@@ -75,9 +79,11 @@ class Watcher(Inspector):
         return {NAMES.get(pgn, f"PGN {pgn:04X}"): count for pgn, count in counts}
 
     def intend(self, t_s: float, intent: dict[str, Any]) -> None:
+        """Take the newest intent of a robot, see `sim.record.robot_intent`."""
         self.intents[int(intent["slot"])] = (t_s, intent)
 
     def intent(self, slot: int, now_s: float) -> dict[str, Any] | None:
+        """The newest intent of a robot, if it is not older than `STALE_S`."""
         at_s, intent = self.intents.get(slot, (0.0, None))
         return intent if intent is not None and abs(now_s - at_s) <= STALE_S else None
 

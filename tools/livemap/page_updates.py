@@ -12,7 +12,7 @@ TRANSITIONS_TOLD = 12
 
 
 class PageUpdates:
-    """Of one page."""
+    """Remembers what one page in a browser was sent, so that each message has only what is new."""
 
     def __init__(self, player: Player) -> None:
         self.player = player
@@ -23,6 +23,7 @@ class PageUpdates:
         self._events = 0
 
     def tell(self) -> dict[str, Any]:
+        """The next message for the page. After a jump in time it has everything again."""
         self.told += 1
         player, watcher = self.player, self.player.watcher
         now_s = player.head_us / 1e6

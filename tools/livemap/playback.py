@@ -25,11 +25,14 @@ LOOK = 512  # rows between two looks at the clock
 
 
 class Snapshot(NamedTuple):
+    """All that a watcher knew at one instant, compressed."""
+
     t_us: int
     frame: int  # the first frame after it
     state: bytes  # compressed
 
     def watcher(self) -> Watcher:
+        """A watcher as it was then."""
         watcher: Watcher = pickle.loads(zlib.decompress(self.state))
         return watcher
 
@@ -76,6 +79,7 @@ class Index:
 
     @property
     def complete(self) -> bool:
+        """Whether every frame of the recording was read."""
         return self.reader.frame >= self.recording.count
 
     def work(self, budget_s: float) -> None:
@@ -121,6 +125,8 @@ class Index:
             self._cleared, self.noted = len(watcher.cleared), self.noted + 1
 
     def before(self, t_us: int) -> Snapshot | None:
+        """The last snapshot that is not later than `t_us`; the first if all are later; None if
+        there is none."""
         at = bisect_right(self.snapshots, t_us, key=lambda snapshot: snapshot.t_us)
         return self.snapshots[max(at - 1, 0)] if self.snapshots else None
 
@@ -140,6 +146,7 @@ class Player:
 
     @property
     def watcher(self) -> Watcher:
+        """The fleet as it was at the playhead."""
         return self.reader.watcher
 
     def seek(self, t_us: int) -> None:

@@ -92,6 +92,9 @@ def _headers(scope: Scope, name: bytes) -> list[str]:
 
 
 class MapServer:
+    """Serves the page and its assets, and a socket for each page that sends changes and takes stops
+    and releases."""
+
     def __init__(
         self, recording: Recording, title: str, follow: bool, speed: float, token: str,
         panel: Panel | None = None,

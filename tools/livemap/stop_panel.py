@@ -30,6 +30,9 @@ NO_KEY = (
 
 
 class Panel:
+    """Stops robots for any page, and releases them with the operator's key that was named when the
+    map started."""
+
     def __init__(
         self, bus: CanBus, keyring: Keyring | None, operator_key: Path | None = None
     ) -> None:
@@ -42,6 +45,7 @@ class Panel:
         self._releasing = asyncio.Lock()
 
     def hear(self, now_s: float, frame: Frame) -> None:
+        """Pass a frame to the devices that stop and release."""
         for operator in self._listeners:
             operator.hear(now_s, frame)
 

@@ -29,6 +29,8 @@ def estop(
     interface: str, channel: str, bitrate: int, host: str, port: int, keys: Path | None,
     reason: str, timeout: float, watch: bool, as_json: bool,
 ) -> int:  # fmt: skip
+    """The exit code of `headland estop`: 0 if every robot that is or was there has confirmed within
+    `timeout` seconds, 1 if some have not, 2 if there is no bus or the reason is unknown."""
     if reason not in Reason.__members__:
         known = ", ".join(Reason.__members__)
         print(f"headland: --reason {reason}: unknown; one of {known}", file=sys.stderr)
@@ -79,6 +81,7 @@ def keyring_of(keys: Path | None) -> Keyring | None:
 
 
 def listen_to(bus: CanBus, operator: Operator) -> None:
+    """Pass every frame of a bus to an operator, with the time of the loop."""
     loop = asyncio.get_running_loop()
     bus.subscribe(lambda frame: operator.hear(loop.time(), frame))
 

@@ -48,6 +48,8 @@ ASK_S = 0.25
 
 @dataclass
 class Robot:
+    """What an operator has heard of one robot."""
+
     slot: int
     address: int
     heard_s: float
@@ -65,6 +67,9 @@ class Robot:
 
 
 class Operator:
+    """Follows all robots of a bus, and sends stops, resets and commands, signed if there is a
+    keyring."""
+
     def __init__(
         self, bus: Bus, keyring: Keyring | None, device: DeviceAddress | None = None
     ) -> None:
@@ -85,6 +90,8 @@ class Operator:
         self.now_s = 0.0
 
     def hear(self, now_s: float, frame: Frame) -> None:
+        """Take one frame, at `now_s` of a clock that never goes back. Frames of other makers and
+        malformed ones are ignored."""
         self.now_s = now_s
         if self._own_device:
             self.device.hear(now_s, frame)
@@ -206,6 +213,7 @@ class Operator:
 
     @property
     def live(self) -> list[Robot]:
+        """The members that were heard recently."""
         return [r for r in self.members if self.now_s - r.heard_s < LIVE_S]
 
     @property
@@ -214,9 +222,11 @@ class Operator:
         return [r for r in self.members if self.now_s - r.heard_s >= LIVE_S]
 
     def send(self, message: Message) -> bool:
+        """Send a message from the address of this device. False where the bus does not take it."""
         return self.device.send(message)
 
     def ask_who(self) -> None:
+        """Ask all robots for their slots."""
         self.send(Request(GROUP_OF[Member].pgn))
 
     async def listen(self, seconds: float, stops: bool = False) -> None:
@@ -245,6 +255,7 @@ class Operator:
         return EmergencyStop(self.slot, randbelow(256), randbelow(256), reason)
 
     def stop(self, message: EmergencyStop) -> None:
+        """Press a stop, and know it as our own."""
         self.pressed.add(message[:3])
         self.send(message if self.keyring is None else self.keyring.sign(message))
 
@@ -260,9 +271,12 @@ class Operator:
         self._order(HeldReset(digest, self.slot))
 
     def clear(self, dot: tuple[int, int, int]) -> None:
+        """Send the reset of one stop, named by its dot: slot, incarnation, counter."""
         self._order(EmergencyReset(*dot, self.slot))
 
     def command(self, command: Command, target: int = EVERYBODY, argument: int = 0) -> None:
+        """Send a command to one robot, or to all. `argument` depends on the command: for an answer
+        it is the number of the question."""
         self._order(OperatorCommand(command, target, self.slot, argument))
 
     def send_to(self, slot: int, x_m: float, y_m: float) -> None:

@@ -31,6 +31,9 @@ def order(
     robot: int, what: str, place: str | None, bus: Attached, key: Path | None, timeout_s: float,
     as_json: bool,
 ) -> int:  # fmt: skip
+    """The exit code of `headland order`: 0 if the robot says that it obeys, 1 if it refuses or is
+    not heard, 2 for an order that makes no sense or a bus that is not there. A ValueError inside
+    becomes a line."""
     try:
         if what not in CONFIRMED:
             raise ValueError(f"{what}: unknown; one of {', '.join(CONFIRMED)}")
@@ -80,7 +83,8 @@ async def _order(
 async def convey(
     operator: Operator, robot: Robot, what: str, goal: tuple[float, float] | None, timeout_s: float
 ) -> bool:
-    """Until the robot says that it obeys, or that it cannot."""
+    """Repeat an order until the robot says that it obeys (True), or that it cannot, or the time is
+    over. `goal`: metres east and north."""
     loop = asyncio.get_running_loop()
     command, matters = CONFIRMED[what]
     number = robot.question.number if robot.question is not None else 0

@@ -15,6 +15,9 @@ LOOK_S = 0.02  # sessions are looked after this often; their shortest limit is 2
 
 
 class PgnClient:
+    """Asks a robot for a group that is longer than a frame, and collects the answer by the
+    transport protocol."""
+
     def __init__(self, bus: Bus, device: DeviceAddress | None = None) -> None:
         """`device`: whose address it speaks from; none: it claims one of its own."""
         self.bus, self.transport = bus, Transport()
@@ -23,6 +26,7 @@ class PgnClient:
         self.arrived: list[ReceivedMessage] = []
 
     def hear(self, now_s: float, frame: Frame) -> None:
+        """Take one frame of the bus; what has arrived whole goes to `arrived`."""
         if self._own_device:
             self.device.hear(now_s, frame)
         source, message = decode(frame)

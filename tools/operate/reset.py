@@ -27,6 +27,9 @@ def reset(
     interface: str, channel: str, bitrate: int, host: str, port: int, key: Path | None,
     start: bool, timeout: float, as_json: bool,
 ) -> int:  # fmt: skip
+    """The exit code of `headland reset`: 0 if every robot is reset (and started, with `start`)
+    within `timeout` seconds, 1 if something holds one still, 2 if there is no bus or the key is
+    no operator's."""
     try:
         return asyncio.run(
             _reset(interface, channel, bitrate, host, port, key, start, timeout, as_json)

@@ -20,6 +20,9 @@ HEARD_MAX = 4096  # names remembered; a device that says more floods the bus
 
 
 class ShownStops:
+    """Collects stops by name and in sum, as robots tell them. From the begin of a release on, stops
+    that are new are left alone."""
+
     def __init__(self, keyring: Keyring | None) -> None:
         secret = None if keyring is None else keyring.keys.operator
         self.signed = keyring is not None
@@ -33,6 +36,7 @@ class ShownStops:
         self._releasing = self._pressed = False
 
     def hear_stop(self, m: EmergencyStop) -> None:
+        """Take a stop of this segment. A press that comes during a release is not cleared."""
         dot = StopDot(m.slot, m.incarnation, m.counter)
         if m.spent:
             if len(self.spent) < HEARD_MAX:
@@ -44,6 +48,7 @@ class ShownStops:
             self.near.add(dot)
 
     def hear_held(self, m: StopsHeld) -> None:
+        """Take what one robot says of all its stops. With keys its tag must fit our question."""
         if self.signed and (self._tags is None or self._tags.sign(m, self.question) != m):
             self.refused += 1
             return
@@ -53,6 +58,7 @@ class ShownStops:
             self.told[m.slot] = m
 
     def hear_far(self, dot: RemoteStopDot) -> None:
+        """Take a stop of another segment."""
         if not self._releasing and len(self.far) < HEARD_MAX:
             self.far.add(dot)
 

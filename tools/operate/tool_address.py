@@ -32,12 +32,17 @@ CLAIM_PGN = GROUP_OF[AddressClaimed].pgn
 
 
 class Sender(Protocol):
+    """What a device needs of a bus."""
+
     def send(self, frame: Frame) -> bool:
         """False when the bus does not take it."""
         ...
 
 
 class DeviceAddress:
+    """Claims an address for a tool and keeps it; messages wait until there is one, except stops and
+    requests."""
+
     def __init__(self, bus: Sender, name: Name | None = None) -> None:
         """`name`: of the device; none: a tool's, with an identity number drawn for this process."""
         self.bus = bus
@@ -76,6 +81,7 @@ class DeviceAddress:
         return self.address is not None
 
     def hear(self, now_s: float, frame: Frame) -> None:
+        """Take one frame of the bus: claims and requests for claims matter, and the time goes on."""
         now_us = round(now_s * 1e6)
         self._tick(now_us)
         group = frame.identifier >> 16 & 0xFF
