@@ -1,11 +1,11 @@
 """A gateway between a segment and the rest of the fleet: facts in, effects out, like a peer.
 
-It is not a member: its silence stops no robot, it claims nothing, and it holds no secret. It forwards
-stops first and always, whether it leads or not (`agent/segments/stop_relay.py`). Only the leading
-gateway forwards work at the border (`agent/segments/work_relay.py`). All heartbeats of the segment
-become one summary. Frames of gateways are never forwarded, messages of the own segment are dropped,
-and everything is idempotent, so loops end where they begin. Its traffic is limited to `SHARE` of the
-bus.
+It is not a member: its silence stops no robot, it claims nothing, and it holds no secret. It
+forwards stops first and always, whether it leads or not (`agent/segments/stop_relay.py`). Only the
+leading gateway forwards work at the border (`agent/segments/work_relay.py`). All heartbeats of the
+segment become one summary. Frames of gateways are never forwarded, messages of the own segment are
+dropped, and everything is idempotent. So loops end where they begin. All its traffic except stops
+is limited to `SHARE` of the bus.
 """
 
 from collections import Counter
@@ -45,18 +45,16 @@ from protocol.name import Name
 from protocol.sync.synchronizer import Synchronizer
 
 SHARE = 0.10  # share of the bus for all frames that are not stops
-BURST_US = 20 * FRAME_US_MAX
-SUMMARY_US = 500 * MS
-ROTATION_US = (
-    100 * MS
-)  # one other segment's summary is sent this often: 0.6 % of the bus, for any number of segments
-MAP_STEP_US = (
-    2 * MS
-)  # between two turns of the map: on its bus there are three in ten frames at most
+BURST_US = 20 * FRAME_US_MAX  # bus time of the longest burst
+SUMMARY_US = 500 * MS  # period of our segment's summary on the backbone
+# One other segment's summary is sent to the robots this often: 0.6 % of the bus, for any number of
+# segments.
+ROTATION_US = 100 * MS
+MAP_STEP_US = 2 * MS  # shortest time between two frames of the map: at most three in ten frames
 LOOK_US = 200 * MS  # period of the liveness check of our segment
 LEFT_US = 60 * S  # a robot silent for longer is no longer counted as silent
-TELL_STEP_US = 20 * MS  # gateways tell a stranger the stops one after the other
-TELL_SPACING_US = 1 * S
+TELL_STEP_US = 20 * MS  # gateways send their stops to a new segment one after the other
+TELL_SPACING_US = 1 * S  # shortest time between two such sendings of one gateway
 STOPS_PER_MESSAGE = 64
 
 
@@ -72,10 +70,19 @@ Out = Effect | Publish
 
 
 class Gateway:
+    """One gateway candidate of a segment.
+
+    `receive` takes frames of its own bus, `hear` takes messages of the backbone, and `tick` is
+    called at `deadline_us`. All return effects in order. Times are microseconds on one clock of
+    this gateway.
+    """
+
     def __init__(
         self, area: Area, name: Name, boot: int, now_us: int, chart: MapRelay | None = None
     ) -> None:
-        """`boot`: 32 bits, different at each start. `chart`: the map, if segments share one."""
+        """`area`: the sections that concern this segment. `name`: the gateway's NAME on the bus.
+        `boot`: 32 bits, different at each start. `chart`: the map, if segments share one.
+        """
         self.area, self.name, self.boot = area, name, boot & 0xFFFF_FFFF
         self.candidacy = GatewayElection(boot, name.hash16, now_us)
         self.reach = SegmentReachability(area.segment)
@@ -100,15 +107,18 @@ class Gateway:
 
     @property
     def segment(self) -> int:
+        """Number of our segment."""
         return self.area.segment
 
     @property
     def leads(self) -> bool:
+        """Whether this candidate leads the gateways of the segment."""
         return self.candidacy.leads
 
     # ---------------------------------------------------------------- from our segment
 
     def receive(self, frame: Frame, now_us: int) -> Sequence[Out]:
+        """A frame of our own bus. A frame that cannot be read is counted and has no effect."""
         source, message = decode_once(frame)
         if isinstance(message, Malformed):
             self.counts[f"malformed {message.reason}"] += 1
@@ -175,6 +185,9 @@ class Gateway:
     # ---------------------------------------------------------------- from the backbone
 
     def hear(self, data: bytes, now_us: int) -> Sequence[Out]:
+        """A message of the backbone. One that cannot be read, or that is not news, is counted and
+        has no effect.
+        """
         message = backbone.unpack(data)
         if message is None:
             self.counts["malformed message"] += 1
@@ -227,6 +240,7 @@ class Gateway:
 
     @property
     def deadline_us(self) -> int:
+        """When `tick` has something to do next."""
         times = [self.candidacy.deadline_us]
         if self.candidacy.address is not None:
             times += [self.stops.deadline_us, self._look_us]
@@ -245,10 +259,11 @@ class Gateway:
                     times.append(self._say_us)
         return min(times)
 
-    _map_us = 0  # the same for frames of the map
-    _say_us = 0  # when the rate limit lets the next frame pass
+    _map_us = 0  # earliest time of the next frame of the map
+    _say_us = 0  # when the rate limit lets the next frame of work pass
 
     def tick(self, now_us: int) -> Sequence[Out]:
+        """Everything that is due now; call it at `deadline_us`."""
         candidacy = self.candidacy
         effects: list[Out] = [
             *candidacy.tick(len(self.reach.reached(now_us)), self.reach.ever, now_us)
@@ -313,7 +328,7 @@ class Gateway:
         return effects
 
     def _rotate(self, now_us: int) -> list[Out]:
-        """The next of the other segments, for the robots here."""
+        """The summary of the next other segment, for the robots here."""
         heard = sorted(self.reach.heard(now_us))
         if not heard:
             return []
@@ -329,6 +344,9 @@ class Gateway:
         return [self._send(told)]
 
     def summary(self, now_us: int) -> Summary:
+        """Our segment for the others: counts of robots (each at most 255), sections done, and
+        digests.
+        """
         live, halted = self.stops.halted(now_us)
         silent = sum(LIVE_US <= now_us - t_us < LEFT_US for t_us in self._heard_us.values())
         done, digest = self.border.home_state()

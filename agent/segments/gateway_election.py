@@ -1,7 +1,8 @@
-"""Coordination of the gateways of one segment: numbers, signs of life, and the election of a leader.
+"""Coordination of the gateways of one segment: numbers, signs of life, and the election of a
+leader.
 
 A candidate listens first and takes the lowest free number, and with it an address. Of two with the
-same number, the one with the lower random lot takes another. The leader is elected by votes
+same number, the one with the lower random lot takes another number. The leader is elected by votes
 (`agent/peer/leader_election.py`). A silent candidate is no longer counted, and a new term fences it
 off. Stopping does not depend on this: every candidate forwards stops.
 """
@@ -21,14 +22,19 @@ from protocol.frames.segment_frames import (
     GatewayBeat,
 )
 
-BEAT_US = 250 * MS
-SILENT_US = 800 * MS  # three beats are missing
-LISTEN_US = 600 * MS  # two beats of the candidates already present
+BEAT_US = 250 * MS  # period of GATEWAY_BEAT
+SILENT_US = 800 * MS  # a candidate counts as silent after this: three beats are missing
+LISTEN_US = 600 * MS  # before a candidate takes a number: two beats of those already present
 NUMBERS = range(GATEWAY_SLOT, GATEWAY_SLOT + CANDIDATES_MAX)
 
 
 class GatewayElection:
+    """One candidate's view of the gateways of its segment."""
+
     def __init__(self, lot: int, name_hash: int, now_us: int) -> None:
+        """`lot`: a random number that settles which of two candidates keeps a number. `name_hash`:
+        16 bits of our NAME, which settle elections.
+        """
         self.lot = lot & 0xFFFF
         self.number: int | None = None
         self.election = Election(SEGMENT_GATEWAY, NUMBERS[0], name_hash)
@@ -40,25 +46,29 @@ class GatewayElection:
 
     @property
     def address(self) -> int | None:
+        """Our bus address; None without a number."""
         return None if self.number is None else GATEWAY_ADDRESS + self.number - GATEWAY_SLOT
 
     @property
     def leads(self) -> bool:
+        """Whether this candidate is the elected leader."""
         leader = self.election.leader
         return leader is not None and self.number == leader.slot
 
     @property
     def term(self) -> int:
+        """The term of the current leader, a count of elections."""
         return self.election.term
 
     @property
     def deadline_us(self) -> int:
+        """When `tick` has something to do next."""
         return self._beat_us
 
     # ---------------------------------------------------------------- hearing
 
     def hear(self, number: int, message: Message, now_us: int) -> None:
-        """A frame of another candidate."""
+        """A frame of another candidate. `number`: the one that its address stands for."""
         if isinstance(message, GatewayBeat) and message.candidate == number:
             if number == self.number and message.lot != self.lot:
                 if message.lot > self.lot:
@@ -81,6 +91,11 @@ class GatewayElection:
     # ---------------------------------------------------------------- speaking
 
     def tick(self, reached: int, ever: bool, now_us: int) -> Sequence[Effect]:
+        """Our beat and our vote, if they are due.
+
+        `reached`: how many other segments are reached now. `ever`: whether one was reached since
+        the start.
+        """
         if now_us < self._beat_us:
             return ()
         self._beat_us = now_us + BEAT_US

@@ -1,11 +1,11 @@
-"""A gateway's part in the map: one chart between two conversations.
+"""A gateway's part in the map: one map between two conversations.
 
-On its bus the gateway takes part in the robots' anti-entropy like a robot. On the backbone the leading
-gateways run the same protocol (`protocol/sync/map_sync.py`) with each other. Data learned on one side
-makes the digests of the other side differ and is then sent there. So tiles and digests cross by
-anti-entropy alone, and after a network cut only the changes are sent.
+On its bus the gateway takes part in the robots' anti-entropy like a robot. On the backbone the
+leading gateways run the same protocol (`protocol/sync/map_sync.py`) with each other. Data learned
+on one side makes the digests of the other side differ and is then sent there. So patches and
+digests cross by anti-entropy alone, and after a network cut only the changes are sent.
 
-Segments that share a map share its geometry. An observer has five bits, so robots of two segments
+Segments that share a map share its geometry. An observer has five bits. So robots of two segments
 with the same slot count as one observer, which trusts the data of the other as its own.
 """
 
@@ -19,12 +19,17 @@ from protocol.frames.map_frames import MapDigests, MapPatch
 from protocol.frames.segment_frames import GATEWAY_SLOT
 from protocol.sync.map_sync import MapSync, Said
 
-PATCH, DIGESTS = 3, 4  # of entries
+PATCH, DIGESTS = 3, 4  # kinds of entries on the backbone
 KINDS: dict[int, type[MapPatch] | type[MapDigests]] = {PATCH: MapPatch, DIGESTS: MapDigests}
 
 
 class MapRelay:
+    """The map as a gateway knows it, with its conversations on the bus and on the backbone."""
+
     def __init__(self, segment: int, geometry: Geometry, order: MergeOrder, now_us: int) -> None:
+        """`segment`: our number, which is our slot on the backbone. `geometry`, `order`: of the
+        shared map.
+        """
         self.segment = segment
         self.chart = OccupancyMap(geometry, order)
         clock = HybridClock(now_us, S, TIME_MAX)
@@ -33,19 +38,23 @@ class MapRelay:
         self.refused = 0  # entries that are no frame of a map
 
     def live(self, robots: frozenset[int], segments: frozenset[int]) -> None:
+        """The slots of robots and the numbers of segments that are received now."""
         self.near.live(robots)
         self.far.live(segments)
 
     @property
     def digest(self) -> int:
+        """32 bits of the digest of the whole map."""
         return self.chart.digest & 0xFFFF_FFFF
 
     def hear(self, slot: int, message: Said, now_us: int) -> None:
-        """On our bus."""
+        """A frame of the map from our own bus, sent by the robot or gateway `slot`."""
         self.near.receive(slot, message, now_us)
 
     def receive(self, segment: int, entry: Entry, now_us: int) -> None:
-        """From another segment's gateway."""
+        """An entry from another segment's gateway. One that is no frame of a map is counted in
+        `refused`.
+        """
         kind = KINDS.get(entry.kind)
         try:
             message = None if kind is None else kind.unpack(entry.data)
@@ -58,10 +67,11 @@ class MapRelay:
 
     @property
     def deadline_us(self) -> int:
+        """When `tick` has something to do next."""
         return min(self.near.deadline_us, self.far.deadline_us)
 
     def tick(self, limit: TokenBucket, now_us: int) -> tuple[list[Said], list[Entry]]:
-        """(frames for our bus, entries for the backbone); the frames as far as the limit allows."""
+        """The frames for our bus, as far as `limit` allows, and the entries for the backbone."""
         near: list[Said] = []
         if self.near.deadline_us <= now_us and limit.take(FRAME_US_MAX, now_us):
             near = self.near.tick(now_us)

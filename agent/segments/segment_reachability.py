@@ -26,6 +26,8 @@ class RemoteSegment:
 
 
 class SegmentReachability:
+    """What one gateway knows about the other segments, from their messages."""
+
     def __init__(self, segment: int) -> None:
         self.segment = segment
         self.remotes: dict[int, RemoteSegment] = {}
@@ -33,7 +35,9 @@ class SegmentReachability:
         self.ever = False
 
     def accepts(self, header: Header, now_us: int) -> bool:
-        """Not an echo, not a duplicate, not from a gateway that has been replaced."""
+        """Whether to read a message: no echo, no duplicate, and not from a gateway that has been
+        replaced.
+        """
         if header.segment == self.segment:
             self.counts["echo"] += 1
             return False
@@ -57,6 +61,7 @@ class SegmentReachability:
         return True
 
     def hear(self, header: Header, summary: Summary, now_us: int) -> None:
+        """Take in the summary of another segment; call it after `accepts`."""
         remote = self.remotes[header.segment]
         kept = summary._replace(heard={}, shared={})  # what grows with the fleet is not kept
         remote.summary, remote.heard_us = kept, now_us
@@ -64,7 +69,7 @@ class SegmentReachability:
         self.ever |= remote.hears_us
 
     def heard(self, now_us: int) -> dict[int, int]:
-        """Segments that are received now, and the terms of their gateways."""
+        """Segments that are received now, with the terms of their gateways."""
         return {s: r.term for s, r in self.remotes.items() if now_us - r.heard_us < GONE_US}
 
     def reached(self, now_us: int) -> list[int]:

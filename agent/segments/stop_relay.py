@@ -1,11 +1,13 @@
-"""A gateway's part in stopping: repeats every press of the fleet in its segment until all robots stand.
+"""A gateway's part in stopping: repeats every press of the fleet in its segment until all robots
+stand.
 
 Every candidate forwards stops, whether it leads or not, so no stop is lost if a gateway dies. The
-others wait a moment and send only what the leader has not sent. The relay authenticates nothing: it
-holds no secret, so the robots verify, and a reset never prevents the relay from forwarding a stop.
+others wait a moment and send only what the leader has not sent. The relay authenticates nothing,
+because it holds no secret. The robots verify, and a reset never prevents the relay from forwarding
+a stop.
 
 A stop frame is a press, or a repetition for a segment that may not know it. A press with a dot that
-has a reset is forwarded too, as long as it is sent: robots that know the reset brake and take another
+has a reset is forwarded as well while it is sent: robots that know the reset brake and take another
 dot.
 """
 
@@ -18,11 +20,11 @@ from crdt.digest import mix
 from crdt.stops import RemoteStopDot
 from protocol.frames.segment_frames import GATEWAY_ADDRESS, FleetReset, FleetStop
 
-DOTS_MAX = 1024  # dots of the fleet; beyond it those with a reset are dropped, oldest first
+DOTS_MAX = 1024  # dots kept; beyond it those with a reset are dropped, oldest first
 REPEATS_MAX = 400  # 2 s of repetition, as a robot does; then beats without the stopped bit renew it
-TIMES_MIN = 2  # even if all robots stand: some may stand for another cause and must know the stop
+TIMES_MIN = 2  # repeats even if all robots stand: some may stand for another cause
 STANDBY_US = 8 * MS  # the leader's frame, and two in its way, are on the bus by then
-LIVE_US = 1 * S  # a robot heard within this has to stop; the longest silence that is tolerated
+LIVE_US = 1 * S  # a robot received within this has to stop; the longest silence that is tolerated
 NEWS_BURST, NEWS_A_SECOND = 16, 20  # new dots from the backbone; one is enough to stop all robots
 USED_US = 50 * MS  # a press with a dot that has a reset is published again this often
 AGAIN_US = 500 * MS  # a stop is repeated this often for a robot that beats "not stopped"
@@ -38,29 +40,29 @@ class Said(NamedTuple):
 
 
 class StopRelay:
+    """The stops and resets of the whole fleet that one gateway holds and repeats."""
+
     def __init__(self, segment: int, now_us: int) -> None:
         self.segment = segment
         self.leads = False
         self.stops: dict[RemoteStopDot, FleetStop] = {}
         self.resets: dict[RemoteStopDot, dict[int, FleetReset]] = {}
         self.refused = 0  # dots beyond the limit of news
-        self.disbelieved: set[RemoteStopDot] = (
-            set()
-        )  # all repeats were sent, and no robot here stands for it
+        # Dots whose repeats were all sent without any robot here stopping for them.
+        self.disbelieved: set[RemoteStopDot] = set()
         self._saying: dict[RemoteStopDot, Said] = {}
         self._robots: dict[int, tuple[int, bool]] = {}  # address -> last beat, stands stopped
         self._echoes: dict[RemoteStopDot, set[int]] = {}
         self._next_us = 0  # we send one stop at a time, regardless of their number
         self._again_us = 0
-        self._pressed_us: dict[
-            RemoteStopDot, int
-        ] = {}  # of presses, not of told stops: when carried last
+        # When a press, not a repetition, was forwarded last.
+        self._pressed_us: dict[RemoteStopDot, int] = {}
         self._to_reset: list[FleetReset] = []
         self._news = TokenBucket(NEWS_A_SECOND / 1e6, NEWS_BURST, now_us)
 
     @property
     def digest(self) -> int:
-        """Digest of all stops we hold; equal digests need no exchange."""
+        """32 bits that are equal for equal stops and resets; equal ones need no exchange."""
         total = sum(mix(int.from_bytes(stop.pack(), "little")) for stop in self.stops.values())
         for halves in self.resets.values():
             total += sum(mix(int.from_bytes(half.pack(), "little")) for half in halves.values())
@@ -69,7 +71,10 @@ class StopRelay:
     # ---------------------------------------------------------------- from our segment
 
     def beat(self, address: int, stopped: bool, now_us: int) -> None:
-        """A robot's pose; a robot that drives on under an active stop has not received it."""
+        """A robot's pose, from its bus address.
+
+        A robot that drives on under an active stop has not received it, so the stop is sent again.
+        """
         self._robots[address] = now_us, stopped
         if stopped or now_us < self._again_us or self._saying:
             return
@@ -79,12 +84,15 @@ class StopRelay:
             self._say(active[-1], True, now_us)
 
     def halted(self, now_us: int) -> tuple[int, int]:
-        """(robots received lately, how many of them are stopped)."""
+        """How many robots were received lately, and how many of them are stopped."""
         lately = [s for heard_us, s in self._robots.values() if now_us - heard_us < LIVE_US]
         return len(lately), sum(lately)
 
     def hear_stop(self, source: int, stop: FleetStop, now_us: int) -> list[FleetStop]:
-        """A stop on our bus, from any device; returns the frames to publish."""
+        """A stop on our bus, from any device. Returns the frames to publish on the backbone.
+
+        `source`: its bus address.
+        """
         dot = _dot(stop)
         self._echoes.setdefault(dot, set()).add(source)
         known = dot in self.stops
@@ -99,13 +107,18 @@ class StopRelay:
     def _is_press(self, stop: FleetStop, now_us: int) -> bool:
         """Whether a frame with a known dot is a new press.
 
-        A press counts once; with a dot that has a reset it counts as long as it is sent."""
+        A press counts once. With a dot that has a reset it counts again in intervals while it is
+        sent.
+        """
         dot = _dot(stop)
         if stop.told or dot not in self._pressed_us:
             return not stop.told
         return not self._active(dot) and now_us - self._pressed_us[dot] >= USED_US
 
     def hear_reset(self, half: FleetReset) -> list[FleetReset]:
+        """One half of a reset on our bus. Returns both halves to publish when the second one is
+        new.
+        """
         dot = _dot(half)
         halves = self.resets.setdefault(dot, {})
         if halves.get(half.part) == half:
@@ -117,6 +130,7 @@ class StopRelay:
     # ---------------------------------------------------------------- from the backbone
 
     def receive_stops(self, stops: Iterable[FleetStop], now_us: int) -> None:
+        """Stops from the backbone, to repeat on our bus if they are news."""
         for stop in stops:
             dot = _dot(stop)
             known = dot in self.stops
@@ -134,6 +148,7 @@ class StopRelay:
             self._say(dot, stop.told, now_us)
 
     def receive_resets(self, resets: Iterable[FleetReset], now_us: int) -> None:
+        """Halves of resets from the backbone; complete ones are sent on our bus."""
         for half in resets:
             known = self.resets.setdefault(_dot(half), {})
             if known.get(half.part) != half:
@@ -172,13 +187,16 @@ class StopRelay:
 
     @property
     def deadline_us(self) -> int:
+        """When `tick` has something to send next."""
         if self._to_reset:
             return self._next_us
         due_us = min((said.next_us for said in self._saying.values()), default=FOREVER)
         return max(due_us, self._next_us) if due_us < FOREVER else FOREVER
 
     def tick(self, now_us: int) -> list[FleetStop | FleetReset]:
-        """At most one stop, or the halves of one reset, sent twice in case one is missed."""
+        """The frames to send now: at most one stop, or the halves of one reset, twice in case one
+        is missed.
+        """
         if now_us < self.deadline_us:
             return []
         self._next_us = now_us + STOP_REPEAT_US

@@ -7,13 +7,14 @@ class TokenBucket:
     """Allows `share` of the bus time, with bursts of at most `burst_us`."""
 
     def __init__(self, share: float, burst_us: int, now_us: int) -> None:
+        """`share`: above 0, up to 1. `burst_us`: bus time that may be used without a pause."""
         assert 0 < share <= 1
         self.share, self.burst_us = share, burst_us
         self._left_us = float(burst_us)
         self._filled_us = now_us
 
     def take(self, cost_us: int, now_us: int) -> bool:
-        """Whether a transmission of this duration may begin now."""
+        """Whether a transmission of `cost_us` may begin now; if so, it is charged."""
         self._fill(now_us)
         if self._left_us < cost_us:
             return False
@@ -21,7 +22,7 @@ class TokenBucket:
         return True
 
     def ready_us(self, cost_us: int, now_us: int) -> int:
-        """When it may begin, if nothing else is sent before."""
+        """When a transmission of `cost_us` may begin if nothing else is sent before."""
         self._fill(now_us)
         lacking_us = cost_us - self._left_us
         return now_us if lacking_us <= 0 else now_us + min(int(lacking_us / self.share) + 1, S)

@@ -1,11 +1,11 @@
 """A gateway's part in the work: keeps the sections shared with neighbour segments equal.
 
 The home of a section decides. Its value is sent to the neighbours that share it and becomes their
-copy. Claims and progress of a neighbour's robot are sent to the home as a request, merge there by the
-same order, and come back as the home's value. If two claims differ only in their owners, the home
-decides by raising the epoch. Losses and network cuts are repaired by comparing one digest a
-neighbour: on a difference the entries changed since the last agreement are sent, and if that did not
-help, all entries.
+copy. Claims and progress of a neighbour's robot are sent to the home as a request, merge there by
+the same order, and come back as the home's value. If two claims differ only in their owners, the
+home decides by raising the epoch. Losses and network cuts are repaired by comparing one digest for
+each neighbour. On a difference the entries changed since the last agreement are sent, and if that
+did not help, all entries.
 """
 
 from collections import Counter
@@ -30,7 +30,7 @@ Work = TaskClaim | StateSyncResponse | WorkProgress
 
 
 class Change(NamedTuple):
-    """An entry to be sent, by its number here."""
+    """An entry to be sent: its kind, its section number here, and its block of progress."""
 
     kind: int
     section: int
@@ -38,12 +38,14 @@ class Change(NamedTuple):
 
 
 class WorkRelay:
+    """The shared sections as one gateway knows them, and what it has to send where."""
+
     def __init__(self, area: Area) -> None:
         self.area = area
         self.allocation, self.progress = FieldAllocationCRDT(), Progress()
         self.counts: Counter[str] = Counter()
         self._outbox: dict[int, dict[Change, None]] = {n: {} for n in area.neighbours}
-        self._fresh: list[Change] = []  # joined by the message that is being read
+        self._fresh: list[Change] = []  # changes by the message that is being read
         self._inject: dict[Change, None] = {}  # to be sent on our bus with the newest value
         self._changed: dict[Change, int] = {}  # -> version of its last change
         self._version = 0
@@ -84,10 +86,11 @@ class WorkRelay:
 
     @property
     def waiting(self) -> bool:
+        """Whether there are entries for the backbone."""
         return any(self._outbox.values())
 
     def take(self) -> Iterable[tuple[int, tuple[Entry, ...]]]:
-        """(neighbour, entries) to publish now."""
+        """For each neighbour the entries to publish now, at most `ENTRIES_MAX` each."""
         for neighbour, changes in self._outbox.items():
             if changes:
                 chosen = list(changes)[:ENTRIES_MAX]
@@ -113,11 +116,16 @@ class WorkRelay:
 
     @property
     def version(self) -> int:
-        """Counts changes of what is shared."""
+        """A counter of changes to shared sections."""
         return self._version
 
     def receive(self, source: int, entries: Iterable[Entry]) -> Iterable[tuple[int, int | None]]:
-        """Merge the entries; returns (section, block or None for its register) of each change."""
+        """Merge entries of the neighbour `source`. Returns (section, block) of each change; block
+        None stands for the register.
+
+        Entries of sections that are not shared with it, or that cannot be read, are counted as
+        refused.
+        """
         self._fresh = []
         for entry in entries:
             number = self.area.number_of.get(SegmentPlace(entry.segment, entry.section))
@@ -192,7 +200,9 @@ class WorkRelay:
             self._news(change)
 
     def _joined(self, change: Change) -> None:
-        """A change from another segment: for our bus and, if we are the home, the other neighbours."""
+        """Note a change from another segment: for our bus and, if we are the home, for the other
+        neighbours.
+        """
         self.counts["joined"] += 1
         self._fresh.append(change)
         self._inject.pop(change, None)
@@ -206,10 +216,13 @@ class WorkRelay:
 
     @property
     def to_say(self) -> bool:
+        """Whether there are frames for our bus."""
         return bool(self._inject)
 
     def say(self) -> Work:
-        """The next frame for our bus. A claim is an announcement; robots join it as any other."""
+        """The next frame for our bus; call it only if `to_say`. Robots join a claim as any other
+        announcement.
+        """
         change = next(iter(self._inject))
         del self._inject[change]
         if change.kind == BLOCK:
@@ -218,13 +231,13 @@ class WorkRelay:
         return TaskClaim(change.section, *self.allocation.entry(change.section))
 
     def forget_injections(self) -> None:
-        """Another gateway leads, so it sends them."""
+        """Forget the frames for our bus, because another gateway leads and sends them."""
         self._inject.clear()
 
     # ---------------------------------------------------------------- anti-entropy
 
     def home_state(self) -> tuple[int, int]:
-        """(sections done, digest) of what belongs to this segment, for the rest of the fleet."""
+        """How many sections of this segment are done, and a 32-bit digest of all of them."""
         total = done = 0
         for section, key in self.allocation.entries().items():
             if section < self.area.home:
@@ -233,7 +246,9 @@ class WorkRelay:
         return done, (total & 0xFFFF_FFFF_FFFF_FFFF) >> 32
 
     def digest(self, neighbour: int) -> int:
-        """Digest of all sections that both hold; equal contents give equal digests on both sides."""
+        """32 bits of all sections shared with a neighbour; equal contents give equal digests on
+        both sides.
+        """
         total = 0
         for section in self.area.shared_with(neighbour):
             home, number = self.area.place_of(section)
@@ -257,7 +272,11 @@ class WorkRelay:
         return segment if segment in (self.area.segment, neighbour) else home
 
     def compare(self, neighbour: int, theirs: int) -> None:
-        """Compare a neighbour's digest; after two differences in a row with nothing pending, send."""
+        """Compare a neighbour's digest with ours; after two differences in a row with nothing
+        pending, send.
+
+        `theirs`: 32 bits.
+        """
         if neighbour not in self._outbox:
             return
         if theirs == self.digest(neighbour):
