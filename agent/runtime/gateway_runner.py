@@ -1,6 +1,7 @@
 """Passes frames, messages and time into a gateway, and performs its effects.
 
-It uses the timers that it is given: those of an asyncio loop (`headland bridge`) or of a simulation.
+It uses the timers that it is given: those of an asyncio loop (`headland bridge`) or of a
+simulation.
 """
 
 import logging
@@ -17,21 +18,32 @@ log = logging.getLogger(__name__)
 
 
 class Timer(Protocol):
-    def cancel(self) -> object: ...
+    """A call that was scheduled for later."""
+
+    def cancel(self) -> object:
+        """Do not make the call."""
+        ...
 
 
 class Backbone(Protocol):
     """The link between segments: messages may be lost, late or duplicated, and have no loopback."""
 
-    def publish(self, message: Publish) -> None: ...
+    def publish(self, message: Publish) -> None:
+        """Send a message to the segment that it concerns, or to all."""
+        ...
+
     def subscribe(self, callback: Callable[[bytes], None]) -> None:
         """Call back for every message that concerns this segment, in the thread of the timers."""
         ...
 
-    def close(self) -> None: ...
+    def close(self) -> None:
+        """Stop receiving and release the link."""
+        ...
 
 
 class GatewayShell:
+    """Runs one gateway on a bus and a backbone."""
+
     def __init__(
         self,
         gateway: Gateway,
@@ -41,7 +53,9 @@ class GatewayShell:
         at: Callable[[int, Callable[[], None]], Timer],
         on_effect: Callable[[int, Out], None] | None = None,
     ) -> None:
-        """`clock` and `at` in microseconds."""
+        """`clock`: the time in microseconds. `at`: schedules a call for a time in microseconds.
+        `on_effect`: called with the time and each effect after it was performed.
+        """
         self.gateway, self.bus, self.backbone = gateway, bus, backbone
         self.on_effect = on_effect
         self.frames = 0  # count of frames sent on our bus
@@ -51,6 +65,7 @@ class GatewayShell:
         self._open = True
 
     def begin(self) -> None:
+        """Subscribe to bus and backbone, and set the first timer."""
         self.bus.subscribe(self._frame)
         self.backbone.subscribe(self._message)
         self._arm()

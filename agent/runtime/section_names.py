@@ -1,8 +1,8 @@
-"""Section names of the engine's API (strings) and section numbers of the wire (u16).
+"""Section names of the engine's API (strings) and section numbers of the wire (16 bits).
 
-`S7`, `section_7` and `7` are section 7, so names with a number agree between peers that share only
-the convention. Any other name is hashed into the upper half. Two names with the same hash are refused,
-because silently sharing one register would be worse.
+`S7`, `section_7` and `7` are section 7. So names with a number agree between peers that share only
+the convention. Any other name is hashed into the upper half. Two names with the same hash are
+refused, because silently sharing one register would be worse.
 """
 
 from zlib import crc32
@@ -11,11 +11,16 @@ NAMED_FIRST = 0x8000  # numbers below come from the digits of a name
 
 
 class SectionNames:
+    """The names that one program has used, by number."""
+
     def __init__(self) -> None:
         self.by_number: dict[int, str] = {}
 
     def number(self, name: str) -> int:
-        """Raises ValueError if the name cannot be a section."""
+        """The number of a section, from its digits or by a hash of its name.
+
+        Raises ValueError if the name is empty, or if another name has the same hash.
+        """
         digits = name[len(name.rstrip("0123456789")) :]
         if digits and int(digits) < NAMED_FIRST:
             number = int(digits)
@@ -29,4 +34,5 @@ class SectionNames:
         return number
 
     def name(self, number: int) -> str:
+        """The name that was used for a number; S and the number if none was."""
         return self.by_number.get(number, f"S{number}")

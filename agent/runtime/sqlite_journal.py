@@ -1,16 +1,17 @@
 """A robot's durable memory on disk: sqlite, write-ahead log, synchronous FULL.
 
-One row a key, with a checksum, because sqlite checks its log but not its pages. `write` returns when
-the rows would survive a power cut. A failure of sqlite becomes an OSError here, after which this robot
-does not move any more.
+Each key has one row, with a checksum, because sqlite checks its log but not its pages. `write`
+returns when the rows would survive a power cut. A failure of sqlite becomes an OSError here, after
+which this robot does not move any more.
 
-A log that was cut short is rolled back by sqlite in silence: what is left is whole, checked and old. So
-each write has a number, which is kept in two places. The journal's own is part of the transaction. The
-mark is a small file beside it, written and synced after the commit and before `write` returns. Nothing of
-a write is revealed before both are durable. A crash between the two leaves the journal one ahead of the
-mark, which is sound. A journal behind its mark has lost what was revealed, and one that is further ahead
-has a mark that cannot be trusted: in both cases the memory is lost. A journal and a mark that are both
-replaced by older copies of themselves cannot be told from sound ones.
+Sqlite rolls back a log that was cut short without an error: what is left is whole and valid, but
+old. So each write has a number, which is kept in two places. The journal's own number is part of
+the transaction. The mark is a small file beside it, written and synced after the commit and before
+`write` returns. Nothing of a write is revealed before both are durable. After a crash between the
+two the journal is one ahead of the mark, which is sound. A journal behind its mark has lost data
+that were revealed. If it is further ahead, its mark cannot be trusted. In both cases the memory is
+lost. A journal and a mark that are both replaced by older copies of themselves cannot be told from
+sound ones.
 """
 
 import os
@@ -30,29 +31,27 @@ NUMBER = Struct("<Q")
 MARK = Struct("<QI")  # the same number in the mark, and its CRC-32
 MARK_PLACES, MARK_SPACING = 2, 4096  # numbers alternate between two places, a page of a disk apart
 MARK_SUFFIX = "-mark"
-LAG_MAX = 1  # writes: a crash between the commit and the mark
-FULL = 2  # what sqlite calls synchronous FULL
-NOT_TO_BE_HAD = {  # errors about getting at the file; any other is about what is in it
+LAG_MAX = 1  # writes that the mark may be behind: a crash between the commit and the mark
+FULL = 2  # the value of sqlite's PRAGMA synchronous for FULL
+NOT_TO_BE_HAD = {  # errors of access to the file; any other is about its contents
     sqlite3.SQLITE_PERM, sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED, sqlite3.SQLITE_NOMEM,
     sqlite3.SQLITE_READONLY, sqlite3.SQLITE_INTERRUPT, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_FULL,
     sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_PROTOCOL, sqlite3.SQLITE_NOLFS, sqlite3.SQLITE_AUTH,
 }  # fmt: skip
-WRITE_VERSION_AT, WRITE_VERSION_MAX = (
-    18,
-    2,
-)  # in the header of a database (sqlite.org/fileformat.html)
-PROBLEMS = (sqlite3.Error, UnicodeDecodeError)  # the second where damaged text is decoded
+# Offset and largest known value in the header of a database (sqlite.org/fileformat.html).
+WRITE_VERSION_AT, WRITE_VERSION_MAX = 18, 2
+PROBLEMS = (sqlite3.Error, UnicodeDecodeError)  # the second one for damaged text
 
 
 class UnreadableError(OSError):
-    """The file is there and what it held is lost. Its robot has lost its memory."""
+    """The file exists and its contents are lost: its robot has lost its memory."""
 
 
 class Mark:
     """The number of the newest write, in a file of its own."""
 
     def __init__(self, path: Path) -> None:
-        """Raises OSError. A file that is not there is made with the first number."""
+        """Reads the file if it exists. Raises OSError if it cannot be read."""
         self.path = path
         self._file: int | None = None
         self.number = 0  # the newest that can be read; 0: none
@@ -66,13 +65,14 @@ class Mark:
                         self.number = max(self.number, number)
 
     def set(self, number: int) -> None:
-        """Durable when it returns. Raises OSError."""
+        """Write the number; it is durable when this returns. Raises OSError."""
         raw = NUMBER.pack(number)
         self._put(number % MARK_PLACES * MARK_SPACING, MARK.pack(number, crc32(raw)))
         self._sync()
         self.number = number
 
     def close(self) -> None:
+        """Close the file; `set` opens it again."""
         if self._file is not None:
             os.close(self._file)
             self._file = None
@@ -87,7 +87,9 @@ class Mark:
         os.fdatasync(self._file)
 
     def _opened(self) -> int:
-        """Both places have their room before the first is written: later a full disk is no matter."""
+        """Open the file. A new one gets the room for both places first, so that a full disk does no
+        harm later.
+        """
         new = not self.path.exists()
         file = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
         if new:
@@ -102,10 +104,16 @@ class Mark:
 
 
 class SqliteJournal:
+    """The durable memory of one robot in one file, which only one process can open."""
+
     def __init__(self, path: Path) -> None:
-        """UnreadableError where the file is no journal (any more), OSError where it is not to be had."""
+        """Open the file or create it.
+
+        Raises UnreadableError if the file is no journal (any more), and OSError if it cannot be
+        accessed.
+        """
         self.path = path
-        if _header_forbids_writing(path):  # it may be read, and no stop could be written any more
+        if _header_forbids_writing(path):  # it could be read, but no stop could be written
             raise UnreadableError(f"{path}: its header forbids writing")
         self.mark = Mark(path.with_name(path.name + MARK_SUFFIX))
         self._number: int | None = None  # of the newest write; None: not read yet
@@ -130,8 +138,11 @@ class SqliteJournal:
 
     @classmethod
     def opened(cls, path: Path) -> tuple["SqliteJournal", Mapping[str, bytes]]:
-        """The journal and what it recalls. An unreadable one is put aside, for people who want to
-        look into it. The new one recalls one record: `LOST`, with the reason. Raises OSError."""
+        """Open a journal and load it: the journal, and its records by key.
+
+        An unreadable one is put aside for people who want to inspect it. The new one then has one
+        record, `LOST`, with the reason. Raises OSError.
+        """
         try:
             journal = cls(path)
             try:
@@ -154,7 +165,10 @@ class SqliteJournal:
         return journal, journal.load()
 
     def load(self) -> Mapping[str, bytes]:
-        """UnreadableError where what was written is not all there, or makes no sense."""
+        """The newest value of each key.
+
+        Raises UnreadableError if records are missing, damaged or contradict each other.
+        """
         records = self._rows()
         number = self._numbered(records.pop(NEWEST, None))
         if not 0 <= number - self.mark.number <= LAG_MAX:
@@ -168,7 +182,7 @@ class SqliteJournal:
         return records
 
     def write(self, records: Iterable[Persist]) -> None:
-        """All of them or none."""
+        """Write all of the records or none; they are durable when this returns. Raises OSError."""
         if self._number is None:
             self.load()
         assert self._number is not None
@@ -189,7 +203,7 @@ class SqliteJournal:
         self.mark.set(number)
 
     def _rows(self) -> dict[str, bytes]:
-        try:  # the check compares rows with their index, so that a row which is gone is missed
+        try:  # the check compares rows with their index, so it notices a missing row
             ((verdict,), *_) = self._database.execute("PRAGMA integrity_check(1)").fetchall()
             rows = self._database.execute("SELECT key, value FROM record").fetchall()
         except PROBLEMS as problem:
@@ -205,12 +219,13 @@ class SqliteJournal:
         return records
 
     def _numbered(self, raw: bytes | None) -> int:
-        """Of a journal of before there were numbers: 0."""
+        """The number in a record; 0 for a journal from before there were numbers."""
         if raw is not None and len(raw) != NUMBER.size:
             raise UnreadableError(f"{self.path}: record {NEWEST!r} makes no sense")
         return 0 if raw is None else int(NUMBER.unpack(raw)[0])
 
     def close(self) -> None:
+        """Close the database and the mark."""
         self._database.close()
         self.mark.close()
 
@@ -233,11 +248,14 @@ def _checked(key: str, value: bytes) -> bytes:
 
 
 def put_aside(path: Path) -> None:
-    """Rename a journal with its log and mark. It is never deleted, because people may inspect it."""
+    """Rename a journal with its log and mark. It is never deleted, because people may want to
+    inspect it.
+    """
     number = 1
     while (aside := _aside(path, number)).exists():
         number += 1
-    # A file without its log could pass for an older state; without its mark for one of before marks.
+    # A file without its log could pass for an older state, and one without its mark for a journal
+    # from before there were marks.
     for suffix in ("", "-wal", "-shm", MARK_SUFFIX):
         part = path.with_name(path.name + suffix)
         if part.exists():

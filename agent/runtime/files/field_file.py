@@ -1,4 +1,4 @@
-"""Reading field boundaries: GeoJSON or ISO 11783-10 task data, projected to metres.
+"""Reads field boundaries: GeoJSON or ISO 11783-10 task data, projected to metres.
 
 Latitude and longitude end here. Every bad file is one `FieldFileError` with one line that names the
 file, what is wrong with it, and what to do.
@@ -20,7 +20,7 @@ from agent.runtime.files.isoxml_reader import read_isoxml
 TASK_DATA = (".xml", ".zip")
 SURFACES = ("Polygon", "MultiPolygon")
 GEOJSON_BYTES_MAX = 8 << 20  # 200 fields of 1,000 points
-NAMES_SHOWN = 6  # of a file's fields, in a message
+NAMES_SHOWN = 6  # most names of fields in a message
 NAME_MAX = 200  # characters of a field's name
 
 
@@ -29,11 +29,15 @@ class Boundary(NamedTuple):
 
     name: str
     polygon: Polygon
-    origin: tuple[float, float]  # latitude, longitude of (0, 0)
+    origin: tuple[float, float]  # latitude, longitude of (0, 0) in degrees
 
 
 def read_boundary(path: Path, feature: str | None = None) -> Boundary:
-    """The named field of a file, or its only one. Only that field is validated."""
+    """The named field of a file, or its only one. Only that field is validated.
+
+    Raises FieldFileError if the file cannot be read, if the field is missing or bad, or if there
+    are several fields and none is named.
+    """
     outlines, broken = fields_of(path)
     names = sorted({*outlines, *broken})
     if not names:
@@ -53,9 +57,10 @@ def read_boundary(path: Path, feature: str | None = None) -> Boundary:
 
 
 def fields_of(path: Path) -> tuple[dict[str, list[list[LonLat]]], dict[str, FieldFileError]]:
-    """Every field of a file: name -> rings of longitude and latitude; and name -> its error.
+    """Every field of a file: name -> rings of (longitude, latitude) in degrees; and name -> its
+    error.
 
-    FieldFileError where the file as a whole cannot be read.
+    Raises FieldFileError if the file as a whole cannot be read.
     """
     task_data = path.is_dir() or path.suffix.lower() in TASK_DATA
     broken: dict[str, FieldFileError] = {}
@@ -73,9 +78,10 @@ def fields_of(path: Path) -> tuple[dict[str, list[list[LonLat]]], dict[str, Fiel
 def read_geojson(
     path: Path, broken: dict[str, FieldFileError] | None = None
 ) -> dict[str, list[list[LonLat]]]:
-    """Name -> rings of longitude and latitude, the exterior first.
+    """Name -> rings of (longitude, latitude) in degrees (RFC 7946), the exterior first.
 
-    An error of a feature is raised, or put into `broken` by its name.
+    Raises FieldFileError if the file cannot be read. An error of one field is raised as well, or
+    put into `broken` by its name.
     """
     document = load_json(path, GEOJSON_BYTES_MAX)
     if document.get("type") == "FeatureCollection":
@@ -106,7 +112,7 @@ def read_geojson(
 
 
 def load_json(path: Path, bytes_max: int = FILE_BYTES_MAX) -> dict[str, Any]:
-    """An object of JSON. FieldFileError."""
+    """A JSON object from a file. Raises FieldFileError."""
     try:
         document = read_json(path, bytes_max)
     except GivenFileError as problem:
@@ -136,12 +142,17 @@ def _rings(path: Path, name: str, rings: object) -> list[list[LonLat]]:
 
 
 def plane(origin: tuple[float, float]) -> CRS:
-    """Metres east and north of a latitude and longitude."""
+    """The projection to metres east and north of an origin (latitude, longitude) in degrees."""
     return CRS.from_proj4(f"+proj=aeqd +lat_0={origin[0]} +lon_0={origin[1]} +datum=WGS84 +units=m")
 
 
 def project(path: Path, name: str, rings: list[list[LonLat]]) -> Boundary:
-    """Metres east and north of the middle of the outline (azimuthal equidistant, WGS 84)."""
+    """A boundary in metres east and north of the middle of the outline (azimuthal equidistant, WGS
+    84).
+
+    `rings`: of (longitude, latitude) in degrees, the exterior first. Raises FieldFileError if the
+    outline is invalid or too large. `path` and `name` are for its message.
+    """
     xs, ys = [p[0] for p in rings[0]], [p[1] for p in rings[0]]
     origin = ((min(ys) + max(ys)) / 2, (min(xs) + max(xs)) / 2)
     to_metres = Transformer.from_crs("EPSG:4326", plane(origin), always_xy=True).transform

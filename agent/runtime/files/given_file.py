@@ -1,8 +1,8 @@
 """The only way to read files from users: regular files of limited size, parsed within limits.
 
-Every error of such a file is a `GivenFileError` with one line that does not name the file, because
-the caller knows its purpose. A FIFO never blocks, a device never fills the memory, and deep or
-quadratic text is rejected before it takes more than a second.
+Every error of such a file is a `GivenFileError` with one line. The line does not name the file,
+because the caller knows its purpose. A FIFO never blocks, a device never fills the memory, and deep
+or quadratic text is rejected before it takes more than a second.
 """
 
 import json
@@ -22,7 +22,7 @@ KEY_BYTES_MAX = 64 * KIB  # 300 bytes
 REPORT_BYTES_MAX = 64 * MIB  # 1 MB: report.json of a day
 PLAN_BYTES_MAX = 64 * MIB  # 10 MB: a coverage plan of 100 robots
 SETTINGS_BYTES_MAX = 1 * MIB  # 10 kB: places, addresses, queues
-DOTS_MAX = 32  # in one key of TOML; for each one the parser needs time and memory of all before it
+DOTS_MAX = 32  # in one key of TOML; time and memory of the parser grow with their square
 REASON_MAX = 200  # characters
 
 
@@ -35,7 +35,7 @@ class GivenFileError(ValueError):
 
 
 def read_bytes(path: Path, bytes_max: int) -> bytes:
-    """The contents of a regular file. GivenFileError."""
+    """The contents of a regular file of at most `bytes_max` bytes. Raises GivenFileError."""
     try:
         handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     except OSError as problem:
@@ -61,7 +61,7 @@ def read_bytes(path: Path, bytes_max: int) -> bytes:
 
 
 def check_regular(path: Path) -> None:
-    """For a file that another library opens. GivenFileError if it is no regular file."""
+    """Raises GivenFileError if a path is no regular file; for files that another library opens."""
     try:
         mode = path.stat().st_mode
     except OSError as problem:
@@ -73,7 +73,7 @@ def check_regular(path: Path) -> None:
 
 
 def read_text(path: Path, bytes_max: int) -> str:
-    """Read UTF-8 text. GivenFileError."""
+    """The text of a UTF-8 file. Raises GivenFileError."""
     try:
         return read_bytes(path, bytes_max).decode("utf-8")
     except UnicodeDecodeError:
@@ -81,17 +81,20 @@ def read_text(path: Path, bytes_max: int) -> str:
 
 
 def read_json(path: Path, bytes_max: int) -> Any:
-    """Read a JSON file. GivenFileError."""
+    """The contents of a JSON file, as `parse_json` gives them. Raises GivenFileError."""
     return parse_json(read_text(path, bytes_max))
 
 
 def read_toml(path: Path, bytes_max: int) -> dict[str, Any]:
-    """Read a TOML file. GivenFileError."""
+    """The contents of a TOML file, as `parse_toml` gives them. Raises GivenFileError."""
     return parse_toml(read_text(path, bytes_max))
 
 
 def parse_json(text: str) -> Any:
-    """GivenFileError if it is not JSON, nested too deep, or has NaN or infinite numbers."""
+    """The value of a JSON text.
+
+    Raises GivenFileError if it is not JSON, is nested too deep, or has NaN or infinite numbers.
+    """
     try:
         return json.loads(text, parse_constant=_no_number)
     except (ValueError, RecursionError) as problem:
@@ -99,7 +102,10 @@ def parse_json(text: str) -> Any:
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """GivenFileError if it is not TOML, nested too deep, or has a key of too many parts."""
+    """The table of a TOML text.
+
+    Raises GivenFileError if it is not TOML, is nested too deep, or has a key of too many parts.
+    """
     if any(run.group().count(".") > DOTS_MAX for run in _DOTTED.finditer(_STRINGS.sub("q", text))):
         raise GivenFileError(f"not TOML of ours: a key of more than {DOTS_MAX} parts")
     try:
@@ -112,6 +118,7 @@ def parse_toml(text: str) -> dict[str, Any]:
 
 
 def size_text(count: int) -> str:
+    """A size in bytes for people, in KiB or MiB, rounded down."""
     return f"{count // MIB} MiB" if count >= MIB else f"{count // KIB} KiB"
 
 

@@ -1,4 +1,4 @@
-"""Reading ISO 11783-10 task data: a TASKDATA.XML, its folder, or a zip of it.
+"""Reads ISO 11783-10 task data: a TASKDATA.XML, its folder, or a zip of it.
 
 The package `isoxml` (an extra) turns the text into objects. By itself it accepts bad numbers,
 unknown kinds of geometry and document types, and passes on any exception of its parser. Here every
@@ -38,10 +38,11 @@ Read = Callable[[str], bytes | None]
 def read_isoxml(
     path: Path, broken: dict[str, FieldFileError] | None = None
 ) -> dict[str, list[list[LonLat]]]:
-    """Partfield -> rings of longitude and latitude, the exterior first; several parts are numbered.
+    """Partfield -> rings of (longitude, latitude) in degrees, the exterior first; several parts are
+    numbered.
 
-    An error of a field is raised, or put into `broken` by its name, so that one invalid outline
-    does not affect the others.
+    Raises FieldFileError if the data cannot be read. An error of one field is raised as well, or
+    put into `broken` by its name, so that one invalid outline does not affect the others.
     """
     outlines: dict[str, list[list[LonLat]]] = {}
     for number, partfield in enumerate(load_task_data(path).partfields):
@@ -62,7 +63,10 @@ def read_isoxml(
 
 
 def load_task_data(path: Path) -> Any:
-    """The task data as objects of `isoxml`, with the elements of its external files."""
+    """The task data as objects of `isoxml`, with the elements of its external files.
+
+    Raises FieldFileError if the data cannot be read, or if the package isoxml is not installed.
+    """
     try:
         import isoxml.models.base.v3 as v3
         import isoxml.models.base.v4 as v4
@@ -99,7 +103,11 @@ def load_task_data(path: Path) -> Any:
 
 
 def read_part(path: Path, name: str) -> bytes | None:
-    """A file beside the task data, from the same folder or zip; None if it does not exist."""
+    """The contents of a file beside the task data, from the same folder or zip; None if it does not
+    exist.
+
+    Raises FieldFileError if it cannot be read.
+    """
     archive, read = _reader(path)
     try:
         return read(name)
@@ -227,8 +235,9 @@ def _only_holes(polygon: Any) -> bool:
 
 
 def _exteriors(path: Path, name: str, polygon: Any) -> Iterator[Polygon]:
-    """The polygons of a PLN. Version 3 allows several outlines in one; holes belong to the outline
-    around them."""
+    """The polygons of a PLN. Version 3 allows several outlines in one. Holes belong to the outline
+    around them.
+    """
     shells: list[list[LonLat]] = []
     holes: list[list[LonLat]] = []
     for line in polygon.line_strings:
@@ -266,7 +275,12 @@ def _ring(path: Path, name: str, points: list[Any]) -> list[LonLat]:
 
 
 def position(path: Path, name: str, point: Any) -> LonLat:
-    """Longitude and latitude of a PNT; `isoxml` leaves values that are not numbers unconverted."""
+    """Longitude and latitude of a PNT in degrees. `isoxml` leaves values that are not numbers
+    unconverted.
+
+    Raises FieldFileError if they are no numbers or out of range. `path` and `name` are for its
+    message.
+    """
     try:
         lon, lat = float(point.east), float(point.north)
     except (TypeError, ValueError):
@@ -281,7 +295,7 @@ def position(path: Path, name: str, point: Any) -> LonLat:
 
 
 def code(value: Any) -> str:
-    """The value of an attribute: that of an enumeration, or text that matched none."""
+    """The value of an attribute: that of an enumeration, or a text that matched none."""
     said = getattr(value, "value", value)
     return str(said[0] if isinstance(said, tuple) else said)
 

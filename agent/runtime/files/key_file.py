@@ -1,8 +1,8 @@
-"""Key files: one of a fleet, for its robots and stop panels, and one of an operator, who may
-release it.
+"""Key files: one for the robots and stop panels of a fleet, and one for an operator who may release
+it.
 
-JSON that only the owner can read. An operator's counter must never go back, so it is stored beside
-its key file and reserved in blocks: one durable write covers many frames.
+They are JSON that only the owner can read. An operator's counter must never go back, so it is
+stored beside its key file and reserved in blocks: one durable write covers many frames.
 """
 
 import fcntl
@@ -28,6 +28,8 @@ class KeyFileError(Exception):
 
 
 class KeyFile(NamedTuple):
+    """A key file that was read: its keys, and what they allow."""
+
     path: Path
     kind: str  # FLEET or OPERATOR
     keys: Keys
@@ -35,13 +37,17 @@ class KeyFile(NamedTuple):
 
     @property
     def ids(self) -> dict[str, str]:
-        """Short ids that people may read aloud to compare two files; they reveal nothing of the
-        keys."""
+        """Short ids by which people can compare two files by voice; they reveal nothing of the
+        keys.
+        """
         named = {"fleet": self.keys.master, "operator": self.keys.operator}
         return {name: key_id(key) for name, key in named.items() if key is not None}
 
     def keyring(self, frames: int = RESERVE) -> Keyring:
-        """The keyring of a device with this file; it may sign `frames` frames."""
+        """The keyring of a device with this file, for at most `frames` frames.
+
+        Raises KeyFileError if an operator's counter cannot be reserved.
+        """
         lot = token_bytes(KEY_SIZE)
         if self.kind == FLEET:
             return Keyring(self.keys, PANEL, lot)
@@ -50,15 +56,20 @@ class KeyFile(NamedTuple):
 
 
 def key_id(key: bytes) -> str:
+    """Eight hexadecimal digits of a hash that identifies a key."""
     return sha256(b"headland key id" + key).hexdigest()[:8]
 
 
 def fresh() -> Keys:
+    """New random keys for a fleet, from the system's secure generator."""
     return Keys(token_bytes(KEY_SIZE), token_bytes(KEY_SIZE))
 
 
 def write(fleet: Path, operator: Path, keys: Keys, device: int) -> None:
-    """Write both files of a fleet. Raises OSError; FileExistsError if one exists already."""
+    """Write both files of a fleet. `device`: the operator device's sender, 192 to 254.
+
+    Raises FileExistsError if one of them exists already, and OSError if one cannot be written.
+    """
     assert keys.master is not None and keys.operator is not None
     own = {"operator_id": key_id(keys.operator), "operator_key": keys.operator.hex()}
     master = {"id": key_id(keys.master), "key": keys.master.hex()}
@@ -75,7 +86,7 @@ def _create(path: Path, text: str) -> None:
 
 
 def read(path: Path, kind: str | None = None) -> KeyFile:
-    """Read a key file. Raises KeyFileError. `kind`: the only accepted kind."""
+    """Read a key file. `kind`: the only kind to accept, or None. Raises KeyFileError."""
     try:
         document = read_json(path, KEY_BYTES_MAX)
         mode = path.stat().st_mode
@@ -112,11 +123,12 @@ def _key(path: Path, document: dict[str, Any], name: str, field: str) -> bytes:
 
 
 def counter_path(path: Path) -> Path:
+    """The file that holds the counter of an operator's key file."""
     return path.with_name(path.name + ".counter")
 
 
 def counter(path: Path) -> int:
-    """Number of frames that an operator's key file may have signed. Raises KeyFileError."""
+    """How many frames an operator's key file may have signed. Raises KeyFileError."""
     beside = counter_path(path)
     try:
         count = int(read_text(beside, KEY_BYTES_MAX)) if beside.exists() else 0
@@ -128,7 +140,10 @@ def counter(path: Path) -> int:
 
 
 def reserve(file: KeyFile, frames: int) -> int:
-    """The counter to continue from; the reserved range is durable before it is used."""
+    """The counter to continue from; the reserved range of `frames` is durable before it is used.
+
+    Raises KeyFileError if the counter cannot be read or written, or if the key has signed enough.
+    """
     beside = counter_path(file.path)
     new = beside.with_name(beside.name + ".new")
     try:
