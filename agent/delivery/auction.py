@@ -62,7 +62,7 @@ class RoutingPlanner:
         return int(span(robot, seq, len(seq), *self._args, *self._rest))
 
     @property
-    def _rest(self) -> tuple[Any, ...]:
+    def _rest(self) -> tuple[Whole, tuple[Any, ...], bool]:
         return self._lead_bay_ms, self._power, self._charging
 
     def worth(self, plan: Itineraries) -> PlanCost:

@@ -117,14 +117,14 @@ def row_of(chassis: Chassis) -> list[float]:
     return row
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy")
 def mecanum_wheels(r: float, arm_m: float, vx: float, vy: float, turn: float) -> Any:
     """Wheel speeds from body velocity; `arm_m` is L + W."""
     a = arm_m * turn
     return (vx - vy - a) / r, (vx + vy + a) / r, (vx + vy - a) / r, (vx - vy + a) / r
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy")
 def mecanum_body(r: float, arm_m: float, fl: float, fr: float, rl: float, rr: float) -> Any:
     """Body velocity (forward m/s, left m/s, turn rad/s) from wheel speeds in rad/s: the
     least-squares inverse. `r` is the wheel radius, metres; `fl`, `fr`, `rl`, `rr` are front and
@@ -133,21 +133,21 @@ def mecanum_body(r: float, arm_m: float, fl: float, fr: float, rl: float, rr: fl
     return q * (fl + fr + rl + rr), q * (-fl + fr + rl - rr), q * (-fl + fr - rl + rr) / arm_m
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy")
 def differential_wheels(r: float, half_track_m: float, vx: float, turn: float) -> Any:
     """Speeds of the left and the right wheel, rad/s, for `vx` in m/s and `turn` in rad/s. `r` is
     the wheel radius, metres."""
     return (vx - half_track_m * turn) / r, (vx + half_track_m * turn) / r
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy")
 def differential_body(r: float, half_track_m: float, left: float, right: float) -> Any:
     """Speed ahead, m/s, and turn rate, rad/s, of two wheels with radius `r` metres that turn with
     `left` and `right` rad/s."""
     return r * (left + right) / 2, r * (right - left) / (2 * half_track_m)
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy")
 def ackermann_wheels(r: float, half_base_m: float, vx: float, turn: float) -> Any:
     """Axle speed in rad/s and steering angle in radians for `vx` in m/s and `turn` in rad/s;
     straight ahead where it stands. `r` is the wheel radius, metres."""
@@ -155,7 +155,7 @@ def ackermann_wheels(r: float, half_base_m: float, vx: float, turn: float) -> An
     return vx / r, steer
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy")
 def ackermann_body(r: float, half_base_m: float, axle: float, steer: float) -> Any:
     """Speed ahead, m/s, and turn rate, rad/s, for an axle with radius `r` metres that turns with
     `axle` rad/s, and a steering angle `steer` in radians."""

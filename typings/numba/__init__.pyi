@@ -1,0 +1,13 @@
+"""What this project uses of numba, with types: a kernel keeps the signature that it is written with."""
+
+from collections.abc import Callable
+from typing import Any, ParamSpec, TypeVar
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+def njit(
+    *, cache: bool = ..., error_model: str = ...
+) -> Callable[[Callable[P, R]], Callable[P, R]]: ...
+def get_num_threads() -> int: ...
+def __getattr__(name: str) -> Any: ...
