@@ -1,9 +1,9 @@
-"""Rounds of agreement, as all that hold them count and name them.
+"""Phases and numbers of rounds of agreement, shared by all that hold them.
 
-Robots in each other's way (`agent/mapf/joint_plan_agreement.py`) and crews on a grid
-(`agent/coverage/plan_agreement.py`) agree in the same four phases; what they say in them, and what
-a plan is, differs. Numbers of rounds are u16 on the wire and go round: the nearer half of the
-circle is later, the other half is over.
+Robots in each other's way (`agent/mapf/joint_plan_agreement.py`) and fleets on a grid
+(`agent/coverage/plan_agreement.py`) agree in the same four phases. What they send in them, and what
+a plan is, differs. Numbers of rounds are u16 on the wire and wrap around: the half of the circle
+ahead of our number is later, the other half is over.
 """
 
 from enum import Enum
@@ -15,6 +15,8 @@ CALM_US = 2 * S  # repeat interval once all robots have probably received a mess
 
 
 class Phase(Enum):
+    """Where one robot is in a round of agreement."""
+
     FREE = "no round: nothing has been agreed, or it is over"
     GATHER = "standing, saying where, hearing the others"
     AGREE = "the plan is made, the others' digests are awaited"
@@ -22,11 +24,12 @@ class Phase(Enum):
 
 
 def after(number: int) -> int:
+    """The number of the next round; it wraps around at `NUMBERS`."""
     return (number + 1) % NUMBERS
 
 
 def ahead(heard: int, own: int) -> int | None:
-    """How many rounds the heard one is later than our own; None for one that is over.
+    """By how many rounds the number `heard` is later than our `own`; None for a round that is over.
 
     >>> ahead(2, NUMBERS - 1), ahead(5, 5), ahead(4, 5)
     (3, 0, None)

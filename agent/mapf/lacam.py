@@ -1,13 +1,15 @@
 """A joint plan for all robots of a jam, from their positions to their goals.
 
 LaCAM (Okumura, "LaCaM: search-based algorithm for quick multi-agent pathfinding", AAAI 2023): a
-depth-first search over whole configurations. PIBT generates the next one. If PIBT leads in a circle,
-constraints are added robot by robot until every successor has been tried, so the search is
-complete: it finds a plan wherever one exists on the lattice, and says that there is none otherwise.
-Both within `STEPS_MAX`; a pure function of its arguments, so that all robots compute the same.
-The first plan found is seldom a good one. `planned` makes some, shortens each
-(`agent/mapf/plan_schedule.py`), and takes the one that is fairest; that of many robots is made
-fairer (`agent/mapf/lns.py`).
+depth-first search over whole configurations. PIBT generates the next one. If PIBT leads in a
+circle, constraints are added robot by robot until every successor has been tried. So the search is
+complete: it finds a plan wherever one exists on the lattice, and otherwise says that there is none,
+both within `STEPS_MAX` configurations. It is a pure function of its arguments, so all robots
+compute the same plan.
+
+The first plan found is seldom a good one. `planned` makes several, shortens each
+(`agent/mapf/plan_schedule.py`), and takes the fairest. With many robots that one is made fairer
+still (`agent/mapf/lns.py`).
 
 A plan is driven without a common clock. Only each robot's route is kept, and the order in which
 robots visit each node: a later robot waits until the one before it has gone on.
@@ -54,10 +56,12 @@ def search(
     salt: int = 0,
     most: int = STEPS_MAX,
 ) -> list[Ints] | None:
-    """Configurations from starts to goals, one step after the other; None: there is no plan.
+    """Configurations from starts to goals, one step after the other, each (robots,) nodes; None:
+    there is no plan, or none was found.
 
-    `near`: the lattice, (nodes, 4); nodes of starts are distinct, and so are those of goals.
-    `urgency`: who goes first; equal ones in their order. `most`: configurations that are searched.
+    `near`: the lattice, (nodes, 4). The nodes of `starts` are distinct, and so are those of
+    `goals`. `urgency`: a weight for each robot, the greatest goes first, equal ones in their order.
+    `salt` varies how ties are broken. `most`: the number of configurations that are searched.
     """
     first, last = np.array(starts, dtype=np.int32), np.array(goals, dtype=np.int32)
     assert len(set(starts)) == len(starts) and len(set(goals)) == len(goals)
@@ -128,8 +132,13 @@ def _steps(last: _Configuration) -> list[Ints]:
 def planned(
     near: Ints, starts: Sequence[int], goals: Sequence[int], salt: int = 0
 ) -> "JointPlan | None":
-    """The fairest of up to `TRIES_MAX` plans: the least sum of squared waits, so that no long wait of
-    one is paid for with short ones of others. Who waited long in the best one goes first in the next."""
+    """The fairest of up to `TRIES_MAX` plans; None if there is no plan.
+
+    Fairest is the least sum of squared waits, so that no long wait of one robot is paid for with
+    short waits of others. The robots that wait long in the best plan so far go first in the next
+    try. `near`: the lattice, (nodes, 4). `starts`, `goals`: a node for each robot. `salt` varies
+    how ties are broken.
+    """
     far = ways(near, np.array(goals, dtype=np.int32))
     free = far[np.arange(len(starts)), starts]
     urgency = np.zeros(len(starts))
@@ -159,7 +168,7 @@ def planned(
 
 
 class Precedence(NamedTuple):
-    """Before a move: this robot must have reached its `node`-th node."""
+    """Before a move: this robot must have reached the node with index `node` of its route."""
 
     robot: int
     node: int
@@ -173,7 +182,7 @@ class JointPlan(NamedTuple):
 
     @classmethod
     def of(cls, steps: Sequence[Ints]) -> "JointPlan":
-        """From the configurations of `search`."""
+        """The plan of configurations as `search` returns them: (robots,) nodes at each step."""
         count = len(steps[0])
         routes: list[list[int]] = [[] for _ in range(count)]
         turns: list[list[Precedence | None]] = [[] for _ in range(count)]
@@ -196,7 +205,8 @@ class JointPlan(NamedTuple):
         return cls(tuple(map(tuple, routes)), tuple(map(tuple, turns)))
 
     def times(self) -> list[list[int]]:
-        """When each robot is at each node of its route, where every move takes one unit of time."""
+        """The unit of time at which each robot reaches each node of its route, if every move takes
+        one unit."""
         times = [[0] for _ in self.routes]
         pending = [(i, 1) for i, route in enumerate(self.routes) if len(route) > 1]
         while pending:
@@ -218,7 +228,7 @@ class JointPlan(NamedTuple):
         return times
 
     def tracks(self) -> list[list[int]]:
-        """Each robot's node at each unit of time, until the last has come to its end."""
+        """Each robot's node at each unit of time, until the last robot has come to its end."""
         times = self.times()
         units = np.arange(max(own[-1] for own in times) + 1)
         return [
@@ -227,7 +237,7 @@ class JointPlan(NamedTuple):
         ]
 
     def arrivals(self, goals: Sequence[int]) -> NDArray[np.int64]:
-        """When each robot first is at its goal."""
+        """The unit of time at which each robot first is at its goal, (robots,)."""
         first = [
             own[route.index(goal)]
             for own, route, goal in zip(self.times(), self.routes, goals, strict=True)
@@ -235,7 +245,10 @@ class JointPlan(NamedTuple):
         return np.array(first, dtype=np.int64)
 
     def permitted(self, robot: int, reached: Sequence[int]) -> int:
-        """The furthest node of its route a robot may drive to, when these have been reached."""
+        """The index of the furthest node of its route that a robot may drive to.
+
+        `reached`: the index that each robot has reached in its route.
+        """
         index, turns = max(reached[robot], 0), self.turns[robot]
         while index + 1 < len(turns):
             turn = turns[index + 1]

@@ -1,13 +1,14 @@
 """Places where robots can stand beside each other, and the straight ways between neighbouring ones.
 
-Rows and columns laid over the free space: a node where they cross and a body fits, an edge where it
-can drive straight to the next. They are further apart than two bodies with their margins, so robots
-on different nodes, or moving along edges that share no node, cannot touch. What is decided on the
-lattice (`agent/mapf/lacam.py`) is therefore free of contact when it is driven.
+Rows and columns are laid over the free space. Where they cross and a body fits, there is a node;
+where a body can drive straight to the next node, there is an edge. Rows and columns are further
+apart than two bodies with their margins. So robots on different nodes, or moving along edges that
+share no node, cannot touch, and what is decided on the lattice (`agent/mapf/lacam.py`) is free of
+contact when it is driven.
 
-The lattice knows a passage only where a row or column goes through it. They are laid where they meet
-the narrowest ones first; two passages that lead the same way, and are less than a pitch out of line,
-cannot both have one. In a map of cells as wide as the pitch nothing is lost.
+The lattice knows a passage only where a row or column goes through it. The narrowest passages are
+served first. Of two passages that lead the same way and are less than a pitch out of line, only one
+can have a row or column. In a map of cells as wide as the pitch nothing is lost.
 """
 
 from math import hypot
@@ -16,7 +17,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-Point = tuple[float, float]
+Point = tuple[float, float]  # metres (x, y)
 Near = NDArray[np.int32]  # (nodes, 4): east, north, west, south; -1 where there is none
 NODES_MAX = 1 << 16  # an ACCORD frame names a node in 16 bits
 TRIES = 12  # ways to lay the lines; a few do where they can go through all passages at all
@@ -25,6 +26,8 @@ FINE = 16  # positions are sent in this many parts of the pitch
 
 
 class Lattice:
+    """The nodes of one map, numbered from 0, with their places and their neighbours."""
+
     def __init__(
         self, blocked: NDArray[np.bool_], origin: Point, cell_m: float, pitch_cells: int
     ) -> None:
@@ -47,14 +50,22 @@ class Lattice:
         return len(self.points)
 
     def point(self, node: int) -> Point:
+        """The place of a node in the world."""
         x_m, y_m = self.points[node].tolist()
         return x_m, y_m
 
     def nearest(self, at: Point) -> int:
+        """The node with the least straight distance to a place, walls or not."""
         return int(np.argmin((self.points[:, 0] - at[0]) ** 2 + (self.points[:, 1] - at[1]) ** 2))
 
     def tell(self, at: Point) -> tuple[int, int]:
-        """A place as an ACCORD frame tells it: nearest node, and where in its square."""
+        """A place as an agreement frame carries it: the nearest node, and a byte for where in its
+        square.
+
+        Each half of the byte counts sixteenths of the pitch from the south-western corner of the
+        square: x in the low half, y in the high one. Places outside of the square are moved to its
+        edge.
+        """
         node = self.nearest(at)
         x_m, y_m = self.point(node)
         parts = [
@@ -64,6 +75,7 @@ class Lattice:
         return node, parts[0] | parts[1] << 4
 
     def told(self, node: int, detail: int) -> Point:
+        """The place that `tell` wrote as a node and the byte `detail`."""
         x_m, y_m = self.point(node)
         part_m = self.pitch_m / FINE
         return (
@@ -72,10 +84,12 @@ class Lattice:
         )
 
     def within(self, at: Point, reach_m: float) -> NDArray[np.intp]:
+        """The nodes nearer to a place than `reach_m`, (n,), in ascending order."""
         gap = np.hypot(self.points[:, 0] - at[0], self.points[:, 1] - at[1])
         return np.flatnonzero(gap < reach_m)
 
     def distance_m(self, node: int, at: Point) -> float:
+        """The straight distance from a node to a place, walls or not."""
         x_m, y_m = self.point(node)
         return hypot(x_m - at[0], y_m - at[1])
 
@@ -108,7 +122,7 @@ def _missed(
     room: NDArray[np.int32], rows: NDArray[np.intp], columns: NDArray[np.intp], near: Near
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]] | None:
     """Cells of a shortest way from the largest component of nodes to another one in the same room;
-    None: there is no other."""
+    None if there is no other."""
     parts = components(near)
     if not len(parts):
         return None
@@ -159,11 +173,13 @@ def _lay(
 
 
 def lines(blocked: NDArray[np.bool_], pitch: int, weight: NDArray[np.float64]) -> NDArray[np.intp]:
-    """Rows at least `pitch` apart that together go through most passages.
+    """Rows at least `pitch` cells apart that together go through the most passages, in ascending
+    order.
 
-    A row is worth, for each of its cells, the inverse square of how many rows would do as well
-    there: the length of the free run across it; times the `weight` of the cell. By dynamic
-    programming, the first of equals.
+    `blocked` and `weight`: (rows, columns). The worth of a row is a sum over its free cells: the
+    `weight` of the cell divided by the square of the length of the free run across it. That length
+    is how many rows would do as well there. Dynamic programming finds the rows with the most worth,
+    the first of equals.
     """
     count = len(blocked)
     runs = np.zeros(blocked.shape)
@@ -188,6 +204,8 @@ def lines(blocked: NDArray[np.bool_], pitch: int, weight: NDArray[np.float64]) -
 
 
 def components(near: Near) -> NDArray[np.int32]:
+    """The component of each node, (nodes,): nodes with an edge path between them have the same
+    number."""
     count = len(near)
     a, k = np.nonzero(near >= 0)
     graph = scipy.sparse.coo_array(

@@ -1,9 +1,10 @@
 """The linear assignment problem: the assignment with the least total cost.
 
 Shortest augmenting paths, as D. F. Crouse gives them ("On implementing 2D rectangular assignment
-algorithms", IEEE TAES 2016). Ours, because every peer must break ties alike, whatever is installed
-beside it; they are broken as scipy 1.17 does (tests/agent/mapf/test_linear_assignment.py
-compares). And the import of scipy.optimize takes longer than all of the rest that a robot starts with.
+algorithms", IEEE TAES 2016). The project has its own solver because every peer must break ties in
+the same way, whichever version of scipy is installed beside it. Ties are broken as scipy 1.17 does
+(tests/agent/mapf/test_linear_assignment.py compares). Importing scipy.optimize would also take
+longer than the rest of a robot's start.
 """
 
 from typing import Any
@@ -16,10 +17,14 @@ NOBODY = -1
 
 
 def assigned(cost: NDArray[Any]) -> NDArray[np.int64]:
-    """For each row its column, NOBODY where there are too few. `cost`: (rows, columns), finite."""
+    """The column of each row, (rows,); NOBODY for rows without one where there are too few columns.
+
+    `cost`: (rows, columns), finite numbers of one unit. Of two assignments with equal cost, every
+    peer finds the same one.
+    """
     rows, columns = cost.shape
     if rows <= columns:
-        return _assigned(np.ascontiguousarray(cost, dtype=np.float64))  # type: ignore[no-any-return]
+        return _assigned(np.ascontiguousarray(cost, dtype=np.float64))
     row_of = _assigned(np.ascontiguousarray(cost.T, dtype=np.float64))
     result = np.full(rows, NOBODY, dtype=np.int64)
     result[row_of] = np.arange(columns)
@@ -27,8 +32,8 @@ def assigned(cost: NDArray[Any]) -> NDArray[np.int64]:
 
 
 @njit(cache=True)
-def _assigned(cost):  # type: ignore[no-untyped-def]
-    """As `assigned`, where rows are not more than columns."""
+def _assigned(cost: NDArray[np.float64]) -> NDArray[np.int64]:
+    """As `assigned`, for `cost` with at most as many rows as columns."""
     rows, columns = cost.shape
     row_price, column_price = np.zeros(rows), np.zeros(columns)
     column_of, row_of = np.empty(rows, np.int64), np.empty(columns, np.int64)

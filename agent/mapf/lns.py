@@ -1,17 +1,24 @@
 """Shortens the longest waits in a timetable: groups of robots are removed together and put back.
 
-Large-neighbourhood search (MAPF-LNS, Li et al., IJCAI 2021): the robot that waits longest is removed
-with a few robots that are in its way. They are put back one after the other, the waiting robot first.
-The result is kept if the sum of the sixth powers of the group's waits does not grow, so one long wait
-counts as much as many short ones (fourth powers leave 1 of 20 crowds with a robot that waits more than
-three times the median).
+Large-neighbourhood search (MAPF-LNS, Li et al., IJCAI 2021): the robot that waits longest is
+removed with a few robots that are in its way. They are put back one after the other, the waiting
+robot first and the others in random order. The result is kept if the sum of the sixth powers of the
+group's waits does not grow, so one long wait counts as much as many short ones. Fourth powers leave
+1 of 20 crowds with a robot that waits more than three times the median.
 
-A robot at a goal in a doorway may let others pass: a goal once reached stays reached, so the robot may
-step aside by at most `ASIDE_MAX` nodes and come back. Nearly all of the longest waits are of robots
-with a goal that others cross late.
+A robot at a goal in a doorway may let others pass: a goal once reached stays reached, so the robot
+may step aside by at most `ASIDE_MAX` nodes and come back. Nearly all of the longest waits are of
+robots with a goal that others cross late.
 
 Whole numbers, with products and sums in a fixed order, give all robots the same timetable.
+
+`near` (nodes, 4), `far` (robots, nodes) and `track` (robots, times + 1) are those of
+`agent/mapf/plan_schedule.py`. `owner` (times, nodes) is the robot that occupies a node in a unit of
+time, -1 for none. `back` (times + 1, nodes) says whether a robot there at that time can still end
+at its goal. `waits` and `goals` are (robots,).
 """
+
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -20,6 +27,11 @@ from numpy.typing import NDArray
 from agent.mapf.plan_schedule import hold
 
 Ints = NDArray[np.int32]
+Longs = NDArray[np.int64]
+Words = NDArray[np.uint64]
+Flags = NDArray[np.bool_]
+Owners = NDArray[np.int16]
+Room = tuple[Ints, Ints, Ints, Ints]
 GROUP_MAX = 8  # robots removed together; 4 and 6 get stuck more often, 10 are rarely put back
 GROUPS_EACH = 3  # groups for each robot; three times as many save 2 moves of the longest wait of 24
 LOOKS_MAX = 40_000_000  # node-time states examined in total, 1 s; a hundred robots take a third
@@ -31,8 +43,8 @@ NOBODY = np.int16(-1)
 
 
 @njit(cache=True)
-def _draw(state, below):  # type: ignore[no-untyped-def]
-    """A whole number from 0 on (splitmix64), the same on every robot."""
+def _draw(state: Words, below: int) -> np.int64:
+    """A whole number from 0 to `below` - 1 (splitmix64), the same on every robot. `state`: (1,)."""
     z = state[0] + np.uint64(0x9E3779B97F4A7C15)
     state[0] = z
     z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
@@ -41,17 +53,20 @@ def _draw(state, below):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _price(wait):  # type: ignore[no-untyped-def]
+def _price(wait: int) -> float:
+    """The sixth power of a wait, as a product, which rounds alike on every machine."""
     cube = float(wait) * float(wait) * float(wait)
     return cube * cube
 
 
 @njit(cache=True)
-def _homeward(goal, near, far, owner, round_goal, back):  # type: ignore[no-untyped-def]
-    """Fill `back`, (times, nodes): whether one that is there then can be at its goal in the end.
+def _homeward(
+    goal: int, near: Ints, far: Ints, owner: Owners, round_goal: Longs, back: Flags
+) -> int:
+    """Fill `back` for one robot; returns the first time at which it can be at its goal and end
+    there.
 
-    Only of nodes `round_goal`, all within ASIDE_MAX. Returns the first time at which that is so of the
-    goal itself.
+    Only nodes `round_goal`, (n,), are filled: all that are within ASIDE_MAX of the goal.
     """
     end = owner.shape[0]
     for node in round_goal:
@@ -78,11 +93,23 @@ def _homeward(goal, near, far, owner, round_goal, back):  # type: ignore[no-unty
 
 
 @njit(cache=True)
-def _reach(start, goal, near, far, owner, back, first, most, room):  # type: ignore[no-untyped-def]
-    """When the robot can first be at its goal and come back to it, waiting at most `most`; -1: never.
+def _reach(
+    start: int,
+    goal: int,
+    near: Ints,
+    far: Ints,
+    owner: Owners,
+    back: Flags,
+    first: int,
+    most: int,
+    room: Room,
+) -> tuple[int, int]:
+    """The first time at which a robot can be at its goal and end there, and the number of looks
+    taken.
 
-    By rising wait: a node at a time has one wait only, what is past and what is still to go less what
-    the way takes, so each is looked at once. Returns also how many were looked at.
+    It waits at most `most`; the time is -1 if it cannot. The search goes by rising wait. A node at
+    a time has one wait only: the time so far plus the steps to go, less the steps from the start.
+    So each is looked at once.
     """
     came, following, heads, seen = room
     end, nodes = owner.shape[0], near.shape[0]
@@ -117,8 +144,23 @@ def _reach(start, goal, near, far, owner, back, first, most, room):  # type: ign
 
 
 @njit(cache=True)
-def _put_back(robot, goal, near, far, track, owner, back, round_goal, most, room):  # type: ignore[no-untyped-def]
-    """A way of the robot that waits at most `most`: when it is at its goal, and looks taken; -1: none."""
+def _put_back(
+    robot: int,
+    goal: int,
+    near: Ints,
+    far: Ints,
+    track: Ints,
+    owner: Owners,
+    back: Flags,
+    round_goal: Longs,
+    most: int,
+    room: Room,
+) -> tuple[int, int]:
+    """Put one robot back so that it waits at most `most`.
+
+    Returns the time at which it is at its goal, -1 if there is no such path, and the number of
+    looks taken.
+    """
     came, _, _, seen = room
     end, nodes, start = owner.shape[0], near.shape[0], track[robot, 0]
     most = min(most, end - far[start])
@@ -149,8 +191,19 @@ def _put_back(robot, goal, near, far, track, owner, back, round_goal, most, room
 
 
 @njit(cache=True)
-def _in_the_way(robot, goal, near, far, track, owner, wait, group, size, state):  # type: ignore[no-untyped-def]
-    """Fill `group` with the robot and those it meets on paths with less waiting; returns the count."""
+def _in_the_way(
+    robot: int | np.integer[Any],
+    goal: int,
+    near: Ints,
+    far: Ints,
+    track: Ints,
+    owner: Owners,
+    wait: int,
+    group: Ints,
+    size: int,
+    state: Words,
+) -> int:
+    """Fill `group` with the robot and those it meets on paths with less waiting; returns how many."""
     end, count = owner.shape[0], 1
     group[0] = robot
     visit = far[track[robot, 0]] + wait
@@ -180,8 +233,23 @@ def _in_the_way(robot, goal, near, far, track, owner, wait, group, size, state):
 
 
 @njit(cache=True)
-def _regroup(group, near, far, goals, track, owner, waits, back, balls, room):  # type: ignore[no-untyped-def]
-    """Put a group back in its order. Whether it was kept: better 1, as good 0, no -1; looks taken."""
+def _regroup(
+    group: Ints,
+    near: Ints,
+    far: Ints,
+    goals: Ints,
+    track: Ints,
+    owner: Owners,
+    waits: Longs,
+    back: Flags,
+    balls: tuple[Longs, Longs],
+    room: Room,
+) -> tuple[int, int]:
+    """Put the robots of a group back in their order.
+
+    Returns whether the result was kept (1: it is better, 0: as good, -1: no), and the number of
+    looks taken.
+    """
     round_goals, bounds = balls
     before = track[group]
     cost = 0.0
@@ -218,8 +286,20 @@ def _regroup(group, near, far, goals, track, owner, waits, back, balls, room):  
 
 
 @njit(cache=True)
-def _regrouped(near, far, goals, track, owner, waits, back, balls, room, groups, state):  # type: ignore[no-untyped-def]
-    """Remove groups round the longest-waiting robots not tried in vain, until enough were tried."""
+def _regrouped(
+    near: Ints,
+    far: Ints,
+    goals: Ints,
+    track: Ints,
+    owner: Owners,
+    waits: Longs,
+    back: Flags,
+    balls: tuple[Longs, Longs],
+    room: Room,
+    groups: int,
+    state: Words,
+) -> None:
+    """Remove and put back groups round the robots that wait longest, until enough were tried."""
     count, looks = track.shape[0], 0
     vain = np.zeros(count, np.int64)
     group = np.empty(count, np.int32)
@@ -244,11 +324,11 @@ def _regrouped(near, far, goals, track, owner, waits, back, balls, room, groups,
 
 
 def regroup(near: Ints, far: Ints, goals: Ints, track: Ints, salt: int) -> None:
-    """Make waits in a timetable short, above all the long ones.
+    """Make waits in a timetable short, above all the long ones; `track` is changed in place.
 
     `near`: the lattice, (nodes, 4). `far`: (robots, nodes), steps to each robot's goal. `track`:
-    (robots, times), each robot's node, at its goal in the end; a move takes both its nodes. Changed
-    in place.
+    (robots, times + 1), each robot's node, at its goal in the end; a move takes both its nodes.
+    `goals`: (robots,). `salt` seeds the choice of groups.
     """
     count, times = track.shape
     nodes = len(near)

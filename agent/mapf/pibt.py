@@ -6,12 +6,20 @@ Okumura, "Improving LaCaM for scalable eventually optimal multi-agent pathfindin
 
 In order of priority each robot takes the free neighbour node nearest to its goal. If a robot stands
 there, that robot inherits the priority and has to find a place first; if it finds none, the next
-neighbour is tried. Rings of robots do not rotate: no robot moves into the node of a robot whose move
-depends on it. So the moves of a step can be driven one after the other, each after the one before it.
+neighbour is tried. Rings of robots do not rotate: no robot moves into the node of a robot whose
+move depends on it. So the moves of a step can be driven one after the other, each after the one
+before it.
 
 A robot's priority grows until it reaches its goal, and only then falls back. Falling back with each
 step is a livelock (see the tests).
+
+Robots and nodes are numbers from 0. `near` (nodes, 4) holds the neighbours of each node, -1 where
+there is none; `far` (robots, nodes) the steps from each node to each robot's goal. `here`, `there`
+and `goals` (robots,) are nodes; `now` and `then` (nodes,) are the robots there before and after the
+step, -1 for none. `salt` varies how ties are broken.
 """
+
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -19,12 +27,14 @@ from numpy.typing import NDArray
 
 Ints = NDArray[np.int32]
 Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+Index = int | np.integer[Any]  # numba takes both, and unifies them
 NOWHERE = np.int32(1 << 29)  # farther than any way
 
 
 @njit(cache=True)
-def ways(near, goals):  # type: ignore[no-untyped-def]
-    """Steps from each node to each goal, (goals, nodes); NOWHERE where there is no way."""
+def ways(near: Ints, goals: Ints) -> Ints:
+    """Steps from each node to each of the `goals`, (goals, nodes); NOWHERE where there is no way."""
     count = near.shape[0]
     found = np.full((goals.shape[0], count), NOWHERE, np.int32)
     queue = np.empty(count, np.int32)
@@ -46,17 +56,19 @@ def ways(near, goals):  # type: ignore[no-untyped-def]
 
 
 def grown(priority: Floats, there: Ints, goals: Ints) -> Floats:
-    """Priorities after a step: plus one for robots not at their goal; the whole part is 0 at a goal.
+    """Priorities after a step: plus one for robots not at their goal; the whole part is 0 at a
+    goal.
 
-    The part behind the point stays: it breaks ties, and never two have the same.
+    `priority` and the result are (robots,), as are `there` and `goals`. The part behind the point
+    stays: it breaks ties, and no two robots have the same.
     """
     after: Floats = np.where(there == goals, priority % 1.0, priority + 1.0)
     return after
 
 
 @njit(cache=True)
-def _chance(salt, i, node):  # type: ignore[no-untyped-def]
-    """In [0, 1), the same on every robot."""
+def _chance(salt: int, i: int, node: int) -> float:
+    """A number in [0, 1) for robot `i` on a node, the same on every robot."""
     z = np.uint64(salt) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(i) * np.uint64(
         0xBF58476D1CE4E5B9
     )
@@ -67,8 +79,10 @@ def _chance(salt, i, node):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _past(now, near, goals, pusher_at, puller_at):  # type: ignore[no-untyped-def]
-    """Where the pulling one can go on to, and to how many places: (places, one of them)."""
+def _past(
+    now: Ints, near: Ints, goals: Ints, pusher_at: Index, puller_at: Index
+) -> tuple[int, int]:
+    """Where the robot that is pushed can go on to: how many places, and one of them (-1: none)."""
     places, last = 0, -1
     for k in range(4):
         to = near[puller_at, k]
@@ -87,7 +101,16 @@ def _past(now, near, goals, pusher_at, puller_at):  # type: ignore[no-untyped-de
 
 
 @njit(cache=True)
-def _must_swap(now, near, far, goals, pusher, puller, pusher_at, puller_at):  # type: ignore[no-untyped-def]
+def _must_swap(
+    now: Ints,
+    near: Ints,
+    far: Ints,
+    goals: Ints,
+    pusher: int,
+    puller: int,
+    pusher_at: Index,
+    puller_at: Index,
+) -> bool:
     """Whether pushing on would only move both along a corridor, until one is past its goal."""
     pusher_at, puller_at = np.int64(pusher_at), np.int64(puller_at)
     for _ in range(near.shape[0]):
@@ -105,7 +128,7 @@ def _must_swap(now, near, far, goals, pusher, puller, pusher_at, puller_at):  # 
 
 
 @njit(cache=True)
-def _can_swap(now, near, goals, pusher_at, puller_at):  # type: ignore[no-untyped-def]
+def _can_swap(now: Ints, near: Ints, goals: Ints, pusher_at: Index, puller_at: Index) -> bool:
     """Whether backing away leads to a place where three ways meet."""
     pusher_at, puller_at = np.int64(pusher_at), np.int64(puller_at)
     first = pusher_at
@@ -122,7 +145,9 @@ def _can_swap(now, near, goals, pusher_at, puller_at):  # type: ignore[no-untype
 
 
 @njit(cache=True)
-def _swaps_with(i, best, here, there, now, near, far, goals):  # type: ignore[no-untyped-def]
+def _swaps_with(
+    i: int, best: int, here: Ints, there: Ints, now: Ints, near: Ints, far: Ints, goals: Ints
+) -> int:
     """The robot to change places with at the next junction; -1: none."""
     at = here[i]
     if best == at:
@@ -147,7 +172,19 @@ def _swaps_with(i, best, here, there, now, near, far, goals):  # type: ignore[no
 
 
 @njit(cache=True)
-def _place(i, here, there, now, then, waiting, near, far, goals, salt, swaps):  # type: ignore[no-untyped-def]
+def _place(
+    i: int,
+    here: Ints,
+    there: Ints,
+    now: Ints,
+    then: Ints,
+    waiting: Flags,
+    near: Ints,
+    far: Ints,
+    goals: Ints,
+    salt: int,
+    swaps: bool,
+) -> bool:
     """Find the next node of robot i; False: it stays, and the asking robot must try another node."""
     at = here[i]
     options, costs = np.empty(5, np.int32), np.empty(5, np.float64)
@@ -192,10 +229,13 @@ def _place(i, here, there, now, then, waiting, near, far, goals, salt, swaps):  
 
 
 @njit(cache=True)
-def step(here, order, there, near, far, goals, salt, swaps):  # type: ignore[no-untyped-def]
-    """Fill `there`, the next node of each robot (-1: to be found; others are given). False: no step.
+def step(
+    here: Ints, order: Ints, there: Ints, near: Ints, far: Ints, goals: Ints, salt: int, swaps: bool
+) -> bool:
+    """Fill `there` with the next node of each robot; False if there is no such step.
 
-    `here`: nodes now; `order`: robots by falling priority.
+    Nodes that `there` has already are kept, -1 is to be found. `order` (robots,): robots by falling
+    priority. `swaps`: whether two robots may change places at a junction.
     """
     count = here.shape[0]
     now, then = np.full(near.shape[0], -1, np.int32), np.full(near.shape[0], -1, np.int32)

@@ -1,36 +1,55 @@
-"""The timetable of a joint plan: which robot is on which node when, and its improvement by reinsertion.
+"""The timetable of a joint plan: which robot is on which node when, and its improvement by
+reinsertion.
 
-A move takes one unit of time and occupies both of its nodes for that time, so no robot follows another
-closely. So a timetable is a run of the plan's order, and any change that keeps the robots' nodes apart
-preserves that. One robot at a time is removed and put back on its earliest path to its goal among the
-others (a search in space and time, as in cooperative A*: Silver, AIIDE 2005; repeated removal from a
-whole plan: MAPF-LNS, Li et al., IJCAI 2021). No robot ever arrives later because of it.
+A move takes one unit of time and occupies both of its nodes for that time, so no robot follows
+another closely. A timetable is therefore one way to run the plan's order, and so is every other
+timetable in which no two robots occupy one node.
+
+To improve a timetable, one robot at a time is removed and put back on its earliest path to its goal
+among the others: a search in space and time, as in cooperative A* (Silver, AIIDE 2005), repeated
+for a whole plan as in MAPF-LNS (Li et al., IJCAI 2021). No robot ever arrives later because of it.
+
+`near` (nodes, 4) holds the neighbours of each node, -1 where there is none. `track` (robots, times
++ 1) holds the node of each robot at each unit of time. `taken` (times, nodes) says of a node in the
+unit of time from t to t + 1 what `hold` was told.
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 Ints = NDArray[np.int32]
+Flags = NDArray[np.bool_]
 CELLS_MAX = 1 << 23  # nodes times units of time: 40 MB; longer plans are left as they are
 
 
 @njit(cache=True)
-def hold(taken, track, robot, held):  # type: ignore[no-untyped-def]
-    """Say of the nodes of one robot, whenever it is there, that they are `held`."""
+def hold(taken: NDArray[Any], track: Ints, robot: int, held: bool | int | np.generic) -> None:
+    """Write `held` to the nodes of one robot, for every unit of time in which it is on them."""
     for t in range(taken.shape[0]):
         taken[t, track[robot, t]] = held
         taken[t, track[robot, t + 1]] = held
 
 
 @njit(cache=True)
-def _earliest(start, goal, near, far, taken, came, layer, coming, latest):  # type: ignore[no-untyped-def]
+def _earliest(
+    start: int,
+    goal: int,
+    near: Ints,
+    far: Ints,
+    taken: Flags,
+    came: Ints,
+    layer: Ints,
+    coming: Ints,
+    latest: int,
+) -> int:
     """The first time, at most `latest`, from which on the robot can be at its goal; -1: none.
 
-    `came`: (times, nodes), from where each node was reached, -1 before and -1 again afterwards but for
-    what was reached; `layer`, `coming`: room for the nodes of a time.
+    `came`: (times + 1, nodes), the node before each node that was reached, -1 for the others; the
+    caller clears it. `far`: (nodes,), steps to the goal. `layer`, `coming`: (nodes,), scratch.
     """
     free_from = taken.shape[0]
     while free_from > 0 and not taken[free_from - 1, goal]:
@@ -66,8 +85,19 @@ def _earliest(start, goal, near, far, taken, came, layer, coming, latest):  # ty
 
 
 @njit(cache=True)
-def _put_back(robot, goal, near, far, track, taken, came, layer, coming, latest):  # type: ignore[no-untyped-def]
-    """Find one robot a way that is at its goal by `latest`; False: its way stays as it is."""
+def _put_back(
+    robot: int,
+    goal: int,
+    near: Ints,
+    far: Ints,
+    track: Ints,
+    taken: Flags,
+    came: Ints,
+    layer: Ints,
+    coming: Ints,
+    latest: int,
+) -> bool:
+    """Find a path on which one robot is at its goal by `latest`; False: its path stays as it is."""
     hold(taken, track, robot, np.bool_(False))  # a literal is a type of its own
     came[: latest + 1] = -1
     end = _earliest(track[robot, 0], goal, near, far, taken, came, layer, coming, latest)
@@ -82,6 +112,8 @@ def _put_back(robot, goal, near, far, track, taken, came, layer, coming, latest)
 
 
 class Timetable:
+    """The tracks of all robots of a joint plan, which it can shorten in place."""
+
     def __init__(
         self, near: Ints, far: Ints, goals: Sequence[int], tracks: Sequence[Sequence[int]]
     ) -> None:
@@ -94,7 +126,7 @@ class Timetable:
             hold(self._taken, self.track, robot, True)
 
     def arrivals(self) -> NDArray[np.int64]:
-        """When each robot first is at its goal."""
+        """The unit of time at which each robot first is at its goal, (robots,)."""
         there = self.track == np.array(self.goals, dtype=np.int32)[:, None]
         found: NDArray[np.int64] = there.argmax(axis=1)
         return found
@@ -122,7 +154,8 @@ class Timetable:
 
     @property
     def steps(self) -> list[Ints]:
-        """Where all are, at each unit of time, as far as anybody moves."""
+        """The node of each robot, (robots,), at each unit of time, until the last of them has
+        moved."""
         moves = (self.track[:, 1:] != self.track[:, :-1]).any(axis=0)
         last = int(np.flatnonzero(moves)[-1]) + 1 if moves.any() else 0
         return [np.ascontiguousarray(self.track[:, t]) for t in range(last + 1)]
