@@ -70,11 +70,11 @@ class CostMatrix:
         self._number: dict[Point, int] = {}
         self._places = np.zeros((0, 2))
         self._boxes = np.zeros(0, dtype=np.int64)
-        # The waypoints that each point is in sight of, one after the other, and where each begins.
+        # The waypoints in sight of each point, one list after the other, and where each list begins.
         self._onto = np.zeros(0, dtype=np.int64)
         self._onto_m = np.zeros(0)
         self._begins = np.zeros(0, dtype=np.int64)
-        self._table = np.zeros((0, 0))  # with room for more
+        self._table = np.zeros((0, 0))  # has more room than there are points
         self.extend(points)
 
     def __len__(self) -> int:
@@ -195,7 +195,7 @@ def workload(
         from_ms, from_e = whole(costs.metres(bays, pickups))
         lead_bay_m, to_bay_m = costs.metres(starts, bays), costs.metres(dropoffs, bays)
         lead_bay_ms, to_bay_ms = carrier.time_ms(lead_bay_m), carrier.time_ms(to_bay_m)
-        # A bay may turn out to give nothing: from each the next one must be within reach.
+        # A bay may turn out to be dead. So the next bay must be within reach from each.
         spare = spare_energy(costs, carrier, bays)
         to_bay = carrier.energy(to_bay_m, to_bay_ms) + spare
         power = Power(

@@ -35,7 +35,7 @@ BESIDE_M = 1.0  # this distance is near enough if another body is in the way
 UNTOUCHED_M = 0.2  # a parcel this near to its pickup was not moved
 IDLE_CHARGE = 0.5  # an idle robot charges below this
 HOME_US = 5 * S  # a robot idle for this long makes room
-# A robot within reach that got no nearer by this distance for this long handles the parcel from there.
+# A robot within reach that gets no nearer by this much for this long handles the parcel from there.
 STALLED_US, NEARER_M = 1 * S, 0.05
 MISSING_US = 3 * S  # after this time at a place without a parcel, the parcel counts as missing
 SHUN_US = 30 * S  # how long a dead bay, or a task whose parcel is not found, is left alone
@@ -44,7 +44,7 @@ SHUN_US = 30 * S  # how long a dead bay, or a task whose parcel is not found, is
 class DeliveryMission(NavigationMission):
     """One robot's part in carrying parcels. Places are (x, y) metres."""
 
-    passes = False  # it handles parcels where it stands
+    passes = False  # it has to stop there to handle a parcel
 
     def __init__(
         self, slot: int, house: Warehouse, home: Point, speed_m_s: float, deceleration_m_s2: float,
@@ -142,7 +142,7 @@ class DeliveryMission(NavigationMission):
             begun.append(self.section)
         ahead = self.dispatch.telling.stops
         if [stop for stop in ahead if stop < TASKS_MAX and stop in itinerary] != itinerary:
-            ahead = itinerary  # it has just changed
+            ahead = itinerary  # the itinerary has changed since
         left = [s for s in ahead if s not in begun and (s >= TASKS_MAX or s in itinerary)]
         return stop_names(begun, left, self._load)
 
@@ -266,7 +266,7 @@ class DeliveryMission(NavigationMission):
 
     def work(self, view: FleetView) -> MotionRequest:
         self._idle_us = None
-        if self.section is None:  # kept over a stop
+        if self.section is None:  # the section was kept over a stop
             held = view.allocation.assigned_sections(view.slot)
             self.begin(held[0], view)
         section = self.section
@@ -283,7 +283,7 @@ class DeliveryMission(NavigationMission):
             return self._given_up(section, view)
         if self._short(section, view):
             self._through()
-            return MotionRequest(0.0, 0.0, given_up=True)  # what is aboard stays aboard
+            return MotionRequest(0.0, 0.0, given_up=True)  # a parcel aboard stays aboard
         wish, arrived = self._drive(view)
         self._plan_ahead(section, view)
         if self._load == section and self._told_aboard != section:

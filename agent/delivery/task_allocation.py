@@ -95,7 +95,7 @@ class TaskAllocation:
         self._awarded: dict[int, int] = {}  # task: until when its winner is waited for
         self._born_us, self._look_us, self._many_us, self._round_us = now_us, now_us, 0, 0
         self._done: set[int] = set()
-        self.cut: frozenset[int] = frozenset()  # tasks that we cannot get to
+        self.cut: frozenset[int] = frozenset()  # tasks that we cannot reach
         self._able_us = now_us  # when we last could work
         # For each task the slots that have begun it, as far as we know, oldest first.
         self.workers: dict[int, list[int]] = {}
@@ -156,7 +156,7 @@ class TaskAllocation:
         planned = sum(len(self.means(slot)) for slot in view.live)
         room = round_tasks_max(len(view.live)) - planned
         if len(fresh) > self.house.t_max and room < min(len(fresh), planned):
-            fresh = []  # a backlog: what is planned is begun first
+            fresh = []  # a backlog: wait until planned tasks have begun
         if len(fresh) > self.house.t_max and now_us >= self._round_us:
             if now_us >= due_us:
                 self._round_us = now_us + AGAIN_US
@@ -208,7 +208,7 @@ class TaskAllocation:
                 continue
             owner = self._holder(task, phase, holder, view)
             if owner == self.slot and phase is Phase.FREE:
-                self.itinerary.insert(0, task)  # we had begun with it: we find out where it is
+                self.itinerary.insert(0, task)  # we had begun it: find out where its parcel is
             if owner is None:
                 fresh.append(task)
             elif owner != self.slot and self.absence.leaves(owner, task, view):
@@ -301,8 +301,8 @@ class TaskAllocation:
         if auction is None or auction.task != bid.task:
             rival = (bid.task, told) if self._rival is None else self._rival
             if auction or rival[0] != bid.task or self._awarded.get(bid.task, 0) > now_us:
-                self._awarded[bid.task] = now_us + BIDS_US + AWARDED_US  # others are at it
-            else:  # our control period is later
+                self._awarded[bid.task] = now_us + BIDS_US + AWARDED_US  # others auction it already
+            else:  # our control period comes later than theirs: bid now
                 self._rival, self._look_us = min(rival, (bid.task, told)), now_us
             return
         if auction.best is None or told < auction.best:

@@ -14,7 +14,7 @@ from protocol.frames.delivery_frames import BUCKET_TASKS, TaskBookDigest, TaskOr
 
 TASKS_MAX = 0x6000  # sections from here on are visits of charger bays
 DIGEST_US = 1 * S  # between two digests of one peer, each of one bucket of tasks
-AGAIN_US = 400 * MS  # an order that was just heard is not repeated
+AGAIN_US = 400 * MS  # an order received within this time is not repeated
 KEY, LAYOUT = "order/", Struct("<HH")  # of a durable record: pickup, dropoff
 ORDERS_A_BEAT = 2  # so that a late joiner of 500 tasks does not fill the bus
 
@@ -65,10 +65,12 @@ class TaskRegistry:
         """`slot`: ours. `tasks`: those that every robot was given before the start, by number."""
         self.tasks = dict(tasks)
         self.added = 0  # change counter, so that cached results can detect changes
-        self._due: dict[int, int] = {}  # task to tell again, and from when
+        self._due: dict[int, int] = {}  # task to send again, and from when
         self._heard_us: dict[int, int] = {}
         self._slot, self._bucket = slot, slot
-        self._digest_us = now_us + DIGEST_US + slot * 37 * MS  # not all in the same beat
+        self._digest_us = (
+            now_us + DIGEST_US + slot * 37 * MS
+        )  # so that robots do not send in the same beat
 
     def __contains__(self, task: int) -> bool:
         return task in self.tasks

@@ -72,12 +72,12 @@ class ExplorationMission(Mission):
         geometry = chart.geometry
         self.view_cells = int(min(VIEW_MAX_M, VIEW_SHARE * chart.range_m) / geometry.cell_m)
         self.task: FleetTask | None = None
-        self.ended: Counter[Status] = Counter()  # our own tasks that are over
+        self.ended: Counter[Status] = Counter()  # how many of our own tasks ended with each status
         self.last_merge = MergeResult(0, 0, 0)
-        self.over = False  # no frontier that we could reach, when we last looked
-        self.switched = 0  # targets left for better ones
+        self.over = False  # at the last search there was no frontier that we could reach
+        self.switched = 0  # number of targets left for better ones
         self._way = FrontierPath(chart, limits)
-        self._legs: list[XY] = []  # of an order: places still to go to
+        self._legs: list[XY] = []  # places of an order still to visit
         self._shunned_us: dict[int, int] = {}
         self._choose_us = self._check_us = self._reassign_us = 0
         self._merge_us = 0
@@ -260,7 +260,9 @@ class ExplorationMission(Mission):
         self._choose_us = 0
 
     def begin(self, section: int, view: FleetView) -> None:
-        if self.task is None or self.task.section != section:  # kept over a restart or a stop
+        if (
+            self.task is None or self.task.section != section
+        ):  # the section was kept over a restart or a stop
             self._resume(section, view)
         assert self.task is not None
         self.task = self.task._replace(status=Status.ACTIVE)

@@ -29,7 +29,7 @@ NEVER = np.int32(1 << 30)  # length of a way that does not exist
 DEAR = 3  # factor for a step among cells that another robot saw and we would see again
 SEPARATION_M = 0.5  # between the targets of two robots
 HYSTERESIS = 0.15  # share by which another target must be better than the current one
-GAIN_M = 0.01  # distance that one newly seen cell is worth; a full view of a metre about 3 m
+GAIN_M = 0.01  # distance that a newly seen cell is worth: about 3 m for a full view of 1 m
 UNKNOWN_MIN = 2  # unknown cells round a frontier: a single one is a gap between two rays
 
 

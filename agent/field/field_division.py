@@ -19,12 +19,12 @@ from shapely.ops import substring
 from agent.field.field_map import UNITS_MAX, XY, Field, Polyline, Section
 from agent.field.ring_corners import cut_at_corners
 
-SWEEP_DEG = 10.0  # angles tried besides the directions of the edges
+SWEEP_DEG = 10.0  # step of the angles that are tried besides the directions of the edges
 EDGE_SHARE_MIN = 0.05  # edges shorter than this share of the outline propose no angle
 CORNER_RAD = 0.05  # a smaller turn leaves no gap: the overlap closes it
 UNITS_LEAST = 8  # of a whole field, so that in a tiny one, work beside a standing robot counts
 SHARP_CORNERS_MAX = 8  # a ring with more of them is rounded
-UNIT_LEAST_M = 1.0  # three times the lead of a stretch
+UNIT_LEAST_M = 1.0  # shortest unit: three times the lead of a stretch
 CUT_STEP_M = 1.0  # step of the search for a straight place for a cut
 KEEP_MORE_M = 0.35  # the lead-out of a stretch, beyond its end
 PIECE_MIN_M = 0.05  # strips that touch the deep part by less are served by the ring

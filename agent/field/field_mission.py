@@ -25,7 +25,7 @@ from agent.paths.route import Route
 ASTRAY_M: Final = 4.0  # further from its line than this swath width, a robot replans its way back
 NEAR_END_S: Final = 5.0  # claim the next section when this much work is left
 
-_wish = tuple.__new__  # all fields at once: a third of the time, and one is made every period
+_wish = tuple.__new__  # a third of the time of keyword arguments; one is made each period
 
 
 class FieldMission(Mission):
@@ -69,7 +69,7 @@ class FieldMission(Mission):
         self.heading_to: int | Point | None = None  # section or place an approach path leads to
         self.parking = Parking(field, radius_m, speed_m_s)
         bar_m = 0.0
-        if self.turns_on_the_spot:  # steered robots do not keep clear of their implements yet
+        if self.turns_on_the_spot:  # other robots keep clear of their implements
             bar_m = Implement(field.implement_width_m / 2 - field.overlap_m, radius_m).reach_m
         self.blockage = FieldObstructions(route, radius_m, deceleration_m_s2, self.beside_m, bar_m)
 

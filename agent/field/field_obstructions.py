@@ -20,7 +20,7 @@ Point = tuple[float, float]
 
 BLOCKED_M: Final = 0.4  # margin of ORCA and of tracking round a body that stands on a swath
 PASS_M: Final = 0.25  # margin on a path past a body: ORCA's margin and the cross-track error
-# Margin beside the hull on a path past an obstacle: what the detector keeps, and half a ground cell.
+# Margin beside the hull on a path past an obstacle: that of the detector and half a ground cell.
 THING_M: Final = 0.4
 NEAR_M: Final = 4.0  # a robot with no larger gap than this may be the reason for a stall
 STANDS_M_S: Final = 0.05  # a slower robot counts as standing
@@ -45,7 +45,7 @@ class FieldObstructions:
         self.route, self.radius_m = route, radius_m
         self.body_m, self.pass_m = 2 * radius_m + beside_m, 2 * radius_m + PASS_M
         self.unit_m = max(self.body_m, bar_m)  # from a silent body to a unit that is worked
-        self.way = route  # the same route planner with all obstructions
+        self.way = route  # the route planner with all obstructions
         self.things: frozenset[Point] = frozenset()
         self.coasting = StoppingZone(radius_m, deceleration_m_s2)
         self.bodies: tuple[Point, ...] = ()  # where silent members may stand

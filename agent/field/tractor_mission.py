@@ -29,7 +29,7 @@ from agent.paths.tractor_route import Piece, Pose, TurnRoute, sampled
 BEND_HALF_M = 0.6  # a bend is rounded over this length on both sides
 BESIDE_M = 0.5  # further from the leg the implement is up: that may be another robot's section
 JOIN_M_S = 1.5  # speed from a turn into a stretch
-# Speed into a stretch that begins in a bend. A body off its course would miss the corner with its bar.
+# Speed into a stretch that begins in a bend. Off its course, the bar would miss the corner.
 JOIN_BENT_M_S = 0.4
 BENT_M = 1.0  # a stretch whose first straight is shorter begins in a bend
 LEAVE_M_S = 0.8  # speed from a stretch into a turn that is not planned yet

@@ -7,7 +7,7 @@ Printed by `headland inspect --mermaid`. Edges beyond the basic diagram, each wi
 * WORKING -> SYNCHRONIZING: after a network cut has healed, the other side's work must be merged
   before this robot decides what to do next. A section it has started stays its own and is resumed.
 * WORKING -> WORKING on CLAIMED: the next section was claimed while this one was being worked.
-* any -> DISCONNECTED on BUS_LOST: bus-off or a lost address, so no frame of this robot is heard.
+* any -> DISCONNECTED on BUS_LOST: bus-off or a lost address, so nobody receives this robot.
   EMERGENCY_STOP is the exception: only a person ends a latch, regardless of the bus.
 * any moving state -> DISCONNECTED on LEFT: a graceful leave.
 """

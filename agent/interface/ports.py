@@ -25,7 +25,7 @@ class VisibleParcel(NamedTuple):
 
     x_m: float
     y_m: float
-    on_robot: bool  # on a robot that is dead
+    on_robot: bool  # it is on a robot that has died
 
 
 NEVER_US = -(1 << 62)  # an observation without a time counts as infinitely old

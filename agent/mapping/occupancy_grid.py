@@ -97,7 +97,7 @@ class OccupancyGrid:
         self.obstacles: dict[tuple[int, int], Obstacle] = {}
         self._told = np.zeros(shape, dtype=np.int32)  # number of obstacles on each cell
         self._placed: set[tuple[int, int]] = set()
-        self.scan = 0  # 1 to SCANS_MAX, over and over
+        self.scan = 0  # number of the scan, 1 to SCANS_MAX in a cycle
         self._room = (0, 0.0)  # number of rays and range for which `_toggled` has room
         self._toggled: Changes = np.empty((0, 3), dtype=np.int64)  # cells that a scan changes
         self.solid: Grid = self.fixed.copy()

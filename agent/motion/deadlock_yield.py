@@ -26,7 +26,7 @@ PERIOD_S: Final = CONTROL_PERIOD_US / S
 # A stalled robot wants at least this speed, and has moved less than this distance.
 WANTS_M_S: Final = 0.1
 GOT_ON_M: Final = 0.4
-# Not stalled either if it covered this share of the requested distance, as when it creeps to an end.
+# Nor is a robot stalled that covered this share of the requested distance, as when it creeps.
 GETS_ON: Final = 0.4
 PATIENCE_US: Final = 1_500 * MS  # stalled for this long, the robot that yields first gives way
 LONG_PATIENCE_US: Final = 7 * S  # for the robot that gives way second

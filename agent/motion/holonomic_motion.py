@@ -30,7 +30,7 @@ from agent.motion.stopping_zone import StoppingZone
 from agent.motion.unexplained_echoes import UnexplainedEchoes
 
 MARGIN_M: Final = 0.15  # POSE rounds to 0.05 m, a drive takes a period to act, wheels slip
-HORIZON_S: Final = 4.0  # how far ahead two moving robots agree to be clear of each other
+HORIZON_S: Final = 4.0  # how far ahead two moving robots avoid a collision
 STANDING_M_S: Final = 0.05  # slower than this a neighbour cannot be relied on to give way
 AGE_MAX_US: Final = 1 * S  # an older pose is not extrapolated, because the robot may have stopped
 UNHEARD_US: Final = 5 * S  # a neighbour not received for this long may be anywhere
@@ -38,7 +38,7 @@ UNHEARD_US: Final = 5 * S  # a neighbour not received for this long may be anywh
 PLACES_MAX: Final = 4
 FENCE_M: Final = 0.2  # distance kept from fences and holes
 FIELD_RADIUS_M: Final = 0.8  # body radius for which the distances of deadlock yielding are set
-_tuple = tuple.__new__  # all fields at once: made every period, for every neighbour
+_tuple = tuple.__new__  # faster than keyword arguments; one is made each period for each neighbour
 
 
 def _square(row: tuple[float, ...]) -> float:

@@ -51,10 +51,10 @@ VOUCHED_US = 3 * S  # in a fleet of ten, other members name each member ten time
 AGE_MAX_US = 500 * MS  # a pose is extrapolated this long: 10 beats, 30 % of them lost
 CLAIM_S = 0.5  # twice the time of a contest, so the next goal is ours when we are at this one
 CLOSE_M = RANGE_M + 2.0  # our rays can hit a robot whose last beat was this near
-# A robot that stands for this long although it wants to move is stalled if no robot is near. It takes
-# longer than to brake for a robot that passes.
+# A robot without another robot near that stands for this long and wants to move is stalled. The time
+# is longer than a stop for a robot that passes.
 STALLED_ALONE_US = 5 * S
-AHEAD_M = 0.3  # this far beyond the hull the obstacle is taken to stand that cannot be passed
+AHEAD_M = 0.3  # an obstacle that cannot be passed is assumed this far beyond the hull
 FOLLOWED_MAX = 512  # lines remembered, at most 2 MB: each goal takes a few of them
 LOST_M = 0.8  # this far off the path, another is planned
 
@@ -64,7 +64,7 @@ class FollowedPath(NamedTuple):
 
     t_us: int
     points: tuple[Point, ...]
-    why: str  # goal, lost, blocked, stalled, restored, plan (of all together), after plan
+    why: str  # goal, lost, blocked, stalled, restored, plan (a joint one), after plan
 
 
 class NavigationMission(Mission):
@@ -196,7 +196,9 @@ class NavigationMission(Mission):
         }
         around = list(self._around.values())
         reach_m = self.replanning.horizon_m + self.floor.radius_m
-        if state is State.DISCONNECTED:  # without known members every robot looks like a box
+        if (
+            state is State.DISCONNECTED
+        ):  # without a fleet, the echo of a robot would count as an obstacle
             self._alone_us = view.now_us
         if view.now_us - self._alone_us > ACQUAINTED_US:
             self.hazards.look(here, reach_m, around, view.now_us, dead)

@@ -38,7 +38,7 @@ class SilentRobots:
         self.known: dict[int, Fallen] = {}
         self.dead: dict[int, Point] = {}  # bodies that stand now
         self._due_us: dict[int, int] = {}  # slot -> when we send its position next
-        self._heard_us: dict[int, int] = {}  # slot -> time of the last beat that our record is of
+        self._heard_us: dict[int, int] = {}  # slot -> time of the beat in our record
 
     def look(self, view: FleetView) -> None:
         """Once each control period: update which members are silent and which are back."""
@@ -59,7 +59,9 @@ class SilentRobots:
             if slot not in view.live and self._silent(slot, view) and word.x_m > NOWHERE_M
         }
         for slot, place in list(self.dead.items()):
-            if seen_through(view.here, place, SURE_M):  # it drove on unheard, or was moved
+            if seen_through(
+                view.here, place, SURE_M
+            ):  # it drove on without being received, or was moved
                 gone = Fallen(NOWHERE_M, NOWHERE_M, slot, self.clock.read(now_us))
                 self._join(gone, now_us)
                 self._due_us[slot] = now_us

@@ -16,7 +16,7 @@ class Severity(IntEnum):
 
     CLEAR = 0
     SLOW = 1  # creep
-    PAUSE = 2  # stand still because a person decided so, or because a person has to decide
+    PAUSE = 2  # stand still: a person decided so, or a person has to decide
     PROTECTIVE = 3  # stand still; ends by itself when the cause is gone
     LATCHED = 4  # stand still until a person at this machine resets it
 

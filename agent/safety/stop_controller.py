@@ -40,7 +40,7 @@ REPEATS_MAX, REPEATS_ALONE = 400, 200
 REPEAT_UNHEARD_US = 50 * MS  # while no frame leaves: repeat slower, and do not count the repeats
 # 20 repeats. A member still reporting "not stopped" may hold our dot as cleared; press a new one.
 AGAIN_US = 100 * MS
-AGAIN_MAX = 3  # further dots for one press; after these, that member cannot hear us at all
+AGAIN_MAX = 3  # further dots for one press; after these, that member cannot receive us at all
 TOLD_MAX = 4  # stops sent per reply (2 ms of bus), rotating through the set
 ANSWER_SPACING_US = 100 * MS  # minimum spacing of replies to members that report "not stopped"
 SPENT_HOLD_US = 1_500 * MS  # hold after its last frame; a simple panel sends its stop once a second
