@@ -3,23 +3,18 @@
 One device's state machine, sans I/O. It outputs `AddressMessage` values: a message and the source
 address that it must be sent from, because a claim is sent from the address it claims.
 
-    state      what it is doing
-    WAITING    random delay of 0 to 153 ms, so that devices powered up together do not collide
-    CONTENDING our claim is on the bus; for 250 ms a device with a lower NAME may object
-    HELD       the address is ours; a claim by a higher NAME is answered with ours
-    CANNOT     no address is left; the device sends only "cannot claim" from address 254. After a
-               while it forgets the claims it has heard, requests all claims, and starts again
-               (J1939-81)
+Its states and their total table are `ClaimState` and `CLAIM_TABLE`.
 """
 
 from collections.abc import Mapping
-from enum import Enum, auto
+from enum import Enum
 from random import Random
 from typing import NamedTuple
 
 from protocol.frames.identifier import GLOBAL_ADDRESS, NULL_ADDRESS
 from protocol.frames.network_frames import AddressClaimed
 from protocol.name import Name
+from protocol.state_machine import StateMachine, matrix
 
 MS = 1_000
 FIRST, LAST = 128, 235  # self-configurable addresses of industry group 2
@@ -40,11 +35,33 @@ ANSWERS_US = 200 * MS  # devices answer a request for claims within 153 ms, and 
 VIOLATION_US = 5 * S
 
 
-class State(Enum):
-    WAITING = auto()
-    CONTENDING = auto()
-    HELD = auto()
-    CANNOT = auto()
+class ClaimState(Enum):
+    WAITING = "a random delay of 0 to 153 ms, so that devices powered up together do not collide"
+    CONTENDING = "our claim is on the bus; for 250 ms a device with a lower NAME may object"
+    HELD = "the address is ours; a claim by a higher NAME is answered with ours"
+    CANNOT = "no address is left: only 'cannot claim' is sent, from address 254, until the next try"
+
+
+class ClaimEvent(Enum):
+    RESTARTED = "power-up, a return to the bus, or the next try after 'cannot claim' (J1939-81)"
+    CLAIMED = "a claim of the candidate address was sent, of the first one or of another"
+    UNCONTESTED = "no device objected for the contention time"
+    EXHAUSTED = "every address is held by a lower NAME"
+
+
+WAITING, CONTENDING, HELD, CANNOT = ClaimState
+stay = None
+
+# fmt: off
+CLAIM_TABLE = matrix(
+    ClaimEvent,
+    # state       RESTARTED  CLAIMED     UNCONTESTED  EXHAUSTED
+    (WAITING,     stay,      CONTENDING, stay,        CANNOT),
+    (CONTENDING,  WAITING,   stay,       HELD,        CANNOT),
+    (HELD,        WAITING,   CONTENDING, stay,        CANNOT),
+    (CANNOT,      WAITING,   stay,       stay,        stay),
+)
+# fmt: on
 
 
 class AddressMessage(NamedTuple):
@@ -65,7 +82,7 @@ class AddressClaim:
         self.name, self.number, self._rng = name, name.pack(), rng
         self.preferred = self.candidate = preferred
         self.names: dict[int, int] = {}  # address -> NAME, of other devices
-        self.state = State.WAITING
+        self._machine = StateMachine("address claim", CLAIM_TABLE, WAITING)
         self.duplicates = 0  # claims with our own NAME by another device: a configuration error
         self.losses = 0
         self.refused = 0  # defences not sent because of the limit
@@ -78,9 +95,13 @@ class AddressClaim:
         self.restart(now_us)
 
     @property
+    def state(self) -> ClaimState:
+        return self._machine.state
+
+    @property
     def address(self) -> int | None:
         """Our address, once no device has objected for the contention time; None before."""
-        return self.candidate if self.state is State.HELD else None
+        return self.candidate if self._machine.state is HELD else None
 
     @property
     def deadline_us(self) -> int | None:
@@ -91,7 +112,8 @@ class AddressClaim:
 
     def restart(self, now_us: int) -> None:
         """Start claiming, after power-up or after a return to the bus."""
-        self.state, self._answer_us = State.WAITING, None
+        self._machine.fire(ClaimEvent.RESTARTED)
+        self._answer_us = None
         self._next_us = now_us + self._rng.randrange(256) * DELAY_STEP_US
         if self._modest_for_us is not None:
             self._next_us = now_us + self._modest_for_us
@@ -100,7 +122,7 @@ class AddressClaim:
         """Claim immediately. A random delay may be zero, so this is allowed. A robot that has a
         stop to send must not wait longer than others take to notice its silence, and a claim delays
         that."""
-        if self.state is State.WAITING:
+        if self.state is WAITING:
             self._next_us = now_us
 
     def tick(self, now_us: int) -> list[AddressMessage]:
@@ -110,14 +132,14 @@ class AddressClaim:
             claims.append(self._answer())
         if self._next_us is None or now_us < self._next_us:
             return claims
-        if self.state is State.WAITING:
+        if self.state is WAITING:
             return claims + self._claim(now_us)
-        if self.state is State.CANNOT:
+        if self.state is CANNOT:
             self._try_again(now_us)
             return claims
         self._next_us = None
-        if self.state is State.CONTENDING:
-            self.state, self._retry_us = State.HELD, RETRY_US
+        self._machine.fire(ClaimEvent.UNCONTESTED)
+        self._retry_us = RETRY_US
         return claims
 
     def _try_again(self, now_us: int) -> None:
@@ -136,7 +158,7 @@ class AddressClaim:
             self.duplicates += 1
             return []
         self.names[source] = message.name
-        if source != self.candidate or self.state in (State.WAITING, State.CANNOT):
+        if source != self.candidate or self.state in (WAITING, CANNOT):
             return []
         if message.name == self.number:
             self.duplicates += 1
@@ -150,7 +172,7 @@ class AddressClaim:
         """Another device uses our address: two parts of a bus were joined, and in neither part did
         a device have a reason to object. A claim makes one of us move (ISO 11783-5, address
         violation)."""
-        if self.state is not State.HELD or now_us - self._violated_us < VIOLATION_US:
+        if self.state is not HELD or now_us - self._violated_us < VIOLATION_US:
             return []
         self._violated_us = now_us
         return [AddressMessage(AddressClaimed(self.number), self.candidate)]
@@ -159,7 +181,7 @@ class AddressClaim:
         """Handle a request for address claimed. If all devices were asked, each answers after its
         own random delay, once for all requests in that time, because a fleet that boots together
         asks often."""
-        if self.state is State.WAITING:
+        if self.state is WAITING:
             return []
         if not everybody:
             return [self._answer()]
@@ -168,7 +190,7 @@ class AddressClaim:
         return []
 
     def _answer(self) -> AddressMessage:
-        source = NULL_ADDRESS if self.state is State.CANNOT else self.candidate
+        source = NULL_ADDRESS if self.state is CANNOT else self.candidate
         return AddressMessage(AddressClaimed(self.number), source)
 
     def _claim(self, now_us: int) -> list[AddressMessage]:
@@ -177,7 +199,12 @@ class AddressClaim:
             return self._move(now_us)
         at_once = self.candidate > LAST
         wait_us = SAID_US if at_once else CONTENTION_US
-        self.state, self._next_us = State.CONTENDING, now_us + wait_us
+        return self._contend(wait_us, now_us)
+
+    def _contend(self, wait_us: int, now_us: int) -> list[AddressMessage]:
+        """Claim the candidate address; for `wait_us` another device may object."""
+        self._machine.fire(ClaimEvent.CLAIMED)
+        self._next_us = now_us + wait_us
         return [AddressMessage(AddressClaimed(self.number), self.candidate)]
 
     def _defend(self, now_us: int) -> list[AddressMessage]:
@@ -197,9 +224,9 @@ class AddressClaim:
                 address = FIRST + (min(self.candidate, LAST + 1) - FIRST - step) % width
             if self.names.get(address) is None:
                 self.candidate = address
-                self.state, self._next_us = State.CONTENDING, now_us + CONTENTION_US
-                return [AddressMessage(AddressClaimed(self.number), address)]
-        self.state, self._next_us = State.CANNOT, None
+                return self._contend(CONTENTION_US, now_us)
+        self._machine.fire(ClaimEvent.EXHAUSTED)
+        self._next_us = None
         if self._modest_for_us is None:
             self._next_us = now_us + self._retry_us + self._rng.randrange(S)
             self._retry_us = min(2 * self._retry_us, RETRY_MAX_US)

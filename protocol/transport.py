@@ -7,11 +7,12 @@ abort.
 
 from collections import Counter, deque
 from collections.abc import Iterable
-from enum import IntEnum
+from enum import Enum, IntEnum
 from typing import NamedTuple
 
 from protocol.frames.identifier import GLOBAL_ADDRESS
 from protocol.frames.network_frames import TransportData, TransportManagement
+from protocol.state_machine import StateMachine, matrix
 
 MS = 1_000
 PACKET = 7  # bytes of the message in one TP.DT
@@ -45,6 +46,42 @@ class Abort(IntEnum):
     UNEXPECTED_DATA = 6
     SEQUENCE = 7
     SIZE = 9
+
+
+class SendingState(Enum):
+    AWAITING = "an answer of the receiver is due: a CTS, or the end of message"
+    SENDING = "packets are sent, of the latest grant or of a broadcast"
+    CLOSED = "the message has arrived, or was given up"
+
+
+class SendingEvent(Enum):
+    GRANTED = "a CTS asks for packets"
+    ON_HOLD = "a CTS asks for none: the receiver needs time"
+    GRANT_SENT = "the last packet of a grant was sent"
+    DELIVERED = "the receiver has acknowledged the end, or the last packet of a broadcast was sent"
+    TIMED_OUT = "no answer came in time"
+    GIVEN_UP = "the receiver asks for what there is not, or asks too often"
+    ABORTED = "the receiver has ended the session"
+
+
+AWAITING, SENDING, CLOSED = SendingState
+stay = None
+
+# fmt: off
+SENDING_TABLE = matrix(
+    SendingEvent,
+    # state     GRANTED  ON_HOLD   GRANT_SENT  DELIVERED  TIMED_OUT  GIVEN_UP  ABORTED
+    (AWAITING,  SENDING, stay,     stay,       CLOSED,    CLOSED,    CLOSED,   CLOSED),
+    (SENDING,   stay,    AWAITING, AWAITING,   CLOSED,    stay,      CLOSED,   CLOSED),
+    (CLOSED,    stay,    stay,     stay,       stay,      stay,      stay,     stay),
+)
+# fmt: on
+# What is counted when a session ends; an abort is counted as it arrives.
+OUTCOME = {
+    SendingEvent.DELIVERED: "sent",
+    SendingEvent.TIMED_OUT: "timeout",
+    SendingEvent.GIVEN_UP: "given up",
+}
 
 
 class OutgoingFrame(NamedTuple):
@@ -84,8 +121,10 @@ class _Sending:
         self.packets = -(-len(data) // PACKET)
         self.queue: deque[int] = deque()  # sequence numbers to send
         self.words = 0  # CTS received
-        self.waiting = True  # for the receiver's answer; then `due_us` is a time limit
-        self.due_us = 0
+        # A broadcast is answered by nobody.
+        start = SENDING if destination == GLOBAL_ADDRESS else AWAITING
+        self.machine = StateMachine("transport session", SENDING_TABLE, start)
+        self.due_us = 0  # of the next packet; while `AWAITING`, of the answer
 
     def packet(self, sequence: int) -> TransportData:
         body = self.data[PACKET * (sequence - 1) : PACKET * sequence]
@@ -124,7 +163,7 @@ class Transport:
         session = self._sending[destination] = _Sending(pgn, data, destination)
         head = len(data).to_bytes(2, "little") + bytes((session.packets,))
         if destination == GLOBAL_ADDRESS:
-            session.waiting, session.due_us = False, now_us + BAM_GAP_US
+            session.due_us = now_us + BAM_GAP_US
             session.queue.extend(range(1, session.packets + 1))
             return [_manage(Control.BAM, head + b"\xff", pgn, GLOBAL_ADDRESS)]
         session.due_us = now_us + T3_US
@@ -142,20 +181,25 @@ class Transport:
         return out
 
     def _send_on(self, session: _Sending, now_us: int) -> Iterable[OutgoingFrame]:
-        if session.waiting:
-            del self._sending[session.destination]
-            self.counts["timeout"] += 1
+        if session.machine.state is AWAITING:
+            self._fire(session, SendingEvent.TIMED_OUT)
             return [_abort(Abort.TIMEOUT, session.pgn, session.destination)]
         out = [OutgoingFrame(session.packet(session.queue.popleft()), session.destination)]
         broadcast = session.destination == GLOBAL_ADDRESS
         session.due_us = now_us + (BAM_GAP_US if broadcast else DATA_GAP_US)
-        if not session.queue:
-            if broadcast:
-                del self._sending[session.destination]
-                self.counts["sent"] += 1
-            else:
-                session.waiting, session.due_us = True, now_us + T3_US
+        if not session.queue and broadcast:
+            self._fire(session, SendingEvent.DELIVERED)
+        elif not session.queue:
+            self._fire(session, SendingEvent.GRANT_SENT)
+            session.due_us = now_us + T3_US
         return out
+
+    def _fire(self, session: _Sending, event: SendingEvent) -> None:
+        """Move a session of ours, and forget it where that ends it."""
+        if session.machine.fire(event)[1] is CLOSED:
+            del self._sending[session.destination]
+            if event in OUTCOME:
+                self.counts[OUTCOME[event]] += 1
 
     # ---------------------------------------------------------------- receiving
 
@@ -293,18 +337,19 @@ class Transport:
             return self._give_up(session, Abort.RETRIES)
         if count == 0:  # hold
             session.queue.clear()
-            session.waiting, session.due_us = True, now_us + T4_US
+            self._fire(session, SendingEvent.ON_HOLD)
+            session.due_us = now_us + T4_US
             return ()
         if not 1 <= first <= session.packets:
             return self._give_up(session, Abort.SEQUENCE)
         last = min(first + count - 1, session.packets)
         session.queue = deque(range(first, last + 1))
-        session.waiting, session.due_us = False, now_us
+        self._fire(session, SendingEvent.GRANTED)
+        session.due_us = now_us
         return ()
 
     def _give_up(self, session: _Sending, reason: Abort) -> Iterable[OutgoingFrame]:
-        del self._sending[session.destination]
-        self.counts["given up"] += 1
+        self._fire(session, SendingEvent.GIVEN_UP)
         return [_abort(reason, session.pgn, session.destination)]
 
     def _acknowledged(self, source: int, m: TransportManagement) -> Iterable[OutgoingFrame]:
@@ -312,15 +357,14 @@ class Transport:
         if session is None or session.pgn != m.pgn:
             self.counts["unexpected end"] += 1
         else:
-            del self._sending[source]
-            self.counts["sent"] += 1
+            self._fire(session, SendingEvent.DELIVERED)
         return ()
 
     def _aborted(self, source: int, m: TransportManagement) -> None:
         self.counts["aborted"] += 1
         sending = self._sending.get(source)
         if sending is not None and sending.pgn == m.pgn:
-            del self._sending[source]
+            self._fire(sending, SendingEvent.ABORTED)
         receiving = self._receiving.get((source, False))
         if receiving is not None and receiving.pgn == m.pgn:
             del self._receiving[source, False]

@@ -6,9 +6,9 @@ import tomllib
 from pathlib import Path
 
 from agent.interface.lifecycle import TABLE, State
-from agent.interface.state_machine import to_mermaid
 from agent.safety.stop_cause import cause_table
 from protocol.frames.messages import GROUPS
+from protocol.state_machine import to_mermaid
 
 ROOT = Path(__file__).parents[1]
 

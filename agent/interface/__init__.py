@@ -2,5 +2,5 @@
 
 Start with `effects` (what comes out), `ports` (what a body senses) and `mission` (what a mission
 answers each control period). `lifecycle` is the total table of a robot's states, on the machine in
-`state_machine`. `config` holds every limit of the core with its unit and its reason.
+`protocol/state_machine.py`. `config` holds every limit of the core with its unit and its reason.
 """

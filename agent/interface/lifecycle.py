@@ -14,7 +14,7 @@ Printed by `headland inspect --mermaid`. Edges beyond the basic diagram, each wi
 
 from enum import IntEnum
 
-from agent.interface.state_machine import matrix
+from protocol.state_machine import matrix
 
 
 class State(IntEnum):

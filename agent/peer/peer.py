@@ -16,7 +16,6 @@ from agent.interface.lifecycle import IDLE, SYNCHRONIZING, TABLE, WORKING, Event
 from agent.interface.mission import STILL, ClaimRequest, FleetView, Mission, MotionRequest
 from agent.interface.motion_controller import MotionController
 from agent.interface.ports import Neighbour, Observation
-from agent.interface.state_machine import StateMachine
 from agent.peer.announcements import Announcements
 from agent.peer.control_cycle import ControlCycle
 from agent.peer.durable_records import DurableRecords
@@ -50,6 +49,7 @@ from protocol.frames.messages import Message
 from protocol.frames.network_frames import AddressClaimed, Request
 from protocol.frames.safety_frames import EmergencyStop, Reason
 from protocol.frames.work_frames import STOPS, StateSyncRequest, TaskClaim
+from protocol.state_machine import StateMachine
 from protocol.sync.map_sync import MapSync
 from protocol.sync.synchronizer import Synchronizer
 

@@ -6,6 +6,7 @@ from random import Random
 import pytest
 
 from protocol.address import (
+    CLAIM_TABLE,
     CONTENTION_US,
     DEFENCES_MAX,
     FIRST,
@@ -14,11 +15,13 @@ from protocol.address import (
     VIOLATION_US,
     AddressClaim,
     AddressMessage,
-    State,
+    ClaimEvent,
+    ClaimState,
 )
 from protocol.frames.identifier import NULL_ADDRESS
 from protocol.frames.network_frames import AddressClaimed
 from protocol.name import Name, fleet_name
+from tests.state_tables import check_table
 
 DELAY_US = 600
 S = 1_000_000
@@ -85,10 +88,10 @@ def test_the_one_too_many_cannot_claim_and_says_so() -> None:
     late = bus.add(Name(identity=(1 << 21) - 1, manufacturer=2047), FIRST)
     late.names = {m.candidate: m.number for m in bus.machines[:-1]}  # it listened before it spoke
     bus.run(4 * S)
-    assert late.state is State.CANNOT and late.address is None
+    assert late.state is ClaimState.CANNOT and late.address is None
     (answer,) = late.asked(False, bus.now_us)
     assert answer.source == NULL_ADDRESS and answer.message.name == late.number
-    assert all(m.state is State.HELD for m in bus.machines[:-1])
+    assert all(m.state is ClaimState.HELD for m in bus.machines[:-1])
 
 
 def test_two_devices_with_one_name_are_counted_and_bounded() -> None:
@@ -175,5 +178,16 @@ def test_t2_who_cannot_claim_tries_again_and_recovers() -> None:
     assert all(m.address is None for m in bus.machines)
     said = bus.frames
     bus.run(bus.now_us + RETRY_MAX_US + 2 * S)
-    assert all(m.state is State.HELD for m in bus.machines)
+    assert all(m.state is ClaimState.HELD for m in bus.machines)
     assert bus.frames - said < 50
+
+
+def test_every_state_and_event() -> None:
+    waiting, contending, held, cannot = ClaimState
+    restarted, claimed, uncontested, exhausted = ClaimEvent
+    check_table(CLAIM_TABLE, waiting, {
+        (contending, restarted, waiting), (held, restarted, waiting), (cannot, restarted, waiting),
+        (waiting, claimed, contending), (held, claimed, contending),
+        (contending, uncontested, held),
+        (waiting, exhausted, cannot), (contending, exhausted, cannot), (held, exhausted, cannot),
+    })  # fmt: skip

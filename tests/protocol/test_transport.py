@@ -16,14 +16,18 @@ from protocol.transport import (
     BAM_GAP_US,
     RECEIVING_MAX,
     SENDING_MAX,
+    SENDING_TABLE,
     SIZE_MAX,
     T2_US,
     Abort,
     Control,
     OutgoingFrame,
     ReceivedMessage,
+    SendingEvent,
+    SendingState,
     Transport,
 )
+from tests.state_tables import check_table
 
 PGN = 0xFEEB
 DELAY_US = 700
@@ -177,3 +181,15 @@ def test_a_receiver_that_asks_for_ever_is_given_up() -> None:
         list(end.receive(5, 130, cts, k * 1000))
         list(end.tick(k * 1000))
     assert end.sessions == 0 and end.counts["given up"] == 1
+
+
+def test_every_state_and_event_of_a_session_of_ours() -> None:
+    waits, sends, closed = SendingState
+    granted, on_hold, grant_sent, delivered, timed_out, given_up, aborted = SendingEvent
+    check_table(SENDING_TABLE, waits, {
+        (waits, granted, sends), (sends, on_hold, waits), (sends, grant_sent, waits),
+        (waits, delivered, closed), (sends, delivered, closed),
+        (waits, timed_out, closed),  # packets of a grant are sent, however late
+        (waits, given_up, closed), (sends, given_up, closed),
+        (waits, aborted, closed), (sends, aborted, closed),
+    })  # fmt: skip

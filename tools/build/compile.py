@@ -30,10 +30,10 @@ GROUP = {
     "protocol": "address frames.accord_frames frames.codec frames.delivery_frames frames.fleet_frames "
     "frames.identifier frames.map_frames frames.messages frames.network_frames "
     "frames.operator_frames frames.safety_frames frames.segment_frames frames.work_frames "
-    "links.bus sync.digest_comparison sync.replica sync.synchronizer transport",
+    "links.bus state_machine sync.digest_comparison sync.replica sync.synchronizer transport",
     "agent": "avoidance.orca field.displacement_detector field.field_mission "
     "field.field_obstructions field.parking field.section_choice field.section_partition "
-    "field.work_leg interface.effects interface.state_machine motion.deadlock_yield "
+    "field.work_leg interface.effects motion.deadlock_yield "
     "motion.holonomic_motion motion.obstacle_detector motion.obstacle_stop "
     "motion.path_tracker motion.right_of_way motion.stopping_zone peer.announcements "
     "peer.control_cycle peer.durable_records peer.fleet_summary peer.inbound "

@@ -13,12 +13,12 @@ from rich.console import Console
 from rich.table import Table
 
 from agent.interface.lifecycle import TABLE, State
-from agent.interface.state_machine import to_mermaid
 from agent.peer.pgn_responder import LOG_PGN
 from agent.peer.self_health import POOR
 from agent.runtime.files.given_file import check_regular
 from protocol.frames.frame import Frame
 from protocol.links.bus import CanBus
+from protocol.state_machine import to_mermaid
 from sim.files.candump import read_candump
 from sim.files.log_parts import parts_of
 from sim.files.strict_json import dumps

@@ -3,6 +3,7 @@
 from rich.text import Text
 
 from agent.interface.lifecycle import TABLE, Event, State
+from protocol.state_machine import edges
 
 LIT = {
     "DISCONNECTED": "black on grey70", "IDLE": "black on cyan", "SYNCHRONIZING": "black on yellow",
@@ -17,12 +18,7 @@ WIDTH = max(len(state.name) for state in State) + 2
 
 def edges_from(state: State) -> list[tuple[State, list[Event]]]:
     """Where it can go, and the events that lead there."""
-    found: dict[State, list[Event]] = {}
-    for event in Event:
-        target = TABLE[state, event]
-        if target is not state:
-            found.setdefault(target, []).append(event)
-    return sorted(found.items())
+    return edges(TABLE, state)
 
 
 def picture(current: str, before: str = "") -> Text:

@@ -14,12 +14,12 @@ from agent.interface.config import S
 from agent.interface.effects import HALT, Drive
 from agent.interface.identity import SilencePolicy
 from agent.interface.lifecycle import TABLE, Event, State
-from agent.interface.state_machine import StateMachine, matrix, to_mermaid
 from agent.peer.peer import Peer
 from agent.safety.stop_cause import Severity, StopCause
 from agent.safety.stop_controller import CREEP_M_S
 from protocol.frames.network_frames import AddressClaimed
 from protocol.frames.safety_frames import EmergencyReset, Reason
+from protocol.state_machine import to_mermaid
 from tests.agent.lone_peer import held_by, pass_time, peer_in
 
 # Copied from the mission's diagram by hand: (source, event, target).
@@ -61,19 +61,6 @@ def test_the_diagram_is_printed_from_the_table() -> None:
     assert text.startswith("stateDiagram-v2\n    [*] --> DISCONNECTED")
     for source, event, target in MISSION | ADDED:
         assert f"{source.name} --> {target.name}: {event.name.lower()}" in text
-
-
-def test_a_table_with_a_hole_is_refused() -> None:
-    with pytest.raises(AssertionError):
-        matrix(Event, (State.IDLE, *[None] * len(Event)))
-    with pytest.raises(AssertionError):
-        matrix(Event, (State.IDLE, None))
-
-
-def test_a_machine_moves_by_its_table() -> None:
-    machine = StateMachine("lifecycle", TABLE, State.DISCONNECTED)
-    assert machine.fire(Event.FLEET_JOINED) == (State.DISCONNECTED, State.IDLE)
-    assert machine.fire(Event.MANUAL_RESET) == (State.IDLE, State.IDLE)
 
 
 # ---------------------------------------------------------------- every state, event and cause

@@ -43,6 +43,16 @@ class StateMachine(Generic[S, E]):
         return source, self.state
 
 
+def edges(table: Mapping[tuple[S, E], S], source: S) -> list[tuple[S, list[E]]]:
+    """The other states that can follow `source`, in the order of their definition, each with the
+    events that lead there."""
+    found: dict[S, list[E]] = {}
+    for (state, event), target in table.items():
+        if state is source and target is not source:
+            found.setdefault(target, []).append(event)
+    return [(state, found[state]) for state in type(source) if state in found]
+
+
 def to_mermaid(table: Mapping[tuple[S, E], S], start: S) -> str:
     """The Mermaid state diagram of a table, without ignored events."""
     edges = [
