@@ -11,6 +11,7 @@ from agent.interface.config import S
 from agent.interface.mission import STILL, ClaimRequest, FleetView, Mission, MotionRequest
 from agent.motion.path_tracker import PathTracker
 from agent.paths.route import Route
+from agent.runtime.peer_factory import NO_MEMORY, MissionParts
 from crdt import Phase
 from sim.fleet.event_loop import EventLoop
 from sim.fleet.scheduler import Script
@@ -110,9 +111,13 @@ class SoilSetting(Setting):
     def section_count(self) -> int:
         return len(self.posts)
 
-    def mission(self, slot: int) -> SoilSamples:
-        fleet = self.scenario.fleet
-        return SoilSamples(self.posts, self.route, fleet.speed_m_s, 0.5 * fleet.acceleration_m_s2)
+    def parts(
+        self, slot: int, now_us: int = 0, recalled: Mapping[str, bytes] = NO_MEMORY
+    ) -> MissionParts:
+        route, vehicle = self.plan.route, self.vehicle
+        deceleration_m_s2 = 0.5 * vehicle.acceleration_m_s2
+        mission = SoilSamples(self.posts, route, vehicle.speed_m_s, deceleration_m_s2)
+        return super().parts(slot, now_us, recalled)._replace(mission=mission)
 
 
 def sample(robots: int = 3, seed: int = 1, limit_s: float = 300.0) -> tuple[float, Cluster]:

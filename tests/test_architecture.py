@@ -35,7 +35,8 @@ ALLOWED: dict[str, str] = {
     "agent.coverage": "interface mapf",
     "agent.segments": "interface safety peer",
     "agent.runtime.files": "interface",
-    "agent.runtime": "interface safety peer segments runtime.files",
+    "agent.runtime": "interface safety peer segments runtime.files paths mapf motion mapping field "
+    "navigation exploration delivery coverage",
     "sim.files": "",
     "sim.can": "files",
     "sim.world": "files",

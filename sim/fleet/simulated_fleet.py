@@ -16,7 +16,7 @@ from agent.interface.identity import SilencePolicy
 from agent.interface.lifecycle import State
 from agent.interface.ports import Body, Journal
 from agent.peer.peer import Peer
-from agent.runtime.peer_factory import MissionParts, identity_of, make_peer
+from agent.runtime.peer_factory import identity_of, make_peer
 from agent.runtime.peer_runner import PeerRunner
 from agent.segments.segment_area import Area
 from protocol.authentication import Signed
@@ -98,12 +98,7 @@ def peer_of(
     )  # fmt: skip
     # A robot that has lost its memory must not draw the same random numbers again.
     rng = Random(f"{scenario.run.seed}/peer/{slot}{lot}")
-    motion, keyring = setting.motion(slot), setting.keyring(slot, lot)
-    if isinstance(setting, ErrandSetting):
-        chart = setting.chart(slot, now_us)
-        parts = MissionParts(setting.mission(slot, chart, now_us, recalled), motion, chart)
-    else:
-        parts = MissionParts(setting.mission(slot), motion)
+    parts, keyring = setting.parts(slot, now_us, recalled), setting.keyring(slot, lot)
     area = Area(segment, setting.section_count) if segment else None
     return make_peer(identity, rng, now_us, recalled, parts, keyring=keyring, area=area)
 

@@ -14,13 +14,11 @@ from agent.exploration.exploration_mission import ExplorationMission
 from agent.exploration.exploration_report import fleet_status, serialize_for_llm
 from agent.exploration.exploration_task import ExplorationOrder
 from agent.exploration.lone_exploration import LoneExploration
-from agent.interface.config import BRAKING_SHARE, MS, S
+from agent.interface.config import MS, S
 from agent.interface.lifecycle import State
-from agent.interface.motion_controller import BodyLimits
-from agent.mapping.local_and_fleet_map import LocalAndFleetMap
-from agent.motion.holonomic_motion import HolonomicMotion
 from agent.peer.peer import Peer
-from agent.runtime.peer_factory import MissionParts, identity_of, make_peer
+from agent.runtime.mission_parts import MAP_TICK_US, exploration_parts
+from agent.runtime.peer_factory import identity_of, make_peer
 from crdt.hybrid_clock import HybridClock
 from crdt.occupancy import OccupancyMap
 from crdt.sighting import TIME_MAX
@@ -36,10 +34,8 @@ from sim.scenarios.exploration_scenario import ArenaScenario, ArenaSetting
 from sim.world.ground_truth import TrackPoint
 
 QUIET_US = 2 * S  # after the last news of the map, all replicas must be equal within this time
-FENCE_M = 0.04  # distance from walls kept by collision avoidance; planned paths keep 0.1 m
 MOST = 0.95
 REPORT_S = 2.0
-TICK_US = 1_000_000  # of the fleet's clock
 
 
 class Sharing(Enum):
@@ -116,29 +112,25 @@ class SurveyCluster(Cluster):
     ) -> Peer:
         place, scenario = self.place, self.place.scenario
         fleet = scenario.fleet
-        braking_m_s2 = BRAKING_SHARE * fleet.acceleration_m_s2
-        limits = BodyLimits(fleet.radius_m, fleet.speed_m_s, braking_m_s2)
-        sync = self._sync(slot, now_us)
-        chart = LocalAndFleetMap(sync, place.geometry, fleet.radius_m, scenario.arena.range_m)
         kind = LoneExploration if self.sharing is Sharing.NONE else ExplorationMission
-        mission = kind(chart, limits, fleet.robots, scenario.arena.robots_max, self.orders)
-        self.missions[slot] = mission
+        parts = exploration_parts(
+            slot, fleet.robots, self._sync(slot, now_us), place.vehicle, scenario.arena.range_m,
+            self.orders, robots_max=scenario.arena.robots_max, kind=kind,
+            shares=self.sharing is Sharing.FLEET,
+        )  # fmt: skip
+        assert isinstance(parts.mission, ExplorationMission)
+        self.missions[slot] = parts.mission
         identity = identity_of(
             scenario.name, slot, fleet.robots, place.config_hash, place.silence,
             first_boot=first_boot,
         )  # fmt: skip
         rng = Random(f"{scenario.run.seed}/peer/{slot}{lot}")
-        motion = HolonomicMotion(
-            slot, limits._replace(acceleration_m_s2=fleet.acceleration_m_s2), None, fence_m=FENCE_M
-        )
-        on_wire = sync if self.sharing is Sharing.FLEET else None
         keyring = place.keyring(slot, lot)
-        parts = MissionParts(mission, motion, on_wire)
         return make_peer(identity, rng, now_us, recalled, parts, keyring=keyring)
 
     def _sync(self, slot: int, now_us: int) -> MapSync:
         chart = OccupancyMap(self.place.geometry, self.place.order)
-        clock = HybridClock(now_us, TICK_US, TIME_MAX)
+        clock = HybridClock(now_us, MAP_TICK_US, TIME_MAX)
         if self.sharing is Sharing.FLEET:
             return MapSync(slot, chart, clock, now_us)
         sync = InstantMapSync(slot, chart, clock, now_us)

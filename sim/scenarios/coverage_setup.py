@@ -1,14 +1,15 @@
 """A grid map with a fleet on it: the setup of a simulated fleet of whole peers that cover it."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from random import Random
 from typing import cast
 
 from agent.coverage.cell_map import CellMap
-from agent.coverage.coverage_mission import GridWork
-from agent.coverage.proximity_guard import GridGuard
 from agent.interface.identity import SilencePolicy
+from agent.interface.vehicle import Vehicle
+from agent.runtime.mission_parts import coverage_parts
+from agent.runtime.peer_factory import NO_MEMORY, MissionParts
 from protocol.authentication import Keyring, Keys
 from sim.files.grid_map import Instance
 from sim.scenarios.scenario import BusTable, Fault, FieldTable, FleetTable, RunTable, Scenario
@@ -18,6 +19,7 @@ from sim.world.world import World
 # The robots of the field scenarios: a cell is their working width.
 CELL_M, SPEED_M_S, RADIUS_M = 4.0, 2.5, 0.8
 STEP_S = CELL_M / SPEED_M_S
+VEHICLE = Vehicle(RADIUS_M, SPEED_M_S)
 
 
 class GridSetting:
@@ -64,12 +66,12 @@ class GridSetting:
     def section_count(self) -> int:
         return len(self.ground.section_units)
 
-    def mission(self, slot: int) -> GridWork:
+    def parts(
+        self, slot: int, now_us: int = 0, recalled: Mapping[str, bytes] = NO_MEMORY
+    ) -> MissionParts:
+        """What the mission brings to the peer of one slot."""
         rng = Random(f"{self.scenario.run.seed}/grid/{slot}")
-        return GridWork(slot, self.ground, SPEED_M_S, rng, self.turn_cost)
-
-    def motion(self, slot: int) -> GridGuard:
-        return GridGuard(CELL_M, RADIUS_M, SPEED_M_S)
+        return coverage_parts(slot, self.ground, VEHICLE, rng, self.turn_cost)
 
     def world(self) -> World:
         """An empty world: robots are added when they are switched on. It has the full interface of

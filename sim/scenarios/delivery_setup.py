@@ -7,17 +7,15 @@ from random import Random
 import numpy as np
 
 from agent.delivery.cost_matrix import Carrier
-from agent.delivery.delivery_mission import DeliveryMission
 from agent.delivery.task_registry import TransportTask
 from agent.delivery.warehouse import Warehouse
-from agent.interface.config import BRAKING_SHARE
 from agent.mapping.building import Floor, FloorError
 from agent.runtime.files.given_file import DRAWING_BYTES_MAX, GivenFileError, read_text
 from agent.runtime.files.key_file import FLEET, KeyFileError, read
-from protocol.authentication import Keyring
-from protocol.sync.map_sync import MapSync
+from agent.runtime.mission_parts import delivery_parts
+from agent.runtime.peer_factory import NO_MEMORY, MissionParts
 from sim.scenarios.delivery_scenario import TaskRow, WarehouseScenario, random_tasks, read_tasks
-from sim.scenarios.navigation_setup import NOTHING, ErrandSetting, scattered
+from sim.scenarios.navigation_setup import ErrandSetting, scattered
 from sim.scenarios.scenario import Box, ScenarioError
 from sim.world.parcel_truth import Parcels
 
@@ -107,17 +105,18 @@ class DeliverySetting(ErrandSetting):
     def section_count(self) -> int:
         return len(self.rows)
 
-    def mission(
-        self, slot: int, chart: MapSync | None = None, now_us: int = 0,
-        recalled: Mapping[str, bytes] = NOTHING,
-    ) -> DeliveryMission:  # fmt: skip
+    def parts(
+        self, slot: int, now_us: int = 0, recalled: Mapping[str, bytes] = NO_MEMORY
+    ) -> MissionParts:
         fleet = self.scenario.fleet
-        braking_m_s2 = BRAKING_SHARE * fleet.acceleration_m_s2
-        seed = self.scenario.run.seed * 1000 + slot
-        return DeliveryMission(
-            slot, self.house, self.starts[slot], fleet.speed_m_s, braking_m_s2, now_us, seed,
-            chart, recalled, fleet.asks,
+        return delivery_parts(
+            slot, fleet.robots, self.house, self.starts[slot], self.vehicle,
+            self.search_seed(slot), now_us, recalled, asks=fleet.asks,
         )  # fmt: skip
+
+    def search_seed(self, slot: int) -> int:
+        """The seed of one robot's search for plans."""
+        return self.scenario.run.seed * 1000 + slot
 
     def parcels(self) -> Parcels:
         truth = Parcels(self.carrier, self.house.bays)
@@ -125,9 +124,6 @@ class DeliverySetting(ErrandSetting):
             trip = self.house.trip(order)
             truth.appear(number, trip.pickup, trip.dropoff, 0)
         return truth
-
-    def keyring(self, slot: int, lot: str = "") -> Keyring | None:
-        return None if self.keys is None else Keyring(self.keys, slot, lot.encode())
 
     def boxes(self) -> list[Box]:
         """Random temporary obstacles of the scenario, by its seed; never at a robot's start."""

@@ -4,53 +4,40 @@ It is read once and shared by the peers of one process. The field and its grid a
 sharing gives no peer knowledge that it would not have computed equally.
 """
 
+from collections.abc import Mapping
 from functools import cached_property
 from math import radians
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-from shapely.geometry import Point, Polygon
+from shapely.geometry import Polygon
 
-from agent.field.field_division import divide
-from agent.field.field_map import XY, Field, joins, rasterise, start_poses
-from agent.field.field_mission import FieldMission
-from agent.field.tractor_mission import TractorMission
-from agent.interface.config import BRAKING_SHARE
+from agent.field.field_map import XY, Field, start_poses
+from agent.field.field_plan import (
+    CLEARANCE_M,
+    FieldError,
+    FieldPlan,
+    FieldValues,
+    divided,
+    planned_radius_m,
+)
 from agent.interface.identity import SilencePolicy
-from agent.interface.mission import Mission
 from agent.interface.motion_controller import BodyLimits as BodyLimits
-from agent.motion.holonomic_motion import FENCE_M, HolonomicMotion
-from agent.motion.path_tracker import ALIGN_M
-from agent.motion.tractor_motion import TractorMotion
-from agent.motion.tractor_tracker import SteeringLimits
-from agent.paths.route import Route
-from agent.paths.tractor_route import TurnRoute
+from agent.interface.vehicle import DriveTrain, Vehicle
 from agent.runtime.files.field_error import FILE_BYTES_MAX, FieldFileError
 from agent.runtime.files.field_file import read_boundary
 from agent.runtime.files.given_file import GivenFileError, read_bytes
 from agent.runtime.files.key_file import FLEET, KeyFileError, read
+from agent.runtime.mission_parts import field_parts
+from agent.runtime.peer_factory import NO_MEMORY, MissionParts, keyring_of
 from protocol.authentication import Keyring, Keys
-from sim.scenarios.scenario import Crash, CrashWorking, Scenario, ScenarioError
+from sim.scenarios.scenario import Crash, CrashWorking, FleetTable, Scenario, ScenarioError
 from sim.scenarios.time_limit import time_limit_s
-from sim.world.drive_trains import Chassis, Kind
+from sim.world.drive_trains import Chassis
 from sim.world.lidar import Lidar
 from sim.world.raster import Raster
 from sim.world.reachable_ground import Body, Ground, reachable_ground
 from sim.world.world import World
 
-ROUTE_CELLS_MAX = 1_500_000  # of the path grid; larger fields get larger cells
-ROUTE_CELL_M = 0.5
-CLEARANCE_M = 0.3  # paths keep this distance from fences and holes, in addition to the radius
-assert CLEARANCE_M > FENCE_M + ALIGN_M / 2, (
-    "avoidance permits what was planned, a little off it too"
-)
-TURN_CELL_M = 0.25  # the same for bodies that steer, because turns need decimetres
-# Planned circles are wider than the tightest one by this factor; the rest is for corrections.
-TURN_SPARE = 1.2
-# A body that can turn on the spot need not do so, and driving a curve is faster.
-PIVOT_RADIUS_M = 0.6
-PIVOT_STEER_1_M_S = 6.0  # its curvature changes as fast as its wheels turn
 DEADLY = (Crash, CrashWorking)  # faults after which a robot may not work
 SPACING_RADII = 3.0  # spacing of robots at the gate
 
@@ -66,6 +53,14 @@ def keys_of(scenario: Scenario) -> Keys | None:
         raise ScenarioError(f"{scenario.name}: fleet.keys: {problem}") from None
 
 
+def vehicle_of(fleet: FleetTable) -> Vehicle:
+    return Vehicle(
+        fleet.radius_m, fleet.speed_m_s, fleet.acceleration_m_s2,
+        DriveTrain[fleet.drive.upper()], fleet.wheelbase_m, fleet.track_m,
+        radians(fleet.steer_deg),
+    )  # fmt: skip
+
+
 FIELDS_MAX = 8  # a campaign uses one field
 _fields: dict[tuple[object, ...], Field] = {}  # by all their inputs: dividing a field takes 80 ms
 
@@ -77,12 +72,10 @@ class Setting:
         self.field = self._field()
         self.keys = self._keys()
         self.silence = SilencePolicy[scenario.fleet.silence.upper()]
-        beside_m = (self.field.implement_width_m - self.field.overlap_m) / 2
-        if scenario.fleet.radius_m + FENCE_M > beside_m:
-            raise ScenarioError(
-                f"{scenario.name}: fleet.radius_m: {scenario.fleet.radius_m} m is too wide for swaths "
-                f"{beside_m:.2f} m from fences; use {beside_m - FENCE_M:.2f} m at most"
-            )
+        try:
+            self.plan = FieldPlan(self.field, self.vehicle)
+        except FieldError as problem:
+            raise ScenarioError(f"{scenario.name}: {problem}") from None
         spacing_m = SPACING_RADII * scenario.fleet.radius_m
         try:
             self.starts: list[XY] = start_poses(
@@ -117,96 +110,41 @@ class Setting:
 
     def _divided(self, path: Path) -> Field:
         table = self.scenario.field
+        values = FieldValues(
+            table.implement_width_m, table.overlap_m, table.section_length_m, table.unit_m,
+            table.gate,
+        )  # fmt: skip
         try:
             boundary = read_boundary(path, table.feature)
-            gate = table.gate or self._corner(boundary.polygon.exterior.coords)
-            if not boundary.polygon.buffer(0.5).contains(Point(gate)):
-                raise ScenarioError(f"{self.scenario.name}: field.gate: {gate} is not in the field")
-            return divide(
-                boundary.name, boundary.polygon, boundary.origin, gate, table.implement_width_m,
-                table.overlap_m, table.section_length_m, table.unit_m, self.turn_radius_m,
-                self.scenario.fleet.radius_m + FENCE_M,
-            )  # fmt: skip
+            return divided(*boundary, values, self.vehicle)
         except FieldFileError as problem:
             raise ScenarioError(f"{self.scenario.name}: field.file: {problem}") from None
-        except ValueError as problem:
-            raise ScenarioError(
-                f"{self.scenario.name}: field.implement_width_m: {problem}"
-            ) from None
-
-    @staticmethod
-    def _corner(outline: object) -> XY:
-        """The start if the scenario has no gate: the south-western corner of the outline."""
-        points = [(float(p[0]), float(p[1])) for p in outline]  # type: ignore[attr-defined]
-        return min(points, key=lambda p: (p[0] + p[1], p))
+        except FieldError as problem:
+            raise ScenarioError(f"{self.scenario.name}: {problem}") from None
 
     @cached_property
-    def _grid(self) -> tuple[NDArray[np.bool_], float, float, float]:
-        """A path grid, finer if cells of the usual size close a passage that robots fit through."""
-        clearance_m = self.scenario.fleet.radius_m + CLEARANCE_M
-        cell_m = self._cells(ROUTE_CELL_M)
-        grid = rasterise(self.field, cell_m, clearance_m, whole=True)
-        while grid[0].size * 4 <= ROUTE_CELLS_MAX and not joins(self.field, grid, clearance_m):
-            cell_m /= 2
-            grid = rasterise(self.field, cell_m, clearance_m, whole=True)
-        return grid
-
-    @cached_property
-    def route(self) -> Route:
-        return Route(*self._grid)
-
-    @cached_property
-    def fences(self) -> NDArray[np.float64]:
-        """Every outline as segments (n, 4) in metres."""
-        segments = [
-            (*a, *b)
-            for ring in (self.field.exterior, *self.field.holes)
-            for a, b in zip(ring, [*ring[1:], ring[0]], strict=True)
-            if a != b
-        ]
-        return np.array(segments, dtype=np.float64)
+    def vehicle(self) -> Vehicle:
+        return vehicle_of(self.scenario.fleet)
 
     @cached_property
     def chassis(self) -> Chassis:
         fleet = self.scenario.fleet
         plain = Chassis(
             speed_m_s=fleet.speed_m_s, acceleration_m_s2=fleet.acceleration_m_s2, slip=fleet.slip,
-            kind=Kind[fleet.drive.upper()],
+            kind=self.vehicle.drive,
         )  # fmt: skip
-        if plain.kind is Kind.MECANUM:
+        if plain.kind is DriveTrain.MECANUM:
             return plain
         return plain._replace(
             wheel_radius_m=0.4, half_base_m=fleet.wheelbase_m / 2, half_track_m=fleet.track_m / 2,
-            steer_rad=radians(fleet.steer_deg), lead_m=fleet.wheelbase_m,
+            steer_rad=self.vehicle.steer_rad, steer_rad_s=self.vehicle.steer_rad_s,
+            lead_m=fleet.wheelbase_m,
         )  # fmt: skip
 
-    @cached_property
+    @property
     def turn_radius_m(self) -> float:
         """The radius of planned paths; 0 for a body that moves in any direction without turning."""
-        if self.chassis.kind is Kind.MECANUM:
-            return 0.0
-        return max(self.chassis.turn_radius_m * TURN_SPARE, PIVOT_RADIUS_M)
-
-    @cached_property
-    def steering(self) -> SteeringLimits:
-        """The limits of a body that steers."""
-        fleet, chassis = self.scenario.fleet, self.chassis
-        rate = chassis.steer_rad_s / fleet.wheelbase_m
-        if chassis.kind is Kind.DIFFERENTIAL:
-            rate = PIVOT_STEER_1_M_S
-        return SteeringLimits(fleet.speed_m_s, BRAKING_SHARE * fleet.acceleration_m_s2, rate)
-
-    @cached_property
-    def turns(self) -> TurnRoute:
-        """Paths of a body that steers, on a finer grid than `route`."""
-        cell_m, clearance_m = self._cells(TURN_CELL_M), self.scenario.fleet.radius_m + FENCE_M
-        return TurnRoute(*rasterise(self.field, cell_m, clearance_m), self.turn_radius_m)
-
-    def _cells(self, cell_m: float) -> float:
-        west, south, east, north = self.field.polygon.bounds
-        while (east - west) * (north - south) / cell_m**2 > ROUTE_CELLS_MAX:
-            cell_m *= 2
-        return cell_m
+        return planned_radius_m(self.vehicle)
 
     def floor_space(self, radius_m: float) -> Polygon:
         """The area in which the middle of a body can be."""
@@ -240,20 +178,11 @@ class Setting:
     def section_count(self) -> int:
         return len(self.field.sections)
 
-    def mission(self, slot: int) -> Mission:
-        fleet = self.scenario.fleet
-        if self.turn_radius_m:
-            return TractorMission(self.field, self.route, self.turns, fleet.radius_m, self.steering)
-        braking_m_s2 = BRAKING_SHARE * fleet.acceleration_m_s2
-        return FieldMission(self.field, self.route, fleet.radius_m, fleet.speed_m_s, braking_m_s2)
-
-    def motion(self, slot: int) -> HolonomicMotion:
-        fleet = self.scenario.fleet
-        limits = BodyLimits(fleet.radius_m, fleet.speed_m_s, fleet.acceleration_m_s2)
-        if self.turn_radius_m:
-            return TractorMotion(slot, limits, self.turns, self.steering, self.fences)
-        half_bar_m = self.field.implement_width_m / 2 - self.field.overlap_m
-        return HolonomicMotion(slot, limits, self.fences, half_bar_m=half_bar_m)
+    def parts(
+        self, slot: int, now_us: int = 0, recalled: Mapping[str, bytes] = NO_MEMORY
+    ) -> MissionParts:
+        """What the mission brings to the peer of one slot, which boots now with this memory."""
+        return field_parts(slot, self.plan)
 
     def world(self) -> World:
         """A new world with every robot at its place near the gate."""
@@ -268,4 +197,4 @@ class Setting:
 
     def keyring(self, sender: int, lot: str) -> Keyring | None:
         """`lot`: any value that no two starts of this sender share."""
-        return None if self.keys is None else Keyring(self.keys, sender, lot.encode())
+        return keyring_of(self.keys, sender, lot.encode())

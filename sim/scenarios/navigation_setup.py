@@ -5,24 +5,20 @@ outcome = Outing(setting).run()
 """
 
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
 from random import Random
 
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.interface.config import BRAKING_SHARE, S
 from agent.interface.identity import SilencePolicy
-from agent.interface.motion_controller import BodyLimits
+from agent.interface.vehicle import Vehicle
 from agent.mapping.building import Floor
-from agent.mapping.dynamic_obstacles import geometry_of
-from agent.motion.holonomic_motion import HolonomicMotion
-from agent.navigation.navigation_mission import NavigationMission
-from crdt.hybrid_clock import HybridClock
-from crdt.occupancy import SIDE_MAX, OccupancyMap
-from crdt.sighting import OBSERVER_MAX, TIME_MAX, MergeOrder
+from agent.runtime.mission_parts import navigation_parts
+from agent.runtime.peer_factory import NO_MEMORY, MissionParts, keyring_of
 from protocol.authentication import Keyring, Keys
-from protocol.sync.map_sync import MapSync
+from sim.scenarios.field_setup import vehicle_of
 from sim.scenarios.scenario import BusTable, FieldTable, FleetTable, RunTable, Scenario
 from sim.world.drive_trains import Chassis
 from sim.world.lidar import Lidar
@@ -31,10 +27,6 @@ from sim.world.walls import Grid
 from sim.world.world import World
 
 Point = tuple[float, float]
-# Indoor robots stop from full speed in half of this; a longer horizon closes corridors.
-HORIZON_S = 1.0
-NOTHING: Mapping[str, bytes] = {}
-KEEP_RIGHT_RAD = 0.05  # breaks the symmetry of two robots that meet head on in open space
 
 
 class ErrandSetting:
@@ -93,40 +85,17 @@ class ErrandSetting:
     def section_count(self) -> int:
         return sum(len(own) for own in self.goals.values())
 
-    def chart(self, slot: int, now_us: int) -> MapSync | None:
-        """The map in which a fleet shares obstacles; None if the map is too large for it."""
-        geometry = geometry_of(self.floor)
-        if self.scenario.fleet.robots > OBSERVER_MAX + 1 or max(geometry[:2]) > SIDE_MAX:
-            return None
-        clock = HybridClock(now_us, S, TIME_MAX)
-        return MapSync(slot, OccupancyMap(geometry, MergeOrder.LATEST_UPDATE), clock, now_us)
+    @cached_property
+    def vehicle(self) -> Vehicle:
+        return vehicle_of(self.scenario.fleet)
 
-    def mission(
-        self, slot: int, chart: MapSync | None = None, now_us: int = 0,
-        recalled: Mapping[str, bytes] = NOTHING,
-    ) -> NavigationMission:  # fmt: skip
-        """`recalled`: the contents of its durable memory."""
-        fleet = self.scenario.fleet
-        braking_m_s2 = BRAKING_SHARE * fleet.acceleration_m_s2
-        return NavigationMission(
-            slot,
-            self.goals,
-            self.floor,
-            fleet.speed_m_s,
-            braking_m_s2,
-            self.agrees,
-            chart,
-            now_us,
-            fleet.asks,
-        )
-
-    def motion(self, slot: int) -> HolonomicMotion:
-        fleet = self.scenario.fleet
-        limits = BodyLimits(fleet.radius_m, fleet.speed_m_s, fleet.acceleration_m_s2)
-        return HolonomicMotion(
-            slot, limits, self.floor.fences, fence_m=self.floor.margin_m / 2,
-            horizon_s=HORIZON_S, gives_way=False, keep_right_rad=KEEP_RIGHT_RAD, looks=True,
-            stops=self.agrees, asks=fleet.asks,
+    def parts(
+        self, slot: int, now_us: int = 0, recalled: Mapping[str, bytes] = NO_MEMORY
+    ) -> MissionParts:
+        """What the mission brings to the peer of one slot, which boots now with this memory."""
+        return navigation_parts(
+            slot, self.goals, self.floor, self.vehicle, now_us,
+            agrees=self.agrees, asks=self.scenario.fleet.asks,
         )  # fmt: skip
 
     def world(self) -> World:
@@ -144,7 +113,7 @@ class ErrandSetting:
 
     def keyring(self, slot: int, lot: str = "") -> Keyring | None:
         """`lot`: any value that no two starts of this sender share."""
-        return None if self.keys is None else Keyring(self.keys, slot, lot.encode())
+        return keyring_of(self.keys, slot, lot.encode())
 
 
 def scattered(

@@ -1,9 +1,11 @@
 """The setup of a run without a world: a scenario with `mission = "drill"`, or "sprint"."""
 
+from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
 
 from agent.interface.identity import SilencePolicy
+from agent.runtime.peer_factory import NO_MEMORY, MissionParts
 from sim.scenarios.field_setup import Setting
 from sim.scenarios.scenario import DRILLS, FieldTable, FleetTable, RunTable, Scenario
 from sim.world.protocol_world import (
@@ -47,11 +49,10 @@ class DrillSetting(Setting):
     def _crowded(self) -> bool:
         return self.scenario.mission == "sprint"
 
-    def mission(self, slot: int) -> TimedMission:
-        return TimedMission(self.parade, slot, self._crowded)
-
-    def motion(self, slot: int) -> PassThroughMotion:
-        return PassThroughMotion(slot)
+    def parts(
+        self, slot: int, now_us: int = 0, recalled: Mapping[str, bytes] = NO_MEMORY
+    ) -> MissionParts:
+        return MissionParts(TimedMission(self.parade, slot, self._crowded), PassThroughMotion(slot))
 
 
 def drill(robots: int, seed: int, mission: str = "drill", silence: str = "stop") -> Scenario:

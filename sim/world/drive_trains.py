@@ -21,7 +21,6 @@ the grip of each wheel wanders with a correlation time of `GRIP_S`. Its chance i
 key, step, wheel), so it depends on nothing else that happens in the world.
 """
 
-from enum import IntEnum
 from math import atan, atan2, cos, exp, hypot, pi, sin, sqrt, tan
 from struct import Struct
 from typing import Any, NamedTuple
@@ -29,6 +28,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+
+from agent.interface.vehicle import DriveTrain
 
 Floats = NDArray[np.float64]
 
@@ -48,14 +49,6 @@ PIVOT_PER_S = 4.0  # a differential drive turns this share of its course error p
 CREEP = 0.4  # share of the wanted speed that a tractor keeps while it turns towards its course
 
 
-class Kind(IntEnum):
-    """Which way the wheels are arranged."""
-
-    MECANUM = 0
-    DIFFERENTIAL = 1
-    ACKERMANN = 2
-
-
 class Chassis(NamedTuple):
     """Dimensions and limits of a body on wheels."""
 
@@ -66,7 +59,7 @@ class Chassis(NamedTuple):
     acceleration_m_s2: float = 2.0
     slip: float = 0.02  # standard deviation of each wheel's grip
     braking_m_s2: float = 3.0  # on a command to stand, or when commands cease
-    kind: Kind = Kind.MECANUM
+    kind: DriveTrain = DriveTrain.MECANUM
     # Ackermann: how far ahead of the axle the point that follows the course lies.
     lead_m: float = 0.5
     steer_rad: float = 0.7  # Ackermann: full lock
@@ -76,17 +69,19 @@ class Chassis(NamedTuple):
     @property
     def turn_radius_m(self) -> float:
         """Radius of the tightest circle; 0 for bodies that turn on the spot."""
-        return 2 * self.half_base_m / tan(self.steer_rad) if self.kind is Kind.ACKERMANN else 0.0
+        return (
+            2 * self.half_base_m / tan(self.steer_rad) if self.kind is DriveTrain.ACKERMANN else 0.0
+        )
 
     @property
     def stopping_s(self) -> float:
         """Upper limit of the time from full speed to standing wheels after a command to stand."""
-        margin = 1.0 if self.kind is Kind.ACKERMANN else MARGIN
+        margin = 1.0 if self.kind is DriveTrain.ACKERMANN else MARGIN
         braking_m_s2 = min(margin * self.braking_m_s2, TRACTION_M_S2)
         return margin * self.speed_m_s / braking_m_s2 + 3 * STEP_S
 
 
-TRACTOR = Chassis(0.4, 0.6, 0.5, 2.5, 1.0, 0.01, 3.0, Kind.ACKERMANN, 1.2)
+TRACTOR = Chassis(0.4, 0.6, 0.5, 2.5, 1.0, 0.01, 3.0, DriveTrain.ACKERMANN, 1.2)
 
 # One row of floats a robot. What is commanded, what the wheels do, and what they can do.
 WANT_X, WANT_Y, WANT_TURN, WANT_TOOL, EXPIRES_US = range(5)
@@ -103,7 +98,7 @@ MOTION = Struct("7d")
 
 def row_of(chassis: Chassis) -> list[float]:
     """A robot's row before its first command."""
-    margin = 1.0 if chassis.kind is Kind.ACKERMANN else MARGIN
+    margin = 1.0 if chassis.kind is DriveTrain.ACKERMANN else MARGIN
     row = [0.0] * COLUMNS
     row[EXPIRES_US] = row[COMMANDED_US] = -1.0
     row[KIND:] = [

@@ -139,7 +139,7 @@ def whole_robot(batches: int) -> Iterator[Figure]:
     """The avoidance of a control period as `agent/peer/peer.py` asks for it, on the fences of a
     real field."""
     setting = Setting(load("oxted"))
-    motion = setting.motion(0)
+    motion = setting.parts(0).motion
     assert isinstance(motion, HolonomicMotion)
     rng = np.random.default_rng(SEED)
     x_m, y_m = setting.starts[0]

@@ -26,7 +26,7 @@ class Two:
         self.world: World = setting.world()
         self.syncs: list[MapSync] = []
         for slot in range(2):
-            sync = setting.chart(slot, 0)
+            sync = setting.parts(slot).chart
             assert sync is not None
             sync.live(frozenset((0, 1)))
             self.syncs.append(sync)

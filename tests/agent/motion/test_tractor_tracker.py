@@ -8,22 +8,23 @@ from numpy.typing import NDArray
 from shapely.geometry import box
 
 from agent.interface.effects import Drive
+from agent.interface.vehicle import DriveTrain
 from agent.motion.tractor_tracker import SteeringLimits, TractorTracker, smooth_way
 from agent.paths.tractor_route import Piece, Pose, sampled
-from sim.world.drive_trains import TRACTOR, Chassis, Kind
+from sim.world.drive_trains import TRACTOR, Chassis
 from sim.world.world import World
 
 BEND = 1.0 / (1.2 * TRACTOR.turn_radius_m)
 LIMITS = SteeringLimits(2.5, 0.7, TRACTOR.steer_rad_s / (2 * TRACTOR.half_base_m))
 PIVOT_LIMITS = SteeringLimits(2.5, 0.7, 6.0)
-PIVOT = Chassis(kind=Kind.DIFFERENTIAL)
+PIVOT = Chassis(kind=DriveTrain.DIFFERENTIAL)
 
 
 def follow(
     way: NDArray[np.float64], start: Pose, chassis: Chassis = TRACTOR, seed: int = 1
 ) -> NDArray[np.float64]:
     """(n, 2) along, off the way at each control period until it arrives."""
-    limits = LIMITS if chassis.kind is Kind.ACKERMANN else PIVOT_LIMITS
+    limits = LIMITS if chassis.kind is DriveTrain.ACKERMANN else PIVOT_LIMITS
     world = World([], seed)
     body = world.add_robot(0, (start.x_m, start.y_m), 0.8, chassis, start.heading_rad)
     tracker = TractorTracker(way, limits)

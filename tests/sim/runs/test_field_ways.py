@@ -26,7 +26,7 @@ def test_a11_a_way_keeps_the_clearance_that_avoidance_demands(
     fences = setting.field.polygon.boundary
     ends = [end for section in setting.field.sections for end in section.ends]
     for start, goal in itertools.combinations(draw.sample(ends, min(len(ends), 12)), 2):
-        way = setting.route.path(start, goal)
+        way = setting.plan.route.path(start, goal)
         assert LineString(way).distance(fences) >= kept_m - 1e-6, (seed, start, goal, way)
 
 
@@ -48,7 +48,7 @@ def test_a11_a_fleet_finishes_round_the_corner_of_a_hole(seed: int, tmp_path: Pa
 
 
 def test_a_way_round_a_body_keeps_its_reach_at_any_grid(tmp_path: Path) -> None:
-    route = Setting(scenario(tmp_path, rectangle(60.0, 60.0), 1, 1)).route
+    route = Setting(scenario(tmp_path, rectangle(60.0, 60.0), 1, 1)).plan.route
     body, reach_m = (0.13, 0.21), 2.0
     for end in ((-20.0, 1.0), (-20.0, -20.0), (3.0, -20.0)):
         way = LineString(route.round([body], reach_m).path(end, (-end[0], -end[1])))

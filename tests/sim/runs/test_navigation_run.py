@@ -87,7 +87,8 @@ def test_goals_one_after_the_other() -> None:
 
 
 def test_a_robot_that_holds_stands() -> None:
-    motion = hall(2, 2).motion(0)
+    motion = hall(2, 2).parts(0).motion
+    assert motion is not None
     drive = motion.drive(Observation(1.5, 1.5, 0.0, 0.3, 0.0), STILL._replace(hold=True), {}, 0)
     assert drive == HALT
 

@@ -9,11 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from agent.interface.effects import Drive
+from agent.interface.vehicle import DriveTrain
 from sim.world.drive_trains import (
     STEP_US,
     TRACTOR,
     Chassis,
-    Kind,
     ackermann_body,
     ackermann_wheels,
     differential_body,
@@ -112,8 +112,8 @@ def test_a_command_too_fast_for_one_wheel_keeps_its_direction() -> None:
     assert all(vy / vx == pytest.approx(1 / 3) for *_, vx, vy in way)
 
 
-@pytest.mark.parametrize("kind", Kind)
-def test_slip_has_the_stated_deviation_and_its_own_seed(kind: Kind) -> None:
+@pytest.mark.parametrize("kind", DriveTrain)
+def test_slip_has_the_stated_deviation_and_its_own_seed(kind: DriveTrain) -> None:
     slip = 0.05
     chassis = Chassis(slip=slip, kind=kind, acceleration_m_s2=5.0)
     speeds = []
@@ -121,7 +121,7 @@ def test_slip_has_the_stated_deviation_and_its_own_seed(kind: Kind) -> None:
         _, way = drive(chassis, Drive(2.0, 0.0), 8.0, seed=seed)
         speeds += [hypot(vx, vy) for *_, vx, vy in way[100:]]
     # Speed is the mean of the driven wheels: four, two, or one axle.
-    wheels = {Kind.MECANUM: 4, Kind.DIFFERENTIAL: 2, Kind.ACKERMANN: 1}[kind]
+    wheels = {DriveTrain.MECANUM: 4, DriveTrain.DIFFERENTIAL: 2, DriveTrain.ACKERMANN: 1}[kind]
     assert np.mean(speeds) == pytest.approx(2.0, rel=0.01)
     assert np.std(speeds) / 2.0 == pytest.approx(slip / wheels**0.5, rel=0.2)
     _, same = drive(chassis, Drive(2.0, 0.0), 0.5, seed=3)
@@ -131,15 +131,15 @@ def test_slip_has_the_stated_deviation_and_its_own_seed(kind: Kind) -> None:
 
 
 @pytest.mark.parametrize("course_rad", [0.0, 1.0, 2.0, 3.0, -1.5, -3.1])
-@pytest.mark.parametrize("kind", [Kind.DIFFERENTIAL, Kind.ACKERMANN])
+@pytest.mark.parametrize("kind", [DriveTrain.DIFFERENTIAL, DriveTrain.ACKERMANN])
 def test_those_that_cannot_go_sideways_come_round_to_the_course(
-    kind: Kind, course_rad: float
+    kind: DriveTrain, course_rad: float
 ) -> None:
     chassis = Chassis(slip=0.0, kind=kind, reverse_m_s=1.0)
     wanted = Drive(cos(course_rad), sin(course_rad), tool_on=True)  # a tractor at work never backs
     _, way = drive(chassis, wanted, 40.0)
     *_, heading, vx, vy = way[-1]
-    if kind is Kind.ACKERMANN:
+    if kind is DriveTrain.ACKERMANN:
         assert remainder(heading - course_rad, 2 * pi) == pytest.approx(0.0, abs=0.02)
     assert (vx, vy) == pytest.approx((wanted.vx_m_s, wanted.vy_m_s), abs=0.03)
     sideways = [abs(-sin(a[2]) * b[3] + cos(a[2]) * b[4]) for a, b in pairwise(way)]
@@ -171,8 +171,8 @@ def test_a_tractor_cannot_turn_on_the_spot() -> None:
     assert way[-1] == (0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-@pytest.mark.parametrize(("kind", "speed"), list(product(Kind, (0.5, 2.5))))
-def test_stands_within_the_stated_time(kind: Kind, speed: float) -> None:
+@pytest.mark.parametrize(("kind", "speed"), list(product(DriveTrain, (0.5, 2.5))))
+def test_stands_within_the_stated_time(kind: DriveTrain, speed: float) -> None:
     chassis = Chassis(kind=kind, slip=0.02)
     world, _ = drive(chassis, Drive(9.0 * speed, 0.0), 4.0)
     begun_us = world.now_us

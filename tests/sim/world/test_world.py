@@ -11,7 +11,8 @@ from shapely.geometry import LineString, Point, Polygon, box
 from agent.interface.config import ACTUATOR_TTL_US, SPEED_MAX_M_S
 from agent.interface.effects import Drive
 from agent.interface.ports import Body
-from sim.world.drive_trains import STEP_US, TRACTOR, Chassis, Kind
+from agent.interface.vehicle import DriveTrain
+from sim.world.drive_trains import STEP_US, TRACTOR, Chassis
 from sim.world.lidar import Lidar
 from sim.world.walls import Grid
 from sim.world.world import World
@@ -23,7 +24,7 @@ PILLAR = [(4.0, -1.0), (6.0, -1.0), (6.0, 1.0), (4.0, 1.0)]
 def crowd(seed: int, robots: int, chop: Random, seconds: float = 6.0) -> World:
     """Robots that drive about and collide; `chop` draws when somebody looks at the world."""
     world = World([ROOM, PILLAR], seed, Lidar(8, 5.0))
-    kinds = (Chassis(), Chassis(kind=Kind.DIFFERENTIAL), TRACTOR)
+    kinds = (Chassis(), Chassis(kind=DriveTrain.DIFFERENTIAL), TRACTOR)
     for slot in range(robots):
         world.add_robot(slot, (slot % 5 * 3.0 - 8.0, slot // 5 * 3.0 - 8.0), 0.8, kinds[slot % 3])
     world.at(1_000_000, lambda: world.remove_box(world.add_box(0.0, 0.0, 1.0)))
@@ -107,9 +108,9 @@ def test_a_frozen_actuator_hears_nothing() -> None:
     assert body.position == (0.0, 0.0)
 
 
-@pytest.mark.parametrize("kind", Kind)
+@pytest.mark.parametrize("kind", DriveTrain)
 @pytest.mark.parametrize("speed", [0.05, 0.5, 2.5])
-def test_pushed_against_a_wall_it_touches_and_stays_out(kind: Kind, speed: float) -> None:
+def test_pushed_against_a_wall_it_touches_and_stays_out(kind: DriveTrain, speed: float) -> None:
     world = World([ROOM], 1)
     body = world.add_robot(0, (18.9, 0.0), 0.5, Chassis(kind=kind))
     for t_us in range(0, 15_000_000, 50_000):

@@ -1,0 +1,147 @@
+"""A field as one fleet's vehicles drive in it: its division, path grids, fences, and curves.
+
+Computed from the outline and the declared values alone, so every robot computes the same. It is
+immutable: peers of one process may share it, and none learns anything by that.
+"""
+
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from shapely.geometry import Point, Polygon
+
+from agent.field.field_division import divide
+from agent.field.field_map import XY, Field, joins, rasterise
+from agent.interface.vehicle import DriveTrain, Vehicle
+from agent.motion.holonomic_motion import FENCE_M
+from agent.motion.path_tracker import ALIGN_M
+from agent.motion.tractor_tracker import SteeringLimits
+from agent.paths.route import Route
+from agent.paths.tractor_route import TurnRoute
+
+ROUTE_CELLS_MAX = 1_500_000  # of the path grid; larger fields get larger cells
+ROUTE_CELL_M = 0.5
+CLEARANCE_M = 0.3  # paths keep this distance from fences and holes, in addition to the radius
+assert CLEARANCE_M > FENCE_M + ALIGN_M / 2, (
+    "avoidance permits what was planned, a little off it too"
+)
+TURN_CELL_M = 0.25  # the same for bodies that steer, because turns need decimetres
+# Planned circles are wider than the tightest one by this factor; the rest is for corrections.
+TURN_SPARE = 1.2
+# A body that can turn on the spot need not do so, and driving a curve is faster.
+PIVOT_RADIUS_M = 0.6
+PIVOT_STEER_1_M_S = 6.0  # its curvature changes as fast as its wheels turn
+GATE_OUTSIDE_M = 0.5  # a gate may be this far outside of the outline
+
+
+class FieldError(ValueError):
+    """One line: the declared value that does not fit this field, and what is wrong with it."""
+
+    def __init__(self, key: str, why: str) -> None:
+        """`key`: where the value is declared, for example "field.gate"."""
+        super().__init__(f"{key}: {why}")
+
+
+class FieldValues(NamedTuple):
+    """What is declared of the work in a field. Equal for all robots of a fleet."""
+
+    implement_width_m: float = 4.0
+    overlap_m: float = 0.2  # of neighbouring swaths
+    section_length_m: float = 250.0  # of swath in one section
+    unit_m: float = 5.0  # of swath in one unit of progress
+    gate: XY | None = None  # metres east and north of the middle; default: a corner
+
+
+def planned_radius_m(vehicle: Vehicle) -> float:
+    """The radius of planned curves; 0 for a vehicle that moves in any direction without turning."""
+    if vehicle.drive is DriveTrain.MECANUM:
+        return 0.0
+    return max(vehicle.turn_radius_m * TURN_SPARE, PIVOT_RADIUS_M)
+
+
+def divided(
+    name: str, polygon: Polygon, origin: tuple[float, float], values: FieldValues, vehicle: Vehicle
+) -> Field:
+    """The field of these vehicles, in sections. Raises FieldError.
+
+    `polygon`: its outline, metres east and north. `origin`: latitude and longitude of (0, 0).
+    """
+    gate = values.gate or _corner(polygon)
+    if not polygon.buffer(GATE_OUTSIDE_M).contains(Point(gate)):
+        raise FieldError("field.gate", f"{gate} is not in the field")
+    try:
+        return divide(
+            name, polygon, origin, gate, values.implement_width_m, values.overlap_m,
+            values.section_length_m, values.unit_m, planned_radius_m(vehicle),
+            vehicle.radius_m + FENCE_M,
+        )  # fmt: skip
+    except ValueError as problem:
+        raise FieldError("field.implement_width_m", str(problem)) from None
+
+
+def _corner(polygon: Polygon) -> XY:
+    """The gate if none is declared: the south-western corner of the outline."""
+    points = [(float(p[0]), float(p[1])) for p in polygon.exterior.coords]
+    return min(points, key=lambda p: (p[0] + p[1], p))
+
+
+class FieldPlan:
+    def __init__(self, field: Field, vehicle: Vehicle) -> None:
+        """Raises FieldError if the vehicle is too wide for the field's swaths."""
+        self.field, self.vehicle = field, vehicle
+        beside_m = (field.implement_width_m - field.overlap_m) / 2
+        if vehicle.radius_m + FENCE_M > beside_m:
+            raise FieldError(
+                "fleet.radius_m",
+                f"{vehicle.radius_m} m is too wide for swaths "
+                f"{beside_m:.2f} m from fences; use {beside_m - FENCE_M:.2f} m at most",
+            )
+
+    @cached_property
+    def route(self) -> Route:
+        """Paths on a grid that is finer if cells of the usual size close a passage that robots fit
+        through."""
+        clearance_m = self.vehicle.radius_m + CLEARANCE_M
+        cell_m = self._cells(ROUTE_CELL_M)
+        grid = rasterise(self.field, cell_m, clearance_m, whole=True)
+        while grid[0].size * 4 <= ROUTE_CELLS_MAX and not joins(self.field, grid, clearance_m):
+            cell_m /= 2
+            grid = rasterise(self.field, cell_m, clearance_m, whole=True)
+        return Route(*grid)
+
+    @cached_property
+    def fences(self) -> NDArray[np.float64]:
+        """Every outline as segments (n, 4) in metres."""
+        segments = [
+            (*a, *b)
+            for ring in (self.field.exterior, *self.field.holes)
+            for a, b in zip(ring, [*ring[1:], ring[0]], strict=True)
+            if a != b
+        ]
+        return np.array(segments, dtype=np.float64)
+
+    @property
+    def turn_radius_m(self) -> float:
+        return planned_radius_m(self.vehicle)
+
+    @cached_property
+    def steering(self) -> SteeringLimits:
+        """The limits of a vehicle that steers."""
+        vehicle = self.vehicle
+        rate = vehicle.steer_rad_s / vehicle.wheelbase_m
+        if vehicle.drive is DriveTrain.DIFFERENTIAL:
+            rate = PIVOT_STEER_1_M_S
+        return SteeringLimits(vehicle.speed_m_s, vehicle.braking_m_s2, rate)
+
+    @cached_property
+    def turns(self) -> TurnRoute:
+        """Paths of a vehicle that steers, on a finer grid than `route`."""
+        cell_m, clearance_m = self._cells(TURN_CELL_M), self.vehicle.radius_m + FENCE_M
+        return TurnRoute(*rasterise(self.field, cell_m, clearance_m), self.turn_radius_m)
+
+    def _cells(self, cell_m: float) -> float:
+        west, south, east, north = self.field.polygon.bounds
+        while (east - west) * (north - south) / cell_m**2 > ROUTE_CELLS_MAX:
+            cell_m *= 2
+        return cell_m
