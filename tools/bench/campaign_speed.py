@@ -23,6 +23,8 @@ FIELD_ROBOTS = 6
 
 
 class Campaign(NamedTuple):
+    """How much was simulated in a campaign, and for how much computing."""
+
     robot_s: float  # simulated: seconds of a run times its robots
     cpu_s: float
     runs: int

@@ -41,6 +41,7 @@ COMPILED, INTERPRETED = "compiled core", "interpreted: see `headland compile`"
 
 
 def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
+    """Speeds of drills and campaigns, and what the committed results say of today's robots."""
     for robots, wanted in SIZES:
         speed = measured(robots, seed, SHARE_S if quick else 10 * SHARE_S)
         how = COMPILED if speed.compiled else INTERPRETED

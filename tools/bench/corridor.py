@@ -30,17 +30,21 @@ XY = tuple[float, float]
 
 
 class Result(NamedTuple):
+    """How one crossing ended, and after how many simulated seconds."""
+
     finished: bool
     contacts: int
     seconds: float
 
 
 def places(*cells: tuple[int, int]) -> list[XY]:
+    """The centres of cells (column, row), as metres (x, y)."""
     return [((c + 0.5) * CELL_M, (r + 0.5) * CELL_M) for c, r in cells]
 
 
 def swap(count: int, seed: int) -> tuple[str, list[XY], list[XY]]:
-    """`count` robots in each of two rooms, each to a place of its own in the other one."""
+    """`count` robots in each of two rooms, each to a place of its own in the other one. Drawing,
+    starts and goals in metres."""
     rng = Random(f"{seed}/swap/{count}")
     left = places(*((c, r) for c in range(4) for r in range(4)))
     right = places(*((c, r) for c in range(11, 15) for r in range(4)))
@@ -49,14 +53,16 @@ def swap(count: int, seed: int) -> tuple[str, list[XY], list[XY]]:
 
 
 def junction(seed: int) -> tuple[str, list[XY], list[XY]]:
-    """Two robots from end to end of the bar of a T, at places drawn by the seed."""
+    """Two robots from end to end of the bar of a T, at places drawn by the seed. Drawing, starts
+    and goals in metres."""
     rng = Random(f"{seed}/junction")
     a, b = places((rng.randrange(4), 2), (10 - rng.randrange(4), 2))
     return JUNCTION, [a, b], [b, a]
 
 
 def dead_end(seed: int) -> tuple[str, list[XY], list[XY]]:
-    """One wants out of the blind end of a corridor, and another in."""
+    """One wants out of the blind end of a corridor, and another in. Drawing, starts and goals in
+    metres."""
     rng = Random(f"{seed}/dead end")
     (end,) = places((10, 2))
     room = places(*((c, r) for c in range(4) for r in range(4)))
@@ -73,6 +79,8 @@ LAYOUTS: dict[str, Callable[[int], tuple[str, list[XY], list[XY]]]] = {
 
 
 def trial(layout: str, loss: float, agrees: bool, seed: int) -> Result:
+    """One crossing with `loss`, a share of all frames from 0 to 1; without `agrees` robots have
+    avoidance alone."""
     drawing, starts, goals = LAYOUTS[layout](seed)
     floor = Floor.drawn(drawing, CELL_M, RADIUS_M)
     setting = ErrandSetting.made(
@@ -84,6 +92,8 @@ def trial(layout: str, loss: float, agrees: bool, seed: int) -> Result:
 
 
 def figures(quick: bool) -> Iterator[Figure]:
+    """How many crossings end, without and with loss, and how long they take; then the crowd in
+    rooms."""
     seeds = range(QUICK_SEEDS if quick else SEEDS)
     plain_seeds = range(QUICK_PLAIN_SEEDS if quick else PLAIN_SEEDS)
     losses = (LOSS,) if quick else (0.0, LOSS)  # what is harder

@@ -40,34 +40,42 @@ SCOPE = "open makespan by the independent judge; unit steps; state shared withou
 
 
 class Run(NamedTuple):
+    """A planned instance with its score and the bound that no plan can beat."""
+
     instance: Instance
     verdict: Verdict
     bound: int
 
     @property
     def ratio(self) -> float:
+        """Makespan as a factor of the bound."""
         return self.verdict.makespan / max(1, self.bound)
 
     @property
     def faults(self) -> int:
+        """Collisions, swaps, steps into walls, and cells left: 0 for a plan that counts."""
         v = self.verdict
         return v.collisions + v.swaps + v.wall_entries + v.uncovered
 
 
 def data() -> Path:
+    """Folder of public maps: HEADLAND_DATA, else beside the repository. It need not exist."""
     return Path(os.environ.get("HEADLAND_DATA", ROOT.parent / "shared" / "data"))
 
 
 def published(folder: Path) -> list[Instance]:
+    """Instances of LS-MCPP in that folder; none if it is missing."""
     return [read_instance(path) for path in sorted(folder.glob("mcpp/instances/*.mcpp"))]
 
 
 def fields(folder: Path) -> list[Instance]:
+    """Grids of real fields in that folder, with robots at one gate."""
     maps = [(path.stem, read_map(path)) for path in sorted(folder.glob("fields/grids/*.map"))]
     return [Instance(name, walls, gate_starts(walls, FIELD_ROBOTS)) for name, walls in maps]
 
 
 def by_chance(seeds: int) -> list[Instance]:
+    """Random maps of several sizes, so many seeds of each but the largest."""
     found = []
     for rows, columns, share, robots, gate in RANDOM:
         for seed in range(seeds if rows < 256 else 1):
@@ -79,6 +87,7 @@ def by_chance(seeds: int) -> list[Instance]:
 
 
 def run(instance: Instance) -> Run:
+    """Plan an instance, and judge the plan."""
     return Run(instance, judge(work(instance)), lower_bound(instance.walls, instance.starts))
 
 
@@ -96,6 +105,7 @@ def _under(name: str, value: float, target: float | None, against: str, scope: s
 
 
 def ratios(runs: list[Run], real: list[Run], chance: list[Run]) -> Iterator[Figure]:
+    """Makespan over the bound for each run, and means of the kinds of maps."""
     for one in runs:
         target = 1.45 if one.instance.name in NAMED else None
         name = f"coverage {one.instance.name} k={len(one.instance.starts)}"
@@ -175,6 +185,7 @@ def joins(runs: list[Run]) -> Iterator[Figure]:
 
 
 def turns(runs: list[Run]) -> Iterator[Figure]:
+    """What planning with a cost of turns gains over planning without, on the published maps."""
     for one in runs:
         if one.instance.name in NAMED:
             aware = judge(work(one.instance, turn_cost=TURN_COST)).score(TURN_COST)
@@ -209,6 +220,7 @@ def planning(instances: list[Instance]) -> Iterator[Figure]:
 
 
 def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
+    """Makespans, turns, deaths and times of planning; with `quick` on fewer maps."""
     seeds = 1 if quick else 10
     folder = data()
     work(by_chance(1)[0])  # compiles

@@ -33,6 +33,8 @@ ROBOTS = 8
 
 
 class Drive(NamedTuple):
+    """One run of whole peers over an instance."""
+
     instance: Instance
     outcome: GridOutcome
 
@@ -46,6 +48,7 @@ class Drive(NamedTuple):
 def drive(
     instance: Instance, seed: int = 1, faults: Sequence[Fault] = (), loss: float = 0.0
 ) -> Drive:
+    """Let whole peers cover an instance. `loss` is a share of all frames from 0 to 1."""
     cells = int((~instance.walls).sum())
     limit_s = 300.0 + 3.0 * cells * STEP_S / len(instance.starts)
     setting = GridSetting.made(
@@ -55,6 +58,7 @@ def drive(
 
 
 def scattered(side: int, robots: int, seed: int) -> Instance:
+    """A random map of `side` by `side` cells with a tenth of walls, and robots anywhere."""
     walls = random_walls(side, side, 0.1, seed)
     return Instance(
         f"random {side}x{side} k={robots}", walls, random_starts(walls, robots, seed)
@@ -79,6 +83,8 @@ def _ratio(name: str, value: float, target: float | None, against: str, scope: s
 
 
 def on_maps(instances: Sequence[Instance], seed: int, done: list[Drive]) -> Iterator[Figure]:
+    """For each map the makespan over the bound and over instant sharing. Drives are appended to
+    `done`."""
     ratios = []
     for instance in instances:
         one = drive(instance, seed)
@@ -96,6 +102,8 @@ def on_maps(instances: Sequence[Instance], seed: int, done: list[Drive]) -> Iter
 
 
 def on_fields(instances: Sequence[Instance], seed: int, done: list[Drive]) -> Iterator[Figure]:
+    """The same as one figure for real fields; none if there are no fields. Drives are appended to
+    `done`."""
     if not instances:
         return
     drives = [drive(instance, seed) for instance in instances]

@@ -60,6 +60,7 @@ def unfairness(waits: list[float]) -> float:
 
 
 def figures(quick: bool) -> Iterator[Figure]:
+    """Joint plans over many seeds, and one run of whole peers; with `quick` smaller ones."""
     yield from joint(range(QUICK_SEEDS if quick else SEEDS))
     yield from whole(0, QUICK_ROBOTS, QUICK_SIDE) if quick else whole(0, ROBOTS, SIDE)
 
@@ -100,6 +101,8 @@ def joint(seeds: range) -> Iterator[Figure]:
 
 
 def whole(seed: int, robots: int, side: int, loss: float = 0.0) -> Iterator[Figure]:
+    """Whole peers in a square of `side` cells of the map. `loss` is a share of all frames from 0 to
+    1."""
     crowd = crowd_of(seed, robots, side)
     setting = ErrandSetting.made(
         "crowd", crowd.floor, crowd.starts, [[goal] for goal in crowd.goals], seed=seed, loss=loss,

@@ -30,6 +30,7 @@ WHERE = (
 
 
 def places(costs: CostMatrix, count: int, rng: Random) -> list[Point]:
+    """So many free places, drawn at random, as metres (x, y)."""
     mesh = costs.mesh
     free = np.argwhere(~mesh.blocked)
     found = (free[rng.randrange(len(free))].tolist() for _ in range(count))
@@ -40,6 +41,7 @@ def places(costs: CostMatrix, count: int, rng: Random) -> list[Point]:
 
 
 def instance(costs: CostMatrix, robots: int, tasks: int, seed: int) -> Workload:
+    """A problem with random starts and tasks that are all known from the start."""
     rng = Random(f"{seed}/delivery/{robots}/{tasks}")
     trips = [Trip(*places(costs, 2, rng)) for _ in range(tasks)]
     return workload(costs, Carrier(1.0, 0.0), trips, places(costs, robots, rng), [0] * robots)
@@ -64,6 +66,7 @@ def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
 
 
 def streams(costs: CostMatrix, quick: bool, seed: int) -> Iterator[Figure]:
+    """Mean latency of a stream of tasks against insertion of least extra travel, at two loads."""
     for robots, tasks in [(10, 200)] if quick else [(10, 200), (20, 400)]:
         seeds = range(seed, seed + (STREAMS // 2 if quick else STREAMS))
         works = [(k, instance(costs.twin(), robots, tasks, k)) for k in seeds]
@@ -137,6 +140,8 @@ def trouble(quick: bool, seed: int) -> Iterator[Figure]:
 def plans(
     costs: CostMatrix, robots: int, tasks: int, target: float, seeds: range, seconds: float
 ) -> Iterator[Figure]:
+    """Makespan against the bound, with its target as a factor of it, and against others that search
+    for `seconds`."""
     ours, rivals, travels, cpu_s = [], [], [], []
     for seed in seeds:
         work = instance(costs, robots, tasks, seed)

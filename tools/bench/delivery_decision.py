@@ -84,6 +84,7 @@ class OnePeer:
             self.period()
 
     def view(self) -> FleetView:
+        """What its peer knows at present: all others at their places, and the shared state."""
         x_m, y_m = self.fleet.starts[self.slot]
         here = Observation(x_m, y_m, 0.0, 0.0, 0.0, (4.0,) * RAYS)
         neighbours = {
@@ -97,6 +98,7 @@ class OnePeer:
         )
 
     def period(self) -> list[TaskBid]:
+        """One control period later: the bids that the mission sends."""
         self.now_us += TICK_US
         view = self.view()
         self.mission.on_control_period(view, State.WORKING)

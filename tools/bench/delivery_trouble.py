@@ -46,6 +46,8 @@ def scenario(
     name: str, seed: int, faults: Faults, boxes: float = 0.0, loss: float = 0.0,
     outage: Faults | None = None,
 ) -> WarehouseScenario:  # fmt: skip
+    """A small warehouse with these faults. `boxes` is a number a minute, `loss` a share of all
+    frames from 0 to 1."""
     document = {
         "name": name, "mission": "delivery", "fault": faults,
         "warehouse": {
@@ -172,6 +174,7 @@ def troubled(kind: str, seed: int) -> DeliveryRun:
 
 
 def told(kind: str, seed: int, outcome: HaulOutcome) -> dict[str, Any]:
+    """One line of the results."""
     return {
         "kind": kind, "seed": seed, "finished": outcome.finished, "flaws": dict(outcome.flaws),
         "contacts": outcome.contacts, "empty": outcome.empty, "delivered": outcome.delivered,
@@ -182,6 +185,8 @@ def told(kind: str, seed: int, outcome: HaulOutcome) -> dict[str, Any]:
 
 
 def main() -> None:
+    """Play the kinds and seeds that the command line names, and append a line of JSON for each to
+    the file."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--kinds", default=",".join(TROUBLES), help=f"troubles, or {MIXED}")
     parser.add_argument("--seeds", default="0:20", help="FIRST:END")

@@ -43,6 +43,7 @@ class ProtocolFleet:
         self.tasks = [asyncio.create_task(shell.run()) for shell in self.shells]
 
     async def until_working(self, limit_s: float = 60.0) -> bool:
+        """Whether all peers are WORKING within `limit_s` of virtual time."""
         loop = asyncio.get_running_loop()
         while loop.time() < limit_s:
             await asyncio.sleep(0.5)
@@ -51,11 +52,13 @@ class ProtocolFleet:
         return False
 
     def node_of(self, slot: int) -> int:
+        """The number of a peer's controller on the wire."""
         bus = self.shells[slot].bus
         assert isinstance(bus, CanBus) and isinstance(bus.bus, FieldBus)
         return bus.bus.node
 
     async def close(self) -> None:
+        """Cancel all peers, wait for their ends, and forget the channel."""
         for task in self.tasks:
             task.cancel()
         await asyncio.gather(*self.tasks, return_exceptions=True)

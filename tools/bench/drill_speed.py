@@ -25,6 +25,8 @@ SLICE_US = 200_000  # of simulated time, between two looks at the clock
 
 
 class Speed(NamedTuple):
+    """How fast one drill was simulated."""
+
     rate: float  # simulated seconds per CPU second
     compiled: bool
     frames: int  # on the wire, with those of joining

@@ -20,6 +20,7 @@ PLANTED = 500  # states are enough to see a journal that does not sync
 
 
 def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
+    """Records lost over kills and over power cuts: each must be 0."""
     tapes = list(record(seed).values())
     kills, states = (QUICK_KILLS, QUICK_STATES) if quick else (KILLS, STATES)
     states += -states % len(tapes)  # the same number from each robot

@@ -22,6 +22,8 @@ def play(
     arena: str, robots: int, seed: int, sharing: Sharing = Sharing.FLEET, until: float = 2.0,
     faults: Sequence[Loss | Crash] = (),
 ) -> SurveyOutcome:  # fmt: skip
+    """One exploration of a shipped arena. `until` is the share of the ground after which it ends;
+    above 1: not before all is seen."""
     scenario = load_arena(arena).changed(robots, seed)
     return ExplorationRun(
         scenario.model_copy(update={"fault": list(faults)}), sharing, until=until
@@ -29,6 +31,7 @@ def play(
 
 
 def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
+    """Speed-up, overlap, load of the bus and equality of maps, over arenas and seeds."""
     arenas = ["arena"] if quick else LARGE
     sizes = [1, 2, 4] if quick else [1, 2, 4, 8]
     seeds = range(seed, seed + (2 if quick else 3))
@@ -71,6 +74,7 @@ def speed(
 
 
 def costs(found: list[SurveyOutcome], robots: int, where: str) -> Iterator[Figure]:
+    """Load of the bus and bytes a square metre that maps took in these runs."""
     load = max(run.map_load for run in found)
     scope = f"map frames at worst-case stuffing, 250 kbit/s, power-up to end; worst run; {where}"
     yield Figure(f"bus load by maps, {robots} robots", load, "share", "<= 0.15", load <= 0.15,

@@ -9,6 +9,8 @@ from sim.files.strict_json import dumps
 
 
 class Figure(NamedTuple):
+    """One line of a bench: a value, its target, and what it was compared with."""
+
     figure: str
     value: float
     unit: str
@@ -18,6 +20,7 @@ class Figure(NamedTuple):
     scope: str  # what is and is not inside the measurement, equal on both sides
 
     def to_json(self) -> str:
+        """All fields as one line, as `headland bench --json` prints it."""
         return dumps(self._asdict(), ensure_ascii=False)
 
 

@@ -19,6 +19,7 @@ SAID_EVERY = 100  # trials, on standard error
 
 
 def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
+    """Robots that moved after the bound of a press in a flood, and how soon wire and fleet recover."""
     count, longest_s = (QUICK_TRIALS, QUICK_LONGEST_S) if quick else (TRIALS, LONGEST_S)
     floods = [draw(seed * TRIALS + k, longest_s=longest_s) for k in range(count)]
     results: list[Result] = []

@@ -65,6 +65,8 @@ class ForgeryAttack:
         self.stops = [*self.stops[-KEPT:], stop]
 
     def run(self, frames: int) -> None:
+        """Send so many forged frames, with the operator at work in between, and count what is
+        accepted."""
         for number in range(frames):
             self.now_us += self.spacing_us
             if number % self.operates_every == 0:
@@ -111,6 +113,8 @@ class ForgeryAttack:
         return self.rng.choice(old) if old else None
 
     def attack(self, kind: str) -> EmergencyReset:
+        """A frame of one kind of attack: a guess, a replay, a change of a heard frame, or one held
+        back."""
         rng = self.rng
         wanted = EmergencyReset(*self.dot, OPERATOR)
         guess = wanted._replace(freshness=rng.randrange(256), tag=rng.randint(0, TAG_MAX))
@@ -131,6 +135,7 @@ class ForgeryAttack:
 
 
 def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
+    """Forged resets that were accepted, at the speed of the bus and slowly."""
     frames = QUICK_FRAMES if quick else FRAMES
     for name, spacing_us, operates_every in (
         ("at bus speed", BUS_SPACING_US, 50), ("every tag looked at", SLOW_SPACING_US, 3),

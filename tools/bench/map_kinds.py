@@ -20,12 +20,15 @@ PASSABLE = ".GS"  # ground, ground, shallow water; the rest is out of bounds, tr
 
 
 class Map(NamedTuple):
+    """A grid to plan on, with its kind and where it came from."""
+
     kind: str
     name: str  # of the file, or "generated"
     blocked: Grid
 
 
 def data_folder() -> Path:
+    """Folder of public maps: HEADLAND_DATA, else beside the repository. It need not exist."""
     beside = Path(__file__).resolve().parents[2].parent / "shared" / "data"
     return Path(os.environ.get("HEADLAND_DATA", beside))
 
@@ -41,7 +44,7 @@ def read(path: Path) -> Grid:
 
 
 def rooms(rng: Rng, rows: int, columns: int, side: int, door: int) -> Grid:
-    """Rooms of one size; each wall between two of them has a door, one in five is shut."""
+    """Rooms of `side` cells; each wall between two of them has a door, one in five is shut."""
     blocked = np.zeros((rows, columns), dtype=np.bool_)
     blocked[::side], blocked[:, ::side] = True, True
     for i in range(0, rows, side):
@@ -56,7 +59,8 @@ def rooms(rng: Rng, rows: int, columns: int, side: int, door: int) -> Grid:
 
 
 def maze(rng: Rng, rows: int, columns: int, wide: int) -> Grid:
-    """Corridors of one width by depth-first search, walls of one cell: one way only."""
+    """Corridors of `wide` cells by depth-first search, walls of one cell: one way only. A grid
+    (rows, columns)."""
     high, across = rows // (wide + 1), columns // (wide + 1)
     blocked = np.ones((rows, columns), dtype=np.bool_)
     met = np.zeros((high, across), dtype=np.bool_)
@@ -79,7 +83,7 @@ def maze(rng: Rng, rows: int, columns: int, wide: int) -> Grid:
 
 
 def warehouse(rng: Rng, rows: int, columns: int) -> Grid:
-    """Shelves of 2 x 10 with aisles of one cell, a hall on either side."""
+    """A grid (rows, columns) with shelves of 2 x 10, aisles of one cell, and a hall on either side."""
     del rng
     blocked = np.zeros((rows, columns), dtype=np.bool_)
     for i in range(2, rows - 2, 3):
@@ -89,7 +93,8 @@ def warehouse(rng: Rng, rows: int, columns: int) -> Grid:
 
 
 def city(rng: Rng, rows: int, columns: int) -> Grid:
-    """Buildings as rectangles in a few directions, in the blocks between streets."""
+    """A grid (rows, columns) with buildings as rectangles in a few directions, in the blocks
+    between streets."""
     y, x = np.mgrid[:rows, :columns]
     blocked = np.zeros((rows, columns), dtype=np.bool_)
     turned = rng.uniform(0, np.pi / 2, 4)
@@ -112,7 +117,7 @@ def city(rng: Rng, rows: int, columns: int) -> Grid:
 
 
 def cave(rng: Rng, rows: int, columns: int) -> Grid:
-    """A cellular automaton: a cell is what most of its neighbours are."""
+    """A grid (rows, columns) by a cellular automaton: a cell is what most of its neighbours are."""
     blocked: Grid = rng.random((rows, columns)) < 0.45
     around = np.ones((3, 3), dtype=np.int64)
     for _ in range(5):
@@ -121,7 +126,7 @@ def cave(rng: Rng, rows: int, columns: int) -> Grid:
 
 
 def landscape(rng: Rng, rows: int, columns: int) -> Grid:
-    """Lakes and cliffs: the heights and depths of smooth noise."""
+    """A grid (rows, columns) with lakes and cliffs: the heights and depths of smooth noise."""
     height = gaussian_filter(rng.standard_normal((rows, columns)), 12.0, mode="reflect")
     blocked: Grid = height > np.quantile(height, 0.75)
     return blocked
@@ -147,6 +152,7 @@ KINDS: tuple[tuple[str, str, Callable[[Rng, int, int], Grid], int, int], ...] = 
 
 
 def maps(seed: int) -> list[Map]:
+    """One map of every kind: the public one if its file is there, else one generated from the seed."""
     found = []
     for number, (kind, name, generate, rows, columns) in enumerate(KINDS):
         path = data_folder() / "maps" / f"{name}.map"
@@ -159,7 +165,8 @@ def maps(seed: int) -> list[Map]:
 
 
 def small_maps(seed: int, side: int) -> list[Map]:
-    """Every kind again, generated, so small that all pairs of corners can be looked at."""
+    """Every kind again, generated, cut to `side` by `side` cells, so small that all pairs of
+    corners can be looked at."""
     found = []
     for number, (kind, _, generate, _, _) in enumerate(KINDS):
         rng = np.random.default_rng((seed, number))

@@ -36,6 +36,7 @@ XY = tuple[float, float]
 
 
 def floor_of(inflation_m: float) -> Floor:
+    """The office of the thesis, with walls that are inflated by this much."""
     return Floor.drawn(office(), CELL_M, RADIUS_M, inflation_m)
 
 
@@ -81,6 +82,8 @@ class Batch(NamedTuple):
 
 
 def batch(inflation_m: float, count: int, out: Path | None) -> Batch:
+    """So many seeds of the experiment at one inflation: errors, arrivals, contacts and times of
+    planning."""
     floor, places = floor_of(inflation_m), floor_of(max(INFLATIONS_M))
     errors_m: list[float] = []
     legs = arrived = contacts = replans = joint = 0

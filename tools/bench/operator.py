@@ -44,6 +44,7 @@ WAIT_S = 120.0  # for a page on a busy machine
 
 
 def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
+    """Time of `--help`, speed of the page on a long recording, and presses with the page open."""
     yield map_help()
     with tempfile.TemporaryDirectory() as folder:
         yield from map_recording(

@@ -24,7 +24,8 @@ class Judge:
         self._tree = shapely.STRtree(squares)
 
     def through(self, ends: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Which of the segments (n, 2, 2; row, column) come through something blocked."""
+        """Which of the segments `ends` (n, 2, 2; row, column) come through something blocked:
+        booleans (n,)."""
         lines = shapely.linestrings(ends[:, :, ::-1])
         hit: NDArray[np.bool_] = np.zeros(len(lines), dtype=np.bool_)
         hit[self._tree.query(lines, predicate="intersects")[0]] = True
@@ -40,7 +41,8 @@ class Judge:
         return np.stack((i - 0.5 - OFF * down, j - 0.5 - OFF * right), axis=1)
 
     def lengths(self, queries: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Of the shortest paths of (n, 2, 2): start and goal, row and column; infinite: none."""
+        """Lengths in cells of the shortest paths for `queries` (n, 2, 2): start and goal, row and
+        column; infinite: none."""
         ends = queries.reshape(-1, 2)
         points = np.concatenate((ends, self.corners()))
         first, second = np.triu_indices(len(points), 1)

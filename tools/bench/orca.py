@@ -53,6 +53,7 @@ def pyrvo() -> Any:
 
 
 def figures(quick: bool) -> Iterator[Figure]:
+    """What a whole robot takes, and kernels against pyrvo if that is installed."""
     rvo = pyrvo()
     yield from whole_robot(10 if quick else 40)
     yield from circle(rvo, 400 if quick else 1000)
@@ -60,6 +61,8 @@ def figures(quick: bool) -> Iterator[Figure]:
 
 
 def on_circle() -> NDArray[np.float32]:
+    """Agents at equal distances on a circle, (agents, columns of `orca_kernel`), without a velocity
+    that they want."""
     agents = np.zeros((AGENTS, column.AGENT_COLUMNS), dtype=np.float32)
     for k in range(AGENTS):
         angle = 2 * pi * k / AGENTS
@@ -72,7 +75,7 @@ def on_circle() -> NDArray[np.float32]:
 
 def simulator(rvo: Any, dt_s: float, range_m: float, radius_m: float, speed_m_s: float,
               horizon_s: float, places: list[XY]) -> Any:  # fmt: skip
-    """A pyrvo simulator with agents at these places."""
+    """A pyrvo simulator with agents at these places, metres."""
     made = rvo.RVOSimulator()
     made.set_time_step(dt_s)
     made.set_agent_defaults(range_m, NEIGHBOURS_MAX, horizon_s, horizon_s, radius_m, speed_m_s)
@@ -82,7 +85,8 @@ def simulator(rvo: Any, dt_s: float, range_m: float, radius_m: float, speed_m_s:
 
 
 def wish(agents: NDArray[np.float32], goals: NDArray[np.float32]) -> list[XY]:
-    """Straight to the goal; written into `agents`, and returned for pyrvo."""
+    """Straight to the goals (n, 2): the velocities, m/s, are written into `agents` (n, columns),
+    and returned for pyrvo."""
     to_goal = goals - agents[:, : column.Y + 1]
     far = np.maximum(np.hypot(to_goal[:, 0], to_goal[:, 1]), np.float32(1.0))
     agents[:, column.WANT_X : column.WANT_Y + 1] = to_goal / far[:, np.newaxis]
@@ -90,7 +94,8 @@ def wish(agents: NDArray[np.float32], goals: NDArray[np.float32]) -> list[XY]:
 
 
 def unlike(agents: NDArray[np.float32], theirs: Any) -> int:
-    """How many agents are not, to the last bit, where and as fast as those of pyrvo."""
+    """How many rows of `agents` (n, columns) are not, to the last bit, where and as fast as those
+    of pyrvo."""
     rows = [(theirs.get_agent_position(k), theirs.get_agent_velocity(k)) for k in range(AGENTS)]
     state = np.array([(p.x, p.y, v.x, v.y) for p, v in rows], dtype=np.float32)
     ours = agents[:, [column.X, column.Y, column.VX, column.VY]]
@@ -98,6 +103,8 @@ def unlike(agents: NDArray[np.float32], theirs: Any) -> int:
 
 
 def circle(rvo: Any, steps: int) -> Iterator[Figure]:
+    """CPU time of all agents crossing a circle, against pyrvo if `rvo` is not None, and whether all
+    bits are equal."""
     Fleet(on_circle(), DT_S).step()  # compiles
     agents = on_circle()
     goals = -agents[:, : column.Y + 1].copy()

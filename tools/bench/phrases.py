@@ -52,6 +52,8 @@ class Case(NamedTuple):
 
 
 class Phrases(NamedTuple):
+    """The cases of `phrases.toml`, and the fleet and places that they speak about."""
+
     known: list[Case]
     unseen: list[Case]
     fleet: FleetNow
@@ -59,6 +61,7 @@ class Phrases(NamedTuple):
 
 
 def phrases() -> Phrases:
+    """Read `phrases.toml`."""
     document = tomllib.loads(FILE.read_text(encoding="utf-8"))
     fleet = FleetNow(
         {robot["slot"]: RobotNow(**robot) for robot in document["robot"]},
@@ -110,6 +113,7 @@ def misspelt(say: str, rng: Random) -> str:
 
 
 def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
+    """Phrases understood, misspelt ones, times of reading, one-line errors, and chains of `--why`."""
     file = phrases()
     yield from _understanding(file)
     yield from _misspelt(file, Random(seed), 2_000 if quick else 50_000)

@@ -15,7 +15,8 @@ SPAN_COST = 100  # of a millisecond of the last finish, in those of travel
 
 
 def pyvrp_makespan(work: Workload, most_ms: int, seconds: float, seed: int) -> int:
-    """The last finish of the best plan found; `most_ms`: that of a plan which is known already."""
+    """Milliseconds until the last finish of the best plan that PyVRP finds in `seconds`, at most
+    the number `most_ms`, that of a plan which is known already."""
     low, high = bound_ms(work), most_ms
     best = most_ms
     for _ in range(STEPS):

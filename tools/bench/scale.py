@@ -30,6 +30,7 @@ PRESS_MS, SHARE, HEAL_S, MEMORY, SPEEDUP = 60.0, 0.15, 5.0, 1.5, 1.7
 
 
 def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
+    """Presses across segments, traffic, heals, memory and campaigns on Dask workers."""
     yield from presses(30 if quick else 1_000, seed)
     few, many = ((2, 40), (8, 40)) if quick else ((1, 100), (10, 100))
     small, great = _apart(order, *few, seed), _apart(order, *many, seed)
@@ -55,6 +56,7 @@ def _apart(measure: Callable[..., T], *arguments: Any) -> T:
 
 
 def presses(count: int, seed: int) -> Iterator[Figure]:
+    """Milliseconds from a press to the zero command in another segment, over real processes."""
     with socket() as free:
         free.bind(("127.0.0.1", 0))
         endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
@@ -138,6 +140,8 @@ def _resident() -> int:
 
 
 def traffic(found: dict[str, float], size: tuple[int, int]) -> Iterator[Figure]:
+    """Share of the fullest bus that is bridged, from the shares in `found`, for a fleet of `size`
+    (segments, robots in each)."""
     where = f"{size[0] * size[1]:,} peers in {size[0]} segments"
     scope = "virtual time, whole peers on whole wires, two operations a minute and peer"
     yield Figure(
@@ -152,6 +156,8 @@ def traffic(found: dict[str, float], size: tuple[int, int]) -> Iterator[Figure]:
 def memory(
     small: dict[str, float], great: dict[str, float], few: tuple[int, int], many: tuple[int, int]
 ) -> Iterator[Figure]:
+    """Memory of a peer in a great fleet as a factor of that in a small one; `few` and `many` are
+    (segments, robots in each)."""
     ratio = great["memory_kb"] / small["memory_kb"]
     yield Figure(
         f"memory per peer, {many[0] * many[1]:,} against {few[0] * few[1]} in the fleet", ratio, "x",

@@ -41,6 +41,7 @@ READY_S, AGAIN_S = 60.0, 0.25
 
 
 def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
+    """Presses on a lossy wire, silences, and presses over real processes."""
     yield from presses(2_000 if quick else 100_000, seed)
     for robots in (6, 30) if quick else (6, 30, 50, 108):
         yield silence(robots, 1 if quick else 4, seed)
@@ -51,6 +52,8 @@ def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
 
 
 def presses(total: int, seed: int) -> Iterator[Figure]:
+    """How many of `total` presses were above the bound or unheard, over sizes of fleets and rates
+    of loss."""
     above = unheard = done = 0
     for robots in FLEETS:
         for rate in RATES:
@@ -78,6 +81,7 @@ def presses(total: int, seed: int) -> Iterator[Figure]:
 
 
 def silence(robots: int, rounds: int, seed: int) -> Figure:
+    """The longest time until all robots stood, over kinds of silence."""
     limit_us = beat_of(robots).silence_us + SILENCE_SLACK_US
     worst_us, which = 0, ""
     for number in range(rounds):
@@ -128,6 +132,7 @@ def hash_free(text: str) -> int:
 
 
 def processes(count: int) -> Iterator[Figure]:
+    """Milliseconds from a press to the last zero command of a launch, over so many presses."""
     warm(steering=False)
     with tempfile.TemporaryDirectory() as folder:
         launch = _Presses(count, Path(folder))

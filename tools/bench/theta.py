@@ -21,7 +21,7 @@ Query = tuple[tuple[int, int], tuple[int, int]]
 
 
 def queries(blocked: Grid, count: int, rng: np.random.Generator) -> list[Query]:
-    """Free cells anywhere, as pairs that 4-connected free cells join."""
+    """Free cells of a grid `blocked` (rows, columns), as pairs that 4-connected free cells join."""
     regions, _ = label(~blocked)
     free = np.argwhere(~blocked).tolist()
     found: list[Query] = []
@@ -41,7 +41,7 @@ def each(work: Callable[[Point, Point], Waypoints | None], asked: list[Query]) -
 
 
 def each_fresh(planner: Planner, asked: list[Query]) -> float:
-    """The same with no edge known at the start of each query; forgetting is not timed."""
+    """CPU seconds of all queries with no edge known at the start of each; forgetting is not timed."""
     spent = 0.0
     for a, b in asked:
         planner.forget()
@@ -70,10 +70,13 @@ def against_plain(planner: Planner, asked: list[Query], rounds: int) -> tuple[fl
 
 
 def geometric(ratios: list[float]) -> float:
+    """The geometric mean of ratios."""
     return float(np.exp(np.mean(np.log(ratios))))
 
 
 def figures(quick: bool) -> Iterator[Figure]:
+    """Times over kinds of maps and in a large city, lengths of paths, and planning again after
+    changes."""
     yield from kinds(30 if quick else 100, 3 if quick else 5)
     yield from big_city(10 if quick else 40, 3)
     yield from lengths(24 if quick else 40, 20 if quick else 60)
@@ -81,6 +84,8 @@ def figures(quick: bool) -> Iterator[Figure]:
 
 
 def kinds(count: int, rounds: int) -> Iterator[Figure]:
+    """Times against plain Theta* with edges cached and fresh, over so many queries on each kind of
+    map."""
     cached, fresh, solved, through, total = [], [], 0, 0, 0
     for number, (kind, name, blocked) in enumerate(maps(SEED)):
         asked = queries(blocked, count, np.random.default_rng((SEED, number)))
@@ -109,6 +114,7 @@ def kinds(count: int, rounds: int) -> Iterator[Figure]:
 
 
 def big_city(count: int, rounds: int) -> Iterator[Figure]:
+    """The time of a query on 1024 x 1024 cells with edges cached."""
     blocked = city(np.random.default_rng(SEED), 1024, 1024)
     asked = queries(blocked, count, np.random.default_rng(SEED))
     planner = Planner(blocked)
@@ -123,6 +129,7 @@ def big_city(count: int, rounds: int) -> Iterator[Figure]:
 
 
 def lengths(side: int, count: int) -> Iterator[Figure]:
+    """Lengths of paths as factors of the optimum, on maps of `side` by `side` cells."""
     ratios: list[float] = []
     unlike = 0
     for number, (_, _, blocked) in enumerate(small_maps(SEED, side)):
@@ -173,7 +180,8 @@ def replans(turns: int) -> Iterator[Figure]:
 def moved(
     blocked: Grid, a: tuple[int, int], b: tuple[int, int], rng: np.random.Generator
 ) -> set[tuple[int, int]]:
-    """Free cells under six boxes within twelve cells of the start, start and goal left free."""
+    """Free cells of a grid `blocked` (rows, columns) under six boxes within twelve cells of the
+    start, start and goal left free."""
     rows, columns = blocked.shape
     cells = set()
     for _ in range(6):

@@ -52,6 +52,7 @@ def racks() -> list[list[XY]]:
 
 
 def solid() -> NDArray[np.bool_]:
+    """The racks as a grid (rows, columns), True where a cell's centre is in one."""
     count = round(SIDE_M / CELL_M)
     middle = (np.arange(count) + 0.5) * CELL_M
     blocked = np.zeros((count, count), dtype=np.bool_)
@@ -62,6 +63,8 @@ def solid() -> NDArray[np.bool_]:
 
 
 class Result(NamedTuple):
+    """What came of the robots, and how much faster than real time they were simulated."""
+
     times_real: float
     contacts: int
     goals: int
@@ -150,6 +153,7 @@ class Crowd:
 
 
 def race(seed: int, seconds: float) -> Result:
+    """Simulate so many seconds of a hundred robots on one core."""
     crowd = Crowd(seed)
     for _ in range(20):  # compiles, and fills the first maps
         crowd.tick()
@@ -163,6 +167,7 @@ def race(seed: int, seconds: float) -> Result:
 
 
 def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
+    """How many times faster than real time a hundred robots run, and whether they touch."""
     seconds = 10.0 if quick else 60.0
     result = race(seed, seconds)
     scope = (

@@ -33,6 +33,7 @@ FRAME_US = worst_bits(8) * BIT_US
 
 
 def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
+    """Load of the bus, bytes of a claim, speed of the simulated wire, and response times of frames."""
     for robots, target in LOADS:
         yield load(robots, target, seed, 3.0 if quick else 60.0)
     claim = encode(TaskClaim(7, 1, 1, 3, 99, 5), 128)
@@ -48,7 +49,8 @@ def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
 
 
 def load(robots: int, target: float, seed: int, seconds: float) -> Figure:
-    """Share of the bus at worst-case stuffing, all robots at work, after a common boot."""
+    """Share of the bus at worst-case stuffing, all robots at work, after a common boot. `target` is
+    the greatest share wanted."""
     share, working = run_virtual(_load(robots, seed, seconds))
     beat = beat_of(robots)
     scope = (

@@ -37,6 +37,8 @@ def chaos(
     seeds: str, profile: str, jobs: int, seconds: float | None, out: Path, mutants: bool,
     as_json: bool, cluster: str = "", only: Sequence[str] = (),
 ) -> int:  # fmt: skip
+    """The exit code of `headland chaos`: 0 if every rule was kept (or every planted bug found), 1
+    if not, 2 for a wrong argument, whose ValueError becomes a line."""
     console = Console(stderr=as_json)
     try:
         numbers = _range(seeds)
@@ -105,6 +107,8 @@ def _played(verdicts: list[Verdict]) -> tuple[int, int]:
 
 
 def tell_report(folder: Path) -> int:
+    """Print the report of a folder of results; the exit code is 2 where these contradict each
+    other."""
     try:
         print(report(folder), end="")
     except ReportError as problem:
@@ -146,6 +150,7 @@ def _range(text: str) -> range:
 
 
 def judged(seed: int, profile: str) -> Verdict:
+    """Draw the scenario of a seed, play it and judge it."""
     with patient():
         return judge(draw(seed, profile))
 

@@ -35,6 +35,8 @@ DONE = re.compile(r"Done (\d+) runs in (\d+) second")
 
 
 class Fuzzed(NamedTuple):
+    """What came of one target: how many inputs, at what cost, and the input that broke a promise."""
+
     target: str
     engine: str
     executions: int
@@ -46,6 +48,7 @@ class Fuzzed(NamedTuple):
 
     @property
     def ok(self) -> bool:
+        """Whether no input broke a promise."""
         return not self.crash
 
 
@@ -53,6 +56,8 @@ def fuzz(
     names: list[str], runs: int, seconds: float | None, seed: int, engine: str, keep: bool,
     out: Path, as_json: bool,
 ) -> int:  # fmt: skip
+    """The exit code of `headland fuzz`: 0 if every target kept its promises, 1 if one did not, 2
+    for a wrong name or engine."""
     console = Console(stderr=as_json)
     engine = engine if engine != "auto" else ("atheris" if has_atheris() else "plain")
     try:
@@ -82,7 +87,8 @@ def fuzz(
 
 
 def replay(name: str, path: Path) -> int:
-    """One input again, with the traceback that it makes."""
+    """Play one input again, with the traceback that it makes. The exit code is 0 where it makes
+    none, 2 where there is no such target or file."""
     try:
         _check([name], "plain")
         data = path.read_bytes()
@@ -95,6 +101,7 @@ def replay(name: str, path: Path) -> int:
 
 
 def has_atheris() -> bool:
+    """Whether libFuzzer can be used here."""
     return importlib.util.find_spec("atheris") is not None
 
 
@@ -119,6 +126,7 @@ def corpus(name: str) -> list[bytes]:
 
 
 def keep_corpus(name: str, inputs: list[bytes]) -> None:
+    """Write the shortest new inputs of a target into its corpus, one a line, in hexadecimal."""
     CORPUS.mkdir(parents=True, exist_ok=True)
     known = set(seeds(name))
     new = {data for data in inputs if data and data not in known}

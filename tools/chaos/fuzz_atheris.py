@@ -12,6 +12,7 @@ with atheris.instrument_imports(include=["protocol", "crdt", "agent.peer.durable
 
 
 def main() -> None:
+    """Give the target that the command line names to libFuzzer, which ends the process."""
     target = TARGETS[sys.argv[1]]
     atheris.Setup([sys.argv[0], *sys.argv[2:]], target)
     atheris.Fuzz()

@@ -39,12 +39,15 @@ class ZenohBackbone:
         self.sent = 0
 
     def publish(self, message: Publish) -> None:
+        """Send a message to the other segments. Stops and resets overtake everything else."""
         self.sent += 1
         target = f"/{message.target}" if message.target else ""
         key = f"headland/{self.fleet}/{self.segment}/{message.kind.name.lower()}{target}"
         self.link.put(key, message.data, message.kind in (Kind.STOPS, Kind.RESETS))
 
     def subscribe(self, callback: Callable[[bytes], None]) -> None:
+        """Call `callback` with each message that is meant for all segments, or for this one."""
+
         def key(kind: Kind) -> str:
             return f"headland/{self.fleet}/*/{kind.name.lower()}"
 
@@ -55,6 +58,7 @@ class ZenohBackbone:
         self.link.subscribe(f"{key(Kind.WORK)}/{self.segment}", callback)
 
     def close(self) -> None:
+        """Leave the backbone: nothing is sent or received any more."""
         self.link.close()
 
 
@@ -162,6 +166,9 @@ def bridge(
     connect: list[str], listen: list[str], mode: str, config: Path | None, area: Path | None,
     seconds: float | None, as_json: bool, arena: str = "",
 ) -> int:  # fmt: skip
+    """The exit code of `headland bridge`: 0 after `seconds` or Ctrl-C, 2 where bus, backbone or
+    area are wrong."""
+
     async def run() -> None:
         if not connect and not listen and config is None:
             raise AttachError("name the backbone: --zenoh tcp/HOST:PORT, or --listen tcp/HOST:PORT")

@@ -70,6 +70,7 @@ def _sender(group: Group) -> str:
 
 
 def dbc(out: Path | None) -> int:
+    """Print the DBC, or write it to `out`. The exit code is 2 if that cannot be written."""
     if out is None:
         print(to_dbc(), end="")
     else:

@@ -48,6 +48,8 @@ def _first(kind: type) -> str:
 
 
 def main(words: list[str]) -> int:
+    """Write every printed page into the folder that is named. The exit code is 2 where there is
+    none."""
     if len(words) != 1 or not Path(words[0]).is_dir():
         print("headland: name the folder of the documents: python -m tools.cli.doc_pages docs",
               file=sys.stderr)  # fmt: skip

@@ -64,7 +64,10 @@ def loopback(host: str) -> bool:
 def hub(
     host: str, port: int, bitrate: int, seed: int, as_json: bool, announced: bool | None = None
 ) -> int:
-    """`announced`: by socketcand's beacon; None: where only this machine can hear it."""
+    """Serve a bus until Ctrl-C. The exit code is 2 if the port is taken.
+
+    `announced`: by socketcand's beacon; None: where only this machine can hear it.
+    """
     says = loopback(host) if announced is None else announced
     try:
         asyncio.run(_serve(host, port, bitrate, seed, as_json, says))

@@ -16,6 +16,8 @@ Table = tuple[Sequence[str], Sequence[Sequence[Any]]]  # head, rows
 
 
 class Chapter(NamedTuple):
+    """One chapter of a report, or the reason why it is missing."""
+
     name: str  # of its files
     title: str
     about: str
@@ -26,6 +28,7 @@ class Chapter(NamedTuple):
 
 
 def chapters(evidence: Evidence) -> Iterator[Chapter]:
+    """Every chapter that this evidence has something for, in the order of the page."""
     recording = evidence.recording
     if recording is None:
         yield Chapter("frames", "The run", "", missing="A campaign keeps verdicts and no frames: run "

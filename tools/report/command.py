@@ -20,6 +20,8 @@ PAGE = "report.html"
 
 
 def report(source: Path, out: Path | None, as_json: bool) -> int:
+    """The exit code of `headland report`: 0, or 2 where the source cannot be read or the page
+    cannot be written. A SourceError becomes a line."""
     console = Console(stderr=True)
     out = _place(source) if out is None else out
     try:

@@ -30,7 +30,8 @@ PHASES = {Phase.CLAIMED.name: 0.35, Phase.STARTED.name: 1.0, Phase.DONE.name: 0.
 
 
 def figure_of(width: float, height: float) -> tuple[Figure, Any]:
-    """Without pyplot: nothing is kept, and no screen is looked for."""
+    """A figure of `width` by `height` inches, and its axes. Without pyplot: nothing is kept, and no
+    screen is looked for."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure as Plain
 
@@ -40,12 +41,14 @@ def figure_of(width: float, height: float) -> tuple[Figure, Any]:
 
 
 def png_of(figure: Figure) -> bytes:
+    """The picture as bytes of a PNG."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png")
     return buffer.getvalue()
 
 
 def colour_of(slot: int | None) -> Any:
+    """Of a robot, the same as on the map; grey for None."""
     return "#777777" if slot is None else palette.colour_of(slot)
 
 
@@ -78,6 +81,7 @@ def _ground(axes: Any, scene: Scene | None) -> None:
 
 
 def tracks(scene: Scene | None, places: dict[int, list[BusAddress]]) -> Figure:
+    """The field with its swaths and the positions that each robot reported."""
     figure, axes = figure_of(10, 8)
     for section in (scene or {}).get("sections", []):
         for swath in section["swaths"]:
@@ -108,6 +112,7 @@ def planned(scene: Scene | None, robots: Sequence[Following]) -> Figure:
 
 
 def errors(robots: Sequence[Following]) -> Figure:
+    """For each robot its distance to its planned line over time."""
     figure, axes = figure_of(10, 3.2)
     for robot in robots:
         for k, run in enumerate(_runs(robot)):
@@ -155,6 +160,7 @@ def gantt(held: Sequence[Span], until_s: float, marks: Sequence[Event]) -> Figur
 
 
 def states(spans: Sequence[Span], until_s: float, marks: Sequence[Event]) -> Figure:
+    """For each robot a bar of its states over time, with lines for stops and resets."""
     from matplotlib.patches import Patch
 
     robots = sorted({span.who for span in spans})

@@ -89,6 +89,7 @@ def files(chapter: Chapter) -> Iterable[str]:
 
 
 def table_of(table: Table, most: int) -> str:
+    """HTML of a table, with at most `most` rows, and a line that says how many more there are."""
     head, rows = table
     cells = "".join(f"<th>{escape(str(name))}</th>" for name in head)
     lines = "".join(

@@ -12,6 +12,8 @@ REPORT, CAMPAIGN = "report.json", "chaos.json"
 
 
 class Evidence(NamedTuple):
+    """All that a run, a launch, a log or a campaign left behind."""
+
     source: Path
     recording: Recording | None  # none: a campaign, which keeps verdicts and no frames
     figures: dict[str, Any]  # of report.json; empty: there is none
@@ -20,6 +22,7 @@ class Evidence(NamedTuple):
 
     @property
     def name(self) -> str:
+        """What the page is called: the scenario, else the scene, the profile, or the file."""
         scene = None if self.recording is None else self.recording.scene
         told = self.figures.get("scenario") or (scene or {}).get("name")
         if told is None and self.campaign:

@@ -35,6 +35,8 @@ class Span(NamedTuple):
 
 
 class Event(NamedTuple):
+    """Something that happened at one instant: a fault, a stop, a silence, a command."""
+
     t_s: float
     kind: str
     who: str
@@ -67,6 +69,9 @@ class Stop:
 
 
 class History(Inspector):
+    """An inspector that also keeps every position, every state with its span, and the load of each
+    second."""
+
     def __init__(self, zero_us: int = 0) -> None:
         super().__init__()
         self.zero_s = zero_us / 1e6
@@ -80,6 +85,8 @@ class History(Inspector):
         self._holding: dict[int, tuple[str, int | None, float]] = {}
 
     def hear(self, t_s: float, frame: Frame) -> None:
+        """Take one frame, and note what has changed by it. `t_s` is seconds on the clock of the
+        recording."""
         t_s -= self.zero_s
         pgn = Identifier.unpack(frame.identifier).pgn
         kind = NAMES.get(pgn, f"PGN {pgn:04X}")

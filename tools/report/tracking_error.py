@@ -23,6 +23,8 @@ STALE_US = 1_000_000  # after a longer silence nobody knows what it followed mea
 
 
 class Sample(NamedTuple):
+    """How far a robot was from its planned line at one instant."""
+
     t_s: float
     x_m: float
     y_m: float
@@ -44,6 +46,7 @@ class Following(NamedTuple):
 
     @property
     def worst_m(self) -> float:
+        """The largest distance to the line; not a number without samples."""
         return max((sample.off_m for sample in self.samples), default=float("nan"))
 
 

@@ -35,7 +35,12 @@ def _split(agents, order, begin, end, column, value):  # type: ignore[no-untyped
 
 @njit(cache=True, error_model="numpy")
 def build(agents, order, bounds, nodes, stack):  # type: ignore[no-untyped-def]
-    """The kd-tree over positions; `order` is the permutation that is kept between steps."""
+    """The kd-tree over positions, into `nodes` and `bounds`.
+
+    `agents` (n, columns) has a row for each agent, `order` (n,) is the permutation that is kept
+    between steps, `nodes` (2 n, 4) and `bounds` (2 n, 4) have a row for each node, `stack` (2 n +
+    8,) is working memory.
+    """
     nodes[0, FIRST], nodes[0, LAST] = 0, order.size
     stack[0], top = 0, 1
     while top > 0:
@@ -73,9 +78,11 @@ def _to_box(bounds, node, x, y):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy")
 def near_agents(agents, me, order, bounds, nodes, stack, waiting, near, squares):  # type: ignore[no-untyped-def]
-    """Fill `near` with the nearest agents in range, nearest first; returns how many.
+    """Fill `near` with the nearest agents in range of agent `me`, nearest first; returns how many.
 
-    Of agents equally far away the one that is met first comes first, as in the RVO2 library.
+    `agents` (n, columns), `order` (n,), `bounds` and `nodes` (2 n, 4) as `build` left them; `stack`
+    and `waiting` (2 n + 8,) are working memory; `near` and `squares` (most,) are written. Of agents
+    equally far away the one that is met first comes first, as in the RVO2 library.
     """
     x, y, most = agents[me, X], agents[me, Y], int(agents[me, NEIGHBOURS])
     reach = agents[me, RANGE] * agents[me, RANGE]
@@ -112,8 +119,11 @@ def near_agents(agents, me, order, bounds, nodes, stack, waiting, near, squares)
 
 @njit(cache=True, error_model="numpy")
 def runs_near(bounds, nodes, leaf, reach, stack, runs):  # type: ignore[no-untyped-def]
-    """Fill `runs` (first, last) with the parts of `order` whose boxes are within the square root of
-    `reach` of a leaf's box; returns how many."""
+    """Fill `runs` (n, 2: first, last) with the parts of `order` whose boxes are within the square
+    root of `reach` of a leaf's box; returns how many.
+
+    `bounds` and `nodes` (2 n, 4) as `build` left them; `stack` (2 n + 8,) is working memory.
+    """
     count, stack[0], top = 0, 0, 1
     low_x, high_x = bounds[leaf, LOW_X], bounds[leaf, HIGH_X]
     low_y, high_y = bounds[leaf, LOW_Y], bounds[leaf, HIGH_Y]

@@ -61,7 +61,12 @@ def _newcomers(me, mine, most, count, reach, tie, places, mark, order, runs, nea
 
 @njit(cache=True, error_model="numpy")
 def neighbours(agents, order, bounds, nodes, stack, known, counts):  # type: ignore[no-untyped-def]
-    """Bring `known` (agents, most) and `counts` from the last step to this one; nearest first."""
+    """Bring `known` (agents, most) and `counts` (agents,) from the last step to this one; nearest
+    first.
+
+    `agents` (n, columns), `order` (n,) and `nodes` (2 n, 4) as in `kd_tree`; `stack` (2 n + 8,) is
+    working memory.
+    """
     n, most = known.shape
     places, mark = np.empty((n, 2), f32), np.full(n, -1, np.int64)  # in the order of the tree
     seat = np.empty(n, np.int64)

@@ -19,9 +19,12 @@ def weigh_scans(  # type: ignore[no-untyped-def]
     evidence, solid, stamps, scan, corner_x, corner_y, cell, places, ranges, range_max, radius,
     toggled, ends,
 ):  # fmt: skip
-    """`weigh_scan` of every robot: `places` (n, 3: x, y, heading), `ranges` (n, rays). Robot k's
-    cells are in rows `ends[k]` to `ends[k + 1]` of `toggled`. No echo within `radius` of another
-    robot counts."""
+    """`weigh_scan` of every robot: `places` (n, 3: x, y, heading), `ranges` (n, rays).
+
+    `evidence`, `solid` and `stamps` (n, rows, columns) are the maps; `corner_x`, `corner_y`,
+    `cell`, `range_max` and `radius` are metres. Robot k's cells are in rows `ends[k]` to `ends[k +
+    1]` of `toggled`. No echo within `radius` of another robot counts.
+    """
     count = places.shape[0]
     discs = np.empty((count, 3))
     discs[:, 2] = radius
@@ -41,6 +44,8 @@ def weigh_scans(  # type: ignore[no-untyped-def]
 
 
 class OccupancyFleet:
+    """The occupancy grids of many robots in one piece of memory, which take their scans together."""
+
     def __init__(
         self, count: int, fixed: Grid, origin_m: XY, body_radius_m: float, ignored_m: float
     ) -> None:
@@ -66,8 +71,8 @@ class OccupancyFleet:
         ranges_m: NDArray[np.float32] | NDArray[np.float64],
         range_max_m: float,
     ) -> list[int]:
-        """A scan of every robot, (robots, rays) from (robots, 3: x, y, heading); how many cells of
-        each changed state."""
+        """A scan of every robot: `ranges_m` (robots, rays) from `places` (robots, 3: x, y,
+        heading). Returns how many cells of each changed state."""
         first, (count, rays) = self.grids[0], ranges_m.shape
         assert count == len(self.grids) and range_max_m > 0 and bool(np.isfinite(places).all())
         room = count * room_for(rays, range_max_m / first.cell_m, *first.solid.shape)

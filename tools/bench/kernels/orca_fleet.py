@@ -40,7 +40,12 @@ f32 = np.float32
 
 @njit(cache=True, error_model="numpy")
 def velocities(agents, table, root, dt, known, counts, stack):  # type: ignore[no-untyped-def]
-    """Fill NEW_VX and NEW_VY of every agent, among its neighbours."""
+    """Fill NEW_VX and NEW_VY of every agent, among its neighbours.
+
+    `agents` (n, columns), `table` (walls, columns) with the tree of walls that begins at number
+    `root`, `dt` seconds a step, `known` (n, most) and `counts` (n,) from `neighbours`, `stack` (2 n
+    + 8,) as working memory.
+    """
     near = np.empty(WALLS_MAX, np.int64)
     squares = np.empty(WALLS_MAX, f32)
     lines, spare = np.empty((2 * WALLS_MAX, 4), f32), np.empty((2 * WALLS_MAX, 4), f32)
