@@ -9,12 +9,11 @@ towards the neighbours that cost least. docs/measured/delivery.md compares it wi
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.delivery.routing_kernels import auction, search, span, walk
+from agent.delivery.routing_kernels import PowerArrays, auction, search, span, walk
 from agent.delivery.routing_problem import IMPOSSIBLE_MS, Itineraries, PlanCost, Whole, Workload
 from agent.delivery.waiting_kernels import least_waiting, shorten_waiting
 
@@ -38,7 +37,7 @@ class RoutingPlanner:
         self._args = (work.ready, work.lead, work.link)
         if power is None:
             none, zeros = NO_BAY, NO_BAY[0]
-            self._power: tuple[Any, ...] = (
+            self._power: PowerArrays = (
                 0, 0, 0.0, zeros, none, none, zeros, none, none, none, none, none, work.link,
             )  # fmt: skip
             self._lead_bay_ms: Whole = none
@@ -62,7 +61,7 @@ class RoutingPlanner:
         return int(span(robot, seq, len(seq), *self._args, *self._rest))
 
     @property
-    def _rest(self) -> tuple[Whole, tuple[Any, ...], bool]:
+    def _rest(self) -> tuple[Whole, PowerArrays, bool]:
         return self._lead_bay_ms, self._power, self._charging
 
     def worth(self, plan: Itineraries) -> PlanCost:
@@ -126,7 +125,9 @@ class RoutingPlanner:
         ):
             return [list(tasks) for tasks in plan]
         route, size = self._packed(plan, placed)
-        search(route, size, self._near, moves, *heat, _dice(seed), *self._args, *self._rest)
+        search(
+            route, size, self._near, moves, heat[0], heat[1], _dice(seed), *self._args, *self._rest
+        )
         return _unpacked(route, size)
 
     def hastened(self, plan: Itineraries, seed: int, moves: int) -> Itineraries:

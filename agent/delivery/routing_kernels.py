@@ -21,14 +21,22 @@ from math import exp
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
+from agent.delivery.routing_problem import Whole
+
+Dice = NDArray[np.uint64]  # (1,), the state of the random generator
+# Capacity, time to dock, time for a unit of energy; then the arrays that `_walk_charging` names.
+PowerArrays = tuple[
+    int, int, float, Whole, Whole, Whole, Whole, Whole, Whole, Whole, Whole, Whole, Whole
+]
 IMPOSSIBLE = 1 << 40  # milliseconds of a route on which a battery would be empty
 LABELS = 8  # kept at each task; more than four were never needed at a time
 SEGMENT = 3  # most tasks that a move takes together
 
 
 @njit(cache=True)
-def _keep(times, used, count, time, energy):  # type: ignore[no-untyped-def]
+def _keep(times: Whole, used: Whole, count: int, time: int, energy: int) -> int:
     """Add the label (`time`, `energy`) to `times` and `used` (LABELS,), of which the first `count`
     count.
 
@@ -57,7 +65,15 @@ def _keep(times, used, count, time, energy):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _walk_charging(r, seq, n, ready, lead_bay_ms, lead, power):  # type: ignore[no-untyped-def]
+def _walk_charging(
+    r: int,
+    seq: Whole,
+    n: int,
+    ready: Whole,
+    lead_bay_ms: Whole,
+    lead: Whole,
+    power: PowerArrays,
+) -> tuple[int, int]:
     """`walk` with bays visited where that is faster; IMPOSSIBLE twice if it runs dry."""
     (capacity, dock, rate, left, lead_e, link_e, home, lead_bay_e, to_bay_ms, to_bay_e,
      from_bay_ms, from_bay_e, link) = power  # fmt: skip
@@ -94,7 +110,17 @@ def _walk_charging(r, seq, n, ready, lead_bay_ms, lead, power):  # type: ignore[
 
 
 @njit(cache=True)
-def walk(r, seq, n, ready, lead, link, lead_bay_ms, power, charging):  # type: ignore[no-untyped-def]
+def walk(
+    r: int,
+    seq: Whole,
+    n: int,
+    ready: Whole,
+    lead: Whole,
+    link: Whole,
+    lead_bay_ms: Whole,
+    power: PowerArrays,
+    charging: bool,
+) -> tuple[int, int]:
     """When robot `r` has done the first `n` tasks of a sequence, and the sum of when it has done
     each.
 
@@ -113,13 +139,23 @@ def walk(r, seq, n, ready, lead, link, lead_bay_ms, power, charging):  # type: i
 
 
 @njit(cache=True)
-def span(r, seq, n, ready, lead, link, lead_bay_ms, power, charging):  # type: ignore[no-untyped-def]
+def span(
+    r: int,
+    seq: Whole,
+    n: int,
+    ready: Whole,
+    lead: Whole,
+    link: Whole,
+    lead_bay_ms: Whole,
+    power: PowerArrays,
+    charging: bool,
+) -> int:
     """When robot `r` has done the first `n` tasks of a sequence, milliseconds from now."""
     return walk(r, seq, n, ready, lead, link, lead_bay_ms, power, charging)[0]
 
 
 @njit(cache=True)
-def put(seq, n, task, at, out):  # type: ignore[no-untyped-def]
+def put(seq: Whole, n: int, task: int, at: int, out: Whole) -> None:
     """Copy the first `n` tasks of `seq` to `out` (n + 1 or more,) with `task` inserted at index
     `at`.
     """
@@ -131,7 +167,20 @@ def put(seq, n, task, at, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def best_place(r, seq, n, task, first, ready, lead, link, lead_bay_ms, power, charging, out):  # type: ignore[no-untyped-def]
+def best_place(
+    r: int,
+    seq: Whole,
+    n: int,
+    task: int,
+    first: int,
+    ready: Whole,
+    lead: Whole,
+    link: Whole,
+    lead_bay_ms: Whole,
+    power: PowerArrays,
+    charging: bool,
+    out: Whole,
+) -> tuple[int, int]:
     """When the robot would have done all tasks at the best index for one more task, and that index.
 
     `first`: the lowest index that is allowed. `out` (n + 1 or more,): scratch.
@@ -146,7 +195,17 @@ def best_place(r, seq, n, task, first, ready, lead, link, lead_bay_ms, power, ch
 
 
 @njit(cache=True)
-def auction(route, size, free, ready, lead, link, lead_bay_ms, power, charging):  # type: ignore[no-untyped-def]
+def auction(
+    route: Whole,
+    size: Whole,
+    free: Whole,
+    ready: Whole,
+    lead: Whole,
+    link: Whole,
+    lead_bay_ms: Whole,
+    power: PowerArrays,
+    charging: bool,
+) -> int:
     """Sequential single-item auction (Koenig et al. 2006), in place: the lowest bid of all wins a
     task.
 
@@ -201,7 +260,7 @@ def auction(route, size, free, ready, lead, link, lead_bay_ms, power, charging):
 
 
 @njit(cache=True)
-def _weight(time, scale):  # type: ignore[no-untyped-def]
+def _weight(time: int, scale: float) -> float:
     """The eighth power of a route's time: nearly the maximum, and yet every second of every robot
     counts.
     """
@@ -212,7 +271,19 @@ def _weight(time, scale):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _moved(route, size, a, ia, b, ib, kind, la, lb, new_a, new_b):  # type: ignore[no-untyped-def]
+def _moved(
+    route: Whole,
+    size: Whole,
+    a: int,
+    ia: int,
+    b: int,
+    ib: int,
+    kind: int,
+    la: int,
+    lb: int,
+    new_a: Whole,
+    new_b: Whole,
+) -> tuple[int, int]:
     """Write two routes after a move to `new_a` and `new_b`; their sizes, or -1 twice if it is no
     move.
 
@@ -256,7 +327,9 @@ def _moved(route, size, a, ia, b, ib, kind, la, lb, new_a, new_b):  # type: igno
 
 
 @njit(cache=True)
-def _moved_within(seq, count, ia, start, la, lb, out):  # type: ignore[no-untyped-def]
+def _moved_within(
+    seq: Whole, count: int, ia: int, start: int, la: int, lb: int, out: Whole
+) -> tuple[int, int]:
     """The same move inside one route: [ia, ia + la) and [start, start + lb) change places. Returns
     (size, 0), or -1 twice if they overlap.
     """
@@ -286,9 +359,9 @@ def _moved_within(seq, count, ia, start, la, lb, out):  # type: ignore[no-untype
 
 
 @njit(cache=True)
-def _next(state):  # type: ignore[no-untyped-def]
+def _next(state: Dice) -> np.uint64:
     """A random number of 31 bits by xorshift64* (Vigna 2016), equal on every machine."""
-    x = state[0]
+    x: np.uint64 = state[0]
     x ^= x >> np.uint64(12)
     x ^= x << np.uint64(25)
     x ^= x >> np.uint64(27)
@@ -297,13 +370,22 @@ def _next(state):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _below(state, n):  # type: ignore[no-untyped-def]
+def _below(state: Dice, n: int) -> int:
     """A random number from 0 to n - 1."""
     return int(_next(state) % np.uint64(n))
 
 
 @njit(cache=True)
-def propose(route, size, of, at, near, state, new_a, new_b):  # type: ignore[no-untyped-def]
+def propose(
+    route: Whole,
+    size: Whole,
+    of: Whole,
+    at: Whole,
+    near: Whole,
+    state: Dice,
+    new_a: Whole,
+    new_b: Whole,
+) -> tuple[int, int, int, int]:
     """A random move, written to `new_a` and `new_b`: both robots and the sizes of both new routes.
 
     A size below 0 means that it was no move. `new_a`, `new_b`: (2 * room or more,).
@@ -322,7 +404,16 @@ def propose(route, size, of, at, near, state, new_a, new_b):  # type: ignore[no-
 
 
 @njit(cache=True)
-def _accepted(before_a, before_b, ta, tb, same, scale, temperature, state):  # type: ignore[no-untyped-def]
+def _accepted(
+    before_a: int,
+    before_b: int,
+    ta: int,
+    tb: int,
+    same: bool,
+    scale: float,
+    temperature: float,
+    state: Dice,
+) -> bool | np.bool_:
     """Whether two routes may take `ta` and `tb` instead: always if that is better, otherwise by
     chance (the rule of Metropolis).
     """
@@ -337,7 +428,17 @@ def _accepted(before_a, before_b, ta, tb, same, scale, temperature, state):  # t
 
 
 @njit(cache=True)
-def write(route, size, times, of, at, r, tasks, n, time):  # type: ignore[no-untyped-def]
+def write(
+    route: Whole,
+    size: Whole,
+    times: Whole,
+    of: Whole,
+    at: Whole,
+    r: int,
+    tasks: Whole,
+    n: int,
+    time: int,
+) -> None:
     """Replace the route of robot `r` by the first `n` of `tasks` (n or more,), and update `of` and
     `at`.
 
@@ -350,7 +451,7 @@ def write(route, size, times, of, at, r, tasks, n, time):  # type: ignore[no-unt
 
 
 @njit(cache=True)
-def _copy(route, size, to_route, to_size):  # type: ignore[no-untyped-def]
+def _copy(route: Whole, size: Whole, to_route: Whole, to_size: Whole) -> None:
     """Copy a plan to `to_route` (robots, room) and `to_size` (robots,)."""
     for r in range(len(size)):
         to_size[r] = size[r]
@@ -359,9 +460,21 @@ def _copy(route, size, to_route, to_size):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def search(  # type: ignore[no-untyped-def]
-    route, size, near, moves, hot, cold, state, ready, lead, link, lead_bay_ms, power, charging
-):
+def search(
+    route: Whole,
+    size: Whole,
+    near: Whole,
+    moves: int,
+    hot: float,
+    cold: float,
+    state: Dice,
+    ready: Whole,
+    lead: Whole,
+    link: Whole,
+    lead_bay_ms: Whole,
+    power: PowerArrays,
+    charging: bool,
+) -> None:
     """Simulated annealing from a plan, in place: `moves` steps, from temperature `hot` to `cold`.
 
     Temperatures are shares of the mean duration of a route. At the end `route` holds the best plan

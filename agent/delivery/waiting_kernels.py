@@ -9,11 +9,25 @@ and `state`. A plan is `route` (robots, room) with `size` (robots,).
 import numpy as np
 from numba import njit
 
-from agent.delivery.routing_kernels import IMPOSSIBLE, propose, put, walk, write
+from agent.delivery.routing_kernels import IMPOSSIBLE, Dice, PowerArrays, propose, put, walk, write
+from agent.delivery.routing_problem import Whole
 
 
 @njit(cache=True)
-def least_waiting(r, seq, n, task, first, ready, lead, link, lead_bay_ms, power, charging, out):  # type: ignore[no-untyped-def]
+def least_waiting(
+    r: int,
+    seq: Whole,
+    n: int,
+    task: int,
+    first: int,
+    ready: Whole,
+    lead: Whole,
+    link: Whole,
+    lead_bay_ms: Whole,
+    power: PowerArrays,
+    charging: bool,
+    out: Whole,
+) -> tuple[int, int]:
     """By how much the tasks of a route wait longer in sum with one more task, milliseconds, and the
     index.
 
@@ -31,9 +45,19 @@ def least_waiting(r, seq, n, task, first, ready, lead, link, lead_bay_ms, power,
 
 
 @njit(cache=True)
-def shorten_waiting(  # type: ignore[no-untyped-def]
-    route, size, near, moves, state, ready, lead, link, lead_bay_ms, power, charging
-):
+def shorten_waiting(
+    route: Whole,
+    size: Whole,
+    near: Whole,
+    moves: int,
+    state: Dice,
+    ready: Whole,
+    lead: Whole,
+    link: Whole,
+    lead_bay_ms: Whole,
+    power: PowerArrays,
+    charging: bool,
+) -> int:
     """Local search from a plan, in place; returns how many of `moves` random moves were accepted.
 
     A move is accepted if the tasks of its two routes wait less in sum, and if neither of the two

@@ -53,7 +53,9 @@ class OtherExplorer(NamedTuple):
 
 
 @njit(cache=True)
-def _spread(passable, dear, times, wave, r0, c0, reach):  # type: ignore[no-untyped-def]
+def _spread(
+    passable: Grid, dear: Grid, times: int, wave: Steps, r0: int, c0: int, reach: int
+) -> None:
     """Shortest ways from cell (r0, c0) into `wave` (rows, columns), which is `NEVER` at the
     beginning.
 
@@ -153,7 +155,7 @@ def window_counts(cells: Grid, reach: int) -> NDArray[np.int64]:
 
 
 @njit(cache=True)
-def _stations(middles, wave, walls, view, found):  # type: ignore[no-untyped-def]
+def _stations(middles: Values, wave: Steps, walls: Grid, view: int, found: Values) -> None:
     """For each middle the cell with the shortest way that sees it within `view` cells.
 
     `middles` (n, 2), `wave` and `walls` (rows, columns). `found` (n, 2): row and column; row -1:

@@ -19,7 +19,7 @@ Grid = NDArray[np.bool_]
 
 
 @njit(cache=True, error_model="numpy")
-def _grow(counts, stencil, toggled, changes):  # type: ignore[no-untyped-def]
+def _grow(counts: NDArray[np.int32], stencil: Changes, toggled: Changes, changes: Changes) -> int:
     """Add the solid cells that came and take off those that went.
 
     `counts` (rows, columns): how many solid cells block each cell. `stencil` (k, 2): offsets that a

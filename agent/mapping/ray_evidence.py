@@ -12,6 +12,13 @@ from math import floor, pi
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
+
+Evidence = NDArray[np.int8]  # (rows, columns)
+Flags = NDArray[np.bool_]  # (rows, columns)
+Stamps = NDArray[np.uint16]  # (rows, columns)
+Floats = NDArray[np.float64]
+Toggled = NDArray[np.int64]  # (n, 3): row, column, 1 if solid
 
 HIT, MISS = 3, 1  # what one scan adds to a cell that is hit, or takes from one that is passed
 MOST, LEAST, SOLID = 6, -3, 2  # limits of evidence, and from where on a cell is solid
@@ -28,7 +35,7 @@ def room_for(rays: int, range_cells: float, rows: int, columns: int) -> int:
 
 
 @njit(cache=True, error_model="numpy")
-def _ignored(discs, x, y):  # type: ignore[no-untyped-def]
+def _ignored(discs: Floats, x: float, y: float) -> bool:
     """Whether (x, y) lies in one of the discs (n, 3) of x, y, radius; all in metres."""
     for k in range(discs.shape[0]):
         dx, dy = x - discs[k, 0], y - discs[k, 1]
@@ -38,7 +45,17 @@ def _ignored(discs, x, y):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _weigh(evidence, solid, stamps, scan, r, c, change, toggled, count):  # type: ignore[no-untyped-def]
+def _weigh(
+    evidence: Evidence,
+    solid: Flags,
+    stamps: Stamps,
+    scan: int,
+    r: int,
+    c: int,
+    change: int | np.int64,
+    toggled: Toggled,
+    count: np.int64,
+) -> np.int64:
     """Add `change` to the evidence of a cell, at most once a scan; note the cell if it became solid
     or free.
 
@@ -60,7 +77,19 @@ def _weigh(evidence, solid, stamps, scan, r, c, change, toggled, count):  # type
 
 
 @njit(cache=True, error_model="numpy")
-def _pass(evidence, solid, stamps, scan, x, y, dx, dy, far, toggled, count):  # type: ignore[no-untyped-def]
+def _pass(
+    evidence: Evidence,
+    solid: Flags,
+    stamps: Stamps,
+    scan: int,
+    x: float,
+    y: float,
+    dx: float,
+    dy: float,
+    far: float,
+    toggled: Toggled,
+    count: np.int64,
+) -> np.int64:
     """Weigh the cells that a ray leaves on their far side before `far` (Amanatides and Woo 1987).
 
     `x`, `y`, `far` in cells; `dx`, `dy`: unit vector of the ray. Returns the new count of
@@ -87,10 +116,22 @@ def _pass(evidence, solid, stamps, scan, x, y, dx, dy, far, toggled, count):  # 
 
 
 @njit(cache=True, error_model="numpy")
-def weigh_scan(  # type: ignore[no-untyped-def]
-    evidence, solid, stamps, scan, corner_x, corner_y, cell, at_x, at_y, heading, ranges, range_max,
-    discs, toggled,
-):  # fmt: skip
+def weigh_scan(
+    evidence: Evidence,
+    solid: Flags,
+    stamps: Stamps,
+    scan: int,
+    corner_x: float,
+    corner_y: float,
+    cell: float,
+    at_x: float,
+    at_y: float,
+    heading: float,
+    ranges: Floats,
+    range_max: float,
+    discs: Floats,
+    toggled: Toggled,
+) -> np.int64:
     """Take in one scan; returns how many rows of `toggled` (row, column, 1 if solid) are filled.
 
     `evidence`, `solid`, `stamps`: (rows, columns). `scan`: number of this scan. `corner_x`,

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from agent.interface.ports import Observation
 
-Point = tuple[float, float]
+Point = tuple[float, float]  # metres east and north in the field
+Floats = NDArray[np.float64]
 NO_WALLS = np.empty((0, 4))
 WALL_M = 0.12  # an echo this near to a wall is the wall: errors of range and position
 BODY_M = (
@@ -22,8 +23,20 @@ BODY_M = (
 
 
 @njit(cache=True, error_model="numpy")
-def _echoes(x, y, heading, ranges, reach, walls, bodies, found):  # type: ignore[no-untyped-def]
-    """Write where each ray ends, or NaN if the echo is explained."""
+def _echoes(
+    x: float,
+    y: float,
+    heading: float,
+    ranges: Floats,
+    reach: float,
+    walls: Floats,
+    bodies: Floats,
+    found: Floats,
+) -> None:
+    """Write to `found` (rays, 2) where each ray ends, or NaN if the echo is explained.
+
+    `ranges` (rays,) up to `reach`; `walls` (n, 4) and `bodies` (n, 3: x, y, radius); metres.
+    """
     for n in range(ranges.shape[0]):
         found[n, 0] = found[n, 1] = nan
         r = ranges[n]
