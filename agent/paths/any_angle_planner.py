@@ -76,7 +76,7 @@ class Planner:
         return None if a is None or b is None else self._over_cells(a, b, lazy=False)
 
     def plan_lazy(self, start: Point, goal: Point) -> Waypoints | None:
-        """Lazy Theta* over cell centres."""
+        """As `plan_plain`, by Lazy Theta*, which draws fewer lines of sight."""
         a, b = self._cell(start), self._cell(goal)
         return None if a is None or b is None else self._over_cells(a, b, lazy=True)
 
@@ -121,5 +121,5 @@ def plan(blocked: Grid, start: Point, goal: Point) -> Waypoints | None:
 
 
 def length(path: Waypoints) -> float:
-    """In cells."""
+    """The length of a path in sides of a cell, along its straight pieces."""
     return sum(hypot(b[0] - a[0], b[1] - a[1]) for a, b in pairwise(path))

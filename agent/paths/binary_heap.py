@@ -1,15 +1,23 @@
 """A binary heap over two arrays, for kernels that search: keys, and the nodes that they belong to.
 
-The least key is at place 0. The heap does not know its size: the caller counts, and sees to it that
-the arrays are long enough.
+`keys` and `nodes` are (room,); the least key is at index 0. The heap does not know its size: the
+caller counts, and makes the arrays long enough.
 """
 
+from typing import Any
+
+import numpy as np
 from numba import njit
+from numpy.typing import NDArray
+
+Number = Any  # an integer: int and np.int64 are one type to numba, but not to mypy
 
 
 @njit(cache=True, error_model="numpy")
-def push(keys, nodes, size, key, node):  # type: ignore[no-untyped-def]
-    """Take a node in; `size` counts without it."""
+def push(
+    keys: NDArray[np.float64], nodes: NDArray[Any], size: Number, key: float, node: Number
+) -> None:
+    """Insert a node; `size` is the number of items without it."""
     while size > 0:
         up = (size - 1) // 2
         if keys[up] <= key:
@@ -20,8 +28,9 @@ def push(keys, nodes, size, key, node):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def close_gap(keys, nodes, size):  # type: ignore[no-untyped-def]
-    """Fill place 0, which was read, with the last item; `size` counts without that item."""
+def close_gap(keys: NDArray[np.float64], nodes: NDArray[Any], size: Number) -> None:
+    """Fill index 0, whose item was taken, with the last item; `size` is the number of items without
+    it."""
     key, node = keys[size], nodes[size]
     k = 0
     while True:

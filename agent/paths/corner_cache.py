@@ -1,5 +1,11 @@
 """The memory behind `agent.paths.corner_graph`: a padded grid, its runs and corners, and their
-changes."""
+changes.
+
+`cells` (rows, columns) says with its padding which cells are blocked; `changes` (n, 3) holds row,
+column without the padding, and 1 for blocked or 0 for free. `grid`, `index` and `corners` are those
+of `agent.paths.corner_graph`. `spare` holds how many rows of `corners` are free, then their
+numbers.
+"""
 
 import numpy as np
 from numba import njit
@@ -38,12 +44,18 @@ REACH = 2  # changed cells this near to each other are one rectangle: 3 x 3 boxe
 OUTSIDE = -2
 VIEW, HEAP, POOL = 256, 1024, 1024  # first sizes, doubled whenever one is too small
 Point = tuple[float, float]  # row, column
-Cells = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+Ints = NDArray[np.int32]
+Longs = NDArray[np.int64]
+Runs = NDArray[np.int16]
 
 
 @njit(cache=True, error_model="numpy")
-def _build(cells, grid, index, corners):  # type: ignore[no-untyped-def]
-    """Runs and corners of a whole grid; the number of corners, which may be more than the rows."""
+def _build(cells: Flags, grid: Runs, index: Ints, corners: Ints) -> int:
+    """Fill runs and corners from a whole grid; returns the number of corners.
+
+    It may be more than `corners` has rows: then they must be built again with more.
+    """
     rows, width = cells.shape
     area = 2 * rows * width
     runs = grid[:area].reshape((2, rows, width))
@@ -66,11 +78,22 @@ def _build(cells, grid, index, corners):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _repair(cells, grid, index, corners, spare, top, bottom, left, right):  # type: ignore[no-untyped-def]
-    """Runs and corners after cells changed inside a rectangle; whether there were rows enough.
+def _repair(
+    cells: Flags,
+    grid: Runs,
+    index: Ints,
+    corners: Ints,
+    spare: Ints,
+    top: int,
+    bottom: int,
+    left: int,
+    right: int,
+) -> bool:
+    """Update runs and corners after cells changed inside a rectangle; False if `corners` has too
+    few rows.
 
-    `spare`: how many, then the rows of `corners` that are not in use. The row of a corner that is
-    gone may be used again at once: every list that names it touches the rectangle.
+    The row of a corner that is gone may be used again immediately, because every list that names it
+    touches the rectangle.
     """
     rows, width = cells.shape
     area = 2 * rows * width
@@ -100,11 +123,12 @@ def _repair(cells, grid, index, corners, spare, top, bottom, left, right):  # ty
 
 
 @njit(cache=True, error_model="numpy")
-def _set(cells, changes, found):  # type: ignore[no-untyped-def]
-    """Set cells; (how many changed, how many rectangles round them are in `found`, or -1).
+def _set(cells: Flags, changes: Longs, found: Longs) -> tuple[int, int]:
+    """Set cells; returns how many changed, and how many rectangles round them are in `found`, (n,
+    4).
 
-    `changes`: (n, 3), row and column without the padding, blocked or not. `found`: top, bottom,
-    left, right with the padding.
+    A rectangle is top, bottom, left and right with the padding. Their number is -1 if `found` is
+    too small.
     """
     changed, count = 0, 0
     for n in range(changes.shape[0]):
@@ -131,12 +155,21 @@ def _set(cells, changes, found):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _change(cells, grid, index, corners, spare, log, logged, changes):  # type: ignore[no-untyped-def]
-    """Set cells and repair what depends on them.
+def _change(
+    cells: Flags,
+    grid: Runs,
+    index: Ints,
+    corners: Ints,
+    spare: Ints,
+    log: Ints,
+    logged: int,
+    changes: Longs,
+) -> tuple[int, int]:
+    """Set cells and repair what depends on them; returns how many changed, and the entries in the
+    log.
 
-    Returns how many have changed and how many entries the log has then, -1 where rows of `corners`
-    or entries of the log have run out: everything must be built again. Nothing is done where a
-    cell is outside.
+    The number of entries is -1 where `corners` or the log is too small: everything must be built
+    again. It is OUTSIDE, and nothing is done, where a cell is outside of the grid.
     """
     rows, width = cells.shape[0] - 2, cells.shape[1] - 2
     for n in range(changes.shape[0]):
@@ -155,7 +188,8 @@ def _change(cells, grid, index, corners, spare, log, logged, changes):  # type: 
 
 
 class CornerMemory:
-    """A grid with a padding of one blocked cell, and what the queries over it have found out."""
+    """A grid with a padding of one blocked cell, and the corners and edges that queries over it
+    found."""
 
     def __init__(self, blocked: NDArray[np.bool_]) -> None:
         """`blocked`: (rows, columns), copied."""
@@ -178,7 +212,8 @@ class CornerMemory:
         return int(self._ints[EXPANDED])
 
     def way(self, start: Point, goal: Point) -> list[Point] | None:
-        """The corners of a shortest path; None where there is none, or an end is not free.
+        """The corners at which a shortest path bends; None where there is no path or an end is not
+        free.
 
         Points are row and column of `blocked`, anywhere in a cell.
         """
@@ -200,7 +235,7 @@ class CornerMemory:
         self._ints[USED] = self._ints[LOGGED] = 0
 
     def replace(self, blocked: NDArray[np.bool_]) -> int:
-        """Another state of all cells; returns how many have changed."""
+        """Set all cells, (rows, columns); returns how many have changed."""
         other = np.argwhere(self.cells[1:-1, 1:-1] != blocked)
         return self.change(np.column_stack((other, blocked[other[:, 0], other[:, 1]])))
 
@@ -224,7 +259,7 @@ class CornerMemory:
         return int(changed)
 
     def _build(self) -> None:
-        """Everything from the cells; no edge is known then."""
+        """Make everything from the cells; no edge is known then."""
         count = int(_build(self.cells, self._grid, self._index, self._corners))
         if count > len(self._corners):
             size = count + count // 4 + 64  # room for the corners of changed cells
@@ -238,7 +273,7 @@ class CornerMemory:
         self._lay()
 
     def _grow(self, code: int) -> None:
-        """Twice of what a query has run out of."""
+        """Double what a query has run out of."""
         assert code in (POOL_FULL, HEAP_FULL, VIEW_FULL), code
         if code == VIEW_FULL:
             self._view *= 2
@@ -251,7 +286,7 @@ class CornerMemory:
         self._lay()
 
     def _lay(self) -> None:
-        """Scratch memory of the present sizes, holding the log and the edges there were."""
+        """Allocate scratch memory of the present sizes; the log and the edges are copied into it."""
         used, logged = int(self._ints[USED]), int(self._ints[LOGGED])
         log = HEAD + 4 * self._view + self._heap
         pool = log + 4 * LOG_MAX

@@ -1,25 +1,37 @@
 """Shortest paths over the convex corners of a grid, with the edges of each corner cached.
 
-A shortest path bends only at convex corners, round the blocked cell there. So each corner has two
-lists of edges, one for either direction of travel that can bend round it, and each list is filled
-at the first visit by a field of view of one quadrant, and kept. A* over these lists, leaving out
-what does not bend the right way, finds the shortest path itself.
+A shortest path bends only at convex corners, round the blocked cell there (visibility graphs:
+Lozano-Perez and Wesley, CACM 1979). So each corner has two lists of edges, one for either direction
+of travel that can bend round it. Each list is filled at the first visit by a field of view of one
+quadrant, and kept. A* over these lists, leaving out edges that do not bend the right way, finds the
+shortest path itself (taut paths: Oh and Leong, SoCS 2017).
 
 A list remembers the rectangle of cells that it depends on. Changed cells go to a log of rectangles,
 and a list is filled again only where an entry that it has not seen touches its own rectangle.
 
 The kernels work on five arrays (see `agent.paths.corner_cache`), because each argument costs the
-dispatcher of numba 0.1 to 0.2 us: `grid` (int16: runs of rows, runs of columns), `index` (int32:
-lattice point to corner, -1: none), `corners` (int32, columns below), `ints` and `floats` (scratch).
+dispatcher of numba 0.1 to 0.2 us: `grid` (flat, int16: runs of rows, runs of columns), `index`
+(lattice rows, lattice columns: lattice point to corner, -1: none), `corners` (corners,
+CORNER_COLUMNS), and the scratch `ints` (flat) and `floats` (flat). `stack` (n, 3), `slopes` (n, 2)
+and `found` (n,) are those of `agent.paths.line_of_sight`, as are `runs` and `columns`. Positions
+such as (y, x), (r0, c0) and (r1, c1) are integers of `UNIT` to a cell: row first, with the padding.
 """
 
 from math import inf, sqrt
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
-from agent.paths.binary_heap import close_gap, push
+from agent.paths.binary_heap import Number, close_gap, push
 from agent.paths.line_of_sight import END, HALF, MARGIN, START, UNIT, glance, look, sees
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+Runs = NDArray[np.int16]
+Tables = tuple[Runs, Runs, Ints, Ints]  # runs of rows, runs of columns, index, corners
+Heap = tuple[Floats, Ints]  # keys, nodes
+View = tuple[Ints, Floats, Ints]  # stack, slopes, found
 
 # columns of `corners`, one row a corner: lattice point, position in units, kind, search state
 ROW, COLUMN, AT_Y, AT_X, KIND, STAMP, PARENT, GOAL, LISTS = *range(8), 8
@@ -37,14 +49,14 @@ NO_PATH, POOL_FULL, HEAP_FULL, VIEW_FULL = -1, -2, -3, -4
 
 
 @njit(cache=True, error_model="numpy")
-def away(kind):  # type: ignore[no-untyped-def]
-    """Signs (row, column) of the direction from a corner into its blocked cell."""
+def away(kind: int) -> tuple[int, int]:
+    """Signs (row, column) of the direction from a corner of this `kind` into its blocked cell."""
     return (1 if kind > 2 else -1), (1 if kind % 2 == 0 else -1)
 
 
 @njit(cache=True, error_model="numpy")
-def place(corners, k, i, j, kind):  # type: ignore[no-untyped-def]
-    """Make row k the corner at a lattice point."""
+def place(corners: Ints, k: int, i: int, j: int, kind: int) -> None:
+    """Make row k of `corners` the corner of this `kind` at lattice point (i, j), with empty lists."""
     down, right = away(kind)
     corners[k, ROW], corners[k, COLUMN], corners[k, KIND] = i, j, kind
     corners[k, AT_Y] = UNIT * i - UNIT // 2 + (UNIT // 2 - HALF) * down
@@ -54,8 +66,21 @@ def place(corners, k, i, j, kind):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _verify(runs, columns, corners, y, x, found, begin, count):  # type: ignore[no-untyped-def]
-    """Keep of `found[begin:count]` what is in sight from (y, x) and lets a path bend round it."""
+def _verify(
+    runs: Runs,
+    columns: Runs,
+    corners: Ints,
+    y: Number,
+    x: Number,
+    found: Ints,
+    begin: int,
+    count: Number,
+) -> Number:
+    """Keep the corners of `found[begin:count]` that are in sight from (y, x) and at which a path
+    can bend.
+
+    Returns the new end.
+    """
     kept = begin
     for n in range(begin, count):
         corner = found[n]
@@ -74,8 +99,21 @@ def _verify(runs, columns, corners, y, x, found, begin, count):  # type: ignore[
 
 
 @njit(cache=True, error_model="numpy")
-def in_sight(runs, columns, index, corners, y, x, stack, slopes, found):  # type: ignore[no-untyped-def]
-    """Fill `found` with the corners in sight from a point inside a cell; returns how many."""
+def in_sight(
+    runs: Runs,
+    columns: Runs,
+    index: Ints,
+    corners: Ints,
+    y: int,
+    x: int,
+    stack: Ints,
+    slopes: Floats,
+    found: Ints,
+) -> Number:
+    """Fill `found` with the corners in sight from the point (y, x) inside a cell.
+
+    Returns how many, or -1 if `stack` or `found` is too small.
+    """
     uy, ux = y / UNIT + 0.5, x / UNIT + 0.5
     r, c = (y + UNIT // 2) // UNIT, (x + UNIT // 2) // UNIT
     a, b = runs[START, r, c], runs[END, r, c]
@@ -95,18 +133,32 @@ def in_sight(runs, columns, index, corners, y, x, stack, slopes, found):  # type
 
 
 @njit(cache=True, error_model="numpy")
-def _along(runs, line, at, forward):  # type: ignore[no-untyped-def]
-    """Where along a lattice line the cells on either side of it first change."""
+def _along(runs: Runs, line: int, at: int, forward: bool) -> int:
+    """The first index, forward or backward from `at`, where a cell beside a lattice line changes."""
     if forward:
         return min(abs(runs[END, line - 1, at]), abs(runs[END, line, at]))
     return max(runs[START, line - 1, at - 1], runs[START, line, at - 1])
 
 
 @njit(cache=True, error_model="numpy")
-def _fill(runs, columns, index, corners, k, which, stack, slopes, found, pool, used, logged):  # type: ignore[no-untyped-def]
-    """Fill one list of corner k from a field of view; how much of the pool is used then, or a code.
+def _fill(
+    runs: Runs,
+    columns: Runs,
+    index: Ints,
+    corners: Ints,
+    k: int,
+    which: int,
+    stack: Ints,
+    slopes: Floats,
+    found: Ints,
+    pool: Ints,
+    used: Number,
+    logged: int,
+) -> Number:
+    """Fill one list of corner k from a field of view; returns how much of the pool is used then, or
+    a code.
 
-    List 0 is for travel that passes the blocked cell above or below in direction of its column.
+    List 0 is for travel that passes the blocked cell above or below in the direction of its column.
     """
     i, j = corners[k, ROW], corners[k, COLUMN]
     down, right = away(corners[k, KIND])
@@ -147,7 +199,7 @@ def _fill(runs, columns, index, corners, k, which, stack, slopes, found, pool, u
 
 
 @njit(cache=True, error_model="numpy")
-def _stale(corners, k, at, log, logged):  # type: ignore[no-untyped-def]
+def _stale(corners: Ints, k: int, at: int, log: Ints, logged: int) -> bool:
     """Whether a list must be filled: it is empty, or cells that it depends on have changed."""
     seen = corners[k, at + SEEN]
     if seen == logged:
@@ -165,7 +217,19 @@ def _stale(corners, k, at, log, logged):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _relax(corners, cost, keys, nodes, size, turn, k, parent, g, r1, c1):  # type: ignore[no-untyped-def]
+def _relax(
+    corners: Ints,
+    cost: Floats,
+    keys: Floats,
+    nodes: Ints,
+    size: Number,
+    turn: int,
+    k: int,
+    parent: Number,
+    g: float,
+    r1: int,
+    c1: int,
+) -> Number:
     """Reach corner k at length g; returns the size of the open list."""
     if corners[k, STAMP] != turn:
         corners[k, STAMP] = turn
@@ -179,8 +243,19 @@ def _relax(corners, cost, keys, nodes, size, turn, k, parent, g, r1, c1):  # typ
 
 
 @njit(cache=True, error_model="numpy")
-def _begin(tables, ints, cost, heap, view, r0, c0, r1, c1):  # type: ignore[no-untyped-def]
-    """Mark the corners that see the goal, open those that see the start; how many, or a code."""
+def _begin(
+    tables: Tables,
+    ints: Ints,
+    cost: Floats,
+    heap: Heap,
+    view: View,
+    r0: int,
+    c0: int,
+    r1: int,
+    c1: int,
+) -> Number:
+    """Mark the corners that see the goal and open those that see the start; how many are open, or a
+    code."""
     runs, columns, index, corners = tables
     keys, nodes = heap
     stack, slopes, found = view
@@ -206,8 +281,20 @@ def _begin(tables, ints, cost, heap, view, r0, c0, r1, c1):  # type: ignore[no-u
 
 
 @njit(cache=True, error_model="numpy")
-def _search(tables, ints, cost, heap, pool, log, view, r0, c0, r1, c1):  # type: ignore[no-untyped-def]
-    """A*: leave the last corner before the goal in `found[0]`; 1, or a code."""
+def _search(
+    tables: Tables,
+    ints: Ints,
+    cost: Floats,
+    heap: Heap,
+    pool: Ints,
+    log: Ints,
+    view: View,
+    r0: int,
+    c0: int,
+    r1: int,
+    c1: int,
+) -> Number:
+    """A*: leave the last corner before the goal in `found[0]`; returns 1, or a code."""
     runs, columns, index, corners = tables
     keys, nodes = heap
     stack, slopes, found = view
@@ -261,8 +348,9 @@ def _search(tables, ints, cost, heap, pool, log, view, r0, c0, r1, c1):  # type:
 
 
 @njit(cache=True, error_model="numpy")
-def _inside(runs, y, x):  # type: ignore[no-untyped-def]
-    """A point in units, moved `MARGIN` inside its cell, and whether that cell is free."""
+def _inside(runs: Runs, y: float, x: float) -> tuple[int, int, bool]:
+    """A point in cells as one in units, at least `MARGIN` inside its cell, and whether that cell is
+    free."""
     if not (-0.5 <= y < runs.shape[1] - 2.5 and -0.5 <= x < runs.shape[2] - 2.5):
         return 0, 0, False
     r, c = int(np.floor(y + 0.5)), int(np.floor(x + 0.5))
@@ -273,11 +361,23 @@ def _inside(runs, y, x):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def query(grid, index, corners, ints, floats, y0, x0, y1, x1):  # type: ignore[no-untyped-def]
-    """Find the way between two points, row and column in cells of the grid without its padding.
+def query(
+    grid: Runs,
+    index: Ints,
+    corners: Ints,
+    ints: Ints,
+    floats: Floats,
+    y0: float,
+    x0: float,
+    y1: float,
+    x1: float,
+) -> int:
+    """Find the path from (y0, x0) to (y1, x1): rows and columns in cells of the grid without its
+    padding.
 
-    Returns how many corners it bends at, or a code; their positions, in cells too, are then in
-    `floats`, behind two numbers a row of `corners`.
+    Returns the number of corners at which the path bends, or a code: NO_PATH, or which array is too
+    small. The positions of the corners, in cells too, are then in `floats`, behind two numbers a
+    row of `corners`.
     """
     rows, width = np.int64(ints[ROWS]), np.int64(ints[COLUMNS])
     area = 2 * rows * width

@@ -1,22 +1,30 @@
-"""Dubins words: the shortest ways between two poses for a body that turns no tighter than a circle.
+"""Dubins words: the shortest ways between two poses for a body with a smallest turning circle.
 
-Six words of three pieces each, an arc, a straight or a third arc, an arc (Dubins 1957; formulas after
-Shkel and Lumelsky 2001). A piece is a curvature (1/m, positive to the left) and a signed length (m,
-negative backing up). Driven backwards, a word is that of the poses turned round.
+Six words of three pieces each: an arc, then a straight or a second arc, then an arc (Dubins 1957;
+formulas after Shkel and Lumelsky 2001). A piece is a curvature (1/m, positive to the left) and a
+signed length (m, negative backing up). To drive backwards, take the word of both poses turned
+round.
+
+Units: metres and radians; x east, y north, headings counter-clockwise from x.
 """
 
 from math import acos, atan2, cos, hypot, pi, sin, sqrt
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
 
 WORDS = 6
 STRAIGHT_1_M = 1e-9  # less curvature is none
 
 
 @njit(cache=True, error_model="numpy")
-def step(x, y, heading, curvature, length):  # type: ignore[no-untyped-def]
-    """The pose after one piece."""
+def step(
+    x: float, y: float, heading: float, curvature: float, length: float
+) -> tuple[float, float, float]:
+    """The pose (x, y, heading) after one piece from such a pose."""
     if abs(curvature) < STRAIGHT_1_M:
         return x + length * cos(heading), y + length * sin(heading), heading
     turned = heading + curvature * length
@@ -28,8 +36,23 @@ def step(x, y, heading, curvature, length):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def words(x, y, heading, gx, gy, goal_heading, radius, lengths, curvatures):  # type: ignore[no-untyped-def]
-    """Fill `lengths` and `curvatures` (6, 3), metres; a word that does not exist is infinitely long."""
+def words(
+    x: float,
+    y: float,
+    heading: float,
+    gx: float,
+    gy: float,
+    goal_heading: float,
+    radius: float,
+    lengths: Floats,
+    curvatures: Floats,
+) -> None:
+    """Fill `lengths` and `curvatures`, (6, 3), a word a row; a word that does not exist has
+    infinite lengths.
+
+    The words lead forwards from (x, y, heading) to (gx, gy, goal_heading), with arcs of this
+    radius.
+    """
     full = 2 * pi
     d = hypot(gx - x, gy - y) / radius
     line = atan2(gy - y, gx - x)
@@ -74,7 +97,8 @@ def words(x, y, heading, gx, gy, goal_heading, radius, lengths, curvatures):  # 
 def shortest_m(
     start: tuple[float, float, float], goal: tuple[float, float, float], radius_m: float
 ) -> float:
-    """Length of the shortest word between two poses (x, y, heading), forwards."""
+    """Length of the shortest word between two poses (x, y, heading) in metres and radians,
+    forwards."""
     lengths, curvatures = np.empty((WORDS, 3)), np.empty((WORDS, 3))
     words(*start, *goal, radius_m, lengths, curvatures)
     return float(lengths.sum(axis=1).min())

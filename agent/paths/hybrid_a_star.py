@@ -1,10 +1,17 @@
-"""Ways between poses for a body with a turning circle: hybrid A* with Dubins words as its last leap.
+"""Ways between poses for a body with a turning circle: hybrid A* that ends with a Dubins word.
 
 The first thing tried from any pose is a Dubins word to the goal, forwards or backing up, that stays
-on free cells: at a wide headland that is all there is to do. Where it is narrow, short pieces
-ahead and back are searched (Dolgov, Thrun, Montemerlo, Diebel 2010), which finds the bulbs and
-three-point turns that a driver would make. The heuristic is the free way of a point, from a coarse
-Dijkstra flood.
+on free cells. At a wide headland nothing else is needed. Where it is narrow, short pieces ahead and
+back are searched (Dolgov, Thrun, Montemerlo, Diebel 2010), which finds the bulbs and three-point
+turns that a driver would make. The heuristic is the free way of a point, from a coarse flood with
+Dijkstra's algorithm.
+
+`blocked` (rows, columns) says where the middle of the body may not be. `place` (3,) is x and y of
+the corner of cell (0, 0), and the side of a cell. `start`, `goal` and `pose` (3,) are x, y,
+heading. `nodes` (n, N_COLUMNS) are poses that were reached; `keys` (n,) and `ids` (n,) the open
+ones as a heap.
+
+Units: metres, radians, curvatures in 1/m; x east, y north, headings counter-clockwise from x.
 
 One kernel family, one file, but for the words of `dubins.py` and the heap.
 """
@@ -13,9 +20,14 @@ from math import floor, hypot, pi
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
-from agent.paths.binary_heap import close_gap, push
+from agent.paths.binary_heap import Number, close_gap, push
 from agent.paths.dubins import WORDS, step, words
+
+Flags = NDArray[np.bool_]
+Floats = NDArray[np.float64]
+Longs = NDArray[np.int64]
 
 PIECE_M = 0.9  # of the search; longer than the diagonal of a cell
 NUDGES_M = (0.3, 0.6)  # from the start, where no longer piece is free
@@ -35,15 +47,25 @@ N_X, N_Y, N_HEADING, N_COST, N_PARENT, N_CURVATURE, N_LENGTH, N_COLUMNS = *range
 
 
 @njit(cache=True, error_model="numpy")
-def is_free(blocked, place, x, y):  # type: ignore[no-untyped-def]
-    """`place`: x and y of the corner of cell (0, 0), side of a cell, metres."""
+def is_free(blocked: Flags, place: Floats, x: float, y: float) -> bool:
+    """Whether the middle of the body may be at (x, y); False outside of the grid."""
     row, column = floor((y - place[1]) / place[2]), floor((x - place[0]) / place[2])
     rows, columns = blocked.shape
     return 0 <= row < rows and 0 <= column < columns and not blocked[row, column]
 
 
 @njit(cache=True, error_model="numpy")
-def piece_is_free(blocked, place, x, y, heading, curvature, length):  # type: ignore[no-untyped-def]
+def piece_is_free(
+    blocked: Flags,
+    place: Floats,
+    x: float,
+    y: float,
+    heading: float,
+    curvature: float,
+    length: float,
+) -> bool:
+    """Whether a piece from a pose stays on free cells, looked up every `CHECK_M`; the pose itself
+    is not."""
     steps = int(abs(length) / CHECK_M) + 1
     for k in range(1, steps + 1):
         px, py, _ = step(x, y, heading, curvature, length * k / steps)
@@ -53,8 +75,21 @@ def piece_is_free(blocked, place, x, y, heading, curvature, length):  # type: ig
 
 
 @njit(cache=True, error_model="numpy")
-def _leap(blocked, place, x, y, heading, goal, radius, before, lengths, curvatures, out):  # type: ignore[no-untyped-def]
-    """The cheapest free word to the goal into `out` (3, 2): its cost, or infinity."""
+def _leap(
+    blocked: Flags,
+    place: Floats,
+    x: float,
+    y: float,
+    heading: float,
+    goal: Floats,
+    radius: float,
+    before: float,
+    lengths: Floats,
+    curvatures: Floats,
+    out: Floats,
+) -> float:
+    """Write the cheapest free word to the goal into `out`, (3, 2); returns its cost, infinite if
+    there is none."""
     best = np.inf
     for back in range(2):
         sign, turned = (-1.0, pi) if back else (1.0, 0.0)
@@ -91,9 +126,13 @@ def _leap(blocked, place, x, y, heading, goal, radius, before, lengths, curvatur
 
 
 @njit(cache=True, error_model="numpy")
-def flood(blocked, row, column):  # type: ignore[no-untyped-def]
-    """Cells (4- and 8-connected, octile) from one cell to every other, on a grid `FLOOD` times as coarse,
-    free where any of its cells is; metres of fine cells."""
+def flood(blocked: Flags, row: int, column: int) -> Floats:
+    """Length of the way of a point from every coarse cell to one cell, in sides of a fine cell.
+
+    The result is (coarse rows, coarse columns), a coarse cell being `FLOOD` cells wide and free
+    where any of its cells is; infinite where there is no way. Steps go to eight neighbours, a
+    diagonal one counts as the square root of 2.
+    """
     rows, columns = blocked.shape[0] // FLOOD + 1, blocked.shape[1] // FLOOD + 1
     free = np.zeros((rows, columns), dtype=np.bool_)
     for r in range(blocked.shape[0]):
@@ -122,8 +161,8 @@ def flood(blocked, row, column):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _state(place, shape, pose):  # type: ignore[no-untyped-def]
-    """The number of the cell and heading a pose falls into."""
+def _state(place: Floats, shape: tuple[int, ...], pose: Floats) -> int:
+    """The number of the cell and heading that a pose falls into."""
     columns = int(shape[1] * place[2] / CELL_M) + 2
     row, column = int((pose[1] - place[1]) / CELL_M), int((pose[0] - place[0]) / CELL_M)
     heading = floor(pose[2] / (2 * pi) * HEADINGS + 0.5) % HEADINGS
@@ -131,8 +170,8 @@ def _state(place, shape, pose):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _to_go(far, blocked, place, pose, goal):  # type: ignore[no-untyped-def]
-    """Metres a point has at least to go."""
+def _to_go(far: Floats, blocked: Flags, place: Floats, pose: Floats, goal: Floats) -> float:
+    """Metres that a point has to go at least from a pose to the goal."""
     r = floor((pose[1] - place[1]) / place[2]) // FLOOD
     c = floor((pose[0] - place[0]) / place[2]) // FLOOD
     straight = hypot(goal[0] - pose[0], goal[1] - pose[1])
@@ -143,7 +182,7 @@ def _to_go(far, blocked, place, pose, goal):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _joined(far, place, pose):  # type: ignore[no-untyped-def]
+def _joined(far: Floats, place: Floats, pose: Floats) -> bool:
     """Whether a point could go from here to where the flood began."""
     r = floor((pose[1] - place[1]) / place[2]) // FLOOD
     c = floor((pose[0] - place[0]) / place[2]) // FLOOD
@@ -151,8 +190,25 @@ def _joined(far, place, pose):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _grow(blocked, place, goal, radius, far, node, nodes, made, closed, best, keys, ids, size):  # type: ignore[no-untyped-def]
-    """Pieces from one node: ahead and back, left, straight, right; the new counts of nodes and keys."""
+def _grow(
+    blocked: Flags,
+    place: Floats,
+    goal: Floats,
+    radius: float,
+    far: Floats,
+    node: int,
+    nodes: Floats,
+    made: Number,
+    closed: Flags,
+    best: float,
+    keys: Floats,
+    ids: Longs,
+    size: Number,
+) -> tuple[Number, Number]:
+    """Add the pieces that can follow one node: ahead and back, each left, straight and right.
+
+    Returns the new numbers of nodes and of keys.
+    """
     pose, before = nodes[node, :3], nodes[node, N_LENGTH]
     for gear in range(2):
         length = -PIECE_M if gear else PIECE_M
@@ -178,8 +234,21 @@ def _grow(blocked, place, goal, radius, far, node, nodes, made, closed, best, ke
 
 
 @njit(cache=True, error_model="numpy")
-def _nudge(blocked, place, radius, nodes, made, keys, ids, size):  # type: ignore[no-untyped-def]
-    """Short pieces from the start, nose to a fence: they end in cells where poses may be known."""
+def _nudge(
+    blocked: Flags,
+    place: Floats,
+    radius: float,
+    nodes: Floats,
+    made: Number,
+    keys: Floats,
+    ids: Longs,
+    size: Number,
+) -> tuple[Number, Number]:
+    """Add short pieces from the start, for a body with its nose to a fence.
+
+    They end in cells in which a pose may be known already. Returns the new numbers of nodes and of
+    keys.
+    """
     for nudge_m in NUDGES_M:
         for turn in range(6):
             length, curvature = (-nudge_m if turn < 3 else nudge_m), (turn % 3 - 1) / radius
@@ -196,10 +265,12 @@ def _nudge(blocked, place, radius, nodes, made, keys, ids, size):  # type: ignor
 
 
 @njit(cache=True, error_model="numpy")
-def search(blocked, place, start, goal, radius, nudged):  # type: ignore[no-untyped-def]
+def search(
+    blocked: Flags, place: Floats, start: Floats, goal: Floats, radius: float, nudged: bool
+) -> Floats:
     """Pieces (n, 2) of curvature and signed length from start to goal; n is 0 where none was found.
 
-    `nudged`: with shorter pieces from the start, too.
+    `radius`: of the smallest turning circle. `nudged`: whether to begin with shorter pieces, too.
     """
     lengths, curvatures, leap = np.empty((6, 3)), np.empty((6, 3)), np.empty((3, 2))
     cost = _leap(
@@ -255,7 +326,9 @@ def search(blocked, place, start, goal, radius, nudged):  # type: ignore[no-unty
 
 
 @njit(cache=True, error_model="numpy")
-def _pieces(nodes, found, leap):  # type: ignore[no-untyped-def]
+def _pieces(nodes: Floats, found: int, leap: Floats) -> Floats:
+    """The pieces that led to node `found`, then those of the last word; none if `found` is
+    negative."""
     if found < 0:
         return np.empty((0, 2))
     count, node = 0, found

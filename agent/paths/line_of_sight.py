@@ -1,15 +1,22 @@
 """What is in sight on a grid of blocked and free cells; numba kernels over tables of runs.
 
-A blocked cell is a square that is `MARGIN` wider on every side than the cell, without its border:
-a line may run along it and not through it. So nothing passes where two blocked cells touch at a
+A blocked cell is a square that is `MARGIN` wider on every side than the cell, without its border: a
+line may run along it and not through it. So nothing passes where two blocked cells touch at a
 corner, any corridor of one cell is open, and every predicate is exact, in integers of `UNIT` to a
 cell. The grid is padded by one blocked cell all round: cell (r, c) of the array is (r+1, c+1) here.
 Lattice point (i, j) is the corner shared by cells (i-1, j-1) and (i, j).
 
-`runs[START, r, c]` and `runs[END, r, c]` are the first column of the run of equal cells that (r, c)
-is part of and the column after it, END negative where the run is blocked. `columns` is the same
-for the transposed grid. With them a line of sight costs one look-up a row or a column, whichever
-is less, and a field of view one step for each run that it meets.
+`runs[START, r, c]` and `runs[END, r, c]`, (2, rows, columns), are the first column of the run of
+equal cells that (r, c) is part of and the column after it, END negative where the run is blocked.
+`columns`, (2, columns, rows), is the same for the transposed grid. With them a line of sight costs
+one look-up a row or a column, whichever is less, and a field of view one step for each run that it
+meets.
+
+A view is what is seen through one run. `stack` (n, 3) holds of each view the lattice line that is
+seen through, and the run [a, b) of the row beyond it; `slopes` (n, 2) the least and greatest slope,
+in columns per row away from the point. `index` (lattice rows, lattice columns) is the number of the
+corner at a lattice point, -1 for none. `found` (n,) are corners: their number if they are certainly
+in sight, its complement where that must be verified.
 
 The kernels of `agent.paths.corner_graph` contain these: numba's cache of that file does not notice
 a change in this one, so touch it (or delete `__pycache__`) after one.
@@ -17,6 +24,14 @@ a change in this one, so touch it (or delete `__pycache__`) after one.
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
+
+from agent.paths.binary_heap import Number
+
+Flags = NDArray[np.bool_]
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+Runs = NDArray[np.int16]
 
 UNIT = 1 << 16  # units a cell
 MARGIN = 4  # units that a path keeps from a blocked cell; 0.06 thousandths of a cell
@@ -26,8 +41,9 @@ NEAR = 4.0 * MARGIN / UNIT  # a slope off by this passes a corner in the next ro
 
 
 @njit(cache=True, error_model="numpy")
-def rerun(runs, line, first, last, cells):  # type: ignore[no-untyped-def]
-    """Write the runs of `cells[line, first:last]`, which must begin and end with runs."""
+def rerun(runs: Runs, line: int, first: int, last: int, cells: Flags) -> None:
+    """Write the runs of `cells[line, first:last]`, which must begin and end with runs. `cells`:
+    (rows, columns)."""
     c = first
     while c < last:
         end = c + 1
@@ -40,8 +56,11 @@ def rerun(runs, line, first, last, cells):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def kind(cells, i, j):  # type: ignore[no-untyped-def]
-    """0, or 1 to 4 where lattice point (i, j) is a convex corner of the one blocked cell there."""
+def kind(cells: Flags, i: int, j: int) -> int:
+    """1 to 4 where lattice point (i, j) is a convex corner of the one blocked cell there, else 0.
+
+    The number says which of the four cells is blocked, row by row. `cells`: (rows, columns).
+    """
     a, b, c, d = cells[i - 1, j - 1], cells[i - 1, j], cells[i, j - 1], cells[i, j]
     if a + b + c + d != 1:
         return 0
@@ -49,7 +68,7 @@ def kind(cells, i, j):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _clear(runs, y0, x0, y1, x1):  # type: ignore[no-untyped-def]
+def _clear(runs: Runs, y0: int, x0: int, y1: int, x1: int) -> bool:
     """Whether no blocked square has a point of the segment inside it; y runs across the rows."""
     if y0 > y1:
         y0, x0, y1, x1 = y1, x1, y0, x0
@@ -71,19 +90,35 @@ def _clear(runs, y0, x0, y1, x1):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def sees(runs, columns, r0, c0, r1, c1):  # type: ignore[no-untyped-def]
-    """Whether the straight line between two points, in units, is free. Exact."""
+def sees(runs: Runs, columns: Runs, r0: Number, c0: Number, r1: Number, c1: Number) -> bool:
+    """Whether the straight line from (r0, c0) to (r1, c1), rows and columns in units, is free.
+    Exact."""
     if abs(r1 - r0) <= abs(c1 - c0):
         return _clear(runs, r0, c0, r1, c1)
     return _clear(columns, c0, r0, c1, r1)
 
 
 @njit(cache=True, error_model="numpy")
-def glance(runs, index, uy, ux, step, line, a, b, stack, slopes, found, count):  # type: ignore[no-untyped-def]
-    """Views from a point inside the run [a, b) through the first line; (views, corners, or -1).
+def glance(
+    runs: Runs,
+    index: Ints,
+    uy: float,
+    ux: float,
+    step: int,
+    line: int,
+    a: int,
+    b: int,
+    stack: Ints,
+    slopes: Floats,
+    found: Ints,
+    count: Number,
+) -> tuple[int, Number]:
+    """Views from (uy, ux), inside the run [a, b) of its own row, through the lattice line beside
+    it.
 
-    However near the point is to that line: its slopes are then so unsure that the views are wider
-    than they are, and the corners are all to be verified.
+    The point, in lattice coordinates, may be very near to that line. Its slopes are then so inexact
+    that views are made wider than they are, and every corner must be verified. Returns the numbers
+    of views and of corners, the latter -1 if `stack` or `found` is too small.
     """
     dy = abs(line - uy)
     per_row, near = 1.0 / dy, NEAR / dy
@@ -120,8 +155,17 @@ def glance(runs, index, uy, ux, step, line, a, b, stack, slopes, found, count): 
 
 
 @njit(cache=True, error_model="numpy")
-def _note(corner, slope, low, high, off_low, off_high, found, count):  # type: ignore[no-untyped-def]
-    """Append a corner if its slope is in the view, its complement where that must be verified."""
+def _note(
+    corner: int,
+    slope: float,
+    low: float,
+    high: float,
+    off_low: float,
+    off_high: float,
+    found: Ints,
+    count: Number,
+) -> Number:
+    """Append a corner to `found` if its slope is in the view; returns the number of corners."""
     if corner < 0 or slope < low - off_low or slope > high + off_high:
         return count
     sure = slope > low + off_low and slope < high - off_high
@@ -130,15 +174,27 @@ def _note(corner, slope, low, high, off_low, off_high, found, count):  # type: i
 
 
 @njit(cache=True, error_model="numpy")
-def look(runs, index, uy, ux, step, left, right, stack, slopes, top, found, count):  # type: ignore[no-untyped-def]
+def look(
+    runs: Runs,
+    index: Ints,
+    uy: float,
+    ux: float,
+    step: int,
+    left: Number,
+    right: Number,
+    stack: Ints,
+    slopes: Floats,
+    top: Number,
+    found: Ints,
+    count: Number,
+) -> Number:
     """Collect the corners in sight from (uy, ux), in lattice coordinates, through some views.
 
-    The first `top` rows of `stack` are views: the line that is seen through, and the run [a, b) of
-    the row beyond it; of `slopes`: between which slopes, in columns per row away from the point.
-    The next line is at least a row away. `step` is 1 where rows count up with distance, else -1.
-    What is seen stays in the columns of cells left..right. Returns how many corners are in `found`
-    (see `_note`), -1 where it is too small. Widened in the last row of `stack`: furthest line,
-    lowest and highest column of cells looked at.
+    The first `top` rows of `stack` and `slopes` are the views; the next line is at least a row
+    away. `step` is 1 where rows count up with distance, else -1. Only columns of cells from `left`
+    to `right` are looked at. Returns how many corners are in `found`, -1 if it or `stack` is too
+    small. The last row of `stack` is widened to all that was looked at: furthest line, lowest and
+    highest column of cells.
     """
     bottom = stack.shape[0] - 1
     far, leftmost, rightmost = stack[bottom, 0], stack[bottom, 1], stack[bottom, 2]

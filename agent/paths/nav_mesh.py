@@ -1,9 +1,10 @@
 """The planning map: free space as a few hundred convex polygons, and A* over them.
 
-The polygons are rectangles of cells, made once from the permanent walls: greedy, the largest first along
-the scan. Two that touch share a portal. Waypoints stand on the portals, at their ends and at most
-`SPACING_M` apart; inside a polygon every straight line is free. So the graph of waypoints has lengths
-that are never too short, and too long only by what the spacing costs; `Mesh.way` pulls its path taut.
+A navigation mesh (Snook, Game Programming Gems, 2000). The polygons are rectangles of cells, made
+once from the permanent walls: greedy, the largest first along the scan. Two that touch share a
+portal. Waypoints stand on the portals, at their ends and at most `SPACING_M` apart; inside a
+polygon every straight line is free. So the lengths in the graph of waypoints are never too short,
+and too long only by what the spacing costs. `Mesh.way` pulls its path taut.
 """
 
 from collections.abc import Sequence
@@ -11,6 +12,7 @@ from functools import cached_property
 from heapq import heappop, heappush
 from itertools import pairwise
 from math import ceil, hypot, inf
+from typing import Any
 
 import numpy as np
 import scipy
@@ -20,7 +22,9 @@ from numpy.typing import NDArray
 from agent.paths.binary_heap import close_gap, push
 from agent.paths.theta_star import sees
 
-Point = tuple[float, float]
+Point = tuple[float, float]  # metres (x, y)
+Floats = NDArray[np.float64]
+Longs = NDArray[np.int64]
 Box = tuple[int, int, int, int]  # rows [r0, r1) and columns [c0, c1)
 DETOUR = 1.0003  # an edge is left out where two others are this much longer at most
 SPACING_M = (
@@ -29,8 +33,15 @@ SPACING_M = (
 
 
 @njit(cache=True)
-def spread(indptr, indices, data, nodes, cost):  # type: ignore[no-untyped-def]
-    """Dijkstra from `nodes`, whose `cost` is set; that of all others is filled in."""
+def spread(
+    indptr: NDArray[Any], indices: NDArray[Any], data: Floats, nodes: Longs, cost: Floats
+) -> None:
+    """Dijkstra's algorithm from `nodes`, (n,), over a graph as scipy's csr_array stores it.
+
+    `indptr` (graph nodes + 1,), `indices` (edges,) and `data` (edges,), metres, are its rows.
+    `cost` (graph nodes,) in metres is set at `nodes` and infinite elsewhere; the least is filled in
+    everywhere.
+    """
     room = len(indices) + len(nodes) + 1
     keys, heap, size = np.empty(room), np.empty(room, np.int64), 0
     for node in nodes:
@@ -51,8 +62,12 @@ def spread(indptr, indices, data, nodes, cost):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def needed(places):  # type: ignore[no-untyped-def]
-    """Pairs of a polygon's waypoints, and their metres; none that another waypoint all but lies on."""
+def needed(places: Floats) -> tuple[Longs, Longs, Floats]:
+    """Pairs of a polygon's waypoints and the metres between them, three arrays (pairs,).
+
+    `places`: (waypoints, 2) in metres. A pair is left out if another waypoint all but lies on its
+    line.
+    """
     n = len(places)
     gap = np.empty((n, n))
     for i in range(n):
@@ -74,6 +89,8 @@ def needed(places):  # type: ignore[no-untyped-def]
 
 
 class Mesh:
+    """The rectangles of one map, the waypoints between them, and shortest ways over those."""
+
     def __init__(self, blocked: NDArray[np.bool_], origin: Point, cell_m: float) -> None:
         """`blocked`: (rows, columns) where no centre of a body may be; row 0 in the south."""
         self.blocked, self.origin, self.cell_m = blocked, origin, cell_m
@@ -86,7 +103,7 @@ class Mesh:
     # ---------------------------------------------------------------- building
 
     def _lay(self) -> None:
-        """Waypoints on portals, and the straight ways between those of one polygon."""
+        """Place waypoints on portals, and list those of each polygon."""
         number: dict[tuple[float, float], int] = {}
         inside: list[list[int]] = [[] for _ in self.boxes]
         for a, b, ends in portals(self.boxes, self.box_of):
@@ -106,7 +123,8 @@ class Mesh:
 
     @cached_property
     def graph(self) -> "scipy.sparse.csr_array":
-        """Metres between waypoints of one polygon."""
+        """Metres between the waypoints of one polygon, (waypoints, waypoints), where no third lies
+        between."""
         rows, columns, lengths = [], [], []
         for own in self.inside:
             i, j, metres = needed(self.waypoints[own])
@@ -125,7 +143,7 @@ class Mesh:
     # ---------------------------------------------------------------- reading
 
     def box(self, at: Point) -> int:
-        """The polygon that a point is in, or the nearest one."""
+        """The index of the polygon that a point is in, or of the nearest one."""
         row, column = self._cell(at)
         rows, columns = self.box_of.shape
         row, column = min(max(row, 0), rows - 1), min(max(column, 0), columns - 1)
@@ -144,13 +162,13 @@ class Mesh:
         )
 
     def onto(self, at: Point) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """The waypoints of the polygon that a point is in, and the metres to each."""
+        """The waypoints of the polygon that a point is in, and the metres to each: two arrays (n,)."""
         own = self.inside[self.box(at)]
         gap = self.waypoints[own] - at
         return own, np.hypot(gap[:, 0], gap[:, 1])
 
     def field_m(self, at: Point) -> NDArray[np.float64]:
-        """Metres from a point to every waypoint; inf where there is no way."""
+        """Metres from a point to every waypoint, (waypoints,); inf where there is no way."""
         own, metres = self.onto(at)
         found = np.full(len(self.waypoints), np.inf)
         found[own] = metres
@@ -164,7 +182,11 @@ class Mesh:
         return inf if found is None else sum(_gap(*leg) for leg in pairwise(found))
 
     def way(self, a: Point, b: Point) -> list[Point] | None:
-        """The same way pulled taut: waypoints that can be passed by in a straight line are left out."""
+        """The way that `metres` measures, pulled taut: places of a polyline, both ends included;
+        None: no way.
+
+        Waypoints that a straight line can pass by are left out.
+        """
         found = self._astar(a, b)
         if found is None:
             return None
@@ -234,10 +256,11 @@ def _gap(a: Point, b: Point) -> float:
 
 
 def rectangles(blocked: NDArray[np.bool_]) -> tuple[list[Box], NDArray[np.int32]]:
-    """Free cells as rectangles that do not overlap, and which of them each cell is in (-1: none).
+    """Free cells as rectangles that do not overlap, and the index of each cell's rectangle (-1:
+    none).
 
-    From the first free cell along the scan the larger of two: as wide as it goes and then tall, or as
-    tall as it goes and then wide.
+    `blocked` and the indices are (rows, columns). From the first free cell along the scan, the
+    larger of two is taken: as wide as possible and then tall, or as tall as possible and then wide.
     """
     rows = len(blocked)
     box_of = np.where(blocked, -2, -1).astype(np.int32)
@@ -265,7 +288,10 @@ def _wide(box_of: NDArray[np.int32], r: int, c: int) -> tuple[int, int]:
 def portals(
     boxes: Sequence[Box], box_of: NDArray[np.int32]
 ) -> list[tuple[int, int, tuple[float, float, float, float]]]:
-    """(polygon, polygon, ends of the border that they share as row, column, row, column)."""
+    """(polygon, polygon, ends of the border that they share as row, column, row, column).
+
+    `boxes` and `box_of`, (rows, columns), are what `rectangles` returned. Ends are lattice points.
+    """
     found: dict[tuple[int, int], list[int]] = {}
     for flat, table in ((True, box_of), (False, box_of.T)):
         below, above = table[:-1], table[1:]

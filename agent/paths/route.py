@@ -9,15 +9,15 @@ from numpy.typing import NDArray
 
 from agent.paths.any_angle_planner import Planner
 
-Point = tuple[float, float]
+Point = tuple[float, float]  # metres (x, y)
 OPEN_SEARCH_CELLS = 12  # how far a start or goal on a blocked cell is moved to an open one
 
 
 class Route:
-    """Paths over a blocked grid (row, column) whose cell (0, 0) has its corner at the origin.
+    """Paths over a grid `blocked` (row, column) whose cell (0, 0) has its corner at the origin.
 
-    A path may pass anywhere in a free cell, along its border too, so the grid must block every cell of
-    which a part is too near to something.
+    A path may pass anywhere in a free cell, along its border too. So the grid must block every cell
+    of which a part is too near to something.
     """
 
     def __init__(
@@ -28,8 +28,11 @@ class Route:
         self.planner = Planner(blocked)
 
     def round(self, bodies: Sequence[Point], reach_m: float) -> "Route":
-        """The same with a disc blocked round each body that stands: another grid, made when
-        something comes or goes, not for every path. No path comes nearer to a body than `reach_m`."""
+        """The same route with a disc of `reach_m` blocked round each standing body.
+
+        No path comes nearer to a body than `reach_m`. It is another grid: make it when something
+        comes or goes, not for every path.
+        """
         blocked, reach = self.blocked.copy(), int(reach_m / self.cell_m) + 1
         for body_x_m, body_y_m in bodies:
             row, column = self._cell((body_x_m, body_y_m))
@@ -52,10 +55,11 @@ class Route:
         return 0 <= row < rows and 0 <= column < columns and not self.blocked[row, column]
 
     def path(self, start: Point, goal: Point) -> tuple[Point, ...]:
-        """Waypoints from start to goal, both included exactly; the straight line where none is found.
+        """Waypoints from start to goal, both included exactly; the straight line where no path is
+        found.
 
-        Start and goal may lie on blocked cells (a robot at the fence): the way begins and ends at
-        the nearest open cell.
+        Start and goal may lie on blocked cells, as for a robot at the fence. The path then goes
+        through the nearest free cell.
         """
         a, b = self._open(self._cell(start)), self._open(self._cell(goal))
         if a is None or b is None:
@@ -76,6 +80,7 @@ class Route:
         return self.planner.sees(self._cell(start), self._cell(goal))
 
     def length_m(self, start: Point, goal: Point) -> float:
+        """The length of `path`; of the straight line where none is found."""
         points = self.path(start, goal)
         return sum(hypot(b[0] - a[0], b[1] - a[1]) for a, b in itertools.pairwise(points))
 

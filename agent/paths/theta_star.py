@@ -1,10 +1,15 @@
 """Plain and lazy Theta* over cell centres: what the default planner is measured against.
 
 A robot may step between neighbouring free cells, diagonally only where both cells beside the
-diagonal are free; a straight line is free where every cell it touches is free, both cells beside
-a crossing of four included. Basic Theta* after Nash, Daniel, Koenig, Felner (AAAI 2007), Lazy
-Theta* after Nash, Koenig, Tovey (AAAI 2010). Two savings: no line of sight is drawn where the
-triangle inequality says that nothing is gained, and generation stamps make clearing needless.
+diagonal are free. A straight line is free where every cell it touches is free, both cells beside a
+crossing of four included. Basic Theta* after Nash, Daniel, Koenig, Felner (AAAI 2007), Lazy Theta*
+after Nash, Koenig, Tovey (AAAI 2010). Two savings: no line of sight is drawn where the triangle
+inequality says that nothing is gained, and generation stamps make clearing needless.
+
+`blocked` is (rows, columns); a cell is the number row * columns + column. Of each cell, `g`
+(cells,) is the length from the start in sides of a cell, `parent` (cells,) the cell before it, and
+`stamp` (cells,) whether it is open or closed. `keys` and `nodes` (8 * cells + 8,) are the open
+list.
 
 One kernel family, one file, but for the heap: the cache of numba does not notice changes elsewhere.
 """
@@ -17,12 +22,17 @@ from numpy.typing import NDArray
 
 from agent.paths.binary_heap import close_gap, push
 
+Flags = NDArray[np.bool_]
+Floats = NDArray[np.float64]
+Longs = NDArray[np.int64]
+
 ROOT2 = sqrt(2.0)
 
 
 @njit(cache=True)
-def sees(blocked, r0, c0, r1, c1):  # type: ignore[no-untyped-def]
-    """Whether every cell that the segment between two cell centres touches is free (integers)."""
+def sees(blocked: Flags, r0: int, c0: int, r1: int, c1: int) -> bool:
+    """Whether the segment between the centres of cells (r0, c0) and (r1, c1) touches free cells
+    only."""
     dr, dc = abs(r1 - r0), abs(c1 - c0)
     sr = 1 if r1 > r0 else -1
     sc = 1 if c1 > c0 else -1
@@ -50,7 +60,7 @@ def sees(blocked, r0, c0, r1, c1):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def steps(blocked, r, c, i, j):  # type: ignore[no-untyped-def]
+def steps(blocked: Flags, r: int, c: int, i: int, j: int) -> bool:
     """Whether a robot may go from the cell (r, c) to its neighbour (r + i, c + j)."""
     nr, nc = r + i, c + j
     if (i == 0 and j == 0) or nr < 0 or nc < 0 or nr >= blocked.shape[0] or nc >= blocked.shape[1]:
@@ -59,7 +69,9 @@ def steps(blocked, r, c, i, j):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _settle(blocked, g, parent, stamp, closed, r, c):  # type: ignore[no-untyped-def]
+def _settle(
+    blocked: Flags, g: Floats, parent: Longs, stamp: Longs, closed: int, r: int, c: int
+) -> None:
     """Lazy Theta*: the parent was only assumed visible; if it is not, take the best neighbour."""
     columns = blocked.shape[1]
     node = r * columns + c
@@ -78,10 +90,25 @@ def _settle(blocked, g, parent, stamp, closed, r, c):  # type: ignore[no-untyped
 
 
 @njit(cache=True)
-def search(blocked, r0, c0, r1, c1, lazy, turn, g, parent, stamp, keys, nodes):  # type: ignore[no-untyped-def]
-    """Fill `parent` from goal to start; the number of cells expanded, or -1 where there is no way.
+def search(
+    blocked: Flags,
+    r0: int,
+    c0: int,
+    r1: int,
+    c1: int,
+    lazy: bool,
+    turn: int,
+    g: Floats,
+    parent: Longs,
+    stamp: Longs,
+    keys: Floats,
+    nodes: Longs,
+) -> int:
+    """Fill `parent` from the cell (r1, c1) back to (r0, c0); returns how many cells were expanded,
+    -1: no path.
 
-    `stamp`: `turn` for an open cell, `turn + 1` for a closed one, anything less is untouched.
+    `lazy`: by Lazy Theta*. `stamp` is `turn` for an open cell, `turn + 1` for a closed one, and
+    less for an untouched one.
     """
     columns = blocked.shape[1]
     start, goal = r0 * columns + c0, r1 * columns + c1
@@ -142,7 +169,8 @@ class GridSearch:
     def cells(
         self, start: tuple[int, int], goal: tuple[int, int], lazy: bool
     ) -> list[tuple[int, int]] | None:
-        """Cells where the path bends, both ends included; both ends must be free."""
+        """Cells (row, column) where the path bends, both ends included; None: no path. Both ends
+        must be free."""
         self._turn += 2
         self.expanded = search(
             self.blocked, start[0], start[1], goal[0], goal[1], lazy, self._turn,

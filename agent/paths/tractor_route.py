@@ -1,7 +1,7 @@
 """Ways through a field for a tractor: from pose to pose, never tighter than its turning circle.
 
-A way is a row of pieces (curvature, signed length); backing up is a negative length. Where bodies
-stand, the cells round them are blocked for that one question.
+A way is a list of pieces (curvature, signed length); a negative length is backing up. Where bodies
+stand, the cells round them are blocked for one question only.
 """
 
 from collections.abc import Sequence
@@ -14,25 +14,29 @@ from numpy.typing import NDArray
 from agent.paths.dubins import step
 from agent.paths.hybrid_a_star import BACK_COST, SHIFT_M, is_free, piece_is_free, search
 
-Point = tuple[float, float]
+Point = tuple[float, float]  # metres (x, y)
 SAMPLE_M = 0.1
 RUN_UPS_M = (1.5, 1.0, 0.5)  # straight before the goal, as much of it as there is room for
 RUN_UP_M = 1.0  # half a metre of it is worth this much of a detour
 
 
 class Pose(NamedTuple):
+    """Where the middle of a body is, and where its nose points: counter-clockwise from x."""
+
     x_m: float
     y_m: float
     heading_rad: float
 
 
 class Piece(NamedTuple):
+    """A straight or an arc of a way; positive curvatures bend to the left."""
+
     curvature_1_m: float
     length_m: float  # negative: backing up
 
 
 class TurnRoute:
-    """Shared by the robots of a process: it knows the field and nothing that changes."""
+    """Finds ways in one field. It holds nothing that changes, so all robots of a process share one."""
 
     def __init__(
         self, blocked: NDArray[np.bool_], origin_x_m: float, origin_y_m: float, cell_m: float,
@@ -45,9 +49,11 @@ class TurnRoute:
     def way(
         self, start: Pose, goal: Pose, bodies: Sequence[Point] = (), reach_m: float = 0.0
     ) -> list[Piece] | None:
-        """Pieces from start to goal, with a straight run-up where there is room; None: no way.
+        """Pieces from start to goal, with a straight run-up where there is room; None: no way was
+        found.
 
-        A start on a blocked cell may be left: the cells round it count as free.
+        Cells nearer than `reach_m` to one of the `bodies` count as blocked. A start on a blocked
+        cell may be left: the cells round it count as free.
         """
         blocked = self._without(bodies, reach_m)
         self._open(blocked, start)
@@ -68,9 +74,11 @@ class TurnRoute:
         return best
 
     def is_free(self, at: Point) -> bool:
+        """Whether the middle of the body may be at a place; no other bodies are considered."""
         return bool(is_free(self.blocked, self.place, *at))
 
     def piece_is_free(self, at: Pose, piece: Piece) -> bool:
+        """Whether a piece from a pose stays on free cells; no other bodies are considered."""
         return bool(piece_is_free(self.blocked, self.place, *at, *piece))
 
     def _search(self, blocked: NDArray[np.bool_], start: Pose, goal: Pose) -> list[Piece] | None:
@@ -105,7 +113,7 @@ class TurnRoute:
 
 
 def cost_m(pieces: Sequence[Piece]) -> float:
-    """Metres ahead that would take as long."""
+    """The metres straight ahead that would take as long as these pieces."""
     shifts = sum(1 for a, b in pairwise(pieces) if a.length_m * b.length_m < 0.0)
     return shifts * SHIFT_M + sum(
         abs(piece.length_m) * (BACK_COST if piece.length_m < 0.0 else 1.0) for piece in pieces
