@@ -1,7 +1,7 @@
 """A field as one fleet's vehicles drive in it: its division, path grids, fences, and curves.
 
-Computed from the outline and the declared values alone, so every robot computes the same. It is
-immutable: peers of one process may share it, and none learns anything by that.
+It is computed from the outline and the declared values alone, so every robot computes the same. It
+is immutable, so peers of one process may share it without exchanging information.
 """
 
 from functools import cached_property
@@ -21,7 +21,7 @@ from agent.paths.route import Route
 from agent.paths.tractor_route import TurnRoute
 
 ROUTE_CELLS_MAX = 1_500_000  # of the path grid; larger fields get larger cells
-ROUTE_CELL_M = 0.5
+ROUTE_CELL_M = 0.5  # usual side of its cells
 CLEARANCE_M = 0.3  # paths keep this distance from fences and holes, in addition to the radius
 assert CLEARANCE_M > FENCE_M + ALIGN_M / 2, (
     "avoidance permits what was planned, a little off it too"
@@ -36,7 +36,7 @@ GATE_OUTSIDE_M = 0.5  # a gate may be this far outside of the outline
 
 
 class FieldError(ValueError):
-    """One line: the declared value that does not fit this field, and what is wrong with it."""
+    """A declared value that does not fit the field; the message is one line that names it."""
 
     def __init__(self, key: str, why: str) -> None:
         """`key`: where the value is declared, for example "field.gate"."""
@@ -87,6 +87,8 @@ def _corner(polygon: Polygon) -> XY:
 
 
 class FieldPlan:
+    """One field and one kind of vehicle, with all that missions and motion derive from them."""
+
     def __init__(self, field: Field, vehicle: Vehicle) -> None:
         """Raises FieldError if the vehicle is too wide for the field's swaths."""
         self.field, self.vehicle = field, vehicle
@@ -100,8 +102,10 @@ class FieldPlan:
 
     @cached_property
     def route(self) -> Route:
-        """Paths on a grid that is finer if cells of the usual size close a passage that robots fit
-        through."""
+        """The planner of paths for a body that turns on the spot.
+
+        Its grid is finer if cells of the usual size close a passage that robots fit through.
+        """
         clearance_m = self.vehicle.radius_m + CLEARANCE_M
         cell_m = self._cells(ROUTE_CELL_M)
         grid = rasterise(self.field, cell_m, clearance_m, whole=True)
@@ -123,6 +127,7 @@ class FieldPlan:
 
     @property
     def turn_radius_m(self) -> float:
+        """The radius of planned curves; see `planned_radius_m`."""
         return planned_radius_m(self.vehicle)
 
     @cached_property

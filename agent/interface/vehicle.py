@@ -9,13 +9,15 @@ from agent.interface.motion_controller import BodyLimits
 
 
 class DriveTrain(IntEnum):
+    """How a vehicle can move; motion controllers and the simulator's physics depend on it."""
+
     MECANUM = 0  # moves in any direction without turning
     DIFFERENTIAL = 1  # turns on the spot
     ACKERMANN = 2  # steers like a tractor
 
 
 class Vehicle(NamedTuple):
-    """Equal for all robots of a fleet."""
+    """The declared vehicle of a fleet, equal for all its robots."""
 
     radius_m: float = 0.8  # of the circle round it
     speed_m_s: float = 2.5
@@ -28,6 +30,7 @@ class Vehicle(NamedTuple):
 
     @property
     def limits(self) -> BodyLimits:
+        """What collision avoidance needs to know of the body."""
         return BodyLimits(self.radius_m, self.speed_m_s, self.acceleration_m_s2)
 
     @property
