@@ -1,7 +1,9 @@
 # make demo   sets everything up and lets six robots work a real field, on a map in your browser
+# make fast   the unit tests of what a core computes: no fleets, no processes; a minute on two cores
 # make test   sets everything up, checks style and types, runs the tests but for the slow ones
 # make slow   the slow tests: real launches, long runs, documented commands as they stand
 # make check  format, style and types only      make bench  every figure our documents claim, quickly
+# make coverage  lines and branches that the tests of replicated state, frames and safety run, with floors
 # make site   the documents as a site in build/site
 # make clean  removes what the others made
 PYTHON ?= python3
@@ -10,7 +12,7 @@ BIN := $(VENV)/bin
 # Bytecode is kept: the tests start hundreds of processes, and a quarter of a robot's start was compiling it.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test slow check kernels bench site setup clean
+.PHONY: demo fast test slow check coverage kernels bench site setup clean
 .DEFAULT_GOAL := demo
 
 setup: $(VENV)/installed
@@ -43,6 +45,17 @@ kernels: setup
 test: setup
 	@$(MAKE) --no-print-directory --jobs=2 --output-sync=target check kernels
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow"
+
+fast: setup
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow and not fleet and not process"
+
+# Floors are percents, a little below what was reached: raise them with the tests.
+COVERED := tests/crdt tests/protocol tests/agent/interface tests/agent/peer tests/agent/safety
+coverage: setup
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow" --cov --cov-report= $(COVERED)
+	$(BIN)/coverage report --include='crdt/*' --fail-under=93
+	$(BIN)/coverage report --include='protocol/*' --fail-under=80
+	$(BIN)/coverage report --include='agent/safety/*' --fail-under=88
 
 slow: setup kernels
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m slow

@@ -1,0 +1,37 @@
+"""Marks tests by what their module imports, so that nobody has to remember to mark one.
+
+`process`: starts processes. `fleet`: several peers in a simulated world. The rest are unit tests: values
+in, values out. `make fast` runs only those. CONTRIBUTING.md has the commands.
+"""
+
+import re
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+PROCESS = re.compile(
+    r"^\s*(?:import (?:subprocess|multiprocessing)|from (?:asyncio\.subprocess|tests\.tools\.launching)"
+    r" import|.*\bcreate_subprocess_)", re.M,
+)  # fmt: skip
+FLEET = re.compile(
+    r"^\s*(?:from|import) (?:sim\.(?:fleet|runs|rigs|chaos)|tests\.chaos"
+    r"|tools\.(?:run|bench|chaos|livemap))\b", re.M,
+)  # fmt: skip
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    for item in items:
+        for name in kinds(item.path):
+            item.add_marker(name)
+
+
+@cache
+def kinds(path: Path) -> tuple[str, ...]:
+    """The marks of a test module by its imports; none for those of the repository, in `tests/`."""
+    if path.parent == Path(__file__).parent or not path.name.startswith("test_"):
+        return ()
+    text = path.read_text(encoding="utf-8")
+    return tuple(
+        name for name, rule in (("process", PROCESS), ("fleet", FLEET)) if rule.search(text)
+    )
