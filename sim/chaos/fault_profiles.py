@@ -10,9 +10,8 @@ from typing import NamedTuple
 
 from sim.chaos.fault_generators import CLUSTERS, DRAWS
 from sim.scenarios import scenario as kinds
-from sim.scenarios.field_setup import Setting
-from sim.scenarios.protocol_setup import DrillSetting, drill
-from sim.scenarios.scenario import DRILLS, Fault, Scenario, load
+from sim.scenarios.protocol_setup import drill
+from sim.scenarios.scenario import Fault, Scenario, load
 
 
 class Span(NamedTuple):
@@ -142,11 +141,6 @@ def draw(seed: int, profile: str = "all") -> Scenario:
 def span_of(scenario: Scenario) -> Span:
     """When calm begins and the run ends, by the mission of the scenario."""
     return SPANS[scenario.mission]
-
-
-def setting_of(scenario: Scenario) -> Setting:
-    """A drill without physics, or a field with bodies, whichever the mission needs."""
-    return DrillSetting(scenario) if scenario.mission in DRILLS else Setting(scenario)
 
 
 def with_faults(scenario: Scenario, faults: list[Fault]) -> Scenario:

@@ -17,7 +17,7 @@ from agent.peer.sense_freshness import AGE_MAX_US
 from protocol.frames.frame import Frame
 from sim.chaos.durability_rules import STANDS, lost, unknown
 from sim.chaos.effect_observer import EffectObserver
-from sim.chaos.fault_profiles import is_link_trouble, setting_of, span_of
+from sim.chaos.fault_profiles import is_link_trouble, span_of
 from sim.chaos.protocol_rules import RuleViolation
 from sim.fleet.event_loop import EventLoop
 from sim.fleet.outcome import Outcome
@@ -28,6 +28,8 @@ from sim.runs.field_run import FieldRun
 from sim.runs.protocol_run import ProtocolRun
 from sim.runs.run import RunProgress
 from sim.scenarios import scenario as kinds
+from sim.scenarios.field_setup import Setting
+from sim.scenarios.protocol_setup import DrillSetting
 from sim.scenarios.scenario import DRILLS, Fault, Scenario
 from sim.world.checkers import ExclusiveWorkChecker, Violation
 from sim.world.contacts import TOUCH_M
@@ -75,7 +77,8 @@ class ScenarioJudge:
         """`first_only`: end the run within a second of the first violation."""
         self.first_only = first_only
         self.scenario, self.span = scenario, span_of(scenario)
-        self.setting = setting_of(scenario.with_engine("contact_free"))
+        plain = scenario.with_engine("contact_free")
+        self.any_setting = DrillSetting(plain) if scenario.mission in DRILLS else Setting(plain)
         self.witness = EffectObserver(scenario.fleet.robots)
         self.broken: list[RuleViolation] = []
         self.outcome: Outcome | None = None
@@ -97,8 +100,11 @@ class ScenarioJudge:
     def run(self) -> "ScenarioJudge":
         """Play the scenario to its end, or to the first violation with `first_only`, and judge what
         is left to judge."""
-        kind = ProtocolRun if self.scenario.mission in DRILLS else FieldRun
-        run = kind(self.setting, attach=self._attach)
+        run: ProtocolRun | FieldRun
+        if isinstance(self.any_setting, DrillSetting):
+            run = ProtocolRun(self.any_setting, attach=self._attach)
+        else:
+            run = FieldRun(self.any_setting, attach=self._attach)
         run.recorder = self.witness
         if self.first_only:
             run.told = self._enough
@@ -131,8 +137,9 @@ class ScenarioJudge:
         self.cluster, self.witness.clock = cluster, cluster.host.now_us
         for slot in range(self.scenario.fleet.robots):
             cluster.journals[slot] = LogJournal(Disk())
-        if isinstance(cluster.world, ProtocolWorld) and self.scenario.fleet.silence != "stop":
-            cluster.world.counts = self._all_told
+        self.protocol_world = cluster.world if isinstance(cluster.world, ProtocolWorld) else None
+        if self.protocol_world is not None and self.scenario.fleet.silence != "stop":
+            self.protocol_world.counts = self._all_told
         self.silence, self.delivery = motions(cluster.world), motions(cluster.world)
         self.senseless = motions(cluster.world)
         cluster.on_power = self._power
@@ -254,7 +261,7 @@ class ScenarioJudge:
     def _place_freezes(self, slot: int, until_us: int) -> None:
         """S19: it notices this when it drives, and stops within its distance limit."""
         self._now_us()
-        if not isinstance(self.cluster.world, ProtocolWorld) and self.cluster.is_up(slot):
+        if self.protocol_world is None and self.cluster.is_up(slot):
             self._frozen_at[slot] = self.cluster.world.body(slot).position
             self._at(until_us, partial(self._thaws, slot))
 
@@ -289,7 +296,7 @@ class ScenarioJudge:
     def _shoved(self, slot: int, by_m: float) -> None:
         """A lowered implement is moved past a strip of ground, by less than a working robot could
         detect from its speed."""
-        bodies = not isinstance(self.cluster.world, ProtocolWorld)
+        bodies = self.protocol_world is None
         if bodies and by_m < UNNOTICED_M and self.cluster.is_up(slot):
             reach_m = self.setting.field.implement_width_m / 2 + 2 * UNNOTICED_M
             self._left.append((*self.cluster.world.body(slot).position, reach_m))
@@ -428,7 +435,7 @@ class ScenarioJudge:
         world, end_s = self.cluster.world, outcome.simulated_s
         self._moved()
         self._contacts()
-        bodies = not isinstance(world, ProtocolWorld) and self.scenario.fleet.silence == "stop"
+        bodies = self.protocol_world is None and self.scenario.fleet.silence == "stop"
         self._exclusive_work(self._exclusive(world) if bodies else self._together)
         if not outcome.replicas_equal:
             self._add("L1", end_s, "replicas differ")
@@ -442,21 +449,22 @@ class ScenarioJudge:
             what = f"finished: {outcome.finished}, coverage {outcome.coverage:.2%}"
             self._add("L5", end_s, what)
         else:
-            self._all_units_told(world)
+            self._all_units_told()
 
-    def _all_units_told(self, world: World | ProtocolWorld) -> None:
+    def _all_units_told(self) -> None:
         """Check that the fleet knows all worked units, not only that sections are done."""
-        if not isinstance(world, ProtocolWorld):
+        world = self.protocol_world
+        if world is None:
             return
         told = sum(bits.bit_count() for bits in self.witness.words.units.values())
         untold = sum(world.units.values()) - told
         if untold:
             self._add("L5", world.now_us / 1e6, f"finished, and {untold} units were never told")
 
-    def _accounted_for(self, world: World | ProtocolWorld) -> bool:
+    def _accounted_for(self, world: World) -> bool:
         """Whether all unworked ground lies around machines that stayed switched off, or where a
         person has moved one a little."""
-        if isinstance(world, ProtocolWorld):
+        if self.protocol_world is not None:
             return False
         slots, left = range(self.scenario.fleet.robots), [*self._left]
         for body in (world.robots[slot] for slot in slots if not self.cluster.is_up(slot)):
@@ -489,8 +497,7 @@ class ScenarioJudge:
 
     @property
     def _together(self) -> list[Violation]:
-        world = self.cluster.world
-        return world.together if isinstance(world, ProtocolWorld) else []
+        return [] if self.protocol_world is None else self.protocol_world.together
 
     def _exclusive_work(self, found: list[Violation]) -> None:
         for violation in found[:1]:
@@ -508,6 +515,12 @@ class ScenarioJudge:
                 what = f"robot {contact.first} {depth_cm:.0f} cm into {contact.against}"
                 self._add("S17", contact.t_us / 1e6, what)
                 return
+
+    @property
+    def setting(self) -> Setting:
+        """The field; a protocol run has none."""
+        assert isinstance(self.any_setting, Setting)
+        return self.any_setting
 
     def _exclusive(self, world: World) -> list[Any]:
         field = self.setting.field

@@ -4,8 +4,6 @@ from collections.abc import Callable
 from math import hypot
 from random import Random
 
-from shapely.geometry import Point
-
 from agent.interface.config import S
 from protocol.frames.frame import Frame
 from protocol.frames.network_frames import AddressClaimed
@@ -19,9 +17,6 @@ from sim.fleet.simulated_disk import Disk, LogJournal
 from sim.fleet.simulated_fleet import OPERATOR, Cluster
 from sim.fleet.strangers import foreign, nonsense, twin
 from sim.scenarios import scenario as kinds
-from sim.scenarios.field_setup import Setting
-from sim.scenarios.navigation_setup import ErrandSetting
-from sim.scenarios.protocol_setup import DrillSetting
 
 UNKNOWN_GROUP = 0x1FF0700  # its priority is drawn; even at 0 a stop has the lower identifier
 BABBLER, BABBLE_FRAMES, BABBLE_US = 240, 2, 1_000  # more than the bus can carry
@@ -212,13 +207,7 @@ class FaultPlan:
 
     def _space(self, radius_m: float) -> Callable[[float, float], bool] | None:
         """Whether a body's centre can be at a point; None if there is no world."""
-        setting = self.cluster.setting
-        if isinstance(setting, ErrandSetting):
-            return setting.floor.holds
-        if not isinstance(setting, Setting) or isinstance(setting, DrillSetting):
-            return None
-        inside = setting.floor_space(radius_m)
-        return lambda x_m, y_m: bool(inside.contains(Point(x_m, y_m)))
+        return self.cluster.setting.free_space(radius_m)
 
     def _box(self, x_m: float, y_m: float, size_m: float, for_s: float) -> Script[None]:
         until_us = self._now_us() + round(for_s * S)

@@ -16,7 +16,7 @@ from agent.interface.identity import SilencePolicy
 from agent.interface.lifecycle import State
 from agent.interface.ports import Body, Journal
 from agent.peer.peer import Peer
-from agent.runtime.peer_factory import identity_of, make_peer
+from agent.runtime.peer_factory import MissionParts, identity_of, make_peer
 from agent.runtime.peer_runner import PeerRunner
 from agent.segments.segment_area import Area
 from protocol.authentication import Signed
@@ -41,16 +41,13 @@ from sim.fleet.scheduler import Handle, Host, LoopHost
 from sim.fleet.sensor_faults import ReceivedBody, Receiver
 from sim.fleet.simulated_disk import MemoryJournal
 from sim.fleet.stop_monitor import StopMonitor, reached
-from sim.scenarios.coverage_setup import GridSetting
-from sim.scenarios.field_setup import Setting
-from sim.scenarios.navigation_setup import ErrandSetting
+from sim.scenarios.fleet_setup import FleetSetup
 from sim.scenarios.scenario import Join, Scenario
 
 OPERATOR = 200  # slot of the operator device that sends a scenario's resets
 TOOL_ADDRESS = 249  # source address of scripted operator frames
 STOP_PGN = GROUP_OF[EmergencyStop].pgn
 PGN_MASK = 0x3FFFF  # of an identifier without its source address
-AnySetting = Setting | ErrandSetting | GridSetting
 Record = Callable[[int, int, Effect], None]  # slot, time in microseconds, effect
 
 
@@ -78,18 +75,20 @@ class Robot:
 
 
 def peer_of(
-    setting: AnySetting,
+    setting: FleetSetup,
     slot: int,
     now_us: int,
     recalled: Mapping[str, bytes],
     first_boot: bool,
     lot: str = "",
     segment: int = 0,
+    parts: MissionParts | None = None,
 ) -> Peer:
     """The peer of one slot of a scenario, the same on a virtual clock and in a separate process.
 
     `segment`: for a fleet of several segments; 0 if there are no others. `lot`: any value that no
-    two boots of this robot share; the first boot in a simulation needs none.
+    two boots of this robot share; the first boot in a simulation needs none. `parts`: of the
+    mission; None: those of the setup.
     """
     scenario = setting.scenario
     identity = identity_of(
@@ -98,7 +97,8 @@ def peer_of(
     )  # fmt: skip
     # A robot that has lost its memory must not draw the same random numbers again.
     rng = Random(f"{scenario.run.seed}/peer/{slot}{lot}")
-    parts, keyring = setting.parts(slot, now_us, recalled), setting.keyring(slot, lot)
+    keyring = setting.keyring(slot, lot)
+    parts = parts or setting.parts(slot, now_us, recalled)
     area = Area(segment, setting.section_count) if segment else None
     return make_peer(identity, rng, now_us, recalled, parts, keyring=keyring, area=area)
 
@@ -109,7 +109,7 @@ class Cluster:
 
     def __init__(
         self,
-        setting: AnySetting,
+        setting: FleetSetup,
         channel: str,
         record: Record | None = None,
         host: Host | None = None,
@@ -160,7 +160,9 @@ class Cluster:
             self.on_power(slot, True)
         boots = self.boots[slot]
         lot = f"/{boots}" if boots else ""
-        peer = self.make(slot, self.host.now_us(), journal.load(), not boots, lot)
+        now_us, recalled = self.host.now_us(), journal.load()
+        parts = self.parts(slot, now_us, recalled)
+        peer = peer_of(self.setting, slot, now_us, recalled, not boots, lot, parts=parts)
         self.boots[slot] += 1
         bus = can.Bus(interface="fieldbus", channel=self.channel)
         assert isinstance(bus, FieldBus)
@@ -180,11 +182,9 @@ class Cluster:
         receiver = self.receivers.setdefault(slot, Receiver())
         return ReceivedBody(self.world.body(slot), self.host, receiver)
 
-    def make(
-        self, slot: int, now_us: int, recalled: Mapping[str, bytes], first_boot: bool, lot: str
-    ) -> Peer:
-        """The peer of this mission; other missions override this."""
-        return peer_of(self.setting, slot, now_us, recalled, first_boot, lot)
+    def parts(self, slot: int, now_us: int, recalled: Mapping[str, bytes]) -> MissionParts:
+        """What the mission brings to the peer of a robot that is switched on."""
+        return self.setting.parts(slot, now_us, recalled)
 
     def kill(self, slot: int) -> None:
         """Power off without a message. The body stays where it is and its commands expire."""

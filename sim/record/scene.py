@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from agent.mapping.building import Floor
 from sim.scenarios.exploration_scenario import ArenaSetting, load_arena
 from sim.scenarios.field_setup import Setting
-from sim.scenarios.navigation_setup import ErrandSetting
+from sim.scenarios.fleet_setup import FleetSetup
 from sim.scenarios.scenario import ScenarioError, load
 
 Scene = dict[str, Any]
@@ -19,7 +19,7 @@ FILE = "scene.json"  # in the folder of a run
 POINT_DIGITS = 2  # centimetres
 
 
-def scene_of(setting: Setting | ErrandSetting) -> Scene:
+def scene_of(setting: FleetSetup) -> Scene:
     """Field, arena or floor; metres in the field frame, x east, y north."""
     fleet = setting.scenario.fleet
     scene: Scene = {

@@ -9,7 +9,7 @@ sync and all frames on a bus of 250 kbit/s. Only bodies and sensors are simpler 
 
 from collections import deque
 from collections.abc import Mapping
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -72,7 +72,8 @@ class GridCluster(Cluster):
     def __init__(self, setting: GridSetting, channel: str, record: Record, host: Host) -> None:
         super().__init__(setting, channel, record, host)
         self.place = setting
-        self.grid_world = cast(GridWorld, self.world)
+        assert isinstance(self.world, GridWorld)
+        self.grid_world = self.world
         self.never_died = set(range(len(setting.starts)))
 
     def boot(self, slot: int) -> Robot:
@@ -81,7 +82,7 @@ class GridCluster(Cluster):
             self.never_died.discard(slot)
         if slot not in self.grid_world.robots:
             number = self._room_for(slot)
-            self.grid_world.add_robot(slot, number, self.host.now_us())
+            self.grid_world.put_robot(slot, number, self.host.now_us())
         return super().boot(slot)
 
     def kill(self, slot: int) -> None:

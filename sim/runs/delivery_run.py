@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 from agent.delivery.delivery_mission import DeliveryMission
 from agent.delivery.task_registry import TASKS_MAX
 from agent.interface.config import S
-from agent.peer.peer import Peer
+from agent.runtime.peer_factory import MissionParts
 from crdt import Phase
 from sim.fleet.scheduler import Handle, Host, Script
 from sim.fleet.simulated_fleet import Cluster, Record, Robot
@@ -76,13 +76,11 @@ class HaulCluster(Cluster):
         self.missions: dict[int, DeliveryMission] = {}
         self.segment.taps.append(self.depot.hear)
 
-    def make(
-        self, slot: int, now_us: int, recalled: Mapping[str, bytes], first_boot: bool, lot: str
-    ) -> Peer:
-        peer = super().make(slot, now_us, recalled, first_boot, lot)
-        assert isinstance(peer.mission, DeliveryMission)
-        self.missions[slot] = peer.mission
-        return peer
+    def parts(self, slot: int, now_us: int, recalled: Mapping[str, bytes]) -> MissionParts:
+        parts = super().parts(slot, now_us, recalled)
+        assert isinstance(parts.mission, DeliveryMission)
+        self.missions[slot] = parts.mission
+        return parts
 
     def boot(self, slot: int) -> Robot:
         robot = super().boot(slot)

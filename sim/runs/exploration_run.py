@@ -4,7 +4,6 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from enum import Enum
 from pathlib import Path
-from random import Random
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,9 +15,8 @@ from agent.exploration.exploration_task import ExplorationOrder
 from agent.exploration.lone_exploration import LoneExploration
 from agent.interface.config import MS, S
 from agent.interface.lifecycle import State
-from agent.peer.peer import Peer
 from agent.runtime.mission_parts import MAP_TICK_US, exploration_parts
-from agent.runtime.peer_factory import identity_of, make_peer
+from agent.runtime.peer_factory import MissionParts
 from crdt.hybrid_clock import HybridClock
 from crdt.occupancy import OccupancyMap
 from crdt.sighting import TIME_MAX
@@ -107,26 +105,17 @@ class SurveyCluster(Cluster):
         self.missions: dict[int, ExplorationMission] = {}
         self.at_once: list[InstantMapSync] = []
 
-    def make(
-        self, slot: int, now_us: int, recalled: Mapping[str, bytes], first_boot: bool, lot: str
-    ) -> Peer:
-        place, scenario = self.place, self.place.scenario
-        fleet = scenario.fleet
+    def parts(self, slot: int, now_us: int, recalled: Mapping[str, bytes]) -> MissionParts:
+        place, arena = self.place, self.place.scenario.arena
         kind = LoneExploration if self.sharing is Sharing.NONE else ExplorationMission
         parts = exploration_parts(
-            slot, fleet.robots, self._sync(slot, now_us), place.vehicle, scenario.arena.range_m,
-            self.orders, robots_max=scenario.arena.robots_max, kind=kind,
+            slot, place.scenario.fleet.robots, self._sync(slot, now_us), place.vehicle,
+            arena.range_m, self.orders, robots_max=arena.robots_max, kind=kind,
             shares=self.sharing is Sharing.FLEET,
         )  # fmt: skip
         assert isinstance(parts.mission, ExplorationMission)
         self.missions[slot] = parts.mission
-        identity = identity_of(
-            scenario.name, slot, fleet.robots, place.config_hash, place.silence,
-            first_boot=first_boot,
-        )  # fmt: skip
-        rng = Random(f"{scenario.run.seed}/peer/{slot}{lot}")
-        keyring = place.keyring(slot, lot)
-        return make_peer(identity, rng, now_us, recalled, parts, keyring=keyring)
+        return parts
 
     def _sync(self, slot: int, now_us: int) -> MapSync:
         chart = OccupancyMap(self.place.geometry, self.place.order)

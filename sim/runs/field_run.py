@@ -6,7 +6,7 @@ from agent.interface.config import S
 from sim.fleet.outcome import Outcome
 from sim.fleet.scheduler import Host
 from sim.fleet.simulated_fleet import Cluster, Record
-from sim.runs.run import Run, RunProgress, of_bodies, points_of, states_of
+from sim.runs.run import Run, RunProgress, SetupT, of_bodies, points_of, states_of
 from sim.scenarios.field_setup import Setting
 from sim.world.coverage_truth import Coverage, coverage, sample_points
 from sim.world.ground_truth import TrackPoint
@@ -15,18 +15,14 @@ from sim.world.implement_contacts import implement_contacts
 RASTER_M = 0.25  # of the coverage check
 
 
-class FieldRun(Run[Setting, Cluster, Outcome]):
+class WorkRun(Run[SetupT, Cluster, Outcome]):
+    """A run whose sections are worked, whatever the world is."""
+
     kind = Outcome
     look_us = 1 * S
-    truth: Coverage | None = None
-    tracks: dict[int, list[TrackPoint]]  # after the run
 
     def make_fleet(self, channel: str, record: Record, host: Host) -> Cluster:
         return Cluster(self.setting, channel, record, host)
-
-    @property
-    def time_limit_s(self) -> float:
-        return self.setting.time_limit_s
 
     def progress(self, cluster: Cluster) -> RunProgress:
         peers = [robot.peer for robot in cluster.running]
@@ -34,6 +30,19 @@ class FieldRun(Run[Setting, Cluster, Outcome]):
         share = max((peer.progress.fraction() for peer in peers), default=0.0)
         now_s, total = cluster.host.now_us() / S, self.setting.section_count
         return RunProgress(now_s, done, total, share, states_of(cluster))
+
+    def measure(self, cluster: Cluster) -> dict[str, Any]:
+        peers = [robot.peer for robot in cluster.robots.values()]
+        return {
+            "units_twice": sum(peer.voice.redone for peer in peers),
+            "refused": sum(peer.safety.authority.refused for peer in peers),
+            "sections": self.setting.section_count,
+        }
+
+
+class FieldRun(WorkRun[Setting]):
+    truth: Coverage | None = None
+    tracks: dict[int, list[TrackPoint]]  # after the run
 
     def measure(self, cluster: Cluster) -> dict[str, Any]:
         field, fleet = self.setting.field, self.setting.scenario.fleet
@@ -45,24 +54,14 @@ class FieldRun(Run[Setting, Cluster, Outcome]):
             self.tracks, field.implement_width_m, field.overlap_m, fleet.radius_m
         )
         return {
+            **super().measure(cluster),
             **of_bodies(cluster),
-            **of_work(cluster),
             "coverage": truth.share,
             "reachable": ground.share,
             "reached": truth.reached,
             "unreached": ground.unreached,
             "makespan_s": truth.last_us / 1e6,
             "worked_twice": truth.twice,
-            "sections": len(field.sections),
             "work_m": field.work_m,
             "implement_contacts": len(met),
         }
-
-
-def of_work(cluster: Cluster) -> dict[str, Any]:
-    """Fields of outcomes that are counted by the robots: they lower the marks, never raise them."""
-    peers = [robot.peer for robot in cluster.robots.values()]
-    return {
-        "units_twice": sum(peer.voice.redone for peer in peers),
-        "refused": sum(peer.safety.authority.refused for peer in peers),
-    }

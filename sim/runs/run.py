@@ -17,13 +17,14 @@ from sim.fleet.event_loop import EventLoop
 from sim.fleet.fault_injector import FaultPlan
 from sim.fleet.scheduler import Handle, Host, LoopHost, Script, follow
 from sim.fleet.settling import quiet_us
-from sim.fleet.simulated_fleet import AnySetting, Cluster, Record
+from sim.fleet.simulated_fleet import Cluster, Record
 from sim.fleet.trace_recorder import Recorder
 from sim.fleet.virtual_clock import run_virtual
+from sim.scenarios.fleet_setup import FleetSetup
 from sim.world.ground_truth import TrackPoint
 
 _numbers = itertools.count()
-SetupT = TypeVar("SetupT", bound=AnySetting)
+SetupT = TypeVar("SetupT", bound=FleetSetup)
 FleetT = TypeVar("FleetT", bound=Cluster)
 OutcomeT = TypeVar("OutcomeT")
 
@@ -89,10 +90,6 @@ class Run(ABC, Generic[SetupT, FleetT, OutcomeT]):
     def recorded(self, recorder: Recorder) -> Record:
         """What gets every effect of every robot."""
         return recorder
-
-    @property
-    def time_limit_s(self) -> float:
-        return self.setting.scenario.run.time_limit_s
 
     @property
     def quiet_us(self) -> int:
@@ -162,7 +159,7 @@ class Run(ABC, Generic[SetupT, FleetT, OutcomeT]):
             self.tally.close()
 
     def _until_over(self, cluster: FleetT, scripts: Sequence[Handle]) -> Script[None]:
-        host, limit_us = cluster.host, round(self.time_limit_s * S)
+        host, limit_us = cluster.host, round(self.setting.time_limit_s * S)
         while host.now_us() < limit_us:
             yield host.now_us() + self.look_us
             cluster.check()

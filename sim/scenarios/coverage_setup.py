@@ -3,18 +3,15 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from random import Random
-from typing import cast
 
 from agent.coverage.cell_map import CellMap
-from agent.interface.identity import SilencePolicy
 from agent.interface.vehicle import Vehicle
 from agent.runtime.mission_parts import coverage_parts
 from agent.runtime.peer_factory import NO_MEMORY, MissionParts
-from protocol.authentication import Keyring, Keys
 from sim.files.grid_map import Instance
+from sim.scenarios.fleet_setup import FleetSetup
 from sim.scenarios.scenario import BusTable, Fault, FieldTable, FleetTable, RunTable, Scenario
 from sim.world.grid_world import GridWorld
-from sim.world.world import World
 
 # The robots of the field scenarios: a cell is their working width.
 CELL_M, SPEED_M_S, RADIUS_M = 4.0, 2.5, 0.8
@@ -22,15 +19,14 @@ STEP_S = CELL_M / SPEED_M_S
 VEHICLE = Vehicle(RADIUS_M, SPEED_M_S)
 
 
-class GridSetting:
+class GridSetting(FleetSetup):
     def __init__(self, scenario: Scenario, instance: Instance, turn_cost: float = 0.0) -> None:
         """ValueError if there are more free cells than numbers on the wire."""
-        self.scenario, self.instance, self.turn_cost = scenario, instance, turn_cost
+        super().__init__(scenario)
+        self.instance, self.turn_cost = instance, turn_cost
         self.ground = CellMap(instance.walls, CELL_M)
         self.cells = [self.ground.number(cell) for cell in instance.starts]
         self.starts = [self.ground.centre(number) for number in self.cells]  # metres
-        self.keys: Keys | None = None
-        self.silence = SilencePolicy[scenario.fleet.silence.upper()]
 
     @classmethod
     def made(
@@ -73,10 +69,6 @@ class GridSetting:
         rng = Random(f"{self.scenario.run.seed}/grid/{slot}")
         return coverage_parts(slot, self.ground, VEHICLE, rng, self.turn_cost)
 
-    def world(self) -> World:
-        """An empty world: robots are added when they are switched on. It has the full interface of
-        `World`."""
-        return cast(World, GridWorld(self.ground, RADIUS_M))
-
-    def keyring(self, sender: int, lot: str) -> Keyring | None:
-        return None
+    def world(self) -> GridWorld:
+        """An empty world: robots are put into it when they are switched on."""
+        return GridWorld(self.ground, RADIUS_M)

@@ -11,7 +11,6 @@ from agent.delivery.task_registry import TransportTask
 from agent.delivery.warehouse import Warehouse
 from agent.mapping.building import Floor, FloorError
 from agent.runtime.files.given_file import DRAWING_BYTES_MAX, GivenFileError, read_text
-from agent.runtime.files.key_file import FLEET, KeyFileError, read
 from agent.runtime.mission_parts import delivery_parts
 from agent.runtime.peer_factory import NO_MEMORY, MissionParts
 from sim.scenarios.delivery_scenario import TaskRow, WarehouseScenario, random_tasks, read_tasks
@@ -38,12 +37,6 @@ class DeliverySetting(ErrandSetting):
         except ValueError as problem:
             raise ScenarioError(f"{name}: fleet.robots: {problem}") from None
         super().__init__(scenario, floor, starts, [()] * fleet.robots)
-        self.keys = None
-        if fleet.keys is not None:
-            try:
-                self.keys = read(scenario.folder / fleet.keys, FLEET).keys
-            except KeyFileError as problem:
-                raise ScenarioError(f"{name}: fleet.keys: {problem}") from None
         battery = scenario.battery
         self.carrier = Carrier(
             PLANNING_SPEED * fleet.speed_m_s, table.handle_s, battery.range_m, battery.standby_s,

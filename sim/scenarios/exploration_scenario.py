@@ -1,5 +1,6 @@
 """Indoor places to explore: scenario files with walls, and the cells that can truly be seen."""
 
+from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import Literal
@@ -11,11 +12,11 @@ from pydantic import Field
 
 from agent.exploration.exploration_task import ORDERS_MAX, ROBOTS_MAX, Kind
 from agent.exploration.exploration_task import ExplorationOrder as Task
-from agent.interface.identity import SilencePolicy
+from agent.runtime.peer_factory import NO_MEMORY, MissionParts
 from crdt.allocation import FieldAllocationCRDT
 from crdt.occupancy import Geometry
 from crdt.sighting import MergeOrder
-from sim.scenarios.field_setup import Setting
+from sim.scenarios.fleet_setup import FleetSetup
 from sim.scenarios.scenario import FieldTable, Scenario, ScenarioError, _Table, load_kind
 from sim.world.drive_trains import Chassis
 from sim.world.lidar import Lidar
@@ -63,13 +64,13 @@ def load_arena(name: str) -> ArenaScenario:
     return load_kind(name, ArenaScenario, ARENAS)
 
 
-class ArenaSetting(Setting):
-    """The counterpart of `Setting` for an arena; only the world knows the walls, robots do not."""
+class ArenaSetting(FleetSetup):
+    """The setup of an arena; only the world knows its walls, robots do not."""
+
+    scenario: ArenaScenario
 
     def __init__(self, scenario: ArenaScenario) -> None:
-        self.scenario: ArenaScenario = scenario
-        self.keys = self._keys()
-        self.silence = SilencePolicy[scenario.fleet.silence.upper()]
+        super().__init__(scenario)
         table = scenario.arena
         if scenario.fleet.robots > len(table.starts):
             raise ScenarioError(
@@ -94,20 +95,29 @@ class ArenaSetting(Setting):
         text = f"{self.scenario.name} {self.geometry} {self.order.value}"
         return FieldAllocationCRDT.hash_of(text)
 
+    @property
+    def section_count(self) -> int:
+        return 0  # tasks have numbers of their own
+
+    def make_chassis(self) -> Chassis:
+        radius_m = self.scenario.fleet.radius_m
+        plain = super().make_chassis()
+        return plain._replace(
+            wheel_radius_m=radius_m / 4, half_base_m=radius_m / 2, half_track_m=radius_m / 2
+        )
+
+    def parts(
+        self, slot: int, now_us: int = 0, recalled: Mapping[str, bytes] = NO_MEMORY
+    ) -> MissionParts:
+        """None: the run makes them, from the maps of the whole fleet."""
+        return MissionParts()
+
     def world(self) -> World:
-        table, fleet = self.scenario.arena, self.scenario.fleet
+        table, run = self.scenario.arena, self.scenario.run
         half_w, half_h = table.width_m / 2, table.height_m / 2
         rings = [_ring((-half_w, -half_h, half_w, half_h)), *map(_ring, table.solid)]
-        run, lidar = self.scenario.run, Lidar(table.rays, table.range_m)
-        world = World(rings, run.seed, lidar, engine=run.engine)
-        wheel_m = fleet.radius_m / 4
-        chassis = Chassis(
-            wheel_radius_m=wheel_m, half_base_m=fleet.radius_m / 2, half_track_m=fleet.radius_m / 2,
-            speed_m_s=fleet.speed_m_s, acceleration_m_s2=fleet.acceleration_m_s2, slip=fleet.slip,
-        )  # fmt: skip
-        for slot in range(fleet.robots):
-            world.add_robot(slot, self.starts[slot], fleet.radius_m, chassis)
-        return world
+        lidar = Lidar(table.rays, table.range_m)
+        return self.populated(World(rings, run.seed, lidar, engine=run.engine))
 
     @cached_property
     def solid(self) -> NDArray[np.bool_]:

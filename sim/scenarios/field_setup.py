@@ -1,17 +1,11 @@
-"""The setup of a run from its scenario: field, grid, world, safety policy, keys.
+"""The setup of a fleet that works a field: the field, its plan, its world."""
 
-It is read once and shared by the peers of one process. The field and its grid are immutable, so
-sharing gives no peer knowledge that it would not have computed equally.
-"""
-
-from collections.abc import Mapping
-from functools import cached_property
-from math import radians
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from shapely.geometry import Polygon
+from shapely.geometry import Point
 
-from agent.field.field_map import XY, Field, start_poses
+from agent.field.field_map import Field, start_poses
 from agent.field.field_plan import (
     CLEARANCE_M,
     FieldError,
@@ -20,17 +14,14 @@ from agent.field.field_plan import (
     divided,
     planned_radius_m,
 )
-from agent.interface.identity import SilencePolicy
-from agent.interface.motion_controller import BodyLimits as BodyLimits
-from agent.interface.vehicle import DriveTrain, Vehicle
+from agent.interface.vehicle import DriveTrain
 from agent.runtime.files.field_error import FILE_BYTES_MAX, FieldFileError
 from agent.runtime.files.field_file import read_boundary
 from agent.runtime.files.given_file import GivenFileError, read_bytes
-from agent.runtime.files.key_file import FLEET, KeyFileError, read
 from agent.runtime.mission_parts import field_parts
-from agent.runtime.peer_factory import NO_MEMORY, MissionParts, keyring_of
-from protocol.authentication import Keyring, Keys
-from sim.scenarios.scenario import Crash, CrashWorking, FleetTable, Scenario, ScenarioError
+from agent.runtime.peer_factory import NO_MEMORY, MissionParts
+from sim.scenarios.fleet_setup import FleetSetup
+from sim.scenarios.scenario import Crash, CrashWorking, Scenario, ScenarioError
 from sim.scenarios.time_limit import time_limit_s
 from sim.world.drive_trains import Chassis
 from sim.world.lidar import Lidar
@@ -42,50 +33,26 @@ DEADLY = (Crash, CrashWorking)  # faults after which a robot may not work
 SPACING_RADII = 3.0  # spacing of robots at the gate
 
 
-def keys_of(scenario: Scenario) -> Keys | None:
-    """The keys of its fleet, if it has any."""
-    name = scenario.fleet.keys
-    if name is None:
-        return None
-    try:
-        return read(scenario.folder / name, FLEET).keys
-    except KeyFileError as problem:
-        raise ScenarioError(f"{scenario.name}: fleet.keys: {problem}") from None
-
-
-def vehicle_of(fleet: FleetTable) -> Vehicle:
-    return Vehicle(
-        fleet.radius_m, fleet.speed_m_s, fleet.acceleration_m_s2,
-        DriveTrain[fleet.drive.upper()], fleet.wheelbase_m, fleet.track_m,
-        radians(fleet.steer_deg),
-    )  # fmt: skip
-
-
 FIELDS_MAX = 8  # a campaign uses one field
 _fields: dict[tuple[object, ...], Field] = {}  # by all their inputs: dividing a field takes 80 ms
 
 
-class Setting:
+class Setting(FleetSetup):
     def __init__(self, scenario: Scenario) -> None:
         """Raises ScenarioError if the field cannot be used."""
-        self.scenario = scenario
+        super().__init__(scenario)
         self.field = self._field()
-        self.keys = self._keys()
-        self.silence = SilencePolicy[scenario.fleet.silence.upper()]
         try:
             self.plan = FieldPlan(self.field, self.vehicle)
         except FieldError as problem:
             raise ScenarioError(f"{scenario.name}: {problem}") from None
         spacing_m = SPACING_RADII * scenario.fleet.radius_m
         try:
-            self.starts: list[XY] = start_poses(
+            self.starts = start_poses(
                 self.field, scenario.fleet.robots, spacing_m, scenario.fleet.radius_m + CLEARANCE_M
             )
         except ValueError as problem:
             raise ScenarioError(f"{scenario.name}: fleet.robots: {problem}") from None
-
-    def _keys(self) -> Keys | None:
-        return keys_of(self.scenario)
 
     def _field(self) -> Field:
         table = self.scenario.field
@@ -122,17 +89,9 @@ class Setting:
         except FieldError as problem:
             raise ScenarioError(f"{self.scenario.name}: {problem}") from None
 
-    @cached_property
-    def vehicle(self) -> Vehicle:
-        return vehicle_of(self.scenario.fleet)
-
-    @cached_property
-    def chassis(self) -> Chassis:
+    def make_chassis(self) -> Chassis:
         fleet = self.scenario.fleet
-        plain = Chassis(
-            speed_m_s=fleet.speed_m_s, acceleration_m_s2=fleet.acceleration_m_s2, slip=fleet.slip,
-            kind=self.vehicle.drive,
-        )  # fmt: skip
+        plain = super().make_chassis()._replace(kind=self.vehicle.drive)
         if plain.kind is DriveTrain.MECANUM:
             return plain
         return plain._replace(
@@ -146,9 +105,9 @@ class Setting:
         """The radius of planned paths; 0 for a body that moves in any direction without turning."""
         return planned_radius_m(self.vehicle)
 
-    def floor_space(self, radius_m: float) -> Polygon:
-        """The area in which the middle of a body can be."""
-        return self.field.polygon.buffer(-radius_m)
+    def free_space(self, radius_m: float) -> Callable[[float, float], bool]:
+        inside = self.field.polygon.buffer(-radius_m)
+        return lambda x_m, y_m: bool(inside.contains(Point(x_m, y_m)))
 
     def ground(self, raster: Raster) -> Ground:
         """Which part of the area asked for these bodies can work. `raster`: see
@@ -186,15 +145,6 @@ class Setting:
 
     def world(self) -> World:
         """A new world with every robot at its place near the gate."""
-        fleet = self.scenario.fleet
-        rings = [self.field.exterior, *self.field.holes]
-        run = self.scenario.run
-        world = World(rings, run.seed, Lidar(fleet.rays), engine=run.engine)
-        chassis = self.chassis
-        for slot, at in enumerate(self.starts):
-            world.add_robot(slot, at, fleet.radius_m, chassis)
-        return world
-
-    def keyring(self, sender: int, lot: str) -> Keyring | None:
-        """`lot`: any value that no two starts of this sender share."""
-        return keyring_of(self.keys, sender, lot.encode())
+        rings, run = [self.field.exterior, *self.field.holes], self.scenario.run
+        lidar = Lidar(self.scenario.fleet.rays)
+        return self.populated(World(rings, run.seed, lidar, engine=run.engine))

@@ -19,7 +19,6 @@ from shapely.ops import unary_union
 
 from agent.mapping.building import Floor, FloorError
 from agent.runtime.files.given_file import DRAWING_BYTES_MAX, GivenFileError, read_text
-from sim.scenarios.field_setup import keys_of
 from sim.scenarios.navigation_setup import ErrandSetting, scattered
 from sim.scenarios.scenario import (
     FIELD_FILES,
@@ -101,7 +100,6 @@ def setting_of(scenario: ErrandScenario) -> ErrandSetting:
         floor,
         *_places(scenario, floor),
         dropped=_dropped(scenario, floor),
-        keys=keys_of(scenario),
     )
 
 

@@ -4,32 +4,25 @@ setting = ErrandSetting.drawn("swap", DRAWING, starts=[(0.5, 0.5)], goals=[[(9.5
 outcome = Outing(setting).run()
 """
 
-from collections.abc import Mapping, Sequence
-from functools import cached_property
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from random import Random
 
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.interface.identity import SilencePolicy
-from agent.interface.vehicle import Vehicle
 from agent.mapping.building import Floor
 from agent.runtime.mission_parts import navigation_parts
-from agent.runtime.peer_factory import NO_MEMORY, MissionParts, keyring_of
-from protocol.authentication import Keyring, Keys
-from sim.scenarios.field_setup import vehicle_of
+from agent.runtime.peer_factory import NO_MEMORY, MissionParts
+from sim.scenarios.fleet_setup import FleetSetup, Point
 from sim.scenarios.scenario import BusTable, FieldTable, FleetTable, RunTable, Scenario
-from sim.world.drive_trains import Chassis
 from sim.world.lidar import Lidar
 from sim.world.temporary_obstacles import TemporaryObstacle, schedule
 from sim.world.walls import Grid
 from sim.world.world import World
 
-Point = tuple[float, float]
 
-
-class ErrandSetting:
+class ErrandSetting(FleetSetup):
     def __init__(
         self,
         scenario: Scenario,
@@ -38,16 +31,14 @@ class ErrandSetting:
         goals: Sequence[Sequence[Point]],
         agrees: bool = True,
         dropped: Sequence[TemporaryObstacle] = (),
-        keys: Keys | None = None,
     ) -> None:
         """`goals`: of each robot, in their order. `agrees`: False for ORCA alone. `dropped`: boxes
         that appear and vanish."""
         assert len(starts) == len(goals) == scenario.fleet.robots
-        self.scenario, self.floor, self.agrees = scenario, floor, agrees
+        super().__init__(scenario)
+        self.floor, self.agrees = floor, agrees
         self.starts, self.goals = list(starts), {k: tuple(own) for k, own in enumerate(goals)}
-        self.keys = keys
         self.dropped, self.appeared = dropped, list[TemporaryObstacle]()
-        self.silence = SilencePolicy[scenario.fleet.silence.upper()]
 
     @classmethod
     def made(
@@ -85,9 +76,8 @@ class ErrandSetting:
     def section_count(self) -> int:
         return sum(len(own) for own in self.goals.values())
 
-    @cached_property
-    def vehicle(self) -> Vehicle:
-        return vehicle_of(self.scenario.fleet)
+    def free_space(self, radius_m: float) -> Callable[[float, float], bool]:
+        return self.floor.holds
 
     def parts(
         self, slot: int, now_us: int = 0, recalled: Mapping[str, bytes] = NO_MEMORY
@@ -99,21 +89,12 @@ class ErrandSetting:
         )  # fmt: skip
 
     def world(self) -> World:
-        """A new world with every robot at its start."""
-        fleet, floor = self.scenario.fleet, self.floor
+        """A new world with every robot at its start, and the boxes that will appear in it."""
+        floor, run = self.floor, self.scenario.run
         grid = Grid(floor.walls, *floor.origin, floor.cell_m)
-        world = World([], self.scenario.run.seed, Lidar(), grid, self.scenario.run.engine)
-        chassis = Chassis(
-            speed_m_s=fleet.speed_m_s, acceleration_m_s2=fleet.acceleration_m_s2, slip=fleet.slip
-        )
-        for slot, at in enumerate(self.starts):
-            world.add_robot(slot, at, fleet.radius_m, chassis)
-        self.appeared = schedule(world, self.dropped, fleet.radius_m)
+        world = self.populated(World([], run.seed, Lidar(), grid, run.engine))
+        self.appeared = schedule(world, self.dropped, self.scenario.fleet.radius_m)
         return world
-
-    def keyring(self, slot: int, lot: str = "") -> Keyring | None:
-        """`lot`: any value that no two starts of this sender share."""
-        return keyring_of(self.keys, slot, lot.encode())
 
 
 def scattered(

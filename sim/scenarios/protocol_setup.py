@@ -4,9 +4,8 @@ from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
 
-from agent.interface.identity import SilencePolicy
 from agent.runtime.peer_factory import NO_MEMORY, MissionParts
-from sim.scenarios.field_setup import Setting
+from sim.scenarios.fleet_setup import FleetSetup
 from sim.scenarios.scenario import DRILLS, FieldTable, FleetTable, RunTable, Scenario
 from sim.world.protocol_world import (
     SECTIONS_A_ROBOT,
@@ -19,11 +18,10 @@ from sim.world.protocol_world import (
 CONFIG_HASH = 1  # equal for all peers, because there is no field
 
 
-class DrillSetting(Setting):
+class DrillSetting(FleetSetup):
     def __init__(self, scenario: Scenario) -> None:
         assert scenario.mission in DRILLS
-        self.scenario, self.keys = scenario, None
-        self.silence = SilencePolicy[scenario.fleet.silence.upper()]
+        super().__init__(scenario)
 
     @cached_property
     def parade(self) -> ProtocolWorld:
@@ -31,10 +29,6 @@ class DrillSetting(Setting):
 
     def world(self) -> ProtocolWorld:
         return self.parade
-
-    @property
-    def time_limit_s(self) -> float:
-        return self.scenario.run.time_limit_s
 
     @property
     def config_hash(self) -> int:
@@ -52,7 +46,7 @@ class DrillSetting(Setting):
     def parts(
         self, slot: int, now_us: int = 0, recalled: Mapping[str, bytes] = NO_MEMORY
     ) -> MissionParts:
-        return MissionParts(TimedMission(self.parade, slot, self._crowded), PassThroughMotion(slot))
+        return MissionParts(TimedMission(self.parade, slot, self._crowded), PassThroughMotion())
 
 
 def drill(robots: int, seed: int, mission: str = "drill", silence: str = "stop") -> Scenario:

@@ -17,6 +17,8 @@ from agent.interface.config import ACTUATOR_TTL_US, MS
 from agent.interface.effects import Drive
 from agent.interface.ports import Observation
 from sim.world.drive_trains import Chassis
+from sim.world.robot_body import RobotBody
+from sim.world.world import World
 
 LOOK_US = 50 * MS
 SIGHT = 2.0  # cells
@@ -24,29 +26,24 @@ COVERED = 0.1  # of a cell, the same as a robot's own criterion
 Cell = tuple[int, int]
 
 
-@dataclass(slots=True)
-class GridBody:
+class GridBody(RobotBody):
     """One robot's position, its command, and the time of the command."""
 
     world: "GridWorld"
-    slot: int
-    row: int  # of the world's arrays
 
-    @property
-    def chassis(self) -> Chassis:
-        """A default one: cells know no wheels."""
-        return Chassis()
+    def __init__(self, world: "GridWorld", slot: int, row: int) -> None:
+        super().__init__(world, slot, row, world.radius_m, Chassis())
 
     @property
     def position(self) -> tuple[float, float]:
         """Metres east and north, at the time of the last command."""
-        x_m, y_m = self.world.places[self.row].tolist()
+        x_m, y_m = self.world.positions[self.index].tolist()
         return x_m, y_m
 
     def sense(self, now_us: int) -> Observation:
         """What the robot senses now: its place, its speed while a command is valid, and other
         bodies in sight."""
-        world, row = self.world, self.row
+        world, row = self.world, self.index
         world.advance(now_us)
         x_m, y_m = world.now(row, now_us)
         vx, vy = world.speeds[row].tolist() if now_us < world.until_us[row] else (0.0, 0.0)
@@ -55,8 +52,8 @@ class GridBody:
 
     def drive(self, command: Drive, now_us: int) -> None:
         """Follow a velocity from now on, without delay, until the command expires."""
-        world, row = self.world, self.row
-        world.places[row] = world.now(row, now_us)
+        world, row = self.world, self.index
+        world.positions[row] = world.now(row, now_us)
         world.since_us[row] = now_us
         world.speeds[row] = command.vx_m_s, command.vy_m_s
         world.until_us[row] = now_us + ACTUATOR_TTL_US
@@ -75,15 +72,14 @@ class GridTruth:
     at: dict[int, int] = field(default_factory=dict)  # slot -> the cell that it covered last
 
 
-class GridWorld:
+class GridWorld(World):
     """Positions and speeds of all bodies as arrays with a row for each robot, moved exactly between
     commands, and the truth about what they covered."""
 
     def __init__(self, ground: CellMap, radius_m: float) -> None:
+        super().__init__([])
         self.ground, self.radius_m = ground, radius_m
-        self.robots: dict[int, GridBody] = {}
-        self.guards: list[object] = []  # never called, because steps are not as fine here
-        self.places = np.empty((0, 2))  # at `since_us`
+        self.positions = np.empty((0, 2))  # at `since_us`
         self.speeds = np.empty((0, 2))
         self.since_us = np.empty(0, dtype=np.int64)
         self.until_us = np.empty(0, dtype=np.int64)
@@ -92,33 +88,28 @@ class GridWorld:
         self._looked_us = 0
         self._centres = np.array([ground.centre(n) for n in range(count)]).reshape(-1, 2)
 
-    def body(self, slot: int) -> GridBody:
-        """The body of a robot that was added."""
-        return self.robots[slot]
-
     def guard(self) -> None:
-        """Does nothing: robots that must stand are not checked here."""
+        """Does nothing: steps are not fine enough here to check robots that must stand."""
 
-    def add_robot(self, slot: int, number: int, now_us: int) -> GridBody:
+    def put_robot(self, slot: int, number: int, now_us: int) -> None:
         """Put a robot into the middle of a cell."""
         assert slot not in self.robots
-        self.robots[slot] = body = GridBody(self, slot, len(self.robots))
-        self.places = np.vstack((self.places, self._centres[number]))
+        self.robots[slot] = GridBody(self, slot, len(self.robots))
+        self.positions = np.vstack((self.positions, self._centres[number]))
         self.speeds = np.vstack((self.speeds, (0.0, 0.0)))
         self.since_us = np.append(self.since_us, now_us)
         self.until_us = np.append(self.until_us, now_us)
-        return body
 
     def now(self, row: int, now_us: int) -> tuple[float, float]:
         """Where the body in that row is at `now_us`, metres east and north. It stands from the end
         of its command on."""
         seconds = (min(now_us, int(self.until_us[row])) - int(self.since_us[row])) / 1e6
-        (x_m, y_m), (vx, vy) = self.places[row].tolist(), self.speeds[row].tolist()
+        (x_m, y_m), (vx, vy) = self.positions[row].tolist(), self.speeds[row].tolist()
         return x_m + vx * seconds, y_m + vy * seconds
 
     def _all(self, now_us: int) -> NDArray[np.float64]:
         seconds = (np.minimum(now_us, self.until_us) - self.since_us) / 1e6
-        places: NDArray[np.float64] = self.places + self.speeds * seconds[:, None]
+        places: NDArray[np.float64] = self.positions + self.speeds * seconds[:, None]
         return places
 
     def seen(
@@ -126,7 +117,7 @@ class GridWorld:
     ) -> tuple[tuple[float, float], ...]:
         """Other robots within sight, as metres east and north of the position."""
         sight_m = SIGHT * self.ground.cell_m
-        gaps = self.places - (
+        gaps = self.positions - (
             x_m,
             y_m,
         )  # positions at the command; a cell of margin covers the motion since

@@ -6,23 +6,22 @@ works where, so no checker has to ask a robot.
 """
 
 from collections.abc import Callable, Collection, Mapping
-from math import cos, inf, sin
+from math import cos, sin
 from typing import NamedTuple
 
 from agent.interface.config import ACTUATOR_TTL_US, CONTENTION_US, LEASE_US, MS, S
 from agent.interface.effects import HALT, Drive
 from agent.interface.mission import STILL, ClaimRequest, FleetView, Mission, MotionRequest
-from agent.interface.motion_controller import BodyLimits
-from agent.interface.ports import NOTHING_SEEN, Observation
-from agent.motion.holonomic_motion import HolonomicMotion
+from agent.interface.motion_controller import MotionController
+from agent.interface.ports import NOTHING_SEEN, Neighbour, Observation
 from crdt import Phase
 from sim.world.checkers import VIOLATIONS_MAX, Violation, lapse_us
 from sim.world.drive_trains import Chassis
-from sim.world.ground_truth import Contact
-from sim.world.protocol_drill import SPACING_M, SPEED_M_S
 from sim.world.robot_body import RobotBody
 from sim.world.world import World
 
+SPEED_M_S = 2.5
+SPACING_M = 12.0  # far enough apart that no robot gives way
 UNIT_US = 1 * S  # a unit takes this long
 UNITS = 20  # of a section; so claims are made three times as often as in a field of short rows
 SECTIONS_A_ROBOT = 8
@@ -130,22 +129,16 @@ class ProtocolWorld(World):
     computed."""
 
     def __init__(self, robots: int, sections: int) -> None:
-        self.now_us, self.lidar = 0, None
+        super().__init__([])
         self._checkers: list[CommandChecker] = []
         self.stands = {slot: StationaryBody(self, slot) for slot in range(robots)}
-        self.robots = dict[int, RobotBody](self.stands)
+        self.robots.update(self.stands)
         self.units = dict.fromkeys(range(sections), UNITS)
         self.worked: set[tuple[int, int]] = set()
         self.together: list[Violation] = []  # S7
-        self.counts: Callable[[], bool] = lambda: (
-            True
-        )  # whether two robots in a section are a violation at present
-        self.contacts: list[Contact] = []
+        # Whether two robots in a section are a violation at present.
+        self.counts: Callable[[], bool] = lambda: True
         self._at_work: dict[int, tuple[int, int]] = {}  # section -> robot and when it last worked
-
-    @property
-    def closest_m(self) -> float:
-        return inf
 
     def advance(self, now_us: int) -> None:
         self.now_us = max(self.now_us, now_us)
@@ -261,16 +254,18 @@ class TimedMission(Mission):
 WORKING = MotionRequest(SPEED_M_S, 0.0, 0.0, True)
 
 
-class PassThroughMotion(HolonomicMotion):
+class PassThroughMotion(MotionController):
     """Motion without obstacles: no robot is in the way of another."""
 
-    def __init__(self, slot: int) -> None:
-        self.slot, self.limits = slot, BodyLimits(0.5, SPEED_M_S, 1.0)
-        self.lookout = None
+    def __init__(self) -> None:
         self._wish, self._drive = STILL, HALT
 
     def drive(
-        self, here: Observation, wish: MotionRequest, neighbours: Mapping[int, object], now_us: int
+        self,
+        here: Observation,
+        wish: MotionRequest,
+        neighbours: Mapping[int, Neighbour],
+        now_us: int,
     ) -> Drive:
         if wish is not self._wish:
             self._wish = wish

@@ -14,8 +14,7 @@ from sim.record.mcap_log import McapLog, McapMissing
 from sim.record.recorder_script import RecordingSink, watch
 from sim.record.recording import FramesDigest, Recording
 from sim.record.scene import FILE, scene_of
-from sim.scenarios.field_setup import Setting
-from sim.scenarios.navigation_setup import ErrandSetting
+from sim.scenarios.fleet_setup import FleetSetup
 
 MCAP = "run.mcap"
 
@@ -24,7 +23,7 @@ class RunRecorder:
     """Given to an expedition or a survey as `attach`, or fed by a launch; close it after the run."""
 
     def __init__(
-        self, setting: Setting | ErrandSetting, out: Path, recording: Recording | None = None,
+        self, setting: FleetSetup, out: Path, recording: Recording | None = None,
         begun_us: int = 0, told: Callable[[str], None] = say, limit: Limit | None = None,
     ) -> None:  # fmt: skip
         """`recording`: of a map that shows the run meanwhile. `begun_us`: time of the first line, on

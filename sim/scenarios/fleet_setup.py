@@ -1,0 +1,107 @@
+"""What the setups of all missions have alike: keys, silence policy, limits, chassis, starts, peers.
+
+A setup is made from a scenario, read once, and shared by the peers of one process. What it holds is
+immutable, so sharing gives no peer knowledge that it would not have computed equally.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
+from math import radians
+
+from agent.interface.identity import SilencePolicy
+from agent.interface.vehicle import DriveTrain, Vehicle
+from agent.runtime.files.key_file import FLEET, KeyFileError, read
+from agent.runtime.peer_factory import NO_MEMORY, MissionParts, keyring_of
+from protocol.authentication import Keyring, Keys
+from sim.scenarios.scenario import Scenario, ScenarioError
+from sim.world.drive_trains import Chassis
+from sim.world.world import World
+
+Point = tuple[float, float]
+
+
+class FleetSetup(ABC):
+    starts: Sequence[Point]  # metres; of each robot
+
+    def __init__(self, scenario: Scenario) -> None:
+        """Raises ScenarioError if the key file of the fleet cannot be used."""
+        self.scenario = scenario
+        self.keys = _keys_of(scenario)
+        self.silence = SilencePolicy[scenario.fleet.silence.upper()]
+
+    # ---------------------------------------------------------------- what a mission says
+
+    @property
+    @abstractmethod
+    def config_hash(self) -> int:
+        """u24, equal for all robots of one place of work."""
+
+    @property
+    @abstractmethod
+    def section_count(self) -> int:
+        """The number of sections, goals or parcels that the fleet claims."""
+
+    @abstractmethod
+    def parts(
+        self, slot: int, now_us: int = 0, recalled: Mapping[str, bytes] = NO_MEMORY
+    ) -> MissionParts:
+        """What the mission brings to a peer. `recalled`: the contents of its durable memory."""
+
+    @abstractmethod
+    def world(self) -> World:
+        """A new world, with every robot at its start."""
+
+    def free_space(self, radius_m: float) -> Callable[[float, float], bool] | None:
+        """Tells whether a body's centre can be at a point; None if there is no ground to ask."""
+        return None
+
+    # ---------------------------------------------------------------- what all have
+
+    @property
+    def time_limit_s(self) -> float:
+        """Simulated seconds after which a run ends."""
+        return self.scenario.run.time_limit_s
+
+    @cached_property
+    def vehicle(self) -> Vehicle:
+        """What all robots of the fleet are alike in."""
+        fleet = self.scenario.fleet
+        return Vehicle(
+            fleet.radius_m, fleet.speed_m_s, fleet.acceleration_m_s2,
+            DriveTrain[fleet.drive.upper()], fleet.wheelbase_m, fleet.track_m,
+            radians(fleet.steer_deg),
+        )  # fmt: skip
+
+    @cached_property
+    def chassis(self) -> Chassis:
+        """The body of each robot, as the world moves it."""
+        return self.make_chassis()
+
+    def make_chassis(self) -> Chassis:
+        """The chassis of a body that drives in any direction, as it is wherever wheels do not matter."""
+        fleet = self.scenario.fleet
+        return Chassis(
+            speed_m_s=fleet.speed_m_s, acceleration_m_s2=fleet.acceleration_m_s2, slip=fleet.slip
+        )
+
+    def keyring(self, sender: int, lot: str = "") -> Keyring | None:
+        """`lot`: any value that no two starts of this sender share."""
+        return keyring_of(self.keys, sender, lot.encode())
+
+    def populated(self, world: World) -> World:
+        """The world, with every robot put at its start."""
+        fleet = self.scenario.fleet
+        for slot, at in zip(range(fleet.robots), self.starts, strict=False):
+            world.add_robot(slot, at, fleet.radius_m, self.chassis)
+        return world
+
+
+def _keys_of(scenario: Scenario) -> Keys | None:
+    name = scenario.fleet.keys
+    if name is None:
+        return None
+    try:
+        return read(scenario.folder / name, FLEET).keys
+    except KeyFileError as problem:
+        raise ScenarioError(f"{scenario.name}: fleet.keys: {problem}") from None
