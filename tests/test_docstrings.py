@@ -16,7 +16,7 @@ FLOORS = {
     "protocol/frames": 38,
     "protocol/links": 100,
     "protocol/sync": 100,
-    "agent/avoidance": 41,
+    "agent/avoidance": 100,
     "agent/coverage": 37,
     "agent/delivery": 94,
     "agent/exploration": 100,

@@ -1,18 +1,25 @@
-"""How near fences are, as kernels: a call of numpy on a dozen numbers costs more than all of the numbers.
+"""How near fences are, as kernels: calling numpy on a dozen numbers costs more than computing with
+them.
 
-Fences are segments (n, 4): ax, ay, bx, by in metres.
+`fences` (n, 4) are segments: ax, ay, bx, by.
+
+Units: metres; x east, y north.
 """
 
 from math import hypot, inf
 
+import numpy as np
 from numba import njit
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
 
 LINE_2_M2 = 1e-18  # a fence shorter than its root has no length: a lone echo
 
 
 @njit(cache=True, error_model="numpy")
-def gap_m(x, y, fences):  # type: ignore[no-untyped-def]
-    """From a point to the nearest fence; inf without fences."""
+def gap_m(x: float, y: float, fences: Floats) -> float:
+    """The distance from the point (x, y) to the nearest fence; inf without fences."""
     nearest = inf
     for k in range(fences.shape[0]):
         ax, ay = fences[k, 0], fences[k, 1]
@@ -24,8 +31,14 @@ def gap_m(x, y, fences):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def way_gap_m(x, y, dx, dy, step_m, count, fences):  # type: ignore[no-untyped-def]
-    """The smallest value over this many points of a path, starting at one step."""
+def way_gap_m(
+    x: float, y: float, dx: float, dy: float, step_m: float, count: int, fences: Floats
+) -> float:
+    """The least distance to a fence along a straight path.
+
+    Looked at are `count` points, `step_m` apart, in the unit direction (dx, dy) from (x, y); the
+    first is one step away.
+    """
     nearest = inf
     for k in range(1, count + 1):
         nearest = min(nearest, gap_m(x + dx * (k * step_m), y + dy * (k * step_m), fences))
@@ -33,10 +46,11 @@ def way_gap_m(x, y, dx, dy, step_m, count, fences):  # type: ignore[no-untyped-d
 
 
 @njit(cache=True, error_model="numpy")
-def gather(x, y, fences, reach_m, out, gaps):  # type: ignore[no-untyped-def]
-    """Copies the nearest fences within reach to `out` (flat), nearest first; returns how many.
+def gather(x: float, y: float, fences: Floats, reach_m: float, out: Floats, gaps: Floats) -> int:
+    """Copy the fences within `reach_m` of (x, y) to `out`, nearest first; returns how many.
 
-    `gaps`: scratch, as long as the most that are copied.
+    `out` (4 * most,) is flat, four numbers a fence. `gaps` (most,) is scratch; its length is the
+    most that are copied.
     """
     count, most = 0, gaps.size
     for k in range(fences.shape[0]):

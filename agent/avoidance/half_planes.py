@@ -3,14 +3,25 @@
 van den Berg, Guy, Lin, Manocha (2011), sections 4 and 5.4, with the arithmetic of the RVO2 library
 (Apache-2.0) in its order. A wall is a row of an obstacle table (`agent.avoidance.obstacle_tree`):
 the edge from its vertex to the vertex of row `NEXT`, solid to the left of that direction.
+
+`table` (edges, COLUMNS) is such a table; `lines` (half-planes, 4) are described in
+`agent.avoidance.linear_program`.
+
+Units: metres and m/s; `per_horizon` and `per_step` in 1/s, one over the time to stay apart for, and
+over the control period.
 """
 
 from math import sqrt
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
-from agent.avoidance.linear_program import DX, DY, HALF, ONE, PX, PY, ZERO
+from agent.avoidance.k_nearest import Number, Real
+from agent.avoidance.linear_program import DX, DY, HALF, ONE, PX, PY, ZERO, Lines
+
+Table = NDArray[np.float32]  # (edges, COLUMNS), a wall a row
+Leg = tuple[Real, Real, bool]
 
 f32 = np.float32
 SLACK = f32(-1e-5)
@@ -21,10 +32,25 @@ AT_X, AT_Y, ALONG_X, ALONG_Y, CONVEX, NEXT, PREVIOUS, LEFT, RIGHT, COLUMNS = ran
 
 
 @njit(cache=True, error_model="numpy")
-def beside_agent(px, py, vx, vy, ux, uy, radius, share, per_horizon, per_step, lines, k):  # type: ignore[no-untyped-def]
-    """Half-plane k against an agent at (px, py) from here with velocity (ux, uy); own is (vx, vy).
+def beside_agent(
+    px: Real,
+    py: Real,
+    vx: Real,
+    vy: Real,
+    ux: Real,
+    uy: Real,
+    radius: Real,
+    share: Real,
+    per_horizon: Real,
+    per_step: Real,
+    lines: Lines,
+    k: Number,
+) -> None:
+    """Write row k of `lines`: the half-plane against a neighbour at (px, py) from here.
 
-    `radius` is the sum of both, `share` is how much of the avoidance is ours.
+    (vx, vy) is the own velocity, (ux, uy) the neighbour's. `radius` is the sum of both radii.
+    `share`, 0 to 1, is how much of the avoidance is ours. `per_step` counts where the two touch
+    already.
     """
     rx, ry = vx - ux, vy - uy
     square = px * px + py * py
@@ -64,8 +90,10 @@ def beside_agent(px, py, vx, vy, ux, uy, radius, share, per_horizon, per_step, l
 
 
 @njit(cache=True, error_model="numpy")
-def _covered(lines, count, ax, ay, bx, by, clear):  # type: ignore[no-untyped-def]
-    """Whether a half-plane written already keeps away from the whole cut-off of this edge."""
+def _covered(
+    lines: Lines, count: Number, ax: Real, ay: Real, bx: Real, by: Real, clear: Real
+) -> bool:
+    """Whether one of the half-planes written so far keeps the robot away from this whole edge."""
     for j in range(count):
         px, py, dx, dy = lines[j, PX], lines[j, PY], lines[j, DX], lines[j, DY]
         if ((ax - px) * dy - (ay - py) * dx) - clear >= SLACK and (
@@ -76,7 +104,7 @@ def _covered(lines, count, ax, ay, bx, by, clear):  # type: ignore[no-untyped-de
 
 
 @njit(cache=True, error_model="numpy")
-def _leg(px, py, square, radius, side):  # type: ignore[no-untyped-def]
+def _leg(px: Real, py: Real, square: Real, radius: Real, side: Real) -> tuple[Real, Real]:
     """Direction of the tangent from here to the circle at (px, py), left (1) or right (-1)."""
     leg = sqrt(square - radius * radius)
     scale = ONE / square
@@ -85,8 +113,25 @@ def _leg(px, py, square, radius, side):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _touching(table, a, b, ax, ay, bx, by, s, near_a, near_b, near_line, lines, k):  # type: ignore[no-untyped-def]
-    """The body overlaps the edge: only velocities away from it. (handled, half-planes written)"""
+def _touching(
+    table: Table,
+    a: int,
+    b: int,
+    ax: Real,
+    ay: Real,
+    bx: Real,
+    by: Real,
+    s: Real,
+    near_a: bool,
+    near_b: bool,
+    near_line: bool,
+    lines: Lines,
+    k: Number,
+) -> tuple[bool, int]:
+    """Half-plane for a body that overlaps the edge: only velocities away from it.
+
+    Returns whether that is the case, and how many half-planes were written.
+    """
     if s < ZERO and near_a:
         if table[a, CONVEX] == ZERO:
             return True, 0
@@ -107,10 +152,26 @@ def _touching(table, a, b, ax, ay, bx, by, s, near_a, near_b, near_line, lines, 
 
 
 @njit(cache=True, error_model="numpy")
-def _nearest_side(table, a, b, x, y, vx, vy, per_horizon, radius, left, right, lines, k):  # type: ignore[no-untyped-def]
-    """The half-plane at the side of the velocity obstacle that is nearest to the own velocity.
+def _nearest_side(
+    table: Table,
+    a: int,
+    b: int,
+    x: Real,
+    y: Real,
+    vx: Real,
+    vy: Real,
+    per_horizon: Real,
+    radius: Real,
+    left: Leg,
+    right: Leg,
+    lines: Lines,
+    k: Number,
+) -> int:
+    """Write the half-plane at the side of the velocity obstacle that is nearest to the own
+    velocity.
 
-    `left`, `right`: (x, y, foreign) of the legs; no half-plane where the nearest leg is foreign.
+    `left`, `right`: (x, y, foreign) of the legs; nothing is written where the nearest leg is
+    foreign. Returns how many half-planes were written.
     """
     lx, ly = per_horizon * (table[a, AT_X] - x), per_horizon * (table[a, AT_Y] - y)
     rx, ry = per_horizon * (table[b, AT_X] - x), per_horizon * (table[b, AT_Y] - y)
@@ -155,8 +216,23 @@ def _nearest_side(table, a, b, x, y, vx, vy, per_horizon, radius, left, right, l
 
 
 @njit(cache=True, error_model="numpy")
-def beside_wall(table, wall, x, y, vx, vy, radius, per_horizon, lines, k):  # type: ignore[no-untyped-def]
-    """Half-plane k against one edge of an obstacle; returns how many were written, 0 or 1."""
+def beside_wall(
+    table: Table,
+    wall: Number,
+    x: Real,
+    y: Real,
+    vx: Real,
+    vy: Real,
+    radius: Real,
+    per_horizon: Real,
+    lines: Lines,
+    k: Number,
+) -> int:
+    """Write row k of `lines` against one edge of an obstacle; returns how many were written, 0 or
+    1.
+
+    `wall` is its row in `table`; the robot is at (x, y) with velocity (vx, vy) and this `radius`.
+    """
     a, b = wall, int(table[wall, NEXT])
     ax, ay = table[a, AT_X] - x, table[a, AT_Y] - y
     bx, by = table[b, AT_X] - x, table[b, AT_Y] - y

@@ -1,15 +1,23 @@
 """Two-dimensional linear programs over half-planes of velocities, inside a disc; float32 kernels.
 
-A half-plane is a row (px, py, dx, dy): a point on its border and the unit direction of the border;
-permitted is what lies to the left. van den Berg, Guy, Lin, Manocha, "Reciprocal n-body collision
-avoidance" (2011), sections 5.2 and 5.3. Every operation is done in single precision and in the
-order of the RVO2 library (Apache-2.0), so that results are equal to its to the last bit.
+A half-plane is a row (px, py, dx, dy) of `lines` (half-planes, 4): a point on its border and the
+unit direction of the border; permitted is what lies to the left. `radius` is that of the disc: the
+greatest speed. van den Berg, Guy, Lin, Manocha, "Reciprocal n-body collision avoidance" (2011),
+sections 5.2 and 5.3. Every operation is done in single precision and in the order of the RVO2
+library (Apache-2.0), so that results are equal to those of the library to the last bit.
+
+Units: m/s; a point is a velocity (x, y).
 """
 
 from math import sqrt
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
+
+from agent.avoidance.k_nearest import Number, Real
+
+Lines = NDArray[np.float32]  # (half-planes, 4), PX to DY
 
 f32 = np.float32
 ZERO, HALF, ONE, PARALLEL = f32(0.0), f32(0.5), f32(1.0), f32(1e-5)
@@ -17,14 +25,21 @@ PX, PY, DX, DY = range(4)  # columns of a half-plane
 
 
 @njit(cache=True, error_model="numpy")
-def violation(lines, k, x, y):  # type: ignore[no-untyped-def]
+def violation(lines: Lines, k: int, x: Real, y: Real) -> Real:
     """How far (x, y) is on the forbidden side of half-plane k; negative where it is permitted."""
     return lines[k, DX] * (lines[k, PY] - y) - lines[k, DY] * (lines[k, PX] - x)
 
 
 @njit(cache=True, error_model="numpy")
-def on_border(lines, number, radius, ox, oy, by_direction):  # type: ignore[no-untyped-def]
-    """Best point on one border within the disc and the half-planes before it: (found, x, y)."""
+def on_border(
+    lines: Lines, number: int, radius: Real, ox: Real, oy: Real, by_direction: bool
+) -> tuple[bool, Real, Real]:
+    """The best point on the border of half-plane `number`, within the disc and the half-planes
+    before it.
+
+    Best is nearest to (ox, oy), or furthest in that unit direction where `by_direction` says so.
+    Returns (found, x, y).
+    """
     px, py, dx, dy = lines[number, PX], lines[number, PY], lines[number, DX], lines[number, DY]
     dot = px * dx + py * dy
     inside = dot * dot + radius * radius - (px * px + py * py)
@@ -60,11 +75,14 @@ def on_border(lines, number, radius, ox, oy, by_direction):  # type: ignore[no-u
 
 
 @njit(cache=True, error_model="numpy")
-def nearest_permitted(lines, count, radius, ox, oy, by_direction):  # type: ignore[no-untyped-def]
-    """The permitted point nearest to (ox, oy), or furthest in that unit direction.
+def nearest_permitted(
+    lines: Lines, count: Number, radius: Real, ox: Real, oy: Real, by_direction: bool
+) -> tuple[int, Real, Real]:
+    """The permitted point nearest to (ox, oy), or furthest in that unit direction if
+    `by_direction`.
 
-    Returns (count, x, y), or the number of the half-plane at which nothing was left, and the best
-    point before it.
+    Returns (count, x, y) for the first `count` half-planes. If no point is left, it returns the
+    number of the half-plane at which that happened, and the best point before it.
     """
     if by_direction:
         x, y = ox * radius, oy * radius
@@ -83,10 +101,20 @@ def nearest_permitted(lines, count, radius, ox, oy, by_direction):  # type: igno
 
 
 @njit(cache=True, error_model="numpy")
-def least_violating(lines, count, hard, begin, radius, x, y, spare):  # type: ignore[no-untyped-def]
-    """The point that violates the half-planes after the first `hard` least; those hold always.
+def least_violating(
+    lines: Lines,
+    count: Number,
+    hard: Number,
+    begin: int,
+    radius: Real,
+    x: Real,
+    y: Real,
+    spare: Lines,
+) -> tuple[Real, Real]:
+    """The point that violates the half-planes after the first `hard` ones least; those hold always.
 
-    `begin`: where `nearest_permitted` failed; `spare`: rows for `count` half-planes.
+    `begin`: where `nearest_permitted` failed, and (x, y) what it found. `spare` (count, 4):
+    scratch.
     """
     distance = ZERO
     for i in range(begin, count):
@@ -119,8 +147,14 @@ def least_violating(lines, count, hard, begin, radius, x, y, spare):  # type: ig
 
 
 @njit(cache=True, error_model="numpy")
-def solve(lines, count, hard, radius, ox, oy, spare):  # type: ignore[no-untyped-def]
-    """The velocity nearest to (ox, oy) that all half-planes permit, else the least violating."""
+def solve(
+    lines: Lines, count: Number, hard: Number, radius: Real, ox: Real, oy: Real, spare: Lines
+) -> tuple[Real, Real]:
+    """The velocity nearest to (ox, oy) that the first `count` half-planes permit, else the least
+    violating.
+
+    The first `hard` of them are never violated. `spare` (count, 4): scratch.
+    """
     reached, x, y = nearest_permitted(lines, count, radius, ox, oy, False)
     if reached < count:
         x, y = least_violating(lines, count, hard, reached, radius, x, y, spare)

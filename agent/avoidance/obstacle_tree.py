@@ -1,9 +1,12 @@
-"""Polygons that do not move, as the table that ORCA looks walls up in.
+"""Polygons that do not move, as the table in which ORCA looks walls up.
 
 Rings are solid inside when their vertices run counter-clockwise; a ring that runs clockwise is a
 boundary seen from its inside; two vertices are a fence with two sides. A binary space partition
 over the edges (van den Berg et al. 2011, section 5.4; the choices of the RVO2 library, Apache-2.0)
 makes a look-up touch only what is near. Edges that cross a partition are split.
+
+Units: metres; x east, y north. `table` (edges, COLUMNS) is described in
+`agent.avoidance.half_planes`.
 """
 
 from collections.abc import Sequence
@@ -24,12 +27,14 @@ from agent.avoidance.half_planes import (
     NEXT,
     PREVIOUS,
     RIGHT,
+    Table,
 )
-from agent.avoidance.k_nearest import insert
+from agent.avoidance.k_nearest import Real, insert
 from agent.avoidance.linear_program import ONE, ZERO
 
-Table = NDArray[np.float32]  # (edges, COLUMNS)
-Vertex = tuple[float, float]
+Longs = NDArray[np.int64]
+Singles = NDArray[np.float32]
+Vertex = tuple[float, float]  # metres (x, y)
 EPSILON = np.float32(1e-5)
 NONE = -1  # no child
 
@@ -46,12 +51,16 @@ NO_WALLS = ObstacleTree(np.zeros((0, COLUMNS), dtype=np.float32), NONE)
 
 def left_of(ax: np.float32, ay: np.float32, bx: np.float32, by: np.float32,
             cx: NDArray[np.float32], cy: NDArray[np.float32]) -> NDArray[np.float32]:  # fmt: skip
-    """Positive where c is to the left of the line from a to b; twice the area of the triangle."""
+    """Twice the area of the triangles a, b, c in m²: positive where c is left of the line from a to
+    b.
+
+    `cx`, `cy` and the result: (n,).
+    """
     return (ax - cx) * (by - ay) - (ay - cy) * (bx - ax)
 
 
 def vertices(rings: Sequence[Sequence[Vertex]]) -> Table:
-    """One row a vertex, not yet in a tree."""
+    """One row a vertex, (vertices, COLUMNS), ring by ring; not yet in a tree."""
     rows: list[Table] = []
     first = 0
     for ring in rings:
@@ -117,7 +126,7 @@ def _split(table: Table, edge: int, other: int) -> Table:
 
 
 def obstacle_tree(rings: Sequence[Sequence[Vertex]]) -> ObstacleTree:
-    """Build the table once; rings in metres, see the top of this file for their direction.
+    """Build the table once; see the top of this file for the direction of rings.
 
     The most balanced of all partitions is tried at each level, which takes time quadratic in the
     number of edges: about 0.1 s for 200 edges, so this is for walls that are known beforehand.
@@ -158,7 +167,7 @@ WALLS_MAX = 256  # walls in reach of one robot; the nearest are kept
 
 
 @njit(cache=True, error_model="numpy")
-def _to_edge(table, a, b, x, y):  # type: ignore[no-untyped-def]
+def _to_edge(table: Table, a: int, b: int, x: Real, y: Real) -> Real:
     """Square of the distance from a point to an edge."""
     ax, ay = x - table[a, AT_X], y - table[a, AT_Y]
     ex, ey = table[b, AT_X] - table[a, AT_X], table[b, AT_Y] - table[a, AT_Y]
@@ -171,8 +180,21 @@ def _to_edge(table, a, b, x, y):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def near_walls(table, root, x, y, reach, stack, near, squares):  # type: ignore[no-untyped-def]
-    """Fill `near` with the edges that face (x, y) within the square root of `reach`, nearest first.
+def near_walls(
+    table: Table,
+    root: int,
+    x: Real,
+    y: Real,
+    reach: Real,
+    stack: Longs,
+    near: Longs,
+    squares: Singles,
+) -> int:
+    """Fill `near` with the edges that face (x, y) within reach, nearest first; returns how many.
+
+    `near` and `squares` are (WALLS_MAX,): rows of `table`, and squares of their distances. `root`
+    is the row of the tree's root. `reach` is the square of a distance. `stack` is scratch for two
+    entries an edge.
 
     The tree is walked in its own order: the side of the partition on which we are, the edge of the
     partition itself, the other side. A node that waits for its turn is on the stack as -2 - node.

@@ -110,13 +110,15 @@ class OrcaSolver:
         self._use_known()
 
     def fence(self, fences: NDArray[np.float64]) -> None:
-        """Other fences from now on: what is sensed, where nothing is known beforehand."""
+        """Replace the fences by others, (n, 4): ax, ay, bx, by. For what is sensed, where nothing
+        is known beforehand."""
         self._fences = fences
         self._work[GATHERED_X] = self._work[GATHERED_Y] = inf
 
     def know(self, slot: int, x_m: float, y_m: float, vx_m_s: float, vy_m_s: float,
              radius_m: float, share: float, heard_s: float) -> None:  # fmt: skip
-        """The newest pose of a peer; `share` of the avoidance is ours (1: it will not give way)."""
+        """Set the newest pose of a peer. `share`, 0 to 1, of the avoidance is ours; 1: it will not
+        give way."""
         assert 0 <= slot < PEERS_MAX and 0.0 <= share <= 1.0 and radius_m >= 0.0
         _ROW.pack_into(self._bytes, 8 * (HEAD + slot * ROW_COLUMNS), x_m, y_m, vx_m_s, vy_m_s,
                        radius_m, share, heard_s, 0.0)  # fmt: skip
@@ -125,10 +127,14 @@ class OrcaSolver:
             self._use_known()
 
     def forget(self, slot: int) -> None:
+        """Avoid a peer no longer, until its next pose."""
         self._work[HEAD + slot * ROW_COLUMNS + ROW_RADIUS] = UNKNOWN
 
     def among_known(self, at: XY, own: XY, wanted: XY, now_s: float) -> XY:
-        """The velocity to take among the known peers, from place, own and wanted velocity."""
+        """The velocity to take among the known peers: (x, y) in m/s.
+
+        `at` is the own place in metres, `own` and `wanted` are velocities in m/s.
+        """
         # One by one, and all in one function: stars and calls would cost a tenth of all.
         x, y = at
         vx, vy = own
@@ -144,8 +150,12 @@ class OrcaSolver:
         _ROWS_IN_USE.pack_into(self._bytes, _ROWS_AT, 0, self._last, self.range_m)
 
     def velocity(self, at: XY, own: XY, wanted: XY, rows: list[tuple[float, ...]]) -> XY:
-        """The same from `rows` alone: dx, dy, vx, vy, combined radius, share; at any distance. And
-        for how long, in seconds, it was moved on since it was heard, where stopping is asked for."""
+        """The velocity to take among neighbours given in `rows` alone, at any distance, in m/s.
+
+        A row is dx, dy, vx, vy, combined radius, share of the avoidance; metres and m/s relative to
+        `at`. Where stopping is asked for, a seventh number may say for how many seconds its place
+        was moved on since it was heard. `own` and `wanted` are velocities in m/s.
+        """
         count = min(len(rows), GIVEN_MAX)
         x, y = at
         for k in range(count):

@@ -1,25 +1,29 @@
 """The kernel of ORCA for one robot, and the layout of the one array that it is given.
 
-`agent/avoidance/orca.py` describes what it computes. The array is a float64 buffer of a head,
-`PEERS_MAX` rows of known peers, `GIVEN_MAX` rows given with a call, `FENCES_MAX` near fences, and
-scratch: one argument, because each array argument costs a dispatcher 0.1 to 0.2 us. Positions stay
-double until they are relative to us; from there on all is single precision, bit for bit that of
-the RVO2 library.
+`agent/avoidance/orca.py` describes what it computes, after van den Berg et al. (2011). The array
+`work` (SIZE,) is a float64 buffer of a head, `PEERS_MAX` rows of known peers, `GIVEN_MAX` rows
+given with a call, `FENCES_MAX` near fences, and scratch. It is one argument, because each array
+argument costs a dispatcher 0.1 to 0.2 us. Positions stay double until they are relative to us; from
+there on all is single precision, bit for bit that of the RVO2 library.
 """
 
 from math import nan, sqrt
+from typing import Any
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
-from agent.avoidance.half_planes import beside_agent, beside_wall
-from agent.avoidance.k_nearest import take
-from agent.avoidance.linear_program import DX, DY, ONE, PX, PY, ZERO, solve, violation
-from agent.avoidance.obstacle_tree import WALLS_MAX, near_walls
+from agent.avoidance.half_planes import Table, beside_agent, beside_wall
+from agent.avoidance.k_nearest import Number, Real, take
+from agent.avoidance.linear_program import DX, DY, ONE, PX, PY, ZERO, Lines, solve, violation
+from agent.avoidance.obstacle_tree import WALLS_MAX, Longs, Singles, near_walls
 from agent.avoidance.stopping_constraint import before_agent, within_grip
 from agent.interface.config import NEIGHBOURS_MAX
 
-f32 = np.float32
+Buffer = NDArray[np.float64]  # (SIZE,)
+
+f32: Any = np.float32  # a number of single precision is a float to callers
 PEERS_MAX = 256  # a row for every slot of a fleet, operators' devices included
 GIVEN_MAX = 32  # rows a caller may give; the nearest `NEIGHBOURS_MAX` of them count
 FENCES_MAX = 64  # fences near a robot; the nearest are kept
@@ -52,7 +56,7 @@ FENCE_S = (
 
 
 @njit(cache=True, error_model="numpy")
-def _fence_lines(work, lines):  # type: ignore[no-untyped-def]
+def _fence_lines(work: Buffer, lines: Lines) -> int:
     """Half-planes against fences: towards one only as fast as can still be braked from."""
     n = 0
     for k in range(int(work[FENCES])):
@@ -77,7 +81,7 @@ def _fence_lines(work, lines):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _nearest(work, near, squares):  # type: ignore[no-untyped-def]
+def _nearest(work: Buffer, near: Longs, squares: Singles) -> Number:
     """Offsets of the nearest rows in range, nearest first, moved on by their age."""
     x, y, now = work[X], work[Y], work[NOW_S]
     reach, most, count = f32(work[RANGE] * work[RANGE]), int(work[NEIGHBOURS]), np.int64(0)
@@ -97,7 +101,7 @@ def _nearest(work, near, squares):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _stop_lines(work, near, count, lines, hard):  # type: ignore[no-untyped-def]
+def _stop_lines(work: Buffer, near: Longs, count: Number, lines: Lines, hard: Number) -> Number:
     """Half-planes within which we can stop before each of the nearest, after the `hard` ones."""
     own = sqrt(work[VX] * work[VX] + work[VY] * work[VY]) + work[STOPPING] * work[DT]
     own = min(own, work[SPEED_MAX])
@@ -115,7 +119,9 @@ def _stop_lines(work, near, count, lines, hard):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _choose(work, lines, hard, spare, near, squares):  # type: ignore[no-untyped-def]
+def _choose(
+    work: Buffer, lines: Lines, hard: Number, spare: Lines, near: Longs, squares: Singles
+) -> tuple[Real, Real]:
     """Half-planes of the neighbours after the `hard` ones, and the velocity of them all."""
     count, first = _nearest(work, near, squares), hard
     if work[STOPPING] > 0.0:
@@ -146,7 +152,7 @@ def _choose(work, lines, hard, spare, near, squares):  # type: ignore[no-untyped
 
 
 @njit(cache=True, error_model="numpy")
-def _scratch(work):  # type: ignore[no-untyped-def]
+def _scratch(work: Buffer) -> tuple[Lines, Lines, Longs, Singles]:
     """Lines, as many again, and the nearest with their squared distances: views of the buffer."""
     both = work[SCRATCH_AT:NEAR_AT].view(f32).reshape((2, LINES_MAX, 4))
     return (
@@ -158,15 +164,15 @@ def _scratch(work):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _gathered(work):  # type: ignore[no-untyped-def]
+def _gathered(work: Buffer) -> bool:
     """Whether the fences in the buffer are those that matter here."""
     dx, dy = work[X] - work[GATHERED_X], work[Y] - work[GATHERED_Y]
     return dx * dx + dy * dy <= FENCE_SLACK_M * FENCE_SLACK_M
 
 
 @njit(cache=True, error_model="numpy")
-def velocity(work):  # type: ignore[no-untyped-def]
-    """The velocity (vx, vy) to take, m/s, from a packed buffer (see the top of this file).
+def velocity(work: Buffer) -> tuple[float, float]:
+    """The velocity (vx, vy) to take, m/s, from the packed buffer `work` (see the top of this file).
 
     Not a number where the fences must be gathered first.
     """
@@ -177,8 +183,11 @@ def velocity(work):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def velocity_among_walls(work, table, root):  # type: ignore[no-untyped-def]
-    """As `velocity`, with the half-planes of an `ObstacleTree` as well."""
+def velocity_among_walls(work: Buffer, table: Table, root: int) -> tuple[float, float]:
+    """As `velocity` for the buffer `work`, with the half-planes of an `ObstacleTree`, m/s.
+
+    `table` (edges, COLUMNS) and `root` are those of the tree.
+    """
     if not _gathered(work):
         return f32(nan), f32(nan)
     lines, spare, near, squares = _scratch(work)

@@ -1,19 +1,22 @@
-"""Never be where you cannot stop: a half-plane against each robot near, that is never traded.
+"""Never be where you cannot stop: a half-plane against each near robot that is never traded.
 
 ORCA assumes that others keep their velocity, or give way as we do. A robot that halts for a stop or
-for a round of agreement does neither. So our speed towards any near robot is limited so that we stop
-before its body. This holds even if it brakes at the limit of its tyres from where it was *last heard*,
-or if it approaches and needs its own stopping distance from the gap between us. If all robots keep to
-it, none collide when one, some or all of them halt at any instant, whatever beats were lost, because a
-robot that drives away stops beyond its last received position.
+for a round of agreement does neither. So our speed towards any near robot is limited so that we
+stop before its body. This holds even if it brakes at the limit of its tyres from where it was *last
+heard*, or if it approaches and needs its own stopping distance from the gap between us. If all
+robots keep to it, none collide when one, some or all of them halt at any instant, whatever beacons
+were lost, because a robot that drives away stops beyond its last received position.
 
-Both brake by at least `braking`, and know it of each other: they are of one fleet. Standing is always
-permitted, so these half-planes never contradict each other.
+Both robots brake by at least `braking`, and know that of each other, because they are of one fleet.
+Standing is always permitted, so these half-planes never contradict each other.
 
-Wheels have one grip for braking and for swerving. So the room towards a body is what braking straight
-takes of it at the speed that we may have, not at the part of it towards the body; and where a swerve is
-asked for that the wheels do not reach in a period, and what they reach is too fast, we brake straight,
-which from where we may be is always in time.
+Wheels have one grip for braking and for swerving. So the stopping distance is that of our whole
+speed, not of the part of it towards the body. Where a swerve is wanted that the wheels cannot reach
+in one period, and what they do reach is too fast, the robot brakes straight. From where it may be,
+that is always in time.
+
+Units: metres, m/s, m/s² and seconds. `lines` (half-planes, 4) are described in
+`agent.avoidance.linear_program`.
 """
 
 from math import sqrt
@@ -21,7 +24,8 @@ from math import sqrt
 import numpy as np
 from numba import njit
 
-from agent.avoidance.linear_program import DX, DY, PX, PY, violation
+from agent.avoidance.k_nearest import Number, Real
+from agent.avoidance.linear_program import DX, DY, PX, PY, Lines, violation
 
 f32 = np.float32
 REACTION_S = 0.1  # two control periods: what was decided is in force, and the wheels follow
@@ -31,10 +35,24 @@ SAID_M_S = 0.025  # rounding error of the speed in a beat
 
 
 @njit(cache=True, error_model="numpy")
-def before_agent(px, py, ux, uy, radius, age, braking, own, speed, lines, k):  # type: ignore[no-untyped-def]
-    """Half-plane k against a body at (px, py) from here that moves with (ux, uy) and was heard `age`
-    seconds ago; `radius`: of both, and the margin; `own`: our speed after the next period at most. How
-    many were written: none where `speed` is safe.
+def before_agent(
+    px: float,
+    py: float,
+    ux: float,
+    uy: float,
+    radius: float,
+    age: float,
+    braking: float,
+    own: float,
+    speed: float,
+    lines: Lines,
+    k: Number,
+) -> int:
+    """Write row k of `lines` against a body at (px, py) from here; returns how many were written.
+
+    The body moved with (ux, uy) when it was heard, `age` seconds ago. `radius` is the sum of both
+    radii and the margin. `own` is the greatest speed that we may have after the next period.
+    Nothing is written where even `speed` is safe.
     """
     distance = sqrt(px * px + py * py)
     if distance < 1e-9:
@@ -56,9 +74,14 @@ def before_agent(px, py, ux, uy, radius, age, braking, own, speed, lines, k):  #
 
 
 @njit(cache=True, error_model="numpy")
-def within_grip(wx, wy, vx, vy, change, lines, first, end):  # type: ignore[no-untyped-def]
-    """(wx, wy), or braking straight from (vx, vy), where what a `change` of velocity reaches on the way
-    to it breaks one of the half-planes from `first` on."""
+def within_grip(
+    wx: Real, wy: Real, vx: Real, vy: Real, change: Real, lines: Lines, first: int, end: int
+) -> tuple[Real, Real]:
+    """The velocity (wx, wy), or that of braking straight from (vx, vy).
+
+    `change`: how far the velocity can change in one period. The robot brakes if the velocity that
+    it reaches on the way to (wx, wy) violates one of the half-planes from `first` to `end` - 1.
+    """
     cx, cy = wx - vx, wy - vy
     asked = sqrt(cx * cx + cy * cy)
     if asked <= change:
