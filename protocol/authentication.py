@@ -19,15 +19,21 @@ none.
 """
 
 from collections import deque
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from cryptography.hazmat.primitives.ciphers.algorithms import AES
 from cryptography.hazmat.primitives.cmac import CMAC
 from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.kdf.hkdf import HKDF
 
-from protocol.frames.operator_frames import OperatorGoal
+from protocol.frames.layout import FrameLayout
+from protocol.frames.operator_frames import OPERATOR_GOAL, OperatorGoal
 from protocol.frames.safety_frames import (
+    EMERGENCY_RESET,
+    EMERGENCY_STOP,
+    FRESHNESS,
+    HELD_RESET,
+    OPERATOR_COMMAND,
     Challenge,
     EmergencyReset,
     EmergencyStop,
@@ -53,14 +59,10 @@ ASK_SPACING_US = 100_000
 NUMBER_LIFE_US = 1_000_000  # of a nonce: a proof that arrives later than this is void
 ANSWER_SPACING_US = 10_000  # minimum time between answers to one asker
 COUNTERS_TRIED = 256  # high bytes of a robot's counter that `wrote` tries: 65,536 signed frames
-_GROUPS = {
-    EmergencyStop: 0xFF00,
-    EmergencyReset: 0xFF01,
-    HeldReset: 0xFF07,
-    OperatorCommand: 0xFF02,
-    OperatorGoal: 0xFF06,
+_SIGNED: dict[type, FrameLayout[Any]] = {
+    layout.kind: layout
+    for layout in (EMERGENCY_STOP, EMERGENCY_RESET, HELD_RESET, OPERATOR_COMMAND, OPERATOR_GOAL)
 }
-_FRESHNESS_GROUP = 0xEF00
 
 
 class Keys(NamedTuple):
@@ -219,13 +221,14 @@ class Keyring:
 
     def _tag(self, sender: int, counter: int, message: AnySigned) -> int:
         mac = self._mac(sender).copy()
-        head = _GROUPS[type(message)].to_bytes(3, "little") + bytes((sender,))
-        mac.update(head + counter.to_bytes(8, "little") + message.pack()[:-3])
+        layout = _SIGNED[type(message)]
+        head = layout.pgn.to_bytes(3, "little") + bytes((sender,))
+        mac.update(head + counter.to_bytes(8, "little") + layout.pack(message)[:-3])
         return int.from_bytes(mac.finalize()[:3], "little")
 
     def _proof(self, sender: int, asker: int, number: bytes, counter: int) -> int:
         mac = self._mac(sender).copy()
-        head = _FRESHNESS_GROUP.to_bytes(3, "little") + bytes((sender, asker))
+        head = FRESHNESS.pgn.to_bytes(3, "little") + bytes((sender, asker))
         mac.update(head + number + counter.to_bytes(8, "little"))
         return int.from_bytes(mac.finalize()[:3], "little")
 

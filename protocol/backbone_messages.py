@@ -10,7 +10,14 @@ from struct import Struct
 from struct import error as StructError
 from typing import NamedTuple
 
-from protocol.frames.segment_frames import SEGMENT_MAX, FleetReset, FleetStop
+from protocol.frames.codec import packed
+from protocol.frames.segment_frames import (
+    FLEET_RESET,
+    FLEET_STOP,
+    SEGMENT_MAX,
+    FleetReset,
+    FleetStop,
+)
 
 VERSION = 1
 HEADER = Struct("<BBHHBII")
@@ -87,7 +94,7 @@ def pack(header: Header, body: Body) -> bytes:
     if kind in (Kind.WORK, Kind.MAP):
         assert len(body) <= ENTRIES_MAX
         return head + b"".join(ENTRY.pack(*entry) for entry in body)
-    return head + b"".join(frame.pack() for frame in body)  # type: ignore[union-attr]
+    return head + b"".join(packed(frame) for frame in body)  # type: ignore[arg-type]
 
 
 def unpack(data: bytes) -> Message | None:
@@ -101,9 +108,9 @@ def unpack(data: bytes) -> Message | None:
     try:
         match header.kind:
             case Kind.STOPS:
-                return Message(header, tuple(map(FleetStop.unpack, _slices(rest))))
+                return Message(header, tuple(map(FLEET_STOP.unpack, _slices(rest))))
             case Kind.RESETS:
-                return Message(header, tuple(map(FleetReset.unpack, _slices(rest))))
+                return Message(header, tuple(map(FLEET_RESET.unpack, _slices(rest))))
             case Kind.SUMMARY:
                 return Message(header, _summary(rest))
             case Kind.WORK | Kind.MAP:

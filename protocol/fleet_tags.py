@@ -18,7 +18,7 @@ from cryptography.hazmat.primitives.kdf.hkdf import HKDF
 
 from crdt.stops import RemoteStopDot
 from protocol.authentication import KEY_SIZE, Keys
-from protocol.frames.safety_frames import StopsHeld
+from protocol.frames.safety_frames import STOPS_HELD, StopsHeld
 from protocol.frames.segment_frames import FleetReset, FleetStop
 
 
@@ -58,7 +58,7 @@ class HeldTags:
         if self._held is None:
             raise ValueError("the secret for this tag is not held here")
         running = self._held.copy()
-        running.update(question.to_bytes(6, "little") + held.pack()[:-3])
+        running.update(question.to_bytes(6, "little") + STOPS_HELD.pack(held)[:-3])
         return held._replace(tag=int.from_bytes(running.finalize()[:3], "little"))
 
 

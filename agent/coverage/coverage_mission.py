@@ -27,7 +27,7 @@ from agent.interface.mission import (
 )
 from agent.mapf.agreement_phase import Phase
 from crdt import Phase as Claimed
-from protocol.frames.accord_frames import Accord, AgreementReply
+from protocol.frames.agreement_frames import AgreementMessage, AgreementReply
 from protocol.frames.messages import Message
 
 # A cell counts as covered when a robot's centre is this close to its own (share of a cell).
@@ -149,7 +149,7 @@ class GridWork(Mission):
     # ---------------------------------------------------------------- frames
 
     def on_message(self, slot: int | None, message: Message, now_us: int) -> Sequence[Record]:
-        if slot is not None and isinstance(message, Accord):
+        if slot is not None and isinstance(message, AgreementMessage):
             self.agreement.on_message(slot, message, now_us)
         return ()
 

@@ -25,7 +25,7 @@ from agent.coverage.joint_course import CourseInputs, JointCourse, course_of
 from agent.interface.config import LEASE_US, MS, S
 from agent.mapf.agreement_phase import CALM_US, Phase, after, ahead
 from crdt.progress import BLOCK_UNITS, Progress
-from protocol.frames.accord_frames import Accord, AgreementKind, AgreementReply
+from protocol.frames.agreement_frames import AgreementKind, AgreementMessage, AgreementReply
 
 SETTLE_US = 300 * MS  # the view must be unchanged for this long, because boots come in bursts
 # A robot that receives no other for this long after boot is alone: two heartbeats (1.4 s).
@@ -98,7 +98,7 @@ class CoverageAgreement:
         self._differs_us = None
         self._said.clear()
 
-    def on_message(self, slot: int, m: Accord, now_us: int) -> None:
+    def on_message(self, slot: int, m: AgreementMessage, now_us: int) -> None:
         if m.say == AgreementKind.BODY:
             self._hear_body(m, now_us)
             return
@@ -118,7 +118,7 @@ class CoverageAgreement:
             self._plans[slot] = self._plans[self.slot]  # it goes by our plan already
             self._reached[slot] = max(self._reached.get(slot, 0), m.first)
 
-    def _hear_body(self, m: Accord, now_us: int) -> None:
+    def _hear_body(self, m: AgreementMessage, now_us: int) -> None:
         if m.first < len(self.ground) and m.first not in self.bodies:
             until_us = FOREVER if m.detail else now_us + OBSTACLE_US
             self.bodies[m.first] = CellObstacle(m.second, until_us)
@@ -326,9 +326,9 @@ class CoverageAgreement:
 
     # ---------------------------------------------------------------- saying
 
-    def outgoing(self, now_us: int) -> list[Accord]:
+    def outgoing(self, now_us: int) -> list[AgreementMessage]:
         """What is due with this beat."""
-        words: list[Accord] = []
+        words: list[AgreementMessage] = []
         place = self._places.get(self.slot)
         if self.phase is Phase.FREE or (place is None and self.phase is Phase.GATHER):
             return words
@@ -336,16 +336,20 @@ class CoverageAgreement:
         if place is not None and self._due(AgreementKind.PLACE, place, hurried, now_us):
             low, high = place.digest & 0xFFFF, place.digest >> 16
             words.append(
-                Accord(self.round, AgreementKind.PLACE, place.answer, place.number, low, high)
+                AgreementMessage(
+                    self.round, AgreementKind.PLACE, place.answer, place.number, low, high
+                )
             )
         plan = self._plans.get(self.slot)
         if plan is None:
             return words
         if self._due(AgreementKind.PLAN, plan, hurried, now_us):
-            words.append(Accord(self.round, AgreementKind.PLAN, 0, plan & 0xFFFF, plan >> 16, 0))
+            words.append(
+                AgreementMessage(self.round, AgreementKind.PLAN, 0, plan & 0xFFFF, plan >> 16, 0)
+            )
             if any(self._plans.get(slot, plan) != plan for slot in self._used):
                 words += [
-                    Accord(
+                    AgreementMessage(
                         self.round,
                         AgreementKind.BODY,
                         0,
@@ -357,7 +361,7 @@ class CoverageAgreement:
                 ]
         step = self._reached.get(self.slot, 0)
         if self.phase is Phase.GO and self._due(AgreementKind.AT, step, False, now_us):
-            words.append(Accord(self.round, AgreementKind.AT, 0, step, plan & 0xFFFF, 0))
+            words.append(AgreementMessage(self.round, AgreementKind.AT, 0, step, plan & 0xFFFF, 0))
         return words
 
     def _due(self, say: AgreementKind, what: object, hurried: bool, now_us: int) -> bool:

@@ -31,7 +31,7 @@ from agent.mapf.agreement_phase import CALM_US, Phase, after, ahead
 from agent.mapf.lacam import JointPlan, Precedence, planned
 from agent.mapf.lattice import FINE, Lattice, components
 from agent.mapf.linear_assignment import assigned
-from protocol.frames.accord_frames import Accord, AgreementKind, AgreementReply
+from protocol.frames.agreement_frames import AgreementKind, AgreementMessage, AgreementReply
 
 Point = tuple[float, float]
 STANDS_M_S = 0.06  # slower than this is standing: what POSE can tell apart from nothing
@@ -84,7 +84,7 @@ class JointPlanAgreement:
         self.called += 1
         self._begin(after(self.round), now_us)
 
-    def on_message(self, slot: int, m: Accord, now_us: int) -> None:
+    def on_message(self, slot: int, m: AgreementMessage, now_us: int) -> None:
         later = ahead(m.round, self.round)
         if later is None:
             return  # a round that is over
@@ -206,13 +206,13 @@ class JointPlanAgreement:
             else:
                 self.call(now_us)
 
-    def outgoing(self, now_us: int) -> list[Accord]:
+    def outgoing(self, now_us: int) -> list[AgreementMessage]:
         """What is due with this beat."""
-        words: list[Accord] = []
+        words: list[AgreementMessage] = []
         place = self._places.get(self.slot)
         if place is not None and self._due(AgreementKind.PLACE, self.phase is Phase.GATHER, now_us):
             words.append(
-                Accord(
+                AgreementMessage(
                     self.round,
                     AgreementKind.PLACE,
                     place.answer,
@@ -222,15 +222,20 @@ class JointPlanAgreement:
                 )
             )
         if self._seen and self._due(AgreementKind.BODY, self.phase is not Phase.GO, now_us):
-            words += [Accord(self.round, AgreementKind.BODY, 0, node, 0, 0) for node in self._seen]
+            words += [
+                AgreementMessage(self.round, AgreementKind.BODY, 0, node, 0, 0)
+                for node in self._seen
+            ]
         digest = self._digests.get(self.slot)
         if digest is not None and self._due(AgreementKind.PLAN, self.phase is Phase.AGREE, now_us):
             words.append(
-                Accord(self.round, AgreementKind.PLAN, 0, digest & 0xFFFF, digest >> 16, 0)
+                AgreementMessage(
+                    self.round, AgreementKind.PLAN, 0, digest & 0xFFFF, digest >> 16, 0
+                )
             )
         hurried = self.phase is Phase.GO and now_us - self._since_us < HURRIED_US
         if self.index >= 0 and self._due(AgreementKind.AT, hurried, now_us):
-            words.append(Accord(self.round, AgreementKind.AT, 0, self.index + 1, 0, 0))
+            words.append(AgreementMessage(self.round, AgreementKind.AT, 0, self.index + 1, 0, 0))
         return words
 
     def _due(self, say: AgreementKind, hurried: bool, now_us: int) -> bool:

@@ -33,7 +33,7 @@ from agent.navigation.path_lookahead import PathLookahead
 from agent.navigation.replan_policy import Replanning
 from agent.navigation.silent_robots import DEAD_US, SilentRobots
 from crdt import Phase as Claimed
-from protocol.frames.accord_frames import Accord, AgreementReply, Fallen
+from protocol.frames.agreement_frames import AgreementMessage, AgreementReply, SilentPosition
 from protocol.frames.messages import Message
 from protocol.sync.map_sync import MapSync
 
@@ -227,10 +227,10 @@ class NavigationMission(Mission):
     # ---------------------------------------------------------------- frames
 
     def on_message(self, slot: int | None, message: Message, now_us: int) -> Sequence[Record]:
-        if isinstance(message, Accord):
+        if isinstance(message, AgreementMessage):
             if slot is not None:
                 self.agreement.on_message(slot, message, now_us)
-        elif isinstance(message, Fallen):
+        elif isinstance(message, SilentPosition):
             self.bodies.hear(message, now_us)
         return ()
 

@@ -1,7 +1,7 @@
 """Positions of silent members: obstacles for path planning, and where a dead robot's load is.
 
 A robot that received the last beat knows the position. Robots that were away or have restarted
-since get it by a `Fallen` frame. For each member the latest frame counts, by time stamps of a clock
+since get it by a FALLEN frame. For each member the latest frame counts, by time stamps of a clock
 that the fleet shares (hybrid clock, `crdt/hybrid_clock.py`). So all robots know the same position,
 bit for bit, and joint plans avoid it. A member that is received is not an obstacle. A position seen
 to be free is announced as free, because a robot may have driven on while it was not received.
@@ -13,8 +13,8 @@ from agent.interface.config import MS, S
 from agent.interface.mission import FleetView
 from agent.motion.stopping_zone import seen_through
 from crdt.hybrid_clock import HybridClock
-from protocol.frames.accord_frames import PLACES, STAMP_MAX, Fallen
-from protocol.frames.fleet_frames import LENGTH_M
+from protocol.frames.agreement_frames import FALLEN, STAMP_MAX, SilentPosition
+from protocol.frames.fleet_frames import NOWHERE_M
 
 Point = tuple[float, float]
 DEAD_US = 5 * S  # a member silent for this long is an obstacle, and rounds do not wait for it
@@ -23,7 +23,6 @@ TOLD_US = 5 * S  # one robot repeats each position this often, for robots that w
 HURRY_US = 300 * MS  # repeat interval while a round waits until all know the same
 SPACED_US = 40 * MS  # between slots, so that one robot sends and the others overhear it
 WORDS_A_BEAT = 2
-NOWHERE_M = -PLACES * LENGTH_M  # x and y of a body that is no longer where it was
 SURE_M = 2.0  # up to here two neighbouring rays are less than a body's radius apart
 
 
@@ -35,7 +34,7 @@ class SilentRobots:
     def __init__(self, slot: int, now_us: int) -> None:
         self.slot = slot
         self.clock = HybridClock(now_us, TICK_US, STAMP_MAX)
-        self.known: dict[int, Fallen] = {}
+        self.known: dict[int, SilentPosition] = {}
         self.dead: dict[int, Point] = {}  # bodies that stand now
         self._due_us: dict[int, int] = {}  # slot -> when we send its position next
         self._heard_us: dict[int, int] = {}  # slot -> time of the beat in our record
@@ -50,9 +49,9 @@ class SilentRobots:
             if self._heard_us.get(slot) != neighbour.heard_us:
                 self._heard_us[slot] = neighbour.heard_us
                 stamp = self.clock.read(neighbour.heard_us)
-                word = Fallen(neighbour.pose.x_m, neighbour.pose.y_m, slot, stamp)
+                word = SilentPosition(neighbour.pose.x_m, neighbour.pose.y_m, slot, stamp)
                 # Pack and unpack, so that we store the same rounded numbers that we send.
-                self._join(Fallen.unpack(word.pack()), now_us)
+                self._join(FALLEN.unpack(FALLEN.pack(word)), now_us)
         self.dead = {
             slot: (word.x_m, word.y_m)
             for slot, word in sorted(self.known.items())
@@ -62,7 +61,7 @@ class SilentRobots:
             if seen_through(
                 view.here, place, SURE_M
             ):  # it drove on without being received, or was moved
-                gone = Fallen(NOWHERE_M, NOWHERE_M, slot, self.clock.read(now_us))
+                gone = SilentPosition(NOWHERE_M, NOWHERE_M, slot, self.clock.read(now_us))
                 self._join(gone, now_us)
                 self._due_us[slot] = now_us
                 del self.dead[slot]
@@ -75,14 +74,14 @@ class SilentRobots:
         since_us = view.silent_since_us.get(slot)
         return since_us is None or view.now_us - since_us > DEAD_US
 
-    def hear(self, word: Fallen, now_us: int) -> None:
+    def hear(self, word: SilentPosition, now_us: int) -> None:
         """Take in another robot's frame about a silent member; one about us is ignored."""
         if word.slot == self.slot:
             return
         self.clock.witness(word.stamp, now_us)
         self._join(word, now_us)
 
-    def _join(self, word: Fallen, now_us: int) -> None:
+    def _join(self, word: SilentPosition, now_us: int) -> None:
         known = self.known.get(word.slot)
         wait_us = TOLD_US
         if known is None or _rank(word) > _rank(known):
@@ -91,7 +90,7 @@ class SilentRobots:
             wait_us = 0  # the sender's knowledge is older, so answer without delay
         self._due_us[word.slot] = now_us + wait_us + self.slot * SPACED_US
 
-    def say(self, hurried: bool, now_us: int) -> Iterable[Fallen]:
+    def say(self, hurried: bool, now_us: int) -> Iterable[SilentPosition]:
         """The frames that are due with our beat, at most `WORDS_A_BEAT`.
 
         `hurried`: a round of agreement waits until all robots know the same, so repeat more often.
@@ -103,5 +102,5 @@ class SilentRobots:
             yield self.known[slot]
 
 
-def _rank(word: Fallen) -> tuple[int, float, float]:
+def _rank(word: SilentPosition) -> tuple[int, float, float]:
     return word.stamp, word.x_m, word.y_m

@@ -18,7 +18,7 @@ from agent.peer.told_causes import ToldCauses
 from agent.peer.unknown_stop_sources import AnyStop
 from agent.safety.stop_cause import StopCause
 from agent.safety.stop_controller import UNAUTHENTICATED_HOLD_US
-from protocol.frames.accord_frames import Accord, Fallen
+from protocol.frames.agreement_frames import AgreementMessage, SilentPosition
 from protocol.frames.codec import Malformed
 from protocol.frames.delivery_frames import (
     Itinerary,
@@ -67,7 +67,16 @@ from protocol.sync.synchronizer import ENTRIES
 if TYPE_CHECKING:
     from agent.peer.peer import Peer
 
-OF_MISSIONS = (Accord, Fallen, TaskOrder, TaskBookDigest, TaskBid, Itinerary, PlanOffer, PlanRow)
+OF_MISSIONS = (
+    AgreementMessage,
+    SilentPosition,
+    TaskOrder,
+    TaskBookDigest,
+    TaskBid,
+    Itinerary,
+    PlanOffer,
+    PlanRow,
+)
 TOLD_OF: Final = (StateSyncRequest, Digests, StateSyncResponse)
 OUTSIDER = -1  # a device that is not a member, so it has no agreed replica state
 TELL_SPACING_US = 2 * S  # a snapshot of 1,000 entries takes 2.1 s at the share that sync may use

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 from agent.interface.config import S
 from agent.interface.effects import HALT, Effect, Trace
 from agent.safety.stop_cause import StopCause
+from protocol.frames.codec import packed
 from protocol.frames.fleet_frames import Heartbeat, Pose
 
 if TYPE_CHECKING:
@@ -74,8 +75,8 @@ class Conflicts:
         """A received frame with our own source address."""
         if not isinstance(message, Pose | Heartbeat):
             return ()
-        data = message.pack()
-        if any(type(said) is type(message) and said.pack() == data for said in self._said):
+        data = packed(message)
+        if any(type(said) is type(message) and packed(said) == data for said in self._said):
             return ()
         if self._doubled_us is None or now_us - self._doubled_last_us > GONE_US:
             self._doubled_us = now_us

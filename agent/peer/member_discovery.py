@@ -13,11 +13,11 @@ from agent.peer.unknown_stop_sources import ASK_US
 from protocol.frames.fleet_frames import Member
 from protocol.frames.identifier import GLOBAL_ADDRESS, NULL_ADDRESS
 from protocol.frames.messages import GROUP_OF
-from protocol.frames.network_frames import AddressClaimed, Request
+from protocol.frames.network_frames import REQUEST, AddressClaimed, Request
 
 MEMBER_PGN = GROUP_OF[Member].pgn
 CLAIM_PGN = GROUP_OF[AddressClaimed].pgn
-MEMBER_REQUEST, CLAIM_REQUEST = Request(MEMBER_PGN).pack(), Request(CLAIM_PGN).pack()
+MEMBER_REQUEST, CLAIM_REQUEST = REQUEST.pack(Request(MEMBER_PGN)), REQUEST.pack(Request(CLAIM_PGN))
 PATIENCE_US = 250 * MS  # a stranger has one beat period of the largest fleet to announce itself
 SLOT_US = 2 * MS  # between the turns of two robots to ask: two frame times with margin
 AGAIN_US = 2 * S  # before the same address is asked again; doubles

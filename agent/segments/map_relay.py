@@ -9,18 +9,22 @@ Segments that share a map share its geometry. An observer has five bits. So robo
 with the same slot count as one observer, which trusts the data of the other as its own.
 """
 
+from typing import Any
+
 from agent.interface.config import FRAME_US_MAX, S
 from agent.segments.token_bucket import TokenBucket
 from crdt.hybrid_clock import HybridClock
 from crdt.occupancy import Geometry, OccupancyMap
 from crdt.sighting import TIME_MAX, MergeOrder
 from protocol.backbone_messages import Entry
-from protocol.frames.map_frames import MapDigests, MapPatch
+from protocol.frames.codec import packed
+from protocol.frames.layout import FrameLayout
+from protocol.frames.map_frames import MAP_DIGESTS, MAP_PATCH, MapPatch
 from protocol.frames.segment_frames import GATEWAY_SLOT
 from protocol.sync.map_sync import MapSync, Said
 
 PATCH, DIGESTS = 3, 4  # kinds of entries on the backbone
-KINDS: dict[int, type[MapPatch] | type[MapDigests]] = {PATCH: MapPatch, DIGESTS: MapDigests}
+LAYOUTS: dict[int, FrameLayout[Any]] = {PATCH: MAP_PATCH, DIGESTS: MAP_DIGESTS}
 
 
 class MapRelay:
@@ -55,9 +59,9 @@ class MapRelay:
         """An entry from another segment's gateway. One that is no frame of a map is counted in
         `refused`.
         """
-        kind = KINDS.get(entry.kind)
+        layout = LAYOUTS.get(entry.kind)
         try:
-            message = None if kind is None else kind.unpack(entry.data)
+            message = None if layout is None else layout.unpack(entry.data)
         except ValueError:
             message = None
         if message is None:
@@ -77,7 +81,7 @@ class MapRelay:
             near = self.near.tick(now_us)
         far = self.far.tick(now_us) if self.far.deadline_us <= now_us else []
         told = [
-            Entry(PATCH if isinstance(m, MapPatch) else DIGESTS, self.segment, 0, 0, 0, m.pack())
+            Entry(PATCH if isinstance(m, MapPatch) else DIGESTS, self.segment, 0, 0, 0, packed(m))
             for m in far
         ]
         return near, told

@@ -18,7 +18,13 @@ from agent.interface.config import MS, STOP_REPEAT_US, S
 from agent.segments.token_bucket import TokenBucket
 from crdt.digest import mix
 from crdt.stops import RemoteStopDot
-from protocol.frames.segment_frames import GATEWAY_ADDRESS, FleetReset, FleetStop
+from protocol.frames.segment_frames import (
+    FLEET_RESET,
+    FLEET_STOP,
+    GATEWAY_ADDRESS,
+    FleetReset,
+    FleetStop,
+)
 
 DOTS_MAX = 1024  # dots kept; beyond it those with a reset are dropped, oldest first
 REPEATS_MAX = 400  # 2 s of repetition, as a robot does; then beats without the stopped bit renew it
@@ -63,9 +69,13 @@ class StopRelay:
     @property
     def digest(self) -> int:
         """32 bits that are equal for equal stops and resets; equal ones need no exchange."""
-        total = sum(mix(int.from_bytes(stop.pack(), "little")) for stop in self.stops.values())
+        total = sum(
+            mix(int.from_bytes(FLEET_STOP.pack(stop), "little")) for stop in self.stops.values()
+        )
         for halves in self.resets.values():
-            total += sum(mix(int.from_bytes(half.pack(), "little")) for half in halves.values())
+            total += sum(
+                mix(int.from_bytes(FLEET_RESET.pack(half), "little")) for half in halves.values()
+            )
         return (total & 0xFFFF_FFFF_FFFF_FFFF) >> 32
 
     # ---------------------------------------------------------------- from our segment

@@ -18,7 +18,13 @@ from crdt import FieldAllocationCRDT, Phase, Progress
 from crdt.digest import mix
 from crdt.register import DONE_BIT, Claim
 from protocol.backbone_messages import ENTRIES_MAX, Entry
-from protocol.frames.work_frames import StateSyncResponse, TaskClaim, WorkProgress
+from protocol.frames.work_frames import (
+    TASK_CLAIM,
+    WORK_PROGRESS,
+    StateSyncResponse,
+    TaskClaim,
+    WorkProgress,
+)
 
 REGISTER, BLOCK = 1, 2  # kinds of entries; for the map see `map_relay.py`
 LAST_SLOT = GUEST_FIRST - 1  # owner of a finished section if only its segment is known
@@ -105,12 +111,19 @@ class WorkRelay:
         if change.kind == BLOCK:
             bits = self.progress.bits(change.section, change.block)
             return Entry(
-                BLOCK, home, section, 0, 0, WorkProgress(section, change.block, bits).pack()
+                BLOCK,
+                home,
+                section,
+                0,
+                0,
+                WORK_PROGRESS.pack(WorkProgress(section, change.block, bits)),
             )
         claim = self.allocation.entry(change.section)
         segment = self.area.segment_of(claim.owner)
         owner = claim.owner if segment == self.area.segment else UNKNOWN_OWNER
-        return Entry(REGISTER, home, section, segment, owner, TaskClaim(section, *claim).pack())
+        return Entry(
+            REGISTER, home, section, segment, owner, TASK_CLAIM.pack(TaskClaim(section, *claim))
+        )
 
     # ---------------------------------------------------------------- from a neighbour
 
@@ -133,7 +146,7 @@ class WorkRelay:
             if number is None or source not in concerned:
                 self.counts["refused"] += 1  # not shared with the sender
             elif entry.kind == BLOCK:
-                self._join_block(number, WorkProgress.unpack(entry.data))
+                self._join_block(number, WORK_PROGRESS.unpack(entry.data))
             elif entry.kind == REGISTER:
                 self._join_register(number, entry)
             else:
@@ -147,7 +160,7 @@ class WorkRelay:
 
     def _join_register(self, number: int, entry: Entry) -> None:
         try:
-            told = TaskClaim.unpack(entry.data)
+            told = TASK_CLAIM.unpack(entry.data)
         except ValueError:
             self.counts["refused"] += 1
             return

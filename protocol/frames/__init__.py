@@ -1,6 +1,7 @@
 """Layouts of frames: what a message means in bytes, and back.
 
-`frame` and `identifier` are CAN and J1939; `messages` lists every message; `codec` packs and
-unpacks. There is one module per subject: `safety_frames`, `work_frames`, `network_frames`, and so
-on. `dbc_signals` describes the signals for tools.
+`frame` and `identifier` are CAN and J1939. There is one module per subject: `safety_frames`,
+`work_frames`, `network_frames`, and so on. Each kind of frame is a `NamedTuple` and a declaration of
+its layout; `layout` makes the codec, the DBC signals and the page of the documentation from it.
+`messages` lists every kind; `codec` encodes and decodes frames.
 """

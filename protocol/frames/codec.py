@@ -1,6 +1,5 @@
 """Frames to messages and back. Decoding never raises: an unreadable frame is a value to count."""
 
-from struct import error as StructError
 from typing import NamedTuple
 
 from protocol.frames.frame import Frame
@@ -17,14 +16,14 @@ class Malformed(NamedTuple):
 UNKNOWN, LENGTH, RANGE = Malformed("unknown PGN"), Malformed("length"), Malformed("range")
 
 # Addressed groups (PF < 240) carry the destination in the low byte, so all values map to the group.
-_READERS = {
-    group.pgn | low: (group.kind.unpack, group.length)
-    for group in GROUPS
-    for low in (range(256) if group.pgn >> 8 & 0xFF < 240 else (0,))
+_LAYOUTS = {
+    layout.pgn | low: layout
+    for layout in GROUPS
+    for low in (range(256) if layout.pgn >> 8 & 0xFF < 240 else (0,))
 }
 _HEADS = {
-    kind: (group.priority << 26 | group.pgn << 8, group.pgn >> 8 & 0xFF < 240)
-    for kind, group in GROUP_OF.items()
+    kind: (layout.priority << 26 | layout.pgn << 8, layout.pgn >> 8 & 0xFF < 240)
+    for kind, layout in GROUP_OF.items()
 }
 
 
@@ -32,6 +31,10 @@ _tuple = tuple.__new__
 
 
 def encode(message: Message, source: int, destination: int = 255) -> Frame:
+    """The frame that carries a message. `destination` counts for addressed groups only.
+
+    Raises AssertionError or struct.error if a value does not fit its field: our own code is wrong.
+    """
     head, addressed = _HEADS[type(message)]
     assert 0 <= source <= 255 and 0 <= destination <= 255
     identifier = head | (destination << 8 if addressed else 0) | source
@@ -46,7 +49,7 @@ def packed(message: Message) -> bytes:
     global _packed
     last, data = _packed
     if last is not message:
-        data = message.pack()
+        data = GROUP_OF[type(message)].pack(message)
         _packed = (message, data)
     return data
 
@@ -54,15 +57,14 @@ def packed(message: Message) -> bytes:
 def decode(frame: Frame) -> tuple[int, Message | Malformed]:
     """(source address, message or Malformed) of any identifier and any bytes."""
     identifier, data = frame
-    reader = _READERS.get(identifier >> 8 & 0x3FFFF)
-    if reader is None:
+    layout = _LAYOUTS.get(identifier >> 8 & 0x3FFFF)
+    if layout is None:
         return identifier & 0xFF, UNKNOWN
-    unpack, length = reader
-    if len(data) != length:
+    if len(data) != layout.length:
         return identifier & 0xFF, LENGTH
     try:
-        return identifier & 0xFF, unpack(data)
-    except (ValueError, StructError):
+        return identifier & 0xFF, layout.unpack(data)
+    except ValueError:
         return identifier & 0xFF, RANGE
 
 

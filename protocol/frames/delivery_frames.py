@@ -1,15 +1,8 @@
 """Frames of a delivery fleet: transport tasks, their planned carriers, bids, and joint plans."""
 
-from struct import Struct
 from typing import NamedTuple
 
-ORDER = Struct("<HHHH")
-BOOK = Struct("<BBIH")
-BID = Struct("<HIBB")
-ITINERARY = Struct("<BBBBHH")
-OFFER = Struct("<BBIH")
-ROW = Struct("<BBBBHH")
-assert all(layout.size == 8 for layout in (ORDER, BOOK, BID, ITINERARY, OFFER, ROW))
+from protocol.frames.layout import ROBOT, TOOL, FrameLayout, integer
 
 BUCKET_TASKS = 48  # of a TASK_BOOK frame
 HASTENS = 1  # of a PLAN_OFFER frame
@@ -17,13 +10,10 @@ NO_TASK = 0xFFFF  # fills an itinerary's last frame
 
 
 class TaskOrder(NamedTuple):
-    """Carry a parcel from one place to another: from an operator, or repeated by who knows. Priority 6.
+    """Orders the transport of a parcel from one place to another.
 
-    byte  field    type  meaning
-    0..1  task     u16   its number, which is its section
-    2..3  pickup   u16   cell of the floor, row by row from the south-west
-    4..5  dropoff  u16   likewise
-    6..7  check    u16   0; reserved for kinds of tasks
+    An operator tool sends it once for each task. Robots store it, and repeat it when a TASK_BOOK
+    shows that another robot does not know it.
     """
 
     task: int
@@ -31,44 +21,45 @@ class TaskOrder(NamedTuple):
     dropoff: int
     check: int = 0
 
-    def pack(self) -> bytes:
-        return ORDER.pack(*self)
 
-    @classmethod
-    def unpack(cls, data: bytes) -> "TaskOrder":
-        return cls._make(ORDER.unpack(data))
+TASK_ORDER = FrameLayout(
+    TaskOrder, "TASK_ORDER", pgn=0xFF20, priority=6, sender=TOOL,
+    fields=(
+        integer("task", 16, "its number, which is its section"),
+        integer("pickup", 16, "cell of the floor, row by row from the south-west"),
+        integer("dropoff", 16, "cell of the floor"),
+        integer("check", 16, "0; reserved for kinds of tasks"),
+    ),
+)  # fmt: skip
 
 
 class TaskBookDigest(NamedTuple):
-    """Which of 48 tasks the sender knows; who knows another one repeats its order. Priority 7.
+    """Which of 48 tasks the sender knows.
 
-    byte  field   type  meaning
-    0     bucket  u8    tasks 48*bucket .. 48*bucket+47
-    1     check   u8    of what it knows of them
-    2..7  bits    u48   bit i: task 48*bucket+i is known
+    Every robot of a delivery fleet sends one bucket a second. A receiver that knows a task more
+    repeats its order.
     """
 
     bucket: int
     check: int
     bits: int
 
-    def pack(self) -> bytes:
-        return BOOK.pack(self.bucket, self.check, self.bits & 0xFFFFFFFF, self.bits >> 32)
 
-    @classmethod
-    def unpack(cls, data: bytes) -> "TaskBookDigest":
-        bucket, check, low, high = BOOK.unpack(data)
-        return cls(bucket, check, low | high << 32)
+TASK_BOOK = FrameLayout(
+    TaskBookDigest, "TASK_BOOK", pgn=0xFF21, priority=7, sender=ROBOT,
+    fields=(
+        integer("bucket", 8, "tasks 48 * bucket to 48 * bucket + 47"),
+        integer("check", 8, "digest of the orders that it knows of them"),
+        integer("bits", BUCKET_TASKS, "bit i: task 48 * bucket + i is known"),
+    ),
+)  # fmt: skip
 
 
 class TaskBid(NamedTuple):
-    """What it would cost the sender to add a task to its itinerary; the least bid has it. Priority 5.
+    """What it would cost the sender to add a task to its itinerary.
 
-    byte  field  type  meaning
-    0..1  task   u16
-    2..5  cost   u32   how much longer its tasks wait in sum, ms
-    6     place  u8    where in its itinerary it would come
-    7     round  u8    counts the auctions of this task
+    A robot sends it for an open task, unless it has received a lower bid. The lowest bid of 0.3 s
+    wins the task.
     """
 
     task: int
@@ -76,24 +67,23 @@ class TaskBid(NamedTuple):
     place: int
     round: int
 
-    def pack(self) -> bytes:
-        return BID.pack(*self)
 
-    @classmethod
-    def unpack(cls, data: bytes) -> "TaskBid":
-        return cls._make(BID.unpack(data))
+TASK_BID = FrameLayout(
+    TaskBid, "TASK_BID", pgn=0xFF22, priority=5, sender=ROBOT,
+    fields=(
+        integer("task", 16),
+        integer("cost_ms", 32, "how much longer its tasks wait in sum", unit="ms"),
+        integer("place", 8, "position that the task would have in its itinerary"),
+        integer("round", 8, "counts the auctions of this task"),
+    ),
+)  # fmt: skip
 
 
 class Itinerary(NamedTuple):
-    """Two tasks of those that the sender means to begin, in its order. Priority 7.
+    """Two tasks of those that the sender will begin, in its order.
 
-    byte  field    type  meaning
-    0     version  u8    counts the itineraries of this sender
-    1     first    u8    position of the first of the two
-    2     length   u8    of the whole
-    3     battery  u8    what is left, of 255
-    4..5  task     u16
-    6..7  after    u16   0xffff where there is none
+    A robot sends its whole itinerary when it changes, and again every 5 s. A task in no itinerary is
+    open.
     """
 
     version: int
@@ -103,23 +93,25 @@ class Itinerary(NamedTuple):
     task: int
     after: int
 
-    def pack(self) -> bytes:
-        return ITINERARY.pack(*self)
 
-    @classmethod
-    def unpack(cls, data: bytes) -> "Itinerary":
-        return cls._make(ITINERARY.unpack(data))
+ITINERARY = FrameLayout(
+    Itinerary, "ITINERARY", pgn=0xFF23, priority=7, sender=ROBOT,
+    fields=(
+        integer("version", 8, "counts the itineraries of this sender"),
+        integer("first", 8, "position of the first of the two"),
+        integer("length", 8, "of the whole itinerary"),
+        integer("battery", 8, "remaining charge, of 255"),
+        integer("task", 16),
+        integer("after", 16, "the next task; 0xFFFF: none"),
+    ),
+)  # fmt: skip
 
 
 class PlanOffer(NamedTuple):
-    """A round of planning: its begin with how long it takes, then what each found. Priority 5.
+    """Calls a round of planning, or offers the plan that the sender found in it.
 
-    byte  field   type  meaning
-    0     round   u8    counts the rounds of the fleet
-    1     replan  u8    begin: how long the search takes, 0.25 s; 0: this is an offer
-    2..5  cost    u32   last finish of the offered plan, ms; less is better. Where tasks are only to wait
-                        less: their waiting in sum. Of a begin: 1 where that is what is wanted
-    6..7  digest  u16   of the plan
+    The robot that calls says how long the search takes. When that time is over, robots that found a
+    plan cheaper than those offered so far send its cost.
     """
 
     round: int
@@ -129,27 +121,27 @@ class PlanOffer(NamedTuple):
 
     @property
     def hastens(self) -> bool:
-        """It calls a round in which planned tasks are to wait less."""
+        """Whether it calls a round in which planned tasks are to wait less."""
         return self.replan > 0 and self.cost_ms == HASTENS
 
-    def pack(self) -> bytes:
-        return OFFER.pack(*self)
 
-    @classmethod
-    def unpack(cls, data: bytes) -> "PlanOffer":
-        return cls._make(OFFER.unpack(data))
+PLAN_OFFER = FrameLayout(
+    PlanOffer, "PLAN_OFFER", pgn=0xFF24, priority=5, sender=ROBOT,
+    fields=(
+        integer("round", 8, "counts the rounds of the fleet"),
+        integer("replan", 8, "of a call: duration of the search in 0.25 s; 0: this is an offer"),
+        integer("cost_ms", 32, "last finish of the offered plan, or, if tasks are to wait less, their "
+                "waiting times in sum; of a call: 1 if tasks are to wait less, else 0", unit="ms"),
+        integer("digest", 16, "of the plan"),
+    ),
+)  # fmt: skip
 
 
 class PlanRow(NamedTuple):
-    """Two tasks of a robot's itinerary in the plan that the sender streams. Priority 6.
+    """Two tasks of one robot's itinerary in the plan of the round.
 
-    byte  field   type  meaning
-    0     round   u8    what is of an older round is not believed
-    1     slot    u8    whose itinerary
-    2     first   u8    position of the first of the two
-    3     length  u8    of the whole itinerary
-    4..5  task    u16
-    6..7  after   u16   0xffff where there is none
+    The robot with the cheapest offer streams its plan twice. Receivers adopt it if its digest is
+    that of the offer.
     """
 
     round: int
@@ -159,9 +151,15 @@ class PlanRow(NamedTuple):
     task: int
     after: int
 
-    def pack(self) -> bytes:
-        return ROW.pack(*self)
 
-    @classmethod
-    def unpack(cls, data: bytes) -> "PlanRow":
-        return cls._make(ROW.unpack(data))
+PLAN_ROW = FrameLayout(
+    PlanRow, "PLAN_ROW", pgn=0xFF25, priority=6, sender=ROBOT,
+    fields=(
+        integer("round", 8, "rows of an older round are ignored"),
+        integer("slot", 8, "whose itinerary"),
+        integer("first", 8, "position of the first of the two"),
+        integer("length", 8, "of the whole itinerary"),
+        integer("task", 16),
+        integer("after", 16, "the next task; 0xFFFF: none"),
+    ),
+)  # fmt: skip

@@ -1,47 +1,46 @@
-"""Frames by which members know each other: identity, place, state, and the leader."""
+"""Frames that members send about themselves: identity, position, state, and votes for a leader."""
 
 from enum import IntEnum
 from math import pi
-from struct import Struct
 from typing import Final, NamedTuple
 
-STATES: Final = 5  # values of agent.interface.lifecycle.State
+from protocol.frames.layout import (
+    ROBOT,
+    FrameLayout,
+    choice,
+    flag,
+    integer,
+    integers,
+    reserved,
+    scaled,
+    share,
+)
+
+# Of agent.interface.lifecycle.State.
+STATES = (
+    (0, "DISCONNECTED"),
+    (1, "IDLE"),
+    (2, "SYNCHRONIZING"),
+    (3, "WORKING"),
+    (4, "EMERGENCY_STOP"),
+)
 NOBODY = 255  # value of `heard` in POSE
-LENGTH_M: Final = 0.05  # unit of x and y in POSE
-SPEED_M_S: Final = 0.05  # unit of the speed in POSE
-_FASTEST: Final = 254  # in that unit; 255 is what J1939 calls not available
+LENGTH_M: Final = 0.05  # step of x and y in POSE
+SPEED_M_S: Final = 0.05  # step of the speed in POSE
 # The speed in a frame of a robot that does not know its position.
 PLACE_UNKNOWN_M_S: Final = 255 * SPEED_M_S
 COURSES: Final = 512  # steps of a full turn in POSE
-_COURSE_RAD: Final = 2 * pi / COURSES
-_HALF: Final = 1 << 16  # offset of the 17-bit coordinates
-_LAST: Final = 2 * _HALF - 1
-_ORIGIN: Final = _HALF + 0.5  # makes truncation round to nearest
-# No robot has turned this many times, so the sum is positive too.
-_TURNED: Final = (1 << 20) * COURSES + 0.5
-_LOWEST_M: Final = _HALF * LENGTH_M
-NOWHERE_M: Final = -_LOWEST_M  # x and y of a robot that has never known its position
-_HALVES = Struct("<II").unpack
-_tuple = tuple.__new__
-
-HEARTBEAT = Struct("<BBBHHB")
-MEMBER = Struct("<BHHBBB")
-VOTE = Struct("<HHBBH")
-assert HEARTBEAT.size == MEMBER.size == VOTE.size == 8
+COORDINATE_BITS = 17
+# The lowest coordinate, and x and y of a robot that has never known its position.
+NOWHERE_M: Final = -(1 << COORDINATE_BITS - 1) * LENGTH_M
 
 
 class Pose(NamedTuple):
-    """The beat: where I am, where I am going, whether I stand stopped. Priority 5.
+    """Where a robot is, where it is going, and whether it stands stopped.
 
-    bits    field      unit, meaning
-    0..16   x_m        0.05 m, offset 2^16: -3276.8 to 3276.75 east of the field origin
-    17..33  y_m        the same, north
-    34..42  course     1/512 turn, counter-clockwise from east: direction of motion, or the heading
-    43..50  speed      0.05 m/s, 0 to 12.7; 255: not available, x and y are of earlier, or 0 for nowhere
-    51..53  state      lifecycle state
-    54      stopped    latched emergency stop
-    55..62  heard      slot of a member whom I hear, another with each beat; 255: nobody
-    63      reserved   0
+    Every robot sends it as its sign of life: every 50 ms in fleets of up to 30 robots, every 200 ms
+    in the largest. Receivers avoid the robot, and stop when a member has been silent for 0.3 s to
+    1 s. A robot that does not know its position sends its last one with speed 255.
     """
 
     x_m: float
@@ -57,91 +56,65 @@ class Pose(NamedTuple):
         """Whether the frame contains the robot's present position."""
         return self.speed_m_s < PLACE_UNKNOWN_M_S
 
-    def pack(self) -> bytes:
-        x_m, y_m, course_rad, speed_m_s, state, stopped, heard = self
-        x, y = int(x_m / LENGTH_M + _ORIGIN), int(y_m / LENGTH_M + _ORIGIN)  # rounded, being > 0
-        assert 0 <= x <= _LAST and 0 <= y <= _LAST, "outside of what POSE can say"
-        course = int(course_rad / _COURSE_RAD + _TURNED) & 0x1FF
-        speed = 255
-        if speed_m_s < PLACE_UNKNOWN_M_S:
-            speed = min(int(speed_m_s / SPEED_M_S + 0.5), _FASTEST)
-        low = x | (y & 0x7FFF) << 17
-        high = y >> 15 | course << 2 | speed << 11 | state << 19
-        return (low | (high | stopped << 22 | heard << 23) << 32).to_bytes(8, "little")
 
-    @classmethod
-    def unpack(cls, data: bytes) -> "Pose":
-        halves: tuple[int, int] = _HALVES(data)  # nine frames in ten are this one
-        low, high = halves
-        state = high >> 19 & 7
-        if state >= STATES or high >> 31:
-            raise ValueError("range")
-        return _tuple(
-            cls,
-            (
-                float(low & 0x1FFFF) * LENGTH_M - _LOWEST_M,
-                float(low >> 17 | (high & 3) << 15) * LENGTH_M - _LOWEST_M,
-                float(high >> 2 & 0x1FF) * _COURSE_RAD,
-                float(high >> 11 & 0xFF) * SPEED_M_S,
-                state,
-                high >> 22 & 1 == 1,
-                high >> 23 & 0xFF,
-            ),
-        )
+POSE = FrameLayout(
+    Pose, "POSE", pgn=0xFF10, priority=5, sender=ROBOT,
+    fields=(
+        scaled("x_m", COORDINATE_BITS, LENGTH_M, "m", "east of the field origin", NOWHERE_M),
+        scaled("y_m", COORDINATE_BITS, LENGTH_M, "m", "north of the field origin", NOWHERE_M),
+        scaled("course_rad", 9, 2 * pi / COURSES, "rad", "direction of motion, or the heading of a "
+               "robot that stands; counter-clockwise from east", cyclic=True),
+        scaled("speed_m_s", 8, SPEED_M_S, "m/s", "255: the position is not known; x and y are the "
+               "last known position, or the lowest values", unavailable=True),
+        choice("state", 3, STATES, "lifecycle state"),
+        flag("stopped", "latched emergency stop"),
+        integer("heard", 8, "slot of a member that the sender receives, in rotation; 255: none"),
+        reserved(1, checked=True),
+    ),
+)  # fmt: skip
 
 
 class Heartbeat(NamedTuple):
-    """I am here, and this is how far my replica has got. Priority 6.
+    """The state of a robot and of its replica of the shared state.
 
-    This is a proprietary group, not the heartbeat of ISO 11783-7 (PGN 61668), which a robot does not
-    send. Its counter only takes the values of that heartbeat's sequence number (SPN 7345).
-
-    byte  field       type  meaning
-    0     counter     u8    0..250, 251 the first after power up, 255 leaving
-    1     state       bits  lifecycle state in bits 0-2; 3 stopped; 4 held; 5 started; 6 leaving
-    2     health      u8    0.4 %
-    3..4  operations  u16   own component of the vector clock, modulo 2^16
-    5..7  digest      u24   of registers and progress
+    Every robot sends it twice a second, less often in large fleets. A receiver whose digest differs
+    begins to synchronize. This is a proprietary group, not the heartbeat of ISO 11783-7 (PGN 61668),
+    which a robot does not send; only the counter takes the values of its sequence number (SPN 7345).
     """
 
     counter: int
     state: int
     stopped: bool
-    held: bool  # something other than a latch keeps it from moving
-    started: bool  # an operator has given the start
+    held: bool
+    started: bool
     leaving: bool
     health: float  # 0.0 failed to 1.0 healthy
     operations: int
     digest: int
 
-    def pack(self) -> bytes:
-        flags = (
-            self.state | self.stopped << 3 | self.held << 4 | self.started << 5 | self.leaving << 6
-        )
-        health = min(max(round(self.health * 250), 0), 250)
-        low, high = self.digest & 0xFFFF, self.digest >> 16
-        return HEARTBEAT.pack(self.counter, flags, health, self.operations, low, high)
 
-    @classmethod
-    def unpack(cls, data: bytes) -> "Heartbeat":
-        counter, flags, health, operations, low, high = HEARTBEAT.unpack(data)
-        if flags & 7 >= STATES or health > 250:
-            raise ValueError("range")
-        return cls(
-            counter, flags & 7, bool(flags & 8), bool(flags & 16), bool(flags & 32),
-            bool(flags & 64), health / 250, operations, low | high << 16,
-        )  # fmt: skip
+HEARTBEAT = FrameLayout(
+    Heartbeat, "HEARTBEAT", pgn=0xFF11, priority=6, sender=ROBOT,
+    fields=(
+        integer("counter", 8, "0 to 250; 251: the first after power up; 255: leaving"),
+        choice("state", 3, STATES, "lifecycle state"),
+        flag("stopped", "latched emergency stop"),
+        flag("held", "something other than a latch keeps it from moving"),
+        flag("started", "an operator has given the start"),
+        flag("leaving", "it leaves the fleet on purpose"),
+        reserved(1),
+        share("health", 8, 250, "0: failed, 1: healthy"),
+        integer("operations", 16, "own component of the vector clock, modulo 2^16"),
+        integer("digest", 24, "of registers and progress"),
+    ),
+)  # fmt: skip
 
 
 class Member(NamedTuple):
-    """Binds a fleet slot to this source address; its NAME was in the address claim. Priority 6.
+    """Binds a fleet slot to the source address of the frame.
 
-    byte  field        type  meaning
-    0     slot         u8
-    1..2  incarnation  u16   raised whenever durable memory was lost
-    3..5  config_hash  u24   of the field description; another hash is another fleet
-    6     flags        u8    reserved, 0
-    7     reserved     u8    0xFF
+    Every robot sends it after its address claim, when it is asked, and with every twentieth
+    heartbeat. Receivers refuse a slot that is in use, and a robot of another configuration.
     """
 
     slot: int
@@ -149,14 +122,17 @@ class Member(NamedTuple):
     config_hash: int
     flags: int = 0
 
-    def pack(self) -> bytes:
-        low, high = self.config_hash & 0xFFFF, self.config_hash >> 16
-        return MEMBER.pack(self.slot, self.incarnation, low, high, self.flags, 0xFF)
 
-    @classmethod
-    def unpack(cls, data: bytes) -> "Member":
-        slot, incarnation, low, high, flags, _ = MEMBER.unpack(data)
-        return cls(slot, incarnation, low | high << 16, flags)
+MEMBER = FrameLayout(
+    Member, "MEMBER", pgn=0xFF14, priority=6, sender=ROBOT,
+    fields=(
+        integer("slot", 8),
+        integer("incarnation", 16, "raised whenever durable memory was lost"),
+        integer("config_hash", 24, "of the field description; another hash is another fleet"),
+        integer("flags", 8, "reserved, 0"),
+        reserved(8, ones=True),
+    ),
+)  # fmt: skip
 
 
 class StandsBy(IntEnum):
@@ -188,15 +164,10 @@ class StandsBy(IntEnum):
 
 
 class Standstill(NamedTuple):
-    """Why the sender stands, or creeps: one cause a frame, about one frame a second. Priority 6.
+    """One cause for which a robot stands or creeps.
 
-    byte  field      type  meaning
-    0     slot       u8    of the sender
-    1     cause      u8    StandsBy
-    2     place      bits  bits 0-3: place of this cause in the list, 0 the worst; 4-7: their number
-    3     about      u8    the address or slot that the cause is about; 255: none
-    4..5  number     u16   STOP_DOT: stops that hold it; MEMBER_SILENT, CREEP: further robots; else 0
-    6..7  reserved         0xFF
+    A robot that may not drive freely sends one frame a second and goes through its causes in turn.
+    Robots keep the causes of others for the summary of the fleet; tools and the map display them.
     """
 
     slot: int
@@ -206,25 +177,28 @@ class Standstill(NamedTuple):
     about: int = NOBODY
     number: int = 0
 
-    def pack(self) -> bytes:
-        head = (self.slot, self.cause, self.place | self.causes << 4, self.about)
-        return bytes(head) + self.number.to_bytes(2, "little") + b"\xff\xff"
 
-    @classmethod
-    def unpack(cls, data: bytes) -> "Standstill":
-        number = int.from_bytes(data[4:6], "little")
-        return cls(data[0], data[1], data[2] & 15, data[2] >> 4, data[3], number)
+STANDSTILL = FrameLayout(
+    Standstill, "STANDSTILL", pgn=0xFF19, priority=6, sender=ROBOT,
+    fields=(
+        integer("slot", 8, "of the sender"),
+        choice("cause", 8, StandsBy, strict=False),
+        integer("place", 4, "of this cause in the list of causes; 0: the worst"),
+        integer("causes", 4, "length of that list"),
+        integer("about", 8, "the address or slot that the cause is about; 255: none"),
+        integer("number", 16, "STOP_DOT: stops that hold it; MEMBER_SILENT, CREEP: further robots; "
+                "else 0"),
+        reserved(16, ones=True),
+    ),
+)  # fmt: skip
 
 
 class LeaderElectionVote(NamedTuple):
-    """One vote, fixed for its voter, election and term. Priority 3.
+    """One vote; a voter never changes its vote of one election and term.
 
-    byte  field      type  meaning
-    0..1  election   u16   which convenience is elected
-    2..3  term       u16   a later term fences an earlier one
-    4     candidate  u8    slot
-    5     flags      u8    reserved, 0
-    6..7  name_hash  u16   of the voter's NAME
+    Robots vote when their view of the fleet has settled, and repeat the vote every 10 s. Gateways of
+    a segment elect their leader with the same frame. The leader only answers questions to the whole
+    fleet, and no safety function depends on it.
     """
 
     election: int
@@ -233,29 +207,34 @@ class LeaderElectionVote(NamedTuple):
     flags: int = 0
     name_hash: int = 0
 
-    def pack(self) -> bytes:
-        return VOTE.pack(*self)
 
-    @classmethod
-    def unpack(cls, data: bytes) -> "LeaderElectionVote":
-        return cls._make(VOTE.unpack(data))
+LEADER_ELECTION_VOTE = FrameLayout(
+    LeaderElectionVote, "LEADER_ELECTION_VOTE", pgn=0xFF04, priority=3, sender=ROBOT,
+    fields=(
+        integer("election", 16, "which leader is elected"),
+        integer("term", 16, "a later term makes earlier ones void"),
+        integer("candidate", 8, "slot"),
+        integer("flags", 8, "reserved, 0"),
+        integer("name_hash", 16, "of the voter's NAME"),
+    ),
+)  # fmt: skip
 
 
 class VectorSlice(NamedTuple):
-    """Seven components of the sender's vector clock. Priority 7, slow rotation.
+    """Seven components of the sender's vector clock.
 
-    byte  field   type  meaning
-    0     base    u8    slot of the first component
-    1..7  counts  7 u8  low bytes of the components of base .. base+6
+    Every robot sends one with every twentieth heartbeat and goes through all slots in turn.
+    Receivers raise their own clock to it, except for their own component.
     """
 
     base: int
     counts: tuple[int, ...]
 
-    def pack(self) -> bytes:
-        assert len(self.counts) == 7
-        return bytes((self.base, *self.counts))
 
-    @classmethod
-    def unpack(cls, data: bytes) -> "VectorSlice":
-        return cls(data[0], tuple(data[1:]))
+VECTOR_SLICE = FrameLayout(
+    VectorSlice, "VECTOR_SLICE", pgn=0xFF12, priority=7, sender=ROBOT,
+    fields=(
+        integer("base", 8, "slot of the first component"),
+        integers("counts", 8, 7, "low bytes of the components of slots base to base + 6"),
+    ),
+)  # fmt: skip

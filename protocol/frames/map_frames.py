@@ -1,9 +1,9 @@
 """Frames of the fleet's map: one robot's view of a patch of 16 cells, and digests of squares."""
 
-from struct import Struct
 from typing import NamedTuple
 
-WORD = Struct("<Q")
+from protocol.frames.layout import ROBOT, FrameLayout, integer, integers
+
 CELLS = 16  # of a patch
 CODES = 3**CELLS  # each cell is unknown, free or an obstacle: 25.4 bits
 DIGEST_BITS = 3
@@ -15,14 +15,10 @@ SALTS = 8
 
 
 class MapPatch(NamedTuple):
-    """Cells of a patch as one robot saw them, all with one time and confidence. Priority 7.
+    """The cells of a patch as one robot saw them, all with one time and one confidence.
 
-    bits    field     meaning
-    0..15   patch     its number along the Z-order curve
-    16..28  time      seconds of the fleet's clock
-    29..32  level     of confidence: (level + 1) / 16
-    33..37  observer  slot
-    38..63  cells     16 digits to the base 3, the first cell lowest: 0 nothing said, 1 free, 2 obstacle
+    A robot sends it once when it sees something new, and again when another robot's digest differs.
+    Receivers join the cells to their map by the order of `crdt/sighting.py`.
     """
 
     patch: int
@@ -31,43 +27,39 @@ class MapPatch(NamedTuple):
     observer: int
     cells: int
 
-    def pack(self) -> bytes:
-        return WORD.pack(
-            self.patch | self.time << 16 | self.level << 29 | self.observer << 33 | self.cells << 38
-        )
 
-    @classmethod
-    def unpack(cls, data: bytes) -> "MapPatch":
-        (word,) = WORD.unpack(data)
-        cells = word >> 38
-        if cells >= CODES:
-            raise ValueError("range")
-        return cls(word & 0xFFFF, word >> 16 & 0x1FFF, word >> 29 & 15, word >> 33 & 31, cells)
+MAP_PATCH = FrameLayout(
+    MapPatch, "MAP_PATCH", pgn=0xFF16, priority=7, sender=ROBOT,
+    fields=(
+        integer("patch", 16, "its number along the Z-order curve"),
+        integer("time", 13, "of the fleet's common clock", unit="s"),
+        integer("level", 4, "of confidence: (level + 1) / 16"),
+        integer("observer", 5, "slot"),
+        integer("cells", 26, "16 digits to the base 3, the first cell lowest: 0 nothing said, 1 free, "
+                "2 obstacle", accepted=range(CODES)),
+    ),
+)  # fmt: skip
 
 
 class MapDigests(NamedTuple):
-    """Digests of the 16 squares that make up a greater one, or of the patches of a tile. Priority 7.
+    """Digests of the 16 parts of a square of the map.
 
-    bits    field    meaning
-    0..12   node     which square: 0 to 4095 tiles, then 256 of 16 tiles, 16 of 256, and the whole
-    13..15  salt     mixed into the digests: what collides with one salt differs with another
-    16..63  digests  16 of 3 bits, in the order of the Z curve
+    Every 62 ms one robot sends those of the whole map. A robot that has another digest of a part
+    answers with the digests of that part, or, at the lowest level, with the patches.
     """
 
     node: int
     salt: int
     digests: tuple[int, ...]
 
-    def pack(self) -> bytes:
-        word = self.node | self.salt << 13
-        for k, digest in enumerate(self.digests):
-            word |= digest << 16 + DIGEST_BITS * k
-        return WORD.pack(word)
 
-    @classmethod
-    def unpack(cls, data: bytes) -> "MapDigests":
-        (word,) = WORD.unpack(data)
-        if word & 0x1FFF >= NODES:
-            raise ValueError("range")
-        digests = tuple(word >> 16 + DIGEST_BITS * k & 7 for k in range(FANOUT))
-        return cls(word & 0x1FFF, word >> 13 & 7, digests)
+MAP_DIGESTS = FrameLayout(
+    MapDigests, "MAP_DIGESTS", pgn=0xFF17, priority=7, sender=ROBOT,
+    fields=(
+        integer("node", 13, "which square: 0 to 4095 tiles of 16 patches, then 256 squares of 16 "
+                "tiles, 16 of 256 tiles, and the whole map", accepted=range(NODES)),
+        integer("salt", 3, "mixed into the digests: what collides with one salt differs with "
+                "another"),
+        integers("digests", DIGEST_BITS, FANOUT, "in the order of the Z curve"),
+    ),
+)  # fmt: skip

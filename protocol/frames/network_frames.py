@@ -3,54 +3,66 @@
 from enum import IntEnum
 from typing import NamedTuple
 
+from protocol.frames.layout import ANY_DEVICE, FrameLayout, choice, integer, octets, reserved
+from protocol.name import FIELDS
+
 
 class AddressClaimed(NamedTuple):
-    """PGN 60928. The source address claims itself for this NAME; from 254: cannot claim. Priority 6."""
+    """Claims the source address for a NAME (ISO 11783-5, PGN 60928).
 
-    name: int  # 64 bits; see protocol/name.py
+    Every device sends it when it starts, when it is asked, and when another device claims the same
+    address. The lower NAME keeps the address. From the null address 254 it says that no address
+    could be claimed.
+    """
 
-    def pack(self) -> bytes:
-        return self.name.to_bytes(8, "little")
+    name: int
 
-    @classmethod
-    def unpack(cls, data: bytes) -> "AddressClaimed":
-        return cls(int.from_bytes(data, "little"))
+
+ADDRESS_CLAIMED = FrameLayout(
+    AddressClaimed, "ADDRESS_CLAIMED", pgn=0xEE00, priority=6, sender=ANY_DEVICE,
+    fields=(integer("name", 64, "see `protocol/name.py`", subfields=FIELDS),),
+)  # fmt: skip
 
 
 class Request(NamedTuple):
-    """PGN 59904. Asks the destination (or all) to send a parameter group. 3 bytes. Priority 6."""
+    """Asks the destination, or all devices, to send a parameter group (ISO 11783-3, PGN 59904).
+
+    Any device sends it when it needs the group. The receiver sends the group, or refuses with
+    ACKNOWLEDGMENT if it alone was asked.
+    """
 
     pgn: int
 
-    def pack(self) -> bytes:
-        return self.pgn.to_bytes(3, "little")
 
-    @classmethod
-    def unpack(cls, data: bytes) -> "Request":
-        return cls(int.from_bytes(data, "little"))
+REQUEST = FrameLayout(
+    Request, "REQUEST", pgn=0xEA00, priority=6, sender=ANY_DEVICE,
+    fields=(integer("pgn", 24, "the group that is asked for"),),
+)  # fmt: skip
 
 
 class RepetitionRateRequest(NamedTuple):
-    """PGN 52224. Asks a device to send a parameter group at another rate. Priority 6.
+    """Asks a device to send a parameter group at another rate (SAE J1939-21, PGN 52224).
 
-    byte  field    type  meaning
-    0..2  pgn      u24   what is asked for
-    3..4  rate     u16   milliseconds; 0 stop sending, 0xFFFF the group's own rate
-    5..7  reserved       0xFF
+    Devices of other makers send it. A robot refuses with ACKNOWLEDGMENT.
     """
 
     pgn: int
     rate_ms: int
 
-    def pack(self) -> bytes:
-        return self.pgn.to_bytes(3, "little") + self.rate_ms.to_bytes(2, "little") + b"\xff" * 3
 
-    @classmethod
-    def unpack(cls, data: bytes) -> "RepetitionRateRequest":
-        return cls(int.from_bytes(data[:3], "little"), int.from_bytes(data[3:5], "little"))
+REPETITION_RATE_REQUEST = FrameLayout(
+    RepetitionRateRequest, "REPETITION_RATE_REQUEST", pgn=0xCC00, priority=6, sender=ANY_DEVICE,
+    fields=(
+        integer("pgn", 24, "the group that is asked for"),
+        integer("rate_ms", 16, "period in ms; 0: stop sending, 0xFFFF: the group's own rate"),
+        reserved(24, ones=True),
+    ),
+)  # fmt: skip
 
 
 class Control(IntEnum):
+    """The answer of an ACKNOWLEDGMENT."""
+
     ACK = 0
     NACK = 1
     DENIED = 2
@@ -58,14 +70,9 @@ class Control(IntEnum):
 
 
 class Acknowledgment(NamedTuple):
-    """PGN 59392. Priority 6.
+    """Accepts or refuses what another device asked for (ISO 11783-3, PGN 59392).
 
-    byte  field           type  meaning
-    0     control         u8    0 ACK, 1 NACK, 2 access denied, 3 cannot respond
-    1     group_function  u8    0xFF: none
-    2..3  reserved              0xFF
-    4     address         u8    of the device that asked
-    5..7  pgn             u24   what was asked for
+    A device sends it when it alone was asked for a group that it does not send now.
     """
 
     control: int
@@ -73,41 +80,55 @@ class Acknowledgment(NamedTuple):
     address: int
     pgn: int
 
-    def pack(self) -> bytes:
-        head = bytes((self.control, self.group_function, 0xFF, 0xFF, self.address))
-        return head + self.pgn.to_bytes(3, "little")
 
-    @classmethod
-    def unpack(cls, data: bytes) -> "Acknowledgment":
-        if data[0] > 3:
-            raise ValueError("range")
-        return cls(data[0], data[1], data[4], int.from_bytes(data[5:], "little"))
+ACKNOWLEDGMENT = FrameLayout(
+    Acknowledgment, "ACKNOWLEDGMENT", pgn=0xE800, priority=6, sender=ANY_DEVICE,
+    fields=(
+        choice("control", 8, Control),
+        integer("group_function", 8, "0xFF: none"),
+        reserved(16, ones=True),
+        integer("address", 8, "of the device that asked"),
+        integer("pgn", 24, "the group that was asked for"),
+    ),
+)  # fmt: skip
 
 
 class TransportManagement(NamedTuple):
-    """PGN 60416, TP.CM: RTS 16, CTS 17, end of message 19, BAM 32, abort 255. Priority 7."""
+    """Opens, controls and closes the transfer of a longer message (ISO 11783-3, PGN 60416).
+
+    A sender announces a message to all (BAM) or to one device (RTS); that device answers with CTS
+    and with the end of the message. `protocol/transport.py` has the sequences.
+    """
 
     control: int
-    body: bytes  # 4 bytes, by control
+    body: bytes
     pgn: int
 
-    def pack(self) -> bytes:
-        return bytes((self.control,)) + self.body + self.pgn.to_bytes(3, "little")
 
-    @classmethod
-    def unpack(cls, data: bytes) -> "TransportManagement":
-        return cls(data[0], data[1:5], int.from_bytes(data[5:], "little"))
+TP_CM = FrameLayout(
+    TransportManagement, "TP_CM", pgn=0xEC00, priority=7, sender=ANY_DEVICE,
+    fields=(
+        integer("control", 8, "16 RTS, 17 CTS, 19 end of message, 32 BAM, 255 abort"),
+        octets("body", 4, "by control"),
+        integer("pgn", 24, "group of the message that is transferred"),
+    ),
+)  # fmt: skip
 
 
 class TransportData(NamedTuple):
-    """PGN 60160, TP.DT: a sequence number from 1 and seven bytes. Priority 7."""
+    """Seven bytes of a longer message (ISO 11783-3, PGN 60160).
+
+    The sender of an announced message sends them in order, 50 ms apart to all devices.
+    """
 
     sequence: int
     body: bytes
 
-    def pack(self) -> bytes:
-        return bytes((self.sequence,)) + self.body.ljust(7, b"\xff")
 
-    @classmethod
-    def unpack(cls, data: bytes) -> "TransportData":
-        return cls(data[0], data[1:])
+TP_DT = FrameLayout(
+    TransportData, "TP_DT", pgn=0xEB00, priority=7, sender=ANY_DEVICE,
+    fields=(
+        integer("sequence", 8, "counted from 1"),
+        octets("body", 7, "the last packet is filled up with 0xFF"),
+    ),
+)  # fmt: skip

@@ -1,17 +1,17 @@
 """Frames between a robot and its operator; the commands are in `safety_frames.py`."""
 
 from enum import IntEnum
-from struct import Struct
 from typing import NamedTuple
 
-PLACE_M = 0.1  # unit of distances in reports
-GOAL_M = 0.2  # unit of goals: 15 bits for each coordinate
+from protocol.frames.layout import ROBOT, TOOL, FrameLayout, choice, flag, integer, scaled
+from protocol.frames.safety_frames import OPERATOR, OPERATOR_PROOF
+
+PLACE_M = 0.1  # step of coordinates and distances in reports
+GOAL_M = 0.2  # step of goals: 15 bits for each coordinate
 LOWEST_M = -3276.8  # lowest coordinate, as in POSE; both kinds count steps from it
 NUMBERS = 15  # questions are numbered 1 to 15, then from 1 again
-REPORT = Struct("<BBHHBB")
-GOAL = Struct("<BBHB")
-assert REPORT.size == 8 and GOAL.size + 3 == 8
-GOAL_VALUES = 1 << 15
+GOAL_BITS = 15
+GOAL_VALUES = 1 << GOAL_BITS
 
 
 class ReportKind(IntEnum):
@@ -30,15 +30,10 @@ class ReportKind(IntEnum):
 
 
 class OperatorReport(NamedTuple):
-    """A robot's question to its operators, and what it does about their answer. Priority 4.
+    """A robot's question to its operators, or what it does about their answer.
 
-    byte  field            type  meaning
-    0     slot             u8    who asks
-    1     number, matter   bits  of the question in bits 0-3 (0: none was asked); Matter in bits 4-7
-    2..3  x_m              u16   0.1 m from -3276.8 east: the obstacle, or where it is going
-    4..5  y_m              u16   the same, north
-    6     distance_m       u8    0.1 m from the robot's hull, 25.5: that or more
-    7     radius_m         u8    0.1 m, of what can be seen of the obstacle
+    A robot sends the question once a second until it is answered or the obstacle has left, and one
+    report for each change after that. Operator tools display it; robots ignore it.
     """
 
     slot: int
@@ -49,61 +44,57 @@ class OperatorReport(NamedTuple):
     distance_m: float = 0.0
     radius_m: float = 0.0
 
-    def pack(self) -> bytes:
-        x, y = (_steps(v - LOWEST_M, 0xFFFF) for v in (self.x_m, self.y_m))
-        distance, radius = (_steps(v, 0xFF) for v in (self.distance_m, self.radius_m))
-        return REPORT.pack(self.slot, self.number | self.matter << 4, x, y, distance, radius)
 
-    @classmethod
-    def unpack(cls, data: bytes) -> "OperatorReport":
-        slot, flags, x, y, distance, radius = REPORT.unpack(data)
-        return cls(
-            slot, flags & 15, ReportKind(flags >> 4),
-            x * PLACE_M + LOWEST_M, y * PLACE_M + LOWEST_M, distance * PLACE_M, radius * PLACE_M,
-        )  # fmt: skip
-
-
-def _steps(value_m: float, most: int) -> int:
-    return max(0, min(round(value_m / PLACE_M), most))
+OPERATOR_REPORT = FrameLayout(
+    OperatorReport, "OPERATOR_REPORT", pgn=0xFF05, priority=4, sender=ROBOT,
+    fields=(
+        integer("slot", 8, "of the sender"),
+        integer("number", 4, "of the question; 0: none was asked"),
+        choice("matter", 4, ReportKind, as_enum=True),
+        scaled("x_m", 16, PLACE_M, "m", "east: the obstacle, or where the robot is going", LOWEST_M,
+               clamped=True),
+        scaled("y_m", 16, PLACE_M, "m", "north of the same", LOWEST_M, clamped=True),
+        scaled("distance_m", 8, PLACE_M, "m", "from the robot's hull; 25.5: that or more",
+               clamped=True),
+        scaled("radius_m", 8, PLACE_M, "m", "of what can be seen of the obstacle", clamped=True),
+    ),
+)  # fmt: skip
 
 
 class OperatorGoal(NamedTuple):
-    """One coordinate of a place for one robot; SET_GOAL then means both. Priority 1.
+    """One coordinate of a place for one robot.
 
-    It must leave before the order that means it, whose counter is younger: hence the priority.
-
-    byte  field           type  meaning
-    0     target          u8    slot
-    1     operator        u8    operator device (192..254 in a fleet with keys)
-    2..3  axis, value     bits  value in bits 0-14: 0.2 m from -3276.8; bit 15: 0 east, 1 north
-    4     freshness       u8    low byte of the operator's freshness counter
-    5..7  tag             u24   AES-CMAC with the operator's key
+    An operator tool sends both coordinates and then the command SET_GOAL, which means the pair.
+    The priority is higher than that of the command, because the goal must leave before it.
     """
 
     target: int
     operator: int
-    value: int  # below GOAL_VALUES
+    value: int
     north: bool
     freshness: int = 0
     tag: int = 0
 
     @property
     def metres(self) -> float:
+        """The coordinate in metres from the field origin."""
         return self.value * GOAL_M + LOWEST_M
 
-    def pack(self) -> bytes:
-        head = GOAL.pack(self.target, self.operator, self.value | self.north << 15, self.freshness)
-        return head + self.tag.to_bytes(3, "little")
 
-    @classmethod
-    def unpack(cls, data: bytes) -> "OperatorGoal":
-        target, operator, word, freshness = GOAL.unpack(data[:5])
-        tag = int.from_bytes(data[5:], "little")
-        return cls(target, operator, word & 0x7FFF, bool(word >> 15), freshness, tag)
+OPERATOR_GOAL = FrameLayout(
+    OperatorGoal, "OPERATOR_GOAL", pgn=0xFF06, priority=1, sender=TOOL,
+    fields=(
+        integer("target", 8, "slot"),
+        integer("operator", 8, OPERATOR, signal="operator_id"),
+        integer("value", GOAL_BITS, "steps of 0.2 m from -3276.8 m"),
+        flag("north", "0: east, 1: north"),
+        *OPERATOR_PROOF,
+    ),
+)  # fmt: skip
 
 
 def goal_frames(target: int, operator: int, x_m: float, y_m: float) -> tuple[OperatorGoal, ...]:
-    """Both coordinates. ValueError if they are out of range.
+    """Both coordinates. Raises ValueError if they are out of range.
 
     >>> [round(frame.metres, 1) for frame in goal_frames(3, 200, 12.34, -7.0)]
     [12.4, -7.0]

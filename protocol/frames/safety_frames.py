@@ -3,6 +3,17 @@
 from enum import IntEnum
 from typing import NamedTuple
 
+from protocol.frames.layout import (
+    ANY_DEVICE,
+    ROBOT,
+    TOOL,
+    FrameLayout,
+    choice,
+    flag,
+    integer,
+    reserved,
+)
+
 
 class Reason(IntEnum):
     """Why a stop was pressed: four bits. The first three are the mission's."""
@@ -17,6 +28,8 @@ class Reason(IntEnum):
 
 
 class Command(IntEnum):
+    """What an operator can order with OPERATOR_COMMAND."""
+
     MANUAL_RESET = 0
     START = 1
     HOLD = 2
@@ -31,7 +44,7 @@ class Command(IntEnum):
 
 
 class Switch(IntEnum):
-    """SPN 5140."""
+    """SPN 5140 of ISO 11783-7: the state of an all implements stop switch."""
 
     STOP = 0
     PERMIT = 1
@@ -39,17 +52,20 @@ class Switch(IntEnum):
     NOT_AVAILABLE = 3
 
 
-class EmergencyStop(NamedTuple):
-    """Everybody stops. Priority 0.
+PRESSER = "who pressed: robot slot, or 128 to 254 for a panel or an operator device"
+OPERATOR = "operator device (192 to 254 in a fleet with keys)"
+OPERATOR_PROOF = (
+    integer("freshness", 8, "low byte of the operator's freshness counter"),
+    integer("tag", 24, "AES-CMAC with the operator's key; 0 in a fleet without keys"),
+)
 
-    byte  field        type  meaning
-    0     slot         u8    who pressed: robot slot, or 128.. for a panel or an operator device
-    1     incarnation  u8    low byte of the presser's incarnation
-    2     counter      u8    the presser's stop counter: (slot, incarnation, counter) is the dot
-    3     reason, echo bits  reason in bits 0-3, bit 4: this is an echo by the frame's source; bit 5, of
-                             an echo: this dot was cleared before, press with another
-    4     freshness    u8    low byte of the sender's freshness counter
-    5..7  tag          u24   AES-CMAC, little-endian; 0 in a fleet without keys
+
+class EmergencyStop(NamedTuple):
+    """A press of an emergency stop: all robots stop.
+
+    Any device sends it, and repeats it every 5 ms until all live members are stopped, at most for
+    2 s. Each receiver brakes, latches, and sends an echo. The press is identified by its dot: slot,
+    incarnation and counter.
     """
 
     slot: int
@@ -61,27 +77,29 @@ class EmergencyStop(NamedTuple):
     tag: int = 0
     spent: bool = False
 
-    def pack(self) -> bytes:
-        flags = self.reason | self.echo << 4 | self.spent << 5
-        head = (self.slot, self.incarnation, self.counter, flags, self.freshness)
-        return bytes(head) + self.tag.to_bytes(3, "little")
 
-    @classmethod
-    def unpack(cls, data: bytes) -> "EmergencyStop":
-        slot, incarnation, counter, flags, freshness = data[:5]
-        tag = int.from_bytes(data[5:], "little")
-        echo, spent = bool(flags & 16), bool(flags & 32)
-        return cls(slot, incarnation, counter, flags & 15, echo, freshness, tag, spent)
+EMERGENCY_STOP = FrameLayout(
+    EmergencyStop, "EMERGENCY_STOP", pgn=0xFF00, priority=0, sender=ANY_DEVICE,
+    fields=(
+        integer("slot", 8, PRESSER),
+        integer("incarnation", 8, "low byte of the presser's incarnation"),
+        integer("counter", 8, "the presser's stop counter"),
+        choice("reason", 4, Reason, strict=False),
+        flag("echo", "repeated by a receiver, which is the source of the frame"),
+        flag("spent", "of an echo: this dot was cleared before; press with another counter"),
+        reserved(2),
+        integer("freshness", 8, "low byte of the sender's freshness counter"),
+        integer("tag", 24, "AES-CMAC; 0 in a fleet without keys"),
+    ),
+)  # fmt: skip
 
 
 class EmergencyReset(NamedTuple):
-    """Clears the one stop dot it names. Priority 1.
+    """Clears the one stop dot that it names.
 
-    byte  field        type  meaning
-    0..2  dot          3 u8  slot, incarnation, counter of the stop it clears
-    3     operator     u8    operator device (192..254 in a fleet with keys)
-    4     freshness    u8    low byte of the operator's freshness counter
-    5..7  tag          u24   AES-CMAC with the operator's key
+    An operator tool sends it once for each stop, after the operator has asked for the reset.
+    Receivers keep the dot as cleared; a robot is released when none of its dots is left. With keys
+    it needs two frames that agree.
     """
 
     slot: int
@@ -91,26 +109,24 @@ class EmergencyReset(NamedTuple):
     freshness: int = 0
     tag: int = 0
 
-    def pack(self) -> bytes:
-        head = (self.slot, self.incarnation, self.counter, self.operator, self.freshness)
-        return bytes(head) + self.tag.to_bytes(3, "little")
 
-    @classmethod
-    def unpack(cls, data: bytes) -> "EmergencyReset":
-        slot, incarnation, counter, operator, freshness = data[:5]
-        tag = int.from_bytes(data[5:], "little")
-        return cls(slot, incarnation, counter, operator, freshness, tag)
+EMERGENCY_RESET = FrameLayout(
+    EmergencyReset, "EMERGENCY_RESET", pgn=0xFF01, priority=1, sender=TOOL,
+    fields=(
+        integer("slot", 8, "of the dot"),
+        integer("incarnation", 8, "of the dot"),
+        integer("counter", 8, "of the dot"),
+        integer("operator", 8, OPERATOR, signal="operator_id"),
+        *OPERATOR_PROOF,
+    ),
+)  # fmt: skip
 
 
 class StopsHeld(NamedTuple):
-    """What holds a latched robot, in sum: the answer to a question for stops. Priority 4.
+    """The sum of all stops that hold a latched robot.
 
-    byte  field   type  meaning
-    0     slot    u8    of the robot
-    1     stops   u8    how many it holds; 255: as many or more, or some without a name
-    2..4  digest  u24   of all of them
-    5..7  tag     u24   AES-CMAC with the operator's key, also over the 48 bits of the question; 0
-                        in a fleet without keys
+    The robot sends it when a tool asks for its stops. The tool can then clear exactly these with
+    HELD_RESET.
     """
 
     slot: int
@@ -118,24 +134,24 @@ class StopsHeld(NamedTuple):
     digest: int
     tag: int = 0
 
-    def pack(self) -> bytes:
-        head = bytes((self.slot, self.stops))
-        return head + self.digest.to_bytes(3, "little") + self.tag.to_bytes(3, "little")
 
-    @classmethod
-    def unpack(cls, data: bytes) -> "StopsHeld":
-        digest, tag = int.from_bytes(data[2:5], "little"), int.from_bytes(data[5:], "little")
-        return cls(data[0], data[1], digest, tag)
+STOPS_HELD = FrameLayout(
+    StopsHeld, "STOPS_HELD", pgn=0xFF09, priority=4, sender=ROBOT,
+    fields=(
+        integer("slot", 8, "of the robot"),
+        integer("stops", 8, "number of stops; 255: as many or more, or some without a name"),
+        integer("digest", 24, "of all of them"),
+        integer("tag", 24, "AES-CMAC with the operator's key, also over the 48 bits of the "
+                "question; 0 in a fleet without keys"),
+    ),
+)  # fmt: skip
 
 
 class HeldReset(NamedTuple):
-    """Clears all stops of every robot that holds exactly what the digest says. Priority 1.
+    """Clears all stops of every robot that holds exactly those of the digest.
 
-    byte  field      type  meaning
-    0..2  digest     u24   of the stops that it clears, as in STOPS_HELD
-    3     operator   u8    operator device (192..254 in a fleet with keys)
-    4     freshness  u8    low byte of the operator's freshness counter
-    5..7  tag        u24   AES-CMAC with the operator's key
+    An operator tool sends it for robots that hold more stops than can be named one by one. A robot
+    with another digest ignores it.
     """
 
     digest: int
@@ -143,27 +159,22 @@ class HeldReset(NamedTuple):
     freshness: int = 0
     tag: int = 0
 
-    def pack(self) -> bytes:
-        head = self.digest.to_bytes(3, "little") + bytes((self.operator, self.freshness))
-        return head + self.tag.to_bytes(3, "little")
 
-    @classmethod
-    def unpack(cls, data: bytes) -> "HeldReset":
-        digest, tag = int.from_bytes(data[:3], "little"), int.from_bytes(data[5:], "little")
-        return cls(digest, data[3], data[4], tag)
+HELD_RESET = FrameLayout(
+    HeldReset, "HELD_RESET", pgn=0xFF07, priority=1, sender=TOOL,
+    fields=(
+        integer("digest", 24, "of the stops that it clears, as in STOPS_HELD"),
+        integer("operator", 8, OPERATOR, signal="operator_id"),
+        *OPERATOR_PROOF,
+    ),
+)  # fmt: skip
 
 
 class OperatorCommand(NamedTuple):
-    """What a person asks of one machine or of all. Priority 2.
+    """An order of an operator to one robot or to all.
 
-    byte  field      type  meaning
-    0     command    u8    Command
-    1     target     u8    slot, 255: every robot
-    2     operator   u8    operator device (192..254 in a fleet with keys)
-    3     argument   u8    by command: the silent slot (WAIVE), goal_check (SET_GOAL); CONTINUE, REPLAN
-                           and WAIT: the number of the question they answer, 0: any
-    4     freshness  u8    low byte of the operator's freshness counter
-    5..7  tag        u24   AES-CMAC with the operator's key
+    An operator tool sends it once for each order. The robot obeys it immediately. With keys it
+    needs two frames that agree.
     """
 
     command: int
@@ -173,78 +184,80 @@ class OperatorCommand(NamedTuple):
     freshness: int = 0
     tag: int = 0
 
-    def pack(self) -> bytes:
-        head = (self.command, self.target, self.operator, self.argument, self.freshness)
-        return bytes(head) + self.tag.to_bytes(3, "little")
 
-    @classmethod
-    def unpack(cls, data: bytes) -> "OperatorCommand":
-        if data[0] > max(Command):
-            raise ValueError("command")
-        command, target, operator, argument, freshness = data[:5]
-        tag = int.from_bytes(data[5:], "little")
-        return cls(command, target, operator, argument, freshness, tag)
+OPERATOR_COMMAND = FrameLayout(
+    OperatorCommand, "OPERATOR_COMMAND", pgn=0xFF02, priority=2, sender=TOOL,
+    fields=(
+        choice("command", 8, Command),
+        integer("target", 8, "slot; 255: every robot"),
+        integer("operator", 8, OPERATOR, signal="operator_id"),
+        integer("argument", 8, "WAIVE: the silent slot; SET_GOAL: check of the goal; CONTINUE, "
+                "REPLAN and WAIT: number of the question that they answer, 0: any"),
+        *OPERATOR_PROOF,
+    ),
+)  # fmt: skip
 
 
 class Challenge(NamedTuple):
-    """Prove where your counter is: asked of a sender whose frames cannot be verified. Priority 2.
+    """Asks a sender to prove its freshness counter.
 
-    byte  field   type  meaning
-    0     asked   u8    sender that is asked
-    1     asker   u8    slot of who asks
-    2..7  number  u48   used once
+    A robot of a fleet with keys sends it when it cannot verify a frame, at most ten times a second.
+    The sender that is asked answers with FRESHNESS.
     """
 
     asked: int
     asker: int
     number: int
 
-    def pack(self) -> bytes:
-        return bytes((self.asked, self.asker)) + self.number.to_bytes(6, "little")
 
-    @classmethod
-    def unpack(cls, data: bytes) -> "Challenge":
-        return cls(data[0], data[1], int.from_bytes(data[2:], "little"))
+CHALLENGE = FrameLayout(
+    Challenge, "CHALLENGE", pgn=0xFF03, priority=2, sender=ANY_DEVICE,
+    fields=(
+        integer("asked", 8, "the sender that is asked"),
+        integer("asker", 8, "slot of the robot or device that asks"),
+        integer("number", 48, "used once"),
+    ),
+)  # fmt: skip
 
 
 class Freshness(NamedTuple):
-    """The proof, to the address that asked. Priority 2.
+    """Proves the sender's freshness counter; the answer to a CHALLENGE.
 
-    byte  field    type  meaning
-    0     sender   u8    who was asked
-    1..4  counter  u32   of its last signed frame
-    5..7  tag      u24   AES-CMAC over sender, asker, the number asked with, and the counter
+    It is sent to the address that asked. The asker then accepts counters after this one.
     """
 
     sender: int
     counter: int
     tag: int
 
-    def pack(self) -> bytes:
-        head = bytes((self.sender,)) + self.counter.to_bytes(4, "little")
-        return head + self.tag.to_bytes(3, "little")
 
-    @classmethod
-    def unpack(cls, data: bytes) -> "Freshness":
-        counter, tag = int.from_bytes(data[1:5], "little"), int.from_bytes(data[5:], "little")
-        return cls(data[0], counter, tag)
+FRESHNESS = FrameLayout(
+    Freshness, "FRESHNESS", pgn=0xEF00, priority=2, sender=ANY_DEVICE,
+    fields=(
+        integer("sender", 8, "the sender that was asked"),
+        integer("counter", 32, "of its last signed frame"),
+        integer("tag", 24, "AES-CMAC over sender, asker, number of the challenge, and counter"),
+    ),
+)  # fmt: skip
 
 
 class AllImplementsStop(NamedTuple):
-    """ISO 11783-7: all implements stop operations switch state, PGN 64770. From any device.
+    """The state of an "all implements stop operations" switch, as in ISO 11783-7 (PGN 64770).
 
-    byte  field       type  meaning
-    0..5  reserved    0xFF
-    6     transition  u8    SPN 7443, number of stop transitions since power up
-    7     switch      bits  SPN 5140 in bits 0-1: 0 stop, 1 permit, 2 error, 3 not available
+    Any device sends it once a second; a robot sends it while the fleet is latched. Receivers stop
+    while a device says STOP, and for 3 s after its last frame.
     """
 
     transition: int
     switch: int
 
-    def pack(self) -> bytes:
-        return b"\xff" * 6 + bytes((self.transition, 0xFC | self.switch))
 
-    @classmethod
-    def unpack(cls, data: bytes) -> "AllImplementsStop":
-        return cls(data[6], data[7] & 3)
+ALL_IMPLEMENTS_STOP = FrameLayout(
+    AllImplementsStop, "ALL_IMPLEMENTS_STOP", pgn=0xFD02, priority=3, sender=ANY_DEVICE,
+    fields=(
+        reserved(48, ones=True),
+        integer("transition", 8, "SPN 7443: stop transitions since power up"),
+        choice("switch", 2, Switch, "SPN 5140", signal="state"),
+        reserved(6, ones=True),
+    ),
+)  # fmt: skip

@@ -5,20 +5,19 @@ frames carry the segment too and have the same bytes on every segment, so tags a
 Gateways have fixed addresses, and slots that no robot has.
 """
 
-from struct import Struct
 from typing import NamedTuple
 
-SEGMENT_MAX = 0x7FFF  # 15 bits; segment 0: a fleet of one segment
-TOLD_FLAG = 0x8000  # above a segment: the stop is sent to a segment that may not know it
+from protocol.frames.layout import ANY_DEVICE, GATEWAY, FrameLayout, flag, integer
+from protocol.frames.safety_frames import PRESSER
+
+SEGMENT_BITS = 15
+SEGMENT_MAX = (1 << SEGMENT_BITS) - 1
+SEGMENTS = range(1, SEGMENT_MAX + 1)  # segment 0: a fleet of one segment
 CANDIDATES_MAX = 4  # gateways of one segment; one of them leads
 # Of the first gateway; no robot has it, and it is below the slots of operator devices.
 GATEWAY_SLOT = 124
 GATEWAY_ADDRESS = 240  # of the first gateway: a fixed address above those that robots claim
 SEGMENT_GATEWAY = 3  # the election in which candidates vote
-
-BEAT = Struct("<BBHHH")
-SUMMARY = Struct("<HBBBBH")
-assert BEAT.size == SUMMARY.size == 8
 
 
 def gateway_slot(address: int) -> int | None:
@@ -32,14 +31,10 @@ def gateway_slot(address: int) -> int | None:
 
 
 class FleetStop(NamedTuple):
-    """A stop as all segments say it. Priority 0.
+    """A press of an emergency stop as all segments of a fleet repeat it.
 
-    byte  field        type  meaning
-    0..1  segment      bits  where it was pressed in bits 0-14; bit 15: told again, no press of now
-    2     slot         u8    who pressed: robot slot, or 128.. for a panel or an operator device
-    3     incarnation  u8    low byte of the presser's incarnation
-    4     counter      u8    the presser's stop counter: the four are the dot
-    5..7  tag          u24   AES-CMAC of the dot, little-endian; 0 in a fleet without keys
+    A robot sends it with its EMERGENCY_STOP, and gateways carry it to every other segment, where
+    they repeat it until all robots stand. Receivers brake and latch.
     """
 
     segment: int
@@ -47,30 +42,27 @@ class FleetStop(NamedTuple):
     incarnation: int
     counter: int
     tag: int = 0
-    told: bool = False  # by one that holds the stop, to one that may not know it; not by its press
+    told: bool = False
 
-    def pack(self) -> bytes:
-        dot = bytes((self.slot, self.incarnation, self.counter))
-        head = self.segment | (TOLD_FLAG if self.told else 0)
-        return head.to_bytes(2, "little") + dot + self.tag.to_bytes(3, "little")
 
-    @classmethod
-    def unpack(cls, data: bytes) -> "FleetStop":
-        head = int.from_bytes(data[:2], "little")
-        segment, told = head & SEGMENT_MAX, bool(head & TOLD_FLAG)
-        if not segment:
-            raise ValueError("range")
-        tag = int.from_bytes(data[5:], "little")
-        return cls(segment, data[2], data[3], data[4], tag, told)
+FLEET_STOP = FrameLayout(
+    FleetStop, "FLEET_STOP", pgn=0xFF30, priority=0, sender=ANY_DEVICE,
+    fields=(
+        integer("segment", SEGMENT_BITS, "where it was pressed", accepted=SEGMENTS),
+        flag("told", "repeated for a segment that may not know it; not a new press"),
+        integer("slot", 8, PRESSER),
+        integer("incarnation", 8, "low byte of the presser's incarnation"),
+        integer("counter", 8, "the presser's stop counter; the four numbers are the dot"),
+        integer("tag", 24, "AES-CMAC of the dot; 0 in a fleet without keys"),
+    ),
+)  # fmt: skip
 
 
 class FleetReset(NamedTuple):
-    """One half of what clears the one dot it names in all segments; it needs both. Priority 1.
+    """One half of the reset that clears one dot in all segments.
 
-    byte  field          type  meaning
-    0..1  segment, part  bits  segment of the dot in bits 0-14; bit 15: which half of the tag
-    2..4  dot            3 u8  slot, incarnation, counter of the stop it clears
-    5..7  half           u24   24 of 48 bits of an AES-CMAC of the dot, with the operator's secret
+    An operator tool or a gateway sends both halves. Receivers clear the dot when they have both and
+    the tag is valid.
     """
 
     segment: int
@@ -80,29 +72,26 @@ class FleetReset(NamedTuple):
     counter: int
     half: int = 0
 
-    def pack(self) -> bytes:
-        head = (self.segment | self.part << 15).to_bytes(2, "little")
-        dot = bytes((self.slot, self.incarnation, self.counter))
-        return head + dot + self.half.to_bytes(3, "little")
 
-    @classmethod
-    def unpack(cls, data: bytes) -> "FleetReset":
-        head = int.from_bytes(data[:2], "little")
-        segment, part = head & SEGMENT_MAX, head >> 15
-        if not segment:
-            raise ValueError("range")
-        return cls(segment, part, data[2], data[3], data[4], int.from_bytes(data[5:], "little"))
+FLEET_RESET = FrameLayout(
+    FleetReset, "FLEET_RESET", pgn=0xFF31, priority=1, sender=GATEWAY,
+    fields=(
+        integer("segment", SEGMENT_BITS, "of the dot", accepted=SEGMENTS),
+        integer("part", 1, "which half of the tag"),
+        integer("slot", 8, "of the dot"),
+        integer("incarnation", 8, "of the dot"),
+        integer("counter", 8, "of the dot"),
+        integer("half", 24, "24 of the 48 bits of an AES-CMAC of the dot, with the operator's "
+                "secret"),
+    ),
+)  # fmt: skip
 
 
 class GatewayBeat(NamedTuple):
-    """A gateway is here, and this is how far it reaches. Priority 6.
+    """The sign of life of a gateway, and how many segments it reaches.
 
-    byte  field      type  meaning
-    0     candidate  u8    its number: 124 to 127
-    1     flags      bits  bit 0: it leads; bit 1: it has reached another segment since it started
-    2..3  term       u16   of the election of gateways
-    4..5  reached    u16   other segments that it hears and that hear it
-    6..7  lot        u16   by which two with one number tell each other apart
+    Every gateway sends it every 250 ms. The gateways of a segment count each other by it, and
+    robots slow down or stop if they hear no gateway.
     """
 
     candidate: int
@@ -113,33 +102,33 @@ class GatewayBeat(NamedTuple):
 
     @property
     def leads(self) -> bool:
+        """Whether it is the leading gateway of its segment."""
         return bool(self.flags & 1)
 
     @property
     def ever(self) -> bool:
+        """Whether it has reached another segment since it started."""
         return bool(self.flags & 2)
 
-    def pack(self) -> bytes:
-        return BEAT.pack(*self)
 
-    @classmethod
-    def unpack(cls, data: bytes) -> "GatewayBeat":
-        beat = cls._make(BEAT.unpack(data))
-        if not 0 <= beat.candidate - GATEWAY_SLOT < CANDIDATES_MAX or beat.flags > 3:
-            raise ValueError("range")
-        return beat
+GATEWAY_BEAT = FrameLayout(
+    GatewayBeat, "GATEWAY_BEAT", pgn=0xFF32, priority=6, sender=GATEWAY,
+    fields=(
+        integer("candidate", 8, "its number",
+                accepted=range(GATEWAY_SLOT, GATEWAY_SLOT + CANDIDATES_MAX)),
+        integer("flags", 8, "bit 0: it leads; bit 1: it has reached another segment since it started",
+                accepted=range(4)),
+        integer("term", 16, "of the election of gateways"),
+        integer("reached", 16, "number of other segments that it hears and that hear it"),
+        integer("lot", 16, "drawn at random: tells two with the same number apart"),
+    ),
+)  # fmt: skip
 
 
 class SegmentSummary(NamedTuple):
-    """The heartbeats of another segment in one. Priority 7.
+    """The heartbeats of another segment in one frame.
 
-    byte  field    type  meaning
-    0..1  segment  u16   which
-    2     live     u8    robots that are heard there
-    3     silent   u8    robots that fell silent there
-    4     halted   u8    robots that stand stopped
-    5     done     u8    share of its own sections that are done, 1/250
-    6..7  digest   u16   of what it has done
+    The leading gateway sends one segment after the other. Robots report it to operators.
     """
 
     segment: int
@@ -149,12 +138,16 @@ class SegmentSummary(NamedTuple):
     done: int
     digest: int
 
-    def pack(self) -> bytes:
-        return SUMMARY.pack(*self)
 
-    @classmethod
-    def unpack(cls, data: bytes) -> "SegmentSummary":
-        summary = cls._make(SUMMARY.unpack(data))
-        if not 1 <= summary.segment <= SEGMENT_MAX or summary.done > 250:
-            raise ValueError("range")
-        return summary
+SEGMENT_SUMMARY = FrameLayout(
+    SegmentSummary, "SEGMENT_SUMMARY", pgn=0xFF33, priority=7, sender=GATEWAY,
+    fields=(
+        integer("segment", 16, "that is summarized", accepted=SEGMENTS),
+        integer("live", 8, "robots that are received there"),
+        integer("silent", 8, "robots that fell silent there"),
+        integer("halted", 8, "robots that stand stopped"),
+        integer("done", 8, "share of its own sections that are done, in 1/250",
+                accepted=range(251)),
+        integer("digest", 16, "of what it has done"),
+    ),
+)  # fmt: skip

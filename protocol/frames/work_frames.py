@@ -1,28 +1,28 @@
 """Frames about work: claims, progress, and the anti-entropy that repairs lost frames."""
 
-from struct import Struct
 from typing import NamedTuple
 
-CLAIM = Struct("<HBBHBB")
-REQUEST = Struct("<HBHBBB")
-DIGESTS = Struct("<BBHHH")
-PROGRESS = Struct("<HBIB")
-assert CLAIM.size == REQUEST.size == DIGESTS.size == PROGRESS.size == 8
+from protocol.frames.layout import ANY_DEVICE, ROBOT, FrameLayout, choice, integer
 
 # scopes of STATE_SYNC_REQUEST
 REGISTERS, BLOCKS, STOPS, BUCKETS_SINCE, ALL_BUCKETS = range(5)
-PHASES = (0, 1, 2, 7)  # crdt.Phase: FREE, CLAIMED, STARTED, DONE
+PHASES = ((0, "FREE"), (1, "CLAIMED"), (2, "STARTED"), (7, "DONE"))  # of crdt.register.Phase
+
+REGISTER_FIELDS = (
+    integer("section", 16),
+    integer("epoch", 8, "fencing token: release and takeover raise it"),
+    choice("phase", 3, PHASES),
+    integer("bid", 5, "cost of the section for the owner; the lowest bid wins"),
+    integer("lamport", 24, "Lamport time of the operation that wrote the register"),
+    integer("owner", 8, "slot"),
+)
 
 
 class TaskClaim(NamedTuple):
-    """One section's register as its owner wrote it: claim, start, release and done. Priority 4.
+    """The register of one section as its owner wrote it.
 
-    byte  field    type  meaning
-    0..1  section  u16
-    2     epoch    u8    fencing token: release and takeover raise it
-    3     phase    bits  bits 0-2: 0 FREE, 1 CLAIMED, 2 STARTED, 7 DONE; bits 3-7: bid, 0 to 31
-    4..6  lamport  u24   Lamport time of the writing operation
-    7     owner    u8    slot
+    A robot sends it when it claims, starts, releases or finishes a section. Receivers join it to
+    their own register; a claim is contested for 250 ms before work starts.
     """
 
     section: int
@@ -32,16 +32,18 @@ class TaskClaim(NamedTuple):
     lamport: int
     owner: int
 
-    def pack(self) -> bytes:
-        return _packed(self)
 
-    @classmethod
-    def unpack(cls, data: bytes) -> "TaskClaim":
-        return cls(*_register(data))
+TASK_CLAIM = FrameLayout(
+    TaskClaim, "TASK_CLAIM", pgn=0xFF08, priority=4, sender=ROBOT, fields=REGISTER_FIELDS
+)
 
 
 class StateSyncResponse(NamedTuple):
-    """A register relayed to somebody who missed it. Layout as TASK_CLAIM. Priority 7."""
+    """The register of one section, relayed to a robot that missed it.
+
+    A robot sends it in answer to STATE_SYNC_REQUEST, or to correct an outdated claim. Receivers join
+    it to their own register.
+    """
 
     section: int
     epoch: int
@@ -50,35 +52,18 @@ class StateSyncResponse(NamedTuple):
     lamport: int
     owner: int
 
-    def pack(self) -> bytes:
-        return _packed(self)
 
-    @classmethod
-    def unpack(cls, data: bytes) -> "StateSyncResponse":
-        return cls(*_register(data))
-
-
-def _packed(told: TaskClaim | StateSyncResponse) -> bytes:
-    low, high = told.lamport & 0xFFFF, told.lamport >> 16
-    return CLAIM.pack(told.section, told.epoch, told.phase | told.bid << 3, low, high, told.owner)
-
-
-def _register(data: bytes) -> tuple[int, int, int, int, int, int]:
-    section, epoch, mixed, low, high, owner = CLAIM.unpack(data)
-    if mixed & 7 not in PHASES:
-        raise ValueError("range")
-    return section, epoch, mixed & 7, mixed >> 3, low | high << 16, owner
+STATE_SYNC_RESPONSE = FrameLayout(
+    StateSyncResponse, "STATE_SYNC_RESPONSE", pgn=0xFF0D, priority=7, sender=ROBOT,
+    fields=REGISTER_FIELDS,
+)  # fmt: skip
 
 
 class StateSyncRequest(NamedTuple):
-    """My replica differs from what I hear: tell me what is newer than the cut. Priority 6.
+    """Asks for everything that is newer than the sender's replica.
 
-    byte  field   type  meaning
-    0..1  cut     u24   with byte 2: Lamport time of the stable cut T0; 0 for a fresh join
-    3..5  digest  u24   of the sender's replica
-    6     scope   u8    0 registers and progress after the cut; 2 stops; DIGESTS of the sender follow,
-                        tell what is in buckets that differ: 3 after the cut, 4 all; 1 reserved
-    7     round   u8    counts the sender's requests
+    A robot sends it when another robot's digest differs from its own; a tool sends it with scope 2
+    to ask for stops. Up to three robots that have what is missing answer, one after the other.
     """
 
     cut: int
@@ -86,25 +71,25 @@ class StateSyncRequest(NamedTuple):
     scope: int
     round: int
 
-    def pack(self) -> bytes:
-        return REQUEST.pack(
-            self.cut & 0xFFFF, self.cut >> 16, self.digest & 0xFFFF, self.digest >> 16,
-            self.scope, self.round,
-        )  # fmt: skip
 
-    @classmethod
-    def unpack(cls, data: bytes) -> "StateSyncRequest":
-        cut, cut_high, digest, digest_high, scope, turn = REQUEST.unpack(data)
-        return cls(cut | cut_high << 16, digest | digest_high << 16, scope, turn)
+STATE_SYNC_REQUEST = FrameLayout(
+    StateSyncRequest, "STATE_SYNC_REQUEST", pgn=0xFF0C, priority=6, sender=ANY_DEVICE,
+    fields=(
+        integer("cut", 24, "Lamport time of the stable cut; 0 for a fresh join"),
+        integer("digest", 24, "of the sender's replica"),
+        integer("scope", 8, "0: registers and progress after the cut; 2: stops; 3: what is in buckets "
+                "that differ from the sender's DIGESTS, which follow, after the cut; 4: all of these; "
+                "1: reserved"),
+        integer("round", 8, "counts the sender's requests"),
+    ),
+)  # fmt: skip
 
 
 class Digests(NamedTuple):
-    """Three bucket digests of the sender's replica, the fall-back of the sync. Priority 7.
+    """Digests of three buckets of the sender's replica.
 
-    byte  field  type  meaning
-    0     triple u8    of the first bucket / 3
-    1     salt   u8    mixed into the digests, so that one collision does not repeat
-    2..7         3 u16 digests of buckets 3*triple .. 3*triple+2
+    A robot sends all its buckets after a request that taught it nothing. Receivers answer only with
+    what is in buckets that differ.
     """
 
     triple: int
@@ -113,31 +98,36 @@ class Digests(NamedTuple):
     second: int
     third: int
 
-    def pack(self) -> bytes:
-        return DIGESTS.pack(*self)
 
-    @classmethod
-    def unpack(cls, data: bytes) -> "Digests":
-        return cls._make(DIGESTS.unpack(data))
+DIGESTS = FrameLayout(
+    Digests, "DIGESTS", pgn=0xFF0E, priority=7, sender=ROBOT,
+    fields=(
+        integer("triple", 8, "number of the first bucket / 3"),
+        integer("salt", 8, "mixed into the digests, so that one collision does not repeat"),
+        integer("first", 16, "digest of bucket 3 * triple"),
+        integer("second", 16, "digest of bucket 3 * triple + 1"),
+        integer("third", 16, "digest of bucket 3 * triple + 2"),
+    ),
+)  # fmt: skip
 
 
 class WorkProgress(NamedTuple):
-    """Covered units of a section: grow-only, joined by OR. Priority 6.
+    """Covered units of a section: a set that only grows.
 
-    byte  field    type  meaning
-    0..1  section  u16
-    2     block    u8    units 40*block .. 40*block+39
-    3..7  bits     u40   bit i: unit 40*block+i is covered
+    A robot that works sends it every 2 s, and in answer to STATE_SYNC_REQUEST. Receivers join it to
+    their own progress by OR.
     """
 
     section: int
     block: int
     bits: int
 
-    def pack(self) -> bytes:
-        return PROGRESS.pack(self.section, self.block, self.bits & 0xFFFFFFFF, self.bits >> 32)
 
-    @classmethod
-    def unpack(cls, data: bytes) -> "WorkProgress":
-        section, block, low, high = PROGRESS.unpack(data)
-        return cls(section, block, low | high << 32)
+WORK_PROGRESS = FrameLayout(
+    WorkProgress, "WORK_PROGRESS", pgn=0xFF13, priority=6, sender=ROBOT,
+    fields=(
+        integer("section", 16),
+        integer("block", 8, "units 40 * block to 40 * block + 39"),
+        integer("bits", 40, "bit i: unit 40 * block + i is covered"),
+    ),
+)  # fmt: skip

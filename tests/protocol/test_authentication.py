@@ -19,7 +19,13 @@ from protocol.authentication import (
     Keyring,
     Keys,
 )  # fmt: skip
-from protocol.frames.safety_frames import Command, EmergencyReset, EmergencyStop, OperatorCommand
+from protocol.frames.safety_frames import (
+    EMERGENCY_RESET,
+    Command,
+    EmergencyReset,
+    EmergencyStop,
+    OperatorCommand,
+)
 
 MASTER, SECRET = bytes(range(16)), bytes(range(16, 32))
 FLEET, OPERATOR = Keys(MASTER, SECRET), Keys(None, SECRET)
@@ -195,9 +201,9 @@ def test_in_any_history_each_frame_is_believed_at_most_once_and_only_if_it_was_s
         elif what == "replay" and sent:
             frame = sent[n % len(sent)]
         elif what == "flip" and sent:
-            data = bytearray(sent[n % len(sent)].pack())
+            data = bytearray(EMERGENCY_RESET.pack(sent[n % len(sent)]))
             data[n % 8] ^= 1 << (n >> 8) % 8
-            frame = EmergencyReset.unpack(bytes(data))
+            frame = EMERGENCY_RESET.unpack(bytes(data))
         elif what == "guess":
             frame = reset()._replace(freshness=n & 0xFF, tag=n)
         elif what == "wait":

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from protocol.frames.codec import decode, encode
 from protocol.frames.frame import Frame
 from protocol.frames.identifier import GLOBAL_ADDRESS
-from protocol.frames.network_frames import TransportData, TransportManagement
+from protocol.frames.network_frames import TP_CM, TP_DT, TransportData, TransportManagement
 from protocol.transport import (
     BAM_GAP_US,
     RECEIVING_MAX,
@@ -147,9 +147,9 @@ def test_made_up_frames_are_counted_and_bounded(
         now_us += pause_us
         message: TransportManagement | TransportData
         if is_data:
-            message = TransportData.unpack(raw)
+            message = TP_DT.unpack(raw)
         else:
-            message = TransportManagement.unpack(bytes((control,)) + raw[1:])
+            message = TP_CM.unpack(bytes((control,)) + raw[1:])
         out, _ = end.receive(source, GLOBAL_ADDRESS if broadcast else 130, message, now_us)
         assert len(list(out)) <= 1, "one frame costs one frame at most"
         assert len(list(end.tick(now_us))) <= RECEIVING_MAX + SENDING_MAX

@@ -15,7 +15,7 @@ from agent.interface.identity import SilencePolicy
 from agent.safety.stop_controller import StopController
 from crdt.stops import StopDot, StopSet
 from protocol.authentication import BAD_MAX, BAD_WINDOW_US, KEY_SIZE, SESSION_US, Keyring, Keys
-from protocol.frames.safety_frames import Challenge, EmergencyReset, EmergencyStop
+from protocol.frames.safety_frames import EMERGENCY_RESET, Challenge, EmergencyReset, EmergencyStop
 from tools.bench.figure import Figure
 
 FRAMES, QUICK_FRAMES = 1_000_000, 20_000
@@ -121,9 +121,9 @@ class ForgeryAttack:
         if kind == "replay" and self.heard:
             return rng.choice(self.heard)
         if kind == "change" and self.heard:
-            data = bytearray(rng.choice(self.heard).pack())
+            data = bytearray(EMERGENCY_RESET.pack(rng.choice(self.heard)))
             data[rng.randrange(8)] ^= 1 << rng.randrange(8)
-            return EmergencyReset.unpack(bytes(data))
+            return EMERGENCY_RESET.unpack(bytes(data))
         if kind == "held back":
             return self.stale() or guess
         if kind == "other kind":

@@ -27,10 +27,8 @@ CACHE = FOLDER.with_name("core_types")  # of mypy: that of `make check` has othe
 # each time.
 GROUP = {
     "crdt": "allocation clock digest progress register",
-    "protocol": "address frames.accord_frames frames.codec frames.delivery_frames frames.fleet_frames "
-    "frames.identifier frames.map_frames frames.messages frames.network_frames "
-    "frames.operator_frames frames.safety_frames frames.segment_frames frames.work_frames "
-    "links.bus state_machine sync.digest_comparison sync.replica sync.synchronizer transport",
+    "protocol": "address frames.codec frames.identifier links.bus "
+    "state_machine sync.digest_comparison sync.replica sync.synchronizer transport",
     "agent": "avoidance.orca field.displacement_detector field.field_mission "
     "field.field_obstructions field.parking field.section_choice field.section_partition "
     "field.work_leg interface.effects motion.deadlock_yield "

@@ -7,66 +7,27 @@ cantools has changed over the years. So our tests can use cantools as an indepen
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 from agent.interface.config import beat_of
-from protocol.frames.dbc_signals import SIGNALS, Signal, reserved_of
-from protocol.frames.delivery_frames import TaskOrder
-from protocol.frames.fleet_frames import Heartbeat, Pose
+from protocol.frames.fleet_frames import HEARTBEAT, POSE
 from protocol.frames.identifier import GLOBAL_ADDRESS, NULL_ADDRESS, Identifier
-from protocol.frames.messages import GROUPS, Group, Message
-from protocol.frames.network_frames import (
-    Acknowledgment,
-    AddressClaimed,
-    Request,
-    TransportData,
-    TransportManagement,
-)
-from protocol.frames.operator_frames import OperatorGoal
-from protocol.frames.safety_frames import (
-    AllImplementsStop,
-    Challenge,
-    EmergencyReset,
-    EmergencyStop,
-    Freshness,
-    HeldReset,
-    OperatorCommand,
-)
-from protocol.frames.segment_frames import FleetReset, FleetStop, GatewayBeat, SegmentSummary
-from protocol.frames.work_frames import StateSyncRequest
+from protocol.frames.layout import GATEWAY, ROBOT, TOOL, FrameLayout, Signal
+from protocol.frames.messages import GROUPS
+from protocol.frames.safety_frames import ALL_IMPLEMENTS_STOP
 
 EXTENDED = 1 << 31  # how DBC files mark a 29-bit identifier
 PGN_MASK, ADDRESSED_MASK = 0x03FFFF00, 0x03FF0000
-NODES = ("robot", "tool", "gateway")
-BY_ANYBODY = (
-    EmergencyStop, FleetStop, AllImplementsStop, Challenge, Freshness, StateSyncRequest,
-    AddressClaimed, Request, Acknowledgment, TransportManagement, TransportData,
-)  # fmt: skip
-SENT_BY: dict[str, tuple[type[Message], ...]] = {
-    "tool": (EmergencyReset, HeldReset, OperatorCommand, OperatorGoal, TaskOrder),
-    "gateway": (FleetReset, GatewayBeat, SegmentSummary),
-}
-SENT_BY["robot"] = tuple(
-    g.kind for g in GROUPS
-    if g.kind not in (*BY_ANYBODY, *SENT_BY["tool"], *SENT_BY["gateway"])
-)  # fmt: skip
+NODES = (ROBOT, TOOL, GATEWAY)
 # Of a fleet of up to 30 robots, in calm; the standard stop while it is latched.
-CYCLE_MS: dict[type[Message], int] = {
-    Pose: beat_of(1).pose_us // 1000,
-    Heartbeat: beat_of(1).heartbeat_us // 1000,
-    AllImplementsStop: 1000,
+CYCLE_MS: dict[FrameLayout[Any], int] = {
+    POSE: beat_of(1).pose_us // 1000,
+    HEARTBEAT: beat_of(1).heartbeat_us // 1000,
+    ALL_IMPLEMENTS_STOP: 1000,
 }
 CYCLE_MAX_MS = 65_535
 START_MAX = (1 << 48) - 1  # the longest run of reserved bits
 FORMATS = ("StandardCAN", "ExtendedCAN", "reserved", "J1939PG")
-
-
-def _signals(group: Group) -> list[Signal]:
-    return [*SIGNALS[group.kind], *reserved_of(group.kind)]
-
-
-def _sender(group: Group) -> str:
-    """The devices that send it by design. Any device sends stops, requests and answers."""
-    return next((node for node, kinds in SENT_BY.items() if group.kind in kinds), "Vector__XXX")
 
 
 def dbc(out: Path | None) -> int:
@@ -94,7 +55,7 @@ def pgn_key(identifier: int) -> int:
     return identifier & (ADDRESSED_MASK if addressed else PGN_MASK)
 
 
-def _identifier(group: Group) -> int:
+def _identifier(group: FrameLayout[Any]) -> int:
     return Identifier(group.priority, group.pgn, GLOBAL_ADDRESS, NULL_ADDRESS).pack() | EXTENDED
 
 
@@ -108,8 +69,8 @@ def _lines() -> Iterator[str]:
     yield "BU_: " + " ".join(NODES)
     for group in GROUPS:
         yield ""
-        yield f"BO_ {_identifier(group)} {group.name}: {group.length} {_sender(group)}"
-        yield from (_signal(signal) for signal in _signals(group))
+        yield f"BO_ {_identifier(group)} {group.name}: {group.length} {group.sender or 'Vector__XXX'}"
+        yield from (_signal(signal) for signal in group.signals())
     yield ""
     for group in GROUPS:
         text = (group.kind.__doc__ or "").split("\n", 1)[0].replace('"', "'")
@@ -125,14 +86,14 @@ def _lines() -> Iterator[str]:
     yield f'BA_DEF_ SG_ "GenSigStartValue" INT 0 {START_MAX};'
     yield 'BA_DEF_DEF_ "GenSigStartValue" 0;'
     for group in GROUPS:
-        if group.kind in CYCLE_MS:
-            yield f'BA_ "GenMsgCycleTime" BO_ {_identifier(group)} {CYCLE_MS[group.kind]};'
-        for signal in reserved_of(group.kind):
+        if group in CYCLE_MS:
+            yield f'BA_ "GenMsgCycleTime" BO_ {_identifier(group)} {CYCLE_MS[group]};'
+        for signal in (s for s in group.signals() if s.reserved is not None):
             yield f'BA_ "GenSigStartValue" SG_ {_identifier(group)} {signal.name} {signal.reserved};'
     for group in GROUPS:
         yield f'BA_ "VFrameFormat" BO_ {_identifier(group)} {FORMATS.index("J1939PG")};'
     for group in GROUPS:
-        for signal in SIGNALS[group.kind]:
+        for signal in group.signals():
             if signal.choices:
                 values = " ".join(f'{value} "{name}"' for value, name in reversed(signal.choices))
                 yield f"VAL_ {_identifier(group)} {signal.name} {values} ;"

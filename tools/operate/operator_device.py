@@ -14,7 +14,7 @@ from agent.peer.told_causes import ToldCauses
 from crdt.stops import RemoteStopDot
 from protocol.authentication import Keyring, Signed
 from protocol.fleet_tags import FleetTags, plain_reset
-from protocol.frames.accord_frames import Fallen
+from protocol.frames.agreement_frames import SilentPosition
 from protocol.frames.codec import Malformed, decode
 from protocol.frames.fleet_frames import Heartbeat, Member, Pose, Standstill
 from protocol.frames.frame import Frame
@@ -117,7 +117,7 @@ class Operator:
             elif self.doubtful.get(source) != message.slot:
                 self.expect((message.slot,))
             self.robots[message.slot].address = source
-        if isinstance(message, Fallen):
+        if isinstance(message, SilentPosition):
             self.expect((message.slot,))  # it was there, and fell silent before we came
         if isinstance(message, EmergencyStop):
             self.shown.hear_stop(message)

@@ -10,7 +10,7 @@ from agent.coverage.plan_agreement import ANYBODY, CoverageAgreement, FleetSnaps
 from agent.interface.config import MS, S
 from agent.mapf.agreement_phase import Phase
 from crdt import Progress
-from protocol.frames.accord_frames import Accord, AgreementKind, AgreementReply
+from protocol.frames.agreement_frames import ACCORD, AgreementKind, AgreementMessage, AgreementReply
 
 
 class Table:
@@ -36,7 +36,7 @@ class Table:
                     for other in self.live[slot] - {slot}:
                         if other in self.rounds and self.rng.random() >= self.loss:
                             self.rounds[other].on_message(
-                                slot, Accord.unpack(word.pack()), self.now_us
+                                slot, ACCORD.unpack(ACCORD.pack(word)), self.now_us
                             )
 
     def cut(self, *islands: set[int]) -> None:
@@ -136,6 +136,8 @@ def test_words_out_of_range_do_nothing(say: AgreementKind) -> None:
     """What comes from the wire never raises; a cell that does not exist is not believed."""
     rounds, rng = Table(2).rounds[0], Random(7)
     for _ in range(300):
-        word = Accord(rng.randrange(3), say, 0, rng.randrange(1 << 16), rng.randrange(1 << 16), 0)
+        word = AgreementMessage(
+            rng.randrange(3), say, 0, rng.randrange(1 << 16), rng.randrange(1 << 16), 0
+        )
         rounds.on_message(rng.randrange(4), word, 0)
     assert all(number < 36 for number in rounds.bodies)

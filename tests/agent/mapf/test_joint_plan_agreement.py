@@ -6,7 +6,7 @@ from agent.interface.config import MS, S
 from agent.mapf.agreement_phase import Phase
 from agent.mapf.joint_plan_agreement import JointPlanAgreement
 from agent.mapping.building import Floor
-from protocol.frames.accord_frames import Accord, AgreementKind, AgreementReply
+from protocol.frames.agreement_frames import AgreementKind, AgreementMessage, AgreementReply
 from sim.scenarios.building_generator import CORRIDOR
 
 FLOOR = Floor.drawn(CORRIDOR, 1.0, 0.35)
@@ -61,7 +61,7 @@ class Fleet:
             own.reach(own.index + 1, self.now_us)
             self.at[slot] = FLOOR.lattice.point(own.route[own.index])
 
-    def _tell(self, sender: int, word: Accord) -> None:
+    def _tell(self, sender: int, word: AgreementMessage) -> None:
         for slot in self.live:
             if slot != sender and self.rng.random() >= self.loss:
                 self.agreements[slot].on_message(sender, word, self.now_us)
@@ -134,11 +134,11 @@ def test_words_of_an_old_round_are_not_heard_and_bad_nodes_do_no_harm() -> None:
     own = two(0.0, 1).agreements[0]
     own.call(0)
     own.call(0)
-    own.on_message(1, Accord(1, AgreementKind.PLACE, 0, 0, 0, 0), 0)
+    own.on_message(1, AgreementMessage(1, AgreementKind.PLACE, 0, 0, 0, 0), 0)
     assert 1 not in own._places and own.round == 2
-    own.on_message(1, Accord(2, AgreementKind.PLACE, 0, 60_000, 60_000, 0), 0)
+    own.on_message(1, AgreementMessage(2, AgreementKind.PLACE, 0, 60_000, 60_000, 0), 0)
     assert 1 not in own._places
-    own.on_message(1, Accord(3, AgreementKind.AT, 0, 9, 0, 0), 0)
+    own.on_message(1, AgreementMessage(3, AgreementKind.AT, 0, 9, 0, 0), 0)
     assert own.round == 3 and own.phase is Phase.GATHER
 
 

@@ -10,10 +10,10 @@ from agent.interface.config import MS, S
 from agent.interface.mission import FleetView
 from agent.interface.ports import Neighbour, Observation
 from agent.motion.stopping_zone import seen_through
-from agent.navigation.silent_robots import DEAD_US, NOWHERE_M, SURE_M, SilentRobots
+from agent.navigation.silent_robots import DEAD_US, SURE_M, SilentRobots
 from crdt import FieldAllocationCRDT, Progress
-from protocol.frames.accord_frames import Fallen
-from protocol.frames.fleet_frames import Pose
+from protocol.frames.agreement_frames import FALLEN
+from protocol.frames.fleet_frames import NOWHERE_M, Pose
 
 BEAT_US = 50 * MS
 HERE = Observation(0.0, 0.0, 0.0, 0.0, 0.0)
@@ -64,7 +64,7 @@ def test_all_come_to_know_the_latest_word_whatever_is_lost(seed: int) -> None:
         now_us += BEAT_US
         for own in fleet:
             for word in own.say(True, now_us):
-                heard = Fallen.unpack(word.pack())
+                heard = FALLEN.unpack(FALLEN.pack(word))
                 for other in fleet:
                     if other is not own and rng.random() < 0.7:
                         other.hear(heard, now_us)

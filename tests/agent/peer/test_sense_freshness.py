@@ -18,7 +18,7 @@ from agent.peer.sense_freshness import AGE_MAX_US, FROZEN_M, STEADY_US
 from agent.runtime.peer_factory import make_peer
 from agent.safety.stop_cause import StopCause
 from protocol.controller_health import Health
-from protocol.frames.fleet_frames import NOWHERE_M, PLACE_UNKNOWN_M_S, Pose
+from protocol.frames.fleet_frames import NOWHERE_M, PLACE_UNKNOWN_M_S, POSE, Pose
 from tests.agent.lone_peer import held_by, introduce, peer_in
 
 SPEED_M_S, ACCELERATION_M_S2 = 2.5, 1.5
@@ -114,7 +114,7 @@ def test_item_3_a_robot_that_has_never_sensed_anything_says_no_place() -> None:
     peer.here = None
     (pose,) = [peer.voice._pose(peer)]
     assert pose.x_m == NOWHERE_M and not pose.placed
-    assert Pose.unpack(pose.pack()) == pose
+    assert POSE.unpack(POSE.pack(pose)) == pose
 
 
 def test_item_3_a_frozen_place_stops_a_robot_that_drives() -> None:
@@ -176,7 +176,7 @@ def test_item_3_a_beat_without_a_place_leaves_the_last_one_and_makes_it_uncertai
     while now_us < 5 * S:
         now_us += 50 * MS
         blind = Pose(5.1, 0.0, 0.0, PLACE_UNKNOWN_M_S, State.IDLE, False, 0)
-        peer.hear(130, Pose.unpack(blind.pack()), now_us)
+        peer.hear(130, POSE.unpack(POSE.pack(blind)), now_us)
         peer.membership.tick(now_us)
     assert 1 in peer.membership.live
     pose, heard_us = peer.membership.neighbours[1]

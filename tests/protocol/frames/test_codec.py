@@ -2,105 +2,27 @@
 
 from typing import Any
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol.frames.accord_frames import Accord
+from protocol.frames.agreement_frames import FALLEN, SilentPosition
 from protocol.frames.codec import Malformed, decode, encode
-from protocol.frames.fleet_frames import Heartbeat, LeaderElectionVote, Member, Pose, VectorSlice
+from protocol.frames.fleet_frames import POSE, Heartbeat, Pose
 from protocol.frames.frame import Frame
 from protocol.frames.messages import GROUPS
-from protocol.frames.network_frames import (
-    Acknowledgment,
-    AddressClaimed,
-    Request,
-    TransportData,
-    TransportManagement,
-)  # fmt: skip
 from protocol.frames.operator_frames import (
-    LOWEST_M,
-    PLACE_M,
-    OperatorGoal,
-    OperatorReport,
-    ReportKind,
     goal_frames,
 )
 from protocol.frames.safety_frames import (
     AllImplementsStop,
-    Challenge,
-    EmergencyReset,
     EmergencyStop,
-    Freshness,
-    HeldReset,
-    OperatorCommand,
-    StopsHeld,
 )  # fmt: skip
-from protocol.frames.segment_frames import FleetReset, FleetStop, GatewayBeat, SegmentSummary
 from protocol.frames.work_frames import (
-    Digests,
-    StateSyncRequest,
-    StateSyncResponse,
     TaskClaim,
-    WorkProgress,
 )  # fmt: skip
 
 u8, u16, u24 = st.integers(0, 0xFF), st.integers(0, 0xFFFF), st.integers(0, 0xFFFFFF)
-phase, bid = st.sampled_from((0, 1, 2, 7)), st.integers(0, 31)
 state = st.integers(0, 4)
-register = (u16, u8, phase, bid, u24, u8)
-KINDS: dict[Any, st.SearchStrategy[Any]] = {
-    EmergencyStop: st.builds(
-        EmergencyStop, u8, u8, u8, st.integers(0, 15), st.booleans(), u8, u24, st.booleans()
-    ),
-    StopsHeld: st.builds(StopsHeld, u8, u8, u24, u24),
-    HeldReset: st.builds(HeldReset, u24, u8, u8, u24),
-    EmergencyReset: st.builds(EmergencyReset, u8, u8, u8, u8, u8, u24),
-    OperatorCommand: st.builds(OperatorCommand, st.integers(0, 9), u8, u8, u8, u8, u24),
-    OperatorGoal: st.builds(OperatorGoal, u8, u8, st.integers(0, 0x7FFF), st.booleans(), u8, u24),
-    OperatorReport: st.builds(
-        OperatorReport,
-        u8,
-        st.integers(0, 15),
-        st.sampled_from(ReportKind),
-        u16.map(lambda n: n * PLACE_M + LOWEST_M),
-        u16.map(lambda n: n * PLACE_M + LOWEST_M),
-        u8.map(lambda n: n * PLACE_M),
-        u8.map(lambda n: n * PLACE_M),
-    ),
-    Challenge: st.builds(Challenge, u8, u8, st.integers(0, (1 << 48) - 1)),
-    Freshness: st.builds(Freshness, u8, st.integers(0, 0xFFFF_FFFF), u24),
-    AllImplementsStop: st.builds(AllImplementsStop, u8, st.integers(0, 3)),
-    LeaderElectionVote: st.builds(LeaderElectionVote, u16, u16, u8, u8, u16),
-    TaskClaim: st.builds(TaskClaim, *register),
-    StateSyncResponse: st.builds(StateSyncResponse, *register),
-    StateSyncRequest: st.builds(StateSyncRequest, u24, u24, u8, u8),
-    Digests: st.builds(Digests, u8, u8, u16, u16, u16),
-    WorkProgress: st.builds(WorkProgress, u16, u8, st.integers(0, (1 << 40) - 1)),
-    Accord: st.builds(Accord, u16, st.integers(0, 2), st.integers(0, 2), u16, u16, u8),
-    Member: st.builds(Member, u8, u16, u24, u8),
-    VectorSlice: st.builds(VectorSlice, u8, st.tuples(*[u8] * 7)),
-    FleetStop: st.builds(FleetStop, st.integers(1, 0x7FFF), u8, u8, u8, u24, st.booleans()),
-    FleetReset: st.builds(FleetReset, st.integers(1, 0x7FFF), st.integers(0, 1), u8, u8, u8, u24),
-    GatewayBeat: st.builds(GatewayBeat, st.integers(124, 127), st.integers(0, 3), u16, u16, u16),
-    SegmentSummary: st.builds(
-        SegmentSummary, st.integers(1, 0x7FFF), u8, u8, u8, st.integers(0, 250), u16
-    ),
-    AddressClaimed: st.builds(AddressClaimed, st.integers(0, (1 << 64) - 1)),
-    Request: st.builds(Request, u24),
-    Acknowledgment: st.builds(Acknowledgment, st.integers(0, 3), u8, u8, u24),
-    TransportManagement: st.builds(TransportManagement, u8, st.binary(min_size=4, max_size=4), u24),
-    TransportData: st.builds(TransportData, u8, st.binary(min_size=7, max_size=7)),
-}
-
-
-@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
-@given(data=st.data(), source=u8)
-def test_there_and_back(kind: Any, data: st.DataObject, source: int) -> None:
-    message = data.draw(KINDS[kind])
-    frame = encode(message, source)
-    assert len(frame.data) == next(g.length for g in GROUPS if g.kind is kind)
-    assert decode(frame) == (source, message)
 
 
 @given(
@@ -118,6 +40,13 @@ def test_pose_is_right_to_its_resolution(
     turn = (back.course_rad - course_rad + 3.14159) % 6.28318 - 3.14159
     assert abs(turn) <= 0.0063
     assert back[4:] == (now, stopped, heard)
+
+
+@given(st.integers(0, (1 << 17) - 1), st.integers(0, (1 << 17) - 1))
+def test_a_silent_position_is_decoded_as_the_pose_that_it_repeats(x: int, y: int) -> None:
+    pose = POSE.unpack((x | y << 17).to_bytes(8, "little"))
+    repeated = FALLEN.unpack(FALLEN.pack(SilentPosition(pose.x_m, pose.y_m, 1, 2)))
+    assert repeated[:2] == pose[:2]
 
 
 @given(u8, state, st.booleans(), st.integers(0, 250), u16, u24)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from crdt.occupancy import Geometry
 from crdt.sighting import MergeOrder
-from protocol.frames.map_frames import CODES, NODES, MapDigests, MapPatch
+from protocol.frames.map_frames import CODES, MAP_DIGESTS, MAP_PATCH, NODES, MapDigests, MapPatch
 from protocol.sync.map_sync import decode_cells, encode_cells
 from sim.rigs.map_rig import MapFleet
 
@@ -21,21 +21,21 @@ ARENA = Geometry(50, 50, (-2.5, -2.5), 0.1)
        st.integers(0, CODES - 1))  # fmt: skip
 def test_a_patch_comes_back(patch: int, time: int, level: int, observer: int, cells: int) -> None:
     message = MapPatch(patch, time, level, observer, cells)
-    assert MapPatch.unpack(message.pack()) == message
+    assert MAP_PATCH.unpack(MAP_PATCH.pack(message)) == message
     assert encode_cells(decode_cells(cells)) == cells
 
 
 @given(st.integers(0, NODES - 1), st.integers(0, 7), st.tuples(*[st.integers(0, 7)] * 16))
 def test_digests_come_back(node: int, salt: int, digests: tuple[int, ...]) -> None:
     message = MapDigests(node, salt, digests)
-    assert MapDigests.unpack(message.pack()) == message
+    assert MAP_DIGESTS.unpack(MAP_DIGESTS.pack(message)) == message
 
 
 def test_what_is_out_of_range_is_not_read() -> None:
     with pytest.raises(ValueError):
-        MapPatch.unpack(b"\xff" * 8)
+        MAP_PATCH.unpack(b"\xff" * 8)
     with pytest.raises(ValueError):
-        MapDigests.unpack(b"\xff" * 8)
+        MAP_DIGESTS.unpack(b"\xff" * 8)
 
 
 def test_news_reach_everybody_without_repair() -> None:

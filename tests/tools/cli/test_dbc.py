@@ -13,13 +13,12 @@ import pytest
 
 from agent.interface.lifecycle import State
 from protocol.frames.codec import Malformed, decode, encode
-from protocol.frames.dbc_signals import NAME_OF_FIELD, SIGNALS, STATE, reserved_of
-from protocol.frames.fleet_frames import Member
+from protocol.frames.fleet_frames import MEMBER, STATES, Member
 from protocol.frames.frame import Frame
 from protocol.frames.identifier import Identifier
-from protocol.frames.messages import GROUPS, Message
+from protocol.frames.messages import GROUP_OF, GROUPS, Message
 from protocol.frames.network_frames import AddressClaimed
-from protocol.frames.safety_frames import AllImplementsStop, Switch
+from protocol.frames.safety_frames import ALL_IMPLEMENTS_STOP, AllImplementsStop, Switch
 from protocol.name import Name
 from sim.files.candump import read_candump
 from sim.runs.field_run import FieldRun
@@ -53,8 +52,9 @@ def flat(message: Message) -> dict[str, float]:
     fields = message._asdict()
     if isinstance(message, AddressClaimed):
         fields = Name.unpack(message.name)._asdict()
+    renamed = {f.name: f.signal for f in GROUP_OF[type(message)].fields if f.signal}
     for field, value in fields.items():
-        name = NAME_OF_FIELD.get(field, field)
+        name = renamed.get(field, field)
         if isinstance(value, bytes | tuple):
             values |= {f"{name}_{k}": part for k, part in enumerate(value)}
         else:
@@ -99,13 +99,14 @@ def test_a_recorded_run_reads_alike(by_group: dict[int, Any], short_run: Path) -
 
 
 def test_states_are_the_agents() -> None:
-    assert tuple((int(state), state.name) for state in State) == STATE
+    assert tuple((int(state), state.name) for state in State) == STATES
 
 
 def test_encoded_frames_have_the_identifier_of_their_group(by_group: dict[int, Any]) -> None:
     frame = encode(Member(1, 1, 5), 130)
     assert by_group[pgn_key(frame.identifier)].name == "MEMBER"
-    assert {signal.name for signal in SIGNALS[Member]} == {*Member._fields}
+    named = {signal.name for signal in MEMBER.signals() if signal.reserved is None}
+    assert named == {*Member._fields}
 
 
 # C17 and C++20; those that are in both stand once.
@@ -120,7 +121,7 @@ KEYWORDS = frozenset(WORDS.split())
 
 
 def test_a8_no_signal_is_a_keyword_of_c_or_cpp() -> None:
-    names = {signal.name for signals in SIGNALS.values() for signal in signals}
+    names = {signal.name for group in GROUPS for signal in group.signals()}
     assert not names & KEYWORDS and not any(keyword.iskeyword(name) for name in names)
 
 
@@ -152,7 +153,8 @@ def test_a16_reserved_bits_are_ones_where_an_encoder_of_others_starts(
     definition = by_group[pgn_key(frame.identifier)]
     values = {signal.name: signal.initial or 0 for signal in definition.signals}
     assert definition.encode({**values, "transition": 3, "state": 0}) == frame.data
-    assert {s.reserved for s in reserved_of(AllImplementsStop)} == {(1 << 48) - 1, 63}
+    unused = {s.reserved for s in ALL_IMPLEMENTS_STOP.signals()} - {None}
+    assert unused == {(1 << 48) - 1, 63}
 
 
 def test_a16_cycle_times_and_nodes_are_told(by_group: dict[int, Any]) -> None:

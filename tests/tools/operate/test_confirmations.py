@@ -8,7 +8,7 @@ import pytest
 
 from agent.interface.lifecycle import State
 from protocol.authentication import Keyring, Keys
-from protocol.frames.accord_frames import Fallen
+from protocol.frames.agreement_frames import SilentPosition
 from protocol.frames.codec import encode
 from protocol.frames.fleet_frames import Heartbeat, Member
 from protocol.frames.frame import Frame
@@ -78,7 +78,7 @@ def test_t14_who_fell_silent_or_was_only_told_of_counts_and_is_named() -> None:
     tool = operator()
     say(tool, 0.0, 0, Member(0, 1, 7), beat(stopped=True))
     say(tool, 0.0, 1, Member(1, 1, 7), beat())
-    say(tool, 2.0, 0, beat(stopped=True), Fallen(0, 0, 2, 0))
+    say(tool, 2.0, 0, beat(stopped=True), SilentPosition(0, 0, 2, 0))
     tool.expect([3])
     assert [robot.slot for robot in tool.silent] == [1, 2, 3]
     assert "NOT HEARD" in word(tool, tool.robots[3], False)
