@@ -77,9 +77,8 @@ def draw(
     count, ending = rng.choice(DRAWN), rng.choice([p.name.lower() for p in SilencePolicy])
     low, priority = rng.choice(LOWEST), rng.randrange(8)
     identifier = low if rng.random() < 0.4 else priority << 26 | rng.choice((ADDRESS, UNKNOWN))
-    for_s = round(
-        longest_s ** rng.random(), 3
-    )  # half of the draws are between 1 and 11 s, half between 11 and 120 s
+    # Half of the draws are between 1 and 11 s, half between 11 and 120 s.
+    for_s = round(longest_s ** rng.random(), 3)
     share, length = rng.choice(SHARES), rng.choice((0, 8, 8, 8))
     presses = rng.choice((0, 1, 1, 1, 3))
     count, ending = robots or count, policy or ending

@@ -18,10 +18,8 @@ from sim.record.scene import Scene
 
 FRAMES = 2_000_000  # 42 MB; 22 minutes of a full bus, two and a half hours of ten robots
 FINE_BYTES, FINE_ROWS = 24_000_000, 120_000  # every intent: about half an hour of ten robots
-COARSE_BYTES, COARSE_ROWS = (
-    8_000_000,
-    40_000,
-)  # one of each robot in COARSE_US: about four hours of ten
+# One of each robot in COARSE_US: about four hours of ten.
+COARSE_BYTES, COARSE_ROWS = (8_000_000, 40_000)
 COARSE_US = 5_000_000
 FINE_US = 1_000_000  # robots send five intents a second
 FAST = 1  # level of zlib: a tenth of a millisecond for an intent

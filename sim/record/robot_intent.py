@@ -49,9 +49,8 @@ class Intent(NamedTuple):
 def intent_of(peer: Peer) -> Intent | None:
     """None before the first observation of its sensors."""
     here = peer.here
-    motion = (
-        peer.motion if isinstance(peer.motion, HolonomicMotion) else None
-    )  # no robot is avoided on a grid
+    # No robot is avoided on a grid.
+    motion = peer.motion if isinstance(peer.motion, HolonomicMotion) else None
     if here is None:
         return None
     others = sorted(motion.others, key=lambda o: o.distance_m) if motion is not None else []

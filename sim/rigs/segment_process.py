@@ -8,7 +8,7 @@ share.
 
     -> {"do": "press", "slot": 0}        <- {"pressed_us": ...}
     -> {"do": "halts"}                   <- {"halts": {"0": ...}}, first zero command since "arm"
-    -> {"do": "state"}                   <- who stands stopped, is alone, what is known of sections
+    -> {"do": "state"}                   <- robots that stand or are alone, and the sections
 """
 
 import asyncio

@@ -104,9 +104,8 @@ class World:
         self.guards: list[Guard] = []  # call `guard` when their limits change
         self.engine: Engine = engine
         self.pymunk_steps = 0  # steps of `STEP_US` made by pymunk
-        self.rows = np.empty(
-            (0, COLUMNS)
-        )  # see sim.world.drive_trains; one row a robot, in order of adding
+        # See sim.world.drive_trains; one row a robot, in order of adding.
+        self.rows = np.empty((0, COLUMNS))
         self.motion = np.empty((0, 7))
         # Byte views of both arrays, to read or write one row.
         self.commands = self.places = memoryview(b"")

@@ -56,10 +56,8 @@ class ForgeryAttack:
         """Another stop, whose dot nobody has cleared."""
         self.presses += 1
         dot = StopDot(PRESSER, self.presses >> 8 & 0xFF, self.presses & 0xFF)
-        self.safety.stops, self.dot = (
-            StopSet(),
-            dot,
-        )  # one at a time: a long history is not the point
+        # One at a time: a long history is not the point.
+        self.safety.stops, self.dot = (StopSet(), dot)
         self.safety.stops.press(dot)
         stop = self.presser.sign(EmergencyStop(*dot, 1))
         self.stops = [*self.stops[-KEPT:], stop]

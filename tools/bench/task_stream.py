@@ -19,9 +19,8 @@ from agent.interface.config import MS
 from tools.bench.routing_opponents import bound_ms
 
 Plan = list[list[int]]
-Policy = Callable[
-    [RoutingPlanner, Plan, int, int], None
-]  # puts a task into a plan, at this time in ms
+# Puts a task into a plan, at this time in ms.
+Policy = Callable[[RoutingPlanner, Plan, int, int], None]
 MOVES = REPLAN_US // SLICE_US * SLICE_MOVES_HASTE  # of a round
 
 

@@ -42,10 +42,8 @@ def racks() -> list[list[XY]]:
     found = []
     for row in range(5):
         for place in range(3):
-            west, south = (
-                3.4 + 8.6 * place,
-                3.4 + 5.2 * row,
-            )  # on borders of cells, as the map has them
+            # On borders of cells, as the map has them.
+            west, south = (3.4 + 8.6 * place, 3.4 + 5.2 * row)
             east, north = west + 6.0, south + 1.0
             found.append([(west, south), (east, south), (east, north), (west, north)])
     return found

@@ -72,7 +72,9 @@ class Causality:
     def __init__(self) -> None:
         self._steps: dict[int, deque[Step]] = {}
         self._last: dict[int, Evidence] = {}  # slot -> its newest frame
-        self._notes: deque[tuple[int, Evidence]] = deque(maxlen=NOTES_MAX)  # whom it concerns
+        self._notes: deque[tuple[int, Evidence]] = deque(
+            maxlen=NOTES_MAX
+        )  # the robot that it concerns, first
         self._asked: Evidence | None = None  # the newest request for state
         self._worked: dict[int, tuple[Evidence, int]] = {}  # section -> newest progress, how many
 

@@ -10,14 +10,14 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 
 from agent.interface.config import PEERS_MAX
 
-INTENTS_MAX = 8  # of one phrase; a person who says more at once has not looked what happens
+INTENTS_MAX = 8  # of one phrase; more could not be watched by the person that gives them
 FAR_M = 3276.7  # beyond this a place cannot be said on the bus
 
 Slot = Annotated[int, Field(ge=0, lt=PEERS_MAX)]
 Metres = Annotated[float, Field(ge=-FAR_M, le=FAR_M, allow_inf_nan=False)]
 Everybody = Literal["all"]
 Action = Literal["stop", "emergency_stop", "go_home", "wait", "continue", "replan", "start"]
-# Whom: by number, the nearest that is idle, or one that was not named (then it is asked for).
+# Which robot: by number, the nearest idle one, or none named (then it is asked for).
 Mover = Slot | Literal["nearest", "unnamed", "all", "several"]
 
 

@@ -18,16 +18,13 @@ class Outcome:
     phrase: str
     intents: tuple[AnyIntent, ...] = ()
     question: Question | None = None
-    orders: list[tuple[AuthorizedOrder, str | None]] = field(
-        default_factory=list
-    )  # None: not obeyed
+    # None: not obeyed.
+    orders: list[tuple[AuthorizedOrder, str | None]] = field(default_factory=list)
     stopped: list[int] | None = (
         None  # robots that confirmed a stop of all; None: none was asked for
     )
     not_stopped: list[int] = field(default_factory=list)
-    held: list[int] | None = (
-        None  # robots that were held at once, because the phrase may be an alarm
-    )
+    held: list[int] | None = None  # robots that were held first, because the phrase may be an alarm
     queued: list[str] = field(default_factory=list)
     answers: list[Answer] = field(default_factory=list)
     told_by: str = "the bus"

@@ -27,12 +27,8 @@ PHRASE_MAX = 400  # characters; no order needs more
 TOKENS_MAX = 40
 LIKE = 0.7  # likeness of a word that was probably meant
 SHORT = 5  # letters; a longer word may have two of them wrong
-HARMLESS = (
-    "over to",
-    "take over",
-    "over there",
-    "over here",
-)  # groups in which "over" runs over nobody
+# Groups in which "over" runs over nobody.
+HARMLESS = ("over to", "take over", "over there", "over here")
 STOP_NOW = "stop all"
 EXAMPLES = ("send the nearest robot to 12, -4", "where is robot 2", "robot 2 go home")
 

@@ -35,9 +35,8 @@ AHEAD_MAX = 3  # pictures sent and not yet drawn: a slow page sees fewer, never 
 PAGES_MAX = 16
 MESSAGE_MAX = 4096  # bytes of one message of a page's socket
 BODY_MAX = 64 * 1024  # bytes of a POST; the page sends less than 100
-HOST = re.compile(
-    r"(127\.0\.0\.1|localhost|\[::1\])(:[0-9]{1,5})?"
-)  # any port: ssh may forward another
+# Any port: ssh may forward another.
+HOST = re.compile(r"(127\.0\.0\.1|localhost|\[::1\])(:[0-9]{1,5})?")
 PROTOCOL = "headland"  # of the socket; the page offers it with its token as a second one
 NO_TOKEN, TOO_MANY, TOO_BIG = 4401, 1013, 1009  # close codes; 4000 to 4999 are for applications
 NOT_A_REQUEST = "not a request of the map's page"

@@ -81,7 +81,7 @@ class Operator:
         self.robots: dict[int, Robot] = {}
         self.slot_of: dict[int, int] = {}
         self.names: dict[int, int] = {}  # address -> NAME, as claimed
-        self.unknown: dict[int, float] = {}  # addresses that beat and have not said who they are
+        self.unknown: dict[int, float] = {}  # addresses with beats whose slot is not known yet
         self.makers = Makers()
         # Robots known only by a word from an address whose claim was not heard yet: address -> slot.
         self.doubtful: dict[int, int] = {}

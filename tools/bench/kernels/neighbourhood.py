@@ -1,9 +1,9 @@
-"""Everybody's nearest neighbours, from those of the step before.
+"""The nearest neighbours of every agent, from those of the step before.
 
-Who was near is near: the neighbours of the last step, sorted anew, give a distance beyond which nobody
-matters, and then hardly anybody else is found within it. That halves the time of a search from scratch.
-Where two agents are equally far from a third, the order in which the tree meets them decides; then,
-and only then, it is asked.
+Agents that were near are still near. The neighbours of the last step, sorted again, give a distance
+beyond which no agent matters, and hardly any other agent is found within it. That takes half of the
+time of a search from scratch. Where two agents are equally far from a third, the order in which the
+tree meets them decides. Only then is the tree asked.
 """
 
 import numpy as np
@@ -19,7 +19,7 @@ f32 = np.float32
 
 @njit(cache=True, error_model="numpy")
 def _again(agents, me, known, hints, near, squares):  # type: ignore[no-untyped-def]
-    """Sort those who were near anew: (how many are in range, square of the reach left, tie)."""
+    """Sort the neighbours of the last step again: (how many in range, square of the reach left, tie)."""
     x, y, most = agents[me, X], agents[me, Y], int(agents[me, NEIGHBOURS])
     count, tie, reach = int(np.int64(0)), False, agents[me, RANGE] * agents[me, RANGE]
     if most == 0:
@@ -41,7 +41,7 @@ def _again(agents, me, known, hints, near, squares):  # type: ignore[no-untyped-
 
 @njit(cache=True, error_model="numpy")
 def _newcomers(me, mine, most, count, reach, tie, places, mark, order, runs, near, squares):  # type: ignore[no-untyped-def]
-    """Add those who were not near before: (how many, tie). `mark`: who is in `near` already."""
+    """Add agents that were not near before: (how many, tie). `mark`: those in `near` already."""
     x, y = places[mine, 0], places[mine, 1]
     for run in range(runs.shape[0]):
         for i in range(runs[run, 0], runs[run, 1]):
