@@ -29,7 +29,7 @@ from tools.bench.voronoi_coverage import baseline
 ROOT = Path(__file__).parents[2]
 NAMED = ("floor_medium", "terrain_medium", "ht_chantry", "Shanghai2")
 FIELD_ROBOTS = 8
-TURN_COST = 0.5  # steps a quarter turn, as LS-MCPP counts
+TURN_COST = 0.5  # steps that a quarter turn costs in LS-MCPP
 # rows, columns, share of walls, robots, from one corner
 RANDOM = (
     (32, 32, 0.2, 20, False), (32, 32, 0.2, 4, False), (64, 64, 0.1, 20, False),

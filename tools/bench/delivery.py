@@ -21,7 +21,7 @@ from tools.bench.task_stream import LeastWaiting, arrivals, latency_s, least_tra
 SIZES = {(10, 50): 1.10, (10, 100): 1.08, (20, 200): 1.10, (50, 500): 1.15}  # and the target
 MOVES = 1_000_000  # of one peer's search
 OPPONENT_S = 10.0
-STREAMS = 4  # seeds of streams: one by itself says little of the other policy, which varies by 3x
+STREAMS = 4  # seeds of streams: the other policy varies by 3x between seeds
 TIGHT_M = 900.0  # of a battery, where a task is 230 m on the average
 VISITS = 6  # of a bay that OR-Tools may use
 WHERE = (
@@ -58,7 +58,7 @@ def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
     yield from trouble(quick, seed)
     for (robots, tasks), target in SIZES.items():
         if quick and (robots, tasks) == (20, 200):
-            continue  # the larger one and the smaller ones say as much, in 50 s
+            continue  # the largest one and the smaller ones show the same, in 50 s
         opposed = not quick or (robots, tasks) == (10, 50)
         seeds = range(seed, seed + (1 if quick or tasks > 200 else 2))
         opponent_s = 1.0 if quick else OPPONENT_S

@@ -19,9 +19,9 @@ from tools.common.gc_collector import patient
 if TYPE_CHECKING:
     from sim.fleet.scheduler import Script
 
-SETTLED_S = 8.0  # a fleet has joined and works: booting is not what is asked for
+SETTLED_S = 8.0  # by then the fleet has joined and works; booting is not measured
 WORKS_S = 120.0  # no robot is without work until then: 8 sections of 20 units, a second each
-SLICE_US = 200_000  # of simulated time, between two looks at the clock
+SLICE_US = 200_000  # simulated time between two looks at the clock
 
 
 class Speed(NamedTuple):

@@ -82,7 +82,7 @@ class ForgeryAttack:
         if self.rng.random() < LUNCH:
             self.now_us += SESSION_US + 1
             return
-        for _ in range(4):  # the first may only lead to a question, two have to agree
+        for _ in range(4):  # the first may only cause a question, because two frames have to agree
             frame = self.operator.sign(EmergencyReset(*self.dot, OPERATOR))
             if self.rng.random() < 0.3:
                 self.held = [*self.held[-KEPT:], (self.operator.sent, frame)]

@@ -65,7 +65,7 @@ def figures(quick: bool, seed: int = 1, seconds: float | None = None) -> Iterato
         yield Figure(f"growth of {name} in 24 h", grown_mb, "MB", "", None, "",
                      f"{size_mb:.0f} MB at the end; {scope}")  # fmt: skip
     total_mb = sum(each.slope_bytes_s for each in grown) * DAY_S / 1e6
-    judged = seconds >= SECONDS  # a shorter run tells too little of a day
+    judged = seconds >= SECONDS  # a shorter run says too little about a day
     yield Figure("growth of launch, robots, map and files in 24 h", total_mb, "MB",
                  f"<= {TARGET_MB:g}" if judged else "", total_mb <= TARGET_MB if judged else None, "",
                  f"extrapolated; {len(grown) - 1} processes and their files; {scope}")  # fmt: skip

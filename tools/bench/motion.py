@@ -27,7 +27,7 @@ from tools.run.path_picture import draw_paths
 
 INFLATIONS_M = (0.05, 0.10, 0.20)
 THESIS = {0.05: "85 %, 0.01 m", 0.10: "98 %, 0.08 m", 0.20: "50 %, 0.16 m"}
-RADIUS_M = 0.35  # round the 0.58 m by 0.38 m of the thesis' platform
+RADIUS_M = 0.35  # radius of a disc round the platform of the thesis, 0.58 m by 0.38 m
 CELL_M, ROBOTS, PAIRS, QUICK_PAIRS = 0.2, 3, 20, 4
 FAR_M, APART_M = 3.0, 1.0  # a goal from its start (thesis 6.1.3); robots from each other
 LIMIT_S = 180.0  # the longest way takes 25 s at 1 m/s

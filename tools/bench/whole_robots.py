@@ -33,7 +33,7 @@ MARGIN_M = 0.06  # of ORCA: wheels slip and take a period to act
 HORIZON_S, WALL_HORIZON_S = 2.0, 0.5
 ARRIVED_M, AHEAD_M = 0.4, 2.0
 FASTER = 10.0
-LOST_M = 1.0  # further off its path a robot plans another
+LOST_M = 1.0  # a robot that is further off its path plans another
 XY = tuple[float, float]
 
 

@@ -20,7 +20,7 @@ from tools.common.fingerprint import ROOT
 
 WRONG = 1
 LEVEL = "2"  # of optimization
-CACHE = FOLDER.with_name("core_types")  # of mypy: that of `make check` has other options
+CACHE = FOLDER.with_name("core_types")  # mypy's cache; that of `make check` has other options
 # What turns and frames go through. Not: modules of kernels (numba has those), of constants and
 # protocols alone, what is seldom called, what mypyc refuses (constrained type variables), and
 # `sim/chaos/scenario_judge.py`, on which mypyc 2 itself crashes. mypyc calls a `cached_property`

@@ -49,7 +49,7 @@ def _coverage() -> None:
     from agent.coverage.team import Team
 
     team = Team(np.zeros((6, 6), dtype=np.bool_), [(0, 0), (3, 3)])
-    grid = team.grid  # the ways to far runs, which only larger places have
+    grid = team.grid  # paths to far runs, which only larger places have
     lay(grid.free, grid.free, grid.width, team.number((0, 0)), team.number((5, 5)), grid.queue)
     while team.remaining():
         team.advance()
@@ -64,7 +64,9 @@ def _agreement() -> None:
 
     assigned(np.ones((2, 3)))
     floor = Floor.drawn("...\n...", 1.0, 0.35)
-    planned(floor.lattice.near, [0, 2], [2, 0])  # one of them has to wait: it is put back, too
+    planned(
+        floor.lattice.near, [0, 2], [2, 0]
+    )  # one of them has to wait, so its route is put back as well
     hall = Floor.drawn("\n".join(["....."] * 4), 1.0, 0.35)
     planned(hall.lattice.near, list(range(12)), list(range(11, -1, -1)))  # many: in groups
     here = Observation(1.5, 0.5, 0.0, 0.0, 0.0, (0.5, 1.0, 1.5))

@@ -30,7 +30,7 @@ from tools.common.fingerprint import ROBOTS, fingerprint
 from tools.common.gc_collector import patient
 
 FAILED, WRONG = 1, 2
-KEEP_S = 30.0  # between two writings of what was shown so far: all that is lost with a process
+KEEP_S = 30.0  # interval at which results are written: at most this much is lost with a process
 
 
 def chaos(

@@ -25,11 +25,11 @@ from sim.files.strict_json import dumps
 
 FAILED, WRONG = 1, 2
 CORPUS = Path(__file__).parents[2] / "tests" / "fuzz" / "corpus"
-SIZE_MAX = 1024  # bytes of an input, where no sound one is longer
+SIZE_MAX = 1024  # longest input, bytes; no valid one is longer
 TIME_MAX_S = 2.0  # of computing for one input
 SPARE = 64  # bytes by which a long input may grow
 POOL_MAX = 4096  # inputs remembered by the plain engine
-KEPT_MAX = 60  # inputs of a corpus, the shortest of those that reach something new
+KEPT_MAX = 60  # most inputs kept of a target: the shortest that reach new code
 CHUNK = 256  # runs between two looks at the clock
 DONE = re.compile(r"Done (\d+) runs in (\d+) second")
 

@@ -24,8 +24,8 @@ from tools.common.fingerprint import fingerprint
 
 MUTANT_CPU_S = 600.0  # the budget within which every planted bug must be found
 RESULTS = "mutants.json"
-TURN_CPU_S = 20.0  # then the next one has its turn: those that are soon found do not wait
-WARM_S = 6.0  # simulated: robots are on their way by then
+TURN_CPU_S = 20.0  # length of a turn, so that bugs that are found soon do not wait for others
+WARM_S = 6.0  # simulated time after which robots drive
 Row = dict[str, Any]
 
 
@@ -66,7 +66,7 @@ def hunt_all(
     path = out / (f"mutants-{first}.json" if first else RESULTS)
     if path.exists():
         then = json.loads(path.read_text())
-        if then["code"] == fingerprint():  # what other code was found with says nothing of this
+        if then["code"] == fingerprint():  # results of other code do not count
             kept = {row["mutant"]: row for row in then["mutants"]}
             rows = kept | {name: kept.get(name, row) for name, row in rows.items()}
     warm_up()  # so that no hunt pays for it

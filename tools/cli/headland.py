@@ -315,7 +315,7 @@ def main() -> None:
         where = "headland" if context is None else context.command_path
         if (
             type(problem).__name__ == "NoArgsIsHelpError"
-        ):  # no word at all: the help, not a reproach
+        ):  # without any argument: print the help, not an error
             problem.show()
         else:
             line = " ".join(problem.format_message().split()).rstrip(".")

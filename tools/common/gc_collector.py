@@ -9,7 +9,7 @@ import gc
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-YOUNG, MIDDLE, OLD = 50_000, 50, 1_000  # what has to come between two looks; CPython's: 700, 10, 10
+YOUNG, MIDDLE, OLD = 50_000, 50, 1_000  # thresholds of `gc`; CPython's own are 700, 10, 10
 
 
 @contextmanager

@@ -6,7 +6,7 @@ from typing import Protocol
 from rich.table import Table
 
 NO_KEYS = "[yellow]NONE: anybody on the bus can stop and release this fleet[/yellow]"
-Fact = tuple[str, str]  # name, and what is to be said, with rich's markup
+Fact = tuple[str, str]  # name and text; the text may have rich's markup
 
 
 class RunOutcome(Protocol):

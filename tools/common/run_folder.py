@@ -16,8 +16,8 @@ WRITTEN = (
     "run.mcap", "run.[1-9]*.mcap", "trace.jsonl", "field.png", "work.geojson", "warehouse.png",
     "maps.png", "maps.gif", "fleet.md", "robot_*.png", "scene.json",
 )  # fmt: skip
-MARK = "scene.json"  # every run writes it first: without it the files are somebody else's
-NAME_MAX = 64  # characters of a scenario's name in a folder's
+MARK = "scene.json"  # every run writes it first; a folder without it holds other files
+NAME_MAX = 64  # longest part of a scenario's name in a folder's name, characters
 
 
 class FolderError(Exception):

@@ -19,11 +19,13 @@ from protocol.frames.safety_frames import AllImplementsStop, Command, EmergencyS
 from protocol.frames.work_frames import StateSyncRequest, StateSyncResponse, TaskClaim, WorkProgress
 
 STEPS_MAX = (
-    64  # of one section, newest kept: an epoch has three steps, and few sections have ten epochs
+    64  # newest steps kept of a section: an epoch has three, and few sections have ten epochs
 )
 RIVALS_MAX = 8  # kept of one step
 NOTES_MAX = 256  # newest stops, orders and farewells
-NEAR_S = 2.0  # a release follows its cause within this: a control period, and the bus
+NEAR_S = (
+    2.0  # longest time from a cause to the release that it leads to: a control period and the bus
+)
 EVERYBODY = 255
 Register = TaskClaim | StateSyncResponse
 

@@ -9,7 +9,7 @@ from tools.inspect.inspector import Inspector
 from tools.inspect.screen import Feed, InspectScreen
 from tools.operate.operator_device import Operator
 
-AT_ONCE = 500  # frames between two looks at the keyboard, where a log is read as fast as it goes
+AT_ONCE = 500  # frames between two looks at the keyboard, at full speed
 PERIOD_S = 0.05  # frames of a log are given in portions of this, times the speed
 HEARD_S = 0.3  # by then we are on the bus
 

@@ -183,7 +183,7 @@ def _frames_of(source: Path) -> Iterator[tuple[int, Frame]]:
                     round(message.timestamp * 1e6),
                     Frame(message.arbitration_id, bytes(message.data)),
                 )
-    except Exception as problem:  # log readers raise what they like on files that are none
+    except Exception as problem:  # log readers raise any exception on files of another kind
         raise SourceError(f"{path}: not a CAN log: {_first_line(problem)}") from None
 
 

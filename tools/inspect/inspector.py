@@ -46,7 +46,7 @@ from tools.inspect.causality import Causality
 from tools.operate.foreign_groups import group_name
 
 BUTTON_S = HOLD_US / 1e6  # a shortcut button that is silent this long is forgotten
-TRANSITIONS_MAX = 64  # newest kept a robot; a path longer than that is not read by anybody
+TRANSITIONS_MAX = 64  # newest transitions kept of a robot; no person reads a longer list
 SILENT_S = 1.0  # a robot not heard for longer is shown as silent
 
 
@@ -79,7 +79,9 @@ class Seen:
     held: bool = False  # something keeps it from moving
     causes: ToldCauses = field(default_factory=ToldCauses)  # why it stands, as it tells it
     question: int = 0  # number of what it asks its operators; 0: nothing
-    goal: tuple[float, float] | None = None  # where an operator has sent it, and it is not yet
+    goal: tuple[float, float] | None = (
+        None  # place to which an operator has sent it, until it is there
+    )
     incarnation: int = 0
     health: float = 1.0
     operations: int = 0
@@ -114,7 +116,7 @@ class Inspector:
         self.votes: dict[tuple[int, int], dict[int, int]] = {}
         self._buttons: dict[int, float] = {}  # address of a pressed button: when it was heard last
         self.bits = 0
-        self.changed_s = 0.0  # when a frame last told of a claim or of work that was new
+        self.changed_s = 0.0  # when a frame last brought a new claim or new work
         self.first_s: float | None = None
         self.now_s = 0.0
         self.causality = Causality()

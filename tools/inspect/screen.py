@@ -21,7 +21,7 @@ from tools.inspect.inspector import Inspector, Seen
 from tools.inspect.lifecycle_picture import LIT, picture
 from tools.inspect.table_widget import Cell, Rows
 
-LOOKS_A_SECOND = 4  # the eye does not read faster, and the fleet shares this machine
+LOOKS_A_SECOND = 4  # people do not read faster, and the fleet shares this machine
 TRANSITIONS_SHOWN = 12
 FLEET = ("robot", "state", "at", "m/s", "works", "peers", "digest")
 SECTIONS = ("section", "phase", "owner", "units")

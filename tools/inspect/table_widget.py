@@ -101,7 +101,7 @@ class Rows(ScrollView, can_focus=True):
         return self._strip(self.rows[row], style, width)
 
     def _strip(self, cells: Sequence[str], style: Style, width: int) -> Strip:
-        ground = self.rich_style  # costs as much as all the rest of a line
+        ground = self.rich_style  # read once, because it costs as much as the rest of a line
         line = ground + style
         segments = []
         for cell, column_width in zip(cells, self._widths or map(len, cells), strict=True):

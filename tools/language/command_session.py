@@ -32,12 +32,12 @@ from tools.operate.operator_device import Operator, Robot
 from tools.operate.order import LISTEN_S, convey
 from tools.operate.pgn_client import PgnClient
 
-REPEAT_S = 0.05  # a stop of all is said again: one control period
-PLAIN_STOP_S = 0.5  # then an emergency stop; a robot obeys within a control period and a bus delay
-HOLD_S = 3.0  # a hold is confirmed by a heartbeat: two of the slowest, every 1.4 s
+REPEAT_S = 0.05  # interval at which a stop of all is repeated: one control period
+PLAIN_STOP_S = 0.5  # then an emergency stop follows; a robot obeys within a period and a bus delay
+HOLD_S = 3.0  # two of the slowest heartbeats (every 1.4 s), which confirm a hold
 SERVE_S = 0.5  # the queue is looked at this often
 HEARD_S = 0.3  # by then we are on the bus
-PEER_S = 1.0  # a peer that does not answer within this is not waited for
+PEER_S = 1.0  # longest wait for the answer of one peer
 ANY = "any"  # the leader is asked, and without its answer one peer after the other
 Reader = Callable[[str], Awaitable[tuple[tuple[AnyIntent, ...] | Question, bool]]]
 Asker = Callable[[str], Awaitable[bool]]  # a question with yes or no
@@ -153,7 +153,9 @@ class CommandSession:
         operator.ask_who()
         asked = set[int]()
         while True:
-            for slot in operator.robots.keys() - asked:  # a heartbeat from now on has to confirm it
+            for slot in (
+                operator.robots.keys() - asked
+            ):  # only a heartbeat after this time confirms it
                 operator.robots[slot].started = True
                 asked.add(slot)
             operator.command(Command.HOLD)
@@ -194,7 +196,7 @@ class CommandSession:
         peers = [int(self.by)] if self.by != ANY else [r.slot for r in own.live]
         known = [self.operator.robots[slot] for slot in peers if slot in self.operator.robots]
         asked = [robot.address for robot in known]
-        if self.by == ANY:  # the leader answers that, and where there is none any other is asked
+        if self.by == ANY:  # the leader answers; without one any other robot is asked
             asked.insert(0, GLOBAL_ADDRESS)
         for address in asked:
             text = await self.letters.ask(bulletin.BULLETIN_PGN, address, PEER_S)

@@ -19,7 +19,7 @@ from tools.language.places import Places
 from tools.language.question import Question, Reason
 
 URL_VARIABLE, KEY_VARIABLE = "HEADLAND_LLM_URL", "HEADLAND_LLM_KEY"
-TIMEOUT_S = 20.0  # a person does not wait longer for words
+TIMEOUT_S = 20.0  # longest wait for an answer: a person does not wait longer
 ANSWER_BYTES_MAX = 20_000  # eight intents are 1 kB
 RULES = """You turn one phrase of a person into intents for a fleet of robots. Answer with JSON only:
 {"intents": [...]} in the given schema, or {"question": "..."} to ask the person back.

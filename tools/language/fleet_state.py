@@ -20,7 +20,7 @@ class RobotNow(NamedTuple):
     started: bool = True
     silent: bool = False
     asking: int = 0  # number of its open question; 0: none
-    goal: Point | None = None  # where an operator has sent it and it is not yet
+    goal: Point | None = None  # place to which an operator has sent it, until it is there
     sections: tuple[str, ...] = ()
     heard_s: float = 0.0  # ago
     battery: float | None = None  # share of a full one; None: it has none, or tells of none

@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from agent.runtime.files.given_file import SETTINGS_BYTES_MAX, GivenFileError, read_bytes
 from tools.language.intent import Metres, Slot
 
-QUEUE_MAX = 100  # a person who has queued more has lost sight of them
+QUEUE_MAX = 100  # more goals than a person can keep in mind
 
 
 class QueueError(Exception):

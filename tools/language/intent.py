@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 from agent.interface.config import PEERS_MAX
 
 INTENTS_MAX = 8  # of one phrase; more could not be watched by the person that gives them
-FAR_M = 3276.7  # beyond this a place cannot be said on the bus
+FAR_M = 3276.7  # largest coordinate that frames can carry
 
 Slot = Annotated[int, Field(ge=0, lt=PEERS_MAX)]
 Metres = Annotated[float, Field(ge=-FAR_M, le=FAR_M, allow_inf_nan=False)]

@@ -216,7 +216,7 @@ class _Conversation:
         loop = asyncio.get_running_loop()
 
         def pump() -> None:
-            with suppress(RuntimeError):  # the loop is closed: nobody listens any more
+            with suppress(RuntimeError):  # the loop is closed, so no listener is left
                 for line in sys.stdin:
                     loop.call_soon_threadsafe(self.lines.put_nowait, line)
                 loop.call_soon_threadsafe(self.lines.put_nowait, None)

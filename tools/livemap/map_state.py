@@ -25,9 +25,9 @@ from sim.can.frame_timing import worst_bits
 from sim.record.scene import Scene
 from tools.inspect.inspector import Inspector, Seen
 
-LOAD_S = 1.0  # over which the load of the bus is averaged
+LOAD_S = 1.0  # the load of the bus is averaged over this time
 NAMES = {group.pgn: group.name for group in GROUPS}
-STALE_S = 1.0  # an intent older than this says nothing of now
+STALE_S = 1.0  # an intent older than this does not describe the present
 
 
 class Watcher(Inspector):

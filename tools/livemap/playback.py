@@ -18,8 +18,8 @@ from tools.livemap.map_state import Watcher
 
 SNAPSHOT_US = 10_000_000
 SPEED_MAX = 256.0
-AGES = 16  # of a live bus, two snapshots around one are at least its age over this apart
-EVENTS_MAX = 512  # marks on the time line; more cannot be distinguished
+AGES = 16  # snapshots thin out with age: the gap round one is at least its age divided by this
+EVENTS_MAX = 512  # most marks on the time line; more cannot be distinguished
 FAST = 1  # level of zlib: a snapshot in a millisecond, in a fifth of its size
 LOOK = 512  # rows between two looks at the clock
 

@@ -29,9 +29,9 @@ from tools.livemap.stop_panel import Panel, PanelError
 
 PAGE = Path(__file__).parent / "page"
 PICTURES_A_SECOND = 30
-READ_SHARE = 0.5  # of the time between two pictures may be spent on reading
+READ_SHARE = 0.5  # largest share of the time between two pictures that goes into reading
 INDEX_SHARE = 0.4  # the same for the index, when it is behind
-AHEAD_MAX = 3  # pictures sent and not yet drawn: a slow page sees fewer, never older ones
+AHEAD_MAX = 3  # most pictures sent and not yet drawn: a slow page gets fewer, never older ones
 PAGES_MAX = 16
 MESSAGE_MAX = 4096  # bytes of one message of a page's socket
 BODY_MAX = 64 * 1024  # bytes of a POST; the page sends less than 100

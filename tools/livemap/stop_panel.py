@@ -22,7 +22,7 @@ class PanelError(Exception):
     """One line for the person."""
 
 
-STARTS = 3  # a start that is lost is only an inconvenience, but an annoying one
+STARTS = 3  # repeats of a start, because a lost one means another walk to the machine
 NO_KEY = (
     "this map holds no operator's key: start it with --operator-key, or use headland reset; "
     "where the fleet has no keys, say so"

@@ -13,12 +13,10 @@ from tools.common.bus_attach import AttachError, attach, robots_of_launch
 from tools.operate.operator_device import Operator, Robot
 
 REPEAT_S = 0.005
-LISTEN_S = 0.5  # ten beats: a robot that has not been heard by then is not there
-AGAIN_S = 0.1  # no robot latched by then: the dot may have been used and cleared; try another
-SIGN_AGAIN_S = (
-    0.5  # an echo is said once for each dot: where one was lost, another dot gets another
-)
-FIRST_STOP = 1  # stops that this device has said in the standard frame, since it was started
+LISTEN_S = 0.5  # ten beats: a robot that was not heard by then is absent
+AGAIN_S = 0.1  # if no robot has latched by then, the dot may be a cleared one: try another
+SIGN_AGAIN_S = 0.5  # robots echo each dot once; if an echo was lost, a new dot gets a new echo
+FIRST_STOP = 1  # count of stops in the standard frame, since this device was started
 NOT_ALL, WRONG = 1, 2
 NOT_SIGNED = (
     "NOT SIGNED: a fleet without keys believes anybody on the bus; one with keys only brakes"

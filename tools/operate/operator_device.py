@@ -39,8 +39,10 @@ from tools.operate.tool_address import DeviceAddress
 
 OPERATOR_SLOT = 249  # an operator device in dots and commands, in a fleet without keys
 LIVE_S = 1.0  # heard within this: it has to stop
-LEFT_S = 0.5  # without a beat since it said that it leaves: ten beats; a robot that left is silent
-ECHOES_TRIED = 8  # of a robot, for one stop: a forger has 8 guesses of 2^-16
+LEFT_S = 0.5  # silence after a farewell until it is believed: ten beats
+ECHOES_TRIED = (
+    8  # echoes of one robot that are checked for one stop: a forger has 8 guesses of 2^-16
+)
 EVERYBODY = 255
 NOT_HEARD_S = float("-inf")  # when a robot was heard that only others reported
 ASK_S = 0.25
@@ -60,7 +62,7 @@ class Robot:
     started: bool = False
     held: bool = False  # something other than a latch keeps it from moving
     causes: ToldCauses = field(default_factory=ToldCauses)  # why it stands, as it tells it
-    leaves_s: float | None = None  # it said so then, and has not beaten since
+    leaves_s: float | None = None  # when it said farewell, if it has sent no beat since
     report: OperatorReport | None = None  # the newest, since it was last forgotten
     question: OperatorReport | None = None  # that it is asking or waiting about
     tried: int = 0  # echoes whose tag was looked at

@@ -13,7 +13,7 @@ from tools.operate.operator_device import Operator, Robot
 from tools.operate.reset import NOT_SIGNED, operator_keyring
 
 LISTEN_S = 1.3  # an open question is said again every second
-STEP_S = 0.3  # between two tries: a robot may first have to ask for our identity
+STEP_S = 0.3  # time between two tries: a robot may first have to ask for our identity
 # What the robot tells when it obeys; those that answer a question also end an errand.
 CONFIRMED = {
     "wait": (Command.WAIT, (ReportKind.WAITING,)),

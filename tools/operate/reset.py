@@ -16,10 +16,10 @@ from tools.operate.operator_device import Operator, Robot
 
 LISTEN_S = 0.7  # latched robots repeat the dots they know to those that beat without being stopped
 CAUSE_S = 1.6  # a robot that stands tells one of its causes each 1 to 1.4 s
-CAUSES_S = 8.0  # of a robot with many causes not all are waited for
+CAUSES_S = 8.0  # longest wait for the causes of one robot
 STEP_S = 0.1
 NAMES_EVERY = 4  # tries: a name that is cleared changes the sum of what is held
-BLOCK_S = 5  # seconds in which a block of reserved frames is not used up
+BLOCK_S = 5  # a block of reserved frames lasts longer than this
 NOT_SIGNED = "NOT SIGNED: only a fleet without keys is released by this, and by anybody on the bus"
 
 
@@ -188,7 +188,7 @@ async def release(operator: Operator, start: bool, timeout_s: float) -> list[int
             break
     clear_named(operator)
     if start and not left:
-        for _ in range(3):  # a start that is lost is only an inconvenience, but an annoying one
+        for _ in range(3):  # repeated, because a lost start means another call of the command
             operator.command(Command.START)
             await asyncio.sleep(STEP_S)
     return left

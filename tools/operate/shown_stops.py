@@ -16,7 +16,7 @@ from protocol.frames.safety_frames import EmergencyStop, StopsHeld
 
 NAMED_MAX = 64  # resets by name; more are cleared in sum. With tags, twice each, 0.1 s of bus
 QUESTION_BITS = 48
-HEARD_MAX = 4096  # names remembered; a device that says more floods the bus
+HEARD_MAX = 4096  # names that are kept; a device that sends more of them floods the bus
 
 
 class ShownStops:

@@ -25,7 +25,7 @@ from protocol.name import Name, tool_name
 
 PREFERRED = 249  # off-board service tool 1 (J1939 preferred addresses)
 LISTEN_US = 200_000  # devices answer a request for claims within 153 ms, and a bus may be full
-KEPT_MAX = 64  # messages that wait for the address; more than that is a program that does not wait
+KEPT_MAX = 64  # messages kept until there is an address; a program that waits sends fewer
 IDENTITY_BITS = 21
 URGENT = (EmergencyStop, AllImplementsStop, Freshness, Request)
 CLAIM_PGN = GROUP_OF[AddressClaimed].pgn
@@ -47,7 +47,7 @@ class DeviceAddress:
         """`name`: of the device; none: a tool's, with an identity number drawn for this process."""
         self.bus = bus
         self.name = tool_name(randbits(IDENTITY_BITS)) if name is None else name
-        self.claim: AddressClaim | None = None  # begins with the first thing heard, or the loop
+        self.claim: AddressClaim | None = None  # begins with the first frame, or with the loop
         self.refused = 0  # messages beyond those that are kept
         self.on_claim: Callable[[], None] | None = None  # called each time an address became ours
         self._kept: list[tuple[Message, int]] = []

@@ -11,7 +11,7 @@ from tools.report.run_data import Evidence
 from tools.report.timeline import SILENT, Event, History, Stop
 from tools.report.tracking_error import Following, followed
 
-ROWS_MAX = 40  # of a table on the page; the CSV has them all
+ROWS_MAX = 40  # most rows of a table on the page; the CSV has them all
 Table = tuple[Sequence[str], Sequence[Sequence[Any]]]  # head, rows
 
 

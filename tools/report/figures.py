@@ -17,9 +17,9 @@ Figure = Any  # matplotlib has no types
 DPI = 110
 LABELS_MAX = 12  # robots in a legend
 KINDS_MAX = 7  # of frames with a colour of their own
-BINS = 1200  # of the bus load: about the pixels there are
-ROWS_MAX = 400  # sections in the Gantt chart; more are no picture
-FULL = 0.7  # of the bus: what a CAN bus is commonly planned for
+BINS = 1200  # most points of the bus load: about as many as there are pixels
+ROWS_MAX = 400  # most sections in the Gantt chart; more cannot be read
+FULL = 0.7  # share of the bus for which CAN is commonly planned
 FAULT_COLOUR = "#b00020"
 STATES = {
     State.DISCONNECTED.name: "#d9d9d9", State.IDLE.name: "#9ecae1",

@@ -21,7 +21,7 @@ from tools.inspect.inspector import SILENT_S, Inspector, Seen
 from tools.livemap.map_state import NAMES
 
 SILENT = "SILENT"
-STANDS_M_S = 0.05  # one step of a POSE: what it calls 0.0 is at most half of it
+STANDS_M_S = 0.05  # one step of a POSE; a speed of 0.0 there is at most half of it
 
 
 class Span(NamedTuple):
@@ -134,7 +134,7 @@ class History(Inspector):
             self.seen.append(Event(last_s, "silence", f"robot {slot}", how))
         if until_s is not None:
             self._end_state(slot, until_s)
-            self.robots[slot].state = "?"  # so that its next word is the beginning of a state
+            self.robots[slot].state = "?"  # so that its next frame begins a state
 
     def _state(self, t_s: float, robot: Seen, state: int, kind: str) -> None:
         before = robot.state

@@ -19,7 +19,7 @@ SAME_M = 0.05  # intents are rounded to a centimetre, and paths with bends are t
 MOVES_M_S = 0.05
 SKIP_M = 0.5  # between two intents a robot drives at most this: 0.2 s at 2.5 m/s
 NONE: Points = np.empty((0, 2))
-STALE_US = 1_000_000  # after a longer silence nobody knows what it followed meanwhile
+STALE_US = 1_000_000  # after a longer silence the line that it followed is unknown
 
 
 class Sample(NamedTuple):

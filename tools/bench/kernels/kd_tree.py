@@ -99,7 +99,9 @@ def near_agents(agents, me, order, bounds, nodes, stack, waiting, near, squares)
         if end - begin > LEAF:
             a, b = nodes[node, CHILD_A], nodes[node, CHILD_B]
             to_a, to_b = _to_box(bounds, a, x, y), _to_box(bounds, b, x, y)
-            if to_a < to_b:  # the nearer one is looked at first, the other with what is left
+            if (
+                to_a < to_b
+            ):  # visit the nearer child first, and the other within the reach that is left
                 a, b, to_a, to_b = b, a, to_b, to_a
             if to_a < reach:
                 stack[top], waiting[top] = a, to_a
