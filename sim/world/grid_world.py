@@ -117,10 +117,8 @@ class GridWorld(World):
     ) -> tuple[tuple[float, float], ...]:
         """Other robots within sight, as metres east and north of the position."""
         sight_m = SIGHT * self.ground.cell_m
-        gaps = self.positions - (
-            x_m,
-            y_m,
-        )  # positions at the command; a cell of margin covers the motion since
+        # Positions at the command; a cell of margin covers the motion since.
+        gaps = self.positions - (x_m, y_m)
         spare_m = sight_m + self.ground.cell_m
         near = np.flatnonzero((np.abs(gaps) < spare_m).all(axis=1)).tolist()
         found = []

@@ -77,6 +77,7 @@ class Place:
         self._moving_us, self._stood_us = -1, -1  # newest command to move; first to stand after it
 
     def sense(self, now_us: int) -> Observation:
+        """A position that circles within a metre, so that no two frames are equal."""
         angle = now_us * 1e-6 + self.slot
         return Observation(
             self.x_m + cos(angle), self.y_m + sin(angle), angle % 6.28, -sin(angle), cos(angle),
@@ -84,6 +85,7 @@ class Place:
         )  # fmt: skip
 
     def drive(self, command: Drive, now_us: int) -> None:
+        """Record since when the command is to stand, or when it was last to move."""
         if command.vx_m_s or command.vy_m_s or command.turn_rad_s:
             self._moving_us, self._stood_us = now_us, -1
         elif self._stood_us < 0:

@@ -36,10 +36,8 @@ SEED = 20
 AGENTS, CIRCLE_M = 250, 200.0
 RANGE_M, HORIZON_S, RADIUS_M, SPEED_M_S, DT_S = 15.0, 10.0, 1.5, 2.0, 0.25  # of that example
 BLOCK = 50  # steps, A B A B
-BATCH, CALLS = (
-    9,
-    500,
-)  # blocks in a batch and calls in a block, for one robot; the quietest batch counts
+# Blocks in a batch and calls in a block, for one robot; the quietest batch counts.
+BATCH, CALLS = (9, 500)
 REFERENCE_US = 14.2  # pyrvo's simulator of eleven, on the machine that the target is for
 PEERS = 100
 DRIVES = 100  # calls of one batch, of a robot

@@ -33,12 +33,8 @@ from tools.run.launch import Launch
 
 FLEETS = (3, 5, 20, 100)
 RATES = (0.0, 0.01, 0.10, 0.30)
-SHARES = {
-    3: 0.35,
-    5: 0.35,
-    20: 0.25,
-    100: 0.05,
-}  # share of the presses by size of fleet; a hundred robots cost most
+# Share of the presses by size of fleet; a hundred robots cost most.
+SHARES = {3: 0.35, 5: 0.35, 20: 0.25, 100: 0.05}
 SILENCES = ("cut", "kill", "freeze", "bus-off")
 SILENCE_SLACK_US = 20_000  # a control tick and the jitter of a busy bus
 OPERATOR = 249

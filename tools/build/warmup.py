@@ -64,9 +64,8 @@ def _agreement() -> None:
 
     assigned(np.ones((2, 3)))
     floor = Floor.drawn("...\n...", 1.0, 0.35)
-    planned(
-        floor.lattice.near, [0, 2], [2, 0]
-    )  # one of them has to wait, so its route is put back as well
+    # One of them has to wait, so its route is put back as well.
+    planned(floor.lattice.near, [0, 2], [2, 0])
     hall = Floor.drawn("\n".join(["....."] * 4), 1.0, 0.35)
     planned(hall.lattice.near, list(range(12)), list(range(11, -1, -1)))  # many: in groups
     here = Observation(1.5, 0.5, 0.0, 0.0, 0.0, (0.5, 1.0, 1.5))

@@ -18,6 +18,9 @@ COLOURS = ("#e0e0e0", "#bfe3f2", "#fbe3b5", "#bfe6c4", "#f5b7b1")  # of states, 
 
 
 class Machine(NamedTuple):
+    """A state machine of the page: its table with the state that it begins in, and the module that
+    has it."""
+
     picture: str  # file name
     title: str
     what: str
