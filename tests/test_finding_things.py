@@ -19,7 +19,7 @@ QUESTIONS = {
     "What does a body tell its robot?": "agent/interface/ports.py",
     "What can come out of the core?": "agent/interface/effects.py",
     "What happens in one control period?": "agent/peer/control_cycle.py",
-    "What does a robot do with a frame that it receives?": "agent/peer/inbound.py",
+    "What does a robot do with a frame that it receives?": "agent/peer/routing.py",
     "How does a robot know which others are alive?": "agent/peer/membership.py",
     "How is a leader elected?": "agent/peer/leader_election.py",
     "How does a robot claim a section?": "agent/peer/section_claims.py",

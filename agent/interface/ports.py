@@ -10,7 +10,6 @@ from agent.interface.effects import Drive, Persist
 from protocol.controller_health import Health
 from protocol.frames.fleet_frames import Pose
 from protocol.frames.frame import Frame
-from protocol.frames.messages import Message
 
 
 class Neighbour(NamedTuple):
@@ -51,15 +50,6 @@ class Observation(NamedTuple):
     health: float = 1.0  # reported by the machine's own controller: 0.0 failed to 1.0 healthy
 
 
-class BufferedBeacon(NamedTuple):
-    """A buffered beat or heartbeat of a member that is neither stopped nor leaving."""
-
-    source: int
-    message: Message
-    t_us: int  # bus time
-    seen: Neighbour | None  # for a pose: the new entry about its sender
-
-
 class Bus(Protocol):
     """A CAN interface. Frames a node sends are not delivered to itself."""
 
@@ -78,15 +68,6 @@ class Bus(Protocol):
 
     def close(self) -> None:
         """Stop receiving and release the interface."""
-        ...
-
-
-@runtime_checkable
-class BatchedDelivery(Protocol):
-    """A bus that can buffer routine beats: only the simulated one, with thousands of them a second."""
-
-    def shelve(self, shelf: list[BufferedBeacon] | None) -> None:
-        """Append routine beats to `shelf` instead of calling back; None: call back again."""
         ...
 
 

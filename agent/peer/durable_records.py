@@ -12,7 +12,11 @@ from collections.abc import Mapping
 from contextlib import suppress
 from random import Random
 from struct import Struct
+from typing import Any
 
+from agent.interface.effects import Persist
+from agent.peer import notices
+from agent.peer.part import NOTHING, Outputs, Part, StepContext
 from crdt import FieldAllocationCRDT, Progress
 from crdt.occupancy import PATCH_BYTES, OccupancyMap
 
@@ -30,7 +34,7 @@ MAP = "map/"
 FIRST_INCARNATION = 1
 
 
-class DurableRecords:
+class DurableRecords(Part):
     def __init__(self, recalled: Mapping[str, bytes], first_boot: bool, rng: Random) -> None:
         self.recalled = recalled
         self.incarnation = self._number(INCARNATION, U16, 0)
@@ -42,6 +46,14 @@ class DurableRecords:
         self.operations = self._number(OPERATIONS, U32, 0)
         raw = recalled.get(ELECTION, b"")
         self.term = VOTE.unpack(raw)[0] + 1 if len(raw) == VOTE.size else 0
+
+    def on_timer(self, ctx: StepContext) -> Outputs:
+        """Make the incarnation durable before the first frame that could reveal it."""
+        if not self.fresh:
+            return NOTHING
+        self.fresh = False
+        outputs: list[Any] = [Persist(*self.identity()), notices.BootRemembered()]
+        return outputs
 
     def _number(self, key: str, layout: Struct, default: int) -> int:
         raw = self.recalled.get(key, b"")

@@ -14,15 +14,14 @@ Further members are only counted (`more 12`), and no other peer can list more.
 """
 
 from math import isfinite
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from agent.interface.config import S
 from agent.interface.lifecycle import State
-from crdt import Phase
+from agent.peer.membership import Membership
+from agent.peer.part import StepContext
+from crdt import FieldAllocationCRDT, Phase
 from protocol.transport import SIZE_MAX
-
-if TYPE_CHECKING:
-    from agent.peer.peer import Peer
 
 BULLETIN_PGN = 0xFF1E  # our own group: the fleet as one peer sees it
 MORE = "more 999"  # room kept for the count of omitted members
@@ -49,40 +48,32 @@ class FleetSummary(NamedTuple):
     more: int = 0  # members that did not fit
 
 
-def offer(peer: "Peer") -> None:
-    """Make this peer answer requests sent to it and, while it leads, global requests too."""
-    peer.letters.answer(
-        BULLETIN_PGN, lambda now_us: write(compose(peer, now_us)), lambda: peer.leads
-    )
-
-
-def compose(peer: "Peer", now_us: int) -> FleetSummary:
+def compose(
+    ctx: StepContext, membership: Membership, allocation: FieldAllocationCRDT
+) -> FleetSummary:
     """The summary of what this peer knows."""
     held: dict[int, list[int]] = {}
-    for section in peer.allocation.sections():
-        claim = peer.allocation.entry(section)
+    for section in allocation.sections():
+        claim = allocation.entry(section)
         if claim.phase in (Phase.CLAIMED, Phase.STARTED):
             held.setdefault(claim.owner, []).append(section)
     lines = []
-    for slot in sorted({peer.slot, *peer.membership.neighbours}):
+    for slot in sorted({ctx.slot, *membership.neighbours}):
         sections = tuple(held.get(slot, ()))
-        if slot != peer.slot:
-            pose, heard_us = peer.membership.neighbours[slot]
+        if slot != ctx.slot:
+            pose, heard_us = membership.neighbours[slot]
             lines.append(
                 MemberRow(
-                    slot, State(pose.state), peer.membership.standing[slot].name, pose.x_m, pose.y_m,
-                    pose.speed_m_s, sections, (now_us - heard_us) / S,
+                    slot, State(pose.state), membership.standing[slot].name, pose.x_m, pose.y_m,
+                    pose.speed_m_s, sections, (ctx.now_us - heard_us) / S,
                 )
             )  # fmt: skip
-        elif (here := peer.here) is not None:
+        elif (here := ctx.here) is not None:
             speed_m_s = (here.vx_m_s**2 + here.vy_m_s**2) ** 0.5
             lines.append(
-                MemberRow(slot, peer.state, "LIVE", here.x_m, here.y_m, speed_m_s, sections, 0.0)
+                MemberRow(slot, ctx.state, "LIVE", here.x_m, here.y_m, speed_m_s, sections, 0.0)
             )
-    allocation = peer.allocation
-    return FleetSummary(
-        peer.slot, len(allocation.sections()), allocation.done_count(), tuple(lines)
-    )
+    return FleetSummary(ctx.slot, len(allocation.sections()), allocation.done_count(), tuple(lines))
 
 
 def write(bulletin: FleetSummary) -> str:

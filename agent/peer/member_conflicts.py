@@ -10,17 +10,18 @@ heals. An address claim separates them, so they get a second for that.
 """
 
 from collections import deque
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from agent.interface.config import S
 from agent.interface.effects import HALT, Effect, Trace
+from agent.peer import notices
+from agent.peer.network_join import NetworkJoin
+from agent.peer.part import NOTHING, Listener, Outputs, Part, StepContext
 from agent.safety.stop_cause import StopCause
+from agent.safety.stop_controller import StopController
 from protocol.frames.codec import packed
 from protocol.frames.fleet_frames import Heartbeat, Pose
-
-if TYPE_CHECKING:
-    from agent.peer.peer import Peer
 
 GONE_US = 5 * S  # a robot sends at least five beats a second
 TOLD_APART_US = 1 * S  # a claim, its answer, and the move to another address take 0.25 s
@@ -28,13 +29,34 @@ OURS_US = 2 * S  # frames that we sent from an earlier address may still be loop
 SAID_MAX = 64  # own beats that may still be looped back: 2 s of them
 
 
-class Conflicts:
-    def __init__(self, peer: "Peer") -> None:
-        self.peer = peer
+class Conflicts(Part):
+    def __init__(self, safety: StopController, joining: NetworkJoin) -> None:
+        self.safety, self.joining = safety, joining
         self._at: dict[int, StopCause] = {}  # address of the other machine
         self._said: deque[Pose | Heartbeat] = deque(maxlen=SAID_MAX)
         self._doubled_us: int | None = None  # since when another machine sends from our address
         self._doubled_last_us = -GONE_US
+
+    @property
+    def listens(self) -> Mapping[type[Any], Listener]:
+        return {
+            notices.FieldDiffers: self._field_differs,
+            notices.IdentityDoubled: lambda ctx, n: self.claims_our_name(n.address, ctx.now_us),
+            notices.ConflictSettled: self._settled,
+            notices.BeatSent: self._said_beat,
+        }
+
+    def _field_differs(self, ctx: StepContext, notice: notices.FieldDiffers) -> Outputs:
+        why = "it has another field description"
+        return self.found(StopCause.CONFIG_MISMATCH, notice.address, why, ctx.now_us)
+
+    def _settled(self, ctx: StepContext, notice: notices.ConflictSettled) -> Outputs:
+        self.settled(notice.address, ctx.now_us)
+        return NOTHING
+
+    def _said_beat(self, ctx: StepContext, notice: notices.BeatSent) -> Outputs:
+        self._said.append(notice.beat)
+        return NOTHING
 
     # ---------------------------------------------------------------- others
 
@@ -42,7 +64,7 @@ class Conflicts:
         """That machine cannot work with us: stand still while it sends frames."""
         new = self._at.get(address) is not cause
         self._at[address] = cause
-        self.peer.safety.raise_cause(cause, now_us, f"address {address}: {why}", GONE_US)
+        self.safety.raise_cause(cause, now_us, f"address {address}: {why}", GONE_US)
         told = [Trace("safety", "", cause.name, "PROTECTIVE", f"address {address}")] if new else []
         return [HALT, *told]
 
@@ -50,24 +72,20 @@ class Conflicts:
         """A frame of that address: a known conflict still exists, so extend its stop."""
         cause = self._at.get(address)
         if cause is not None:
-            detail = dict(self.peer.safety.causes).get(cause, f"address {address}")
-            self.peer.safety.raise_cause(cause, now_us, detail, GONE_US)
+            detail = dict(self.safety.causes).get(cause, f"address {address}")
+            self.safety.raise_cause(cause, now_us, detail, GONE_US)
 
     def settled(self, address: int, now_us: int) -> None:
         """End the conflict: the machine agrees, or another device has its address."""
         cause = self._at.pop(address, None)
         if cause is not None and cause not in self._at.values():
-            self.peer.safety.clear_cause(cause, now_us)
+            self.safety.clear_cause(cause, now_us)
 
     # ---------------------------------------------------------------- ourselves
 
-    def say(self, beat: Pose | Heartbeat) -> None:
-        """Remember our own beat as it is sent."""
-        self._said.append(beat)
-
     def claims_our_name(self, address: int, now_us: int) -> Sequence[Effect]:
         """A claim of our NAME, or a MEMBER frame with our slot, from an address that is not ours."""
-        if self.peer.joining.spoke_at(address, now_us - OURS_US):
+        if self.joining.spoke_at(address, now_us - OURS_US):
             return ()
         return self.found(StopCause.DUPLICATE_ID, address, "it has our identity", now_us)
 
@@ -83,6 +101,6 @@ class Conflicts:
         self._doubled_last_us = now_us
         if now_us - self._doubled_us < TOLD_APART_US:
             return ()
-        address = self.peer.joining.address
+        address = self.joining.address
         assert address is not None
         return self.found(StopCause.DUPLICATE_ID, address, "it has our identity", now_us)

@@ -11,10 +11,34 @@ The oldest sign of life is searched only when it may have become silence, a few 
 beat, which arrives a thousand times a second, costs only the write of its sender's newest pose.
 """
 
+from collections.abc import Mapping
 from enum import Enum, auto
+from typing import Any
 
+from agent.interface.effects import Trace
+from agent.interface.identity import Identity
 from agent.interface.ports import Neighbour
-from protocol.frames.fleet_frames import Pose
+from agent.peer import notices
+from agent.peer.frame_origin import Origins
+from agent.peer.part import (
+    FOREVER,
+    NOTHING,
+    BeaconHandler,
+    Handler,
+    Header,
+    Listener,
+    Outputs,
+    Part,
+    StepContext,
+)
+from agent.safety.stop_controller import StopController
+from protocol.frames.fleet_frames import (
+    NOWHERE_M,
+    PLACE_UNKNOWN_M_S,
+    Heartbeat,
+    Member,
+    Pose,
+)
 
 # After a farewell: frames queued before it have arrived by then.
 FAREWELL_US = 250_000
@@ -31,13 +55,27 @@ class MemberStatus(Enum):
     WAIVED = auto()  # silent, and an operator ordered by name to go on without it
 
 
-class Membership:
-    def __init__(self, slot: int, configured: frozenset[int], silence_us: int, now_us: int) -> None:
-        assert slot in configured
-        self.slot, self.silence_us = slot, silence_us
+NEVER_US = -(1 << 62)
+
+
+class Membership(Part):
+    def __init__(
+        self,
+        identity: Identity,
+        silence_us: int,
+        safety: StopController,
+        origins: Origins,
+        now_us: int,
+    ) -> None:
+        """`silence_us`: a member that is not received for longer is silent."""
+        slot = self.slot = identity.slot
+        assert slot in identity.members
+        self.silence_us, self.safety, self.origins = silence_us, safety, origins
+        self.field_hash = identity.field_hash
         self.standing = {
-            member: MemberStatus.ABSENT for member in sorted(configured) if member != slot
+            member: MemberStatus.ABSENT for member in sorted(identity.members) if member != slot
         }
+        self.reflected_us = NEVER_US  # when a member last named us as received
         self.incarnation: dict[int, int] = {}
         self.neighbours: dict[int, Neighbour] = {}
         self.silent_since_us: dict[int, int] = {}
@@ -51,6 +89,116 @@ class Membership:
         self._left_us: dict[int, int] = {}
         self._void_us: dict[int, int] = {}
         self._oldest_us = now_us  # no sign of life in `signs_us` is older
+
+    @property
+    def beacons(self) -> Mapping[type[Any], BeaconHandler]:
+        return {Pose: self.on_pose}
+
+    @property
+    def handles(self) -> Mapping[type[Any], Handler]:
+        return {Heartbeat: self._heartbeat, Member: self._member}
+
+    @property
+    def listens(self) -> Mapping[type[Any], Listener]:
+        return {
+            notices.AddressGained: self._gained,
+            notices.FleetJoined: lambda ctx, n: self.changed(),
+            notices.SignOfLife: self._sign_of_life,
+            notices.AddressTaken: self._taken,
+            notices.StrangerHeard: self._stranger,
+            notices.WaiveOrdered: self._waive,
+            notices.Left: self._left,
+        }
+
+    def changed(self) -> Outputs:
+        """The live view changed, or is told again to the parts that depend on it."""
+        live, silent = self.live, self.silent
+        seen = f"live {sorted(live)} silent {sorted(silent)}"
+        changed = notices.MembershipChanged(live, silent)
+        return [changed, Trace("membership", "", "VIEW", "", seen)]
+
+    # ---------------------------------------------------------------- received
+
+    def on_pose(self, source: int, slot: int | None, m: Pose, now_us: int) -> Outputs:
+        """A beacon. It is nine frames in ten, so it costs little more than its entry."""
+        safety = self.safety
+        if slot is None:  # a moving stranger does not know the stops that hold us
+            told = safety.tell_stops(now_us) if safety.latched and not m.stopped else NOTHING
+            return [notices.StrangerHeard(source), *told]
+        if m.speed_m_s >= PLACE_UNKNOWN_M_S:
+            self._unplaced(slot, m, now_us)
+        else:
+            self.neighbours[slot] = Neighbour(m, now_us)
+        if m.heard == self.slot:
+            self.reflected_us = now_us
+        if m.stopped or safety.latched:
+            return safety.beat(slot, m.stopped, now_us)
+        return NOTHING
+
+    def _unplaced(self, slot: int, m: Pose, now_us: int) -> None:
+        """A member that does not know its position.
+
+        It is alive, but code that keeps a distance from positions treats it like a silent one from
+        now on (`agent/motion/stopping_zone.py`)."""
+        seen = self.neighbours.get(slot)
+        if seen is None or seen.pose.x_m == NOWHERE_M:
+            seen = Neighbour(m._replace(speed_m_s=0.0), now_us)
+        pose = seen.pose._replace(state=m.state, stopped=m.stopped, heard=m.heard)
+        self.neighbours[slot] = Neighbour(pose, seen.heard_us)
+
+    def _heartbeat(self, ctx: StepContext, header: Header, m: Heartbeat) -> Outputs:
+        slot = header.slot
+        if slot is None:
+            return NOTHING if m.leaving else [notices.StrangerHeard(header.source)]
+        if m.leaving:
+            self.leave(slot, ctx.now_us)
+            return self.changed()
+        return [notices.HeartbeatHeard(slot, m)]
+
+    def _member(self, ctx: StepContext, header: Header, m: Member) -> Outputs:
+        source, now_us = header.source, ctx.now_us
+        if not self.origins.is_robot(source):
+            return NOTHING
+        if m.config_hash != self.field_hash:
+            self.unbind(source)
+            return [notices.FieldDiffers(source)]
+        announced = notices.MemberAnnounced(source)
+        if m.slot == self.slot:
+            return [announced, notices.IdentityDoubled(source)]
+        outputs: list[Any] = [announced, notices.ConflictSettled(source)]
+        if m.slot not in self.standing:
+            refused = f"slot {m.slot} at address {source}"
+            return [*outputs, Trace("membership", "", "REFUSED", "", refused)]
+        live = self.live
+        self.returned(m.slot, now_us)
+        self.bind(source, m.slot, m.incarnation, now_us)
+        return outputs if live == self.live else [*outputs, *self.changed()]
+
+    # ---------------------------------------------------------------- told by other parts
+
+    def _gained(self, ctx: StepContext, notice: notices.AddressGained) -> Outputs:
+        self.unbind(notice.address)  # whoever had it before: it is ours now
+        return NOTHING
+
+    def _taken(self, ctx: StepContext, notice: notices.AddressTaken) -> Outputs:
+        self.unbind(notice.address)
+        return NOTHING
+
+    def _sign_of_life(self, ctx: StepContext, notice: notices.SignOfLife) -> Outputs:
+        return self.changed() if self.heard(notice.slot, ctx.now_us) else NOTHING
+
+    def _stranger(self, ctx: StepContext, notice: notices.StrangerHeard) -> Outputs:
+        self.strangers += 1
+        return NOTHING
+
+    def _waive(self, ctx: StepContext, notice: notices.WaiveOrdered) -> Outputs:
+        return self.changed() if self.waive(notice.slot, ctx.now_us) else NOTHING
+
+    def _left(self, ctx: StepContext, notice: notices.Left) -> Outputs:
+        self.forget_all(ctx.now_us)
+        return NOTHING
+
+    # ---------------------------------------------------------------- members
 
     def bind(self, source: int, slot: int, incarnation: int, now_us: int) -> bool:
         """A MEMBER frame: this address now belongs to that slot. False: not of this fleet."""
@@ -72,6 +220,10 @@ class Membership:
     def free(self) -> list[int]:
         """Members whose newest pose reports that they are not stopped."""
         return [slot for slot, seen in self.neighbours.items() if not seen.pose.stopped]
+
+    def forget_reflection(self) -> None:
+        """Nobody can have received us yet: only later beacons count."""
+        self.reflected_us = NEVER_US
 
     def stands(self, slot: int) -> bool:
         """Whether its newest pose reports that it is stopped."""
@@ -101,9 +253,6 @@ class Membership:
             self.standing[slot] = MemberStatus.ABSENT
             self.heard(slot, now_us)
 
-    def pose(self, slot: int, pose: Pose, now_us: int) -> None:
-        self.neighbours[slot] = Neighbour(pose, now_us)
-
     def leave(self, slot: int, now_us: int) -> None:
         """A farewell. It is void if the member keeps sending: then another device has sent it."""
         if now_us - self._void_us.get(slot, now_us - DISBELIEVED_US) < DISBELIEVED_US:
@@ -123,9 +272,12 @@ class Membership:
         return True
 
     @property
-    def deadline_us(self) -> int | None:
+    def deadline_us(self) -> int:
         """When the oldest sign of life may become silence; `tick` moves this on in good time."""
-        return self._oldest_us + self.silence_us if self.signs_us else None
+        return self._oldest_us + self.silence_us if self.signs_us else FOREVER
+
+    def on_timer(self, ctx: StepContext) -> Outputs:
+        return self.changed() if self.tick(ctx.now_us) else NOTHING
 
     def tick(self, now_us: int) -> list[int]:
         """The members that have just fallen silent."""

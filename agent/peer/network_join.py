@@ -1,25 +1,25 @@
 """Becoming a member: claim an address, then announce our slot from it."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from random import Random
-from typing import TYPE_CHECKING
+from typing import Any
 
 from agent.interface.config import ADDRESS_FIRST
-from agent.interface.effects import Effect, Send
+from agent.interface.effects import HALT, Effect, Send
+from agent.interface.identity import Identity
+from agent.peer import notices
+from agent.peer.part import FOREVER, NOTHING, Listener, Outputs, Part, StepContext
 from protocol.address import AddressClaim, AddressMessage
 from protocol.frames.fleet_frames import Member
 from protocol.frames.identifier import NULL_ADDRESS
 from protocol.frames.messages import GROUP_OF
 from protocol.frames.network_frames import AddressClaimed, Request
 
-if TYPE_CHECKING:
-    from agent.interface.identity import Identity
-
 CLAIM_PGN = GROUP_OF[AddressClaimed].pgn
 
 
-class NetworkJoin:
-    def __init__(self, identity: "Identity", incarnation: int, rng: Random, now_us: int) -> None:
+class NetworkJoin(Part):
+    def __init__(self, identity: Identity, incarnation: int, rng: Random, now_us: int) -> None:
         self.identity, self.incarnation = identity, incarnation
         self.machine = AddressClaim(identity.name, ADDRESS_FIRST + identity.slot, rng, now_us)
         self.joined = False
@@ -33,27 +33,42 @@ class NetworkJoin:
         return self.machine.address
 
     @property
-    def deadline_us(self) -> int | None:
-        return None if self.away else self.machine.deadline_us
+    def listens(self) -> Mapping[type[Any], Listener]:
+        return {
+            notices.GroupRequested: self._requested,
+            notices.Rejoining: self._rejoin,
+            notices.BusLost: self._leave,
+            notices.Left: self._leave,
+        }
 
-    def due(self, now_us: int) -> bool:
-        """Whether `tick` has something to do."""
-        if not self.joined or self.lost_address:
-            return True
-        due_us = self.deadline_us
-        return due_us is not None and now_us >= due_us
+    @property
+    def deadline_us(self) -> int:
+        due_us = None if self.away else self.machine.deadline_us
+        return FOREVER if due_us is None else due_us
 
-    def tick(self, now_us: int) -> Sequence[Effect]:
+    def on_timer(self, ctx: StepContext) -> Outputs:
+        if self.joined and not self.lost_address and ctx.now_us < self.deadline_us:
+            return NOTHING
+        outputs: list[Any] = []
+        if self.lost_address:  # tell this first: we may get a new address in this turn
+            outputs += [HALT, notices.AddressLost()]
+            self.lost_address = False
         if self.away:
-            return ()
-        effects = self._sends(self.machine.tick(now_us), now_us)
-        if self.machine.asks or (effects and self._ask_all):
+            return outputs
+        claims = self._sends(self.machine.tick(ctx.now_us), ctx.now_us)
+        if self.machine.asks or (claims and self._ask_all):
             self._ask_all = self.machine.asks = False
-            effects.insert(0, Send(Request(CLAIM_PGN), source=NULL_ADDRESS))
-        if self.machine.address is not None and not self.joined:
+            outputs.append(Send(Request(CLAIM_PGN), source=NULL_ADDRESS))
+        outputs += claims
+        address = self.machine.address
+        if address is not None and not self.joined:
             self.joined = True
-            effects.append(Send(self.announcement))
-        return effects
+            outputs += [
+                Send(self.announcement),
+                notices.AddressGained(address),
+                notices.FleetJoined(address),
+            ]
+        return outputs
 
     def asked(self, everybody: bool, now_us: int) -> Sequence[Effect]:
         """A request for our address claim. After a global request we receive all answers as well."""
@@ -80,13 +95,19 @@ class NetworkJoin:
         if not self.away:
             self.machine.hurry(now_us)
 
-    def rejoin(self, now_us: int) -> None:
+    def _requested(self, ctx: StepContext, notice: notices.GroupRequested) -> Outputs:
+        return self.asked(notice.everybody, ctx.now_us) if notice.pgn == CLAIM_PGN else NOTHING
+
+    def _rejoin(self, ctx: StepContext, notice: notices.Rejoining) -> Outputs:
         self.joined = self.lost_address = self.away = False
         self._ask_all = True
-        self.machine.restart(now_us)
+        self.machine.restart(ctx.now_us)
+        return NOTHING
 
-    def leave(self) -> None:
+    def _leave(self, ctx: StepContext, notice: notices.Left | notices.BusLost) -> Outputs:
+        """Claim nothing before we rejoin: we left on purpose, or the controller is off the bus."""
         self.joined, self.away = False, True
+        return NOTHING
 
     @property
     def announcement(self) -> Member:

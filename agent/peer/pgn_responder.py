@@ -5,9 +5,13 @@ to the requester. This part changes neither state nor safety.
 """
 
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
 
 from agent.interface.effects import Effect, Send, Trace
+from agent.peer import notices
+from agent.peer.network_join import NetworkJoin
+from agent.peer.part import FOREVER, NOTHING, Handler, Header, Outputs, Part, StepContext
 from protocol.frames.identifier import GLOBAL_ADDRESS, NULL_ADDRESS
 from protocol.frames.network_frames import (
     Acknowledgment,
@@ -25,28 +29,38 @@ LINES_MAX = 64  # traces kept; an answer is cut at 1,785 bytes
 NAMES_MAX = 256  # number of addresses
 INBOX_MAX = 16  # newest received texts, for display only; no decision uses them
 
-Letter = Request | RepetitionRateRequest | TransportManagement | TransportData
 
-
-class PgnResponder:
-    """`known`: the groups that other parts of the peer answer."""
-
-    def __init__(self, component: str, known: frozenset[int]) -> None:
+class PgnResponder(Part):
+    def __init__(self, component: str, known: frozenset[int], joining: NetworkJoin) -> None:
+        """`known`: the groups that other parts of the peer answer."""
+        self.joining = joining
         self.transport = Transport()
         self.names: dict[int, str] = {}  # address -> component identification, as received
         self.inbox: deque[ReceivedMessage] = deque(maxlen=INBOX_MAX)
         self._component, self._known = component, known
         self._speaks: dict[int, Callable[[], bool]] = {}  # groups that one peer answers for all
         self._lines: deque[str] = deque(maxlen=LINES_MAX)
-        self._texts: dict[int, Callable[[int], str]] = {  # PGN -> function of now_us
+        self._texts: dict[int, Callable[[StepContext], str]] = {  # PGN -> its text now
             COMPONENT_PGN: lambda _: self._component,
             LOG_PGN: self._log,
         }
 
+    @property
+    def handles(self) -> Mapping[type[Any], Handler]:
+        return {
+            Request: self._request,
+            RepetitionRateRequest: self._letter,
+            TransportManagement: self._letter,
+            TransportData: self._letter,
+        }
+
     def answer(
-        self, pgn: int, text: Callable[[int], str], speaks: Callable[[], bool] | None = None
+        self,
+        pgn: int,
+        text: Callable[[StepContext], str],
+        speaks: Callable[[], bool] | None = None,
     ) -> None:
-        """Register a text for a group; `text` is called with the time of the request.
+        """Register a text for a group; `text` is called with the context of the request.
 
         `speaks`: whether this peer answers global requests. It answers only to the requester, because
         global answers of thirty peers would fill the bus for seconds.
@@ -57,27 +71,39 @@ class PgnResponder:
             self._speaks[pgn] = speaks
 
     @property
-    def deadline_us(self) -> int | None:
-        return self.transport.deadline_us
+    def deadline_us(self) -> int:
+        due_us = self.transport.deadline_us if self.joining.joined else None
+        return FOREVER if due_us is None else due_us
 
     def note(self, now_us: int, trace: Trace) -> None:
         """Keep a trace for later requests."""
         self._lines.append(f"{now_us / 1e6:.3f} {' '.join(part for part in trace if part)}")
 
-    def tick(self, now_us: int) -> Sequence[Effect]:
+    def on_timer(self, ctx: StepContext) -> Outputs:
         deadline_us = self.transport.deadline_us
-        if deadline_us is None or now_us < deadline_us:
-            return ()
-        return _sends(self.transport.tick(now_us))
+        if not ctx.joined or deadline_us is None or ctx.now_us < deadline_us:
+            return NOTHING
+        return _sends(self.transport.tick(ctx.now_us))
 
-    def receive(
-        self, source: int, destination: int, message: Letter, now_us: int
-    ) -> Sequence[Effect]:
-        if isinstance(message, Request):
-            return self._asked(source, destination, message.pgn, now_us)
-        if isinstance(message, RepetitionRateRequest):
-            return _refused(source, destination, message.pgn)
-        out, arrived = self.transport.receive(source, destination, message, now_us)
+    def _request(self, ctx: StepContext, header: Header, m: Request) -> Outputs:
+        answer = self._asked(ctx, header, m.pgn) if ctx.joined else NOTHING
+        if m.pgn not in self._known:
+            return answer
+        everybody = header.destination == GLOBAL_ADDRESS
+        return [*answer, notices.GroupRequested(m.pgn, everybody)]
+
+    def _letter(
+        self,
+        ctx: StepContext,
+        header: Header,
+        m: RepetitionRateRequest | TransportManagement | TransportData,
+    ) -> Outputs:
+        source, destination, now_us = header.source, header.destination, ctx.now_us
+        if not ctx.joined:
+            return NOTHING
+        if isinstance(m, RepetitionRateRequest):
+            return _refused(source, destination, m.pgn)
+        out, arrived = self.transport.receive(source, destination, m, now_us)
         if arrived is not None:
             self.inbox.append(arrived)
             if arrived.pgn == COMPONENT_PGN and source < NULL_ADDRESS:
@@ -85,7 +111,8 @@ class PgnResponder:
                 assert len(self.names) <= NAMES_MAX
         return _sends(out)
 
-    def _asked(self, source: int, destination: int, pgn: int, now_us: int) -> Sequence[Effect]:
+    def _asked(self, ctx: StepContext, header: Header, pgn: int) -> Sequence[Effect]:
+        source, destination = header.source, header.destination
         text = self._texts.get(pgn)
         if text is not None:
             asker = GLOBAL_ADDRESS if destination == GLOBAL_ADDRESS else source
@@ -94,11 +121,11 @@ class PgnResponder:
                 if source >= NULL_ADDRESS or not speaks():
                     return ()
                 asker = source
-            data = text(now_us).encode("latin-1", "replace")[-SIZE_MAX:].ljust(SIZE_MIN)
-            return _sends(self.transport.send(pgn, data, asker, now_us) or ())
+            data = text(ctx).encode("latin-1", "replace")[-SIZE_MAX:].ljust(SIZE_MIN)
+            return _sends(self.transport.send(pgn, data, asker, ctx.now_us) or ())
         return () if pgn in self._known else _refused(source, destination, pgn)
 
-    def _log(self, _now_us: int) -> str:
+    def _log(self, _: StepContext) -> str:
         return "\n".join(self._lines) or "no traces yet"
 
 

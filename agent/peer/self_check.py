@@ -15,17 +15,19 @@
   stopped, and the surroundings may have changed. So the robot waits before it moves: LATE_TICK.
 """
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Final
+from collections.abc import Mapping
+from typing import Any, Final
 
-from agent.interface.config import ACTUATOR_TTL_US, S
-from agent.interface.effects import HALT, Effect, Trace
+from agent.interface.config import ACTUATOR_TTL_US, BeaconTiming, S
+from agent.interface.effects import HALT, Trace
+from agent.peer import inputs, notices
+from agent.peer.membership import Membership
+from agent.peer.network_join import NetworkJoin
+from agent.peer.part import FOREVER, NOTHING, Listener, Outputs, Part, StepContext
 from agent.safety.stop_cause import StopCause
+from agent.safety.stop_controller import StopController
 from protocol.controller_health import Health
 from protocol.frames.frame import Frame
-
-if TYPE_CHECKING:
-    from agent.peer.peer import Peer
 
 ACTIVE, PASSIVE, OFF = Health.ACTIVE, Health.PASSIVE, Health.OFF  # looked up twenty times a second
 PASSIVE_US = 1 * S  # a burst of errors is shorter; a broken wire is not
@@ -33,17 +35,23 @@ PASSIVE_US = 1 * S  # a burst of errors is shorter; a broken wire is not
 ROUND_MAX = 20
 LATE_HOLD_US = 1 * S  # a robot whose control froze waits this long before it moves
 NEVER_US: Final = -(1 << 62)
-FOREVER_US: Final = 1 << 62
 # Frames up to this priority are queued even if no frame is sent: stops, resets, proofs.
 URGENT: Final = 3
 # One other frame is queued this often, to detect that a bus that lost its queue works again.
 PROBE_US: Final = 2 * S
 
 
-class SelfCheck:
-    def __init__(self, peer: "Peer", now_us: int) -> None:
-        self.peer = peer
-        self.reflected_us = NEVER_US  # when a member last named us as received
+class SelfCheck(Part):
+    def __init__(
+        self,
+        safety: StopController,
+        joining: NetworkJoin,
+        membership: Membership,
+        beat: BeaconTiming,
+        now_us: int,
+    ) -> None:
+        self.safety, self.joining, self.membership = safety, joining, membership
+        self.beat = beat
         self.clogged = False  # our frames are not sent: do not add to the queue
         self._health = ACTIVE
         self._passive_us: int | None = None  # since when it is error passive; None: it is not
@@ -55,10 +63,16 @@ class SelfCheck:
         self._probed_us = now_us
         self._fresh_us = now_us  # before this, missing confirmations mean nothing: we just joined
 
-    def bus(
-        self, health: Health, taken: bool, now_us: int, sent: int | None = None
-    ) -> Sequence[Effect]:
-        """The driver's report: its state, whether it took the last frame, how many were sent."""
+    @property
+    def listens(self) -> Mapping[type[Any], Listener]:
+        return {
+            inputs.BusState: self._bus,
+            notices.ControlDue: lambda ctx, n: self.look(n.late_us, ctx.now_us),
+        }
+
+    def _bus(self, ctx: StepContext, fact: inputs.BusState) -> Outputs:
+        """The driver's report."""
+        (health, taken, sent), now_us = fact, ctx.now_us
         was, self._health = self._health, health
         self._refused_us = None if taken else _first(self._refused_us, now_us)
         self._passive_us = _first(self._passive_us, now_us) if health is PASSIVE else None
@@ -67,14 +81,14 @@ class SelfCheck:
                 self._left_us = self._looked_us  # at that time or after it
             self._sent = sent
         self._looked_us = now_us
-        if not self.peer.joining.joined:
-            self._fresh_us = now_us + self.peer.beat.silence_us
+        if not self.joining.joined:
+            self._fresh_us = now_us + self.beat.silence_us
         self.clogged = sent is not None and now_us >= max(self._stall_us, self._fresh_us)
         if health is OFF and was is not OFF:
-            return self.peer.bus_lost(now_us)
+            return [HALT, notices.BusLost()]
         if was is OFF and health is not OFF:
-            return self.peer.bus_back(now_us)
-        return ()
+            return [notices.BusBack()]
+        return NOTHING
 
     @property
     def controller(self) -> Health:
@@ -93,70 +107,74 @@ class SelfCheck:
     @property
     def _stall_us(self) -> int:
         """The time at which no frame of ours was sent for a silence timeout."""
-        return self._left_us + self.peer.beat.silence_us
+        return self._left_us + self.beat.silence_us
 
     @property
     def deadline_us(self) -> int:
         """When our frames may be stuck for a silence timeout; later checks run each control period."""
+        if self._sent is None or not self.joining.joined:
+            return FOREVER
         stall_us = self._stall_us
-        return FOREVER_US if self._sent is None or stall_us <= self._looked_us else stall_us
+        return FOREVER if stall_us <= self._looked_us else stall_us
 
-    def due(self, now_us: int) -> bool:
-        stuck = self._sent is not None and now_us >= self._stall_us
-        return stuck and not self.peer.safety.holds(StopCause.UNHEARD)
+    def on_timer(self, ctx: StepContext) -> Outputs:
+        stuck = self._sent is not None and ctx.now_us >= self._stall_us
+        if not stuck or self.safety.holds(StopCause.UNHEARD):
+            return NOTHING
+        return self.look(0, ctx.now_us)
 
-    def look(self, late_us: int, now_us: int) -> list[Effect]:
+    def look(self, late_us: int, now_us: int) -> Outputs:
         """Called once a control period, `late_us` after its due time, and when frames are stuck."""
-        effects: list[Effect] = []
+        outputs: list[Any] = []
         passive = self._passive_us is not None and now_us - self._passive_us >= PASSIVE_US
         why = self._unheard(now_us)
-        if passive or why or not self.peer.safety.free:
-            effects += self._set(StopCause.ERROR_PASSIVE, passive, "", now_us)
-            effects += self._set(StopCause.UNHEARD, self._holds_on(why, now_us), why, now_us)
+        if passive or why or not self.safety.free:
+            outputs += self._set(StopCause.ERROR_PASSIVE, passive, "", now_us)
+            outputs += self._set(StopCause.UNHEARD, self._holds_on(why, now_us), why, now_us)
         if late_us > ACTUATOR_TTL_US:
             why = f"{late_us / 1000:.0f} ms late"
-            self.peer.safety.raise_cause(StopCause.LATE_TICK, now_us, why, LATE_HOLD_US)
-            effects += [HALT, Trace("safety", "", "LATE_TICK", "PROTECTIVE", why)]
-        return effects
+            self.safety.raise_cause(StopCause.LATE_TICK, now_us, why, LATE_HOLD_US)
+            outputs += [HALT, Trace("safety", "", "LATE_TICK", "PROTECTIVE", why)]
+        return outputs
 
     def _holds_on(self, why: str, now_us: int) -> bool:
         """Hold UNHEARD a silence timeout longer, so that stops queued with our frames arrive first."""
-        if why or not self.peer.safety.holds(StopCause.UNHEARD):
+        if why or not self.safety.holds(StopCause.UNHEARD):
             self._well_us = None
             return bool(why)
         self._well_us = _first(self._well_us, now_us)
-        return now_us - self._well_us < self.peer.beat.silence_us
+        return now_us - self._well_us < self.beat.silence_us
 
     def _unheard(self, now_us: int) -> str:
         """Why our frames do not arrive, as far as we know; empty if they do."""
-        peer = self.peer
-        if not peer.joining.joined:
-            self.reflected_us = self._left_us = NEVER_US  # we have sent nothing yet
+        membership = self.membership
+        if not self.joining.joined:
+            membership.forget_reflection()  # we have sent nothing yet
+            self._left_us = NEVER_US
             return ""
-        silence_us, others = peer.beat.silence_us, len(peer.membership.live) - 1
+        silence_us, others = self.beat.silence_us, len(membership.live) - 1
         if self._refused_us is not None and now_us - self._refused_us >= silence_us:
             return "the bus takes no frame"
         if self._sent is not None and now_us >= self._stall_us:
             return "none of our frames leaves"
         if not others:
             return "" if self._sent is not None else "nobody is heard, and no frame is confirmed"
-        limit_us = silence_us + min(others, ROUND_MAX) * peer.beat.pose_us
-        since_us = self.reflected_us
+        limit_us = silence_us + min(others, ROUND_MAX) * self.beat.pose_us
+        since_us = membership.reflected_us
         if self._sent is not None:  # frames are sent; a new member needs time to name us
-            since_us = max(since_us, peer.membership.changed_us)
+            since_us = max(since_us, membership.changed_us)
         return "" if now_us - since_us <= limit_us else f"none of {others} members hears us"
 
-    def _set(self, cause: StopCause, there: bool, why: str, now_us: int) -> list[Effect]:
-        safety = self.peer.safety
+    def _set(self, cause: StopCause, there: bool, why: str, now_us: int) -> Outputs:
+        safety = self.safety
         if there == safety.holds(cause):
             return []
         if there:
             safety.raise_cause(cause, now_us, why)
             return [HALT, Trace("safety", "", cause.name, "PROTECTIVE", why)]
         safety.clear_cause(cause, now_us)
-        if cause is StopCause.UNHEARD:
-            self.peer.sync.received_again(now_us)
-        return [Trace("safety", "PROTECTIVE", cause.name, "", "gone")]
+        gone = Trace("safety", "PROTECTIVE", cause.name, "", "gone")
+        return [notices.ReceivedAgain(), gone] if cause is StopCause.UNHEARD else [gone]
 
 
 def _first(since_us: int | None, now_us: int) -> int:

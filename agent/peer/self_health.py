@@ -10,8 +10,10 @@ from enum import Enum
 from typing import Final, NamedTuple
 
 from agent.interface.config import CONTROL_PERIOD_US
-from agent.peer.sense_freshness import AGE_MAX_US
+from agent.peer.self_check import SelfCheck
+from agent.peer.sense_freshness import AGE_MAX_US, Senses
 from agent.safety.stop_cause import StopCause
+from agent.safety.stop_controller import StopController
 from protocol.controller_health import Health
 
 FINE: Final = 1.0  # no fault is known
@@ -48,6 +50,25 @@ class Known(NamedTuple):
     causes: Collection[StopCause]
     sense_age_us: int | None  # of the newest observation
     senses_expected: bool  # it needs its senses to drive, or has sensed before
+
+
+class SelfKnowledge:
+    """Collects what this robot knows about itself."""
+
+    def __init__(self, safety: StopController, senses: Senses, check: SelfCheck) -> None:
+        self.safety, self.senses, self.check = safety, senses, check
+
+    def known(self, now_us: int) -> Known:
+        """What the health in our heartbeats is computed from."""
+        here = self.senses.here
+        return Known(
+            None if here is None else here.battery,
+            None if here is None else here.health,
+            self.check.controller,
+            [cause for cause, _ in self.safety.causes],
+            self.senses.age_us(now_us),
+            self.senses.expected,
+        )
 
 
 # The controller's own state, ISO 11898-1: warning from 96 errors, passive from 128, off from 256.

@@ -7,16 +7,18 @@ at full speed are enough to detect it, and a tenth of a metre from standstill. S
 the same as a frozen place, so the robot stops in this case as well.
 """
 
+from collections.abc import Mapping
 from math import cos, hypot, pi, radians, remainder, sin
-from typing import TYPE_CHECKING, Final
+from typing import Any, Final
 
 from agent.interface.config import ACTUATOR_TTL_US, CONTROL_PERIOD_US, S
 from agent.interface.effects import HALT, Drive, Effect, Trace
+from agent.interface.motion_controller import MotionController
 from agent.interface.ports import Observation
+from agent.peer import inputs, notices
+from agent.peer.part import NOTHING, Listener, Outputs, Part, StepContext
 from agent.safety.stop_cause import StopCause
-
-if TYPE_CHECKING:
-    from agent.peer.peer import Peer
+from agent.safety.stop_controller import StopController
 
 # Two missed control periods, the lifetime of a drive command. It is detected at most one period later,
 # so the robot drives 0.15 s: 0.38 m at 2.5 m/s. It plans to brake with 0.7 of its deceleration
@@ -33,11 +35,15 @@ ACCELERATION_M_S2: Final = 0.5  # used if the acceleration of the body is not kn
 assert AGE_MAX_US <= ACTUATOR_TTL_US
 
 
-class Senses:
+class Senses(Part):
     """Watches one robot's senses in each control period, before any decision."""
 
-    def __init__(self, peer: "Peer") -> None:
-        self.peer = peer
+    def __init__(
+        self, safety: StopController, motion: MotionController | None, drives: bool
+    ) -> None:
+        """`drives`: the robot has a mission and can move."""
+        self.safety, self.motion, self.drives = safety, motion, drives
+        self.here: Observation | None = None  # the newest observation
         self.current = False  # whether the sensed place is our current place
         self._sensed_us: int | None = None  # time of the newest observation
         self._compared_us: int | None = (
@@ -51,10 +57,20 @@ class Senses:
         self._changed = False  # whether the place changed in this period
         self._expected_m_s = self._expected_m = 0.0  # speed and travel expected since the anchor
 
-    def take(self, seen: Observation | None) -> None:
+    @property
+    def listens(self) -> Mapping[type[Any], Listener]:
+        return {
+            inputs.Sensed: self._take,
+            notices.ControlDue: lambda ctx, n: self.look(ctx.now_us),
+            notices.WasStarted: self._started,
+        }
+
+    def _take(self, ctx: StepContext, fact: inputs.Sensed) -> Outputs:
         """The current observation, or None."""
-        if seen is not None:
-            self._sensed_us = seen.sensed_at_us
+        if fact.observation is not None:
+            self.here = fact.observation
+            self._sensed_us = fact.observation.sensed_at_us
+        return NOTHING
 
     def age_us(self, now_us: int) -> int | None:
         """Age of the newest observation; None if there never was one."""
@@ -63,28 +79,26 @@ class Senses:
     @property
     def expected(self) -> bool:
         """Whether the robot needs its senses to drive, or has sensed before."""
-        peer = self.peer
-        drives = peer.mission is not None and peer.motion is not None
-        return drives or self._sensed_us is not None
+        return self.drives or self._sensed_us is not None
 
     def drove(self, drive: Drive) -> None:
         """The command that the wheels were given."""
         self._drive = drive
 
-    def started(self) -> None:
-        """An operator's start: restart the check whether the place follows the wheels."""
+    def _started(self, ctx: StepContext, notice: notices.WasStarted) -> Outputs:
+        """Restart the check whether the place follows the wheels."""
         self._anchor = None
+        return NOTHING
 
     def look(self, now_us: int) -> list[Effect]:
         """Called once a control period. A robot with neither drive nor senses is not held."""
-        peer = self.peer
         if not self.expected:
             self.current = False
             return []
         old = self._old(now_us)
         if old:
             self._late_us = now_us
-        safety = peer.safety
+        safety = self.safety
         steady = safety.holds(StopCause.SENSES_OLD) and now_us - self._late_us < STEADY_US
         effects = self._set(StopCause.SENSES_OLD, bool(old) or steady, old, now_us)
         self._changed = False
@@ -108,7 +122,7 @@ class Senses:
 
     def _frozen(self, sensed_us: int) -> str:
         """Why the place does not follow the wheels; empty if it does or need not."""
-        here, anchor = self.peer.here, self._anchor
+        here, anchor = self.here, self._anchor
         assert here is not None
         away_m = 0.0
         if anchor is not None:
@@ -145,14 +159,14 @@ class Senses:
 
     @property
     def _acceleration_m_s2(self) -> float:
-        motion = self.peer.motion
+        motion = self.motion
         limits = None if motion is None else motion.body_limits
         if limits is None:
             return ACCELERATION_M_S2
         return ACCELERATION_SHARE * limits.acceleration_m_s2
 
     def _set(self, cause: StopCause, there: bool, why: str, now_us: int) -> list[Effect]:
-        safety = self.peer.safety
+        safety = self.safety
         if there == safety.holds(cause):
             return []
         if there:

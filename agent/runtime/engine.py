@@ -13,7 +13,7 @@ callbacks.
 import asyncio
 import inspect
 import logging
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Mapping
 from math import cos, hypot, inf, sin
 from random import Random
 from secrets import randbits, token_bytes
@@ -26,10 +26,22 @@ from agent.interface.effects import Effect, Trace
 from agent.interface.identity import SilencePolicy
 from agent.interface.lifecycle import State
 from agent.interface.ports import Bus, Journal, Observation
+from agent.peer.inputs import (
+    Claim,
+    EndRelease,
+    Finish,
+    Input,
+    Leave,
+    ManualReset,
+    Press,
+    Release,
+    ReleaseStops,
+    Sensed,
+    Start,
+)
 from agent.peer.journal_recovery import remembers
 from agent.peer.peer import Peer
 from agent.peer.self_health import readings
-from agent.peer.stop_release import Release
 from agent.runtime.peer_factory import identity_of, keyring_of, make_peer
 from agent.runtime.peer_runner import PeerRunner
 from agent.runtime.section_names import SectionNames
@@ -150,7 +162,7 @@ class FleetCoordinationEngine:
         """Stop the engine and gracefully leave the fleet. A latched stop stays latched (durably)."""
         if self._shell is None:
             return
-        self._shell.operate(lambda peer, now: peer.leave(now))
+        self._shell.operate(Leave())
         await asyncio.sleep(0)
         await self._cancel()
 
@@ -172,14 +184,10 @@ class FleetCoordinationEngine:
         """
         vx_m_s, vy_m_s = speed_m_s * cos(heading_rad), speed_m_s * sin(heading_rad)
 
-        def observe(peer: Peer, now_us: int) -> Sequence[Effect]:
-            here = Observation(
-                x_m, y_m, heading_rad, vx_m_s, vy_m_s, sensed_at_us=now_us, health=health
-            )
-            peer.observe(here, now_us)
-            return ()
-
-        self._operate(observe)
+        here = Observation(
+            x_m, y_m, heading_rad, vx_m_s, vy_m_s, sensed_at_us=PeerRunner.now_us(), health=health
+        )
+        self._operate(Sensed(here))
 
     async def claim_section(self, section_id: str) -> bool:
         """Claim a section; True once the contention window has passed and the claim still wins.
@@ -190,7 +198,7 @@ class FleetCoordinationEngine:
             won = await self._claim_section(section_id)
         except TimeoutError:  # it is not allowed to start its claimed section
             section = self.sections.number(section_id)
-            self._operate(lambda p, now: p.release(section, now))
+            self._operate(Release(section))
             self.refusal = "; ".join(self.stands) or f"in state {self.get_current_state()}"
             return False
         if not won and not self.refusal:
@@ -203,7 +211,7 @@ class FleetCoordinationEngine:
         if peer.lifecycle.state not in (State.IDLE, State.WORKING):
             self.refusal = f"in state {peer.lifecycle.state.name}"
             return False
-        self._operate(lambda p, now: p.claim(section, 0, now))
+        self._operate(Claim(section, 0))
         if peer.allocation.owner_of(section) != self.slot:
             return False
         settled_s = 2.0 * CONTENTION_US / S
@@ -217,9 +225,9 @@ class FleetCoordinationEngine:
         """Release a completed section: it is DONE for good. One that was not started is given back."""
         section = self.sections.number(section_id)
         if self._peer.claims.current == section:
-            self._operate(lambda p, now: p.finish(section, now))
+            self._operate(Finish(section))
         else:
-            self._operate(lambda p, now: p.release(section, now))
+            self._operate(Release(section))
 
     # ---------------------------------------------------------------- emergency
 
@@ -230,7 +238,7 @@ class FleetCoordinationEngine:
         except KeyError:
             known = ", ".join(r.name for r in Reason)
             raise ValueError(f"unknown reason {reason_code!r}; one of {known}") from None
-        self._operate(lambda p, now: p.press(reason, now))
+        self._operate(Press(reason))
 
     async def clear_stops(
         self,
@@ -257,30 +265,32 @@ class FleetCoordinationEngine:
             raise ValueError(
                 f"sender {operator.sender} is no operator: they begin at {OPERATOR_FIRST}"
             )
-        release = Release(peer, operator, randbits(QUESTION_BITS))
-        named = tuple(".".join(map(str, dot)) for dot in release.dots)
-        peer.releasing, peer.safety.authority.operator = release, operator
+        call = ReleaseStops(operator, randbits(QUESTION_BITS))
         loop = asyncio.get_running_loop()
         end_s = loop.time() + timeout_s
         try:
+            self._operate(call)
+            release = peer.stop_release.current
+            assert release is not None
+            named = tuple(".".join(map(str, dot)) for dot in release.dots)
             while True:
-                self._operate(lambda p, now: release.say(now))
                 await asyncio.sleep(CLEAR_STEP_S)
                 if not release.outstanding or loop.time() >= end_s:
                     break
+                self._operate(call)
         finally:
-            peer.releasing = peer.safety.authority.operator = None
+            self._operate(EndRelease())
         holding = tuple(map(self._name, release.outstanding))
         return Cleared(named, holding, tuple(map(self._name, sorted(peer.membership.silent))))
 
     async def manual_reset(self) -> bool:
         """A person at this machine. False while a stop is not cleared."""
-        self._operate(lambda p, now: p.manual_reset(now))
+        self._operate(ManualReset())
         return self._peer.lifecycle.state is not State.EMERGENCY_STOP
 
     async def permit(self) -> bool:
         """A person at this machine permits it to move, after its reset. False where it is latched."""
-        self._operate(lambda p, now: p.start(now))
+        self._operate(Start())
         return self._peer.safety.started and not self._peer.safety.latched
 
     # ---------------------------------------------------------------- queries
@@ -299,9 +309,9 @@ class FleetCoordinationEngine:
                 "standing": standing.name,
                 "position": _position(pose),
                 "speed_m_s": pose.speed_m_s,
-                "health": peer.healths.get(slot),
+                "health": peer.reports.healths.get(slot),
                 "age_s": (now_us - neighbour.heard_us) / 1e6,
-                "stands": peer.told_standing(slot, now_us),
+                "stands": peer.reports.told_standing(slot, now_us),
                 "operations": peer.clock[slot],
                 "sections": [
                     self.sections.name(s) for s in peer.allocation.assigned_sections(slot)
@@ -381,10 +391,10 @@ class FleetCoordinationEngine:
             raise RuntimeError("the engine is not started: await engine.start() first")
         return self._shell.peer
 
-    def _operate(self, act: Callable[[Peer, int], Any]) -> None:
+    def _operate(self, call: Input) -> None:
         _ = self._peer
         assert self._shell is not None
-        self._shell.operate(act)
+        self._shell.operate(call)
 
     def _name(self, slot: int) -> str:
         return f"{self.prefix}{slot:0{self.width}d}"

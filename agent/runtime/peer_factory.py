@@ -11,9 +11,10 @@ from typing import NamedTuple
 from agent.interface.identity import Identity, SilencePolicy
 from agent.interface.mission import Mission
 from agent.interface.motion_controller import MotionController
-from agent.peer.peer import Peer
+from agent.peer.peer import ONE_SEGMENT, Peer
+from agent.peer.peer_parts import PeerParts
 from agent.segments.segment_area import Area
-from agent.segments.segment_peer import SegmentPeer
+from agent.segments.segment_parts import segments_of
 from protocol.authentication import Keyring, Keys
 from protocol.name import fleet_name
 from protocol.sync.map_sync import MapSync
@@ -83,8 +84,6 @@ def make_peer(
     its durable memory. `area`: its segment, in a fleet of several. `backbone`: what it does while no
     other segment is reached.
     """
-    if area is None:
-        return Peer(identity, rng, now_us, recalled, *parts[:2], keyring, parts.chart)
-    return SegmentPeer(
-        area, identity, rng, now_us, recalled, *parts[:2], keyring, parts.chart, policy=backbone
-    )
+    all_parts = PeerParts(identity, rng, now_us, recalled, *parts[:2], keyring, parts.chart)
+    segments = ONE_SEGMENT if area is None else segments_of(all_parts, area, backbone, now_us)
+    return Peer(all_parts, segments)

@@ -10,7 +10,8 @@ from collections import deque
 from collections.abc import Callable, Sequence
 
 from agent.interface.effects import Drive, Effect, Persist, Send, Trace
-from agent.interface.ports import BatchedDelivery, Body, BufferedBeacon, Bus, Confirming, Journal
+from agent.interface.ports import Body, Bus, Confirming, Journal
+from agent.peer.inputs import BusState, DiskFailed, Input, Received, Sensed, Timer
 from agent.peer.peer import Peer
 from protocol.frames.codec import encode
 from protocol.frames.fleet_frames import Pose
@@ -57,14 +58,6 @@ class PeerRunner:
         self._confirming = bus if isinstance(bus, Confirming) else None
         self.withheld = 0  # frames not queued because earlier frames are not being sent
         self._frozen_until_us = 0  # 0: not frozen
-        self._shelving = bus if isinstance(bus, BatchedDelivery) else None
-        self._shelf: list[BufferedBeacon] = []  # buffered routine beats, for the next turn
-        self._shelved = False  # whether the bus puts beats there
-
-    @property
-    def _local(self) -> Callable[[int], int] | None:
-        """Converts bus time to our clock; None: they are the same."""
-        return None
 
     @staticmethod
     def now_us() -> int:
@@ -100,10 +93,8 @@ class PeerRunner:
             elif isinstance(effect, Drive):
                 if self.body is not None:
                     self.body.drive(effect, now_us)
-            elif isinstance(effect, Trace):
-                self.peer.letters.note(now_us, effect)
-                if log.isEnabledFor(logging.INFO):
-                    log.info("%.3f robot %d: %s", now_us / 1e6, self.peer.slot, " ".join(effect))
+            elif isinstance(effect, Trace) and log.isEnabledFor(logging.INFO):
+                log.info("%.3f robot %d: %s", now_us / 1e6, self.peer.slot, " ".join(effect))
             if self.on_effect is not None:
                 self.on_effect(now_us, effect)
         if records:
@@ -123,14 +114,13 @@ class PeerRunner:
         except OSError as problem:
             self._disk_failed = True
             log.error("robot %d: the journal failed: %s", self.peer.slot, problem)
-            self.perform(self.peer.disk_failed(self.clock()))
+            self.perform(self.peer.step(DiskFailed(), self.clock()))
         return not self._disk_failed
 
-    def operate(self, act: Callable[[Peer, int], Sequence[Effect]]) -> None:
-        """An operator call between two inputs: `shell.operate(lambda peer, now: peer.start(now))`."""
-        self._catch_up()
-        self.perform(act(self.peer, self.clock()))
-        self._attend()
+    def operate(self, *calls: Input) -> None:
+        """An operator's calls, between two other inputs: `runner.operate(Press(reason))`."""
+        for call in calls:
+            self.perform(self.peer.step(call, self.clock()))
         self._nudge()
 
     def _arrive(self, frame: Frame) -> None:
@@ -149,39 +139,20 @@ class PeerRunner:
             self._failure = problem
             self._nudge()
 
-    def _hear(self, frame: Frame) -> None:
-        if self._shelf:
-            self._catch_up()
-        effects = self.peer.receive(frame, self.clock())
+    def _hear(self, frame: Frame) -> bool:
+        """Process a frame; returns whether it may have changed when the peer is due."""
+        effects = self.peer.step(Received(frame), self.clock())
         if effects:
             self.perform(effects)
         elif frame.identifier >> 8 & 0x3FFFF == BEAT_PGN:
-            return  # nine frames in ten; it had no effects, so the deadline is unchanged
-        self._attend()
+            return False  # nine frames in ten; it had no effects, so the deadline is unchanged
         if self.peer.deadline_us < self._armed_us:
             self._nudge()
-
-    def _attend(self) -> None:
-        """Buffer beats, unless we are stopped: then each beat is an echo or needs an answer."""
-        wait = self._listening and not self._frozen_until_us and not self.peer.safety.latched
-        if wait is not self._shelved:
-            self._shelved = wait
-            if self._shelving is not None:
-                self._shelving.shelve(self._shelf if wait else None)
-
-    def _catch_up(self) -> None:
-        """Process the buffered beats."""
-        if self._shelf:
-            effects = self.peer.beats(self._shelf, self._local)
-            self._shelf.clear()
-            if effects:
-                self.perform(effects)
+        return True
 
     def freeze(self, for_s: float) -> None:
         """Fault injection: this process is frozen for a while and then continues."""
-        self._catch_up()
         self._frozen_until_us = self.clock() + round(for_s * 1e6)
-        self._attend()
         self._nudge()
 
     def _nudge(self) -> None:
@@ -215,13 +186,11 @@ class PeerRunner:
     def turn(self) -> None:
         """Tick, if something is due."""
         now_us, peer = self.clock(), self.peer
-        self._catch_up()
         if now_us >= self._armed_us or now_us >= peer.deadline_us:
             sent = None if self._confirming is None else self._confirming.sent
-            effects = peer.check.bus(self.bus.health, self._taken, now_us, sent)
+            effects = peer.step(BusState(self.bus.health, self._taken, sent), now_us)
             if effects:
                 self.perform(effects)
             if self.body is not None and peer.wants_observation(now_us):
-                peer.observe(self.body.sense(now_us), now_us)
-            self.perform(peer.tick(now_us))
-        self._attend()
+                peer.step(Sensed(self.body.sense(now_us)), now_us)
+            self.perform(peer.step(Timer(), now_us))

@@ -9,10 +9,14 @@ cleared here brakes, and latches if it is still sent (`StopController.press_used
 the own bus does.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 from agent.interface.config import MS
 from agent.interface.effects import HALT, Effect, Send
+from agent.peer import notices
+from agent.peer.part import NOTHING, Handler, Header, Listener, Outputs, Part, StepContext
+from agent.peer.sender_origins import SenderOrigins
 from agent.safety.stop_cause import StopCause
 from agent.safety.stop_controller import (
     ANSWER_SPACING_US,
@@ -22,6 +26,7 @@ from agent.safety.stop_controller import (
 )
 from crdt.stops import RemoteStopDot, StopDot, next_in_rotation
 from protocol.fleet_tags import FleetTags, plain_reset, plain_stop
+from protocol.frames.fleet_frames import Pose
 from protocol.frames.segment_frames import FleetReset, FleetStop
 
 TURN_US = 3 * MS  # a frame time, the blocking by another frame, and some margin
@@ -29,11 +34,12 @@ TOLD_MAX = 8  # stops of all segments sent per reply, rotating through the set
 HALVES_MAX = 64  # resets of which one half was received
 
 
-class FleetStops:
+class FleetStops(Part):
     def __init__(
-        self, segment: int, slot: int, safety: StopController, tags: FleetTags | None
+        self, segment: int, safety: StopController, senders: SenderOrigins, tags: FleetTags | None
     ) -> None:
-        self.segment, self.slot, self.safety, self.tags = segment, slot, safety, tags
+        self.segment, self.slot, self.safety, self.tags = segment, safety.slot, safety, tags
+        self.senders = senders
         self.refused = 0  # frames without a valid tag
         self.holds_far = safety.far.latched  # a stop of another segment is not cleared
         self._pressed = safety.stops.active
@@ -44,6 +50,42 @@ class FleetStops:
         self._halves: dict[tuple[RemoteStopDot, int], int] = {}
         self._told_us = -ANSWER_SPACING_US
         self._told: RemoteStopDot | None = None  # last dot sent; the rotation goes on there
+
+    @property
+    def handles(self) -> Mapping[type[Any], Handler]:
+        return {FleetStop: self._stop, FleetReset: self._reset}
+
+    @property
+    def listens(self) -> Mapping[type[Any], Listener]:
+        return {notices.StopsChanged: self._changed, notices.StopsAsked: self._asked}
+
+    def on_timer(self, ctx: StepContext) -> Outputs:
+        if self.behind:
+            self.see(ctx.live, ctx.now_us)
+        return self.tick(ctx.now_us)
+
+    def overhear_pose(self, source: int, slot: int | None, m: Pose, now_us: int) -> Outputs:
+        """A robot that moves while we hold a stop of another segment does not know that stop."""
+        return self.tell(now_us) if self.holds_far and not m.stopped else NOTHING
+
+    def _stop(self, ctx: StepContext, header: Header, m: FleetStop) -> Outputs:
+        if header.slot is None:
+            doubted = self.senders.doubted(header.source, m, ctx.now_us)
+            if doubted is not None:
+                return doubted
+        effects = self.receive_stop(m, ctx.now_us)
+        return [*effects, notices.Latched(f"a stop from address {header.source}")]
+
+    def _reset(self, ctx: StepContext, header: Header, m: FleetReset) -> Outputs:
+        return self.receive_reset(m, ctx.now_us)
+
+    def _changed(self, ctx: StepContext, notice: notices.StopsChanged) -> Outputs:
+        self.see(ctx.live, ctx.now_us)
+        return self.tick(ctx.now_us)
+
+    def _asked(self, ctx: StepContext, notice: notices.StopsAsked) -> Outputs:
+        """Asked by a gateway, by an operator's device, or by a robot that has just joined."""
+        return self.tell(ctx.now_us) if notice.from_gateway or self.holds_far else NOTHING
 
     # ---------------------------------------------------------------- what happened here
 

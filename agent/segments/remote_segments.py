@@ -5,9 +5,16 @@ are kept. Safety does not depend on it.
 """
 
 from collections import OrderedDict
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 from agent.interface.config import S
+from agent.interface.effects import HALT, Trace
+from agent.interface.identity import SilencePolicy
+from agent.peer.part import FOREVER, NOTHING, Handler, Header, Outputs, Part, StepContext
+from agent.safety.stop_cause import StopCause
+from agent.safety.stop_controller import StopController
+from agent.segments.segment_area import Area
 from protocol.frames.segment_frames import GatewayBeat, SegmentSummary
 
 ALONE_US = (
@@ -21,9 +28,13 @@ class Heard(NamedTuple):
     heard_us: int
 
 
-class RemoteSegments:
-    def __init__(self, segment: int, now_us: int) -> None:
-        self.segment = segment
+class RemoteSegments(Part):
+    def __init__(
+        self, area: Area, policy: SilencePolicy, safety: StopController, now_us: int
+    ) -> None:
+        """`policy`: what to do if no other segment is reached any more."""
+        self.area, self.policy, self.safety = area, policy, safety
+        self.segment = area.segment
         self.reached = 0  # other segments, as the leading gateway says
         self.alone = True  # no other segment is reached
         self.ever = False  # one was reached since we started
@@ -31,8 +42,40 @@ class RemoteSegments:
         self._reached_us = now_us
 
     @property
-    def deadline_us(self) -> int | None:
-        return None if self.alone else self._reached_us + ALONE_US
+    def handles(self) -> Mapping[type[Any], Handler]:
+        return {GatewayBeat: self._gateway, SegmentSummary: self._gateway}
+
+    @property
+    def deadline_us(self) -> int:
+        return FOREVER if self.alone else self._reached_us + ALONE_US
+
+    def on_timer(self, ctx: StepContext) -> Outputs:
+        return self._changed() if self.tick(ctx.now_us) else NOTHING
+
+    def may_claim(self, section: int) -> bool:
+        """A borrowed section is decided by its home segment, which must be reached."""
+        return not self.alone or section not in self.area.borrowed
+
+    def _gateway(
+        self, ctx: StepContext, header: Header, m: GatewayBeat | SegmentSummary
+    ) -> Outputs:
+        return self._changed() if self.hear(m, ctx.now_us) else NOTHING
+
+    def _changed(self) -> Outputs:
+        """Whether other segments are reached has changed: the policy says what that means."""
+        held: list[Any] = []
+        if self.policy is SilencePolicy.STOP:
+            self._cause(StopCause.BACKBONE_LOST)
+            held = [HALT] if self.alone else []
+        elif self.policy is SilencePolicy.SLOW:
+            self._cause(StopCause.BACKBONE_CREEP)
+        return [*held, Trace("beyond", "", "ALONE" if self.alone else "REACHED", "", "")]
+
+    def _cause(self, cause: StopCause) -> None:
+        if self.alone:
+            self.safety.raise_cause(cause, 0, "no other segment is reached")
+        else:
+            self.safety.clear_cause(cause, 0)
 
     def hear(self, m: GatewayBeat | SegmentSummary, now_us: int) -> bool:
         """Returns whether this changed `alone`."""

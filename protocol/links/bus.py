@@ -35,7 +35,6 @@ class CanBus:
         self.refused = 0  # frames that the driver did not accept
         self._told = Health.ACTIVE  # health as reported by error frames
         self._notifier: can.Notifier | None = None
-        self._shelve: Callable[[Any], None] | None = getattr(bus, "shelve", None)
         self._submit: Callable[[Frame], bool] | None = getattr(bus, "submit", None)
 
     def send(self, frame: Frame) -> bool:
@@ -57,12 +56,6 @@ class CanBus:
                     self._unconfirmed.pop()
         self.refused += not taken
         return taken
-
-    def shelve(self, shelf: Any) -> None:
-        """See `agent.interface.ports.Shelving`; if the interface does not support it, every frame
-        is passed to the callback."""
-        if self._shelve is not None:
-            self._shelve(shelf)
 
     @property
     def health(self) -> Health:

@@ -13,16 +13,17 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from typing import Any, Final, Protocol
+from typing import Any, Final, NamedTuple, Protocol
 
 import can
 from can import BusABC, CanOperationError, CanProtocol, Message
 
-from agent.interface.ports import BufferedBeacon, Neighbour
+from agent.interface.ports import Neighbour
 from protocol.frames.codec import decode_once
 from protocol.frames.fleet_frames import Heartbeat, Pose
 from protocol.frames.frame import Frame
 from protocol.frames.messages import GROUP_OF
+from protocol.frames.messages import Message as AnyMessage
 from sim.can.can_segment import PASSIVE, Wire
 
 # Frames kept for a program that does not read; beyond this the newest are dropped.
@@ -36,6 +37,15 @@ _tuple = tuple.__new__
 Tap = Callable[[int, Frame], None]  # microseconds, frame
 NONE_LOST: Sequence[tuple[Tap, OSError]] = ()
 log = logging.getLogger(__name__)
+
+
+class BufferedBeacon(NamedTuple):
+    """A beacon or heartbeat of a robot that is neither stopped nor leaving, kept for a receiver."""
+
+    source: int
+    message: AnyMessage
+    t_us: int  # bus time
+    seen: Neighbour | None  # for a pose: the new entry about its sender
 
 
 class Clock(Protocol):
@@ -254,7 +264,7 @@ class FieldBus(BusABC):
             self.segment.ears[self.node] = callback
 
     def shelve(self, shelf: list[BufferedBeacon] | None) -> None:
-        """See `agent.interface.ports.Shelving`."""
+        """From now on append routine beacons to `shelf` instead of calling back; None: call back."""
         if shelf is not None and self._open:
             self.segment.shelves[self.node] = shelf
         else:

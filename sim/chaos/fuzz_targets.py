@@ -24,6 +24,7 @@ from agent.interface.effects import Persist
 from agent.interface.identity import Identity
 from agent.interface.lifecycle import State
 from agent.peer import durable_records as records
+from agent.peer.inputs import Press, Received, Timer
 from agent.peer.journal_recovery import LOST
 from agent.peer.peer import Peer
 from agent.runtime.files.field_error import FieldFileError
@@ -118,17 +119,17 @@ def peer(data: bytes) -> None:
     ours, now_us, resets = _peer({}), 0, 0
     for _ in range(4):  # ticks until the peer has joined
         now_us = max(now_us, ours.deadline_us)
-        ours.tick(now_us)
+        ours.step(Timer(), now_us)
     if data[:1] and data[0] & 1:
-        ours.press(Reason.PERSON_IN_FIELD, now_us)
+        ours.step(Press(Reason.PERSON_IN_FIELD), now_us)
     for identifier, wait_ms, body in ENTRY.iter_unpack(_whole(data[1:])):
         stopped = ours.state is State.EMERGENCY_STOP
         now_us += wait_ms * 1_000
         arrived = Frame(identifier & 0x1FFFFFFF, body)
         resets += isinstance(decode(arrived)[1], OperatorCommand)
-        ours.receive(arrived, now_us)
+        ours.step(Received(arrived), now_us)
         if now_us >= ours.deadline_us:
-            ours.tick(now_us)
+            ours.step(Timer(), now_us)
         if stopped and not resets:
             assert ours.state is State.EMERGENCY_STOP
         assert len(ours.membership.standing) <= 8 and len(ours.membership.slot_of) <= 8
@@ -137,10 +138,10 @@ def peer(data: bytes) -> None:
 def keyed(data: bytes) -> None:
     """The same for a peer with keys: no frame without a tag releases it."""
     ours, now_us = _peer({}, KEYRING), 1_000_000
-    ours.press(Reason.PERSON_IN_FIELD, now_us)
+    ours.step(Press(Reason.PERSON_IN_FIELD), now_us)
     for identifier, wait_ms, body in ENTRY.iter_unpack(_whole(data)):
         now_us += wait_ms * 1_000
-        ours.receive(Frame(identifier & 0x1FFFFFFF, body), now_us)
+        ours.step(Received(Frame(identifier & 0x1FFFFFFF, body)), now_us)
         assert ours.state is State.EMERGENCY_STOP
 
 
@@ -153,7 +154,7 @@ def memory(data: bytes) -> None:
     ours = _peer(recalled)
     if recalled.get(STOPS_KEY) and not ours.safety.latched:
         assert not StopSet.deserialize(recalled[STOPS_KEY]).latched
-    ours.tick(ours.deadline_us)
+    ours.step(Timer(), ours.deadline_us)
 
 
 def stop_set(data: bytes) -> None:

@@ -15,11 +15,11 @@ from agent.interface.effects import HALT, Drive, Effect, Send
 from agent.motion.holonomic_motion import HolonomicMotion
 from agent.peer import member_conflicts as conflicts
 from agent.peer import section_claims as claims
-from agent.peer.announcements import Announcements
 from agent.peer.durable_records import DurableRecords
 from agent.peer.frame_origin import Origin, Origins
 from agent.peer.member_discovery import MemberDiscovery
 from agent.peer.membership import Membership
+from agent.peer.progress_announcements import ProgressAnnouncements
 from agent.peer.section_claims import SectionClaims
 from agent.peer.self_check import NEVER_US, SelfCheck
 from agent.peer.sense_freshness import Senses
@@ -234,7 +234,7 @@ def _deaf(right: Any) -> Any:
 
 def _goes_on_unheard(right: Any) -> Any:
     def unheard(self: SelfCheck, now_us: int) -> str:
-        alone = len(self.peer.membership.live) == 1
+        alone = len(self.membership.live) == 1
         return "" if alone or self._left_us != NEVER_US else str(right(self, now_us))
 
     return unheard
@@ -344,7 +344,7 @@ MUTANTS: dict[str, Mutant] = {
         "every digest is the same", Divergence, "tell", _constant(7), "split"
     ),
     "progress-unannounced": Mutant(
-        "progress is not told", Announcements, "flush", _constant([]), "split"
+        "progress is not told", ProgressAnnouncements, "flush", _constant([]), "split"
     ),
     "progress-not-restored": Mutant(
         "progress is not read from the journal",

@@ -13,6 +13,7 @@ from math import ceil
 from typing import Any, TypeVar
 
 from agent.runtime.peer_runner import PeerRunner
+from sim.fleet.batched_runner import BatchedRunner
 from sim.fleet.scheduler import Script
 
 T = TypeVar("T")
@@ -36,7 +37,7 @@ class Timer:
         self.cancelled = True
 
 
-class SimulatedRunner(PeerRunner):
+class SimulatedRunner(BatchedRunner):
     """A runner that takes its turns from this event loop."""
 
     swarm: "EventLoop"

@@ -11,6 +11,7 @@ from collections.abc import Generator
 from typing import Any, Protocol, TypeVar
 
 from agent.runtime.peer_runner import PeerRunner
+from sim.fleet.batched_runner import BatchedRunner
 
 T = TypeVar("T")
 Script = Generator[int, None, T]
@@ -77,8 +78,8 @@ class LoopHost:
         return PeerRunner.now_us()
 
     def shell(self, *parts: Any) -> PeerRunner:
-        """A plain runner of a peer."""
-        return PeerRunner(*parts)
+        """A runner of a peer that takes beacons in batches."""
+        return BatchedRunner(*parts)
 
     def start(self, shell: PeerRunner) -> Handle:
         """Run a runner as a task."""

@@ -15,6 +15,7 @@ from agent.interface.effects import Effect
 from agent.interface.identity import SilencePolicy
 from agent.interface.lifecycle import State
 from agent.interface.ports import Body, Journal
+from agent.peer.inputs import Press
 from agent.peer.peer import Peer
 from agent.runtime.peer_factory import MissionParts, identity_of, make_peer
 from agent.runtime.peer_runner import PeerRunner
@@ -251,7 +252,7 @@ class Cluster:
         self.stops.pressed(now_us, {slot, *(robot.slot for robot in members)}, unheard, by=slot)
         if self._stop_passes not in self.segment.taps:
             self.segment.taps.append(self._stop_passes)
-        self.robots[slot].shell.operate(lambda p, now: p.press(reason, now))
+        self.robots[slot].shell.operate(Press(reason))
 
     def _stop_passes(self, t_us: int, frame: Frame) -> None:
         """A tap on the bus, as long as a pressed robot waits for its stop frame to be sent."""

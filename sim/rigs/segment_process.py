@@ -18,10 +18,11 @@ from random import Random
 from typing import Any
 
 from agent.interface.effects import Drive, Effect
+from agent.peer.inputs import Claim, Finish, Press
 from agent.runtime.peer_factory import identity_of, make_peer
 from agent.runtime.peer_runner import PeerRunner
 from agent.segments.segment_area import Area
-from agent.segments.segment_peer import SegmentPeer
+from agent.segments.segment_parts import remote_segments_of
 from protocol.frames.safety_frames import Reason
 from protocol.links.bus import CanBus
 from sim.can.simulated_bus import FieldBus, segment
@@ -78,7 +79,7 @@ class SegmentHost:
             case "press":
                 pressed_us = PeerRunner.now_us()
                 shell = self.shells[order["slot"]]
-                shell.operate(lambda peer, now: peer.press(Reason.PERSON_IN_FIELD, now))
+                shell.operate(Press(Reason.PERSON_IN_FIELD))
                 return {"pressed_us": pressed_us}
             case (
                 "arm"
@@ -91,11 +92,11 @@ class SegmentHost:
                 return {"halts": self.halts}
             case "claim":
                 section = int(order["section"])
-                self.shells[order["slot"]].operate(lambda peer, now: peer.claim(section, 3, now))
+                self.shells[order["slot"]].operate(Claim(section, 3))
                 return {}
             case "finish":
                 section = int(order["section"])
-                self.shells[order["slot"]].operate(lambda peer, now: peer.finish(section, now))
+                self.shells[order["slot"]].operate(Finish(section))
                 return {}
         return self.state()
 
@@ -103,12 +104,12 @@ class SegmentHost:
         """How many robots joined, stopped, are alone and reach other segments, and the phases of
         sections."""
         peers = [shell.peer for shell in self.shells]
-        assert all(isinstance(peer, SegmentPeer) for peer in peers)
+        remote = [remote_segments_of(peer) for peer in peers]
         return {
             "joined": all(peer.joining.joined for peer in peers),
             "stopped": sum(peer.safety.latched for peer in peers),
-            "alone": [peer.beyond.alone for peer in peers],  # type: ignore[attr-defined]
-            "reached": peers[0].beyond.reached,  # type: ignore[attr-defined]
+            "alone": [segments.alone for segments in remote],
+            "reached": remote[0].reached,
             "sections": {
                 section: peers[0].allocation.phase_of(section).name
                 for section in peers[0].allocation.sections()

@@ -13,13 +13,14 @@ import can
 
 from agent.interface.effects import Drive, Effect
 from agent.interface.identity import SilencePolicy
+from agent.peer.inputs import Claim, Cover, Finish
+from agent.peer.peer import Peer
 from agent.runtime.gateway_runner import GatewayShell
 from agent.runtime.peer_factory import MissionParts, identity_of, keyring_of, make_peer
 from agent.runtime.peer_runner import PeerRunner
 from agent.segments.gateway import Gateway
 from agent.segments.map_relay import MapRelay
 from agent.segments.segment_area import Area, SegmentPlace
-from agent.segments.segment_peer import SegmentPeer
 from crdt.hybrid_clock import HybridClock
 from crdt.occupancy import Geometry, OccupancyMap
 from crdt.sighting import TIME_MAX, MergeOrder
@@ -155,13 +156,11 @@ class SegmentFleet:
 
     # ---------------------------------------------------------------- acting
 
-    def peer(self, number: int, slot: int) -> SegmentPeer:
+    def peer(self, number: int, slot: int) -> Peer:
         """The core of one robot."""
-        peer = self.shells[number, slot].peer
-        assert isinstance(peer, SegmentPeer)
-        return peer
+        return self.shells[number, slot].peer
 
-    def peers(self, number: int) -> list[SegmentPeer]:
+    def peers(self, number: int) -> list[Peer]:
         """The cores of a segment's robots, in slot order."""
         return [self.peer(number, slot) for slot in range(self.robots)]
 
@@ -190,7 +189,7 @@ class SegmentFleet:
     def finish(self, number: int, slot: int, section: int, units: int = 3) -> None:
         """An operation as by a fast robot: claim, start, cover, done."""
         shell = self.shells[number, slot]
-        shell.operate(lambda peer, now: peer.claim(section, 3, now))
+        shell.operate(Claim(section, 3))
 
         def work() -> Script[None]:
             deadline_us = self.swarm.now_us() + 5_000_000
@@ -198,9 +197,9 @@ class SegmentFleet:
                 if self.swarm.now_us() >= deadline_us:
                     return
                 yield self.swarm.now_us() + 50_000
-            shell.operate(lambda p, now: p.voice.cover(p, section, range(units), now))
+            shell.operate(Cover(section, tuple(range(units))))
             yield self.swarm.now_us() + 100_000
-            shell.operate(lambda p, now: p.finish(section, now))
+            shell.operate(Finish(section))
 
         self.swarm.spawn(work())
 

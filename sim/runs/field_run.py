@@ -34,7 +34,7 @@ class WorkRun(Run[SetupT, Cluster, Outcome]):
     def measure(self, cluster: Cluster) -> dict[str, Any]:
         peers = [robot.peer for robot in cluster.robots.values()]
         return {
-            "units_twice": sum(peer.voice.redone for peer in peers),
+            "units_twice": sum(peer.redone for peer in peers),
             "refused": sum(peer.safety.authority.refused for peer in peers),
             "sections": self.setting.section_count,
         }

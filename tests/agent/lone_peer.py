@@ -13,6 +13,7 @@ from agent.interface.mission import ClaimRequest, FleetView, Mission, MotionRequ
 from agent.interface.motion_controller import BodyLimits
 from agent.interface.ports import Observation
 from agent.motion.holonomic_motion import HolonomicMotion
+from agent.peer.inputs import BusState, Heard, Sensed, Timer
 from agent.peer.peer import Peer
 from agent.runtime.peer_factory import MissionParts, make_peer
 from agent.safety.stop_cause import ClearCondition, StopCause
@@ -57,9 +58,9 @@ def peer_in(
     )
     motion = HolonomicMotion(0, BodyLimits(0.8, 2.5, 1.5), np.empty((0, 4)))
     peer = make_peer(identity, Random(1), 0, {}, MissionParts(Eager(), motion))
-    peer.observe(Observation(0.0, 0.0, 0.0, 0.0, 0.0, sensed_at_us=0), 0)
+    peer.step(Sensed(Observation(0.0, 0.0, 0.0, 0.0, 0.0, sensed_at_us=0)), 0)
     peer.claims.current = 0 if state is State.WORKING else None
-    peer.lifecycle.state = state
+    peer.lifecycle.machine.state = state
     if cause is not None:
         timed = cause.clears in (ClearCondition.BY_TIMEOUT, ClearCondition.WHEN_APART)
         peer.safety.raise_cause(cause, 0, "", BY_TIME_US if timed else 0)
@@ -68,14 +69,14 @@ def peer_in(
 
 def introduce(peer: Peer, address: int, slot: int, now_us: int = 0) -> None:
     """Another robot of its fleet claims an address and says which member it is."""
-    peer.hear(address, AddressClaimed(fleet_name("total", slot).pack()), now_us)
-    peer.hear(address, Member(slot, 0, 1), now_us)
+    peer.step(Heard(address, AddressClaimed(fleet_name("total", slot).pack())), now_us)
+    peer.step(Heard(address, Member(slot, 0, 1)), now_us)
 
 
 def introduce_tools(peer: Peer, *addresses: int) -> Peer:
     """Panels and operators' devices claim these addresses."""
     for address in addresses:
-        peer.hear(address, AddressClaimed(tool_name(address).pack()), 0)
+        peer.step(Heard(address, AddressClaimed(tool_name(address).pack())), 0)
     return peer
 
 
@@ -86,10 +87,10 @@ def held_by(peer: Peer) -> set[StopCause]:
 def turn(peer: Peer, now_us: int) -> list[Effect]:
     """It senses that it has moved a little, its bus has sent what it said, and it has a turn."""
     assert peer.here is not None
-    peer.check.bus(Health.ACTIVE, True, now_us, now_us)
+    peer.step(BusState(Health.ACTIVE, True, now_us), now_us)
     x_m = peer.here.x_m + 0.01
-    peer.observe(peer.here._replace(x_m=x_m, sensed_at_us=now_us), now_us)
-    return [*peer.tick(now_us)]
+    peer.step(Sensed(peer.here._replace(x_m=x_m, sensed_at_us=now_us)), now_us)
+    return [*peer.step(Timer(), now_us)]
 
 
 def pass_time(peer: Peer, until_us: int = 10 * S) -> None:
@@ -99,10 +100,10 @@ def pass_time(peer: Peer, until_us: int = 10 * S) -> None:
         then_us = max(now_us + 1, peer.deadline_us)
         x_m += drive.vx_m_s * (then_us - now_us) / S
         now_us = then_us
-        peer.check.bus(Health.ACTIVE, True, now_us, sent)
+        peer.step(BusState(Health.ACTIVE, True, sent), now_us)
         if peer.wants_observation(now_us):
             here = Observation(x_m, 0.0, 0.0, drive.vx_m_s, 0.0, sensed_at_us=now_us)
-            peer.observe(here, now_us)
-        effects = peer.tick(now_us)
+            peer.step(Sensed(here), now_us)
+        effects = peer.step(Timer(), now_us)
         sent += sum(isinstance(effect, Send) for effect in effects)
         drive = next((e for e in effects if isinstance(e, Drive)), drive)

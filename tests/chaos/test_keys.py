@@ -128,7 +128,7 @@ def test_t14_a_robot_that_lost_its_address_stops_the_others(keys: Path) -> None:
         address = cluster.robots[1].peer.address
         others = {cluster.robots[slot].peer.address for slot in (0, 2)}
         assert address is not None
-        member = cluster.robots[1].peer.voice.member(cluster.robots[1].peer)
+        member = cluster.robots[1].peer.joining.announcement
         for taken in [a for a in range(131, 236) if a not in others] + [address]:
             cluster.inject(AddressClaimed(0), taken)
         for beat in range(20):

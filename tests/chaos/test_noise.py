@@ -49,8 +49,8 @@ def test_a_fleet_works_beside_a_device_that_talks_nonsense(seed: int) -> None:
             await elapse(0.1)
             cluster.check()
         for robot in cluster.running:
-            assert sum(robot.peer.malformed.values()) > 1000
-            assert len(robot.peer.malformed) <= 3, "reasons are few"
+            assert sum(robot.peer.senders.malformed.values()) > 1000
+            assert len(robot.peer.senders.malformed) <= 3, "reasons are few"
             assert robot.peer.membership.standing.keys() == {0, 1, 2} - {robot.slot}
         assert cluster.finished and cluster.replicas_equal, f"seed {seed}"
         noise.shutdown()

@@ -303,7 +303,7 @@ def test_boxes_that_come_and_go_are_never_touched(seed: int) -> None:
             await elapse(1.0)
             cluster.check()
             for robot in cluster.running:
-                pause = robot.peer.pause
+                pause = robot.peer.named.obstacle.question
                 if (
                     isinstance(pause, ObstacleStop)
                     and pause.matter is ReportKind.ASKING

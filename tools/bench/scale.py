@@ -13,6 +13,7 @@ from random import Random
 from socket import socket
 from typing import Any, TypeVar
 
+from agent.peer.inputs import Press
 from protocol.frames.safety_frames import Reason
 from sim.rigs.bridged_processes import BridgedSegments, write_area
 from sim.rigs.segments_rig import SegmentFleet
@@ -105,7 +106,7 @@ def order(
     fleet.halted_us.clear()
     presser = fleet.shells[1, 0]
     pressed_us = fleet.swarm.now_us()
-    presser.operate(lambda peer, now: peer.press(Reason.PERSON_IN_FIELD, now))
+    presser.operate(Press(Reason.PERSON_IN_FIELD))
     everybody = len(fleet.shells)
     heard = fleet.run(S, lambda: len(fleet.halted_us) == everybody)
     stopped_us = max(fleet.halted_us.values()) - pressed_us if heard else S
@@ -196,7 +197,7 @@ def heal(operations: int, seed: int) -> Iterator[Figure]:
         place.section in done[place.segment]
         for number in (1, 2) for place in fleet.areas[number].borrowed.values()
     )  # fmt: skip
-    twice = sum(peer.voice.redone for number in (1, 2) for peer in fleet.peers(number))
+    twice = sum(peer.redone for number in (1, 2) for peer in fleet.peers(number))
     fleet.end()
     scope = f"{len(done[1])} and {len(done[2])} sections done while cut; ten robots on each side"
     yield Figure(

@@ -34,15 +34,20 @@ GROUP = {
     "field.work_leg interface.effects motion.deadlock_yield "
     "motion.holonomic_motion motion.obstacle_detector motion.obstacle_stop "
     "motion.path_tracker motion.right_of_way motion.stopping_zone peer.announcements "
-    "peer.control_cycle peer.durable_records peer.fleet_summary peer.inbound "
-    "peer.leader_election peer.member_discovery peer.membership peer.network_join "
-    "peer.operator_directive peer.peer peer.pgn_responder peer.section_claims "
-    "peer.self_check peer.unknown_stop_sources runtime.peer_runner "
+    "peer.control_cycle peer.durable_records peer.fleet_summary peer.fleet_views "
+    "peer.leader_election peer.leader_votes peer.map_exchange peer.member_conflicts "
+    "peer.member_discovery peer.member_reports peer.membership peer.mission_messages "
+    "peer.name_discovery peer.network_join peer.obstacle_hold peer.operator_directive peer.part "
+    "peer.peer peer.peer_lifecycle peer.peer_parts peer.pgn_responder "
+    "peer.progress_announcements peer.section_claims peer.section_work peer.self_check "
+    "peer.sender_origins peer.sense_freshness peer.slot_discovery peer.state_sync "
+    "peer.stop_reception peer.stop_release peer.unknown_stop_sources runtime.peer_runner "
     "safety.command_authority safety.stop_controller segments.fleet_stops "
-    "segments.remote_segments segments.segment_area segments.segment_peer",
+    "segments.remote_segments segments.segment_area",
     "sim": "can.can_segment can.frame_counter can.frame_timing can.simulated_bus "
-    "chaos.effect_observer chaos.protocol_rules fleet.contact_history fleet.event_loop "
-    "fleet.simulated_disk fleet.simulated_fleet fleet.stop_monitor fleet.trace_recorder "
+    "chaos.effect_observer chaos.protocol_rules fleet.batched_runner fleet.contact_history "
+    "fleet.event_loop fleet.simulated_disk fleet.simulated_fleet fleet.stop_monitor "
+    "fleet.trace_recorder "
     "world.checkers world.ground_truth world.protocol_world world.pymunk_engine "
     "world.robot_body world.world",
 }  # fmt: skip

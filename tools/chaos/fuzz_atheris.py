@@ -7,7 +7,7 @@ import atheris
 
 with atheris.instrument_imports(include=["protocol", "crdt", "agent.peer.durable_records",
                                          "agent.safety.stop_controller",
-                                         "agent.peer.inbound", "agent.peer.membership"]):  # fmt: skip
+                                         "agent.peer.peer", "agent.peer.membership"]):  # fmt: skip
     from sim.chaos.fuzz_targets import TARGETS
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from tools.cli.api_page import api
 from tools.cli.frame_pages import frames
+from tools.cli.route_pages import routes
 from tools.cli.state_pages import MACHINES, diagram, states
 
 NOTE = "<!-- printed by python -m tools.cli.doc_pages docs; do not edit -->"
@@ -21,6 +22,7 @@ def pages() -> dict[str, str]:
     return {
         "how/frames.md": f"{NOTE}\n{frames()}", "how/states.md": f"{NOTE}\n{states()}",
         **{f"how/{machine.picture}": diagram(machine) for machine in MACHINES},
+        "how/routes.md": f"{NOTE}\n{routes()}",
         "use/api.md": f"{NOTE}\n{api()}",
     }  # fmt: skip
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
+from agent.peer.inputs import Leave
 from agent.runtime.peer_runner import PeerRunner
 from agent.runtime.sqlite_journal import SqliteJournal
 from protocol.links.socketcand_link import SocketcandLink
@@ -85,7 +86,7 @@ async def run(order: dict[str, Any]) -> None:
     print(f"robot {slot} is up", flush=True)
     await asyncio.wait({task, waiting}, return_when=asyncio.FIRST_COMPLETED)
     if not task.done():
-        shell.operate(lambda p, now: p.leave(now))
+        shell.operate(Leave())
         await asyncio.sleep(GOODBYE_S)
         task.cancel()
     waiting.cancel()

@@ -14,9 +14,12 @@ from agent.interface.config import S
 from agent.interface.effects import HALT, Drive
 from agent.interface.identity import SilencePolicy
 from agent.interface.lifecycle import TABLE, Event, State
+from agent.peer.inputs import BusState, DiskFailed, Heard, Leave, ManualReset, Press, Start, Timer
+from agent.peer.notices import ControlDue
 from agent.peer.peer import Peer
 from agent.safety.stop_cause import Severity, StopCause
 from agent.safety.stop_controller import CREEP_M_S
+from protocol.controller_health import Health
 from protocol.frames.network_frames import AddressClaimed
 from protocol.frames.safety_frames import EmergencyReset, Reason
 from protocol.state_machine import to_mermaid
@@ -73,10 +76,11 @@ def test_every_state_event_and_cause(cause: StopCause | None) -> None:
     wanted = Drive(2.0, 0.0, 0.1, True)
     for state, event in product(State, Event):
         peer = peer_in(state, cause)
-        peer.latch("a cause that latches")
+        if peer.safety.latched:
+            peer.lifecycle.fire(Event.EMERGENCY, "a cause that latches")
         source = State.EMERGENCY_STOP if severity is Severity.LATCHED else state
         assert peer.state is source
-        peer.fire(event, "whatever comes")
+        peer.lifecycle.fire(event, "whatever comes")
         assert peer.state is TABLE[source, event]
         assert held_by(peer) == ({cause} if cause else set())
         drive = peer.safety.gate(wanted, 0)
@@ -93,7 +97,11 @@ def test_what_a_control_period_drives(cause: StopCause | None) -> None:
     """Motion only in IDLE and WORKING, only with no cause above SLOW, the implement not else."""
     for state in State:
         peer = peer_in(state, cause)
-        (drive,) = (e for e in peer._working.control(0) if isinstance(e, Drive))
+        (drive,) = (
+            e
+            for e in peer.named.control._control(peer.context(0), ControlDue(0))
+            if isinstance(e, Drive)
+        )
         moves = state in (State.IDLE, State.WORKING) and peer.safety.may_move
         assert (drive != HALT) is moves, state
         if cause is StopCause.CREEP:
@@ -103,14 +111,14 @@ def test_what_a_control_period_drives(cause: StopCause | None) -> None:
 # What people, the bus and time can do, and which causes each of them ends in which state; by hand.
 Act = Callable[[Peer], Any]
 ACTS: dict[str, Act] = {
-    "start": lambda peer: peer.start(0),
-    "manual reset": lambda peer: peer.manual_reset(0),
-    "press": lambda peer: peer.press(Reason.PERSON_IN_FIELD, 0),
+    "start": lambda peer: peer.step(Start(), 0),
+    "manual reset": lambda peer: peer.step(ManualReset(), 0),
+    "press": lambda peer: peer.step(Press(Reason.PERSON_IN_FIELD), 0),
     "hold": lambda peer: peer.safety.hold(0),
-    "bus lost": lambda peer: peer.bus_lost(0),
-    "bus back": lambda peer: peer.bus_back(0),
-    "leave": lambda peer: peer.leave(0),
-    "disk failed": lambda peer: peer.disk_failed(0),
+    "bus lost": lambda peer: peer.step(BusState(Health.OFF, True), 0),
+    "bus back": lambda peer: peer.step(BusState(Health.ACTIVE, True), 0),
+    "leave": lambda peer: peer.step(Leave(), 0),
+    "disk failed": lambda peer: peer.step(DiskFailed(), 0),
     "time": pass_time,
 }
 ENDED_BY: dict[StopCause, str | None] = {
@@ -202,18 +210,18 @@ def test_a_reset_while_the_bus_is_off_waits_for_the_bus() -> None:
     peer = peer_in(State.IDLE, None)
     pass_time(peer, 2 * S)
     assert peer.joining.joined
-    peer.press(Reason.PERSON_IN_FIELD, 2 * S)
-    peer.bus_lost(2 * S)
+    peer.step(Press(Reason.PERSON_IN_FIELD), 2 * S)
+    peer.step(BusState(Health.OFF, True), 2 * S)
     (dot,) = peer.safety.stops.active
     peer.safety.receive_reset(EmergencyReset(*dot, 200), 2 * S)
-    peer.manual_reset(2 * S)
+    peer.step(ManualReset(), 2 * S)
     assert peer.state is State.DISCONNECTED
     for now_us in range(2 * S, 4 * S, 10_000):
-        peer.tick(now_us)
+        peer.step(Timer(), now_us)
         assert peer.state is State.DISCONNECTED and not peer.joining.joined
-    peer.bus_back(4 * S)
+    peer.step(BusState(Health.ACTIVE, True), 4 * S)
     for now_us in range(4 * S, 6 * S, 10_000):
-        peer.tick(now_us)
+        peer.step(Timer(), now_us)
     assert peer.joining.joined and peer.state is not State.DISCONNECTED
 
 
@@ -226,9 +234,9 @@ def test_an_address_that_is_lost_and_had_again_in_one_turn_is_had(late_us: int) 
     pass_time(peer, 2 * S)
     address = peer.address
     assert address is not None
-    peer.hear(address, AddressClaimed(peer.identity.name.pack() - 1), 2 * S)
+    peer.step(Heard(address, AddressClaimed(peer.identity.name.pack() - 1)), 2 * S)
     for now_us in range(2 * S + late_us, 3 * S, 10_000):
-        peer.tick(now_us)
+        peer.step(Timer(), now_us)
     assert peer.address not in (None, address)
     assert peer.joining.joined and peer.state is State.IDLE
     assert StopCause.ADDRESS_LOST not in held_by(peer)

@@ -12,6 +12,7 @@ from agent.interface.mission import ClaimRequest, FleetView, Mission, MotionRequ
 from agent.interface.motion_controller import BodyLimits
 from agent.interface.ports import Observation
 from agent.motion.holonomic_motion import HolonomicMotion
+from agent.peer.inputs import Sensed, Timer
 from agent.runtime.peer_factory import MissionParts, identity_of, make_peer
 from sim.record.robot_intent import intent_of
 
@@ -30,8 +31,8 @@ def test_a_mission_without_hooks_runs_and_stands_still_without_a_section() -> No
     peer = make_peer(identity, Random(1), 0, {}, MissionParts(Smallest(), motion))
     drives = list[Drive]()
     for now_us in range(0, 3 * S, CONTROL_PERIOD_US):
-        peer.observe(Observation(0.0, 0.0, 0.0, 0.0, 0.0, sensed_at_us=now_us), now_us)
-        drives += [effect for effect in peer.tick(now_us) if isinstance(effect, Drive)]
+        peer.step(Sensed(Observation(0.0, 0.0, 0.0, 0.0, 0.0, sensed_at_us=now_us)), now_us)
+        drives += [effect for effect in peer.step(Timer(), now_us) if isinstance(effect, Drive)]
     assert drives
     assert all(drive.vx_m_s == 0.0 == drive.vy_m_s for drive in drives)
     assert len(peer.progress) == 0

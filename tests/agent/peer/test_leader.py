@@ -117,9 +117,9 @@ def test_m25_another_leads_and_answers_when_the_leader_dies() -> None:
 def test_m25_without_a_leader_any_other_peer_still_answers() -> None:
     async def story(made: Fleet) -> None:
         for engine in made.engines:
-            engine._peer.election.leader = None
-            engine._peer.election.votes.clear()
-            engine._peer.election._patience = 100  # nobody votes for now
+            engine._peer.named.votes.election.leader = None
+            engine._peer.named.votes.election.votes.clear()
+            engine._peer.named.votes.election._patience = 100  # nobody votes for now
         assert await made.ask() == []
         address = made.engines[2]._peer.address
         assert address is not None

@@ -7,6 +7,7 @@ import pytest
 from agent.interface.config import MS, S
 from agent.interface.effects import Send
 from agent.interface.lifecycle import State
+from agent.peer.inputs import Heard, Sensed
 from agent.peer.member_conflicts import GONE_US, TOLD_APART_US
 from agent.peer.membership import FAREWELL_US
 from agent.peer.peer import Peer
@@ -41,16 +42,16 @@ def running(peer: Peer, from_us: int, until_us: int) -> Iterator[tuple[int, Mess
 
 def test_t1_a_member_frame_from_an_address_without_a_name_holds_nobody() -> None:
     peer = robot()
-    peer.hear(200, Member(77, 0, OTHER_FIELD), 2 * S)
+    peer.step(Heard(200, Member(77, 0, OTHER_FIELD)), 2 * S)
     assert not held_by(peer)
 
 
 def test_t1_another_field_description_holds_while_its_robot_speaks() -> None:
     peer = robot()
-    peer.hear(200, AddressClaimed(fleet_name("total", 2).pack()), 2 * S)
-    peer.hear(200, Member(2, 0, OTHER_FIELD), 2 * S)
+    peer.step(Heard(200, AddressClaimed(fleet_name("total", 2).pack())), 2 * S)
+    peer.step(Heard(200, Member(2, 0, OTHER_FIELD)), 2 * S)
     for k in range(10):
-        peer.hear(200, POSE, (3 + k) * S)
+        peer.step(Heard(200, POSE), (3 + k) * S)
         list(running(peer, (3 + k) * S, (4 + k) * S))
         assert StopCause.CONFIG_MISMATCH in held_by(peer), k
     list(running(peer, 13 * S, 13 * S + GONE_US))
@@ -59,28 +60,28 @@ def test_t1_another_field_description_holds_while_its_robot_speaks() -> None:
 
 def test_t1_it_ends_when_the_other_agrees() -> None:
     peer = robot()
-    peer.hear(200, AddressClaimed(fleet_name("total", 2).pack()), 2 * S)
-    peer.hear(200, Member(2, 0, OTHER_FIELD), 2 * S)
+    peer.step(Heard(200, AddressClaimed(fleet_name("total", 2).pack())), 2 * S)
+    peer.step(Heard(200, Member(2, 0, OTHER_FIELD)), 2 * S)
     assert held_by(peer) == {StopCause.CONFIG_MISMATCH}
-    peer.hear(200, Member(2, 0, 1), 3 * S)
+    peer.step(Heard(200, Member(2, 0, 1)), 3 * S)
     assert not held_by(peer) and peer.membership.live == {0, 2}
 
 
 def test_m17_a_robot_of_another_fleet_holds_nobody_and_is_no_member() -> None:
     peer = robot()
-    peer.hear(200, AddressClaimed(fleet_name("another", 1).pack()), 2 * S)
+    peer.step(Heard(200, AddressClaimed(fleet_name("another", 1).pack())), 2 * S)
     for message in (Member(1, 0, OTHER_FIELD), Member(1, 0, 1), POSE):
-        peer.hear(200, message, 2 * S)
+        peer.step(Heard(200, message), 2 * S)
     assert not held_by(peer) and peer.membership.live == {0}
-    assert sum(peer.origins.elsewhere.values()) == 3
-    peer.hear(200, EmergencyStop(1, 1, 1, 1), 2 * S)
+    assert sum(peer.named.origins.elsewhere.values()) == 3
+    peer.step(Heard(200, EmergencyStop(1, 1, 1, 1)), 2 * S)
     assert peer.safety.latched, "its stop holds us"
 
 
 def test_m17_our_slot_from_another_address() -> None:
     peer = robot()
-    peer.hear(200, AddressClaimed(fleet_name("total", 0).pack() | 1 << 56), 2 * S)
-    peer.hear(200, Member(0, 5, 1), 2 * S)
+    peer.step(Heard(200, AddressClaimed(fleet_name("total", 0).pack() | 1 << 56)), 2 * S)
+    peer.step(Heard(200, Member(0, 5, 1)), 2 * S)
     assert held_by(peer) == {StopCause.DUPLICATE_ID}
     list(running(peer, 2 * S, 2 * S + GONE_US + S))
     assert not held_by(peer)
@@ -88,7 +89,7 @@ def test_m17_our_slot_from_another_address() -> None:
 
 def test_m17_our_name_from_another_address() -> None:
     peer = robot()
-    peer.hear(200, AddressClaimed(peer.identity.name.pack()), 2 * S)
+    peer.step(Heard(200, AddressClaimed(peer.identity.name.pack())), 2 * S)
     assert held_by(peer) == {StopCause.DUPLICATE_ID}
 
 
@@ -96,7 +97,7 @@ def test_m17_our_name_from_another_address() -> None:
 def test_m17_two_machines_with_one_identity_at_one_address_both_stand(late_us: int) -> None:
     """Equal NAMEs do not contend. Each hears the other's beats from its own address."""
     one, two = peer_in(State.IDLE, None), peer_in(State.IDLE, None)
-    two.observe(one.here._replace(x_m=7.0), 0)  # type: ignore[union-attr]
+    two.step(Sensed(one.here._replace(x_m=7.0)), 0)  # type: ignore[union-attr]
     for now_us in range(0, 6 * S, 10 * MS):
         for peer, other in ((one, two), (two, one)):
             if peer is two and now_us < late_us:
@@ -105,7 +106,7 @@ def test_m17_two_machines_with_one_identity_at_one_address_both_stand(late_us: i
                 if isinstance(effect, Send) and effect.destination == GLOBAL_ADDRESS:
                     source = peer.address if effect.source is None else effect.source
                     if source is not None:
-                        other.hear(source, effect.message, now_us)
+                        other.step(Heard(source, effect.message), now_us)
     assert StopCause.DUPLICATE_ID in held_by(one) and StopCause.DUPLICATE_ID in held_by(two)
     list(running(one, 6 * S, 7 * S + GONE_US))
     assert StopCause.DUPLICATE_ID not in held_by(one), "the other is gone"
@@ -119,13 +120,13 @@ def test_m17_frames_that_a_driver_gives_back_are_our_own() -> None:
     said = 0
     for now_us, message in running(peer, 2 * S, 5 * S):
         for _ in range(2):
-            peer.hear(address, message, now_us)
+            peer.step(Heard(address, message), now_us)
         said += isinstance(message, Pose | Heartbeat)
     assert said > 40 and not held_by(peer)
-    peer.hear(address, AddressClaimed(1), 5 * S)  # a lower NAME takes it
+    peer.step(Heard(address, AddressClaimed(1)), 5 * S)  # a lower NAME takes it
     list(running(peer, 5 * S, 6 * S))
     assert peer.address not in (None, address)
-    peer.hear(address, AddressClaimed(peer.identity.name.pack()), 5 * S + S)
+    peer.step(Heard(address, AddressClaimed(peer.identity.name.pack())), 5 * S + S)
     assert StopCause.DUPLICATE_ID not in held_by(peer)
 
 
@@ -133,8 +134,8 @@ def test_m17_two_names_at_one_address_are_told_apart_first() -> None:
     """After a cut a robot with another NAME may have our address: its claim settles that."""
     peer = robot()
     assert peer.address is not None
-    peer.hear(peer.address, POSE._replace(x_m=50.0), 2 * S)
-    peer.hear(peer.address, POSE._replace(x_m=50.0), 2 * S + TOLD_APART_US // 2)
+    peer.step(Heard(peer.address, POSE._replace(x_m=50.0)), 2 * S)
+    peer.step(Heard(peer.address, POSE._replace(x_m=50.0)), 2 * S + TOLD_APART_US // 2)
     assert not held_by(peer)
 
 
@@ -148,8 +149,8 @@ def test_t6_a_farewell_of_a_robot_that_goes_on_speaking_is_void() -> None:
     introduce(peer, 140, 1, 2 * S)
     for k in range(100):
         now_us = 2 * S + k * 20 * MS
-        peer.hear(140, beat(leaving=True), now_us)
-        peer.hear(140, POSE, now_us)
+        peer.step(Heard(140, beat(leaving=True)), now_us)
+        peer.step(Heard(140, POSE), now_us)
     assert peer.membership.live == {0, 1} and peer.membership.void_farewells == 1
     list(running(peer, 4 * S, 5 * S))
     assert StopCause.MEMBER_SILENT in held_by(peer)
@@ -158,8 +159,8 @@ def test_t6_a_farewell_of_a_robot_that_goes_on_speaking_is_void() -> None:
 def test_t6_the_tail_of_a_farewell_is_none() -> None:
     peer = robot()
     introduce(peer, 140, 1, 2 * S)
-    peer.hear(140, beat(leaving=True), 2 * S)
-    peer.hear(140, POSE, 2 * S + FAREWELL_US)
+    peer.step(Heard(140, beat(leaving=True)), 2 * S)
+    peer.step(Heard(140, POSE), 2 * S + FAREWELL_US)
     assert peer.membership.live == {0}
     list(running(peer, 2 * S, 3 * S))
     assert not held_by(peer)

@@ -4,6 +4,7 @@ from random import Random
 
 from agent.interface.effects import Send
 from agent.interface.identity import Identity
+from agent.peer.inputs import Received, Timer
 from agent.peer.peer import Peer
 from agent.runtime.peer_factory import make_peer
 from protocol.frames.fleet_frames import Heartbeat
@@ -23,7 +24,7 @@ def _joined() -> tuple[Peer, int, int]:
     now_us = 0
     while not peer.joining.joined:
         now_us = max(now_us, peer.deadline_us)
-        peer.tick(now_us)
+        peer.step(Timer(), now_us)
         assert now_us < 10_000_000
     assert peer.joining.address is not None
     return peer, peer.joining.address, now_us
@@ -32,7 +33,7 @@ def _joined() -> tuple[Peer, int, int]:
 def _refusals(destination: int, peer: Peer, now_us: int) -> list[Acknowledgment]:
     identifier = 6 << 26 | ASKS_PGN << 8 | destination << 8 | STRANGER
     data = HEARTBEAT_PGN.to_bytes(3, "little") + (100).to_bytes(2, "little") + b"\xff" * 3
-    effects = peer.receive(Frame(identifier, data), now_us)
+    effects = peer.step(Received(Frame(identifier, data)), now_us)
     said = [effect.message for effect in effects if isinstance(effect, Send)]
     return [message for message in said if isinstance(message, Acknowledgment)]
 

@@ -13,6 +13,7 @@ import pytest
 
 from agent.interface.effects import Persist
 from agent.interface.identity import Identity, SilencePolicy
+from agent.peer.inputs import Press, Timer
 from agent.peer.journal_recovery import LOST
 from agent.peer.peer import Peer
 from agent.runtime.peer_factory import make_peer
@@ -41,7 +42,7 @@ def latched_robot(folder: Path) -> Path:
     for section in range(20):
         for record in peer.records.operation(section + 1, section, 1 << 48):
             journal.write([Persist(*record)])
-    pressed = peer.press(Reason.OPERATOR_INTERVENTION, 1_000_000)
+    pressed = peer.step(Press(Reason.OPERATOR_INTERVENTION), 1_000_000)
     journal.write([effect for effect in pressed if isinstance(effect, Persist)])
     for suffix in ("", "-wal", MARK_SUFFIX):
         copyfile(folder / f"living{suffix}", folder / f"dead{suffix}")
@@ -77,7 +78,7 @@ def test_item_9_it_still_stands_after_another_restart(tmp_path: Path) -> None:
         journal, recalled = SqliteJournal.opened(path)
         peer = boot(dict(recalled))
         assert peer.safety.latched
-        journal.write([e for e in peer._remember_boot() if isinstance(e, Persist)])
+        journal.write([e for e in peer.step(Timer(), peer.deadline_us) if isinstance(e, Persist)])
         journal.close()
     assert len(list(tmp_path.glob("dead.unreadable?"))) == 1
 

@@ -10,6 +10,7 @@ from rich.console import Console
 from agent.interface.config import CONTROL_PERIOD_US, MS, S
 from agent.interface.effects import Effect, Send, Trace
 from agent.interface.lifecycle import State
+from agent.peer.inputs import Heard
 from agent.peer.peer import Peer
 from agent.peer.self_health import (
     DEGRADED,
@@ -61,7 +62,7 @@ def next_heartbeat(peer: Peer, now_us: int) -> tuple[Heartbeat, list[Effect]]:
     said: list[Effect] = []
     while not heartbeats(said):
         now_us += CONTROL_PERIOD_US
-        peer.check.reflected_us = now_us
+        peer.membership.reflected_us = now_us
         said += turn(peer, now_us)
     return heartbeats(said)[0], said
 
@@ -137,12 +138,12 @@ def test_m25_a_fault_is_in_the_heartbeat_and_its_reason_in_the_traces(
     assert health(known) == share
     if cause in (StopCause.BUS_OFF, StopCause.ADDRESS_LOST):  # it says nothing
         return
-    beat = peer.voice._heartbeat(peer, now_us)
+    beat = list(peer.named.voice.heartbeat(peer.context(now_us)))
     assert heartbeats(beat)[0].health == share
     if share <= POOR:
         (told,) = [e for e in beat if isinstance(e, Trace)]
         assert told.why.startswith(cause.name)
-    again = peer.voice._heartbeat(peer, now_us)
+    again = list(peer.named.voice.heartbeat(peer.context(now_us)))
     assert not [e for e in again if isinstance(e, Trace)], "told once"
 
 
@@ -156,8 +157,8 @@ def test_m25_a_receiver_that_is_silent_shows_before_the_robot_stands() -> None:
 def test_m25_health_of_others_is_kept() -> None:
     peer, now_us = joined()
     beat = Heartbeat(1, State.IDLE, False, False, True, False, 0.0, 0, 0)
-    peer.hear(141, beat, now_us)
-    assert peer.healths == {1: 0.0}
+    peer.step(Heard(141, beat), now_us)
+    assert peer.reports.healths == {1: 0.0}
 
 
 def test_m25_the_table_in_the_documents_is_the_one_in_force() -> None:

@@ -14,6 +14,7 @@ from agent.interface.motion_controller import BodyLimits
 from agent.interface.ports import Observation
 from agent.motion.holonomic_motion import HolonomicMotion
 from agent.motion.stopping_zone import GONE_QUIET_US
+from agent.peer.inputs import BusState, Heard, Sensed, Start, Timer
 from agent.peer.sense_freshness import AGE_MAX_US, FROZEN_M, STEADY_US
 from agent.runtime.peer_factory import make_peer
 from agent.safety.stop_cause import StopCause
@@ -46,11 +47,11 @@ class Robot:
             self.sensed = Observation(
                 self.x_m, 0.0, 0.0, self.v_m_s, 0.0, (inf,) * 72, sensed_at_us=self.now_us
             )
-        self.peer.check.bus(
-            Health.ACTIVE, True, self.now_us, self.now_us
+        self.peer.step(
+            BusState(Health.ACTIVE, True, self.now_us), self.now_us
         )  # a frame leaves each time
-        self.peer.observe(self.sensed, self.now_us)
-        effects = self.peer.tick(self.now_us)
+        self.peer.step(Sensed(self.sensed), self.now_us)
+        effects = self.peer.step(Timer(), self.now_us)
         self.told = next((e for e in effects if isinstance(e, Drive)), self.told)
         self.said += poses(effects)
 
@@ -111,8 +112,8 @@ def test_item_3_a_time_of_the_future_or_of_never_is_no_time(wrong_us: int) -> No
 
 def test_item_3_a_robot_that_has_never_sensed_anything_says_no_place() -> None:
     peer = peer_in(State.IDLE, None)
-    peer.here = None
-    (pose,) = [peer.voice._pose(peer)]
+    peer.senses.here = None
+    pose = peer.named.voice.pose(peer.context(0))
     assert pose.x_m == NOWHERE_M and not pose.placed
     assert POSE.unpack(POSE.pack(pose)) == pose
 
@@ -148,7 +149,7 @@ def test_item_3_a_place_that_changes_ends_it_and_so_does_an_operators_start() ->
     robot.periods(60)
     for _ in range(3):
         at_m = robot.x_m
-        robot.peer.start(robot.now_us)
+        robot.peer.step(Start(), robot.now_us)
         robot.periods(60)
         assert robot.held == {StopCause.PLACE_FROZEN}, "it looks again, and stands again"
         assert FROZEN_M < robot.x_m - at_m < 0.6
@@ -158,7 +159,7 @@ def test_item_3_a_place_that_changes_ends_it_and_so_does_an_operators_start() ->
 def test_item_3_a_robot_that_begins_slowly_is_not_frozen(slow_m_s2: float) -> None:
     robot = Robot()
     motion = HolonomicMotion(0, BodyLimits(0.8, SPEED_M_S, slow_m_s2), np.empty((0, 4)))
-    robot.peer.motion = motion
+    robot.peer.senses.motion = motion
     step_m_s = slow_m_s2 * CONTROL_PERIOD_US / S
     for _ in range(200):
         robot.v_m_s = min(robot.v_m_s + step_m_s * 0.7, robot.told.vx_m_s)
@@ -171,12 +172,12 @@ def test_item_3_a_beat_without_a_place_leaves_the_last_one_and_makes_it_uncertai
     """The others keep its way clear as that of a silent one, and count it as alive."""
     peer = peer_in(State.WORKING, None)
     introduce(peer, 130, 1)
-    peer.hear(130, Pose(5.0, 0.0, 0.0, 2.0, State.WORKING, False, 255), 50 * MS)
+    peer.step(Heard(130, Pose(5.0, 0.0, 0.0, 2.0, State.WORKING, False, 255)), 50 * MS)
     now_us = 50 * MS
     while now_us < 5 * S:
         now_us += 50 * MS
         blind = Pose(5.1, 0.0, 0.0, PLACE_UNKNOWN_M_S, State.IDLE, False, 0)
-        peer.hear(130, POSE.unpack(POSE.pack(blind)), now_us)
+        peer.step(Heard(130, POSE.unpack(POSE.pack(blind))), now_us)
         peer.membership.tick(now_us)
     assert 1 in peer.membership.live
     pose, heard_us = peer.membership.neighbours[1]
@@ -193,5 +194,5 @@ def test_item_3_a_peer_without_a_drive_is_not_held_by_its_senses() -> None:
     peer = peer_in(State.WORKING, None)
     bare = make_peer(peer.identity, Random(1), 0)
     for now_us in range(0, 2 * S, 50 * MS):
-        bare.tick(now_us)
+        bare.step(Timer(), now_us)
     assert not held_by(bare) & SENSES

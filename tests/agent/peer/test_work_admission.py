@@ -4,6 +4,7 @@ import pytest
 
 from agent.interface.config import S
 from agent.interface.lifecycle import State
+from agent.peer.inputs import Heard
 from agent.peer.peer import Peer
 from agent.peer.work_admission import EPOCH_BURST, EPOCH_EXPLAINED_MAX, PERSISTS_US
 from crdt import Phase
@@ -24,18 +25,18 @@ def test_t8_a_done_of_a_section_that_the_field_does_not_have(
     kind: type[TaskClaim] | type[StateSyncResponse],
 ) -> None:
     peer = robot()
-    peer.hear(MEMBER, kind(60000, 0, Phase.DONE, 0, 9, 1), 0)
-    peer.hear(MEMBER, WorkProgress(60000, 0, 0xFF), 0)
+    peer.step(Heard(MEMBER, kind(60000, 0, Phase.DONE, 0, 9, 1)), 0)
+    peer.step(Heard(MEMBER, WorkProgress(60000, 0, 0xFF)), 0)
     assert peer.allocation.done_count() == 0 and not peer.allocation.entries()
-    assert not len(peer.progress) and peer.admission.refused == {"section": 2}
+    assert not len(peer.progress) and peer.named.admission.refused == {"section": 2}
 
 
 def test_t7_a_claim_for_an_owner_that_is_no_member() -> None:
     peer = robot()
     for section in range(14):
-        peer.hear(MEMBER, TaskClaim(section, 255, Phase.STARTED, 0, 300, 99), 0)
+        peer.step(Heard(MEMBER, TaskClaim(section, 255, Phase.STARTED, 0, 300, 99)), 0)
     assert not peer.allocation.entries()
-    assert peer.admission.refused == {"section": 13, "owner": 1}
+    assert peer.named.admission.refused == {"section": 13, "owner": 1}
 
 
 @pytest.mark.parametrize(("epoch", "lamport"), [(255, 254), (255, 300), (EPOCH_BURST + 1, 300)])
@@ -43,25 +44,27 @@ def test_t7_an_epoch_that_no_hand_overs_explain(epoch: int, lamport: int) -> Non
     """For an owner that exists: the same frame again and again in a second, and each epoch in turn."""
     peer = robot()
     for step in range(50):
-        peer.hear(MEMBER, TaskClaim(0, epoch, Phase.STARTED, 0, lamport, 1), step * S // 50)
+        peer.step(Heard(MEMBER, TaskClaim(0, epoch, Phase.STARTED, 0, lamport, 1)), step * S // 50)
     for climbing in range(EPOCH_BURST + 1, epoch):
-        peer.hear(MEMBER, TaskClaim(0, climbing, Phase.STARTED, 0, 300, 1), S)
+        peer.step(Heard(MEMBER, TaskClaim(0, climbing, Phase.STARTED, 0, 300, 1)), S)
     assert not peer.allocation.entries()
-    assert peer.admission.refused["epoch"] == 50 + epoch - min(epoch, EPOCH_BURST + 1)
+    assert peer.named.admission.refused["epoch"] == 50 + epoch - min(epoch, EPOCH_BURST + 1)
 
 
 def test_t7_a_robot_that_was_away_believes_a_high_epoch_that_is_told_on() -> None:
     """Replicas become equal: what others hold is told again until it is believed."""
     peer, told = robot(), StateSyncResponse(0, 40, Phase.CLAIMED, 0, 90, 1)
-    peer.hear(MEMBER, told, 0)
+    peer.step(Heard(MEMBER, told), 0)
     assert not peer.allocation.entries()
-    peer.hear(MEMBER, told, PERSISTS_US + 1)
+    peer.step(Heard(MEMBER, told), PERSISTS_US + 1)
     assert peer.allocation.owner_of(0) == 1 and peer.allocation.entry(0).epoch == 40
 
 
 def test_t7_hand_overs_of_a_long_day_are_believed_at_once() -> None:
     peer = robot()
-    peer.hear(MEMBER, TaskClaim(0, EPOCH_EXPLAINED_MAX, Phase.CLAIMED, 0, 900, 1), 8 * 3600 * S)
+    peer.step(
+        Heard(MEMBER, TaskClaim(0, EPOCH_EXPLAINED_MAX, Phase.CLAIMED, 0, 900, 1)), 8 * 3600 * S
+    )
     assert peer.allocation.owner_of(0) == 1
 
 
@@ -69,7 +72,7 @@ def test_t7_a_clock_that_leaps_or_a_long_day_does_not_explain_every_epoch() -> N
     """Else an hour, or a clock that is set by one, would let every forged register in."""
     peer, now_us = robot(), 8 * 3600 * S
     told = TaskClaim(0, EPOCH_EXPLAINED_MAX + 1, Phase.DONE, 0, 900, 1)
-    peer.hear(MEMBER, told, now_us)
+    peer.step(Heard(MEMBER, told), now_us)
     assert not peer.allocation.entries()
-    peer.hear(MEMBER, told, now_us + PERSISTS_US)
+    peer.step(Heard(MEMBER, told), now_us + PERSISTS_US)
     assert peer.allocation.owner_of(0) == 1, "told on: it is put off, not refused"

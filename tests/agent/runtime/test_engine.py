@@ -11,6 +11,7 @@ import can
 import pytest
 
 from agent.interface.identity import SilencePolicy
+from agent.peer.inputs import Hold
 from agent.runtime.engine import FleetCoordinationEngine
 from agent.safety.stop_cause import StopCause
 from agent.safety.stop_controller import CREEP_M_S
@@ -128,7 +129,7 @@ def test_callbacks_may_be_plain_or_async_and_may_fail() -> None:
 def test_a_leader_is_elected_and_replaced() -> None:
     async def story(engines: list[FleetCoordinationEngine]) -> None:
         def leaders(of: list[FleetCoordinationEngine]) -> set[Any]:
-            return {e._peer.election.leader for e in of}
+            return {e._peer.named.votes.election.leader for e in of}
 
         (leader,) = leaders(engines)
         await engines[leader.slot].stop()
@@ -205,7 +206,7 @@ def test_m18_every_stop_is_told_with_its_reason_and_place() -> None:
 
 def test_m18_a_claim_of_a_machine_that_may_not_move_is_false_with_the_reason() -> None:
     async def story(engines: list[FleetCoordinationEngine]) -> None:
-        engines[0]._operate(lambda peer, now: peer.safety.hold(now))
+        engines[0]._operate(Hold())
         assert not await engines[0].claim_section("S7")
         assert "NOT_STARTED" in engines[0].refusal
         await elapse(0.1)

@@ -8,6 +8,7 @@ from agent.interface.config import MS, STOP_REPEAT_US, S
 from agent.interface.effects import HALT, Effect, Send
 from agent.interface.identity import SilencePolicy
 from agent.interface.lifecycle import State
+from agent.peer.inputs import Heard, ManualReset, Press, Timer
 from agent.peer.peer import Peer
 from agent.safety.stop_cause import StopCause
 from agent.safety.stop_controller import AGAIN_US, SPENT_HOLD_US, StopController
@@ -37,14 +38,14 @@ def stops_of(effects: Iterable[Effect]) -> list[EmergencyStop]:
 def cleared_before(dot: StopDot = DOT) -> Peer:
     """A robot at work that was told to clear a stop that nobody has pressed."""
     peer = introduce_tools(peer_in(State.WORKING, None), PANEL, 249)
-    peer.hear(249, EmergencyReset(*dot, OPERATOR), 0)
+    peer.step(Heard(249, EmergencyReset(*dot, OPERATOR)), 0)
     assert not peer.safety.latched
     return peer
 
 
 def test_t5_a_stop_with_a_cleared_name_brakes_and_is_answered() -> None:
     peer = cleared_before()
-    effects = peer.hear(PANEL, PRESS, S)
+    effects = peer.step(Heard(PANEL, PRESS), S)
     assert HALT in effects and not peer.safety.may_move
     (answer,) = stops_of(effects)
     assert (answer.spent, answer.echo, StopDot(*answer[:3])) == (True, True, DOT)
@@ -56,38 +57,38 @@ def test_t5_a_stop_with_a_cleared_name_brakes_and_is_answered() -> None:
 def test_t5_a_stop_with_a_cleared_name_that_is_said_still_latches() -> None:
     peer, now_us = cleared_before(), S
     while not peer.safety.latched and now_us < 2 * S:
-        peer.hear(PANEL, PRESS, now_us)
+        peer.step(Heard(PANEL, PRESS), now_us)
         assert not peer.safety.may_move
-        peer.tick(now_us)
+        peer.step(Timer(), now_us)
         now_us += STOP_REPEAT_US
     assert now_us <= S + AGAIN_US + 2 * STOP_REPEAT_US
     assert peer.safety.latched and peer.lifecycle.state is State.EMERGENCY_STOP
     (dot,) = peer.safety.stops.active
     assert dot.slot == peer.slot, "under a name of its own, which can be cleared"
-    peer.hear(249, EmergencyReset(*dot, OPERATOR), now_us)
-    peer.manual_reset(now_us)
+    peer.step(Heard(249, EmergencyReset(*dot, OPERATOR)), now_us)
+    peer.step(ManualReset(), now_us)
     assert not peer.safety.latched
 
 
 def test_t5_a_panel_with_one_name_that_speaks_once_a_second_latches() -> None:
     peer = cleared_before()
     for second in range(1, 3):
-        peer.hear(PANEL, PRESS, second * S)
-        peer.tick(second * S)
+        peer.step(Heard(PANEL, PRESS), second * S)
+        peer.step(Timer(), second * S)
     assert peer.safety.latched
 
 
 def test_t5_late_echoes_of_a_cleared_stop_do_nothing() -> None:
     peer = cleared_before()
     for now_us in range(S, 3 * S, 100 * MS):
-        assert not stops_of(peer.hear(PANEL, PRESS._replace(echo=True), now_us))
+        assert not stops_of(peer.step(Heard(PANEL, PRESS._replace(echo=True)), now_us))
         assert peer.safety.may_move and not peer.safety.latched
 
 
 def test_t5_late_repeats_within_a_moment_only_brake() -> None:
     peer = cleared_before()
     for now_us in range(S, S + AGAIN_US, STOP_REPEAT_US):
-        peer.hear(PANEL, PRESS, now_us)
+        peer.step(Heard(PANEL, PRESS), now_us)
         peer.safety.tick(now_us)
     peer.safety.tick(S + AGAIN_US + SPENT_HOLD_US)
     assert not peer.safety.latched and peer.safety.may_move
@@ -96,13 +97,13 @@ def test_t5_late_repeats_within_a_moment_only_brake() -> None:
 def test_t5_a_pressed_robot_that_is_told_takes_another_name() -> None:
     peer = introduce_tools(peer_in(State.WORKING, None), PANEL, 249)
     introduce(peer, 141, 1)
-    (press,) = stops_of(peer.press(Reason.PERSON_IN_FIELD, S))
+    (press,) = stops_of(peer.step(Press(Reason.PERSON_IN_FIELD), S))
     told = press._replace(echo=True, spent=True)
-    assert not stops_of(peer.hear(141, told, S + MS)), "not within the spacing of stops"
-    (again,) = stops_of(peer.hear(141, told, S + 100 * MS))
+    assert not stops_of(peer.step(Heard(141, told), S + MS)), "not within the spacing of stops"
+    (again,) = stops_of(peer.step(Heard(141, told), S + 100 * MS))
     assert again[:3] != press[:3] and not again.echo
     for now_us in range(2 * S, 60 * S, 100 * MS):
-        last = peer.hear(141, again._replace(echo=True, spent=True), now_us)
+        last = peer.step(Heard(141, again._replace(echo=True, spent=True)), now_us)
         again = (stops_of(last) or [again])[0]
     assert len(peer.safety.stops.active) <= 10, "somebody who only says so wears nothing out"
 
@@ -122,7 +123,7 @@ def test_t11_a_signed_stop_stops_though_its_name_was_cleared() -> None:
 
 def test_t5_forged_words_that_a_name_was_used_hold_for_a_moment_only() -> None:
     peer = introduce_tools(peer_in(State.WORKING, None), PANEL, 249)
-    peer.hear(PANEL, PRESS._replace(echo=True, spent=True), S)
+    peer.step(Heard(PANEL, PRESS._replace(echo=True, spent=True)), S)
     assert held_by(peer) == {StopCause.SPENT_STOP}
     peer.safety.tick(S + SPENT_HOLD_US)
     assert peer.safety.may_move and not peer.safety.latched
@@ -164,7 +165,9 @@ def test_t9_two_thousand_stops_cost_two_hundred_and_fifty_six_echoes() -> None:
     peer = introduce_tools(peer_in(State.IDLE, None), PANEL, 249)
     said = 0
     for k in range(2_000):
-        said += len(stops_of(peer.hear(PANEL, EmergencyStop(k >> 8, 1, k & 0xFF, 0), k * MS)))
+        said += len(
+            stops_of(peer.step(Heard(PANEL, EmergencyStop(k >> 8, 1, k & 0xFF, 0)), k * MS))
+        )
     assert said == ACTIVE_MAX and peer.safety.stops.more
 
 

@@ -8,6 +8,7 @@ import pytest
 from agent.interface.config import MS, S
 from agent.interface.effects import Effect, Send
 from agent.interface.lifecycle import State
+from agent.peer.inputs import Heard, ManualReset, Press, Timer
 from agent.peer.peer import Peer
 from agent.safety.standard_stop import (
     BUTTONS_MAX,
@@ -33,7 +34,7 @@ def bus(named: bool) -> Peer:
     """A robot beside two buttons, which have claimed their addresses or not."""
     peer = peer_in(State.WORKING, None)
     for number, address in enumerate((FIRST, SECOND) if named else ()):
-        peer.hear(address, AddressClaimed(OTHER_MAKER._replace(identity=number).pack()), 0)
+        peer.step(Heard(address, AddressClaimed(OTHER_MAKER._replace(identity=number).pack())), 0)
     return peer
 
 
@@ -47,40 +48,40 @@ def standard_frames(effects: Iterable[Effect]) -> list[AllImplementsStop]:
 def test_a1_release_of_one_button_keeps_the_stop_of_another(named: bool, switch: Switch) -> None:
     peer = bus(named)
     for second in range(10):
-        peer.hear(FIRST, AllImplementsStop(1, switch), second * S)
-        peer.hear(SECOND, AllImplementsStop(0, Switch.PERMIT), second * S + S // 2)
+        peer.step(Heard(FIRST, AllImplementsStop(1, switch)), second * S)
+        peer.step(Heard(SECOND, AllImplementsStop(0, Switch.PERMIT)), second * S + S // 2)
         assert StopCause.IMPLEMENTS_STOP in held_by(peer), second
-    peer.hear(FIRST, AllImplementsStop(1, Switch.PERMIT), 10 * S)
+    peer.step(Heard(FIRST, AllImplementsStop(1, Switch.PERMIT)), 10 * S)
     assert StopCause.IMPLEMENTS_STOP not in held_by(peer), "its own permit ends it"
 
 
 def test_a1_a_silent_button_holds_for_its_time_out() -> None:
     peer = bus(True)
-    peer.hear(FIRST, AllImplementsStop(1, Switch.STOP), 0)
+    peer.step(Heard(FIRST, AllImplementsStop(1, Switch.STOP)), 0)
     for now_us in range(0, 2 * HOLD_US, S // 2):
-        peer.hear(SECOND, AllImplementsStop(0, Switch.PERMIT), now_us)
+        peer.step(Heard(SECOND, AllImplementsStop(0, Switch.PERMIT)), now_us)
         peer.safety.tick(now_us)
         assert (StopCause.IMPLEMENTS_STOP in held_by(peer)) is (now_us < HOLD_US), now_us
 
 
 def test_a1_a_missed_transition_stops() -> None:
     peer = bus(True)
-    peer.hear(FIRST, AllImplementsStop(4, Switch.PERMIT), 0)
+    peer.step(Heard(FIRST, AllImplementsStop(4, Switch.PERMIT)), 0)
     assert StopCause.IMPLEMENTS_STOP not in held_by(peer), "what it counted before we were there"
-    peer.hear(FIRST, AllImplementsStop(5, Switch.PERMIT), S)
+    peer.step(Heard(FIRST, AllImplementsStop(5, Switch.PERMIT)), S)
     for now_us in range(S, S + HOLD_US, S // 2):
-        peer.hear(FIRST, AllImplementsStop(5, Switch.PERMIT), now_us)
+        peer.step(Heard(FIRST, AllImplementsStop(5, Switch.PERMIT)), now_us)
         assert StopCause.IMPLEMENTS_STOP in held_by(peer), "a press was missed"
-    peer.hear(FIRST, AllImplementsStop(5, Switch.PERMIT), S + HOLD_US)
+    peer.step(Heard(FIRST, AllImplementsStop(5, Switch.PERMIT)), S + HOLD_US)
     assert StopCause.IMPLEMENTS_STOP not in held_by(peer)
-    peer.hear(FIRST, AllImplementsStop(0, Switch.PERMIT), 6 * S)
+    peer.step(Heard(FIRST, AllImplementsStop(0, Switch.PERMIT)), 6 * S)
     assert StopCause.IMPLEMENTS_STOP not in held_by(peer), "it was switched off and on"
 
 
 def test_t4_a_reset_tool_permits_for_itself_alone() -> None:
     peer = bus(True)
-    peer.hear(FIRST, AllImplementsStop(1, Switch.STOP), 0)
-    peer.hear(249, AllImplementsStop(0, Switch.PERMIT), MS)
+    peer.step(Heard(FIRST, AllImplementsStop(1, Switch.STOP)), 0)
+    peer.step(Heard(249, AllImplementsStop(0, Switch.PERMIT)), MS)
     assert StopCause.IMPLEMENTS_STOP in held_by(peer)
 
 
@@ -104,15 +105,15 @@ def pressed_robot() -> tuple[Peer, list[tuple[int, AllImplementsStop]]]:
         nonlocal now_us
         while now_us < until_us:
             now_us = max(now_us + 1, peer.deadline_us)
-            said.extend((now_us, m) for m in standard_frames(peer.tick(now_us)))
+            said.extend((now_us, m) for m in standard_frames(peer.step(Timer(), now_us)))
 
     run(2 * S)
-    effects = peer.press(Reason.PERSON_IN_FIELD, now_us)
+    effects = peer.step(Press(Reason.PERSON_IN_FIELD), now_us)
     said.extend((now_us, m) for m in standard_frames(effects))
     run(8 * S)
     for dot in peer.safety.stops.active:
         peer.safety.clear_near(dot, "test")
-    effects = peer.manual_reset(now_us)
+    effects = peer.step(ManualReset(), now_us)
     assert all(e.source is not None for e in effects if isinstance(e, Send))
     said.extend((now_us, m) for m in standard_frames(effects))
     run(14 * S)
@@ -162,20 +163,20 @@ def test_a4_a_robot_latched_by_a_panel_says_it() -> None:
     now_us = 0
     while now_us < 4 * S:
         now_us = max(now_us + 1, peer.deadline_us)
-        said += standard_frames(peer.tick(now_us))
+        said += standard_frames(peer.step(Timer(), now_us))
         if now_us >= S and not peer.safety.latched:
-            peer.hear(140, EmergencyStop(*StopDot(140, 1, 1), 1), now_us)
+            peer.step(Heard(140, EmergencyStop(*StopDot(140, 1, 1), 1)), now_us)
     assert 3 <= len(said) <= 4 and set(said) == {AllImplementsStop(1, Switch.STOP)}
 
 
 def test_a4_a_robot_that_stays_latched_alone_brakes_the_others_once() -> None:
     """One that was switched off during the reset comes back and says its stop every second."""
     peer = peer_in(State.WORKING, None)
-    peer.hear(140, AddressClaimed(fleet_name("total", 1).pack()), 0)
-    peer.hear(140, Member(1, 0, 1), 0)
+    peer.step(Heard(140, AddressClaimed(fleet_name("total", 1).pack())), 0)
+    peer.step(Heard(140, Member(1, 0, 1)), 0)
     for now_us in range(0, 6 * S, S):
-        peer.hear(140, AllImplementsStop(1, Switch.STOP), now_us)
+        peer.step(Heard(140, AllImplementsStop(1, Switch.STOP)), now_us)
         peer.safety.tick(now_us)
         assert (StopCause.IMPLEMENTS_STOP in held_by(peer)) is (now_us < HOLD_US), now_us
-    peer.hear(140, AllImplementsStop(2, Switch.STOP), 6 * S)
+    peer.step(Heard(140, AllImplementsStop(2, Switch.STOP)), 6 * S)
     assert StopCause.IMPLEMENTS_STOP in held_by(peer), "pressed again"

@@ -8,6 +8,7 @@ from agent.interface.config import MS, STOP_REPEAT_US, S
 from agent.interface.effects import Effect, Send
 from agent.interface.identity import SilencePolicy
 from agent.interface.lifecycle import State
+from agent.peer.inputs import Heard, Press, Timer
 from agent.safety.stop_controller import REPEATS_ALONE, StopController
 from crdt.stops import StopDot
 from protocol.frames.fleet_frames import Pose
@@ -25,7 +26,7 @@ def stops_of(effects: Iterable[Effect]) -> list[EmergencyStop]:
 def test_who_knows_nobody_repeats_its_stop_for_a_second() -> None:
     """Found by `headland chaos`, profile press, seed 3226: its only frame was lost."""
     peer = peer_in(State.IDLE, None)
-    said = stops_of(peer.press(Reason.PERSON_IN_FIELD, 0))
+    said = stops_of(peer.step(Press(Reason.PERSON_IN_FIELD), 0))
     for now_us in range(0, 3 * S, STOP_REPEAT_US):
         said += stops_of(peer.safety.tick(now_us))
     assert len(said) == 1 + REPEATS_ALONE
@@ -41,34 +42,36 @@ def test_a_claim_by_one_that_may_move_is_no_sign_of_life(stood: bool) -> None:
     name = fleet_name("total", 1).pack()
     introduce(peer, 140, 1)
     pose, silence_us = Pose(0.0, 0.0, 0.0, 0.0, State.IDLE, stood, 0), peer.membership.silence_us
-    peer.hear(140, pose, 0)
-    peer.hear(140, AddressClaimed(name), silence_us - 1)
-    peer.tick(silence_us)
+    peer.step(Heard(140, pose), 0)
+    peer.step(Heard(140, AddressClaimed(name)), silence_us - 1)
+    peer.step(Timer(), silence_us)
     assert peer.membership.silent == (set() if stood else {1})
-    peer.hear(140, AddressClaimed(name), silence_us + 1)
+    peer.step(Heard(140, AddressClaimed(name)), silence_us + 1)
     assert peer.membership.silent == (set() if stood else {1}), (
         "nor does it come back by that alone"
     )
-    peer.hear(140, pose, silence_us + 2)
+    peer.step(Heard(140, pose), silence_us + 2)
     assert not peer.membership.silent
 
 
 @pytest.mark.parametrize("back_us", [0, -5 * S])
 def test_a_press_is_heard_though_the_clock_is_set_back(back_us: int) -> None:
     peer = peer_in(State.IDLE, None)
-    assert stops_of(peer.press(Reason.PERSON_IN_FIELD, 9 * S))
-    assert not stops_of(peer.press(Reason.PERSON_IN_FIELD, 9 * S + 1)), "the same hand"
-    assert bool(stops_of(peer.press(Reason.PERSON_IN_FIELD, 9 * S + 2 + back_us))) is (back_us < 0)
+    assert stops_of(peer.step(Press(Reason.PERSON_IN_FIELD), 9 * S))
+    assert not stops_of(peer.step(Press(Reason.PERSON_IN_FIELD), 9 * S + 1)), "the same hand"
+    assert bool(stops_of(peer.step(Press(Reason.PERSON_IN_FIELD), 9 * S + 2 + back_us))) is (
+        back_us < 0
+    )
 
 
 def test_a_stranger_that_does_not_stand_is_told_of_the_stop() -> None:
     peer = peer_in(State.IDLE, None)
-    peer.press(Reason.PERSON_IN_FIELD, 0)
+    peer.step(Press(Reason.PERSON_IN_FIELD), 0)
     moving = Pose(0.0, 0.0, 0.0, 2.0, State.WORKING, False, 0)
-    (told,) = stops_of(peer.hear(140, moving, S))
+    (told,) = stops_of(peer.step(Heard(140, moving), S))
     assert (told.slot, told.echo) == (0, True)
-    assert not stops_of(peer.hear(140, moving, S + 1)), "not at once again"
-    assert not stops_of(peer.hear(140, moving._replace(stopped=True), 2 * S))
+    assert not stops_of(peer.step(Heard(140, moving), S + 1)), "not at once again"
+    assert not stops_of(peer.step(Heard(140, moving._replace(stopped=True)), 2 * S))
 
 
 def test_each_of_many_stops_is_told_in_turn() -> None:
@@ -79,10 +82,10 @@ def test_each_of_many_stops_is_told_in_turn() -> None:
     introduce(peer, 140, 1)
     dots = {StopDot(slot, 7, counter) for slot in range(2) for counter in range(5)}
     for dot in dots:
-        peer.hear(140, EmergencyStop(*dot, 1, False, 0, 0), 0)
+        peer.step(Heard(140, EmergencyStop(*dot, 1, False, 0, 0)), 0)
     assert peer.safety.stops.active == dots
     moving = Pose(0.0, 0.0, 0.0, 2.0, State.WORKING, False, 0)
-    told = [stops_of(peer.hear(140, moving, turn * S)) for turn in range(1, 4)]
+    told = [stops_of(peer.step(Heard(140, moving), turn * S)) for turn in range(1, 4)]
     assert {StopDot(*stop[:3]) for stops in told for stop in stops} == dots
 
 
@@ -93,11 +96,11 @@ def test_who_stood_before_a_press_has_to_say_that_stop(stood: bool) -> None:
     peer = peer_in(State.IDLE, None)
     introduce(peer, 140, 1)
     pose = Pose(0.0, 0.0, 0.0, 0.0, State.EMERGENCY_STOP, True, 0)
-    peer.hear(140, pose._replace(stopped=stood), 0)
-    (stop,) = stops_of(peer.press(Reason.PERSON_IN_FIELD, 0))
-    peer.hear(140, pose, MS)
+    peer.step(Heard(140, pose._replace(stopped=stood)), 0)
+    (stop,) = stops_of(peer.step(Press(Reason.PERSON_IN_FIELD), 0))
+    peer.step(Heard(140, pose), MS)
     assert bool(stops_of(peer.safety.tick(STOP_REPEAT_US))) is stood
-    peer.hear(140, stop._replace(echo=True), STOP_REPEAT_US)
+    peer.step(Heard(140, stop._replace(echo=True)), STOP_REPEAT_US)
     assert not stops_of(peer.safety.tick(2 * STOP_REPEAT_US))
 
 

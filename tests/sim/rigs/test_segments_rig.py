@@ -1,16 +1,16 @@
 """Several segments in one swarm: stops, cuts, gateways that die, borders, forged messages."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from random import Random
 
 import can
 import numpy as np
 import pytest
 
-from agent.interface.effects import Effect
 from agent.interface.identity import SilencePolicy
-from agent.peer.peer import Peer
+from agent.peer.inputs import Claim, Heard, ManualReset, Press, Start
 from agent.segments.gateway import Publish
+from agent.segments.segment_parts import fleet_stops_of, remote_segments_of
 from crdt.occupancy import Geometry
 from crdt.stops import RemoteStopDot
 from protocol import backbone_messages as backbone
@@ -42,7 +42,7 @@ def fleet() -> Iterator[SegmentFleet]:
 
 
 def press(fleet: SegmentFleet, number: int, slot: int = 0) -> None:
-    fleet.shells[number, slot].operate(lambda peer, now: peer.press(Reason.PERSON_IN_FIELD, now))
+    fleet.shells[number, slot].operate(Press(Reason.PERSON_IN_FIELD))
 
 
 def all_latched(fleet: SegmentFleet, *numbers: int) -> bool:
@@ -65,10 +65,8 @@ def test_a_reset_where_it_was_pressed_holds_everywhere(fleet: SegmentFleet) -> N
     dot = next(iter(fleet.peer(1, 0).safety.stops.active))
     tool = AddressClaimed(tool_name(OPERATOR).pack())
     for slot in range(3):
-        fleet.shells[1, slot].operate(lambda peer, now: peer.hear(249, tool, now))
-        fleet.shells[1, slot].operate(
-            lambda peer, now: peer.hear(249, EmergencyReset(*dot, OPERATOR), now)
-        )
+        fleet.shells[1, slot].operate(Heard(249, tool))
+        fleet.shells[1, slot].operate(Heard(249, EmergencyReset(*dot, OPERATOR)))
     held = [peer for k in fleet.segments for peer in fleet.peers(k)]
     assert fleet.run(S, lambda: not any(p.safety.far.latched for p in held)), f"seed {SEED}"
     assert all(peer.safety.manual_reset(0) for peer in held)
@@ -92,15 +90,17 @@ def test_an_operator_clears_what_was_pressed_elsewhere(fleet: SegmentFleet) -> N
 
 def test_a_cut_segment_knows_that_it_is_alone_and_hears_after_the_heal(fleet: SegmentFleet) -> None:
     fleet.backbone.cut({1}, {2, 3})
-    assert fleet.run(6 * S, lambda: all(p.beyond.alone for p in fleet.peers(1))), f"seed {SEED}"
-    assert not any(p.beyond.alone for k in (2, 3) for p in fleet.peers(k))
+    assert fleet.run(6 * S, lambda: all(remote_segments_of(p).alone for p in fleet.peers(1))), (
+        f"seed {SEED}"
+    )
+    assert not any(remote_segments_of(p).alone for k in (2, 3) for p in fleet.peers(k))
     assert all(peer.safety.may_move for peer in fleet.peers(1)), "the policy is to go on"
     press(fleet, 1)
     fleet.run(S)
     assert all_latched(fleet, 1) and not any(p.safety.latched for p in fleet.peers(2))
     fleet.backbone.heal()
     assert fleet.run(5 * S, lambda: all_latched(fleet)), "told by comparing digests"
-    assert fleet.run(3 * S, lambda: not any(p.beyond.alone for p in fleet.peers(1)))
+    assert fleet.run(3 * S, lambda: not any(remote_segments_of(p).alone for p in fleet.peers(1)))
 
 
 def test_the_policy_may_be_to_stand_while_alone() -> None:
@@ -123,7 +123,7 @@ def test_a_link_that_carries_one_way_is_known_and_still_carries_stops(fleet: Seg
     now_us = fleet.swarm.now_us()
     assert set(leader.gateway.reach.heard(now_us)) == {2, 3}
     assert leader.gateway.reach.reached(now_us) == []
-    assert all(peer.beyond.alone for peer in fleet.peers(1)), f"seed {SEED}"
+    assert all(remote_segments_of(peer).alone for peer in fleet.peers(1)), f"seed {SEED}"
     press(fleet, 2)
     assert fleet.run(S, lambda: all_latched(fleet, 1, 2, 3))
 
@@ -175,8 +175,8 @@ def test_only_the_home_decides_about_a_section_at_the_border(fleet: SegmentFleet
     """A robot of segment 1 and one of segment 2 want the same section of 2 at the same moment."""
     lent = 0  # of segment 2, lent to 1
     here = next(s for s, place in fleet.areas[1].borrowed.items() if place == (2, lent))
-    fleet.shells[1, 0].operate(lambda peer, now: peer.claim(here, 3, now))
-    fleet.shells[2, 2].operate(lambda peer, now: peer.claim(lent, 3, now))
+    fleet.shells[1, 0].operate(Claim(here, 3))
+    fleet.shells[2, 2].operate(Claim(lent, 3))
     fleet.run(2 * S)
     guest, host = fleet.peer(1, 0).claims.current, fleet.peer(2, 2).claims.current
     assert (guest is None) != (host is None), f"one of them has it; seed {SEED}"
@@ -188,8 +188,8 @@ def test_only_the_home_decides_about_a_section_at_the_border(fleet: SegmentFleet
 def test_a_lent_section_is_not_claimed_by_who_cannot_ask(fleet: SegmentFleet) -> None:
     here = next(iter(fleet.areas[1].borrowed))
     fleet.backbone.cut({1}, {2, 3})
-    assert fleet.run(6 * S, lambda: fleet.peer(1, 0).beyond.alone)
-    fleet.shells[1, 0].operate(lambda peer, now: peer.claim(here, 3, now))
+    assert fleet.run(6 * S, lambda: remote_segments_of(fleet.peer(1, 0)).alone)
+    fleet.shells[1, 0].operate(Claim(here, 3))
     assert fleet.peer(1, 0).allocation.key(here) is None, f"seed {SEED}"
 
 
@@ -241,7 +241,7 @@ def test_tags_hold_from_end_to_end() -> None:
         forger.publish(Publish(Kind.RESETS, backbone.pack(head, (half,))))
     fleet.run(S)
     assert fleet.peer(2, 0).safety.far.latched, "an invented reset clears nothing"
-    tags = fleet.peer(1, 0).fleet_stops.tags
+    tags = fleet_stops_of(fleet.peer(1, 0)).tags
     assert tags is not None
     halves = tags.reset(dot)
     head = Header(Kind.RESETS, 9, 0, 124, 1, 9)
@@ -259,12 +259,12 @@ def test_one_map_of_all_segments() -> None:
     rng = Random(SEED)
 
     def look(number: int) -> None:
-        chart = fleet.peer(number, rng.randrange(2)).chart
+        chart = fleet.peer(number, rng.randrange(2)).named.chart
         assert chart is not None
         chart.see(rng.randrange(64), np.array(rng.choices((0, 1, 2), k=16)), rng.randrange(16))
 
     def equal() -> bool:
-        charts = [p.chart for k in fleet.segments for p in fleet.peers(k)]
+        charts = [p.named.chart for k in fleet.segments for p in fleet.peers(k)]
         maps = {c.chart.serialize() for c in charts if c is not None}
         return len(maps) == 1 and not any(c is not None and c.pending for c in charts)
 
@@ -313,12 +313,9 @@ def panel_of(fleet: SegmentFleet, number: int) -> CanBus:
 def clear_here(fleet: SegmentFleet, dot: tuple[int, int, int, int], number: int) -> None:
     """The robots of a segment cleared a stop of any maker; no gateway has heard of it."""
 
-    def hear(half: FleetReset) -> Callable[[Peer, int], Sequence[Effect]]:
-        return lambda peer, now: peer.hear(GATEWAY_ADDRESS, half, now)
-
     for slot in range(3):
         for half in plain_reset(RemoteStopDot(*dot)):
-            fleet.shells[number, slot].operate(hear(half))
+            fleet.shells[number, slot].operate(Heard(GATEWAY_ADDRESS, half))
 
 
 def hold_button(fleet: SegmentFleet, bus: CanBus, for_us: int) -> None:
@@ -338,10 +335,10 @@ def release(fleet: SegmentFleet, dot: tuple[int, ...], bus: CanBus) -> None:
     cleared = [peer.safety for peer in peers]
     assert fleet.run(S, lambda: not any(s.far.latched or s.stops.latched for s in cleared))
     for shell in fleet.shells.values():
-        shell.operate(lambda peer, now: peer.manual_reset(now))
+        shell.operate(ManualReset())
     assert fleet.run(5 * S, lambda: fleet.joined), f"seed {SEED}"
     for shell in fleet.shells.values():
-        shell.operate(lambda peer, now: peer.start(now))
+        shell.operate(Start())
     assert fleet.run(3 * S, lambda: all(peer.safety.may_move for peer in peers)), f"seed {SEED}"
 
 

@@ -9,6 +9,8 @@ from socket import socket
 
 import pytest
 
+from agent.peer.inputs import Press
+
 pytest.importorskip("zenoh", reason="the extra `backbone` is not installed")
 
 from agent.interface.identity import Identity
@@ -67,7 +69,7 @@ def test_peers_live_on_the_backbone_itself() -> None:
             shells.append(PeerRunner(peer, bus, None, None))
         tasks = [asyncio.create_task(shell.run()) for shell in shells]
         assert await until(lambda: all(len(s.peer.membership.live) == 3 for s in shells))
-        shells[1].operate(lambda peer, now: peer.press(Reason.PERSON_IN_FIELD, now))
+        shells[1].operate(Press(Reason.PERSON_IN_FIELD))
         assert await until(lambda: all(s.peer.safety.latched for s in shells))
         for task in tasks:
             task.cancel()

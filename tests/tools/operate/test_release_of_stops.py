@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from agent.peer.inputs import Press
 from agent.runtime.files.key_file import OPERATOR, fresh, read, write
 from crdt.stops import StopDot
 from protocol.authentication import Keyring
@@ -61,7 +62,7 @@ def test_t11_a_reset_clears_no_stop_that_only_a_forger_has_named(tmp_path: Path)
                     cluster.inject(EmergencyStop(PANEL, 1, counter, 0, tag=7), 38)
                     await elapse(0.05)
 
-        cluster.robots[1].shell.operate(lambda p, now: p.press(Reason.PERSON_IN_FIELD, now))
+        cluster.robots[1].shell.operate(Press(Reason.PERSON_IN_FIELD))
         forger = asyncio.ensure_future(forge())
         await elapse(1.0)
         operator = operator_on(cluster, key.keyring())

@@ -86,7 +86,7 @@ def heard_frames(*causes: StopCause) -> tuple[Peer, list[tuple[int, Frame]]]:
         (1, encode(Member(0, 0, peer.identity.field_hash), 128)),
     ]
     for beat in range(1, 9):
-        for effect in peer.voice._heartbeat(peer, beat * S // 2):
+        for effect in peer.named.voice.heartbeat(peer.context(beat * S // 2)):
             if isinstance(effect, Send):
                 frames.append((beat * S // 2, encode(effect.message, 128)))
     return peer, frames
@@ -146,7 +146,7 @@ def test_item_11_a_cause_that_is_gone_is_told_no_longer() -> None:
     peer, frames = heard_frames(StopCause.UNHEARD, StopCause.NOT_STARTED)
     peer.safety.clear_cause(StopCause.UNHEARD, 4 * S)
     for beat in range(9, 13):
-        for effect in peer.voice._heartbeat(peer, beat * S // 2):
+        for effect in peer.named.voice.heartbeat(peer.context(beat * S // 2)):
             if isinstance(effect, Send):
                 frames.append((beat * S // 2, encode(effect.message, 128)))
     for lines in told_everywhere(frames):

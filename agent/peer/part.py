@@ -1,0 +1,89 @@
+"""What a part of a peer is: it has its own state, and knows neither the peer nor the runner.
+
+A part says which messages it handles, which notices it listens to, which inputs it accepts, and when
+it next has something to do. Each call gets a snapshot of this step and returns *outputs*: effects for
+the world, and notices for other parts (`agent/peer/notices.py`). `Peer` delivers notices depth first,
+in the order of the outputs, so an output takes effect exactly where it stands in the list.
+
+A part may hold another part that it works with closely, given in its constructor. These references
+go one way, so there is no cycle between modules.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from enum import Enum
+from typing import Any, Final, NamedTuple
+
+from agent.interface.lifecycle import State
+from agent.interface.ports import Observation
+
+FOREVER: Final = 1 << 62  # a deadline that never comes
+
+
+class StepContext(NamedTuple):
+    """What every part may know in this step. It is rebuilt after each part that had an output."""
+
+    slot: int
+    now_us: int
+    state: State
+    may_move: bool  # no stop cause holds the robot
+    latched: bool  # an emergency stop holds it until a person resets this machine
+    here: Observation | None  # the newest reading of our own sensors
+    live: frozenset[int]  # members that are received, with ourselves
+    address: int | None
+    joined: bool  # the address is announced, so the others know who we are
+
+
+class Header(NamedTuple):
+    """Where a received message comes from, and to whom it goes."""
+
+    source: int  # address
+    slot: int | None  # member at that address; None: not a member, or not known yet
+    destination: int
+    from_gateway: bool = False  # carried from another segment
+
+
+class Senders(Enum):
+    """From whom a message is taken. A frame of another maker's device is refused before that."""
+
+    URGENT = "anyone, before all checks"
+    DEVICE = "any device, also of other makers"
+    ANYONE = "anyone"
+    MEMBER = "a member; another sender is asked who it is"
+    MEMBER_ONLY = "a member; of another sender it is ignored"
+    GATEWAY = "a gateway to other segments"
+
+
+Output = Any  # an effect or a notice: `Effect | Notice`
+Outputs = Sequence[Output]
+Handler = Callable[[StepContext, Header, Any], Outputs]
+BeaconHandler = Callable[[int, int | None, Any, int], Outputs]  # source, slot, message, now_us
+Listener = Callable[[StepContext, Any], Outputs]
+NOTHING: Outputs = ()
+
+
+class Part:
+    """Defaults: a part that handles nothing, listens to nothing and has no deadline."""
+
+    @property
+    def deadline_us(self) -> int:
+        """When `on_timer` next has something to do if nothing else happens; FOREVER: never."""
+        return FOREVER
+
+    @property
+    def handles(self) -> Mapping[type[Any], Handler]:
+        """Message -> handler. Read once."""
+        return {}
+
+    @property
+    def beacons(self) -> Mapping[type[Any], BeaconHandler]:
+        """Message -> handler, for what arrives a thousand times a second: it gets no snapshot."""
+        return {}
+
+    @property
+    def listens(self) -> Mapping[type[Any], Listener]:
+        """Notice or input -> listener. Read once."""
+        return {}
+
+    def on_timer(self, ctx: StepContext) -> Outputs:
+        """Called at every timer of the peer, in the order of its parts, not only at our deadline."""
+        return NOTHING

@@ -1,0 +1,174 @@
+"""Makes the parts of one peer, each from those that it works with. Here the order of the parts is set.
+
+The order is a contract: timers and notices go through the parts in it. What is durable before
+anything is sent comes first, then stops, then who is there, then work, and at last what is announced.
+"""
+
+from collections.abc import Mapping
+from random import Random
+
+from agent.interface import config
+from agent.interface.config import CONTROL_PERIOD_US
+from agent.interface.identity import Identity
+from agent.interface.lifecycle import Event
+from agent.interface.mission import Mission
+from agent.interface.motion_controller import MotionController
+from agent.peer.announcements import Announcements, phase_us
+from agent.peer.control_cycle import ControlCycle
+from agent.peer.durable_records import DurableRecords
+from agent.peer.fleet_summary import BULLETIN_PGN, compose, write
+from agent.peer.fleet_views import FleetViews
+from agent.peer.frame_origin import Origins
+from agent.peer.journal_recovery import LOST, sensible
+from agent.peer.leader_election import OPERATOR_GATEWAY, Election
+from agent.peer.leader_votes import LeaderVotes
+from agent.peer.map_exchange import MapExchange
+from agent.peer.member_conflicts import Conflicts
+from agent.peer.member_discovery import CLAIM_PGN, MEMBER_PGN
+from agent.peer.member_reports import MemberReports
+from agent.peer.membership import Membership
+from agent.peer.mission_messages import MissionMessages
+from agent.peer.name_discovery import NameDiscovery
+from agent.peer.network_join import NetworkJoin
+from agent.peer.obstacle_hold import ObstacleHold
+from agent.peer.operator_directive import OperatorDirective
+from agent.peer.part import Part
+from agent.peer.peer_lifecycle import PeerLifecycle
+from agent.peer.pgn_responder import PgnResponder
+from agent.peer.progress_announcements import ProgressAnnouncements
+from agent.peer.section_claims import SectionClaims
+from agent.peer.section_work import SectionWork
+from agent.peer.self_check import SelfCheck
+from agent.peer.self_health import SelfKnowledge
+from agent.peer.sender_origins import SenderOrigins
+from agent.peer.sense_freshness import Senses
+from agent.peer.slot_discovery import SlotDiscovery
+from agent.peer.state_sync import StateSync
+from agent.peer.stop_reception import StopReception
+from agent.peer.stop_release import StopRelease
+from agent.peer.work_admission import Admission
+from agent.safety.stop_cause import StopCause
+from agent.safety.stop_controller import StopController
+from crdt import FieldAllocationCRDT, Progress, VectorClock
+from protocol.authentication import Keyring
+from protocol.sync.map_sync import MapSync
+from protocol.sync.synchronizer import Synchronizer
+
+
+class PeerParts:
+    """The parts of one peer by name, for what reads them, and in order, for the peer."""
+
+    def __init__(
+        self,
+        identity: Identity,
+        rng: Random,
+        now_us: int,
+        recalled: Mapping[str, bytes],
+        mission: Mission | None = None,
+        motion: MotionController | None = None,
+        keyring: Keyring | None = None,
+        chart: MapSync | None = None,
+    ) -> None:
+        """`recalled`: what the journal has. `chart`: the fleet's map, if the mission makes one."""
+        self.identity, self.mission, self.motion, self.chart = identity, mission, motion, chart
+        slot, recalled = identity.slot, sensible(recalled)
+        beat = self.beat = config.beat_of(len(identity.members))
+
+        # What is kept, and what all members keep equal.
+        self.records = DurableRecords(recalled, identity.first_boot, rng)
+        self.allocation = FieldAllocationCRDT(identity.field_hash)
+        units = mission.section_units if mission else {}
+        self.progress = Progress(units)
+        self.records.restore(self.allocation, self.progress)
+        if chart is not None:
+            self.records.restore_map(chart.chart)
+            chart.recalled(now_us)
+        self.clock = VectorClock({slot: self.records.operations})
+        self.sync = Synchronizer(slot, self.allocation, self.progress)
+        self.admission = Admission(frozenset(units), identity.members, now_us)
+
+        # Stops, and who is on the bus.
+        incarnation = self.records.incarnation
+        self.safety = StopController(slot, incarnation, identity.silence, keyring, recalled, now_us)
+        self.lifecycle = PeerLifecycle(self.safety)
+        self.joining = NetworkJoin(identity, incarnation, rng, now_us)
+        self.origins = Origins(identity.name)
+        self.membership = Membership(identity, beat.silence_us, self.safety, self.origins, now_us)
+        self.names = NameDiscovery(slot, self.joining)
+        self.slots = SlotDiscovery(slot, self.joining, self.origins)
+        self.conflicts = Conflicts(self.safety, self.joining)
+        self.senders = SenderOrigins(
+            self.origins, self.safety, self.joining, self.conflicts, self.names
+        )
+        self.stops = StopReception(self.safety, self.senders, self.joining, self.membership)
+        self.release = StopRelease(self.safety, self.membership)
+        self.reports = MemberReports(slot, self.clock)
+        self.votes = LeaderVotes(
+            Election(
+                OPERATOR_GATEWAY, slot, identity.name.hash16, self.records.term, self.records.lost
+            )
+        )
+        self.letters = PgnResponder(
+            identity.component, frozenset((MEMBER_PGN, CLAIM_PGN)), self.joining
+        )
+        self.letters.answer(
+            BULLETIN_PGN,
+            lambda ctx: write(compose(ctx, self.membership, self.allocation)),
+            lambda: self.votes.leader == slot,
+        )
+        self.state_sync = StateSync(self.sync, self.admission, self.joining, beat.heartbeat_us)
+        self.map_exchange = MapExchange(chart, self.joining)
+
+        # This robot: what it senses, decides and does.
+        drives = mission is not None and motion is not None
+        self.senses = Senses(self.safety, motion, drives)
+        self.check = SelfCheck(self.safety, self.joining, self.membership, beat, now_us)
+        self.knowledge = SelfKnowledge(self.safety, self.senses, self.check)
+        question = None if motion is None else motion.obstacle_question()
+        self.obstacle = ObstacleHold(question, self.safety)
+        self.views = FleetViews(
+            self.senses, self.allocation, self.progress, self.membership, self.obstacle, self.safety
+        )
+        self.directive = OperatorDirective(slot, self.safety, mission, self.obstacle)
+        self.mission_messages = MissionMessages(mission)
+        self.progress_told = ProgressAnnouncements(self.progress, self.sync, beat, now_us)
+        self.claims = SectionClaims(slot, self.allocation)
+        self.work = SectionWork(
+            self.claims, self.clock, self.sync, self.progress_told, self.lifecycle, self.safety,
+            self.directive, self.views, mission,
+        )  # fmt: skip
+        self.control = ControlCycle(
+            now_us + phase_us(identity, beat) % CONTROL_PERIOD_US, mission, motion, self.work,
+            self.directive, self.obstacle, self.senses, self.views, self._may_choose,
+        )  # fmt: skip
+        self.voice = Announcements(
+            identity, beat, self.safety, self.joining, self.senses, self.knowledge, self.clock,
+            self.sync, now_us,
+        )  # fmt: skip
+        self._boot(now_us, recalled)
+
+    @property
+    def in_order(self) -> list[Part]:
+        """Every part, in the order of timers and notices."""
+        return [
+            self.records, self.lifecycle, self.stops, self.senders, self.membership, self.joining,
+            self.conflicts, self.names, self.reports, self.state_sync, self.map_exchange,
+            self.letters, self.votes, self.mission_messages, self.slots, self.work, self.check,
+            self.senses, self.directive, self.control, self.progress_told, self.voice, self.release,
+        ]  # fmt: skip
+
+    def _may_choose(self, now_us: int) -> bool:
+        """No section is chosen before our state is equal and no unknown robot may be at work."""
+        return (
+            self.sync.ready(now_us) and not self.slots.asks.wonders and not self.names.asks.wonders
+        )
+
+    def _boot(self, now_us: int, recalled: Mapping[str, bytes]) -> None:
+        safety = self.safety
+        if self.records.lost:
+            why = recalled.get(LOST, b"durable memory was lost").decode(errors="replace")
+            safety.raise_cause(StopCause.BOOT_UNCONFIRMED, now_us, why)
+        if self.identity.started and not safety.latched and not safety.held:
+            safety.start(now_us)
+        if safety.latched:
+            self.lifecycle.fire(Event.EMERGENCY, "latched before the restart")

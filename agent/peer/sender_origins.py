@@ -1,0 +1,165 @@
+"""Which devices count as ours: the entrance check of proprietary frames and of stops.
+
+`agent/peer/frame_origin.py` says what a claimed NAME means. This part asks for NAMEs that it has
+missed, keeps what must not be missed until the answer, and then has it processed.
+"""
+
+from collections import Counter
+from collections.abc import Mapping
+from typing import Any, Final
+
+from agent.interface.config import MS, S
+from agent.interface.effects import HALT
+from agent.peer import notices
+from agent.peer.frame_origin import PROPRIETARY, Origin, Origins
+from agent.peer.member_conflicts import Conflicts
+from agent.peer.name_discovery import NameDiscovery
+from agent.peer.network_join import NetworkJoin
+from agent.peer.part import NOTHING, Handler, Header, Outputs, Part, StepContext
+from agent.peer.unknown_stop_sources import AnyStop, Doubts
+from agent.safety.stop_cause import StopCause
+from agent.safety.stop_controller import UNAUTHENTICATED_HOLD_US, StopController
+from protocol.frames.codec import Malformed
+from protocol.frames.fleet_frames import Pose
+from protocol.frames.identifier import NULL_ADDRESS
+from protocol.frames.messages import Message
+from protocol.frames.network_frames import AddressClaimed
+from protocol.frames.operator_frames import OperatorGoal
+from protocol.frames.safety_frames import (
+    Challenge,
+    EmergencyReset,
+    Freshness,
+    HeldReset,
+    OperatorCommand,
+)
+
+NAME_PATIENCE_US: Final = 20 * MS  # a claim in transit may arrive after a beat of its sender
+# After this a device of ours may have taken the address of another maker's device, and we may have
+# missed its claim.
+CLAIM_OLD_US: Final = 10 * S
+SIGNED = (EmergencyReset, HeldReset, OperatorCommand, OperatorGoal, Challenge, Freshness)
+
+
+class SenderOrigins(Part):
+    def __init__(
+        self,
+        origins: Origins,
+        safety: StopController,
+        joining: NetworkJoin,
+        conflicts: Conflicts,
+        name_discovery: NameDiscovery,
+    ) -> None:
+        self.origins, self.safety, self.joining = origins, safety, joining
+        self.conflicts, self.name_discovery = conflicts, name_discovery
+        self.doubts = Doubts()
+        self.malformed: Counter[str] = Counter()  # reason -> frames
+        self._claimed_us: dict[int, int] = {}  # address -> when its newest claim was received
+
+    @property
+    def handles(self) -> Mapping[type[Any], Handler]:
+        return {AddressClaimed: self._address_claimed, Malformed: self._count_malformed}
+
+    @property
+    def deadline_us(self) -> int:
+        return self.doubts.deadline_us
+
+    def on_timer(self, ctx: StepContext) -> Outputs:
+        """Accept the stops of addresses that did not claim in time, with their reception times."""
+        outputs: list[Any] = []
+        for address, at_us, stop in self.doubts.overdue(ctx.now_us):
+            self.name_discovery.asks.calm(address)
+            outputs.append(notices.HeardAgain(address, stop, at_us))
+        return outputs
+
+    # ---------------------------------------------------------------- the entrance check
+
+    def refused(self, source: int, message: Message | Malformed, now_us: int) -> Outputs | None:
+        """None if a message from an address without a member is taken, else what refusing it does."""
+        self.conflicts.heard(source, now_us)
+        return self.foreign_group(source, message, now_us)
+
+    def foreign_group(
+        self, source: int, message: Message | Malformed, now_us: int
+    ) -> Outputs | None:
+        """None if the message is no frame of another maker, else what refusing it does."""
+        if type(message) not in PROPRIETARY:
+            return None
+        if source == self.joining.address:
+            doubled = self.conflicts.speaks_from_our_address(message, now_us)
+            return [*doubled, *self.joining.violated(now_us)]
+        origin = self.origins.of(source)
+        if origin is Origin.OURS or isinstance(message, Malformed):
+            return None
+        if origin is Origin.UNCLAIMED and isinstance(message, SIGNED) and self.safety.keyed:
+            return None  # the tag decides
+        self.origins.count(origin, message)
+        if origin is not Origin.UNCLAIMED:
+            return NOTHING
+        self.origins.keep(source, message, now_us)
+        self.name_discovery.asks.stranger(source, now_us, NAME_PATIENCE_US)
+        if isinstance(message, Pose) and self.safety.latched and not message.stopped:
+            return self.safety.tell_stops(now_us)  # the sender does not know the stops that hold us
+        return NOTHING
+
+    def doubted(self, source: int, message: AnyStop, now_us: int) -> Outputs | None:
+        """None if a stop from this address counts as a stop of our fleet, else what it does instead.
+
+        A frame of another maker is not a stop of ours. If no claim of the address is known, stand
+        still until the sender has claimed it, and ask for the claim
+        (`agent/peer/unknown_stop_sources.py`). With keys the tag decides immediately.
+        """
+        origin = self.origins.of(source)
+        asks = self.name_discovery.asks
+        if origin is Origin.FOREIGN:
+            self.origins.count(origin, message)
+            if now_us - self._claimed_us.get(source, 0) >= CLAIM_OLD_US:
+                self.origins.keep(source, message, now_us)
+                asks.stranger(source, now_us, 0)
+            return NOTHING
+        if origin is not Origin.UNCLAIMED or source in (self.joining.address, NULL_ADDRESS):
+            # A robot without an address presses from the null address; no other device may do that.
+            return None
+        if self.safety.keyed or self.doubts.believes(source):
+            asks.stranger(source, now_us, 0)
+            return None
+        asks.urge(source, now_us)
+        self.origins.count(origin, message)
+        until_us = self.doubts.hold(source, message, now_us)
+        why = f"a stop from address {source}, which nobody has claimed"
+        held_us = max(UNAUTHENTICATED_HOLD_US, until_us - now_us)
+        self.safety.raise_cause(StopCause.UNAUTHENTICATED_STOP, now_us, why, held_us)
+        return [HALT]
+
+    # ---------------------------------------------------------------- received
+
+    def _address_claimed(self, ctx: StepContext, header: Header, m: AddressClaimed) -> Outputs:
+        source, now_us = header.source, ctx.now_us
+        outputs: list[Any] = []
+        if header.slot is not None and self.joining.changed_hands(source, m):
+            outputs.append(notices.AddressTaken(source))
+        ours = self.joining.machine.candidate
+        claims = self.joining.receive(source, m, now_us)
+        if m.name == self.joining.machine.number:
+            if source != ours:
+                outputs.append(notices.IdentityDoubled(source))
+            return [*outputs, *claims]
+        outputs += claims
+        if source in (NULL_ADDRESS, self.joining.address):
+            return outputs
+        if self.origins.changes(source, m.name):
+            outputs.append(notices.ConflictSettled(source))
+        wondered = self.name_discovery.asks.known(source)
+        self.origins.claimed(source, m.name)
+        self._claimed_us[source] = now_us
+        if wondered:  # it has sent frames: it may be a member that is not known yet
+            outputs.append(notices.RobotNamed(source))
+        outputs += [
+            notices.HeardAgain(source, stop, at_us) for at_us, stop in self.doubts.end(source)
+        ]
+        # Now that its NAME is known, as if these messages arrived now.
+        kept = self.origins.kept(source, now_us)
+        return [*outputs, *(notices.HeardAgain(source, message, now_us) for message in kept)]
+
+    def _count_malformed(self, ctx: StepContext, header: Header, m: Malformed) -> Outputs:
+        self.malformed[m.reason] += 1
+        return NOTHING

@@ -1,0 +1,112 @@
+"""Keeps the registers and the progress of this peer equal to those of the other members.
+
+`protocol/sync/synchronizer.py` compares and repairs. This part feeds it, checks what is plausible
+(`agent/peer/work_admission.py`), and tells the lifecycle whether the states differ.
+"""
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+from agent.interface.config import S
+from agent.interface.effects import Send, Trace
+from agent.interface.lifecycle import IDLE, SYNCHRONIZING, WORKING
+from agent.peer import notices
+from agent.peer.network_join import NetworkJoin
+from agent.peer.part import FOREVER, NOTHING, Handler, Header, Listener, Outputs, Part, StepContext
+from agent.peer.work_admission import Admission
+from protocol.frames.work_frames import (
+    STOPS,
+    Digests,
+    StateSyncRequest,
+    StateSyncResponse,
+    TaskClaim,
+    WorkProgress,
+)
+from protocol.sync.synchronizer import ENTRIES, Synchronizer
+
+TOLD_OF: Final = (StateSyncRequest, Digests, StateSyncResponse)
+OUTSIDER: Final = -1  # a device that is not a member, so it has no agreed replica state
+TELL_SPACING_US: Final = 2 * S  # 1,000 entries take 2.1 s at the share that sync may use
+
+
+class StateSync(Part):
+    def __init__(
+        self, sync: Synchronizer, admission: Admission, joining: NetworkJoin, heartbeat_us: int
+    ) -> None:
+        self.sync, self.admission, self.joining = sync, admission, joining
+        self.heartbeat_us = heartbeat_us
+        self._told_us = -TELL_SPACING_US  # when a device that is no member was last answered
+
+    @property
+    def handles(self) -> Mapping[type[Any], Handler]:
+        return {
+            TaskClaim: self._work,
+            StateSyncResponse: self._work,
+            WorkProgress: self._work,
+            Digests: self._work,
+            StateSyncRequest: self._request,
+        }
+
+    @property
+    def listens(self) -> Mapping[type[Any], Listener]:
+        return {
+            notices.MembershipChanged: self._members,
+            notices.AddressGained: self._joined,
+            notices.HeartbeatHeard: self._heartbeat,
+            notices.ReceivedAgain: self._received_again,
+        }
+
+    @property
+    def deadline_us(self) -> int:
+        due_us = self.sync.deadline_us if self.joining.joined else None
+        return FOREVER if due_us is None else due_us
+
+    def on_timer(self, ctx: StepContext) -> Outputs:
+        if not ctx.joined:
+            return NOTHING
+        outputs: list[Any] = [Send(message) for message in self.sync.tick(ctx.now_us)]
+        if self.sync.synchronizing:
+            if ctx.state in (IDLE, WORKING):
+                outputs.append(notices.SyncDiffers())
+        elif ctx.state is SYNCHRONIZING:
+            outputs.append(notices.SyncAgrees())  # a robot that may move resumes work
+        return outputs
+
+    def _request(self, ctx: StepContext, header: Header, m: StateSyncRequest) -> Outputs:
+        if m.scope == STOPS:  # any device may ask what holds us
+            return [notices.StopsAsked(m.cut | m.digest << 24, header.from_gateway)]
+        if header.slot is not None:
+            return self._work(ctx, header, m)
+        if ctx.now_us - self._told_us >= TELL_SPACING_US:  # from an inspector
+            self._told_us = ctx.now_us
+            self.sync.receive(OUTSIDER, m, ctx.now_us)
+        return NOTHING
+
+    def _work(self, ctx: StepContext, header: Header, m: Any) -> Outputs:
+        slot = header.slot
+        assert slot is not None
+        if isinstance(m, ENTRIES) and not self.admission.admits(m, ctx.now_us):
+            return NOTHING
+        outputs: list[Any] = []
+        changed = self.sync.receive(slot, m, ctx.now_us)
+        if changed:
+            outputs.append(notices.SectionsMerged(frozenset(changed), slot))
+        if isinstance(m, TOLD_OF):
+            outputs.append(Trace("sync", "", type(m).__name__, "", f"from {slot}"))
+        return outputs
+
+    def _members(self, ctx: StepContext, notice: notices.MembershipChanged) -> Outputs:
+        self.sync.live(notice.live, ctx.now_us)
+        return NOTHING
+
+    def _joined(self, ctx: StepContext, notice: notices.AddressGained) -> Outputs:
+        self.sync.joined(ctx.now_us, self.heartbeat_us)
+        return NOTHING
+
+    def _heartbeat(self, ctx: StepContext, notice: notices.HeartbeatHeard) -> Outputs:
+        self.sync.heard_digest(notice.slot, notice.heartbeat.digest, ctx.now_us)
+        return NOTHING
+
+    def _received_again(self, ctx: StepContext, notice: notices.ReceivedAgain) -> Outputs:
+        self.sync.received_again(ctx.now_us)
+        return NOTHING

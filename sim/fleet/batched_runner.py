@@ -1,0 +1,91 @@
+"""A runner that takes routine beacons in batches, for simulations with thousands of them a second.
+
+The simulated bus puts beacons of robots that are neither stopped nor leaving into a buffer, and the
+runner processes them before its next turn, each as if received at its time of arrival. Nothing on a
+robot works like this: what a robot does with each frame is `PeerRunner`, and the result is the same.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from agent.interface.effects import Effect
+from agent.interface.ports import Neighbour
+from agent.peer.inputs import Heard, Input
+from agent.runtime.peer_runner import PeerRunner
+from protocol.frames.frame import Frame
+from protocol.links.bus import CanBus
+from sim.can.simulated_bus import BufferedBeacon, FieldBus
+
+
+class BatchedRunner(PeerRunner):
+    def __init__(self, *parts: Any) -> None:
+        super().__init__(*parts)
+        wire = self.bus.bus if isinstance(self.bus, CanBus) else None
+        self._wire = wire if isinstance(wire, FieldBus) else None
+        self._shelf: list[BufferedBeacon] = []  # buffered beacons, for the next turn
+        self._shelved = False  # whether the bus puts beacons there
+
+    @property
+    def _local(self) -> Callable[[int], int] | None:
+        """Converts bus time to our clock; None: they are the same."""
+        return None
+
+    def operate(self, *calls: Input) -> None:
+        self._catch_up()
+        super().operate(*calls)
+        self._attend()
+
+    def freeze(self, for_s: float) -> None:
+        self._catch_up()
+        super().freeze(for_s)
+        self._attend()
+
+    def turn(self) -> None:
+        self._catch_up()
+        super().turn()
+        self._attend()
+
+    def _hear(self, frame: Frame) -> bool:
+        if self._shelf:
+            self._catch_up()
+        changed = super()._hear(frame)
+        if changed:
+            self._attend()
+        return changed
+
+    def _attend(self) -> None:
+        """Buffer beacons, unless we are stopped: then each is an echo or needs an answer."""
+        wait = self._listening and not self._frozen_until_us and not self.peer.safety.latched
+        if wait is not self._shelved:
+            self._shelved = wait
+            if self._wire is not None:
+                self._wire.shelve(self._shelf if wait else None)
+
+    def _catch_up(self) -> None:
+        """Process the buffered beacons."""
+        if self._shelf:
+            effects = self._take(self._shelf)
+            self._shelf.clear()
+            if effects:
+                self.perform(effects)
+
+    def _take(self, beacons: Sequence[BufferedBeacon]) -> list[Effect]:
+        """What the peer does with a pose of a live member (`Membership.on_pose`), without the call.
+
+        Everything else goes in by the door."""
+        peer, local, effects = self.peer, self._local, list[Effect]()
+        membership, own = peer.membership, peer.slot
+        slot_of, signs, neighbours = membership.slot_of, membership.signs_us, membership.neighbours
+        for beacon in beacons:
+            source, seen = beacon.source, beacon.seen
+            slot = slot_of.get(source)
+            if local is not None and seen is not None:
+                seen = Neighbour(seen.pose, local(seen.heard_us))
+            if seen is not None and slot in signs:
+                neighbours[slot] = seen  # this counts as a sign of life too
+                if seen.pose.heard == own:
+                    membership.reflected_us = seen.heard_us
+            else:
+                t_us = beacon.t_us if local is None else local(beacon.t_us)
+                effects += peer.step(Heard(source, beacon.message), t_us)
+        return effects
