@@ -17,7 +17,7 @@ FLOORS = {
     "protocol/links": 100,
     "protocol/sync": 100,
     "agent/avoidance": 100,
-    "agent/coverage": 37,
+    "agent/coverage": 88,
     "agent/delivery": 94,
     "agent/exploration": 100,
     "agent/field": 100,

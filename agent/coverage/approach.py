@@ -1,22 +1,30 @@
 """Ways from where robots stand to where their runs begin, laid so that they cover cells themselves.
 
-Robots that start together lose their ways to far runs. A way is worked like a run: its cells are taken
-out of the walk, and its robot begins the walk at the way's end. Of all shortest ways the one with the
-most cells still to do is taken, and among these one along walls or other ways, which cuts up the rest
-least.
+Robots that start together lose their ways to far runs. A way is worked like a run: its cells are
+taken out of the walk, and its robot begins the walk at the way's end. Of all shortest ways the one
+with the most cells still to do is taken, and among these one along walls or other ways, which cuts
+up the rest least.
+
+Cells are numbers into the padded grid (see `agent/coverage/cell_links.py`). `free` and `todo`
+(cells,) are 1 or 0: where a robot may be, and what is to be covered. `queue` (cells,) is scratch.
 """
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from agent.coverage.team_state import NONE
+
+Mask = NDArray[np.uint8]
+Ints = NDArray[np.int32]
 
 NEW, BESIDE = 8, 1  # worth of a cell to do, and of each neighbour that needs nothing
 
 
 @njit(cache=True)
-def lay(free, todo, width, start, end, queue):  # type: ignore[no-untyped-def]
-    """The cells after `start` on the best shortest way to `end`, both free and in one room."""
+def lay(free: Mask, todo: Mask, width: int, start: int, end: int, queue: Ints) -> Ints:
+    """The cells after `start` on the best shortest way to `end`, (steps,); both free and in one
+    room."""
     steps = np.full(free.size, NONE, np.int32)
     worth = np.zeros(free.size, np.int64)
     by = np.full(free.size, NONE, np.int32)

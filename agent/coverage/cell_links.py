@@ -1,50 +1,66 @@
-"""Linking every free cell of a grid with two of its neighbours: the straight part of a coverage walk.
+"""Linking every free cell of a grid with two of its neighbours: the straight part of a coverage
+walk.
 
-`links` (cells, 2) holds up to two neighbours of each cell, -1 where there is none. First links run
-along one axis, so that there are long straights. Then as many as possible are made (a largest
-2-matching of a bipartite graph, by augmenting paths): that leaves few paths and many rings. Rings
-are merged where two parallel links face each other over a unit square: both are turned by a quarter,
-at no cost, which is what spanning-tree coverage does everywhere.
+First links run along one axis, so that there are long straights. Then as many as possible are made
+(a largest 2-matching of a bipartite graph, by augmenting paths: Hopcroft and Karp 1973, here one
+path at a time): that leaves few paths and many rings. Rings are merged where two parallel links
+face each other over a unit square. Both are turned by a quarter, which costs nothing, and which is
+what spanning-tree coverage does everywhere (Gabriely and Rimon 2001).
 
 Cells are numbers into a padded grid: row * width + column with a wall all round, so that neighbours
 need no bounds. Kernels are integer only and go in order of cell numbers: equal maps, equal links.
+
+`free` (cells,) is 1 or 0. `links` (cells, 2) holds up to two neighbours of each cell, -1 where
+there is none. A piece is a path or a ring of linked cells: `piece` (cells,) is the first cell of
+the piece of each cell. `root`, `ring` and `size` (cells,) are read at the first cells of pieces:
+the piece that it was joined to (`find`), whether it is a ring, how many cells it has.
 """
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
+
+Mask = NDArray[np.uint8]
+Ints = NDArray[np.int32]
 
 NONE = -1
 FAR = 1 << 30
 
 
 @njit(cache=True)
-def link(links, a, b):  # type: ignore[no-untyped-def]
+def link(links: Ints, a: int, b: int) -> None:
+    """Link two cells; both must have fewer than two links."""
     links[a, 0 if links[a, 0] == NONE else 1] = b
     links[b, 0 if links[b, 0] == NONE else 1] = a
 
 
 @njit(cache=True)
-def unlink(links, a, b):  # type: ignore[no-untyped-def]
+def unlink(links: Ints, a: int, b: int) -> None:
+    """Remove the link between two cells; it must be there."""
     links[a, 0 if links[a, 0] == b else 1] = NONE
     links[b, 0 if links[b, 0] == a else 1] = NONE
 
 
 @njit(cache=True)
-def is_whole(links, a):  # type: ignore[no-untyped-def]
+def is_whole(links: Ints, a: int) -> bool:
+    """Whether a cell has both of its links."""
     return links[a, 0] != NONE and links[a, 1] != NONE
 
 
 @njit(cache=True)
-def link_straight(free, links, along):  # type: ignore[no-untyped-def]
-    """First links: all along one axis, so that the walk has long straights."""
+def link_straight(free: Mask, links: Ints, along: int) -> None:
+    """Make the first links, all along one axis, so that the walk has long straights.
+
+    `along` is the step from a cell to the next: 1 for rows, the width of the grid for columns.
+    """
     for cell in range(free.size - along):
         if free[cell] and free[cell + along]:
             link(links, cell, cell + along)
 
 
 @njit(cache=True)
-def _turn_path(links, by, end, source):  # type: ignore[no-untyped-def]
-    """Along an augmenting path, backwards: what was linked is not, what was not is."""
+def _turn_path(links: Ints, by: Ints, end: int, source: int) -> None:
+    """Exchange links along an augmenting path, backwards: what was linked is not, what was not is."""
     odd = end
     while True:
         even = by[odd]
@@ -58,11 +74,12 @@ def _turn_path(links, by, end, source):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def link_most(free, width, links):  # type: ignore[no-untyped-def]
-    """Alternating breadth-first searches from each even cell that lacks a link.
+def link_most(free: Mask, width: int, links: Ints) -> None:
+    """Add links until no more are possible: alternating breadth-first searches from cells that lack
+    one.
 
-    Cells reached by a failed search never lie on a later augmenting path: their stamp stays, so all
-    failed searches together cost one pass over the grid.
+    Searches begin at each even cell. Cells reached by a failed search never lie on a later
+    augmenting path: their stamp stays, so all failed searches together cost one pass over the grid.
     """
     by = np.full(free.size, NONE, np.int32)
     stamp = np.zeros(free.size, np.int32)
@@ -105,7 +122,9 @@ def link_most(free, width, links):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def find(root, piece):  # type: ignore[no-untyped-def]
+def find(root: Ints, piece: int) -> int:
+    """The number of the piece that `piece` has been joined to, or its own; shortens the way for
+    later calls."""
     while root[piece] != piece:
         root[piece] = root[root[piece]]
         piece = root[piece]
@@ -113,8 +132,9 @@ def find(root, piece):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def name_pieces(free, links, piece, root, ring, size):  # type: ignore[no-untyped-def]
-    """Number the paths and rings; a piece is named by its first cell found."""
+def name_pieces(free: Mask, links: Ints, piece: Ints, root: Ints, ring: Mask, size: Ints) -> None:
+    """Number the paths and rings: fill `piece`, `root`, `ring` and `size`. A piece has the number
+    of its first cell found."""
     piece[:] = NONE
     for open_ends in (True, False):  # paths from their ends, then what is left: rings
         for first in range(free.size):
@@ -130,10 +150,13 @@ def name_pieces(free, links, piece, root, ring, size):  # type: ignore[no-untype
 
 
 @njit(cache=True)
-def merge_rings(free, width, links, piece, root, ring, size):  # type: ignore[no-untyped-def]
+def merge_rings(
+    free: Mask, width: int, links: Ints, piece: Ints, root: Ints, ring: Mask, size: Ints
+) -> None:
     """Turn facing parallel links of different pieces, one of them a ring, until none is left.
 
-    First where that takes turns out of the walk, last where it adds four.
+    First where that takes turns out of the walk, last where it adds four. Changes `links`, `root`,
+    `ring` and `size`.
     """
     for allowed in range(-4, 6, 2):
         while _merge_pass(free, width, links, piece, root, ring, size, allowed):
@@ -141,7 +164,18 @@ def merge_rings(free, width, links, piece, root, ring, size):  # type: ignore[no
 
 
 @njit(cache=True)
-def _merge_pass(free, width, links, piece, root, ring, size, allowed):  # type: ignore[no-untyped-def]
+def _merge_pass(
+    free: Mask,
+    width: int,
+    links: Ints,
+    piece: Ints,
+    root: Ints,
+    ring: Mask,
+    size: Ints,
+    allowed: int,
+) -> bool:
+    """One pass over the grid, with at most `allowed` more quarter turns a merge; whether it merged
+    any."""
     changed = False
     for a in range(free.size - width - 1):
         b, c, d = a + 1, a + width, a + width + 1

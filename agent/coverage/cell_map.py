@@ -1,7 +1,7 @@
-"""A grid map as a fleet shares it: cells have numbers that fit a frame, and stretches of 40 are sections.
+"""A grid map as a fleet shares it: cells have numbers that fit a frame; 40 in a row are a section.
 
-Numbers go along one walk over all free cells that depends on the map alone. So what a robot covers one
-after the other mostly lies in one block of progress, which is one frame, and a section is a stretch
+Numbers go along one walk over all free cells that depends on the map alone. So what a robot covers
+in sequence mostly lies in one block of progress, which is one frame, and a section is a stretch
 that one robot can begin and finish.
 """
 
@@ -16,12 +16,14 @@ from crdt.progress import BLOCK_UNITS
 
 Walls = NDArray[np.bool_]
 Cell = tuple[int, int]  # row, column
-Point = tuple[float, float]
+Point = tuple[float, float]  # metres (x, y): east and north
 NUMBERS_MAX = 1 << 16  # free cells: a number is a u16 on the wire
 NONE = -1
 
 
 class CellMap:
+    """The free cells of a map: their numbers, their sections, and their places in the world."""
+
     def __init__(self, walls: Walls, cell_m: float) -> None:
         """`walls`: (rows, columns), True for blocked cells. ValueError: too many free cells."""
         if int(np.count_nonzero(~walls)) > NUMBERS_MAX:
@@ -68,25 +70,27 @@ class CellMap:
     # ---------------------------------------------------------------- names of a cell
 
     def unit(self, number: int) -> tuple[int, int]:
-        """Section and unit of a cell."""
+        """The section of a cell, and its unit of work there."""
         return divmod(number, BLOCK_UNITS)
 
     def cell(self, number: int) -> Cell:
+        """The row and column of a number; row 0 is in the north."""
         row, column = divmod(int(self.padded[number]), self.width)
         return row - 1, column - 1
 
     def number(self, cell: Cell) -> int:
-        """-1 where there is a wall or no map."""
+        """The number of a cell; -1 where there is a wall or no map."""
         row, column = cell
         if not (0 <= row < self.rows and 0 <= column < self.columns):
             return NONE
         return int(self.number_of[(row + 1) * self.width + column + 1])
 
     def centre(self, number: int) -> Point:
-        """Metres east and north of the middle of the map."""
+        """The centre of a numbered cell, from the middle of the map."""
         return self.centre_of(self.cell(number))
 
     def centre_of(self, cell: Cell) -> Point:
+        """The centre of a cell, from the middle of the map; the cell may be a wall."""
         row, column = cell
         x_m = (column - (self.columns - 1) / 2) * self.cell_m
         return x_m, ((self.rows - 1) / 2 - row) * self.cell_m

@@ -1,11 +1,11 @@
-"""A mission: cover a grid map together, by plans that the whole crew agrees on.
+"""A mission: cover a grid map together, by plans that the whole fleet agrees on.
 
 The plan says where to go, the rounds when (`agent/coverage/plan_agreement.py`); this mission drives
-from cell to cell. Claims of sections inform observers and robots that join later which robot has begun
-what. A section is done when all its cells are covered, by any robot.
+from cell to cell. Claims of sections inform observers and robots that join later which robot has
+begun what. A section is done when all its cells are covered, by any robot.
 
-A robot is never sent out of a joint plan, so the mission accepts no goal: an operator holds the robot,
-and the others go round it.
+A robot is never sent out of a joint plan, so the mission accepts no goal: an operator holds the
+robot, and the others go round it.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -54,6 +54,9 @@ PERIOD_S = CONTROL_PERIOD_US / S
 
 
 class GridWork(Mission):
+    """One robot's part in covering a grid: it drives the agreed plan and announces what it has
+    covered."""
+
     def __init__(
         self, slot: int, ground: CellMap, speed_m_s: float, rng: Random, turn_cost: float = 0.0
     ) -> None:
@@ -175,7 +178,8 @@ class GridWork(Mission):
                     self._tell(number, view)
 
     def _meet_wreck(self, view: FleetView) -> None:
-        """A single robot that fell silent stands where its last command expired."""
+        """Mark the cells of the one robot that fell silent: it stands where its last command
+        expired."""
         owing = self.agreement.owing(view.progress, view.silent_since_us)
         if len(owing) != 1 or owing[0] not in view.neighbours:
             return
@@ -197,7 +201,8 @@ class GridWork(Mission):
     # ---------------------------------------------------------------- driving
 
     def _note_holding(self, view: FleetView) -> None:
-        """Whether the guard holds us up: we wanted to drive, were allowed to, and have not moved."""
+        """Note whether the guard holds us up: we wanted to drive, were allowed to, and have not
+        moved."""
         at = (view.here.x_m, view.here.y_m)
         moved_m = hypot(at[0] - self._last[0], at[1] - self._last[1])
         self._last = at
@@ -244,8 +249,11 @@ class GridWork(Mission):
         self._onward = False
 
     def _next(self, view: FleetView) -> bool:
-        """Set out for the next cell of the plan, if we may. Waiting is what others make us do: steps
-        of the plan in which we stand are over at once."""
+        """Set out for the next cell of the plan, if the robot may.
+
+        Steps of the plan in which the robot stands are passed over, because it waits only for
+        others.
+        """
         rounds = self.agreement
         if not rounds.going or rounds.course is None:
             return False
@@ -279,7 +287,11 @@ class GridWork(Mission):
         return True
 
     def _turns_back(self, left_m: float, now_us: int) -> bool:
-        """Held up: to the other end, so that others can pass. Not where we have said that we come."""
+        """Whether a robot that is held up goes back to the cell that it came from, so that others
+        can pass.
+
+        It does not where it has announced the next cell.
+        """
         bound = self._onward and left_m <= (1.0 - BOUND) * self.ground.cell_m
         back_us = BACK_US if self.agreement.going else GATHER_BACK_US
         if bound or now_us - self._held_us < back_us:
@@ -300,7 +312,8 @@ class GridWork(Mission):
         return self.agreement.going and since_us > 0 and now_us - since_us > STUCK_US
 
     def _report(self, view: FleetView) -> None:
-        """What is in the cell that we may enter, and does not go away, is an obstacle."""
+        """Report a body that stays in the cell that we may enter as an obstacle, and call a new
+        round."""
         self._strange_us = 0
         rounds = self.agreement
         assert rounds.course is not None
@@ -387,7 +400,7 @@ class GridWork(Mission):
         return self._wish
 
     def _comes_to(self, section: int, view: FleetView) -> bool:
-        """Whether we are to cover anything in that section soon, or have just done so."""
+        """Whether we shall cover anything in a section soon, or have just done so."""
         rounds = self.agreement
         assert rounds.course is not None
         rounds.course.reaches(self._step + AHEAD)

@@ -1,8 +1,10 @@
-"""A joint plan that every robot of a crew computes alike, and what each step of it has to wait for.
+"""A joint plan that every robot of a fleet computes alike, and what each step of it has to wait
+for.
 
-The plan is what `agent/coverage/team.py` would do step by step. Robots do not share a clock, so it is
-driven in its order instead: a step into a cell waits until the one that was in it before has gone on.
-That order never closes a circle of waiting, because the plan itself is a run in which all of it happens.
+The plan is what `agent/coverage/team.py` would do step by step. Robots do not share a clock, so it
+is driven in its order instead: a step into a cell waits until the robot that was in it before has
+gone on. That order never closes a circle of waiting, because the plan itself is a run in which all
+of it happens.
 """
 
 from collections.abc import Sequence
@@ -32,7 +34,10 @@ FREE = Wait(NONE, 0, 0)
 
 
 class JointCourse:
-    """Robots are indices into `slots`, cells are numbers of the ground."""
+    """A plan, computed step by step as far as it is asked for.
+
+    Robots are indices into `slots`, cells are numbers of the ground.
+    """
 
     def __init__(
         self,
@@ -102,11 +107,15 @@ class JointCourse:
         return len(self._steps) - 1
 
     def place(self, robot: int, step: int) -> int:
+        """The cell of a robot after a step, which must have been reached (`reaches`)."""
         return int(self._steps[step][robot])
 
     def wait(self, robot: int, step: int) -> Wait:
-        """What must be before a robot begins its step. A cell that is left in the same step may be
-        followed into; one that was left before has to be free."""
+        """What must have happened before a robot begins its step.
+
+        A cell that another robot leaves in the same step may be followed into; one that it leaves
+        in an earlier step must be free.
+        """
         return self._waits[step].get(robot, FREE)
 
 
@@ -114,7 +123,7 @@ _KEPT: dict[object, tuple[CellMap, JointCourse]] = {}  # a ground kept keeps its
 
 
 class CourseInputs(NamedTuple):
-    """What a course is computed from."""
+    """Everything that a course depends on: robots that agree on these values compute equal courses."""
 
     slots: tuple[int, ...]
     places: tuple[int, ...]
@@ -123,11 +132,13 @@ class CourseInputs(NamedTuple):
     turn_cost: float
 
     def digest(self, ground: CellMap) -> int:
+        """32 bits of these inputs and of the map, for comparing them in one frame."""
         return crc32(repr((ground.check, *self)).encode())
 
 
 def course_of(ground: CellMap, terms: CourseInputs) -> JointCourse:
-    """The last ones are kept: robots that share a process compute the same one after the other."""
+    """The course of these inputs. The last `KEPT_MAX` are kept, because robots that share a process
+    compute the same one after the other."""
     key = (id(ground), terms)
     if key not in _KEPT:
         while len(_KEPT) >= KEPT_MAX:

@@ -18,7 +18,8 @@ PERIOD_S = CONTROL_PERIOD_US / S
 
 
 class GridGuard(MotionController):
-    """The `Motion` of a robot on a grid: its wishes are safe by the plan, if all keep to it."""
+    """The motion controller of a robot on a grid: its requests are safe by the plan if all robots
+    keep to it."""
 
     def __init__(self, cell_m: float, radius_m: float, speed_m_s: float) -> None:
         self.guard_m, self.speed_m_s = GUARD * cell_m, speed_m_s

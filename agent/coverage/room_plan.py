@@ -1,8 +1,10 @@
 """Cutting one room among the robots in it: a walk, its cut, and ways that are worked, too.
 
-First the walk is cut with ways to the runs that cover nothing. If these cost much, as they do where
-robots start together, the ways themselves are laid as work (`coverage_approach`), what remains is
-walked and cut again, and so on while the bound falls.
+First the walk is cut as if the ways to the runs covered nothing. If these ways cost much, as they
+do where robots start together, they are laid as work themselves (`agent/coverage/approach.py`).
+What remains is walked and cut again, and so on while the bound falls.
+
+Cells are numbers into the padded grid (see `agent/coverage/cell_links.py`).
 """
 
 from collections.abc import Iterator
@@ -29,6 +31,8 @@ CHOICE_MAX = 20_000  # cells; in larger rooms the robots' places make too little
 
 
 class Costing(NamedTuple):
+    """What a step and a quarter turn cost, as whole numbers of one unit."""
+
     step: int
     turn: int
 
@@ -63,7 +67,11 @@ class _Draft(NamedTuple):
 
 
 def cut_room(grid: Grid, inside: Mask, places: Numbers, costing: Costing) -> Share | None:
-    """`inside`: the room's cells; `places`: of the robots in it. None where all is covered."""
+    """Cut a room among its robots; None where all of it is covered.
+
+    `inside`: (cells,), 1 for the cells of the room. `places`: (robots,), the cells where they
+    stand.
+    """
     todo = inside & (1 - grid.covered)
     if not todo.any():
         return None

@@ -24,7 +24,10 @@ TURN_COST_MAX = 100.0  # steps; more would say that robots cannot turn
 
 
 class Team:
-    """Rows and columns outside, cells of the padded grid inside."""
+    """All robots of one grid, their runs, and what is covered. Equal inputs give equal teams.
+
+    Callers use rows and columns; inside, cells are numbers into the padded grid.
+    """
 
     def __init__(
         self,
@@ -48,9 +51,11 @@ class Team:
         self._recut(places)
 
     def number(self, cell: Cell) -> int:
+        """The number of a cell in the padded grid."""
         return (cell[0] + 1) * self.grid.width + cell[1] + 1
 
     def cell(self, number: int) -> Cell:
+        """The row and column of a number in the padded grid."""
         return number // self.grid.width - 1, number % self.grid.width - 1
 
     def _settle(self, places: Numbers) -> None:
@@ -62,7 +67,7 @@ class Team:
         self.grid.here[cells] = there
 
     def die(self, robot: int) -> None:
-        """A robot is a wreck from now on: it blocks its cell, and its work is for the others."""
+        """A robot cannot move any more: it blocks its cell, and its work is cut among the others."""
         place = self.robots.place[robot]
         assert place != NONE
         self.grid.free[place], self.grid.here[place] = 0, NONE
@@ -111,7 +116,8 @@ class Team:
         return self._remaining
 
     def advance(self) -> list[int]:
-        """All robots' places after one more step (cell numbers; -1 for wrecks)."""
+        """The place of each robot after one more step: numbers in the padded grid, -1 for dead
+        robots."""
         choose_goals(self.grid, self.walked, self.robots, self.now)
         self._remaining -= step(self.grid, self.robots)
         self.now += 1

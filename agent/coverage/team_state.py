@@ -1,19 +1,21 @@
 """What a coverage team knows, as arrays that the kernels share: by cell and by robot.
 
-Cells are numbers into the padded grid (see `coverage_links`); -1 is no cell, no robot, not known.
+Cells are numbers into the padded grid (see `agent/coverage/cell_links.py`); -1 is no cell, no
+robot, not known.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 NONE = -1
 Numbers = NDArray[np.int64]
+Number = Any  # an integer: int and np.int64 are one type to numba, but not to mypy
 
 
 class Grid(NamedTuple):
-    """By cell."""
+    """The state of each cell: arrays (cells,), and the width of the padded grid."""
 
     free: NDArray[np.uint8]
     width: int
@@ -25,7 +27,7 @@ class Grid(NamedTuple):
 
 
 class Robots(NamedTuple):
-    """By robot."""
+    """The state of each robot: arrays (robots,), and its field of steps."""
 
     place: Numbers  # -1: not there
     goal: Numbers  # the cell it covers next
@@ -49,6 +51,8 @@ class Walked(NamedTuple):
 
 
 def new_grid(free: NDArray[np.uint8], width: int) -> Grid:
+    """A grid with no robot and nothing covered. `free`: (cells,), 1 or 0; `width`: cells of a
+    padded row."""
     cells = free.size
     return Grid(
         free, width, np.zeros(cells, np.uint8), np.full(cells, NONE, np.int64),
@@ -57,6 +61,8 @@ def new_grid(free: NDArray[np.uint8], width: int) -> Grid:
 
 
 def new_robots(place: Numbers, cells: int) -> Robots:
+    """Robots without runs and goals, on a grid of so many cells. `place`: (robots,), the cell of
+    each."""
     none = np.full(place.size, NONE, np.int64)
     zero = np.zeros(place.size, np.int64)
     return Robots(

@@ -4,18 +4,27 @@ Priority inheritance with backtracking (PIBT; Okumura et al., Artificial Intelli
 choose in order of priority. A robot that wants an occupied cell makes its occupant choose first; if
 that fails, all robots concerned stay. A cell is never promised twice, and robots never swap places.
 
-Coverage never locks, on any connected grid with any number of robots. Priority is the age of a goal,
-and a goal is a cell not yet covered, kept until it is. Let h stand on cell c with the oldest goal g,
-and v be its neighbour nearer to g. If h cannot go to v, the chain of pushes from v has failed: every
-cell that can be reached from v without c is occupied. One of them is g; but an occupied cell is
-covered. So the oldest goal is approached in every step, and every reached goal is a cell less to do.
-(Renewing priority with every step instead of with every goal loses this: some maps never end.)
+Coverage never locks, on any connected grid with any number of robots. Priority is the age of a
+goal, and a goal is a cell not yet covered, kept until it is. Let h stand on cell c with the oldest
+goal g, and v be its neighbour nearer to g. If h cannot go to v, the chain of pushes from v has
+failed: every cell that can be reached from v without c is occupied. One of them is g; but an
+occupied cell is covered. So the oldest goal is approached in every step, and every reached goal is
+a cell less to do. (Renewing priority with every step instead of with every goal loses this: some
+maps never end.)
+
+`grid` and `robots` are those of `agent/coverage/team_state.py`, arrays (cells,) and (robots,).
+`free` (cells,) is 1 or 0. `field` (cells,) holds steps to some cell, -1 where not known. `queue`
+(cells,) is scratch.
 """
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
-from agent.coverage.team_state import NONE
+from agent.coverage.team_state import NONE, Grid, Number, Numbers, Robots
+
+Mask = NDArray[np.uint8]
+Ints = NDArray[np.int32]
 
 FAR = 1 << 30  # no limit
 WALL = -2  # in a field to be flooded
@@ -23,10 +32,13 @@ UNKNOWN = 1 << 20  # steps, where the field ends: more than a padded grid of 204
 
 
 @njit(cache=True)
-def fill_field(free, width, field, goal, place, limit, queue):  # type: ignore[no-untyped-def]
-    """Steps to `goal` for all cells not farther than `limit`, nor than `place` and its neighbours.
+def fill_field(
+    free: Mask, width: int, field: Ints, goal: int, place: Number, limit: Number, queue: Ints
+) -> None:
+    """Fill `field` with steps to `goal`, as far as `limit` or as far as `place` and its neighbours.
 
-    The others stay; all must be -1 before.
+    All of `field` must be -1 before, and cells further away stay so. `place` -1: no cell ends the
+    search.
     """
     field[goal], queue[0], head, tail = 0, goal, 0, 1
     while head < tail:
@@ -45,8 +57,8 @@ def fill_field(free, width, field, goal, place, limit, queue):  # type: ignore[n
 
 
 @njit(cache=True)
-def flood(width, field, source, queue):  # type: ignore[no-untyped-def]
-    """Steps from `source` for all cells; before, walls are `WALL` and all others -1.
+def flood(width: int, field: Ints, source: int, queue: Ints) -> None:
+    """Fill `field` with steps from `source`; before, walls are `WALL` and all other cells -1.
 
     As `fill_field` without its limits, and with one look at each neighbour: half the time.
     """
@@ -64,8 +76,9 @@ def flood(width, field, source, queue):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def wipe_field(width, field, goal, queue):  # type: ignore[no-untyped-def]
-    """Undo `fill_field` at the cost of what it filled, which is most often little of the map."""
+def wipe_field(width: int, field: Ints, goal: int, queue: Ints) -> None:
+    """Undo `fill_field` for this `goal`: all that it filled is -1 again. Costs as much as it
+    filled."""
     queue[0], head, tail = goal, 0, 1
     field[goal] = NONE
     while head < tail:
@@ -79,8 +92,9 @@ def wipe_field(width, field, goal, queue):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _options(grid, place, goal, field, options):  # type: ignore[no-untyped-def]
-    """Cells to go to, best first, the own one included; returns how many."""
+def _options(grid: Grid, place: int, goal: int, field: Ints, options: Numbers) -> int:
+    """Fill `options`, (5,), with the cells to go to, best first, the own one included; returns how
+    many."""
     width = grid.width
     keys = np.empty(5, np.int64)
     count = 0
@@ -107,8 +121,10 @@ def _options(grid, place, goal, field, options):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _choose(grid, robots, first, memory):  # type: ignore[no-untyped-def]
-    """Choose the next cells of `first` and of all robots that it pushes."""
+def _choose(
+    grid: Grid, robots: Robots, first: Number, memory: tuple[Numbers, Numbers, Numbers, Numbers]
+) -> None:
+    """Choose the next cells of robot `first` and of all robots that it pushes; `memory` is scratch."""
     stack, options, tried, many = memory
     place, then = robots.place, robots.then
     stack[0], depth, moved = first, 1, False
@@ -147,7 +163,7 @@ def _choose(grid, robots, first, memory):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def step(grid, robots):  # type: ignore[no-untyped-def]
+def step(grid: Grid, robots: Robots) -> int:
     """Move every robot by one cell or none; returns how many cells were covered for the first time."""
     place, count = robots.place, robots.place.size
     memory = (

@@ -1,8 +1,13 @@
 """One walk over all free cells of a room, nearly without stepping twice, the same at every peer.
 
-The pieces that `coverage_links` leaves, paths and rings, are spliced together, the smallest first:
-into a link of a neighbour or on to its end, wherever the detour is least. On maps made of 2 x 2
-blocks, as coverage benchmarks are, nothing is stepped on twice; single dead ends cost their way back.
+The pieces that `agent/coverage/cell_links.py` leaves, paths and rings, are spliced together, the
+smallest first: into a link of a neighbour or on to its end, wherever the detour is least. On maps
+made of 2 x 2 blocks, as coverage benchmarks are, nothing is stepped on twice; single dead ends cost
+their way back.
+
+Cells are numbers into the padded grid, and `links`, `piece`, `root`, `ring` and `size` are those of
+`agent/coverage/cell_links.py`. `free` and `todo` (cells,) are 1 or 0. `ends` (cells, 2) holds the
+two ends of each piece. A walk is its cells in `order` (n,).
 """
 
 import numpy as np
@@ -23,11 +28,26 @@ from agent.coverage.cell_links import (
 )
 
 Mask = NDArray[np.uint8]
+Ints = NDArray[np.int32]
+Longs = NDArray[np.int64]
+Memory = tuple[Ints, Ints, Ints]  # stamps, distances, queue: (cells,) each
 
 
 @njit(cache=True)
-def reach(free, width, source, radius, stamp, turn, distance, queue):  # type: ignore[no-untyped-def]
-    """Breadth-first distances up to `radius`; returns how many cells are in `queue`, by distance."""
+def reach(
+    free: Mask,
+    width: int,
+    source: int,
+    radius: int,
+    stamp: Ints,
+    turn: int,
+    distance: Ints,
+    queue: Ints,
+) -> int:
+    """Fill `distance` with steps from `source` up to `radius`; returns how many cells were reached.
+
+    They are in `queue`, nearest first, and their `stamp` is `turn`. All three arrays are (cells,).
+    """
     queue[0], head, tail = source, 0, 1
     stamp[source], distance[source] = turn, 0
     while head < tail:
@@ -45,13 +65,15 @@ def reach(free, width, source, radius, stamp, turn, distance, queue):  # type: i
 
 
 @njit(cache=True)
-def memory(cells):  # type: ignore[no-untyped-def]
-    """Stamps, distances and queue of searches; cell 0 is a wall: its stamp counts the searches."""
+def memory(cells: int) -> Memory:
+    """Stamps, distances and queue of searches, (cells,) each. Cell 0 is a wall: its stamp counts
+    the searches."""
     return np.zeros(cells, np.int32), np.zeros(cells, np.int32), np.empty(cells, np.int32)
 
 
 @njit(cache=True)
-def _path_ends(links, piece, root, ends):  # type: ignore[no-untyped-def]
+def _path_ends(links: Ints, piece: Ints, root: Ints, ends: Ints) -> None:
+    """Fill `ends` with the ends of each path."""
     for cell in range(piece.size):
         if piece[cell] != NONE and not is_whole(links, cell):
             one = find(root, piece[cell])
@@ -61,7 +83,9 @@ def _path_ends(links, piece, root, ends):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _open_ring(free, width, links, piece, root, one, ends):  # type: ignore[no-untyped-def]
+def _open_ring(
+    free: Mask, width: int, links: Ints, piece: Ints, root: Ints, one: int, ends: Ints
+) -> None:
     """Cut a ring where it can be put into its neighbour with the least detour."""
     steps = (-width, width, -1, 1)
     best, best_a, best_b = FAR, ends[one, 0], links[ends[one, 0], 0]
@@ -93,8 +117,20 @@ def _open_ring(free, width, links, piece, root, one, ends):  # type: ignore[no-u
 
 
 @njit(cache=True)
-def _splice(free, width, links, piece, root, size, ends, one, near_a, near_b):  # type: ignore[no-untyped-def]
-    """Put the path `one` into another piece, or on to its end, where that costs least."""
+def _splice(
+    free: Mask,
+    width: int,
+    links: Ints,
+    piece: Ints,
+    root: Ints,
+    size: Ints,
+    ends: Ints,
+    one: int,
+    near_a: Memory,
+    near_b: Memory,
+) -> bool:
+    """Put the path `one` into another piece, or on to its end, where that costs least; False: no
+    way."""
     a, b = ends[one, 0], ends[one, 1]
     stamp_a, distance_a, queue_a = near_a
     stamp_b, distance_b, queue_b = near_b
@@ -145,7 +181,10 @@ def _splice(free, width, links, piece, root, size, ends, one, near_a, near_b):  
 
 
 @njit(cache=True)
-def _join_pieces(free, width, links, piece, root, ring, size):  # type: ignore[no-untyped-def]
+def _join_pieces(
+    free: Mask, width: int, links: Ints, piece: Ints, root: Ints, ring: Mask, size: Ints
+) -> Ints:
+    """Join all pieces that a way connects to one path; returns `ends`."""
     ends = np.full((free.size, 2), NONE, np.int32)
     _path_ends(links, piece, root, ends)
     near_a, near_b = memory(free.size), memory(free.size)
@@ -176,8 +215,8 @@ def _join_pieces(free, width, links, piece, root, ring, size):  # type: ignore[n
 
 
 @njit(cache=True)
-def steps_between(free, width, a, b, near):  # type: ignore[no-untyped-def]
-    """Steps from a to b; FAR where there is no way. A search from a that ends at b."""
+def steps_between(free: Mask, width: int, a: int, b: int, near: Memory) -> int:
+    """Steps from cell a to cell b; FAR where there is no way. `near` is scratch from `memory`."""
     if abs(a - b) == 1 or abs(a - b) == width:
         return 1
     stamp, distance, queue = near
@@ -200,11 +239,11 @@ def steps_between(free, width, a, b, near):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def measure_runs(free, width, order, cuts, unit, turn):  # type: ignore[no-untyped-def]
-    """The cost before each cell of each run order[cuts[k]:cuts[k + 1]]: `unit` a step, `turn` a
-    quarter turn.
+def measure_runs(free: Mask, width: int, order: Ints, cuts: Longs, unit: int, turn: int) -> Ints:
+    """The cost before each cell of `order` from the beginning of its run, (n,).
 
-    Of the way to a cell that is not next door only the length counts, and one quarter turn.
+    Run k is order[cuts[k]:cuts[k + 1]]; `cuts` is (runs + 1,). A step costs `unit`, a quarter turn
+    `turn`. Of the way to a cell that is not next door only the length counts, and one quarter turn.
     """
     near = memory(free.size)
     along = np.zeros(order.size, np.int32)
@@ -222,13 +261,14 @@ def measure_runs(free, width, order, cuts, unit, turn):  # type: ignore[no-untyp
 
 
 @njit(cache=True)
-def measure(free, width, order, unit, turn):  # type: ignore[no-untyped-def]
-    """The same of one walk."""
+def measure(free: Mask, width: int, order: Ints, unit: int, turn: int) -> Ints:
+    """As `measure_runs`, (n,), for one walk: a step costs `unit`, a quarter turn `turn`."""
     return measure_runs(free, width, order, np.array([0, order.size]), unit, turn)
 
 
 @njit(cache=True)
-def _read(links, ends, piece, root):  # type: ignore[no-untyped-def]
+def _read(links: Ints, ends: Ints, piece: Ints, root: Ints) -> Ints:
+    """The cells of all pieces, from one end to the other, (n,)."""
     order = np.empty(piece.size, np.int32)
     count = 0
     for one in range(piece.size):
@@ -244,10 +284,12 @@ def _read(links, ends, piece, root):  # type: ignore[no-untyped-def]
 
 
 def walk(free: Mask, todo: Mask, width: int, axis: int, straight: bool) -> NDArray[np.int32]:
-    """Every cell of `todo` once, in an order with short ways; straights along `axis` (1 or width).
+    """Every cell of `todo` once, (n,), in an order with short ways; straights along `axis` (1 or
+    width).
 
-    `straight`: straights as long as they can be, with a few more steps between them.
-    `free`: where one may go on the way, (cells,) 1 or 0, one connected room; `todo` is part of it.
+    `free`: where a robot may go on the way, (cells,), 1 or 0, one connected room; `todo`, (cells,),
+    is part of it. `straight`: make straights as long as possible, with a few more steps between
+    them.
     """
     links = np.full((free.size, 2), NONE, np.int32)
     piece = np.full(free.size, NONE, np.int32)

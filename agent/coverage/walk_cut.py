@@ -1,22 +1,32 @@
 """Cutting a coverage walk into one run for each robot, so that all end at about the same time.
 
-A run costs the way to its nearer end and the walk from there. With the robots in a given order along
-the walk, the least common bound is found by bisection: each takes as much as it can do within the
-bound. The order comes from the cheapest assignment of robots to runs, then better by exchanges.
+A run costs the way to its nearer end and the walk from there. With the robots in a given order
+along the walk, the least common bound is found by bisection: each takes as much as it can do within
+the bound. The order comes from the cheapest assignment of robots to runs, then better by exchanges.
 Nothing here is random: equal walk and equal places, equal cut at every peer.
+
+`order` (n,) are the cells of the walk, `along` (n,) the cost before each of them. `ways` (robots,
+cells) is the cost from each robot's place to each cell. Run k is order[cuts[k]:cuts[k + 1]]; `cuts`
+is (robots + 1,), and `robots` (robots,) says whose run it is.
 """
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from agent.coverage.team_state import Number
+
 Integers = NDArray[np.int32]
+Longs = NDArray[np.int64]
 UNREACHED = 1 << 28  # a distance to what cannot be reached; far from overflow when added
 
 
 @njit(cache=True)
-def assign(cost):  # type: ignore[no-untyped-def]
-    """For each row of a square matrix its column, least sum (Hungarian method with potentials)."""
+def assign(cost: Longs) -> Longs:
+    """The column of each row of the square matrix `cost`, (n, n), with the least sum; (n,).
+
+    Hungarian method with potentials (Kuhn 1955, Munkres 1957).
+    """
     n = cost.shape[0]
     up, down = np.zeros(n + 1, np.int64), np.zeros(n + 1, np.int64)
     row_of = np.zeros(n + 1, np.int64)
@@ -56,10 +66,11 @@ def assign(cost):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _run_end(order, along, way, first, bound):  # type: ignore[no-untyped-def]
-    """How far a robot gets from `first` on within the bound: one after its last cell.
+def _run_end(order: Integers, along: Integers, way: Integers, first: int, bound: Number) -> int:
+    """The end of the run that a robot can do from index `first` on within the bound.
 
-    Entering at either end: both costs never fall as the run grows, so the end is found by halving.
+    The robot enters at either end. Both costs never fall as the run grows, so the end is found by
+    halving.
     """
     low, high = (
         first,
@@ -76,7 +87,9 @@ def _run_end(order, along, way, first, bound):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _fits(order, along, ways, robots, bound, cuts):  # type: ignore[no-untyped-def]
+def _fits(
+    order: Integers, along: Integers, ways: Integers, robots: Longs, bound: Number, cuts: Longs
+) -> bool:
     """Whether robots in this order can do the whole walk within the bound; fills `cuts`."""
     cuts[0] = 0
     for i in range(robots.size):
@@ -88,7 +101,9 @@ def _fits(order, along, ways, robots, bound, cuts):  # type: ignore[no-untyped-d
 
 
 @njit(cache=True)
-def _least_bound(order, along, ways, robots, cuts, below):  # type: ignore[no-untyped-def]
+def _least_bound(
+    order: Integers, along: Integers, ways: Integers, robots: Longs, cuts: Longs, below: Number
+) -> Number:
     """The least bound under `below`, and its cuts; `below` where there is none."""
     if not _fits(order, along, ways, robots, below - 1, cuts):
         return below
@@ -104,7 +119,7 @@ def _least_bound(order, along, ways, robots, cuts, below):  # type: ignore[no-un
 
 
 @njit(cache=True)
-def _assigned(order, ways, cuts):  # type: ignore[no-untyped-def]
+def _assigned(order: Integers, ways: Integers, cuts: Longs) -> Longs:
     """Robots for the runs between cuts, with the least way in all to their nearer ends."""
     count = cuts.size - 1
     cost = np.zeros((count, count), np.int64)
@@ -117,7 +132,15 @@ def _assigned(order, ways, cuts):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _exchanged(order, along, ways, robots, bound, cuts, tries):  # type: ignore[no-untyped-def]
+def _exchanged(
+    order: Integers,
+    along: Integers,
+    ways: Integers,
+    robots: Longs,
+    bound: Number,
+    cuts: Longs,
+    tries: int,
+) -> Number:
     """Exchange two robots wherever that lowers the bound, at most `tries` tests."""
     count = robots.size
     trial = cuts.copy()
@@ -141,8 +164,15 @@ def _exchanged(order, along, ways, robots, bound, cuts, tries):  # type: ignore[
 
 
 @njit(cache=True)
-def cut(order, along, ways, rounds, tries):  # type: ignore[no-untyped-def]
-    """(bound, robot of each run, cuts) over `ways` (robots, cells): steps from each robot's place."""
+def cut(
+    order: Integers, along: Integers, ways: Integers, rounds: int, tries: int
+) -> tuple[int, Longs, Longs]:
+    """(bound, robot of each run, cuts): runs whose greatest cost, the bound, is as small as was
+    found.
+
+    Assignment and cut are repeated for at most `rounds`; then pairs of robots are exchanged, with
+    at most about `tries` tests.
+    """
     count = ways.shape[0]
     cuts = np.empty(count + 1, np.int64)
     length = along[-1] + 1 - along[0]

@@ -1,15 +1,25 @@
 """Shortening a coverage walk at its hops: the places where the next cell is not next door.
 
-Two kinds of change, tried at every hop until none helps: turning round a stretch between the hop and a
-neighbour of one of its ends (2-opt), and moving a short stretch that begins after the hop to a place
-beside it (Or-opt). Each is measured by true steps around walls, and only shorter walks are taken.
+Two kinds of change, tried at every hop until none helps: turning round a stretch between the hop
+and a neighbour of one of its ends (2-opt, Croes 1958), and moving a short stretch that begins after
+the hop to a place beside it (Or-opt, Or 1976). Each is measured by true steps around walls, and
+only shorter walks are taken.
+
+Cells are numbers into the padded grid; `free` (cells,) is 1 or 0. `order` (n,) are the cells of the
+walk, `at` (cells,) the index of each cell in it (-1: none), `gaps` (n,) the steps from each to the
+next.
 """
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
-from agent.coverage.team_state import NONE
-from agent.coverage.walk import memory, reach, steps_between
+from agent.coverage.team_state import NONE, Number
+from agent.coverage.walk import Memory, memory, reach, steps_between
+
+Mask = NDArray[np.uint8]
+Ints = NDArray[np.int32]
+Longs = NDArray[np.int64]
 
 PASSES = 3  # over all hops; later ones find next to nothing
 HOP_MAX = 24  # longer hops are few, and looking around them costs their square
@@ -17,13 +27,13 @@ STRETCH_MAX = 64  # cells moved at once
 
 
 @njit(cache=True)
-def _apart(width, a, b):  # type: ignore[no-untyped-def]
+def _apart(width: int, a: int, b: int) -> int:
     """Steps without walls: what a way is never shorter than."""
     return abs(a // width - b // width) + abs(a % width - b % width)
 
 
 @njit(cache=True)
-def _turn(order, at, first, last):  # type: ignore[no-untyped-def]
+def _turn(order: Ints, at: Longs, first: Number, last: Number) -> None:
     """Reverse order[first..last]."""
     while first < last:
         a, b = order[first], order[last]
@@ -34,7 +44,7 @@ def _turn(order, at, first, last):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _reverse(gaps, first, last):  # type: ignore[no-untyped-def]
+def _reverse(gaps: Longs, first: Number, last: Number) -> None:
     """Reverse gaps[first..last]. Loops, here and below: numba takes seconds to compile slices."""
     while first < last:
         gaps[first], gaps[last] = gaps[last], gaps[first]
@@ -43,19 +53,22 @@ def _reverse(gaps, first, last):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _gap(order, gaps, i):  # type: ignore[no-untyped-def]
+def _gap(order: Ints, gaps: Longs, i: int) -> Number:
     """Steps between order[i] and order[i + 1]; 0 beyond the ends."""
     return gaps[i] if 0 <= i < order.size - 1 else 0
 
 
 @njit(cache=True)
-def _regap(free, width, order, gaps, first, last, near):  # type: ignore[no-untyped-def]
+def _regap(
+    free: Mask, width: int, order: Ints, gaps: Longs, first: Number, last: Number, near: Memory
+) -> None:
+    """Measure the gaps after the cells with indices `first` to `last` again."""
     for i in range(max(first, 0), min(last, order.size - 2) + 1):
         gaps[i] = steps_between(free, width, order[i], order[i + 1], near)
 
 
 @njit(cache=True)
-def _known(near, cell):  # type: ignore[no-untyped-def]
+def _known(near: Memory, cell: int) -> Number:
     """Steps to a cell from where the last search began; -1 beyond its radius."""
     return near[1][cell] if near[0][cell] == near[0][0] else NONE
 
@@ -90,7 +103,18 @@ def _untangle(free, width, order, at, gaps, i, near_a, near_b):  # type: ignore[
 
 
 @njit(cache=True)
-def _move(free, width, order, at, gaps, first, last, to, turned, near):  # type: ignore[no-untyped-def]
+def _move(
+    free: Mask,
+    width: int,
+    order: Ints,
+    at: Longs,
+    gaps: Longs,
+    first: int,
+    last: int,
+    to: int,
+    turned: bool,
+    near: Memory,
+) -> None:
     """Put order[first..last] behind place `to` (outside of it), turned round or not."""
     count = last + 1 - first
     stretch, inner = np.empty(count, order.dtype), np.empty(count, gaps.dtype)
@@ -123,7 +147,16 @@ def _move(free, width, order, at, gaps, first, last, to, turned, near):  # type:
 
 
 @njit(cache=True)
-def _shift(free, width, order, at, gaps, i, near_a, near_b):  # type: ignore[no-untyped-def]
+def _shift(
+    free: Mask,
+    width: int,
+    order: Ints,
+    at: Longs,
+    gaps: Longs,
+    i: int,
+    near_a: Memory,
+    near_b: Memory,
+) -> int:
     """The best move of a stretch that begins after the hop at i; returns what it saves."""
     last, hop, a, b = order.size - 1, gaps[i], order[i], order[i + 1]
     none = int(np.int64(0))  # a literal is a type of its own: compiled twice
@@ -167,8 +200,8 @@ def _shift(free, width, order, at, gaps, i, near_a, near_b):  # type: ignore[no-
 
 
 @njit(cache=True)
-def polish(free, width, order):  # type: ignore[no-untyped-def]
-    """Shorten a walk in place; returns the steps saved."""
+def polish(free: Mask, width: int, order: Ints) -> int:
+    """Shorten the walk `order` in place; returns the number of steps saved."""
     near_a, near_b = memory(free.size), memory(free.size)
     at = np.full(free.size, NONE, np.int64)
     for i in range(order.size):

@@ -1,23 +1,30 @@
 """Shares the rest of a coverage walk: runs, goals, and taking over work from robots with more left.
 
 A robot has one run [low, high) of the walk and works it from one end (`side` +1: from low). A robot
-with an empty run takes the far end of another's run, as much as lets both finish earliest. No cell is
-owned by two robots, and covered cells are skipped. All of it is arithmetic on replicated values, so
-all peers that know the same agree without asking.
+with an empty run takes the far end of another's run, as much as lets both finish earliest. No cell
+is owned by two robots, and covered cells are skipped. All of it is arithmetic on replicated values,
+so all peers that know the same agree without asking.
+
+`grid`, `walked` and `robots` are those of `agent/coverage/team_state.py`: arrays (cells,), (n,) and
+(robots,). `reach` (cells,) holds steps from some cell, -1 where not known.
 """
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
-from agent.coverage.team_state import NONE
+from agent.coverage.team_state import NONE, Grid, Number, Robots, Walked
 from agent.coverage.team_step import FAR, fill_field, wipe_field
+
+Mask = NDArray[np.uint8]
+Ints = NDArray[np.int32]
 
 WON_MIN = 2  # steps: below it, the way there and back costs more than it brings
 ASK_AGAIN = 4  # steps after which the others' progress may have changed the answer
 
 
 @njit(cache=True)
-def _trim(walked, covered, robots, robot):  # type: ignore[no-untyped-def]
+def _trim(walked: Walked, covered: Mask, robots: Robots, robot: int) -> None:
     """Drop what is covered from both ends of a run."""
     order, low, high = walked.order, robots.low, robots.high
     while low[robot] < high[robot] and covered[order[low[robot]]]:
@@ -27,8 +34,8 @@ def _trim(walked, covered, robots, robot):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _rest(walked, robots, robot):  # type: ignore[no-untyped-def]
-    """Cost of what a robot has still to do."""
+def _rest(walked: Walked, robots: Robots, robot: int) -> Number:
+    """The cost of what a robot has still to do."""
     low, high = robots.low[robot], robots.high[robot]
     if low >= high:
         return 0
@@ -36,8 +43,8 @@ def _rest(walked, robots, robot):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _nearer(reach, a, b):  # type: ignore[no-untyped-def]
-    """The shorter way of two, where one is not known the other, else too far to be of use."""
+def _nearer(reach: Ints, a: int, b: int) -> int:
+    """Steps to the nearer of two cells; if one is not known, those to the other; FAR if neither is."""
     if reach[a] == NONE and reach[b] == NONE:
         return FAR
     if reach[a] == NONE or reach[b] == NONE:
@@ -46,7 +53,7 @@ def _nearer(reach, a, b):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _split(walked, reach, robots, owner):  # type: ignore[no-untyped-def]
+def _split(walked: Walked, reach: Ints, robots: Robots, owner: int) -> tuple[Number, int]:
     """Where to part a run: (both parts' later end, index), the owner keeping its near part.
 
     The owner's cost rises with its part and the taker's falls: the crossing is found by halving.
@@ -77,7 +84,7 @@ def _split(walked, reach, robots, owner):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _worth_asking(grid, walked, robots, robot):  # type: ignore[no-untyped-def]
+def _worth_asking(grid: Grid, walked: Walked, robots: Robots, robot: int) -> Number:
     """How far to look for a run worth taking from; 0 where no end is so near, walls not counted."""
     most = np.int64(0)
     order, place = walked.order, robots.place[robot]
@@ -94,7 +101,7 @@ def _worth_asking(grid, walked, robots, robot):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _take_over(grid, walked, robots, robot):  # type: ignore[no-untyped-def]
+def _take_over(grid: Grid, walked: Walked, robots: Robots, robot: int) -> None:
     """An idle robot takes the far part of the run where most is won."""
     order, low, high, reach = walked.order, robots.low, robots.high, grid.reach
     far = _worth_asking(grid, walked, robots, robot)
@@ -122,7 +129,7 @@ def _take_over(grid, walked, robots, robot):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _find_way(grid, robots, robot):  # type: ignore[no-untyped-def]
+def _find_way(grid: Grid, robots: Robots, robot: int) -> None:
     """Steps to the goal; the field of steps around the robot where the goal is not next door."""
     place, goal = robots.place[robot], robots.goal[robot]
     if abs(goal - place) == 1 or abs(goal - place) == grid.width:
@@ -141,8 +148,11 @@ def _find_way(grid, robots, robot):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def choose_goals(grid, walked, robots, now):  # type: ignore[no-untyped-def]
-    """Each robot's next cell to cover; robots without any take over from others."""
+def choose_goals(grid: Grid, walked: Walked, robots: Robots, now: int) -> None:
+    """Set each robot's next cell to cover, at the step `now`; idle robots take over from others.
+
+    Changes `robots`, and scratch in `grid`.
+    """
     for robot in range(robots.place.size):
         _trim(walked, grid.covered, robots, robot)
         robots.way[robot] = 0
@@ -165,6 +175,7 @@ def choose_goals(grid, walked, robots, now):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _set_goal(walked, robots, robot, now):  # type: ignore[no-untyped-def]
+def _set_goal(walked: Walked, robots: Robots, robot: int, now: int) -> None:
+    """Make the end of its run that a robot works from its goal."""
     end = robots.low[robot] if robots.side[robot] > 0 else robots.high[robot] - 1
     robots.goal[robot], robots.since[robot] = walked.order[end], now
