@@ -15,6 +15,7 @@ bus is cut, and they work: their part is kept for them until ours is done and th
 """
 
 from collections.abc import Iterable, Mapping
+from enum import Enum
 from typing import NamedTuple
 
 import numpy as np
@@ -26,6 +27,7 @@ from agent.interface.config import LEASE_US, MS, S
 from agent.mapf.agreement_phase import CALM_US, Phase, after, ahead
 from crdt.progress import BLOCK_UNITS, Progress
 from protocol.frames.agreement_frames import AgreementKind, AgreementMessage, AgreementReply
+from protocol.state_machine import StateMachine, matrix
 
 SETTLE_US = 300 * MS  # the view must be unchanged for this long, because boots come in bursts
 # A robot that receives no other for this long after boot is alone: two heartbeats (1.4 s).
@@ -39,6 +41,28 @@ SPARE_US = 5 * S  # margin so that all robots drop a reported obstacle in the sa
 AGAIN_MAX = 2  # an obstacle seen this often counts as permanent until the crew changes
 ANYBODY = 0xFFFF  # slot of an unannounced body
 FOREVER = 1 << 62
+
+
+class CoveragePlanEvent(Enum):
+    BEGUN = "a round with a later number was called, by us or by another robot"
+    GATHERED = "every live robot stands in a cell of its own and knows the same covered cells"
+    CHANGED = "a robot has left, joined or moved, or reports an obstacle: the plan is out of date"
+    AGREED = "every live robot has computed the same plan"
+
+
+FREE, GATHER, AGREE, GO = Phase
+stay = None
+
+# fmt: off
+COVERAGE_PLAN_TABLE = matrix(
+    CoveragePlanEvent,
+    # phase   BEGUN   GATHERED  CHANGED  AGREED
+    (FREE,    GATHER, stay,     stay,    stay),
+    (GATHER,  stay,   AGREE,    stay,    stay),
+    (AGREE,   GATHER, stay,     GATHER,  GO),
+    (GO,      GATHER, stay,     stay,    stay),  # a crew that differs calls a new round
+)
+# fmt: on
 
 
 class CellPlace(NamedTuple):
@@ -64,12 +88,12 @@ class CoverageAgreement:
     def __init__(self, slot: int, ground: CellMap, turn_cost: float = 0.0) -> None:
         self.slot, self.ground, self.turn_cost = slot, ground, turn_cost
         self.round = 0
-        self.phase = Phase.FREE
+        self.machine = StateMachine("coverage plan", COVERAGE_PLAN_TABLE, FREE)
         self.course: JointCourse | None = None  # the one agreed, or to be agreed, last
         self.me = NONE  # our index in it; -1: not one of it
         self.rounds = self.called = 0
         self.begun_us = 0  # of the round
-        self._since_us = 0  # of the phase
+        self._since_us = 0  # the newest of: round begun, plan made, plan agreed
         self._places: dict[int, CellPlace] = {}
         self._used: dict[int, CellPlace] = {}  # those the course was computed from
         self._plans: dict[int, int] = {}
@@ -83,6 +107,10 @@ class CoverageAgreement:
         self._differs_us: int | None = None  # since when the crew is not the live view
         self._said: dict[AgreementKind, tuple[object, int, int]] = {}  # what, how often, when
 
+    @property
+    def phase(self) -> Phase:
+        return self.machine.state
+
     # ---------------------------------------------------------------- hearing
 
     def call(self, now_us: int) -> None:
@@ -91,7 +119,8 @@ class CoverageAgreement:
 
     def _begin(self, number: int, now_us: int) -> None:
         self._remember()
-        self.round, self.phase = number, Phase.GATHER
+        self.round = number
+        self.machine.fire(CoveragePlanEvent.BEGUN)
         self.rounds += 1
         self.begun_us = self._since_us = now_us
         self._places, self._plans, self._plain = {}, {}, False
@@ -122,8 +151,7 @@ class CoverageAgreement:
         if m.first < len(self.ground) and m.first not in self.bodies:
             until_us = FOREVER if m.detail else now_us + OBSTACLE_US
             self.bodies[m.first] = CellObstacle(m.second, until_us)
-            if self.phase is Phase.AGREE:
-                self.phase = Phase.GATHER
+            self.machine.fire(CoveragePlanEvent.CHANGED)
 
     def meet(self, number: int, slot: int, now_us: int) -> None:
         """An obstacle outside our plan stands in that cell."""
@@ -135,7 +163,7 @@ class CoverageAgreement:
 
     @property
     def going(self) -> bool:
-        return self.phase is Phase.GO and self.me != NONE
+        return self.phase is GO and self.me != NONE
 
     def reached(self, robot: int) -> int:
         assert self.course is not None
@@ -174,7 +202,7 @@ class CoverageAgreement:
 
     def passed(self, slot: int) -> list[int]:
         """Cells that a robot has certainly gone through: up to the one before it said it was at."""
-        if self.course is None or slot not in self.course.slots or self.phase is Phase.FREE:
+        if self.course is None or slot not in self.course.slots or self.phase is FREE:
             return []
         robot = self.course.slots.index(slot)
         return [self.course.place(robot, s) for s in range(self._reached.get(slot, 0))]
@@ -199,18 +227,18 @@ class CoverageAgreement:
         if self._call_due(answer, crew, now_us):
             self.call(now_us)
             return
-        if self.phase is Phase.GATHER:
+        if self.phase is GATHER:
             if number != NONE and ready:
                 self._places[self.slot] = CellPlace(number, crew.progress.digest, answer)
             self._gather(crew, now_us)
-        if self.phase is Phase.AGREE:
+        if self.phase is AGREE:
             self._agree(crew, now_us)
-        waiting = self.phase in (Phase.GATHER, Phase.AGREE)
+        waiting = self.phase in (GATHER, AGREE)
         if waiting and now_us - self._since_us > PATIENCE_US and number != NONE:
             self.call(now_us)
 
     def _call_due(self, answer: AgreementReply, crew: FleetSnapshot, now_us: int) -> bool:
-        if self.phase in (Phase.GATHER, Phase.AGREE):
+        if self.phase in (GATHER, AGREE):
             return False
         own = self._used.get(self.slot)
         same = crew.live == self._used.keys() and own is not None and own.answer == answer
@@ -220,7 +248,7 @@ class CoverageAgreement:
         if self._differs_us is None:
             self._differs_us = now_us
         rank = sum(slot < self.slot for slot in crew.live)
-        early = self.phase is Phase.FREE and len(crew.live) == 1
+        early = self.phase is FREE and len(crew.live) == 1
         settle_us = BOOT_US if early else SETTLE_US
         return now_us - self._differs_us >= settle_us + rank * STAGGER_US
 
@@ -257,7 +285,8 @@ class CoverageAgreement:
             return  # one of them has been told late; it will say another
         self._used = places
         self._compute(crew, now_us)
-        self.phase, self._since_us = Phase.AGREE, now_us
+        self.machine.fire(CoveragePlanEvent.GATHERED)
+        self._since_us = now_us
 
     def _compute(self, crew: FleetSnapshot, now_us: int) -> None:
         self.bodies = {
@@ -291,11 +320,12 @@ class CoverageAgreement:
     def _agree(self, crew: FleetSnapshot, now_us: int) -> None:
         places = {slot: p for slot, p in self._places.items() if slot in crew.live}
         if places != self._used:
-            self.phase = Phase.GATHER  # a robot has left or joined, or knows something new
+            self.machine.fire(CoveragePlanEvent.CHANGED)
             return
         own = self._plans[self.slot]
         if all(self._plans.get(slot) == own for slot in self._used):
-            self.phase, self._since_us = Phase.GO, now_us
+            self.machine.fire(CoveragePlanEvent.AGREED)
+            self._since_us = now_us
         elif self.kept and not self._plain and now_us - self._since_us > PLAIN_US:
             self._plain = True
             self._compute(crew, now_us)
@@ -304,7 +334,7 @@ class CoverageAgreement:
 
     def _remember(self) -> None:
         """Remember the robot that each cell was assigned to by the last plan that all followed."""
-        if self.course is None or self.phase is not Phase.GO:
+        if self.course is None or self.phase is not GO:
             return
         self.course.finish()
         mine = self.course.owner != NONE
@@ -330,9 +360,9 @@ class CoverageAgreement:
         """What is due with this beat."""
         words: list[AgreementMessage] = []
         place = self._places.get(self.slot)
-        if self.phase is Phase.FREE or (place is None and self.phase is Phase.GATHER):
+        if self.phase is FREE or (place is None and self.phase is GATHER):
             return words
-        hurried = self.phase is not Phase.GO
+        hurried = self.phase is not GO
         if place is not None and self._due(AgreementKind.PLACE, place, hurried, now_us):
             low, high = place.digest & 0xFFFF, place.digest >> 16
             words.append(
@@ -360,7 +390,7 @@ class CoverageAgreement:
                     for number, body in sorted(self.bodies.items())
                 ]
         step = self._reached.get(self.slot, 0)
-        if self.phase is Phase.GO and self._due(AgreementKind.AT, step, False, now_us):
+        if self.phase is GO and self._due(AgreementKind.AT, step, False, now_us):
             words.append(AgreementMessage(self.round, AgreementKind.AT, 0, step, plan & 0xFFFF, 0))
         return words
 

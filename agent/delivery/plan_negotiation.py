@@ -1,11 +1,12 @@
 """Scenarios A and C: all robots search in parallel, each with its own seed; the cheapest plan wins.
 
-A round has four steps. One robot calls it and announces its duration. All robots freeze the problem
-and start from the same auction, or from the current plan if only waiting time is to be reduced. When
-the time is up, each robot offers the cost of its plan, unless it has received a better offer. The
-cheapest is elected, lower slots first among equals. The term of that election is the number of the
-round, so frames of an older round are ignored. The elected robot streams its plan row by row; if it
-falls silent, the others elect the second best. A plan is adopted if its digest matches the offer.
+A round has four phases (`NEGOTIATION_TABLE`). One robot calls it and announces its duration. All
+robots freeze the problem and start from the same auction, or from the current plan if only waiting
+time is to be reduced. When the time is up, each robot offers the cost of its plan, unless it has
+received a better offer. The cheapest is elected, lower slots first among equals. The term of that
+election is the number of the round, so frames of an older round are ignored. The elected robot
+streams its plan row by row; if it falls silent, the others elect the second best. A plan is adopted
+if its digest matches the offer.
 
 Robots' snapshots may differ slightly; the adopted plan defines the problem.
 """
@@ -20,6 +21,7 @@ from agent.delivery.auction import RoutingPlanner
 from agent.delivery.routing_problem import Itineraries, Workload
 from agent.interface.config import MS
 from protocol.frames.delivery_frames import HASTENS, NO_TASK, PlanOffer, PlanRow
+from protocol.state_machine import StateMachine, matrix
 
 SLICE_US = 50 * MS  # a control period
 SLICE_MOVES = 15_000  # of the search in each: 10 ms of a small computer's 50; and
@@ -52,16 +54,41 @@ class ProblemSnapshot(NamedTuple):
 
 class NegotiationPhase(Enum):
     REST = "no round"
-    SEARCH = "searching, from the auction on"
-    OFFER = "offers are heard"
-    STREAM = "the plan is streamed"
+    SEARCH = "every robot searches for a plan, from the auction on"
+    OFFER = "robots offer the costs of their plans"
+    STREAM = "the robot with the cheapest plan streams it"
+
+
+class NegotiationEvent(Enum):
+    BEGUN = "a round with a later number was called, by us or by another robot"
+    SEARCHED = "the time for the search is up"
+    ELECTED = "the time for offers is up, so the cheapest is elected"
+    SILENT = "no row of the elected robot was received for a while, so its offer is dropped"
+    NO_OFFER = "no robot has a plan to offer"
+    ADOPTED = "a whole plan with the offered digest was received, or our own was streamed"
+
+
+REST, SEARCH, OFFER, STREAM = NegotiationPhase
+stay = None
+
+# fmt: off
+NEGOTIATION_TABLE = matrix(
+    NegotiationEvent,
+    # phase   BEGUN   SEARCHED  ELECTED  SILENT  NO_OFFER  ADOPTED
+    (REST,    SEARCH, stay,     stay,    stay,   stay,     stay),
+    (SEARCH,  stay,   OFFER,    stay,    stay,   stay,     REST),  # from a robot that was called earlier
+    (OFFER,   SEARCH, stay,     STREAM,  stay,   stay,     REST),
+    (STREAM,  SEARCH, stay,     stay,    OFFER,  REST,     REST),
+)
+# fmt: on
 
 
 class PlanNegotiation:
     def __init__(self, slot: int, seed: int) -> None:
         self.slot, self.seed = slot, seed
-        self.number, self.step = 0, NegotiationPhase.REST
-        self.ends_us = 0  # of the step
+        self.number = 0
+        self.machine = StateMachine("plan negotiation", NEGOTIATION_TABLE, REST)
+        self.ends_us = 0  # of the phase
         self.adopted: Rows | None = None  # the adopted plan, until the caller takes it
         self.first: Rows = {}  # the auction's plan, the same for all
         self.streamed = 0  # rounds that we streamed
@@ -80,16 +107,18 @@ class PlanNegotiation:
         self._mute: set[int] = set()  # elected, and not heard
 
     @property
+    def phase(self) -> NegotiationPhase:
+        return self.machine.state
+
+    @property
     def active(self) -> bool:
-        return self.step is not NegotiationPhase.REST
+        return self.phase is not REST
 
     def left_us(self, now_us: int) -> int:
         """Until new itineraries can be expected."""
-        if self.step is NegotiationPhase.REST or self._hastens:
+        if self.phase is REST or self._hastens:
             return 0
-        return max(self.ends_us - now_us, 0) + (
-            OFFERS_US if self.step is NegotiationPhase.SEARCH else 0
-        )
+        return max(self.ends_us - now_us, 0) + (OFFERS_US if self.phase is SEARCH else 0)
 
     # ---------------------------------------------------------------- the steps
 
@@ -108,7 +137,8 @@ class PlanNegotiation:
         self._begin(offer.round, offer.replan, frozen, now_us)
 
     def _begin(self, number: int, units: int, frozen: ProblemSnapshot, now_us: int) -> None:
-        self.number, self.step, self._replan = number, NegotiationPhase.SEARCH, units
+        self.number, self._replan = number, units
+        self.machine.fire(NegotiationEvent.BEGUN)
         self.ends_us = now_us + units * REPLAN_UNIT_US
         self._frozen, self._planner = frozen, RoutingPlanner(frozen.work)
         self._hastens = frozen.plan is not None
@@ -128,12 +158,13 @@ class PlanNegotiation:
 
     def tick(self, now_us: int) -> None:
         """Each control period."""
-        if self.step is NegotiationPhase.SEARCH:
+        if self.phase is SEARCH:
             self._search(now_us)
-        elif self.step is NegotiationPhase.OFFER and now_us >= self.ends_us:
-            self.step, self._heard_us = NegotiationPhase.STREAM, now_us
+        elif self.phase is OFFER and now_us >= self.ends_us:
+            self.machine.fire(NegotiationEvent.ELECTED)
+            self._heard_us = now_us
             self._pass()
-        elif self.step is NegotiationPhase.STREAM:
+        elif self.phase is STREAM:
             self._stream(now_us)
 
     def _search(self, now_us: int) -> None:
@@ -143,7 +174,8 @@ class PlanNegotiation:
                 self._plan = self._slice(self._planner)
                 self._done += 1
             return
-        self.step, self.ends_us = NegotiationPhase.OFFER, now_us + OFFERS_US
+        self.machine.fire(NegotiationEvent.SEARCHED)
+        self.ends_us = now_us + OFFERS_US
         self._mine = self._rows()
         cost_ms = self._cost_ms(self._planner)
         if cost_ms is not None:
@@ -183,7 +215,7 @@ class PlanNegotiation:
     def _stream(self, now_us: int) -> None:
         rank = self._rank()
         if not rank:
-            self.step = NegotiationPhase.REST
+            self.machine.fire(NegotiationEvent.NO_OFFER)
         elif self._queue:
             self._heard_us = now_us
         elif rank[0] == self.slot:  # all said
@@ -192,16 +224,18 @@ class PlanNegotiation:
         elif now_us - self._heard_us > HUSH_US:
             self._mute.add(rank[0])  # it is dead or not received, so the next best is elected
             del self._offers[rank[0]]
-            self.step, self.ends_us = NegotiationPhase.OFFER, now_us + OFFERS_US
+            self.machine.fire(NegotiationEvent.SILENT)
+            self.ends_us = now_us + OFFERS_US
 
     def _adopt(self, rows: Rows) -> None:
-        self.adopted, self.step = rows, NegotiationPhase.REST
+        self.machine.fire(NegotiationEvent.ADOPTED)
+        self.adopted = rows
         self._queue = []
 
     # ---------------------------------------------------------------- frames
 
     def hear(self, slot: int, message: PlanOffer | PlanRow, now_us: int) -> None:
-        if message.round != self.number or self.step is NegotiationPhase.REST:
+        if message.round != self.number or self.phase is REST:
             return
         if isinstance(message, PlanOffer):
             if not message.replan and slot not in self._mute:
@@ -229,15 +263,15 @@ class PlanNegotiation:
 
     def say(self, now_us: int) -> Iterator[PlanOffer | PlanRow]:
         """With our beat."""
-        if self.step is NegotiationPhase.SEARCH and self._calls:
+        if self.phase is SEARCH and self._calls:
             self._calls -= 1
             left_us = max(self.ends_us - now_us, 1)
             yield PlanOffer(
                 self.number, ceil(left_us / REPLAN_UNIT_US), HASTENS if self._hastens else 0, 0
             )
-        elif self.step is NegotiationPhase.OFFER and self._rank()[:1] == [self.slot]:
+        elif self.phase is OFFER and self._rank()[:1] == [self.slot]:
             yield PlanOffer(self.number, 0, *self._offers[self.slot])
-        elif self.step is NegotiationPhase.STREAM:
+        elif self.phase is STREAM:
             yield from self._queue[:ROWS_A_BEAT]
             del self._queue[:ROWS_A_BEAT]
 

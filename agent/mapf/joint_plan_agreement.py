@@ -19,6 +19,7 @@ again without members that fell silent meanwhile, so no robot is parked for ever
 """
 
 from collections.abc import Iterable, Mapping
+from enum import Enum
 from math import hypot
 from typing import NamedTuple
 from zlib import crc32
@@ -32,6 +33,7 @@ from agent.mapf.lacam import JointPlan, Precedence, planned
 from agent.mapf.lattice import FINE, Lattice, components
 from agent.mapf.linear_assignment import assigned
 from protocol.frames.agreement_frames import AgreementKind, AgreementMessage, AgreementReply
+from protocol.state_machine import StateMachine, matrix
 
 Point = tuple[float, float]
 STANDS_M_S = 0.06  # slower than this is standing: what POSE can tell apart from nothing
@@ -44,6 +46,29 @@ KEPT_M = 0.15  # kept between bodies by avoidance; a node nearer to a body canno
 SEEN_MAX = 6  # nodes that one robot may name: what a box and a body cover
 SEATS = 3  # pitches round a place in which a node is looked for
 AFAR = 1 << 24  # cost of a node that is none of ours; more than all squares of a map
+
+
+class JointPlanEvent(Enum):
+    BEGUN = "a round with a later number was called, by us or by another robot"
+    GATHERED = "the place of every expected robot is known"
+    AGREED = "every robot that is to move has the same plan"
+    ARRIVED = "every robot has reached the end of its route"
+    WITHDRAWN = "we do not receive a robot that others receive, so we cannot agree with all"
+
+
+FREE, GATHER, AGREE, GO = Phase
+stay = None
+
+# fmt: off
+JOINT_PLAN_TABLE = matrix(
+    JointPlanEvent,
+    # phase   BEGUN   GATHERED  AGREED  ARRIVED  WITHDRAWN
+    (FREE,    GATHER, stay,     stay,   stay,    stay),
+    (GATHER,  stay,   AGREE,    stay,   stay,    stay),
+    (AGREE,   GATHER, stay,     GO,     stay,    FREE),
+    (GO,      GATHER, stay,     stay,   FREE,    stay),
+)
+# fmt: on
 
 
 class Participant(NamedTuple):
@@ -61,7 +86,7 @@ class JointPlanAgreement:
     def __init__(self, slot: int, lattice: Lattice, radius_m: float) -> None:
         self.slot, self.lattice, self.radius_m = slot, lattice, radius_m
         self.round = 0
-        self.phase = Phase.FREE
+        self.machine = StateMachine("joint plan", JOINT_PLAN_TABLE, FREE)
         self.plan: JointPlan | None = None
         self.order: tuple[int, ...] = ()  # slots of the plan's robots
         self.called = 0  # rounds that we called
@@ -104,27 +129,36 @@ class JointPlanAgreement:
             self._progress_us = now_us
 
     def _begin(self, number: int, now_us: int) -> None:
-        self.round, self.phase, self.plan = number, Phase.GATHER, None
+        self.round, self.plan = number, None
         self.rounds += 1
+        self._fire(JointPlanEvent.BEGUN, now_us)
         self._places.clear()
         self._things.clear()
         self._seen, self._used = [], None
         self._digests.clear()
         self._reached.clear()
         self._said_us.clear()
-        self._since_us = self._progress_us = now_us
+        self._progress_us = now_us
+
+    def _fire(self, event: JointPlanEvent, now_us: int) -> None:
+        self.machine.fire(event)
+        self._since_us = now_us
 
     # ---------------------------------------------------------------- what is to be done
 
     @property
+    def phase(self) -> Phase:
+        return self.machine.state
+
+    @property
     def bound(self) -> bool:
         """Whether a round controls us: we stand still or drive our route."""
-        return self.phase is not Phase.FREE and not self._arrived
+        return self.phase is not FREE and not self._arrived
 
     @property
     def waiting(self) -> bool:
         """Whether all robots must agree before any robot moves."""
-        return self.phase in (Phase.GATHER, Phase.AGREE)
+        return self.phase in (GATHER, AGREE)
 
     @property
     def route(self) -> tuple[int, ...]:
@@ -178,39 +212,50 @@ class JointPlanAgreement:
     ) -> None:
         """One control period. `peers`: the expected participants; `dead`: bodies that do not take part;
         `things`: what else we see standing."""
-        if self.phase is Phase.GATHER:
+        if self.phase is GATHER:
             if self.slot not in self._places and speed_m_s < STANDS_M_S:
-                node, detail = self.lattice.tell(at)
-                wants = node if goal is None or answer else self.lattice.nearest(goal)
-                self._places[self.slot] = Participant(node, wants, answer, detail)
-                self._see(things)
+                self._take_place(at, goal, answer, things)
             if self._places.keys() >= {self.slot, *peers}:
-                self.phase, self._since_us = Phase.AGREE, now_us
-        if self.phase is Phase.AGREE:
+                self._fire(JointPlanEvent.GATHERED, now_us)
+        if self.phase is AGREE:
             self._compute(dead)
-            own = self._digests[self.slot]
-            movers = [s for s in self.order if self._places[s].answer is AgreementReply.GRANT]
-            if all(self._digests.get(slot) == own for slot in movers):
-                self.phase, self._since_us = Phase.GO, now_us
-        if self.phase is Phase.GO and self._over:
-            self.phase = Phase.FREE
-        patience_us = PATIENCE_US if self.phase is Phase.GO else PATIENCE_US // 2
+            if self._plans_agree:
+                self._fire(JointPlanEvent.AGREED, now_us)
+        if self.phase is GO and self._over:
+            self._fire(JointPlanEvent.ARRIVED, now_us)
+        patience_us = PATIENCE_US if self.phase is GO else PATIENCE_US // 2
         if self.bound and now_us - max(self._since_us, self._progress_us) > patience_us:
-            place = self._places.get(self.slot)
-            if (
-                self.phase is Phase.AGREE
-                and place is not None
-                and place.answer is AgreementReply.DEAF
-            ):
-                self.phase = Phase.FREE  # it cannot agree; the others have done what they did
+            if self.phase is AGREE and self._deaf:  # the others have done what they did
+                self._fire(JointPlanEvent.WITHDRAWN, now_us)
             else:
                 self.call(now_us)
+
+    def _take_place(
+        self, at: Point, goal: Point | None, answer: AgreementReply, things: Iterable[Point]
+    ) -> None:
+        """Our own place in this round; it is sent until the round is over and never changes."""
+        node, detail = self.lattice.tell(at)
+        wants = node if goal is None or answer else self.lattice.nearest(goal)
+        self._places[self.slot] = Participant(node, wants, answer, detail)
+        self._see(things)
+
+    @property
+    def _plans_agree(self) -> bool:
+        """Whether every robot that is to move has sent the digest of our plan."""
+        own = self._digests[self.slot]
+        movers = [s for s in self.order if self._places[s].answer is AgreementReply.GRANT]
+        return all(self._digests.get(slot) == own for slot in movers)
+
+    @property
+    def _deaf(self) -> bool:
+        place = self._places.get(self.slot)
+        return place is not None and place.answer is AgreementReply.DEAF
 
     def outgoing(self, now_us: int) -> list[AgreementMessage]:
         """What is due with this beat."""
         words: list[AgreementMessage] = []
         place = self._places.get(self.slot)
-        if place is not None and self._due(AgreementKind.PLACE, self.phase is Phase.GATHER, now_us):
+        if place is not None and self._due(AgreementKind.PLACE, self.phase is GATHER, now_us):
             words.append(
                 AgreementMessage(
                     self.round,
@@ -221,19 +266,19 @@ class JointPlanAgreement:
                     place.detail,
                 )
             )
-        if self._seen and self._due(AgreementKind.BODY, self.phase is not Phase.GO, now_us):
+        if self._seen and self._due(AgreementKind.BODY, self.phase is not GO, now_us):
             words += [
                 AgreementMessage(self.round, AgreementKind.BODY, 0, node, 0, 0)
                 for node in self._seen
             ]
         digest = self._digests.get(self.slot)
-        if digest is not None and self._due(AgreementKind.PLAN, self.phase is Phase.AGREE, now_us):
+        if digest is not None and self._due(AgreementKind.PLAN, self.phase is AGREE, now_us):
             words.append(
                 AgreementMessage(
                     self.round, AgreementKind.PLAN, 0, digest & 0xFFFF, digest >> 16, 0
                 )
             )
-        hurried = self.phase is Phase.GO and now_us - self._since_us < HURRIED_US
+        hurried = self.phase is GO and now_us - self._since_us < HURRIED_US
         if self.index >= 0 and self._due(AgreementKind.AT, hurried, now_us):
             words.append(AgreementMessage(self.round, AgreementKind.AT, 0, self.index + 1, 0, 0))
         return words

@@ -1,7 +1,7 @@
 """The stop before an unannounced obstacle: stand still, ask an operator, and obey the answer.
 
-    sighting -> ASKING -> an operator's WAIT, CONTINUE, REPLAN, STOP, GO_HOME or SET_GOAL
-                       -> GONE, by itself, when the way has been free for a second
+`QUESTION_TABLE` has the states of the question. An answer is an operator's WAIT, CONTINUE or REPLAN;
+STOP, GO_HOME and SET_GOAL end the question, too. An obstacle that leaves closes it.
 
 A robot that goes round the obstacle creeps near it, at most as fast as it can stop before it. Points
 found behind the obstacle belong to it. A different obstacle in the way, or no free way at all, raises
@@ -9,6 +9,7 @@ a new question. An answer with a number other than that of the open question is 
 """
 
 from collections.abc import Mapping, Sequence
+from enum import Enum
 from math import hypot, sqrt
 from typing import Final
 
@@ -27,6 +28,7 @@ from agent.motion.obstacle_detector import (
 )
 from protocol.frames.operator_frames import NUMBERS, OperatorReport, ReportKind
 from protocol.frames.safety_frames import Command
+from protocol.state_machine import StateMachine, matrix
 
 FREE_US: Final = 1 * S  # if the way is free for this long, the obstacle has left
 ASK_US: Final = 1 * S  # repeat interval of the question, for operators that connect later
@@ -40,13 +42,50 @@ STANDING_M_S: Final = 0.02
 ANSWERS: Final = (Command.WAIT, Command.CONTINUE, Command.REPLAN)
 
 
+class QuestionState(Enum):
+    NONE = "no question is open"
+    ASKING = "the robot stands still and repeats its question"
+    WAITING = "the robot stands still by an operator's order, until the obstacle leaves"
+    GOING_ROUND = "an operator has confirmed the obstacle, and the robot drives round it"
+
+
+class QuestionEvent(Enum):
+    BLOCKED = "an obstacle that nobody has announced is in the way, or there is no way round"
+    TOLD_TO_WAIT = "an operator's WAIT"
+    TOLD_TO_PASS = "an operator's CONTINUE or REPLAN, or an order that sends the robot somewhere"
+    WAY_FREE = "nothing was in the way for a second"
+    PASSED = "no point of the confirmed obstacle is seen any more"
+
+
+NONE, ASKING, WAITING, GOING_ROUND = QuestionState
+stay = None
+
+# fmt: off
+QUESTION_TABLE = matrix(
+    QuestionEvent,
+    # state        BLOCKED  TOLD_TO_WAIT  TOLD_TO_PASS  WAY_FREE  PASSED
+    (NONE,         ASKING,  stay,         stay,         stay,     stay),
+    (ASKING,       stay,    WAITING,      GOING_ROUND,  NONE,     stay),
+    (WAITING,      stay,    stay,         GOING_ROUND,  NONE,     stay),
+    (GOING_ROUND,  ASKING,  stay,         stay,         stay,     NONE),
+)
+# fmt: on
+# What people are told at each event; of the last, nothing.
+REPORT: Mapping[QuestionEvent, ReportKind] = {
+    QuestionEvent.BLOCKED: ReportKind.ASKING,
+    QuestionEvent.TOLD_TO_WAIT: ReportKind.WAITING,
+    QuestionEvent.TOLD_TO_PASS: ReportKind.GOING_ROUND,
+    QuestionEvent.WAY_FREE: ReportKind.GONE,
+}
+
+
 class ObstacleStop:
     """The obstacle stop of one robot. While it is `asking`, the peer holds the robot."""
 
     def __init__(self, slot: int, limits: BodyLimits, lookout: ObstacleDetector) -> None:
         self.slot, self.limits, self.lookout = slot, limits, lookout
         self.number = 0  # of the newest question
-        self.matter: ReportKind | None = None  # where that stands
+        self.machine = StateMachine("obstacle question", QUESTION_TABLE, NONE)
         self.things: frozenset[GroundCell] = frozenset()  # to go round, by an operator's answer
         self.leave_out = False  # the units under them are not worked
         self._known_as, self._places = self.things, frozenset[Point]()
@@ -57,7 +96,7 @@ class ObstacleStop:
 
     @property
     def asking(self) -> bool:
-        return self.matter in (ReportKind.ASKING, ReportKind.WAITING)
+        return self.machine.state in (ASKING, WAITING)
 
     @property
     def passing(self) -> bool:
@@ -116,15 +155,15 @@ class ObstacleStop:
         self._seen_us = now_us
         self.why = f"{sighting.free_m:.1f} m ahead at {sighting.x_m:.1f}, {sighting.y_m:.1f}"
         self._sighting = sighting
-        return self._turn(ReportKind.ASKING, self.why, now_us)
+        return self._turn(QuestionEvent.BLOCKED, self.why, now_us)
 
     def _stand(self, seen: Detection | None, now_us: int) -> list[Effect]:
         """Stand still until an answer arrives or the obstacle has gone."""
         if seen is not None:
             self._sighting, self._seen_us = seen, now_us
         elif now_us - self._seen_us >= FREE_US:
-            return self._turn(ReportKind.GONE, "the way is free", now_us)
-        if self.matter is ReportKind.ASKING and now_us - self._asked_us >= ASK_US:
+            return self._turn(QuestionEvent.WAY_FREE, "the way is free", now_us)
+        if self.machine.state is ASKING and now_us - self._asked_us >= ASK_US:
             self._asked_us = now_us
             return [Send(self.report(ReportKind.ASKING))]
         return []
@@ -160,7 +199,7 @@ class ObstacleStop:
             kept = self.things & seen
             self.things = kept.union(g for g in seen - kept if self._known(middle(g)))
         if not self.things:
-            self.matter = None
+            self.machine.fire(QuestionEvent.PASSED)
 
     # ---------------------------------------------------------------- answers
 
@@ -173,7 +212,7 @@ class ObstacleStop:
                 Trace("pause", "", command.name, "REFUSED", why),
             ]
         if command is Command.WAIT:
-            return self._turn(ReportKind.WAITING, "an operator's answer", now_us)
+            return self._turn(QuestionEvent.TOLD_TO_WAIT, "an operator's answer", now_us)
         self.leave_out = command is Command.CONTINUE
         return self.go_round(f"an operator's {command.name}", now_us)
 
@@ -183,7 +222,7 @@ class ObstacleStop:
             return []
         self.things = frozenset(self.lookout.points)
         self._moved_us = now_us
-        return self._turn(ReportKind.GOING_ROUND, why, now_us)
+        return self._turn(QuestionEvent.TOLD_TO_PASS, why, now_us)
 
     def report(self, matter: ReportKind) -> OperatorReport:
         seen = self._sighting
@@ -193,9 +232,10 @@ class ObstacleStop:
             self.slot, self.number, matter, seen.x_m, seen.y_m, seen.free_m, radius_m
         )
 
-    def _turn(self, matter: ReportKind, why: str, now_us: int) -> list[Effect]:
-        was = "" if self.matter is None else self.matter.name
-        self.matter = None if matter is ReportKind.GONE else matter
+    def _turn(self, event: QuestionEvent, why: str, now_us: int) -> list[Effect]:
+        """Move, and tell people."""
+        source, _ = self.machine.fire(event)
+        was, matter = "" if source is NONE else source.name, REPORT[event]
         self._asked_us = now_us
         return [
             Send(self.report(matter)),

@@ -90,6 +90,6 @@ def play(
                         other.join(said, problem, now_us)
                     else:
                         other.hear(slot, said, now_us)
-        if all(peer.step is NegotiationPhase.REST for peer in peers.values()):
+        if all(peer.phase is NegotiationPhase.REST for peer in peers.values()):
             break
     return list(peers.values())

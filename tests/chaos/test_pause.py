@@ -10,7 +10,7 @@ import pytest
 
 from agent.field.field_mission import FieldMission
 from agent.interface.lifecycle import State
-from agent.motion.obstacle_stop import ObstacleStop
+from agent.motion.obstacle_stop import ObstacleStop, QuestionState
 from agent.runtime.files.key_file import fresh, write
 from agent.safety.stop_cause import StopCause
 from protocol.frames.codec import decode_once
@@ -306,7 +306,7 @@ def test_boxes_that_come_and_go_are_never_touched(seed: int) -> None:
                 pause = robot.peer.named.obstacle.question
                 if (
                     isinstance(pause, ObstacleStop)
-                    and pause.matter is ReportKind.ASKING
+                    and pause.machine.state is QuestionState.ASKING
                     and rng.random() < 0.3
                 ):
                     what = rng.choice((Command.WAIT, Command.CONTINUE, Command.REPLAN))

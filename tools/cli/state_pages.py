@@ -7,7 +7,11 @@ from html import escape
 from math import cos, hypot, pi, sin
 from typing import Any, NamedTuple
 
+from agent.coverage import plan_agreement
+from agent.delivery import plan_negotiation
 from agent.interface import lifecycle
+from agent.mapf import joint_plan_agreement
+from agent.motion import obstacle_stop
 from protocol import address, transport
 from protocol.state_machine import edges
 
@@ -42,6 +46,28 @@ MACHINES = (
         "states_transport.svg", "Transport session",
         "A long message that a device sends to another one; a broadcast starts in SENDING.",
         "protocol/transport.py", transport.SENDING_TABLE, transport.AWAITING,
+    ),
+    Machine(
+        "states_obstacle.svg", "Question about an obstacle",
+        "What a robot does about something that nobody has announced and that stands in its way.",
+        "agent/motion/obstacle_stop.py", obstacle_stop.QUESTION_TABLE, obstacle_stop.NONE,
+    ),
+    Machine(
+        "states_joint_plan.svg", "Agreement on a joint plan",
+        "How robots in each other's way agree on who goes where.",
+        "agent/mapf/joint_plan_agreement.py", joint_plan_agreement.JOINT_PLAN_TABLE,
+        joint_plan_agreement.FREE,
+    ),
+    Machine(
+        "states_coverage_plan.svg", "Agreement on a coverage plan",
+        "How robots that cover a grid together agree on their next plan.",
+        "agent/coverage/plan_agreement.py", plan_agreement.COVERAGE_PLAN_TABLE, plan_agreement.FREE,
+    ),
+    Machine(
+        "states_negotiation.svg", "Plan negotiation",
+        "How carriers agree on new itineraries: every robot searches, and the cheapest plan wins.",
+        "agent/delivery/plan_negotiation.py", plan_negotiation.NEGOTIATION_TABLE,
+        plan_negotiation.REST,
     ),
 )  # fmt: skip
 

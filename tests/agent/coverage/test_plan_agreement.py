@@ -6,11 +6,18 @@ import numpy as np
 import pytest
 
 from agent.coverage.cell_map import CellMap
-from agent.coverage.plan_agreement import ANYBODY, CoverageAgreement, FleetSnapshot
+from agent.coverage.plan_agreement import (
+    ANYBODY,
+    COVERAGE_PLAN_TABLE,
+    CoverageAgreement,
+    CoveragePlanEvent,
+    FleetSnapshot,
+)
 from agent.interface.config import MS, S
 from agent.mapf.agreement_phase import Phase
 from crdt import Progress
 from protocol.frames.agreement_frames import ACCORD, AgreementKind, AgreementMessage, AgreementReply
+from tests.state_tables import check_table
 
 
 class Table:
@@ -141,3 +148,12 @@ def test_words_out_of_range_do_nothing(say: AgreementKind) -> None:
         )
         rounds.on_message(rng.randrange(4), word, 0)
     assert all(number < 36 for number in rounds.bodies)
+
+
+def test_every_phase_and_event() -> None:
+    free, gather, agree, go = Phase
+    begun, gathered, changed, agreed = CoveragePlanEvent
+    check_table(COVERAGE_PLAN_TABLE, free, {
+        (free, begun, gather), (agree, begun, gather), (go, begun, gather),
+        (gather, gathered, agree), (agree, changed, gather), (agree, agreed, go),
+    })  # fmt: skip

@@ -4,10 +4,17 @@ from random import Random
 
 import pytest
 
-from agent.delivery.plan_negotiation import NegotiationPhase, PlanNegotiation, digest_of
+from agent.delivery.plan_negotiation import (
+    NEGOTIATION_TABLE,
+    NegotiationEvent,
+    NegotiationPhase,
+    PlanNegotiation,
+    digest_of,
+)
 from agent.delivery.task_registry import TaskRegistry, TransportTask
 from protocol.frames.delivery_frames import PlanRow
 from tests.agent.planning import frozen, play, short_search
+from tests.state_tables import check_table
 
 short_searches = pytest.fixture(autouse=True)(short_search)
 
@@ -33,7 +40,7 @@ def test_when_the_elected_dies_the_next_is_elected(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(4))
 def test_no_loss_keeps_anybody_in_a_round(seed: int) -> None:
     for peer in play(4, 0.3, seed):
-        assert peer.step is NegotiationPhase.REST
+        assert peer.phase is NegotiationPhase.REST
 
 
 def test_rows_of_an_older_round_are_not_believed() -> None:
@@ -65,3 +72,14 @@ def test_task_books_become_equal_whatever_is_lost(seed: int) -> None:
                         heard.hear(said, step * 50_000)
     assert all(book.tasks == books[0].tasks for book in books)
     assert len(books[0].tasks) == 60 and books[0].tasks[7] == TransportTask(3, 4)
+
+
+def test_every_phase_and_event() -> None:
+    rest, search, offer, stream = NegotiationPhase
+    begun, searched, elected, silent, no_offer, adopted = NegotiationEvent
+    check_table(NEGOTIATION_TABLE, rest, {
+        (rest, begun, search), (offer, begun, search), (stream, begun, search),
+        (search, searched, offer), (offer, elected, stream), (stream, silent, offer),
+        (stream, no_offer, rest),
+        (search, adopted, rest), (offer, adopted, rest), (stream, adopted, rest),
+    })  # fmt: skip

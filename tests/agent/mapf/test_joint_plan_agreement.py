@@ -4,10 +4,11 @@ from random import Random
 
 from agent.interface.config import MS, S
 from agent.mapf.agreement_phase import Phase
-from agent.mapf.joint_plan_agreement import JointPlanAgreement
+from agent.mapf.joint_plan_agreement import JOINT_PLAN_TABLE, JointPlanAgreement, JointPlanEvent
 from agent.mapping.building import Floor
 from protocol.frames.agreement_frames import AgreementKind, AgreementMessage, AgreementReply
 from sim.scenarios.building_generator import CORRIDOR
+from tests.state_tables import check_table
 
 FLOOR = Floor.drawn(CORRIDOR, 1.0, 0.35)
 BEAT_US = 50 * MS
@@ -179,3 +180,13 @@ def test_nobody_is_sent_to_a_node_that_is_nearer_to_a_body_than_avoidance_lets_i
     body = fleet.at[2]
     for own in fleet.agreements[:2]:
         assert all(FLOOR.lattice.distance_m(node, body) >= 2 * 0.35 + 0.15 for node in own.route)
+
+
+def test_every_phase_and_event() -> None:
+    free, gather, agree, go = Phase
+    begun, gathered, agreed, arrived, withdrawn = JointPlanEvent
+    check_table(JOINT_PLAN_TABLE, free, {
+        (free, begun, gather), (agree, begun, gather), (go, begun, gather),
+        (gather, gathered, agree), (agree, agreed, go), (go, arrived, free),
+        (agree, withdrawn, free),
+    })  # fmt: skip
