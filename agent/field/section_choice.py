@@ -14,8 +14,8 @@ from agent.interface.config import CONTROL_PERIOD_US, LEASE_US, S
 from agent.interface.mission import ClaimRequest, FleetView
 from crdt import Phase
 
-# What others do not take for this long we take. A claim takes a quarter of a second, and different
-# views of the fleet last for two.
+# A section that others do not take for this long is ours. A claim takes 0.25 s, and robots may have
+# different views of the fleet for 2 s.
 UNTAKEN_US: Final = 5 * S
 AGAIN_US: Final = 20 * S  # a section that we gave back is left to others first; doubled each time
 AGAIN_TIMES: Final = 5  # doublings at most, to ten minutes: 255 hand-overs last for two days
@@ -28,6 +28,7 @@ class SectionChooser:
     """One robot's choice of sections, and what it remembers about the other robots."""
 
     def __init__(self, field: Field, speed_m_s: float) -> None:
+        """`speed_m_s`: at which sections are worked; shares are cut by the time that they take."""
         self.field, self.speed_m_s = field, speed_m_s
         self.reserved: dict[int, list[int]] = {}  # silent member -> its sections, in its order
         self._plan: dict[int, list[SectionJob]] = {}
@@ -70,7 +71,7 @@ class SectionChooser:
         return self._orphan(view)
 
     def _untaken(self, view: FleetView) -> bool:
-        """Whether others have left for `UNTAKEN_US` what we left to them.
+        """Whether no robot has taken for `UNTAKEN_US` what we left to others.
 
         Two equally near robots may each expect the other one to take a section, or its owner does
         not work.

@@ -349,7 +349,7 @@ class OccupancyGrid:
         Raises ValueError if the data are damaged or are not such a map.
         """
         if len(data) < _HEAD.size or data[:4] != MAGIC:
-            raise ValueError("not a map of ours")
+            raise ValueError("this is not a saved map")
         _, rows, columns, x, y, cell_m, body_m, inflation_m, told = _HEAD.unpack_from(data)
         sizes = (cell_m, body_m, inflation_m, x, y)
         sound = all(map(isfinite, sizes)) and cell_m > 0 and min(body_m, inflation_m) >= 0

@@ -19,7 +19,9 @@ TAKE_OVER_US: Final = 1_500 * MS
 RANK_US: Final = 10 * MS  # between two robots that would take over: two frame times with margin
 PERMITS: Final = 3  # sent after a release; by then every listener's own timeout has ended the stop
 COUNT_MAX: Final = 0xFF  # the count wraps to 0
-assert TAKE_OVER_US + 108 * RANK_US + 200 * MS < HOLD_US, "the next one speaks within the time-out"
+assert TAKE_OVER_US + 108 * RANK_US + 200 * MS < HOLD_US, (
+    "the next robot sends its stop before the timeout"
+)
 
 STOPS: Final = (Switch.STOP, Switch.ERROR)
 
@@ -100,7 +102,8 @@ class ShortcutButtons:
 def _missed(known: int, count: int) -> bool:
     """Whether a permit with a changed count means that a stop was sent but not received.
 
-    A count of 0 means that the button was switched off and on, unless it follows the largest count."""
+    A count of 0 means that the button was switched off and on, unless it follows the largest count.
+    """
     return count != known and (count != 0 or known == COUNT_MAX)
 
 
